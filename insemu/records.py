@@ -1,0 +1,246 @@
+"""Typed sampled data, checked on the way in: signals, IMU and GNSS records, trajectories.
+
+All arrays are read-only float64, time first, SI units and radians. Times are seconds on one common clock and strictly
+increasing. An :class:`ImuRecord` has one row for each of its time stamps: row k describes the interval ``(t[k-1], t[k]]``, so row 0,
+the interval before the record starts, is never integrated (emulated records repeat row 1 there).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from insemu.errors import InputError
+
+Array = NDArray[np.float64]
+ImuKind = Literal["increment", "mean", "sample"]
+
+#: The six sensor axes in the order of every (..., 6) array.
+AXES = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
+#: Column names of the same axes in files.
+COLUMNS = ("gx", "gy", "gz", "ax", "ay", "az")
+
+
+def _frozen(value: ArrayLike, name: str, shape: tuple[int | None, ...], *, finite: bool = True) -> Array:
+    """Check and freeze an array; ``None`` in ``shape`` means any length."""
+    given = np.asarray(value)
+    if given.dtype.kind not in "fiu":
+        raise InputError(f"{name} has type {given.dtype}, expected real numbers")
+    array = np.asarray(given, dtype=np.float64)
+    if array.ndim != len(shape) or any(want is not None and have != want for have, want in zip(array.shape, shape, strict=True)):
+        expected = "(" + ", ".join("n" if s is None else str(s) for s in shape) + ("," if len(shape) == 1 else "") + ")"
+        raise InputError(f"{name} has shape {array.shape}, expected {expected}")
+    if finite and not np.isfinite(array).all():
+        first = int(np.argmax(~np.isfinite(array.reshape(array.shape[0], -1)).all(axis=1)))
+        count = int((~np.isfinite(array)).sum())
+        raise InputError(f"{name} has {count} value(s) that are not finite, the first at row {first}; expected finite numbers")
+    if array is given:
+        array = array.view()
+    array.setflags(write=False)
+    return array
+
+
+def _frozen_times(value: ArrayLike, name: str) -> Array:
+    t = _frozen(value, name, (None,))
+    if t.size == 0:
+        raise InputError(f"{name} is empty, expected at least one time")
+    step = np.diff(t)
+    if (step <= 0).any():
+        k = int(np.argmax(step <= 0)) + 1
+        what = "repeats" if step[k - 1] == 0 else "goes back"
+        raise InputError(f"{name} {what} at row {k} ({t[k - 1]!r} then {t[k]!r}); expected strictly increasing seconds")
+    return t
+
+
+@dataclass(frozen=True)
+class Series:
+    """A scalar signal at a constant rate.
+
+    Parameters
+    ----------
+    values : (n,) array
+        Samples in SI (``unit``).
+    rate_hz : float
+        Sampling rate in Hz, positive.
+    unit : str
+        ``"rad/s"``, ``"m/s^2"`` or ``""`` where unknown.
+    name : str
+        For example ``"gyro_x"``; appears in tables and messages.
+
+    Raises
+    ------
+    InputError
+        Wrong shape, a value that is not finite, a rate that is not positive.
+    """
+
+    values: Array
+    rate_hz: float
+    unit: str = ""
+    name: str = "signal"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", _frozen(self.values, self.name, (None,)))
+        if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
+            raise InputError(f"{self.name} has a rate of {self.rate_hz} Hz, expected a positive number")
+
+    @property
+    def dt(self) -> float:
+        """Sampling interval in seconds."""
+        return 1.0 / self.rate_hz
+
+    def __len__(self) -> int:
+        return self.values.size
+
+
+@dataclass(frozen=True)
+class ImuRecord:
+    """Six axes of inertial data on one clock.
+
+    Parameters
+    ----------
+    t : (n,) array
+        Time stamps in s. Row k of the data belongs to the interval ``(t[k-1], t[k]]``.
+    gyro, accel : (n, 3) arrays
+        Angular rate with respect to inertial space and specific force in body axes (forward-right-down): rad/s and m/s^2, or
+        rad and m/s for ``kind="increment"``.
+    kind : {"increment", "mean", "sample"}
+        Integral over the preceding interval, average over it, or value at the stamp.
+    temperature : (n,) array, optional
+        Sensor temperature in degC.
+    """
+
+    t: Array
+    gyro: Array
+    accel: Array
+    kind: ImuKind = "sample"
+    temperature: Array | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "t", _frozen_times(self.t, "IMU time"))
+        n = self.t.size
+        object.__setattr__(self, "gyro", _frozen(self.gyro, "gyro", (n, 3)))
+        object.__setattr__(self, "accel", _frozen(self.accel, "accel", (n, 3)))
+        if self.kind not in get_args(ImuKind):
+            raise InputError(f"imu_kind is '{self.kind}', expected one of: {', '.join(get_args(ImuKind))}")
+        if self.temperature is not None:
+            object.__setattr__(self, "temperature", _frozen(self.temperature, "temperature", (n,)))
+
+    def __len__(self) -> int:
+        return self.t.size
+
+    @property
+    def dt(self) -> float:
+        """Nominal sampling interval in s (the median step)."""
+        return float(np.median(np.diff(self.t)))
+
+    def as_increments(self) -> ImuRecord:
+        """Return the record as integrals over the preceding intervals (``kind="increment"``).
+
+        Means are multiplied by the interval; samples are integrated by the trapezoid rule, the best that two values at the ends
+        of an interval allow. Row 0 repeats row 1.
+        """
+        if self.kind == "increment":
+            return self
+        step = np.diff(self.t)[:, None]
+
+        def integrate(rate: Array) -> Array:
+            inner = rate[1:] * step if self.kind == "mean" else 0.5 * (rate[1:] + rate[:-1]) * step
+            first = inner[:1] if inner.size else rate[:1] * 0.0
+            return np.concatenate([first, inner])
+
+        return replace(self, gyro=integrate(self.gyro), accel=integrate(self.accel), kind="increment")
+
+
+@dataclass(frozen=True)
+class GnssRecord:
+    """GNSS fixes of the antenna.
+
+    Parameters
+    ----------
+    t : (n,) array
+        Time of validity in s on the IMU's clock.
+    llh : (n, 3) array
+        Latitude rad, longitude rad, ellipsoidal height m. A row of NaN is "no position at this epoch".
+    vel_ned : (n, 3) array, optional
+        Earth-relative velocity in m/s; NaN rows are "no velocity".
+    pos_std_ned, vel_std_ned : (n, 3) arrays, optional
+        Standard deviations in m and m/s, as stated by the receiver.
+    """
+
+    t: Array
+    llh: Array
+    vel_ned: Array | None = None
+    pos_std_ned: Array | None = None
+    vel_std_ned: Array | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "t", _frozen_times(self.t, "GNSS time"))
+        n = self.t.size
+        object.__setattr__(self, "llh", _frozen(self.llh, "gnss_llh", (n, 3), finite=False))
+        latitude = self.llh[:, 0]
+        if (np.abs(latitude[np.isfinite(latitude)]) > np.pi / 2 + 1e-12).any():
+            k = int(np.nanargmax(np.abs(latitude)))
+            raise InputError(f"gnss_llh row {k} has a latitude of {np.rad2deg(latitude[k]):.6g} deg, expected -90 to 90 deg")
+        for name in ("vel_ned", "pos_std_ned", "vel_std_ned"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _frozen(getattr(self, name), f"gnss_{name}", (n, 3), finite=False))
+
+    def __len__(self) -> int:
+        return self.t.size
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Position, velocity and attitude nodes of the IMU.
+
+    Parameters
+    ----------
+    t : (n,) array
+        Time in s.
+    llh : (n, 3) array
+        Latitude rad, longitude rad, ellipsoidal height m.
+    vel_ned : (n, 3) array
+        Earth-relative velocity, m/s.
+    rpy : (n, 3) array
+        Roll, pitch, heading in rad; ``C_nb = Rz(heading) Ry(pitch) Rx(roll)``.
+    """
+
+    t: Array
+    llh: Array
+    vel_ned: Array
+    rpy: Array
+    name: str = field(default="trajectory", compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "t", _frozen_times(self.t, "trajectory time"))
+        n = self.t.size
+        for attribute in ("llh", "vel_ned", "rpy"):
+            object.__setattr__(self, attribute, _frozen(getattr(self, attribute), f"trajectory {attribute}", (n, 3)))
+
+    def __len__(self) -> int:
+        return self.t.size
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What was measured (or emulated) on one drive or flight: IMU, GNSS and, where there is one, a reference.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+        Inertial data in the body axes of the file.
+    gnss : GnssRecord, optional
+        Fixes of the antenna.
+    reference : Trajectory, optional
+        Reference position, velocity and attitude of the IMU (``ref_*``), possibly at another rate.
+    source : str
+        File or folder it came from; appears in messages.
+    """
+
+    imu: ImuRecord
+    gnss: GnssRecord | None = None
+    reference: Trajectory | None = None
+    source: str = "recording"

@@ -1,0 +1,17 @@
+"""Where the reference data of other programs and sensors is; tests skip with a message where it is absent."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+def shared(relative: str) -> Path:
+    """Path of a file under the shared data folder (``INSEMU_SHARED``, else ``../shared``), or skip the test."""
+    root = Path(os.environ.get("INSEMU_SHARED", Path(__file__).resolve().parents[2] / "shared"))
+    path = root / relative
+    if not path.exists():
+        pytest.skip(f"shared data absent: {relative} (set INSEMU_SHARED to the folder that holds it)")
+    return path
