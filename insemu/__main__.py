@@ -1,0 +1,5 @@
+"""``python -m insemu``."""
+
+from insemu.cli import main
+
+main()

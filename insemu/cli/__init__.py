@@ -1,0 +1,57 @@
+"""The command line: one module per command, heavy imports inside each, so that ``insemu --help`` answers at once.
+
+Exit codes: 0 done, 1 a check failed, 2 bad input (one readable message, nothing half-written), 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+
+import typer
+
+#: Command name -> module of this package whose function ``command`` it calls, in the order of ``insemu --help``.
+COMMANDS: dict[str, str] = {}
+
+app = typer.Typer(
+    name="insemu",
+    help="Choose and trust the noise models of INS/GNSS filters: characterise, fit, emulate, filter, evaluate, close the gap.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from insemu import __version__
+
+        typer.echo(f"insemu {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version and exit.")) -> None:
+    pass
+
+
+for _name, _module in COMMANDS.items():
+    app.command(_name)(import_module(f"insemu.cli.{_module}").command)
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Run the command line; the entry point of the ``insemu`` script."""
+    from insemu.errors import InputError
+
+    try:
+        app(args=argv, standalone_mode=True)
+    except InputError as error:
+        typer.echo(f"insemu: error: {error}", err=True)
+        sys.exit(2)
+    except FileNotFoundError as error:
+        typer.echo(f"insemu: error: {error.filename}: no such file", err=True)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        typer.echo("insemu: interrupted; finished parts are kept", err=True)
+        sys.exit(130)
