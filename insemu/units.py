@@ -1,8 +1,8 @@
 """Datasheet units at the door: ``0.032 deg/s/sqrt(Hz)`` to SI and back.
 
 A table of the field's units with a parser of products, quotients, powers and ``sqrt(...)`` does the whole job in fewer lines than a
-general registry would need to be taught the field's habits: angle is a dimension (so that rad is checked), ``g`` is 9.80665 m/s^2 (``ug`` is
-micro-g, ``mg`` milli-g), and ``ppm``, ``%`` count as pure numbers.
+general registry needs to be taught the field's habits: angle is a dimension (so that rad is checked), ``g`` is 9.80665 m/s^2 (``ug`` is
+micro-g, ``mg`` milli-g), and ``ppm`` and ``%`` count as pure numbers.
 """
 
 from __future__ import annotations
