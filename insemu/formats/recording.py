@@ -1,14 +1,15 @@
 """Dynamic recordings (IMU, GNSS, reference) as one ``.npz`` or a folder of ``KEY.npy`` and CSV files.
 
-Keys: ``imu_kind`` (increment, mean, sample; default sample), ``imu_t``, ``imu`` (n, 6), optionally ``imu_columns``, ``imu_units``,
-``temperature``; ``gnss_t``, ``gnss_llh`` (deg, deg, m), optionally ``gnss_vel_ned``, ``gnss_pos_std_ned``, ``gnss_vel_std_ned``; ``ref_t``,
-``ref_llh``, ``ref_vel_ned``, ``ref_rpy_deg`` (at ``ref_att_t`` where attitudes have their own times). A key that ends in ``_neu`` is the same
-with up instead of down. Other keys are ignored.
+Keys: ``imu_kind`` (increment, mean, sample; default sample), ``imu_t``, ``imu`` (n, 6), optionally ``imu_columns``, ``imu_units`` and
+``temperature``; ``gnss_t``, ``gnss_llh`` (deg, deg, m), optionally ``gnss_vel_ned``, ``gnss_pos_std_ned``, ``gnss_vel_std_ned``;
+``ref_t``, ``ref_llh``, ``ref_vel_ned``, ``ref_rpy_deg`` (at ``ref_att_t`` where attitudes have their own times). A key that ends in
+``_neu`` is the same with up instead of down. Other keys are ignored.
 """
 
 from __future__ import annotations
 
 import logging
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
@@ -65,9 +66,9 @@ def is_npz_recording(path: Path) -> bool:
     if path.suffix != ".npz" or not path.is_file():
         return False
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as handle, np.load(handle, allow_pickle=False) as file:
             return "imu_t" in file.files or "imu" in file.files
-    except (OSError, ValueError, EOFError, AttributeError) as error:
+    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
         raise InputError(f"cannot be read as a NumPy archive ({error})", where=str(path)) from None
 
 
@@ -106,17 +107,13 @@ def _imu(arrays: Mapping[str, NDArray[Any]], source: str) -> ImuRecord:
     if "imu_kind" in arrays:
         text = texts(arrays["imu_kind"], f"{source}: imu_kind")[0]
         if text not in get_args(ImuKind):
-            raise InputError(
-                f"is '{text}', expected one of: {', '.join(get_args(ImuKind))}", where=f"{source}: imu_kind"
-            )
+            raise InputError(f"is '{text}', expected one of: {', '.join(get_args(ImuKind))}", where=f"{source}: imu_kind")
         kind = text  # type: ignore[assignment]
     units = texts(arrays["imu_units"], f"{source}: imu_units") if "imu_units" in arrays else None
     if "imu_columns" in arrays:
         names = texts(arrays["imu_columns"], f"{source}: imu_columns")
         if sorted(names) != sorted(COLUMNS):
-            raise InputError(
-                f"is {', '.join(names)}, expected {', '.join(COLUMNS)} in any order", where=f"{source}: imu_columns"
-            )
+            raise InputError(f"is {', '.join(names)}, expected {', '.join(COLUMNS)} in any order", where=f"{source}: imu_columns")
         order = [names.index(c) for c in COLUMNS]
         values = values[:, order]
         units = [units[k] for k in order] if units is not None and len(units) == 6 else units
@@ -154,7 +151,8 @@ def _imu_factors(units: list[str], kind: ImuKind, where: str) -> Array:
             raise InputError(error.message, where=where) from None
         if parsed.dimension != parse_unit(target).dimension:
             raise InputError(
-                f"{COLUMNS[k]} has the unit '{unit}', expected one of the dimension of {target} (imu_kind is '{kind}'; are columns swapped?)",
+                f"{COLUMNS[k]} has the unit '{unit}', expected one of the dimension of {target} (imu_kind is '{kind}'; "
+                "are columns swapped?)",
                 where=where,
             )
         factors.append(parsed.factor)
@@ -162,7 +160,7 @@ def _imu_factors(units: list[str], kind: ImuKind, where: str) -> Array:
 
 
 def _check_magnitudes(values: Array, where: str) -> None:
-    """Gravity has to be in the accelerometers: found in the gyroscopes instead, columns are swapped; as 1, the unit is g."""
+    """Gravity is in the accelerometers: found in the gyroscopes, columns are swapped; found as 1, the unit is g."""
     gyro, accel = (float(np.median(np.linalg.norm(values[:, k : k + 3], axis=1))) for k in (0, 3))
     if 9.0 < gyro < 10.6 and accel < 5.0:
         raise InputError(
@@ -302,7 +300,7 @@ def write_recording(path: Path, data: Recording) -> None:
             "ref_rpy_deg": np.rad2deg(ref.rpy),
         }
     if path.suffix == ".npz":
-        np.savez(path, **arrays)
+        np.savez(path, **arrays)  # type: ignore[arg-type]
         return
     path.mkdir(parents=True, exist_ok=True)
     (path / "imu_kind.txt").write_text(imu.kind + "\n", encoding="utf-8")

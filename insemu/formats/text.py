@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import warnings
 from pathlib import Path
 from typing import IO
 
@@ -69,11 +70,15 @@ def read_table(path: Path) -> tuple[list[str] | None, Array]:
                 for _ in range(skipped):
                     file.readline()
             try:
-                block = np.loadtxt(file, delimiter=delimiter, ndmin=2, dtype=np.float64)
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", UserWarning)  # "no data": said below, with the file's name
+                    block = np.loadtxt(file, delimiter=delimiter, ndmin=2, dtype=np.float64)
             except ValueError:
                 block = None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot be read as text ({error})", where=str(path)) from None
+    if header is not None and delimiter is None and block is not None and block.size and block.shape[1] == 1:
+        header = cells = [line.strip().strip('"')]  # one column: its header may hold blanks
     if block is None or block.size == 0 or block.shape[1] != len(cells):
         block = _slow(path, delimiter, first, len(cells))
     return header, block
@@ -94,9 +99,7 @@ def _slow(path: Path, delimiter: str | None, first: int, width: int) -> Array:
                 continue
             cells = line.rstrip("\r\n").split(delimiter)
             if len(cells) != width:
-                raise InputError(
-                    f"has {len(cells)} cell(s), expected {width} as in the header", where=f"{path}, line {number}"
-                )
+                raise InputError(f"has {len(cells)} cell(s), expected {width} as in the header", where=f"{path}, line {number}")
             row = []
             for k, cell in enumerate(cells):
                 text = cell.strip().strip('"')
@@ -105,9 +108,7 @@ def _slow(path: Path, delimiter: str | None, first: int, width: int) -> Array:
                 elif _is_number(text):
                     row.append(float(text))
                 else:
-                    raise InputError(
-                        f"found '{text[:40]}' in column {k + 1}, expected a number", where=f"{path}, line {number}"
-                    )
+                    raise InputError(f"found '{text[:40]}' in column {k + 1}, expected a number", where=f"{path}, line {number}")
             rows.append(row)
     if not rows:
         raise InputError("has no rows of numbers after the header", where=str(path))
