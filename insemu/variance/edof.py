@@ -112,20 +112,23 @@ def component_variance(kind: str, tc: float, m: Array) -> Array:
     """Haar wavelet variance of a unit component at averages of ``m`` samples."""
     if kind == "QN":
         return 1.5 / m**2
+    if kind == "DR":
+        return 0.25 * m**2
     zero = np.zeros(1)
     return np.array([_component_covariance(kind, tc, zero, float(k))[0] for k in m])
 
 
-def noise_type(scale_samples: Array, value: Array, n_samples: int) -> list[tuple[str, float, float]]:
+def noise_type(scale_samples: Array, value: Array, n_samples: int, *, drift: bool = False) -> list[tuple[str, float, float]]:
     """Return ``(kind, time constant in samples, weight)`` of the non-negative sum of noises that follows the curve.
 
-    The weights are of unit components per sample (variances); it is a description of the shape, not a fitted sensor model.
+    The weights are of unit components per sample (variances); it is a description of the shape, not a fitted sensor model. ``drift``
+    allows a deterministic slope too (without it, degrees of freedom stay on the safe side).
     """
     m = np.asarray(scale_samples, dtype=float) / 2.0
     use = value > 0
     if not use.any():
         return []
-    names = _components(n_samples)
+    names = _components(n_samples) + ([("DR", 0.0)] if drift else [])
     basis = np.column_stack([component_variance(kind, tc, m[use]) for kind, tc in names])
     spread = np.sqrt(2.0 / eta3(2.0 * m[use], n_samples))
     target = value[use]
