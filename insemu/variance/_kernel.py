@@ -55,7 +55,14 @@ def _step(a: Array, b: Array, old: Array, m: int, n: int, first: int) -> float: 
 
 @njit(cache=True, nogil=True)
 def haar_push(
-    x: Array, origin: float, start: int, offsets: NDArray[np.int64], delay: Array, sums: Array, counts: NDArray[np.int64], full: int
+    x: Array,
+    origin: float,
+    start: int,
+    offsets: NDArray[np.int64],
+    delay: Array,
+    sums: Array,
+    counts: NDArray[np.int64],
+    full: int,
 ) -> None:  # pragma: no cover - compiled
     """Add samples ``x`` (at global index ``start``, a multiple of the chunk) to the sums of squares of Haar MODWT coefficients.
 
@@ -154,7 +161,9 @@ def haar_covariances(s1: Array, n: int, levels: int, means: Array, out: Array) -
 
 
 @njit(cache=True, nogil=True)
-def haar_variances_of_variances(s1: Array, n: int, levels: int, means: Array, out: Array) -> None:  # pragma: no cover - compiled
+def haar_variances_of_variances(
+    s1: Array, n: int, levels: int, means: Array, out: Array
+) -> None:  # pragma: no cover - compiled
     """The diagonal of :func:`haar_covariances` alone, in time proportional to ``n * levels``."""
     own = s1.copy()
     for j in range(levels):
