@@ -125,7 +125,7 @@ def against_bounds(results: Results, outage: int = -1, realization: int = 0) -> 
                 axes.plot(since, error, color=colour, lw=2, label=f"realization {realization}")
                 outside = np.mean(np.abs(results.error[d][:, inside, c]) > 3.0 * results.sigma[d][:, inside, c])
                 axes.set(
-                    title=f"{name}: {title.lower()}" if column else f"{name}: {title.lower()}",
+                    title=f"{name}: {title.lower()}",
                     ylabel=f"error ({label})",
                 )
                 axes.annotate(
