@@ -504,7 +504,9 @@ def fill_fix(
 
 
 @njit(cache=True, nogil=True)
-def fill_standstill(nav: Array, mean_rate: Array, count: int, white: Array, c_of: Array, axis: Ints, nu: Array, H: Array, R: Array) -> None:
+def fill_standstill(
+    nav: Array, mean_rate: Array, count: int, white: Array, c_of: Array, axis: Ints, nu: Array, H: Array, R: Array
+) -> None:
     """Innovation of a vehicle known to stand still: zero velocity (rows 0..2) and zero mean angular rate (rows 3..5).
 
     ``mean_rate`` (3,) is the corrected rate averaged over ``count`` samples; the white noise of that mean is added in ``R``.
@@ -655,7 +657,9 @@ def update(
 
 
 @njit(cache=True, nogil=True)
-def _states_ahead(x: Array, axis_x: Array, slots: int, diagonal: bool, d: Array, phi: Array, c: Array, work: Array) -> None:
+def _states_ahead(
+    x: Array, axis_x: Array, slots: int, diagonal: bool, d: Array, phi: Array, c: Array, work: Array
+) -> None:
     """Predict the estimates of the states behind, and what the axes see of them."""
     if diagonal:
         for j in range(FIRST, FIRST + 8 * slots):
@@ -877,7 +881,22 @@ def run(
                 dt = t[k] - t[k - 1]
                 if event_kind[event] == FIX:
                     fill_fix(
-                        nav, nav_before, dt, tau, rate, rate1, lever, white, c_of, axis, lever_at, latency_at, event_z[event], nu, H, R
+                        nav,
+                        nav_before,
+                        dt,
+                        tau,
+                        rate,
+                        rate1,
+                        lever,
+                        white,
+                        c_of,
+                        axis,
+                        lever_at,
+                        latency_at,
+                        event_z[event],
+                        nu,
+                        H,
+                        R,
                     )
                 else:
                     for i in range(3):
