@@ -87,7 +87,7 @@ def antenna(trajectory: Trajectory, t: ArrayLike, lever_arm: ArrayLike) -> tuple
 def _three(value: ArrayLike, name: str) -> Array:
     array = np.broadcast_to(np.asarray(value, dtype=float), (3,)).copy()
     if not np.isfinite(array).all():
-        raise InputError(f"{name} is {value}, expected one or three finite numbers")
+        raise InputError(f"{name} is {array.tolist()}, expected one or three finite numbers")
     return array
 
 

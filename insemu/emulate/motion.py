@@ -21,14 +21,14 @@ Array = NDArray[np.float64]
 
 def smoothstep(u: ArrayLike) -> Array:
     """Quintic from 0 at u <= 0 to 1 at u >= 1 with two vanishing derivatives at both ends."""
-    u = np.clip(np.asarray(u, dtype=float), 0.0, 1.0)
-    return np.asarray(u**3 * (10.0 + u * (-15.0 + 6.0 * u)))
+    x = np.clip(np.asarray(u, dtype=float), 0.0, 1.0)
+    return np.asarray(x**3 * (10.0 + x * (-15.0 + 6.0 * x)))
 
 
 def smoothstep_slope(u: ArrayLike) -> Array:
     """Derivative of :func:`smoothstep`."""
-    u = np.clip(np.asarray(u, dtype=float), 0.0, 1.0)
-    return np.asarray(30.0 * u**2 * (1.0 - u) ** 2)
+    x = np.clip(np.asarray(u, dtype=float), 0.0, 1.0)
+    return np.asarray(30.0 * x**2 * (1.0 - x) ** 2)
 
 
 def smoothstep_integral(u: ArrayLike) -> Array:

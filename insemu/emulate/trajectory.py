@@ -62,7 +62,7 @@ def gusts(t: Array, rms: float, band_hz: tuple[float, float], envelope: Array, s
     """
     rng = np.random.default_rng(seed)
     lines = 24
-    f = np.exp(rng.uniform(*np.log(band_hz), (columns, lines)))
+    f = np.exp(rng.uniform(np.log(band_hz[0]), np.log(band_hz[1]), (columns, lines)))
     phase = rng.uniform(0, 2 * np.pi, (columns, lines))
     out = np.zeros((t.size, columns))
     for j in range(columns):
