@@ -178,3 +178,31 @@ def haar_variances_of_variances(
                     6.0 * own[i] + 4.0 * (own[i + mj] + own[abs(i - mj)]) + own[i + 2 * mj] + own[abs(i - 2 * mj)]
                 )
             own = new
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
+def biweight_sums(w: Array, inverse_square: float) -> tuple[float, float]:  # pragma: no cover - compiled
+    """Sums of the biweight and of the biweight times the square, cut at ``w^2 = 1 / inverse_square``."""
+    weights = 0.0
+    squares = 0.0
+    for i in range(w.size):
+        s = w[i] * w[i]
+        d = max(1.0 - s * inverse_square, 0.0)
+        d *= d
+        weights += d
+        squares += d * s
+    return weights, squares
+
+
+@njit(cache=True, nogil=True)
+def untouched(w: Array, seen: NDArray[np.int64], scale: int, stride: int, out: Array) -> int:  # pragma: no cover - compiled
+    """Copy every ``stride``-th coefficient whose ``scale`` samples hold no flagged step; returns how many.
+
+    ``seen[k]`` counts flagged steps before sample k (a step k joins samples k and k + 1).
+    """
+    kept = 0
+    for i in range(0, w.size, stride):
+        if seen[i + scale - 1] == seen[i]:
+            out[kept] = w[i]
+            kept += 1
+    return kept
