@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 #: Samples worked on at a time: fits the first-level caches, so that the small octaves cost no memory traffic.
-CHUNK = 4096
+CHUNK = 2048
 #: Scales up to this many samples are computed at every sample; above it, coefficients are taken on a grid of at least this many
 #: positions per scale, so that memory does not grow with the record.
 FULL_OVERLAP = 1 << 20
@@ -33,29 +33,32 @@ def haar_buffers(levels: int, full: int = FULL_OVERLAP) -> tuple[NDArray[np.int6
 def _step(a: Array, b: Array, old: Array, m: int, n: int, first: int) -> float:  # pragma: no cover - compiled
     """One octave of one chunk: averages ``a`` to ``b``; returns the sum of squares of differences from index ``first`` on."""
     total = 0.0
-    if m >= n:
-        for i in range(n):
-            b[i] = 0.5 * (a[i] + old[i])
-        for i in range(first, n):
-            d = a[i] - old[i]
-            total += d * d
-    else:
-        for i in range(m):
-            b[i] = 0.5 * (a[i] + old[i])
-        for i in range(m, n):
-            b[i] = 0.5 * (a[i] + a[i - m])
-        for i in range(first, min(m, n)):
-            d = a[i] - old[i]
-            total += d * d
-        for i in range(max(first, m), n):
-            d = a[i] - a[i - m]
-            total += d * d
+    split = min(m, n)  # before it the earlier average comes from the delay line
+    for i in range(min(first, split)):
+        b[i] = 0.5 * (a[i] + old[i])
+    for i in range(min(first, split), split):
+        d = a[i] - old[i]
+        b[i] = 0.5 * (a[i] + old[i])
+        total += d * d
+    for i in range(split, max(first, split)):
+        b[i] = 0.5 * (a[i] + a[i - m])
+    for i in range(max(first, split), n):
+        d = a[i] - a[i - m]
+        b[i] = 0.5 * (a[i] + a[i - m])
+        total += d * d
     return total
 
 
 @njit(cache=True, nogil=True)
 def haar_push(
-    x: Array, origin: float, start: int, offsets: NDArray[np.int64], delay: Array, sums: Array, counts: NDArray[np.int64], full: int
+    x: Array,
+    origin: float,
+    start: int,
+    offsets: NDArray[np.int64],
+    delay: Array,
+    sums: Array,
+    counts: NDArray[np.int64],
+    full: int,
 ) -> None:  # pragma: no cover - compiled
     """Add samples ``x`` (at global index ``start``, a multiple of the chunk) to the sums of squares of Haar MODWT coefficients.
 
@@ -147,9 +150,7 @@ def haar_covariances(s1: Array, n: int, levels: int, means: Array, out: Array) -
         if j + 1 < levels:
             new = np.zeros(lags + 1)
             for i in range(n - 4 * mj + 1):
-                new[i] = 0.25 * (
-                    6.0 * own[i] + 4.0 * (own[i + mj] + own[abs(i - mj)]) + own[i + 2 * mj] + own[abs(i - 2 * mj)]
-                )
+                new[i] = 0.25 * (6.0 * own[i] + 4.0 * (own[i + mj] + own[abs(i - mj)]) + own[i + 2 * mj] + own[abs(i - 2 * mj)])
             own = new
 
 
@@ -169,7 +170,5 @@ def haar_variances_of_variances(s1: Array, n: int, levels: int, means: Array, ou
         if j + 1 < levels:
             new = np.zeros(n)
             for i in range(n - 4 * mj + 1):
-                new[i] = 0.25 * (
-                    6.0 * own[i] + 4.0 * (own[i + mj] + own[abs(i - mj)]) + own[i + 2 * mj] + own[abs(i - 2 * mj)]
-                )
+                new[i] = 0.25 * (6.0 * own[i] + 4.0 * (own[i + mj] + own[abs(i - mj)]) + own[i + 2 * mj] + own[abs(i - 2 * mj)])
             own = new

@@ -52,7 +52,7 @@ def interval(value: Array, edof: Array, confidence: float, kind: Intervals = "ed
 
 
 def eta3(scale_samples: Array, n_samples: int, filter_length: int = 2) -> Array:
-    """Degrees of freedom of an ideal band-pass: ``max(M_j / 2^j, 1)`` (Percival & Walden's third choice; what the R package ``wv`` prints)."""
+    """Degrees of freedom of an ideal band-pass: ``max(M_j / 2^j, 1)`` (Percival & Walden's third choice, the peer's)."""
     length = (scale_samples - 1.0) * (filter_length - 1.0) + 1.0
     return np.maximum((n_samples - length + 1.0) / scale_samples, 1.0)
 

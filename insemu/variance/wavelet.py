@@ -198,11 +198,23 @@ def _finish(
     else:
         reach = (scale - 1) * (length - 1) + 1
         # longer filters see the same noise through nearly the same band; their record is shorter by their reach
-        freedom = edof_of_noise(noise_type(scale, value, n_samples), scale, n_samples)
+        freedom = edof_of_noise(noise_type(scale.astype(float), value, n_samples), scale.astype(float), n_samples)
         freedom = np.maximum(freedom * (n_samples - reach + 1) / (n_samples - scale + 1), 1.0)
     low, high = interval(value, freedom, confidence, intervals)
     return WaveletVariance(
-        scale, scale / rate_hz, value, low, high, freedom, used, n_samples, rate_hz, filter, transform, intervals, confidence
+        scale,
+        scale / rate_hz,
+        value,
+        low,
+        high,
+        freedom,
+        used,
+        n_samples,
+        rate_hz,
+        filter,
+        transform,
+        intervals,
+        confidence,
     )
 
 
@@ -355,9 +367,7 @@ class HaarAccumulator:
 
     def _run(self, values: Array) -> None:
         assert self._origin is not None
-        _kernel.haar_push(
-            values, self._origin, self._pushed, self._offsets, self._delay, self._sums, self._counts, self.full_overlap
-        )
+        _kernel.haar_push(values, self._origin, self._pushed, self._offsets, self._delay, self._sums, self._counts, self.full_overlap)
         self._pushed += values.size
 
     def result(self) -> tuple[Array, NDArray[np.int64]]:
