@@ -45,7 +45,9 @@ class NoiseModel:
         object.__setattr__(self, "processes", tuple(self.processes))
         rates = {p.rate_hz for p in self.processes if isinstance(p, AR1 | ARMA) and p.rate_hz is not None}
         if len(rates) > 1:
-            raise InputError(f"discrete processes at different rates ({', '.join(f'{r:g} Hz' for r in sorted(rates))}) cannot be added")
+            raise InputError(
+                f"discrete processes at different rates ({', '.join(f'{r:g} Hz' for r in sorted(rates))}) cannot be added"
+            )
 
     def __iter__(self) -> Iterator[Process]:
         return iter(self.processes)
@@ -170,7 +172,9 @@ class NoiseModel:
         for term in _split(text, "+"):
             match = _TERM.match(term)
             if match is None:
-                raise InputError(f"cannot read '{term.strip()}' in the model '{text}'; expected something like 2*GM() or WN(N=1e-3)")
+                raise InputError(
+                    f"cannot read '{term.strip()}' in the model '{text}'; expected something like 2*GM() or WN(N=1e-3)"
+                )
             name = match["name"]
             if name not in PROCESSES:
                 raise InputError(f"unknown process '{name}' in the model '{text}'" + nearest(name, PROCESSES))
@@ -226,11 +230,15 @@ def _process_of_arguments(name: str, arguments: str, signal_unit: str, text: str
             continue
         if "=" in argument:
             key, value = (part.strip() for part in argument.split("=", 1))
-            given[key] = [v.strip() for v in value.strip("([)] ").split(",") if v.strip()] if value[:1] in "([" else value
+            given[key] = (
+                [v.strip() for v in value.strip("([)] ").split(",") if v.strip()] if value[:1] in "([" else value
+            )
         elif argument.isdigit():
             orders.append(int(argument))
         else:
-            raise InputError(f"cannot read '{argument}' in '{name}({arguments})' of the model '{text}'; expected name=quantity")
+            raise InputError(
+                f"cannot read '{argument}' in '{name}({arguments})' of the model '{text}'; expected name=quantity"
+            )
     for order, value in (("p", given.pop("p", None)), ("q", given.pop("q", None))):
         if value is not None:
             if not str(value).isdigit():
@@ -240,10 +248,14 @@ def _process_of_arguments(name: str, arguments: str, signal_unit: str, text: str
     if issubclass(cls, ARMA) and not given:
         wanted = 2 if cls is ARMA else 1
         if len(orders) != wanted or min(orders) < 1:
-            raise InputError(f"{name} in the model '{text}' needs {wanted} order(s), for example {name}({', '.join('2' * wanted)})")
+            raise InputError(
+                f"{name} in the model '{text}' needs {wanted} order(s), for example {name}({', '.join('2' * wanted)})"
+            )
         return cls.of_order(0, orders[0]) if cls is MA else cls.of_order(*orders)
     if orders:
-        raise InputError(f"found an unnamed argument in '{name}({arguments})' of the model '{text}'; expected name=quantity")
+        raise InputError(
+            f"found an unnamed argument in '{name}({arguments})' of the model '{text}'; expected name=quantity"
+        )
     return _of_mapping({"process": name, **given}, signal_unit)
 
 

@@ -155,7 +155,9 @@ def haar_covariances(s1: Array, n: int, levels: int, means: Array, out: Array) -
 
 
 @njit(cache=True, nogil=True)
-def haar_variances_of_variances(s1: Array, n: int, levels: int, means: Array, out: Array) -> None:  # pragma: no cover - compiled
+def haar_variances_of_variances(
+    s1: Array, n: int, levels: int, means: Array, out: Array
+) -> None:  # pragma: no cover - compiled
     """The diagonal of :func:`haar_covariances` alone, in time proportional to ``n * levels``."""
     own = s1.copy()
     for j in range(levels):
