@@ -123,7 +123,7 @@ def _arma(m: Array, z: Array, p: int, b: Array) -> None:  # pragma: no cover - c
     while at < m.size:
         C = 0.0
         left = P[0] @ T.T
-        right = (power @ T)[0]
+        right = (phi @ T)[0]
         for i in range(n):
             C += left[i] * right[i]
         if m[at] == count:

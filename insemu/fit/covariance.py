@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu.fit import _covariance_kernel
 from insemu.noise import AR1, ARMA, BI, DR, GM, QN, RW, SIN, WN, NoiseModel, Process
-from insemu.variance import _kernel as haar
+from insemu.variance.covariance import level1_autocovariance
+from insemu.variance.covariance import model_covariance as covariance_over_lags
 
 Array = NDArray[np.float64]
 
@@ -48,10 +49,8 @@ def model_covariance(model: NoiseModel, n_samples: int, scale_samples: ArrayLike
     out = np.empty((m.size, m.size))
     noise = [p for p in model if not isinstance(p, DR | SIN)]
     if any(_needs_lags(p) for p in noise):
-        levels = round(math.log2(scale[-1]))
-        full = np.empty((levels, levels))
-        s1 = sum((_difference_autocovariance(p, n_samples, dt) for p in noise), start=np.zeros(n_samples)) / 4.0
-        haar.haar_covariances(s1, n_samples, levels, drift * 2.0 ** np.arange(levels) / 2.0, full)
+        level1 = sum((_level1(p, n_samples, dt) for p in noise), start=np.zeros(n_samples))
+        full = covariance_over_lags(level1, levels=round(math.log2(scale[-1])), drift_per_sample=drift)
         keep = np.round(np.log2(scale)).astype(int) - 1
         out = full[np.ix_(keep, keep)]
     else:
@@ -94,20 +93,20 @@ def _sample_variance(p: Process, dt: float) -> float:
     return value["B"] ** 2
 
 
-def _difference_autocovariance(p: Process, n: int, dt: float) -> Array:
-    """Autocovariance of the first differences at lags 0..n-1."""
+def _level1(p: Process, n: int, dt: float) -> Array:
+    """Autocovariance at lags 0..n-1 of the first octave's coefficients."""
     if isinstance(p, RW):
-        out = np.zeros(n)
-        out[0] = _sample_variance(p, dt)
-        return out
+        return level1_autocovariance(n, increments=lambda lag: np.where(lag == 0, _sample_variance(p, dt), 0.0))
     if isinstance(p, BI):
-        lag = np.arange(-2.0, n + 2.0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            g = np.where(lag != 0, lag**2 * np.log(np.abs(lag)), 0.0)
-        out = np.convolve(g, [1.0, -4.0, 6.0, -4.0, 1.0], mode="valid")
-        far = np.arange(n) > 1000
-        out[far] = -2.0 / np.arange(n)[far] ** 2
-        return np.asarray(out * _sample_variance(p, dt) / (2.0 * math.pi))
-    gamma = p.autocovariance(np.arange(n + 1), dt)
-    before = np.concatenate([gamma[1:2], gamma[: n - 1]])
-    return np.asarray(2.0 * gamma[:n] - before - gamma[1:])
+        return level1_autocovariance(n, increments=lambda lag: _flicker_increments(lag) * _sample_variance(p, dt))
+    return level1_autocovariance(n, autocovariance=lambda lag: p.autocovariance(lag, dt))
+
+
+def _flicker_increments(lag: NDArray[np.int64]) -> Array:
+    n = lag.size
+    wide = np.arange(-2.0, n + 2.0)
+    g = wide**2 * np.log(np.maximum(np.abs(wide), 1.0))
+    out = np.convolve(g, [1.0, -4.0, 6.0, -4.0, 1.0], mode="valid")
+    far = np.arange(n) > 1000  # the fourth difference cancels there; its leading term does not
+    out[far] = -2.0 / np.arange(n)[far] ** 2
+    return np.asarray(out / (2.0 * math.pi))
