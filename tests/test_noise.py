@@ -241,6 +241,8 @@ def test_a_polynomial_that_is_not_stationary_is_refused_and_mended() -> None:
         ("GM(sigma=1, beta=0)", "positive"),
         ("GM(Tc=-1 s)", "positive"),
         ("GM(Tc=1 s, beta=2)", "both"),
+        ("GM(q=1, sigma=2, Tc=1 s)", "without sigma"),
+        ("GM(q=-1, Tc=1 s)", "positive"),
         ("", "cannot read"),
     ],
 )
@@ -256,6 +258,8 @@ def test_text_is_read_back() -> None:
     assert one.processes[0].N == pytest.approx(np.deg2rad(0.032))
     assert one.processes[1].beta == pytest.approx(1 / 40)
     assert NoiseModel.parse(str(one)) == one
+    two = NoiseModel.parse("GM(q=7.63e-4 deg/s*sqrt(Hz), beta=0.024 Hz)", "rad/s").processes[0]
+    assert two.sigma == pytest.approx(np.deg2rad(7.63e-4) / np.sqrt(2 * 0.024))
     assert NoiseModel.parse("AR(p=2)") == NoiseModel.parse("AR(2)")
 
 

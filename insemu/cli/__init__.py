@@ -11,7 +11,10 @@ from importlib import import_module
 import typer
 
 #: Command name -> module of this package whose function ``command`` it calls, in the order of ``insemu --help``.
-COMMANDS: dict[str, str] = {}
+COMMANDS: dict[str, str] = {
+    "run": "run",
+    "schema": "schema",
+}
 
 app = typer.Typer(
     name="insemu",

@@ -81,7 +81,9 @@ def simulated_pieces(
     ready = [models[axis].at_rate(rate_hz) for axis in AXES]
     length = n if record_s is None else round(record_s * rate_hz)
     if length < n:
-        raise InputError(f"the record of {record_s:g} s is shorter than the flight of {n * dt:g} s; expected at least that")
+        raise InputError(
+            f"the record of {record_s:g} s is shorter than the flight of {n * dt:g} s; expected at least that"
+        )
     per_record = length // n
     kept: dict[int, Array] = {}
 

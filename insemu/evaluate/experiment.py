@@ -24,7 +24,16 @@ from numpy.typing import NDArray
 
 import insemu
 from insemu import earth
-from insemu.emulate import ErrorPieces, Outage, corrupt, gnss_fixes, ideal_imu, recorded_pieces, simulated_pieces, trajectories
+from insemu.emulate import (
+    ErrorPieces,
+    Outage,
+    corrupt,
+    gnss_fixes,
+    ideal_imu,
+    recorded_pieces,
+    simulated_pieces,
+    trajectories,
+)
 from insemu.errors import InputError
 from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.results import DesignInfo, Results
@@ -89,7 +98,10 @@ def _axis_records(recorded: RecordedSignal, files: Mapping[str, Path]) -> list[d
             s = by_axis[axis]
             start = round(recorded.skip * s.rate_hz)
             if start >= len(s):
-                raise InputError(f"the warm-up of {recorded.skip:g} s is longer than the record ({len(s) / s.rate_hz:.0f} s)", where=name)
+                raise InputError(
+                    f"the warm-up of {recorded.skip:g} s is longer than the record ({len(s) / s.rate_hz:.0f} s)",
+                    where=name,
+                )
             cut[axis] = Series(s.values[start:], s.rate_hz, s.unit, axis)
         out.append(cut)
     return out
@@ -173,7 +185,9 @@ class Experiment:
         for index, (axis, model) in enumerate(self.scenario.truth.models().items()):
             if model not in drawn:  # axes with one truth share one log, as one sensor type has one calibration
                 values = model.at_rate(rate).simulate(n, 1.0 / rate, stream(self.scenario.seed, "fits", index))
-                drawn[model] = Series(values - values.mean(), rate, "rad/s" if axis.startswith("gyro") else "m/s^2", axis)
+                drawn[model] = Series(
+                    values - values.mean(), rate, "rad/s" if axis.startswith("gyro") else "m/s^2", axis
+                )
             out[axis] = [drawn[model]]
         return out
 
@@ -293,7 +307,11 @@ def git_revision() -> str | None:
     root = Path(insemu.__file__).resolve().parents[1]
     try:
         found = subprocess.run(
-            ["git", "-C", str(root), "describe", "--always", "--dirty"], capture_output=True, text=True, timeout=10, check=False
+            ["git", "-C", str(root), "describe", "--always", "--dirty"],
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=False,
         )
     except (OSError, subprocess.TimeoutExpired):
         return None
@@ -374,9 +392,12 @@ def run_experiment(
     finally:
         if own:
             pool.shutdown(wait=True, cancel_futures=True)
-    stacked = {name: np.stack([items[r][name] for r in range(total)], axis=1) for name in ("error", "sigma", "nees", "nis")}
+    stacked = {
+        name: np.stack([items[r][name] for r in range(total)], axis=1) for name in ("error", "sigma", "nees", "nis")
+    }
     designs = {
-        name: DesignInfo(ekf.layout.n, tuple(ekf.layout.names), experiment.beliefs[name].models) for name, ekf in experiment.filters.items()
+        name: DesignInfo(ekf.layout.n, tuple(ekf.layout.names), experiment.beliefs[name].models)
+        for name, ekf in experiment.filters.items()
     }
     s = experiment.scenario
     timing = {

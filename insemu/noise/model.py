@@ -192,7 +192,7 @@ class NoiseModel:
     def from_list(cls, items: Sequence[Mapping[str, Any]] | str, signal_unit: str = "") -> NoiseModel:
         """The inverse of :meth:`to_list`; quantities may be in any unit of the right dimension. A text goes to :meth:`parse`.
 
-        A GM may give ``Tc`` (s) instead of ``beta``.
+        A GM may give ``Tc`` (s) instead of ``beta``, and the density ``q`` of its continuous driving noise instead of ``sigma``.
 
         Raises
         ------
@@ -284,6 +284,15 @@ def _of_mapping(item: Mapping[str, Any], signal_unit: str) -> Process:
         if not time > 0:
             raise InputError(f"Tc (correlation time) is {time!r}, expected a positive number", where="GM")
         given["beta"] = 1.0 / time
+    driving = given.pop("q", None) if cls is GM else None
+    if driving is not None:
+        if "sigma" in given or "beta" not in given:
+            raise InputError("q (driving density) goes with beta or Tc and without sigma", where="GM")
+        beta = _number(given["beta"], "1/s", "GM.beta")
+        density = _number(driving, f"{signal_unit or '1'}*sqrt(Hz)", "GM.q")
+        if density < 0 or not beta > 0:
+            raise InputError(f"q (driving density) is {density!r} and beta {beta!r}, expected positive numbers", where="GM")
+        given["sigma"] = GM.of_driving_density(density, beta).parameters["sigma"]
     rate = given.pop("rate_hz", None) if cls is AR1 else None
     unknown = [k for k in given if k not in known]
     if unknown:

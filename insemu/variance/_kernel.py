@@ -150,7 +150,9 @@ def haar_covariances(s1: Array, n: int, levels: int, means: Array, out: Array) -
         if j + 1 < levels:
             new = np.zeros(lags + 1)
             for i in range(n - 4 * mj + 1):
-                new[i] = 0.25 * (6.0 * own[i] + 4.0 * (own[i + mj] + own[abs(i - mj)]) + own[i + 2 * mj] + own[abs(i - 2 * mj)])
+                new[i] = 0.25 * (
+                    6.0 * own[i] + 4.0 * (own[i + mj] + own[abs(i - mj)]) + own[i + 2 * mj] + own[abs(i - 2 * mj)]
+                )
             own = new
 
 
@@ -172,5 +174,7 @@ def haar_variances_of_variances(
         if j + 1 < levels:
             new = np.zeros(n)
             for i in range(n - 4 * mj + 1):
-                new[i] = 0.25 * (6.0 * own[i] + 4.0 * (own[i + mj] + own[abs(i - mj)]) + own[i + 2 * mj] + own[abs(i - 2 * mj)])
+                new[i] = 0.25 * (
+                    6.0 * own[i] + 4.0 * (own[i + mj] + own[abs(i - mj)]) + own[i + 2 * mj] + own[abs(i - 2 * mj)]
+                )
             own = new

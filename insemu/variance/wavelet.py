@@ -373,7 +373,9 @@ class HaarAccumulator:
 
     def _run(self, values: Array) -> None:
         assert self._origin is not None
-        _kernel.haar_push(values, self._origin, self._pushed, self._offsets, self._delay, self._sums, self._counts, self.full_overlap)
+        _kernel.haar_push(
+            values, self._origin, self._pushed, self._offsets, self._delay, self._sums, self._counts, self.full_overlap
+        )
         self._pushed += values.size
 
     def result(self) -> tuple[Array, NDArray[np.int64]]:
