@@ -17,12 +17,18 @@ if TYPE_CHECKING:
 
 def command(
     file: str = typer.Argument(..., metavar="FILE", help="Static log: .npz, .csv or .npy (columns with units)."),
-    model: str = typer.Option(..., "--model", "-m", help='Structure, for example "2*GM() + WN()"; values given are held.'),
+    model: str = typer.Option(
+        ..., "--model", "-m", help='Structure, for example "2*GM() + WN()"; values given are held.'
+    ),
     method: str = typer.Option("gmwm", "--method", help="Estimator: gmwm."),
-    columns: list[str] | None = typer.Option(None, "--column", "-c", help="Fit only this column (gx or gyro_x); may be repeated."),
+    columns: list[str] | None = typer.Option(  # noqa: B008
+        None, "--column", "-c", help="Fit only this column (gx or gyro_x); may be repeated."
+    ),
     rate: float | None = typer.Option(None, "--rate", help="Sampling rate in Hz of a log that does not say it."),
     weighting: str = typer.Option(
-        "intervals", "--weighting", help="Weights of the gmwm: intervals, asymptotic or bootstrap (covariance under the model)."
+        "intervals",
+        "--weighting",
+        help="Weights of the gmwm: intervals, asymptotic or bootstrap (covariance under the model).",
     ),
     seed: int = typer.Option(0, "--seed", min=0, help="Seed of the bootstrap."),
     out: str = typer.Option("", "--out", "-o", help="Write the models as YAML that a scenario reads."),
@@ -76,14 +82,19 @@ def show(console: Console, axis: str, result: FitResult) -> None:
     """One table per axis, then the test of fit and what to beware of."""
     from rich.table import Table
 
-    table = Table(title=f"{axis}: {result.structure}  ({result.method}, {result.n_samples} samples at {result.rate_hz:g} Hz)", title_justify="left")
+    table = Table(
+        title=f"{axis}: {result.structure}  ({result.method}, {result.n_samples} samples at {result.rate_hz:g} Hz)",
+        title_justify="left",
+    )
     for heading in ("parameter", "estimate ± standard error", "95 % interval", "datasheet and discrete"):
         table.add_column(heading, no_wrap=heading == "parameter")
     for row in result.rows():
         table.add_row(*row)
     console.print(table)
     if result.test is not None:
-        verdict = "the model is compatible with the data" if result.test.p_value >= 0.05 else "the data contradict the model"
+        verdict = (
+            "the model is compatible with the data" if result.test.p_value >= 0.05 else "the data contradict the model"
+        )
         console.print(
             f"test of fit: chi-square {result.test.statistic:.2f} on {result.test.dof} degrees of freedom, p = {result.test.p_value:.3g}: {verdict}"
         )

@@ -82,7 +82,9 @@ def as_series(signal: Series | ArrayLike, rate_hz: float | None, unit: str | Non
         An array without a rate, or values that cannot be used.
     """
     if isinstance(signal, Series):
-        return Series(signal.values, rate_hz or signal.rate_hz, unit if unit is not None else signal.unit, name or signal.name)
+        return Series(
+            signal.values, rate_hz or signal.rate_hz, unit if unit is not None else signal.unit, name or signal.name
+        )
     if rate_hz is None:
         raise InputError("an array does not say its sampling rate; give rate_hz")
     return Series(np.asarray(signal), rate_hz, unit or "", name or "signal")

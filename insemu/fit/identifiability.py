@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,9 +76,11 @@ def warnings_of(
                 f"told from white noise; {instead}"
             )
     times.sort(key=lambda item: item[1])
-    for (k, one), (h, two) in zip(times, times[1:], strict=False):
+    for (k, one), (h, two) in pairwise(times):
         if two / one < 1.3:
-            out.append(f"{labels[k]} and {labels[h]} coincide (correlation times {one:.3g} s and {two:.3g} s); the data support one of them")
+            out.append(
+                f"{labels[k]} and {labels[h]} coincide (correlation times {one:.3g} s and {two:.3g} s); the data support one of them"
+            )
     place = {key: i for i, key in enumerate(free)}
     for (k, name), i in place.items():
         if k in vanished:
