@@ -14,6 +14,7 @@ import typer
 COMMANDS: dict[str, str] = {
     "run": "run",
     "schema": "schema",
+    "fit": "fit",
 }
 
 app = typer.Typer(
