@@ -1,12 +1,13 @@
-"""The one table of effects that a sensor, a clock or a receiver may have: id, formula, parameters, units, datasheet scale.
+"""The one table of effects that a sensor, a clock or a receiver may have: id, formula, parameters, units, datasheet
+scale.
 
-The emulator injects them, the scenario writes them down, the gap workflow names them. An :class:`Effect` says what an effect is; an
-:class:`EffectUse` is one with numbers::
+The emulator injects them, the scenario writes them down, the gap workflow names them. An :class:`Effect` says what an
+effect is; an :class:`EffectUse` is one with numbers::
 
     EffectUse.from_mapping({"effect": "scale_factor", "sensor": "gyro", "value": ["500 ppm", 0, 0]})
 
-Conventions: true quantities are w (angular rate, rad/s) and f (specific force, m/s^2) in sensor axes, s stands for either; measured =
-(I + S + M) s + b + ...; a positive time offset means that IMU stamps are late.
+Conventions: true quantities are w (angular rate, rad/s) and f (specific force, m/s^2) in sensor axes, s stands for
+either; measured = (I + S + M) s + b + ...; a positive time offset means that IMU stamps are late.
 """
 
 from __future__ import annotations
@@ -37,11 +38,11 @@ class EffectParameter:
     unit : str
         SI unit; ``{s}`` stands for the unit of the sensor's signal (rad/s or m/s^2) and is empty for GNSS and timing.
     size : int
-        1: one number; 3: one per axis (a single number is taken for all three); 6: one per cross-axis pair (:data:`CROSS`); 9: a 3 x 3
-        matrix row by row (three numbers are its diagonal).
+        1: one number; 3: one per axis (a single number is taken for all three); 6: one per cross-axis pair
+        (:data:`CROSS`); 9: a 3 x 3 matrix row by row (three numbers are its diagonal).
     scale : tuple of float
-        Typical datasheet magnitude in SI: one for every sensor of the effect (``gyro, accel``) or one in all. The priors of the gap
-        workflow are multiples of it.
+        Typical datasheet magnitude in SI: one for every sensor of the effect (``gyro, accel``) or one in all. The
+        priors of the gap workflow are multiples of it.
     default : float or None
         Value where none is given; None: must be given.
     meaning : str
@@ -96,7 +97,9 @@ class Effect:
         for p in self.parameters:
             if p.name == name:
                 return p
-        raise InputError(f"effect '{self.id}' has no parameter '{name}'" + nearest(name, [p.name for p in self.parameters]))
+        raise InputError(
+            f"effect '{self.id}' has no parameter '{name}'" + nearest(name, [p.name for p in self.parameters])
+        )
 
     def unit(self, parameter: str, sensor: str) -> str:
         """SI unit of a parameter for a sensor."""
@@ -118,7 +121,8 @@ _P = EffectParameter
 _PROFILE = _P("rest_factor", "", 1, (1.0,), 1.0, "share of the noise that remains at standstill (0 to 1)", True)
 
 _TABLE = (
-    # -- stochastic -----------------------------------------------------------------------------------------------------------
+    # -- stochastic
+    # -----------------------------------------------------------------------------------------------------------
     Effect(
         "white_noise", "white noise", "stochastic", _BOTH, "e_k ~ N(0, N^2 / dt)",
         (_P("N", "{s}/sqrt(Hz)", 3, (0.01 * _DEG, 1e-4 * _G), None, "root of the two-sided PSD", True),),
@@ -212,7 +216,8 @@ _TABLE = (
         ),
         "a temperature sweep", "noise level scheduled with temperature",
     ),
-    # -- deterministic --------------------------------------------------------------------------------------------------------
+    # -- deterministic
+    # --------------------------------------------------------------------------------------------------------
     Effect(
         "turn_on_bias", "turn-on bias", "deterministic", _BOTH, "e = b",
         (_P("value", "{s}", 3, (0.1 * _DEG, 2e-3 * _G), None, "bias"),),
@@ -276,7 +281,8 @@ _TABLE = (
         ),
         "motion", "bridging by the time stamps",
     ),
-    # -- timing ---------------------------------------------------------------------------------------------------------------
+    # -- timing
+    # ---------------------------------------------------------------------------------------------------------------
     Effect(
         "imu_gnss_time_offset", "time offset between IMU and GNSS", "timing", ("imu",), "IMU stamp = true time + offset",
         (_P("offset", "s", 1, (0.005,), None, "positive: IMU stamps are late (or GNSS fixes early)"),),
@@ -292,7 +298,8 @@ _TABLE = (
         (_P("sigma", "s", 1, (2e-4,), None, "standard deviation", True),),
         "fast motion", "constant-rate stamps by regression",
     ),
-    # -- GNSS -----------------------------------------------------------------------------------------------------------------
+    # -- GNSS
+    # -----------------------------------------------------------------------------------------------------------------
     Effect(
         "gnss_noise_level", "GNSS position noise level", "gnss", ("gnss",), "true sigma = factor x stated sigma",
         (_P("factor", "", 3, (2.0,), None, "north, east, down", True),),
@@ -354,7 +361,8 @@ _TABLE = (
         (_P("latency", "s", 1, (0.02,), None, "age of the fix at its stamp"),),
         "motion", "as imu_gnss_time_offset: without a third clock the two are one effect",
     ),
-    # -- models ---------------------------------------------------------------------------------------------------------------
+    # -- models
+    # ---------------------------------------------------------------------------------------------------------------
     Effect(
         "earth_rate", "Earth rate omitted", "model", ("imu",), "w misses fraction x C_bn w_ie",
         (_P("fraction", "", 1, (1.0,), 1.0, "1: all of it"),),
@@ -421,7 +429,9 @@ class EffectUse:
                 a, b, c = numbers
                 numbers = (a, 0.0, 0.0, 0.0, b, 0.0, 0.0, 0.0, c)
             if len(numbers) != p.size:
-                raise InputError(f"effect '{self.id}', '{p.name}': found {len(numbers)} value(s), expected {_count(p.size)}")
+                raise InputError(
+                    f"effect '{self.id}', '{p.name}': found {len(numbers)} value(s), expected {_count(p.size)}"
+                )
             if not all(math.isfinite(x) for x in numbers):
                 raise InputError(f"effect '{self.id}', '{p.name}': found a value that is not finite")
             if p.positive and min(numbers) < 0:
@@ -443,10 +453,11 @@ class EffectUse:
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any]) -> EffectUse:
-        """Read ``{"effect": id, "sensor": ..., parameter: quantity, ...}``; quantities are SI numbers or texts with units.
+        """Read ``{"effect": id, "sensor": ..., parameter: quantity, ...}``; quantities are SI numbers or texts with
+        units.
 
-        ``sensor`` may be left out where the effect has only one; ``axes`` (``x``, ``[x, z]``) puts single numbers on those axes and zero on
-        the others.
+        ``sensor`` may be left out where the effect has only one; ``axes`` (``x``, ``[x, z]``) puts single numbers on
+        those axes and zero on the others.
         """
         given = dict(mapping)
         if "effect" not in given:
