@@ -208,7 +208,9 @@ def per_axis(belief: Belief) -> dict[str, NoiseModel]:
         if isinstance(value, Process):
             value = NoiseModel((value,))
         if not isinstance(value, NoiseModel):
-            raise InputError(f"the belief of {key} is {value!r}, expected a noise model such as WN(N=1e-4) + GM(sigma=1e-4, beta=0.01)")
+            raise InputError(
+                f"the belief of {key} is {value!r}, expected a noise model such as WN(N=1e-4) + GM(sigma=1e-4, beta=0.01)"
+            )
         for axis in AXES:
             if axis == key or axis.startswith(key + "_"):
                 out[axis] = value

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu.emulate.errors import RecordedErrors
 from insemu.errors import InputError
 from insemu.noise import NoiseModel
-from insemu.records import AXES, Series
+from insemu.records import AXES
 
 Array = NDArray[np.float64]
 
@@ -28,15 +28,16 @@ class ErrorPieces:
     count : int or None
         Number of pieces there are; None: as many as asked for.
     draw : callable
-        Takes the index of a realization and returns the (n, 6) error of every IMU sample, rad/s and m/s^2 in the order of
-        :data:`insemu.records.AXES`.
+        Takes the index of a realization and returns the (n, 6) errors of the IMU rows.
     """
 
     count: int | None
     draw: Callable[[int], Array]
 
     def piece(self, realization: int) -> Array:
-        """The (n, 6) error signals of one realization, rad/s and m/s^2.
+        """The (n, 6) error signals of one realization, rad/s and m/s^2, columns in the order of :data:`insemu.records.AXES`.
+
+        Row 0 belongs to the interval before the start, which nothing integrates; it repeats row 1.
 
         Raises
         ------
@@ -45,7 +46,8 @@ class ErrorPieces:
         """
         if self.count is not None and realization >= self.count:
             raise InputError(f"realization {realization} asked for, but the recorded signals hold {self.count} pieces")
-        return self.draw(realization)
+        drawn = self.draw(realization)
+        return np.concatenate([drawn[:1], drawn])
 
 
 def simulated_pieces(
@@ -63,7 +65,7 @@ def simulated_pieces(
     models : mapping
         Axis to model, all six axes.
     n : int
-        Samples per piece.
+        Rows of the IMU record.
     rate_hz : float
         IMU rate.
     record_s : float or None
@@ -75,79 +77,63 @@ def simulated_pieces(
     Raises
     ------
     InputError
-        A record shorter than a piece.
+        A record shorter than the flight.
     """
-    dt = 1.0 / rate_hz
+    intervals = n - 1
     ready = [models[axis].at_rate(rate_hz) for axis in AXES]
-    length = n if record_s is None else round(record_s * rate_hz)
-    if length < n:
-        raise InputError(
-            f"the record of {record_s:g} s is shorter than the flight of {n * dt:g} s; expected at least that"
-        )
-    per_record = length // n
-    kept: dict[int, Array] = {}
+    length = intervals if record_s is None else round(record_s * rate_hz)
+    if length < intervals:
+        raise InputError(f"the record of {record_s:g} s is shorter than the flight of {intervals / rate_hz:g} s")
+    per_record = length // intervals
+    kept: dict[int, RecordedErrors] = {}
 
     def draw(realization: int) -> Array:
         record, place = divmod(realization, per_record)
         if record not in kept:
-            columns = [model.simulate(length, dt, rng(record, axis)) for axis, model in enumerate(ready)]
-            if record_s is not None:
-                columns = [c - c.mean() for c in columns]
-            while len(kept) >= 2:  # neighbours are asked for together; older records are drawn again if ever needed
+            while len(kept) >= 2:  # neighbours are asked for together; an older record is drawn again if ever needed
                 kept.pop(next(iter(kept)))
-            kept[record] = np.stack([c[: per_record * n] for c in columns], axis=1)
-        return kept[record][place * n : (place + 1) * n]
+            values = np.stack(
+                [m.simulate(length, 1.0 / rate_hz, rng(record, axis)) for axis, m in enumerate(ready)], axis=1
+            )
+            kept[record] = RecordedErrors(
+                values, rate_hz, "none" if record_s is None else "record", name=f"simulated record {record + 1}"
+            )
+        return kept[record].piece(place, intervals)
 
     return ErrorPieces(None, draw)
 
 
-def recorded_pieces(
-    logs: Sequence[Mapping[str, Series]],
-    n: int,
-    rate_hz: float,
-    *,
-    remove_mean: Literal["record", "piece", "none"] = "record",
-) -> ErrorPieces:
+def recorded_pieces(records: Sequence[RecordedErrors], n: int, rate_hz: float) -> ErrorPieces:
     """Non-overlapping pieces of recorded static signals, record after record.
 
     Parameters
     ----------
-    logs : sequence of mappings
-        Per record, axis to :class:`~insemu.records.Series` in SI.
+    records : sequence of RecordedErrors
     n : int
-        Samples per piece.
+        Rows of the IMU record.
     rate_hz : float
         IMU rate; records at another rate are refused, since resampling would change their noise.
-    remove_mean : {"record", "piece", "none"}
-        Gravity and Earth rate are part of a static signal's mean, so "none" is for signals that are errors already.
 
     Raises
     ------
     InputError
-        Another rate, or no record as long as a piece.
+        Another rate, or no record as long as the flight.
     """
-    places: list[tuple[int, int]] = []
-    columns: list[Array] = []
-    for k, log in enumerate(logs):
-        for axis in AXES:
-            if abs(log[axis].rate_hz / rate_hz - 1.0) > 1e-6:
-                raise InputError(
-                    f"record {k + 1}, {axis} is sampled at {log[axis].rate_hz:g} Hz, expected the IMU rate of {rate_hz:g} Hz; "
-                    "resampling would change its noise"
-                )
-        length = min(len(log[axis]) for axis in AXES)
-        block = np.stack([log[axis].values[:length] for axis in AXES], axis=1)
-        if remove_mean == "record":
-            block = block - block.mean(axis=0)
-        columns.append(block)
-        places += [(k, start) for start in range(0, length - n + 1, n)]
+    for record in records:
+        if abs(record.rate_hz / rate_hz - 1.0) > 1e-6:
+            raise InputError(
+                f"{record.name} is sampled at {record.rate_hz:g} Hz, expected the IMU rate of {rate_hz:g} Hz; "
+                "resampling would change its noise"
+            )
+    places = [(record, k) for record in records for k in range(record.count(n - 1))]
     if not places:
-        longest = max(len(c) for c in columns) / rate_hz
-        raise InputError(f"the longest recorded signal has {longest:g} s, shorter than the flight of {n / rate_hz:g} s")
+        longest = max(len(record.values) / record.rate_hz for record in records)
+        raise InputError(
+            f"the longest recorded signal has {longest:g} s, shorter than the flight of {(n - 1) / rate_hz:g} s"
+        )
 
     def draw(realization: int) -> Array:
-        record, start = places[realization]
-        piece = columns[record][start : start + n]
-        return piece - piece.mean(axis=0) if remove_mean == "piece" else piece
+        record, k = places[realization]
+        return record.piece(k, n - 1)
 
     return ErrorPieces(len(places), draw)

@@ -6,7 +6,6 @@ items are kept under the experiment's digest, so an interrupted run goes on wher
 
 from __future__ import annotations
 
-import json
 import platform
 import subprocess
 import time
@@ -24,23 +23,16 @@ from numpy.typing import NDArray
 
 import insemu
 from insemu import earth
-from insemu.emulate import (
-    ErrorPieces,
-    Outage,
-    corrupt,
-    gnss_fixes,
-    ideal_imu,
-    recorded_pieces,
-    simulated_pieces,
-    trajectories,
-)
+from insemu.emulate import Outage, RecordedErrors, built_in, gnss_fixes, ideal_imu
+from insemu.emulate.errors import add_rates
+from insemu.emulate.pieces import ErrorPieces, recorded_pieces, simulated_pieces
 from insemu.errors import InputError
 from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.results import DesignInfo, Results
 from insemu.filters import FilterOptions, InitialSigma, LooselyCoupledEKF
 from insemu.fit import FitResult, fit
-from insemu.formats import read_static
-from insemu.noise import NoiseModel, load
+from insemu.formats import AXIS_OF_COLUMN, read_static
+from insemu.noise import NoiseModel, axis_unit, load
 from insemu.records import AXES, ImuRecord, Series, Trajectory
 from insemu.scenario import AxisSource, RecordedSignal, Scenario, digest, resolve_path
 from insemu.strapdown import NavState
@@ -85,11 +77,11 @@ def input_files(scenario: Scenario, file: str | Path | None) -> dict[str, Path]:
     return {name: resolve_path(name, file) for name in dict.fromkeys(names)}
 
 
-def _axis_records(recorded: RecordedSignal, files: Mapping[str, Path]) -> list[dict[str, Series]]:
+def _logs(recorded: RecordedSignal, files: Mapping[str, Path]) -> list[dict[str, Series]]:
     """The six axes of every static log, warm-up left out."""
     out = []
     for name in recorded.files:
-        by_axis = {s.name: s for s in read_static(files[name])}
+        by_axis = {AXIS_OF_COLUMN.get(s.name, s.name): s for s in read_static(files[name])}
         missing = [axis for axis in AXES if axis not in by_axis]
         if missing:
             raise InputError(f"no column for {', '.join(missing)}", where=name)
@@ -99,7 +91,7 @@ def _axis_records(recorded: RecordedSignal, files: Mapping[str, Path]) -> list[d
             start = round(recorded.skip * s.rate_hz)
             if start >= len(s):
                 raise InputError(
-                    f"the warm-up of {recorded.skip:g} s is longer than the record ({len(s) / s.rate_hz:.0f} s)",
+                    f"the warm-up of {recorded.skip:g} s is longer than the record of {len(s) / s.rate_hz:g} s",
                     where=name,
                 )
             cut[axis] = Series(s.values[start:], s.rate_hz, s.unit, axis)
@@ -128,13 +120,14 @@ class Experiment:
         self.files = input_files(scenario, file)
         self.digest = digest(scenario, self.files)
         source = scenario.trajectory
-        path = trajectories.builtin(source.builtin or "", rate_hz=source.rate, duration_s=source.duration)
-        ideal = ideal_imu(path, mode=source.mode)
+        flight = built_in(source.builtin or "").path
+        span = None if source.duration is None else (flight.start, min(flight.end, flight.start + source.duration))
+        ideal = ideal_imu(flight, source.rate, mode=source.mode, span=span)
         self.reference: Trajectory = ideal.reference
         self.imu: ImuRecord = ideal.imu
-        self.path_distance_m: float = ideal.distance_m
+        self.path_distance_m: float = ideal.path_distance_m
         length = float(self.reference.t[-1] - self.reference.t[0])
-        for k, outage in enumerate(scenario.gnss.outages):
+        for k, outage in enumerate(scenario.gnss.outages):  # before anything is flown, with the key that says it
             if outage.start + outage.duration > length + 1e-9:
                 raise InputError(
                     f"outage {k + 1} ends at {outage.start + outage.duration:g} s, but the trajectory ends at {length:g} s",
@@ -158,8 +151,16 @@ class Experiment:
         """The source of true error signals, one piece a realization."""
         truth, n = self.scenario.truth, len(self.reference)
         if truth.recorded is not None:
-            logs = _axis_records(truth.recorded, self.files)
-            return recorded_pieces(logs, n, self.scenario.trajectory.rate, remove_mean=truth.recorded.remove_mean)
+            records = [
+                RecordedErrors(
+                    np.stack([log[axis].values for axis in AXES], axis=1),
+                    log["gyro_x"].rate_hz,
+                    truth.recorded.remove_mean,
+                    name=name,
+                )
+                for name, log in zip(truth.recorded.files, _logs(truth.recorded, self.files), strict=True)
+            ]
+            return recorded_pieces(records, n, self.scenario.trajectory.rate)
         return simulated_pieces(
             truth.models(),
             n,
@@ -175,7 +176,7 @@ class Experiment:
         if source is None:
             return {}
         if source.recorded is not None:
-            logs = _axis_records(source.recorded, self.files)
+            logs = _logs(source.recorded, self.files)
             return {axis: [log[axis] for log in logs] for axis in AXES}
         assert source.simulate is not None
         rate = self.scenario.trajectory.rate
@@ -185,9 +186,7 @@ class Experiment:
         for index, (axis, model) in enumerate(self.scenario.truth.models().items()):
             if model not in drawn:  # axes with one truth share one log, as one sensor type has one calibration
                 values = model.at_rate(rate).simulate(n, 1.0 / rate, stream(self.scenario.seed, "fits", index))
-                drawn[model] = Series(
-                    values - values.mean(), rate, "rad/s" if axis.startswith("gyro") else "m/s^2", axis
-                )
+                drawn[model] = Series(values - values.mean(), rate, axis_unit(axis), axis)
             out[axis] = [drawn[model]]
         return out
 
@@ -211,7 +210,7 @@ class Experiment:
                     log = self.fit_logs[axis][0]
                     key = (source.fit, id(log))
                     if key not in done:
-                        done[key] = fit(log, NoiseModel.parse(source.fit).at_rate(log.rate_hz))
+                        done[key] = fit(log, NoiseModel.parse(source.fit, axis_unit(axis)))
                     fits[axis] = done[key]
                     models[axis] = done[key].model
             out[name] = Belief({axis: m.at_rate(self.scenario.trajectory.rate) for axis, m in models.items()}, fits)
@@ -272,7 +271,7 @@ class Experiment:
         s = self.scenario
         with self._lock:  # a simulated record serves many pieces; one thread draws it
             signals = self.pieces.piece(index)
-        imu = corrupt(self.imu, signals)
+        imu = add_rates(self.imu, signals[:, :3], signals[:, 3:])
         fixes = gnss_fixes(
             self.reference,
             rate_hz=s.gnss.rate,
@@ -332,7 +331,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         "packages": {name: metadata.version(name) for name in packages},
         "ideal_imu_distance_m": experiment.path_distance_m,
         "beliefs": {
-            name: {axis: m.to_list("rad/s" if axis.startswith("gyro") else "m/s^2") for axis, m in b.models.items()}
+            name: {axis: m.to_list(axis_unit(axis)) for axis, m in b.models.items()}
             for name, b in experiment.beliefs.items()
         },
     }
@@ -438,10 +437,5 @@ def _keep(folder: Path | None, realization: int, item: Mapping[str, Array]) -> N
     path = folder / f"{realization:05d}.npz"
     partial = path.with_suffix(".tmp")
     with partial.open("wb") as handle:
-        np.savez(handle, **item)
+        np.savez(handle, allow_pickle=False, **item)
     partial.replace(path)  # a reader sees a whole file or none
-
-
-def dump_json(document: Any) -> str:
-    """JSON text of a summary, NaN as null."""
-    return json.dumps(document, indent=1, default=str)

@@ -26,7 +26,9 @@ Store = Literal["none", "fixes"]
 def _three(value: ArrayLike, name: str) -> Array:
     out = np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), (3,)))
     if not (np.isfinite(out).all() and (out >= 0).all()):
-        raise InputError(f"{name} is {np.asarray(value).tolist()}, expected one or three standard deviations that are not negative")
+        raise InputError(
+            f"{name} is {np.asarray(value).tolist()}, expected one or three standard deviations that are not negative"
+        )
     return out
 
 
@@ -47,7 +49,9 @@ class InitialSigma:
 
     def to_array(self) -> Array:
         """The nine standard deviations."""
-        return np.concatenate([_three(getattr(self, name), f"initial {name} sigma") for name in ("position", "velocity", "attitude")])
+        return np.concatenate(
+            [_three(getattr(self, name), f"initial {name} sigma") for name in ("position", "velocity", "attitude")]
+        )
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,9 @@ class FilterOptions:
             if not (isinstance(value, int) and value >= 1):
                 raise InputError(f"{name} is {value!r}, expected a whole number of at least 1")
         if self.output_every % self.covariance_every:
-            raise InputError(f"output_every is {self.output_every}, expected a multiple of covariance_every ({self.covariance_every})")
+            raise InputError(
+                f"output_every is {self.output_every}, expected a multiple of covariance_every ({self.covariance_every})"
+            )
         if self.gate is not None and not 0.0 < self.gate < 1.0:
             raise InputError(f"gate is {self.gate!r}, expected a probability between 0 and 1, for example 1e-4")
         if self.store not in get_args(Store):
@@ -317,7 +323,9 @@ class LooselyCoupledEKF:
         self.lever_arm = np.array(np.broadcast_to(np.asarray(lever_arm, dtype=np.float64), (3,)))
         if not np.isfinite(self.lever_arm).all():
             raise InputError(f"lever_arm is {np.asarray(lever_arm).tolist()}, expected three finite numbers of metres")
-        self.gnss_sigma = None if gnss_sigma is None else (_three(gnss_sigma[0], "gnss_sigma"), _three(gnss_sigma[1], "gnss_sigma"))
+        self.gnss_sigma = (
+            None if gnss_sigma is None else (_three(gnss_sigma[0], "gnss_sigma"), _three(gnss_sigma[1], "gnss_sigma"))
+        )
         self._packed = _pack(self.augmentation, self.options.covariance_every)
 
     @property
@@ -392,7 +400,9 @@ class LooselyCoupledEKF:
         t = record.t
         events = self._events(t, gnss)
         f = events.t.size
-        cov_epoch = np.unique(np.searchsorted(t, np.asarray(o.covariance_at, dtype=np.float64) - 1e-9).clip(0, t.size - 1))
+        cov_epoch = np.unique(
+            np.searchsorted(t, np.asarray(o.covariance_at, dtype=np.float64) - 1e-9).clip(0, t.size - 1)
+        )
         node_epoch = np.zeros(0, dtype=np.int64)
         if o.store == "fixes":
             regular = np.zeros(0, dtype=np.int64)
@@ -413,7 +423,9 @@ class LooselyCoupledEKF:
         thresholds = np.full(7, np.inf)
         if o.gate is not None:
             thresholds[1:] = chi2.isf(o.gate, np.arange(1, 7))
-        offset = [self.layout.slices[name].start if name in self.layout.slices else -1 for name in ("lever_arm", "latency")]
+        offset = [
+            self.layout.slices[name].start if name in self.layout.slices else -1 for name in ("lever_arm", "latency")
+        ]
         a, p = self.augmentation, self._packed
         started = time.perf_counter()
         code, detail = kernel.run(
@@ -430,7 +442,16 @@ class LooselyCoupledEKF:
         if code == 3:
             raise InputError("navigation diverged (the states are not finite); is the IMU record in rad/s and m/s^2?")
         fixes = FixTable(
-            events.t, events.epoch, events.kind, nu, S, nis, dof, ok.astype(bool), K if stored else None, H if stored else None
+            events.t,
+            events.epoch,
+            events.kind,
+            nu,
+            S,
+            nis,
+            dof,
+            ok.astype(bool),
+            K if stored else None,
+            H if stored else None,
         )
         nodes = Nodes(t[node_epoch], node_epoch, node_nav, node_x, before, after, phi, node_dx) if stored else None
         out_rows = np.unique(np.append(np.arange(0, t.size, o.output_every), t.size - 1))
@@ -476,15 +497,23 @@ class LooselyCoupledEKF:
             parts.append(_Events(times, epoch, np.zeros(inside.size, dtype=np.int64), tau, z, var))
         if self.options.standstill is not None:
             s = self.options.standstill
-            times = np.unique(np.concatenate([np.arange(a + s.every, b, s.every) for a, b in s.intervals] or [np.zeros(0)]))
+            times = np.unique(
+                np.concatenate([np.arange(a + s.every, b, s.every) for a, b in s.intervals] or [np.zeros(0)])
+            )
             times = times[(times > t[0]) & (times <= t[-1])]
             epoch = np.searchsorted(t, times - 1e-6 * self.dt).astype(np.int64)
             var = np.tile(np.repeat([s.velocity_sigma**2, s.rate_sigma**2], 3), (times.size, 1))
-            parts.append(_Events(t[epoch], epoch, np.ones(times.size, dtype=np.int64), np.zeros(times.size), np.zeros_like(var), var))
+            parts.append(
+                _Events(
+                    t[epoch], epoch, np.ones(times.size, dtype=np.int64), np.zeros(times.size), np.zeros_like(var), var
+                )
+            )
         if not parts:
             nothing, none = np.zeros(0), np.zeros(0, dtype=np.int64)
             return _Events(nothing, none, none, nothing, np.zeros((0, 6)), np.zeros((0, 6)))
-        joined = [np.concatenate([getattr(p, name) for p in parts]) for name in ("t", "epoch", "kind", "tau", "z", "var")]
+        joined = [
+            np.concatenate([getattr(p, name) for p in parts]) for name in ("t", "epoch", "kind", "tau", "z", "var")
+        ]
         order = np.argsort(joined[1], kind="stable")
         return _Events(*(np.ascontiguousarray(v[order]) for v in joined))
 
@@ -520,5 +549,7 @@ def run_filter(
     initial_states: ArrayLike | None = None,
 ) -> FilterResult:
     """Filter one record with one belief: :class:`LooselyCoupledEKF` made and run once, at the record's own rate."""
-    ekf = LooselyCoupledEKF(belief, imu.dt, lever_arm=lever_arm, gravity=gravity, gnss_sigma=gnss_sigma, options=options)
+    ekf = LooselyCoupledEKF(
+        belief, imu.dt, lever_arm=lever_arm, gravity=gravity, gnss_sigma=gnss_sigma, options=options
+    )
     return ekf.run(imu, gnss, initial, initial_sigma, initial_states=initial_states)

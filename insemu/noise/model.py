@@ -291,7 +291,9 @@ def _of_mapping(item: Mapping[str, Any], signal_unit: str) -> Process:
         beta = _number(given["beta"], "1/s", "GM.beta")
         density = _number(driving, f"{signal_unit or '1'}*sqrt(Hz)", "GM.q")
         if density < 0 or not beta > 0:
-            raise InputError(f"q (driving density) is {density!r} and beta {beta!r}, expected positive numbers", where="GM")
+            raise InputError(
+                f"q (driving density) is {density!r} and beta {beta!r}, expected positive numbers", where="GM"
+            )
         given["sigma"] = GM.of_driving_density(density, beta).parameters["sigma"]
     rate = given.pop("rate_hz", None) if cls is AR1 else None
     unknown = [k for k in given if k not in known]
