@@ -115,7 +115,12 @@ def run_with_variants(
                 bars.update(task, completed=finished, total=total, description=f"{label} ({what})")
 
             target = folder / "variants" / name if name else folder
-            results = run_experiment(experiment, workers=workers, cache=folder / "cache", progress=step)
+            try:
+                results = run_experiment(experiment, workers=workers, cache=folder / "cache", progress=step)
+            except KeyboardInterrupt:
+                bars.stop()
+                console.print("Interrupted. Finished realizations are kept; the same command goes on from there.")
+                raise
             bars.update(task, description=label)
             write(results, target)
             (target / "resolved.yaml").write_text(
