@@ -89,8 +89,8 @@ STATES = [
 @pytest.mark.parametrize("gravity", ["normal", "free_air_first_order"])
 @pytest.mark.parametrize("state", STATES, ids=["north", "south, fast", "rest"])
 def test_error_dynamics_are_the_derivative_of_the_mechanization(state, gravity):
-    """Every column of F, sensor inputs included, from perturbed runs of the mechanization itself (central
-    differences).""" dt, n = 1e-3, 40
+    """Every column of F, sensor inputs included, by central differences of runs of the mechanization itself."""
+    dt, n = 1e-3, 40
     code = earth.gravity_code(gravity)
     w, f = np.array([0.2, -0.1, 0.3]), np.array([1.0, -2.0, -9.0])
 

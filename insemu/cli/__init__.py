@@ -11,7 +11,11 @@ from importlib import import_module
 import typer
 
 #: Command name -> module of this package whose function ``command`` it calls, in the order of ``insemu --help``.
-COMMANDS: dict[str, str] = {}
+COMMANDS: dict[str, str] = {
+    "run": "run",
+    "schema": "schema",
+    "fit": "fit",
+}
 
 app = typer.Typer(
     name="insemu",
@@ -33,7 +37,9 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def _root(
-    version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version and exit."),
+    version: bool = typer.Option(
+        False, "--version", callback=_version, is_eager=True, help="Print the version and exit."
+    ),
 ) -> None:
     pass
 
@@ -54,6 +60,3 @@ def main(argv: list[str] | None = None) -> None:
     except FileNotFoundError as error:
         typer.echo(f"insemu: error: {error.filename}: no such file", err=True)
         sys.exit(2)
-    except KeyboardInterrupt:
-        typer.echo("insemu: interrupted; finished parts are kept", err=True)
-        sys.exit(130)

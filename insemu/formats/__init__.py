@@ -93,7 +93,9 @@ def read(path: str | Path, *, rate_hz: float | None = None, columns: Iterable[st
     kind = _recognise(path)
     if kind.holds is Recording:
         if rate_hz is not None or columns is not None:
-            raise InputError("a recording has its own times and columns; rate and columns apply to static logs", where=str(path))
+            raise InputError(
+                "a recording has its own times and columns; rate and columns apply to static logs", where=str(path)
+            )
         return recording.read_recording(path)
     return read_log(path, rate_hz=rate_hz, columns=columns).series()
 
@@ -106,7 +108,9 @@ def read_recording(path: str | Path) -> Recording:
     return data
 
 
-def read_static(path: str | Path, *, rate_hz: float | None = None, columns: Iterable[str] | None = None) -> list[Series]:
+def read_static(
+    path: str | Path, *, rate_hz: float | None = None, columns: Iterable[str] | None = None
+) -> list[Series]:
     """Read a static log as :func:`read`; raises :class:`~insemu.errors.InputError` where the file holds a dynamic recording."""
     if _recognise(Path(path)).holds is Recording:
         raise InputError(

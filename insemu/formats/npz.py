@@ -34,7 +34,11 @@ def load_npz(path: Path) -> dict[str, NDArray[Any]]:
 def load_npy(path: Path, *, map_file: bool = False) -> NDArray[Any]:
     """Return the array of an ``.npy`` (memory-mapped on request)."""
     try:
-        return np.asarray(np.load(path, allow_pickle=False)) if not map_file else np.load(path, mmap_mode="r", allow_pickle=False)
+        return (
+            np.asarray(np.load(path, allow_pickle=False))
+            if not map_file
+            else np.load(path, mmap_mode="r", allow_pickle=False)
+        )
     except (OSError, EOFError) as error:
         raise InputError(f"cannot be read as a NumPy array ({error})", where=str(path)) from None
     except ValueError as error:

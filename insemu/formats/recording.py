@@ -107,13 +107,17 @@ def _imu(arrays: Mapping[str, NDArray[Any]], source: str) -> ImuRecord:
     if "imu_kind" in arrays:
         text = texts(arrays["imu_kind"], f"{source}: imu_kind")[0]
         if text not in get_args(ImuKind):
-            raise InputError(f"is '{text}', expected one of: {', '.join(get_args(ImuKind))}", where=f"{source}: imu_kind")
+            raise InputError(
+                f"is '{text}', expected one of: {', '.join(get_args(ImuKind))}", where=f"{source}: imu_kind"
+            )
         kind = text  # type: ignore[assignment]
     units = texts(arrays["imu_units"], f"{source}: imu_units") if "imu_units" in arrays else None
     if "imu_columns" in arrays:
         names = texts(arrays["imu_columns"], f"{source}: imu_columns")
         if sorted(names) != sorted(COLUMNS):
-            raise InputError(f"is {', '.join(names)}, expected {', '.join(COLUMNS)} in any order", where=f"{source}: imu_columns")
+            raise InputError(
+                f"is {', '.join(names)}, expected {', '.join(COLUMNS)} in any order", where=f"{source}: imu_columns"
+            )
         order = [names.index(c) for c in COLUMNS]
         values = values[:, order]
         units = [units[k] for k in order] if units is not None and len(units) == 6 else units

@@ -88,7 +88,9 @@ class Log:
         out = []
         for name, unit, values in zip(self.names, self.units, self.columns, strict=True):
             try:
-                out.append(Series(np.asarray(values, dtype=np.float64), self.rate_hz, unit, AXIS_OF_COLUMN.get(name, name)))
+                out.append(
+                    Series(np.asarray(values, dtype=np.float64), self.rate_hz, unit, AXIS_OF_COLUMN.get(name, name))
+                )
             except InputError as error:
                 raise InputError(str(error), where=self.source) from None
         return out
@@ -137,7 +139,9 @@ def read_log(path: str | Path, *, rate_hz: float | None = None, columns: Iterabl
             rate = _round_rate(1.0 / step)
         stated = rate_hz if rate_hz is not None else rate
         if stated is not None and np.isfinite(step) and abs(stated * step - 1.0) > 0.02:
-            raise InputError(f"the rate is said to be {stated:g} Hz, but the time column steps by {step:.6g} s", where=str(path))
+            raise InputError(
+                f"the rate is said to be {stated:g} Hz, but the time column steps by {step:.6g} s", where=str(path)
+            )
     rate = rate_hz if rate_hz is not None else rate
     if rate is None:
         raise InputError("says no sampling rate; give one (--rate '100 Hz'), or a time column", where=str(path))
@@ -207,7 +211,9 @@ def _npz(path: Path) -> _Parts:
 def _npy(path: Path) -> _Parts:
     block = load_npy(path, map_file=True)
     if block.dtype.kind not in "fiu" or block.ndim not in (1, 2):
-        raise InputError(f"has type {block.dtype} and shape {block.shape}, expected (n,) or (n, k) real numbers", where=str(path))
+        raise InputError(
+            f"has type {block.dtype} and shape {block.shape}, expected (n,) or (n, k) real numbers", where=str(path)
+        )
     if block.ndim == 1:
         return [path.stem], [""], [block], None, None
     width = block.shape[1]
@@ -240,7 +246,9 @@ def _csv(path: Path) -> _Parts:
         unit = units[at] or "s"
         parsed = parse_unit(unit)
         if parsed.dimension != parse_unit("s").dimension:
-            raise InputError(f"the time column has the unit '{unit}', expected s, ms or us", where=f"{path}: {names[at]}")
+            raise InputError(
+                f"the time column has the unit '{unit}', expected s, ms or us", where=f"{path}: {names[at]}"
+            )
         t = block[:, at] * parsed.factor
         block = np.delete(block, at, axis=1)
         del names[at], units[at]
@@ -290,7 +298,9 @@ def _to_si(name: str, unit: str, values: NDArray[Any], where: str) -> tuple[str,
     except InputError as error:
         raise InputError(str(error), where=where) from None
     if expected is not None and parsed.dimension != parse_unit(expected).dimension:
-        raise InputError(f"has the unit '{unit}', expected one of the dimension of {expected} (are columns swapped?)", where=where)
+        raise InputError(
+            f"has the unit '{unit}', expected one of the dimension of {expected} (are columns swapped?)", where=where
+        )
     si = next((s for s in _SI if parse_unit(s).dimension == parsed.dimension), None)
     if si is None:
         return unit, values

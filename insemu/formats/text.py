@@ -99,7 +99,9 @@ def _slow(path: Path, delimiter: str | None, first: int, width: int) -> Array:
                 continue
             cells = line.rstrip("\r\n").split(delimiter)
             if len(cells) != width:
-                raise InputError(f"has {len(cells)} cell(s), expected {width} as in the header", where=f"{path}, line {number}")
+                raise InputError(
+                    f"has {len(cells)} cell(s), expected {width} as in the header", where=f"{path}, line {number}"
+                )
             row = []
             for k, cell in enumerate(cells):
                 text = cell.strip().strip('"')
@@ -108,7 +110,9 @@ def _slow(path: Path, delimiter: str | None, first: int, width: int) -> Array:
                 elif _is_number(text):
                     row.append(float(text))
                 else:
-                    raise InputError(f"found '{text[:40]}' in column {k + 1}, expected a number", where=f"{path}, line {number}")
+                    raise InputError(
+                        f"found '{text[:40]}' in column {k + 1}, expected a number", where=f"{path}, line {number}"
+                    )
             rows.append(row)
     if not rows:
         raise InputError("has no rows of numbers after the header", where=str(path))

@@ -28,7 +28,9 @@ def _places(node: yaml.Node, at: Place = ()) -> Iterator[tuple[Place, int]]:
             name = str(key.value)
             line = key.start_mark.line + 1
             if name in seen:
-                raise InputError(f"the key '{name}' stands twice, first at line {seen[name]}", where=f"{key.start_mark.name}:{line}")
+                raise InputError(
+                    f"the key '{name}' stands twice, first at line {seen[name]}", where=f"{key.start_mark.name}:{line}"
+                )
             seen[name] = line
             yield from _places(value, (*at, name))
             yield (*at, name), line
@@ -84,7 +86,9 @@ def load(path: str | Path, *, variant: str | None = None, overrides: Mapping[str
             raise InputError(f"no variant '{variant}'" + nearest(variant, variants), where=str(path))
         changes = variants[variant]
         document = _merge(document, changes if isinstance(changes, dict) else {})
-        places |= {place[2:]: line for place, line in places.items() if place[:2] == ("variants", variant) and len(place) > 2}
+        places |= {
+            place[2:]: line for place, line in places.items() if place[:2] == ("variants", variant) and len(place) > 2
+        }
     if overrides:
         document = document | {k: v for k, v in overrides.items() if v is not None}
     try:
@@ -135,7 +139,9 @@ def _named(error: ValidationError, path: Path, places: Mapping[Place, int]) -> I
     """The first problem as one message with file, line and key."""
     # a misspelled key also makes a required one missing; the misspelling is the cause
     first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
-    place: Place = tuple(part for part in first["loc"] if not (isinstance(part, str) and ("[" in part or part in _UNION_TAGS)))
+    place: Place = tuple(
+        part for part in first["loc"] if not (isinstance(part, str) and ("[" in part or part in _UNION_TAGS))
+    )
     known = place
     while known and known not in places:
         known = known[:-1]
@@ -145,7 +151,10 @@ def _named(error: ValidationError, path: Path, places: Mapping[Place, int]) -> I
     if first["type"] == "extra_forbidden":
         return InputError(f"unknown key '{place[-1]}'" + nearest(str(place[-1]), _fields_at(place[:-1])), where=where)
     if first["type"] == "missing":
-        return InputError(f"the key '{place[-1]}' is missing", where=f"{path}:{line}: {'.'.join(str(p) for p in place[:-1]) or '(top)'}")
+        return InputError(
+            f"the key '{place[-1]}' is missing",
+            where=f"{path}:{line}: {'.'.join(str(p) for p in place[:-1]) or '(top)'}",
+        )
     if first["type"] == "value_error":
         return InputError(str(first["ctx"]["error"]), where=where)
     return InputError(f"found {first['input']!r}, {first['msg'][:1].lower()}{first['msg'][1:]}", where=where)
@@ -172,7 +181,9 @@ def resolve_path(text: str, scenario_file: str | Path | None = None) -> Path:
         for candidate in roots:
             if (candidate / relative).exists():
                 return candidate / relative
-        raise InputError(f"shared data absent: {relative} (set INSEMU_SHARED to the folder that holds it; looked in {roots[0]})")
+        raise InputError(
+            f"shared data absent: {relative} (set INSEMU_SHARED to the folder that holds it; looked in {roots[0]})"
+        )
     path = base / text
     if not path.exists():
         raise InputError(f"{path}: no such file")
@@ -194,12 +205,21 @@ def digest(scenario: Scenario, files: Mapping[str, Path] | None = None) -> str:
 
     The number of realizations, the text fields and the variants do not belong to it: realization 7 is the same among 10 or 1000.
     """
-    content = scenario.model_dump(mode="json", exclude={"realizations", "title", "question", "notes", "variants", "smoke", "published"})
-    hashes = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in sorted((files or {}).items()) if path.is_file()}
+    content = scenario.model_dump(
+        mode="json", exclude={"realizations", "title", "question", "notes", "variants", "smoke", "published"}
+    )
+    hashes = {
+        name: hashlib.sha256(path.read_bytes()).hexdigest()
+        for name, path in sorted((files or {}).items())
+        if path.is_file()
+    }
     text = json.dumps([content, hashes, code_version()], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def schema() -> dict[str, Any]:
     """JSON schema of scenario files, for editors."""
-    return Scenario.model_json_schema() | {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "insemu scenario"}
+    return Scenario.model_json_schema() | {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "insemu scenario",
+    }

@@ -9,7 +9,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSche
 
 from insemu import units
 from insemu.errors import InputError
-from insemu.noise import NoiseModel
+from insemu.noise import NoiseModel, axis_unit
 from insemu.records import AXES
 
 Vector3 = tuple[float, float, float]
@@ -31,8 +31,13 @@ def _vector(unit: str) -> Callable[[Any], Vector3]:
 
 
 def _schema(unit: str, *, vector: bool = False) -> WithJsonSchema:
-    one = {"type": ["string", "number"], "description": f"a quantity with its unit, for example '1 {unit}'; a bare number is in {unit}"}
-    return WithJsonSchema({"anyOf": [one, {"type": "array", "items": one, "minItems": 3, "maxItems": 3}]} if vector else one)
+    one = {
+        "type": ["string", "number"],
+        "description": f"a quantity with its unit, for example '1 {unit}'; a bare number is in {unit}",
+    }
+    return WithJsonSchema(
+        {"anyOf": [one, {"type": "array", "items": one, "minItems": 3, "maxItems": 3}]} if vector else one
+    )
 
 
 Seconds = Annotated[float, BeforeValidator(_quantity("s")), _schema("s")]
@@ -47,7 +52,10 @@ Signal = Annotated[
             "description": "a noise model: text such as 'WN(N=0.03 deg/s/sqrt(Hz)) + GM(sigma=10 deg/h, Tc=40 s)' or a list of processes",
             "anyOf": [
                 {"type": "string"},
-                {"type": "array", "items": {"type": "object", "properties": {"process": {"type": "string"}}, "required": ["process"]}},
+                {
+                    "type": "array",
+                    "items": {"type": "object", "properties": {"process": {"type": "string"}}, "required": ["process"]},
+                },
             ],
         }
     ),
@@ -63,10 +71,14 @@ class Section(BaseModel):
 class TrajectorySource(Section):
     """Where the motion comes from."""
 
-    builtin: str | None = Field(default=None, description="name of a built-in trajectory, for example helicopter_mapping")
+    builtin: str | None = Field(
+        default=None, description="name of a built-in trajectory, for example helicopter_mapping"
+    )
     rate: Hertz = Field(default=100.0, gt=0, description="IMU rate")
     duration: Seconds | None = Field(default=None, gt=0, description="cut the trajectory after this time")
-    mode: Literal["exact", "continuous"] = Field(default="exact", description="how the ideal IMU is made (docs/emulation.md)")
+    mode: Literal["exact", "continuous"] = Field(
+        default="exact", description="how the ideal IMU is made (docs/emulation.md)"
+    )
 
     @model_validator(mode="after")
     def _one_source(self) -> TrajectorySource:
@@ -78,9 +90,13 @@ class TrajectorySource(Section):
 class RecordedSignal(Section):
     """Error signals cut from static records."""
 
-    files: tuple[str, ...] = Field(min_length=1, description="static logs; a path, or shared:PATH under the shared data folder")
+    files: tuple[str, ...] = Field(
+        min_length=1, description="static logs; a path, or shared:PATH under the shared data folder"
+    )
     skip: Seconds = Field(default=0.0, ge=0, description="warm-up to leave out at the start of every record")
-    remove_mean: Literal["record", "piece", "none"] = Field(default="record", description="what the mean is taken over and removed")
+    remove_mean: Literal["record", "piece", "none"] = Field(
+        default="record", description="what the mean is taken over and removed"
+    )
 
 
 def _models(value: Mapping[str, Any], kind: type[Section]) -> dict[str, Any]:
@@ -108,7 +124,7 @@ class SensorModels(Section):
     @classmethod
     def _readable(cls, value: Any, info: Any) -> Any:
         if value is not None:
-            unit = "rad/s" if info.field_name.startswith("gyro") else "m/s^2"
+            unit = axis_unit(info.field_name)
             model = NoiseModel.from_list(value, unit)
             if not model.specified:
                 raise InputError(f"the model '{model}' has parameters without a value")
@@ -117,7 +133,7 @@ class SensorModels(Section):
     def models(self) -> dict[str, NoiseModel]:
         """Models of the axes that have one."""
         return {
-            axis: NoiseModel.from_list(value, "rad/s" if axis.startswith("gyro") else "m/s^2")
+            axis: NoiseModel.from_list(value, axis_unit(axis))
             for axis, value in _models(self.model_dump(exclude_none=True), SensorModels).items()
         }
 
@@ -125,9 +141,13 @@ class SensorModels(Section):
 class Truth(SensorModels):
     """What the sensors really do: a model per axis, or pieces of recorded error signals."""
 
-    recorded: RecordedSignal | None = Field(default=None, description="pieces of recorded static signals instead of models")
+    recorded: RecordedSignal | None = Field(
+        default=None, description="pieces of recorded static signals instead of models"
+    )
     record: Seconds | None = Field(
-        default=None, gt=0, description="length of the simulated records that are cut into pieces, their mean removed (absent: no removal)"
+        default=None,
+        gt=0,
+        description="length of the simulated records that are cut into pieces, their mean removed (absent: no removal)",
     )
 
     @model_validator(mode="after")
@@ -180,7 +200,7 @@ def _belief(value: Any, info: Any) -> Any:
         return value
     if isinstance(value, Mapping) and "process" not in value:
         return AxisSource.model_validate(value)
-    unit = "rad/s" if info.field_name.startswith("gyro") else "m/s^2"
+    unit = axis_unit(info.field_name)
     model = NoiseModel.from_list(value, unit)
     if not model.specified:
         raise InputError(f"the model '{model}' has parameters without a value; to fit it write {{fit: '{model}'}}")
@@ -212,7 +232,7 @@ class Design(Section):
         """What every axis's belief comes from."""
         given = {name: getattr(self, name) for name in ("gyro", "accel", *AXES) if getattr(self, name) is not None}
         return {
-            axis: value if isinstance(value, AxisSource) else NoiseModel.from_list(value, "rad/s" if axis.startswith("gyro") else "m/s^2")
+            axis: value if isinstance(value, AxisSource) else NoiseModel.from_list(value, axis_unit(axis))
             for axis, value in _models(given, Design).items()
         }
 
@@ -277,16 +297,22 @@ class Scenario(Section):
     variants: dict[str, dict[str, Any]] = Field(
         default_factory=dict, description="name to the keys that differ; each is run too, under variants/NAME"
     )
-    smoke: tuple[str, ...] = Field(default=("run", "--realizations", "2"), description="command and options of the project's smoke run")
+    smoke: tuple[str, ...] = Field(
+        default=("run", "--realizations", "2"), description="command and options of the project's smoke run"
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> Scenario:
         for name, design in self.designs.items():
             sources = [s for s in design.sources().values() if isinstance(s, AxisSource)]
             if self.fits is None and any(s.fit for s in sources):
-                raise InputError(f"the design '{name}' is fitted, but there is no section 'fits' that says to which signals")
+                raise InputError(
+                    f"the design '{name}' is fitted, but there is no section 'fits' that says to which signals"
+                )
             if self.truth.recorded is not None and any(s.truth for s in sources):
-                raise InputError(f"the design '{name}' asks for the model of the truth, but the truth is a recorded signal")
+                raise InputError(
+                    f"the design '{name}' asks for the model of the truth, but the truth is a recorded signal"
+                )
         if self.truth.recorded is not None and self.fits is not None and self.fits.simulate is not None:
             raise InputError("fits cannot be simulated from a recorded truth; expected the key 'recorded' under 'fits'")
         if self.published is not None:

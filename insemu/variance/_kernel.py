@@ -150,12 +150,16 @@ def haar_covariances(s1: Array, n: int, levels: int, means: Array, out: Array) -
         if j + 1 < levels:
             new = np.zeros(lags + 1)
             for i in range(n - 4 * mj + 1):
-                new[i] = 0.25 * (6.0 * own[i] + 4.0 * (own[i + mj] + own[abs(i - mj)]) + own[i + 2 * mj] + own[abs(i - 2 * mj)])
+                new[i] = 0.25 * (
+                    6.0 * own[i] + 4.0 * (own[i + mj] + own[abs(i - mj)]) + own[i + 2 * mj] + own[abs(i - 2 * mj)]
+                )
             own = new
 
 
 @njit(cache=True, nogil=True)
-def haar_variances_of_variances(s1: Array, n: int, levels: int, means: Array, out: Array) -> None:  # pragma: no cover - compiled
+def haar_variances_of_variances(
+    s1: Array, n: int, levels: int, means: Array, out: Array
+) -> None:  # pragma: no cover - compiled
     """The diagonal of :func:`haar_covariances` alone, in time proportional to ``n * levels``."""
     own = s1.copy()
     for j in range(levels):
@@ -170,7 +174,9 @@ def haar_variances_of_variances(s1: Array, n: int, levels: int, means: Array, ou
         if j + 1 < levels:
             new = np.zeros(n)
             for i in range(n - 4 * mj + 1):
-                new[i] = 0.25 * (6.0 * own[i] + 4.0 * (own[i + mj] + own[abs(i - mj)]) + own[i + 2 * mj] + own[abs(i - 2 * mj)])
+                new[i] = 0.25 * (
+                    6.0 * own[i] + 4.0 * (own[i + mj] + own[abs(i - mj)]) + own[i + 2 * mj] + own[abs(i - 2 * mj)]
+                )
             own = new
 
 

@@ -192,9 +192,13 @@ def _finish(
             raise InputError(f"edof has shape {freedom.shape}, expected {count} positive numbers, one per scale")
     elif intervals == "eta3":
         # the peer divides by the scale for decimated coefficients too; reproduced here, and much too wide there
-        freedom = eta3(scale.astype(float), n_samples, length) if transform == "modwt" else np.maximum(used / scale, 1.0)
+        freedom = (
+            eta3(scale.astype(float), n_samples, length) if transform == "modwt" else np.maximum(used / scale, 1.0)
+        )
     elif transform == "dwt":
-        freedom = np.maximum(used, 1).astype(float)  # decimated coefficients are nearly uncorrelated: that is what the DWT is for
+        freedom = np.maximum(used, 1).astype(
+            float
+        )  # decimated coefficients are nearly uncorrelated: that is what the DWT is for
     else:
         reach = (scale - 1) * (length - 1) + 1
         # longer filters see the same noise through nearly the same band; their record is shorter by their reach
@@ -354,7 +358,9 @@ class HaarAccumulator:
             return
         if not np.isfinite(values.sum()) and not np.isfinite(values).all():
             first = int(np.argmin(np.isfinite(values)))
-            raise InputError(f"signal is not finite at sample {self.n_samples + first} ({values[first]}); expected finite numbers")
+            raise InputError(
+                f"signal is not finite at sample {self.n_samples + first} ({values[first]}); expected finite numbers"
+            )
         if self._origin is None:
             self._origin = float(values[0])
         self.n_samples += values.size
@@ -367,7 +373,9 @@ class HaarAccumulator:
 
     def _run(self, values: Array) -> None:
         assert self._origin is not None
-        _kernel.haar_push(values, self._origin, self._pushed, self._offsets, self._delay, self._sums, self._counts, self.full_overlap)
+        _kernel.haar_push(
+            values, self._origin, self._pushed, self._offsets, self._delay, self._sums, self._counts, self.full_overlap
+        )
         self._pushed += values.size
 
     def result(self) -> tuple[Array, NDArray[np.int64]]:

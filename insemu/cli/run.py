@@ -1,0 +1,218 @@
+"""``insemu run``: a scenario from emulation to the table and the page."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from rich.console import Console
+
+    from insemu.evaluate import Results
+
+
+def command(
+    scenario: str = typer.Argument(..., metavar="SCENARIO", help="Scenario file (YAML)."),
+    realizations: int | None = typer.Option(
+        None, "--realizations", min=1, help="Number of realizations; default the scenario's."
+    ),
+    seed: int | None = typer.Option(None, "--seed", min=0, help="Seed of all random draws; default the scenario's."),
+    workers: int | None = typer.Option(
+        None, "--workers", min=1, help="Realizations flown at a time; default the number of cores."
+    ),
+    out: str = typer.Option("", "--out", help="Folder for results; default results/NAME beside the current folder."),
+    as_json: bool = typer.Option(False, "--json", help="Print summary.json on standard output instead of tables."),
+    variants: bool = typer.Option(True, "--variants/--no-variants", help="Also run the scenario's variants."),
+) -> None:
+    """Run a scenario: emulate, inject errors, cut GNSS, filter with every design, and compare.
+
+    Writes summary.json, outages.csv, errors.nc, manifest.json, resolved.yaml, figures and index.html. An interrupted run continues
+    where it stopped.
+    """
+    import json
+    import os
+    from pathlib import Path
+
+    from rich.console import Console
+
+    from insemu.evaluate import summary
+
+    console = Console(stderr=as_json)
+    folder = Path(out) if out else Path("results") / Path(scenario).stem
+    everything = run_with_variants(
+        scenario,
+        folder,
+        overrides={"seed": seed, "realizations": realizations},
+        workers=workers or os.cpu_count() or 1,
+        with_variants=variants,
+        console=console,
+    )
+    from insemu.report import render_experiment
+
+    page = render_experiment(everything.main, everything.variants, folder, text=everything.text)
+    if as_json:
+        typer.echo(json.dumps(summary(everything.main), indent=1))
+        return
+    show(console, everything.main, everything.variants)
+    console.print(f"\nPage: [bold]{page}[/bold] (summary.json, outages.csv, errors.nc beside it)", soft_wrap=True)
+
+
+class Everything:
+    """Results of a scenario and of its variants."""
+
+    def __init__(self, main: Results, variants: dict[str, Results], text: dict[str, str]) -> None:
+        self.main, self.variants, self.text = main, variants, text
+
+
+def run_with_variants(
+    scenario: str,
+    folder: Path,
+    *,
+    overrides: dict[str, Any],
+    workers: int,
+    with_variants: bool,
+    console: Console,
+) -> Everything:
+    """Check everything first, then fly; nothing is written before every variant is known to be runnable."""
+    import yaml
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    from insemu.evaluate import Experiment, run_experiment, write
+    from insemu.scenario import load
+
+    base = load(scenario, overrides=overrides)
+    names = list(base.variants) if with_variants else []
+    experiments = {"": Experiment(base, scenario)}
+    for name in names:
+        experiments[name] = Experiment(load(scenario, variant=name, overrides=overrides), scenario)
+    forget_others(folder / "cache", {e.digest for e in experiments.values()})
+    done: dict[str, Results] = {}
+    columns = (
+        TextColumn("{task.description:<34}"),
+        BarColumn(bar_width=24),
+        MofNCompleteColumn(),
+        TextColumn("elapsed"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=False) as bars:
+        for name, experiment in experiments.items():
+            label = name or experiment.scenario.title.split(":")[0][:24]
+            task = bars.add_task(label, total=experiment.scenario.realizations)
+
+            def step(finished: int, total: int, what: str, task: Any = task, label: str = label) -> None:
+                bars.update(task, completed=finished, total=total, description=f"{label} ({what})")
+
+            target = folder / "variants" / name if name else folder
+            try:
+                results = run_experiment(experiment, workers=workers, cache=folder / "cache", progress=step)
+            except KeyboardInterrupt:
+                bars.stop()
+                console.print("Interrupted. Finished realizations are kept; the same command goes on from there.")
+                raise
+            bars.update(task, description=label)
+            write(results, target)
+            (target / "resolved.yaml").write_text(
+                yaml.safe_dump(experiment.scenario.model_dump(mode="json", exclude_none=True), sort_keys=False),
+                encoding="utf-8",
+            )
+            done[name] = results
+    main = done.pop("")
+    return Everything(
+        main,
+        done,
+        {"question": base.question, "notes": base.notes, "source": base.published.source if base.published else ""},
+    )
+
+
+def forget_others(cache: Path, digests: set[str]) -> None:
+    """Delete finished parts of earlier versions of the scenario, its data or the code."""
+    import shutil
+
+    if cache.is_dir():
+        for folder in cache.iterdir():
+            if folder.name not in digests:
+                shutil.rmtree(folder)
+
+
+def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
+    """The tables at the end."""
+    from rich.table import Table
+
+    from insemu.evaluate import outage_table, verdicts
+    from insemu.report.tables import short
+
+    console.print(f"\n[bold]{main.title}[/bold]", soft_wrap=True)
+    table = Table(
+        title=f"End of each outage, means over {main.realizations} realizations (seed {main.seed})",
+        title_justify="left",
+        box=None,
+        padding=(0, 1),
+        pad_edge=False,
+        header_style="underline",
+    )
+    headings = ["design", "outage", "error m", "95 %", "alt. m", "stated", "in 3 s", "NEES"]
+    if main.published:
+        headings.insert(4, "paper")
+    for heading in headings:
+        table.add_column(heading, justify="left" if heading == "design" else "right", no_wrap=True)
+    for name, outages in outage_table(main).items():
+        published = main.published.get(name, ())
+        for k, row in enumerate(outages):
+            p = row["planimetric_end_m"]
+            low, high = p["ci95"]
+            cells = [
+                f"{name} ({main.designs[name].states})" if k == 0 else "",
+                f"{row['start_s'] / 60:g} min",
+                f"{p['mean']:.3g}",
+                "" if low is None else f"{low:.3g}-{high:.3g}",
+                f"{row['altimetric_end_m']:.3g}",
+                f"{row['predicted_sigma_end_m']:.3g}",
+                f"{100 * row['coverage_3sigma']['position']:.1f}%",
+                short(row["nees_per_dof"]),
+            ]
+            if main.published:
+                cells.insert(4, f"{published[k]:g}" if k < len(published) else "-")
+            table.add_row(*cells)
+        table.add_row()
+    console.print(table)
+    console.print(
+        "In brackets: states. Stated: the horizontal sigma that the filter gives. NEES/dof: 1 is a filter that knows its error.\n"
+    )
+    for line in verdicts(main):
+        console.print(f"- {line}", soft_wrap=True)
+    if variants:
+        console.print(variant_table(main, variants))
+
+
+def variant_table(main: Results, variants: dict[str, Results]) -> Any:
+    """Mean planimetric error at the end of each outage, every variant beside the default."""
+    from rich.table import Table
+
+    from insemu.report.tables import variant_rows
+
+    header, body = variant_rows(main, variants)
+    shown = [
+        k for k, heading in enumerate(header) if heading not in ("95 %", "inside %")
+    ]  # the page has room for these
+    table = Table(
+        title="\nVariants: planimetric error at outage end, m", title_justify="left", box=None, padding=(0, 1), pad_edge=False, header_style="underline"
+    )
+    for k in shown:
+        table.add_column(header[k], justify="left" if k < 2 else "right", no_wrap=True)
+    for i, row in enumerate(body):
+        if i and row[0]:
+            table.add_row()
+        table.add_row(*(row[k] for k in shown))
+    return table

@@ -1,0 +1,344 @@
+"""GNSS fixes along a trajectory: antenna, noise, outages."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from insemu import earth, rotation
+from insemu.effects import EffectUse
+from insemu.errors import InputError
+from insemu.records import GnssRecord, Trajectory
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Outage:
+    """No fixes for ``start_s < t <= start_s + duration_s``; a duration of zero is no outage."""
+
+    start_s: float
+    duration_s: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.start_s) and np.isfinite(self.duration_s) and self.duration_s >= 0):
+            raise InputError(
+                f"outage from {self.start_s} s for {self.duration_s} s: expected finite numbers and no negative duration"
+            )
+
+    @property
+    def end_s(self) -> float:
+        """Time of the last fix that is missing, at the latest."""
+        return self.start_s + self.duration_s
+
+    def covers(self, t: ArrayLike) -> NDArray[np.bool_]:
+        """Which times lie in the outage."""
+        t = np.asarray(t, dtype=float)
+        # a microsecond of slack: fix times are sums of rounded periods
+        return np.asarray((t > self.start_s + 1e-6) & (t <= self.end_s + 1e-6))
+
+
+@dataclass(frozen=True)
+class AreaOutage:
+    """No fixes within a circle on the ground: a tunnel, a wood, a street between high houses.
+
+    Parameters
+    ----------
+    latitude, longitude : float
+        Centre, rad.
+    radius : float
+        m.
+    """
+
+    latitude: float
+    longitude: float
+    radius: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite([self.latitude, self.longitude, self.radius]).all() and self.radius >= 0):
+            raise InputError("an outage area needs a finite place and a radius of zero or more")
+        if abs(self.latitude) > np.pi / 2:
+            raise InputError(f"an outage area has a latitude of {np.rad2deg(self.latitude):g} deg")
+
+    def covers(self, llh: ArrayLike) -> NDArray[np.bool_]:
+        """Which positions (n, 3) lie in the area."""
+        difference = earth.position_difference(llh, np.array([self.latitude, self.longitude, 0.0]))
+        return np.asarray(np.hypot(difference[..., 0], difference[..., 1]) < self.radius)
+
+
+def random_outages(
+    start_s: float, end_s: float, *, per_hour: float, mean_s: float, rng: np.random.Generator, clear_s: float = 0.0
+) -> tuple[Outage, ...]:
+    """Draw outages: Poisson starts, exponential durations, none in the first ``clear_s`` seconds; those that touch
+    are joined.
+
+    Parameters
+    ----------
+    start_s, end_s : float
+        Span of the trajectory, s.
+    per_hour : float
+        Mean number per hour.
+    mean_s : float
+        Mean duration, s.
+    rng : numpy.random.Generator
+        Its seed belongs to the scenario, so all designs and realizations meet the same outages.
+    clear_s : float
+        Time without outages at the start.
+    """
+    if not (per_hour >= 0 and mean_s > 0 and end_s > start_s and clear_s >= 0):
+        raise InputError("random outages need a rate of zero or more, a positive mean duration and a span")
+    span = max(0.0, end_s - start_s - clear_s)
+    count = rng.poisson(per_hour * span / 3600.0)
+    begins = np.sort(start_s + clear_s + span * rng.random(count))
+    lengths = rng.exponential(mean_s, count)
+    out: list[Outage] = []
+    for begin, length in zip(begins, lengths, strict=True):
+        end = min(begin + length, end_s)
+        if out and begin <= out[-1].end_s:
+            out[-1] = Outage(out[-1].start_s, max(end, out[-1].end_s) - out[-1].start_s)
+        else:
+            out.append(Outage(float(begin), float(end - begin)))
+    return tuple(out)
+
+
+def state_at(trajectory: Trajectory, t: ArrayLike) -> tuple[Array, Array, Array, Array]:
+    """Position, velocity, quaternion and ``w_nb_b`` of a trajectory at times between its nodes.
+
+    Cubic Hermite interpolation of the position, quadratic of the velocity that belongs to it, rotation at constant
+    rate of the attitude; at a node the node itself.
+
+    Returns
+    -------
+    llh (n, 3), vel_ned (n, 3), q (n, 4), w_nb_b (n, 3)
+    """
+    t = np.asarray(t, dtype=float)
+    nodes = trajectory.t
+    k = np.clip(np.searchsorted(nodes, t + 1e-9, side="right") - 1, 0, nodes.size - 2)
+    dt = nodes[k + 1] - nodes[k]
+    u = np.clip((t - nodes[k]) / dt, 0.0, 1.0)
+    u = np.where(np.abs(u) * dt < 1e-9, 0.0, np.where(np.abs(1.0 - u) * dt < 1e-9, 1.0, u))[:, None]
+    h = dt[:, None]
+    v0, v1 = trajectory.vel_ned[k], trajectory.vel_ned[k + 1]
+    p1 = earth.position_difference(trajectory.llh[k + 1], trajectory.llh[k])
+    # metres by the radii at node k; the velocities are metres at the place itself, which differs by 1e-7 of the step
+    p = p1 * u**2 * (3 - 2 * u) + h * (v0 * u * (1 - u) ** 2 - v1 * u**2 * (1 - u))
+    llh = earth.move(trajectory.llh[k], p)
+    v = p1 / h * 6 * u * (1 - u) + v0 * (1 - u) * (1 - 3 * u) + v1 * u * (3 * u - 2)
+    at_end = u[:, 0] == 1.0
+    llh[at_end], v[at_end] = trajectory.llh[k[at_end] + 1], v1[at_end]
+
+    q = rotation.quaternion_from_rpy(trajectory.rpy)
+    turn = rotation.vector_from_quaternion(rotation.quaternion_product(rotation.quaternion_conjugate(q[:-1]), q[1:]))
+    rate = turn / np.diff(nodes)[:, None]
+    node_rate = np.concatenate([rate[:1], 0.5 * (rate[1:] + rate[:-1]), rate[-1:]])
+    attitude = rotation.quaternion_product(q[k], rotation.quaternion_from_vector(u * turn[k]))
+    w = node_rate[k] * (1 - u) + node_rate[k + 1] * u
+    return llh, v, attitude, w
+
+
+def antenna(trajectory: Trajectory, t: ArrayLike, lever_arm: ArrayLike) -> tuple[Array, Array]:
+    """True position (n, 3) (rad, rad, m) and velocity (n, 3) (m/s) of an antenna at ``lever_arm`` (3,) m."""
+    llh, vel, q, w_nb = state_at(trajectory, t)
+    arm = np.asarray(lever_arm, dtype=float)
+    if not arm.any():
+        return llh, vel
+    c = rotation.dcm_from_quaternion(q)
+    w_eb = w_nb + np.einsum("nji,nj->ni", c, earth.transport_rate(llh, vel))
+    return earth.move(llh, c @ arm), vel + np.einsum("nij,nj->ni", c, np.cross(w_eb, arm))
+
+
+def _three(value: ArrayLike, name: str) -> Array:
+    array = np.broadcast_to(np.asarray(value, dtype=float), (3,)).copy()
+    if not np.isfinite(array).all():
+        raise InputError(f"{name} is {array.tolist()}, expected one or three finite numbers")
+    return array
+
+
+def gnss_fixes(
+    trajectory: Trajectory,
+    rate_hz: float = 1.0,
+    pos_sigma_ned: ArrayLike = (0.01, 0.01, 0.02),
+    vel_sigma_ned: ArrayLike | None = (0.01, 0.01, 0.02),
+    lever_arm: ArrayLike = (0.0, 0.0, 0.0),
+    outages: Sequence[Outage | AreaOutage] = (),
+    *,
+    rng: np.random.Generator,
+    effects: Sequence[EffectUse] = (),
+) -> GnssRecord:
+    """Emulate the fixes of a receiver.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Reference of the IMU (its nodes).
+    rate_hz : float
+        Fixes per second; the first comes one period after the start of the trajectory.
+    pos_sigma_ned, vel_sigma_ned : float or (3,)
+        Standard deviations of white noise, m and m/s, which the receiver also states; ``vel_sigma_ned=None`` for no
+        velocity.
+    lever_arm : (3,)
+        From the IMU to the antenna in body axes, m.
+    outages : sequence of Outage or AreaOutage
+        When, or where, there is no fix.
+    rng : numpy.random.Generator
+        Position, velocity and every effect draw from their own children, for all epochs, so an outage does not change
+        the fixes outside of it and an effect added at the end does not change the others.
+    effects : sequence of EffectUse
+        Those of the sensor ``gnss`` act; the others are passed over.
+
+    Raises
+    ------
+    InputError
+        Negative sigma, a rate that is not positive, an outage past the end of the trajectory, outages that leave no
+        fix.
+    """
+    sigma = _three(pos_sigma_ned, "the position sigma")
+    sigma_v = None if vel_sigma_ned is None else _three(vel_sigma_ned, "the velocity sigma")
+    for name, values in (("position", sigma), ("velocity", sigma_v)):
+        if values is not None and (values < 0).any():
+            raise InputError(f"the {name} sigma is {values.tolist()}, expected zero or more")
+    t = fix_times(trajectory, rate_hz)
+    for outage in outages:
+        if isinstance(outage, Outage):
+            check_outage(outage, trajectory)
+    arm = _three(lever_arm, "the lever arm")
+    of_position, of_velocity = rng.spawn(2)
+    own = [use for use in effects if use.sensor == "gnss"]
+    latency = sum(use.scalar("latency") for use in own if use.id == "gnss_latency")
+    valid = t - latency
+    inside = (valid >= trajectory.t[0] - 1e-9) & (valid <= trajectory.t[-1] + 1e-9)
+    for use in own:
+        if use.id == "lever_arm":
+            arm = arm + np.array(use["value"])
+    llh, vel = antenna(trajectory, np.clip(valid, trajectory.t[0], trajectory.t[-1]), arm)
+    errors = _Errors(t, sigma, sigma_v, of_position, of_velocity)
+    for use, child in zip(own, rng.spawn(len(own)), strict=True):
+        if use.id not in ("lever_arm", "gnss_latency"):
+            _EFFECTS[use.id](errors, use, child)
+    keep = inside
+    for outage in outages:
+        keep = keep & ~(outage.covers(t) if isinstance(outage, Outage) else outage.covers(llh))
+    if not keep.any():
+        raise InputError("the outages leave no fix at all")
+    llh = earth.move(llh, errors.position())
+    stated = errors.stated()[keep]
+    if sigma_v is None:
+        return GnssRecord(t[keep], llh[keep], None, stated)
+    vel = vel + errors.velocity()
+    return GnssRecord(t[keep], llh[keep], vel[keep], stated, errors.stated_velocity()[keep])
+
+
+class _Errors:
+    """Errors of all fixes, (n, 3) in m and m/s; effects change the levels and add to the sums."""
+
+    def __init__(
+        self,
+        t: Array,
+        sigma: Array,
+        sigma_v: Array | None,
+        of_position: np.random.Generator,
+        of_velocity: np.random.Generator,
+    ) -> None:
+        n = t.size
+        self.t, self.sigma, self.sigma_v = t, sigma, sigma_v
+        self.white = of_position.standard_normal((n, 3))
+        self.white_v = of_velocity.standard_normal((n, 3))
+        self.level, self.level_v = np.ones((n, 3)), np.ones((n, 3))
+        self.said = np.ones((n, 1))
+        self.added, self.added_v = np.zeros((n, 3)), np.zeros((n, 3))
+
+    def position(self) -> Array:
+        return np.asarray(self.level * self.sigma * self.white + self.added)
+
+    def velocity(self) -> Array:
+        assert self.sigma_v is not None
+        return np.asarray(self.level_v * self.sigma_v * self.white_v + self.added_v)
+
+    def stated(self) -> Array:
+        return np.asarray(self.said * self.sigma)
+
+    def stated_velocity(self) -> Array:
+        assert self.sigma_v is not None
+        return np.asarray(self.said * self.sigma_v)
+
+
+def gauss_markov(t: Array, sigma: ArrayLike, tau: float, rng: np.random.Generator) -> Array:
+    """Stationary first-order Gauss-Markov processes (n, 3) at times (n,) that need not be regular."""
+    if not tau > 0:
+        raise InputError(f"a correlation time is {tau:g} s, expected a positive number")
+    a = np.exp(-np.diff(t) / tau)
+    white = rng.standard_normal((t.size, 3))
+    out = np.empty((t.size, 3))
+    out[0] = white[0]
+    for k in range(1, t.size):
+        out[k] = a[k - 1] * out[k - 1] + np.sqrt(1.0 - a[k - 1] ** 2) * white[k]
+    return np.asarray(out * np.asarray(sigma))
+
+
+def _noise_level(errors: _Errors, use: EffectUse, rng: np.random.Generator) -> None:
+    errors.level *= np.array(use["factor"])
+
+
+def _correlated(errors: _Errors, use: EffectUse, rng: np.random.Generator) -> None:
+    errors.added += gauss_markov(errors.t, use["sigma"], use.scalar("tau"), rng)
+
+
+def _velocity_noise(errors: _Errors, use: EffectUse, rng: np.random.Generator) -> None:
+    errors.level_v *= np.array(use["factor"])
+    errors.added_v += gauss_markov(errors.t, use["sigma"], use.scalar("tau"), rng)
+
+
+def _multipath_step(errors: _Errors, use: EffectUse, rng: np.random.Generator) -> None:
+    errors.added[Outage(use.scalar("start"), use.scalar("duration")).covers(errors.t)] += np.array(use["value"])
+
+
+def _outliers(errors: _Errors, use: EffectUse, rng: np.random.Generator) -> None:
+    hit = rng.random(errors.t.size) < use.scalar("probability")
+    errors.added += hit[:, None] * np.array(use["sigma"]) * rng.standard_normal((errors.t.size, 3))
+
+
+def _quality(errors: _Errors, use: EffectUse, rng: np.random.Generator) -> None:
+    """A two-state Markov chain at the fix epochs, started in the good state."""
+    step = np.diff(errors.t, prepend=errors.t[0])
+    leave_good, leave_poor = 1 - np.exp(-step / use.scalar("good")), 1 - np.exp(-step / use.scalar("poor"))
+    u = rng.random(errors.t.size)
+    poor = np.zeros(errors.t.size, bool)
+    for k in range(1, errors.t.size):
+        poor[k] = u[k] >= leave_poor[k] if poor[k - 1] else u[k] < leave_good[k]
+    factor = np.where(poor, use.scalar("factor"), 1.0)[:, None]
+    errors.level *= factor
+    errors.level_v *= factor
+    if use.scalar("stated"):
+        errors.said *= factor
+
+
+_EFFECTS = {
+    "gnss_noise_level": _noise_level,
+    "gnss_correlated_noise": _correlated,
+    "gnss_velocity_noise": _velocity_noise,
+    "gnss_multipath_step": _multipath_step,
+    "gnss_outliers": _outliers,
+    "gnss_quality": _quality,
+}
+
+
+def fix_times(trajectory: Trajectory, rate_hz: float) -> Array:
+    """Epochs of the fixes: ``t[0] + k / rate_hz`` for k = 1, 2, ..., up to the end."""
+    if not (np.isfinite(rate_hz) and rate_hz > 0):
+        raise InputError(f"the GNSS rate is {rate_hz} Hz, expected a positive number")
+    count = int(np.floor((trajectory.t[-1] - trajectory.t[0]) * rate_hz + 1e-6))
+    if count < 1:
+        raise InputError(f"a trajectory of {trajectory.t[-1] - trajectory.t[0]:g} s has no fix at {rate_hz:g} Hz")
+    return np.minimum(trajectory.t[0] + np.arange(1, count + 1) / rate_hz, trajectory.t[-1])
+
+
+def check_outage(outage: Outage, trajectory: Trajectory) -> None:
+    """Raise ``InputError`` where an outage does not lie inside a trajectory."""
+    if outage.start_s < trajectory.t[0] - 1e-6 or outage.end_s > trajectory.t[-1] + 1e-6:
+        raise InputError(
+            f"the outage from {outage.start_s:g} to {outage.end_s:g} s is not inside the trajectory "
+            f"({trajectory.t[0]:g} to {trajectory.t[-1]:g} s)"
+        )
