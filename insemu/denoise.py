@@ -39,7 +39,13 @@ def sure_threshold(details: ArrayLike) -> float:
 
 
 def denoise(
-    x: ArrayLike, levels: int, *, wavelet: str = "db4", rule: Rule = "sure", mode: Mode = "soft", noise: Noise = "per-level"
+    x: ArrayLike,
+    levels: int,
+    *,
+    wavelet: str = "db4",
+    rule: Rule = "sure",
+    mode: Mode = "soft",
+    noise: Noise = "per-level",
 ) -> Array:
     """Return the signal with the noise of its shortest octaves reduced.
 
@@ -63,14 +69,20 @@ def denoise(
     InputError
         A signal that is not finite or too short for the levels, an unknown wavelet or option.
     """
-    for name, value, known in (("rule", rule, get_args(Rule)), ("mode", mode, get_args(Mode)), ("noise", noise, get_args(Noise))):
+    for name, value, known in (
+        ("rule", rule, get_args(Rule)),
+        ("mode", mode, get_args(Mode)),
+        ("noise", noise, get_args(Noise)),
+    ):
         if value not in known:
             raise InputError(f"{name} is '{value}', expected one of: {', '.join(known)}")
     signal = np.asarray(x, dtype=np.float64)
     if signal.ndim not in (1, 2) or signal.shape[0] == 0:
         raise InputError(f"signal has shape {signal.shape}, expected (n,) or (n, k)")
     if not np.isfinite(signal).all():
-        raise InputError(f"signal has {int((~np.isfinite(signal)).sum())} value(s) that are not finite; expected finite numbers")
+        raise InputError(
+            f"signal has {int((~np.isfinite(signal)).sum())} value(s) that are not finite; expected finite numbers"
+        )
     if wavelet not in pywt.wavelist(kind="discrete"):
         raise InputError(f"unknown wavelet '{wavelet}'" + nearest(wavelet, pywt.wavelist(kind="discrete")))
     n = signal.shape[0]
@@ -80,7 +92,9 @@ def denoise(
     if levels == 0:
         return signal.copy()
     if signal.ndim == 2:
-        return np.column_stack([_denoise(signal[:, k], levels, wavelet, rule, mode, noise) for k in range(signal.shape[1])])
+        return np.column_stack(
+            [_denoise(signal[:, k], levels, wavelet, rule, mode, noise) for k in range(signal.shape[1])]
+        )
     return _denoise(signal, levels, wavelet, rule, mode, noise)
 
 

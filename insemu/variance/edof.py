@@ -65,7 +65,9 @@ def _kappa(kind: str, tc: float, h: Array, m: float, averaged: bool) -> Array:
 
     Second differences of it give minus the covariance one summation lower: -h/2 for white noise, (h^3 - h)/12 for random walk, and so on.
     """
-    if kind == "GM" and m < 1e-3 * tc:  # within its correlation time a Markov noise is a random walk; the closed form would cancel
+    if (
+        kind == "GM" and m < 1e-3 * tc
+    ):  # within its correlation time a Markov noise is a random walk; the closed form would cancel
         return -np.expm1(-2.0 / tc) * _kappa("RW", 0.0, h, m, averaged)
     if kind == "QN":
         return -0.5 * h if averaged else np.zeros_like(h)
@@ -96,7 +98,9 @@ def _component_covariance(kind: str, tc: float, tau: Array, m: float, order: int
     weights = _DIFFERENCE[order]
     total = weights[0] * _kappa(kind, tc, tau, m, averaged)
     for k, weight in enumerate(weights[1:], start=1):
-        total = total + weight * (_kappa(kind, tc, tau + k * m, m, averaged) + _kappa(kind, tc, np.abs(tau - k * m), m, averaged))
+        total = total + weight * (
+            _kappa(kind, tc, tau + k * m, m, averaged) + _kappa(kind, tc, np.abs(tau - k * m), m, averaged)
+        )
     if kind != "GM" or m < 1e-3 * tc:
         total = np.where(tau < order * m, total, 0.0)  # exactly zero there: remove what rounding leaves
     sign = -1.0 if averaged else 1.0
@@ -118,7 +122,9 @@ def component_variance(kind: str, tc: float, m: Array) -> Array:
     return np.array([_component_covariance(kind, tc, zero, float(k))[0] for k in m])
 
 
-def noise_type(scale_samples: Array, value: Array, n_samples: int, *, drift: bool = False) -> list[tuple[str, float, float]]:
+def noise_type(
+    scale_samples: Array, value: Array, n_samples: int, *, drift: bool = False
+) -> list[tuple[str, float, float]]:
     """Return ``(kind, time constant in samples, weight)`` of the non-negative sum of noises that follows the curve.
 
     The weights are of unit components per sample (variances); it is a description of the shape, not a fitted sensor model. ``drift``

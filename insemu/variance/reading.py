@@ -8,8 +8,8 @@ paper 004 section 4.4). Where a slope is not there, nothing is read.
 * A coefficient is fitted over its part together with its neighbours' slopes, so that what leaks in from them is not counted; its interval
   uses the degrees of freedom of the curve and the correlation of its octaves.
 * B is the first flat value (lowest point, else flattest) over 0.664 = sqrt(2 ln 2 / pi). A Gauss-Markov noise of standard
-  deviation s is at 0.617 s at most, so a model whose GM has s = 0.664 B does not read back as B but as 0.617 B, or as what white noise and random walk
-  make of it.
+  deviation s is at 0.617 s at most, so a model whose GM has s = 0.664 B does not read back as B but as 0.617 B, or as what white
+  noise and random walk make of it.
 * Tc comes from the hump of a Gauss-Markov noise (its highest point is at 1.89 Tc) where there is one, else it is the middle of
   the flat part, as paper 004 takes it.
 """
@@ -168,7 +168,9 @@ def _spans(inside: NDArray[np.bool_], known: NDArray[np.bool_], octaves: float) 
     return [r for r in runs if r[1] - r[0] >= 8 * octaves]
 
 
-def _fit(name: str, curve: AllanVariance, tau_from: float, tau_to: float, signal_unit: str, drifts: bool) -> Reading | None:
+def _fit(
+    name: str, curve: AllanVariance, tau_from: float, tau_to: float, signal_unit: str, drifts: bool
+) -> Reading | None:
     """Weighted non-negative fit of the slope and of its neighbours over the part and one octave on either side."""
     exponent, factor = _TERMS[name]
     use = np.flatnonzero((curve.tau_s >= tau_from / 2.1) & (curve.tau_s <= tau_to * 2.1) & (curve.edof >= 1.2))
@@ -224,7 +226,9 @@ def _flat(
     """B from the lowest point of the flat part, Tc from the hump after it or from the part's middle."""
     out: dict[str, Reading] = {}
     flat = (np.abs(slope) < 0.5) & known
-    runs = [r for r in _spans(flat, known, 0.5) if r[0] > 0]  # a curve that begins flat has no white noise to come down from
+    runs = [
+        r for r in _spans(flat, known, 0.5) if r[0] > 0
+    ]  # a curve that begins flat has no white noise to come down from
     runs = [r for r in runs if slope[r[0] : r[1] + 1].max() > -0.25]
     if not runs:
         runs = [r for r in _spans(flat, known, 3.0)]
@@ -233,7 +237,7 @@ def _flat(
     first, last = runs[0]
     within = slope[first : last + 1]
     turns = np.flatnonzero((within[1:] >= 0.0) & (within[:-1] < 0.0))
-    low_at = first + (int(turns[0]) + 1 if turns.size else int(np.argmax(within)))
+    low_at = first + (int(turns[0]) + 1 if turns.size else int(np.argmin(np.abs(within))))
     if not _above_white(curve, tau[low_at], smooth[low_at]):
         return out
     span = (float(tau[first]), float(tau[last]))
@@ -265,4 +269,6 @@ def _above_white(curve: AllanVariance, tau: float, level: float) -> bool:
         return True
     white = float(earlier.min() / curve.tau_s[at])
     freedom = float(curve.edof[at])
-    return bool(curve.value[at] * freedom / chdtri(freedom, 0.001) > white) if white < curve.value[at] else level > white
+    return (
+        bool(curve.value[at] * freedom / chdtri(freedom, 0.001) > white) if white < curve.value[at] else level > white
+    )

@@ -57,7 +57,9 @@ class Spectrum:
 
 def _spectrum(f: Array, psd: Array, edof: Array, method: str, confidence: float) -> Spectrum:
     tail = 0.5 * (1.0 - check_confidence(confidence))
-    return Spectrum(f, psd, edof * psd / chdtri(edof, tail), edof * psd / chdtri(edof, 1.0 - tail), edof, method, confidence)
+    return Spectrum(
+        f, psd, edof * psd / chdtri(edof, tail), edof * psd / chdtri(edof, 1.0 - tail), edof, method, confidence
+    )
 
 
 def psd(
@@ -106,7 +108,9 @@ def psd(
         length = min(n, 1 << 20, max(8, 2 * n // 9)) if segment is None else int(segment)
         if not 8 <= length <= n:
             raise InputError(f"segment is {length} samples, expected 8 to {n}")
-        f, power = signal.welch(values, rate_hz, window="hann", nperseg=length, noverlap=length // 2, detrend="constant")
+        f, power = signal.welch(
+            values, rate_hz, window="hann", nperseg=length, noverlap=length // 2, detrend="constant"
+        )
         pieces = 1 + (n - length) // (length - length // 2)
         # half-overlapped Hann segments are correlated by 1/6 of their amplitude: (1/6)^2 of their power
         edof = 2.0 * pieces / (1.0 + 2.0 * (1.0 - 1.0 / pieces) / 36.0)
@@ -170,7 +174,11 @@ def octave_psd(curve: WaveletVariance) -> Spectrum:
     f = 0.75 * curve.rate_hz / curve.scale_samples
     order = np.argsort(f)
     spectrum = _spectrum(
-        f[order], (factor * curve.value)[order], curve.edof[order], f"octaves of the {curve.filter} wavelet", curve.confidence
+        f[order],
+        (factor * curve.value)[order],
+        curve.edof[order],
+        f"octaves of the {curve.filter} wavelet",
+        curve.confidence,
     )
     return replace(spectrum, low=(factor * curve.low)[order], high=(factor * curve.high)[order])
 
@@ -217,4 +225,6 @@ def autocorrelation(x: ArrayLike, rate_hz: float = 1.0, *, max_lag_s: float | No
     covariance = fft.irfft(np.abs(transform) ** 2, fft.next_fast_len(n + most, real=True))[: most + 1] / n
     if covariance[0] <= 0.0:
         raise InputError("the signal is constant and has no autocorrelation")
-    return Autocorrelation(np.arange(most + 1) / rate_hz, covariance, covariance / covariance[0], 1.96 / float(np.sqrt(n)))
+    return Autocorrelation(
+        np.arange(most + 1) / rate_hz, covariance, covariance / covariance[0], 1.96 / float(np.sqrt(n))
+    )
