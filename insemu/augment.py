@@ -253,9 +253,9 @@ def _cascade(process: ARMA, dt: float) -> StateBlock:
             at += 2
         row, gain = c @ Phi, float(c @ drive)
     Q = np.outer(drive, drive) * process.parameters["sigma2"]
-    P0 = solve_discrete_lyapunov(Phi, Q)
+    P0 = np.asarray(solve_discrete_lyapunov(Phi, Q), dtype=np.float64)
     names = tuple(f"{process.symbol}.{i + 1}" for i in range(n))
-    return StateBlock(names, Phi, Q, c, 0.5 * (P0 + P0.T), 0.0, dt)
+    return StateBlock(names, Phi, Q, c, 0.5 * P0 + 0.5 * P0.T, 0.0, dt)
 
 
 def _block(model: NoiseModel, dt: float) -> StateBlock:
