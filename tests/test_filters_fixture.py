@@ -40,7 +40,7 @@ def replay():
 
 def euler_sigma(covariance, rpy):
     """Standard deviations of roll, pitch and heading from the covariance of phi in north, east, down."""
-    roll, pitch, heading = rpy.T
+    pitch, heading = rpy[:, 1], rpy[:, 2]
     c, s, z, one = np.cos(heading), np.sin(heading), np.zeros_like(heading), np.ones_like(heading)
     J = np.stack(
         [
