@@ -100,7 +100,7 @@ def check_track(track: Track, max_gap_s: float, car: Vehicle) -> tuple[str, ...]
         raise InputError(f"{name}: {t.shape} times and {llh.shape} positions, expected (n,) and (n, 3)")
     if t.size < 5:
         raise InputError(f"{name}: {t.size} point(s), expected at least 5 to make a smooth path")
-    bad = ~np.isfinite(np.column_stack([t, llh])).all(axis=1)
+    bad: NDArray[np.bool_] = np.asarray(~np.isfinite(np.column_stack([t, llh])).all(axis=1))
     if bad.any():
         raise InputError(
             f"{name}: row {int(np.argmax(bad))} has a value that is not finite ({int(bad.sum())} such rows)"
@@ -130,7 +130,7 @@ def check_track(track: Track, max_gap_s: float, car: Vehicle) -> tuple[str, ...]
     moved = np.diff(earth.position_difference(llh, llh[0]), axis=0)
     speed = np.hypot(moved[:, 0], moved[:, 1]) / step
     noise = 4.0 * float(np.mean(track.pos_std)) / step
-    too_fast = speed > 1.2 * car.max_speed + noise
+    too_fast: NDArray[np.bool_] = np.asarray(speed > 1.2 * car.max_speed + noise)
     if too_fast.mean() > 0.02:
         k = int(np.argmax(speed))
         raise InputError(
@@ -272,7 +272,7 @@ class _Smoother:
     def _accumulate(band: Array, first: NDArray[np.int64], values: Array, weight: Array) -> None:
         for i in range(_DEGREE + 1):
             for j in range(i, _DEGREE + 1):
-                np.add.at(band, (j - i, first + i), weight * values[:, i] * values[:, j])
+                np.add.at(band[j - i], first + i, weight * values[:, i] * values[:, j])
 
     def solve(self, data: list[tuple[Array, int, Array, Array]]) -> Array:
         """Coefficients (count,) from ``(times, derivative, values, weights)``; weights are inverse variances."""
@@ -326,9 +326,7 @@ def smooth_track(
     scale_n, scale_e = float(rm + origin[2]), float((rn + origin[2]) * np.cos(origin[0]))
     lon = np.unwrap(llh[:, 1])
     xyz = np.stack([(llh[:, 0] - origin[0]) * scale_n, (lon - lon[0]) * scale_e, llh[:, 2] - origin[2]], axis=1)
-    std = np.broadcast_to(
-        np.asarray(track.pos_std, dtype=float), (t.size, 3) if np.ndim(track.pos_std) else (t.size, 3)
-    )
+    std = np.broadcast_to(np.asarray(track.pos_std, dtype=float), (t.size, 3))
     rates = None
     if track.vel_ned is not None:
         velocity = np.asarray(track.vel_ned, dtype=float)
