@@ -14,6 +14,8 @@ import typer
 COMMANDS: dict[str, str] = {
     "run": "run",
     "schema": "schema",
+    "emulate": "emulate",
+    "dead-reckon": "dead_reckon",
     "fit": "fit",
 }
 
