@@ -15,6 +15,8 @@ COMMANDS: dict[str, str] = {
     "characterise": "characterise",
     "run": "run",
     "schema": "schema",
+    "emulate": "emulate",
+    "dead-reckon": "dead_reckon",
     "fit": "fit",
 }
 
