@@ -115,7 +115,12 @@ def run_with_variants(
                 bars.update(task, completed=finished, total=total, description=f"{label} ({what})")
 
             target = folder / "variants" / name if name else folder
-            results = run_experiment(experiment, workers=workers, cache=folder / "cache", progress=step)
+            try:
+                results = run_experiment(experiment, workers=workers, cache=folder / "cache", progress=step)
+            except KeyboardInterrupt:
+                bars.stop()
+                console.print("Interrupted. Finished realizations are kept; the same command goes on from there.")
+                raise
             bars.update(task, description=label)
             write(results, target)
             (target / "resolved.yaml").write_text(
@@ -202,7 +207,7 @@ def variant_table(main: Results, variants: dict[str, Results]) -> Any:
         k for k, heading in enumerate(header) if heading not in ("95 %", "inside %")
     ]  # the page has room for these
     table = Table(
-        title="\nVariants: planimetric error at outage end, m", title_justify="left", box=SIMPLE_HEAD, pad_edge=False
+        title="\nVariants: planimetric error at outage end, m", title_justify="left", box=None, padding=(0, 1), pad_edge=False, header_style="underline"
     )
     for k in shown:
         table.add_column(header[k], justify="left" if k < 2 else "right", no_wrap=True)

@@ -134,7 +134,7 @@ class Experiment:
                     where=f"{file or 'scenario'}: gnss.outages.{k}",
                 )
         self._lock = Lock()
-        if scenario.truth.recorded is not None and scenario.realizations > self.pieces.count:
+        if self.pieces.count is not None and scenario.realizations > self.pieces.count:
             raise InputError(
                 f"{scenario.realizations} realizations of {length:g} s asked for, but the recorded signals hold "
                 f"{self.pieces.count} non-overlapping pieces of that length",
