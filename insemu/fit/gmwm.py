@@ -363,7 +363,12 @@ def goodness_of_fit(
         return None
     W = root_of_inverse(V[np.ix_(enough, enough)])
     best = search(structure, scale[enough], value[enough], W, n, at.shapes[None, :])
-    return GoodnessOfFit(best.objective, dof, float(special.chdtrc(dof, best.objective)), np.asarray(scale[enough] * dt, dtype=np.float64))
+    return GoodnessOfFit(
+        best.objective,
+        dof,
+        float(special.chdtrc(dof, best.objective)),
+        np.asarray(scale[enough] * dt, dtype=np.float64),
+    )
 
 
 def refit(result: FitResult, value: Array) -> FitResult:

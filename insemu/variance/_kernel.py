@@ -195,7 +195,9 @@ def biweight_sums(w: Array, inverse_square: float) -> tuple[float, float]:  # pr
 
 
 @njit(cache=True, nogil=True)
-def untouched(w: Array, seen: NDArray[np.int64], scale: int, stride: int, out: Array) -> int:  # pragma: no cover - compiled
+def untouched(
+    w: Array, seen: NDArray[np.int64], scale: int, stride: int, out: Array
+) -> int:  # pragma: no cover - compiled
     """Copy every ``stride``-th coefficient whose ``scale`` samples hold no flagged step; returns how many.
 
     ``seen[k]`` counts flagged steps before sample k (a step k joins samples k and k + 1).

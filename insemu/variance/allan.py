@@ -22,7 +22,14 @@ Grid = Literal["octave", "decade", "all"]
 AllanIntervals = Literal["edof", "normal", "clusters"]
 
 #: Samples of the record that one term of each kind spans, in units of m (total: any).
-_SPAN: dict[str, int] = {"overlapping": 2, "non-overlapping": 2, "modified": 3, "hadamard": 3, "overlapping-hadamard": 3, "total": 1}
+_SPAN: dict[str, int] = {
+    "overlapping": 2,
+    "non-overlapping": 2,
+    "modified": 3,
+    "hadamard": 3,
+    "overlapping-hadamard": 3,
+    "total": 1,
+}
 
 
 @dataclass(frozen=True)

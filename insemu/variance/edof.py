@@ -65,7 +65,9 @@ def _kappa(kind: str, tc: float, h: Array, m: float, averaged: bool) -> Array:
 
     Second differences of it give minus the covariance one summation lower: -h/2 for white noise, (h^3 - h)/12 for random walk, and so on.
     """
-    if kind == "GM" and m < 1e-3 * tc:  # within its correlation time a Markov noise is a random walk; the closed form would cancel
+    if (
+        kind == "GM" and m < 1e-3 * tc
+    ):  # within its correlation time a Markov noise is a random walk; the closed form would cancel
         return -np.expm1(-2.0 / tc) * _kappa("RW", 0.0, h, m, averaged)
     if kind == "QN":
         return -0.5 * h if averaged else np.zeros_like(h)
@@ -96,7 +98,9 @@ def _component_covariance(kind: str, tc: float, tau: Array, m: float, order: int
     weights = _DIFFERENCE[order]
     total = weights[0] * _kappa(kind, tc, tau, m, averaged)
     for k, weight in enumerate(weights[1:], start=1):
-        total = total + weight * (_kappa(kind, tc, tau + k * m, m, averaged) + _kappa(kind, tc, np.abs(tau - k * m), m, averaged))
+        total = total + weight * (
+            _kappa(kind, tc, tau + k * m, m, averaged) + _kappa(kind, tc, np.abs(tau - k * m), m, averaged)
+        )
     if kind != "GM" or m < 1e-3 * tc:
         total = np.where(tau < order * m, total, 0.0)  # exactly zero there: remove what rounding leaves
     sign = -1.0 if averaged else 1.0
@@ -112,20 +116,25 @@ def component_variance(kind: str, tc: float, m: Array) -> Array:
     """Haar wavelet variance of a unit component at averages of ``m`` samples."""
     if kind == "QN":
         return 1.5 / m**2
+    if kind == "DR":
+        return 0.25 * m**2
     zero = np.zeros(1)
     return np.array([_component_covariance(kind, tc, zero, float(k))[0] for k in m])
 
 
-def noise_type(scale_samples: Array, value: Array, n_samples: int) -> list[tuple[str, float, float]]:
+def noise_type(
+    scale_samples: Array, value: Array, n_samples: int, *, drift: bool = False
+) -> list[tuple[str, float, float]]:
     """Return ``(kind, time constant in samples, weight)`` of the non-negative sum of noises that follows the curve.
 
-    The weights are of unit components per sample (variances); it is a description of the shape, not a fitted sensor model.
+    The weights are of unit components per sample (variances); it is a description of the shape, not a fitted sensor model. ``drift``
+    allows a deterministic slope too (without it, degrees of freedom stay on the safe side).
     """
     m = np.asarray(scale_samples, dtype=float) / 2.0
     use = value > 0
     if not use.any():
         return []
-    names = _components(n_samples)
+    names = _components(n_samples) + ([("DR", 0.0)] if drift else [])
     basis = np.column_stack([component_variance(kind, tc, m[use]) for kind, tc in names])
     spread = np.sqrt(2.0 / eta3(2.0 * m[use], n_samples))
     target = value[use]
