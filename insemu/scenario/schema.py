@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, field_validator, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, WithJsonSchema, field_validator, model_validator
 
 from insemu import units
+from insemu.effects import EFFECTS, EffectUse
 from insemu.errors import InputError
 from insemu.noise import NoiseModel, axis_unit
 from insemu.records import AXES
@@ -138,6 +139,46 @@ class SensorModels(Section):
         }
 
 
+def _effect(value: Any) -> EffectUse:
+    if isinstance(value, EffectUse):
+        return value
+    if not isinstance(value, Mapping):
+        raise InputError(f"found {value!r}, expected an effect such as {{effect: scale_factor, sensor: accel, value: 1000 ppm}}")
+    return EffectUse.from_mapping(value)
+
+
+Effect = Annotated[
+    EffectUse,
+    BeforeValidator(_effect),
+    PlainSerializer(lambda use: use.to_mapping()),
+    WithJsonSchema(
+        {
+            "type": "object",
+            "description": "an effect of the catalogue: its id, its sensor, axes, and its parameters as quantities",
+            "properties": {
+                "effect": {"enum": sorted(EFFECTS)},
+                "sensor": {"enum": ["gyro", "accel", "imu", "gnss"]},
+                "axes": {"type": ["string", "array"]},
+            },
+            "required": ["effect"],
+        }
+    ),
+]
+
+
+class Temperature(Section):
+    """Temperature of the sensor against time, linear between points."""
+
+    t: tuple[Seconds, ...] = Field(min_length=1)
+    degc: tuple[float, ...] = Field(min_length=1, description="degC, one per time")
+
+    @model_validator(mode="after")
+    def _as_many(self) -> Temperature:
+        if len(self.t) != len(self.degc):
+            raise InputError(f"found {len(self.t)} times and {len(self.degc)} temperatures, expected as many")
+        return self
+
+
 class Truth(SensorModels):
     """What the sensors really do: a model per axis, or pieces of recorded error signals."""
 
@@ -244,6 +285,32 @@ class OutageWindow(Section):
     duration: Seconds = Field(ge=0)
 
 
+class OutageArea(Section):
+    """A circle on the ground without GNSS."""
+
+    latitude: Radians = Field(description="centre, for example 46.5 deg")
+    longitude: Radians
+    radius: Annotated[float, BeforeValidator(_quantity("m")), _schema("m")] = Field(ge=0)
+
+
+class RandomOutages(Section):
+    """Outages drawn from the scenario's seed: Poisson starts, exponential durations."""
+
+    per_hour: float = Field(ge=0)
+    mean: Seconds = Field(gt=0, description="mean duration")
+    clear: Seconds = Field(default=120.0, ge=0, description="time without outages at the start")
+
+
+def _outage(value: Any) -> Any:
+    kinds = {"start": OutageWindow, "duration": OutageWindow, "latitude": OutageArea, "radius": OutageArea, "per_hour": RandomOutages}
+    if isinstance(value, Mapping):
+        for key, kind in kinds.items():
+            if key in value:
+                return kind.model_validate(value)
+        return OutageWindow.model_validate(value)
+    return value
+
+
 class Gnss(Section):
     """The fixes that the filter gets, and what it believes of them."""
 
@@ -253,7 +320,18 @@ class Gnss(Section):
         default=(0.02, 0.02, 0.02), description="standard deviation north, east, down; null: no velocity"
     )
     lever_arm: Metres = Field(default=(0.0, 0.0, 0.0), description="IMU to antenna, forward, right, down")
-    outages: tuple[OutageWindow, ...] = ()
+    outages: tuple[Annotated[OutageWindow | OutageArea | RandomOutages, BeforeValidator(_outage)], ...] = Field(
+        default=(), description="spans {start, duration}, areas {latitude, longitude, radius} or draws {per_hour, mean, clear}"
+    )
+    effects: tuple[Effect, ...] = Field(default=(), description="effects of the sensor gnss")
+
+    @field_validator("effects")
+    @classmethod
+    def _of_gnss(cls, value: tuple[EffectUse, ...]) -> tuple[EffectUse, ...]:
+        for use in value:
+            if use.sensor != "gnss":
+                raise InputError(f"the effect '{use.id}' on '{use.sensor}' is one of the IMU; expected it under truth.effects")
+        return value
 
     @field_validator("position_sigma", "velocity_sigma")
     @classmethod
