@@ -12,12 +12,15 @@ def command(
     seed: int | None = typer.Option(None, "--seed", min=0, help="Seed of all random draws; default the scenario's."),
     variant: str | None = typer.Option(None, "--variant", help="Name of one of the scenario's variants."),
     ideal: bool = typer.Option(False, "--ideal", help="Perfect sensors: no errors on the IMU or the fixes."),
-    figure: str = typer.Option("", "--figure", help="Also draw track, speed, turn rate and residuals (PNG, PDF or SVG)."),
+    figure: str = typer.Option(
+        "", "--figure", help="Also draw track, speed, turn rate and residuals (PNG, PDF or SVG)."
+    ),
     as_json: bool = typer.Option(False, "--json", help="Print what was written as JSON."),
 ) -> None:
     """Emulate one realization of a scenario: IMU with its errors, GNSS with its outages, and the reference.
 
-    Every other command reads the recording that it writes; realization 7 is the one that insemu run flies as its eighth.
+    Every other command reads the recording that it writes; realization 7 is the one that insemu run flies as its
+    eighth.
     """
     import json
 
@@ -25,7 +28,11 @@ def command(
     from insemu.formats import write
     from insemu.scenario import load
 
-    given = load(scenario, variant=variant or "", overrides={"seed": seed}) if variant else load(scenario, overrides={"seed": seed})
+    given = (
+        load(scenario, variant=variant or "", overrides={"seed": seed})
+        if variant
+        else load(scenario, overrides={"seed": seed})
+    )
     experiment = Experiment(given, scenario)
     for warning in experiment.warnings:
         typer.echo(f"insemu: warning: {warning}", err=True)
@@ -42,7 +49,7 @@ def command(
         "duration_s": float(recording.imu.t[-1] - recording.imu.t[0]),
         "imu_samples": len(recording.imu),
         "imu_kind": recording.imu.kind,
-        "imu_rate_hz": 1.0 / recording.imu.dt,
+        "imu_rate_hz": round(1.0 / recording.imu.dt, 6),
         "gnss_fixes": 0 if gnss is None else len(gnss),
         "path_distance_m": experiment.path_distance_m,
         "mode": given.trajectory.mode,
