@@ -237,6 +237,8 @@ class _Packed:
     diagonal: bool
     d: Array
     phi: Array
+    offsets: NDArray[np.int64]
+    mix: Array
     q_at: NDArray[np.int64]
     q: Array
 
@@ -269,6 +271,13 @@ def _pack(aug: Augmentation, powers: int) -> _Packed:
         d[p, behind] = np.diag(Phi)
         for i, j in zip(*np.nonzero(Phi), strict=True):
             phi[p, slot[i], slot[j], lanes[i]] = Phi[i, j]
+    far = {0} | {int(i - j) for i, j in np.argwhere((phi != 0).any(axis=(0, 3)))}
+    offsets = np.array(sorted(far, key=lambda o: (o != 0, o)), dtype=np.int64)
+    mix = np.zeros((powers, offsets.size, kernel.LD))
+    for i, o in enumerate(offsets):
+        for s in range(max(o, 0), min(slots, slots + o)):
+            at = kernel.FIRST + 8 * s
+            mix[:, i, at : at + 8] = phi[:, s, s - o]
     rows, columns = np.nonzero((Qs != 0).any(axis=0))
     return _Packed(
         place,
@@ -276,6 +285,8 @@ def _pack(aug: Augmentation, powers: int) -> _Packed:
         diagonal,
         d,
         phi,
+        offsets,
+        mix,
         behind[rows] * kernel.LD + behind[columns],
         np.ascontiguousarray(Qs[:, rows, columns]),
     )
@@ -430,7 +441,7 @@ class LooselyCoupledEKF:
         a, p = self.augmentation, self._packed
         started = time.perf_counter()
         code, detail = kernel.run(
-            t, record.gyro, record.accel, nav, x0, P0, p.place, a.axis, a.c, a.driver, p.slots, p.diagonal, p.d, p.phi, p.q_at, p.q,
+            t, record.gyro, record.accel, nav, x0, P0, p.place, a.axis, a.c, a.driver, p.slots, p.diagonal, p.d, p.phi, p.offsets, p.mix, p.q_at, p.q,
             a.white, self._gravity, self.lever_arm, lever_at, latency_at, self.thresholds(), o.covariance_every, o.output_every,
             events.epoch, events.kind, events.tau, events.z, events.var, cov_epoch, node_epoch, stored,
             out_nav, out_var, out_x, nu, S, nis, dof, ok, K, H, out_P, node_nav, node_x, before, after, phi, node_dx, P,

@@ -15,6 +15,8 @@ nine rows, to the rows. It is the trapezoid of the mechanization: attitude first
 with the mean velocity error, so that the second-order terms in dt that matter come without products of matrices.
 
 Only columns 16.. of the navigation rows are kept, not their transposes; the matrix is symmetric by construction.
+
+Loops over columns run from 0 over views: only then does the compiler know that no index is negative, and vectorises them.
 """
 
 from __future__ import annotations
@@ -33,11 +35,11 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 #: Row length of the expanded covariance; bounds the number of slots.
-LD = 120
+LD = 136
 #: First row of the axis errors and of the states behind.
 U = 9
 FIRST = 16
-MAX_SLOTS = (LD - FIRST) // 8
+MAX_SLOTS = 14
 #: Length of the coefficients that :func:`fill_map` writes.
 MAP_SIZE = 46
 
@@ -111,95 +113,221 @@ def apply_map(w: Array, half: float, E: Array, columns: int) -> None:
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
+def columns_of(slots: int) -> int:
+    """Columns of the states behind, filled up with zeros to whole vector iterations; a shorter rest would run one by one."""
+    return 16 * ((slots + 1) // 2)
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST)
 def _scale_rows(E: Array, d: Array, slots: int) -> None:
     """States behind, each with a transition of its own: rows and columns scaled."""
-    end = FIRST + 8 * slots
-    for j in range(FIRST, end):
-        x = d[j]
-        E[j] *= x
-        E[LD + j] *= x
-        E[2 * LD + j] *= x
-        E[3 * LD + j] *= x
-        E[4 * LD + j] *= x
-        E[5 * LD + j] *= x
-        E[6 * LD + j] *= x
-        E[7 * LD + j] *= x
-        E[8 * LD + j] *= x
+    width = columns_of(slots)
+    D, N = d[FIRST:], E[FIRST:]
+    for j in range(width):
+        x = D[j]
+        N[j] *= x
+        N[LD + j] *= x
+        N[2 * LD + j] *= x
+        N[3 * LD + j] *= x
+        N[4 * LD + j] *= x
+        N[5 * LD + j] *= x
+        N[6 * LD + j] *= x
+        N[7 * LD + j] *= x
+        N[8 * LD + j] *= x
     for s in range(slots):
         r = FIRST + 8 * s
-        b = r * LD
+        R = E[r * LD + FIRST :]
         d0, d1, d2, d3, d4, d5 = d[r], d[r + 1], d[r + 2], d[r + 3], d[r + 4], d[r + 5]
-        for j in range(FIRST, end):
-            x = d[j]
-            E[b + j] *= d0 * x
-            E[b + LD + j] *= d1 * x
-            E[b + 2 * LD + j] *= d2 * x
-            E[b + 3 * LD + j] *= d3 * x
-            E[b + 4 * LD + j] *= d4 * x
-            E[b + 5 * LD + j] *= d5 * x
+        for j in range(width):
+            x = D[j]
+            R[j] *= d0 * x
+            R[LD + j] *= d1 * x
+            R[2 * LD + j] *= d2 * x
+            R[3 * LD + j] *= d3 * x
+            R[4 * LD + j] *= d4 * x
+            R[5 * LD + j] *= d5 * x
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _mix_rows(E: Array, phi: Array, slots: int, work: Array) -> None:
     """States behind that mix within an axis: ``rows <- Phi rows`` for their own columns; ``phi`` is (slots, slots, 8)."""
-    end = FIRST + 8 * slots
-    for lane in range(6):
-        for s in range(slots):
-            o = s * LD
-            for j in range(FIRST, end):
-                work[o + j] = 0.0
-            for k in range(slots):
-                x = phi[s, k, lane]
-                if x != 0.0:
-                    b = (FIRST + 8 * k + lane) * LD
-                    for j in range(FIRST, end):
-                        work[o + j] += x * E[b + j]
-        for s in range(slots):
-            o = s * LD
-            b = (FIRST + 8 * s + lane) * LD
-            for j in range(FIRST, end):
-                E[b + j] = work[o + j]
+    width = columns_of(slots)
+    work[: 8 * slots * LD] = E[FIRST * LD : (FIRST + 8 * slots) * LD]
+    for s in range(slots):
+        R = E[(FIRST + 8 * s) * LD + FIRST :]
+        p = phi[s, s]
+        d0, d1, d2, d3, d4, d5 = p[0], p[1], p[2], p[3], p[4], p[5]
+        for j in range(width):
+            R[j] *= d0
+            R[LD + j] *= d1
+            R[2 * LD + j] *= d2
+            R[3 * LD + j] *= d3
+            R[4 * LD + j] *= d4
+            R[5 * LD + j] *= d5
+        for k in range(slots):
+            p = phi[s, k]
+            d0, d1, d2, d3, d4, d5 = p[0], p[1], p[2], p[3], p[4], p[5]
+            if k != s and (d0 != 0.0 or d1 != 0.0 or d2 != 0.0 or d3 != 0.0 or d4 != 0.0 or d5 != 0.0):
+                W = work[8 * k * LD + FIRST :]
+                for j in range(width):
+                    R[j] += d0 * W[j]
+                    R[LD + j] += d1 * W[LD + j]
+                    R[2 * LD + j] += d2 * W[2 * LD + j]
+                    R[3 * LD + j] += d3 * W[3 * LD + j]
+                    R[4 * LD + j] += d4 * W[4 * LD + j]
+                    R[5 * LD + j] += d5 * W[5 * LD + j]
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
-def _mix_columns(E: Array, phi: Array, slots: int, work: Array) -> None:
-    """``columns <- columns Phi'`` for the navigation rows and the rows of the states behind."""
-    for r in range(FIRST + 8 * slots):
-        if 9 <= r < FIRST:
-            continue
-        b = r * LD + FIRST
-        for j in range(8 * slots):
-            work[j] = 0.0
-        for s in range(slots):
-            for k in range(slots):
-                for lane in range(8):
-                    work[8 * s + lane] += phi[s, k, lane] * E[b + 8 * k + lane]
-        for j in range(8 * slots):
-            E[b + j] = work[j]
+def _mix_columns(E: Array, offsets: Ints, mix: Array, slots: int, work: Array) -> None:
+    """``columns <- columns Phi'`` for the navigation rows and the rows of the states behind.
+
+    Column j takes ``mix[i, j]`` times the old column 8 ``offsets[i]`` before it.
+    """
+    width = columns_of(slots)
+    R, W = E[FIRST:], work
+    for j in range(width):
+        W[j] = R[j]
+        W[LD + j] = R[LD + j]
+        W[2 * LD + j] = R[2 * LD + j]
+        W[3 * LD + j] = R[3 * LD + j]
+        W[4 * LD + j] = R[4 * LD + j]
+        W[5 * LD + j] = R[5 * LD + j]
+        W[6 * LD + j] = R[6 * LD + j]
+        W[7 * LD + j] = R[7 * LD + j]
+        W[8 * LD + j] = R[8 * LD + j]
+    for i in range(offsets.size):
+        o = 8 * offsets[i]
+        R, W, M = E[FIRST + max(o, 0) :], work[max(-o, 0) :], mix[i, FIRST + max(o, 0) :]
+        if i == 0:  # offset zero comes first and replaces
+            for j in range(width):
+                x = M[j]
+                R[j] *= x
+                R[LD + j] *= x
+                R[2 * LD + j] *= x
+                R[3 * LD + j] *= x
+                R[4 * LD + j] *= x
+                R[5 * LD + j] *= x
+                R[6 * LD + j] *= x
+                R[7 * LD + j] *= x
+                R[8 * LD + j] *= x
+        else:
+            for j in range(width - abs(o)):
+                x = M[j]
+                R[j] += x * W[j]
+                R[LD + j] += x * W[LD + j]
+                R[2 * LD + j] += x * W[2 * LD + j]
+                R[3 * LD + j] += x * W[3 * LD + j]
+                R[4 * LD + j] += x * W[4 * LD + j]
+                R[5 * LD + j] += x * W[5 * LD + j]
+                R[6 * LD + j] += x * W[6 * LD + j]
+                R[7 * LD + j] += x * W[7 * LD + j]
+                R[8 * LD + j] += x * W[8 * LD + j]
+    for s in range(slots):
+        b = (FIRST + 8 * s) * LD + FIRST
+        R, W = E[b:], work
+        for j in range(width):
+            W[j] = R[j]
+            W[LD + j] = R[LD + j]
+            W[2 * LD + j] = R[2 * LD + j]
+            W[3 * LD + j] = R[3 * LD + j]
+            W[4 * LD + j] = R[4 * LD + j]
+            W[5 * LD + j] = R[5 * LD + j]
+        for i in range(offsets.size):
+            o = 8 * offsets[i]
+            R, W, M = E[b + max(o, 0) :], work[max(-o, 0) :], mix[i, FIRST + max(o, 0) :]
+            if i == 0:
+                for j in range(width):
+                    x = M[j]
+                    R[j] *= x
+                    R[LD + j] *= x
+                    R[2 * LD + j] *= x
+                    R[3 * LD + j] *= x
+                    R[4 * LD + j] *= x
+                    R[5 * LD + j] *= x
+            else:
+                for j in range(width - abs(o)):
+                    x = M[j]
+                    R[j] += x * W[j]
+                    R[LD + j] += x * W[LD + j]
+                    R[2 * LD + j] += x * W[2 * LD + j]
+                    R[3 * LD + j] += x * W[3 * LD + j]
+                    R[4 * LD + j] += x * W[4 * LD + j]
+                    R[5 * LD + j] += x * W[5 * LD + j]
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
-def _axis_rows(E: Array, c: Array, slots: int, start: int) -> None:
-    """Rows of the axis errors from the rows of the states behind, for columns ``start`` to the end of the slots."""
-    end = FIRST + 8 * slots
-    for j in range(start, end):
-        E[9 * LD + j] = 0.0
-        E[10 * LD + j] = 0.0
-        E[11 * LD + j] = 0.0
-        E[12 * LD + j] = 0.0
-        E[13 * LD + j] = 0.0
-        E[14 * LD + j] = 0.0
+def _axis_rows(E: Array, c: Array, slots: int, work: Array) -> None:
+    """Rows of the axis errors from the rows of the states behind, for the columns of the states behind."""
+    width = columns_of(slots)
+    V = work  # apart from E, so that the loops vectorise
+    for j in range(width):
+        V[j] = 0.0
+        V[LD + j] = 0.0
+        V[2 * LD + j] = 0.0
+        V[3 * LD + j] = 0.0
+        V[4 * LD + j] = 0.0
+        V[5 * LD + j] = 0.0
     for s in range(slots):
         r = FIRST + 8 * s
-        b = r * LD
+        R = E[r * LD + FIRST :]
         c0, c1, c2, c3, c4, c5 = c[r], c[r + 1], c[r + 2], c[r + 3], c[r + 4], c[r + 5]
-        for j in range(start, end):
-            E[9 * LD + j] -= c0 * E[b + j]
-            E[10 * LD + j] -= c1 * E[b + LD + j]
-            E[11 * LD + j] -= c2 * E[b + 2 * LD + j]
-            E[12 * LD + j] -= c3 * E[b + 3 * LD + j]
-            E[13 * LD + j] -= c4 * E[b + 4 * LD + j]
-            E[14 * LD + j] -= c5 * E[b + 5 * LD + j]
+        for j in range(width):
+            V[j] -= c0 * R[j]
+            V[LD + j] -= c1 * R[LD + j]
+            V[2 * LD + j] -= c2 * R[2 * LD + j]
+            V[3 * LD + j] -= c3 * R[3 * LD + j]
+            V[4 * LD + j] -= c4 * R[4 * LD + j]
+            V[5 * LD + j] -= c5 * R[5 * LD + j]
+    R = E[U * LD + FIRST :]
+    for j in range(width):
+        R[j] = V[j]
+        R[LD + j] = V[LD + j]
+        R[2 * LD + j] = V[2 * LD + j]
+        R[3 * LD + j] = V[3 * LD + j]
+        R[4 * LD + j] = V[4 * LD + j]
+        R[5 * LD + j] = V[5 * LD + j]
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST)
+def _axis_columns(E: Array, c: Array, slots: int) -> None:
+    """Covariance of the navigation errors and of the axis errors with the axis errors, both halves, from columns of the states behind."""
+    for a in range(6):
+        n0 = n1 = n2 = n3 = n4 = n5 = n6 = n7 = n8 = 0.0
+        u0 = u1 = u2 = u3 = u4 = u5 = 0.0
+        for s in range(slots):
+            C = E[FIRST + 8 * s + a :]
+            x = c[FIRST + 8 * s + a]
+            n0 -= x * C[0]
+            n1 -= x * C[LD]
+            n2 -= x * C[2 * LD]
+            n3 -= x * C[3 * LD]
+            n4 -= x * C[4 * LD]
+            n5 -= x * C[5 * LD]
+            n6 -= x * C[6 * LD]
+            n7 -= x * C[7 * LD]
+            n8 -= x * C[8 * LD]
+            u0 -= x * C[9 * LD]
+            u1 -= x * C[10 * LD]
+            u2 -= x * C[11 * LD]
+            u3 -= x * C[12 * LD]
+            u4 -= x * C[13 * LD]
+            u5 -= x * C[14 * LD]
+        C = E[U + a :]
+        C[0], C[LD], C[2 * LD], C[3 * LD], C[4 * LD] = n0, n1, n2, n3, n4
+        C[5 * LD], C[6 * LD], C[7 * LD], C[8 * LD] = n5, n6, n7, n8
+        C[9 * LD], C[10 * LD], C[11 * LD], C[12 * LD], C[13 * LD], C[14 * LD] = u0, u1, u2, u3, u4, u5
+        R = E[(U + a) * LD :]
+        R[0], R[1], R[2], R[3], R[4], R[5], R[6], R[7], R[8] = n0, n1, n2, n3, n4, n5, n6, n7, n8
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST)
+def _transpose(E: Array, T: Array) -> None:
+    """The nine navigation rows and their first fifteen columns, transposed."""
+    for j in range(15):
+        C, R = E[j:], T[j * LD :]
+        R[0], R[1], R[2], R[3], R[4] = C[0], C[LD], C[2 * LD], C[3 * LD], C[4 * LD]
+        R[5], R[6], R[7], R[8] = C[5 * LD], C[6 * LD], C[7 * LD], C[8 * LD]
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
@@ -211,6 +339,8 @@ def predict(
     diagonal: bool,
     d: Array,
     phi: Array,
+    offsets: Ints,
+    mix: Array,
     q_at: Ints,
     q: Array,
     c: Array,
@@ -232,6 +362,8 @@ def predict(
         Whether every state behind moves by itself (``d``), or lanes mix (``phi``).
     d, phi : (LD,), (slots, slots, 8) arrays
         Transition of the states behind.
+    offsets, mix : (k,), (k, LD) arrays
+        The same by the distance of slots; distance zero first.
     q_at, q : (k,) arrays
         Places in ``E`` and values of the driving covariance.
     c : (LD,) array
@@ -241,46 +373,26 @@ def predict(
     T, work : (15 * LD,), (LD * LD,) arrays
         Working space.
     """
-    end = FIRST + 8 * slots
+    end = FIRST + columns_of(slots)
     if slots > 0:
         if diagonal:
             _scale_rows(E, d, slots)
         else:
             _mix_rows(E, phi, slots, work)
-            _mix_columns(E, phi, slots, work)
+            _mix_columns(E, offsets, mix, slots, work)
         for i in range(q.size):
             E[q_at[i]] += q[i]
-        _axis_rows(E, c, slots, FIRST)
-    for i in range(9):
-        b = i * LD
-        for a in range(6):
-            total = 0.0
-            for s in range(slots):
-                k = FIRST + 8 * s + a
-                total -= c[k] * E[b + k]
-            E[b + U + a] = total
-            E[(U + a) * LD + i] = total
+        _axis_rows(E, c, slots, work)
+    _axis_columns(E, c, slots)
     for a in range(6):
-        b = (U + a) * LD
-        for e in range(6):
-            total = 0.0
-            for s in range(slots):
-                k = FIRST + 8 * s + e
-                total -= c[k] * E[b + k]
-            E[b + U + e] = total
-        E[b + U + a] += white[a]
-
+        E[(U + a) * LD + U + a] += white[a]
     apply_map(w, half, E, end)
-    for i in range(9):
-        b = i * LD
-        for j in range(15):
-            T[j * LD + i] = E[b + j]
+    _transpose(E, T)
     apply_map(w, half, T, FIRST)
     for i in range(9):
-        for j in range(i, 9):
-            x = T[i * LD + j]
-            E[i * LD + j] = x
-            E[j * LD + i] = x
+        for j in range(9):
+            # of two sums that differ in rounding one is kept
+            E[i * LD + j] = T[i * LD + j] if i < j else T[j * LD + i]
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
@@ -296,7 +408,7 @@ def advance_transition(
     work: Array,
 ) -> None:
     """Multiply the transition since the last node (same layout as ``E``) by that of one step, in place."""
-    end = FIRST + 8 * slots
+    end = FIRST + columns_of(slots)
     if slots > 0:
         if diagonal:
             for s in range(slots):
@@ -308,7 +420,7 @@ def advance_transition(
                             A[r * LD + j] *= x
         else:
             _mix_rows(A, phi, slots, work)
-        _axis_rows(A, c, slots, FIRST)
+        _axis_rows(A, c, slots, work)
     apply_map(w, half, A, end)
 
 
@@ -383,6 +495,8 @@ def run(
     diagonal: bool,
     d_of: Array,
     phi_of: Array,
+    offsets: Ints,
+    mix_of: Array,
     q_at: Ints,
     q_of: Array,
     white: Array,
@@ -431,10 +545,10 @@ def run(
     n = place.size
     m = n - 9
     end = FIRST + 8 * slots
-    E = np.zeros(max(end, FIRST) * LD)
+    E = np.zeros((end + 1) * LD)
     T = np.zeros(15 * LD)
-    work = np.zeros(max(slots, 1) * LD)
-    A = np.zeros(max(end, FIRST) * LD if store else 1)
+    work = np.zeros((8 * slots + 10) * LD)
+    A = np.zeros((end + 1) * LD if store else 1)
     w = np.zeros(MAP_SIZE)
     F = np.zeros((9, 9))
     C = np.empty((3, 3))
@@ -472,7 +586,7 @@ def run(
     event, cov, node, row = 0, 0, 0, 0
 
     d_one, phi_one = d_of[0], phi_of[0]
-    d, phi, q = d_one, phi_one, q_of[0]
+    d, phi, mix, q = d_one, phi_one, mix_of[0], q_of[0]
     bad = first_bad_pivot(P, L)
     if bad >= 0:
         return 1, bad
@@ -540,8 +654,8 @@ def run(
                 fill_map(F, mid, span, w)
                 half = 0.5 * span
                 if every > 1:
-                    d, phi, q = d_of[count - 1], phi_of[count - 1], q_of[count - 1]
-                predict(E, w, half, slots, diagonal, d, phi, q_at, q, c, white_now, T, work)
+                    d, phi, mix, q = d_of[count - 1], phi_of[count - 1], mix_of[count - 1], q_of[count - 1]
+                predict(E, w, half, slots, diagonal, d, phi, offsets, mix, q_at, q, c, white_now, T, work)
                 if store:
                     advance_transition(A, w, half, slots, diagonal, d, phi, c, work)
                 span, count = 0.0, 0
