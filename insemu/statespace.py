@@ -226,9 +226,7 @@ class Smoothed:
     log_likelihood: float
 
 
-def _prepared(
-    block: StateBlock, y: ArrayLike, u: ArrayLike | None, x0: ArrayLike | None
-) -> tuple[Array, Array, Array]:
+def _prepared(block: StateBlock, y: ArrayLike, u: ArrayLike | None, x0: ArrayLike | None) -> tuple[Array, Array, Array]:
     signal = np.ascontiguousarray(y, dtype=np.float64)
     if signal.ndim != 1 or signal.size == 0:
         raise InputError(f"the signal has shape {signal.shape}, expected (n,) with at least one sample")
@@ -241,7 +239,9 @@ def _prepared(
     return signal, drift, start
 
 
-def log_likelihood(block: StateBlock, y: ArrayLike, *, u: ArrayLike | None = None, x0: ArrayLike | None = None) -> float:
+def log_likelihood(
+    block: StateBlock, y: ArrayLike, *, u: ArrayLike | None = None, x0: ArrayLike | None = None
+) -> float:
     """Gaussian log-likelihood of a scalar signal.
 
     Parameters
@@ -272,7 +272,18 @@ def log_likelihood(block: StateBlock, y: ArrayLike, *, u: ArrayLike | None = Non
         return float(-0.5 * (signal.size * math.log(2.0 * math.pi * block.white) + signal @ signal / block.white))
     empty2, empty3 = np.empty((1, 1)), np.empty((1, 1, 1))
     value, _ = kalman(
-        _c(block.Phi), _c(block.Q), _c(block.c), block.white, drift, start, _c(block.P0), signal, empty2, empty3, empty3, False
+        _c(block.Phi),
+        _c(block.Q),
+        _c(block.c),
+        block.white,
+        drift,
+        start,
+        _c(block.P0),
+        signal,
+        empty2,
+        empty3,
+        empty3,
+        False,
     )
     return float(value)
 
@@ -300,4 +311,6 @@ def smooth(block: StateBlock, y: ArrayLike, *, u: ArrayLike | None = None, x0: A
 
 
 def _c(a: Array) -> Array:
-    return np.array(a, dtype=np.float64, order="C")  # the blocks' arrays are read-only, which would compile a second version
+    return np.array(
+        a, dtype=np.float64, order="C"
+    )  # the blocks' arrays are read-only, which would compile a second version

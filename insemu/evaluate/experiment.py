@@ -45,7 +45,7 @@ from insemu.fit import FitResult, fit
 from insemu.formats import AXIS_OF_COLUMN, read_static
 from insemu.noise import NoiseModel, axis_unit, load
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Series, Trajectory
-from insemu.scenario import AxisSource, OutageArea, OutageWindow, RecordedSignal, Scenario, digest, resolve_path
+from insemu.scenario import AxisSource, RecordedSignal, Scenario, digest, resolve_path
 from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
@@ -76,21 +76,19 @@ class Belief:
 
 def _outages(scenario: Scenario, reference: Trajectory) -> list[Outage | AreaOutage]:
     """Outages by time, by area, and drawn from the seed: the same in every realization."""
-    out: list[Outage | AreaOutage] = []
-    for k, outage in enumerate(scenario.gnss.outages):
-        if isinstance(outage, OutageWindow):
-            out.append(Outage(outage.start, outage.duration))
-        elif isinstance(outage, OutageArea):
-            out.append(AreaOutage(outage.latitude, outage.longitude, outage.radius))
-        else:
-            out += random_outages(
-                float(reference.t[0]),
-                float(reference.t[-1]),
-                per_hour=outage.per_hour,
-                mean_s=outage.mean,
-                clear_s=outage.clear,
-                rng=stream(scenario.seed, "outages", k),
-            )
+    gnss = scenario.gnss
+    out: list[Outage | AreaOutage] = [Outage(o.start, o.duration) for o in gnss.outages]
+    out += [AreaOutage(a.latitude, a.longitude, a.radius) for a in gnss.areas]
+    if gnss.random_outages is not None:
+        drawn = gnss.random_outages
+        out += random_outages(
+            float(reference.t[0]),
+            float(reference.t[-1]),
+            per_hour=drawn.per_hour,
+            mean_s=drawn.mean,
+            clear_s=drawn.clear,
+            rng=stream(scenario.seed, "outages"),
+        )
     return out
 
 
@@ -168,7 +166,7 @@ class Experiment:
         self.path_distance_m: float = ideal.path_distance_m
         length = float(self.reference.t[-1] - self.reference.t[0])
         for k, outage in enumerate(scenario.gnss.outages):  # before anything is flown, with the key that says it
-            if isinstance(outage, OutageWindow) and outage.start + outage.duration > length + 1e-9:
+            if outage.start + outage.duration > length + 1e-9:
                 raise InputError(
                     f"outage {k + 1} ends at {outage.start + outage.duration:g} s, but the trajectory ends at {length:g} s",
                     where=f"{file or 'scenario'}: gnss.outages.{k}",
@@ -311,6 +309,7 @@ class Experiment:
             Perfect sensors instead: no errors on the IMU or the fixes, the outages kept.
         """
         s = self.scenario
+        uses = () if ideal else s.truth.uses()
         imu = self.imu
         if not ideal:
             with self._lock:  # a simulated record serves many pieces; one thread draws it
@@ -320,7 +319,7 @@ class Experiment:
                 self.imu,
                 None,
                 stream(s.seed, "effects", index),
-                effects=s.truth.effects,
+                effects=uses,
                 reference=self.reference,
                 temperature=None if temperature is None else TemperatureProfile(temperature.t, temperature.degc),
                 errors=signals,
@@ -334,7 +333,7 @@ class Experiment:
             lever_arm=s.gnss.lever_arm,
             outages=_outages(s, self.reference),
             rng=stream(s.seed, "gnss", index),
-            effects=() if ideal else s.gnss.effects,
+            effects=uses,
         )
         return Recording(imu, fixes, self.reference, f"{self.flight.name}, realization {index}")
 
@@ -492,7 +491,7 @@ def run_experiment(
         seed=s.seed,
         t=experiment.output_times,
         designs=designs,
-        outages=[(o.start_s, o.duration_s) for o in _outages(s, experiment.reference) if isinstance(o, Outage)],
+        outages=[(o.start, o.duration) for o in s.gnss.outages],
         truth=experiment.truth_at_outputs,
         timing=timing,
         manifest=manifest_of(experiment) | {"timing": timing},

@@ -231,7 +231,9 @@ def fit_em(
         raise InputError(f"ramp is '{ramp}', expected one of: {', '.join(get_args(Ramp))}")
     bad = [p.symbol for p in model if type(p) not in (WN, RW, GM, AR1, AR, DR)]
     if bad:
-        raise InputError(f"{bad[0]} has no closed update here; expected a sum of WN, RW, GM, AR1, AR and DR (or use gmwm)")
+        raise InputError(
+            f"{bad[0]} has no closed update here; expected a sum of WN, RW, GM, AR1, AR and DR (or use gmwm)"
+        )
     model = model.at_rate(series.rate_hz)
     dt = series.dt
     y = np.array(series.values)
@@ -249,10 +251,16 @@ def fit_em(
         except InputError:
             if start is None:
                 raise
-    begin = moments if start is None else NoiseModel(tuple(p for p in start.at_rate(series.rate_hz) if not isinstance(p, DR)))
+    begin = (
+        moments
+        if start is None
+        else NoiseModel(tuple(p for p in start.at_rate(series.rate_hz) if not isinstance(p, DR)))
+    )
     assert begin is not None
     if [type(p) for p in begin] != [type(p) for p in noise] or not begin.specified:
-        raise InputError(f"the starting model {start} has another structure than {noise} (or parameters without a value)")
+        raise InputError(
+            f"the starting model {start} has another structure than {noise} (or parameters without a value)"
+        )
     spread = max(float(np.var(y)), 1e-300)
     begin = NoiseModel(tuple(_positive(p, spread, dt, y.size) for p in begin))
     space, places = _space(noise, begin, dt, spread, inside, start_slope=_slope_of(start))
@@ -264,7 +272,9 @@ def fit_em(
     converged = found.stopped
     final = found.trace[-1] if found.trace.size else -math.inf
     if not found.stopped:
-        notes.append(f"the likelihood still rose after {found.trace.size} iterations; raise `iterations` or start nearer")
+        notes.append(
+            f"the likelihood still rose after {found.trace.size} iterations; raise `iterations` or start nearer"
+        )
     if check and moments is not None and not inside:
         other = _likelihood(NoiseModel(tuple(_positive(p, spread, dt, y.size) for p in moments)), noise, y, dt, spread)
         # EM may stop a little short of the top it is on; a whole unit below another estimate is another matter
@@ -282,11 +292,15 @@ def fit_em(
         error = slope_error if ramp == "least_squares" else math.nan
         z = 1.959963984540054
         parameters = tuple(
-            replace(e, standard_error=error, low=e.value - z * error, high=e.value + z * error, free=True) if e.process == "DR" else e
+            replace(e, standard_error=error, low=e.value - z * error, high=e.value + z * error, free=True)
+            if e.process == "DR"
+            else e
             for e in parameters
         )
         if ramp == "least_squares":
-            notes.append("the ramp was removed by least squares; its standard error takes the residuals for white and is too small")
+            notes.append(
+                "the ramp was removed by least squares; its standard error takes the residuals for white and is too small"
+            )
     return FitResult(
         name=series.name,
         method="em",
@@ -431,25 +445,27 @@ def _information(
         parts = list(model.processes)
         for (k, name), d, s in zip(free, move, steps, strict=True):
             old = model.processes[k].parameters[name]
-            positive = next(meta for meta in asked.processes[k].parameters_meta() if meta.name == name).domain == "positive"
+            positive = (
+                next(meta for meta in asked.processes[k].parameters_meta() if meta.name == name).domain == "positive"
+            )
             parts[k] = parts[k].with_parameters({name: old * math.exp(d) if positive else old + d * s})
         try:
             return _likelihood(NoiseModel(tuple(parts)), asked, y, dt, spread)
         except (InputError, np.linalg.LinAlgError):
             return math.nan
 
-    p = len(free)
-    out = np.full((p, p), np.nan)
-    alive = [i for i in range(p) if steps[i] > 0]
+    count = len(free)
+    out = np.full((count, count), np.nan)
+    alive = [i for i in range(count) if steps[i] > 0]
     h = 0.02
-    hessian = np.zeros((p, p))
-    centre = value_at(np.zeros(p))
+    hessian = np.zeros((count, count))
+    centre = value_at(np.zeros(count))
     for a, i in enumerate(alive):
-        e = np.zeros(p)
+        e = np.zeros(count)
         e[i] = h
         hessian[i, i] = (value_at(e) - 2.0 * centre + value_at(-e)) / h**2
         for j in alive[:a]:
-            f = np.zeros(p)
+            f = np.zeros(count)
             f[j] = h
             mixed = (value_at(e + f) - value_at(e - f) - value_at(f - e) + value_at(-e - f)) / (4.0 * h * h)
             hessian[i, j] = hessian[j, i] = mixed
@@ -463,7 +479,13 @@ def _information(
 
 
 def _with_ramp(
-    fitted: NoiseModel, model: NoiseModel, found: Expectation, places: list[tuple[int, slice]], slope: float, dt: float, inside: bool
+    fitted: NoiseModel,
+    model: NoiseModel,
+    found: Expectation,
+    places: list[tuple[int, slice]],
+    slope: float,
+    dt: float,
+    inside: bool,
 ) -> NoiseModel:
     parts = list(fitted.processes)
     out: list[Process] = []

@@ -183,11 +183,15 @@ def fit_mli(
         raise InputError(f"{series.name} has {n} samples, expected at least 16")
     at = sampling_pattern(n, pattern, points)
     curve = wavelet_variance(series.values, series.rate_hz, intervals="eta3")
-    begin = start.at_rate(series.rate_hz) if start is not None else fit_curve(curve, model, weighting="asymptotic").model
+    begin = (
+        start.at_rate(series.rate_hz) if start is not None else fit_curve(curve, model, weighting="asymptotic").model
+    )
     if [type(p) for p in begin] != [type(p) for p in model] or not begin.specified:
-        raise InputError(f"the starting model {start} has another structure than {model} (or parameters without a value)")
+        raise InputError(
+            f"the starting model {start} has another structure than {model} (or parameters without a value)"
+        )
     if integrated:
-        problem = _Problem(integrate(series.values, at, dt), at, dt, bias)
+        problem: _Problem | _Direct = _Problem(integrate(series.values, at, dt), at, dt, bias)
     else:
         problem = _Direct(series.values[at - 1], at, dt, bias)
     free, values, transforms = _coordinates(model, begin, curve.value[0])
@@ -196,7 +200,9 @@ def fit_mli(
         parts = list(begin.processes)
         changes: dict[int, dict[str, float]] = {}
         for (k, name), v, kind in zip(free, move, transforms, strict=True):
-            changes.setdefault(k, {})[name] = math.exp(min(v, 300.0)) if kind == "log" else (math.tanh(v) if kind == "atanh" else v)
+            changes.setdefault(k, {})[name] = (
+                math.exp(min(v, 300.0)) if kind == "log" else (math.tanh(v) if kind == "atanh" else v)
+            )
         for k, change in changes.items():
             parts[k] = parts[k].with_parameters(change)
         return NoiseModel(tuple(parts))
@@ -216,7 +222,11 @@ def fit_mli(
     if len(free):
         low, high = values - 12.0, values + 12.0
         found = optimize.minimize(
-            cost, values, method="L-BFGS-B", bounds=list(zip(low, high, strict=True)), options={"maxiter": 200, "ftol": 1e-11, "eps": 1e-5}
+            cost,
+            values,
+            method="L-BFGS-B",
+            bounds=list(zip(low, high, strict=True)),
+            options={"maxiter": 200, "ftol": 1e-11, "eps": 1e-5},
         )
         polished = optimize.minimize(
             cost, found.x, method="Nelder-Mead",
@@ -255,7 +265,14 @@ def fit_mli(
         objective=-final,
         converged=converged,
         warnings=tuple(notes),
-        details={"pattern": pattern, "points": at.size, "integrated": integrated, "bias": constant if bias else 0.0, "start": begin, "free": free},
+        details={
+            "pattern": pattern,
+            "points": at.size,
+            "integrated": integrated,
+            "bias": constant if bias else 0.0,
+            "start": begin,
+            "free": free,
+        },
     )
 
 

@@ -29,7 +29,6 @@ __all__ = [
     "Gnss",
     "Initial",
     "OutageArea",
-    "OutageArea",
     "OutageWindow",
     "Published",
     "RandomOutages",
