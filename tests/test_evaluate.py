@@ -10,7 +10,17 @@ import pytest
 import xarray as xr
 
 from insemu.errors import InputError
-from insemu.evaluate import Results, bootstrap_mean, navigation_error, outage_table, paired_ratio, summary, verdicts, within_outage, write
+from insemu.evaluate import (
+    Results,
+    bootstrap_mean,
+    navigation_error,
+    outage_table,
+    paired_ratio,
+    summary,
+    verdicts,
+    within_outage,
+    write,
+)
 from insemu.evaluate.results import DesignInfo
 from insemu.records import Trajectory
 
@@ -86,7 +96,9 @@ def test_paired_comparison_finds_a_difference_and_finds_none() -> None:
 
 
 def test_bootstrap_interval_covers() -> None:
-    """95 % percentile intervals of 40 normal values: 500 repeats cover between 90 and 97 % (binomial, 1e-4, small-sample deficit known)."""
+    """95 % percentile intervals of 40 normal values: 500 repeats cover between 90 and 97 % (binomial, 1e-4,
+    small-sample deficit known).
+    """
     rng = np.random.default_rng(5)
     hits = 0
     for _ in range(500):

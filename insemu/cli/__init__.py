@@ -12,8 +12,11 @@ import typer
 
 #: Command name -> module of this package whose function ``command`` it calls, in the order of ``insemu --help``.
 COMMANDS: dict[str, str] = {
+    "characterise": "characterise",
     "run": "run",
     "schema": "schema",
+    "emulate": "emulate",
+    "dead-reckon": "dead_reckon",
     "fit": "fit",
 }
 

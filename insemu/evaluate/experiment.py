@@ -22,9 +22,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 import insemu
-from insemu import earth
-from insemu.emulate import Outage, RecordedErrors, built_in, gnss_fixes, ideal_imu
-from insemu.emulate.errors import add_rates
+from insemu import earth, rotation
+from insemu.emulate import (
+    AreaOutage,
+    Mounting,
+    Outage,
+    RecordedErrors,
+    TemperatureProfile,
+    corrupt,
+    gnss_fixes,
+    ideal_imu,
+    load_flight,
+    random_outages,
+)
+from insemu.emulate.gnss import state_at
 from insemu.emulate.pieces import ErrorPieces, recorded_pieces, simulated_pieces
 from insemu.errors import InputError
 from insemu.evaluate.errors import navigation_error
@@ -33,7 +44,7 @@ from insemu.filters import FilterOptions, InitialSigma, LooselyCoupledEKF
 from insemu.fit import FitResult, fit
 from insemu.formats import AXIS_OF_COLUMN, read_static
 from insemu.noise import NoiseModel, axis_unit, load
-from insemu.records import AXES, ImuRecord, Series, Trajectory
+from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Series, Trajectory
 from insemu.scenario import AxisSource, RecordedSignal, Scenario, digest, resolve_path
 from insemu.strapdown import NavState
 
@@ -41,7 +52,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
 
 #: Streams of randomness; each gets children of the scenario's seed by (stream, realization or record, axis).
-_STREAMS = {"truth": 0, "gnss": 1, "initial": 2, "fits": 3}
+_STREAMS = {"truth": 0, "gnss": 1, "initial": 2, "fits": 3, "effects": 4, "outages": 5}
 #: Interval of the epochs at which errors are evaluated, s.
 OUTPUT_INTERVAL = 1.0
 
@@ -63,8 +74,22 @@ class Belief:
     fits: Mapping[str, FitResult] = field(default_factory=dict)
 
 
-def _outages(scenario: Scenario) -> list[Outage]:
-    return [Outage(o.start, o.duration) for o in scenario.gnss.outages]
+def _outages(scenario: Scenario, reference: Trajectory) -> list[Outage | AreaOutage]:
+    """Outages by time, by area, and drawn from the seed: the same in every realization."""
+    gnss = scenario.gnss
+    out: list[Outage | AreaOutage] = [Outage(o.start, o.duration) for o in gnss.outages]
+    out += [AreaOutage(a.latitude, a.longitude, a.radius) for a in gnss.areas]
+    if gnss.random_outages is not None:
+        drawn = gnss.random_outages
+        out += random_outages(
+            float(reference.t[0]),
+            float(reference.t[-1]),
+            per_hour=drawn.per_hour,
+            mean_s=drawn.mean,
+            clear_s=drawn.clear,
+            rng=stream(scenario.seed, "outages"),
+        )
+    return out
 
 
 def input_files(scenario: Scenario, file: str | Path | None) -> dict[str, Path]:
@@ -72,6 +97,8 @@ def input_files(scenario: Scenario, file: str | Path | None) -> dict[str, Path]:
     names: list[str] = []
     for recorded in (scenario.truth.recorded, scenario.fits.recorded if scenario.fits else None):
         names += list(recorded.files) if recorded else []
+    source = scenario.trajectory
+    names += [name for name in (source.waypoints, source.track, source.motion) if name is not None]
     for design in scenario.designs.values():
         names += [s.file for s in design.sources().values() if isinstance(s, AxisSource) and s.file]
     return {name: resolve_path(name, file) for name in dict.fromkeys(names)}
@@ -120,9 +147,20 @@ class Experiment:
         self.files = input_files(scenario, file)
         self.digest = digest(scenario, self.files)
         source = scenario.trajectory
-        flight = built_in(source.builtin or "").path
-        span = None if source.duration is None else (flight.start, min(flight.end, flight.start + source.duration))
-        ideal = ideal_imu(flight, source.rate, mode=source.mode, span=span)
+        loaded = load_flight(
+            builtin=source.builtin,
+            waypoints=self.files[source.waypoints] if source.waypoints else None,
+            track=self.files[source.track] if source.track else None,
+            motion=self.files[source.motion] if source.motion else None,
+            vehicle=source.vehicle,
+            speed=source.speed,
+            max_gap_s=source.max_gap,
+        )
+        self.flight, self.track, self.warnings = loaded.flight, loaded.track, loaded.warnings
+        path = self.flight.path
+        span = None if source.duration is None else (path.start, min(path.end, path.start + source.duration))
+        mounting = None if source.mounting is None else Mounting(source.mounting.lever_arm, source.mounting.rpy)
+        ideal = ideal_imu(path, source.rate, mode=source.mode, kind=source.kind, span=span, mounting=mounting)
         self.reference: Trajectory = ideal.reference
         self.imu: ImuRecord = ideal.imu
         self.path_distance_m: float = ideal.path_distance_m
@@ -260,6 +298,45 @@ class Experiment:
         )
         return moved, InitialSigma(position=i.position_sigma, velocity=i.velocity_sigma, attitude=attitude)
 
+    def recording(self, index: int, *, ideal: bool = False) -> Recording:
+        """What the sensors of one realization give, with the reference.
+
+        Parameters
+        ----------
+        index : int
+            Realization; the same alone or among 1000.
+        ideal : bool
+            Perfect sensors instead: no errors on the IMU or the fixes, the outages kept.
+        """
+        s = self.scenario
+        uses = () if ideal else s.truth.uses()
+        imu = self.imu
+        if not ideal:
+            with self._lock:  # a simulated record serves many pieces; one thread draws it
+                signals = self.pieces.piece(index)
+            temperature = s.truth.temperature
+            imu = corrupt(
+                self.imu,
+                None,
+                stream(s.seed, "effects", index),
+                effects=uses,
+                reference=self.reference,
+                temperature=None if temperature is None else TemperatureProfile(temperature.t, temperature.degc),
+                errors=signals,
+            ).imu
+        velocity = s.gnss.velocity_sigma
+        fixes: GnssRecord = gnss_fixes(
+            self.reference,
+            rate_hz=s.gnss.rate,
+            pos_sigma_ned=(0.0, 0.0, 0.0) if ideal else s.gnss.position_sigma,
+            vel_sigma_ned=(0.0, 0.0, 0.0) if ideal and velocity is not None else velocity,
+            lever_arm=s.gnss.lever_arm,
+            outages=_outages(s, self.reference),
+            rng=stream(s.seed, "gnss", index),
+            effects=uses,
+        )
+        return Recording(imu, fixes, self.reference, f"{self.flight.name}, realization {index}")
+
     def realization(self, index: int) -> dict[str, Array]:
         """Fly every design through one realization.
 
@@ -268,24 +345,21 @@ class Experiment:
         dict of arrays
             ``error, sigma`` (design, time, 9); ``nees`` (design, time); ``nis`` (design,); ``epochs``, ``seconds``.
         """
-        s = self.scenario
-        with self._lock:  # a simulated record serves many pieces; one thread draws it
-            signals = self.pieces.piece(index)
-        imu = add_rates(self.imu, signals[:, :3], signals[:, 3:])
-        fixes = gnss_fixes(
-            self.reference,
-            rate_hz=s.gnss.rate,
-            pos_sigma_ned=s.gnss.position_sigma,
-            vel_sigma_ned=s.gnss.velocity_sigma,
-            lever_arm=s.gnss.lever_arm,
-            outages=_outages(s),
-            rng=stream(s.seed, "gnss", index),
-        )
+        recording = self.recording(index)
+        imu, fixes = recording.imu, recording.gnss
+        if len(imu) != len(self.imu):
+            raise InputError(
+                "effect 'dropped_samples': realizations with other epochs cannot be tabled together; "
+                "write them with insemu emulate instead"
+            )
         start, start_sigma = self.initial(index)
         out: dict[str, list[Any]] = {"error": [], "sigma": [], "nees": [], "nis": [], "epochs": [], "seconds": []}
         for ekf in self.filters.values():
             run = ekf.run(imu, fixes, start, start_sigma)
-            error = navigation_error(run.trajectory, self.truth_at_outputs)
+            truth = self.truth_at_outputs
+            if not np.array_equal(run.trajectory.t, truth.t):  # stamps that are late, drift or jitter
+                truth = _at(self.reference, run.trajectory.t)
+            error = navigation_error(run.trajectory, truth)
             covariance = run.covariance[:, :9, :9]
             nees = np.zeros(len(error))
             nees[1:] = np.einsum("ti,ti->t", error[1:], np.linalg.solve(covariance, error[1:, :, None])[..., 0])
@@ -299,6 +373,13 @@ class Experiment:
             out["epochs"].append(run.epochs)
             out["seconds"].append(run.seconds)
         return {name: np.array(values) for name, values in out.items()}
+
+
+def _at(reference: Trajectory, t: Array) -> Trajectory:
+    """A trajectory at other times, held at its ends."""
+    inside = np.clip(t, reference.t[0], reference.t[-1])
+    llh, vel, q, _ = state_at(reference, inside)
+    return Trajectory(t, llh, vel, rotation.rpy_from_quaternion(q), reference.name)
 
 
 def git_revision() -> str | None:

@@ -14,9 +14,9 @@ from insemu.errors import InputError, nearest
 from insemu.fit.result import Criterion, Estimate, FitResult, GoodnessOfFit, kalibr, save
 from insemu.noise import NoiseModel, Process
 from insemu.records import Series
-from insemu.variance import WaveletVariance, wavelet_variance
+from insemu.variance import WaveletVariance, robust_wavelet_variance, wavelet_variance
 
-Method = Literal["gmwm"]
+Method = Literal["gmwm", "em", "mli", "slopes", "burg"]
 
 __all__ = ["Criterion", "Estimate", "FitResult", "GoodnessOfFit", "Method", "fit", "kalibr", "save"]
 
@@ -29,6 +29,7 @@ def fit(
     rate_hz: float | None = None,
     unit: str | None = None,
     name: str | None = None,
+    robust: bool = False,
     **options: Any,
 ) -> FitResult:
     """Fit a noise model to a signal.
@@ -39,12 +40,16 @@ def fit(
         Signal at rest (or its Haar wavelet variance, for ``gmwm``).
     model : NoiseModel, Process or str
         Structure such as ``"2*GM() + WN()"``; parameters that have a value are held.
-    method : {"gmwm"}
-        Estimator.
+    method : {"gmwm", "em", "mli", "slopes", "burg"}
+        Wavelet moments, constrained expectation-maximization, integrated maximum likelihood, slopes of the Allan variance or PSD, Burg's
+        autoregression.
+    robust : bool
+        Of ``gmwm``: use the robust wavelet variance.
     rate_hz, unit, name
         Of an array; a :class:`~insemu.records.Series` carries them.
     **options
-        Of the method, see :func:`insemu.fit.gmwm.fit_curve`.
+        Of the method, see :func:`insemu.fit.gmwm.fit_curve`, :func:`insemu.fit.em.fit_em`, :func:`insemu.fit.likelihood.fit_mli`,
+        :func:`insemu.fit.slopes.fit_slopes`, :func:`insemu.fit.burg.fit_burg`.
 
     Raises
     ------
@@ -65,12 +70,43 @@ def fit(
     from insemu.fit.gmwm import fit_curve
 
     if isinstance(signal, WaveletVariance):
-        asked = _model(model, unit or "")
-        return fit_curve(signal, asked, unit=unit or "", name=name or "signal", **options)
+        if method != "gmwm":
+            raise InputError(f"method '{method}' needs the signal itself, not its wavelet variance")
+        efficiency = getattr(signal, "efficiency", 1.0)
+        return fit_curve(
+            signal,
+            _model(model, unit or ""),
+            unit=unit or "",
+            name=name or "signal",
+            **{"efficiency": efficiency, **options},
+        )
     series = as_series(signal, rate_hz, unit, name)
     asked = _model(model, series.unit)
-    curve = wavelet_variance(series.values, series.rate_hz)
-    return fit_curve(curve, asked, unit=series.unit, name=series.name, **options)
+    if method == "gmwm":
+        curve: WaveletVariance
+        if robust:
+            curve = robust_wavelet_variance(series.values, series.rate_hz)
+            options = {"efficiency": getattr(curve, "efficiency", 1.0), **options}
+        else:
+            curve = wavelet_variance(series.values, series.rate_hz)
+        return fit_curve(curve, asked, unit=series.unit, name=series.name, **options)
+    if robust:
+        raise InputError(f"robust belongs to gmwm, not to '{method}'")
+    if method == "em":
+        from insemu.fit.em import fit_em
+
+        return fit_em(series, asked, **options)
+    if method == "mli":
+        from insemu.fit.likelihood import fit_mli
+
+        return fit_mli(series, asked, **options)
+    if method == "slopes":
+        from insemu.fit.slopes import fit_slopes
+
+        return fit_slopes(series, asked, **options)
+    from insemu.fit.burg import fit_burg
+
+    return fit_burg(series, asked, **options)
 
 
 def as_series(signal: Series | ArrayLike, rate_hz: float | None, unit: str | None, name: str | None) -> Series:

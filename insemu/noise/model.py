@@ -239,7 +239,8 @@ def _process_of_arguments(name: str, arguments: str, signal_unit: str, text: str
             raise InputError(
                 f"cannot read '{argument}' in '{name}({arguments})' of the model '{text}'; expected name=quantity"
             )
-    for order, value in (("p", given.pop("p", None)), ("q", given.pop("q", None))):
+    for order in ("p", "q") if issubclass(PROCESSES[name], ARMA) else ():
+        value = given.pop(order, None)
         if value is not None:
             if not str(value).isdigit():
                 raise InputError(f"order {order} of {name} is '{value}', expected a whole number")
