@@ -29,24 +29,43 @@ def haar_buffers(levels: int, full: int = FULL_OVERLAP) -> tuple[NDArray[np.int6
     return offsets, np.zeros(int(offsets[-1]))
 
 
+# Plain loops over slices that start at 0: an index such as ``i - m`` could be negative, and the check for that would keep the compiler
+# from vectorising. Averages are kept as sums: powers of two are divided out at the end, exactly.
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
-def _step(a: Array, b: Array, old: Array, m: int, n: int, first: int) -> float:  # pragma: no cover - compiled
-    """One octave of one chunk: averages ``a`` to ``b``; returns the sum of squares of differences from index ``first`` on."""
+def _octave(new: Array, old: Array, out: Array) -> float:  # pragma: no cover - compiled
+    """Sums to ``out``; returns the sum of squared differences."""
     total = 0.0
-    split = min(m, n)  # before it the earlier average comes from the delay line
-    for i in range(min(first, split)):
-        b[i] = 0.5 * (a[i] + old[i])
-    for i in range(min(first, split), split):
-        d = a[i] - old[i]
-        b[i] = 0.5 * (a[i] + old[i])
-        total += d * d
-    for i in range(split, max(first, split)):
-        b[i] = 0.5 * (a[i] + a[i - m])
-    for i in range(max(first, split), n):
-        d = a[i] - a[i - m]
-        b[i] = 0.5 * (a[i] + a[i - m])
+    for i in range(new.size):
+        d = new[i] - old[i]
+        out[i] = new[i] + old[i]
         total += d * d
     return total
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
+def _octave_of_line(new: Array, line: Array, out: Array) -> float:  # pragma: no cover - compiled
+    """As :func:`_octave` with the delay line's part, which then takes the new values."""
+    total = 0.0
+    for i in range(new.size):
+        n = new[i]
+        o = line[i]
+        d = n - o
+        out[i] = n + o
+        line[i] = n
+        total += d * d
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _octave_from(first: int, new: Array, old: Array, out: Array) -> float:  # pragma: no cover - compiled
+    """As :func:`_octave`, but differences count from index ``first`` on."""
+    if first <= 0:
+        return _octave(new, old, out)
+    if first >= new.size:
+        _octave(new, old, out)
+        return 0.0
+    _octave(new[:first], old[:first], out[:first])
+    return _octave(new[first:], old[first:], out[first:])
 
 
 @njit(cache=True, nogil=True)
@@ -96,14 +115,17 @@ def haar_push(
             first = min(max(first_g - g, 0), n)
             if m >= n:
                 at = g % m
-                window = old[at : at + n]
-                sums[level] += _step(a, b, window, m, n, first)
-                for i in range(n):
-                    window[i] = a[i]
+                line = old[at : at + n]
+                if first == 0:
+                    total = _octave_of_line(a[:n], line, b[:n])
+                else:
+                    total = _octave_from(first, a[:n], line, b[:n])
+                    line[:] = a[:n]
             else:
-                sums[level] += _step(a, b, old, m, n, first)
-                for i in range(m):
-                    old[i] = a[n - m + i]
+                total = _octave_from(first, a[:m], old, b[:m])
+                total += _octave_from(first - m, a[m:n], a[: n - m], b[m:n])
+                old[:] = a[n - m : n]
+            sums[level] += total * 0.25**level
             counts[level] += n - first
             a, b = b, a
         done += CHUNK

@@ -118,8 +118,16 @@ def component_variance(kind: str, tc: float, m: Array) -> Array:
         return 1.5 / m**2
     if kind == "DR":
         return 0.25 * m**2
-    zero = np.zeros(1)
-    return np.array([_component_covariance(kind, tc, zero, float(k))[0] for k in m])
+    if kind == "WN":
+        return 0.5 / m
+    walk = (2.0 * m * m + 1.0) / (12.0 * m)
+    if kind == "RW":
+        return walk
+    phi, one_minus = np.exp(-1.0 / tc), -np.expm1(-1.0 / tc)
+    closed = 4.0 * (0.5 * (1.0 + phi) / one_minus) * m + phi / one_minus**2 * (
+        8.0 * np.expm1(-m / tc) - 2.0 * np.expm1(-2.0 * m / tc)
+    )
+    return np.asarray(np.where(m < 1e-3 * tc, -np.expm1(-2.0 / tc) * walk, closed / (4.0 * m * m)))
 
 
 def noise_type(
@@ -154,8 +162,8 @@ def _nodes(m: int, last: int, longest: float, order: int, stride: int) -> Array:
     end = min(last, int(order * m + 12 * longest))
     if end // stride <= 256:
         return np.arange(0, end + 1, stride, dtype=float)
-    reach = np.unique(np.round(np.concatenate([[0, 1, 2], 1.35 ** np.arange(4.0, np.log(end) / np.log(1.35) + 1)])))
-    body = np.linspace(0, order * m, 48 * order + 1).round()
+    reach = np.unique(np.round(np.concatenate([[0, 1, 2], 1.5 ** np.arange(3.0, np.log(end) / np.log(1.5) + 1)])))
+    body = np.linspace(0, order * m, 32 * order + 1).round()
     nodes = np.concatenate([c * m + s * reach for c in range(order + 1) for s in (-1, 1)] + [body, [end]])
     nodes = np.unique((nodes[(nodes >= 0) & (nodes <= end)] // stride) * stride)
     return nodes
