@@ -90,9 +90,8 @@ def file_backed() -> float:
 
 
 def long_file(n: int) -> None:
-    print(
-        f"\none pass over a memory-mapped file (float32), all octaves\n{'samples':>12s} {'octaves':>8s} {'s':>7s} {'ns/sample/octave':>17s} {'peak MB':>8s}"
-    )
+    print("\none pass over a memory-mapped file (float32), all octaves")
+    print(f"{'samples':>12s} {'octaves':>8s} {'s':>7s} {'ns/sample/octave':>17s} {'peak MB':>8s}")
     cost = []
     for size in (10_000_000, n):
         with tempfile.TemporaryDirectory() as folder:
