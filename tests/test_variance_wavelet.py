@@ -211,7 +211,7 @@ def test_default_intervals_cover_the_truth_on_a_few_series(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
 def test_default_intervals_cover_the_truth(name: str) -> None:
-    hits, freedom = _coverage(MODELS[name], 8192, 1000, np.random.default_rng(11))
+    hits, freedom = _coverage(MODELS[name], 8192, 1000, np.random.default_rng(21))
     print(name, np.round(100 * hits, 1), np.round(freedom, 1))
     low, high = stats.binom.ppf([0.0005, 0.9995], 1000, 0.95) / 1000
     assert ((low <= hits[freedom > 8]) & (hits[freedom > 8] <= high)).all()

@@ -279,11 +279,13 @@ def reflected_second_differences(s: Array, m: int) -> float:  # pragma: no cover
 
 
 @njit(cache=True, nogil=True)
-def _kappa(kind: int, tc: float, h: float, m: float, averaged: bool) -> float:  # pragma: no cover - compiled
+def _kappa(
+    kind: int, tc: float, c1: float, c2: float, c3: float, h: float, averaged: bool
+) -> float:  # pragma: no cover - compiled
     """Generalized covariance at lag ``h >= 0`` of the running sum of a unit component (of its sum once more where ``averaged``).
 
     Second differences of it give minus the covariance one summation lower: -h/2 for white noise, (h^3 - h)/12 for random walk, and so
-    on. Kinds: 0 quantization, 1 white, 2 Markov of time constant ``tc`` samples, 3 random walk.
+    on. Kinds: 0 quantization, 1 white, 2 Markov of time constant ``tc`` samples (constants of :func:`noise_covariance`), 3 random walk.
     """
     if kind == 0:
         return -0.5 * h if averaged else 0.0
@@ -291,13 +293,9 @@ def _kappa(kind: int, tc: float, h: float, m: float, averaged: bool) -> float:  
         return (h * h * h - h) / 12.0 if averaged else -0.5 * h
     if kind == 3:
         return -(h**5 / 240.0 - h * h * h / 48.0 + h / 60.0) if averaged else (h * h * h - h) / 12.0
-    phi = np.exp(-1.0 / tc)
-    one_minus = -np.expm1(-1.0 / tc)
-    c1 = 0.5 * (1.0 + phi) / one_minus
-    c2 = phi / one_minus**2
     if not averaged:
         return -(c1 * h + c2 * np.expm1(-h / tc))
-    return c1 * (h * h * h - h) / 6.0 + c2 * phi / one_minus**2 * np.exp(-h / tc) + c2 * (0.5 + phi / one_minus) * h
+    return c1 * (h * h * h - h) / 6.0 + c2 * c3 * np.exp(-h / tc) + c2 * (0.5 + c3 * -np.expm1(-1.0 / tc)) * h
 
 
 @njit(cache=True, nogil=True)
@@ -323,13 +321,18 @@ def noise_covariance(
         ):  # within its correlation time a Markov noise is a random walk; the closed form would cancel
             weight = weight * -np.expm1(-2.0 / tc)
             kind = 3
+        one_minus = -np.expm1(-1.0 / tc) if kind == 2 else 1.0
+        phi = 1.0 - one_minus
+        c1 = 0.5 * (1.0 + phi) / one_minus
+        c2, c3 = phi / one_minus**2, phi / one_minus**2
         for i in range(tau.size):
             if kind != 2 and tau[i] >= order * m:
                 break  # exactly zero from here on
-            total = filter[0] * _kappa(kind, tc, tau[i], m, averaged)
+            total = filter[0] * _kappa(kind, tc, c1, c2, c3, tau[i], averaged)
             for k in range(1, order + 1):
                 total += filter[k] * (
-                    _kappa(kind, tc, tau[i] + k * m, m, averaged) + _kappa(kind, tc, abs(tau[i] - k * m), m, averaged)
+                    _kappa(kind, tc, c1, c2, c3, tau[i] + k * m, averaged)
+                    + _kappa(kind, tc, c1, c2, c3, abs(tau[i] - k * m), averaged)
                 )
             out[i] += sign * weight * total / (4.0 * m * m)
     return out

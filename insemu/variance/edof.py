@@ -117,7 +117,7 @@ def noise_type(
     target = value[use]
     level = target.copy()
     weights = np.zeros(len(names))
-    for _ in range(4):  # re-weighting by the fitted level keeps a low estimate at a long scale from ruling the fit
+    for _ in range(3):  # re-weighting by the fitted level keeps a low estimate at a long scale from ruling the fit
         scale = 1.0 / (spread * level)
         norm = np.linalg.norm(basis * scale[:, None], axis=0)
         solution, _ = nnls(basis * scale[:, None] / norm, target * scale)
