@@ -2,6 +2,8 @@
 wavelet variance.
 """
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
@@ -274,7 +276,7 @@ def test_time_stamps(rich):
     np.testing.assert_allclose(recovered(drift - rich.t, rich.t - rich.t[0]), 20e-6, rtol=0.01)
     jitter = stamps(use("time_jitter", sigma="0.5 ms")) - rich.t
     assert jitter.std() == pytest.approx(5e-4, rel=5 / np.sqrt(2 * rich.t.size))
-    with pytest.raises(InputError, match="time_jitter.*go back"):
+    with pytest.raises(InputError, match=r"time_jitter.*go back"):
         stamps(use("time_jitter", sigma="5 ms"))
 
 
@@ -377,7 +379,7 @@ def theory(name):
         return effect, process.wavelet_variance(SCALES, DT), None
     expected = empirical(resonance(SCALES[-1] + 1), SCALES)
     whole = resonance(3 * N_SAMPLES)
-    edof = model_edof(level1_autocovariance(lambda lag: whole[np.abs(lag)], N_SAMPLES), expected)
+    edof = model_edof(level1_autocovariance(N_SAMPLES, autocovariance=lambda lag: whole[np.abs(lag)]), expected)
     return effect, expected, edof
 
 
@@ -535,7 +537,7 @@ def test_outages_by_area_and_at_random(drive):
     drawn = emulate.random_outages(0.0, 360000.0, per_hour=6.0, mean_s=30.0, rng=RNG(1), clear_s=100.0)
     assert drawn == emulate.random_outages(0.0, 360000.0, per_hour=6.0, mean_s=30.0, rng=RNG(1), clear_s=100.0)
     assert drawn[0].start_s >= 100.0
-    assert all(a.end_s < b.start_s for a, b in zip(drawn, drawn[1:], strict=False))
+    assert all(a.end_s < b.start_s for a, b in pairwise(drawn))
     assert len(drawn) == pytest.approx(600, rel=0.2)
     assert np.mean([o.duration_s for o in drawn]) == pytest.approx(30.0, rel=0.3)
     with pytest.raises(InputError, match="no fix at all"):
