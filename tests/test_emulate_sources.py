@@ -83,8 +83,8 @@ def test_profile_does_what_the_commands_say():
 
 MOTION = """ini lat (deg),ini lon (deg),ini alt (m),ini vx,ini vy,ini vz,ini yaw,ini pitch,ini roll
 32,120,50,0,0,0,10,0,0
-command type,yaw (deg),pitch (deg),roll (deg),vx_body (m/s),vy_body (m/s),vz_body (m/s),command duration (s),GPS
-visibility 1,0,0,0,0,0,0,20,1
+command type,yaw (deg),pitch (deg),roll (deg),vx (m/s),vy (m/s),vz (m/s),duration (s),GPS
+1,0,0,0,0,0,0,20,1
 5,0,0,0,10,0,0,25,1
 3,90,0,0,0,0,0,25,0
 1,-3,0,0,0,0,0,20,1
