@@ -12,8 +12,8 @@ def command(
 ) -> None:
     """Dead-reckon a recording from its own reference at the first IMU epoch.
 
-    Prints the largest and the final position error, the largest velocity and attitude error against the reference (ref_*), and how many
-    epochs a second the mechanization does.
+    Prints the largest and the final position error, the largest velocity and attitude error against the reference
+    (ref_*), and how many epochs a second the mechanization does.
     """
     import json
 
@@ -24,7 +24,9 @@ def command(
     if as_json:
         typer.echo(json.dumps(result.to_dict()))
         return
-    typer.echo(f"{result.source}: {result.epochs} epochs ({result.kind}s) from {result.start_s:g} to {result.end_s:g} s, gravity {gravity}")
+    typer.echo(
+        f"{result.source}: {result.epochs} epochs ({result.kind}s) from {result.start_s:g} to {result.end_s:g} s, gravity {gravity}"
+    )
     rows = (
         ("largest position error", result.max_position_error_m, "m"),
         ("final position error", result.final_position_error_m, "m"),

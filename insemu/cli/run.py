@@ -207,7 +207,12 @@ def variant_table(main: Results, variants: dict[str, Results]) -> Any:
         k for k, heading in enumerate(header) if heading not in ("95 %", "inside %")
     ]  # the page has room for these
     table = Table(
-        title="\nVariants: planimetric error at outage end, m", title_justify="left", box=None, padding=(0, 1), pad_edge=False, header_style="underline"
+        title="\nVariants: planimetric error at outage end, m",
+        title_justify="left",
+        box=None,
+        padding=(0, 1),
+        pad_edge=False,
+        header_style="underline",
     )
     for k in shown:
         table.add_column(header[k], justify="left" if k < 2 else "right", no_wrap=True)

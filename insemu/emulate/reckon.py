@@ -52,7 +52,9 @@ def dead_reckon(recording: Recording, *, gravity: str = "normal") -> DeadReckoni
     """
     reference, imu = recording.reference, recording.imu
     if reference is None:
-        raise InputError("has no reference (ref_t, ref_llh, ref_vel_ned, ref_rpy_deg) to start from", where=recording.source)
+        raise InputError(
+            "has no reference (ref_t, ref_llh, ref_vel_ned, ref_rpy_deg) to start from", where=recording.source
+        )
     if len(reference) < 2:
         raise InputError("has a reference of one epoch, expected at least two", where=recording.source)
     inside = (imu.t >= reference.t[0] - 1e-9) & (imu.t <= reference.t[-1] + 1e-9)

@@ -116,8 +116,9 @@ def read_track(path: str | Path) -> Track:
     Parameters
     ----------
     path : path
-        A recording (``.npz`` or folder): its GNSS fixes, else its reference as a full pose. Or a ``.csv`` with a header that names ``t``,
-        ``lat``, ``lon``, ``height`` and optionally ``vn, ve, vd`` and ``roll, pitch, heading``, units in brackets (``height [ft]``).
+        A recording (``.npz`` or folder): its GNSS fixes, else its reference as a full pose. Or a ``.csv`` with a
+        header that names ``t``, ``lat``, ``lon``, ``height`` and optionally ``vn, ve, vd`` and ``roll, pitch,
+        heading``, units in brackets (``height [ft]``).
 
     Raises
     ------
@@ -175,6 +176,4 @@ def read_track(path: str | Path) -> Track:
 
     llh = block(("lat", "lon", "height"))
     assert llh is not None
-    return Track(
-        data["t"], llh, block(("vn", "ve", "vd")), block(("roll", "pitch", "heading")), name=f"{path}"
-    )
+    return Track(data["t"], llh, block(("vn", "ve", "vd")), block(("roll", "pitch", "heading")), name=f"{path}")

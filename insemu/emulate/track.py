@@ -155,7 +155,7 @@ def check_track(track: Track, max_gap_s: float, car: Vehicle) -> tuple[str, ...]
 
 def _against_velocity(name: str, t: Array, llh: Array, velocity: Array) -> list[str]:
     """Positions and velocities must tell the same story; the ways in which they usually do not are named."""
-    good = np.isfinite(velocity).all(axis=1)
+    good: NDArray[np.bool_] = np.asarray(np.isfinite(velocity).all(axis=1))
     pairs = np.nonzero(good[1:] & good[:-1])[0]
     if pairs.size < 5:
         return []

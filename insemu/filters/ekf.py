@@ -15,7 +15,7 @@ from scipy.stats import chi2
 from insemu import earth
 from insemu.augment import Augmentation, Belief, Extras, StateLayout, augment
 from insemu.errors import InputError
-from insemu.filters import kernel
+from insemu.filters import expanded, kernel
 from insemu.records import GnssRecord, ImuRecord, Trajectory
 from insemu.strapdown import NavState, trajectory_of
 
@@ -255,15 +255,15 @@ def _pack(aug: Augmentation, powers: int) -> _Packed:
     for i, s in enumerate(loose):
         slot[s], lanes[s] = slots + i // 6, i % 6
     slots += -(-loose.size // 6)
-    if slots > kernel.MAX_SLOTS:
-        raise InputError(f"an axis carries {slots} states, expected at most {kernel.MAX_SLOTS}")
-    place = np.concatenate([np.arange(9), kernel.FIRST + 8 * slot + lanes]).astype(np.int64)
+    if slots > expanded.MAX_SLOTS:
+        raise InputError(f"an axis carries {slots} states, expected at most {expanded.MAX_SLOTS}")
+    place = np.concatenate([np.arange(9), expanded.FIRST + 8 * slot + lanes]).astype(np.int64)
     behind = place[9:]
     coupled = (aug.Phi != 0) & (lanes[:, None] != lanes[None, :])
     if coupled.any():
         raise InputError("states of different axes are coupled in Phi, expected independent axes")
     diagonal = not (aug.Phi - np.diag(np.diag(aug.Phi))).any()
-    d = np.ones((powers, kernel.LD))
+    d = np.ones((powers, expanded.LD))
     phi = np.zeros((powers, max(slots, 1), max(slots, 1), 8))
     Qs = np.zeros((powers, aug.m, aug.m))
     for p in range(powers):
@@ -271,13 +271,13 @@ def _pack(aug: Augmentation, powers: int) -> _Packed:
         d[p, behind] = np.diag(Phi)
         for i, j in zip(*np.nonzero(Phi), strict=True):
             phi[p, slot[i], slot[j], lanes[i]] = Phi[i, j]
-    far = {0} | {int(i - j) for i, j in np.argwhere((phi != 0).any(axis=(0, 3)))}
+    far = {0} | {int(a - b) for a, b in np.argwhere((phi != 0).any(axis=(0, 3)))}
     offsets = np.array(sorted(far, key=lambda o: (o != 0, o)), dtype=np.int64)
-    mix = np.zeros((powers, offsets.size, kernel.LD))
-    for i, o in enumerate(offsets):
-        for s in range(max(o, 0), min(slots, slots + o)):
-            at = kernel.FIRST + 8 * s
-            mix[:, i, at : at + 8] = phi[:, s, s - o]
+    mix = np.zeros((powers, offsets.size, expanded.LD))
+    for row, o in enumerate(sorted(far, key=lambda o: (o != 0, o))):
+        for k in range(max(o, 0), min(slots, slots + o)):
+            at = expanded.FIRST + 8 * k
+            mix[:, row, at : at + 8] = phi[:, k, k - o]
     rows, columns = np.nonzero((Qs != 0).any(axis=0))
     return _Packed(
         place,
@@ -287,7 +287,7 @@ def _pack(aug: Augmentation, powers: int) -> _Packed:
         phi,
         offsets,
         mix,
-        behind[rows] * kernel.LD + behind[columns],
+        behind[rows] * expanded.LD + behind[columns],
         np.ascontiguousarray(Qs[:, rows, columns]),
     )
 

@@ -133,7 +133,9 @@ def wavelet_overlay(axes: Sequence[AxisReport], beside: Sequence[NamedCurve] = (
     with style():
         figure, panels = plt.subplots(1, len(groups), figsize=(5.4 * len(groups), 4.2), squeeze=False)
         for panel, (title, members) in zip(panels[0], groups, strict=True):
-            factor, unit = _factor(members[0].unit)
+            # beside other sensors in the units that manufacturers' logs have
+            shown = {"rad/s": "deg/s", "m/s^2": "g"}.get(members[0].unit, "") if beside else ""
+            factor, unit = (conversion(members[0].unit, shown), shown) if shown else _factor(members[0].unit)
             gyro = {"rad/s": True, "m/s^2": False}.get(members[0].unit)
             others = [c for c in beside if gyro is None or c.is_gyro in (gyro, None)]
             for k, curve in enumerate(others):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, WithJsonSchema, field_validator, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, field_validator, model_validator
 
 from insemu import units
 from insemu.effects import EFFECTS, EffectUse
@@ -44,6 +45,9 @@ def _schema(unit: str, *, vector: bool = False) -> WithJsonSchema:
 Seconds = Annotated[float, BeforeValidator(_quantity("s")), _schema("s")]
 Hertz = Annotated[float, BeforeValidator(_quantity("Hz")), _schema("Hz")]
 Radians = Annotated[float, BeforeValidator(_quantity("rad")), _schema("rad")]
+Speed = Annotated[float, BeforeValidator(_quantity("m/s")), _schema("m/s")]
+Length = Annotated[float, BeforeValidator(_quantity("m")), _schema("m")]
+Angles = Annotated[Vector3, BeforeValidator(_vector("rad")), _schema("rad", vector=True)]
 Metres = Annotated[Vector3, BeforeValidator(_vector("m")), _schema("m", vector=True)]
 MetresPerSecond = Annotated[Vector3, BeforeValidator(_vector("m/s")), _schema("m/s", vector=True)]
 Signal = Annotated[
@@ -63,10 +67,62 @@ Signal = Annotated[
 ]
 
 
+def _effects(value: Any) -> Any:
+    for item in value or ():
+        if not isinstance(item, Mapping):
+            raise InputError(f"found {item!r}, expected a mapping with the key 'effect'")
+        EffectUse.from_mapping(item)
+    return value
+
+
+EffectList = Annotated[
+    tuple[dict[str, Any], ...],
+    BeforeValidator(_effects),
+    WithJsonSchema(
+        {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "properties": {
+                    "effect": {"type": "string", "enum": sorted(EFFECTS)},
+                    "sensor": {"type": "string", "enum": ["gyro", "accel", "imu", "gnss"]},
+                    "axes": {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]},
+                },
+                "required": ["effect"],
+            },
+        }
+    ),
+]
+
+
 class Section(BaseModel):
     """A part of a scenario: frozen, unknown keys refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, allow_inf_nan=False)
+
+
+class MountingKeys(Section):
+    """Where and how the IMU sits in the vehicle."""
+
+    lever_arm: Metres = Field(
+        default=(0.0, 0.0, 0.0), description="vehicle reference point to IMU, forward, right, down"
+    )
+    rpy: Angles = Field(default=(0.0, 0.0, 0.0), description="roll, pitch, yaw of the IMU with respect to the vehicle")
+
+
+class TemperatureKeys(Section):
+    """Temperature of the IMU against time, linear between points."""
+
+    t: tuple[Seconds, ...] = Field(min_length=1, description="times")
+    degc: tuple[float, ...] = Field(min_length=1, description="temperatures, degC")
+
+    @model_validator(mode="after")
+    def _increasing(self) -> TemperatureKeys:
+        if len(self.t) != len(self.degc):
+            raise InputError(f"{len(self.t)} times and {len(self.degc)} temperatures, expected as many")
+        if any(b <= a for a, b in pairwise(self.t)):
+            raise InputError("times of a temperature profile must increase")
+        return self
 
 
 class TrajectorySource(Section):
@@ -75,6 +131,19 @@ class TrajectorySource(Section):
     builtin: str | None = Field(
         default=None, description="name of a built-in trajectory, for example helicopter_mapping"
     )
+    waypoints: str | None = Field(default=None, description="waypoint file (CSV or GeoJSON)")
+    track: str | None = Field(default=None, description="recorded track: a recording or a CSV")
+    motion: str | None = Field(default=None, description="motion command file (CSV)")
+    vehicle: Literal["car", "multirotor", "helicopter", "fixed_wing"] = Field(
+        default="car", description="limits and attitude for waypoints and tracks"
+    )
+    speed: Speed | None = Field(default=None, gt=0, description="speed of waypoint legs whose file gives none")
+    max_gap: Seconds = Field(default=10.0, gt=0, description="longest gap of a track that is bridged")
+    kind: Literal["increment", "mean", "sample"] = Field(default="increment", description="what an IMU sample is")
+    gravity: Literal["normal", "free_air_first_order"] = Field(
+        default="normal", description="gravity model of emulator and filters"
+    )
+    mounting: MountingKeys | None = Field(default=None, description="where and how the IMU sits in the vehicle")
     rate: Hertz = Field(default=100.0, gt=0, description="IMU rate")
     duration: Seconds | None = Field(default=None, gt=0, description="cut the trajectory after this time")
     mode: Literal["exact", "continuous"] = Field(
@@ -83,8 +152,16 @@ class TrajectorySource(Section):
 
     @model_validator(mode="after")
     def _one_source(self) -> TrajectorySource:
-        if self.builtin is None:
-            raise InputError("no source of motion; expected the key 'builtin'")
+        given = [k for k in ("builtin", "waypoints", "track", "motion") if getattr(self, k) is not None]
+        if len(given) != 1:
+            found = " and ".join(f"'{k}'" for k in given) or "none"
+            raise InputError(
+                f"one source of motion is needed: the key 'builtin', 'waypoints', 'track' or 'motion'; found {found}"
+            )
+        if self.kind == "sample" and self.mode == "exact":
+            raise InputError(
+                "samples exist only on a continuous path; expected 'mode: continuous' beside 'kind: sample'"
+            )
         return self
 
 
@@ -139,46 +216,6 @@ class SensorModels(Section):
         }
 
 
-def _effect(value: Any) -> EffectUse:
-    if isinstance(value, EffectUse):
-        return value
-    if not isinstance(value, Mapping):
-        raise InputError(f"found {value!r}, expected an effect such as {{effect: scale_factor, sensor: accel, value: 1000 ppm}}")
-    return EffectUse.from_mapping(value)
-
-
-Effect = Annotated[
-    EffectUse,
-    BeforeValidator(_effect),
-    PlainSerializer(lambda use: use.to_mapping()),
-    WithJsonSchema(
-        {
-            "type": "object",
-            "description": "an effect of the catalogue: its id, its sensor, axes, and its parameters as quantities",
-            "properties": {
-                "effect": {"enum": sorted(EFFECTS)},
-                "sensor": {"enum": ["gyro", "accel", "imu", "gnss"]},
-                "axes": {"type": ["string", "array"]},
-            },
-            "required": ["effect"],
-        }
-    ),
-]
-
-
-class Temperature(Section):
-    """Temperature of the sensor against time, linear between points."""
-
-    t: tuple[Seconds, ...] = Field(min_length=1)
-    degc: tuple[float, ...] = Field(min_length=1, description="degC, one per time")
-
-    @model_validator(mode="after")
-    def _as_many(self) -> Temperature:
-        if len(self.t) != len(self.degc):
-            raise InputError(f"found {len(self.t)} times and {len(self.degc)} temperatures, expected as many")
-        return self
-
-
 class Truth(SensorModels):
     """What the sensors really do: a model per axis, or pieces of recorded error signals."""
 
@@ -190,6 +227,14 @@ class Truth(SensorModels):
         gt=0,
         description="length of the simulated records that are cut into pieces, their mean removed (absent: no removal)",
     )
+    effects: EffectList = Field(
+        default=(), description="deterministic, timing and GNSS effects: {effect: id, sensor: gyro, parameter: value}"
+    )
+    temperature: TemperatureKeys | None = Field(default=None, description="temperature of the IMU")
+
+    def uses(self) -> tuple[EffectUse, ...]:
+        """The effects, in SI."""
+        return tuple(EffectUse.from_mapping(e) for e in self.effects)
 
     @model_validator(mode="after")
     def _one_kind(self) -> Truth:
@@ -278,37 +323,29 @@ class Design(Section):
         }
 
 
+class OutageArea(Section):
+    """A circle on the ground without GNSS."""
+
+    latitude: Radians = Field(
+        ge=-1.5707963267948966, le=1.5707963267948966, description="centre, for example '46.52 deg'"
+    )
+    longitude: Radians
+    radius: Length = Field(ge=0)
+
+
+class RandomOutages(Section):
+    """Outages drawn from the scenario's seed: the same for every design and realization."""
+
+    per_hour: float = Field(ge=0, description="mean number per hour")
+    mean: Seconds = Field(gt=0, description="mean duration")
+    clear: Seconds = Field(default=60.0, ge=0, description="time without outages at the start")
+
+
 class OutageWindow(Section):
     """A span without GNSS."""
 
     start: Seconds = Field(ge=0, description="time from the start of the trajectory")
     duration: Seconds = Field(ge=0)
-
-
-class OutageArea(Section):
-    """A circle on the ground without GNSS."""
-
-    latitude: Radians = Field(description="centre, for example 46.5 deg")
-    longitude: Radians
-    radius: Annotated[float, BeforeValidator(_quantity("m")), _schema("m")] = Field(ge=0)
-
-
-class RandomOutages(Section):
-    """Outages drawn from the scenario's seed: Poisson starts, exponential durations."""
-
-    per_hour: float = Field(ge=0)
-    mean: Seconds = Field(gt=0, description="mean duration")
-    clear: Seconds = Field(default=120.0, ge=0, description="time without outages at the start")
-
-
-def _outage(value: Any) -> Any:
-    kinds = {"start": OutageWindow, "duration": OutageWindow, "latitude": OutageArea, "radius": OutageArea, "per_hour": RandomOutages}
-    if isinstance(value, Mapping):
-        for key, kind in kinds.items():
-            if key in value:
-                return kind.model_validate(value)
-        return OutageWindow.model_validate(value)
-    return value
 
 
 class Gnss(Section):
@@ -320,18 +357,9 @@ class Gnss(Section):
         default=(0.02, 0.02, 0.02), description="standard deviation north, east, down; null: no velocity"
     )
     lever_arm: Metres = Field(default=(0.0, 0.0, 0.0), description="IMU to antenna, forward, right, down")
-    outages: tuple[Annotated[OutageWindow | OutageArea | RandomOutages, BeforeValidator(_outage)], ...] = Field(
-        default=(), description="spans {start, duration}, areas {latitude, longitude, radius} or draws {per_hour, mean, clear}"
-    )
-    effects: tuple[Effect, ...] = Field(default=(), description="effects of the sensor gnss")
-
-    @field_validator("effects")
-    @classmethod
-    def _of_gnss(cls, value: tuple[EffectUse, ...]) -> tuple[EffectUse, ...]:
-        for use in value:
-            if use.sensor != "gnss":
-                raise InputError(f"the effect '{use.id}' on '{use.sensor}' is one of the IMU; expected it under truth.effects")
-        return value
+    outages: tuple[OutageWindow, ...] = ()
+    areas: tuple[OutageArea, ...] = Field(default=(), description="places without GNSS")
+    random_outages: RandomOutages | None = None
 
     @field_validator("position_sigma", "velocity_sigma")
     @classmethod
