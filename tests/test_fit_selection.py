@@ -81,7 +81,18 @@ def a_log(tmp_path, model, columns=("gx", "az"), n=20_000):
 def test_fit_command_prints_the_stable_json(tmp_path):
     path = a_log(tmp_path, WN(0.1) + GM(0.1, 0.5))
     ran = CliRunner().invoke(
-        app, ["fit", str(path), "--model", "GM() + WN()", "--json", "--out", str(tmp_path / "m.yaml"), "--kalibr", str(tmp_path / "k.yaml")]
+        app,
+        [
+            "fit",
+            str(path),
+            "--model",
+            "GM() + WN()",
+            "--json",
+            "--out",
+            str(tmp_path / "m.yaml"),
+            "--kalibr",
+            str(tmp_path / "k.yaml"),
+        ],
     )
     assert ran.exit_code == 0, ran.output
     axes = json.loads(ran.stdout)["axes"]
@@ -115,10 +126,21 @@ def test_fit_command_shows_tables(tmp_path, arguments):
 
 
 def test_select_command_and_its_page(tmp_path):
-    path = a_log(tmp_path, WN(0.1) + RW(0.02), columns=("gx",))
+    path = a_log(tmp_path, WN(0.1) + RW(0.1), columns=("gx",))
     page = tmp_path / "page.html"
     ran = CliRunner().invoke(
-        app, ["select", str(path), "--general", "GM() + WN() + RW()", "--held-out", str(path), "--page", str(page), "--json"]
+        app,
+        [
+            "select",
+            str(path),
+            "--general",
+            "GM() + WN() + RW()",
+            "--held-out",
+            str(path),
+            "--page",
+            str(page),
+            "--json",
+        ],
     )
     assert ran.exit_code == 0, ran.output
     axis = json.loads(ran.stdout[: ran.stdout.rindex("}") + 1])["axes"]["gyro_x"]

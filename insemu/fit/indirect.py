@@ -80,7 +80,7 @@ def match_curve(
     widths : (J,) array, optional
         Weights are their inverse squares; by default widths of the 95 % intervals.
     step : float
-        Of the numerical derivatives.
+        Of the numerical derivatives, in the coordinates of ``start``.
 
     Raises
     ------
@@ -107,16 +107,15 @@ def match_curve(
     def residual(theta: Array) -> Array:
         return np.asarray((curve.value - curves(theta).mean(axis=0)) / width)
 
+    def derivative(theta: Array) -> Array:
+        ahead = [curves(theta + e).mean(axis=0) - curves(theta - e).mean(axis=0) for e in step * np.eye(theta.size)]
+        return np.column_stack(ahead) / (2.0 * step)
+
     found = optimize.least_squares(
-        residual, theta0, method="trf", diff_step=np.full(theta0.size, step), x_scale="jac", max_nfev=60
+        residual, theta0, jac=lambda theta: -derivative(theta) / width[:, None], x_scale="jac", max_nfev=60
     )
     drawn = curves(found.x)
-    D = np.column_stack(
-        [
-            (curves(found.x + e).mean(axis=0) - curves(found.x - e).mean(axis=0)) / (2 * step)
-            for e in step * np.eye(theta0.size)
-        ]
-    )
+    D = derivative(found.x)
     # scatter of a curve under the model: from more draws than the match needs
     extra = [int(v) for v in rng.integers(2**63, size=max(60, 3 * len(curve)))]
     scattered = np.array(
