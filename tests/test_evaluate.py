@@ -127,7 +127,9 @@ def test_files_hold_the_same_numbers(tmp_path: Path) -> None:
 def test_errors_are_estimate_minus_truth() -> None:
     t = np.arange(3.0)
     truth = trajectory(t)
-    moved = Trajectory(t, truth.llh + [1e-7, 0, -2.0], truth.vel_ned + 0.1, truth.rpy + [0, 0, 1e-3])
+    moved = Trajectory(
+        t, truth.llh + np.array([1e-7, 0, -2.0]), truth.vel_ned + 0.1, truth.rpy + np.array([0, 0, 1e-3])
+    )
     e = navigation_error(moved, truth)
     assert e[0, 0] == pytest.approx(1e-7 * 6.37e6, rel=1e-2)
     assert e[0, 2] == pytest.approx(2.0)

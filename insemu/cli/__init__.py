@@ -18,6 +18,7 @@ COMMANDS: dict[str, str] = {
     "emulate": "emulate",
     "dead-reckon": "dead_reckon",
     "fit": "fit",
+    "select": "select",
 }
 
 app = typer.Typer(

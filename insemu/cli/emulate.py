@@ -24,44 +24,40 @@ def command(
     """
     import json
 
-    from insemu.evaluate import Experiment
+    from insemu.evaluate.world import World
     from insemu.formats import write
     from insemu.scenario import load
 
-    given = (
-        load(scenario, variant=variant or "", overrides={"seed": seed})
-        if variant
-        else load(scenario, overrides={"seed": seed})
-    )
-    experiment = Experiment(given, scenario)
-    for warning in experiment.warnings:
+    given = load(scenario, variant=variant, overrides={"seed": seed})
+    world = World(given, scenario)
+    for warning in world.warnings:
         typer.echo(f"insemu: warning: {warning}", err=True)
-    recording = experiment.recording(realization, ideal=ideal)
+    recording = world.recording(realization, ideal=ideal)
     path = write(out, recording)
     if figure:
         from insemu.report.track import draw_track
 
-        draw_track(experiment.flight, figure, track=experiment.track)
+        draw_track(world.flight, figure, track=world.track)
     gnss = recording.gnss
     summary = {
         "recording": str(path),
-        "trajectory": experiment.flight.name,
+        "trajectory": world.flight.name,
         "duration_s": float(recording.imu.t[-1] - recording.imu.t[0]),
         "imu_samples": len(recording.imu),
         "imu_kind": recording.imu.kind,
         "imu_rate_hz": round(1.0 / recording.imu.dt, 6),
         "gnss_fixes": 0 if gnss is None else len(gnss),
-        "path_distance_m": experiment.path_distance_m,
+        "path_distance_m": world.path_distance_m,
         "mode": given.trajectory.mode,
         "realization": realization,
         "seed": given.seed,
-        "warnings": list(experiment.warnings),
+        "warnings": list(world.warnings),
     }
     if as_json:
         typer.echo(json.dumps(summary))
         return
     typer.echo(
         f"{path}: {summary['trajectory']}, {summary['duration_s']:g} s, {summary['imu_samples']} IMU {summary['imu_kind']}s at "
-        f"{summary['imu_rate_hz']:g} Hz, {summary['gnss_fixes']} fixes; reference within {1e3 * experiment.path_distance_m:.3g} mm "
+        f"{summary['imu_rate_hz']:g} Hz, {summary['gnss_fixes']} fixes; reference within {1e3 * world.path_distance_m:.3g} mm "
         f"of the path ({given.trajectory.mode})"
     )

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import metadata
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -23,43 +22,23 @@ from numpy.typing import NDArray
 
 import insemu
 from insemu import earth, rotation
-from insemu.emulate import (
-    AreaOutage,
-    Mounting,
-    Outage,
-    RecordedErrors,
-    TemperatureProfile,
-    corrupt,
-    gnss_fixes,
-    ideal_imu,
-    load_flight,
-    random_outages,
-)
 from insemu.emulate.gnss import state_at
-from insemu.emulate.pieces import ErrorPieces, recorded_pieces, simulated_pieces
 from insemu.errors import InputError
 from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.results import DesignInfo, Results
+from insemu.evaluate.world import World, static_logs, stream
 from insemu.filters import FilterOptions, InitialSigma, LooselyCoupledEKF
 from insemu.fit import FitResult, fit
-from insemu.formats import AXIS_OF_COLUMN, read_static
 from insemu.noise import NoiseModel, axis_unit, load
-from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Series, Trajectory
-from insemu.scenario import AxisSource, RecordedSignal, Scenario, digest, resolve_path
+from insemu.records import AXES, ImuRecord, Series, Trajectory
+from insemu.scenario import Scenario, digest
 from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
 
-#: Streams of randomness; each gets children of the scenario's seed by (stream, realization or record, axis).
-_STREAMS = {"truth": 0, "gnss": 1, "initial": 2, "fits": 3, "effects": 4, "outages": 5}
 #: Interval of the epochs at which errors are evaluated, s.
 OUTPUT_INTERVAL = 1.0
-
-
-def stream(seed: int, name: str, *index: int) -> np.random.Generator:
-    """The generator of one stream, for example ``stream(seed, "truth", record, axis)``: the same alone or among 1000."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAMS[name], *index)))
 
 
 def silent(done: int, total: int, label: str) -> None:
@@ -74,60 +53,8 @@ class Belief:
     fits: Mapping[str, FitResult] = field(default_factory=dict)
 
 
-def _outages(scenario: Scenario, reference: Trajectory) -> list[Outage | AreaOutage]:
-    """Outages by time, by area, and drawn from the seed: the same in every realization."""
-    gnss = scenario.gnss
-    out: list[Outage | AreaOutage] = [Outage(o.start, o.duration) for o in gnss.outages]
-    out += [AreaOutage(a.latitude, a.longitude, a.radius) for a in gnss.areas]
-    if gnss.random_outages is not None:
-        drawn = gnss.random_outages
-        out += random_outages(
-            float(reference.t[0]),
-            float(reference.t[-1]),
-            per_hour=drawn.per_hour,
-            mean_s=drawn.mean,
-            clear_s=drawn.clear,
-            rng=stream(scenario.seed, "outages"),
-        )
-    return out
-
-
-def input_files(scenario: Scenario, file: str | Path | None) -> dict[str, Path]:
-    """Every file that the scenario names, by the name it uses."""
-    names: list[str] = []
-    for recorded in (scenario.truth.recorded, scenario.fits.recorded if scenario.fits else None):
-        names += list(recorded.files) if recorded else []
-    source = scenario.trajectory
-    names += [name for name in (source.waypoints, source.track, source.motion) if name is not None]
-    for design in scenario.designs.values():
-        names += [s.file for s in design.sources().values() if isinstance(s, AxisSource) and s.file]
-    return {name: resolve_path(name, file) for name in dict.fromkeys(names)}
-
-
-def _logs(recorded: RecordedSignal, files: Mapping[str, Path]) -> list[dict[str, Series]]:
-    """The six axes of every static log, warm-up left out."""
-    out = []
-    for name in recorded.files:
-        by_axis = {AXIS_OF_COLUMN.get(s.name, s.name): s for s in read_static(files[name])}
-        missing = [axis for axis in AXES if axis not in by_axis]
-        if missing:
-            raise InputError(f"no column for {', '.join(missing)}", where=name)
-        cut = {}
-        for axis in AXES:
-            s = by_axis[axis]
-            start = round(recorded.skip * s.rate_hz)
-            if start >= len(s):
-                raise InputError(
-                    f"the warm-up of {recorded.skip:g} s is longer than the record of {len(s) / s.rate_hz:g} s",
-                    where=name,
-                )
-            cut[axis] = Series(s.values[start:], s.rate_hz, s.unit, axis)
-        out.append(cut)
-    return out
-
-
 class Experiment:
-    """A scenario made ready to run: trajectory, ideal signals, truth, and resolved beliefs.
+    """A scenario made ready to run: its world, and the beliefs that fly through it.
 
     Parameters
     ----------
@@ -144,68 +71,14 @@ class Experiment:
     def __init__(self, scenario: Scenario, file: str | Path | None = None) -> None:
         self.scenario = scenario
         self.file = file
-        self.files = input_files(scenario, file)
-        self.digest = digest(scenario, self.files)
-        source = scenario.trajectory
-        loaded = load_flight(
-            builtin=source.builtin,
-            waypoints=self.files[source.waypoints] if source.waypoints else None,
-            track=self.files[source.track] if source.track else None,
-            motion=self.files[source.motion] if source.motion else None,
-            vehicle=source.vehicle,
-            speed=source.speed,
-            max_gap_s=source.max_gap,
-        )
-        self.flight, self.track, self.warnings = loaded.flight, loaded.track, loaded.warnings
-        path = self.flight.path
-        span = None if source.duration is None else (path.start, min(path.end, path.start + source.duration))
-        mounting = None if source.mounting is None else Mounting(source.mounting.lever_arm, source.mounting.rpy)
-        ideal = ideal_imu(path, source.rate, mode=source.mode, kind=source.kind, span=span, mounting=mounting)
-        self.reference: Trajectory = ideal.reference
-        self.imu: ImuRecord = ideal.imu
-        self.path_distance_m: float = ideal.path_distance_m
-        length = float(self.reference.t[-1] - self.reference.t[0])
-        for k, outage in enumerate(scenario.gnss.outages):  # before anything is flown, with the key that says it
-            if outage.start + outage.duration > length + 1e-9:
-                raise InputError(
-                    f"outage {k + 1} ends at {outage.start + outage.duration:g} s, but the trajectory ends at {length:g} s",
-                    where=f"{file or 'scenario'}: gnss.outages.{k}",
-                )
-        self._lock = Lock()
-        if self.pieces.count is not None and scenario.realizations > self.pieces.count:
-            raise InputError(
-                f"{scenario.realizations} realizations of {length:g} s asked for, but the recorded signals hold "
-                f"{self.pieces.count} non-overlapping pieces of that length",
-                where=f"{file or 'scenario'}: truth.recorded",
-            )
+        self.world = World(scenario, file)
+        self.digest = digest(scenario, self.world.files)
+        _ = self.world.outages  # what is wrong with them is said before anything is flown
 
     @property
-    def dt(self) -> float:
-        """IMU interval, s."""
-        return 1.0 / self.scenario.trajectory.rate
-
-    @cached_property
-    def pieces(self) -> ErrorPieces:
-        """The source of true error signals, one piece a realization."""
-        truth, n = self.scenario.truth, len(self.reference)
-        if truth.recorded is not None:
-            records = [
-                RecordedErrors(
-                    np.stack([log[axis].values for axis in AXES], axis=1),
-                    log["gyro_x"].rate_hz,
-                    truth.recorded.remove_mean,
-                    name=name,
-                )
-                for name, log in zip(truth.recorded.files, _logs(truth.recorded, self.files), strict=True)
-            ]
-            return recorded_pieces(records, n, self.scenario.trajectory.rate)
-        return simulated_pieces(
-            truth.models(),
-            n,
-            self.scenario.trajectory.rate,
-            record_s=truth.record,
-            rng=lambda record, axis: stream(self.scenario.seed, "truth", record, axis),
-        )
+    def rate_hz(self) -> float:
+        """IMU rate."""
+        return self.scenario.trajectory.rate
 
     @cached_property
     def fit_logs(self) -> dict[str, list[Series]]:
@@ -214,10 +87,10 @@ class Experiment:
         if source is None:
             return {}
         if source.recorded is not None:
-            logs = _logs(source.recorded, self.files)
+            logs = static_logs(source.recorded, self.world.files)
             return {axis: [log[axis] for log in logs] for axis in AXES}
         assert source.simulate is not None
-        rate = self.scenario.trajectory.rate
+        rate = self.rate_hz
         n = round(source.simulate * rate)
         out: dict[str, list[Series]] = {}
         drawn: dict[NoiseModel, Series] = {}
@@ -251,46 +124,48 @@ class Experiment:
                         done[key] = fit(log, NoiseModel.parse(source.fit, axis_unit(axis)))
                     fits[axis] = done[key]
                     models[axis] = done[key].model
-            out[name] = Belief({axis: m.at_rate(self.scenario.trajectory.rate) for axis, m in models.items()}, fits)
+            out[name] = Belief({axis: m.at_rate(self.rate_hz) for axis, m in models.items()}, fits)
         return out
 
     def _from_file(self, name: str, axis: str) -> NoiseModel:
-        models = load(self.files[name])
+        models = load(self.world.files[name])
         if axis not in models:
             raise InputError(f"no model for {axis}, expected one of: {', '.join(models)}", where=name)
         return models[axis]
 
-    @cached_property
-    def filters(self) -> dict[str, LooselyCoupledEKF]:
-        """One filter per design."""
+    def filter(self, design: str, options: FilterOptions | None = None) -> LooselyCoupledEKF:
+        """The filter of one design."""
         gnss = self.scenario.gnss
-        every = max(1, round(OUTPUT_INTERVAL * self.scenario.trajectory.rate))
-        options = FilterOptions(output_every=every, covariance_at=tuple(self.output_times[1:]))
-        sigma = (gnss.position_sigma, gnss.velocity_sigma or (np.nan,) * 3)
-        return {
-            name: LooselyCoupledEKF(b.models, self.dt, lever_arm=gnss.lever_arm, gnss_sigma=sigma, options=options)
-            for name, b in self.beliefs.items()
-        }
+        return LooselyCoupledEKF(
+            self.beliefs[design].models,
+            1.0 / self.rate_hz,
+            lever_arm=gnss.lever_arm,
+            gravity=self.scenario.trajectory.gravity,
+            gnss_sigma=(gnss.position_sigma, gnss.velocity_sigma or (np.nan,) * 3),
+            options=options or FilterOptions(),
+        )
 
     @cached_property
     def output_times(self) -> Array:
-        """Epochs at which errors are evaluated."""
-        every = max(1, round(OUTPUT_INTERVAL * self.scenario.trajectory.rate))
-        return self.reference.t[::every]
+        """Epochs at which errors are evaluated: every second, and the end of every outage."""
+        t = self.world.reference.t
+        every = np.arange(t[0], t[-1] + 1e-9, OUTPUT_INTERVAL)
+        ends = [start + duration for start, duration in self.world.outage_windows]
+        return t[np.unique(np.clip(np.searchsorted(t, np.concatenate([every, ends]) - 1e-6), 0, t.size - 1))]
 
     @cached_property
     def truth_at_outputs(self) -> Trajectory:
         """The reference at the output epochs."""
-        every = max(1, round(OUTPUT_INTERVAL * self.scenario.trajectory.rate))
-        r = self.reference
-        return Trajectory(r.t[::every], r.llh[::every], r.vel_ned[::every], r.rpy[::every], r.name)
+        r = self.world.reference
+        k = np.searchsorted(r.t, self.output_times)
+        return Trajectory(r.t[k], r.llh[k], r.vel_ned[k], r.rpy[k], r.name)
 
     def initial(self, realization: int) -> tuple[NavState, InitialSigma]:
         """The filter's start: the truth moved by a draw from the sigmas that the filter believes."""
         i = self.scenario.initial
         attitude = (i.tilt_sigma, i.tilt_sigma, i.heading_sigma)
         draw = stream(self.scenario.seed, "initial", realization).standard_normal(9)
-        start = NavState.of(self.reference)
+        start = NavState.of(self.world.reference)
         moved = NavState(
             earth.move(start.llh, draw[:3] * np.array(i.position_sigma)),
             start.vel_ned + draw[3:6] * np.array(i.velocity_sigma),
@@ -298,88 +173,52 @@ class Experiment:
         )
         return moved, InitialSigma(position=i.position_sigma, velocity=i.velocity_sigma, attitude=attitude)
 
-    def recording(self, index: int, *, ideal: bool = False) -> Recording:
-        """What the sensors of one realization give, with the reference.
-
-        Parameters
-        ----------
-        index : int
-            Realization; the same alone or among 1000.
-        ideal : bool
-            Perfect sensors instead: no errors on the IMU or the fixes, the outages kept.
-        """
-        s = self.scenario
-        uses = () if ideal else s.truth.uses()
-        imu = self.imu
-        if not ideal:
-            with self._lock:  # a simulated record serves many pieces; one thread draws it
-                signals = self.pieces.piece(index)
-            temperature = s.truth.temperature
-            imu = corrupt(
-                self.imu,
-                None,
-                stream(s.seed, "effects", index),
-                effects=uses,
-                reference=self.reference,
-                temperature=None if temperature is None else TemperatureProfile(temperature.t, temperature.degc),
-                errors=signals,
-            ).imu
-        velocity = s.gnss.velocity_sigma
-        fixes: GnssRecord = gnss_fixes(
-            self.reference,
-            rate_hz=s.gnss.rate,
-            pos_sigma_ned=(0.0, 0.0, 0.0) if ideal else s.gnss.position_sigma,
-            vel_sigma_ned=(0.0, 0.0, 0.0) if ideal and velocity is not None else velocity,
-            lever_arm=s.gnss.lever_arm,
-            outages=_outages(s, self.reference),
-            rng=stream(s.seed, "gnss", index),
-            effects=uses,
-        )
-        return Recording(imu, fixes, self.reference, f"{self.flight.name}, realization {index}")
-
     def realization(self, index: int) -> dict[str, Array]:
         """Fly every design through one realization.
 
         Returns
         -------
         dict of arrays
-            ``error, sigma`` (design, time, 9); ``nees`` (design, time); ``nis`` (design,); ``epochs``, ``seconds``.
+            ``error, sigma`` (design, time, 9); ``nees`` (design, time); ``nis, epochs, seconds`` (design,).
         """
-        recording = self.recording(index)
-        imu, fixes = recording.imu, recording.gnss
-        if len(imu) != len(self.imu):
-            raise InputError(
-                "effect 'dropped_samples': realizations with other epochs cannot be tabled together; "
-                "write them with insemu emulate instead"
-            )
+        recording = self.world.recording(index)
+        imu = recording.imu
         start, start_sigma = self.initial(index)
+        rows, truth = self._compared(imu)
+        times = imu.t[rows]
         out: dict[str, list[Any]] = {"error": [], "sigma": [], "nees": [], "nis": [], "epochs": [], "seconds": []}
-        for ekf in self.filters.values():
-            run = ekf.run(imu, fixes, start, start_sigma)
-            truth = self.truth_at_outputs
-            if not np.array_equal(run.trajectory.t, truth.t):  # stamps that are late, drift or jitter
-                truth = _at(self.reference, run.trajectory.t)
-            error = navigation_error(run.trajectory, truth)
-            covariance = run.covariance[:, :9, :9]
-            nees = np.zeros(len(error))
-            nees[1:] = np.einsum("ti,ti->t", error[1:], np.linalg.solve(covariance, error[1:, :, None])[..., 0])
-            first = error[0] / run.sigma[0, :9]
-            nees[0] = first @ first
+        for name in self.beliefs:
+            ekf = self.filter(name, FilterOptions(output_every=1, covariance_at=tuple(times)))
+            run = ekf.run(imu, recording.gnss, start, start_sigma)
+            estimate = Trajectory(
+                times, run.nav[rows, 0:3], run.nav[rows, 3:6], rotation.rpy_from_quaternion(run.nav[rows, 6:10])
+            )
+            error = navigation_error(estimate, truth)
+            kept = np.searchsorted(run.covariance_t, times - 1e-9)
+            covariance = run.covariance[np.minimum(kept, len(run.covariance) - 1), :9, :9]
             used = run.fixes.accepted
             out["error"].append(error)
-            out["sigma"].append(run.sigma[:, :9])
-            out["nees"].append(nees)
+            out["sigma"].append(run.sigma[rows, :9])
+            out["nees"].append(np.einsum("ti,ti->t", error, np.linalg.solve(covariance, error[..., None])[..., 0]))
             out["nis"].append(float(run.fixes.nis[used].sum() / max(1, run.fixes.dof[used].sum())))
             out["epochs"].append(run.epochs)
             out["seconds"].append(run.seconds)
         return {name: np.array(values) for name, values in out.items()}
 
+    def _compared(self, imu: ImuRecord) -> tuple[NDArray[np.intp], Trajectory]:
+        """Rows of a record nearest the output epochs, and the truth at their time stamps.
 
-def _at(reference: Trajectory, t: Array) -> Trajectory:
-    """A trajectory at other times, held at its ends."""
-    inside = np.clip(t, reference.t[0], reference.t[-1])
-    llh, vel, q, _ = state_at(reference, inside)
-    return Trajectory(t, llh, vel, rotation.rpy_from_quaternion(q), reference.name)
+        Time offsets, jitter and dropped samples move the stamps; the filter's estimate belongs to the stamp.
+        """
+        t, want = imu.t, self.output_times
+        right = np.clip(np.searchsorted(t, want), 1, t.size - 1)
+        rows = np.where(np.abs(t[right - 1] - want) < np.abs(t[right] - want), right - 1, right)
+        if np.array_equal(t[rows], want):
+            return rows, self.truth_at_outputs
+        reference = self.world.reference
+        at = np.clip(t[rows], reference.t[0], reference.t[-1])
+        llh, vel, q, _ = state_at(reference, at)
+        return rows, Trajectory(t[rows], llh, vel, rotation.rpy_from_quaternion(q), reference.name)
 
 
 def git_revision() -> str | None:
@@ -410,7 +249,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         "git": git_revision(),
         "python": platform.python_version(),
         "packages": {name: metadata.version(name) for name in packages},
-        "ideal_imu_distance_m": experiment.path_distance_m,
+        "ideal_imu_distance_m": experiment.world.path_distance_m,
         "beliefs": {
             name: {axis: m.to_list(axis_unit(axis)) for axis, m in b.models.items()}
             for name, b in experiment.beliefs.items()
@@ -458,7 +297,7 @@ def run_experiment(
     todo = [r for r in range(total) if r not in items]
     if todo:
         progress(len(items), total, "preparing")
-        _ = experiment.filters, experiment.pieces  # resolve fits once, before the threads
+        _ = experiment.beliefs  # fits are made once, before the threads
     progress(len(items), total, "flying")
     own = executor is None
     pool = executor if executor is not None else ThreadPoolExecutor(max_workers=max(1, workers))
@@ -476,8 +315,8 @@ def run_experiment(
         name: np.stack([items[r][name] for r in range(total)], axis=1) for name in ("error", "sigma", "nees", "nis")
     }
     designs = {
-        name: DesignInfo(ekf.layout.n, tuple(ekf.layout.names), experiment.beliefs[name].models)
-        for name, ekf in experiment.filters.items()
+        name: DesignInfo(layout.n, tuple(layout.names), experiment.beliefs[name].models)
+        for name, layout in ((name, experiment.filter(name).layout) for name in experiment.beliefs)
     }
     s = experiment.scenario
     timing = {
@@ -491,7 +330,7 @@ def run_experiment(
         seed=s.seed,
         t=experiment.output_times,
         designs=designs,
-        outages=[(o.start, o.duration) for o in s.gnss.outages],
+        outages=experiment.world.outage_windows,
         truth=experiment.truth_at_outputs,
         timing=timing,
         manifest=manifest_of(experiment) | {"timing": timing},

@@ -12,24 +12,21 @@ from numpy.typing import NDArray
 
 from insemu.emulate import (
     AreaOutage,
-    Corrupted,
-    Flight,
     Mounting,
     Outage,
     RecordedErrors,
-    SmoothPath,
     TemperatureProfile,
-    built_in,
     corrupt,
     gnss_fixes,
     ideal_imu,
+    load_flight,
     random_outages,
 )
 from insemu.emulate.pieces import ErrorPieces, recorded_pieces, simulated_pieces
 from insemu.errors import InputError
 from insemu.formats import read_static
-from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Series, Trajectory
-from insemu.scenario import AxisSource, OutageArea, OutageWindow, RecordedSignal, Scenario, TrajectorySource, resolve_path
+from insemu.records import AXES, ImuRecord, Recording, Series, Trajectory
+from insemu.scenario import AxisSource, RecordedSignal, Scenario, resolve_path
 
 Array = NDArray[np.float64]
 
@@ -53,6 +50,8 @@ def input_files(scenario: Scenario, file: str | Path | None) -> dict[str, Path]:
     names: list[str] = []
     for recorded in (scenario.truth.recorded, scenario.fits.recorded if scenario.fits else None):
         names += list(recorded.files) if recorded else []
+    source = scenario.trajectory
+    names += [name for name in (source.waypoints, source.track, source.motion) if name is not None]
     for design in scenario.designs.values():
         names += [s.file for s in design.sources().values() if isinstance(s, AxisSource) and s.file]
     return {name: resolve_path(name, file) for name in dict.fromkeys(names)}
@@ -71,15 +70,13 @@ def static_logs(recorded: RecordedSignal, files: Mapping[str, Path]) -> list[dic
             s = by_axis[axis]
             start = round(recorded.skip * s.rate_hz)
             if start >= len(s):
-                raise InputError(f"the warm-up of {recorded.skip:g} s is longer than the record of {len(s) / s.rate_hz:g} s", where=name)
+                raise InputError(
+                    f"the warm-up of {recorded.skip:g} s is longer than the record of {len(s) / s.rate_hz:g} s",
+                    where=name,
+                )
             cut[axis] = Series(s.values[start:], s.rate_hz, s.unit, axis)
         out.append(cut)
     return out
-
-
-def motion(source: TrajectorySource) -> Flight | SmoothPath:
-    """The path that a scenario asks for."""
-    return built_in(source.builtin or "")
 
 
 class World:
@@ -93,13 +90,14 @@ class World:
 
     Attributes
     ----------
+    flight : Flight
+        The requested path with its legs; ``track`` where it is a recorded one, ``warnings`` about it.
     reference : Trajectory
         True position, velocity and attitude of the IMU at the rows of ``imu``.
     imu : ImuRecord
         Ideal signals.
     path_distance_m : float
         Largest distance between the reference and the requested path.
-    outages : list of Outage or AreaOutage
 
     Raises
     ------
@@ -111,17 +109,25 @@ class World:
         self.scenario, self.file = scenario, file
         self.files = input_files(scenario, file)
         source = scenario.trajectory
-        path = motion(source)
-        path = path.path if isinstance(path, Flight) else path
-        span = None if source.duration is None else (path.start, min(path.end, path.start + source.duration))
+        loaded = load_flight(
+            builtin=source.builtin,
+            waypoints=self.files[source.waypoints] if source.waypoints else None,
+            track=self.files[source.track] if source.track else None,
+            motion=self.files[source.motion] if source.motion else None,
+            vehicle=source.vehicle,
+            speed=source.speed,
+            max_gap_s=source.max_gap,
+        )
+        self.flight, self.track, self.warnings = loaded.flight, loaded.track, loaded.warnings
+        path = self.flight.path
         ideal = ideal_imu(
             path,
             source.rate,
             mode=source.mode,
             kind=source.kind,
-            mounting=Mounting(source.mounting.lever_arm, source.mounting.angles),
             gravity=source.gravity,
-            span=span,
+            mounting=None if source.mounting is None else Mounting(source.mounting.lever_arm, source.mounting.rpy),
+            span=None if source.duration is None else (path.start, min(path.end, path.start + source.duration)),
         )
         self.reference: Trajectory = ideal.reference
         self.imu: ImuRecord = ideal.imu
@@ -147,21 +153,20 @@ class World:
     @cached_property
     def outages(self) -> list[Outage | AreaOutage]:
         """When and where there is no GNSS, the same in every realization."""
-        out: list[Outage | AreaOutage] = []
+        gnss = self.scenario.gnss
         start, end = float(self.reference.t[0]), float(self.reference.t[-1])
-        for k, given in enumerate(self.scenario.gnss.outages):
-            if isinstance(given, OutageWindow):
-                if start + given.start + given.duration > end + 1e-9:
-                    raise InputError(
-                        f"outage {k + 1} ends at {given.start + given.duration:g} s, but the trajectory ends at {end - start:g} s",
-                        where=f"{self._name}: gnss.outages.{k}",
-                    )
-                out.append(Outage(start + given.start, given.duration))
-            elif isinstance(given, OutageArea):
-                out.append(AreaOutage(given.latitude, given.longitude, given.radius))
-            else:
-                rng = stream(self.scenario.seed, "outages", k)
-                out += random_outages(start, end, per_hour=given.per_hour, mean_s=given.mean, clear_s=given.clear, rng=rng)
+        for k, given in enumerate(gnss.outages):
+            if given.start + given.duration > end - start + 1e-9:
+                raise InputError(
+                    f"outage {k + 1} ends at {given.start + given.duration:g} s, but the trajectory ends at {end - start:g} s",
+                    where=f"{self._name}: gnss.outages.{k}",
+                )
+        out: list[Outage | AreaOutage] = [Outage(start + o.start, o.duration) for o in gnss.outages]
+        out += [AreaOutage(a.latitude, a.longitude, a.radius) for a in gnss.areas]
+        if gnss.random_outages is not None:
+            drawn = gnss.random_outages
+            rng = stream(self.scenario.seed, "outages")
+            out += random_outages(start, end, per_hour=drawn.per_hour, mean_s=drawn.mean, clear_s=drawn.clear, rng=rng)
         return out
 
     @cached_property
@@ -174,7 +179,9 @@ class World:
                 continue
             inside = np.concatenate([[0], outage.covers(self.reference.llh).astype(np.int8), [0]])
             edges = np.flatnonzero(np.diff(inside)).reshape(-1, 2)
-            windows += [(float(self.reference.t[a]), float(self.reference.t[b - 1] - self.reference.t[a])) for a, b in edges]
+            windows += [
+                (float(self.reference.t[a]), float(self.reference.t[b - 1] - self.reference.t[a])) for a, b in edges
+            ]
         return sorted(windows)
 
     @cached_property
@@ -184,7 +191,10 @@ class World:
         if truth.recorded is not None:
             records = [
                 RecordedErrors(
-                    np.stack([log[axis].values for axis in AXES], axis=1), log["gyro_x"].rate_hz, truth.recorded.remove_mean, name=name
+                    np.stack([log[axis].values for axis in AXES], axis=1),
+                    log["gyro_x"].rate_hz,
+                    truth.recorded.remove_mean,
+                    name=name,
                 )
                 for name, log in zip(truth.recorded.files, static_logs(truth.recorded, self.files), strict=True)
             ]
@@ -194,37 +204,41 @@ class World:
             truth.models(), n, rate, record_s=truth.record, rng=lambda record, axis: stream(seed, "truth", record, axis)
         )
 
-    def corrupted(self, realization: int) -> Corrupted:
-        """What the IMU gives in one realization."""
-        truth = self.scenario.truth
-        with self._lock:  # a simulated record serves many pieces; one thread draws it
-            errors = self.pieces.piece(realization)
-        temperature = None if truth.temperature is None else TemperatureProfile(truth.temperature.t, truth.temperature.degc)
-        return corrupt(
-            self.imu,
-            None,
-            stream(self.scenario.seed, "effects", realization),
-            effects=truth.effects,
-            reference=self.reference,
-            temperature=temperature,
-            errors=errors,
-        )
+    def recording(self, realization: int, *, ideal: bool = False) -> Recording:
+        """What the sensors give in one realization, with the reference.
 
-    def fixes(self, realization: int) -> GnssRecord:
-        """What the receiver gives in one realization."""
-        gnss = self.scenario.gnss
-        return gnss_fixes(
+        Parameters
+        ----------
+        realization : int
+            The same alone or among 1000.
+        ideal : bool
+            Perfect sensors instead: no errors on the IMU or the fixes, the outages kept.
+        """
+        s = self.scenario
+        uses = () if ideal else s.truth.uses()
+        imu = self.imu
+        if not ideal:
+            with self._lock:  # a simulated record serves many pieces; one thread draws it
+                errors = self.pieces.piece(realization)
+            temperature = s.truth.temperature
+            imu = corrupt(
+                self.imu,
+                None,
+                stream(s.seed, "effects", realization),
+                effects=uses,
+                reference=self.reference,
+                temperature=None if temperature is None else TemperatureProfile(temperature.t, temperature.degc),
+                errors=errors,
+            ).imu
+        velocity = s.gnss.velocity_sigma
+        fixes = gnss_fixes(
             self.reference,
-            rate_hz=gnss.rate,
-            pos_sigma_ned=gnss.position_sigma,
-            vel_sigma_ned=gnss.velocity_sigma,
-            lever_arm=gnss.lever_arm,
+            rate_hz=s.gnss.rate,
+            pos_sigma_ned=(0.0, 0.0, 0.0) if ideal else s.gnss.position_sigma,
+            vel_sigma_ned=(0.0, 0.0, 0.0) if ideal and velocity is not None else velocity,
+            lever_arm=s.gnss.lever_arm,
             outages=self.outages,
-            rng=stream(self.scenario.seed, "gnss", realization),
-            effects=gnss.effects,
+            rng=stream(s.seed, "gnss", realization),
+            effects=uses,
         )
-
-    def recording(self, realization: int = 0) -> Recording:
-        """One realization as a recording that every other command reads."""
-        corrupted = self.corrupted(realization)
-        return Recording(corrupted.imu, self.fixes(realization), self.reference, self.scenario.title)
+        return Recording(imu, fixes, self.reference, f"{self.flight.name}, realization {realization}")

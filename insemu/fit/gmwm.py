@@ -153,7 +153,7 @@ def fit_curve(
     widths : (J,) array, optional
         Interval widths to weigh by, instead of ``weighting``.
     covariance : (J, J) array, optional
-        Covariance whose inverse weighs, instead of ``weighting``.
+        Covariance whose inverse weighs, instead of ``weighting``; standard errors follow from it, too.
     steps : int
         How many times the covariance under the model is renewed.
     start : NoiseModel, optional
@@ -225,7 +225,8 @@ def fit_curve(
     fitted_model = structure.specified(best.coefficients, best.shapes)
     V = model_covariance(fitted_model, n, scale, dt) / efficiency
     D, free = natural_jacobian(fitted_model, structure, scale / 2.0)
-    covariance_of, weak = parameter_covariance(D, W, V)
+    spread = V if covariance is None else np.asarray(covariance, dtype=np.float64)[np.ix_(use, use)]
+    covariance_of, weak = parameter_covariance(D, W, spread)
     test = goodness_of_fit(structure, best, scale, value, V, n, dt)
     notes = warnings_of(structure, best.coefficients, best.shapes, fitted_model, free, covariance_of, scale, value, n)
     if value.size == p:

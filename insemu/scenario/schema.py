@@ -140,6 +140,9 @@ class TrajectorySource(Section):
     speed: Speed | None = Field(default=None, gt=0, description="speed of waypoint legs whose file gives none")
     max_gap: Seconds = Field(default=10.0, gt=0, description="longest gap of a track that is bridged")
     kind: Literal["increment", "mean", "sample"] = Field(default="increment", description="what an IMU sample is")
+    gravity: Literal["normal", "free_air_first_order"] = Field(
+        default="normal", description="gravity model of emulator and filters"
+    )
     mounting: MountingKeys | None = Field(default=None, description="where and how the IMU sits in the vehicle")
     rate: Hertz = Field(default=100.0, gt=0, description="IMU rate")
     duration: Seconds | None = Field(default=None, gt=0, description="cut the trajectory after this time")
