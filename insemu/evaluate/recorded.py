@@ -134,7 +134,9 @@ class RecordedWorld:
         """The IMU from the start of the filters, in vehicle axes, and the fixes that the outages leave."""
         row = self.alignment.row
         gnss = self.gnss
-        if self.scenario.gnss.velocity_sigma is None:  # a velocity that the filters must not believe, for example one that is late
+        if (
+            self.scenario.gnss.velocity_sigma is None
+        ):  # a velocity that the filters must not believe, for example one that is late
             gnss = replace(gnss, vel_ned=None, vel_std_ned=None)
         imu = self.vehicle_imu
         cut = replace(
@@ -145,9 +147,7 @@ class RecordedWorld:
             temperature=None if imu.temperature is None else imu.temperature[row:],
         )
         withheld = np.any([Outage(s, d).covers(self.gnss.t) for s, d in self.outage_windows], axis=0)
-        return Recording(
-            cut, _rows(gnss, (gnss.t > self.alignment.t) & ~withheld), self.reference, self.source.file
-        )
+        return Recording(cut, _rows(gnss, (gnss.t > self.alignment.t) & ~withheld), self.reference, self.source.file)
 
     def start(self, realization: int, imu: ImuRecord) -> tuple[NavState, InitialSigma]:
         """Where alignment says that the vehicle is."""
