@@ -15,7 +15,10 @@ COMMANDS: dict[str, str] = {
     "characterise": "characterise",
     "run": "run",
     "schema": "schema",
+    "emulate": "emulate",
+    "dead-reckon": "dead_reckon",
     "fit": "fit",
+    "select": "select",
 }
 
 app = typer.Typer(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +15,7 @@ from scipy.stats import chi2
 from insemu import earth
 from insemu.augment import Augmentation, Belief, Extras, StateLayout, augment
 from insemu.errors import InputError
-from insemu.filters import kernel
+from insemu.filters import expanded, kernel
 from insemu.records import GnssRecord, ImuRecord, Trajectory
 from insemu.strapdown import NavState, trajectory_of
 
@@ -23,9 +23,10 @@ Array = NDArray[np.float64]
 Store = Literal["none", "fixes"]
 
 
-def _three(value: ArrayLike, name: str) -> Array:
-    out = np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), (3,)))
-    if not (np.isfinite(out).all() and (out >= 0).all()):
+def _three(value: ArrayLike | None, name: str, *, unknown: bool = False) -> Array:
+    """Three standard deviations; where ``unknown`` is allowed, None or NaN stand for "not known"."""
+    out = np.array(np.broadcast_to(np.asarray(np.nan if value is None else value, dtype=np.float64), (3,)))
+    if not (((np.isfinite(out)) & (out >= 0)) | (np.isnan(out) & unknown)).all():
         raise InputError(
             f"{name} is {np.asarray(value).tolist()}, expected one or three standard deviations that are not negative"
         )
@@ -228,7 +229,7 @@ class FilterResult:
 
 
 @dataclass(frozen=True)
-class _Packed:
+class Packed:
     """The augmentation in the compiled loop's slots."""
 
     place: NDArray[np.int64]
@@ -236,11 +237,14 @@ class _Packed:
     diagonal: bool
     d: Array
     phi: Array
+    offsets: NDArray[np.int64]
+    mix: Array
     q_at: NDArray[np.int64]
     q: Array
 
 
-def _pack(aug: Augmentation, powers: int) -> _Packed:
+def pack(aug: Augmentation, powers: int) -> Packed:
+    """Lay an augmentation out in slots, with the transitions over 1 to ``powers`` samples."""
     lanes = np.where(aug.axis >= 0, aug.axis, 0)
     slot = np.zeros(aug.m, dtype=np.int64)
     used = np.zeros(6, dtype=np.int64)
@@ -252,15 +256,15 @@ def _pack(aug: Augmentation, powers: int) -> _Packed:
     for i, s in enumerate(loose):
         slot[s], lanes[s] = slots + i // 6, i % 6
     slots += -(-loose.size // 6)
-    if slots > kernel.MAX_SLOTS:
-        raise InputError(f"an axis carries {slots} states, expected at most {kernel.MAX_SLOTS}")
-    place = np.concatenate([np.arange(9), kernel.FIRST + 8 * slot + lanes]).astype(np.int64)
+    if slots > expanded.MAX_SLOTS:
+        raise InputError(f"an axis carries {slots} states, expected at most {expanded.MAX_SLOTS}")
+    place = np.concatenate([np.arange(9), expanded.FIRST + 8 * slot + lanes]).astype(np.int64)
     behind = place[9:]
     coupled = (aug.Phi != 0) & (lanes[:, None] != lanes[None, :])
     if coupled.any():
         raise InputError("states of different axes are coupled in Phi, expected independent axes")
     diagonal = not (aug.Phi - np.diag(np.diag(aug.Phi))).any()
-    d = np.ones((powers, kernel.LD))
+    d = np.ones((powers, expanded.LD))
     phi = np.zeros((powers, max(slots, 1), max(slots, 1), 8))
     Qs = np.zeros((powers, aug.m, aug.m))
     for p in range(powers):
@@ -268,19 +272,28 @@ def _pack(aug: Augmentation, powers: int) -> _Packed:
         d[p, behind] = np.diag(Phi)
         for i, j in zip(*np.nonzero(Phi), strict=True):
             phi[p, slot[i], slot[j], lanes[i]] = Phi[i, j]
+    far = {0} | {int(a - b) for a, b in np.argwhere((phi != 0).any(axis=(0, 3)))}
+    offsets = np.array(sorted(far, key=lambda o: (o != 0, o)), dtype=np.int64)
+    mix = np.zeros((powers, offsets.size, expanded.LD))
+    for row, o in enumerate(sorted(far, key=lambda o: (o != 0, o))):
+        for k in range(max(o, 0), min(slots, slots + o)):
+            at = expanded.FIRST + 8 * k
+            mix[:, row, at : at + 8] = phi[:, k, k - o]
     rows, columns = np.nonzero((Qs != 0).any(axis=0))
-    return _Packed(
+    return Packed(
         place,
         slots,
         diagonal,
         d,
         phi,
-        behind[rows] * kernel.LD + behind[columns],
+        offsets,
+        mix,
+        behind[rows] * expanded.LD + behind[columns],
         np.ascontiguousarray(Qs[:, rows, columns]),
     )
 
 
-GnssSigma = tuple[ArrayLike, ArrayLike]
+GnssSigma = tuple[ArrayLike | None, ArrayLike | None]
 
 
 class LooselyCoupledEKF:
@@ -324,9 +337,27 @@ class LooselyCoupledEKF:
         if not np.isfinite(self.lever_arm).all():
             raise InputError(f"lever_arm is {np.asarray(lever_arm).tolist()}, expected three finite numbers of metres")
         self.gnss_sigma = (
-            None if gnss_sigma is None else (_three(gnss_sigma[0], "gnss_sigma"), _three(gnss_sigma[1], "gnss_sigma"))
+            None
+            if gnss_sigma is None
+            else (
+                _three(gnss_sigma[0], "gnss_sigma", unknown=True),
+                _three(gnss_sigma[1], "gnss_sigma", unknown=True),
+            )
         )
-        self._packed = _pack(self.augmentation, self.options.covariance_every)
+        self._packed = pack(self.augmentation, self.options.covariance_every)
+
+        self._belief = belief
+
+    def with_options(self, **changes: Any) -> LooselyCoupledEKF:
+        """The same design with some options (fields of :class:`FilterOptions`) replaced."""
+        return LooselyCoupledEKF(
+            self._belief,
+            self.dt,
+            lever_arm=self.lever_arm,
+            gravity=self.gravity,
+            gnss_sigma=self.gnss_sigma,
+            options=replace(self.options, **changes),
+        )
 
     @property
     def layout(self) -> StateLayout:
@@ -398,7 +429,7 @@ class LooselyCoupledEKF:
         if x0.shape != (m,):
             raise InputError(f"initial_states has shape {x0.shape}, expected ({m},)")
         t = record.t
-        events = self._events(t, gnss)
+        events = self.events(t, gnss)
         f = events.t.size
         cov_epoch = np.unique(
             np.searchsorted(t, np.asarray(o.covariance_at, dtype=np.float64) - 1e-9).clip(0, t.size - 1)
@@ -420,17 +451,12 @@ class LooselyCoupledEKF:
         node_nav, node_x, node_dx = np.empty((kept, 10)), np.empty((kept, m)), np.empty((kept, n))
         before, after, phi = (np.empty((kept, n, n)) for _ in range(3))
         P = np.empty((n, n))
-        thresholds = np.full(7, np.inf)
-        if o.gate is not None:
-            thresholds[1:] = chi2.isf(o.gate, np.arange(1, 7))
-        offset = [
-            self.layout.slices[name].start if name in self.layout.slices else -1 for name in ("lever_arm", "latency")
-        ]
+        lever_at, latency_at = self.installation()
         a, p = self.augmentation, self._packed
         started = time.perf_counter()
         code, detail = kernel.run(
-            t, record.gyro, record.accel, nav, x0, P0, p.place, a.axis, a.c, a.driver, p.slots, p.diagonal, p.d, p.phi, p.q_at, p.q,
-            a.white, self._gravity, self.lever_arm, offset[0], offset[1], thresholds, o.covariance_every, o.output_every,
+            t, record.gyro, record.accel, nav, x0, P0, p.place, a.axis, a.c, a.driver, p.slots, p.diagonal, p.d, p.phi, p.offsets, p.mix, p.q_at, p.q,
+            a.white, self._gravity, self.lever_arm, lever_at, latency_at, self.thresholds(), o.covariance_every, o.output_every,
             events.epoch, events.kind, events.tau, events.z, events.var, cov_epoch, node_epoch, stored,
             out_nav, out_var, out_x, nu, S, nis, dof, ok, K, H, out_P, node_nav, node_x, before, after, phi, node_dx, P,
         )  # fmt: skip
@@ -470,7 +496,20 @@ class LooselyCoupledEKF:
             seconds,
         )
 
-    def _events(self, t: Array, gnss: GnssRecord | None) -> _Events:
+    def thresholds(self) -> Array:
+        """Largest accepted normalised innovation squared by the number of components, (7,)."""
+        out = np.full(7, np.inf)
+        if self.options.gate is not None:
+            out[1:] = chi2.isf(self.options.gate, np.arange(1, 7))
+        return out
+
+    def installation(self) -> tuple[int, int]:
+        """Place of the first lever-arm state and of the latency state, -1 where they are not carried."""
+        slices = self.layout.slices
+        lever, latency = (slices[name].start if name in slices else -1 for name in ("lever_arm", "latency"))
+        return lever, latency
+
+    def events(self, t: Array, gnss: GnssRecord | None) -> _Events:
         """Fixes and standstill updates in the order of the epochs at which they are used."""
         parts: list[_Events] = []
         if gnss is not None:
