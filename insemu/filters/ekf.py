@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -229,7 +229,7 @@ class FilterResult:
 
 
 @dataclass(frozen=True)
-class _Packed:
+class Packed:
     """The augmentation in the compiled loop's slots."""
 
     place: NDArray[np.int64]
@@ -243,7 +243,8 @@ class _Packed:
     q: Array
 
 
-def _pack(aug: Augmentation, powers: int) -> _Packed:
+def pack(aug: Augmentation, powers: int) -> Packed:
+    """Lay an augmentation out in slots, with the transitions over 1 to ``powers`` samples."""
     lanes = np.where(aug.axis >= 0, aug.axis, 0)
     slot = np.zeros(aug.m, dtype=np.int64)
     used = np.zeros(6, dtype=np.int64)
@@ -279,7 +280,7 @@ def _pack(aug: Augmentation, powers: int) -> _Packed:
             at = expanded.FIRST + 8 * k
             mix[:, row, at : at + 8] = phi[:, k, k - o]
     rows, columns = np.nonzero((Qs != 0).any(axis=0))
-    return _Packed(
+    return Packed(
         place,
         slots,
         diagonal,
@@ -343,7 +344,20 @@ class LooselyCoupledEKF:
                 _three(gnss_sigma[1], "gnss_sigma", unknown=True),
             )
         )
-        self._packed = _pack(self.augmentation, self.options.covariance_every)
+        self._packed = pack(self.augmentation, self.options.covariance_every)
+
+        self._belief = belief
+
+    def with_options(self, **changes: Any) -> LooselyCoupledEKF:
+        """The same design with some options (fields of :class:`FilterOptions`) replaced."""
+        return LooselyCoupledEKF(
+            self._belief,
+            self.dt,
+            lever_arm=self.lever_arm,
+            gravity=self.gravity,
+            gnss_sigma=self.gnss_sigma,
+            options=replace(self.options, **changes),
+        )
 
     @property
     def layout(self) -> StateLayout:

@@ -19,9 +19,9 @@ from insemu.filters.expanded import (
     reset_transition,
     scatter,
 )
-from insemu.filters.measurements import FIX, fill_fix, fill_standstill, first_bad_pivot, update
+from insemu.filters.measurements import FIX, fill_fix, fill_standstill, first_bad_pivot, take_off, update
 from insemu.rotation import scalar_dcm
-from insemu.strapdown import correct, fill_dynamics, step
+from insemu.strapdown import fill_dynamics, step
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -139,7 +139,7 @@ def run(
     white_now = np.empty(6)
     lever = lever0.copy()
     c_of = np.zeros(m)
-    dx = np.zeros(n)
+    dx, rest = np.zeros(n), np.zeros(3)
     node_total = np.zeros(n)
     nu, H, R = np.zeros(6), np.zeros((6, n)), np.zeros((6, 6))
     used = np.zeros(6, dtype=np.bool_)
@@ -271,6 +271,8 @@ def run(
                         H,
                         R,
                     )
+                    for i in range(3):
+                        nu[i] += rest[i]
                 else:
                     for i in range(3):
                         rate_sum[i] /= rate_count
@@ -297,7 +299,7 @@ def run(
                     if bad >= 0:
                         return 1, bad
                     scatter(P, place, E)
-                    correct(nav, dx)
+                    take_off(nav, dx, rest)
                     for s in range(m):
                         x[place[9 + s]] -= dx[9 + s]
                     for i in range(n):

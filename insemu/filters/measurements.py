@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from insemu.earth import RATE, scalar_radii
 from insemu.rotation import scalar_dcm
+from insemu.strapdown import correct
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -182,6 +183,37 @@ def fill_fix(
         H[3, latency_at] = -acc[0] - (omega_n[1] * swing[2] - omega_n[2] * swing[1])
         H[4, latency_at] = -acc[1] - (omega_n[2] * swing[0] - omega_n[0] * swing[2])
         H[5, latency_at] = -acc[2] - (omega_n[0] * swing[1] - omega_n[1] * swing[0])
+
+
+@njit(cache=True, nogil=True)
+def take_off(nav: Array, dx: Array, rest: Array) -> None:
+    """Take an estimated error off a navigation state and keep what rounding left of the position error.
+
+    The last digit of a latitude is worth 0.7 nm. That is nothing to a user, but an update that rounds the other way changes everything
+    after it at that level, so that no two implementations of a filter would agree better than that.
+
+    Parameters
+    ----------
+    nav : (10,) array
+        Corrected in place.
+    dx : (n,) array
+        Estimated error.
+    rest : (3,) array
+        Metres north, east, down still to be taken off; the next fix is compared with the position less this.
+    """
+    rm, rn = scalar_radii(math.sin(nav[0]))
+    h = nav[2]
+    east = (rn + h) * math.cos(nav[0])
+    lat, lon = nav[0], nav[1]
+    e = np.empty(9)
+    for i in range(9):
+        e[i] = dx[i]
+    for i in range(3):
+        e[i] += rest[i]
+    correct(nav, e)
+    rest[0] = e[0] - (lat - nav[0]) * (rm + h)
+    rest[1] = e[1] - (lon - nav[1]) * east
+    rest[2] = e[2] - (nav[2] - h)
 
 
 @njit(cache=True, nogil=True)

@@ -116,7 +116,7 @@ def reference_run(
     wanted = np.unique(np.searchsorted(t, np.asarray(o.covariance_at, dtype=np.float64) - 1e-9).clip(0, t.size - 1))
     kept: list[Array] = []
     rows: list[tuple[float, Array, Array, Array]] = []
-    F = np.empty((9, 9))
+    F, rest = np.empty((9, 9)), np.zeros(3)
     dtheta = dvel = rate = np.zeros(3)
     dt_before = t[1] - t[0]
     event = 0
@@ -149,6 +149,7 @@ def reference_run(
             measurements.fill_fix(
                 nav, nav_before, dt, tau, rate, rate_before, lever, a.white, seen, a.axis, lever_at, latency_at, events.z[event], nu, H, R
             )  # fmt: skip
+            nu[:3] += rest
             R += np.diag(events.var[event])
             used = np.isfinite(events.z[event]) & np.isfinite(events.var[event])
             if used.any():
@@ -162,7 +163,7 @@ def reference_run(
                     # the filter's state is the error, so what is measured of it is predicted minus measured
                     kf.update(-nu[used], R=R, H=H)
                     kf.P = 0.5 * (kf.P + kf.P.T)
-                    strapdown.correct(nav, kf.x)
+                    measurements.take_off(nav, kf.x, rest)
                     x = x - kf.x[9:]
                     kf.x = np.zeros(n)
             event += 1
