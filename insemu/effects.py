@@ -508,3 +508,17 @@ def effect_of(effect_id: str) -> Effect:
     if effect_id not in EFFECTS:
         raise InputError(f"unknown effect '{effect_id}'" + nearest(effect_id, EFFECTS))
     return EFFECTS[effect_id]
+
+
+def markdown_table() -> str:
+    """The catalogue as the table of the documentation."""
+    lines = ["| effect | sensor | formula | parameters [SI unit] = default |", "| --- | --- | --- | --- |"]
+    for effect in EFFECTS.values():
+        shown = []
+        for p in effect.parameters:
+            named = list(dict.fromkeys(effect.unit(p.name, sensor) or "1" for sensor in effect.sensors))
+            default = "" if p.default is None else f" = {p.default:g}"
+            shown.append(f"`{p.name}` [{'; '.join(named)}]{default}")
+        formula = effect.formula.replace("|", "\\|")
+        lines.append(f"| `{effect.id}` | {', '.join(effect.sensors)} | {formula} | {', '.join(shown)} |")
+    return "\n".join(lines)
