@@ -212,7 +212,7 @@ _TABLE = (
         "e_k ~ N(0, (N max(0, T - T_0))^2 / dt)",
         (
             _P("N", "{s}/sqrt(Hz)", 3, (0.001 * _DEG, 1e-5 * _G), None, "density per kelvin", True),
-            _P("T0", "", 1, (25.0,), 25.0, "temperature where it starts, degC"),
+            _P("T0", "degC", 1, (25.0,), 25.0, "temperature where it starts"),
         ),
         "a temperature sweep", "noise level scheduled with temperature",
     ),
@@ -263,7 +263,7 @@ _TABLE = (
             _P("c1", "{s}/K", 3, (0.005 * _DEG, 1e-4 * _G), 0.0, "linear coefficient"),
             _P("c2", "{s}/K^2", 3, (1e-4 * _DEG, 2e-6 * _G), 0.0, "quadratic coefficient"),
             _P("c3", "{s}/K^3", 3, (2e-6 * _DEG, 4e-8 * _G), 0.0, "cubic coefficient"),
-            _P("T0", "", 1, (25.0,), 25.0, "reference temperature, degC"),
+            _P("T0", "degC", 1, (25.0,), 25.0, "reference temperature"),
             _P("lag", "s", 1, (60.0,), 0.0, "time constant of the sensing element behind the temperature that is recorded", True),
         ),
         "a temperature sweep", "compensation by the recorded temperature",
