@@ -38,6 +38,20 @@ NAV_SIZE = 10
 
 
 @njit(cache=True, nogil=True)
+def scalar_coning_factor(dt: float, dt_prev: float) -> float:
+    """Factor of ``dtheta_prev x dtheta``: rate and specific force linear in time over both intervals, 1/12 where they
+    are equal.
+
+    Zero after an interval less than a fifth as long: a line through a short interval says nothing about a long one
+    (dropped samples).
+    """
+    ratio = dt / dt_prev
+    if ratio > 5.0:
+        return 0.0
+    return ratio * ratio / (6.0 * (1.0 + ratio))
+
+
+@njit(cache=True, nogil=True)
 def step(
     nav: Array,
     dtheta: Array,
@@ -73,9 +87,7 @@ def step(
     px, py, pz = dtheta_prev[0], dtheta_prev[1], dtheta_prev[2]
     wx, wy, wz = dvel_prev[0], dvel_prev[1], dvel_prev[2]
 
-    # rate and specific force linear in time over both intervals: c = 1/12 where they are equal
-    ratio = dt / dt_prev
-    c = ratio * ratio / (6.0 * (1.0 + ratio))
+    c = scalar_coning_factor(dt, dt_prev)
     fx = ax + c * (py * az - pz * ay)
     fy = ay + c * (pz * ax - px * az)
     fz = az + c * (px * ay - py * ax)

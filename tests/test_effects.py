@@ -489,7 +489,7 @@ def test_gnss_levels(drive):
 
 def test_gnss_correlated_noise_covers_its_wavelet_variance(drive):
     hits, expected = [], GM(0.5, 1 / 5.0).wavelet_variance(SCALES, 0.5)
-    for seed in range(100):
+    for seed in range(60):
         for kind, which in (("gnss_correlated_noise", 1), ("gnss_velocity_noise", 2)):
             errors = gnss_errors(drive, use(kind, sigma=0.5, tau=5.0), seed=seed)[which][:, 0]
             c = wavelet_variance(errors, 2.0, levels=len(SCALES))

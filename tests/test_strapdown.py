@@ -215,6 +215,12 @@ def test_irregular_steps_keep_the_coning_correction():
     assert error["uneven"][3:6].max() < 1e-4
 
 
+def test_a_gap_does_not_amplify_the_noise_of_the_sample_before_it():
+    assert strapdown.scalar_coning_factor(0.01, 0.01) == pytest.approx(1 / 12)
+    assert strapdown.scalar_coning_factor(0.02, 0.01) == pytest.approx(4 / 18)
+    assert strapdown.scalar_coning_factor(1.0, 0.01) == 0.0
+
+
 def test_longitude_wraps_at_the_antimeridian():
     state = strapdown.NavState(np.array([0.1, np.pi - 1e-7, 0.0]), np.array([0.0, 100.0, 0.0]), np.zeros(3))
     nav = state.to_array()
