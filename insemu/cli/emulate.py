@@ -13,7 +13,7 @@ def command(
     variant: str | None = typer.Option(None, "--variant", help="Name of one of the scenario's variants."),
     ideal: bool = typer.Option(False, "--ideal", help="Perfect sensors: no errors on the IMU or the fixes."),
     figure: str = typer.Option(
-        "", "--figure", help="Also draw track, speed, turn rate and residuals (PNG, PDF or SVG)."
+        "", "--figure", help="Also draw track, speed, turn rate and residuals (PNG, PDF, SVG or HTML page)."
     ),
     as_json: bool = typer.Option(False, "--json", help="Print what was written as JSON."),
 ) -> None:

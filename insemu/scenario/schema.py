@@ -150,6 +150,16 @@ class TrajectorySource(Section):
         default="exact", description="how the ideal IMU is made (docs/emulation.md)"
     )
 
+    @field_validator("builtin")
+    @classmethod
+    def _exists(cls, value: str | None) -> str | None:
+        if value is not None:
+            from insemu.emulate.trajectory import TRAJECTORIES  # heavy: not needed to print the schema
+
+            if value not in TRAJECTORIES:
+                raise InputError(f"unknown trajectory '{value}'" + nearest(value, TRAJECTORIES))
+        return value
+
     @model_validator(mode="after")
     def _one_source(self) -> TrajectorySource:
         given = [k for k in ("builtin", "waypoints", "track", "motion") if getattr(self, k) is not None]
