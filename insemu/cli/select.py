@@ -28,7 +28,7 @@ def command(
     held_out: list[str] | None = typer.Option(  # noqa: B008
         None, "--held-out", help="Another log of the same sensor: how well the choice predicts it, scale by scale."
     ),
-    rate: float | None = typer.Option(None, "--rate", help="Sampling rate in Hz of a log that does not say it."),
+    rate: str = typer.Option("", "--rate", help='Sampling rate of a log that does not say it, for example "100 Hz".'),
     skip: str = typer.Option(
         "0 s", "--skip", help='Leave out the start of every record, for example "40 min" of warm-up.'
     ),
