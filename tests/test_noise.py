@@ -143,6 +143,14 @@ def test_flicker_approximation_states_its_error() -> None:
         BI(0.3).block(DT)
 
 
+@pytest.mark.parametrize("name", CASES)
+def test_a_scaled_model_has_scaled_variances(name: str) -> None:
+    np.testing.assert_allclose(
+        CASES[name].scaled(3.0).allan_variance([1, 8], DT), 9.0 * CASES[name].allan_variance([1, 8], DT), rtol=1e-12
+    )
+    assert RW(1.0, 2.0).scaled(3.0) == RW(3.0, 6.0)
+
+
 def _allan_estimate(y: np.ndarray, m: int) -> np.ndarray:
     """Non-overlapping Allan variances of runs of a signal, one row a run."""
     means = y[:, : y.shape[1] // m * m].reshape(y.shape[0], -1, m).mean(axis=2)

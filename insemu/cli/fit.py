@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from insemu.fit import FitResult
     from insemu.records import Series
+    from insemu.variance import WaveletVariance
 
 
 def command(
@@ -21,7 +22,7 @@ def command(
     model: str = typer.Option(
         ..., "--model", "-m", help='Structure, for example "2*GM() + WN()"; given values are held.'
     ),
-    method: str = typer.Option("gmwm", "--method", help="gmwm, em, mli, slopes or burg."),
+    method: str = typer.Option("gmwm", "--method", help="gmwm, indirect, em, mli, slopes or burg."),
     robust: bool = typer.Option(False, "--robust", help="Use the wavelet variance that outliers cannot move (gmwm)."),
     per_axis: bool = typer.Option(
         True,
@@ -66,6 +67,8 @@ def command(
             "tau_from": tau_from,
             "tau_to": tau_to or math.inf,
         }
+    elif method == "indirect":
+        options = {"rng": np.random.default_rng(seed)}
     elif method == "burg":
         options = {"denoise_levels": denoise}
     elif method == "mli":
@@ -133,8 +136,9 @@ def fit_pooled(
 
     from insemu.errors import InputError
     from insemu.fit import fit
+    from insemu.fit.robust import cleaned_curve
     from insemu.noise import NoiseModel
-    from insemu.variance import robust_wavelet_variance, wavelet_variance
+    from insemu.variance import wavelet_variance
 
     if method != "gmwm":
         raise InputError(f"--pooled belongs to gmwm, not to '{method}'")
@@ -143,8 +147,9 @@ def fit_pooled(
         groups.setdefault((s.unit, s.rate_hz, len(s)), []).append(s)
     out: dict[str, FitResult] = {}
     for (unit, rate, _), members in groups.items():
-        make = robust_wavelet_variance if robust else wavelet_variance
-        curves = [make(s.values, rate) for s in members]
+        curves: list[WaveletVariance] = [
+            cleaned_curve(s.values, rate).curve if robust else wavelet_variance(s.values, rate) for s in members
+        ]
         count = len(curves)
         value = np.mean([c.value for c in curves], axis=0)
         spread = np.sqrt(1.0 / count)

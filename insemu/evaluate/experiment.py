@@ -11,7 +11,7 @@ import subprocess
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import metadata
 from pathlib import Path
@@ -22,16 +22,17 @@ from numpy.typing import NDArray
 
 import insemu
 from insemu import earth, rotation
+from insemu.denoise import denoise
 from insemu.emulate.gnss import state_at
 from insemu.errors import InputError
 from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.results import DesignInfo, Results
 from insemu.evaluate.world import World, static_logs, stream
-from insemu.filters import FilterOptions, InitialSigma, LooselyCoupledEKF
+from insemu.filters import Extras, FilterOptions, InitialSigma, LooselyCoupledEKF
 from insemu.fit import FitResult, fit
-from insemu.noise import NoiseModel, axis_unit, load
-from insemu.records import AXES, ImuRecord, Series, Trajectory
-from insemu.scenario import Scenario, digest
+from insemu.noise import ARMA, NoiseModel, axis_unit, load
+from insemu.records import AXES, GnssRecord, ImuRecord, Series, Trajectory
+from insemu.scenario import AxisSource, Scenario, digest
 from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
@@ -104,7 +105,7 @@ class Experiment:
     @cached_property
     def beliefs(self) -> dict[str, Belief]:
         """What every design believes, models fitted where the scenario says so."""
-        done: dict[tuple[str, int], FitResult] = {}
+        done: dict[tuple[str, int], FitResult] = {}  # a log is fitted once per structure and method
         out = {}
         for name, design in self.scenario.designs.items():
             models: dict[str, NoiseModel] = {}
@@ -119,13 +120,31 @@ class Experiment:
                 else:
                     assert source.fit is not None
                     log = self.fit_logs[axis][0]
-                    key = (source.fit, id(log))
+                    key = (source.model_dump_json(), id(log))
                     if key not in done:
-                        done[key] = fit(log, NoiseModel.parse(source.fit, axis_unit(axis)))
+                        done[key] = self._fitted(name, log, source)
                     fits[axis] = done[key]
                     models[axis] = done[key].model
+                if isinstance(source, AxisSource) and source.stabilise:
+                    models[axis] = NoiseModel(tuple(p.stabilised() if isinstance(p, ARMA) else p for p in models[axis]))
+                tuning = design.options.tuning
+                factor = tuning.gyro if axis.startswith("gyro") else tuning.accel
+                if factor != 1.0:
+                    models[axis] = models[axis].scaled(factor)
             out[name] = Belief({axis: m.at_rate(self.rate_hz) for axis, m in models.items()}, fits)
         return out
+
+    def _fitted(self, design: str, log: Series, source: AxisSource) -> FitResult:
+        model = NoiseModel.parse(source.fit or "", axis_unit(log.name))
+        try:
+            return fit(log, model, source.method, **dict[str, Any](source.options))  # type: ignore[arg-type]
+        except TypeError as error:
+            if "unexpected keyword argument" not in str(error):
+                raise
+            raise InputError(
+                f"{str(error).split('() ')[-1]}; it is no option of the method '{source.method}'",
+                where=f"{self.file or 'scenario'}: designs.{design}",
+            ) from None
 
     def _from_file(self, name: str, axis: str) -> NoiseModel:
         models = load(self.world.files[name])
@@ -133,16 +152,24 @@ class Experiment:
             raise InputError(f"no model for {axis}, expected one of: {', '.join(models)}", where=name)
         return models[axis]
 
-    def filter(self, design: str, options: FilterOptions | None = None) -> LooselyCoupledEKF:
+    def filter(self, design: str, *, output_every: int = 1, covariance_at: Array | None = None) -> LooselyCoupledEKF:
         """The filter of one design."""
-        gnss = self.scenario.gnss
+        gnss, options = self.scenario.gnss, self.scenario.designs[design].options
+        sigma = np.array(gnss.position_sigma) * options.tuning.position
+        velocity = np.array(gnss.velocity_sigma or (np.nan,) * 3) * options.tuning.velocity
         return LooselyCoupledEKF(
             self.beliefs[design].models,
             1.0 / self.rate_hz,
             lever_arm=gnss.lever_arm,
             gravity=self.scenario.trajectory.gravity,
-            gnss_sigma=(gnss.position_sigma, gnss.velocity_sigma or (np.nan,) * 3),
-            options=options or FilterOptions(),
+            gnss_sigma=(sigma, velocity),
+            options=FilterOptions(
+                covariance_every=options.covariance_every,
+                output_every=output_every * options.covariance_every,
+                gate=options.gate,
+                covariance_at=() if covariance_at is None else tuple(covariance_at),
+                extras=Extras(**options.states.model_dump()),
+            ),
         )
 
     @cached_property
@@ -182,37 +209,63 @@ class Experiment:
             ``error, sigma`` (design, time, 9); ``nees`` (design, time); ``nis, epochs, seconds`` (design,).
         """
         recording = self.world.recording(index)
-        imu = recording.imu
+        imu, fixes = recording.imu, recording.gnss
+        assert fixes is not None
         start, start_sigma = self.initial(index)
-        rows, truth = self._compared(imu)
+        rows, truth = self._compared(imu, max(d.options.covariance_every for d in self.scenario.designs.values()))
         times = imu.t[rows]
         out: dict[str, list[Any]] = {"error": [], "sigma": [], "nees": [], "nis": [], "epochs": [], "seconds": []}
         for name in self.beliefs:
-            ekf = self.filter(name, FilterOptions(output_every=1, covariance_at=tuple(times)))
-            run = ekf.run(imu, recording.gnss, start, start_sigma)
-            estimate = Trajectory(
-                times, run.nav[rows, 0:3], run.nav[rows, 3:6], rotation.rpy_from_quaternion(run.nav[rows, 6:10])
-            )
+            ekf = self.filter(name, covariance_at=times)
+            run = ekf.run(self._prefiltered(name, imu), self._believed(name, fixes), start, start_sigma)
+            at = np.searchsorted(run.t, times - 1e-9)
+            nav = run.nav[at]
+            estimate = Trajectory(times, nav[:, 0:3], nav[:, 3:6], rotation.rpy_from_quaternion(nav[:, 6:10]))
             error = navigation_error(estimate, truth)
             kept = np.searchsorted(run.covariance_t, times - 1e-9)
             covariance = run.covariance[np.minimum(kept, len(run.covariance) - 1), :9, :9]
             used = run.fixes.accepted
             out["error"].append(error)
-            out["sigma"].append(run.sigma[rows, :9])
+            out["sigma"].append(run.sigma[at, :9])
             out["nees"].append(np.einsum("ti,ti->t", error, np.linalg.solve(covariance, error[..., None])[..., 0]))
             out["nis"].append(float(run.fixes.nis[used].sum() / max(1, run.fixes.dof[used].sum())))
             out["epochs"].append(run.epochs)
             out["seconds"].append(run.seconds)
         return {name: np.array(values) for name, values in out.items()}
 
-    def _compared(self, imu: ImuRecord) -> tuple[NDArray[np.intp], Trajectory]:
-        """Rows of a record nearest the output epochs, and the truth at their time stamps.
+    def _prefiltered(self, design: str, imu: ImuRecord) -> ImuRecord:
+        """What a design's filter is fed: the record, de-noised where the design says so."""
+        prefilter = self.scenario.designs[design].options.prefilter
+        if prefilter is None:
+            return imu
+        columns = [*imu.gyro.T, *imu.accel.T]
+        clean = [
+            denoise(column, levels, wavelet=prefilter.wavelet, rule=prefilter.rule, mode=prefilter.mode)
+            if levels
+            else column
+            for column, levels in zip(columns, prefilter.per_axis(), strict=True)
+        ]
+        return replace(imu, gyro=np.stack(clean[:3], axis=1), accel=np.stack(clean[3:], axis=1))
+
+    def _believed(self, design: str, fixes: GnssRecord) -> GnssRecord:
+        """The fixes with the standard deviations that a design believes."""
+        tuning = self.scenario.designs[design].options.tuning
+        out = fixes
+        if tuning.position != 1.0 and fixes.pos_std_ned is not None:
+            out = replace(out, pos_std_ned=fixes.pos_std_ned * tuning.position)
+        if tuning.velocity != 1.0 and fixes.vel_std_ned is not None:
+            out = replace(out, vel_std_ned=fixes.vel_std_ned * tuning.velocity)
+        return out
+
+    def _compared(self, imu: ImuRecord, every: int) -> tuple[NDArray[np.intp], Trajectory]:
+        """Rows of a record nearest the output epochs (and multiples of ``every``), and the truth at their time stamps.
 
         Time offsets, jitter and dropped samples move the stamps; the filter's estimate belongs to the stamp.
         """
         t, want = imu.t, self.output_times
         right = np.clip(np.searchsorted(t, want), 1, t.size - 1)
         rows = np.where(np.abs(t[right - 1] - want) < np.abs(t[right] - want), right - 1, right)
+        rows = np.minimum(np.round(rows / every).astype(np.intp) * every, (t.size - 1) // every * every)
         if np.array_equal(t[rows], want):
             return rows, self.truth_at_outputs
         reference = self.world.reference
@@ -334,7 +387,8 @@ def run_experiment(
         truth=experiment.truth_at_outputs,
         timing=timing,
         manifest=manifest_of(experiment) | {"timing": timing},
-        published=dict(s.published.planimetric_end_m) if s.published else {},
+        published=s.published.values if s.published else {},
+        published_figure=s.published.figure if s.published else "planimetric_end_m",
         **stacked,
     )
 

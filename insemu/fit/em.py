@@ -241,10 +241,11 @@ def fit_em(
     t = (np.arange(y.size) - 0.5 * (y.size - 1)) * dt
     has_ramp = any(isinstance(p, DR) for p in model)
     inside = has_ramp and ramp == "em"
+    level = y - offset - (slope * t if has_ramp and ramp != "none" else 0.0)
     y = y - offset - (slope * t if has_ramp and ramp == "least_squares" else 0.0)
     noise = NoiseModel(tuple(p for p in model if not isinstance(p, DR)))
     moments: NoiseModel | None = None
-    curve = wavelet_variance(y, series.rate_hz)
+    curve = wavelet_variance(level, series.rate_hz)
     if start is None or check:
         try:
             moments = fit_curve(curve, noise).model
@@ -275,8 +276,12 @@ def fit_em(
         notes.append(
             f"the likelihood still rose after {found.trace.size} iterations; raise `iterations` or start nearer"
         )
-    if check and moments is not None and not inside:
-        other = _likelihood(NoiseModel(tuple(_positive(p, spread, dt, y.size) for p in moments)), noise, y, dt, spread)
+    if check and moments is not None:
+        # both without the ramp, so that they are likelihoods of the same data
+        other = _likelihood(
+            NoiseModel(tuple(_positive(p, spread, dt, y.size) for p in moments)), noise, level, dt, spread
+        )
+        final = _likelihood(fitted, noise, level, dt, spread) if inside else final
         # EM may stop a little short of the top it is on; a whole unit below another estimate is another matter
         if other > final + 2.0:
             converged = False
@@ -313,7 +318,7 @@ def fit_em(
         covariance=covariance,
         curve=curve if not has_ramp else wavelet_variance(series.values, series.rate_hz),
         fitted=whole.wavelet_variance(curve.scale_samples, dt),
-        objective=-final,
+        objective=-float(found.trace[-1]) if found.trace.size else math.inf,
         converged=converged,
         warnings=tuple(notes),
         details={"trace": found.trace, "offset": offset, "space": found.space, "start": begin, "free": free_of_model},

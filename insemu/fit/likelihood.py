@@ -11,6 +11,7 @@ to balance (the continuous limit is what :func:`continuous_transition` gives, an
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Literal, get_args
 
 import numpy as np
@@ -19,9 +20,10 @@ from scipy import linalg, optimize
 
 from insemu.errors import InputError
 from insemu.fit import _integrated_kernel
+from insemu.fit.coordinates import Coordinates
 from insemu.fit.gmwm import fit_curve
 from insemu.fit.result import FitResult, estimates
-from insemu.noise import ARMA, BI, DR, GM, RC, RW, SIN, WN, NoiseModel, StateBlock
+from insemu.noise import BI, DR, GM, RC, SIN, NoiseModel, StateBlock
 from insemu.records import Series
 from insemu.variance import wavelet_variance
 
@@ -194,18 +196,9 @@ def fit_mli(
         problem: _Problem | _Direct = _Problem(integrate(series.values, at, dt), at, dt, bias)
     else:
         problem = _Direct(series.values[at - 1], at, dt, bias)
-    free, values, transforms = _coordinates(model, begin, curve.value[0])
-
-    def model_at(move: Array) -> NoiseModel:
-        parts = list(begin.processes)
-        changes: dict[int, dict[str, float]] = {}
-        for (k, name), v, kind in zip(free, move, transforms, strict=True):
-            changes.setdefault(k, {})[name] = (
-                math.exp(min(v, 300.0)) if kind == "log" else (math.tanh(v) if kind == "atanh" else v)
-            )
-        for k, change in changes.items():
-            parts[k] = parts[k].with_parameters(change)
-        return NoiseModel(tuple(parts))
+    coordinates = Coordinates.of(model, begin, math.sqrt(curve.value[0]))
+    values, model_at = coordinates.start, coordinates.model
+    free = coordinates.free
 
     worst = [math.inf]
 
@@ -238,7 +231,7 @@ def fit_mli(
         move, converged = values, True
     fitted = model_at(move)
     final, constant = problem.likelihood(fitted)
-    covariance = _covariance(cost, move, free, fitted, transforms)
+    covariance = _covariance(cost, move, coordinates)
     notes = [] if converged else ["the search did not converge; treat the values as a start"]
     record = n * dt
     for k, (index, p) in enumerate(fitted.indexed()):
@@ -303,47 +296,12 @@ class _Direct:
         return _integrated_kernel.increments_likelihood(A, W, self.which, P0, extra, self.y, self.ones, self.bias)
 
 
-def _coordinates(model: NoiseModel, begin: NoiseModel, level: float) -> tuple[list[tuple[int, str]], Array, list[str]]:
-    """Free parameters, where they start and in which coordinate they are searched; amplitudes at zero start from a trace."""
-    free: list[tuple[int, str]] = []
-    values, transforms = [], []
-    for k, (asked, p) in enumerate(zip(model, begin, strict=True)):
-        for meta in p.parameters_meta():
-            given = asked.parameters[meta.name] if asked.specified else _given(asked, meta.name)
-            if given is not None:
-                continue
-            value = p.parameters[meta.name]
-            free.append((k, meta.name))
-            if meta.domain == "positive":
-                trace = {WN: 1e-2, RW: 1e-4, GM: 1e-2}.get(type(p), 1e-3) * math.sqrt(level)
-                values.append(math.log(value if value > 0 else trace))
-                transforms.append("log")
-            elif meta.domain == "correlation":
-                values.append(math.atanh(min(max(value, -1 + 1e-12), 1 - 1e-12)))
-                transforms.append("atanh")
-            else:
-                values.append(value)
-                transforms.append("plain")
-    return free, np.array(values, dtype=np.float64), transforms
-
-
-def _given(p: object, name: str) -> float | None:
-    if isinstance(p, ARMA):
-        names = [f"ar_{i + 1}" for i in range(len(p.ar))] + [f"ma_{i + 1}" for i in range(len(p.ma))]
-        return dict(zip([*names, "sigma2"], [*p.ar, *p.ma, p.sigma2], strict=True))[name]
-    value: float | None = getattr(p, name)
-    return value
-
-
 def _simplex(x: Array) -> Array:
     return np.vstack([x, x + 0.05 * np.eye(x.size)])
 
 
-def _covariance(
-    cost: object, at: Array, free: list[tuple[int, str]], fitted: NoiseModel, transforms: list[str]
-) -> Array:
+def _covariance(cost: Callable[[Array], float], at: Array, coordinates: Coordinates) -> Array:
     """From the observed information, by differences in the search coordinates, carried to the parameters as written."""
-    assert callable(cost)
     p = at.size
     out = np.full((p, p), np.nan)
     if p == 0:
@@ -368,12 +326,6 @@ def _covariance(
     if values[0] <= 1e-9 * values[-1]:
         return out
     inverse = vectors / values @ vectors.T
-    slope = np.empty(p)
-    for i, ((k, name), kind) in enumerate(zip(free, transforms, strict=True)):
-        value = fitted.processes[k].parameters[name]
-        slope[i] = value if kind == "log" else (1.0 - value**2 if kind == "atanh" else 1.0)
+    slope = coordinates.slopes(at)
     out[np.ix_(alive, alive)] = inverse * np.outer(slope[alive], slope[alive])
     return out
-
-
-__all__ = ["continuous_transition", "fit_mli", "integrate", "sampling_pattern"]

@@ -23,10 +23,11 @@ from insemu.errors import InputError
 from insemu.fit.covariance import model_covariance
 from insemu.fit.gmwm import Solution, fit_curve, interval_widths, refit, root_of_inverse, search
 from insemu.fit.result import Criterion, FitResult
+from insemu.fit.robust import cleaned_curve
 from insemu.fit.structure import Structure, natural_jacobian
 from insemu.noise import NoiseModel, Process
 from insemu.records import Series
-from insemu.variance import WaveletVariance, robust_wavelet_variance, wavelet_variance
+from insemu.variance import WaveletVariance, wavelet_variance
 
 Array = NDArray[np.float64]
 
@@ -444,8 +445,11 @@ def select_axes(
     """
 
     def one(series: Series, executor: Executor) -> Ranking:
-        make = robust_wavelet_variance if robust else wavelet_variance
-        curve = make(series.values, series.rate_hz)
+        curve: WaveletVariance
+        if robust:
+            curve = cleaned_curve(series.values, series.rate_hz).curve
+        else:
+            curve = wavelet_variance(series.values, series.rate_hz)
         efficiency = float(getattr(curve, "efficiency", 1.0))
         if candidates is None:
             return select(curve, general, name=series.name, unit=series.unit, efficiency=efficiency, executor=executor)

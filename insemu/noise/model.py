@@ -90,6 +90,10 @@ class NoiseModel:
         """The model at a sampling rate: discrete processes without a rate take it."""
         return NoiseModel(tuple(p.at_rate(rate_hz) for p in self))
 
+    def scaled(self, factor: float) -> NoiseModel:
+        """The model whose signal is ``factor`` times this one's."""
+        return NoiseModel(tuple(p.scaled(factor) for p in self))
+
     # -- closed forms: sums over the processes ------------------------------------------------------------------------------------
 
     def allan_variance(self, m: ArrayLike, dt: float) -> Array:

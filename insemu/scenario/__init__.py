@@ -8,6 +8,7 @@ from insemu.scenario.files import digest, load, resolve_path, schema, variant_na
 from insemu.scenario.schema import (
     AxisSource,
     Design,
+    DesignOptions,
     FitSource,
     Gnss,
     Initial,
@@ -25,6 +26,7 @@ from insemu.scenario.schema import (
 __all__ = [
     "AxisSource",
     "Design",
+    "DesignOptions",
     "FitSource",
     "Gnss",
     "Initial",

@@ -10,7 +10,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSche
 
 from insemu import units
 from insemu.effects import EFFECTS, EffectUse
-from insemu.errors import InputError
+from insemu.errors import InputError, nearest
 from insemu.noise import NoiseModel, axis_unit
 from insemu.records import AXES
 
@@ -264,6 +264,11 @@ class AxisSource(Section):
     """A belief about one sensor: fitted to the fit source, read from a file, or the truth itself."""
 
     fit: str | None = Field(default=None, description="structure to fit, for example '2*GM() + WN()'")
+    method: str = Field(default="gmwm", description="estimator: gmwm, em, mli, slopes or burg")
+    options: dict[str, int | float | str | bool] = Field(default_factory=dict, description="options of the estimator")
+    stabilise: bool = Field(
+        default=False, description="move poles of a polynomial that is not stationary inside the unit circle"
+    )
     file: str | None = Field(default=None, description="noise-model file written by insemu fit")
     truth: bool = Field(default=False, description="the model of the truth")
 
@@ -293,8 +298,68 @@ def _belief(value: Any, info: Any) -> Any:
     return value
 
 
+class Prefilter(Section):
+    """Wavelet de-noising of the IMU before the mechanization (paper 004, sections 5.6 and 6)."""
+
+    levels: int | dict[str, int] = Field(
+        description="octaves that are shrunk, one number or one per axis (gyro_x: 7, ...)"
+    )
+    wavelet: str = "db4"
+    rule: Literal["sure", "universal"] = "sure"
+    mode: Literal["soft", "hard"] = "soft"
+
+    @field_validator("levels")
+    @classmethod
+    def _known_axes(cls, value: int | dict[str, int]) -> int | dict[str, int]:
+        for axis, levels in value.items() if isinstance(value, dict) else [("levels", value)]:
+            if isinstance(value, dict) and axis not in AXES:
+                raise InputError(f"unknown axis '{axis}'" + nearest(axis, AXES))
+            if not 0 <= levels <= 20:
+                raise InputError(f"found {levels} levels, expected 0 to 20")
+        return value
+
+    def per_axis(self) -> list[int]:
+        """Levels in the order of :data:`insemu.records.AXES`; axes that are not named stay as they are."""
+        given = self.levels
+        return [given if isinstance(given, int) else given.get(axis, 0) for axis in AXES]
+
+
+class CalibrationStates(Section):
+    """Further states, each a random constant of this standard deviation; 0 leaves it out."""
+
+    gyro_scale: Annotated[float, BeforeValidator(_quantity("1")), _schema("ppm")] = Field(default=0.0, ge=0)
+    accel_scale: Annotated[float, BeforeValidator(_quantity("1")), _schema("ppm")] = Field(default=0.0, ge=0)
+    gyro_misalignment: Radians = Field(default=0.0, ge=0)
+    accel_misalignment: Radians = Field(default=0.0, ge=0)
+    lever_arm: Length = Field(default=0.0, ge=0)
+    latency: Seconds = Field(default=0.0, ge=0)
+
+
+class Tuning(Section):
+    """Factors on what is believed: noise amplitudes per sensor, standard deviations of the fixes."""
+
+    gyro: float = Field(default=1.0, gt=0)
+    accel: float = Field(default=1.0, gt=0)
+    position: float = Field(default=1.0, gt=0)
+    velocity: float = Field(default=1.0, gt=0)
+
+
+class DesignOptions(Section):
+    """How a design's filter runs."""
+
+    covariance_every: int = Field(default=1, ge=1, description="covariance propagated every n-th IMU epoch")
+    gate: float | None = Field(
+        default=None, gt=0, lt=1, description="probability that a good fix is rejected; null: no gate"
+    )
+    prefilter: Prefilter | None = None
+    states: CalibrationStates = CalibrationStates()
+    tuning: Tuning = Tuning()
+
+
 class Design(Section):
-    """A filter design: what the filter believes about every axis."""
+    """A filter design: what the filter believes about every axis, and how it runs."""
+
+    options: DesignOptions = DesignOptions()
 
     gyro: AxisSource | Signal | None = None
     accel: AxisSource | Signal | None = None
@@ -379,10 +444,29 @@ class Initial(Section):
 
 
 class Published(Section):
-    """Figures of a paper, printed beside ours: mean planimetric error at the end of each outage."""
+    """Figures of a paper, printed beside ours: planimetric errors per design, one value per outage."""
 
     source: str
-    planimetric_end_m: dict[str, tuple[float, ...]] = Field(description="design name to one value per outage")
+    planimetric_end_m: dict[str, tuple[float, ...]] | None = Field(default=None, description="mean error at outage end")
+    planimetric_mean_m: dict[str, tuple[float, ...]] | None = Field(
+        default=None, description="mean error during the outage"
+    )
+
+    @model_validator(mode="after")
+    def _one_figure(self) -> Published:
+        if (self.planimetric_end_m is None) == (self.planimetric_mean_m is None):
+            raise InputError("expected exactly one of the keys 'planimetric_end_m' and 'planimetric_mean_m'")
+        return self
+
+    @property
+    def figure(self) -> str:
+        """Which figure of the table was published."""
+        return "planimetric_end_m" if self.planimetric_end_m is not None else "planimetric_mean_m"
+
+    @property
+    def values(self) -> dict[str, tuple[float, ...]]:
+        """Design to one value per outage."""
+        return self.planimetric_end_m or self.planimetric_mean_m or {}
 
 
 class Scenario(Section):
@@ -422,7 +506,7 @@ class Scenario(Section):
         if self.truth.recorded is not None and self.fits is not None and self.fits.simulate is not None:
             raise InputError("fits cannot be simulated from a recorded truth; expected the key 'recorded' under 'fits'")
         if self.published is not None:
-            unknown = [name for name in self.published.planimetric_end_m if name not in self.designs]
+            unknown = [name for name in self.published.values if name not in self.designs]
             if unknown:
                 raise InputError(f"published figures for '{unknown[0]}', which is no design here")
         return self
