@@ -426,6 +426,7 @@ class LooselyCoupledEKF:
         nav = initial.to_array()
         if not np.isfinite(nav).all() or abs(nav[0]) > np.deg2rad(89.9):
             raise InputError("the initial navigation state is not finite or within 0.1 deg of a pole")
+        nav = np.concatenate([nav, np.zeros(3)])
         o, n, m = self.options, self.layout.n, self.augmentation.m
         P0 = self.initial_covariance(initial_sigma)
         x0 = np.zeros(m) if initial_states is None else np.array(initial_states, dtype=np.float64)
