@@ -67,7 +67,9 @@ def step(
     Parameters
     ----------
     nav : (10,) array
-        State at the start of the interval, overwritten by the state at its end; see the module for the layout.
+        State at the start of the interval, overwritten by the state at its end; see the module for the layout. Three more
+        numbers, where there are, keep what rounding left of latitude, longitude and height (the place is the sum): the last
+        digit of a latitude is 0.7 nm, too coarse where two implementations are to agree in every digit that matters.
     dtheta, dvel : (3,) arrays
         Integrals of angular rate (with respect to inertial space, rad) and specific force (m/s) in body axes over the
         interval, without any coning or sculling correction.
@@ -149,14 +151,19 @@ def step(
     ve1 = ve + gy - dt * (od * vn_mid - on * vd_mid)
     vd1 = vd + gz - dt * (on * ve_mid - oe * vn_mid) + g * dt
 
-    nav[0] = lat + 0.5 * dt * (vn + vn1) * im
-    lon1 = lon + 0.5 * dt * (ve + ve1) * ie / cl
+    dlat, dlon, dh = 0.5 * dt * (vn + vn1) * im, 0.5 * dt * (ve + ve1) * ie / cl, -0.5 * dt * (vd + vd1)
+    if nav.size > NAV_SIZE:
+        dlat, dlon, dh = dlat + nav[10], dlon + nav[11], dh + nav[12]
+    lat1, lon1, h1 = lat + dlat, lon + dlon, h + dh
+    if nav.size > NAV_SIZE:
+        nav[10], nav[11], nav[12] = dlat - (lat1 - lat), dlon - (lon1 - lon), dh - (h1 - h)
+    nav[0] = lat1
     if lon1 > math.pi:
         lon1 -= 2.0 * math.pi
     elif lon1 < -math.pi:
         lon1 += 2.0 * math.pi
     nav[1] = lon1
-    nav[2] = h - 0.5 * dt * (vd + vd1)
+    nav[2] = h1
     nav[3], nav[4], nav[5] = vn1, ve1, vd1
 
     # q <- exp(-zeta) q exp(phi) = q exp(-zeta_b) exp(phi). The two small rotations meet first: at rest they cancel

@@ -14,6 +14,8 @@ import typer
 COMMANDS: dict[str, str] = {
     "characterise": "characterise",
     "run": "run",
+    "compare": "compare",
+    "regress": "regress",
     "schema": "schema",
     "emulate": "emulate",
     "dead-reckon": "dead_reckon",

@@ -424,14 +424,14 @@ def _gains(
     """The filter flown on noise-free data: the gains it will use, linearised about the truth."""
     events = ekf.events(imu.t, gnss)
     z = events.z.copy()
-    none = np.zeros(0, dtype=np.int64)
+    none, zero = np.zeros(0, dtype=np.int64), np.zeros(3)
     nu, H, R = np.empty(6), np.empty((6, 9)), np.empty((6, 6))
     for i, k in enumerate(events.epoch):
         dt, before = imu.t[k] - imu.t[k - 1], max(k - 1, 1)
         rates = imu.gyro[k] / dt, imu.gyro[before] / (imu.t[before] - imu.t[before - 1])
         here = np.concatenate([nav[k, :3], nav[k, 3:6]])
         fill_fix(
-            nav[k], nav[k - 1], dt, events.tau[i], *rates, ekf.lever_arm, np.zeros(6), np.zeros(0), none, -1, -1, here, nu, H, R
+            np.append(nav[k], zero), np.append(nav[k - 1], zero), dt, events.tau[i], *rates, ekf.lever_arm, np.zeros(6), np.zeros(0), none, -1, -1, here, nu, H, R
         )  # fmt: skip
         # what the filter would predict at the truth
         z[i] = np.where(

@@ -97,6 +97,8 @@ class FilterOptions:
         Calibration and installation states to be estimated.
     standstill : Standstill, optional
         Zero-velocity and zero-rate updates.
+    imposed_gnss_sigma : bool
+        Use the filter's ``gnss_sigma`` even where the record states its own.
     """
 
     covariance_every: int = 1
@@ -107,6 +109,7 @@ class FilterOptions:
     covariance_at: Sequence[float] = ()
     extras: Extras = field(default_factory=Extras)
     standstill: Standstill | None = None
+    imposed_gnss_sigma: bool = False
 
     def __post_init__(self) -> None:
         for name in ("covariance_every", "output_every"):
@@ -423,6 +426,7 @@ class LooselyCoupledEKF:
         nav = initial.to_array()
         if not np.isfinite(nav).all() or abs(nav[0]) > np.deg2rad(89.9):
             raise InputError("the initial navigation state is not finite or within 0.1 deg of a pole")
+        nav = np.concatenate([nav, np.zeros(3)])
         o, n, m = self.options, self.layout.n, self.augmentation.m
         P0 = self.initial_covariance(initial_sigma)
         x0 = np.zeros(m) if initial_states is None else np.array(initial_states, dtype=np.float64)
@@ -557,7 +561,7 @@ class LooselyCoupledEKF:
         return _Events(*(np.ascontiguousarray(v[order]) for v in joined))
 
     def _variance(self, stated: Array | None, rows: NDArray[np.int64], which: int) -> Array:
-        if stated is not None:
+        if stated is not None and not (self.options.imposed_gnss_sigma and self.gnss_sigma is not None):
             return np.asarray(stated[rows] ** 2)
         if self.gnss_sigma is not None:
             return np.asarray(np.tile(self.gnss_sigma[which] ** 2, (rows.size, 1)))

@@ -139,7 +139,7 @@ def run(
     white_now = np.empty(6)
     lever = lever0.copy()
     c_of = np.zeros(m)
-    dx, rest = np.zeros(n), np.zeros(3)
+    dx = np.zeros(n)
     node_total = np.zeros(n)
     nu, H, R = np.zeros(6), np.zeros((6, n)), np.zeros((6, 6))
     used = np.zeros(6, dtype=np.bool_)
@@ -271,8 +271,6 @@ def run(
                         H,
                         R,
                     )
-                    for i in range(3):
-                        nu[i] += rest[i]
                 else:
                     for i in range(3):
                         rate_sum[i] /= rate_count
@@ -299,7 +297,7 @@ def run(
                     if bad >= 0:
                         return 1, bad
                     scatter(P, place, E)
-                    take_off(nav, dx, rest)
+                    take_off(nav, dx)
                     for s in range(m):
                         x[place[9 + s]] -= dx[9 + s]
                     for i in range(n):

@@ -101,7 +101,9 @@ def reference_run(
     started = time.perf_counter()
     record = imu.as_increments()
     t = record.t
-    nav = (NavState.of(initial) if isinstance(initial, Trajectory) else initial).to_array()
+    nav = np.concatenate(
+        [(NavState.of(initial) if isinstance(initial, Trajectory) else initial).to_array(), np.zeros(3)]
+    )
     n, m = ekf.layout.n, a.m
     kf = KalmanFilter(dim_x=n, dim_z=6)
     kf.x = np.zeros(n)
@@ -116,7 +118,7 @@ def reference_run(
     wanted = np.unique(np.searchsorted(t, np.asarray(o.covariance_at, dtype=np.float64) - 1e-9).clip(0, t.size - 1))
     kept: list[Array] = []
     rows: list[tuple[float, Array, Array, Array]] = []
-    F, rest = np.empty((9, 9)), np.zeros(3)
+    F = np.empty((9, 9))
     dtheta = dvel = rate = np.zeros(3)
     dt_before = t[1] - t[0]
     event = 0
@@ -149,7 +151,6 @@ def reference_run(
             measurements.fill_fix(
                 nav, nav_before, dt, tau, rate, rate_before, lever, a.white, seen, a.axis, lever_at, latency_at, events.z[event], nu, H, R
             )  # fmt: skip
-            nu[:3] += rest
             R += np.diag(events.var[event])
             used = np.isfinite(events.z[event]) & np.isfinite(events.var[event])
             if used.any():
@@ -163,14 +164,14 @@ def reference_run(
                     # the filter's state is the error, so what is measured of it is predicted minus measured
                     kf.update(-nu[used], R=R, H=H)
                     kf.P = 0.5 * (kf.P + kf.P.T)
-                    measurements.take_off(nav, kf.x, rest)
+                    measurements.take_off(nav, kf.x)
                     x = x - kf.x[9:]
                     kf.x = np.zeros(n)
             event += 1
         if k in wanted:
             kept.append(kf.P.copy())
         if k % o.output_every == 0 or k == t.size - 1:
-            rows.append((t[k], nav.copy(), np.sqrt(np.maximum(np.diag(kf.P), 0.0)), x.copy()))
+            rows.append((t[k], nav[:10].copy(), np.sqrt(np.maximum(np.diag(kf.P), 0.0)), x.copy()))
     fixes = FixTable(events.t, events.epoch, events.kind, nu_all, S_all, nis, dof, accepted)
     return FilterResult(
         layout=ekf.layout,
