@@ -111,6 +111,7 @@ def test_fit_command_prints_the_stable_json(tmp_path):
         ["--model", "GM() + WN()"],
         ["--model", "GM() + WN()", "--pooled"],
         ["--model", "GM() + WN()", "--robust"],
+        ["--model", "WN()", "--bootstrap", "20"],
         ["--model", "GM() + WN()", "--method", "em"],
         ["--model", "GM() + WN()", "--method", "mli"],
         ["--model", "WN() + RW()", "--method", "slopes"],
