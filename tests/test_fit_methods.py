@@ -190,7 +190,7 @@ def test_a_record_in_pieces_gives_the_same_as_in_memory():
     parts = fit_mli_pieces(np.array_split(x, [7, 5000, 5001, 20000]), x.size, 10.0, structure, points=3000)
     assert parts.n_samples == x.size
     for e in whole.parameters:
-        assert_allclose(parts[e.label].value, e.value, rtol=1e-4)
+        assert_allclose(parts[e.label].value, e.value, rtol=2e-3)  # the search stops at a hundredth of a standard error
 
 
 def test_maximum_likelihood_holds_given_values_and_takes_other_models():

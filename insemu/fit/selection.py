@@ -203,10 +203,8 @@ def rank_models(
 
     alive = solve(covariance)
     discrepancy = _discrepancy(alive, scale, value, covariance, n)
-    everywhere = V[0]
     if discrepancy > 0:
-        everywhere = V[0] + np.diag((discrepancy * V[2]) ** 2)
-        covariance = everywhere[np.ix_(use, use)]
+        covariance = (V[0] + np.diag((discrepancy * V[2]) ** 2))[np.ix_(use, use)]
         alive = solve(covariance)
     W = root_of_inverse(covariance)
     ranked = []
@@ -245,7 +243,16 @@ def rank_models(
         return distance[0] - distance[1]
 
     chosen = _choose(ranked, gain_under)
-    result = fit_curve(curve, chosen.structure, covariance=everywhere, unit=unit, name=name, efficiency=efficiency)
+    if discrepancy == 0:
+        result = fit_curve(curve, chosen.structure, weighting="asymptotic", unit=unit, name=name, efficiency=efficiency)
+    else:
+        # the model's own covariance and what every candidate misses, renewed once
+        at = chosen.model
+        for _ in range(2):
+            own = model_covariance(at, n, curve.scale_samples, 1.0 / curve.rate_hz) / efficiency
+            own = own + np.diag((discrepancy * V[2]) ** 2)
+            result = fit_curve(curve, chosen.structure, covariance=own, unit=unit, name=name, efficiency=efficiency)
+            at = result.model
     if discrepancy > 0:
         note = (
             f"the record has structure that no candidate has, about {discrepancy:.1%} of the wavelet variance per scale; standard errors "
