@@ -32,9 +32,9 @@ from insemu.variance import WaveletVariance, wavelet_variance
 Array = NDArray[np.float64]
 
 #: A richer model must be better by this many standard errors of what chance produces.
-MARGIN = 4.0
+MARGIN = 3.0
 #: Scales with fewer degrees of freedom under the reference are left out: their scatter is far from normal.
-RANK_DOF = 15.0
+RANK_DOF = 10.0
 
 
 @dataclass(frozen=True)
