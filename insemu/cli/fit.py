@@ -47,6 +47,9 @@ def command(
     workers: int | None = typer.Option(
         None, "--workers", min=1, help="Axes fitted at a time; default the number of cores."
     ),
+    bootstrap: int = typer.Option(
+        0, "--bootstrap", min=0, help="Intervals from so many simulated signals (gmwm); 0: closed form."
+    ),
     seed: int = typer.Option(0, "--seed", min=0, help="Seed of bootstrap and draws."),
     out: str = typer.Option("", "--out", "-o", help="Write the models as YAML that a scenario reads."),
     kalibr: str = typer.Option("", "--kalibr", help="Write a Kalibr / OpenVINS imu.yaml."),
@@ -80,6 +83,14 @@ def command(
         results = fit_axes(series, model, method, start, robust, options, workers or os.cpu_count() or 1)
     else:
         results = fit_pooled(series, model, method, start, robust, options)
+    if bootstrap:
+        from insemu.fit.indirect import bootstrap_intervals
+
+        children = np.random.default_rng(seed).spawn(len(results))
+        results = {
+            axis: bootstrap_intervals(r, bootstrap, child)
+            for (axis, r), child in zip(results.items(), children, strict=True)
+        }
     console = Console(stderr=as_json)
     if as_json:
         typer.echo(json.dumps({"axes": {axis: r.to_json() for axis, r in results.items()}}, indent=1, allow_nan=False))
