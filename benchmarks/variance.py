@@ -22,7 +22,7 @@ import numpy as np
 from insemu.variance import allan_variance, robust_wavelet_variance, stream_wavelet_variance, wavelet_variance
 
 
-def best(function: Callable[[], object], repeats: int = 5) -> float:
+def best(function: Callable[[], object], repeats: int = 15) -> float:
     """Shortest of several warm runs, seconds of this process on the processor (other programs' turns do not count)."""
     function()
     times = []
@@ -43,7 +43,7 @@ def in_memory() -> None:
     dirty[::100] += 10.0
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        peer = best(lambda: allantools.oadev(x, rate=1.0, data_type="freq", taus="octave"), 3)
+        peer = best(lambda: allantools.oadev(x, rate=1.0, data_type="freq", taus="octave"), 5)
     rows = [
         ("Haar wavelet variance, 19 octaves, intervals", best(lambda: wavelet_variance(x)), 0.040, 0.28),
         ("robust, clean record", best(lambda: robust_wavelet_variance(x), 3), 0.5, 2.5),

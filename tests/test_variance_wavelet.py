@@ -274,3 +274,18 @@ def test_curves_of_real_sensors_are_followed_by_the_noise_type() -> None:
     scale = 2.0 ** np.arange(1, len(v) + 1)
     freedom = edof_of_noise(noise_type(scale, v, 8_640_000), scale, 8_640_000)
     assert (np.diff(freedom[3:]) < 0).all() and freedom[-1] >= 1.0
+
+
+@pytest.mark.parametrize(("kind", "axis", "column"), [("Gyroscope", "X", 0), ("Accelerometer", "Z", 5)])
+def test_a_real_record_has_its_published_wavelet_variance(kind: str, axis: str, column: int) -> None:
+    text = shared("fixtures/wavelet_variance/adis_wv.csv").read_text().splitlines()
+    rows = [
+        r
+        for r in csv.DictReader(line for line in text if not line.startswith("#"))
+        if (r["type"], r["axis"]) == (kind, axis)
+    ]
+    with np.load(shared("real/adis16405_static_run1.npz")) as file:
+        x = file["counts"][:, column] * file["scale"][column]
+    curve = wavelet_variance(x, 100.0, intervals="eta3", levels=len(rows))
+    for mine, key in ((curve.tau_s, "scale"), (curve.value, "wv"), (curve.low, "ci_low"), (curve.high, "ci_high")):
+        np.testing.assert_allclose(mine, [float(r[key]) for r in rows], rtol=1e-9)

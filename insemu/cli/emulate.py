@@ -13,7 +13,7 @@ def command(
     variant: str | None = typer.Option(None, "--variant", help="Name of one of the scenario's variants."),
     ideal: bool = typer.Option(False, "--ideal", help="Perfect sensors: no errors on the IMU or the fixes."),
     figure: str = typer.Option(
-        "", "--figure", help="Also draw track, speed, turn rate and residuals (PNG, PDF or SVG)."
+        "", "--figure", help="Also draw track, speed, turn rate and residuals (PNG, PDF, SVG or HTML page)."
     ),
     as_json: bool = typer.Option(False, "--json", help="Print what was written as JSON."),
 ) -> None:
@@ -48,7 +48,7 @@ def command(
         "imu_rate_hz": round(1.0 / recording.imu.dt, 6),
         "gnss_fixes": 0 if gnss is None else len(gnss),
         "path_distance_m": world.path_distance_m,
-        "mode": given.trajectory.mode,
+        "mode": world.source.mode,
         "realization": realization,
         "seed": given.seed,
         "warnings": list(world.warnings),
@@ -59,5 +59,5 @@ def command(
     typer.echo(
         f"{path}: {summary['trajectory']}, {summary['duration_s']:g} s, {summary['imu_samples']} IMU {summary['imu_kind']}s at "
         f"{summary['imu_rate_hz']:g} Hz, {summary['gnss_fixes']} fixes; reference within {1e3 * world.path_distance_m:.3g} mm "
-        f"of the path ({given.trajectory.mode})"
+        f"of the path ({world.source.mode})"
     )

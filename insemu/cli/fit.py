@@ -32,7 +32,10 @@ def command(
     columns: list[str] | None = typer.Option(  # noqa: B008
         None, "--column", "-c", help="Fit only this column (gx or gyro_x); may be repeated."
     ),
-    rate: float | None = typer.Option(None, "--rate", help="Sampling rate in Hz of a log that does not say it."),
+    rate: str = typer.Option("", "--rate", help='Sampling rate of a log that does not say it, for example "100 Hz".'),
+    skip: str = typer.Option(
+        "0 s", "--skip", help='Leave out the start of the record, for example "40 min" of warm-up.'
+    ),
     weighting: str = typer.Option(
         "intervals", "--weighting", help="Of gmwm: intervals, asymptotic or bootstrap (covariance under the model)."
     ),
@@ -58,7 +61,7 @@ def command(
     import numpy as np
     from rich.console import Console
 
-    series = read_static(file, rate, columns)
+    series = read_static(file, rate, columns, skip)
     options: dict[str, Any] = {}
     if method == "gmwm":
         options = {
@@ -90,15 +93,26 @@ def command(
         console.print(f"page: {render_fits(results, page, series=series, rng=np.random.default_rng(seed))}")
 
 
-def read_static(file: str, rate: float | None, columns: list[str] | None) -> list[Series]:
-    """The columns of a static log."""
-    from insemu import formats
+def read_static(file: str, rate: str, columns: list[str] | None, skip: str = "0 s") -> list[Series]:
+    """The columns of a static log without its first part."""
+    from dataclasses import replace
+
+    from insemu import formats, units
     from insemu.errors import InputError
 
-    series = formats.read(file, rate_hz=rate, columns=columns or None)
+    series = formats.read(file, rate_hz=units.parse(rate, "Hz") if rate else None, columns=columns or None)
     if not isinstance(series, list):
         raise InputError("is a dynamic recording; expected a static log (sensor at rest)", where=file)
-    return series
+    seconds = units.parse(skip, "s")
+    if seconds < 0:
+        raise InputError(f"--skip is {skip}, expected a duration that is not negative")
+    out = []
+    for s in series:
+        first = round(seconds * s.rate_hz)
+        if first > len(s) - 16:
+            raise InputError(f"--skip {skip} leaves less than 16 of the {len(s)} samples of {s.name}", where=file)
+        out.append(replace(s, values=s.values[first:]) if first else s)
+    return out
 
 
 def fit_axes(
@@ -120,7 +134,8 @@ def fit_axes(
                 given["start"] = NoiseModel.parse(start, s.unit)
             return fit(s, model, method, robust=robust, **given)  # type: ignore[arg-type]
         except InputError as error:
-            raise InputError(error.message, where=error.where or (s.name if len(series) > 1 else None)) from None
+            known = error.where or error.message.startswith(s.name)
+            raise InputError(error.message, where=error.where if known else s.name) from None
 
     with ThreadPoolExecutor(max_workers=min(workers, len(series))) as pool:
         return {s.name: r for s, r in zip(series, pool.map(one, series), strict=True)}

@@ -28,7 +28,10 @@ def command(
     held_out: list[str] | None = typer.Option(  # noqa: B008
         None, "--held-out", help="Another log of the same sensor: how well the choice predicts it, scale by scale."
     ),
-    rate: float | None = typer.Option(None, "--rate", help="Sampling rate in Hz of a log that does not say it."),
+    rate: str = typer.Option("", "--rate", help='Sampling rate of a log that does not say it, for example "100 Hz".'),
+    skip: str = typer.Option(
+        "0 s", "--skip", help='Leave out the start of every record, for example "40 min" of warm-up.'
+    ),
     rows: int = typer.Option(8, "--rows", min=1, help="Candidates to list per axis."),
     workers: int | None = typer.Option(
         None, "--workers", min=1, help="Work items at a time; default the number of cores."
@@ -49,7 +52,7 @@ def command(
     from insemu.fit.selection import select_axes
     from insemu.noise import NoiseModel
 
-    series = read_static(file, rate, columns)
+    series = read_static(file, rate, columns, skip)
     given = [NoiseModel.parse(c) for c in candidates] if candidates else None
     rankings = select_axes(
         series, NoiseModel.parse(general), candidates=given, robust=robust, workers=workers or os.cpu_count() or 1
@@ -57,7 +60,7 @@ def command(
     console = Console(stderr=as_json)
     checks: dict[str, dict[str, dict[str, Any]]] = {axis: {} for axis in rankings}
     for other in held_out or []:
-        for s in read_static(other, rate, columns):
+        for s in read_static(other, rate, columns, skip):
             if s.name in rankings:
                 from insemu.variance import wavelet_variance
 

@@ -21,25 +21,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 import insemu
-from insemu import earth, rotation
 from insemu.denoise import denoise
-from insemu.emulate.gnss import state_at
 from insemu.errors import InputError
-from insemu.evaluate.errors import navigation_error
+from insemu.evaluate.recorded import RecordedWorld
 from insemu.evaluate.results import DesignInfo, Results
 from insemu.evaluate.world import World, static_logs, stream
-from insemu.filters import Extras, FilterOptions, InitialSigma, LooselyCoupledEKF
+from insemu.filters import Extras, FilterOptions, LooselyCoupledEKF
 from insemu.fit import FitResult, fit
 from insemu.noise import ARMA, NoiseModel, axis_unit, load
-from insemu.records import AXES, GnssRecord, ImuRecord, Series, Trajectory
+from insemu.records import AXES, GnssRecord, ImuRecord, Series
 from insemu.scenario import AxisSource, Scenario, digest
-from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
-
-#: Interval of the epochs at which errors are evaluated, s.
-OUTPUT_INTERVAL = 1.0
 
 
 def silent(done: int, total: int, label: str) -> None:
@@ -72,14 +66,16 @@ class Experiment:
     def __init__(self, scenario: Scenario, file: str | Path | None = None) -> None:
         self.scenario = scenario
         self.file = file
-        self.world = World(scenario, file)
+        self.world: World | RecordedWorld = (
+            RecordedWorld(scenario, file) if scenario.recording is not None else World(scenario, file)
+        )
         self.digest = digest(scenario, self.world.files)
-        _ = self.world.outages  # what is wrong with them is said before anything is flown
+        _ = self.world.outage_windows  # what is wrong with them is said before anything is flown
 
     @property
     def rate_hz(self) -> float:
         """IMU rate."""
-        return self.scenario.trajectory.rate
+        return self.world.rate_hz
 
     @cached_property
     def fit_logs(self) -> dict[str, list[Series]]:
@@ -95,7 +91,7 @@ class Experiment:
         n = round(source.simulate * rate)
         out: dict[str, list[Series]] = {}
         drawn: dict[NoiseModel, Series] = {}
-        for index, (axis, model) in enumerate(self.scenario.truth.models().items()):
+        for index, (axis, model) in enumerate(self._true_models().items()):
             if model not in drawn:  # axes with one truth share one log, as one sensor type has one calibration
                 values = model.at_rate(rate).simulate(n, 1.0 / rate, stream(self.scenario.seed, "fits", index))
                 drawn[model] = Series(values - values.mean(), rate, axis_unit(axis), axis)
@@ -114,7 +110,7 @@ class Experiment:
                 if isinstance(source, NoiseModel):
                     models[axis] = source
                 elif source.truth:
-                    models[axis] = self.scenario.truth.models()[axis]
+                    models[axis] = self._true_models()[axis]
                 elif source.file:
                     models[axis] = self._from_file(source.file, axis)
                 else:
@@ -133,6 +129,9 @@ class Experiment:
                     models[axis] = models[axis].scaled(factor)
             out[name] = Belief({axis: m.at_rate(self.rate_hz) for axis, m in models.items()}, fits)
         return out
+
+    def _true_models(self) -> dict[str, NoiseModel]:
+        return self.scenario.truth.models() if self.scenario.truth is not None else {}
 
     def _fitted(self, design: str, log: Series, source: AxisSource) -> FitResult:
         model = NoiseModel.parse(source.fit or "", axis_unit(log.name))
@@ -161,7 +160,7 @@ class Experiment:
             self.beliefs[design].models,
             1.0 / self.rate_hz,
             lever_arm=gnss.lever_arm,
-            gravity=self.scenario.trajectory.gravity,
+            gravity=self.world.gravity,
             gnss_sigma=(sigma, velocity),
             options=FilterOptions(
                 covariance_every=options.covariance_every,
@@ -169,36 +168,9 @@ class Experiment:
                 gate=options.gate,
                 covariance_at=() if covariance_at is None else tuple(covariance_at),
                 extras=Extras(**options.states.model_dump()),
+                standstill=self.world.standstill,
             ),
         )
-
-    @cached_property
-    def output_times(self) -> Array:
-        """Epochs at which errors are evaluated: every second, and the end of every outage."""
-        t = self.world.reference.t
-        every = np.arange(t[0], t[-1] + 1e-9, OUTPUT_INTERVAL)
-        ends = [start + duration for start, duration in self.world.outage_windows]
-        return t[np.unique(np.clip(np.searchsorted(t, np.concatenate([every, ends]) - 1e-6), 0, t.size - 1))]
-
-    @cached_property
-    def truth_at_outputs(self) -> Trajectory:
-        """The reference at the output epochs."""
-        r = self.world.reference
-        k = np.searchsorted(r.t, self.output_times)
-        return Trajectory(r.t[k], r.llh[k], r.vel_ned[k], r.rpy[k], r.name)
-
-    def initial(self, realization: int) -> tuple[NavState, InitialSigma]:
-        """The filter's start: the truth moved by a draw from the sigmas that the filter believes."""
-        i = self.scenario.initial
-        attitude = (i.tilt_sigma, i.tilt_sigma, i.heading_sigma)
-        draw = stream(self.scenario.seed, "initial", realization).standard_normal(9)
-        start = NavState.of(self.world.reference)
-        moved = NavState(
-            earth.move(start.llh, draw[:3] * np.array(i.position_sigma)),
-            start.vel_ned + draw[3:6] * np.array(i.velocity_sigma),
-            start.rpy + draw[6:9] * np.array(attitude),
-        )
-        return moved, InitialSigma(position=i.position_sigma, velocity=i.velocity_sigma, attitude=attitude)
 
     def realization(self, index: int) -> dict[str, Array]:
         """Fly every design through one realization.
@@ -211,23 +183,17 @@ class Experiment:
         recording = self.world.recording(index)
         imu, fixes = recording.imu, recording.gnss
         assert fixes is not None
-        start, start_sigma = self.initial(index)
-        rows, truth = self._compared(imu, max(d.options.covariance_every for d in self.scenario.designs.values()))
-        times = imu.t[rows]
+        start, start_sigma = self.world.start(index, imu)
+        rows = self.world.rows(imu, max(d.options.covariance_every for d in self.scenario.designs.values()))
         out: dict[str, list[Any]] = {"error": [], "sigma": [], "nees": [], "nis": [], "epochs": [], "seconds": []}
         for name in self.beliefs:
-            ekf = self.filter(name, covariance_at=times)
+            ekf = self.filter(name, covariance_at=imu.t[rows])
             run = ekf.run(self._prefiltered(name, imu), self._believed(name, fixes), start, start_sigma)
-            at = np.searchsorted(run.t, times - 1e-9)
-            nav = run.nav[at]
-            estimate = Trajectory(times, nav[:, 0:3], nav[:, 3:6], rotation.rpy_from_quaternion(nav[:, 6:10]))
-            error = navigation_error(estimate, truth)
-            kept = np.searchsorted(run.covariance_t, times - 1e-9)
-            covariance = run.covariance[np.minimum(kept, len(run.covariance) - 1), :9, :9]
+            scored = self.world.score(run, imu.t[rows])
             used = run.fixes.accepted
-            out["error"].append(error)
-            out["sigma"].append(run.sigma[at, :9])
-            out["nees"].append(np.einsum("ti,ti->t", error, np.linalg.solve(covariance, error[..., None])[..., 0]))
+            out["error"].append(scored.error)
+            out["sigma"].append(scored.sigma)
+            out["nees"].append(scored.nees)
             out["nis"].append(float(run.fixes.nis[used].sum() / max(1, run.fixes.dof[used].sum())))
             out["epochs"].append(run.epochs)
             out["seconds"].append(run.seconds)
@@ -256,22 +222,6 @@ class Experiment:
         if tuning.velocity != 1.0 and fixes.vel_std_ned is not None:
             out = replace(out, vel_std_ned=fixes.vel_std_ned * tuning.velocity)
         return out
-
-    def _compared(self, imu: ImuRecord, every: int) -> tuple[NDArray[np.intp], Trajectory]:
-        """Rows of a record nearest the output epochs (and multiples of ``every``), and the truth at their time stamps.
-
-        Time offsets, jitter and dropped samples move the stamps; the filter's estimate belongs to the stamp.
-        """
-        t, want = imu.t, self.output_times
-        right = np.clip(np.searchsorted(t, want), 1, t.size - 1)
-        rows = np.where(np.abs(t[right - 1] - want) < np.abs(t[right] - want), right - 1, right)
-        rows = np.minimum(np.round(rows / every).astype(np.intp) * every, (t.size - 1) // every * every)
-        if np.array_equal(t[rows], want):
-            return rows, self.truth_at_outputs
-        reference = self.world.reference
-        at = np.clip(t[rows], reference.t[0], reference.t[-1])
-        llh, vel, q, _ = state_at(reference, at)
-        return rows, Trajectory(t[rows], llh, vel, rotation.rpy_from_quaternion(q), reference.name)
 
 
 def git_revision() -> str | None:
@@ -341,6 +291,8 @@ def run_experiment(
     """
     started = time.perf_counter()
     total = realizations if realizations is not None else experiment.scenario.realizations
+    if experiment.scenario.recording is not None:
+        total = 1  # what was recorded happened once
     folder = cache / experiment.digest if cache is not None else None
     items: dict[int, dict[str, Array]] = {}
     for r in range(total):
@@ -381,10 +333,10 @@ def run_experiment(
         title=s.title,
         digest=experiment.digest,
         seed=s.seed,
-        t=experiment.output_times,
+        t=experiment.world.output_times,
         designs=designs,
         outages=experiment.world.outage_windows,
-        truth=experiment.truth_at_outputs,
+        truth=experiment.world.truth_at_outputs,
         timing=timing,
         manifest=manifest_of(experiment) | {"timing": timing},
         published=s.published.values if s.published else {},

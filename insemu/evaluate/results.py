@@ -161,7 +161,8 @@ def outage_table(results: Results) -> dict[str, list[dict[str, Any]]]:
             error, sigma = results.error[d], results.sigma[d]
             horizontal = np.hypot(error[..., 0], error[..., 1])
             at_end = bootstrap_mean(horizontal[:, end])
-            covered = np.abs(error[:, inside]) <= 3.0 * sigma[:, inside]
+            known = np.where(np.isnan(error[:, inside]), np.nan, 1.0)
+            covered = known * (np.abs(error[:, inside]) <= 3.0 * sigma[:, inside])
             rows.append(
                 {
                     "start_s": start,
@@ -232,7 +233,7 @@ def summary(results: Results) -> dict[str, Any]:
                 comparisons.append(
                     {"design": one, "against": other, "ratio": c.ratio, "ci95": [c.low, c.high], "p_value": c.p_value}
                 )
-    return {
+    document = {
         "scenario": results.title,
         "digest": results.digest,
         "seed": results.seed,
@@ -241,6 +242,16 @@ def summary(results: Results) -> dict[str, Any]:
         "comparisons": comparisons,
         "timing": dict(results.timing),
     }
+    return dict(finite(document))
+
+
+def finite(document: Any) -> Any:
+    """The same document with NaN (an error that has no reference) as None, which JSON can say."""
+    if isinstance(document, dict):
+        return {k: finite(v) for k, v in document.items()}
+    if isinstance(document, list | tuple):
+        return [finite(v) for v in document]
+    return None if isinstance(document, float) and not np.isfinite(document) else document
 
 
 def verdicts(results: Results) -> list[str]:

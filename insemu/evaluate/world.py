@@ -1,8 +1,9 @@
-"""What really happens in a scenario: motion, ideal signals, true errors, fixes. No filter and no belief in here."""
+"""What really happens in a scenario: motion, ideal signals, true errors, fixes; and how far a filter's run is from it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from threading import Lock
@@ -10,6 +11,7 @@ from threading import Lock
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu import earth, rotation
 from insemu.emulate import (
     AreaOutage,
     Mounting,
@@ -22,16 +24,25 @@ from insemu.emulate import (
     load_flight,
     random_outages,
 )
+from insemu.emulate.gnss import state_at
 from insemu.emulate.pieces import ErrorPieces, recorded_pieces, simulated_pieces
 from insemu.errors import InputError
-from insemu.formats import read_static
+from insemu.evaluate.errors import navigation_error
+from insemu.filters import FilterResult, InitialSigma, Standstill
+from insemu.formats import read_recording, read_static
+from insemu.noise import axis_unit
 from insemu.records import AXES, ImuRecord, Recording, Series, Trajectory
 from insemu.scenario import AxisSource, RecordedSignal, Scenario, resolve_path
+from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
 
 #: Streams of randomness; each gets children of the scenario's seed by (stream, realization or record, axis).
 _STREAMS = {"truth": 0, "gnss": 1, "initial": 2, "fits": 3, "effects": 4, "outages": 5}
+
+
+#: Interval of the epochs at which errors are evaluated, s.
+OUTPUT_INTERVAL = 1.0
 
 
 def stream(seed: int, name: str, *index: int) -> np.random.Generator:
@@ -48,10 +59,16 @@ def input_files(scenario: Scenario, file: str | Path | None) -> dict[str, Path]:
         One of them does not exist.
     """
     names: list[str] = []
-    for recorded in (scenario.truth.recorded, scenario.fits.recorded if scenario.fits else None):
+    for recorded in (
+        scenario.truth.recorded if scenario.truth else None,
+        scenario.fits.recorded if scenario.fits else None,
+    ):
         names += list(recorded.files) if recorded else []
-    source = scenario.trajectory
-    names += [name for name in (source.waypoints, source.track, source.motion) if name is not None]
+    if scenario.recording is not None:
+        names.append(scenario.recording.file)
+    if scenario.trajectory is not None:
+        source = scenario.trajectory
+        names += [name for name in (source.waypoints, source.track, source.motion) if name is not None]
     for design in scenario.designs.values():
         names += [s.file for s in design.sources().values() if isinstance(s, AxisSource) and s.file]
     return {name: resolve_path(name, file) for name in dict.fromkeys(names)}
@@ -59,6 +76,8 @@ def input_files(scenario: Scenario, file: str | Path | None) -> dict[str, Path]:
 
 def static_logs(recorded: RecordedSignal, files: Mapping[str, Path]) -> list[dict[str, Series]]:
     """The six axes of every static log, warm-up left out."""
+    if recorded.spans:
+        return [log for name in recorded.files for log in _stretches(read_recording(files[name]), recorded.spans, name)]
     out = []
     for name in recorded.files:
         by_axis = {s.name: s for s in read_static(files[name])}
@@ -76,6 +95,25 @@ def static_logs(recorded: RecordedSignal, files: Mapping[str, Path]) -> list[dic
                 )
             cut[axis] = Series(s.values[start:], s.rate_hz, s.unit, axis)
         out.append(cut)
+    return out
+
+
+def _stretches(recording: Recording, spans: Sequence[tuple[float, float]], name: str) -> list[dict[str, Series]]:
+    """Stretches of a recording as static logs; samples are taken as evenly spaced at their mean rate."""
+    imu = recording.imu
+    if imu.kind == "increment":
+        raise InputError("holds increments, expected samples or means to fit noise to", where=name)
+    out = []
+    for start, end in spans:
+        rows = (imu.t >= start) & (imu.t <= end)
+        if rows.sum() < 100:
+            raise InputError(
+                f"the stretch from {start:g} to {end:g} s has {int(rows.sum())} samples, expected at least 100",
+                where=name,
+            )
+        rate = float(rows.sum() - 1) / float(np.ptp(imu.t[rows]))
+        both = np.concatenate([imu.gyro[rows], imu.accel[rows]], axis=1)
+        out.append({axis: Series(both[:, k], rate, axis_unit(axis), axis) for k, axis in enumerate(AXES)})
     return out
 
 
@@ -108,7 +146,10 @@ class World:
     def __init__(self, scenario: Scenario, file: str | Path | None = None) -> None:
         self.scenario, self.file = scenario, file
         self.files = input_files(scenario, file)
-        source = scenario.trajectory
+        if scenario.trajectory is None or scenario.truth is None:
+            raise InputError("there is nothing to emulate: the scenario has a recording", where=str(file or "scenario"))
+        self.source, self.truth = scenario.trajectory, scenario.truth
+        source = self.source
         loaded = load_flight(
             builtin=source.builtin,
             waypoints=self.files[source.waypoints] if source.waypoints else None,
@@ -187,7 +228,7 @@ class World:
     @cached_property
     def pieces(self) -> ErrorPieces:
         """The source of true stochastic errors, one piece a realization."""
-        truth, n, rate = self.scenario.truth, len(self.reference), self.scenario.trajectory.rate
+        truth, n, rate = self.truth, len(self.reference), self.source.rate
         if truth.recorded is not None:
             records = [
                 RecordedErrors(
@@ -215,12 +256,12 @@ class World:
             Perfect sensors instead: no errors on the IMU or the fixes, the outages kept.
         """
         s = self.scenario
-        uses = () if ideal else s.truth.uses()
+        uses = () if ideal else self.truth.uses()
         imu = self.imu
         if not ideal:
             with self._lock:  # a simulated record serves many pieces; one thread draws it
                 errors = self.pieces.piece(realization)
-            temperature = s.truth.temperature
+            temperature = self.truth.temperature
             imu = corrupt(
                 self.imu,
                 None,
@@ -242,3 +283,90 @@ class World:
             effects=uses,
         )
         return Recording(imu, fixes, self.reference, f"{self.flight.name}, realization {realization}")
+
+    @property
+    def rate_hz(self) -> float:
+        """IMU rate."""
+        return self.source.rate
+
+    @property
+    def standstill(self) -> Standstill | None:
+        """Known rests that are fed to the filters: none in an emulated flight."""
+        return None
+
+    @property
+    def gravity(self) -> str:
+        """Gravity model that emulator and filters share."""
+        return self.source.gravity
+
+    @cached_property
+    def output_times(self) -> Array:
+        """Epochs at which errors are evaluated: every second, and the end of every outage."""
+        t = self.reference.t
+        every = np.arange(t[0], t[-1] + 1e-9, OUTPUT_INTERVAL)
+        ends = [start + duration for start, duration in self.outage_windows]
+        return t[np.unique(np.clip(np.searchsorted(t, np.concatenate([every, ends]) - 1e-6), 0, t.size - 1))]
+
+    @cached_property
+    def truth_at_outputs(self) -> Trajectory:
+        """The reference at the output epochs."""
+        r = self.reference
+        k = np.searchsorted(r.t, self.output_times)
+        return Trajectory(r.t[k], r.llh[k], r.vel_ned[k], r.rpy[k], r.name)
+
+    def start(self, realization: int, imu: ImuRecord) -> tuple[NavState, InitialSigma]:
+        """The filter's start: the truth moved by a draw from the sigmas that the filter believes."""
+        i = self.scenario.initial
+        attitude = (i.tilt_sigma, i.tilt_sigma, i.heading_sigma)
+        draw = stream(self.scenario.seed, "initial", realization).standard_normal(9)
+        start = NavState.of(self.reference)
+        moved = NavState(
+            earth.move(start.llh, draw[:3] * np.array(i.position_sigma)),
+            start.vel_ned + draw[3:6] * np.array(i.velocity_sigma),
+            start.rpy + draw[6:9] * np.array(attitude),
+        )
+        return moved, InitialSigma(position=i.position_sigma, velocity=i.velocity_sigma, attitude=attitude)
+
+    def rows(self, imu: ImuRecord, every: int) -> NDArray[np.intp]:
+        """Rows of a record (multiples of ``every``) nearest the output epochs."""
+        return nearest_rows(imu.t, self.output_times, every)
+
+    def score(self, run: FilterResult, times: Array) -> Scored:
+        """Errors of a run at some of its epochs.
+
+        Time offsets, jitter and dropped samples move the stamps; the filter's estimate belongs to the stamp.
+        """
+        truth = self.truth_at_outputs
+        if not np.array_equal(times, truth.t):
+            at = np.clip(times, self.reference.t[0], self.reference.t[-1])
+            llh, vel, q, _ = state_at(self.reference, at)
+            truth = Trajectory(times, llh, vel, rotation.rpy_from_quaternion(q), self.reference.name)
+        at_rows = np.searchsorted(run.t, times - 1e-9)
+        nav = run.nav[at_rows]
+        estimate = Trajectory(times, nav[:, 0:3], nav[:, 3:6], rotation.rpy_from_quaternion(nav[:, 6:10]))
+        error = navigation_error(estimate, truth)
+        covariance = covariance_at(run, times)
+        nees = np.einsum("ti,ti->t", error, np.linalg.solve(covariance, error[..., None])[..., 0])
+        return Scored(error, run.sigma[at_rows, :9], nees)
+
+
+@dataclass(frozen=True)
+class Scored:
+    """Errors (n, 9), stated standard deviations (n, 9) and NEES (n,) of a run at the output epochs."""
+
+    error: Array
+    sigma: Array
+    nees: Array
+
+
+def nearest_rows(t: Array, want: Array, every: int) -> NDArray[np.intp]:
+    """Rows of ``t``, multiples of ``every``, nearest to the times ``want``."""
+    right = np.clip(np.searchsorted(t, want), 1, t.size - 1)
+    rows = np.where(np.abs(t[right - 1] - want) < np.abs(t[right] - want), right - 1, right)
+    return np.minimum(np.round(rows / every).astype(np.intp) * every, (t.size - 1) // every * every)
+
+
+def covariance_at(run: FilterResult, times: Array) -> Array:
+    """Covariance (n, 9, 9) of the navigation errors at times for which it was kept."""
+    kept = np.searchsorted(run.covariance_t, times - 1e-9)
+    return run.covariance[np.minimum(kept, len(run.covariance) - 1), :9, :9]

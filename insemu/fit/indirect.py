@@ -111,9 +111,10 @@ def match_curve(
         ahead = [curves(theta + e).mean(axis=0) - curves(theta - e).mean(axis=0) for e in step * np.eye(theta.size)]
         return np.column_stack(ahead) / (2.0 * step)
 
-    found = optimize.least_squares(
-        residual, theta0, jac=lambda theta: -derivative(theta) / width[:, None], x_scale="jac", max_nfev=60
-    )
+    def jacobian(theta: Array) -> Array:
+        return np.asarray(-derivative(theta) / width[:, None])
+
+    found = optimize.least_squares(residual, theta0, jac=jacobian, x_scale="jac", max_nfev=60)
     drawn = curves(found.x)
     D = derivative(found.x)
     # scatter of a curve under the model: from more draws than the match needs

@@ -11,11 +11,12 @@ to balance (the continuous limit is what :func:`continuous_transition` gives, an
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import linalg, optimize
 
 from insemu.errors import InputError
@@ -25,13 +26,16 @@ from insemu.fit.gmwm import fit_curve
 from insemu.fit.result import FitResult, estimates
 from insemu.noise import BI, DR, GM, RC, SIN, NoiseModel, StateBlock
 from insemu.records import Series
-from insemu.variance import wavelet_variance
+from insemu.variance import WaveletVariance, stream_wavelet_variance, wavelet_variance
 
 Array = NDArray[np.float64]
 Pattern = Literal["uniform", "log"]
 
 #: Intervals of the uniform pattern: the standard deviation of a white-noise density is 1 / sqrt(2 n), here 0.2 %.
 UNIFORM = 131072
+#: Records longer than this many samples are gone through in pieces.
+LARGE = 1 << 25
+PIECE = 1 << 20
 #: Points of the logarithmic pattern, as in paper 002.
 LOGARITHMIC = 1000
 
@@ -170,6 +174,79 @@ def fit_mli(
     InputError
         A process without a state block; a signal that is too short.
     """
+    model = _accepted(model).at_rate(series.rate_hz)
+    n = len(series)
+    if n < 16:
+        raise InputError(f"{series.name} has {n} samples, expected at least 16")
+    about = _About(series.name, series.unit, series.rate_hz, n, pattern, integrated)
+    if n > LARGE and integrated and pattern == "uniform":
+        # the same in one pass over pieces: neither the integral nor the curve's delay lines are as long as the record
+        step = int(sampling_pattern(n, pattern, points)[0])
+        pieces = (series.values[k : k + PIECE] for k in range(0, n, PIECE))
+        increments, curve = _in_pieces(pieces, step, series.rate_hz)
+        at = step * np.arange(1, increments.size + 1, dtype=np.int64)
+        return _maximise(_Problem(increments, at, series.dt, bias), model, start, curve, about, bias, confidence)
+    at = sampling_pattern(n, pattern, points)
+    problem: _Problem | _Direct
+    if integrated:
+        problem = _Problem(integrate(series.values, at, series.dt), at, series.dt, bias)
+    else:
+        problem = _Direct(series.values[at - 1], at, series.dt, bias)
+    return _maximise(problem, model, start, wavelet_variance(series.values, series.rate_hz), about, bias, confidence)
+
+
+def fit_mli_pieces(
+    pieces: Iterable[ArrayLike],
+    n_samples: int,
+    rate_hz: float,
+    model: NoiseModel,
+    *,
+    points: int = UNIFORM,
+    bias: bool = True,
+    start: NoiseModel | None = None,
+    confidence: float = 0.95,
+    unit: str = "",
+    name: str = "signal",
+) -> FitResult:
+    """The same for a record that arrives in pieces and need not fit in memory (uniform pattern).
+
+    Parameters
+    ----------
+    pieces : iterable of (k,) arrays
+        Successive parts of the signal, of any lengths.
+    n_samples : int
+        How many samples there are about; fixes the interval of the pattern.
+    rate_hz, unit, name
+        Of the signal.
+    model, points, bias, start, confidence
+        As for :func:`fit_mli`.
+
+    Raises
+    ------
+    InputError
+        As :func:`fit_mli`; a value that is not finite.
+    """
+    model = _accepted(model).at_rate(rate_hz)
+    if n_samples < 16:
+        raise InputError(f"{name} has {n_samples} samples, expected at least 16")
+    step = int(sampling_pattern(n_samples, "uniform", points)[0])
+    increments, curve = _in_pieces(pieces, step, rate_hz)
+    at = step * np.arange(1, increments.size + 1, dtype=np.int64)
+    about = _About(name, unit, rate_hz, curve.n_samples, "uniform", True)
+    return _maximise(_Problem(increments, at, 1.0 / rate_hz, bias), model, start, curve, about, bias, confidence)
+
+
+@dataclass(frozen=True)
+class _About:
+    name: str
+    unit: str
+    rate_hz: float
+    n_samples: int
+    pattern: str
+    integrated: bool
+
+
+def _accepted(model: NoiseModel) -> NoiseModel:
     refused = [p.symbol for p in model if isinstance(p, BI | RC | DR | SIN)]
     if refused:
         why = {
@@ -179,23 +256,46 @@ def fit_mli(
             "SIN": "its phase has one draw; use gmwm",
         }[refused[0]]
         raise InputError(f"{refused[0]} cannot be fitted by integrated maximum likelihood ({why})")
-    model = model.at_rate(series.rate_hz)
-    dt, n = series.dt, len(series)
-    if n < 16:
-        raise InputError(f"{series.name} has {n} samples, expected at least 16")
-    at = sampling_pattern(n, pattern, points)
-    curve = wavelet_variance(series.values, series.rate_hz, intervals="eta3")
-    begin = (
-        start.at_rate(series.rate_hz) if start is not None else fit_curve(curve, model, weighting="asymptotic").model
-    )
-    if [type(p) for p in begin] != [type(p) for p in model] or not begin.specified:
-        raise InputError(
-            f"the starting model {start} has another structure than {model} (or parameters without a value)"
-        )
-    if integrated:
-        problem: _Problem | _Direct = _Problem(integrate(series.values, at, dt), at, dt, bias)
+    return model
+
+
+def _in_pieces(pieces: Iterable[ArrayLike], step: int, rate_hz: float) -> tuple[Array, WaveletVariance]:
+    """Increments over ``step`` samples, and the wavelet variance, in one pass."""
+    sums: list[Array] = []
+    rest = np.empty(0)
+    origin: float | None = None
+
+    def watched() -> Iterator[Array]:
+        nonlocal rest, origin
+        for piece in pieces:
+            values = np.asarray(piece, dtype=np.float64)
+            yield values
+            if origin is None and values.size:
+                origin = float(values[0])
+            joined = np.concatenate([rest, values]) if rest.size else values
+            whole = joined.size // step
+            sums.append((joined[: whole * step] - (origin or 0.0)).reshape(whole, step).sum(axis=1))
+            rest = joined[whole * step :].copy()
+
+    curve = stream_wavelet_variance(watched(), rate_hz)
+    increments = np.concatenate(sums) + (origin or 0.0) * step
+    return increments / rate_hz, curve
+
+
+def _maximise(
+    problem: _Problem | _Direct,
+    model: NoiseModel,
+    start: NoiseModel | None,
+    curve: WaveletVariance,
+    about: _About,
+    bias: bool,
+    confidence: float,
+) -> FitResult:
+    n, dt = about.n_samples, 1.0 / about.rate_hz
+    if start is not None:
+        begin = start.at_rate(about.rate_hz)
     else:
-        problem = _Direct(series.values[at - 1], at, dt, bias)
+        begin = fit_curve(curve, model, weighting="asymptotic", name=about.name).model
     coordinates = Coordinates.of(model, begin, math.sqrt(curve.value[0]))
     values, model_at = coordinates.start, coordinates.model
     free = coordinates.free
@@ -244,24 +344,24 @@ def fit_mli(
         if not math.isfinite(covariance[i, i]) or covariance[i, i] < 0:
             notes.append(f"{fitted.processes[k].symbol}.{name}: the likelihood does not determine it")
     return FitResult(
-        name=series.name,
+        name=about.name,
         method="mli",
         structure=model,
         model=fitted,
-        rate_hz=series.rate_hz,
+        rate_hz=about.rate_hz,
         n_samples=n,
-        unit=series.unit,
-        parameters=estimates(fitted, free, covariance, series.unit, confidence),
+        unit=about.unit,
+        parameters=estimates(fitted, free, covariance, about.unit, confidence),
         covariance=covariance,
-        curve=wavelet_variance(series.values, series.rate_hz),
+        curve=curve,
         fitted=fitted.wavelet_variance(curve.scale_samples, dt),
         objective=-final,
         converged=converged,
         warnings=tuple(notes),
         details={
-            "pattern": pattern,
-            "points": at.size,
-            "integrated": integrated,
+            "pattern": about.pattern,
+            "points": problem.y.size,
+            "integrated": about.integrated,
             "bias": constant if bias else 0.0,
             "start": begin,
             "free": free,

@@ -32,9 +32,9 @@ from insemu.variance import WaveletVariance, wavelet_variance
 Array = NDArray[np.float64]
 
 #: A richer model must be better by this many standard errors of what chance produces.
-MARGIN = 3.0
+MARGIN = 4.0
 #: Scales with fewer degrees of freedom under the reference are left out: their scatter is far from normal.
-RANK_DOF = 10.0
+RANK_DOF = 15.0
 
 
 @dataclass(frozen=True)
@@ -401,18 +401,31 @@ def wic(result: FitResult, *, bootstrap: int = 0, rng: np.random.Generator | Non
     return Criterion(result.objective + 2.0 * optimism, math.sqrt(variance), 2.0 * optimism)
 
 
-def prediction_distance(model: NoiseModel, held_out: WaveletVariance) -> tuple[float, float]:
-    """Mean squared deviation of a record not seen from a model's prediction, in standard deviations that the model gives, and its
-    standard error: 1 is what a true model has.
+def prediction_distance(
+    model: NoiseModel, held_out: WaveletVariance, reference: NoiseModel | None = None
+) -> tuple[float, float]:
+    """Mean squared deviation of a record not seen from a model's prediction, in standard deviations, and its standard error.
 
-    Only scales with at least :data:`RANK_DOF` degrees of freedom count.
+    Parameters
+    ----------
+    model : NoiseModel
+        Predicts.
+    held_out : WaveletVariance
+        Of the record not seen.
+    reference : NoiseModel, optional
+        Whose standard deviations count (so that several predictions can be compared); by default the model's own.
+
+    Returns
+    -------
+    float, float
+        1 is what a true model has. Only scales with at least :data:`RANK_DOF` degrees of freedom count.
     """
     dt = 1.0 / held_out.rate_hz
-    V = model_covariance(model, held_out.n_samples, held_out.scale_samples, dt)
-    v = model.wavelet_variance(held_out.scale_samples, dt)
-    use = 2.0 * v**2 / np.diag(V) >= RANK_DOF
+    measure = model if reference is None else reference
+    V = model_covariance(measure, held_out.n_samples, held_out.scale_samples, dt)
+    use = 2.0 * measure.wavelet_variance(held_out.scale_samples, dt) ** 2 / np.diag(V) >= RANK_DOF
     sd = np.sqrt(np.diag(V)[use])
-    z = (held_out.value[use] - v[use]) / sd
+    z = (held_out.value[use] - model.wavelet_variance(held_out.scale_samples, dt)[use]) / sd
     C = V[np.ix_(use, use)] / np.outer(sd, sd)
     return float(z @ z / z.size), math.sqrt(2.0 * float(np.sum(C * C))) / z.size
 

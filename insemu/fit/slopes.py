@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.errors import InputError
-from insemu.fit.result import Estimate, FitResult
+from insemu.fit.result import Estimate, FitResult, unit_of
 from insemu.noise import BI, DR, GM, QN, RW, WN, NoiseModel, Process
 from insemu.records import Series
 from insemu.variance import wavelet_variance
@@ -110,7 +110,7 @@ def fit_slopes(series: Series, model: NoiseModel, *, source: Source = "allan") -
     for k, (index, p) in enumerate(fitted.indexed()):
         for meta in p.parameters_meta():
             error, low, high = errors[k].get(meta.name, (math.nan, math.nan, math.nan))
-            unit = meta.unit_for(series.unit) if series.unit else ""
+            unit = unit_of(meta, series.unit)
             free = not model.processes[k].specified
             parameters.append(
                 Estimate(p.symbol, index, meta.name, p.parameters[meta.name], unit, error, low, high, free)

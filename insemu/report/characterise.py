@@ -217,6 +217,23 @@ def trends(axes: Sequence[AxisReport]) -> MplFigure:
     return figure
 
 
+def correlations(axes: Sequence[AxisReport]) -> MplFigure:
+    """Autocorrelation of every column, before and after de-noising."""
+    with style():
+        figure, placed = _grid(axes, 2.2)
+        for panel, axis in placed:
+            if axis.correlation:
+                lag = axis.correlation["lag_s"]
+                panel.plot(lag, axis.correlation["raw"], color=COLOURS[0], lw=1.0, label="as it is")
+                panel.plot(
+                    lag, axis.correlation["de-noised"], color=COLOURS[1], lw=1.2, label="after wavelet de-noising"
+                )
+            panel.set(title=axis.name, xlabel="lag (s)", ylabel="autocorrelation", ylim=(-0.4, 1.05))
+        if placed[0][0].lines:
+            placed[0][0].legend(loc="best", fontsize=7.5)
+    return figure
+
+
 def covariance_check(tau: Array, theory: Array, drawn: Array, draws: int, title: str) -> MplFigure:
     """Asymptotic against drawn covariance of wavelet variances: standard deviations and correlations (Figs. 3 and 4 of paper 000).
 
@@ -331,6 +348,9 @@ def render_characterisation(
             "Root power spectral density, one-sided; squares are octave levels from the wavelet variance.",
         )
     )
+    if any(axis.correlation for axis in axes):
+        caption = "Autocorrelation before and after wavelet de-noising (db4, six octaves, soft, SURE): what is left is the slow noise."
+        drawings.append(("correlation", correlations(axes), caption))
     figures = {}
     for name, drawing, caption in drawings:
         figures[name] = Figure.of(drawing, caption)
@@ -359,6 +379,8 @@ def render_characterisation(
         sections.append(Section("Plain against robust", [Text(text), comparison]))
     sections.append(Section("Over time", [figures["trend"]]))
     sections.append(Section("Spectrum", [figures["psd"]]))
+    if "correlation" in figures:
+        sections.append(Section("Correlation", [figures["correlation"]]))
     return render(
         f"Characterisation of {Path(source).name}",
         sections,

@@ -95,8 +95,50 @@ def _length(vel: np.ndarray, t: np.ndarray) -> float:
 
 
 def draw_track(flight: Flight, file: str | Path, *, track: SmoothedTrack | None = None) -> Path:
-    """Write :func:`track_figure` to a PNG, PDF or SVG file."""
+    """Write :func:`track_figure` to a PNG, PDF or SVG file, or a page with it to an HTML file."""
     path = Path(file)
     path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix.lower() in (".html", ".htm"):
+        return _page(flight, path, track)
     track_figure(flight, track).savefig(path, dpi=110)
     return path
+
+
+def _page(flight: Flight, path: Path, track: SmoothedTrack | None) -> Path:
+    from insemu.emulate.track import held_out_distance, turn_rate
+    from insemu.report.page import Block, Figure, Items, Section, Table, Text, render
+
+    motion = flight.path
+    t = np.arange(motion.start, motion.end, 0.1)
+    k = motion.kinematics(t)
+    speed = np.hypot(k.vel_ned[:, 0], k.vel_ned[:, 1])
+    rows = [
+        ["duration", f"{motion.duration:.1f}", "s"],
+        ["length", f"{_length(k.vel_ned, t):.2f}", "km"],
+        ["largest speed", f"{speed.max():.1f}", "m/s"],
+        ["largest turn rate", f"{np.rad2deg(np.abs(turn_rate(motion, t)).max()):.1f}", "deg/s"],
+        ["largest acceleration", f"{np.linalg.norm(k.acc_ned, axis=1).max():.2f}", "m/s^2"],
+        ["heights", f"{k.llh[:, 2].min():.0f} to {k.llh[:, 2].max():.0f}", "m"],
+    ]
+    blocks: list[Block] = []
+    lead = f"{Path(flight.name).name}, a {flight.vehicle.replace('_', ' ')}."
+    if track is not None:
+        residual = 100 * track.residual_ned
+        distance = 100 * held_out_distance(track.track, flight.vehicle)
+        rows += [
+            ["fixes", f"{len(residual)}", ""],
+            ["fixes with less weight", f"{int((track.weight < 1).sum())}", ""],
+            [
+                "residual, rms north, east, down",
+                ", ".join(f"{x:.2f}" for x in np.sqrt((residual**2).mean(axis=0))),
+                "cm",
+            ],
+            ["a third left out: median distance from the path of the rest", f"{np.median(distance):.2f}", "cm"],
+            ["a third left out: 95 % are within", f"{np.percentile(distance, 95):.2f}", "cm"],
+        ]
+        lead += " The path is the smooth curve through its fixes that a vehicle of this kind most probably took."
+        if track.warnings:
+            blocks += [Text("What looks odd:"), Items(track.warnings)]
+    caption = "Way seen from above, speed, height and turn rate" + (", and the fixes minus the path" if track else "")
+    blocks += [Figure.of(track_figure(flight, track), caption), Table(["", "value", "unit"], rows)]
+    return render(f"Track {Path(flight.name).name}", [Section("Motion", blocks)], path, lead=lead)

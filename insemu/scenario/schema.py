@@ -150,6 +150,16 @@ class TrajectorySource(Section):
         default="exact", description="how the ideal IMU is made (docs/emulation.md)"
     )
 
+    @field_validator("builtin")
+    @classmethod
+    def _exists(cls, value: str | None) -> str | None:
+        if value is not None:
+            from insemu.emulate.trajectory import TRAJECTORIES  # heavy: not needed to print the schema
+
+            if value not in TRAJECTORIES:
+                raise InputError(f"unknown trajectory '{value}'" + nearest(value, TRAJECTORIES))
+        return value
+
     @model_validator(mode="after")
     def _one_source(self) -> TrajectorySource:
         given = [k for k in ("builtin", "waypoints", "track", "motion") if getattr(self, k) is not None]
@@ -172,6 +182,9 @@ class RecordedSignal(Section):
         min_length=1, description="static logs; a path, or shared:PATH under the shared data folder"
     )
     skip: Seconds = Field(default=0.0, ge=0, description="warm-up to leave out at the start of every record")
+    spans: tuple[tuple[Seconds, Seconds], ...] = Field(
+        default=(), description="of a dynamic recording: stretches [from, to] at rest, on its own clock"
+    )
     remove_mean: Literal["record", "piece", "none"] = Field(
         default="record", description="what the mean is taken over and removed"
     )
@@ -469,16 +482,35 @@ class Published(Section):
         return self.planimetric_end_m or self.planimetric_mean_m or {}
 
 
+class RecordingSource(Section):
+    """A recorded drive or flight instead of an emulated one."""
+
+    file: str = Field(description="recording; a path, or shared:PATH under the shared data folder")
+    mounting: Angles = Field(
+        default=(0.0, 0.0, 0.0), description="roll, pitch, yaw of the IMU with respect to the vehicle"
+    )
+    start: Seconds | None = Field(
+        default=None, description="leave out what is before this time on the recording's clock"
+    )
+    end: Seconds | None = Field(default=None, description="leave out what is after this time")
+    imu_time_offset: Seconds = Field(default=0.0, description="how late IMU stamps are against those of GNSS; taken off")
+    gravity: Literal["normal", "free_air_first_order"] = "normal"
+    zero_velocity_updates: bool = Field(default=False, description="feed zero velocity where GNSS shows a standstill")
+
+
 class Scenario(Section):
-    """One question: a trajectory, a truth, GNSS with outages, and the designs that are compared."""
+    """One question: a trajectory and a truth (or a recording), GNSS with outages, and the designs that are compared."""
 
     title: str
     question: str = ""
     notes: str = ""
     seed: int = Field(default=1, ge=0)
     realizations: int = Field(default=24, ge=1)
-    trajectory: TrajectorySource
-    truth: Truth
+    trajectory: TrajectorySource | None = None
+    truth: Truth | None = None
+    recording: RecordingSource | None = Field(
+        default=None, description="a recording to run the designs on (one realization)"
+    )
     gnss: Gnss = Gnss()
     initial: Initial = Initial()
     fits: FitSource | None = Field(default=None, description="signals that models under designs are fitted to")
@@ -491,22 +523,36 @@ class Scenario(Section):
         default=("run", "--realizations", "2"), description="command and options of the project's smoke run"
     )
 
+    @field_validator("recording", mode="before")
+    @classmethod
+    def _path_alone(cls, value: Any) -> Any:
+        return {"file": value} if isinstance(value, str) else value
+
     @model_validator(mode="after")
     def _consistent(self) -> Scenario:
+        if self.recording is None and (self.trajectory is None or self.truth is None):
+            missing = " and ".join(f"'{k}'" for k in ("trajectory", "truth") if getattr(self, k) is None)
+            raise InputError(f"the key {missing} is missing; expected a trajectory and a truth, or a recording")
+        if self.recording is not None and (self.trajectory is not None or self.truth is not None):
+            raise InputError("found a recording beside a trajectory or a truth, expected one or the other")
         for name, design in self.designs.items():
             sources = [s for s in design.sources().values() if isinstance(s, AxisSource)]
             if self.fits is None and any(s.fit for s in sources):
                 raise InputError(
                     f"the design '{name}' is fitted, but there is no section 'fits' that says to which signals"
                 )
-            if self.truth.recorded is not None and any(s.truth for s in sources):
+            if self._truth_is_recorded and any(s.truth for s in sources):
                 raise InputError(
                     f"the design '{name}' asks for the model of the truth, but the truth is a recorded signal"
                 )
-        if self.truth.recorded is not None and self.fits is not None and self.fits.simulate is not None:
+        if self._truth_is_recorded and self.fits is not None and self.fits.simulate is not None:
             raise InputError("fits cannot be simulated from a recorded truth; expected the key 'recorded' under 'fits'")
         if self.published is not None:
             unknown = [name for name in self.published.values if name not in self.designs]
             if unknown:
                 raise InputError(f"published figures for '{unknown[0]}', which is no design here")
         return self
+
+    @property
+    def _truth_is_recorded(self) -> bool:
+        return self.truth is None or self.truth.recorded is not None

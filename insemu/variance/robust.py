@@ -72,7 +72,7 @@ def biweight_constants(efficiency: float) -> tuple[float, float]:
     --------
     >>> c, k = biweight_constants(0.6)
     >>> round(c, 2), round(k, 3)
-    (3.18, 0.557)
+    (3.18, 0.663)
     """
     if not 0.4 <= efficiency <= 0.99:
         raise InputError(f"efficiency is {efficiency}, expected 0.4 to 0.99")
