@@ -242,9 +242,7 @@ class AlteredExperiment(Experiment):
         self._alteration = alteration
         self.__dict__["beliefs"] = original.beliefs  # fitted once
 
-    def filter(
-        self, design: str, *, output_every: int = 1, covariance_at: Array | None = None
-    ) -> LooselyCoupledEKF:
+    def filter(self, design: str, *, output_every: int = 1, covariance_at: Array | None = None) -> LooselyCoupledEKF:
         """The filter of one design, altered."""
         a = self._alteration
         plain = super().filter(design, output_every=output_every, covariance_at=covariance_at)
