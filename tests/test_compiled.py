@@ -10,7 +10,11 @@ from insemu.compiled import forget_stale_kernels
 
 def test_kernels_go_when_a_kernel_source_changes_and_stay_otherwise(tmp_path: Path) -> None:
     (tmp_path / "__pycache__").mkdir()
-    kernel, plain, cached = tmp_path / "kernel.py", tmp_path / "plain.py", tmp_path / "__pycache__" / "kernel.f-1.py311.1.nbc"
+    kernel, plain, cached = (
+        tmp_path / "kernel.py",
+        tmp_path / "plain.py",
+        tmp_path / "__pycache__" / "kernel.f-1.py311.1.nbc",
+    )
     kernel.write_text("@njit\ndef f(): return 1\n")
     plain.write_text("x = 1\n")
     assert forget_stale_kernels(tmp_path)

@@ -14,7 +14,7 @@ from insemu.fit.burg import burg, choose_order
 from insemu.fit.em import StateSpace, expectation_maximization, fit_em, maximise
 from insemu.fit.gmwm import choose_scales, fit_curve
 from insemu.fit.indirect import bootstrap_intervals, match_curve
-from insemu.fit.likelihood import _Problem, continuous_transition, integrate, sampling_pattern
+from insemu.fit.likelihood import _Problem, continuous_transition, fit_mli_pieces, integrate, sampling_pattern
 from insemu.fit.robust import cleaned_curve
 from insemu.fit.selection import wic
 from insemu.noise import AR, AR1, BI, DR, GM, QN, RW, WN, NoiseModel, NotStationary
@@ -180,6 +180,17 @@ def test_maximum_likelihood_finds_what_was_simulated(options):
     within(result, "GM1.sigma", 2e-3)
     within(result, "GM1.beta", 0.05)
     assert abs(result.details["bias"] - 0.3) < 5e-3
+
+
+def test_a_record_in_pieces_gives_the_same_as_in_memory():
+    rng = np.random.default_rng(17)
+    x = (WN(1e-3) + GM(2e-3, 0.05)).simulate(30001, 0.1, rng) + 9.8
+    structure = NoiseModel((WN(), GM()))
+    whole = fit(x, structure, "mli", rate_hz=10.0, points=3000)
+    parts = fit_mli_pieces(np.array_split(x, [7, 5000, 5001, 20000]), x.size, 10.0, structure, points=3000)
+    assert parts.n_samples == x.size
+    for e in whole.parameters:
+        assert_allclose(parts[e.label].value, e.value, rtol=2e-3)  # the search stops at a hundredth of a standard error
 
 
 def test_maximum_likelihood_holds_given_values_and_takes_other_models():

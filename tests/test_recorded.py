@@ -14,7 +14,6 @@ from insemu import rotation
 from insemu.errors import InputError
 from insemu.evaluate import Experiment, run_experiment, summary
 from insemu.evaluate.world import World
-from insemu.filters.alignment import align, find_standstill, level
 from insemu.formats import write
 from insemu.records import Recording
 from insemu.scenario import load
@@ -126,28 +125,3 @@ def test_bad_recordings_are_named(tmp_path: Path, recording: Recording, changes:
     path = _scenario(tmp_path, **changes)
     with pytest.raises(InputError, match=message):
         Experiment(load(path), path)
-
-
-def test_level_and_standstill(recording: Recording) -> None:
-    rpy = np.array([0.1, -0.2, 0.7])
-    f = rotation.dcm_from_rpy(rpy).T @ np.array([0.0, 0.0, -9.81])
-    np.testing.assert_allclose(level(f), rpy[:2], atol=1e-12)
-    assert recording.gnss is not None
-    spans = find_standstill(recording.gnss, speed=0.5)
-    speed = np.linalg.norm(recording.gnss.vel_ned, axis=1)  # type: ignore[arg-type]
-    for a, b in spans:
-        inside = (recording.gnss.t >= a) & (recording.gnss.t <= b)
-        assert speed[inside].max() < 0.5
-    with pytest.raises(InputError, match="the fastest has"):
-        align(recording.imu, recording.gnss, min_speed=100.0)
-    with pytest.raises(InputError, match="positions only"):
-        align(recording.imu, replace(recording.gnss, vel_ned=None))
-
-
-def test_alignment_finds_the_heading(recording: Recording) -> None:
-    assert recording.gnss is not None
-    assert recording.reference is not None
-    a = align(recording.imu, recording.gnss)
-    truth = recording.reference.rpy[a.row]
-    error = (np.asarray(a.state.rpy) - truth + np.pi) % (2 * np.pi) - np.pi
-    assert np.all(np.abs(error) < 5 * np.asarray(a.sigma.attitude))

@@ -47,6 +47,9 @@ def command(
     workers: int | None = typer.Option(
         None, "--workers", min=1, help="Axes fitted at a time; default the number of cores."
     ),
+    bootstrap: int = typer.Option(
+        0, "--bootstrap", min=0, help="Intervals from so many simulated signals (gmwm); 0: closed form."
+    ),
     seed: int = typer.Option(0, "--seed", min=0, help="Seed of bootstrap and draws."),
     out: str = typer.Option("", "--out", "-o", help="Write the models as YAML that a scenario reads."),
     kalibr: str = typer.Option("", "--kalibr", help="Write a Kalibr / OpenVINS imu.yaml."),
@@ -80,6 +83,14 @@ def command(
         results = fit_axes(series, model, method, start, robust, options, workers or os.cpu_count() or 1)
     else:
         results = fit_pooled(series, model, method, start, robust, options)
+    if bootstrap:
+        from insemu.fit.indirect import bootstrap_intervals
+
+        children = np.random.default_rng(seed).spawn(len(results))
+        results = {
+            axis: bootstrap_intervals(r, bootstrap, child)
+            for (axis, r), child in zip(results.items(), children, strict=True)
+        }
     console = Console(stderr=as_json)
     if as_json:
         typer.echo(json.dumps({"axes": {axis: r.to_json() for axis, r in results.items()}}, indent=1, allow_nan=False))
@@ -125,10 +136,14 @@ def fit_axes(
     from insemu.fit import fit
     from insemu.noise import NoiseModel
 
-    def one(s: Series) -> FitResult:
+    # every axis its own child, whatever the order in which threads come to it
+    children = options["rng"].spawn(len(series)) if "rng" in options else [None] * len(series)
+
+    def one(item: tuple[Series, Any]) -> FitResult:
+        s, child = item
         given = dict(options)
-        if "rng" in given:
-            given["rng"] = given["rng"].spawn(1)[0]
+        if child is not None:
+            given["rng"] = child
         try:
             if start:
                 given["start"] = NoiseModel.parse(start, s.unit)
@@ -138,7 +153,7 @@ def fit_axes(
             raise InputError(error.message, where=error.where if known else s.name) from None
 
     with ThreadPoolExecutor(max_workers=min(workers, len(series))) as pool:
-        return {s.name: r for s, r in zip(series, pool.map(one, series), strict=True)}
+        return {s.name: r for s, r in zip(series, pool.map(one, zip(series, children, strict=True)), strict=True)}
 
 
 def fit_pooled(

@@ -16,7 +16,7 @@ from insemu.errors import InputError
 from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.world import Scored, covariance_at, input_files, nearest_rows
 from insemu.filters import FilterResult, InitialSigma, Standstill
-from insemu.filters.alignment import Alignment, align
+from insemu.filters.alignment import Alignment, align, rests
 from insemu.formats import read_recording
 from insemu.records import GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import OutageWindow, Scenario
@@ -90,7 +90,7 @@ class RecordedWorld:
     @cached_property
     def alignment(self) -> Alignment:
         """Where the filters start."""
-        return align(self.vehicle_imu, self.gnss, lever_arm=self.scenario.gnss.lever_arm)
+        return align(self.vehicle_imu, self.gnss, gravity=self.source.gravity)
 
     @property
     def rate_hz(self) -> float:
@@ -109,7 +109,7 @@ class RecordedWorld:
             return None
         clear = [
             (a, b)
-            for a, b in self.alignment.standstill
+            for a, b in rests(self.vehicle_imu, self.gnss)
             if a >= self.alignment.t and not any(s < b and a < s + d for s, d in self.outage_windows)
         ]
         return Standstill(clear) if clear else None
@@ -131,23 +131,15 @@ class RecordedWorld:
         return sorted(out)
 
     def recording(self, realization: int) -> Recording:
-        """The IMU from the start of the filters, in vehicle axes, and the fixes that the outages leave."""
-        row = self.alignment.row
+        """The IMU from the start of the filters, in vehicle axes, the bias at rest taken off; and the fixes that the outages leave."""
         gnss = self.gnss
-        if (
-            self.scenario.gnss.velocity_sigma is None
-        ):  # a velocity that the filters must not believe, for example one that is late
+        if self.scenario.gnss.velocity_sigma is None:  # not to be believed, for example because it is late
             gnss = replace(gnss, vel_ned=None, vel_std_ned=None)
-        imu = self.vehicle_imu
-        cut = replace(
-            imu,
-            t=imu.t[row:],
-            gyro=imu.gyro[row:],
-            accel=imu.accel[row:],
-            temperature=None if imu.temperature is None else imu.temperature[row:],
-        )
-        withheld = np.any([Outage(s, d).covers(self.gnss.t) for s, d in self.outage_windows], axis=0)
-        return Recording(cut, _rows(gnss, (gnss.t > self.alignment.t) & ~withheld), self.reference, self.source.file)
+        withheld = np.zeros(len(gnss), dtype=bool)
+        for start, duration in self.outage_windows:
+            withheld |= Outage(start, duration).covers(gnss.t)
+        kept = _rows(gnss, (gnss.t > self.alignment.t) & ~withheld)
+        return Recording(self.alignment.apply(self.vehicle_imu), kept, self.reference, self.source.file)
 
     def start(self, realization: int, imu: ImuRecord) -> tuple[NavState, InitialSigma]:
         """Where alignment says that the vehicle is."""

@@ -10,7 +10,7 @@ is chosen from which no richer one differs by more than chance produces.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import product
@@ -32,9 +32,9 @@ from insemu.variance import WaveletVariance, wavelet_variance
 Array = NDArray[np.float64]
 
 #: A richer model must be better by this many standard errors of what chance produces.
-MARGIN = 4.0
+MARGIN = 3.0
 #: Scales with fewer degrees of freedom under the reference are left out: their scatter is far from normal.
-RANK_DOF = 15.0
+RANK_DOF = 10.0
 
 
 @dataclass(frozen=True)
@@ -203,10 +203,8 @@ def rank_models(
 
     alive = solve(covariance)
     discrepancy = _discrepancy(alive, scale, value, covariance, n)
-    everywhere = V[0]
     if discrepancy > 0:
-        everywhere = V[0] + np.diag((discrepancy * V[2]) ** 2)
-        covariance = everywhere[np.ix_(use, use)]
+        covariance = (V[0] + np.diag((discrepancy * V[2]) ** 2))[np.ix_(use, use)]
         alive = solve(covariance)
     W = root_of_inverse(covariance)
     ranked = []
@@ -229,8 +227,32 @@ def rank_models(
             )
         )
     ranked.sort(key=lambda c: (c.criterion.value, c.parameters))
-    chosen = _choose(ranked)
-    result = fit_curve(curve, chosen.structure, covariance=everywhere, unit=unit, name=name, efficiency=efficiency)
+
+    def gain_under(simple: Candidate, rich: Candidate) -> float:
+        """How much nearer the richer model is in the weights of the simpler one."""
+        own = model_covariance(simple.model, n, scale, 1.0 / curve.rate_hz) / efficiency
+        own = own + np.diag((discrepancy * V[2][use]) ** 2)
+        W = root_of_inverse(own)
+        distance = []
+        for c in (simple, rich):
+            structure = Structure.of(c.structure, curve.rate_hz)
+            at = structure.internal(c.model)[1]
+            starts = np.vstack([at[None, :], structure.starts(n, 200)])
+            near = search(structure, scale, value, W, n, at[None, :])
+            distance.append(min(near.objective, search(structure, scale, value, W, n, starts, refined=3).objective))
+        return distance[0] - distance[1]
+
+    chosen = _choose(ranked, gain_under)
+    if discrepancy == 0:
+        result = fit_curve(curve, chosen.structure, weighting="asymptotic", unit=unit, name=name, efficiency=efficiency)
+    else:
+        # the model's own covariance and what every candidate misses, renewed once
+        at = chosen.model
+        for _ in range(2):
+            own = model_covariance(at, n, curve.scale_samples, 1.0 / curve.rate_hz) / efficiency
+            own = own + np.diag((discrepancy * V[2]) ** 2)
+            result = fit_curve(curve, chosen.structure, covariance=own, unit=unit, name=name, efficiency=efficiency)
+            at = result.model
     if discrepancy > 0:
         note = (
             f"the record has structure that no candidate has, about {discrepancy:.1%} of the wavelet variance per scale; standard errors "
@@ -315,18 +337,35 @@ def _optimism(structure: Structure, best: Solution, scale: NDArray[np.int64], W:
     return float(np.trace(H @ W @ V @ W.T))
 
 
-def _choose(ranked: list[Candidate]) -> Candidate:
-    """The simplest candidate that no richer one beats by more than chance."""
+def _allowance(more: int) -> float:
+    """How much a model with so many more parameters must gain: its optimism, and what chance produces in this difference."""
+    return 2.0 * more + MARGIN * math.sqrt(2.0 * more)
+
+
+def _choose(ranked: list[Candidate], gain_under: Callable[[Candidate, Candidate], float]) -> Candidate:
+    """The simplest candidate that no richer one beats by more than chance.
+
+    The common weights are those of the richest model, which has adapted to the record: where a true, simpler model had an unlikely draw,
+    they take its scales for more precise than they are. So a close defeat counts only if it is one in the simpler model's own weights too,
+    in which the difference has its nominal distribution.
+    """
     whole = [c for c in ranked if not c.vanished] or ranked
     for c in sorted(whole, key=lambda c: (c.parameters, c.objective)):
-        beaten = False
+        beaten = any(o.parameters == c.parameters and o.objective < c.objective for o in whole)
+        rivals = []
         for other in whole:
             more = other.parameters - c.parameters
-            if more > 0:
-                # under the simpler model the drop is a chi-square with `more` degrees of freedom
-                beaten |= c.objective - other.objective > 2.0 * more + MARGIN * math.sqrt(2.0 * more)
-            elif more == 0 and other.objective < c.objective:
-                beaten = True
+            surplus = c.objective - other.objective - _allowance(more) if more > 0 else 0.0
+            if surplus > 0:
+                rivals.append((surplus, other))
+        if rivals and not beaten:
+            surplus, best = max(rivals, key=lambda item: item[0])
+            beaten = surplus > 200.0
+            if not beaten:
+                # the strongest rival, and the one that is nearest in size
+                near = min(rivals, key=lambda item: (item[1].parameters, -item[0]))[1]
+                for other in {id(o): o for o in (best, near)}.values():
+                    beaten |= gain_under(c, other) > _allowance(other.parameters - c.parameters)
         if not beaten:
             return c
     return min(whole, key=lambda c: c.criterion.value)
