@@ -188,7 +188,9 @@ def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
         table.add_row()
     console.print(table)
     console.print(
-        "In brackets: states. Stated: the horizontal sigma that the filter gives. NEES/dof: 1 is a filter that knows its error.\n"
+        "(states). error: planimetric. alt.: altitude at outage end. stated: the filter's own horizontal sigma there, m. in 3 s: position errors "
+        "inside 3 sigma during the outage. NEES: per degree of freedom, 1 is a filter that knows its error.\n",
+        style="dim",
     )
     for line in (*verdicts(main), *rank_lines(main)):
         console.print(f"- {line}", soft_wrap=True)
