@@ -1,0 +1,115 @@
+"""Compiled loops of the room: Toeplitz whitening and the two-level switching likelihood, as scalar code over plain arrays."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@njit(cache=True, nogil=True)
+def toeplitz_whiten(gamma: Array, columns: Array, out: Array) -> float:  # pragma: no cover - compiled
+    """Whiten the columns of a stationary Gaussian vector by the Durbin-Levinson recursion.
+
+    Row k of ``out`` is the one-step prediction error over its standard deviation, so that ``out' out`` is ``columns' C^-1 columns``.
+
+    Parameters
+    ----------
+    gamma : (n,) array
+        Autocovariance at lags 0 to n - 1.
+    columns : (n, k) array
+        Data and regressors.
+    out : (n, k) array
+        Written to.
+
+    Returns
+    -------
+    float
+        ``log det C``, or NaN where the autocovariance is not positive definite.
+    """
+    n, k = columns.shape
+    phi = np.zeros(n)
+    other = np.zeros(n)
+    v = gamma[0]
+    logdet = 0.0
+    for t in range(n):
+        if t > 0:
+            r = gamma[t]
+            for j in range(1, t):
+                r -= phi[j - 1] * gamma[t - j]
+            kappa = r / v
+            for j in range(t - 1):
+                other[j] = phi[j] - kappa * phi[t - 2 - j]
+            for j in range(t - 1):
+                phi[j] = other[j]
+            phi[t - 1] = kappa
+            v *= (1.0 - kappa) * (1.0 + kappa)
+        if not v > 0.0:
+            return math.nan
+        logdet += math.log(v)
+        s = 1.0 / math.sqrt(v)
+        for c in range(k):
+            e = columns[t, c]
+            for j in range(t):
+                e -= phi[j] * columns[t - 1 - j, c]
+            out[t, c] = e * s
+    return logdet
+
+
+@njit(cache=True, nogil=True)
+def switching_log_likelihood(
+    y: Array, white: float, phi: float, q: float, p0: float, amplitude: float, stay: float, path: Array
+) -> float:  # pragma: no cover - compiled
+    """Log-likelihood of ``y_k = b_k + a s_k + white noise``, ``b`` a first-order Gaussian background, ``s = +-1`` switching at random.
+
+    Two-mode filter with moment matching (generalised pseudo-Bayes of first order): exact where the background is constant or the
+    amplitude is zero.
+
+    Parameters
+    ----------
+    y : (n,) array
+        Block means.
+    white, phi, q, p0 : float
+        Variance of a block mean's white noise; transition, driving variance and initial variance of the background.
+    amplitude, stay : float
+        Half the distance of the two levels; probability of staying for one block.
+    path : (n,) array
+        Written to: probability of the upper level.
+    """
+    n = y.size
+    total = 0.0
+    m0, m1, v0, v1, w0 = 0.0, 0.0, p0, p0, 0.5
+    for k in range(n):
+        # mixing of the two hypotheses over a possible switch
+        u0 = stay * w0 + (1.0 - stay) * (1.0 - w0)
+        a = stay * w0 / u0
+        b = stay * (1.0 - w0) / (1.0 - u0)
+        x0 = a * m0 + (1.0 - a) * m1
+        x1 = b * m1 + (1.0 - b) * m0
+        s0 = a * (v0 + (m0 - x0) ** 2) + (1.0 - a) * (v1 + (m1 - x0) ** 2)
+        s1 = b * (v1 + (m1 - x1) ** 2) + (1.0 - b) * (v0 + (m0 - x1) ** 2)
+        if k > 0:
+            x0 *= phi
+            x1 *= phi
+            s0 = phi * phi * s0 + q
+            s1 = phi * phi * s1 + q
+        e0 = y[k] - x0 + amplitude
+        e1 = y[k] - x1 - amplitude
+        d0 = s0 + white
+        d1 = s1 + white
+        l0 = -0.5 * (math.log(d0) + e0 * e0 / d0) + math.log(max(u0, 1e-300))
+        l1 = -0.5 * (math.log(d1) + e1 * e1 / d1) + math.log(max(1.0 - u0, 1e-300))
+        top = max(l0, l1)
+        sum_ = math.exp(l0 - top) + math.exp(l1 - top)
+        total += top + math.log(sum_) - 0.9189385332046727
+        w0 = min(max(math.exp(l0 - top) / sum_, 1e-12), 1.0 - 1e-12)
+        m0 = x0 + s0 / d0 * e0
+        m1 = x1 + s1 / d1 * e1
+        v0 = s0 * white / d0
+        v1 = s1 * white / d1
+        path[k] = 1.0 - w0
+    return total
