@@ -30,13 +30,17 @@ def _frozen(value: ArrayLike, name: str, shape: tuple[int | None, ...], *, finit
     if given.dtype.kind not in "fiu":
         raise InputError(f"{name} has type {given.dtype}, expected real numbers")
     array = np.asarray(given, dtype=np.float64)
-    if array.ndim != len(shape) or any(want is not None and have != want for have, want in zip(array.shape, shape, strict=True)):
+    if array.ndim != len(shape) or any(
+        want is not None and have != want for have, want in zip(array.shape, shape, strict=True)
+    ):
         expected = "(" + ", ".join("n" if s is None else str(s) for s in shape) + ("," if len(shape) == 1 else "") + ")"
         raise InputError(f"{name} has shape {array.shape}, expected {expected}")
     if finite and not np.isfinite(array).all():
         first = int(np.argmax(~np.isfinite(array.reshape(array.shape[0], -1)).all(axis=1)))
         count = int((~np.isfinite(array)).sum())
-        raise InputError(f"{name} has {count} value(s) that are not finite, the first at row {first}; expected finite numbers")
+        raise InputError(
+            f"{name} has {count} value(s) that are not finite, the first at row {first}; expected finite numbers"
+        )
     if array is given:
         array = array.view()
     array.setflags(write=False)
@@ -183,7 +187,9 @@ class GnssRecord:
         latitude = self.llh[:, 0]
         if (np.abs(latitude[np.isfinite(latitude)]) > np.pi / 2 + 1e-12).any():
             k = int(np.nanargmax(np.abs(latitude)))
-            raise InputError(f"gnss_llh row {k} has a latitude of {np.rad2deg(latitude[k]):.6g} deg, expected -90 to 90 deg")
+            raise InputError(
+                f"gnss_llh row {k} has a latitude of {np.rad2deg(latitude[k]):.6g} deg, expected -90 to 90 deg"
+            )
         for name in ("vel_ned", "pos_std_ned", "vel_std_ned"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, _frozen(getattr(self, name), f"gnss_{name}", (n, 3), finite=False))

@@ -217,7 +217,9 @@ def parse(quantity: str | float | int, unit: str) -> float:
     else:
         match = _QUANTITY.match(quantity)
         if match is None:
-            raise InputError(f"cannot read '{quantity}' as a quantity; expected a number and a unit such as '1.5 {unit}'")
+            raise InputError(
+                f"cannot read '{quantity}' as a quantity; expected a number and a unit such as '1.5 {unit}'"
+            )
         value = float(match["value"])
         given = match["unit"] or None
     if not math.isfinite(value):
@@ -237,7 +239,9 @@ def conversion(given: str, wanted: str) -> float:
     """
     one, two = parse_unit(given), parse_unit(wanted)
     if one.dimension != two.dimension:
-        raise InputError(f"the unit '{given}' has another dimension than '{wanted or '1'}', expected something like '{wanted or '1'}'")
+        raise InputError(
+            f"the unit '{given}' has another dimension than '{wanted or '1'}', expected something like '{wanted or '1'}'"
+        )
     return one.factor / two.factor
 
 

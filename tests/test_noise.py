@@ -127,7 +127,9 @@ def test_flicker_is_flat_and_its_psd_says_so() -> None:
     f = (np.arange(2**20) + 0.5) / 2**20 / DT / 2
     for m in (1, 4, 32):
         response = np.sin(np.pi * f * m * DT) ** 4 / (m * np.sin(np.pi * f * DT)) ** 2
-        np.testing.assert_allclose(2 * 2 * np.mean(b.psd(f, DT) * response) / DT / 2, b.allan_variance(m, DT), rtol=1e-3)
+        np.testing.assert_allclose(
+            2 * 2 * np.mean(b.psd(f, DT) * response) / DT / 2, b.allan_variance(m, DT), rtol=1e-3
+        )
     np.testing.assert_allclose(b.psd(1e-3, DT), 0.09 / (2 * np.pi * 1e-3), rtol=1e-3)
 
 
@@ -195,7 +197,9 @@ def test_discrete_view_goes_both_ways() -> None:
     back = GM.of_discrete(phi, s2, DT)
     assert back.sigma == pytest.approx(gm.sigma, rel=1e-9)
     assert back.beta == pytest.approx(gm.beta, rel=1e-9)
-    np.testing.assert_allclose(AR1(phi, s2, 100.0).allan_variance([1, 64], DT), gm.allan_variance([1, 64], DT), rtol=1e-8)
+    np.testing.assert_allclose(
+        AR1(phi, s2, 100.0).allan_variance([1, 64], DT), gm.allan_variance([1, 64], DT), rtol=1e-8
+    )
     assert WN.of_variance(4.0, DT).N == pytest.approx(0.2)
 
 
@@ -237,6 +241,8 @@ def test_a_polynomial_that_is_not_stationary_is_refused_and_mended() -> None:
         ("GM(sigma=1, beta=0)", "positive"),
         ("GM(Tc=-1 s)", "positive"),
         ("GM(Tc=1 s, beta=2)", "both"),
+        ("GM(q=1, sigma=2, Tc=1 s)", "without sigma"),
+        ("GM(q=-1, Tc=1 s)", "positive"),
         ("", "cannot read"),
     ],
 )
@@ -252,6 +258,8 @@ def test_text_is_read_back() -> None:
     assert one.processes[0].N == pytest.approx(np.deg2rad(0.032))
     assert one.processes[1].beta == pytest.approx(1 / 40)
     assert NoiseModel.parse(str(one)) == one
+    two = NoiseModel.parse("GM(q=7.63e-4 deg/s*sqrt(Hz), beta=0.024 Hz)", "rad/s").processes[0]
+    assert two.sigma == pytest.approx(np.deg2rad(7.63e-4) / np.sqrt(2 * 0.024))
     assert NoiseModel.parse("AR(p=2)") == NoiseModel.parse("AR(2)")
 
 
@@ -296,7 +304,15 @@ def test_a_model_file_that_is_not_one_is_named(tmp_path: pytest.TempPathFactory)
 
 def test_every_process_is_registered_and_has_units() -> None:
     for name, cls in PROCESSES.items():
-        structure = cls.of_order(1, 1) if cls is ARMA else cls.of_order(1) if cls is AR else cls.of_order(0, 1) if cls is MA else cls()
+        structure = (
+            cls.of_order(1, 1)
+            if cls is ARMA
+            else cls.of_order(1)
+            if cls is AR
+            else cls.of_order(0, 1)
+            if cls is MA
+            else cls()
+        )
         assert structure.symbol == name
         assert not structure.specified
         assert all(p.unit_for("rad/s") and p.unit_for("m/s^2") for p in structure.parameters_meta())

@@ -11,7 +11,10 @@ from importlib import import_module
 import typer
 
 #: Command name -> module of this package whose function ``command`` it calls, in the order of ``insemu --help``.
-COMMANDS: dict[str, str] = {}
+COMMANDS: dict[str, str] = {
+    "run": "run",
+    "schema": "schema",
+}
 
 app = typer.Typer(
     name="insemu",
@@ -33,7 +36,9 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def _root(
-    version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version and exit."),
+    version: bool = typer.Option(
+        False, "--version", callback=_version, is_eager=True, help="Print the version and exit."
+    ),
 ) -> None:
     pass
 

@@ -1,1 +1,20 @@
-"""."""
+"""Errors against the filter's own bounds, per outage and over many realizations; designs compared under common random numbers."""
+
+from insemu.evaluate.errors import COMPONENTS, bootstrap_mean, navigation_error, paired_ratio, within_outage
+from insemu.evaluate.experiment import Experiment, run_experiment
+from insemu.evaluate.results import Results, outage_table, summary, verdicts, write
+
+__all__ = [
+    "COMPONENTS",
+    "Experiment",
+    "Results",
+    "bootstrap_mean",
+    "navigation_error",
+    "outage_table",
+    "paired_ratio",
+    "run_experiment",
+    "summary",
+    "verdicts",
+    "within_outage",
+    "write",
+]

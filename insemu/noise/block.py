@@ -65,7 +65,11 @@ class StateBlock:
         n = sum(b.n for b in blocks)
 
         def diagonal(name: str) -> Array:
-            return np.asarray(block_diag(*(getattr(b, name) for b in blocks if b.n))).reshape(n, n) if n else np.zeros((0, 0))
+            return (
+                np.asarray(block_diag(*(getattr(b, name) for b in blocks if b.n))).reshape(n, n)
+                if n
+                else np.zeros((0, 0))
+            )
 
         return cls(
             names=tuple(name for b in blocks for name in b.names),

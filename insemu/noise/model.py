@@ -45,7 +45,9 @@ class NoiseModel:
         object.__setattr__(self, "processes", tuple(self.processes))
         rates = {p.rate_hz for p in self.processes if isinstance(p, AR1 | ARMA) and p.rate_hz is not None}
         if len(rates) > 1:
-            raise InputError(f"discrete processes at different rates ({', '.join(f'{r:g} Hz' for r in sorted(rates))}) cannot be added")
+            raise InputError(
+                f"discrete processes at different rates ({', '.join(f'{r:g} Hz' for r in sorted(rates))}) cannot be added"
+            )
 
     def __iter__(self) -> Iterator[Process]:
         return iter(self.processes)
@@ -170,7 +172,9 @@ class NoiseModel:
         for term in _split(text, "+"):
             match = _TERM.match(term)
             if match is None:
-                raise InputError(f"cannot read '{term.strip()}' in the model '{text}'; expected something like 2*GM() or WN(N=1e-3)")
+                raise InputError(
+                    f"cannot read '{term.strip()}' in the model '{text}'; expected something like 2*GM() or WN(N=1e-3)"
+                )
             name = match["name"]
             if name not in PROCESSES:
                 raise InputError(f"unknown process '{name}' in the model '{text}'" + nearest(name, PROCESSES))
@@ -188,7 +192,7 @@ class NoiseModel:
     def from_list(cls, items: Sequence[Mapping[str, Any]] | str, signal_unit: str = "") -> NoiseModel:
         """The inverse of :meth:`to_list`; quantities may be in any unit of the right dimension. A text goes to :meth:`parse`.
 
-        A GM may give ``Tc`` (s) instead of ``beta``.
+        A GM may give ``Tc`` (s) instead of ``beta``, and the density ``q`` of its continuous driving noise instead of ``sigma``.
 
         Raises
         ------
@@ -226,11 +230,15 @@ def _process_of_arguments(name: str, arguments: str, signal_unit: str, text: str
             continue
         if "=" in argument:
             key, value = (part.strip() for part in argument.split("=", 1))
-            given[key] = [v.strip() for v in value.strip("([)] ").split(",") if v.strip()] if value[:1] in "([" else value
+            given[key] = (
+                [v.strip() for v in value.strip("([)] ").split(",") if v.strip()] if value[:1] in "([" else value
+            )
         elif argument.isdigit():
             orders.append(int(argument))
         else:
-            raise InputError(f"cannot read '{argument}' in '{name}({arguments})' of the model '{text}'; expected name=quantity")
+            raise InputError(
+                f"cannot read '{argument}' in '{name}({arguments})' of the model '{text}'; expected name=quantity"
+            )
     for order, value in (("p", given.pop("p", None)), ("q", given.pop("q", None))):
         if value is not None:
             if not str(value).isdigit():
@@ -240,10 +248,14 @@ def _process_of_arguments(name: str, arguments: str, signal_unit: str, text: str
     if issubclass(cls, ARMA) and not given:
         wanted = 2 if cls is ARMA else 1
         if len(orders) != wanted or min(orders) < 1:
-            raise InputError(f"{name} in the model '{text}' needs {wanted} order(s), for example {name}({', '.join('2' * wanted)})")
+            raise InputError(
+                f"{name} in the model '{text}' needs {wanted} order(s), for example {name}({', '.join('2' * wanted)})"
+            )
         return cls.of_order(0, orders[0]) if cls is MA else cls.of_order(*orders)
     if orders:
-        raise InputError(f"found an unnamed argument in '{name}({arguments})' of the model '{text}'; expected name=quantity")
+        raise InputError(
+            f"found an unnamed argument in '{name}({arguments})' of the model '{text}'; expected name=quantity"
+        )
     return _of_mapping({"process": name, **given}, signal_unit)
 
 
@@ -272,6 +284,17 @@ def _of_mapping(item: Mapping[str, Any], signal_unit: str) -> Process:
         if not time > 0:
             raise InputError(f"Tc (correlation time) is {time!r}, expected a positive number", where="GM")
         given["beta"] = 1.0 / time
+    driving = given.pop("q", None) if cls is GM else None
+    if driving is not None:
+        if "sigma" in given or "beta" not in given:
+            raise InputError("q (driving density) goes with beta or Tc and without sigma", where="GM")
+        beta = _number(given["beta"], "1/s", "GM.beta")
+        density = _number(driving, f"{signal_unit or '1'}*sqrt(Hz)", "GM.q")
+        if density < 0 or not beta > 0:
+            raise InputError(
+                f"q (driving density) is {density!r} and beta {beta!r}, expected positive numbers", where="GM"
+            )
+        given["sigma"] = GM.of_driving_density(density, beta).parameters["sigma"]
     rate = given.pop("rate_hz", None) if cls is AR1 else None
     unknown = [k for k in given if k not in known]
     if unknown:

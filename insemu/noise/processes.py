@@ -198,7 +198,9 @@ class Process:
         return count * NoiseModel((self,))
 
     def __str__(self) -> str:
-        given = ", ".join(f"{f.name}={getattr(self, f.name)!r}" for f in fields(self) if getattr(self, f.name) != f.default)
+        given = ", ".join(
+            f"{f.name}={getattr(self, f.name)!r}" for f in fields(self) if getattr(self, f.name) != f.default
+        )
         return f"{self.symbol}({given})"
 
 
@@ -312,7 +314,9 @@ class GM(Process):
     def of_discrete(cls, phi: float, sigma2: float, dt: float) -> GM:
         """The GM process whose samples at ``dt`` are the AR(1) with coefficient ``phi`` in (0, 1) and innovation variance ``sigma2``."""
         if not 0.0 < phi < 1.0:
-            raise InputError(f"phi is {phi}, expected a number between 0 and 1; an AR1 with phi <= 0 has no continuous counterpart")
+            raise InputError(
+                f"phi is {phi}, expected a number between 0 and 1; an AR1 with phi <= 0 has no continuous counterpart"
+            )
         return cls(math.sqrt(sigma2 / ((1.0 - phi) * (1.0 + phi))), -math.log(phi) / dt)
 
     def discrete(self, dt: float) -> tuple[float, float]:
@@ -353,7 +357,9 @@ def _carried_rate(process: AR1 | ARMA, dt: float) -> None:
     if process.rate_hz is None:
         raise InputError(f"{process.symbol} is a discrete process and carries its rate; give rate_hz")
     if abs(process.rate_hz * dt - 1.0) > 1e-9:
-        raise InputError(f"{process.symbol} belongs to samples at {process.rate_hz:g} Hz and cannot be used at {1 / dt:g} Hz")
+        raise InputError(
+            f"{process.symbol} belongs to samples at {process.rate_hz:g} Hz and cannot be used at {1 / dt:g} Hz"
+        )
 
 
 @dataclass(frozen=True)
@@ -439,7 +445,9 @@ class ARMA(Process):
                 raise InputError(f"{self.symbol}: {name} is {given}, expected finite coefficients")
             object.__setattr__(self, name, given)
         if self.sigma2 is not None and not (math.isfinite(self.sigma2) and self.sigma2 >= 0):
-            raise InputError(f"{self.symbol}: sigma2 (innovation variance) is {self.sigma2!r}, expected a number that is not negative")
+            raise InputError(
+                f"{self.symbol}: sigma2 (innovation variance) is {self.sigma2!r}, expected a number that is not negative"
+            )
 
     @classmethod
     def of_order(cls, p: int, q: int = 0) -> Self:
@@ -561,7 +569,11 @@ class ARMA(Process):
             # beyond the moving-average order the autocovariance obeys the autoregression
             ar = self._polynomials()[0]
             start = signal.lfiltic([1.0], ar, first[::-1][: len(self.ar)]) if len(self.ar) else np.zeros(0)
-            rest = signal.lfilter([1.0], ar, np.zeros(top - first.size), zi=start)[0] if len(self.ar) else np.zeros(top - first.size)
+            rest = (
+                signal.lfilter([1.0], ar, np.zeros(top - first.size), zi=start)[0]
+                if len(self.ar)
+                else np.zeros(top - first.size)
+            )
             first = np.concatenate([first, rest])
         return np.asarray(first[lags])
 
@@ -706,7 +718,9 @@ class BI(Process):
         InputError
             Always; the message names the alternative.
         """
-        raise InputError("BI (flicker) has no finite state block; use BI.approximation(k, tau_from, tau_to), a sum of k GM processes")
+        raise InputError(
+            "BI (flicker) has no finite state block; use BI.approximation(k, tau_from, tau_to), a sum of k GM processes"
+        )
 
     def approximation(self, k: int, tau_from: float, tau_to: float) -> tuple[NoiseModel, float]:
         """Return ``(k x GM, error)``: correlation times spread over the band, least relative error of the Allan variance.
@@ -727,7 +741,9 @@ class BI(Process):
 
         taus = np.geomspace(tau_from, tau_to, 40 * k)
         # an Allan variance of GM peaks at 1.89 correlation times; the outer processes sit a little inside the band's ends
-        times = np.geomspace(tau_from, tau_to, k + 2)[1:-1] / 1.89 if k == 1 else np.geomspace(tau_from, tau_to, k) / 1.89
+        times = (
+            np.geomspace(tau_from, tau_to, k + 2)[1:-1] / 1.89 if k == 1 else np.geomspace(tau_from, tau_to, k) / 1.89
+        )
         fine = tau_from / 1000.0
         m = np.maximum(np.round(taus / fine), 1.0)
         curves = np.stack([_first_order_allan(1.0, fine / t, m) for t in times], axis=1)
@@ -796,7 +812,9 @@ class RC(Process):
 
     sigma: float | None = None
     PARAMETERS: ClassVar = (Parameter("sigma", "{u}", "positive", "standard deviation"),)
-    stationary: ClassVar[bool] = False  # one draw says nothing about the ensemble; no estimator may use its autocovariance
+    stationary: ClassVar[bool] = (
+        False  # one draw says nothing about the ensemble; no estimator may use its autocovariance
+    )
 
     def allan_variance(self, m: ArrayLike, dt: float) -> Array:  # noqa: D102
         return np.zeros(np.shape(_counts(m)))

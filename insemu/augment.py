@@ -1,0 +1,300 @@
+"""From noise models to named filter states.
+
+The filter's states are position, velocity and attitude errors and then, axis by axis, the states of the belief's processes: gyroscope x,
+y, z, accelerometer x, y, z. Sample k of an axis carries ``c x_k + v_k`` with ``x_k = Phi x_(k-1) + w_k``; nothing here knows how a filter
+propagates them. Calibration states (scale factor, misalignment) belong to an axis too, and are driven by what the triad measures.
+States of the GNSS installation (lever arm, latency) come last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from insemu.errors import InputError, nearest
+from insemu.noise import NoiseModel, Process, StateBlock
+from insemu.records import AXES
+
+Array = NDArray[np.float64]
+
+#: Names of the nine navigation errors (metres, m/s, rad).
+NAVIGATION = ("pos_n", "pos_e", "pos_d", "vel_n", "vel_e", "vel_d", "att_n", "att_e", "att_d")
+
+Belief = Mapping[str, NoiseModel | Process]
+
+
+@dataclass(frozen=True)
+class StateLayout:
+    """Names and places of a filter's states; the only place where offsets exist.
+
+    Parameters
+    ----------
+    names : tuple of str
+        All states in order, for example ``pos_n``, ``gyro_x.GM1``.
+    slices : mapping
+        Slices of ``position``, ``velocity``, ``attitude``, the six axes and, where they are carried, ``lever_arm`` and ``latency``.
+
+    Examples
+    --------
+    >>> from insemu.noise import GM, WN
+    >>> layout = augment({"gyro": WN(N=1e-4) + GM(sigma=1e-4, beta=0.1), "accel": WN(N=1e-3)}, 0.01).layout
+    >>> layout.n, layout["gyro_y"], layout.names[9]
+    (12, slice(10, 11, None), 'gyro_x.GM1')
+    """
+
+    names: tuple[str, ...]
+    slices: Mapping[str, slice] = field(repr=False)
+
+    def __post_init__(self) -> None:
+        if len(set(self.names)) != len(self.names):
+            twice = next(name for name in self.names if self.names.count(name) > 1)
+            raise InputError(f"the state '{twice}' exists twice")
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return len(self.names)
+
+    @property
+    def navigation(self) -> slice:
+        """Position, velocity and attitude together."""
+        return slice(0, 9)
+
+    @property
+    def position(self) -> slice:
+        """Position error, metres north, east, down."""
+        return self["position"]
+
+    @property
+    def velocity(self) -> slice:
+        """Velocity error, m/s."""
+        return self["velocity"]
+
+    @property
+    def attitude(self) -> slice:
+        """Attitude error phi, rad about north, east, down."""
+        return self["attitude"]
+
+    @property
+    def imu(self) -> slice:
+        """All states of the inertial sensors."""
+        return slice(9, self["accel_z"].stop)
+
+    def __getitem__(self, name: str) -> slice:
+        if name in self.slices:
+            return self.slices[name]
+        if name in self.names:
+            at = self.names.index(name)
+            return slice(at, at + 1)
+        raise InputError(f"no state or group of states '{name}'" + nearest(name, [*self.slices, *self.names]))
+
+    def index(self, name: str) -> int:
+        """Place of one state."""
+        if name not in self.names:
+            raise InputError(f"no state '{name}'" + nearest(name, self.names))
+        return self.names.index(name)
+
+
+@dataclass(frozen=True)
+class Extras:
+    """States beside the noise of the axes, each a random constant given by its initial standard deviation; 0 leaves it out.
+
+    Parameters
+    ----------
+    gyro_scale, accel_scale : float
+        Scale-factor errors, one per axis, as a pure number (1e-3 = 1000 ppm).
+    gyro_misalignment, accel_misalignment : float
+        Cross-axis sensitivities, two per axis, rad.
+    lever_arm : float
+        Error of the lever arm, three components, m.
+    latency : float
+        Age of a fix at its stamp, s.
+    """
+
+    gyro_scale: float = 0.0
+    accel_scale: float = 0.0
+    gyro_misalignment: float = 0.0
+    accel_misalignment: float = 0.0
+    lever_arm: float = 0.0
+    latency: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not (np.isfinite(value) and value >= 0):
+                raise InputError(f"{name} is {value!r}, expected a standard deviation that is not negative")
+
+
+@dataclass(frozen=True)
+class Augmentation:
+    """The discrete model of everything behind the nine navigation states.
+
+    With m states: ``x_k = Phi x_(k-1) + w_k``, cov w = Q, x_0 ~ (0, P0). The error of axis a is ``sum_s c_s d_s x_s + v`` over its own states
+    s, with var v = ``white[a]`` and d_s = 1, or the measured rate or specific force of axis ``driver[s]`` where that is not -1.
+
+    Parameters
+    ----------
+    layout : StateLayout
+        Of the whole filter, the navigation states included.
+    dt : float
+        Sampling interval, s.
+    Phi, Q, P0 : (m, m) arrays
+    axis : (m,) array of int
+        Axis 0..5 of each state, -1 for states that no axis sees.
+    c : (m,) array
+    driver : (m,) array of int
+    white : (6,) array
+        Variance of the samples' own white noise, (rad/s)^2 and (m/s^2)^2.
+    """
+
+    layout: StateLayout
+    dt: float
+    Phi: Array
+    Q: Array
+    P0: Array
+    axis: NDArray[np.int64]
+    c: Array
+    driver: NDArray[np.int64]
+    white: Array
+
+    @property
+    def m(self) -> int:
+        """Number of states behind the navigation states."""
+        return self.axis.size
+
+    def output(self, measured: ArrayLike | None = None) -> Array:
+        """What the six axes see of the states: (6, m).
+
+        Parameters
+        ----------
+        measured : (6,) array_like, optional
+            Measured rate and specific force, needed only where calibration states are carried.
+        """
+        C = np.zeros((6, self.m))
+        drive = np.ones(self.m)
+        driven = self.driver >= 0
+        if driven.any():
+            if measured is None:
+                raise InputError("calibration states are carried; give the measured rate and specific force")
+            drive[driven] = np.asarray(measured, dtype=np.float64)[self.driver[driven]]
+        seen = self.axis >= 0
+        C[self.axis[seen], np.nonzero(seen)[0]] = (self.c * drive)[seen]
+        return C
+
+    def power(self, count: int) -> tuple[Array, Array]:
+        """Transition and driving covariance over ``count`` samples."""
+        Phi, Q = np.eye(self.m), np.zeros((self.m, self.m))
+        for _ in range(count):
+            Phi, Q = self.Phi @ Phi, self.Phi @ Q @ self.Phi.T + self.Q
+        return Phi, Q
+
+
+def per_axis(belief: Belief) -> dict[str, NoiseModel]:
+    """Spell a belief out: keys ``gyro`` and ``accel`` stand for their three axes; a single process is a model; an axis left out has no error.
+
+    Raises
+    ------
+    InputError
+        An unknown axis, or something that is not a noise model.
+    """
+    known = (*AXES, "gyro", "accel")
+    out = {axis: NoiseModel() for axis in AXES}
+    for key in sorted(belief, key=len):  # triads first, so that a single axis overrides them
+        value = belief[key]
+        if key not in known:
+            raise InputError(f"unknown axis '{key}' in the belief" + nearest(key, known))
+        if isinstance(value, Process):
+            value = NoiseModel((value,))
+        if not isinstance(value, NoiseModel):
+            raise InputError(
+                f"the belief of {key} is {value!r}, expected a noise model such as WN(N=1e-4) + GM(sigma=1e-4, beta=0.01)"
+            )
+        for axis in AXES:
+            if axis == key or axis.startswith(key + "_"):
+                out[axis] = value
+    return out
+
+
+def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmentation:
+    """Generate a filter's states from what it believes about its sensors.
+
+    Parameters
+    ----------
+    belief : mapping of axis to NoiseModel
+        Axes ``gyro_x`` .. ``accel_z``, or ``gyro`` and ``accel`` for all three of a triad. Discrete processes without a rate take 1/dt.
+    dt : float
+        Sampling interval, s.
+    extras : Extras, optional
+        Calibration and installation states.
+
+    Returns
+    -------
+    Augmentation
+
+    Raises
+    ------
+    InputError
+        An unknown axis, a process that has no finite state block (BI; the message names the approximation), a polynomial that is not
+        stationary (the message offers the nearest one that is), a parameter without a value.
+    """
+    if not (np.isfinite(dt) and dt > 0):
+        raise InputError(f"the sampling interval is {dt!r}, expected a positive number of seconds")
+    extras = extras or Extras()
+    names: list[str] = list(NAVIGATION)
+    slices = {"position": slice(0, 3), "velocity": slice(3, 6), "attitude": slice(6, 9)}
+    blocks: list[StateBlock] = []
+    axis_of: list[int] = []
+    driver: list[int] = []
+    white = np.zeros(6)
+
+    def constants(count: int, sigma: float) -> None:
+        eye = np.eye(count)
+        blocks.append(StateBlock(("",) * count, eye, 0 * eye, np.ones(count), sigma**2 * eye, 0.0, dt))
+
+    for a, (axis, model) in enumerate(per_axis(belief).items()):
+        start = len(names)
+        try:
+            block = model.at_rate(1.0 / dt).block(dt)
+        except InputError as error:
+            raise InputError(str(error), where=f"belief of {axis}") from None
+        names += [f"{axis}.{name}" for name in block.names]
+        blocks.append(block)
+        axis_of += [a] * block.n
+        driver += [-1] * block.n
+        white[a] = block.white
+        triad, own = axis.split("_")
+        if (scale := getattr(extras, f"{triad}_scale")) > 0:
+            names.append(f"{axis}.scale")
+            constants(1, scale)
+            axis_of.append(a)
+            driver.append(a)
+        if (misalignment := getattr(extras, f"{triad}_misalignment")) > 0:
+            for other in (o for o in "xyz" if o != own):
+                names.append(f"{axis}.from_{other}")
+                axis_of.append(a)
+                driver.append(AXES.index(f"{triad}_{other}"))
+            constants(2, misalignment)
+        slices[axis] = slice(start, len(names))
+    for name, parts, sigma in (("lever_arm", "xyz", extras.lever_arm), ("latency", "", extras.latency)):
+        if sigma > 0:
+            count = len(parts) or 1
+            slices[name] = slice(len(names), len(names) + count)
+            names += [f"{name}_{part}" for part in parts] or [name]
+            constants(count, sigma)
+            axis_of += [-1] * count
+            driver += [-1] * count
+
+    stacked = StateBlock.stack(blocks, dt)
+    return Augmentation(
+        layout=StateLayout(tuple(names), slices),
+        dt=dt,
+        Phi=stacked.Phi,
+        Q=stacked.Q,
+        P0=stacked.P0,
+        axis=np.array(axis_of, dtype=np.int64),
+        c=np.where(np.array(axis_of, dtype=np.int64) >= 0, stacked.c, 0.0),
+        driver=np.array(driver, dtype=np.int64),
+        white=white,
+    )

@@ -1,0 +1,165 @@
+"""GNSS fixes along a trajectory: antenna, noise, outages."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from insemu import earth, rotation
+from insemu.errors import InputError
+from insemu.records import GnssRecord, Trajectory
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Outage:
+    """No fixes for ``start_s < t <= start_s + duration_s``; a duration of zero is no outage."""
+
+    start_s: float
+    duration_s: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.start_s) and np.isfinite(self.duration_s) and self.duration_s >= 0):
+            raise InputError(f"outage from {self.start_s} s for {self.duration_s} s: expected finite numbers and no negative duration")
+
+    @property
+    def end_s(self) -> float:
+        """Time of the last fix that is missing, at the latest."""
+        return self.start_s + self.duration_s
+
+    def covers(self, t: ArrayLike) -> NDArray[np.bool_]:
+        """Which times lie in the outage."""
+        t = np.asarray(t, dtype=float)
+        # a microsecond of slack: fix times are sums of rounded periods
+        return np.asarray((t > self.start_s + 1e-6) & (t <= self.end_s + 1e-6))
+
+
+def state_at(trajectory: Trajectory, t: ArrayLike) -> tuple[Array, Array, Array, Array]:
+    """Position, velocity, quaternion and ``w_nb_b`` of a trajectory at times between its nodes.
+
+    Cubic Hermite interpolation of the position, quadratic of the velocity that belongs to it, rotation at constant
+    rate of the attitude; at a node the node itself.
+
+    Returns
+    -------
+    llh (n, 3), vel_ned (n, 3), q (n, 4), w_nb_b (n, 3)
+    """
+    t = np.asarray(t, dtype=float)
+    nodes = trajectory.t
+    k = np.clip(np.searchsorted(nodes, t + 1e-9, side="right") - 1, 0, nodes.size - 2)
+    dt = nodes[k + 1] - nodes[k]
+    u = np.clip((t - nodes[k]) / dt, 0.0, 1.0)
+    u = np.where(np.abs(u) * dt < 1e-9, 0.0, np.where(np.abs(1.0 - u) * dt < 1e-9, 1.0, u))[:, None]
+    h = dt[:, None]
+    v0, v1 = trajectory.vel_ned[k], trajectory.vel_ned[k + 1]
+    p1 = earth.position_difference(trajectory.llh[k + 1], trajectory.llh[k])
+    # metres by the radii at node k; the velocities are metres at the place itself, which differs by 1e-7 of the step
+    p = p1 * u**2 * (3 - 2 * u) + h * (v0 * u * (1 - u) ** 2 - v1 * u**2 * (1 - u))
+    llh = earth.move(trajectory.llh[k], p)
+    v = p1 / h * 6 * u * (1 - u) + v0 * (1 - u) * (1 - 3 * u) + v1 * u * (3 * u - 2)
+    at_end = u[:, 0] == 1.0
+    llh[at_end], v[at_end] = trajectory.llh[k[at_end] + 1], v1[at_end]
+
+    q = rotation.quaternion_from_rpy(trajectory.rpy)
+    turn = rotation.vector_from_quaternion(rotation.quaternion_product(rotation.quaternion_conjugate(q[:-1]), q[1:]))
+    rate = turn / np.diff(nodes)[:, None]
+    node_rate = np.concatenate([rate[:1], 0.5 * (rate[1:] + rate[:-1]), rate[-1:]])
+    attitude = rotation.quaternion_product(q[k], rotation.quaternion_from_vector(u * turn[k]))
+    w = node_rate[k] * (1 - u) + node_rate[k + 1] * u
+    return llh, v, attitude, w
+
+
+def antenna(trajectory: Trajectory, t: ArrayLike, lever_arm: ArrayLike) -> tuple[Array, Array]:
+    """True position (n, 3) (rad, rad, m) and velocity (n, 3) (m/s) of an antenna at ``lever_arm`` (3,) m."""
+    llh, vel, q, w_nb = state_at(trajectory, t)
+    arm = np.asarray(lever_arm, dtype=float)
+    if not arm.any():
+        return llh, vel
+    c = rotation.dcm_from_quaternion(q)
+    w_eb = w_nb + np.einsum("nji,nj->ni", c, earth.transport_rate(llh, vel))
+    return earth.move(llh, c @ arm), vel + np.einsum("nij,nj->ni", c, np.cross(w_eb, arm))
+
+
+def _three(value: ArrayLike, name: str) -> Array:
+    array = np.broadcast_to(np.asarray(value, dtype=float), (3,)).copy()
+    if not np.isfinite(array).all():
+        raise InputError(f"{name} is {array.tolist()}, expected one or three finite numbers")
+    return array
+
+
+def gnss_fixes(
+    trajectory: Trajectory,
+    rate_hz: float = 1.0,
+    pos_sigma_ned: ArrayLike = (0.01, 0.01, 0.02),
+    vel_sigma_ned: ArrayLike | None = (0.01, 0.01, 0.02),
+    lever_arm: ArrayLike = (0.0, 0.0, 0.0),
+    outages: Sequence[Outage] = (),
+    *,
+    rng: np.random.Generator,
+) -> GnssRecord:
+    """Emulate the fixes of a receiver.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Reference of the IMU (its nodes).
+    rate_hz : float
+        Fixes per second; the first comes one period after the start of the trajectory.
+    pos_sigma_ned, vel_sigma_ned : float or (3,)
+        Standard deviations of white noise, m and m/s, which the receiver also states; ``vel_sigma_ned=None`` for no
+        velocity.
+    lever_arm : (3,)
+        From the IMU to the antenna in body axes, m.
+    outages : sequence of Outage
+        When there is no fix.
+    rng : numpy.random.Generator
+        Position and velocity draw from their own children, for all epochs, so an outage does not change the fixes
+        outside of it.
+
+    Raises
+    ------
+    InputError
+        Negative sigma, a rate that is not positive, an outage past the end of the trajectory.
+    """
+    sigma = _three(pos_sigma_ned, "the position sigma")
+    sigma_v = None if vel_sigma_ned is None else _three(vel_sigma_ned, "the velocity sigma")
+    for name, values in (("position", sigma), ("velocity", sigma_v)):
+        if values is not None and (values < 0).any():
+            raise InputError(f"the {name} sigma is {values.tolist()}, expected zero or more")
+    t = fix_times(trajectory, rate_hz)
+    for outage in outages:
+        check_outage(outage, trajectory)
+    llh, vel = antenna(trajectory, t, _three(lever_arm, "the lever arm"))
+    of_position, of_velocity = rng.spawn(2)
+    llh = earth.move(llh, sigma * of_position.standard_normal((t.size, 3)))
+    keep = ~np.any([o.covers(t) for o in outages], axis=0) if outages else np.ones(t.size, bool)
+    if not keep.any():
+        raise InputError("the outages leave no fix at all")
+    stated = np.broadcast_to(sigma, (int(keep.sum()), 3))
+    if sigma_v is None:
+        return GnssRecord(t[keep], llh[keep], None, stated)
+    vel = vel + sigma_v * of_velocity.standard_normal((t.size, 3))
+    return GnssRecord(t[keep], llh[keep], vel[keep], stated, np.broadcast_to(sigma_v, stated.shape))
+
+
+def fix_times(trajectory: Trajectory, rate_hz: float) -> Array:
+    """Epochs of the fixes: ``t[0] + k / rate_hz`` for k = 1, 2, ..., up to the end."""
+    if not (np.isfinite(rate_hz) and rate_hz > 0):
+        raise InputError(f"the GNSS rate is {rate_hz} Hz, expected a positive number")
+    count = int(np.floor((trajectory.t[-1] - trajectory.t[0]) * rate_hz + 1e-6))
+    if count < 1:
+        raise InputError(f"a trajectory of {trajectory.t[-1] - trajectory.t[0]:g} s has no fix at {rate_hz:g} Hz")
+    return np.minimum(trajectory.t[0] + np.arange(1, count + 1) / rate_hz, trajectory.t[-1])
+
+
+def check_outage(outage: Outage, trajectory: Trajectory) -> None:
+    """Raise ``InputError`` where an outage does not lie inside a trajectory."""
+    if outage.start_s < trajectory.t[0] - 1e-6 or outage.end_s > trajectory.t[-1] + 1e-6:
+        raise InputError(
+            f"the outage from {outage.start_s:g} to {outage.end_s:g} s is not inside the trajectory "
+            f"({trajectory.t[0]:g} to {trajectory.t[-1]:g} s)"
+        )

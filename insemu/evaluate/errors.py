@@ -1,0 +1,130 @@
+"""Navigation errors: estimate minus truth, by component, and what they come to during an outage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from insemu import earth, rotation
+from insemu.errors import InputError
+from insemu.records import Trajectory
+
+Array = NDArray[np.float64]
+
+#: The nine components of a navigation error, in state order, with their SI units.
+COMPONENTS = (
+    "position_north",
+    "position_east",
+    "position_down",
+    "velocity_north",
+    "velocity_east",
+    "velocity_down",
+    "attitude_north",
+    "attitude_east",
+    "attitude_down",
+)
+COMPONENT_UNITS = ("m",) * 3 + ("m/s",) * 3 + ("rad",) * 3
+#: The groups whose coverage is reported.
+GROUPS = {"position": slice(0, 3), "velocity": slice(3, 6), "attitude": slice(6, 9)}
+
+
+def navigation_error(estimate: Trajectory, truth: Trajectory) -> Array:
+    """Errors of an estimated trajectory at epochs that both have.
+
+    Parameters
+    ----------
+    estimate, truth : Trajectory
+        On the same epochs.
+
+    Returns
+    -------
+    (n, 9) array
+        Position (m north, east, down), velocity (m/s), attitude phi (rad) with ``C_est = exp([phi x]) C_true``.
+
+    Raises
+    ------
+    InputError
+        The epochs differ.
+    """
+    if estimate.t.shape != truth.t.shape or not np.allclose(estimate.t, truth.t, rtol=0, atol=1e-9):
+        raise InputError("estimate and truth are on different epochs; sample the truth at the epochs of the estimate")
+    return np.concatenate(
+        [
+            earth.position_difference(estimate.llh, truth.llh),
+            estimate.vel_ned - truth.vel_ned,
+            rotation.attitude_difference(estimate.rpy, truth.rpy),
+        ],
+        axis=1,
+    )
+
+
+def within_outage(t: ArrayLike, start_s: float, duration_s: float) -> NDArray[np.bool_]:
+    """Epochs that belong to an outage: after its start, up to and including its end (whose fix is withheld)."""
+    t = np.asarray(t, dtype=np.float64)
+    return (t > start_s + 1e-9) & (t <= start_s + duration_s + 1e-9)
+
+
+@dataclass(frozen=True)
+class MeanInterval:
+    """A mean over realizations with its 95 % bootstrap interval (None for fewer than two realizations)."""
+
+    mean: float
+    low: float | None
+    high: float | None
+
+
+def bootstrap_indices(n: int, seed: int = 20140701, draws: int = 10000) -> NDArray[np.int64]:
+    """(draws, n) indices that resample n realizations; fixed seed, so that a report says the same each time."""
+    return np.random.default_rng(seed).integers(0, n, size=(draws, n))
+
+
+def bootstrap_mean(values: ArrayLike) -> MeanInterval:
+    """Mean of one value per realization with its percentile bootstrap interval."""
+    values = np.asarray(values, dtype=np.float64)
+    if values.size < 2:
+        return MeanInterval(float(values.mean()), None, None)
+    means = values[bootstrap_indices(values.size)].mean(axis=1)
+    low, high = np.quantile(means, [0.025, 0.975])
+    return MeanInterval(float(values.mean()), float(low), float(high))
+
+
+@dataclass(frozen=True)
+class PairedComparison:
+    """Ratio of two designs' mean errors under common random numbers."""
+
+    ratio: float
+    low: float | None
+    high: float | None
+    p_value: float | None
+
+    @property
+    def different(self) -> bool:
+        """Whether the 95 % interval of the ratio excludes 1."""
+        return self.low is not None and self.high is not None and not self.low <= 1.0 <= self.high
+
+
+def paired_ratio(one: ArrayLike, other: ArrayLike) -> PairedComparison:
+    """Compare ``one`` with ``other`` realization by realization.
+
+    Parameters
+    ----------
+    one, other : (realizations,) arrays
+        An error of each design in the same realizations.
+
+    Returns
+    -------
+    PairedComparison
+        mean(one) / mean(other), its percentile bootstrap interval over realizations, and the two-sided bootstrap p-value of
+        "the means are equal" (at least 1 / draws).
+    """
+    a, b = np.asarray(one, dtype=np.float64), np.asarray(other, dtype=np.float64)
+    ratio = float(a.mean() / b.mean())
+    if a.size < 2:
+        return PairedComparison(ratio, None, None, None)
+    index = bootstrap_indices(a.size)
+    ratios = a[index].mean(axis=1) / b[index].mean(axis=1)
+    low, high = np.quantile(ratios, [0.025, 0.975])
+    tail = min((ratios >= 1.0).mean(), (ratios <= 1.0).mean())
+    return PairedComparison(ratio, float(low), float(high), float(min(1.0, max(2.0 * tail, 1.0 / len(index)))))

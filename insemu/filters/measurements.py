@@ -1,0 +1,329 @@
+"""Measurements of the filter, compiled: predicted fixes with their Jacobians, and the Joseph update of a plain covariance."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from insemu.earth import RATE, scalar_radii
+from insemu.rotation import scalar_dcm
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+#: Kinds of events.
+FIX, STANDSTILL = 0, 1
+
+
+@njit(cache=True, nogil=True)
+def first_bad_pivot(P: Array, L: Array) -> int:
+    """Index of the first state that makes ``P`` not positive semidefinite (to 1e-9 of its variance), -1 where there is none."""
+    n = P.shape[0]
+    for j in range(n):
+        if not P[j, j] >= 0.0:
+            return j
+        pivot = P[j, j]
+        for k in range(j):
+            pivot -= L[j, k] * L[j, k]
+        if pivot < -1e-9 * P[j, j]:
+            return j
+        if pivot <= 1e-13 * P[j, j]:
+            for i in range(j, n):
+                L[i, j] = 0.0
+            continue
+        root = math.sqrt(pivot)
+        L[j, j] = root
+        for i in range(j + 1, n):
+            x = P[i, j]
+            for k in range(j):
+                x -= L[i, k] * L[j, k]
+            L[i, j] = x / root
+    return -1
+
+
+@njit(cache=True, nogil=True)
+def fill_fix(
+    nav: Array,
+    nav_before: Array,
+    dt: float,
+    tau: float,
+    rate: Array,
+    rate_before: Array,
+    lever: Array,
+    white: Array,
+    c_of: Array,
+    axis: Ints,
+    lever_at: int,
+    latency_at: int,
+    z: Array,
+    nu: Array,
+    H: Array,
+    R: Array,
+) -> None:
+    """Innovation, its Jacobian and added noise of a GNSS fix that was valid ``tau`` seconds before this epoch.
+
+    Position and velocity of the antenna are taken back by the mean acceleration of the last step and by the rate. Innovations are
+    measured minus predicted, in metres and m/s north, east, down; ``H`` (6, n) is the derivative of the *predicted* fix by the errors.
+
+    Parameters
+    ----------
+    nav, nav_before : (10,) arrays
+        State at this epoch and at the one before, ``dt`` seconds earlier.
+    tau : float
+        Age of the fix, s, latency included.
+    rate, rate_before : (3,) arrays
+        Corrected mean angular rates over the last two steps, rad/s.
+    lever : (3,) array
+        m, body axes.
+    white : (6,) array
+        Variances of the axes' white noise per sample.
+    c_of, axis : (m,) arrays
+        What axis each state behind is seen by, and how strongly.
+    lever_at, latency_at : int
+        First lever-arm state and latency state among all states, -1 where not carried.
+    z : (6,) array
+        Latitude, longitude, height, velocity NED.
+    nu, H, R : (6,), (6, n), (6, 6) arrays
+        Overwritten; ``R`` is what the gyroscope's white noise adds through the lever arm.
+    """
+    C = np.empty((3, 3))
+    scalar_dcm(nav[6:10], C)
+    rm, rn = scalar_radii(math.sin(nav[0]))
+    h = nav[2]
+    acc = np.empty(3)
+    for i in range(3):
+        acc[i] = (nav[3 + i] - nav_before[3 + i]) / dt
+    # rate with respect to the Earth at the time of the fix: the last mean carried from the middle of its step
+    shift = (0.5 * dt - min(tau, dt)) / dt
+    we_n, we_d = RATE * math.cos(nav[0]), -RATE * math.sin(nav[0])
+    omega = np.empty(3)
+    for i in range(3):
+        omega[i] = rate[i] + shift * (rate[i] - rate_before[i]) - C[0, i] * we_n - C[2, i] * we_d
+    turn = np.empty(3)
+    turn[0] = omega[1] * lever[2] - omega[2] * lever[1]
+    turn[1] = omega[2] * lever[0] - omega[0] * lever[2]
+    turn[2] = omega[0] * lever[1] - omega[1] * lever[0]
+    arm, swing, omega_n = np.zeros(3), np.zeros(3), np.zeros(3)
+    for i in range(3):
+        for j in range(3):
+            arm[i] += C[i, j] * lever[j]
+            swing[i] += C[i, j] * turn[j]
+            omega_n[i] += C[i, j] * omega[j]
+    # the arm as it stood at the time of the fix
+    a0 = arm[0] - tau * swing[0]
+    a1 = arm[1] - tau * swing[1]
+    a2 = arm[2] - tau * swing[2]
+    s0 = swing[0] - tau * (omega_n[1] * swing[2] - omega_n[2] * swing[1])
+    s1 = swing[1] - tau * (omega_n[2] * swing[0] - omega_n[0] * swing[2])
+    s2 = swing[2] - tau * (omega_n[0] * swing[1] - omega_n[1] * swing[0])
+    half = 0.5 * tau * tau
+    dlon = z[1] - nav[1]
+    if dlon > math.pi:
+        dlon -= 2.0 * math.pi
+    elif dlon < -math.pi:
+        dlon += 2.0 * math.pi
+    nu[0] = (z[0] - nav[0]) * (rm + h) - (a0 - tau * nav[3] + half * acc[0])
+    nu[1] = dlon * (rn + h) * math.cos(nav[0]) - (a1 - tau * nav[4] + half * acc[1])
+    nu[2] = h - z[2] - (a2 - tau * nav[5] + half * acc[2])
+    nu[3] = z[3] - (nav[3] - tau * acc[0] + s0)
+    nu[4] = z[4] - (nav[4] - tau * acc[1] + s1)
+    nu[5] = z[5] - (nav[5] - tau * acc[2] + s2)
+
+    H[:, :] = 0.0
+    R[:, :] = 0.0
+    for i in range(3):
+        H[i, i] = 1.0
+        H[i, 3 + i] = -tau
+        H[3 + i, 3 + i] = 1.0
+    H[0, 7], H[0, 8] = a2, -a1
+    H[1, 6], H[1, 8] = -a2, a0
+    H[2, 6], H[2, 7] = a1, -a0
+    # -[swing x] and, by the velocity's change since the fix, + tau [f_n x]; f_n is the acceleration less gravity to the order that matters
+    f0, f1, f2 = tau * acc[0], tau * acc[1], tau * (acc[2] - 9.81)
+    H[3, 7], H[3, 8] = s2 - f2, f1 - s1
+    H[4, 6], H[4, 8] = f2 - s2, s0 - f0
+    H[5, 6], H[5, 7] = s1 - f1, f0 - s0
+    if lever[0] != 0.0 or lever[1] != 0.0 or lever[2] != 0.0:
+        # velocity error of the arm: -C [l x] dw, dw = -(c e_x) + white
+        X = np.empty((3, 3))
+        for i in range(3):
+            X[i, 0] = -(C[i, 1] * lever[2] - C[i, 2] * lever[1])
+            X[i, 1] = -(C[i, 2] * lever[0] - C[i, 0] * lever[2])
+            X[i, 2] = -(C[i, 0] * lever[1] - C[i, 1] * lever[0])
+        for s in range(axis.size):
+            if 0 <= axis[s] < 3:
+                for i in range(3):
+                    H[3 + i, 9 + s] = -X[i, axis[s]] * c_of[s]
+        spread = (1.0 + shift) * (1.0 + shift) + shift * shift
+        for i in range(3):
+            for j in range(3):
+                for k in range(3):
+                    R[3 + i, 3 + j] += spread * white[k] * X[i, k] * X[j, k]
+    if lever_at >= 0:
+        for i in range(3):
+            for j in range(3):
+                H[i, lever_at + j] = C[i, j]
+            # C [w x]
+            H[3 + i, lever_at] = C[i, 1] * omega[2] - C[i, 2] * omega[1]
+            H[3 + i, lever_at + 1] = C[i, 2] * omega[0] - C[i, 0] * omega[2]
+            H[3 + i, lever_at + 2] = C[i, 0] * omega[1] - C[i, 1] * omega[0]
+    if latency_at >= 0:
+        for i in range(3):
+            H[i, latency_at] = -(nav[3 + i] + swing[i])
+            H[3 + i, latency_at] = -acc[i]
+
+
+@njit(cache=True, nogil=True)
+def fill_standstill(
+    nav: Array, mean_rate: Array, count: int, white: Array, c_of: Array, axis: Ints, nu: Array, H: Array, R: Array
+) -> None:
+    """Innovation of a vehicle known to stand still: zero velocity (rows 0..2) and zero mean angular rate (rows 3..5).
+
+    ``mean_rate`` (3,) is the corrected rate averaged over ``count`` samples; the white noise of that mean is added in ``R``.
+    """
+    C = np.empty((3, 3))
+    scalar_dcm(nav[6:10], C)
+    we_n, we_d = RATE * math.cos(nav[0]), -RATE * math.sin(nav[0])
+    H[:, :] = 0.0
+    R[:, :] = 0.0
+    for i in range(3):
+        nu[i] = -nav[3 + i]
+        H[i, 3 + i] = 1.0
+        nu[3 + i] = -(mean_rate[i] - C[0, i] * we_n - C[2, i] * we_d)
+        R[3 + i, 3 + i] = white[i] / count
+        # the Earth's rate in body axes moves with the attitude error: -C' (w_ie x phi) ... = -[C' w_ie] as seen by phi
+        H[3 + i, 6] = -(C[1, i] * we_d)
+        H[3 + i, 7] = C[0, i] * we_d - C[2, i] * we_n
+        H[3 + i, 8] = C[1, i] * we_n
+    for s in range(axis.size):
+        if 0 <= axis[s] < 3:
+            H[3 + axis[s], 9 + s] = -c_of[s]
+
+
+@njit(cache=True, nogil=True)
+def update(
+    P: Array,
+    nu_all: Array,
+    H_all: Array,
+    R_all: Array,
+    used: Array,
+    thresholds: Array,
+    dx: Array,
+    S_out: Array,
+    K_out: Array,
+) -> tuple[float, int, bool]:
+    """Joseph update of ``P`` (n, n) with the used rows of a measurement.
+
+    Parameters
+    ----------
+    P : (n, n) array
+        Updated in place where the measurement is accepted.
+    nu_all, H_all, R_all : (6,), (6, n), (6, 6) arrays
+        Innovation, Jacobian, noise.
+    used : (6,) array of bool
+    thresholds : (7,) array
+        Largest accepted normalised innovation squared by the number of components (inf: no gate).
+    dx : (n,) array
+        Overwritten by the estimated error (to be taken off).
+    S_out, K_out : (6, 6), (n, 6) arrays
+        Overwritten in the used rows and columns.
+
+    Returns
+    -------
+    (nis, dof, accepted)
+    """
+    n = P.shape[0]
+    rows = np.empty(6, dtype=np.int64)
+    q = 0
+    for i in range(6):
+        if used[i]:
+            rows[q] = i
+            q += 1
+    dx[:] = 0.0
+    if q == 0:
+        return math.nan, 0, False
+    G = np.zeros((n, q))  # P H'
+    for a in range(q):
+        for j in range(n):
+            h = H_all[rows[a], j]
+            if h != 0.0:
+                for i in range(n):
+                    G[i, a] += P[i, j] * h
+    S, L = np.empty((q, q)), np.zeros((q, q))
+    for a in range(q):
+        for b in range(a, q):
+            x = R_all[rows[a], rows[b]]
+            for j in range(n):
+                x += H_all[rows[a], j] * G[j, b]
+            S[a, b] = x
+            S[b, a] = x
+            S_out[rows[a], rows[b]] = x
+            S_out[rows[b], rows[a]] = x
+    for j in range(q):
+        x = S[j, j]
+        for k in range(j):
+            x -= L[j, k] * L[j, k]
+        if not x > 0.0:
+            return math.nan, -1 - rows[j], False
+        L[j, j] = math.sqrt(x)
+        for i in range(j + 1, q):
+            x = S[i, j]
+            for k in range(j):
+                x -= L[i, k] * L[j, k]
+            L[i, j] = x / L[j, j]
+    y = np.empty(q)
+    nis = 0.0
+    for a in range(q):
+        x = nu_all[rows[a]]
+        for k in range(a):
+            x -= L[a, k] * y[k]
+        y[a] = x / L[a, a]
+        nis += y[a] * y[a]
+    if nis > thresholds[q]:
+        return nis, q, False
+    K = np.empty((n, q))  # G S^-1 by two triangular solves
+    for i in range(n):
+        for a in range(q):
+            x = G[i, a]
+            for k in range(a):
+                x -= L[a, k] * K[i, k]
+            K[i, a] = x / L[a, a]
+        for a in range(q - 1, -1, -1):
+            x = K[i, a]
+            for k in range(a + 1, q):
+                x -= L[k, a] * K[i, k]
+            K[i, a] = x / L[a, a]
+        for a in range(q):
+            dx[i] -= K[i, a] * nu_all[rows[a]]
+            K_out[i, rows[a]] = K[i, a]
+    # (I - K H) P (I - K H)' + K R K'
+    B = np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            x = P[i, j]
+            for a in range(q):
+                x -= K[i, a] * G[j, a]
+            B[i, j] = x
+    D = np.zeros((n, q))
+    for a in range(q):
+        for j in range(n):
+            h = H_all[rows[a], j]
+            if h != 0.0:
+                for i in range(n):
+                    D[i, a] += B[i, j] * h
+        for b in range(q):
+            r = R_all[rows[b], rows[a]]
+            if r != 0.0:
+                for i in range(n):
+                    D[i, a] -= K[i, b] * r
+    for i in range(n):
+        for j in range(i, n):
+            x = 0.5 * (B[i, j] + B[j, i])
+            for a in range(q):
+                x -= 0.5 * (D[i, a] * K[j, a] + D[j, a] * K[i, a])
+            P[i, j] = x
+            P[j, i] = x
+    return nis, q, True

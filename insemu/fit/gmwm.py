@@ -1,0 +1,362 @@
+"""The generalized method of wavelet moments: a model whose wavelet variance is nearest to the signal's (papers 000 and 003).
+
+The distance is quadratic. Weights are the inverse squared widths of the curve's intervals (the default, which does not need a model), or
+the inverse of the curve's covariance under the model, in closed form or by parametric bootstrap, in further steps.
+
+The model's curve is linear in one variance per process, so the search runs over correlation times and other shapes only, from every
+combination on a coarse grid ranked by the flattened distance (34) of paper 000 and by the weighted one; the best of both are refined. That
+is a search of the whole space at a cost of milliseconds, and why no start needs to be given.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import special
+
+from insemu.errors import InputError
+from insemu.fit import _kernel
+from insemu.fit.covariance import model_covariance
+from insemu.fit.identifiability import warnings_of
+from insemu.fit.result import FitResult, GoodnessOfFit, estimates
+from insemu.fit.structure import Structure, natural_jacobian
+from insemu.noise import NoiseModel
+from insemu.variance import WaveletVariance
+from insemu.variance.edof import eta3, interval
+
+Array = NDArray[np.float64]
+Weighting = Literal["intervals", "asymptotic", "bootstrap"]
+
+#: Refinements that the two rankings of starting points get each.
+REFINED = 8
+#: A scale enters the test of fit where its wavelet variance has at least this many degrees of freedom under the model.
+TEST_DOF = 40.0
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A minimum: coefficients, shapes, weighted squared distance, whether the search ended by itself."""
+
+    coefficients: Array
+    shapes: Array
+    objective: float
+    converged: bool
+
+
+def interval_widths(curve: WaveletVariance) -> Array:
+    """Widths of the 95 % chi-square intervals with the degrees of freedom of an ideal band-pass, the customary weights of the GMWM."""
+    low, high = interval(curve.value, eta3(curve.scale_samples.astype(float), curve.n_samples), 0.95)
+    return np.asarray(high - low)
+
+
+def root_of_inverse(covariance: Array) -> Array:
+    """A matrix W with W' W the inverse of a covariance; directions below 1e-10 in correlation are left out."""
+    scale = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    keep = values > 1e-10 * values[-1]
+    return np.ascontiguousarray((vectors[:, keep] / np.sqrt(values[keep])).T / scale)
+
+
+def search(
+    structure: Structure,
+    scale_samples: NDArray[np.int64],
+    value: Array,
+    W: Array,
+    n_samples: int,
+    starts: Array,
+    *,
+    refined: int = REFINED,
+    flattened: bool = True,
+) -> Solution:
+    """Minimise ``|W (value - model)|^2`` from the best of ``starts``.
+
+    Parameters
+    ----------
+    structure : Structure
+    scale_samples, value : (J,) arrays
+    W : (rows, J) array
+    n_samples : int
+    starts : (s, shapes) array
+    refined : int
+        How many of each ranking are refined.
+    flattened : bool
+        Also rank by equation (34).
+    """
+    m = scale_samples / 2.0
+    y = W @ value
+    size = float(y @ y)
+    unit = np.where(structure.fixed < 0, -1.0, structure.fixed)
+    low, high = structure.bounds(n_samples)
+    rank = np.empty(starts.shape[0])
+    args = (structure.kinds, structure.orders, structure.offsets, m)
+    chosen: list[int] = []
+    if starts.shape[0] <= refined:
+        chosen = list(range(starts.shape[0]))
+    else:
+        rankings = [(W, y)]
+        if flattened:
+            rankings.append((np.diag(1.0 / value), np.ones(value.size)))
+        for rows, target in rankings:
+            _kernel.screen(*args, starts, np.ascontiguousarray(rows), target, unit, rank)
+            order = np.argsort(rank, kind="stable")
+            best = rank[order[0]]
+            for i in order[:refined]:
+                if int(i) not in chosen and rank[i] <= 1e3 * best + 1e-6 * size:
+                    chosen.append(int(i))
+    found: Solution | None = None
+    for i in chosen:
+        s, x = starts[i].copy(), np.zeros(structure.kinds.size)
+        objective, iterations = _kernel.refine(*args, s, low, high, W, y, unit, x, 200)
+        if found is None or objective < found.objective:
+            found = Solution(x, s, objective, iterations >= 0)
+    assert found is not None
+    if not found.converged:
+        s, x = found.shapes.copy(), np.zeros(structure.kinds.size)
+        objective, iterations = _kernel.refine(*args, s, low, high, W, y, unit, x, 3000)
+        found = Solution(x, s, objective, iterations >= 0)
+    coefficients, shapes = structure.sort(found.coefficients, found.shapes)
+    return Solution(coefficients, shapes, found.objective, found.converged)
+
+
+def fit_curve(
+    curve: WaveletVariance,
+    model: NoiseModel,
+    *,
+    weighting: Weighting = "intervals",
+    widths: ArrayLike | None = None,
+    covariance: ArrayLike | None = None,
+    steps: int = 2,
+    start: NoiseModel | None = None,
+    tau_from: float = 0.0,
+    tau_to: float = math.inf,
+    efficiency: float = 1.0,
+    confidence: float = 0.95,
+    bootstrap: int = 200,
+    rng: np.random.Generator | None = None,
+    unit: str = "",
+    name: str = "signal",
+) -> FitResult:
+    """Fit a model to a Haar wavelet variance.
+
+    Parameters
+    ----------
+    curve : WaveletVariance
+        Haar MODWT curve.
+    model : NoiseModel
+        Structure; parameters that have a value are held.
+    weighting : {"intervals", "asymptotic", "bootstrap"}
+        Squared inverse interval widths; the inverse covariance under the model, in closed form; the same by parametric bootstrap.
+    widths : (J,) array, optional
+        Interval widths to weigh by, instead of ``weighting``.
+    covariance : (J, J) array, optional
+        Covariance whose inverse weighs, instead of ``weighting``.
+    steps : int
+        How many times the covariance under the model is renewed.
+    start : NoiseModel, optional
+        Where to begin instead of searching.
+    tau_from, tau_to : float
+        Scales (s) to use.
+    efficiency : float
+        Asymptotic efficiency of a robust curve: its covariance is larger by the inverse.
+    confidence : float
+        Level of the intervals.
+    bootstrap : int
+        Replicates of ``weighting="bootstrap"``.
+    rng : Generator, optional
+        Needed for the bootstrap.
+    unit, name : str
+        Of the signal.
+
+    Raises
+    ------
+    InputError
+        A curve that is not Haar, has zeros, or has fewer scales than one per free parameter; bad options.
+
+    Notes
+    -----
+    Equations (20), (22)-(27) and (34) of paper 000. The covariance of the curve is that of the fitted model over the finite record.
+    """
+    if curve.filter != "haar":
+        raise InputError(f"the wavelet variance of filter '{curve.filter}' cannot be fitted; closed forms exist for 'haar'")
+    if weighting not in get_args(Weighting):
+        raise InputError(f"weighting is '{weighting}', expected one of: {', '.join(get_args(Weighting))}")
+    structure = Structure.of(model, curve.rate_hz)
+    use = (curve.tau_s >= tau_from * (1 - 1e-9)) & (curve.tau_s <= tau_to * (1 + 1e-9))
+    use &= curve.scale_samples <= curve.n_samples
+    scale, value = curve.scale_samples[use], curve.value[use]
+    if not (value > 0).all():
+        raise InputError(f"{name}: the wavelet variance is zero at {curve.tau_s[use][value <= 0][0]:g} s; a constant signal has no noise to fit")
+    p = structure.free_parameters
+    if value.size < max(p, 1):
+        raise InputError(f"{name}: {model} has {p} free parameters and the curve {value.size} scale(s); expected at least as many scales")
+    n, dt = curve.n_samples, 1.0 / curve.rate_hz
+
+    if covariance is not None:
+        W = root_of_inverse(np.asarray(covariance, dtype=np.float64)[np.ix_(use, use)])
+    else:
+        width = interval_widths(curve) if widths is None else np.asarray(widths, dtype=np.float64)
+        if width.shape != curve.value.shape or not (width[use] > 0).all():
+            raise InputError(f"widths has shape {width.shape}, expected {curve.value.size} positive numbers, one per scale")
+        W = np.diag(1.0 / width[use])
+    starts = structure.internal(start)[1][None, :] if start is not None else structure.starts(n)
+    best = search(structure, scale, value, W, n, starts)
+    V: Array | None = None
+    if weighting != "intervals" and widths is None and covariance is None:
+        for _ in range(max(steps, 1)):
+            V = _covariance(structure, best, scale, n, weighting, bootstrap, rng) / efficiency
+            W = root_of_inverse(V)
+            again = np.vstack([best.shapes[None, :], starts]) if start is None else best.shapes[None, :]
+            best = search(structure, scale, value, W, n, again, refined=3, flattened=False)
+            # the solution before is always among the refined
+            near = search(structure, scale, value, W, n, best.shapes[None, :])
+            best = near if near.objective < best.objective else best
+    fitted_model = structure.specified(best.coefficients, best.shapes)
+    V = model_covariance(fitted_model, n, scale, dt) / efficiency
+    D, free = natural_jacobian(fitted_model, structure, scale / 2.0)
+    covariance_of, weak = parameter_covariance(D, W, V)
+    test = goodness_of_fit(structure, best, scale, value, V, n, dt)
+    notes = warnings_of(structure, best.coefficients, best.shapes, fitted_model, free, covariance_of, scale, value, n)
+    if value.size == p:
+        notes.append(f"as many parameters as scales ({p}): the fit cannot be tested")
+    if not best.converged:
+        notes.append("the search did not converge; treat the values as a start")
+    return FitResult(
+        name=name,
+        method="gmwm",
+        structure=model,
+        model=fitted_model,
+        rate_hz=curve.rate_hz,
+        n_samples=n,
+        unit=unit,
+        parameters=estimates(fitted_model, free, covariance_of, unit, confidence),
+        covariance=covariance_of,
+        curve=curve,
+        fitted=fitted_model.wavelet_variance(curve.scale_samples, dt),
+        objective=best.objective,
+        converged=best.converged,
+        warnings=tuple(notes),
+        test=test,
+        details={
+            "weighting": weighting if covariance is None and widths is None else "given",
+            "free": free,
+            "W": W,
+            "curve_covariance": V,
+            "scales": scale,
+            "jacobian": D,
+            "robust_efficiency": efficiency,
+            "weak": weak,
+        },
+    )
+
+
+def _covariance(
+    structure: Structure,
+    at: Solution,
+    scale: NDArray[np.int64],
+    n: int,
+    weighting: Weighting,
+    replicates: int,
+    rng: np.random.Generator | None,
+) -> Array:
+    model = structure.specified(at.coefficients, at.shapes)
+    if weighting == "asymptotic":
+        return model_covariance(model, n, scale, structure.dt)
+    if rng is None:
+        raise InputError("weighting by bootstrap draws random numbers; give rng")
+    curves = bootstrap_curves(model, n, 1.0 / structure.dt, scale, replicates, rng)
+    return np.asarray(np.cov(curves, rowvar=False)).reshape(scale.size, scale.size)
+
+
+def bootstrap_curves(
+    model: NoiseModel, n_samples: int, rate_hz: float, scale: NDArray[np.int64], replicates: int, rng: np.random.Generator
+) -> Array:
+    """Wavelet variances (replicates, J) of signals drawn from a model."""
+    from insemu.variance import wavelet_variance
+
+    levels = round(math.log2(float(scale[-1])))
+    keep = np.round(np.log2(scale)).astype(int) - 1
+    out = np.empty((replicates, scale.size))
+    for i, child in enumerate(rng.spawn(replicates)):
+        x = model.simulate(n_samples, 1.0 / rate_hz, child)
+        out[i] = wavelet_variance(x, rate_hz, intervals="eta3", levels=levels).value[keep]
+    return out
+
+
+def parameter_covariance(D: Array, W: Array, V: Array) -> tuple[Array, list[int]]:
+    """Covariance of the free parameters, equations (22)-(26) of paper 000, and the parameters that the weights cannot determine.
+
+    Parameters
+    ----------
+    D : (J, p) array
+        Derivatives of the curve.
+    W : (rows, J) array
+        Root of the weights.
+    V : (J, J) array
+        Covariance of the curve.
+
+    Returns
+    -------
+    (p, p) array, list of int
+        Rows and columns of undetermined parameters are NaN.
+    """
+    p = D.shape[1]
+    out = np.full((p, p), np.nan)
+    A = W @ D
+    norm = np.linalg.norm(A, axis=0)
+    moving = np.flatnonzero(norm > 0)
+    lost = [int(i) for i in range(p) if norm[i] == 0]
+    if moving.size == 0:
+        return out, lost
+    scaled = A[:, moving] / norm[moving]
+    _, values, right = np.linalg.svd(scaled, full_matrices=False)
+    if values.size < moving.size or values[-1] < 1e-9 * values[0]:
+        # parameters that take part in a direction that leaves the curve where it is
+        null = right[values < 1e-9 * values[0]]
+        involved = np.abs(null).max(axis=0) > 1e-3 if null.size else np.ones(moving.size, dtype=bool)
+        lost += [int(i) for i in moving[involved]]
+        moving = moving[~involved]
+        if moving.size == 0:
+            return out, lost
+        scaled = A[:, moving] / norm[moving]
+    B = np.linalg.pinv(scaled) @ W / norm[moving][:, None]
+    out[np.ix_(moving, moving)] = B @ V @ B.T
+    return out, lost
+
+
+def goodness_of_fit(
+    structure: Structure, at: Solution, scale: NDArray[np.int64], value: Array, V: Array, n: int, dt: float
+) -> GoodnessOfFit | None:
+    """The test of over-identifying restrictions (27) of paper 000, on scales with enough degrees of freedom.
+
+    The covariance is the model's own at the estimate, and the statistic is taken at its minimum over those scales, so that its
+    degrees of freedom are scales minus parameters. None where too few scales remain.
+    """
+    m = scale / 2.0
+    fitted = structure.columns(m, at.shapes)[0] @ at.coefficients
+    enough = 2.0 * fitted**2 / np.diag(V) >= TEST_DOF
+    # a parameter at zero is not fitted; neither is its shape
+    alive = at.coefficients > 0
+    p = sum(
+        int(structure.fixed[k] < 0) + int(np.isnan(structure.held[structure.offsets[k] : structure.offsets[k + 1]]).sum())
+        for k in np.flatnonzero(alive)
+    )
+    dof = int(enough.sum()) - p
+    if dof < 1:
+        return None
+    W = root_of_inverse(V[np.ix_(enough, enough)])
+    best = search(structure, scale[enough], value[enough], W, n, at.shapes[None, :])
+    return GoodnessOfFit(best.objective, dof, float(special.chdtrc(dof, best.objective)), scale[enough] * dt)
+
+
+def refit(result: FitResult, value: Array) -> FitResult:
+    """The same problem and weights with another curve, from the found solution: what a bootstrap repeats."""
+    assert result.curve is not None
+    structure = Structure.of(result.structure, result.rate_hz)
+    scale = result.details["scales"]
+    start = structure.internal(result.model)[1][None, :]
+    best = search(structure, scale, value, result.details["W"], result.n_samples, start)
+    return replace(result, model=structure.specified(best.coefficients, best.shapes), objective=best.objective, converged=best.converged)

@@ -1,0 +1,337 @@
+"""What every estimator returns: parameters with uncertainty, how well they fit, and what to beware of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from insemu import units
+from insemu.errors import InputError
+from insemu.noise import AR1, ARMA, GM, RW, WN, NoiseModel, Process
+from insemu.variance import WaveletVariance
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One estimated parameter.
+
+    Parameters
+    ----------
+    process, index, name : str, int, str
+        ``GM``, 2, ``beta``: the second GM's inverse correlation time.
+    value : float
+        SI.
+    unit : str
+        SI unit.
+    standard_error : float
+        NaN where there is none (at the edge of what is possible, or not identifiable).
+    low, high : float
+        Confidence interval; NaN where there is none.
+    free : bool
+        False for a value that was given and held.
+    """
+
+    process: str
+    index: int
+    name: str
+    value: float
+    unit: str
+    standard_error: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    free: bool = True
+
+    @property
+    def label(self) -> str:
+        """For tables: ``GM2.beta``, ``AR1#1.phi``."""
+        return f"{process_label(self.process, self.index)}.{self.name}"
+
+
+@dataclass(frozen=True)
+class GoodnessOfFit:
+    """A test of the model against the curve: a chi-square statistic, its degrees of freedom, its p-value, the scales that it used (s)."""
+
+    statistic: float
+    dof: int
+    p_value: float
+    tau_s: Array
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """Expected squared distance (in the weights' metric) to the wavelet variance of a record not seen, with its standard error."""
+
+    value: float
+    standard_error: float
+    penalty: float
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """A fitted noise model; the same type for every method.
+
+    Parameters
+    ----------
+    name : str
+        Axis (``gyro_x``) or column.
+    method : str
+        ``gmwm``, ``em``, ``mli``, ``slopes``, ``burg``.
+    structure : NoiseModel
+        What was asked for; parameters with a value were held.
+    model : NoiseModel
+        What was found.
+    rate_hz, n_samples, unit
+        Of the signal.
+    parameters : tuple of Estimate
+        In the order of the model.
+    covariance : (p, p) array
+        Of the free parameters, in their order.
+    curve : WaveletVariance or None
+        The empirical curve.
+    fitted : (J,) array
+        The model's wavelet variance at the curve's scales.
+    objective : float
+        What the method minimised (for GMWM the weighted squared distance) or, for likelihoods, minus the log-likelihood.
+    converged : bool
+    warnings : tuple of str
+        What to beware of, in plain words.
+    test, criterion
+        Goodness of fit and selection criterion, where computed.
+    details : mapping
+        What is special to the method: likelihood traces, chosen orders.
+    """
+
+    name: str
+    method: str
+    structure: NoiseModel
+    model: NoiseModel
+    rate_hz: float
+    n_samples: int
+    unit: str
+    parameters: tuple[Estimate, ...]
+    covariance: Array
+    curve: WaveletVariance | None
+    fitted: Array
+    objective: float
+    converged: bool
+    warnings: tuple[str, ...] = ()
+    test: GoodnessOfFit | None = None
+    criterion: Criterion | None = None
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def dt(self) -> float:
+        """Sampling interval, s."""
+        return 1.0 / self.rate_hz
+
+    def __getitem__(self, label: str) -> Estimate:
+        """The estimate with a label such as ``GM2.beta``."""
+        for e in self.parameters:
+            if e.label == label:
+                return e
+        raise KeyError(f"{label}; there are {', '.join(e.label for e in self.parameters)}")
+
+    def scale_residuals(self) -> Array:
+        """Empirical minus fitted over the fitted wavelet variance, per scale."""
+        if self.curve is None:
+            raise InputError(f"{self.name}: a {self.method} fit without a wavelet variance has no residuals per scale")
+        return np.asarray(self.curve.value / self.fitted - 1.0)
+
+    def to_json(self) -> dict[str, Any]:
+        """The stable machine-readable form of one axis; numbers that do not exist are None."""
+        tau = self.curve.tau_s if self.curve is not None else np.zeros(0)
+        out: dict[str, Any] = {
+            "model": str(self.structure),
+            "method": self.method,
+            "parameters": [
+                {
+                    "process": e.process,
+                    "index": e.index,
+                    "name": e.name,
+                    "value": e.value,
+                    "unit": e.unit,
+                    "standard_error": _number(e.standard_error),
+                    "interval": [_number(e.low), _number(e.high)],
+                    "fixed": not e.free,
+                }
+                for e in self.parameters
+            ],
+            "objective": _number(self.objective),
+            "converged": self.converged,
+            "warnings": list(self.warnings),
+            "fitted_wavelet_variance": {"tau_s": tau.tolist(), "value": self.fitted.tolist()},
+            "rate_hz": self.rate_hz,
+            "n_samples": self.n_samples,
+        }
+        if self.curve is not None:
+            out["empirical_wavelet_variance"] = {
+                "tau_s": tau.tolist(),
+                "value": self.curve.value.tolist(),
+                "low": [_number(v) for v in self.curve.low],
+                "high": [_number(v) for v in self.curve.high],
+            }
+        if self.test is not None:
+            out["goodness_of_fit"] = {"statistic": self.test.statistic, "dof": self.test.dof, "p_value": self.test.p_value}
+        if self.criterion is not None:
+            out["criterion"] = {"value": self.criterion.value, "standard_error": _number(self.criterion.standard_error)}
+        return out
+
+    def rows(self) -> list[tuple[str, str, str, str]]:
+        """For a table: parameter, SI value with standard error, interval, and what datasheets call it (with the discrete view)."""
+        out = []
+        discrete = discrete_view(self.model, self.dt)
+        for e in self.parameters:
+            si = f"{e.value:.4g}" + (f" ± {e.standard_error:.2g}" if math.isfinite(e.standard_error) else "") + f" {_plain(e.unit)}"
+            interval = f"{e.low:.4g} … {e.high:.4g}" if math.isfinite(e.low) and math.isfinite(e.high) else ("held" if not e.free else "–")
+            value, unit = units.datasheet(e.value, e.unit)
+            familiar = f"{value:.4g} {unit}" if unit != e.unit else ""
+            if e.name == "beta":
+                familiar = f"Tc = {1.0 / e.value:.4g} s"
+            extra = discrete.get(e.label)
+            out.append((e.label, si.strip(), interval, ", ".join(t for t in (familiar, extra) if t)))
+        return out
+
+
+def process_label(symbol: str, index: int) -> str:
+    """``GM2``; where the symbol ends in a digit, ``AR1#2``."""
+    return f"{symbol}#{index}" if symbol[-1].isdigit() else f"{symbol}{index}"
+
+
+def _plain(unit: str) -> str:
+    return "" if unit == "1" else unit
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def discrete_view(model: NoiseModel, dt: float) -> dict[str, str]:
+    """The parametrisation of the GMWM literature, per sample: variances of white noise, of random-walk steps, phi and innovation variance."""
+    out = {}
+    for index, p in model.indexed():
+        if isinstance(p, WN):
+            out[f"WN{index}.N"] = f"σ² = {p.parameters['N'] ** 2 / dt:.4g}"
+        elif isinstance(p, RW):
+            out[f"RW{index}.K"] = f"γ² = {p.parameters['K'] ** 2 * dt:.4g}"
+        elif isinstance(p, GM):
+            phi, sigma2 = p.discrete(dt)
+            out[f"GM{index}.sigma"] = f"σ² = {sigma2:.4g}"
+            out[f"GM{index}.beta"] = f"φ = {phi:.6g}"
+    return out
+
+
+def estimates(
+    model: NoiseModel, free: list[tuple[int, str]], covariance: Array, unit: str, confidence: float = 0.95
+) -> tuple[Estimate, ...]:
+    """Estimates of all parameters of a model with standard errors and intervals.
+
+    Positive parameters get intervals that are symmetric on a logarithmic scale, correlation coefficients on Fisher's; both stay where the
+    parameter can be.
+    """
+    z = float(ndtri(0.5 + 0.5 * confidence))
+    place = {key: i for i, key in enumerate(free)}
+    out = []
+    for k, (index, p) in enumerate(model.indexed()):
+        for meta in p.parameters_meta():
+            value = p.parameters[meta.name]
+            at = place.get((k, meta.name))
+            error = math.sqrt(covariance[at, at]) if at is not None and covariance[at, at] >= 0 else math.nan
+            low = high = math.nan
+            if math.isfinite(error):
+                if meta.domain == "positive" and value > 0:
+                    spread = min(z * error / value, 700.0)
+                    low, high = value * math.exp(-spread), value * math.exp(spread)
+                elif meta.domain == "correlation":
+                    spread = z * error / max(1.0 - value**2, 1e-300)
+                    low, high = math.tanh(math.atanh(value) - spread), math.tanh(math.atanh(value) + spread)
+                else:
+                    low, high = value - z * error, value + z * error
+            si = meta.unit_for(unit) if unit else ""
+            out.append(Estimate(p.symbol, index, meta.name, value, si, error, low, high, free=at is not None))
+    return tuple(out)
+
+
+# -- files --------------------------------------------------------------------------------------------------------------------------------
+
+
+def save(results: Mapping[str, FitResult], path: str | Path) -> None:
+    """Write fits as YAML: the models that a scenario (and :func:`insemu.noise.load`) reads, and beside them what the fit said of them."""
+    axes = {}
+    for axis, r in results.items():
+        axes[axis] = {
+            "unit": r.unit,
+            "model": r.model.to_list(r.unit),
+            "fit": {
+                "structure": str(r.structure),
+                "method": r.method,
+                "rate_hz": r.rate_hz,
+                "n_samples": r.n_samples,
+                "objective": _number(r.objective),
+                "converged": r.converged,
+                "warnings": list(r.warnings),
+                "standard_errors": {e.label: _number(e.standard_error) for e in r.parameters},
+                "intervals": {e.label: [_number(e.low), _number(e.high)] for e in r.parameters},
+            }
+            | ({"test": {"statistic": r.test.statistic, "dof": r.test.dof, "p_value": r.test.p_value}} if r.test else {}),
+        }
+    document = {"insemu_noise_models": 1, "axes": axes}
+    Path(path).write_text(yaml.safe_dump(document, sort_keys=False, allow_unicode=True), encoding="utf-8")
+
+
+def kalibr(results: Mapping[str, FitResult], *, rate_hz: float | None = None, topic: str = "/imu0") -> tuple[str, list[str]]:
+    """The fits as a Kalibr / OpenVINS ``imu.yaml``, and warnings about what that format cannot say.
+
+    The format knows one noise density and one random walk per sensor triad; the axes are combined by their root mean square.
+    A GM enters by the random walk that it resembles at times shorter than its correlation time (driving density sigma sqrt(2 beta)).
+
+    Returns
+    -------
+    text, warnings
+    """
+    warnings: list[str] = []
+    lines = ["# Written by insemu fit: continuous-time noise densities, root mean square over the axes"]
+    wanted = (("accelerometer", "accel", "m/s^2"), ("gyroscope", "gyro", "rad/s"))
+    for sensor, prefix, unit in wanted:
+        axes = {a: r for a, r in results.items() if a.startswith(prefix)}
+        if not axes:
+            warnings.append(f"no {sensor} axis was fitted; its two lines are missing")
+            continue
+        white = [sum(p.parameters["N"] ** 2 for p in r.model if isinstance(p, WN)) for r in axes.values()]
+        walk = [sum(_walk_density(p) for p in r.model) for r in axes.values()]
+        lines.append(f"{sensor}_noise_density: {math.sqrt(float(np.mean(white))):.9g}  # {unit}/sqrt(Hz)")
+        lines.append(f"{sensor}_random_walk: {math.sqrt(float(np.mean(walk))):.9g}  # {unit}*sqrt(Hz)")
+        for axis, r in axes.items():
+            beyond = sorted({p.symbol for p in r.model if not isinstance(p, WN | RW)})
+            if beyond:
+                warnings.append(
+                    f"{axis}: the format holds a noise density and a random walk only; {', '.join(beyond)} of {r.structure} "
+                    + ("enters by the random walk it resembles at short times" if beyond == ["GM"] else "cannot be said in full")
+                )
+    rate = rate_hz if rate_hz is not None else next((r.rate_hz for r in results.values()), 0.0)
+    lines += [f"update_rate: {rate:g}", f'rostopic: "{topic}"']
+    return "\n".join(lines) + "\n", warnings
+
+
+def _walk_density(p: Process) -> float:
+    if isinstance(p, RW):
+        return p.parameters["K"] ** 2
+    if isinstance(p, GM):
+        return 2.0 * p.parameters["beta"] * p.parameters["sigma"] ** 2
+    if isinstance(p, AR1 | ARMA) and p.rate_hz is not None and isinstance(p, AR1):
+        return p.parameters["sigma2"] * p.rate_hz
+    return 0.0
+
+
+def with_name(result: FitResult, name: str) -> FitResult:
+    """The same result under another name."""
+    return replace(result, name=name)

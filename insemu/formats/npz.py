@@ -1,0 +1,73 @@
+"""NumPy files without pickles: arrays by key, and messages that name the file and the key."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu.errors import InputError
+
+
+def load_npz(path: Path) -> dict[str, NDArray[Any]]:
+    """Return all arrays of an ``.npz``; raises :class:`~insemu.errors.InputError` for pickled or broken files."""
+    arrays: dict[str, NDArray[Any]] = {}
+    try:
+        with path.open("rb") as handle, np.load(handle, allow_pickle=False) as file:
+            for key in file.files:
+                try:
+                    arrays[key] = file[key]
+                except ValueError as error:
+                    raise InputError(_reason(error), where=f"{path}: {key}") from None
+    except (zipfile.BadZipFile, OSError, EOFError, AttributeError) as error:
+        raise InputError(f"cannot be read as a NumPy archive ({error})", where=str(path)) from None
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(_reason(error), where=str(path)) from None
+    return arrays
+
+
+def load_npy(path: Path, *, map_file: bool = False) -> NDArray[Any]:
+    """Return the array of an ``.npy`` (memory-mapped on request)."""
+    try:
+        return (
+            np.asarray(np.load(path, allow_pickle=False))
+            if not map_file
+            else np.load(path, mmap_mode="r", allow_pickle=False)
+        )
+    except (OSError, EOFError) as error:
+        raise InputError(f"cannot be read as a NumPy array ({error})", where=str(path)) from None
+    except ValueError as error:
+        raise InputError(_reason(error), where=str(path)) from None
+
+
+def _reason(error: ValueError) -> str:
+    if "pickle" in str(error) or "Object arrays" in str(error):
+        return "holds pickled Python objects, which are never loaded; expected plain arrays of numbers or text"
+    return f"cannot be read ({error})"
+
+
+def numbers(array: NDArray[Any], where: str) -> NDArray[np.float64]:
+    """Return an array as float64; raises :class:`~insemu.errors.InputError` where it is not of real numbers."""
+    if array.dtype.kind not in "fiu":
+        raise InputError(f"has type {array.dtype}, expected real numbers", where=where)
+    return np.asarray(array, dtype=np.float64)
+
+
+def texts(array: NDArray[Any], where: str) -> list[str]:
+    """Return a one-dimensional (or scalar) array of text as a list."""
+    if array.dtype.kind not in "US" or array.ndim > 1:
+        raise InputError(f"has type {array.dtype} and shape {array.shape}, expected a list of text", where=where)
+    return [v.decode() if isinstance(v, bytes) else str(v) for v in np.atleast_1d(array).tolist()]
+
+
+def scalar(array: NDArray[Any], where: str) -> float:
+    """Return a single number."""
+    values = numbers(array, where)
+    if values.size != 1:
+        raise InputError(f"has shape {values.shape}, expected one number", where=where)
+    return float(values.reshape(()))

@@ -1,0 +1,324 @@
+"""Static logs: columns at a constant rate, from NPZ, NPY and CSV, in SI.
+
+:func:`read_log` keeps what a log really holds (NaN, gaps), for reports that must say so; :meth:`Log.series` is the strict door.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu.errors import InputError, nearest
+from insemu.formats.npz import load_npy, load_npz, numbers, scalar, texts
+from insemu.formats.text import is_text, read_table, write_table
+from insemu.records import AXES, COLUMNS, Series
+from insemu.units import parse_unit
+
+__all__ = ["AXIS_OF_COLUMN", "Log", "is_text", "read_log", "write_log"]
+
+Array = NDArray[np.float64]
+_LOGGER = logging.getLogger(__name__)
+
+#: Short column name of files -> axis name everywhere else.
+AXIS_OF_COLUMN: dict[str, str] = dict(zip(COLUMNS, AXES, strict=True))
+_TIME_NAMES = ("t", "time", "timestamp", "time_s", "t_s", "imu_t", "tow", "sow")
+_SI = ("rad/s", "m/s^2", "rad", "m/s", "m", "s")
+#: A step of more than this many nominal intervals is a gap.
+GAP_FACTOR = 1.5
+
+
+@dataclass(frozen=True)
+class Log:
+    """Columns of a static log in SI, as they are in the file: values may be NaN, times may have gaps.
+
+    Parameters
+    ----------
+    source : str
+        File.
+    names : tuple of str
+        Column names as in the file.
+    units : tuple of str
+        SI unit of each column, ``""`` where the file does not say and the name does not tell.
+    stated_units : tuple of str
+        Units as written in the file.
+    columns : tuple of (n,) arrays
+        Values in SI. A lazy column (memory map) is kept as it is, with ``factors`` still to be applied.
+    rate_hz : float
+        Sampling rate.
+    t : (n,) array, optional
+        Times in s, strictly increasing.
+    """
+
+    source: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    stated_units: tuple[str, ...]
+    columns: tuple[NDArray[Any], ...]
+    rate_hz: float
+    t: Array | None = None
+
+    def __len__(self) -> int:
+        return int(self.columns[0].shape[0])
+
+    def gaps(self) -> list[tuple[int, float]]:
+        """Return ``(row, duration in s)`` of steps longer than 1.5 nominal intervals; the row is the first one after the gap."""
+        if self.t is None or self.t.size < 2:
+            return []
+        step = np.diff(self.t)
+        rows = np.flatnonzero(step > GAP_FACTOR / self.rate_hz)
+        return [(int(k) + 1, float(step[k])) for k in rows]
+
+    def series(self) -> list[Series]:
+        """Return the columns as :class:`~insemu.records.Series`; NaN and gaps raise :class:`~insemu.errors.InputError`."""
+        gaps = self.gaps()
+        if gaps:
+            row, duration = gaps[0]
+            raise InputError(
+                f"has {len(gaps)} gap(s), the first of {duration:.6g} s before data row {row} where samples are "
+                f"{1.0 / self.rate_hz:.6g} s apart; expected a constant rate (cut the file there)",
+                where=self.source,
+            )
+        out = []
+        for name, unit, values in zip(self.names, self.units, self.columns, strict=True):
+            try:
+                out.append(
+                    Series(np.asarray(values, dtype=np.float64), self.rate_hz, unit, AXIS_OF_COLUMN.get(name, name))
+                )
+            except InputError as error:
+                raise InputError(str(error), where=self.source) from None
+        return out
+
+    def chunks(self, column: int, size: int = 1 << 20) -> Iterator[Array]:
+        """Yield successive pieces of a column, so that a memory-mapped one is never held as a whole."""
+        values = self.columns[column]
+        for start in range(0, len(self), size):
+            yield np.asarray(values[start : start + size], dtype=np.float64)
+
+
+def read_log(path: str | Path, *, rate_hz: float | None = None, columns: Iterable[str] | None = None) -> Log:
+    """Read a static log without judging its content.
+
+    NPZ: ``data`` (n, k), or ``counts`` (n, k) times ``scale`` (k,); ``fs``; ``columns`` and ``units`` (k,); optionally ``t``. Raw counts of
+    an accelerometer and gyroscope triad (``acc_counts``, ``gyro_counts``) are read without units. NPY: (n,) or (n, k), rate given.
+    CSV: a header of names with units in brackets (``gx [deg/s]``), optionally a time column; one column may have any header or none.
+
+    Raises
+    ------
+    InputError
+        Shapes, units, columns or times that cannot be used; no rate.
+    FileNotFoundError
+        No such file.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(2, "No such file or directory", str(path))
+    if rate_hz is not None and not (np.isfinite(rate_hz) and rate_hz > 0):
+        raise InputError(f"rate is {rate_hz} Hz, expected a positive number", where=str(path))
+    if path.suffix == ".npz":
+        names, units, data, t, rate = _npz(path)
+    elif path.suffix == ".npy":
+        names, units, data, t, rate = _npy(path)
+    elif is_text(path):
+        names, units, data, t, rate = _csv(path)
+    else:
+        raise InputError(f"unknown kind of file '{path.suffix}', expected .npz, .csv or .npy", where=str(path))
+    if len(set(names)) != len(names):
+        twice = sorted({n for n in names if names.count(n) > 1})
+        raise InputError(f"column '{twice[0]}' appears more than once", where=str(path))
+    if t is not None:
+        _check_times(t, str(path))
+        step = float(np.median(np.diff(t))) if t.size > 1 else np.nan
+        if rate is None and np.isfinite(step):
+            rate = _round_rate(1.0 / step)
+        stated = rate_hz if rate_hz is not None else rate
+        if stated is not None and np.isfinite(step) and abs(stated * step - 1.0) > 0.02:
+            raise InputError(
+                f"the rate is said to be {stated:g} Hz, but the time column steps by {step:.6g} s", where=str(path)
+            )
+    rate = rate_hz if rate_hz is not None else rate
+    if rate is None:
+        raise InputError("says no sampling rate; give one (--rate '100 Hz'), or a time column", where=str(path))
+    if not (np.isfinite(rate) and rate > 0):
+        raise InputError(f"has a sampling rate of {rate} Hz, expected a positive number", where=str(path))
+    keep = _select(names, columns, str(path))
+    converted = [_to_si(names[k], units[k], data[k], f"{path}: {names[k]}") for k in keep]
+    if not converted:
+        raise InputError("has no data column", where=str(path))
+    if converted[0][1].shape[0] < 3:
+        raise InputError(f"has {converted[0][1].shape[0]} row(s) of data, expected at least 3", where=str(path))
+    return Log(
+        str(path),
+        tuple(names[k] for k in keep),
+        tuple(c[0] for c in converted),
+        tuple(units[k] for k in keep),
+        tuple(c[1] for c in converted),
+        float(rate),
+        t,
+    )
+
+
+_Parts = tuple[list[str], list[str], list[NDArray[Any]], Array | None, float | None]
+
+
+def _npz(path: Path) -> _Parts:
+    arrays = load_npz(path)
+    where = str(path)
+    t = numbers(arrays["t"], f"{where}: t") if "t" in arrays else None
+    rate = scalar(arrays["fs"], f"{where}: fs") if "fs" in arrays else None
+    if "gyro_counts" in arrays and "acc_counts" in arrays and "columns" not in arrays:
+        blocks = [numbers(arrays[k], f"{where}: {k}") for k in ("gyro_counts", "acc_counts")]
+        for key, block in zip(("gyro_counts", "acc_counts"), blocks, strict=True):
+            if block.ndim != 2 or block.shape[1] != 3:
+                raise InputError(f"has shape {block.shape}, expected (n, 3)", where=f"{where}: {key}")
+        if blocks[0].shape != blocks[1].shape or (t is not None and t.shape != blocks[0].shape[:1]):
+            raise InputError("gyro_counts, acc_counts and t have different lengths", where=where)
+        data = np.hstack(blocks)
+        return list(COLUMNS), ["counts"] * 6, list(data.T), t, rate
+    key = "data" if "data" in arrays else "counts"
+    if key not in arrays:
+        have = ", ".join(sorted(arrays)) or "nothing"
+        raise InputError(f"is no static log: holds {have}; expected 'data', or 'counts' and 'scale'", where=where)
+    block = numbers(arrays[key], f"{where}: {key}")
+    if block.ndim == 1:
+        block = block[:, None]
+    if block.ndim != 2:
+        raise InputError(f"has shape {block.shape}, expected (n, k)", where=f"{where}: {key}")
+    width = block.shape[1]
+    names = texts(arrays["columns"], f"{where}: columns") if "columns" in arrays else _default_names(width, path)
+    units = texts(arrays["units"], f"{where}: units") if "units" in arrays else [""] * width
+    for label, given in (("columns", names), ("units", units)):
+        if len(given) != width:
+            raise InputError(f"has {len(given)} entries for {width} columns of '{key}'", where=f"{where}: {label}")
+    if key == "counts":
+        if "scale" not in arrays:
+            raise InputError("holds 'counts' without 'scale'; expected the unit of one count per column", where=where)
+        scale = numbers(arrays["scale"], f"{where}: scale")
+        if scale.shape not in ((), (1,), (width,)):
+            raise InputError(f"has shape {scale.shape}, expected ({width},)", where=f"{where}: scale")
+        block = block * scale
+    if t is not None and t.shape != (block.shape[0],):
+        raise InputError(f"has shape {t.shape}, expected ({block.shape[0]},)", where=f"{where}: t")
+    return names, units, list(np.ascontiguousarray(block.T)), t, rate
+
+
+def _npy(path: Path) -> _Parts:
+    block = load_npy(path, map_file=True)
+    if block.dtype.kind not in "fiu" or block.ndim not in (1, 2):
+        raise InputError(
+            f"has type {block.dtype} and shape {block.shape}, expected (n,) or (n, k) real numbers", where=str(path)
+        )
+    if block.ndim == 1:
+        return [path.stem], [""], [block], None, None
+    width = block.shape[1]
+    return _default_names(width, path), [""] * width, [block[:, k] for k in range(width)], None, None
+
+
+def _default_names(width: int, path: Path) -> list[str]:
+    if width == 6:
+        return list(COLUMNS)
+    return [path.stem] if width == 1 else [f"column_{k + 1}" for k in range(width)]
+
+
+_HEADER = re.compile(r"^(?P<name>.*?)\s*(?:[\[(](?P<unit>[^\])]*(?:\([^)]*\)[^\])]*)*)[\])])?$")
+
+
+def _csv(path: Path) -> _Parts:
+    header, block = read_table(path)
+    if header is None:
+        names, units = _default_names(block.shape[1], path), [""] * block.shape[1]
+        return names, units, list(block.T), None, None
+    names, units = [], []
+    for cell in header:
+        match = _HEADER.match(cell.strip())
+        assert match is not None  # the pattern takes any text
+        names.append(match["name"].strip() or "column")
+        units.append((match["unit"] or "").strip())
+    t = None
+    at = next((k for k, n in enumerate(names) if n.lower() in _TIME_NAMES), None)
+    if at is not None and len(names) > 1:
+        unit = units[at] or "s"
+        parsed = parse_unit(unit)
+        if parsed.dimension != parse_unit("s").dimension:
+            raise InputError(
+                f"the time column has the unit '{unit}', expected s, ms or us", where=f"{path}: {names[at]}"
+            )
+        t = block[:, at] * parsed.factor
+        block = np.delete(block, at, axis=1)
+        del names[at], units[at]
+    return names, units, list(np.ascontiguousarray(block.T)), t, None
+
+
+def _check_times(t: Array, source: str) -> None:
+    if not np.isfinite(t).all():
+        raise InputError(f"the time of data row {int(np.argmin(np.isfinite(t)))} is not finite", where=source)
+    step = np.diff(t)
+    if (step <= 0).any():
+        k = int(np.argmax(step <= 0)) + 1
+        what = "repeats" if step[k - 1] == 0 else "goes back"
+        raise InputError(
+            f"the time {what} at data row {k} ({float(t[k - 1])!r} then {float(t[k])!r} s); expected strictly increasing times",
+            where=source,
+        )
+
+
+def _round_rate(rate: float) -> float:
+    """A rate within 1e-4 of a whole number is that number: stamps are rounded."""
+    whole = round(rate)
+    return float(whole) if whole > 0 and abs(rate / whole - 1.0) < 1e-4 else rate
+
+
+def _select(names: list[str], columns: Iterable[str] | None, source: str) -> list[int]:
+    if columns is None:
+        return list(range(len(names)))
+    keep = []
+    for wanted in columns:
+        found = [k for k, n in enumerate(names) if wanted in (n, AXIS_OF_COLUMN.get(n))]
+        if not found:
+            raise InputError(f"has no column '{wanted}'" + nearest(wanted, names), where=source)
+        keep.append(found[0])
+    return keep
+
+
+def _to_si(name: str, unit: str, values: NDArray[Any], where: str) -> tuple[str, NDArray[Any]]:
+    """Return ``(SI unit, values)``; the unit of a known axis must be of its dimension."""
+    axis = AXIS_OF_COLUMN.get(name, name if name in AXES else None)
+    expected = None if axis is None else ("rad/s" if axis.startswith("gyro") else "m/s^2")
+    if unit.lower() in ("", "-", "counts", "count", "lsb", "raw"):
+        # a known axis without a unit is taken as SI; the report checks the magnitude and says so
+        return (expected or "") if unit in ("", "-") else "", values
+    try:
+        parsed = parse_unit(unit)
+    except InputError as error:
+        raise InputError(str(error), where=where) from None
+    if expected is not None and parsed.dimension != parse_unit(expected).dimension:
+        raise InputError(
+            f"has the unit '{unit}', expected one of the dimension of {expected} (are columns swapped?)", where=where
+        )
+    si = next((s for s in _SI if parse_unit(s).dimension == parsed.dimension), None)
+    if si is None:
+        return unit, values
+    return si, values if parsed.factor == 1.0 else values * parsed.factor
+
+
+def write_log(path: Path, data: list[Series]) -> None:
+    """Write series of one rate and length as ``.npz`` (``data, fs, columns, units``) or CSV (with a time column)."""
+    if not data:
+        raise InputError("no series to write", where=str(path))
+    if len({(len(s), s.rate_hz) for s in data}) > 1:
+        raise InputError("series have different lengths or rates; expected one of each", where=str(path))
+    short = {axis: column for column, axis in AXIS_OF_COLUMN.items()}
+    names = [short.get(s.name, s.name) for s in data]
+    block = np.column_stack([s.values for s in data])
+    rate = data[0].rate_hz
+    if path.suffix == ".npz":
+        np.savez(path, data=block, fs=np.float64(rate), columns=np.array(names), units=np.array([s.unit for s in data]))
+        return
+    header = ["t [s]"] + [f"{n} [{s.unit}]" if s.unit else n for n, s in zip(names, data, strict=True)]
+    write_table(path, header, np.column_stack([np.arange(len(data[0])) / rate, block]))

@@ -1,0 +1,184 @@
+"""The page of an experiment: question, table, verdict, figures, beliefs, variants, and how it was made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from insemu.evaluate import Results, outage_table, verdicts
+from insemu.noise import NoiseModel
+from insemu.report import figures
+from insemu.report.page import Block, Code, Figure, Items, Section, Table, Text, render
+from insemu.report.tables import log_distance, variant_rows
+from insemu.units import datasheet
+
+
+def _table(results: Results) -> Table:
+    header = [
+        "design",
+        "states",
+        "outage",
+        "planimetric m",
+        "95 %",
+        "published m",
+        "altitude m",
+        "velocity m/s",
+        "attitude deg",
+    ]
+    header += ["stated sigma m", "cover position %", "velocity %", "attitude %", "NEES/dof"]
+    body, strong = [], set()
+    for name, outages in outage_table(results).items():
+        published = results.published.get(name)
+        strong.add(len(body))
+        for k, row in enumerate(outages):
+            p, c = row["planimetric_end_m"], row["coverage_3sigma"]
+            body.append(
+                [
+                    name if k == 0 else "",
+                    str(results.designs[name].states) if k == 0 else "",
+                    f"{row['start_s'] / 60:g} min, {row['duration_s']:g} s",
+                    f"{p['mean']:.3g}",
+                    "" if p["ci95"][0] is None else f"{p['ci95'][0]:.3g} to {p['ci95'][1]:.3g}",
+                    f"{published[k]:g}" if published is not None and k < len(published) else "",
+                    f"{row['altimetric_end_m']:.3g}",
+                    f"{row['velocity_end_m_s']:.3g}",
+                    f"{row['attitude_end_deg']:.3g}",
+                    f"{row['predicted_sigma_end_m']:.3g}",
+                    *(f"{100 * c[g]:.1f}" for g in ("position", "velocity", "attitude")),
+                    f"{row['nees_per_dof']:.2f}",
+                ]
+            )
+    caption = f"Means over {results.realizations} realizations at the end of each outage; intervals by bootstrap over realizations."
+    return Table(header, body, caption, left=1)
+
+
+def _model_rows(axis: str, model: NoiseModel) -> list[list[str]]:
+    unit = "rad/s" if axis.startswith("gyro") else "m/s^2"
+    rows = []
+    for index, process in model.indexed():
+        for meta in process.parameters_meta():
+            value, shown = datasheet(process.parameters[meta.name], meta.unit_for(unit))
+            rows.append([axis, f"{process.symbol}{index}", meta.name, f"{value:.4g}", shown])
+    return rows
+
+
+def _beliefs(results: Results) -> list[Block]:
+    blocks: list[Block] = []
+    for name, info in results.designs.items():
+        rows: list[list[str]] = []
+        shown: dict[NoiseModel, str] = {}
+        for axis, model in info.belief.items():
+            if model in shown:
+                continue
+            same = [a for a, m in info.belief.items() if m == model]
+            shown[model] = axis
+            label = axis if len(same) == 1 else ", ".join(same)
+            rows += [[label if i == 0 else "", *row[1:]] for i, row in enumerate(_model_rows(axis, model))]
+        blocks.append(
+            Table(["axes", "process", "parameter", "value", "unit"], rows, f"{name} ({info.states} states)", left=3)
+        )
+    return blocks
+
+
+def render_experiment(
+    main: Results, variants: Mapping[str, Results], folder: Path, *, text: Mapping[str, str] | None = None
+) -> Path:
+    """Write ``index.html`` and the figures as PNG files.
+
+    Parameters
+    ----------
+    main : Results
+        The scenario as it stands.
+    variants : mapping
+        Name to the results of the scenario's variants.
+    folder : path
+        Where to write.
+    text : mapping, optional
+        ``question``, ``notes`` and ``source`` of the scenario.
+
+    Returns
+    -------
+    Path
+        The page.
+    """
+    text = text or {}
+    last = len(main.outages)
+    pictures = {
+        "flight": (
+            figures.flight(main),
+            "Reference flight with its outages; close view of the last outage with every design's track.",
+        )
+    }
+    if main.outages:
+        pictures["error_growth"] = (
+            figures.error_growth(main),
+            "Root-mean-square error over all realizations, per design.",
+        )
+        pictures["against_bounds"] = (
+            figures.against_bounds(main),
+            f"Outage {last}: north errors of one realization and the 3-sigma band that its filter states; thin grey lines are all realizations.",
+        )
+        pictures["end_errors"] = (
+            figures.end_errors(main),
+            "Planimetric error at outage end: dots are realizations, circles their mean with its 95 % interval, bars the sigma that the "
+            "filter states, crosses what was published.",
+        )
+    pictures["consistency"] = (
+        figures.consistency(main),
+        "Normalised squared error of the nine navigation states; 1 is a filter that knows its error.",
+    )
+    drawn = {name: Figure.of(figure, caption) for name, (figure, caption) in pictures.items()}
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, picture in drawn.items():
+        (folder / f"{name}.png").write_bytes(picture.png)
+
+    first: list[Block] = [Text(text["question"])] if text.get("question") else []
+    sections = [
+        Section("Answer", [*first, Items(verdicts(main)), _table(main)]),
+        Section("Flight", [drawn["flight"]]),
+    ]
+    if main.outages:
+        sections += [
+            Section("Error growth", [drawn["error_growth"], drawn["end_errors"]]),
+            Section("Does the filter know its error?", [drawn["against_bounds"], drawn["consistency"]]),
+        ]
+    if variants:
+        header, body = variant_rows(main, variants)
+        blocks: list[Block] = [Table(header, body, "Mean planimetric error at outage end, m", left=2)]
+        for name, results in variants.items():
+            blocks.append(Items([f"{name}: {line}" for line in verdicts(results)]))
+        sections.append(Section("Variants", blocks))
+    if main.published:
+        distance = log_distance(main)
+        sections.append(
+            Section(
+                "Beside the published table",
+                [Text(f"{text.get('source', '')} The rms of ln(ours / published) over its cells is {distance:.2f}.")],
+            )
+        )
+    sections.append(Section("What each design believes", _beliefs(main)))
+    manifest = main.manifest
+    made: list[Block] = []
+    if text.get("notes"):
+        made += [Text(part.strip()) for part in text["notes"].split("\n\n") if part.strip()]
+    wall, epochs = main.timing["wall_seconds"], main.timing["filter_epochs"]
+    made.append(
+        Text(
+            f"{main.realizations} realizations, {epochs:,} filter epochs, {main.timing['filter_seconds']:.1f} s in the filters, {wall:.1f} s in "
+            f"all. Seed {main.seed}, digest {main.digest}, insemu {manifest.get('insemu')}, revision {manifest.get('git')}. The emulated path "
+            f"is within {1e3 * float(manifest.get('ideal_imu_distance_m', np.nan)):.3g} mm of the requested one."
+        )
+    )
+    made.append(
+        Code(
+            yaml.safe_dump(manifest.get("scenario", {}), sort_keys=False, allow_unicode=True),
+            "The resolved scenario, SI units:",
+        )
+    )
+    sections.append(Section("How it was made", made))
+    return render(
+        main.title, sections, folder / "index.html", lead=f"{main.realizations} realizations", footer="Made by insemu."
+    )

@@ -1,0 +1,46 @@
+"""How every figure looks: one colour order that survives colour blindness and print, light grids, units on axes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+#: Okabe and Ito's colours without yellow, in the order in which designs or processes take them.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#4D4D4D", "#8C564B")
+#: Shade of a span without GNSS.
+OUTAGE = "#E9ECEF"
+
+_SETTINGS = {
+    "figure.constrained_layout.use": True,
+    "axes.grid": True,
+    "grid.color": "#E3E6EA",
+    "grid.linewidth": 0.7,
+    "axes.edgecolor": "#8A94A0",
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 10.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9.5,
+    "axes.axisbelow": True,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "legend.fontsize": 8.5,
+    "legend.frameon": False,
+    "lines.linewidth": 1.5,
+    "font.family": "DejaVu Sans",
+    "axes.prop_cycle": matplotlib.cycler(color=COLOURS),
+}
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Draw in the house style."""
+    with plt.rc_context(_SETTINGS):
+        yield

@@ -1,0 +1,65 @@
+"""Rows of the tables that terminal and page share: one place decides what stands in them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from insemu.evaluate import Results, outage_table
+
+
+def log_distance(results: Results) -> float | None:
+    """Root mean square of ln(ours / published) over all published cells, or None where nothing is published."""
+    table = outage_table(results)
+    ratios = [
+        math.log(table[name][k]["planimetric_end_m"]["mean"] / value)
+        for name, values in results.published.items()
+        for k, value in enumerate(values)
+        if k < len(results.outages)
+    ]
+    return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else None
+
+
+def variant_rows(main: Results, variants: Mapping[str, Results]) -> tuple[list[str], list[list[str]]]:
+    """Header and rows: variant, design, one column per outage, pooled ratio to the first design, NEES per dof, coverage."""
+    outages = [f"{start / 60:g} min" for start, _ in main.outages]
+    header = ["variant", "design", *outages, "against first (95 %)", "altitude m", "NEES/dof", "position cover %"]
+    has_published = any(r.published for r in (main, *variants.values()))
+    if has_published:
+        header.append("rms ln(ours/published)")
+    body: list[list[str]] = []
+    if main.published:
+        for i, (name, values) in enumerate(main.published.items()):
+            body.append(
+                [
+                    "published" if i == 0 else "",
+                    name,
+                    *(f"{v:g}" for v in values),
+                    *[""] * (len(header) - 2 - len(values)),
+                ]
+            )
+    for label, results in {"default": main, **variants}.items():
+        table = outage_table(results)
+        for i, name in enumerate(results.names):
+            rows = table[name]
+            if i == 0:
+                against = ""
+            else:
+                c = results.comparison(name, results.names[0])
+                against = f"{c.ratio:.2f}" + ("" if c.low is None else f" ({c.low:.2f}-{c.high:.2f})")
+            cells = [
+                label if i == 0 else "",
+                name,
+                *(f"{r['planimetric_end_m']['mean']:.3g}" for r in rows),
+                against,
+                f"{np.mean([r['altimetric_end_m'] for r in rows]):.3g}",
+                f"{np.nanmean(results.nees[results.names.index(name)]) / 9:.2f}",
+                f"{100 * np.mean([r['coverage_3sigma']['position'] for r in rows]):.1f}",
+            ]
+            if has_published:
+                distance = log_distance(results) if i == 0 else None
+                cells.append("" if distance is None else f"{distance:.2f}")
+            body.append(cells)
+    return header, body

@@ -1,0 +1,41 @@
+"""Scenario files: one YAML file is one question, validated into a frozen description.
+
+``load`` reads and checks; errors name file, line and key. A scenario never executes code: YAML is safe-loaded, processes and built-in
+trajectories are registered names, numbers carry units (``0.032 deg/s/sqrt(Hz)``) and are converted here, once.
+"""
+
+from insemu.scenario.files import digest, load, resolve_path, schema, variant_names
+from insemu.scenario.schema import (
+    AxisSource,
+    Design,
+    FitSource,
+    Gnss,
+    Initial,
+    OutageWindow,
+    Published,
+    RecordedSignal,
+    Scenario,
+    SensorModels,
+    TrajectorySource,
+    Truth,
+)
+
+__all__ = [
+    "AxisSource",
+    "Design",
+    "FitSource",
+    "Gnss",
+    "Initial",
+    "OutageWindow",
+    "Published",
+    "RecordedSignal",
+    "Scenario",
+    "SensorModels",
+    "TrajectorySource",
+    "Truth",
+    "digest",
+    "load",
+    "resolve_path",
+    "schema",
+    "variant_names",
+]

@@ -1,0 +1,208 @@
+"""Compiled loops of this room: the Haar pyramid over chunks, and sums over covariance sequences.
+
+Scalar code over plain arrays. ``reassoc`` lets the compiler vectorise sums; NaN still propagate.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: Samples worked on at a time: fits the first-level caches, so that the small octaves cost no memory traffic.
+CHUNK = 2048
+#: Scales up to this many samples are computed at every sample; above it, coefficients are taken on a grid of at least this many
+#: positions per scale, so that memory does not grow with the record.
+FULL_OVERLAP = 1 << 20
+
+
+def haar_buffers(levels: int, full: int = FULL_OVERLAP) -> tuple[NDArray[np.int64], Array]:
+    """Return the offsets and the zeroed delay lines that :func:`haar_push` keeps between chunks.
+
+    Level j compares averages that are 2^(j-1) samples apart, so it needs that many earlier averages, or ``full / 2`` where its scale is
+    longer than ``full`` samples (decimated).
+    """
+    sizes = [min(1 << (j - 1), full // 2) for j in range(1, levels + 1)]
+    offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    return offsets, np.zeros(int(offsets[-1]))
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
+def _step(a: Array, b: Array, old: Array, m: int, n: int, first: int) -> float:  # pragma: no cover - compiled
+    """One octave of one chunk: averages ``a`` to ``b``; returns the sum of squares of differences from index ``first`` on."""
+    total = 0.0
+    split = min(m, n)  # before it the earlier average comes from the delay line
+    for i in range(min(first, split)):
+        b[i] = 0.5 * (a[i] + old[i])
+    for i in range(min(first, split), split):
+        d = a[i] - old[i]
+        b[i] = 0.5 * (a[i] + old[i])
+        total += d * d
+    for i in range(split, max(first, split)):
+        b[i] = 0.5 * (a[i] + a[i - m])
+    for i in range(max(first, split), n):
+        d = a[i] - a[i - m]
+        b[i] = 0.5 * (a[i] + a[i - m])
+        total += d * d
+    return total
+
+
+@njit(cache=True, nogil=True)
+def haar_push(
+    x: Array,
+    origin: float,
+    start: int,
+    offsets: NDArray[np.int64],
+    delay: Array,
+    sums: Array,
+    counts: NDArray[np.int64],
+    full: int,
+) -> None:  # pragma: no cover - compiled
+    """Add samples ``x`` (at global index ``start``, a multiple of the chunk) to the sums of squares of Haar MODWT coefficients.
+
+    ``sums[j - 1]`` is of (4 times) the squared level-j coefficients, ``counts`` how many. Every call but the last must bring a multiple of
+    ``CHUNK`` samples. ``origin`` is subtracted, so that an offset such as gravity costs no digits.
+    """
+    levels = sums.size
+    a = np.empty(CHUNK)
+    b = np.empty(CHUNK)
+    done = 0
+    while done < x.size:
+        n = min(CHUNK, x.size - done)
+        for i in range(n):
+            a[i] = x[done + i] - origin
+        g = start + done  # global index of a[0], in units of the stride
+        stride = 1
+        for level in range(levels):
+            m = 1 << level
+            if 2 * m > full:
+                # keep every other average: this level's scale is 2 m samples, its grid stays full/2 positions wide
+                kept = 0
+                for i in range(g % 2, n, 2):
+                    a[kept] = a[i]
+                    kept += 1
+                g = (g + 1) // 2
+                n = kept
+                stride *= 2
+                m = full // 2
+            if n == 0:
+                break
+            old = delay[offsets[level] : offsets[level + 1]]
+            # the first coefficient that sees no sample before the record is at sample 2 * 2^level - 1
+            warm = (2 << level) - 1
+            first_g = (warm + stride - 1) // stride
+            first = min(max(first_g - g, 0), n)
+            if m >= n:
+                at = g % m
+                window = old[at : at + n]
+                sums[level] += _step(a, b, window, m, n, first)
+                for i in range(n):
+                    window[i] = a[i]
+            else:
+                sums[level] += _step(a, b, old, m, n, first)
+                for i in range(m):
+                    old[i] = a[n - m + i]
+            counts[level] += n - first
+            a, b = b, a
+        done += CHUNK
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
+def haar_coefficients_level(a: Array, m: int, w: Array, v: Array) -> None:  # pragma: no cover - compiled
+    """One octave of a whole record without boundary: differences to ``w`` and averages to ``v``, both ``a.size - m`` long."""
+    for i in range(a.size - m):
+        w[i] = 0.5 * (a[i + m] - a[i])
+        v[i] = 0.5 * (a[i + m] + a[i])
+
+
+@njit(cache=True, nogil=True)
+def haar_covariances(s1: Array, n: int, levels: int, means: Array, out: Array) -> None:  # pragma: no cover - compiled
+    """Fill ``out[j, l]`` with the covariance of the Haar wavelet variances of levels j+1 and l+1 of ``n`` samples.
+
+    ``s1`` is the autocovariance of the level-1 coefficients at lags 0..n-1. A coefficient of the next octave is
+    (1 + B^m)^2 / 2 of this one's, so every covariance sequence follows from ``s1`` by positive weights: nothing cancels, also for
+    integrated processes. ``means`` are the means of the coefficients (drift).
+    """
+    lags = n - 1
+    own = s1.copy()
+    cross = np.zeros(2 * lags + 1)  # cross[lags + i] = cov(W_j[k + i], W_l[k])
+    for j in range(levels):
+        mj = 1 << j
+        lowest = 2 * mj - n  # W_j exists at samples 2 mj - 1 .. n - 1
+        for i in range(lowest, -lowest + 1):
+            cross[lags + i] = own[abs(i)]
+        for level in range(j, levels):
+            ml = 1 << level
+            highest = n - 2 * ml
+            total = 0.0
+            for i in range(lowest, highest + 1):
+                pairs = min(n - 1, n - 1 - i) - max(2 * ml - 1, 2 * mj - 1 - i) + 1
+                c = cross[lags + i]
+                total += pairs * (2.0 * c * c + 4.0 * means[j] * means[level] * c)
+            out[j, level] = total / (float(n - 2 * mj + 1) * float(highest + 1))
+            out[level, j] = out[j, level]
+            if level + 1 < levels:
+                # W_(l+1)[k] = (W_l[k] + 2 W_l[k - ml] + W_l[k - 2 ml]) / 2: lag i takes lags i, i + ml, i + 2 ml (in place, upwards)
+                for i in range(lags + lowest, lags + n - 4 * ml + 1):
+                    cross[i] = 0.5 * (cross[i] + 2.0 * cross[i + ml] + cross[i + 2 * ml])
+        if j + 1 < levels:
+            new = np.zeros(lags + 1)
+            for i in range(n - 4 * mj + 1):
+                new[i] = 0.25 * (
+                    6.0 * own[i] + 4.0 * (own[i + mj] + own[abs(i - mj)]) + own[i + 2 * mj] + own[abs(i - 2 * mj)]
+                )
+            own = new
+
+
+@njit(cache=True, nogil=True)
+def haar_variances_of_variances(
+    s1: Array, n: int, levels: int, means: Array, out: Array
+) -> None:  # pragma: no cover - compiled
+    """The diagonal of :func:`haar_covariances` alone, in time proportional to ``n * levels``."""
+    own = s1.copy()
+    for j in range(levels):
+        mj = 1 << j
+        last = n - 2 * mj  # the longest lag at which two coefficients exist
+        count = float(last + 1)
+        total = 0.0
+        for i in range(last + 1):
+            weight = 1.0 if i == 0 else 2.0
+            total += weight * (count - i) * (2.0 * own[i] * own[i] + 4.0 * means[j] * means[j] * own[i])
+        out[j] = total / (count * count)
+        if j + 1 < levels:
+            new = np.zeros(n)
+            for i in range(n - 4 * mj + 1):
+                new[i] = 0.25 * (
+                    6.0 * own[i] + 4.0 * (own[i + mj] + own[abs(i - mj)]) + own[i + 2 * mj] + own[abs(i - 2 * mj)]
+                )
+            own = new
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
+def biweight_sums(w: Array, inverse_square: float) -> tuple[float, float]:  # pragma: no cover - compiled
+    """Sums of the biweight and of the biweight times the square, cut at ``w^2 = 1 / inverse_square``."""
+    weights = 0.0
+    squares = 0.0
+    for i in range(w.size):
+        s = w[i] * w[i]
+        d = max(1.0 - s * inverse_square, 0.0)
+        d *= d
+        weights += d
+        squares += d * s
+    return weights, squares
+
+
+@njit(cache=True, nogil=True)
+def untouched(w: Array, seen: NDArray[np.int64], scale: int, stride: int, out: Array) -> int:  # pragma: no cover - compiled
+    """Copy every ``stride``-th coefficient whose ``scale`` samples hold no flagged step; returns how many.
+
+    ``seen[k]`` counts flagged steps before sample k (a step k joins samples k and k + 1).
+    """
+    kept = 0
+    for i in range(0, w.size, stride):
+        if seen[i + scale - 1] == seen[i]:
+            out[kept] = w[i]
+            kept += 1
+    return kept

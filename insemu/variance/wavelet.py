@@ -1,0 +1,389 @@
+"""Wavelet variance with intervals: the variance of a signal octave by octave.
+
+Scale is ``tau_j = 2^j`` samples; the Haar wavelet variance there is half the Allan variance at averages of ``m = 2^(j-1)`` samples.
+Coefficients that would reach beyond the record are left out, so estimates are unbiased (equation (9) of paper 000).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from insemu.errors import InputError
+from insemu.variance import _kernel
+from insemu.variance.edof import Intervals, check_confidence, edof_of_noise, eta3, interval, noise_type
+from insemu.variance.filters import modwt_filters
+
+Array = NDArray[np.float64]
+Transform = Literal["modwt", "dwt"]
+
+
+@dataclass(frozen=True)
+class WaveletVariance:
+    """A wavelet variance curve; arrays have one entry per scale, shortest first.
+
+    Parameters
+    ----------
+    scale_samples : (J,) int array
+        Scales ``2^j`` in samples.
+    tau_s : (J,) array
+        The same in seconds, ``2^j / rate``.
+    value, low, high : (J,) arrays
+        Variance and its confidence interval, in the signal's unit squared.
+    edof : (J,) array
+        Equivalent degrees of freedom of ``value``.
+    n_coefficients : (J,) int array
+        Coefficients that entered, boundary left out.
+    n_samples : int
+        Length of the record.
+    rate_hz, filter, transform, intervals, confidence
+        How it was made.
+    """
+
+    scale_samples: NDArray[np.int64]
+    tau_s: Array
+    value: Array
+    low: Array
+    high: Array
+    edof: Array
+    n_coefficients: NDArray[np.int64]
+    n_samples: int
+    rate_hz: float = 1.0
+    filter: str = "haar"
+    transform: Transform = "modwt"
+    intervals: Intervals = "edof"
+    confidence: float = 0.95
+
+    def __len__(self) -> int:
+        return len(self.value)
+
+
+def max_levels(n_samples: int, filter_length: int = 2) -> int:
+    """Number of octaves of a record: the largest J with at least two coefficients that do not reach beyond it."""
+    levels = 0
+    while ((1 << (levels + 1)) - 1) * (filter_length - 1) + 1 < n_samples:
+        levels += 1
+    return levels
+
+
+def check_signal(x: ArrayLike, name: str = "signal") -> Array:
+    """Return a one-dimensional float64 signal, or raise :class:`~insemu.errors.InputError` saying what is wrong with it."""
+    values = np.asarray(x)
+    if values.dtype.kind not in "fiu":
+        raise InputError(f"{name} has type {values.dtype}, expected real numbers")
+    if values.ndim != 1:
+        raise InputError(f"{name} has shape {values.shape}, expected (n,)")
+    values = np.ascontiguousarray(values, dtype=np.float64)
+    if values.size < 3:
+        raise InputError(f"{name} has {values.size} samples, expected at least 3")
+    # one reduction finds NaN and infinity; the slower search for the place runs only then
+    if not np.isfinite(values.sum()) and not np.isfinite(values).all():
+        first = int(np.argmin(np.isfinite(values)))
+        raise InputError(f"{name} is not finite at sample {first} ({values[first]}); expected finite numbers")
+    return values
+
+
+def check_rate(rate_hz: float) -> float:
+    """Return the rate, or raise :class:`~insemu.errors.InputError` where it is not a positive number."""
+    if not (np.isfinite(rate_hz) and rate_hz > 0):
+        raise InputError(f"rate is {rate_hz} Hz, expected a positive number")
+    return float(rate_hz)
+
+
+def check_levels(levels: int | None, possible: int, n_samples: int) -> int:
+    """Return the number of octaves to compute (all by default)."""
+    if possible < 1:
+        raise InputError(f"a record of {n_samples} samples is too short for one octave of this filter")
+    if levels is None:
+        return possible
+    if not 1 <= levels <= possible:
+        raise InputError(f"levels is {levels}, expected 1 to {possible} for a record of {n_samples} samples")
+    return int(levels)
+
+
+def wavelet_variance(
+    x: ArrayLike,
+    rate_hz: float = 1.0,
+    *,
+    filter: str = "haar",
+    transform: Transform = "modwt",
+    confidence: float = 0.95,
+    intervals: Intervals = "edof",
+    edof: ArrayLike | None = None,
+    levels: int | None = None,
+) -> WaveletVariance:
+    """Return the wavelet variance of a signal.
+
+    Parameters
+    ----------
+    x : (n,) array
+        Signal in any unit; an offset is harmless.
+    rate_hz : float
+        Sampling rate.
+    filter : str
+        ``"haar"`` or another name of :data:`insemu.variance.filters.FILTERS`.
+    transform : {"modwt", "dwt"}
+        Maximal overlap (default, smaller variance) or decimated.
+    confidence : float
+        Level of the intervals.
+    intervals : {"edof", "eta3", "normal"}
+        Chi-square with equivalent degrees of freedom of the noise type (default); with the ideal band-pass's degrees of freedom, which
+        cover too much; asymptotic normal, NaN where there are fewer than 100 degrees of freedom.
+    edof : (J,) array, optional
+        Degrees of freedom to use instead of those of the noise type: those of a model, see
+        :func:`insemu.variance.covariance.model_edof`.
+    levels : int, optional
+        Number of octaves; all that the record allows by default.
+
+    Raises
+    ------
+    InputError
+        A signal that is too short, not one-dimensional or not finite; an unknown filter; bad options.
+
+    Notes
+    -----
+    Equations (3)-(9) of paper 000.
+
+    Examples
+    --------
+    >>> curve = wavelet_variance([0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0], rate_hz=2.0)
+    >>> curve.tau_s.tolist(), curve.value.tolist()
+    ([1.0, 2.0], [0.25, 0.0])
+    """
+    rate_hz = check_rate(rate_hz)
+    check_confidence(confidence)
+    if transform not in get_args(Transform):
+        raise InputError(f"transform is '{transform}', expected one of: {', '.join(get_args(Transform))}")
+    h, g = modwt_filters(filter)
+    values = check_signal(x)
+    length = h.size
+    count = check_levels(levels, max_levels(values.size, length), values.size)
+    if transform == "dwt":
+        value, used = _dwt_variance(values, h, g, count)
+    elif length == 2:
+        value, used = _haar_variance(values, count)
+    else:
+        pairs = [(float(np.mean(w * w)), w.size) for w in _coefficients(values, h, g, count)]
+        value, used = np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs], dtype=np.int64)
+    return _finish(value, used, values.size, rate_hz, filter, transform, confidence, intervals, edof, length)
+
+
+def _finish(
+    value: Array,
+    used: NDArray[np.int64],
+    n_samples: int,
+    rate_hz: float,
+    filter: str,
+    transform: Transform,
+    confidence: float,
+    intervals: Intervals,
+    edof: ArrayLike | None,
+    length: int,
+) -> WaveletVariance:
+    count = len(value)
+    scale = 2 ** np.arange(1, count + 1, dtype=np.int64)
+    if edof is not None:
+        freedom = np.asarray(edof, dtype=float)
+        if freedom.shape != (count,) or not (freedom > 0).all():
+            raise InputError(f"edof has shape {freedom.shape}, expected {count} positive numbers, one per scale")
+    elif intervals == "eta3":
+        # the peer divides by the scale for decimated coefficients too; reproduced here, and much too wide there
+        freedom = (
+            eta3(scale.astype(float), n_samples, length) if transform == "modwt" else np.maximum(used / scale, 1.0)
+        )
+    elif transform == "dwt":
+        freedom = np.maximum(used, 1).astype(
+            float
+        )  # decimated coefficients are nearly uncorrelated: that is what the DWT is for
+    else:
+        reach = (scale - 1) * (length - 1) + 1
+        # longer filters see the same noise through nearly the same band; their record is shorter by their reach
+        freedom = edof_of_noise(noise_type(scale.astype(float), value, n_samples), scale.astype(float), n_samples)
+        freedom = np.maximum(freedom * (n_samples - reach + 1) / (n_samples - scale + 1), 1.0)
+    low, high = interval(value, freedom, confidence, intervals)
+    return WaveletVariance(
+        scale,
+        scale / rate_hz,
+        value,
+        low,
+        high,
+        freedom,
+        used,
+        n_samples,
+        rate_hz,
+        filter,
+        transform,
+        intervals,
+        confidence,
+    )
+
+
+def _haar_variance(values: Array, levels: int) -> tuple[Array, NDArray[np.int64]]:
+    """Exact Haar MODWT variances of a record in memory: one chunked pass, every scale at full overlap."""
+    full = max(_kernel.FULL_OVERLAP, 1 << levels)
+    offsets, delay = _kernel.haar_buffers(levels, full)
+    sums, counts = np.zeros(levels), np.zeros(levels, dtype=np.int64)
+    _kernel.haar_push(values, float(values[0]), 0, offsets, delay, sums, counts, full)
+    return 0.25 * sums / counts, counts
+
+
+def _coefficients(values: Array, h: Array, g: Array, levels: int) -> Iterable[Array]:
+    """MODWT coefficients of each octave without those that reach beyond the record."""
+    v = values - values[0]
+    for j in range(levels):
+        step = 1 << j
+        n = v.size - step * (h.size - 1)
+        w, smooth = np.zeros(n), np.zeros(n)
+        for tap in range(h.size):
+            piece = v[(h.size - 1 - tap) * step : (h.size - 1 - tap) * step + n]
+            w += h[tap] * piece
+            smooth += g[tap] * piece
+        yield w
+        v = smooth
+
+
+def wavelet_coefficients(x: ArrayLike, *, filter: str = "haar", levels: int | None = None) -> list[Array]:
+    """Return the MODWT wavelet coefficients of each octave, boundary left out (equation (6) of paper 000).
+
+    Entry ``j - 1`` has shape ``(n - L_j + 1,)`` with ``L_j = (2^j - 1)(L - 1) + 1``.
+
+    Raises
+    ------
+    InputError
+        As :func:`wavelet_variance`.
+    """
+    values = check_signal(x)
+    h, g = modwt_filters(filter)
+    return list(_coefficients(values, h, g, check_levels(levels, max_levels(values.size, h.size), values.size)))
+
+
+def _dwt_variance(values: Array, h: Array, g: Array, levels: int) -> tuple[Array, NDArray[np.int64]]:
+    """Decimated variances: every second coefficient of each octave, in MODWT scaling."""
+    v = values - values[0]
+    value, used = [], []
+    for _ in range(levels):
+        n = v.size - (h.size - 1)
+        if n < 1:
+            break
+        w, smooth = np.zeros(n), np.zeros(n)
+        for tap in range(h.size):
+            piece = v[h.size - 1 - tap : h.size - 1 - tap + n]
+            w += h[tap] * piece
+            smooth += g[tap] * piece
+        w, v = w[::2], smooth[::2]
+        value.append(float(np.mean(w * w)))
+        used.append(w.size)
+    return np.array(value), np.array(used, dtype=np.int64)
+
+
+def stream_wavelet_variance(
+    chunks: Iterable[ArrayLike],
+    rate_hz: float = 1.0,
+    *,
+    confidence: float = 0.95,
+    intervals: Intervals = "edof",
+    levels: int = 40,
+    full_overlap: int = _kernel.FULL_OVERLAP,
+    progress: Callable[[int], None] | None = None,
+) -> WaveletVariance:
+    """Return the Haar MODWT wavelet variance of a record of any length, in one pass and bounded memory.
+
+    Parameters
+    ----------
+    chunks : iterable of (k,) arrays
+        Successive pieces of the signal, of any lengths: slices of a memory map, parts of a file.
+    rate_hz, confidence, intervals
+        As in :func:`wavelet_variance`.
+    levels : int
+        The most octaves to keep.
+    full_overlap : int
+        Scales up to this many samples (a power of two) use every coefficient and equal :func:`wavelet_variance` exactly; longer ones use
+        coefficients on a grid of at least ``full_overlap / 2`` positions per scale: the same precision, in bounded memory.
+    progress : callable, optional
+        Called with the number of samples read so far.
+
+    Raises
+    ------
+    InputError
+        A value that is not finite (with its sample number), a piece of wrong shape, fewer than three samples.
+    """
+    rate_hz = check_rate(rate_hz)
+    if full_overlap < 2 * _kernel.CHUNK or full_overlap & (full_overlap - 1):
+        raise InputError(f"full_overlap is {full_overlap}, expected a power of two of at least {2 * _kernel.CHUNK}")
+    accumulator = HaarAccumulator(levels, full_overlap)
+    for piece in chunks:
+        accumulator.push(piece)
+        if progress is not None:
+            progress(accumulator.n_samples)
+    value, used = accumulator.result()
+    return _finish(value, used, accumulator.n_samples, rate_hz, "haar", "modwt", confidence, intervals, None, 2)
+
+
+class HaarAccumulator:
+    """Sums of squared Haar MODWT coefficients of a signal that arrives in pieces.
+
+    Memory is one window of ``full_overlap`` samples at most, whatever the length of the record.
+
+    Parameters
+    ----------
+    levels : int
+        The most octaves to keep.
+    full_overlap : int
+        Longest scale with a coefficient at every sample.
+    """
+
+    def __init__(self, levels: int = 40, full_overlap: int = _kernel.FULL_OVERLAP) -> None:
+        self.full_overlap = full_overlap
+        self.n_samples = 0
+        self._levels = 0
+        self._most = levels
+        self._sums = np.zeros(levels)
+        self._counts = np.zeros(levels, dtype=np.int64)
+        self._offsets, self._delay = _kernel.haar_buffers(levels, full_overlap)
+        self._rest = np.empty(0)
+        self._origin: float | None = None
+        self._pushed = 0
+
+    def push(self, piece: ArrayLike) -> None:
+        """Add the next samples; raises :class:`~insemu.errors.InputError` for values that are not finite."""
+        values = np.asarray(piece)
+        if values.ndim != 1 or values.dtype.kind not in "fiu":
+            raise InputError(f"a piece has shape {values.shape} and type {values.dtype}, expected (k,) real numbers")
+        values = np.asarray(values, dtype=np.float64)
+        if values.size == 0:
+            return
+        if not np.isfinite(values.sum()) and not np.isfinite(values).all():
+            first = int(np.argmin(np.isfinite(values)))
+            raise InputError(
+                f"signal is not finite at sample {self.n_samples + first} ({values[first]}); expected finite numbers"
+            )
+        if self._origin is None:
+            self._origin = float(values[0])
+        self.n_samples += values.size
+        if self._rest.size:
+            values = np.concatenate([self._rest, values])
+        whole = values.size - values.size % _kernel.CHUNK
+        if whole:
+            self._run(np.ascontiguousarray(values[:whole]))
+        self._rest = values[whole:].copy()
+
+    def _run(self, values: Array) -> None:
+        assert self._origin is not None
+        _kernel.haar_push(
+            values, self._origin, self._pushed, self._offsets, self._delay, self._sums, self._counts, self.full_overlap
+        )
+        self._pushed += values.size
+
+    def result(self) -> tuple[Array, NDArray[np.int64]]:
+        """Return the variances and numbers of coefficients of all octaves of what was pushed; ends the accumulation."""
+        if self.n_samples < 3:
+            raise InputError(f"signal has {self.n_samples} samples, expected at least 3")
+        if self._rest.size:
+            self._run(np.ascontiguousarray(self._rest))
+            self._rest = np.empty(0)
+        levels = min(max_levels(self.n_samples), self._most)
+        return 0.25 * self._sums[:levels] / self._counts[:levels], self._counts[:levels].copy()

@@ -1,0 +1,242 @@
+import numpy as np
+import pytest
+
+from insemu import earth, emulate, rotation, strapdown
+from insemu.emulate.gnss import antenna, state_at
+from insemu.emulate.path import sensor_motion
+from insemu.errors import InputError
+from insemu.noise import GM, WN
+from insemu.records import AXES, Trajectory
+
+
+@pytest.fixture(scope="module")
+def helicopter():
+    return emulate.built_in("helicopter_mapping")
+
+
+@pytest.fixture(scope="module")
+def ideal(helicopter):
+    return emulate.ideal_imu(helicopter)
+
+
+@pytest.mark.parametrize("mounting", [None, emulate.Mounting((1.0, -0.5, 0.3), (np.pi, -0.1, 3.0))], ids=["plain", "mounted"])
+@pytest.mark.parametrize("name", sorted(emulate.TRAJECTORIES))
+def test_exact_mode_returns_its_reference(name, mounting):
+    flight = emulate.built_in(name)
+    ideal = emulate.ideal_imu(flight, mounting=mounting, span=(flight.path.start, min(flight.path.end, 1200.0)))
+    nav = strapdown.mechanize(ideal.imu, ideal.reference)
+    assert np.linalg.norm(earth.position_difference(nav.llh, ideal.reference.llh), axis=1).max() <= 1e-6
+    assert np.abs(rotation.attitude_difference(nav.rpy, ideal.reference.rpy)).max() <= 1e-9
+    assert ideal.path_distance_m < 0.01
+    # and the nodes asked for are the nodes that came out
+    if mounting is None:
+        nodes = flight.path.sample(ideal.imu.t)
+        assert np.abs(nav.vel_ned - nodes.vel_ned).max() < 1e-9
+        assert np.abs(rotation.attitude_difference(nav.rpy, nodes.rpy)).max() < 1e-9
+
+
+def test_helicopter_outages_lie_on_straight_legs(helicopter):
+    assert helicopter.path.duration == 1200.0
+    assert [start for start, _ in helicopter.outages] == [420.0, 660.0, 900.0]
+    for start, duration in helicopter.outages:
+        leg = helicopter.leg_at(start, start + duration)
+        assert leg.straight and duration == 60.0
+        v = helicopter.path.vel_ned(np.arange(start, start + duration))
+        course = np.unwrap(np.arctan2(v[:, 1], v[:, 0]))
+        assert np.ptp(course) < np.deg2rad(3)
+
+
+def test_kinematics_are_the_derivatives_of_the_path(helicopter):
+    path, d = helicopter.path, 1e-3
+    t = np.linspace(30.0, 1150.0, 400)
+    k, before, after = path.kinematics(t), path.kinematics(t - d), path.kinematics(t + d)
+    np.testing.assert_allclose(earth.position_difference(after.llh, before.llh) / (2 * d), k.vel_ned, atol=2e-6)
+    np.testing.assert_allclose((after.vel_ned - before.vel_ned) / (2 * d), k.acc_ned, atol=1e-5)
+    turn = np.swapaxes(rotation.dcm_from_rpy(before.rpy), 1, 2) @ rotation.dcm_from_rpy(after.rpy)
+    np.testing.assert_allclose(rotation.vector_from_dcm(turn) / (2 * d), k.w_nb_b, atol=1e-6)
+    np.testing.assert_allclose((after.w_nb_b - before.w_nb_b) / (2 * d), k.alpha_nb_b, atol=2e-4)
+
+
+@pytest.mark.parametrize("arm", [(0.0, 0.0, 0.0), (5.0, -2.0, 1.0)])
+def test_sensor_motion_by_an_independent_route(helicopter, arm):
+    """Inertial axes: second differences of the sensor's inertial position, and of its attitude, know nothing of NED."""
+    path, d = helicopter.path, 2e-3
+    mounting = emulate.Mounting(arm, (0.3, -0.2, 1.0))
+    t = np.linspace(60.0, 1150.0, 200)
+
+    def inertial(at):
+        motion = sensor_motion(path, at, mounting)
+        angle = earth.RATE * at
+        spin = np.zeros((at.size, 3, 3))
+        spin[:, 0, 0] = spin[:, 1, 1] = np.cos(angle)
+        spin[:, 1, 0], spin[:, 0, 1] = np.sin(angle), -np.sin(angle)
+        spin[:, 2, 2] = 1.0
+        k = path.kinematics(at)
+        c_ev = earth.dcm_en(k.llh[:, 0], k.llh[:, 1]) @ rotation.dcm_from_rpy(k.rpy)
+        place = earth.llh_to_ecef(k.llh) + c_ev @ np.array(arm)
+        return np.einsum("nij,nj->ni", spin, place), spin @ c_ev @ mounting.dcm(), place, motion
+
+    (before, c_before, _, _), (here, c, place, motion), (after, c_after, _, _) = (inertial(t + s) for s in (-d, 0.0, d))
+    np.testing.assert_allclose(earth.llh_to_ecef(motion.llh), place, atol=1e-8)
+    acceleration = (after - 2 * here + before) / d**2
+    # gravitation = gravity + centrifugal part
+    llh = earth.ecef_to_llh(place)
+    g = np.zeros((t.size, 3))
+    g[:, 2] = earth.gravity(llh[:, 0], llh[:, 2])
+    gravity_e = np.einsum("nij,nj->ni", earth.dcm_en(llh[:, 0], llh[:, 1]), g)
+    gravitation_e = gravity_e - earth.RATE**2 * place * np.array([1.0, 1.0, 0.0])
+    c_eb = earth.dcm_en(llh[:, 0], llh[:, 1]) @ rotation.dcm_from_rpy(motion.rpy)
+    spin_part = np.einsum("nji,nj->ni", c_eb, gravitation_e)
+    expected = np.einsum("nji,nj->ni", c, acceleration) - spin_part
+    np.testing.assert_allclose(motion.f_ib_b, expected, atol=2e-3)  # rounding of 6e6 m over d^2
+    assert np.abs((motion.f_ib_b - expected).mean(axis=0)).max() < 2e-4
+    rate = rotation.vector_from_dcm(np.swapaxes(c_before, 1, 2) @ c_after) / (2 * d)
+    np.testing.assert_allclose(motion.w_ib_b, rate, atol=3e-6)
+
+
+def test_continuous_mode_converges_with_the_step(helicopter):
+    error = {}
+    for rate in (50.0, 100.0):
+        ideal = emulate.ideal_imu(helicopter, rate, mode="continuous")
+        error[rate] = np.linalg.norm(emulate.navigation_error(ideal)[:, :3], axis=1).max()
+    assert error[100.0] < 0.01
+    assert error[50.0] / error[100.0] >= 3.5
+
+
+def test_means_and_samples_say_what_they_are(helicopter):
+    span = (0.0, 300.0)
+    increments = emulate.ideal_imu(helicopter, mode="continuous", span=span)
+    means = emulate.ideal_imu(helicopter, mode="continuous", kind="mean", span=span)
+    np.testing.assert_allclose(means.imu.as_increments().gyro, increments.imu.gyro, rtol=1e-12, atol=1e-18)
+    samples = emulate.ideal_imu(helicopter, 200.0, mode="continuous", kind="sample", span=span)
+    error = np.linalg.norm(emulate.navigation_error(samples)[:, :3], axis=1).max()
+    assert 1e-4 < error < 5.0  # the trapezoid of samples is what it is
+
+
+def test_bad_options_are_named(helicopter, ideal):
+    with pytest.raises(InputError, match=r"needs mode 'continuous'|need mode 'continuous'"):
+        emulate.ideal_imu(helicopter, kind="sample")
+    with pytest.raises(InputError, match="did you mean 'exact'"):
+        emulate.ideal_imu(helicopter, mode="exakt")
+    with pytest.raises(InputError, match="smooth path"):
+        emulate.ideal_imu(ideal.reference, mode="continuous")
+    with pytest.raises(InputError, match="outside the path"):
+        emulate.ideal_imu(helicopter, span=(0.0, 2000.0))
+    with pytest.raises(InputError, match=r"unknown trajectory 'helicoptr_mapping'.*helicopter_mapping"):
+        emulate.built_in("helicoptr_mapping")
+
+
+# -- stochastic errors
+# --------------------------------------------------------------------------------------------------------
+
+
+def test_corrupt_adds_the_drawn_errors_times_the_interval(ideal):
+    truth = {"gyro_x": 2 * GM(1e-4, 0.01) + WN(1e-4), "accel_z": WN(1e-3)}
+    out = emulate.corrupt(ideal.imu, truth, np.random.default_rng(3))
+    assert out.components["gyro_x"].shape == (3, len(ideal.imu))
+    np.testing.assert_allclose(out.components["gyro_x"].sum(0), out.errors[:, 0], atol=1e-18)
+    np.testing.assert_allclose((out.imu.gyro - ideal.imu.gyro)[1:, 0] / np.diff(ideal.imu.t), out.errors[1:, 0], atol=1e-12)
+    assert not out.errors[:, 1:5].any()
+    means = emulate.ideal_imu(emulate.built_in("static"), kind="mean").imu
+    np.testing.assert_allclose(
+        emulate.corrupt(means, truth, np.random.default_rng(3)).imu.accel[:, 2] - means.accel[:, 2], out.errors[:, 5], atol=1e-12
+    )
+
+
+def test_an_axis_draws_alone(ideal):
+    both = emulate.corrupt(ideal.imu, {"gyro_x": WN(1e-4), "accel_z": WN(1e-3)}, np.random.default_rng(9))
+    one = emulate.corrupt(ideal.imu, {"accel_z": WN(1e-3)}, np.random.default_rng(9))
+    np.testing.assert_array_equal(both.errors[:, 5], one.errors[:, 5])
+
+
+def test_unknown_axis_is_named(ideal):
+    with pytest.raises(InputError, match="'gyro_u'"):
+        emulate.corrupt(ideal.imu, {"gyro_u": WN(1e-4)}, np.random.default_rng(0))
+
+
+def test_recorded_pieces_do_not_overlap_and_lose_their_mean(ideal):
+    n = len(ideal.imu)
+    values = np.random.default_rng(1).normal(3.0, 1.0, (3 * n + 500, 6))
+    recorded = emulate.RecordedErrors(values, 100.0)
+    assert recorded.count(n) == 3
+    rng = np.random.default_rng(0)
+    pieces = [emulate.corrupt(ideal.imu, recorded, rng, realization=r).errors for r in range(3)]
+    np.testing.assert_allclose(np.concatenate(pieces), (values - values.mean(0))[: 3 * n], atol=1e-12)
+    assert np.abs(emulate.RecordedErrors(values, 100.0, remove_mean="piece").piece(1, n).mean(0)).max() < 1e-12
+    spanned = emulate.RecordedErrors(values, 100.0, remove_mean=(10.0, 20.0), offset_s=5.0, order=(1, 0))
+    np.testing.assert_allclose(spanned.piece(1, n), (values - values[1000:2000].mean(0))[500 : 500 + n], atol=1e-12)
+    with pytest.raises(InputError, match=r"3 piece\(s\).*piece 4 does not exist"):
+        recorded.piece(3, n)
+    with pytest.raises(InputError, match=r"recorded at 50 Hz.*not resampled"):
+        emulate.corrupt(ideal.imu, emulate.RecordedErrors(values, 50.0), rng)
+    with pytest.raises(InputError, match="outside the record"):
+        emulate.RecordedErrors(values, 100.0, offset_s=1e6)
+
+
+# -- GNSS
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+def test_fixes_at_nodes_are_the_nodes(ideal):
+    fixes = emulate.gnss_fixes(ideal.reference, 1.0, 0.0, 0.0, rng=np.random.default_rng(0))
+    rows = np.arange(100, len(ideal.reference), 100)
+    np.testing.assert_array_equal(fixes.llh, ideal.reference.llh[rows])
+    np.testing.assert_array_equal(fixes.vel_ned, ideal.reference.vel_ned[rows])
+    assert fixes.t[0] == 1.0 and len(fixes) == 1200
+
+
+def test_antenna_between_nodes_follows_the_path(helicopter, ideal):
+    t = np.linspace(100.003, 1100.003, 500)
+    arm = np.array([1.0, -0.5, -1.5])
+    llh, vel = antenna(ideal.reference, t, arm)
+    motion = sensor_motion(helicopter.path, t, emulate.Mounting(tuple(arm)))
+    assert np.abs(earth.position_difference(llh, motion.llh)).max() < 2e-4
+    assert np.abs(vel - motion.vel_ned).max() < 2e-3
+
+
+def test_interpolation_at_the_last_node(ideal):
+    llh, vel, q, _ = state_at(ideal.reference, ideal.reference.t[-1:])
+    np.testing.assert_array_equal(llh[0], ideal.reference.llh[-1])
+    np.testing.assert_array_equal(vel[0], ideal.reference.vel_ned[-1])
+    np.testing.assert_allclose(rotation.rpy_from_quaternion(q)[0], ideal.reference.rpy[-1], atol=1e-12)
+
+
+def test_outages_leave_the_other_fixes_alone(ideal):
+    def fixes(*outages):
+        return emulate.gnss_fixes(ideal.reference, 1.0, 0.02, 0.01, outages=outages, rng=np.random.default_rng(5))
+
+    full, cut = fixes(), fixes(emulate.Outage(420.0, 60.0))
+    missing = np.setdiff1d(full.t, cut.t)
+    np.testing.assert_array_equal(missing, np.arange(421.0, 481.0))
+    np.testing.assert_array_equal(cut.llh, full.llh[np.isin(full.t, cut.t)])
+    np.testing.assert_array_equal(fixes(emulate.Outage(420.0, 0.0)).llh, full.llh)
+    with pytest.raises(InputError, match="not inside the trajectory"):
+        fixes(emulate.Outage(1190.0, 60.0))
+
+
+def test_fix_noise_has_the_stated_sigma(ideal):
+    sigma, sigma_v = np.array([0.01, 0.02, 0.04]), np.array([0.1, 0.2, 0.3])
+    fixes = emulate.gnss_fixes(ideal.reference, 10.0, sigma, sigma_v, (1.0, 2.0, 3.0), rng=np.random.default_rng(5))
+    llh, vel = antenna(ideal.reference, fixes.t, (1.0, 2.0, 3.0))
+    n = len(fixes)
+    # chi-square at 1e-6 two-sided is within 5 sigma / sqrt(2 n)
+    for draw, stated in ((earth.position_difference(fixes.llh, llh), sigma), (fixes.vel_ned - vel, sigma_v)):
+        np.testing.assert_allclose(draw.std(axis=0), stated, rtol=5 / np.sqrt(2 * n))
+    np.testing.assert_array_equal(fixes.pos_std_ned[0], sigma)
+
+
+def test_bad_gnss_input_is_named(ideal):
+    rng = np.random.default_rng(0)
+    with pytest.raises(InputError, match="position sigma"):
+        emulate.gnss_fixes(ideal.reference, 1.0, -0.1, rng=rng)
+    with pytest.raises(InputError, match="GNSS rate is 0"):
+        emulate.gnss_fixes(ideal.reference, 0.0, rng=rng)
+    with pytest.raises(InputError, match="no fix at"):
+        emulate.gnss_fixes(ideal.reference, 1e-5, rng=rng)
+    with pytest.raises(InputError, match="negative duration"):
+        emulate.Outage(3.0, -1.0)
+
+
+def test_axes_are_complete():
+    assert len(AXES) == 6
+    assert isinstance(emulate.ideal_imu(emulate.built_in("static")).reference, Trajectory)
