@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu.errors import InputError
 from insemu.gap.band import Band
 from insemu.gap.evidence import Component, Explanation, Fitted, Free, Likelihood, Regressors, Rolloff, fit, log_mean_exp
 from insemu.gap.reduced import Reduced, block_differences
@@ -144,6 +145,10 @@ def added(state: AxisState, fitted: Fitted, effect: str) -> AxisState:
     return replace(state, fitted=fitted, named=(*state.named, effect), memory={})
 
 
+#: Names of the table of effects for parameters whose process calls them otherwise.
+_TABLE_NAMES = {("vibration_band", "sigma"): "rms", ("vibration_band", "f"): "frequency", ("vibration_band", "width"): "bandwidth"}
+
+
 def values_of(fitted: Fitted, effect: str, unit: str) -> tuple[Value, ...]:
     """Parameters that an effect brought in, with intervals; the last component of that effect counts."""
     out: list[Value] = []
@@ -151,7 +156,9 @@ def values_of(fitted: Fitted, effect: str, unit: str) -> tuple[Value, ...]:
     for c in fitted.explanation.components:
         meta = {p.name: p.unit_for(unit) for p in c.process.PARAMETERS}
         mine = [
-            _log_normal(f.name, getattr(c.process, f.name), float(fitted.sigma[k + i]), meta.get(f.name, ""))
+            _log_normal(
+                _TABLE_NAMES.get((effect, f.name), f.name), getattr(c.process, f.name), float(fitted.sigma[k + i]), meta.get(f.name, "")
+            )
             for i, f in enumerate(c.free)
         ]
         k += len(c.free)
@@ -160,7 +167,7 @@ def values_of(fitted: Fitted, effect: str, unit: str) -> tuple[Value, ...]:
     if fitted.explanation.rolloff is not None and effect == fitted.explanation.rolloff.effect:
         low_pass = fitted.explanation.rolloff
         out = [
-            _log_normal(f.name, v, float(fitted.sigma[k + i]), "Hz" if f.name == "corner" else "1")
+            _log_normal("cutoff" if f.name == "corner" else f.name, v, float(fitted.sigma[k + i]), "Hz" if f.name == "corner" else "1")
             for i, (f, v) in enumerate(zip(low_pass.free, low_pass.values, strict=True))
         ]
     return tuple(out)
@@ -267,8 +274,16 @@ def decimation_filter(state: AxisState) -> list[Weighed]:
 # -- known shapes -----------------------------------------------------------------------------------------------------------------
 
 
-def _regression(state: AxisState, effect: str, variant: str, names: Sequence[str], columns: Array, scales: Array, unit: Sequence[str]) -> list[Weighed]:
-    regressors = Regressors(effect, tuple(names), columns, scales)
+def _regression(
+    state: AxisState,
+    effect: str,
+    variant: str,
+    names: Sequence[str],
+    rebuild: Callable[[Reduced, Array | None], Array],
+    scales: Array,
+    unit: Sequence[str],
+) -> list[Weighed]:
+    regressors = Regressors(effect, tuple(names), rebuild(state.data, state.temperature), scales, rebuild)
     explanation = replace(state.explanation, regressors=(*state.explanation.regressors, regressors))
     likelihood = state.likelihood
     fitted = fit(likelihood, explanation)
@@ -284,13 +299,16 @@ def _regression(state: AxisState, effect: str, variant: str, names: Sequence[str
 def ramp(state: AxisState) -> list[Weighed]:
     """A drift in proportion to time."""
     data = state.data
-    column = np.full((data.differences.size, 1), data.block_s)
+
+    def column(where: Reduced, _: Array | None) -> Array:
+        return np.full((where.differences.size, 1), where.block_s)
+
     scale = np.array([3.0 * state.block_sigma() / data.duration_s])
-    return _regression(state, "ramp", "", ("slope",), column, scale, (f"{data.unit}/s",))
+    return _regression(state, "ramp", "", ("R",), column, scale, (f"{data.unit}/s",))
 
 
 #: Thermal time constants that the lagged shape tries, s.
-LAGS = (20.0, 60.0, 180.0, 600.0, 1800.0)
+LAGS = (10.0, 20.0, 40.0, 60.0, 90.0, 150.0, 300.0, 600.0, 1200.0)
 
 
 def temperature(state: AxisState) -> list[Weighed]:
@@ -302,28 +320,31 @@ def temperature(state: AxisState) -> list[Weighed]:
     if not spread > 1e-3:
         return []
     centre = float(np.mean(T))
-    x = (T - centre) / 25.0
-    size = 3.0 * max(state.block_sigma(), 0.1 * float(np.std(np.cumsum(data.differences)))) * 25.0 / spread
-    u = data.unit
-    linear = block_differences(x[:, None], data.block)
-    out = _regression(state, "temperature", "linear", ("linear",), linear / 25.0 * 25.0, np.array([size]), (f"{u} per 25 K",))
-    curve = block_differences(np.stack([x, x**2, x**3], axis=1), data.block)
-    names = ("linear", "quadratic", "cubic")
-    out += _regression(state, "temperature", "cubic", names, curve, np.full(3, size), tuple(f"{u} per (25 K)^{k}" for k in (1, 2, 3)))
-    lagged: list[tuple[float, Weighed]] = []
-    for lag in LAGS:
-        if not 3.0 * data.dt < lag < 0.3 * data.duration_s:
-            continue
-        slow = lowpass(x, data.dt, lag)
-        w = _regression(state, "temperature", "lagged", ("linear",), block_differences(slow[:, None], data.block), np.array([size]), (f"{u} per 25 K",))
-        lagged.append((lag, w[0]))
-        both = block_differences(np.stack([x, x**2, x**3, x - slow], axis=1), data.block)
-        w = _regression(
-            state, "temperature", "cubic and lagged", (*names, "lagged"), both, np.full(4, size), (*(f"{u} per (25 K)^{k}" for k in (1, 2, 3)), f"{u} per 25 K")
-        )
-        lagged.append((lag, w[0]))
-    for shape in ("lagged", "cubic and lagged"):
-        tried = [(lag, w) for lag, w in lagged if w.variant == shape]
+    # each power is scaled so that its contribution at the edge of the range is as plausible as the linear one's
+    size = 3.0 * max(state.block_sigma(), 0.1 * float(np.std(np.cumsum(data.differences))))
+    scales = size / np.array([spread**k for k in (1, 2, 3)])
+    names = ("c1", "c2", "c3")
+    units = tuple(f"{data.unit}/K" + (f"^{k}" if k > 1 else "") for k in (1, 2, 3))
+    reference = Value("T0", centre, centre, centre, "degC")
+
+    def weigh(variant: str, which: tuple[int, ...], lag: float = 0.0) -> Weighed:
+        def columns(where: Reduced, temperature_c: Array | None) -> Array:
+            if temperature_c is None:
+                raise InputError("the temperature effect needs the temperature of the data that it is to predict")
+            d = temperature_c - centre
+            seen = lowpass(d, where.dt, lag) if lag > 0.0 else d
+            return block_differences(np.stack([seen ** (k + 1) for k in which], axis=1), where.block)
+
+        w = _regression(state, "temperature", variant, [names[k] for k in which], columns, scales[list(which)], [units[k] for k in which])[0]
+        return replace(w, values=(*w.values, reference))
+
+    out = [weigh("linear", (0,)), weigh("cubic", (0, 1, 2))]
+    shapes: tuple[tuple[str, tuple[int, ...]], ...] = (("lagged", (0,)), ("cubic and lagged", (0, 1, 2)))
+    for shape, which in shapes:
+        tried: list[tuple[float, Weighed]] = []
+        for lag in LAGS:
+            if 3.0 * data.dt < lag < 0.3 * data.duration_s:
+                tried.append((lag, weigh(shape, which, lag)))
         if tried:
             lag, best = max(tried, key=lambda item: item[1].gain)
             gain = log_mean_exp([w.gain for _, w in tried])  # the time constant is paid for

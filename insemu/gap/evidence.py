@@ -109,6 +109,7 @@ class Regressors:
     names: tuple[str, ...]
     columns: Array
     scales: Array
+    rebuild: Callable[[Reduced, Array | None], Array] | None = None  # the same columns for other data, given its temperature
 
 
 @dataclass(frozen=True)

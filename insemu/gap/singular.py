@@ -150,9 +150,11 @@ def outliers(state: AxisState) -> list[Weighed]:
     gain = best.evidence - null.evidence
     s, e, k = (math.exp(v) for v in best.x)
     sd = np.sqrt(np.diag(best.covariance))
+    # the spread of what was added, as the table of effects states it
+    size = s * math.sqrt(k * k - 1.0) * fitted_n / math.sqrt(state.data.dt)
     values = (
-        Value("share", e, e * math.exp(-1.96 * sd[1]), e * math.exp(1.96 * sd[1]), "1"),
-        Value("ratio", k, k * math.exp(-1.96 * sd[2]), k * math.exp(1.96 * sd[2]), "1"),
+        Value("probability", e, e * math.exp(-1.96 * sd[1]), e * math.exp(1.96 * sd[1]), "1"),
+        Value("sigma", size, size * math.exp(-1.96 * sd[2]), size * math.exp(1.96 * sd[2]), state.data.unit),
     )
     if gain < 0.0:
         return [Weighed("outliers", "", gain, values, state)]
@@ -218,7 +220,7 @@ def telegraph(state: AxisState) -> list[Weighed]:
     switches = max(1.0, data.duration_s / dwell)
     values = (
         Value("amplitude", a, a * math.exp(-1.96 * sd), a * math.exp(1.96 * sd), data.unit),
-        Value("dwell", dwell, dwell * math.exp(-1.96 / math.sqrt(switches)), dwell * math.exp(1.96 / math.sqrt(switches)), "s"),
+        Value("rate", 1.0 / dwell, math.exp(-1.96 / math.sqrt(switches)) / dwell, math.exp(1.96 / math.sqrt(switches)) / dwell, "1/s"),
     )
     if gain < 0.0:
         return [Weighed("telegraph", "", gain, values, state)]
@@ -281,7 +283,7 @@ def held_samples(state: AxisState) -> list[Weighed]:
         return []
     gain = held.size * math.log(share / chance)
     sd = 1.0 / math.sqrt(held.size)
-    values = (Value("share", share, share * math.exp(-1.96 * sd), share * math.exp(1.96 * sd), "1"),)
+    values = (Value("probability", share, share * math.exp(-1.96 * sd), share * math.exp(1.96 * sd), "1"),)
     mended = np.interp(np.arange(y.size), np.delete(np.arange(y.size), held), np.delete(y, held))
     return [Weighed("dropped_samples", "held", gain, values, cleaned(state, mended, "dropped_samples"))]
 
