@@ -16,21 +16,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Band(Process):
-    """Noise of standard deviation ``sigma`` around ``f`` (Hz), full width at half power ``width`` (Hz)."""
+    """Noise of standard deviation ``sigma`` around ``f`` (Hz), full width at half power ``ratio`` times ``f``."""
 
     sigma: float | None = None
     f: float | None = None
-    width: float | None = None
+    ratio: float | None = None
     PARAMETERS: ClassVar = (
         Parameter("sigma", "{u}", "positive", "standard deviation"),
         Parameter("f", "Hz", "positive", "centre frequency"),
-        Parameter("width", "Hz", "positive", "full width at half power"),
+        Parameter("ratio", "1", "positive", "full width at half power over centre frequency"),
     )
 
     def coefficients(self, dt: float) -> tuple[float, float, float]:
         """Return ``(phi_1, phi_2, innovation variance)`` of the samples at interval ``dt``."""
         p = self.parameters
-        r = math.exp(-math.pi * p["width"] * dt)
+        r = math.exp(-math.pi * p["ratio"] * p["f"] * dt)
         phi1, phi2 = 2.0 * r * math.cos(2.0 * math.pi * p["f"] * dt), -r * r
         ratio = (1.0 - phi2) / ((1.0 + phi2) * ((1.0 - phi2) ** 2 - phi1**2))  # variance over innovation variance
         return phi1, phi2, p["sigma"] ** 2 / ratio

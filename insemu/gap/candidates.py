@@ -146,7 +146,7 @@ def added(state: AxisState, fitted: Fitted, effect: str) -> AxisState:
 
 
 #: Names of the table of effects for parameters whose process calls them otherwise.
-_TABLE_NAMES = {("vibration_band", "sigma"): "rms", ("vibration_band", "f"): "frequency", ("vibration_band", "width"): "bandwidth"}
+_TABLE_NAMES = {("vibration_band", "sigma"): "rms", ("vibration_band", "f"): "frequency", ("vibration_band", "ratio"): "bandwidth"}
 
 
 def values_of(fitted: Fitted, effect: str, unit: str) -> tuple[Value, ...]:
@@ -164,6 +164,9 @@ def values_of(fitted: Fitted, effect: str, unit: str) -> tuple[Value, ...]:
         k += len(c.free)
         if c.effect == effect:
             out = mine
+            if isinstance(c.process, Band):
+                f0 = c.process.parameters["f"]
+                out = [v if v.name != "bandwidth" else Value(v.name, v.value * f0, v.low * f0, v.high * f0, "Hz") for v in out]
     if fitted.explanation.rolloff is not None and effect == fitted.explanation.rolloff.effect:
         low_pass = fitted.explanation.rolloff
         out = [
@@ -242,7 +245,7 @@ def vibration_band(state: AxisState) -> list[Weighed]:
     free = (
         _amplitude("sigma", 30.0 * state.white / math.sqrt(data.dt)),
         Free("f", lowest, 0.97 * nyquist),
-        Free("width", 0.003 * lowest, 0.3 * nyquist),
+        Free("ratio", 0.003, 0.6),  # wider is no resonance
     )
     starts = []
     for f0 in np.geomspace(lowest * 1.1, 0.94 * nyquist, 28):
@@ -251,7 +254,7 @@ def vibration_band(state: AxisState) -> list[Weighed]:
             near = float(np.interp(f0, data.f, S))
             for excess in (0.1, 0.5, 3.0, 20.0):
                 sigma = math.sqrt(excess * near * width * math.pi)
-                starts.append(state.explanation.with_component(Component(Band(sigma, f0, width), free, "vibration_band")))
+                starts.append(state.explanation.with_component(Component(Band(sigma, f0, ratio), free, "vibration_band")))
     return best_of(state, "vibration_band", "", starts)
 
 

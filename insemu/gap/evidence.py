@@ -57,6 +57,10 @@ class Free:
         outside = max(math.log(self.low) - x, x - math.log(self.high), 0.0)
         return -math.log(self.width) - 0.5 * (outside / self.edge) ** 2
 
+    def admits(self, x: float) -> bool:
+        """Whether the logarithm ``x`` is inside the bounds or no more than six edges outside."""
+        return math.log(self.low) - 6.0 * self.edge <= x <= math.log(self.high) + 6.0 * self.edge
+
     @property
     def sigma(self) -> float:
         """Standard deviation of the prior, in log: the most that an estimate can be uncertain."""
@@ -221,9 +225,9 @@ class Likelihood:
     def log_posterior(self, explanation: Explanation) -> float:
         """Log-likelihood plus log prior density of the free parameters."""
         x = explanation.start()
+        if any(not f.admits(v) for f, v in zip(explanation.free, x, strict=True)):
+            return -math.inf
         prior = sum(f.log_density(v) for f, v in zip(explanation.free, x, strict=True))
-        if prior < -1e4:
-            return prior
         return self.low(explanation) + self.high(explanation) + prior
 
     def coefficients(self, explanation: Explanation) -> tuple[Array, Array]:
@@ -325,9 +329,8 @@ def laplace(log_posterior: Callable[[Array], float], x0: Array, free: Sequence[F
     """Climb to a mode and weigh it; no direction counts as wider than its prior."""
 
     def cost(x: Array) -> float:
-        outside = sum(f.log_density(v) for f, v in zip(free, x, strict=True))
-        if outside < -2e3:
-            return 1e12 - outside  # far outside the prior: nothing to compute
+        if any(not f.admits(v) for f, v in zip(free, x, strict=True)):
+            return 1e12 + float(np.sum((x - x0) ** 2))  # however strong the evidence
         value = -log_posterior(x)
         return value if math.isfinite(value) else 1e12
 

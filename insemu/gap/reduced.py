@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 #: Block length in s, and the bounds of the number of blocks that shorten or lengthen it.
 BLOCK_S = 10.0
-FEWEST_BLOCKS, MOST_BLOCKS = 120, 1440
+FEWEST_BLOCKS, MOST_BLOCKS = 120, 500
 #: Sine tapers, bins per octave.
 TAPERS, BINS_PER_OCTAVE = 6, 32
 
@@ -68,7 +68,7 @@ class Reduced:
 
 
 def block_length(n: int, dt: float) -> int:
-    """Samples per block: 10 s, shorter for short logs (at least 120 blocks), longer for long ones (at most 1440)."""
+    """Samples per block: 10 s, shorter for short logs (at least 120 blocks), longer for long ones (at most 500)."""
     wanted = max(1, round(BLOCK_S / dt))
     return int(min(max(wanted, math.ceil(n / MOST_BLOCKS)), max(1, n // FEWEST_BLOCKS)))
 

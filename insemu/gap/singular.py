@@ -272,7 +272,7 @@ def output_counts(state: AxisState) -> list[Weighed]:
 
 def held_samples(state: AxisState) -> list[Weighed]:
     """Samples that repeat their predecessor exactly: dropped and filled by holding the last one."""
-    if "dropped_samples" in state.named or lattice(state.data.values) > 0.0:
+    if {"dropped_samples", "quantization"} & set(state.named) or lattice(state.data.values) > 0.0:
         return []
     y = state.data.values
     held = np.flatnonzero(np.diff(y) == 0.0) + 1
