@@ -13,9 +13,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solve_discrete_lyapunov
 
 from insemu.errors import InputError, nearest
-from insemu.noise import NoiseModel, Process, StateBlock
+from insemu.noise import ARMA, NoiseModel, Process, StateBlock
 from insemu.records import AXES
 
 Array = NDArray[np.float64]
@@ -164,23 +165,26 @@ class Augmentation:
         """Number of states behind the navigation states."""
         return self.axis.size
 
-    def output(self, measured: ArrayLike | None = None) -> Array:
-        """What the six axes see of the states: (6, m).
+    def coefficients(self, measured: ArrayLike | None = None) -> Array:
+        """How strongly each state is seen by its axis, ``c_s d_s``: (m,).
 
         Parameters
         ----------
         measured : (6,) array_like, optional
             Measured rate and specific force, needed only where calibration states are carried.
         """
-        C = np.zeros((6, self.m))
-        drive = np.ones(self.m)
         driven = self.driver >= 0
-        if driven.any():
-            if measured is None:
-                raise InputError("calibration states are carried; give the measured rate and specific force")
-            drive[driven] = np.asarray(measured, dtype=np.float64)[self.driver[driven]]
+        if not driven.any():
+            return self.c
+        if measured is None:
+            raise InputError("calibration states are carried; give the measured rate and specific force")
+        return np.where(driven, self.c * np.asarray(measured, dtype=np.float64)[self.driver], self.c)
+
+    def output(self, measured: ArrayLike | None = None) -> Array:
+        """What the six axes see of the states, (6, m); ``measured`` as in :meth:`coefficients`."""
+        C = np.zeros((6, self.m))
         seen = self.axis >= 0
-        C[self.axis[seen], np.nonzero(seen)[0]] = (self.c * drive)[seen]
+        C[self.axis[seen], np.nonzero(seen)[0]] = self.coefficients(measured)[seen]
         return C
 
     def power(self, count: int) -> tuple[Array, Array]:
@@ -215,6 +219,56 @@ def per_axis(belief: Belief) -> dict[str, NoiseModel]:
             if axis == key or axis.startswith(key + "_"):
                 out[axis] = value
     return out
+
+
+def _cascade(process: ARMA, dt: float) -> StateBlock:
+    """An autoregression as a chain of first-order (complex poles: second-order) sections, fast poles first.
+
+    The companion form hides small numbers in differences of large ones: with three poles near 1, as in error models of de-noised signals,
+    its covariance loses six digits. In the chain every state is a further smoothing of the one before, and nothing cancels.
+    """
+    process.require_stationary()
+    poles = sorted(process.poles, key=abs)
+    n = len(poles)
+    Phi, drive = np.zeros((n, n)), np.zeros(n)
+    row, gain = np.zeros(n), 1.0  # what enters the next section: of the old states, and of the innovation
+    at = 0
+    c = np.zeros(n)
+    while at < n:
+        pole = poles[at]
+        if abs(pole.imag) <= 1e-12 * abs(pole):
+            Phi[at] = row
+            Phi[at, at] += pole.real
+            drive[at] = gain
+            c = np.eye(n)[at]
+            at += 1
+        else:  # coupled form of a conjugate pair (adjacent, for their moduli are equal); p + cot(angle) q is the section's output
+            re, im = pole.real, abs(pole.imag)
+            Phi[at], Phi[at + 1] = row, 0.0
+            Phi[at, at : at + 2] += re, -im
+            Phi[at + 1, at : at + 2] += im, re
+            drive[at] = gain
+            c = np.zeros(n)
+            c[at : at + 2] = 1.0, re / im
+            at += 2
+        row, gain = c @ Phi, float(c @ drive)
+    Q = np.outer(drive, drive) * process.parameters["sigma2"]
+    P0 = np.asarray(solve_discrete_lyapunov(Phi, Q), dtype=np.float64)
+    names = tuple(f"{process.symbol}.{i + 1}" for i in range(n))
+    return StateBlock(names, Phi, Q, c, 0.5 * P0 + 0.5 * P0.T, 0.0, dt)
+
+
+def _block(model: NoiseModel, dt: float) -> StateBlock:
+    """The model's state block, autoregressions of higher order in coordinates that keep their digits."""
+    blocks = []
+    for index, process in model.indexed():
+        if isinstance(process, ARMA) and len(process.ar) > 1 and not process.ma:
+            b = _cascade(process, dt)
+        else:
+            b = process.block(dt)
+        names = tuple(name.replace(process.symbol, f"{process.symbol}{index}", 1) for name in b.names)
+        blocks.append(StateBlock(names, b.Phi, b.Q, b.c, b.P0, b.white, dt))
+    return StateBlock.stack(blocks, dt)
 
 
 def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmentation:
@@ -256,7 +310,7 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
     for a, (axis, model) in enumerate(per_axis(belief).items()):
         start = len(names)
         try:
-            block = model.at_rate(1.0 / dt).block(dt)
+            block = _block(model.at_rate(1.0 / dt), dt)
         except InputError as error:
             raise InputError(str(error), where=f"belief of {axis}") from None
         names += [f"{axis}.{name}" for name in block.names]

@@ -180,7 +180,9 @@ def normal_gravity_exact(lat: ArrayLike, h: ArrayLike) -> Array:
     q = 0.5 * ((1.0 + 3.0 * u * u / _E**2) * angle - 3.0 * u / _E)
     qp = 3.0 * (1.0 + u * u / _E**2) * (1.0 - u / _E * angle) - 1.0
     q0 = _q(B)
-    along_u = -(GM / v2 + RATE**2 * A**2 * _E / v2 * qp / q0 * (0.5 * sb * sb - 1.0 / 6.0)) / w + RATE**2 * u * cb * cb / w
+    along_u = (
+        -(GM / v2 + RATE**2 * A**2 * _E / v2 * qp / q0 * (0.5 * sb * sb - 1.0 / 6.0)) / w + RATE**2 * u * cb * cb / w
+    )
     along_beta = (RATE**2 * A**2 / np.sqrt(v2) * q / q0 - RATE**2 * np.sqrt(v2)) * sb * cb / w
     # unit vectors of u and beta in the meridian plane (away from the axis, along the axis)
     up, uz = u * cb / (w * np.sqrt(v2)), sb / w

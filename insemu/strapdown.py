@@ -348,7 +348,9 @@ def mechanize_array(
     if nav.shape != (NAV_SIZE,):
         raise InputError(f"the initial state has shape {nav.shape}, expected ({NAV_SIZE},)")
     if not abs(nav[0]) < np.deg2rad(89.9):
-        raise InputError(f"the initial latitude is {np.rad2deg(nav[0]):.6g} deg, expected one within 89.9 deg of the equator")
+        raise InputError(
+            f"the initial latitude is {np.rad2deg(nav[0]):.6g} deg, expected one within 89.9 deg of the equator"
+        )
     out = np.empty((len(record), NAV_SIZE))
     _run(record.t, record.gyro, record.accel, nav, earth.gravity_code(gravity), vertical == "held", out)
     if not np.isfinite(out[-1]).all():
@@ -358,7 +360,9 @@ def mechanize_array(
 
 def trajectory_of(t: ArrayLike, nav: Array, name: str = "navigation") -> Trajectory:
     """Turn (n, 10) navigation states into a :class:`~insemu.records.Trajectory`."""
-    return Trajectory(np.asarray(t, dtype=float), nav[:, 0:3], nav[:, 3:6], rotation.rpy_from_quaternion(nav[:, 6:10]), name)
+    return Trajectory(
+        np.asarray(t, dtype=float), nav[:, 0:3], nav[:, 3:6], rotation.rpy_from_quaternion(nav[:, 6:10]), name
+    )
 
 
 def mechanize(
@@ -425,5 +429,7 @@ def transition(f: ArrayLike, dt: float) -> Array:
 def navigation_errors(estimate: Array, truth: Array) -> Array:
     """Errors (n, 9) of (n, 10) navigation states: position in metres NED, velocity, phi (estimate minus truth)."""
     position = earth.position_difference(estimate[:, 0:3], truth[:, 0:3])
-    phi = rotation.vector_from_quaternion(rotation.quaternion_product(estimate[:, 6:10], rotation.quaternion_conjugate(truth[:, 6:10])))
+    phi = rotation.vector_from_quaternion(
+        rotation.quaternion_product(estimate[:, 6:10], rotation.quaternion_conjugate(truth[:, 6:10]))
+    )
     return np.concatenate([position, estimate[:, 3:6] - truth[:, 3:6], phi], axis=1)

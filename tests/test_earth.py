@@ -6,7 +6,9 @@ from insemu import earth
 from insemu.errors import InputError
 
 rng = np.random.default_rng(11)
-PLACES = np.column_stack([np.arcsin(rng.uniform(-1, 1, 300)), rng.uniform(-np.pi, np.pi, 300), rng.uniform(-1e3, 2e4, 300)])
+PLACES = np.column_stack(
+    [np.arcsin(rng.uniform(-1, 1, 300)), rng.uniform(-np.pi, np.pi, 300), rng.uniform(-1e3, 2e4, 300)]
+)
 
 
 def test_ecef_agrees_with_pymap3d():
@@ -81,7 +83,9 @@ def test_small_moves_and_differences_are_inverse():
     ned = np.array([[3.0, 0.004, -7.0]])
     np.testing.assert_allclose(earth.position_difference(earth.move(llh, ned), llh), ned, atol=1e-8)
     wrapped = np.array([[0.8, -np.pi + 1e-6, 100.0]])
-    assert earth.position_difference(wrapped, llh)[0, 1] == pytest.approx(1.001e-6 * (earth.radii(0.8)[1] + 100) * np.cos(0.8), rel=1e-6)
+    assert earth.position_difference(wrapped, llh)[0, 1] == pytest.approx(
+        1.001e-6 * (earth.radii(0.8)[1] + 100) * np.cos(0.8), rel=1e-6
+    )
 
 
 def test_transport_rate_is_the_rotation_of_the_local_frame():

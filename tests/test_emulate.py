@@ -19,7 +19,9 @@ def ideal(helicopter):
     return emulate.ideal_imu(helicopter)
 
 
-@pytest.mark.parametrize("mounting", [None, emulate.Mounting((1.0, -0.5, 0.3), (np.pi, -0.1, 3.0))], ids=["plain", "mounted"])
+@pytest.mark.parametrize(
+    "mounting", [None, emulate.Mounting((1.0, -0.5, 0.3), (np.pi, -0.1, 3.0))], ids=["plain", "mounted"]
+)
 @pytest.mark.parametrize("name", sorted(emulate.TRAJECTORIES))
 def test_exact_mode_returns_its_reference(name, mounting):
     flight = emulate.built_in(name)
@@ -135,11 +137,15 @@ def test_corrupt_adds_the_drawn_errors_times_the_interval(ideal):
     out = emulate.corrupt(ideal.imu, truth, np.random.default_rng(3))
     assert out.components["gyro_x"].shape == (3, len(ideal.imu))
     np.testing.assert_allclose(out.components["gyro_x"].sum(0), out.errors[:, 0], atol=1e-18)
-    np.testing.assert_allclose((out.imu.gyro - ideal.imu.gyro)[1:, 0] / np.diff(ideal.imu.t), out.errors[1:, 0], atol=1e-12)
+    np.testing.assert_allclose(
+        (out.imu.gyro - ideal.imu.gyro)[1:, 0] / np.diff(ideal.imu.t), out.errors[1:, 0], atol=1e-12
+    )
     assert not out.errors[:, 1:5].any()
     means = emulate.ideal_imu(emulate.built_in("static"), kind="mean").imu
     np.testing.assert_allclose(
-        emulate.corrupt(means, truth, np.random.default_rng(3)).imu.accel[:, 2] - means.accel[:, 2], out.errors[:, 5], atol=1e-12
+        emulate.corrupt(means, truth, np.random.default_rng(3)).imu.accel[:, 2] - means.accel[:, 2],
+        out.errors[:, 5],
+        atol=1e-12,
     )
 
 

@@ -23,7 +23,9 @@ def _series(n: int = 50) -> list[Series]:
 def _recording(*, reference: bool = True, kind: Any = "mean") -> Recording:
     rng = np.random.default_rng(2)
     t = 5.0 + np.arange(40) * 0.01
-    imu = ImuRecord(t, rng.standard_normal((40, 3)), rng.standard_normal((40, 3)) - [0, 0, 9.8], kind, 20 + rng.standard_normal(40))
+    imu = ImuRecord(
+        t, rng.standard_normal((40, 3)), rng.standard_normal((40, 3)) - [0, 0, 9.8], kind, 20 + rng.standard_normal(40)
+    )
     g = 5.0 + np.arange(4) * 0.1
     llh = np.array([0.8, 0.1, 400.0]) + 1e-6 * rng.standard_normal((4, 3))
     vel = rng.standard_normal((4, 3))
@@ -65,7 +67,9 @@ def test_writing_a_recording_and_reading_it_is_the_identity(tmp_path: Path, name
 
 def test_counts_times_scale_and_datasheet_units_become_si(tmp_path: Path) -> None:
     counts = np.arange(12, dtype=np.int16).reshape(6, 2)
-    np.savez(tmp_path / "a.npz", counts=counts, scale=[0.05, 0.001], fs=100.0, columns=["gx", "az"], units=["deg/s", "g"])
+    np.savez(
+        tmp_path / "a.npz", counts=counts, scale=[0.05, 0.001], fs=100.0, columns=["gx", "az"], units=["deg/s", "g"]
+    )
     gx, az = read_static(tmp_path / "a.npz")
     np.testing.assert_allclose(gx.values, np.deg2rad(counts[:, 0] * 0.05), rtol=1e-15)
     np.testing.assert_allclose(az.values, counts[:, 1] * 0.001 * 9.80665, rtol=1e-15)
@@ -103,7 +107,12 @@ def test_a_npy_column_stays_in_its_memory_map(tmp_path: Path) -> None:
 
 
 def _npz(path: Path, **change: Any) -> Path:
-    arrays: dict[str, Any] = {"data": np.ones((9, 2)), "fs": 100.0, "columns": ["gx", "ax"], "units": ["rad/s", "m/s^2"]}
+    arrays: dict[str, Any] = {
+        "data": np.ones((9, 2)),
+        "fs": 100.0,
+        "columns": ["gx", "ax"],
+        "units": ["rad/s", "m/s^2"],
+    }
     arrays = {k: v for k, v in (arrays | change).items() if v is not None}
     np.savez(path, **arrays)
     return path
@@ -112,7 +121,10 @@ def _npz(path: Path, **change: Any) -> Path:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"data": np.where(np.eye(9, 2) > 0, np.nan, 1.0)}, "gyro_x has 1 value(s) that are not finite, the first at row 0"),
+        (
+            {"data": np.where(np.eye(9, 2) > 0, np.nan, 1.0)},
+            "gyro_x has 1 value(s) that are not finite, the first at row 0",
+        ),
         ({"data": np.ones((9, 3))}, "has 2 entries for 3 columns"),
         ({"data": np.ones((3, 3, 3))}, "expected (n, k)"),
         ({"data": np.ones((2, 2))}, "expected at least 3"),
@@ -208,7 +220,12 @@ def test_a_bad_recording_is_refused_with_its_key(tmp_path: Path, change: dict[st
 
 def test_columns_in_another_order_and_datasheet_units_are_put_right(tmp_path: Path) -> None:
     imu = np.tile([0.0, 0.0, -1.0, 10.0, 20.0, 30.0], (6, 1))
-    path = _dynamic(tmp_path / "a.npz", imu=imu, imu_columns=["ax", "ay", "az", "gx", "gy", "gz"], imu_units=["g"] * 3 + ["deg/s"] * 3)
+    path = _dynamic(
+        tmp_path / "a.npz",
+        imu=imu,
+        imu_columns=["ax", "ay", "az", "gx", "gy", "gz"],
+        imu_units=["g"] * 3 + ["deg/s"] * 3,
+    )
     data = read_recording(path)
     np.testing.assert_allclose(data.imu.accel[0], [0, 0, -9.80665])
     np.testing.assert_allclose(np.rad2deg(data.imu.gyro[0]), [10, 20, 30])
@@ -262,4 +279,6 @@ def test_real_layouts_are_read() -> None:
     mixed = read_recording(shared("real/ublox_mixed_nominal.npz"))
     assert mixed.reference is not None
     np.testing.assert_allclose(np.rad2deg(drive.gnss.llh[0, :2]), [40.0966268, -105.1474483])
-    np.testing.assert_allclose(drive.gnss.vel_ned[0] if drive.gnss.vel_ned is not None else 0, [0.01, -0.002, -0.009], rtol=1e-6)
+    np.testing.assert_allclose(
+        drive.gnss.vel_ned[0] if drive.gnss.vel_ned is not None else 0, [0.01, -0.002, -0.009], rtol=1e-6
+    )

@@ -47,7 +47,9 @@ def test_exp_and_log_agree_with_scipy_at_every_size():
         phi *= size / np.linalg.norm(phi)
         np.testing.assert_allclose(rotation.dcm_from_vector(phi), Rotation.from_rotvec(phi).as_matrix(), atol=1e-15)
         np.testing.assert_allclose(rotation.vector_from_dcm(rotation.dcm_from_vector(phi)), phi, rtol=1e-7, atol=1e-16)
-        np.testing.assert_allclose(rotation.vector_from_quaternion(rotation.quaternion_from_vector(phi)), phi, rtol=1e-14, atol=1e-30)
+        np.testing.assert_allclose(
+            rotation.vector_from_quaternion(rotation.quaternion_from_vector(phi)), phi, rtol=1e-14, atol=1e-30
+        )
 
 
 def test_compiled_half_angle_is_exact_on_both_branches():

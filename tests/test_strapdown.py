@@ -173,7 +173,9 @@ def test_error_dynamics_of_position_and_rates_pin_the_small_terms():
             llh_dot, v_dot, w_in = derivative(nav)
             # metres by the radii of the moving truth: d/dt (x(estimate) - x(truth)) over a short time of both
             tau = 1e-2
-            moved = [earth.position_difference(nav[:3] + s * tau * llh_dot, nav0[:3] + s * tau * base[0]) for s in (1, -1)]
+            moved = [
+                earth.position_difference(nav[:3] + s * tau * llh_dot, nav0[:3] + s * tau * base[0]) for s in (1, -1)
+            ]
             phi = rotation.dcm_from_vector(e[6:])
             rate = phi @ base[2] - w_in  # C w_ib is common; seen in NED it turns with the attitude error
             out.append(np.concatenate([(moved[0] - moved[1]) / (2 * tau), v_dot - base[1], rate]))
@@ -203,7 +205,9 @@ def test_irregular_steps_keep_the_coning_correction():
         gyro, accel = np.diff(angle, axis=0), np.diff(speed, axis=0)
         imu = ImuRecord(t, np.vstack([gyro[:1], gyro]), np.vstack([accel[:1], accel]), "increment")
         results[name] = strapdown.mechanize_array(imu, STATES[2])[-1]
-    error = {k: np.abs(strapdown.navigation_errors(results[k][None], results["fine"][None])[0]) for k in ("even", "uneven")}
+    error = {
+        k: np.abs(strapdown.navigation_errors(results[k][None], results["fine"][None])[0]) for k in ("even", "uneven")
+    }
     assert error["even"][6:].max() < 1e-6
     assert error["uneven"][6:].max() < 10 * error["even"][6:].max() + 1e-9
     assert error["uneven"][3:6].max() < 1e-4
@@ -220,7 +224,9 @@ def test_longitude_wraps_at_the_antimeridian():
 def test_means_and_increments_navigate_alike():
     imu, initial = static_record(0.05)
     mean = ImuRecord(imu.t, imu.gyro * 1.0, imu.accel * 1.0, "mean")
-    np.testing.assert_array_equal(strapdown.mechanize_array(mean, initial)[-1], strapdown.mechanize_array(imu, initial)[-1])
+    np.testing.assert_array_equal(
+        strapdown.mechanize_array(mean, initial)[-1], strapdown.mechanize_array(imu, initial)[-1]
+    )
 
 
 def test_bad_input_is_named():

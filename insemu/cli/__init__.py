@@ -14,6 +14,7 @@ import typer
 COMMANDS: dict[str, str] = {
     "run": "run",
     "schema": "schema",
+    "fit": "fit",
 }
 
 app = typer.Typer(
@@ -59,6 +60,3 @@ def main(argv: list[str] | None = None) -> None:
     except FileNotFoundError as error:
         typer.echo(f"insemu: error: {error.filename}: no such file", err=True)
         sys.exit(2)
-    except KeyboardInterrupt:
-        typer.echo("insemu: interrupted; finished parts are kept", err=True)
-        sys.exit(130)

@@ -57,7 +57,7 @@ def command(
         typer.echo(json.dumps(summary(everything.main), indent=1))
         return
     show(console, everything.main, everything.variants)
-    console.print(f"\nPage: [bold]{page}[/bold]   (summary.json, outages.csv, errors.nc beside it)")
+    console.print(f"\nPage: [bold]{page}[/bold] (summary.json, outages.csv, errors.nc beside it)", soft_wrap=True)
 
 
 class Everything:
@@ -95,6 +95,7 @@ def run_with_variants(
     experiments = {"": Experiment(base, scenario)}
     for name in names:
         experiments[name] = Experiment(load(scenario, variant=name, overrides=overrides), scenario)
+    forget_others(folder / "cache", {e.digest for e in experiments.values()})
     done: dict[str, Results] = {}
     columns = (
         TextColumn("{task.description:<34}"),
@@ -114,7 +115,12 @@ def run_with_variants(
                 bars.update(task, completed=finished, total=total, description=f"{label} ({what})")
 
             target = folder / "variants" / name if name else folder
-            results = run_experiment(experiment, workers=workers, cache=folder / "cache", progress=step)
+            try:
+                results = run_experiment(experiment, workers=workers, cache=folder / "cache", progress=step)
+            except KeyboardInterrupt:
+                bars.stop()
+                console.print("Interrupted. Finished realizations are kept; the same command goes on from there.")
+                raise
             bars.update(task, description=label)
             write(results, target)
             (target / "resolved.yaml").write_text(
@@ -130,52 +136,62 @@ def run_with_variants(
     )
 
 
+def forget_others(cache: Path, digests: set[str]) -> None:
+    """Delete finished parts of earlier versions of the scenario, its data or the code."""
+    import shutil
+
+    if cache.is_dir():
+        for folder in cache.iterdir():
+            if folder.name not in digests:
+                shutil.rmtree(folder)
+
+
 def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
     """The tables at the end."""
     from rich.table import Table
 
     from insemu.evaluate import outage_table, verdicts
+    from insemu.report.tables import short
 
-    rows = outage_table(main)
+    console.print(f"\n[bold]{main.title}[/bold]", soft_wrap=True)
     table = Table(
-        title=f"{main.title}\n{main.realizations} realizations, seed {main.seed}: at the end of each outage",
+        title=f"End of each outage, means over {main.realizations} realizations (seed {main.seed})",
         title_justify="left",
+        box=None,
+        padding=(0, 1),
+        pad_edge=False,
+        header_style="underline",
     )
-    for heading in (
-        "design",
-        "states",
-        "outage",
-        "planimetric m (95 %)",
-        "published",
-        "altitude m",
-        "velocity m/s",
-        "attitude deg",
-    ):
-        table.add_column(heading, justify="left" if heading == "design" else "right")
-    for heading in ("stated sigma m", "3-sigma cover p/v/a %", "NEES/dof"):
-        table.add_column(heading, justify="right")
-    for name, outages in rows.items():
+    headings = ["design", "outage", "error m", "95 %", "alt. m", "stated", "in 3 s", "NEES"]
+    if main.published:
+        headings.insert(4, "paper")
+    for heading in headings:
+        table.add_column(heading, justify="left" if heading == "design" else "right", no_wrap=True)
+    for name, outages in outage_table(main).items():
+        published = main.published.get(name, ())
         for k, row in enumerate(outages):
-            p, c = row["planimetric_end_m"], row["coverage_3sigma"]
-            spread = "" if p["ci95"][0] is None else f" ({p['ci95'][0]:.3g}-{p['ci95'][1]:.3g})"
-            published = main.published.get(name)
-            table.add_row(
-                name if k == 0 else "",
-                str(main.designs[name].states) if k == 0 else "",
-                f"{row['start_s'] / 60:g} min, {row['duration_s']:g} s",
-                f"{p['mean']:.3g}{spread}",
-                f"{published[k]:g}" if published is not None and k < len(published) else "-",
+            p = row["planimetric_end_m"]
+            low, high = p["ci95"]
+            cells = [
+                f"{name} ({main.designs[name].states})" if k == 0 else "",
+                f"{row['start_s'] / 60:g} min",
+                f"{p['mean']:.3g}",
+                "" if low is None else f"{low:.3g}-{high:.3g}",
                 f"{row['altimetric_end_m']:.3g}",
-                f"{row['velocity_end_m_s']:.3g}",
-                f"{row['attitude_end_deg']:.3g}",
                 f"{row['predicted_sigma_end_m']:.3g}",
-                "/".join(f"{100 * c[g]:.1f}" for g in ("position", "velocity", "attitude")),
-                f"{row['nees_per_dof']:.2f}",
-            )
-        table.add_section()
+                f"{100 * row['coverage_3sigma']['position']:.1f}%",
+                short(row["nees_per_dof"]),
+            ]
+            if main.published:
+                cells.insert(4, f"{published[k]:g}" if k < len(published) else "-")
+            table.add_row(*cells)
+        table.add_row()
     console.print(table)
+    console.print(
+        "In brackets: states. Stated: the horizontal sigma that the filter gives. NEES/dof: 1 is a filter that knows its error.\n"
+    )
     for line in verdicts(main):
-        console.print(f"  {line}")
+        console.print(f"- {line}", soft_wrap=True)
     if variants:
         console.print(variant_table(main, variants))
 
@@ -187,13 +203,16 @@ def variant_table(main: Results, variants: dict[str, Results]) -> Any:
     from insemu.report.tables import variant_rows
 
     header, body = variant_rows(main, variants)
-    table = Table(title="Variants: mean planimetric error at outage end, m", title_justify="left")
-    for k, heading in enumerate(header):
-        table.add_column(heading, justify="left" if k < 2 else "right")
-    previous = None
-    for row in body:
-        if previous is not None and row[0] != "":
-            table.add_section()
-        table.add_row(*row)
-        previous = row
+    shown = [
+        k for k, heading in enumerate(header) if heading not in ("95 %", "inside %")
+    ]  # the page has room for these
+    table = Table(
+        title="\nVariants: planimetric error at outage end, m", title_justify="left", box=None, padding=(0, 1), pad_edge=False, header_style="underline"
+    )
+    for k in shown:
+        table.add_column(header[k], justify="left" if k < 2 else "right", no_wrap=True)
+    for i, row in enumerate(body):
+        if i and row[0]:
+            table.add_row()
+        table.add_row(*(row[k] for k in shown))
     return table

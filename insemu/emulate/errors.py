@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -54,10 +54,14 @@ class RecordedErrors:
             raise InputError(f"{self.name} has a rate of {self.rate_hz} Hz, expected a positive number")
         skip = round(self.offset_s * self.rate_hz)
         if self.offset_s < 0 or skip >= values.shape[0]:
-            raise InputError(f"{self.name}: an offset of {self.offset_s:g} s is outside the record of {values.shape[0] / self.rate_hz:g} s")
+            raise InputError(
+                f"{self.name}: an offset of {self.offset_s:g} s is outside the record of {values.shape[0] / self.rate_hz:g} s"
+            )
         if isinstance(self.remove_mean, str):
             if self.remove_mean not in ("record", "piece", "none"):
-                raise InputError(f"{self.name}: remove_mean is '{self.remove_mean}', expected 'record', 'piece', 'none' or a span in s")
+                raise InputError(
+                    f"{self.name}: remove_mean is '{self.remove_mean}', expected 'record', 'piece', 'none' or a span in s"
+                )
             if self.remove_mean == "record":
                 values -= values.mean(axis=0)
         else:
@@ -84,7 +88,9 @@ class RecordedErrors:
         available = self.count(n)
         if self.order is not None:
             if index >= len(self.order):
-                raise InputError(f"{self.name}: realization {index} asked for, but the order names {len(self.order)} pieces")
+                raise InputError(
+                    f"{self.name}: realization {index} asked for, but the order names {len(self.order)} pieces"
+                )
             index = self.order[index]
         if not 0 <= index < available:
             raise InputError(
@@ -94,26 +100,6 @@ class RecordedErrors:
             )
         out = self.values[index * n : (index + 1) * n]
         return out - out.mean(axis=0) if self.remove_mean == "piece" else out
-
-
-@dataclass(frozen=True)
-class Corrupted:
-    """A corrupted record and the truth about its errors.
-
-    Parameters
-    ----------
-    imu : ImuRecord
-        What the sensor gives.
-    errors : (n, 6) array
-        Stochastic part in rad/s and m/s^2, in the order of :data:`insemu.records.AXES`; row k belongs to row k of the
-        record.
-    components : dict
-        Axis to the (processes, n) signals that sum to its column of ``errors``; empty for recorded errors.
-    """
-
-    imu: ImuRecord
-    errors: Array
-    components: Mapping[str, Array] = field(default_factory=dict)
 
 
 def draw_errors(
@@ -162,32 +148,3 @@ def add_rates(imu: ImuRecord, gyro: ArrayLike, accel: ArrayLike) -> ImuRecord:
         step = np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1])[:, None]
         gyro, accel = gyro * step, accel * step
     return replace(imu, gyro=imu.gyro + gyro, accel=imu.accel + accel)
-
-
-def corrupt(
-    imu: ImuRecord,
-    truth: Mapping[str, NoiseModel | Process] | RecordedErrors | None,
-    rng: np.random.Generator,
-    *,
-    realization: int = 0,
-) -> Corrupted:
-    """Add stochastic errors to a record.
-
-    Parameters
-    ----------
-    imu : ImuRecord
-        Ideal record of any kind at a constant rate.
-    truth : mapping of axis to NoiseModel, or RecordedErrors
-        What the sensor really does; axes that are not named stay perfect.
-    rng : numpy.random.Generator
-        Each axis draws from its own child.
-    realization : int
-        Which piece of a recorded signal is taken.
-
-    Raises
-    ------
-    InputError
-        An unknown axis, a recorded signal at another rate or too short.
-    """
-    errors, components = draw_errors(truth, len(imu), imu.dt, rng, realization)
-    return Corrupted(add_rates(imu, errors[:, :3], errors[:, 3:]), errors, components)

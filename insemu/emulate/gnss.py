@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu import earth, rotation
+from insemu.effects import EffectUse
 from insemu.errors import InputError
 from insemu.records import GnssRecord, Trajectory
 
@@ -24,7 +25,9 @@ class Outage:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.start_s) and np.isfinite(self.duration_s) and self.duration_s >= 0):
-            raise InputError(f"outage from {self.start_s} s for {self.duration_s} s: expected finite numbers and no negative duration")
+            raise InputError(
+                f"outage from {self.start_s} s for {self.duration_s} s: expected finite numbers and no negative duration"
+            )
 
     @property
     def end_s(self) -> float:
@@ -36,6 +39,69 @@ class Outage:
         t = np.asarray(t, dtype=float)
         # a microsecond of slack: fix times are sums of rounded periods
         return np.asarray((t > self.start_s + 1e-6) & (t <= self.end_s + 1e-6))
+
+
+@dataclass(frozen=True)
+class AreaOutage:
+    """No fixes within a circle on the ground: a tunnel, a wood, a street between high houses.
+
+    Parameters
+    ----------
+    latitude, longitude : float
+        Centre, rad.
+    radius : float
+        m.
+    """
+
+    latitude: float
+    longitude: float
+    radius: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite([self.latitude, self.longitude, self.radius]).all() and self.radius >= 0):
+            raise InputError("an outage area needs a finite place and a radius of zero or more")
+        if abs(self.latitude) > np.pi / 2:
+            raise InputError(f"an outage area has a latitude of {np.rad2deg(self.latitude):g} deg")
+
+    def covers(self, llh: ArrayLike) -> NDArray[np.bool_]:
+        """Which positions (n, 3) lie in the area."""
+        difference = earth.position_difference(llh, np.array([self.latitude, self.longitude, 0.0]))
+        return np.asarray(np.hypot(difference[..., 0], difference[..., 1]) < self.radius)
+
+
+def random_outages(
+    start_s: float, end_s: float, *, per_hour: float, mean_s: float, rng: np.random.Generator, clear_s: float = 0.0
+) -> tuple[Outage, ...]:
+    """Draw outages: Poisson starts, exponential durations, none in the first ``clear_s`` seconds; those that touch
+    are joined.
+
+    Parameters
+    ----------
+    start_s, end_s : float
+        Span of the trajectory, s.
+    per_hour : float
+        Mean number per hour.
+    mean_s : float
+        Mean duration, s.
+    rng : numpy.random.Generator
+        Its seed belongs to the scenario, so all designs and realizations meet the same outages.
+    clear_s : float
+        Time without outages at the start.
+    """
+    if not (per_hour >= 0 and mean_s > 0 and end_s > start_s and clear_s >= 0):
+        raise InputError("random outages need a rate of zero or more, a positive mean duration and a span")
+    span = max(0.0, end_s - start_s - clear_s)
+    count = rng.poisson(per_hour * span / 3600.0)
+    begins = np.sort(start_s + clear_s + span * rng.random(count))
+    lengths = rng.exponential(mean_s, count)
+    out: list[Outage] = []
+    for begin, length in zip(begins, lengths, strict=True):
+        end = min(begin + length, end_s)
+        if out and begin <= out[-1].end_s:
+            out[-1] = Outage(out[-1].start_s, max(end, out[-1].end_s) - out[-1].start_s)
+        else:
+            out.append(Outage(float(begin), float(end - begin)))
+    return tuple(out)
 
 
 def state_at(trajectory: Trajectory, t: ArrayLike) -> tuple[Array, Array, Array, Array]:
@@ -97,9 +163,10 @@ def gnss_fixes(
     pos_sigma_ned: ArrayLike = (0.01, 0.01, 0.02),
     vel_sigma_ned: ArrayLike | None = (0.01, 0.01, 0.02),
     lever_arm: ArrayLike = (0.0, 0.0, 0.0),
-    outages: Sequence[Outage] = (),
+    outages: Sequence[Outage | AreaOutage] = (),
     *,
     rng: np.random.Generator,
+    effects: Sequence[EffectUse] = (),
 ) -> GnssRecord:
     """Emulate the fixes of a receiver.
 
@@ -114,16 +181,19 @@ def gnss_fixes(
         velocity.
     lever_arm : (3,)
         From the IMU to the antenna in body axes, m.
-    outages : sequence of Outage
-        When there is no fix.
+    outages : sequence of Outage or AreaOutage
+        When, or where, there is no fix.
     rng : numpy.random.Generator
-        Position and velocity draw from their own children, for all epochs, so an outage does not change the fixes
-        outside of it.
+        Position, velocity and every effect draw from their own children, for all epochs, so an outage does not change
+        the fixes outside of it and an effect added at the end does not change the others.
+    effects : sequence of EffectUse
+        Those of the sensor ``gnss`` act; the others are passed over.
 
     Raises
     ------
     InputError
-        Negative sigma, a rate that is not positive, an outage past the end of the trajectory.
+        Negative sigma, a rate that is not positive, an outage past the end of the trajectory, outages that leave no
+        fix.
     """
     sigma = _three(pos_sigma_ned, "the position sigma")
     sigma_v = None if vel_sigma_ned is None else _three(vel_sigma_ned, "the velocity sigma")
@@ -132,18 +202,127 @@ def gnss_fixes(
             raise InputError(f"the {name} sigma is {values.tolist()}, expected zero or more")
     t = fix_times(trajectory, rate_hz)
     for outage in outages:
-        check_outage(outage, trajectory)
-    llh, vel = antenna(trajectory, t, _three(lever_arm, "the lever arm"))
+        if isinstance(outage, Outage):
+            check_outage(outage, trajectory)
+    arm = _three(lever_arm, "the lever arm")
     of_position, of_velocity = rng.spawn(2)
-    llh = earth.move(llh, sigma * of_position.standard_normal((t.size, 3)))
-    keep = ~np.any([o.covers(t) for o in outages], axis=0) if outages else np.ones(t.size, bool)
+    own = [use for use in effects if use.sensor == "gnss"]
+    latency = sum(use.scalar("latency") for use in own if use.id == "gnss_latency")
+    valid = t - latency
+    inside = (valid >= trajectory.t[0] - 1e-9) & (valid <= trajectory.t[-1] + 1e-9)
+    for use in own:
+        if use.id == "lever_arm":
+            arm = arm + np.array(use["value"])
+    llh, vel = antenna(trajectory, np.clip(valid, trajectory.t[0], trajectory.t[-1]), arm)
+    errors = _Errors(t, sigma, sigma_v, of_position, of_velocity)
+    for use, child in zip(own, rng.spawn(len(own)), strict=True):
+        if use.id not in ("lever_arm", "gnss_latency"):
+            _EFFECTS[use.id](errors, use, child)
+    keep = inside
+    for outage in outages:
+        keep = keep & ~(outage.covers(t) if isinstance(outage, Outage) else outage.covers(llh))
     if not keep.any():
         raise InputError("the outages leave no fix at all")
-    stated = np.broadcast_to(sigma, (int(keep.sum()), 3))
+    llh = earth.move(llh, errors.position())
+    stated = errors.stated()[keep]
     if sigma_v is None:
         return GnssRecord(t[keep], llh[keep], None, stated)
-    vel = vel + sigma_v * of_velocity.standard_normal((t.size, 3))
-    return GnssRecord(t[keep], llh[keep], vel[keep], stated, np.broadcast_to(sigma_v, stated.shape))
+    vel = vel + errors.velocity()
+    return GnssRecord(t[keep], llh[keep], vel[keep], stated, errors.stated_velocity()[keep])
+
+
+class _Errors:
+    """Errors of all fixes, (n, 3) in m and m/s; effects change the levels and add to the sums."""
+
+    def __init__(
+        self,
+        t: Array,
+        sigma: Array,
+        sigma_v: Array | None,
+        of_position: np.random.Generator,
+        of_velocity: np.random.Generator,
+    ) -> None:
+        n = t.size
+        self.t, self.sigma, self.sigma_v = t, sigma, sigma_v
+        self.white = of_position.standard_normal((n, 3))
+        self.white_v = of_velocity.standard_normal((n, 3))
+        self.level, self.level_v = np.ones((n, 3)), np.ones((n, 3))
+        self.said = np.ones((n, 1))
+        self.added, self.added_v = np.zeros((n, 3)), np.zeros((n, 3))
+
+    def position(self) -> Array:
+        return np.asarray(self.level * self.sigma * self.white + self.added)
+
+    def velocity(self) -> Array:
+        assert self.sigma_v is not None
+        return np.asarray(self.level_v * self.sigma_v * self.white_v + self.added_v)
+
+    def stated(self) -> Array:
+        return np.asarray(self.said * self.sigma)
+
+    def stated_velocity(self) -> Array:
+        assert self.sigma_v is not None
+        return np.asarray(self.said * self.sigma_v)
+
+
+def gauss_markov(t: Array, sigma: ArrayLike, tau: float, rng: np.random.Generator) -> Array:
+    """Stationary first-order Gauss-Markov processes (n, 3) at times (n,) that need not be regular."""
+    if not tau > 0:
+        raise InputError(f"a correlation time is {tau:g} s, expected a positive number")
+    a = np.exp(-np.diff(t) / tau)
+    white = rng.standard_normal((t.size, 3))
+    out = np.empty((t.size, 3))
+    out[0] = white[0]
+    for k in range(1, t.size):
+        out[k] = a[k - 1] * out[k - 1] + np.sqrt(1.0 - a[k - 1] ** 2) * white[k]
+    return np.asarray(out * np.asarray(sigma))
+
+
+def _noise_level(errors: _Errors, use: EffectUse, rng: np.random.Generator) -> None:
+    errors.level *= np.array(use["factor"])
+
+
+def _correlated(errors: _Errors, use: EffectUse, rng: np.random.Generator) -> None:
+    errors.added += gauss_markov(errors.t, use["sigma"], use.scalar("tau"), rng)
+
+
+def _velocity_noise(errors: _Errors, use: EffectUse, rng: np.random.Generator) -> None:
+    errors.level_v *= np.array(use["factor"])
+    errors.added_v += gauss_markov(errors.t, use["sigma"], use.scalar("tau"), rng)
+
+
+def _multipath_step(errors: _Errors, use: EffectUse, rng: np.random.Generator) -> None:
+    errors.added[Outage(use.scalar("start"), use.scalar("duration")).covers(errors.t)] += np.array(use["value"])
+
+
+def _outliers(errors: _Errors, use: EffectUse, rng: np.random.Generator) -> None:
+    hit = rng.random(errors.t.size) < use.scalar("probability")
+    errors.added += hit[:, None] * np.array(use["sigma"]) * rng.standard_normal((errors.t.size, 3))
+
+
+def _quality(errors: _Errors, use: EffectUse, rng: np.random.Generator) -> None:
+    """A two-state Markov chain at the fix epochs, started in the good state."""
+    step = np.diff(errors.t, prepend=errors.t[0])
+    leave_good, leave_poor = 1 - np.exp(-step / use.scalar("good")), 1 - np.exp(-step / use.scalar("poor"))
+    u = rng.random(errors.t.size)
+    poor = np.zeros(errors.t.size, bool)
+    for k in range(1, errors.t.size):
+        poor[k] = u[k] >= leave_poor[k] if poor[k - 1] else u[k] < leave_good[k]
+    factor = np.where(poor, use.scalar("factor"), 1.0)[:, None]
+    errors.level *= factor
+    errors.level_v *= factor
+    if use.scalar("stated"):
+        errors.said *= factor
+
+
+_EFFECTS = {
+    "gnss_noise_level": _noise_level,
+    "gnss_correlated_noise": _correlated,
+    "gnss_velocity_noise": _velocity_noise,
+    "gnss_multipath_step": _multipath_step,
+    "gnss_outliers": _outliers,
+    "gnss_quality": _quality,
+}
 
 
 def fix_times(trajectory: Trajectory, rate_hz: float) -> Array:

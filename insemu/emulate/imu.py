@@ -110,7 +110,9 @@ def ideal_imu(
     mount = mounting or Mounting()
     if isinstance(trajectory, Trajectory):
         if mode != "exact":
-            raise InputError("mode 'continuous' needs a smooth path; nodes alone say nothing between them: smooth them first")
+            raise InputError(
+                "mode 'continuous' needs a smooth path; nodes alone say nothing between them: smooth them first"
+            )
         if not mount.is_identity:
             raise InputError("nodes are taken as those of the IMU itself; a mounting needs a smooth path")
         if rate_hz is not None:
@@ -142,7 +144,9 @@ def _exact(nodes: Trajectory, kind: ImuKind, gravity: str) -> IdealImu:
     gyro, accel, nav = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, strapdown.NAV_SIZE))
     invert(nodes.t, target, earth.gravity_code(gravity), 2, gyro, accel, nav)
     if not np.isfinite(nav[-1]).all():
-        raise InputError("the trajectory cannot be inverted: its states are not finite (more than half a revolution per sample?)")
+        raise InputError(
+            "the trajectory cannot be inverted: its states are not finite (more than half a revolution per sample?)"
+        )
     rpy = rotation.rpy_from_quaternion(nav[:, 6:10])
     rpy[0] = nodes.rpy[0]  # so that a start from the reference is the very same start
     reference = Trajectory(nodes.t, nav[:, 0:3], nav[:, 3:6], rpy, nodes.name)
@@ -182,7 +186,9 @@ def navigation_error(ideal: IdealImu, imu: ImuRecord | None = None) -> Array:
     Position in metres north, east, down; velocity m/s; attitude rad (estimate minus truth).
     """
     nav = strapdown.mechanize_array(imu or ideal.imu, ideal.reference, gravity=ideal.gravity)
-    truth = np.concatenate([ideal.reference.llh, ideal.reference.vel_ned, rotation.quaternion_from_rpy(ideal.reference.rpy)], axis=1)
+    truth = np.concatenate(
+        [ideal.reference.llh, ideal.reference.vel_ned, rotation.quaternion_from_rpy(ideal.reference.rpy)], axis=1
+    )
     return strapdown.navigation_errors(nav, truth)
 
 

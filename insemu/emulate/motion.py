@@ -176,7 +176,9 @@ def path_of(
         Disturbances added to the velocity (north, east, up, m/s) and the Euler angles (rad) at the knots.
     """
     vel = np.stack([p.speed * np.cos(p.heading), p.speed * np.sin(p.heading), p.climb_rate], axis=1)
-    rpy = vehicle.attitude(speed=p.speed, acceleration=p.acceleration, heading=p.heading, turn_rate=p.turn_rate, climb_rate=p.climb_rate)
+    rpy = vehicle.attitude(
+        speed=p.speed, acceleration=p.acceleration, heading=p.heading, turn_rate=p.turn_rate, climb_rate=p.climb_rate
+    )
     if gust_vel is not None:
         vel = vel + gust_vel
     if gust_rpy is not None:

@@ -62,7 +62,9 @@ class SmoothPath:
     name: str = "path"
 
     @classmethod
-    def from_velocity(cls, t: ArrayLike, vel_map: ArrayLike, rpy: ArrayLike, origin: ArrayLike, name: str) -> SmoothPath:
+    def from_velocity(
+        cls, t: ArrayLike, vel_map: ArrayLike, rpy: ArrayLike, origin: ArrayLike, name: str
+    ) -> SmoothPath:
         """Integrate velocity nodes (n, 3) (north, east, up, m/s) from the origin; attitude nodes (n, 3) in rad, not
         wrapped.
 
@@ -107,7 +109,9 @@ class SmoothPath:
         scale_n, scale_e = self._scale()
         p = self.position(self._check(t))
         lon = self.origin[1] + p[:, 1] / scale_e
-        return np.stack([self.origin[0] + p[:, 0] / scale_n, (lon + np.pi) % (2 * np.pi) - np.pi, self.origin[2] + p[:, 2]], axis=1)
+        return np.stack(
+            [self.origin[0] + p[:, 0] / scale_n, (lon + np.pi) % (2 * np.pi) - np.pi, self.origin[2] + p[:, 2]], axis=1
+        )
 
     def vel_ned(self, t: ArrayLike) -> Array:
         """Earth-relative velocity (n, 3) in m/s at times (n,)."""
@@ -115,7 +119,10 @@ class SmoothPath:
         scale_n, scale_e = self._scale()
         llh, d = self.llh(t), self.position(t, 1)
         rm, rn = earth.radii(llh[:, 0])
-        return np.stack([(rm + llh[:, 2]) * d[:, 0] / scale_n, (rn + llh[:, 2]) * np.cos(llh[:, 0]) * d[:, 1] / scale_e, -d[:, 2]], axis=1)
+        return np.stack(
+            [(rm + llh[:, 2]) * d[:, 0] / scale_n, (rn + llh[:, 2]) * np.cos(llh[:, 0]) * d[:, 1] / scale_e, -d[:, 2]],
+            axis=1,
+        )
 
     def rpy(self, t: ArrayLike) -> Array:
         """Roll, pitch, heading (n, 3) in rad at times (n,), heading not wrapped."""

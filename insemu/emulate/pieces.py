@@ -1,6 +1,7 @@
 """True error signals, one piece per realization: cut from simulated records or from recorded static signals.
 
-Pieces never overlap. The mean of the record they come from is removed, as a calibration over the record would (paper of 2014, section VI).
+Pieces never overlap. The mean of the record they come from is removed, as a calibration over the record would (paper
+of 2014, section VI).
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ class ErrorPieces:
     draw: Callable[[int], Array]
 
     def piece(self, realization: int) -> Array:
-        """The (n, 6) error signals of one realization, rad/s and m/s^2, columns in the order of :data:`insemu.records.AXES`.
+        """The (n, 6) error signals of one realization, rad/s and m/s^2, columns in the order of
+        :data:`insemu.records.AXES`.
 
         Row 0 belongs to the interval before the start, which nothing integrates; it repeats row 1.
 
@@ -69,8 +71,8 @@ def simulated_pieces(
     rate_hz : float
         IMU rate.
     record_s : float or None
-        Length of the records; every record is cut into as many pieces as fit and its mean is removed. None: every piece is drawn on
-        its own and keeps its mean.
+        Length of the records; every record is cut into as many pieces as fit and its mean is removed. None: every
+        piece is drawn on its own and keeps its mean.
     rng : callable
         ``(record, axis) -> Generator``: a stream of its own for every record and axis.
 

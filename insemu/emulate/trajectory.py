@@ -1,74 +1,22 @@
-"""Built-in flights and drives: a smooth path with its legs and the GNSS outages that belong to it."""
+"""Built-in flights and drives."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.emulate.motion import Command, Leg, Profile, legs_of, path_of, profile
-from insemu.emulate.path import SmoothPath
+from insemu.emulate.drives import urban_drive_1, urban_drive_2
+from insemu.emulate.flight import Flight, gusts, moving, place
+from insemu.emulate.motion import Command, Leg, Profile, legs_of, path_of, profile, smoothstep, smoothstep_integral
+from insemu.emulate.path import KNOT_S, SmoothPath
 from insemu.emulate.vehicle import VEHICLES
 from insemu.errors import InputError, nearest
 
 Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True)
-class Flight:
-    """A path with what belongs to it.
-
-    Parameters
-    ----------
-    path : SmoothPath
-        The motion.
-    vehicle : str
-        Key of :data:`insemu.emulate.vehicle.VEHICLES`.
-    legs : tuple of Leg
-        Named stretches.
-    outages : tuple of (start_s, duration_s)
-        GNSS outages that belong to the flight.
-    """
-
-    path: SmoothPath
-    vehicle: str
-    legs: tuple[Leg, ...] = ()
-    outages: tuple[tuple[float, float], ...] = ()
-
-    @property
-    def name(self) -> str:
-        """Name of the path."""
-        return self.path.name
-
-    def leg_at(self, start_s: float, end_s: float) -> Leg | None:
-        """The leg that contains a whole interval, if there is one."""
-        for leg in self.legs:
-            if leg.start_s <= start_s and end_s <= leg.end_s:
-                return leg
-        return None
-
-
-def _origin(lat_deg: float, lon_deg: float, height: float) -> Array:
-    return np.array([np.deg2rad(lat_deg), np.deg2rad(lon_deg), height])
-
-
-def gusts(t: Array, rms: float, band_hz: tuple[float, float], envelope: Array, seed: int, columns: int = 3) -> Array:
-    """Smooth random disturbances (n, columns): 24 sines per column with frequencies spread over a band, times an
-    envelope.
-
-    The seed belongs to the trajectory, not to a run: a built-in flight is the same flight in every realization.
-    """
-    rng = np.random.default_rng(seed)
-    lines = 24
-    f = np.exp(rng.uniform(np.log(band_hz[0]), np.log(band_hz[1]), (columns, lines)))
-    phase = rng.uniform(0, 2 * np.pi, (columns, lines))
-    out = np.zeros((t.size, columns))
-    for j in range(columns):
-        for k in range(lines):
-            out[:, j] += np.sin(2 * np.pi * f[j, k] * t + phase[j, k])
-    return np.asarray(out * (rms * np.sqrt(2.0 / lines)) * envelope[:, None])
+__all__ = ["TRAJECTORIES", "Flight", "built_in"]
 
 
 def helicopter_mapping() -> Flight:
@@ -102,36 +50,136 @@ def helicopter_mapping() -> Flight:
         Command(25.0, name="hover at the end"),
     ]
     p = profile(commands, heading=60.0 * deg)
-    moving = _envelope(p)
+    shake = moving(p.speed)
     path = path_of(
         p,
         VEHICLES["helicopter"],
-        _origin(46.52, 6.57, 450.0),
+        place(46.52, 6.57, 450.0),
         "helicopter_mapping",
-        gust_vel=gusts(p.t, 0.1, (0.1, 1.0), moving, 7001),
-        gust_rpy=gusts(p.t, 0.3 * deg, (0.1, 1.0), moving, 7002),
+        gust_vel=gusts(p.t, 0.1, (0.1, 1.0), shake, 7001),
+        gust_rpy=gusts(p.t, 0.3 * deg, (0.1, 1.0), shake, 7002),
     )
     return Flight(path, "helicopter", legs_of(commands), ((420.0, 60.0), (660.0, 60.0), (900.0, 60.0)))
 
 
-def _envelope(p: Profile) -> Array:
-    """From 0 at rest to 1 above about 5 m/s, smooth, so that a vehicle at rest is at rest."""
-    v2 = p.speed**2
-    return np.asarray(v2 * v2 / (v2 * v2 + 4.0**4))
+def turbulent_uav() -> Flight:
+    """Twenty minutes of a small fixed wing in turbulence: circles and eights with up to 33 deg of bank at 18 to 24 m/s.
+
+    Gusts between 0.1 and 2 Hz of 0.1 m/s and 1.3, 1.0 and 0.5 deg in roll, pitch and heading (rates to 27 deg/s): a
+    test of coning and sculling.
+    """
+    deg = np.pi / 180
+    commands = [
+        Command(20.0, name="rest on the runway"),
+        Command(18.0, speed=18.0, name="take-off run"),
+        Command(60.0, speed=22.0, climb=120.0, name="climb"),
+    ]
+    for k in range(7):
+        side = 1.0 if k % 2 == 0 else -1.0
+        commands += [
+            Command(40.0, turn=side * 360.0 * deg, climb=15.0 * side, speed=20.0 + k % 3),
+            Command(35.0, name=f"leg {2 * k + 1}"),
+            Command(24.0, turn=-side * 200.0 * deg),
+            Command(40.0, climb=-10.0 * side, name=f"leg {2 * k + 2}"),
+        ]
+    commands += [
+        Command(85.0, speed=18.0, climb=-130.0, name="descent and landing"),
+        Command(20.0, speed=0.0, name="landing run"),
+        Command(24.0, name="rest at the end"),
+    ]
+    p = profile(commands, heading=-60.0 * deg)
+    shake = moving(p.speed)
+    path = path_of(
+        p,
+        VEHICLES["fixed_wing"],
+        place(46.5, -71.3, 80.0),
+        "turbulent_uav",
+        gust_vel=gusts(p.t, 0.1, (0.1, 2.0), shake, 7101),
+        gust_rpy=gusts(p.t, 1.3 * deg, (0.1, 2.0), shake, 7102) * np.array([1.0, 0.8, 0.4]),
+    )
+    return Flight(path, "fixed_wing", legs_of(commands))
+
+
+def lemniscate() -> Flight:
+    """Twenty minutes of a multirotor on an eight of 200 m by 100 m, a round in 80 s, climbing and sinking by 8 m."""
+    duration, period, a = 1200.0, 80.0, 100.0
+    t = np.linspace(0.0, duration, int(duration / KNOT_S) + 1)
+    # rest for 20 s, then up to speed within 20 s, and the reverse at the end
+    up, down = (t - 20.0) / 20.0, (t - (duration - 40.0)) / 20.0
+    omega = 2 * np.pi / period
+    phase = omega * 20.0 * (smoothstep_integral(np.maximum(up, 0.0)) - smoothstep_integral(np.maximum(down, 0.0)))
+    rate = omega * (smoothstep(up) - smoothstep(down))
+    s, c = np.sin(phase), np.cos(phase)
+    dn, de = a * np.cos(2 * phase) * 1.0, a * c  # of north = a sin cos, east = a sin
+    ddn, dde = -2 * a * np.sin(2 * phase), -a * s
+    vel = np.stack([dn * rate, de * rate, 8.0 * 0.5 * np.sin(0.5 * phase) * rate], axis=1)
+    bend = (dn * dde - de * ddn) / (dn**2 + de**2)  # derivative of the course with phase
+    speed = np.hypot(vel[:, 0], vel[:, 1])
+    p = Profile(
+        t=t,
+        speed=speed,
+        acceleration=np.gradient(speed, t),
+        heading=np.unwrap(np.arctan2(de, dn)),
+        turn_rate=bend * rate,
+        height=np.zeros_like(t),
+        climb_rate=vel[:, 2],
+        climb_acceleration=np.zeros_like(t),
+    )
+    rpy = VEHICLES["multirotor"].attitude(
+        speed=p.speed, acceleration=p.acceleration, heading=p.heading, turn_rate=p.turn_rate, climb_rate=p.climb_rate
+    )
+    path = SmoothPath.from_velocity(t, vel, rpy, place(46.52, 6.57, 420.0), "lemniscate")
+    return Flight(path, "multirotor", (Leg("rest at the start", 0.0, 20.0, True),))
+
+
+def survey() -> Flight:
+    """Two hours of an aeroplane at 60 m/s: sixteen lines of 300 s, 2.7 km apart, at 1500 m above the start."""
+    deg = np.pi / 180
+    commands = [
+        Command(60.0, name="rest on the runway"),
+        Command(30.0, speed=50.0, name="take-off run"),
+        Command(300.0, speed=60.0, climb=1500.0, name="climb"),
+    ]
+    for k in range(16):
+        commands.append(Command(300.0, name=f"line {k + 1}"))
+        if k < 15:
+            commands.append(Command(70.0, turn=(180.0 if k % 2 == 0 else -180.0) * deg, climb=20.0 * (k % 3 - 1)))
+    end = sum(c.duration_s for c in commands)
+    commands += [
+        Command(7200.0 - end - 100.0, speed=45.0, climb=-1480.0, name="descent and landing"),
+        Command(40.0, speed=0.0, name="landing run"),
+        Command(60.0, name="rest at the end"),
+    ]
+    p = profile(commands, heading=10.0 * deg)
+    shake = moving(p.speed)
+    path = path_of(
+        p,
+        VEHICLES["fixed_wing"],
+        place(47.0, 8.0, 420.0),
+        "survey",
+        gust_vel=gusts(p.t, 0.3, (0.05, 0.8), shake, 7301),
+        gust_rpy=gusts(p.t, 0.5 * deg, (0.05, 0.8), shake, 7302),
+    )
+    return Flight(path, "fixed_wing", legs_of(commands))
 
 
 def static(duration_s: float = 1200.0) -> Flight:
     """A table at rest, tilted by 1 deg in roll and -2 deg in pitch, heading 40 deg."""
     t = np.linspace(0.0, duration_s, 9)
     rpy = np.tile(np.deg2rad([1.0, -2.0, 40.0]), (t.size, 1))
-    path = SmoothPath.from_velocity(t, np.zeros((t.size, 3)), rpy, _origin(46.52, 6.57, 400.0), "static")
+    path = SmoothPath.from_velocity(t, np.zeros((t.size, 3)), rpy, place(46.52, 6.57, 400.0), "static")
     return Flight(path, "car", (Leg("rest", 0.0, duration_s, True),))
 
 
 #: Built-in flights and drives by name.
 TRAJECTORIES: dict[str, Callable[[], Flight]] = {
     "helicopter_mapping": helicopter_mapping,
+    "urban_drive_1": urban_drive_1,
+    "urban_drive_2": urban_drive_2,
+    "turbulent_uav": turbulent_uav,
+    "lemniscate": lemniscate,
     "static": static,
+    "survey": survey,
 }
 
 

@@ -48,7 +48,9 @@ class Vehicle:
     max_climb: float
     jerk: float
 
-    def attitude(self, *, speed: Array, acceleration: Array, heading: Array, turn_rate: Array, climb_rate: Array) -> Array:
+    def attitude(
+        self, *, speed: Array, acceleration: Array, heading: Array, turn_rate: Array, climb_rate: Array
+    ) -> Array:
         """Roll, pitch, heading (n, 3) in rad of a motion given by (n,) arrays in SI.
 
         A car follows the road and leans out of the curve on its springs by 3 deg per g; a fixed wing banks in

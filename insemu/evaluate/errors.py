@@ -101,8 +101,9 @@ class PairedComparison:
 
     @property
     def different(self) -> bool:
-        """Whether the 95 % interval of the ratio excludes 1."""
-        return self.low is not None and self.high is not None and not self.low <= 1.0 <= self.high
+        """Whether the 95 % interval of the ratio excludes 1 and the difference is one that could matter (2 % or more)."""
+        excluded = self.low is not None and self.high is not None and not self.low <= 1.0 <= self.high
+        return excluded and abs(self.ratio - 1.0) >= 0.02
 
 
 def paired_ratio(one: ArrayLike, other: ArrayLike) -> PairedComparison:

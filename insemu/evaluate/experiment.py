@@ -23,23 +23,16 @@ from numpy.typing import NDArray
 
 import insemu
 from insemu import earth
-from insemu.emulate import (
-    ErrorPieces,
-    Outage,
-    corrupt,
-    gnss_fixes,
-    ideal_imu,
-    recorded_pieces,
-    simulated_pieces,
-    trajectories,
-)
+from insemu.emulate import Outage, RecordedErrors, built_in, gnss_fixes, ideal_imu
+from insemu.emulate.errors import add_rates
+from insemu.emulate.pieces import ErrorPieces, recorded_pieces, simulated_pieces
 from insemu.errors import InputError
 from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.results import DesignInfo, Results
 from insemu.filters import FilterOptions, InitialSigma, LooselyCoupledEKF
 from insemu.fit import FitResult, fit
 from insemu.formats import AXIS_OF_COLUMN, read_static
-from insemu.noise import NoiseModel, load
+from insemu.noise import NoiseModel, axis_unit, load
 from insemu.records import AXES, ImuRecord, Series, Trajectory
 from insemu.scenario import AxisSource, RecordedSignal, Scenario, digest, resolve_path
 from insemu.strapdown import NavState
@@ -141,7 +134,7 @@ class Experiment:
                     where=f"{file or 'scenario'}: gnss.outages.{k}",
                 )
         self._lock = Lock()
-        if scenario.truth.recorded is not None and scenario.realizations > self.pieces.count:
+        if self.pieces.count is not None and scenario.realizations > self.pieces.count:
             raise InputError(
                 f"{scenario.realizations} realizations of {length:g} s asked for, but the recorded signals hold "
                 f"{self.pieces.count} non-overlapping pieces of that length",
@@ -193,9 +186,7 @@ class Experiment:
         for index, (axis, model) in enumerate(self.scenario.truth.models().items()):
             if model not in drawn:  # axes with one truth share one log, as one sensor type has one calibration
                 values = model.at_rate(rate).simulate(n, 1.0 / rate, stream(self.scenario.seed, "fits", index))
-                drawn[model] = Series(
-                    values - values.mean(), rate, "rad/s" if axis.startswith("gyro") else "m/s^2", axis
-                )
+                drawn[model] = Series(values - values.mean(), rate, axis_unit(axis), axis)
             out[axis] = [drawn[model]]
         return out
 
@@ -219,7 +210,7 @@ class Experiment:
                     log = self.fit_logs[axis][0]
                     key = (source.fit, id(log))
                     if key not in done:
-                        done[key] = fit(log, NoiseModel.parse(source.fit).at_rate(log.rate_hz))
+                        done[key] = fit(log, NoiseModel.parse(source.fit, axis_unit(axis)))
                     fits[axis] = done[key]
                     models[axis] = done[key].model
             out[name] = Belief({axis: m.at_rate(self.scenario.trajectory.rate) for axis, m in models.items()}, fits)
@@ -340,7 +331,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         "packages": {name: metadata.version(name) for name in packages},
         "ideal_imu_distance_m": experiment.path_distance_m,
         "beliefs": {
-            name: {axis: m.to_list("rad/s" if axis.startswith("gyro") else "m/s^2") for axis, m in b.models.items()}
+            name: {axis: m.to_list(axis_unit(axis)) for axis, m in b.models.items()}
             for name, b in experiment.beliefs.items()
         },
     }
@@ -446,5 +437,5 @@ def _keep(folder: Path | None, realization: int, item: Mapping[str, Array]) -> N
     path = folder / f"{realization:05d}.npz"
     partial = path.with_suffix(".tmp")
     with partial.open("wb") as handle:
-        np.savez(handle, **item)
+        np.savez(handle, allow_pickle=False, **item)
     partial.replace(path)  # a reader sees a whole file or none

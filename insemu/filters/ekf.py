@@ -23,9 +23,10 @@ Array = NDArray[np.float64]
 Store = Literal["none", "fixes"]
 
 
-def _three(value: ArrayLike, name: str) -> Array:
-    out = np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), (3,)))
-    if not (np.isfinite(out).all() and (out >= 0).all()):
+def _three(value: ArrayLike | None, name: str, *, unknown: bool = False) -> Array:
+    """Three standard deviations; where ``unknown`` is allowed, None or NaN stand for "not known"."""
+    out = np.array(np.broadcast_to(np.asarray(np.nan if value is None else value, dtype=np.float64), (3,)))
+    if not (((np.isfinite(out)) & (out >= 0)) | (np.isnan(out) & unknown)).all():
         raise InputError(
             f"{name} is {np.asarray(value).tolist()}, expected one or three standard deviations that are not negative"
         )
@@ -280,7 +281,7 @@ def _pack(aug: Augmentation, powers: int) -> _Packed:
     )
 
 
-GnssSigma = tuple[ArrayLike, ArrayLike]
+GnssSigma = tuple[ArrayLike | None, ArrayLike | None]
 
 
 class LooselyCoupledEKF:
@@ -324,7 +325,12 @@ class LooselyCoupledEKF:
         if not np.isfinite(self.lever_arm).all():
             raise InputError(f"lever_arm is {np.asarray(lever_arm).tolist()}, expected three finite numbers of metres")
         self.gnss_sigma = (
-            None if gnss_sigma is None else (_three(gnss_sigma[0], "gnss_sigma"), _three(gnss_sigma[1], "gnss_sigma"))
+            None
+            if gnss_sigma is None
+            else (
+                _three(gnss_sigma[0], "gnss_sigma", unknown=True),
+                _three(gnss_sigma[1], "gnss_sigma", unknown=True),
+            )
         )
         self._packed = _pack(self.augmentation, self.options.covariance_every)
 
@@ -398,7 +404,7 @@ class LooselyCoupledEKF:
         if x0.shape != (m,):
             raise InputError(f"initial_states has shape {x0.shape}, expected ({m},)")
         t = record.t
-        events = self._events(t, gnss)
+        events = self.events(t, gnss)
         f = events.t.size
         cov_epoch = np.unique(
             np.searchsorted(t, np.asarray(o.covariance_at, dtype=np.float64) - 1e-9).clip(0, t.size - 1)
@@ -420,17 +426,12 @@ class LooselyCoupledEKF:
         node_nav, node_x, node_dx = np.empty((kept, 10)), np.empty((kept, m)), np.empty((kept, n))
         before, after, phi = (np.empty((kept, n, n)) for _ in range(3))
         P = np.empty((n, n))
-        thresholds = np.full(7, np.inf)
-        if o.gate is not None:
-            thresholds[1:] = chi2.isf(o.gate, np.arange(1, 7))
-        offset = [
-            self.layout.slices[name].start if name in self.layout.slices else -1 for name in ("lever_arm", "latency")
-        ]
+        lever_at, latency_at = self.installation()
         a, p = self.augmentation, self._packed
         started = time.perf_counter()
         code, detail = kernel.run(
             t, record.gyro, record.accel, nav, x0, P0, p.place, a.axis, a.c, a.driver, p.slots, p.diagonal, p.d, p.phi, p.q_at, p.q,
-            a.white, self._gravity, self.lever_arm, offset[0], offset[1], thresholds, o.covariance_every, o.output_every,
+            a.white, self._gravity, self.lever_arm, lever_at, latency_at, self.thresholds(), o.covariance_every, o.output_every,
             events.epoch, events.kind, events.tau, events.z, events.var, cov_epoch, node_epoch, stored,
             out_nav, out_var, out_x, nu, S, nis, dof, ok, K, H, out_P, node_nav, node_x, before, after, phi, node_dx, P,
         )  # fmt: skip
@@ -470,7 +471,20 @@ class LooselyCoupledEKF:
             seconds,
         )
 
-    def _events(self, t: Array, gnss: GnssRecord | None) -> _Events:
+    def thresholds(self) -> Array:
+        """Largest accepted normalised innovation squared by the number of components, (7,)."""
+        out = np.full(7, np.inf)
+        if self.options.gate is not None:
+            out[1:] = chi2.isf(self.options.gate, np.arange(1, 7))
+        return out
+
+    def installation(self) -> tuple[int, int]:
+        """Place of the first lever-arm state and of the latency state, -1 where they are not carried."""
+        slices = self.layout.slices
+        lever, latency = (slices[name].start if name in slices else -1 for name in ("lever_arm", "latency"))
+        return lever, latency
+
+    def events(self, t: Array, gnss: GnssRecord | None) -> _Events:
         """Fixes and standstill updates in the order of the epochs at which they are used."""
         parts: list[_Events] = []
         if gnss is not None:

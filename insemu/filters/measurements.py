@@ -157,23 +157,31 @@ def fill_fix(
             if 0 <= axis[s] < 3:
                 for i in range(3):
                     H[3 + i, 9 + s] = -X[i, axis[s]] * c_of[s]
+                    H[i, 9 + s] = tau * X[i, axis[s]] * c_of[s]
         spread = (1.0 + shift) * (1.0 + shift) + shift * shift
         for i in range(3):
             for j in range(3):
                 for k in range(3):
                     R[3 + i, 3 + j] += spread * white[k] * X[i, k] * X[j, k]
     if lever_at >= 0:
+        # C [w x], and its change with the age of the fix
+        M = np.empty((3, 3))
         for i in range(3):
-            for j in range(3):
-                H[i, lever_at + j] = C[i, j]
-            # C [w x]
-            H[3 + i, lever_at] = C[i, 1] * omega[2] - C[i, 2] * omega[1]
-            H[3 + i, lever_at + 1] = C[i, 2] * omega[0] - C[i, 0] * omega[2]
-            H[3 + i, lever_at + 2] = C[i, 0] * omega[1] - C[i, 1] * omega[0]
+            M[i, 0] = C[i, 1] * omega[2] - C[i, 2] * omega[1]
+            M[i, 1] = C[i, 2] * omega[0] - C[i, 0] * omega[2]
+            M[i, 2] = C[i, 0] * omega[1] - C[i, 1] * omega[0]
+        for j in range(3):
+            for i in range(3):
+                H[i, lever_at + j] = C[i, j] - tau * M[i, j]
+            H[3, lever_at + j] = M[0, j] - tau * (omega_n[1] * M[2, j] - omega_n[2] * M[1, j])
+            H[4, lever_at + j] = M[1, j] - tau * (omega_n[2] * M[0, j] - omega_n[0] * M[2, j])
+            H[5, lever_at + j] = M[2, j] - tau * (omega_n[0] * M[1, j] - omega_n[1] * M[0, j])
     if latency_at >= 0:
         for i in range(3):
-            H[i, latency_at] = -(nav[3 + i] + swing[i])
-            H[3 + i, latency_at] = -acc[i]
+            H[i, latency_at] = -(nav[3 + i] + swing[i]) + tau * acc[i]
+        H[3, latency_at] = -acc[0] - (omega_n[1] * swing[2] - omega_n[2] * swing[1])
+        H[4, latency_at] = -acc[1] - (omega_n[2] * swing[0] - omega_n[0] * swing[2])
+        H[5, latency_at] = -acc[2] - (omega_n[0] * swing[1] - omega_n[1] * swing[0])
 
 
 @njit(cache=True, nogil=True)

@@ -92,8 +92,8 @@ def covariances(
     corners = np.empty(9)
     squeeze, linear, curved = np.empty(a.size), np.empty(a.size), np.empty(a.size)
     for j in range(levels):
-        for l in range(j, levels):
-            mj, ml = m[j], m[l]
+        for other in range(j, levels):
+            mj, ml = m[j], m[other]
             count_j, count_l = n - 2.0 * mj + 1.0, n - 2.0 * ml + 1.0
             means = drift * drift * mj * ml / 4.0
             reach = 2.0 * (mj + ml)
@@ -146,11 +146,15 @@ def covariances(
                             half, centre = 0.5 * (stop - start), 0.5 * (start + stop)
                             mirror = lo + hi - centre
                             for x in range(5):
-                                total += half * _W[x] * _term(
-                                    centre + half * _X[x], mj, ml, n, poly, a, squeeze, linear, curved, means
+                                total += (
+                                    half
+                                    * _W[x]
+                                    * _term(centre + half * _X[x], mj, ml, n, poly, a, squeeze, linear, curved, means)
                                 )
-                                total += half * _W[x] * _term(
-                                    mirror + half * _X[x], mj, ml, n, poly, a, squeeze, linear, curved, means
+                                total += (
+                                    half
+                                    * _W[x]
+                                    * _term(mirror + half * _X[x], mj, ml, n, poly, a, squeeze, linear, curved, means)
                                 )
                             start = stop
                             width *= 2.0
@@ -159,13 +163,22 @@ def covariances(
                 previous = max(previous, end)
                 if previous > last:
                     break
-            out[j, l] = total / (count_j * count_l)
-            out[l, j] = out[j, l]
+            out[j, other] = total / (count_j * count_l)
+            out[other, j] = out[j, other]
 
 
 @njit(cache=True, nogil=True)
 def _term(
-    i: float, mj: float, ml: float, n: int, poly: Array, a: Array, squeeze: Array, linear: Array, curved: Array, means: float
+    i: float,
+    mj: float,
+    ml: float,
+    n: int,
+    poly: Array,
+    a: Array,
+    squeeze: Array,
+    linear: Array,
+    curved: Array,
+    means: float,
 ) -> float:  # pragma: no cover - compiled
     """One lag of the double sum: number of pairs times the covariance of squares (Isserlis)."""
     pairs = min(n - 1.0, n - 1.0 - i) - max(2.0 * ml - 1.0, 2.0 * mj - 1.0 - i) + 1.0

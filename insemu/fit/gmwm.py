@@ -181,7 +181,9 @@ def fit_curve(
     Equations (20), (22)-(27) and (34) of paper 000. The covariance of the curve is that of the fitted model over the finite record.
     """
     if curve.filter != "haar":
-        raise InputError(f"the wavelet variance of filter '{curve.filter}' cannot be fitted; closed forms exist for 'haar'")
+        raise InputError(
+            f"the wavelet variance of filter '{curve.filter}' cannot be fitted; closed forms exist for 'haar'"
+        )
     if weighting not in get_args(Weighting):
         raise InputError(f"weighting is '{weighting}', expected one of: {', '.join(get_args(Weighting))}")
     structure = Structure.of(model, curve.rate_hz)
@@ -189,10 +191,14 @@ def fit_curve(
     use &= curve.scale_samples <= curve.n_samples
     scale, value = curve.scale_samples[use], curve.value[use]
     if not (value > 0).all():
-        raise InputError(f"{name}: the wavelet variance is zero at {curve.tau_s[use][value <= 0][0]:g} s; a constant signal has no noise to fit")
+        raise InputError(
+            f"{name}: the wavelet variance is zero at {curve.tau_s[use][value <= 0][0]:g} s; a constant signal has no noise to fit"
+        )
     p = structure.free_parameters
     if value.size < max(p, 1):
-        raise InputError(f"{name}: {model} has {p} free parameters and the curve {value.size} scale(s); expected at least as many scales")
+        raise InputError(
+            f"{name}: {model} has {p} free parameters and the curve {value.size} scale(s); expected at least as many scales"
+        )
     n, dt = curve.n_samples, 1.0 / curve.rate_hz
 
     if covariance is not None:
@@ -200,7 +206,9 @@ def fit_curve(
     else:
         width = interval_widths(curve) if widths is None else np.asarray(widths, dtype=np.float64)
         if width.shape != curve.value.shape or not (width[use] > 0).all():
-            raise InputError(f"widths has shape {width.shape}, expected {curve.value.size} positive numbers, one per scale")
+            raise InputError(
+                f"widths has shape {width.shape}, expected {curve.value.size} positive numbers, one per scale"
+            )
         W = np.diag(1.0 / width[use])
     starts = structure.internal(start)[1][None, :] if start is not None else structure.starts(n)
     best = search(structure, scale, value, W, n, starts)
@@ -272,7 +280,12 @@ def _covariance(
 
 
 def bootstrap_curves(
-    model: NoiseModel, n_samples: int, rate_hz: float, scale: NDArray[np.int64], replicates: int, rng: np.random.Generator
+    model: NoiseModel,
+    n_samples: int,
+    rate_hz: float,
+    scale: NDArray[np.int64],
+    replicates: int,
+    rng: np.random.Generator,
 ) -> Array:
     """Wavelet variances (replicates, J) of signals drawn from a model."""
     from insemu.variance import wavelet_variance
@@ -341,7 +354,8 @@ def goodness_of_fit(
     # a parameter at zero is not fitted; neither is its shape
     alive = at.coefficients > 0
     p = sum(
-        int(structure.fixed[k] < 0) + int(np.isnan(structure.held[structure.offsets[k] : structure.offsets[k + 1]]).sum())
+        int(structure.fixed[k] < 0)
+        + int(np.isnan(structure.held[structure.offsets[k] : structure.offsets[k + 1]]).sum())
         for k in np.flatnonzero(alive)
     )
     dof = int(enough.sum()) - p
@@ -349,7 +363,12 @@ def goodness_of_fit(
         return None
     W = root_of_inverse(V[np.ix_(enough, enough)])
     best = search(structure, scale[enough], value[enough], W, n, at.shapes[None, :])
-    return GoodnessOfFit(best.objective, dof, float(special.chdtrc(dof, best.objective)), scale[enough] * dt)
+    return GoodnessOfFit(
+        best.objective,
+        dof,
+        float(special.chdtrc(dof, best.objective)),
+        np.asarray(scale[enough] * dt, dtype=np.float64),
+    )
 
 
 def refit(result: FitResult, value: Array) -> FitResult:
@@ -359,4 +378,9 @@ def refit(result: FitResult, value: Array) -> FitResult:
     scale = result.details["scales"]
     start = structure.internal(result.model)[1][None, :]
     best = search(structure, scale, value, result.details["W"], result.n_samples, start)
-    return replace(result, model=structure.specified(best.coefficients, best.shapes), objective=best.objective, converged=best.converged)
+    return replace(
+        result,
+        model=structure.specified(best.coefficients, best.shapes),
+        objective=best.objective,
+        converged=best.converged,
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,15 +61,26 @@ def warnings_of(
             has_walk = any(isinstance(q, RW) for q in model)
             instead = "leave it out, the model has an RW already" if has_walk else "use RW() instead"
             what = "longer than" if time > record else "longer than half of"
-            out.append(f"{labels[k]}: correlation time {time:.3g} s is {what} the record ({record:.3g} s) and cannot be told from a random walk; {instead}")
+            out.append(
+                f"{labels[k]}: correlation time {time:.3g} s is {what} the record ({record:.3g} s) and cannot be told from a "
+                f"random walk; {instead}"
+            )
         elif time < 0.7 * structure.dt:
-            has_white = any(isinstance(q, WN) for q in model)
-            instead = "leave it out, the model has a WN already" if has_white else "use WN() instead"
-            out.append(f"{labels[k]}: correlation time {time:.3g} s is below the sampling interval ({structure.dt:.3g} s) and cannot be told from white noise; {instead}")
+            white = [i for i, q in enumerate(model) if isinstance(q, WN)]
+            if white and all(i in vanished for i in white):
+                instead = "it stands in for the white noise, coloured over a sample or two (an averaging filter in the sensor does that)"
+            else:
+                instead = "leave it out, the model has a WN already" if white else "use WN() instead"
+            out.append(
+                f"{labels[k]}: correlation time {time:.3g} s is below the sampling interval ({structure.dt:.3g} s) and can hardly be "
+                f"told from white noise; {instead}"
+            )
     times.sort(key=lambda item: item[1])
-    for (k, one), (h, two) in zip(times, times[1:], strict=False):
+    for (k, one), (h, two) in pairwise(times):
         if two / one < 1.3:
-            out.append(f"{labels[k]} and {labels[h]} coincide (correlation times {one:.3g} s and {two:.3g} s); the data support one of them")
+            out.append(
+                f"{labels[k]} and {labels[h]} coincide (correlation times {one:.3g} s and {two:.3g} s); the data support one of them"
+            )
     place = {key: i for i, key in enumerate(free)}
     for (k, name), i in place.items():
         if k in vanished:

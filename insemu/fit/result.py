@@ -15,7 +15,7 @@ from scipy.special import ndtri
 
 from insemu import units
 from insemu.errors import InputError
-from insemu.noise import AR1, ARMA, GM, RW, WN, NoiseModel, Process
+from insemu.noise import AR1, GM, RW, WN, NoiseModel, Process
 from insemu.variance import WaveletVariance
 
 Array = NDArray[np.float64]
@@ -181,7 +181,11 @@ class FitResult:
                 "high": [_number(v) for v in self.curve.high],
             }
         if self.test is not None:
-            out["goodness_of_fit"] = {"statistic": self.test.statistic, "dof": self.test.dof, "p_value": self.test.p_value}
+            out["goodness_of_fit"] = {
+                "statistic": self.test.statistic,
+                "dof": self.test.dof,
+                "p_value": self.test.p_value,
+            }
         if self.criterion is not None:
             out["criterion"] = {"value": self.criterion.value, "standard_error": _number(self.criterion.standard_error)}
         return out
@@ -191,8 +195,16 @@ class FitResult:
         out = []
         discrete = discrete_view(self.model, self.dt)
         for e in self.parameters:
-            si = f"{e.value:.4g}" + (f" ± {e.standard_error:.2g}" if math.isfinite(e.standard_error) else "") + f" {_plain(e.unit)}"
-            interval = f"{e.low:.4g} … {e.high:.4g}" if math.isfinite(e.low) and math.isfinite(e.high) else ("held" if not e.free else "–")
+            si = (
+                f"{e.value:.4g}"
+                + (f" ± {e.standard_error:.2g}" if math.isfinite(e.standard_error) else "")
+                + f" {_plain(e.unit)}"
+            )
+            interval = (
+                f"{e.low:.4g} … {e.high:.4g}"
+                if math.isfinite(e.low) and math.isfinite(e.high)
+                else ("held" if not e.free else "–")
+            )
             value, unit = units.datasheet(e.value, e.unit)
             familiar = f"{value:.4g} {unit}" if unit != e.unit else ""
             if e.name == "beta":
@@ -282,17 +294,24 @@ def save(results: Mapping[str, FitResult], path: str | Path) -> None:
                 "standard_errors": {e.label: _number(e.standard_error) for e in r.parameters},
                 "intervals": {e.label: [_number(e.low), _number(e.high)] for e in r.parameters},
             }
-            | ({"test": {"statistic": r.test.statistic, "dof": r.test.dof, "p_value": r.test.p_value}} if r.test else {}),
+            | (
+                {"test": {"statistic": r.test.statistic, "dof": r.test.dof, "p_value": r.test.p_value}}
+                if r.test
+                else {}
+            ),
         }
     document = {"insemu_noise_models": 1, "axes": axes}
     Path(path).write_text(yaml.safe_dump(document, sort_keys=False, allow_unicode=True), encoding="utf-8")
 
 
-def kalibr(results: Mapping[str, FitResult], *, rate_hz: float | None = None, topic: str = "/imu0") -> tuple[str, list[str]]:
+def kalibr(
+    results: Mapping[str, FitResult], *, rate_hz: float | None = None, topic: str = "/imu0"
+) -> tuple[str, list[str]]:
     """The fits as a Kalibr / OpenVINS ``imu.yaml``, and warnings about what that format cannot say.
 
-    The format knows one noise density and one random walk per sensor triad; the axes are combined by their root mean square.
-    A GM enters by the random walk that it resembles at times shorter than its correlation time (driving density sigma sqrt(2 beta)).
+    The format knows one noise density and one random walk per sensor triad; the axes are combined by their root mean square. A GM (or AR1)
+    enters by what it resembles over a second: slower than that by the random walk it is at short times (driving density sigma
+    sqrt(2 beta)), faster by the white noise it is at long times (its PSD at low frequency).
 
     Returns
     -------
@@ -306,7 +325,7 @@ def kalibr(results: Mapping[str, FitResult], *, rate_hz: float | None = None, to
         if not axes:
             warnings.append(f"no {sensor} axis was fitted; its two lines are missing")
             continue
-        white = [sum(p.parameters["N"] ** 2 for p in r.model if isinstance(p, WN)) for r in axes.values()]
+        white = [sum(_white_density(p, r.dt) for p in r.model) for r in axes.values()]
         walk = [sum(_walk_density(p) for p in r.model) for r in axes.values()]
         lines.append(f"{sensor}_noise_density: {math.sqrt(float(np.mean(white))):.9g}  # {unit}/sqrt(Hz)")
         lines.append(f"{sensor}_random_walk: {math.sqrt(float(np.mean(walk))):.9g}  # {unit}*sqrt(Hz)")
@@ -315,19 +334,39 @@ def kalibr(results: Mapping[str, FitResult], *, rate_hz: float | None = None, to
             if beyond:
                 warnings.append(
                     f"{axis}: the format holds a noise density and a random walk only; {', '.join(beyond)} of {r.structure} "
-                    + ("enters by the random walk it resembles at short times" if beyond == ["GM"] else "cannot be said in full")
+                    + ("enters by what it resembles over a second" if beyond == ["GM"] else "cannot be said in full")
                 )
     rate = rate_hz if rate_hz is not None else next((r.rate_hz for r in results.values()), 0.0)
     lines += [f"update_rate: {rate:g}", f'rostopic: "{topic}"']
     return "\n".join(lines) + "\n", warnings
 
 
+def _is_slow(p: Process) -> bool:
+    if isinstance(p, GM):
+        return p.parameters["beta"] < 1.0
+    return (
+        isinstance(p, AR1)
+        and p.rate_hz is not None
+        and 0.0 < -math.log(max(p.parameters["phi"], 1e-300)) * p.rate_hz < 1.0
+    )
+
+
+def _white_density(p: Process, dt: float) -> float:
+    """Squared density of the white noise that a process is, or resembles at times beyond a second."""
+    if isinstance(p, WN):
+        return p.parameters["N"] ** 2
+    if isinstance(p, GM | AR1) and not _is_slow(p):
+        return float(p.psd(np.array([1e-9]), dt)[0])
+    return 0.0
+
+
 def _walk_density(p: Process) -> float:
+    """Squared density of the random walk that a process is, or resembles at times below a second."""
     if isinstance(p, RW):
         return p.parameters["K"] ** 2
-    if isinstance(p, GM):
+    if isinstance(p, GM) and _is_slow(p):
         return 2.0 * p.parameters["beta"] * p.parameters["sigma"] ** 2
-    if isinstance(p, AR1 | ARMA) and p.rate_hz is not None and isinstance(p, AR1):
+    if isinstance(p, AR1) and p.rate_hz is not None and _is_slow(p):
         return p.parameters["sigma2"] * p.rate_hz
     return 0.0
 

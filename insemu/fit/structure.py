@@ -43,7 +43,9 @@ def _partial_autocorrelations(coefficients: Array) -> Array:
     for k in range(a.size - 1, -1, -1):
         r = a[k]
         if not abs(r) < 1.0:
-            raise InputError(f"coefficients {tuple(coefficients)} are not those of a stationary (or invertible) process")
+            raise InputError(
+                f"coefficients {tuple(coefficients)} are not those of a stationary (or invertible) process"
+            )
         out[k] = math.atanh(r)
         a = (a[:k] + r * a[:k][::-1]) / (1.0 - r * r)
     return out
@@ -92,10 +94,14 @@ class Structure:
         kinds, orders, offsets, fixed, held = [], [], [0], [], []
         for p in model:
             if isinstance(p, RC):
-                raise InputError("RC (random constant) leaves no trace in one record's wavelet variance and cannot be fitted; leave it out")
+                raise InputError(
+                    "RC (random constant) leaves no trace in one record's wavelet variance and cannot be fitted; leave it out"
+                )
             rate = p.rate_hz if isinstance(p, AR1 | ARMA) else None
             if rate is not None and abs(rate / rate_hz - 1.0) > 1e-9:
-                raise InputError(f"{p.symbol} belongs to samples at {rate:g} Hz and cannot be fitted to a signal at {rate_hz:g} Hz")
+                raise InputError(
+                    f"{p.symbol} belongs to samples at {rate:g} Hz and cannot be fitted to a signal at {rate_hz:g} Hz"
+                )
             order = len(p.ar) if isinstance(p, ARMA) else 0
             kinds.append(_kernel.ARMA if isinstance(p, ARMA) else _KINDS[type(p)])
             orders.append(order)
@@ -143,7 +149,9 @@ class Structure:
         -------
         (starts, shapes) array
         """
-        first_order = [k for k, kind in enumerate(self.kinds) if kind == _kernel.GM and np.isnan(self.held[self.offsets[k]])]
+        first_order = [
+            k for k, kind in enumerate(self.kinds) if kind == _kernel.GM and np.isnan(self.held[self.offsets[k]])
+        ]
         group: list[tuple[list[int], list[tuple[float, ...]]]] = []
         if first_order:
             count = len(first_order)
@@ -269,7 +277,9 @@ def _external(p: Process, c: float, s: Array, dt: float) -> Process:
         if all(v is not None for v in (*p.ar, *p.ma)):
             return p.with_parameters({"sigma2": c})
         ar, ma = _kernel.coefficients_of(s[:order]), -_kernel.coefficients_of(s[order:])
-        values = {f"ar_{i + 1}": float(v) for i, v in enumerate(ar)} | {f"ma_{i + 1}": float(v) for i, v in enumerate(ma)}
+        values = {f"ar_{i + 1}": float(v) for i, v in enumerate(ar)} | {
+            f"ma_{i + 1}": float(v) for i, v in enumerate(ma)
+        }
         return p.with_parameters(values | {"sigma2": c})
     if isinstance(p, AR1):
         z = float(s[0])

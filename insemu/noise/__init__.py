@@ -5,7 +5,7 @@ Sums come free: ``2*GM() + WN()``.
 """
 
 from insemu.noise.block import StateBlock
-from insemu.noise.model import NoiseModel, load, save
+from insemu.noise.model import NoiseModel, axis_unit, load, save
 from insemu.noise.processes import (
     AR,
     AR1,
@@ -44,6 +44,7 @@ __all__ = [
     "Parameter",
     "Process",
     "StateBlock",
+    "axis_unit",
     "load",
     "save",
 ]

@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 
 from insemu.evaluate import Results, outage_table, verdicts
-from insemu.noise import NoiseModel
+from insemu.noise import NoiseModel, axis_unit
 from insemu.report import figures
 from insemu.report.page import Block, Code, Figure, Items, Section, Table, Text, render
 from insemu.report.tables import log_distance, variant_rows
@@ -29,10 +29,9 @@ def _table(results: Results) -> Table:
         "attitude deg",
     ]
     header += ["stated sigma m", "cover position %", "velocity %", "attitude %", "NEES/dof"]
-    body, strong = [], set()
+    body: list[list[str]] = []
     for name, outages in outage_table(results).items():
         published = results.published.get(name)
-        strong.add(len(body))
         for k, row in enumerate(outages):
             p, c = row["planimetric_end_m"], row["coverage_3sigma"]
             body.append(
@@ -56,7 +55,7 @@ def _table(results: Results) -> Table:
 
 
 def _model_rows(axis: str, model: NoiseModel) -> list[list[str]]:
-    unit = "rad/s" if axis.startswith("gyro") else "m/s^2"
+    unit = axis_unit(axis)
     rows = []
     for index, process in model.indexed():
         for meta in process.parameters_meta():

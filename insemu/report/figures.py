@@ -162,7 +162,6 @@ def end_errors(results: Results) -> Figure:
                     color="#1c2430",
                     ms=13,
                     mew=2,
-                    label="stated sigma" if k == d == 0 else None,
                 )
                 values_published = results.published.get(name)
                 if values_published is not None and k < len(values_published):
@@ -173,8 +172,10 @@ def end_errors(results: Results) -> Figure:
                         color="#1c2430",
                         ms=7,
                         mew=1.6,
-                        label="published" if k == d == 0 else None,
                     )
+        axes.plot([], [], "_", color="#1c2430", ms=13, mew=2, ls="none", label="stated sigma")
+        if results.published:
+            axes.plot([], [], "x", color="#1c2430", ms=7, mew=1.6, ls="none", label="published")
         axes.set_xticks(
             range(len(results.outages)),
             [f"outage {k + 1}\n{s / 60:g} min, {w:g} s" for k, (s, w) in enumerate(results.outages)],
@@ -193,7 +194,7 @@ def consistency(results: Results) -> Figure:
         figure, axes = plt.subplots(figsize=(10.5, 3.6))
         _shade(axes, results.outages)
         dof = 9 * results.realizations
-        low, high = chi2.ppf([0.025, 0.975], dof) / dof
+        low, high = (float(chi2.ppf(q, dof)) / dof for q in (0.025, 0.975))
         axes.axhspan(
             low,
             high,

@@ -9,6 +9,7 @@ import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+from cycler import cycler
 
 #: Okabe and Ito's colours without yellow, in the order in which designs or processes take them.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#4D4D4D", "#8C564B")
@@ -35,7 +36,7 @@ _SETTINGS = {
     "legend.frameon": False,
     "lines.linewidth": 1.5,
     "font.family": "DejaVu Sans",
-    "axes.prop_cycle": matplotlib.cycler(color=COLOURS),
+    "axes.prop_cycle": cycler(color=COLOURS),
 }
 
 

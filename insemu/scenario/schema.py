@@ -9,7 +9,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSche
 
 from insemu import units
 from insemu.errors import InputError
-from insemu.noise import NoiseModel
+from insemu.noise import NoiseModel, axis_unit
 from insemu.records import AXES
 
 Vector3 = tuple[float, float, float]
@@ -124,7 +124,7 @@ class SensorModels(Section):
     @classmethod
     def _readable(cls, value: Any, info: Any) -> Any:
         if value is not None:
-            unit = "rad/s" if info.field_name.startswith("gyro") else "m/s^2"
+            unit = axis_unit(info.field_name)
             model = NoiseModel.from_list(value, unit)
             if not model.specified:
                 raise InputError(f"the model '{model}' has parameters without a value")
@@ -133,7 +133,7 @@ class SensorModels(Section):
     def models(self) -> dict[str, NoiseModel]:
         """Models of the axes that have one."""
         return {
-            axis: NoiseModel.from_list(value, "rad/s" if axis.startswith("gyro") else "m/s^2")
+            axis: NoiseModel.from_list(value, axis_unit(axis))
             for axis, value in _models(self.model_dump(exclude_none=True), SensorModels).items()
         }
 
@@ -200,7 +200,7 @@ def _belief(value: Any, info: Any) -> Any:
         return value
     if isinstance(value, Mapping) and "process" not in value:
         return AxisSource.model_validate(value)
-    unit = "rad/s" if info.field_name.startswith("gyro") else "m/s^2"
+    unit = axis_unit(info.field_name)
     model = NoiseModel.from_list(value, unit)
     if not model.specified:
         raise InputError(f"the model '{model}' has parameters without a value; to fit it write {{fit: '{model}'}}")
@@ -232,9 +232,7 @@ class Design(Section):
         """What every axis's belief comes from."""
         given = {name: getattr(self, name) for name in ("gyro", "accel", *AXES) if getattr(self, name) is not None}
         return {
-            axis: value
-            if isinstance(value, AxisSource)
-            else NoiseModel.from_list(value, "rad/s" if axis.startswith("gyro") else "m/s^2")
+            axis: value if isinstance(value, AxisSource) else NoiseModel.from_list(value, axis_unit(axis))
             for axis, value in _models(given, Design).items()
         }
 

@@ -195,7 +195,9 @@ def biweight_sums(w: Array, inverse_square: float) -> tuple[float, float]:  # pr
 
 
 @njit(cache=True, nogil=True)
-def untouched(w: Array, seen: NDArray[np.int64], scale: int, stride: int, out: Array) -> int:  # pragma: no cover - compiled
+def untouched(
+    w: Array, seen: NDArray[np.int64], scale: int, stride: int, out: Array
+) -> int:  # pragma: no cover - compiled
     """Copy every ``stride``-th coefficient whose ``scale`` samples hold no flagged step; returns how many.
 
     ``seen[k]`` counts flagged steps before sample k (a step k joins samples k and k + 1).
@@ -206,3 +208,49 @@ def untouched(w: Array, seen: NDArray[np.int64], scale: int, stride: int, out: A
             out[kept] = w[i]
             kept += 1
     return kept
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
+def second_differences(s: Array, m: int, stride: int) -> float:  # pragma: no cover - compiled
+    """Sum of squares of s[k + 2m] - 2 s[k + m] + s[k]."""
+    total = 0.0
+    for k in range(0, s.size - 2 * m, stride):
+        d = s[k + 2 * m] - 2.0 * s[k + m] + s[k]
+        total += d * d
+    return total
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
+def third_differences(s: Array, m: int, stride: int) -> float:  # pragma: no cover - compiled
+    """Sum of squares of s[k + 3m] - 3 s[k + 2m] + 3 s[k + m] - s[k]."""
+    total = 0.0
+    for k in range(0, s.size - 3 * m, stride):
+        d = s[k + 3 * m] - 3.0 * (s[k + 2 * m] - s[k + m]) - s[k]
+        total += d * d
+    return total
+
+
+@njit(cache=True, nogil=True)
+def averaged_second_differences(s: Array, m: int) -> float:  # pragma: no cover - compiled
+    """Sum of squares of second differences of step m, each averaged over m neighbours (times m)."""
+    window = 0.0
+    for k in range(m):
+        window += s[k + 2 * m] - 2.0 * s[k + m] + s[k]
+    total = window * window
+    for k in range(s.size - 3 * m):
+        window += (s[k + 3 * m] - s[k]) - 3.0 * (s[k + 2 * m] - s[k + m])
+        total += window * window
+    return total
+
+
+@njit(cache=True, nogil=True)
+def reflected_second_differences(s: Array, m: int) -> float:  # pragma: no cover - compiled
+    """Sum of squares of s*[i - m] - 2 s*[i] + s*[i + m] over inner i, where s* continues s by odd reflection at both ends."""
+    last = s.size - 1
+    total = 0.0
+    for i in range(1, last):
+        a = s[i - m] if i >= m else 2.0 * s[0] - s[m - i]
+        b = s[i + m] if i + m <= last else 2.0 * s[last] - s[2 * last - i - m]
+        d = a - 2.0 * s[i] + b
+        total += d * d
+    return total

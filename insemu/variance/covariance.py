@@ -90,7 +90,9 @@ def level1_autocovariance(
     """
     given = [d for d in (psd, autocovariance, increments) if d is not None]
     if len(given) != 1:
-        raise InputError(f"{len(given)} descriptions of the process given, expected one of psd, autocovariance, increments")
+        raise InputError(
+            f"{len(given)} descriptions of the process given, expected one of psd, autocovariance, increments"
+        )
     if psd is not None:
         # midpoints in frequency, so that a pole at 0 is never touched; the sum is exact up to lags folded at twice this length
         size = fft.next_fast_len(2 * n_samples, real=True)
@@ -110,7 +112,9 @@ def level1_autocovariance(
     return s / 4.0
 
 
-def model_covariance(level1: ArrayLike, *, levels: int | None = None, n_samples: int | None = None, drift_per_sample: float = 0.0) -> Array:
+def model_covariance(
+    level1: ArrayLike, *, levels: int | None = None, n_samples: int | None = None, drift_per_sample: float = 0.0
+) -> Array:
     """Return the exact covariance matrix of Haar MODWT wavelet variances of a Gaussian process over a finite record.
 
     Parameters
@@ -162,7 +166,9 @@ def model_edof(level1: ArrayLike, value: ArrayLike, *, drift_per_sample: float =
     return 2.0 * v**2 / out
 
 
-def model_covariance_of_filter(autocovariance: Autocovariance, n_samples: int, *, filter: str = "haar", levels: int | None = None) -> Array:
+def model_covariance_of_filter(
+    autocovariance: Autocovariance, n_samples: int, *, filter: str = "haar", levels: int | None = None
+) -> Array:
     """Return the covariance matrix of MODWT wavelet variances of a stationary Gaussian process, any filter.
 
     The same exact sum as :func:`model_covariance`, with the filters' cross-correlations by fast convolution: for records up to some
@@ -183,7 +189,9 @@ def model_covariance_of_filter(autocovariance: Autocovariance, n_samples: int, *
             lags = np.arange(hj.size - n_samples, n_samples - hk.size + 1)
             pairs = np.minimum(n_samples - 1, n_samples - 1 - lags) - np.maximum(hk.size - 1, hj.size - 1 - lags) + 1
             squares = cross[lags + gamma.size - 1 + hk.size - 1] ** 2
-            out[j, k] = 2.0 * np.sum(pairs * squares) / (float(n_samples - hj.size + 1) * float(n_samples - hk.size + 1))
+            out[j, k] = (
+                2.0 * np.sum(pairs * squares) / (float(n_samples - hj.size + 1) * float(n_samples - hk.size + 1))
+            )
             out[k, j] = out[j, k]
     return out
 

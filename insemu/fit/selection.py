@@ -1,0 +1,404 @@
+"""Which model the data support: the wavelet information criterion with its scatter, over given candidates or everything nested in one.
+
+All candidates are weighed by one matrix, the inverse covariance of the curve under the richest model, so that their distances are
+comparable: the difference between nested models is then a chi-square with as many degrees of freedom as parameters differ. The criterion
+adds twice the optimism ``tr(cov(curve, fitted) Omega)`` (Zhang, Guerrier, Molinari 2015; section 4 of paper 003), which is two per
+parameter with these weights. Its minimum alone would take a superfluous process in every sixth comparison; therefore the simplest model
+is chosen from which no richer one differs by more than chance produces.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from insemu.errors import InputError
+from insemu.fit.covariance import model_covariance
+from insemu.fit.gmwm import Solution, Weighting, fit_curve, interval_widths, refit, root_of_inverse, search
+from insemu.fit.result import Criterion, FitResult
+from insemu.fit.structure import Structure, natural_jacobian
+from insemu.noise import NoiseModel, Process
+from insemu.variance import WaveletVariance, wavelet_variance
+
+Array = NDArray[np.float64]
+
+#: A richer model must be better by this many standard errors of what chance produces.
+MARGIN = 3.0
+#: Scales with fewer degrees of freedom under the reference are left out: their scatter is far from normal.
+RANK_DOF = 10.0
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One model of a ranking.
+
+    Parameters
+    ----------
+    structure : NoiseModel
+    parameters : int
+        Free parameters that left a trace.
+    objective : float
+        Squared distance to the curve in the common weights.
+    criterion : Criterion
+        Wavelet information criterion.
+    p_value : float
+        Of the test of fit; NaN where no scale is left over.
+    vanished : bool
+        A part has no variance: the model is one of the smaller ones.
+    model : NoiseModel
+        Fitted in the common weights.
+    """
+
+    structure: NoiseModel
+    parameters: int
+    objective: float
+    criterion: Criterion
+    p_value: float
+    vanished: bool
+    model: NoiseModel
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Candidates of one axis, best criterion first.
+
+    Parameters
+    ----------
+    name : str
+        Axis.
+    candidates : tuple of Candidate
+    chosen : Candidate
+        The simplest that no richer one beats by more than chance.
+    fit : FitResult
+        The chosen structure, fitted and with its criterion.
+    dispersion : float
+        How much larger than its expectation the distance of the best model is (1 where it fits): its square root widens all margins.
+    verdict : str
+        In plain words.
+    """
+
+    name: str
+    candidates: tuple[Candidate, ...]
+    chosen: Candidate
+    fit: FitResult
+    dispersion: float
+    verdict: str
+
+
+def nested(general: NoiseModel) -> list[NoiseModel]:
+    """Every non-empty sum of parts of a model, simplest first; repeated processes count once per number."""
+    kinds: list[Process] = []
+    counts: list[int] = []
+    for p in general:
+        if p in kinds:
+            counts[kinds.index(p)] += 1
+        else:
+            kinds.append(p)
+            counts.append(1)
+    out = []
+    for numbers in product(*(range(c + 1) for c in counts)):
+        if any(numbers):
+            out.append(NoiseModel(tuple(p for p, k in zip(kinds, numbers, strict=True) for _ in range(k))))
+    return sorted(out, key=lambda model: (sum(len(p.parameters_meta()) for p in model), len(model)))
+
+
+def select(
+    curve: WaveletVariance,
+    general: NoiseModel,
+    *,
+    name: str = "signal",
+    unit: str = "",
+    efficiency: float = 1.0,
+    executor: Executor | None = None,
+) -> Ranking:
+    """Choose among everything nested in a general model.
+
+    Parameters
+    ----------
+    curve : WaveletVariance
+        Haar MODWT curve of the signal.
+    general : NoiseModel
+        For example ``4*GM() + WN() + RW() + QN()``.
+    name, unit : str
+        Of the axis.
+    efficiency : float
+        Of a robust curve.
+    executor : Executor, optional
+        Candidates are independent work items.
+
+    Raises
+    ------
+    InputError
+        A model that cannot be fitted, a curve too short for any candidate.
+    """
+    return rank_models(
+        curve, nested(general), name=name, unit=unit, reference=general, efficiency=efficiency, executor=executor
+    )
+
+
+def rank_models(
+    curve: WaveletVariance,
+    candidates: Sequence[NoiseModel],
+    *,
+    name: str = "signal",
+    unit: str = "",
+    reference: NoiseModel | None = None,
+    efficiency: float = 1.0,
+    executor: Executor | None = None,
+) -> Ranking:
+    """Rank candidates by the wavelet information criterion and choose one.
+
+    Parameters
+    ----------
+    curve : WaveletVariance
+    candidates : sequence of NoiseModel
+    name, unit : str
+    reference : NoiseModel, optional
+        Whose covariance weighs; by default the candidate nearest to the curve.
+    efficiency : float
+        Of a robust curve.
+    executor : Executor, optional
+        Where candidates are fitted.
+
+    Raises
+    ------
+    InputError
+        No candidate, none that the curve has enough scales for.
+    """
+    if not candidates:
+        raise InputError("no candidate model given; expected at least one")
+    structures = [Structure.of(c, curve.rate_hz) for c in candidates]
+    scale, value = curve.scale_samples, curve.value
+    if not (value > 0).all():
+        raise InputError(f"{name}: the wavelet variance is zero at some scale; a constant signal has no noise to model")
+    n = curve.n_samples
+    V = _reference_covariance(curve, candidates if reference is None else [reference], efficiency)
+    freedom = V[1]
+    use = freedom >= RANK_DOF
+    while use.sum() < 2:  # a very short record: take what there is
+        use[int(np.flatnonzero(~use)[0])] = True
+    scale, value = scale[use], value[use]
+    covariance = V[0][np.ix_(use, use)]
+    W = root_of_inverse(covariance)
+    possible = [s for s in structures if s.free_parameters <= scale.size]
+    if not possible:
+        raise InputError(f"{name}: no candidate has as few parameters as the {scale.size} usable scales of this record")
+
+    def one(structure: Structure) -> tuple[Structure, Solution]:
+        return structure, search(structure, scale, value, W, n, structure.starts(n, 400), refined=4)
+
+    solved = list(executor.map(one, possible) if executor is not None else map(one, possible))
+    alive = [(s, b, _alive(s, b, scale)) for s, b in solved]
+    least = min((b.objective, p) for _, b, p in alive)
+    spare = max(scale.size - least[1], 1)
+    dispersion = max(1.0, least[0] / spare)
+    ranked = []
+    for structure, best, p in alive:
+        penalty = 2.0 * _optimism(structure, best, scale, W, covariance)
+        spare = scale.size - p
+        excess = max(best.objective - spare, 0.0)
+        error = math.sqrt(2.0 * max(spare, 0) + 4.0 * excess)
+        p_value = float(chdtrc(spare, best.objective)) if spare > 0 else math.nan
+        total = structure.free_parameters
+        ranked.append(
+            Candidate(
+                structure.model if structure.model.specified else _unrated(structure, candidates, structures),
+                p,
+                best.objective,
+                Criterion(best.objective + penalty, error, penalty),
+                p_value,
+                p < total,
+                structure.specified(best.coefficients, best.shapes),
+            )
+        )
+    ranked.sort(key=lambda c: (c.criterion.value, c.parameters))
+    chosen = _choose(ranked, dispersion)
+    # the efficient weights where the model holds, the forgiving ones where no candidate does
+    weighting: Weighting = "asymptotic" if dispersion < 2.0 else "intervals"
+    result = fit_curve(curve, chosen.structure, weighting=weighting, unit=unit, name=name, efficiency=efficiency)
+    result = replace(result, criterion=chosen.criterion)
+    return Ranking(name, tuple(ranked), chosen, result, dispersion, _verdict(name, ranked, chosen, dispersion))
+
+
+def _unrated(structure: Structure, candidates: Sequence[NoiseModel], structures: list[Structure]) -> NoiseModel:
+    """The candidate as it was given (without the rate that the structure took)."""
+    return candidates[next(i for i, s in enumerate(structures) if s is structure)]
+
+
+def _reference_covariance(
+    curve: WaveletVariance, references: Iterable[NoiseModel], efficiency: float
+) -> tuple[Array, Array]:
+    """Covariance of the curve under the best of the reference models, and the degrees of freedom per scale."""
+    n, dt = curve.n_samples, 1.0 / curve.rate_hz
+    W = np.diag(1.0 / interval_widths(curve))
+    best: tuple[float, NoiseModel] | None = None
+    for reference in references:
+        structure = Structure.of(reference, curve.rate_hz)
+        found = search(structure, curve.scale_samples, curve.value, W, n, structure.starts(n, 400), refined=4)
+        if best is None or found.objective < best[0]:
+            best = found.objective, structure.specified(found.coefficients, found.shapes)
+    assert best is not None
+    V = model_covariance(best[1], n, curve.scale_samples, dt) / efficiency
+    fitted = best[1].wavelet_variance(curve.scale_samples, dt)
+    return V, 2.0 * fitted**2 / np.diag(V)
+
+
+def _alive(structure: Structure, best: Solution, scale: NDArray[np.int64]) -> int:
+    """Free parameters of the parts that have variance."""
+    out = 0
+    for k in range(structure.kinds.size):
+        if best.coefficients[k] > 0:
+            held = structure.held[structure.offsets[k] : structure.offsets[k + 1]]
+            out += int(structure.fixed[k] < 0) + int(np.isnan(held).sum())
+    return out
+
+
+def _optimism(structure: Structure, best: Solution, scale: NDArray[np.int64], W: Array, V: Array) -> float:
+    """``tr(cov(curve, fitted) Omega)``: what the fit owes to having seen the curve."""
+    model = structure.specified(best.coefficients, best.shapes)
+    D, _ = natural_jacobian(model, structure, scale / 2.0)
+    A = W @ D
+    norm = np.linalg.norm(A, axis=0)
+    A = A[:, norm > 0] / norm[norm > 0]
+    if A.shape[1] == 0:
+        return 0.0
+    # B D with B = pinv(A) W: the trace of W D B V W'
+    H = A @ np.linalg.pinv(A, rcond=1e-9)
+    return float(np.trace(H @ W @ V @ W.T))
+
+
+def _choose(ranked: list[Candidate], dispersion: float) -> Candidate:
+    """The simplest candidate that no richer one beats by more than chance."""
+    whole = [c for c in ranked if not c.vanished] or ranked
+    for c in sorted(whole, key=lambda c: (c.parameters, c.objective)):
+        beaten = False
+        for other in whole:
+            more = other.parameters - c.parameters
+            if more > 0:
+                # under the simpler model the drop is a chi-square with `more` degrees of freedom
+                beaten |= c.objective - other.objective > dispersion * (2.0 * more + MARGIN * math.sqrt(2.0 * more))
+            elif more == 0 and other.objective < c.objective:
+                beaten = True
+        if not beaten:
+            return c
+    return min(whole, key=lambda c: c.criterion.value)
+
+
+def _verdict(name: str, ranked: list[Candidate], chosen: Candidate, dispersion: float) -> str:
+    first = ranked[0]
+    text = f"{name}: {chosen.structure}"
+    if chosen is first:
+        text += " has the best criterion and is the simplest that no richer model beats"
+    else:
+        gap = first.objective - chosen.objective
+        text += (
+            f" is the simplest that no richer model beats by more than chance; {first.structure} has the best criterion, but its "
+            f"{first.parameters - chosen.parameters:+d} parameter(s) gain only {-gap:.1f} in distance"
+        )
+    if dispersion > 3.0:
+        text += (
+            f". No candidate follows the curve within its scatter (distance {dispersion:.0f} times what chance gives): "
+            "expect structure that these processes do not have (quantization to an LSB, temperature, an averaging filter)"
+        )
+    return text + "."
+
+
+def wic(result: FitResult, *, bootstrap: int = 0, rng: np.random.Generator | None = None) -> Criterion:
+    """Wavelet information criterion of a fit in its own weights.
+
+    Parameters
+    ----------
+    result : FitResult
+        Of method ``gmwm``.
+    bootstrap : int
+        Replicates of the parametric bootstrap for the optimism; 0 takes its asymptotic form.
+    rng : Generator, optional
+        Needed with ``bootstrap``.
+
+    Returns
+    -------
+    Criterion
+        ``distance + 2 tr(cov(curve, fitted) Omega)`` and its standard error: scatter of the distance (and, with the bootstrap, of the
+        estimated optimism).
+
+    Raises
+    ------
+    InputError
+        Another method, or a bootstrap without rng.
+    """
+    if result.method != "gmwm":
+        raise InputError(f"the wavelet information criterion belongs to gmwm fits, not to '{result.method}'")
+    W, V, D = result.details["W"], result.details["curve_covariance"], result.details["jacobian"]
+    alive = np.linalg.norm(D, axis=0) > 0
+    A = W @ D[:, alive]
+    norm = np.linalg.norm(A, axis=0)
+    H = (A / norm) @ np.linalg.pinv(A / norm, rcond=1e-9) if A.size else np.zeros((W.shape[0], W.shape[0]))
+    S = W @ V @ W.T
+    residual = S - H @ S - S @ H.T + H @ S @ H.T
+    variance = 2.0 * float(np.trace(residual @ residual)) + 4.0 * max(result.objective - float(np.trace(residual)), 0.0)
+    if bootstrap == 0:
+        optimism = float(np.trace(H @ S))
+        return Criterion(result.objective + 2.0 * optimism, math.sqrt(variance), 2.0 * optimism)
+    if rng is None:
+        raise InputError("the bootstrap draws random numbers; give rng")
+    from insemu.fit.gmwm import bootstrap_curves
+
+    scale = result.details["scales"]
+    curves = bootstrap_curves(result.model, result.n_samples, result.rate_hz, scale, bootstrap, rng)
+    fitted = np.array([refit(result, c).model.wavelet_variance(scale, result.dt) for c in curves])
+    products = ((curves - curves.mean(axis=0)) @ W.T * ((fitted - fitted.mean(axis=0)) @ W.T)).sum(axis=1)
+    optimism = float(products.sum() / (bootstrap - 1))
+    variance += 4.0 * float(np.var(products)) / bootstrap
+    return Criterion(result.objective + 2.0 * optimism, math.sqrt(variance), 2.0 * optimism)
+
+
+def prediction_distance(model: NoiseModel, held_out: WaveletVariance) -> tuple[float, float]:
+    """Mean squared deviation of a record not seen from a model's prediction, in standard deviations that the model gives, and its
+    standard error: 1 is what a true model has.
+
+    Only scales with at least :data:`RANK_DOF` degrees of freedom count.
+    """
+    dt = 1.0 / held_out.rate_hz
+    V = model_covariance(model, held_out.n_samples, held_out.scale_samples, dt)
+    v = model.wavelet_variance(held_out.scale_samples, dt)
+    use = 2.0 * v**2 / np.diag(V) >= RANK_DOF
+    sd = np.sqrt(np.diag(V)[use])
+    z = (held_out.value[use] - v[use]) / sd
+    C = V[np.ix_(use, use)] / np.outer(sd, sd)
+    return float(z @ z / z.size), math.sqrt(2.0 * float(np.sum(C * C))) / z.size
+
+
+def select_axes(
+    signals: Sequence[tuple[str, str, Array, float]], general: NoiseModel, *, workers: int = 1
+) -> dict[str, Ranking]:
+    """Select for several axes in parallel.
+
+    Parameters
+    ----------
+    signals : sequence of (name, unit, (n,) array, rate_hz)
+    general : NoiseModel
+    workers : int
+        Threads; the compiled search releases the interpreter.
+
+    Returns
+    -------
+    dict
+        Axis to ranking, in the order given.
+    """
+
+    def one(item: tuple[str, str, Array, float]) -> Ranking:
+        name, unit, values, rate = item
+        return select(wavelet_variance(values, rate), general, name=name, unit=unit)
+
+    with ThreadPoolExecutor(max_workers=max(workers, 1)) as pool:
+        return {item[0]: ranking for item, ranking in zip(signals, pool.map(one, signals), strict=True)}
+
+
+__all__ = ["Candidate", "Ranking", "nested", "prediction_distance", "rank_models", "select", "select_axes", "wic"]

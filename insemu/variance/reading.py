@@ -1,0 +1,274 @@
+"""Reading an Allan variance curve: N, B, K, Q, R and a correlation time, each with an interval and the range it was read from.
+
+A straight part of the log-log curve is one kind of noise (Allan variance ~ tau^-2: Q, tau^-1: N, flat: B, tau: K, tau^2: R; IEEE Std 952,
+paper 004 section 4.4). Where a slope is not there, nothing is read.
+
+* The straight parts are found on a smooth curve through the data (:func:`insemu.variance.edof.noise_type`), so that the scatter of
+  the longest times makes no slopes.
+* A coefficient is fitted over its part together with its neighbours' slopes, so that what leaks in from them is not counted; its interval
+  uses the degrees of freedom of the curve and the correlation of its octaves.
+* B is the first flat value (lowest point, else flattest) over 0.664 = sqrt(2 ln 2 / pi). A Gauss-Markov noise of standard
+  deviation s is at 0.617 s at most, so a model whose GM has s = 0.664 B does not read back as B but as 0.617 B, or as what white
+  noise and random walk make of it.
+* Tc comes from the hump of a Gauss-Markov noise (its highest point is at 1.89 Tc) where there is one, else it is the middle of
+  the flat part, as paper 004 takes it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+from scipy.special import chdtri
+
+from insemu.units import conversion
+from insemu.variance.allan import AllanVariance
+from insemu.variance.covariance import level1_autocovariance, model_covariance
+from insemu.variance.edof import component_variance, noise_type
+
+Array = NDArray[np.float64]
+
+#: Flat Allan deviation of flicker noise of unit B: sqrt(2 ln 2 / pi).
+FLICKER = float(np.sqrt(2.0 * np.log(2.0) / np.pi))
+#: Averaging time, in correlation times, at which the Allan deviation of a Gauss-Markov noise is highest, and that height in its sigma.
+GM_PEAK_TIME, GM_PEAK = 1.8926, 0.6174
+
+#: Slopes of the Allan variance and the factor that its coefficient has: A = factor * X^2 * tau^slope.
+_TERMS: dict[str, tuple[float, float]] = {
+    "Q": (-2.0, 3.0),
+    "N": (-1.0, 1.0),
+    "B": (0.0, FLICKER**2),
+    "K": (1.0, 1.0 / 3.0),
+    "R": (2.0, 0.5),
+}
+
+#: Units in which readings are given: those of the tables of paper 004.
+_UNITS: dict[str, dict[str, tuple[str, str]]] = {
+    "rad/s": {
+        "Q": ("rad", "deg"),
+        "N": ("rad/s/sqrt(Hz)", "deg/sqrt(h)"),
+        "B": ("rad/s", "deg/h"),
+        "K": ("rad/s*sqrt(Hz)", "deg/h^1.5"),
+        "R": ("rad/s^2", "deg/h^2"),
+    },
+    "m/s^2": {
+        "Q": ("m/s", "m/s"),
+        "N": ("m/s^2/sqrt(Hz)", "m/s/sqrt(h)"),
+        "B": ("m/s^2", "m/s/h"),
+        "K": ("m/s^2*sqrt(Hz)", "m/s/h^1.5"),
+        "R": ("m/s^3", "m/s/h^2"),
+    },
+}
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One coefficient read from a curve.
+
+    Parameters
+    ----------
+    name : str
+        ``"N"``, ``"B"``, ``"K"``, ``"Q"``, ``"R"`` or ``"Tc"``.
+    value, low, high : float
+        Coefficient and 95 % interval, in ``unit``.
+    unit : str
+        Datasheet unit (Tables 3-5 of paper 004); SI where the signal's unit is unknown.
+    si_value : float
+        The coefficient in the signal's own unit and seconds.
+    tau_from_s, tau_to_s : float
+        Averaging times it was read from.
+    note : str
+        What to know about it, or nothing.
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    unit: str
+    si_value: float
+    tau_from_s: float
+    tau_to_s: float
+    note: str = ""
+
+
+def _generic_unit(name: str, unit: str) -> str:
+    u = unit or "1"
+    return {"Q": f"{u}*s", "N": f"{u}/sqrt(Hz)", "B": u, "K": f"{u}*sqrt(Hz)", "R": f"{u}/s", "Tc": "s"}[name]
+
+
+def _reading(name: str, triple: Array, signal_unit: str, span: tuple[float, float], note: str = "") -> Reading:
+    """A reading from (value, low, high) in the signal's own unit."""
+    table = _UNITS.get(signal_unit)
+    factor, shown = 1.0, _generic_unit(name, signal_unit)
+    if name != "Tc" and table is not None:
+        si, shown = table[name]
+        factor = conversion(si, shown)
+    value, low, high = (float(v) * factor for v in triple)
+    return Reading(name, value, low, high, shown, float(triple[0]), *span, note)
+
+
+@lru_cache(maxsize=4)
+def _octave_correlation(walk: bool) -> tuple[float, ...]:
+    """Correlation of the variances of octaves 0, 1, 2.. apart, for white noise or random walk (the same along the curve)."""
+    n = 1 << 13
+    level1 = level1_autocovariance(n, increments=lambda k: np.where(k == 0, 1.0, 0.0)) if walk else None
+    if level1 is None:
+        level1 = level1_autocovariance(n, autocovariance=lambda k: np.where(k == 0, 1.0, 0.0))
+    c = model_covariance(level1, levels=9)
+    r = c / np.sqrt(np.outer(np.diag(c), np.diag(c)))
+    return tuple(float(np.mean([r[i, i + d] for i in range(2, 9 - d)])) for d in range(6))
+
+
+def read_curve(curve: AllanVariance, signal_unit: str = "") -> dict[str, Reading]:
+    """Return the coefficients that are visible in an overlapping Allan variance over octaves.
+
+    Parameters
+    ----------
+    curve : AllanVariance
+        With ``kind="overlapping"`` and ``grid="octave"``.
+    signal_unit : str
+        ``"rad/s"``, ``"m/s^2"`` or anything else.
+
+    Returns
+    -------
+    dict
+        Name to :class:`Reading`; a name that is missing is not visible in this record.
+    """
+    parts = noise_type(2.0 * curve.m.astype(float), curve.value / 2.0, curve.n_samples, drift=True)
+    if not parts or len(curve) < 4:
+        return {}
+    fine = np.arange(0.0, np.log2(curve.m[-1]) + 1e-9, 0.125)
+    m = 2.0**fine
+    smooth = 2.0 * np.asarray(sum(weight * component_variance(kind, tc, m) for kind, tc, weight in parts))
+    slope = np.gradient(np.log2(smooth), fine)
+    tau = m / curve.rate_hz
+    edof = np.exp(np.interp(fine, np.log2(curve.m), np.log(curve.edof)))
+    known = edof >= 2.0  # beyond, a slope is one or two values
+    out: dict[str, Reading] = {}
+    for name in ("Q", "N", "K", "R"):
+        for span in _spans(np.abs(slope - _TERMS[name][0]) < 0.35, known, 2.0 if name in "QR" else 1.0):
+            drifts = bool(slope[span[0] :].max() > 1.2)
+            found = _fit(name, curve, tau[span[0]], tau[span[1]], signal_unit, drifts)
+            if found is not None:
+                out[name] = found
+                break
+    flat = _flat(curve, fine, tau, smooth, slope, edof, known, signal_unit)
+    out.update(flat)
+    return {name: out[name] for name in ("Q", "N", "B", "K", "R", "Tc") if name in out}
+
+
+def _spans(inside: NDArray[np.bool_], known: NDArray[np.bool_], octaves: float) -> list[tuple[int, int]]:
+    """Runs of ``inside`` that are at least so many octaves long, in order of time (indices of the fine grid, 8 per octave)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], (inside & known).astype(int), [0]])))
+    runs = [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [r for r in runs if r[1] - r[0] >= 8 * octaves]
+
+
+def _fit(
+    name: str, curve: AllanVariance, tau_from: float, tau_to: float, signal_unit: str, drifts: bool
+) -> Reading | None:
+    """Weighted non-negative fit of the slope and of its neighbours over the part and one octave on either side."""
+    exponent, factor = _TERMS[name]
+    use = np.flatnonzero((curve.tau_s >= tau_from / 2.1) & (curve.tau_s <= tau_to * 2.1) & (curve.edof >= 1.2))
+    if use.size < 2:
+        return None
+    tau, value, edof = curve.tau_s[use], curve.value[use], curve.edof[use]
+    exponents = [e for e, _ in _TERMS.values() if abs(e - exponent) <= 2.0 and (drifts or e < 2.0)]
+    if use.size < len(exponents) + 1:
+        exponents = [e for e in exponents if abs(e - exponent) <= 1.0]
+    if use.size < len(exponents) + 1:
+        exponents = [exponent]
+    pivot = float(np.sqrt(tau[0] * tau[-1]))
+    basis = (tau[:, None] / pivot) ** np.array(exponents)
+    level = value
+    solution = np.zeros(len(exponents))
+    for _ in range(3):
+        scale = np.sqrt(edof / 2.0) / level
+        solution, _ = nnls(basis * scale[:, None], value * scale)
+        level = np.maximum(basis @ solution, 1e-3 * value)
+    at = exponents.index(exponent)
+    if solution[at] <= 0:
+        return None
+    # a drift is not random: only what it leaves of the curve scatters, and its product with that
+    certain = solution[-1] * basis[:, -1] if exponents[-1] == 2.0 else np.zeros_like(level)
+    chance = np.maximum(level - certain, 1e-3 * level)
+    spread = np.sqrt(2.0 / edof * (chance**2 + 2.0 * chance * certain))
+    lags = np.abs(np.subtract.outer(use, use))
+    rho = np.array([*_octave_correlation(exponent > 0), 0.0])
+    covariance = rho[np.minimum(lags, rho.size - 1)] * np.outer(spread, spread)
+    # neighbours count as free here also where the fit put them at zero: the interval must not pretend to know that
+    weighted = basis.T / spread**2
+    row = np.linalg.solve(weighted @ basis, weighted)[at]
+    variance = float(row @ covariance @ row)
+    coefficient = float(solution[at])
+    if coefficient < 2.5 * np.sqrt(variance):
+        return None
+    freedom = 2.0 * coefficient**2 / variance
+    low, high = coefficient * freedom / chdtri(freedom, 0.025), coefficient * freedom / chdtri(freedom, 0.975)
+    value_low_high = np.sqrt(np.array([coefficient, low, high]) * pivot**-exponent / factor)
+    return _reading(name, value_low_high, signal_unit, (float(tau_from), float(tau_to)))
+
+
+def _flat(
+    curve: AllanVariance,
+    fine: Array,
+    tau: Array,
+    smooth: Array,
+    slope: Array,
+    edof: Array,
+    known: NDArray[np.bool_],
+    signal_unit: str,
+) -> dict[str, Reading]:
+    """B from the lowest point of the flat part, Tc from the hump after it or from the part's middle."""
+    out: dict[str, Reading] = {}
+    flat = (np.abs(slope) < 0.5) & known
+    runs = [
+        r for r in _spans(flat, known, 0.5) if r[0] > 0
+    ]  # a curve that begins flat has no white noise to come down from
+    runs = [r for r in runs if slope[r[0] : r[1] + 1].max() > -0.25]
+    if not runs:
+        runs = [r for r in _spans(flat, known, 3.0)]
+        if not runs:
+            return out
+    first, last = runs[0]
+    within = slope[first : last + 1]
+    turns = np.flatnonzero((within[1:] >= 0.0) & (within[:-1] < 0.0))
+    low_at = first + (int(turns[0]) + 1 if turns.size else int(np.argmin(np.abs(within))))
+    if not _above_white(curve, tau[low_at], smooth[low_at]):
+        return out
+    span = (float(tau[first]), float(tau[last]))
+    freedom = float(edof[low_at])
+    level = float(smooth[low_at])
+    bounds = [level * freedom / chdtri(freedom, 0.025), level * freedom / chdtri(freedom, 0.975)]
+    octaves = float(fine[last] - fine[first])
+    note = ""
+    if octaves < 2.0:
+        note = "upper bound: the flat part is no wider than where a falling and a rising slope meet"
+    out["B"] = _reading("B", np.sqrt(np.array([level, *bounds])) / FLICKER, signal_unit, span, note)
+    # a hump: rising, then falling again
+    top = next((k for k in range(low_at + 1, fine.size - 1) if slope[k] >= 0.0 > slope[k + 1] and known[k]), None)
+    if top is not None and slope[low_at : top + 1].max() > 0.1:
+        near = np.flatnonzero((smooth > 0.9 * smooth[top]) & (np.arange(fine.size) >= low_at))
+        tc = float(tau[top]) / GM_PEAK_TIME
+        ends = [float(tau[k]) / GM_PEAK_TIME for k in (near[0], near[-1])]
+        out["Tc"] = _reading("Tc", np.array([tc, *ends]), "", span, "from the hump at 1.89 Tc")
+    elif octaves >= 1.0:
+        out["Tc"] = _reading("Tc", np.array([np.sqrt(span[0] * span[1]), *span]), "", span, "middle of the flat part")
+    return out
+
+
+def _above_white(curve: AllanVariance, tau: float, level: float) -> bool:
+    """Whether the flat level stands above the line on which the shortest times would put it, at the 0.1 % level."""
+    at = int(np.argmin(np.abs(np.log(curve.tau_s / tau))))
+    earlier = curve.value[: at + 1] * curve.tau_s[: at + 1]
+    if at == 0 or earlier.size == 0:
+        return True
+    white = float(earlier.min() / curve.tau_s[at])
+    freedom = float(curve.edof[at])
+    return (
+        bool(curve.value[at] * freedom / chdtri(freedom, 0.001) > white) if white < curve.value[at] else level > white
+    )

@@ -1,0 +1,57 @@
+"""De-noising keeps what is slow, removes what is fast, and refuses what it cannot do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from insemu.denoise import denoise, sure_threshold
+from insemu.errors import InputError
+
+
+def test_a_slow_signal_in_white_noise_comes_out_closer_to_the_truth() -> None:
+    t = np.arange(8192) / 100.0
+    slow = 9.8 + 0.5 * np.sin(2 * np.pi * t / 40.0)
+    noisy = slow + 0.3 * np.random.default_rng(1).standard_normal(t.size)
+    before, after = np.std(noisy - slow), np.std(denoise(noisy, 6) - slow)
+    assert after < 0.2 * before
+    assert np.std(denoise(noisy, 3) - slow) > 1.5 * after  # fewer octaves remove less
+
+
+def test_no_levels_is_the_identity_and_columns_are_independent() -> None:
+    x = np.random.default_rng(2).standard_normal((1000, 2))
+    np.testing.assert_array_equal(denoise(x, 0), x)
+    np.testing.assert_array_equal(denoise(x, 4)[:, 1], denoise(x[:, 1], 4))
+
+
+def test_scaling_and_offset_pass_through() -> None:
+    x = np.random.default_rng(3).standard_normal(1501)
+    np.testing.assert_allclose(denoise(5.0 * x + 9.8, 5), 5.0 * denoise(x, 5) + 9.8, atol=1e-12)
+    assert denoise(x, 5).size == 1501
+
+
+def test_sure_threshold_minimises_the_risk_by_brute_force() -> None:
+    d = np.random.default_rng(4).standard_normal(200) * np.where(np.arange(200) % 10 == 0, 8.0, 1.0)
+
+    def risk(t: float) -> float:
+        return float(d.size - 2 * (np.abs(d) <= t).sum() + np.minimum(d**2, t**2).sum())
+
+    assert sure_threshold(d) == min(np.abs(d), key=risk)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"levels": 20}, "expected 0 to"),
+        ({"levels": 2, "wavelet": "db99"}, "unknown wavelet 'db99'"),
+        ({"levels": 2, "rule": "stein"}, "expected one of: sure, universal"),
+    ],
+)
+def test_bad_options_are_refused(arguments: dict[str, object], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        denoise(np.zeros(500), **arguments)  # type: ignore[arg-type]
+
+
+def test_nan_is_refused() -> None:
+    with pytest.raises(InputError, match="1 value"):
+        denoise([0.0, np.nan, 1.0] * 1, 0)

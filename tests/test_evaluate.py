@@ -1,0 +1,125 @@
+"""Results: the outage table, its intervals, comparisons and files, on errors made by hand."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from insemu.errors import InputError
+from insemu.evaluate import Results, bootstrap_mean, navigation_error, outage_table, paired_ratio, summary, verdicts, within_outage, write
+from insemu.evaluate.results import DesignInfo
+from insemu.records import Trajectory
+
+
+def trajectory(t: np.ndarray) -> Trajectory:
+    llh = np.column_stack([np.full(t.size, 0.8), 0.1 + 1e-6 * t, np.full(t.size, 100.0)])
+    return Trajectory(t, llh, np.zeros((t.size, 3)), np.zeros((t.size, 3)))
+
+
+def results(scale: float = 1.0, runs: int = 40, sigma: float = 1.0) -> Results:
+    rng = np.random.default_rng(1)
+    t = np.arange(101.0)
+    error = rng.standard_normal((2, runs, t.size, 9))
+    error[1] = scale * error[0]
+    return Results(
+        title="by hand",
+        digest="d",
+        seed=1,
+        t=t,
+        error=error,
+        sigma=np.full_like(error, sigma),
+        nees=(error**2).sum(axis=-1) / sigma**2,
+        nis=np.ones((2, runs)),
+        designs={"one": DesignInfo(9, ("a",), {}), "two": DesignInfo(15, ("a", "b"), {})},
+        outages=[(20.0, 10.0), (50.0, 0.0)],
+        truth=trajectory(t),
+        timing={"filter_epochs": 1, "filter_seconds": 1.0, "wall_seconds": 1.0},
+    )
+
+
+def test_an_outage_ends_at_its_last_withheld_fix() -> None:
+    inside = within_outage(np.arange(101.0), 20.0, 10.0)
+    assert np.flatnonzero(inside).tolist() == list(range(21, 31))
+    assert not within_outage(np.arange(101.0), 20.0, 0.0).any()
+
+
+def test_the_table_says_what_the_errors_are() -> None:
+    r = results()
+    row = outage_table(r)["one"][0]
+    horizontal = np.hypot(r.error[0, :, 30, 0], r.error[0, :, 30, 1])
+    assert row["planimetric_end_m"]["mean"] == pytest.approx(horizontal.mean())
+    assert row["planimetric_end_m"]["per_realization"] == pytest.approx(horizontal.tolist())
+    assert row["altimetric_end_m"] == pytest.approx(np.abs(r.error[0, :, 30, 2]).mean())
+    assert row["predicted_sigma_end_m"] == pytest.approx(np.sqrt(2.0))
+    assert row["attitude_end_deg"] == pytest.approx(np.rad2deg(np.linalg.norm(r.error[0, :, 30, 6:], axis=1)).mean())
+    # 40 realizations x 10 epochs x 3 components: binomial bounds at 1e-6
+    assert abs(row["coverage_3sigma"]["position"] - 0.9973) < 4.9 * np.sqrt(0.0027 / 1200)
+    assert abs(row["nees_per_dof"] - 1.0) < 4.9 * np.sqrt(2 / 3600)
+
+
+def test_overconfidence_shows() -> None:
+    row = outage_table(results(sigma=0.5))["one"][0]
+    assert row["nees_per_dof"] > 3
+    assert row["coverage_3sigma"]["velocity"] < 0.9
+
+
+def test_a_zero_length_outage_has_no_epochs() -> None:
+    row = outage_table(results())["one"][1]
+    assert row["planimetric_max_m"] == 0.0
+    assert row["coverage_3sigma"]["position"] == 1.0
+
+
+def test_paired_comparison_finds_a_difference_and_finds_none() -> None:
+    better = results(scale=0.6)
+    c = better.comparison("two", "one")
+    assert c.ratio == pytest.approx(0.6)
+    assert c.different
+    assert c.p_value is not None and c.p_value < 0.001
+    assert "40% smaller than one's" in verdicts(better)[0]
+    assert "no planimetric difference from one" in verdicts(results())[0]
+    assert "no planimetric difference" in verdicts(results(scale=0.995))[0]  # sure, but too small to matter
+    assert paired_ratio([1.0], [2.0]).p_value is None
+
+
+def test_bootstrap_interval_covers() -> None:
+    """95 % percentile intervals of 40 normal values: 500 repeats cover between 90 and 97 % (binomial, 1e-4, small-sample deficit known)."""
+    rng = np.random.default_rng(5)
+    hits = 0
+    for _ in range(500):
+        i = bootstrap_mean(rng.standard_normal(40) + 3.0)
+        assert i.low is not None and i.high is not None
+        hits += i.low <= 3.0 <= i.high
+    assert 450 <= hits <= 485
+    assert bootstrap_mean([2.0]).low is None
+
+
+def test_files_hold_the_same_numbers(tmp_path: Path) -> None:
+    r = results(scale=0.6)
+    write(r, tmp_path)
+    s = json.loads((tmp_path / "summary.json").read_text())
+    assert s == json.loads(json.dumps(summary(r)))
+    assert list(s["designs"]) == ["one", "two"]
+    assert s["designs"]["two"]["states"] == 15
+    with xr.open_dataset(tmp_path / "errors.nc", engine="h5netcdf") as data:
+        np.testing.assert_array_equal(data["error"].sel(design="two").values, r.error[1])
+        assert data["time"].attrs["units"] == "s"
+    lines = (tmp_path / "outages.csv").read_text().splitlines()
+    assert len(lines) == 5
+    assert lines[0].startswith("design,outage,start_s,duration_s,planimetric_end_m,")
+
+
+def test_errors_are_estimate_minus_truth() -> None:
+    t = np.arange(3.0)
+    truth = trajectory(t)
+    moved = Trajectory(t, truth.llh + [1e-7, 0, -2.0], truth.vel_ned + 0.1, truth.rpy + [0, 0, 1e-3])
+    e = navigation_error(moved, truth)
+    assert e[0, 0] == pytest.approx(1e-7 * 6.37e6, rel=1e-2)
+    assert e[0, 2] == pytest.approx(2.0)
+    assert e[0, 3] == pytest.approx(0.1)
+    assert e[0, 8] == pytest.approx(1e-3)
+    with pytest.raises(InputError, match="different epochs"):
+        navigation_error(moved, trajectory(t + 0.5))

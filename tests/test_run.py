@@ -1,0 +1,170 @@
+"""``insemu run`` as a user types it: results, resume, reproducibility, and every way of getting the input wrong."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from insemu.cli import main
+from insemu.evaluate import Experiment, run_experiment
+from insemu.scenario import load
+
+SCENARIO: dict[str, Any] = {
+    "title": "small <b>flight</b>",
+    "seed": 3,
+    "realizations": 2,
+    "trajectory": {"builtin": "helicopter_mapping", "rate": "50 Hz", "duration": "120 s"},
+    "truth": {"gyro": "WN(N=0.03 deg/s/sqrt(Hz)) + GM(sigma=30 deg/h, Tc=40 s)", "accel": "WN(N=90 ug/sqrt(Hz)) + RW(K=30 ug*sqrt(Hz))"},
+    "gnss": {"position_sigma": "5 cm", "velocity_sigma": "2 cm/s", "outages": [{"start": "80 s", "duration": "20 s"}]},
+    "fits": {"simulate": "300 s"},
+    "designs": {"white": {"gyro": {"fit": "WN()"}, "accel": {"fit": "WN()"}}, "full": {"gyro": {"truth": True}, "accel": {"truth": True}}},
+    "variants": {"coarse": {"gnss": {"position_sigma": "1 m"}}},
+}
+
+
+def write(tmp_path: Path, **changes: Any) -> Path:
+    path = tmp_path / "s.yaml"
+    path.write_text(yaml.safe_dump(SCENARIO | changes, sort_keys=False), encoding="utf-8")
+    return path
+
+
+def run(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as stop:
+        main(["run", *arguments])
+    return int(stop.value.code or 0)
+
+
+def test_a_run_leaves_table_page_and_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    assert run(str(write(tmp_path)), "--workers", "2", "--out", str(out), "--json") == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == json.loads((out / "summary.json").read_text())
+    assert list(printed) == ["scenario", "digest", "seed", "realizations", "designs", "comparisons", "timing"]
+    assert printed["designs"]["white"]["states"] == 9
+    assert printed["designs"]["full"]["states"] == 15
+    outage = printed["designs"]["full"]["outages"][0]
+    assert (outage["start_s"], outage["duration_s"]) == (80.0, 20.0)
+    assert len(outage["planimetric_end_m"]["per_realization"]) == 2
+    assert {"position", "velocity", "attitude"} == set(outage["coverage_3sigma"])
+    assert printed["timing"]["filter_epochs"] == 2 * 2 * 6000
+    for name in ("index.html", "outages.csv", "errors.nc", "manifest.json", "resolved.yaml", "flight.png", "variants/coarse/summary.json"):
+        assert (out / name).stat().st_size > 0
+    page = (out / "index.html").read_text()
+    assert "small &lt;b&gt;flight&lt;/b&gt;" in page
+    assert "<b>flight" not in page
+    assert load(out / "resolved.yaml").truth.models() == load(tmp_path / "s.yaml").truth.models()
+
+
+def test_realizations_are_the_same_alone_in_parallel_and_among_more(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    few = run_experiment(Experiment(load(path), path), realizations=2, workers=1)
+    more = run_experiment(Experiment(load(path), path), realizations=4, workers=2)
+    np.testing.assert_allclose(few.error, more.error[:, :2], rtol=1e-9, atol=1e-12)
+    other = run_experiment(Experiment(load(path, overrides={"seed": 4}), path), realizations=2)
+    assert not np.array_equal(few.error, other.error)
+
+
+def test_an_interrupted_run_resumes(tmp_path: Path) -> None:
+    path, cache = write(tmp_path), tmp_path / "cache"
+
+    def interrupt(done: int, total: int, label: str) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_experiment(Experiment(load(path), path), realizations=4, cache=cache, progress=interrupt)
+    experiment = Experiment(load(path), path)
+    kept = sorted((cache / experiment.digest).glob("*.npz"))
+    assert len(kept) >= 2
+    kept[0].write_bytes(b"half-written")
+    seen: list[int] = []
+    resumed = run_experiment(experiment, realizations=4, cache=cache, progress=lambda done, total, label: seen.append(done))
+    assert seen[0] == len(kept) - 1
+    whole = run_experiment(Experiment(load(path), path), realizations=4)
+    # the same to rounding: vector lanes of the platform's mathematics depend on how memory happens to be aligned
+    np.testing.assert_allclose(resumed.error, whole.error, rtol=1e-9, atol=1e-12)
+
+
+def signals(tmp_path: Path, rows: int = 50 * 130, **changes: Any) -> Path:
+    data = np.random.default_rng(1).standard_normal((rows, 6)) * 1e-3
+    path = tmp_path / "log.npz"
+    arrays = {
+        "data": data,
+        "fs": np.float64(50.0),
+        "columns": np.array(["gx", "gy", "gz", "ax", "ay", "az"]),
+        "units": np.array(["rad/s"] * 3 + ["m/s^2"] * 3),
+    } | changes
+    np.savez(path, **arrays)
+    return path
+
+
+RECORDED = {
+    "truth": {"recorded": {"files": ["log.npz"]}},
+    "fits": {"recorded": {"files": ["log.npz"]}},
+    "designs": {"white": {"gyro": {"fit": "WN()"}, "accel": {"fit": "WN()"}}},
+    "realizations": 1,
+    "variants": {},
+}
+
+
+def test_recorded_errors_fly(tmp_path: Path) -> None:
+    signals(tmp_path)
+    path = write(tmp_path, **RECORDED)
+    r = run_experiment(Experiment(load(path), path))
+    assert np.isfinite(r.error).all()
+    assert r.names == ["white"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "log", "message"),
+    [
+        ({"gnss": {"outages": [{"start": "110 s", "duration": "20 s"}]}}, {}, "outage 1 ends at 130 s, but the trajectory ends at 120 s"),
+        ({"gnss": {"outages": [{"strat": "110 s", "duration": "20 s"}]}}, {}, "did you mean 'start'"),
+        ({"truth": SCENARIO["truth"] | {"gyro": "WN(N=-1 deg/sqrt(h))"}}, {}, "not negative"),
+        ({"gnss": {"position_sigma": "1 deg"}}, {}, "another dimension"),
+        ({"trajectory": {"builtin": "helicopter_maping"}}, {}, "did you mean 'helicopter_mapping'"),
+        (RECORDED | {"truth": {"recorded": {"files": ["absent.npz"]}}}, {}, "absent.npz: no such file"),
+        (RECORDED, {"rows": 50 * 100}, "has 100 s, shorter than the flight of 120 s"),
+        (RECORDED | {"realizations": 2}, {}, "2 realizations of 120 s asked for, but the recorded signals hold 1"),
+        (RECORDED, {"data": np.full((7000, 6), np.nan)}, "not finite"),
+        (RECORDED, {"fs": np.float64(100.0)}, "expected the IMU rate of 50 Hz"),
+        (RECORDED, {"columns": np.array(["gx", "gy", "gz", "ax", "ay", "temperature"])}, "no column for accel_z"),
+        ({"truth": SCENARIO["truth"] | {"record": "60 s"}}, {}, "record of 60 s is shorter than the flight"),
+    ],
+)
+def test_bad_input_is_one_line_exit_2_and_nothing_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], changes: dict[str, Any], log: dict[str, Any], message: str
+) -> None:
+    signals(tmp_path, **log)
+    out = tmp_path / "out"
+    assert run(str(write(tmp_path, **changes)), "--out", str(out)) == 2
+    error = capsys.readouterr().err
+    assert message in " ".join(error.split())
+    assert "Traceback" not in error
+    assert not out.exists()
+
+
+def test_help_is_light() -> None:
+    code = (
+        "import sys; sys.argv = ['insemu', '--help']\n"
+        "import insemu.cli\n"
+        "try:\n    insemu.cli.main()\nexcept SystemExit:\n    pass\n"
+        "heavy = {'numba', 'scipy', 'matplotlib', 'xarray', 'filterpy', 'pandas', 'pydantic'} & set(sys.modules)\n"
+        "assert not heavy, heavy"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "characterise" in done.stdout or "run" in done.stdout
+
+
+def test_schema_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["schema"])
+    assert json.loads(capsys.readouterr().out)["title"] == "insemu scenario"
