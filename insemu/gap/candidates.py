@@ -64,7 +64,11 @@ class AxisState:
     def white(self) -> float:
         """Density of the current white noise; where there is none, of the spectrum's median."""
         total = sum(c.process.parameters["N"] ** 2 for c in self.explanation.components if isinstance(c.process, WN))
-        return math.sqrt(total) if total > 0 else math.sqrt(float(np.median(self.data.power)) if self.data.power.size else 1e-30)
+        return (
+            math.sqrt(total)
+            if total > 0
+            else math.sqrt(float(np.median(self.data.power)) if self.data.power.size else 1e-30)
+        )
 
     def block_sigma(self) -> float:
         """Standard deviation of a block mean from white noise alone."""
@@ -122,7 +126,9 @@ def _log_normal(name: str, value: float, sigma: float, unit: str) -> Value:
     return Value(name, value, value * math.exp(-1.96 * sigma), value * math.exp(1.96 * sigma), unit)
 
 
-def best_of(state: AxisState, effect: str, variant: str, starts: Iterable[Explanation], refine: int = 2) -> list[Weighed]:
+def best_of(
+    state: AxisState, effect: str, variant: str, starts: Iterable[Explanation], refine: int = 2
+) -> list[Weighed]:
     """Refine the most promising of many starting points and weigh the best."""
     likelihood = state.likelihood
     scored = sorted(((likelihood.log_posterior(e), i, e) for i, e in enumerate(starts)), key=lambda item: -item[0])
@@ -137,7 +143,15 @@ def best_of(state: AxisState, effect: str, variant: str, starts: Iterable[Explan
     if not fits:
         return []
     best = max(fits, key=lambda f: f.evidence)
-    return [Weighed(effect, variant, best.evidence - state.fitted.evidence, values_of(best, effect, state.data.unit), added(state, best, effect))]
+    return [
+        Weighed(
+            effect,
+            variant,
+            best.evidence - state.fitted.evidence,
+            values_of(best, effect, state.data.unit),
+            added(state, best, effect),
+        )
+    ]
 
 
 def added(state: AxisState, fitted: Fitted, effect: str) -> AxisState:
@@ -146,7 +160,11 @@ def added(state: AxisState, fitted: Fitted, effect: str) -> AxisState:
 
 
 #: Names of the table of effects for parameters whose process calls them otherwise.
-_TABLE_NAMES = {("vibration_band", "sigma"): "rms", ("vibration_band", "f"): "frequency", ("vibration_band", "ratio"): "bandwidth"}
+_TABLE_NAMES = {
+    ("vibration_band", "sigma"): "rms",
+    ("vibration_band", "f"): "frequency",
+    ("vibration_band", "ratio"): "bandwidth",
+}
 
 
 def values_of(fitted: Fitted, effect: str, unit: str) -> tuple[Value, ...]:
@@ -157,7 +175,10 @@ def values_of(fitted: Fitted, effect: str, unit: str) -> tuple[Value, ...]:
         meta = {p.name: p.unit_for(unit) for p in c.process.PARAMETERS}
         mine = [
             _log_normal(
-                _TABLE_NAMES.get((effect, f.name), f.name), getattr(c.process, f.name), float(fitted.sigma[k + i]), meta.get(f.name, "")
+                _TABLE_NAMES.get((effect, f.name), f.name),
+                getattr(c.process, f.name),
+                float(fitted.sigma[k + i]),
+                meta.get(f.name, ""),
             )
             for i, f in enumerate(c.free)
         ]
@@ -166,17 +187,27 @@ def values_of(fitted: Fitted, effect: str, unit: str) -> tuple[Value, ...]:
             out = mine
             if isinstance(c.process, Band):
                 f0 = c.process.parameters["f"]
-                out = [v if v.name != "bandwidth" else Value(v.name, v.value * f0, v.low * f0, v.high * f0, "Hz") for v in out]
+                out = [
+                    v if v.name != "bandwidth" else Value(v.name, v.value * f0, v.low * f0, v.high * f0, "Hz")
+                    for v in out
+                ]
     if fitted.explanation.rolloff is not None and effect == fitted.explanation.rolloff.effect:
         low_pass = fitted.explanation.rolloff
         out = [
-            _log_normal("cutoff" if f.name == "corner" else f.name, v, float(fitted.sigma[k + i]), "Hz" if f.name == "corner" else "1")
+            _log_normal(
+                "cutoff" if f.name == "corner" else f.name,
+                v,
+                float(fitted.sigma[k + i]),
+                "Hz" if f.name == "corner" else "1",
+            )
             for i, (f, v) in enumerate(zip(low_pass.free, low_pass.values, strict=True))
         ]
     return tuple(out)
 
 
-def _process_starts(state: AxisState, effect: str, make: Callable[[float], Process], free: Sequence[Free], amplitudes: Array) -> list[Explanation]:
+def _process_starts(
+    state: AxisState, effect: str, make: Callable[[float], Process], free: Sequence[Free], amplitudes: Array
+) -> list[Explanation]:
     base = state.explanation
     return [base.with_component(Component(make(a), tuple(free), effect)) for a in amplitudes]
 
@@ -187,11 +218,15 @@ def _process_starts(state: AxisState, effect: str, make: Callable[[float], Proce
 def white_noise(state: AxisState) -> list[Weighed]:
     """The white noise's level is further off than a nominal level may be."""
     base = state.explanation
-    index = next((i for i, c in enumerate(base.components) if isinstance(c.process, WN) and c.effect == "nominal"), None)
+    index = next(
+        (i for i, c in enumerate(base.components) if isinstance(c.process, WN) and c.effect == "nominal"), None
+    )
     if index is None:
         top = 10.0 * state.white
         free = (_amplitude("N", top),)
-        return best_of(state, "white_noise", "level", _process_starts(state, "white_noise", WN, free, _amplitudes(top)), 1)
+        return best_of(
+            state, "white_noise", "level", _process_starts(state, "white_noise", WN, free, _amplitudes(top)), 1
+        )
     c = base.components[index]
     n0 = c.process.parameters["N"]
     starts = []
@@ -204,13 +239,20 @@ def white_noise(state: AxisState) -> list[Weighed]:
 def random_walk(state: AxisState) -> list[Weighed]:
     """A random walk that the explanation lacks, or more of it."""
     top = _spread(state) / math.sqrt(10.0 * state.data.block_s)
-    return best_of(state, "random_walk", "", _process_starts(state, "random_walk", RW, (_amplitude("K", top),), _amplitudes(top, 16)))
+    return best_of(
+        state,
+        "random_walk",
+        "",
+        _process_starts(state, "random_walk", RW, (_amplitude("K", top),), _amplitudes(top, 16)),
+    )
 
 
 def flicker(state: AxisState) -> list[Weighed]:
     """Bias instability."""
     top = _spread(state)
-    return best_of(state, "flicker", "", _process_starts(state, "flicker", BI, (_amplitude("B", top),), _amplitudes(top, 16)))
+    return best_of(
+        state, "flicker", "", _process_starts(state, "flicker", BI, (_amplitude("B", top),), _amplitudes(top, 16))
+    )
 
 
 def gauss_markov(state: AxisState) -> list[Weighed]:
@@ -231,7 +273,13 @@ def gauss_markov(state: AxisState) -> list[Weighed]:
 def quantization_noise(state: AxisState) -> list[Weighed]:
     """Quantization of the integrated output: a spectrum that rises with the square of the frequency."""
     top = 10.0 * state.white * math.sqrt(state.data.dt)
-    return best_of(state, "quantization", "integrated", _process_starts(state, "quantization", QN, (_amplitude("Q", top),), _amplitudes(top, 14)), 1)
+    return best_of(
+        state,
+        "quantization",
+        "integrated",
+        _process_starts(state, "quantization", QN, (_amplitude("Q", top),), _amplitudes(top, 14)),
+        1,
+    )
 
 
 def vibration_band(state: AxisState) -> list[Weighed]:
@@ -254,7 +302,9 @@ def vibration_band(state: AxisState) -> list[Weighed]:
             near = float(np.interp(f0, data.f, S))
             for excess in (0.1, 0.5, 3.0, 20.0):
                 sigma = math.sqrt(excess * near * width * math.pi)
-                starts.append(state.explanation.with_component(Component(Band(sigma, f0, ratio), free, "vibration_band")))
+                starts.append(
+                    state.explanation.with_component(Component(Band(sigma, f0, ratio), free, "vibration_band"))
+                )
     return best_of(state, "vibration_band", "", starts)
 
 
@@ -265,7 +315,12 @@ def decimation_filter(state: AxisState) -> list[Weighed]:
     nyquist = 0.5 / state.data.dt
     out = []
     order = Free("order", 0.6, 12.0)
-    for kind, highest in (("moving average", 4.0), ("exponential", 1.5), ("butterworth", 0.98)):
+    for kind, highest in (
+        ("moving average", 4.0),
+        ("triangular window", 6.0),
+        ("exponential", 1.5),
+        ("butterworth", 0.98),
+    ):
         free = (Free("corner", 0.03 * nyquist, highest * nyquist), *((order,) if kind == "butterworth" else ()))
         orders: tuple[tuple[float, ...], ...] = ((1.0,), (2.0,), (4.0,), (8.0,)) if kind == "butterworth" else ((),)
         corners = nyquist * np.geomspace(0.05, 0.95 * highest, 14)
@@ -294,7 +349,8 @@ def _regression(
     k = len(names)
     sigma = np.sqrt(np.diag(covariance))[-k:]
     values = tuple(
-        Value(n, float(m), float(m - 1.96 * s), float(m + 1.96 * s), u) for n, m, s, u in zip(names, mean[-k:], sigma, unit, strict=True)
+        Value(n, float(m), float(m - 1.96 * s), float(m + 1.96 * s), u)
+        for n, m, s, u in zip(names, mean[-k:], sigma, unit, strict=True)
     )
     return [Weighed(effect, variant, fitted.evidence - state.fitted.evidence, values, added(state, fitted, effect))]
 
@@ -338,7 +394,15 @@ def temperature(state: AxisState) -> list[Weighed]:
             seen = lowpass(d, where.dt, lag) if lag > 0.0 else d
             return block_differences(np.stack([seen ** (k + 1) for k in which], axis=1), where.block)
 
-        w = _regression(state, "temperature", variant, [names[k] for k in which], columns, scales[list(which)], [units[k] for k in which])[0]
+        w = _regression(
+            state,
+            "temperature",
+            variant,
+            [names[k] for k in which],
+            columns,
+            scales[list(which)],
+            [units[k] for k in which],
+        )[0]
         return replace(w, values=(*w.values, reference))
 
     out = [weigh("linear", (0,)), weigh("cubic", (0, 1, 2))]
@@ -381,6 +445,8 @@ def _initial() -> None:
 _initial()
 
 
-def state_of(data: Reduced, explanation: Explanation, temperature_c: Array | None = None, named: tuple[str, ...] = ()) -> AxisState:
+def state_of(
+    data: Reduced, explanation: Explanation, temperature_c: Array | None = None, named: tuple[str, ...] = ()
+) -> AxisState:
     """Fit an explanation to an axis."""
     return AxisState(data, fit(Likelihood(data), explanation), temperature_c, named)

@@ -33,7 +33,9 @@ def block_innovations(data: Reduced, explanation: Explanation, extra: Array | No
     return out[:, 0]
 
 
-def wavelet_p_values(data: Reduced, explanation: Explanation, rng: np.random.Generator) -> list[tuple[float, float, float, float]]:
+def wavelet_p_values(
+    data: Reduced, explanation: Explanation, rng: np.random.Generator
+) -> list[tuple[float, float, float, float]]:
     """Haar wavelet variance of the log against the model's, scale by scale.
 
     Scales below a block by the sampling variance that the spectrum implies; above, against 1,000 simulated logs (block means drawn with
@@ -116,7 +118,12 @@ def axis_tests(state: AxisState) -> list[tuple[str, float | None, float]]:
     if data.f.size:
         ratio = data.power / explanation.psd(data.f, data.dt)
         groups = np.array_split(np.arange(data.f.size), min(32, data.f.size))
-        z = np.array([(np.sum(data.dof[g] * ratio[g]) / np.sum(data.dof[g]) - 1.0) * math.sqrt(np.sum(data.dof[g]) / 2.0) for g in groups])
+        z = np.array(
+            [
+                (np.sum(data.dof[g] * ratio[g]) / np.sum(data.dof[g]) - 1.0) * math.sqrt(np.sum(data.dof[g]) / 2.0)
+                for g in groups
+            ]
+        )
         out.append(("spectrum", None, float(stats.chi2.sf(float(z @ z), z.size))))
         r = whitened(state)
         out += _stationarity(r, data)
@@ -128,7 +135,15 @@ def axis_tests(state: AxisState) -> list[tuple[str, float | None, float]]:
         if np.std(steps) > 0:
             out.append(("temperature", data.block_s, _correlation_p(steps, e)))
     t = np.linspace(-1.0, 1.0, n)
-    out.append(("time", data.duration_s, float(2.0 * stats.norm.sf(abs(float(np.sum(t * (e * e - np.mean(e * e))))) / math.sqrt(2.0 * np.sum(t * t))))))
+    out.append(
+        (
+            "time",
+            data.duration_s,
+            float(
+                2.0 * stats.norm.sf(abs(float(np.sum(t * (e * e - np.mean(e * e))))) / math.sqrt(2.0 * np.sum(t * t)))
+            ),
+        )
+    )
     return out
 
 
@@ -149,7 +164,9 @@ def _stationarity(r: Array, data: Reduced) -> list[tuple[str, float | None, floa
     Bands are eighths of an octave-like grid in frequency, so that a line that sweeps shows although its mean spectrum is smooth.
     """
     length = r.size // SEGMENTS
-    spectra = np.abs(np.fft.rfft(r[: SEGMENTS * length].reshape(SEGMENTS, length), axis=1)[:, 1 : length // 2]) ** 2 / length
+    spectra = (
+        np.abs(np.fft.rfft(r[: SEGMENTS * length].reshape(SEGMENTS, length), axis=1)[:, 1 : length // 2]) ** 2 / length
+    )
     f = np.arange(1, length // 2) / (length * data.dt)
     keep = f >= 2.0 * data.f[0]
     spectra, f = spectra[:, keep], f[keep]
@@ -175,6 +192,11 @@ def _stationarity(r: Array, data: Reduced) -> list[tuple[str, float | None, floa
         ("stationarity", length * data.dt, float(stats.chi2.sf(z2, count))),
         ("noise level over time", length * data.dt, float(stats.chi2.sf(float(zt @ zt), SEGMENTS - 1))),
     ]
+
+
+def drifting_spectrum(state: AxisState) -> float:
+    """p-value of the whitened samples having the same spectrum in every sixteenth of the log."""
+    return next((p for name, _, p in _stationarity(whitened(state), state.data) if name == "stationarity"), 1.0)
 
 
 def cross_axis_tests(states: Mapping[str, AxisState]) -> list[tuple[str, str, float]]:

@@ -95,6 +95,8 @@ class Rolloff:
         corner = self.values[0]
         if self.kind == "moving average":
             return np.asarray(np.sinc(f / corner) ** 2 + 1e-6)
+        if self.kind == "triangular window":
+            return np.asarray(np.sinc(f / corner) ** 4 + 1e-6)
         if self.kind == "exponential":
             phi = math.exp(-2.0 * math.pi * corner * dt)
             return np.asarray((1.0 - phi) ** 2 / ((1.0 - phi) ** 2 + 4.0 * phi * np.sin(np.pi * f * dt) ** 2))
@@ -113,7 +115,9 @@ class Regressors:
     names: tuple[str, ...]
     columns: Array
     scales: Array
-    rebuild: Callable[[Reduced, Array | None], Array] | None = None  # the same columns for other data, given its temperature
+    rebuild: Callable[[Reduced, Array | None], Array] | None = (
+        None  # the same columns for other data, given its temperature
+    )
 
 
 @dataclass(frozen=True)
@@ -337,13 +341,17 @@ def laplace(log_posterior: Callable[[Array], float], x0: Array, free: Sequence[F
     if not x0.size:
         top = log_posterior(x0)
         return Mode(x0, np.zeros((0, 0)), top, top)
+    x0 = np.clip(x0, [math.log(f.low) for f in free], [math.log(f.high) for f in free])
     # curvatures differ by orders of magnitude (a million samples against a handful of blocks): climb in standardised coordinates
     prior = np.array([1.0 / f.sigma**2 for f in free])
     centre, step = cost(x0), 3e-3
     bend = np.array([(cost(x0 + e) + cost(x0 - e) - 2.0 * centre) / step**2 for e in np.eye(x0.size) * step])
     unit = 1.0 / np.sqrt(np.maximum(np.where(np.isfinite(bend), bend, 0.0), prior))
     result = optimize.minimize(
-        lambda z: cost(x0 + unit * z), np.zeros(x0.size), method="L-BFGS-B", options={"eps": 1e-3, "maxiter": 60, "ftol": 1e-9}
+        lambda z: cost(x0 + unit * z),
+        np.zeros(x0.size),
+        method="L-BFGS-B",
+        options={"eps": 1e-3, "maxiter": 60, "ftol": 1e-9},
     )
     x, best = x0 + unit * np.asarray(result.x, dtype=np.float64), float(result.fun)
     H = _hessian(cost, x, best)

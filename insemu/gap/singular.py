@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.gap import kernel
-from insemu.gap.candidates import AxisState, Weighed, register
+from insemu.gap.candidates import AMPLITUDE_RANGE, AxisState, Weighed, register
 from insemu.gap.evidence import Explanation, Free, Likelihood, fit, laplace, level, log_mean_exp
 from insemu.gap.reduced import reduce
 from insemu.gap.verdict import Value
-from insemu.noise import GM, RW, WN
+from insemu.noise import BI, GM, RW, WN, Process
 from insemu.records import Series
 
 Array = NDArray[np.float64]
@@ -144,14 +144,19 @@ def outliers(state: AxisState) -> list[Weighed]:
 
     start = min(max(0.0, math.log(spread.low)), math.log(spread.high))
     null = laplace(gaussian, np.array([start]), free[:1])
-    grid = [np.array([s, math.log(e), math.log(k)]) for s in (start, -0.1) for e in np.geomspace(1e-5, 0.1, 7) for k in (3.0, 6.0, 15.0, 50.0)]
+    grid = [
+        np.array([s, math.log(e), math.log(k)])
+        for s in (start, -0.1)
+        for e in np.geomspace(1e-5, 0.1, 7)
+        for k in (3.0, 6.0, 15.0, 50.0)
+    ]
     grid.sort(key=lambda x: -mixture(x))
     best = max((laplace(mixture, x, free) for x in grid[:2]), key=lambda m: m.evidence)
     gain = best.evidence - null.evidence
     s, e, k = (math.exp(v) for v in best.x)
     sd = np.sqrt(np.diag(best.covariance))
     # the spread of what was added, as the table of effects states it
-    size = s * math.sqrt(k * k - 1.0) * fitted_n / math.sqrt(state.data.dt)
+    size = s * math.sqrt(max(k * k - 1.0, 0.01)) * fitted_n / math.sqrt(state.data.dt)
     values = (
         Value("probability", e, e * math.exp(-1.96 * sd[1]), e * math.exp(1.96 * sd[1]), "1"),
         Value("sigma", size, size * math.exp(-1.96 * sd[2]), size * math.exp(1.96 * sd[2]), state.data.unit),
@@ -176,8 +181,8 @@ SWITCHING_BLOCKS_S = (0.3, 2.0, 10.0)
 def telegraph(state: AxisState) -> list[Weighed]:
     """A level that jumps between two values at random times (telegraph or burst noise)."""
     data = state.data
-    if "telegraph" in state.named:
-        return []
+    if "telegraph" in state.named or state.explanation.regressors:
+        return []  # levels and drifts of known shape are not told apart sample by sample
     found: list[tuple[float, Array, int, float, Array]] = []
     for seconds in SWITCHING_BLOCKS_S:
         block = max(1, round(seconds / data.dt))
@@ -187,13 +192,19 @@ def telegraph(state: AxisState) -> list[Weighed]:
         y = data.values[: count * block].reshape(count, block).mean(axis=1)
         y = y - np.median(y)
         length = block * data.dt
-        white = state.white**2 / length
         phi, q = _background(state, length)
+        # what is fast compared with a block counts as white at the level that it has there
+        f = np.array([0.25 / length])
+        fast = float(state.explanation.psd(f, data.dt)[0]) - sum(
+            float(p.psd(f, data.dt)[0]) for p in _slow(state, length)
+        )
+        white = max(fast, 0.1 * state.white**2) / length
         p0 = (10.0 * float(np.std(y))) ** 2
         path = np.empty(count)
         null = kernel.switching_log_likelihood(y, white, phi, q, p0, 0.0, 0.5, path)
         top = 4.0 * float(np.std(y)) + 1e-30
-        free = (Free("amplitude", top / 300.0, top), Free("dwell", 3.0 * length, 0.5 * data.duration_s))
+        # as wide as the Gauss-Markov process's priors: the two compete
+        free = (Free("amplitude", top / AMPLITUDE_RANGE, top), Free("dwell", 4.0 * data.dt, 0.5 * data.duration_s))
 
         def log_posterior(
             x: Array, y: Array = y, white: float = white, phi: float = phi, q: float = q, p0: float = p0, free: tuple[Free, ...] = free,
@@ -212,7 +223,11 @@ def telegraph(state: AxisState) -> list[Weighed]:
         start = max(grid, key=log_posterior)
         mode = laplace(log_posterior, start, free)
         log_posterior(mode.x)
-        found.append((mode.evidence - null, mode.x, block, float(np.sqrt(mode.covariance[0, 0])), path.copy()))
+        forward = path.copy()
+        stay = 0.5 * (1.0 + math.exp(-2.0 * length / math.exp(mode.x[1])))
+        kernel.switching_log_likelihood(y[::-1].copy(), white, phi, q, p0, math.exp(mode.x[0]), stay, path)
+        both = _smoothed(y, forward, path[::-1], math.exp(mode.x[0]), white)
+        found.append((mode.evidence - null, mode.x, block, float(np.sqrt(mode.covariance[0, 0])), both))
     if not found:
         return []
     gain, x, block, sd, path = max(found, key=lambda item: item[0])
@@ -220,7 +235,13 @@ def telegraph(state: AxisState) -> list[Weighed]:
     switches = max(1.0, data.duration_s / dwell)
     values = (
         Value("amplitude", a, a * math.exp(-1.96 * sd), a * math.exp(1.96 * sd), data.unit),
-        Value("rate", 1.0 / dwell, math.exp(-1.96 / math.sqrt(switches)) / dwell, math.exp(1.96 / math.sqrt(switches)) / dwell, "1/s"),
+        Value(
+            "rate",
+            1.0 / dwell,
+            math.exp(-1.96 / math.sqrt(switches)) / dwell,
+            math.exp(1.96 / math.sqrt(switches)) / dwell,
+            "1/s",
+        ),
     )
     if gain < 0.0:
         return [Weighed("telegraph", "", gain, values, state)]
@@ -229,18 +250,39 @@ def telegraph(state: AxisState) -> list[Weighed]:
     return [Weighed("telegraph", "", gain, values, cleaned(state, data.values - levels, "telegraph"))]
 
 
+def _smoothed(y: Array, forward: Array, backward: Array, amplitude: float, white: float) -> Array:
+    """Probability of the upper level given all data, from the filters run either way; each saw the sample itself, which counts once."""
+
+    def odds(p: Array) -> Array:
+        q = np.clip(p, 1e-12, 1.0 - 1e-12)
+        return np.asarray(np.log(q / (1.0 - q)))
+
+    middle = float(np.mean(y - amplitude * (2.0 * forward - 1.0)))
+    own = 2.0 * amplitude * (y - middle) / white
+    return np.asarray(1.0 / (1.0 + np.exp(-np.clip(odds(forward) + odds(backward) - own, -40.0, 40.0))))
+
+
+def _slow(state: AxisState, length: float) -> list[Process]:
+    """Processes of the explanation that remember more than a few blocks."""
+    slow = []
+    for c in state.explanation.components:
+        p = c.process
+        if isinstance(p, RW | BI) or (isinstance(p, GM) and p.parameters["beta"] * length < 3.0):
+            slow.append(p)
+    return slow
+
+
 def _background(state: AxisState, length: float) -> tuple[float, float]:
     """Transition and driving variance per block of a first-order background that stands for the explanation's slow processes."""
-    q, phi = 0.0, 1.0
-    slow = [c.process for c in state.explanation.components if not isinstance(c.process, WN)]
-    for p in slow:
+    q = 0.0
+    for p in _slow(state, length):
         if isinstance(p, RW):
             q += p.parameters["K"] ** 2 * length
-        elif isinstance(p, GM) and p.parameters["beta"] * length < 3.0:
+        elif isinstance(p, GM):
             q += 2.0 * p.parameters["sigma"] ** 2 * -math.expm1(-p.parameters["beta"] * length)
-        elif p.symbol == "BI":
+        elif isinstance(p, BI):
             q += p.parameters["B"] ** 2 * 0.9
-    return phi, q
+    return 1.0, q
 
 
 # -- output counts and held samples -----------------------------------------------------------------------------------------------
@@ -267,7 +309,15 @@ def output_counts(state: AxisState) -> list[Weighed]:
     resolution = max(float(np.max(np.abs(state.data.values))), step) * 2.0**-24
     gain = state.data.values.size * max(math.log(step / resolution), 0.0)
     values = (Value("lsb", step, step, step, state.data.unit),)
-    return [Weighed("quantization", "output counts", gain, values, replace(state, named=(*state.named, "quantization"), memory=dict(state.memory)))]
+    return [
+        Weighed(
+            "quantization",
+            "output counts",
+            gain,
+            values,
+            replace(state, named=(*state.named, "quantization"), memory=dict(state.memory)),
+        )
+    ]
 
 
 def held_samples(state: AxisState) -> list[Weighed]:

@@ -35,7 +35,7 @@ THRESHOLD = 3.0
 OMNIBUS = 0.002
 #: Share of the log on which effects are named for the held-out figures.
 NAMING_SHARE = 2.0 / 3.0
-MOST_STEPS = 6
+MOST_STEPS = 8
 
 #: Candidates that describe the same effect of the catalogue.
 _EFFECT_OF = {"quantization_output": "quantization"}
@@ -81,15 +81,20 @@ def _confidence(ranked: Sequence[Weighed]) -> float:
 
 
 def search(
-    state: AxisState, *, threshold: float = THRESHOLD, without: Collection[str] = (), progress: Callable[[str], None] | None = None
+    state: AxisState,
+    *,
+    threshold: float = THRESHOLD,
+    without: Collection[str] = (),
+    progress: Callable[[str], None] | None = None,
 ) -> AxisResult:
     """Name, add and reconsider effects of one axis until nothing more is worth the threshold."""
     start, found = state, []
     outsider = ""
+    excluded = bool(without)
     for _ in range(MOST_STEPS):
         ranked = weigh_all(state, without)
         best = ranked[0] if ranked else None
-        beyond = [w for name in without if name in CANDIDATES for w in CANDIDATES[name](state)]
+        beyond = [w for name in (without if excluded else ()) if name in CANDIDATES for w in CANDIDATES[name](state)]
         if beyond and max(w.gain for w in beyond) > max(best.gain if best else 0.0, 0.0) + LEAD:
             # something of known structure that the catalogue does not hold fits better than anything it does
             outsider = max(beyond, key=lambda w: w.gain).effect
@@ -100,6 +105,11 @@ def search(
             progress(f"{state.data.name}: {best.effect} {best.gain:.1f} nats")
         found.append(Found(best, tuple(ranked), _confidence(ranked)))
         state = best.state
+        if best.effect in ("vibration_band", "vibration_line") and disagreement.drifting_spectrum(state) < 1e-6:
+            # no stationary process explains it, and more of them would only chase it; what is slow can still be told
+            outsider = "vibration that changes with time"
+            without = (*without, *_FAST, "outliers", "telegraph", "dropped_samples")
+            excluded = False
         if len(found) > 1:
             state, found = _reconsider(state, found, without)
     return AxisResult(start, state, tuple(found), outsider)
@@ -251,7 +261,9 @@ def held_out(result: AxisResult, nominal: Explanation, test: Reduced, temperatur
     change = (after.chi_square - plain.chi_square) / after.dof
     variance = float(np.sum(change**2 * after.dof / 2.0) + abs(bonus))
     sigma = result.end.fitted.sigma
-    level = float(np.sqrt(np.mean(np.minimum(2.0 * sigma, 0.5) ** 2))) / math.sqrt(after.dof.size) if sigma.size else 0.0
+    level = (
+        float(np.sqrt(np.mean(np.minimum(2.0 * sigma, 0.5) ** 2))) / math.sqrt(after.dof.size) if sigma.size else 0.0
+    )
     return HeldOut(before, after, gain, variance, final.differences.size, level)
 
 
@@ -302,7 +314,9 @@ def find_static_gap(
     for s in log:
         say(f"{s.name}: weighing candidates")
         data = reduce(s)
-        results[s.name] = search(state_of(data, nominal[s.name], temperature), threshold=threshold, without=without, progress=progress)
+        results[s.name] = search(
+            state_of(data, nominal[s.name], temperature), threshold=threshold, without=without, progress=progress
+        )
         if hold_out:
             say(f"{s.name}: scoring on held-out data")
             cut = int(len(s) * NAMING_SHARE) // data.block * data.block
@@ -349,9 +363,13 @@ def _check(log: Sequence[Series], beliefs: Mapping[str, NoiseModel], temperature
         raise InputError("the log has no axis")
     for s in log:
         if s.name not in beliefs:
-            raise InputError(f"no noise model is believed for the axis '{s.name}', expected one (beliefs are for {', '.join(beliefs) or 'no axis'})")
+            raise InputError(
+                f"no noise model is believed for the axis '{s.name}', expected one (beliefs are for {', '.join(beliefs) or 'no axis'})"
+            )
         if len(s) < 480:
-            raise InputError(f"{s.name} has {len(s)} samples, expected at least 480 to tell one noise process from another")
+            raise InputError(
+                f"{s.name} has {len(s)} samples, expected at least 480 to tell one noise process from another"
+            )
         if float(np.ptp(s.values)) == 0.0:
             raise InputError(f"{s.name} is constant ({s.values[0]!r}); expected a signal with noise")
         if temperature is not None and temperature.shape != (len(s),):
@@ -385,7 +403,9 @@ def split_axis(name: str) -> tuple[str, str]:
     return (_SENSORS[sensor], axis) if sensor in _SENSORS and axis in "xyz" else (name, "")
 
 
-def _map(results: Mapping[str, AxisResult], rng: np.random.Generator, nominal: Mapping[str, Explanation], *, refined: bool) -> tuple[Where, ...]:
+def _map(
+    results: Mapping[str, AxisResult], rng: np.random.Generator, nominal: Mapping[str, Explanation], *, refined: bool
+) -> tuple[Where, ...]:
     entries: list[tuple[str, str, str, float | None, float]] = []
     states = {}
     for name, r in results.items():
@@ -434,7 +454,9 @@ def would_separate(effects: Collection[str], duration_s: float) -> str:
     if names <= _SLOW:
         return f"a static log of at least {_hours(10.0 * duration_s)} (ten times as long): the processes part at the longest averaging times"
     if names <= _FAST:
-        return "a log at a higher sampling rate, or without the output filter: the processes part above the present band"
+        return (
+            "a log at a higher sampling rate, or without the output filter: the processes part above the present band"
+        )
     return f"a static log at a higher rate and of at least {_hours(10.0 * duration_s)}"
 
 
@@ -454,7 +476,9 @@ def _merged(results: Mapping[str, AxisResult], units: Mapping[str, str]) -> tupl
         axes = tuple(dict.fromkeys(a for a, _, _ in items if a))
         total = sum(f.chosen.gain for _, f, _ in items)
         values = tuple(
-            replace(v, name=v.name if len(items) == 1 or not a else f"{v.name}_{a}") for a, f, _ in items for v in f.chosen.values
+            replace(v, name=v.name if len(items) == 1 or not a else f"{v.name}_{a}")
+            for a, f, _ in items
+            for v in f.chosen.values
         )
         # evidence of every rival on the same axes; an axis on which it was not weighed counts nothing
         rivals: dict[str, float] = {}

@@ -104,7 +104,13 @@ class Where:
 
     def to_json(self) -> dict[str, Any]:
         """As plain data."""
-        return {"statistic": self.statistic, "sensor": self.sensor, "axis": self.axis, "scale_s": self.scale_s, "p_value": self.p_value}
+        return {
+            "statistic": self.statistic,
+            "sensor": self.sensor,
+            "axis": self.axis,
+            "scale_s": self.scale_s,
+            "p_value": self.p_value,
+        }
 
 
 @dataclass(frozen=True)
@@ -117,7 +123,10 @@ class Interval:
 
     def to_json(self) -> dict[str, Any]:
         """As plain data; a value that is not finite becomes null."""
-        return {k: (v if math.isfinite(v) else None) for k, v in (("value", self.value), ("low", self.low), ("high", self.high))}
+        return {
+            k: (v if math.isfinite(v) else None)
+            for k, v in (("value", self.value), ("low", self.low), ("high", self.high))
+        }
 
 
 @dataclass(frozen=True)
