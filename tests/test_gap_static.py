@@ -8,9 +8,10 @@ import math
 import numpy as np
 import pytest
 import yaml
+from scipy.linalg import toeplitz
+
 from insemu.errors import InputError
-from insemu.gap import find_static_gap, load_nominal
-from insemu.gap import kernel
+from insemu.gap import find_static_gap, kernel, load_nominal
 from insemu.gap.band import Band
 from insemu.gap.candidates import state_of
 from insemu.gap.disagreement import axis_tests
@@ -20,7 +21,6 @@ from insemu.gap.singular import lattice
 from insemu.gap.static_log import weigh_all
 from insemu.noise import BI, GM, QN, RW, WN, NoiseModel
 from insemu.records import Series
-from scipy.linalg import toeplitz
 
 DT, N = 0.05, 36_000
 
@@ -34,12 +34,13 @@ def test_block_difference_covariance_equals_the_one_propagated_sample_by_sample(
     block, count = 8, 5
     if isinstance(process, BI):
         # first differences of flicker samples have the fourth difference of t^2 ln|t| as covariance; sum them up
-        g = lambda t: t * t * math.log(abs(t)) if t else 0.0
-        steps = lambda k: (
-            sum(c * g(k + j) for j, c in zip(range(-2, 3), (1, -4, 6, -4, 1), strict=True))
-            / (2 * math.pi)
-            * process.B**2
-        )
+        def g(t: int) -> float:
+            return t * t * math.log(abs(t)) if t else 0.0
+
+        def steps(k: int) -> float:
+            total = sum(c * g(k + j) for j, c in zip(range(-2, 3), (1, -4, 6, -4, 1), strict=True))
+            return total / (2 * math.pi) * process.B**2
+
         n = block * (count + 1)
         weights = [np.convolve(np.ones(block), np.ones(block)) / block] * (count + 1)
         gamma = toeplitz([steps(k) for k in range(n + block)])
@@ -159,7 +160,7 @@ def test_estimates_of_a_gauss_markov_process_bracket_the_truth() -> None:
 def test_nominal_logs_with_wrong_levels_are_not_flagged() -> None:
     rng = np.random.default_rng(5)
     worst = -math.inf
-    for k in range(12):
+    for k in range(6):
         truth = NoiseModel((WN(1e-3), RW(2e-5)) if k % 2 else (WN(1e-3),))
         belief = NoiseModel(
             tuple(p.with_parameters({n: v * rng.uniform(0.82, 1.2) for n, v in p.parameters.items()}) for p in truth)
@@ -172,14 +173,14 @@ def test_nominal_logs_with_wrong_levels_are_not_flagged() -> None:
 def test_tests_of_disagreement_are_calibrated_and_see_a_wrong_model() -> None:
     rng = np.random.default_rng(6)
     p = []
-    for _ in range(12):
+    for _ in range(6):
         y = WN(1e-3).simulate(N, DT, rng)
         p += [
             value
             for _, _, value in axis_tests(state_of(reduce(log_of(y)), Explanation.nominal(NoiseModel((WN(1e-3),)))))
         ]
     p = np.array(p)
-    # about 100 p-values: more than a fifth below 0.05 has a probability under 1e-8
+    # about 50 p-values: more than a fifth below 0.05 has a probability under 1e-4
     assert np.mean(p < 0.05) < 0.2
     assert p.min() > 1e-6
     t = DT * np.arange(N)
@@ -220,7 +221,7 @@ def test_two_axes_two_effects_and_the_json_of_the_issue() -> None:
     x = WN(1e-3).simulate(N, DT, rng) + RW(2e-4).simulate(N, DT, rng)
     z = WN(1e-3).simulate(N, DT, rng) + CASES["vibration_line"](rng)
     beliefs = {a: NoiseModel((WN(1e-3),)) for a in ("gyro_x", "gyro_z")}
-    report = find_static_gap([log_of(x), log_of(z, "gyro_z")], beliefs, rng=rng)
+    report = find_static_gap([log_of(x), log_of(z, "gyro_z")], beliefs, rng=rng, hold_out=False)
     found = {(s.effect, s.axes) for s in report.steps}
     assert ("vibration_line", ("z",)) in found
     assert any(axes == ("x",) for _, axes in found)

@@ -14,6 +14,7 @@ import typer
 COMMANDS: dict[str, str] = {
     "run": "run",
     "gap": "gap",
+    "gap-trial": "gap_trial",
     "schema": "schema",
     "fit": "fit",
 }

@@ -17,7 +17,9 @@ def command(
     ),
     as_json: bool = typer.Option(False, "--json", help="Print the report as JSON on standard output."),
     rate: str = typer.Option("", "--rate", help="Sampling rate of a log that does not say it, for example '100 Hz'."),
-    without: list[str] = typer.Option([], "--without", help="Effect to take out of the catalogue; may be repeated."),
+    without: list[str] | None = typer.Option(  # noqa: B008
+        None, "--without", help="Effect to take out of the catalogue; may be repeated."
+    ),
     seed: int = typer.Option(1, "--seed", min=0, help="Seed of the simulated nominal data."),
     hold_out: bool = typer.Option(
         True, "--hold-out/--no-hold-out", help="Score on data that was not used for naming (twice the time)."
@@ -36,7 +38,7 @@ def command(
     from insemu.errors import InputError, nearest
     from insemu.gap import find_gap, load_measured, load_nominal, write_refined
 
-    for effect in without:
+    for effect in without or ():
         if effect not in EFFECTS:
             raise InputError(f"unknown effect '{effect}'" + nearest(effect, EFFECTS), where="--without")
     console = Console(stderr=as_json)
@@ -47,7 +49,7 @@ def command(
             data,
             nominal,
             rng=np.random.default_rng(seed),
-            without=tuple(without),
+            without=tuple(without or ()),
             hold_out=hold_out,
             progress=lambda text: status.update(text),
         )

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +48,6 @@ def wavelet_p_values(
     """
     out = []
     y, dt = data.values, data.dt
-    n = y.size
     total = np.concatenate([[0.0], np.cumsum(y - y.mean())])
     m = 1
     f = (np.arange(8192) + 0.5) / 8192 * 0.5 / dt
@@ -175,7 +175,7 @@ def _stationarity(r: Array, data: Reduced) -> list[tuple[str, float | None, floa
     edges = np.unique(np.round(np.geomspace(8, f.size, 25)).astype(int))
     edges = np.concatenate([[0], edges])
     z2, count, loud = 0.0, 0, 0.0
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
+    for a, b in pairwise(edges):
         power = spectra[:, a:b].mean(axis=1)
         # the cube root of a chi-square is nearly normal (Wilson and Hilferty)
         dof = 2.0 * (b - a)

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -196,6 +197,8 @@ class Likelihood:
     def low(self, explanation: Explanation) -> float:
         """Gaussian log-likelihood of the block differences, regressors integrated out."""
         y = self.data.differences
+        if not y.size:
+            return 0.0
         gamma = explanation.covariance(self.data.block, self.data.dt, y.size)
         columns = [y[:, None], *(r.columns for r in explanation.regressors)]
         key = gamma.tobytes() + b"".join(r.columns[:8].tobytes() + r.scales.tobytes() for r in explanation.regressors)
@@ -347,7 +350,8 @@ def laplace(log_posterior: Callable[[Array], float], x0: Array, free: Sequence[F
     centre, step = cost(x0), 3e-3
     bend = np.array([(cost(x0 + e) + cost(x0 - e) - 2.0 * centre) / step**2 for e in np.eye(x0.size) * step])
     unit = 1.0 / np.sqrt(np.maximum(np.where(np.isfinite(bend), bend, 0.0), prior))
-    result = optimize.minimize(
+    minimize: Any = optimize.minimize
+    result = minimize(
         lambda z: cost(x0 + unit * z),
         np.zeros(x0.size),
         method="L-BFGS-B",

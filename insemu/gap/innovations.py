@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +17,6 @@ from numpy.typing import NDArray
 from insemu.gap.evidence import PRIOR_SCALES, log_mean_exp
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Block:
-    """Columns with a Gaussian prior that are part of an explanation: ``theta ~ N(0, root root')``."""
-
-    columns: Array
-    root: Array
 
 
 @dataclass
@@ -52,7 +45,7 @@ class Field:
         self.b = self.G.T @ self.y
         self.yy = float(self.y @ self.y)
 
-    def log_factor(self, blocks: Sequence[tuple[Array, Array]]) -> float:
+    def log_factor(self, blocks: Sequence[tuple[NDArray[Any], Array]]) -> float:
         """Log Bayes factor of blocks ``(column indices, prior root)`` together against nothing."""
         if not blocks:
             return 0.0
@@ -72,7 +65,7 @@ class Field:
         z = np.linalg.solve(L, rb)
         return 0.5 * float(z @ z) - float(np.sum(np.log(np.diag(L))))
 
-    def posterior(self, blocks: Sequence[tuple[Array, Array]]) -> tuple[NDArray[np.int64], Array, Array]:
+    def posterior(self, blocks: Sequence[tuple[NDArray[Any], Array]]) -> tuple[NDArray[np.int64], Array, Array]:
         """Indices, mean and covariance of the coefficients of all blocks together."""
         index = np.concatenate([i for i, _ in blocks])
         precision = np.zeros((index.size, index.size))
@@ -94,7 +87,9 @@ def scaled(scales: Array, factor: float) -> Array:
     return np.diag(scales * factor)
 
 
-def group_evidence(data: Field, index: Array, scales: Array, given: Sequence[tuple[Array, Array]] = ()) -> tuple[float, float]:
+def group_evidence(
+    data: Field, index: NDArray[Any], scales: Array, given: Sequence[tuple[NDArray[Any], Array]] = ()
+) -> tuple[float, float]:
     """Evidence of a group of columns beside blocks that are given, averaged over prior scales.
 
     Returns
@@ -123,15 +118,17 @@ def random_walk_root(t: Array) -> Array:
 def gauss_markov_root(t: Array, tau: float) -> Array:
     """Root of the covariance of a unit Gauss-Markov process."""
     C = np.exp(-np.abs(t[:, None] - t[None, :]) / tau)
-    return np.linalg.cholesky(C + 1e-9 * np.eye(t.size))
+    return np.asarray(np.linalg.cholesky(C + 1e-9 * np.eye(t.size)), dtype=np.float64)
 
 
 def flicker_root(t: Array) -> Array:
     """Root of the covariance of unit flicker between the knots' spacing and their span: Gauss-Markov processes per factor of 2 in time."""
-    times = np.geomspace(np.diff(t).min(), 3.0 * (t[-1] - t[0]), 1 + math.ceil(math.log2(3.0 * (t[-1] - t[0]) / np.diff(t).min())))
+    times = np.geomspace(
+        np.diff(t).min(), 3.0 * (t[-1] - t[0]), 1 + math.ceil(math.log2(3.0 * (t[-1] - t[0]) / np.diff(t).min()))
+    )
     step = math.log(times[1] / times[0])
-    C = sum(np.exp(-np.abs(t[:, None] - t[None, :]) / tau) for tau in times) * step / math.pi
-    return np.linalg.cholesky(C + 1e-9 * C[0, 0] * np.eye(t.size))
+    C = np.asarray(sum(np.exp(-np.abs(t[:, None] - t[None, :]) / tau) for tau in times)) * step / math.pi
+    return np.asarray(np.linalg.cholesky(C + 1e-9 * C[0, 0] * np.eye(t.size)), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -144,7 +141,13 @@ class SlowFit:
     root: Array
 
 
-def slow_evidence(data: Field, index: Array, roots: Sequence[tuple[tuple[float, ...], Array]], amplitudes: Array, given: Sequence[tuple[Array, Array]]) -> SlowFit:
+def slow_evidence(
+    data: Field,
+    index: NDArray[Any],
+    roots: Sequence[tuple[tuple[float, ...], Array]],
+    amplitudes: Array,
+    given: Sequence[tuple[NDArray[Any], Array]],
+) -> SlowFit:
     """Average over amplitudes and shapes (each alike before the data); posterior mean and spread in logarithms.
 
     Parameters
@@ -154,7 +157,11 @@ def slow_evidence(data: Field, index: Array, roots: Sequence[tuple[tuple[float, 
         Geometric grid.
     """
     base = data.log_factor(given)
-    grid = [(a, shape, root, data.log_factor([*given, (index, root * a)]) - base) for shape, root in roots for a in amplitudes]
+    grid = [
+        (a, shape, root, data.log_factor([*given, (index, root * a)]) - base)
+        for shape, root in roots
+        for a in amplitudes
+    ]
     logs = np.array([g[3] for g in grid])
     p = np.exp(logs - logs.max())
     p /= p.sum()

@@ -206,7 +206,18 @@ def integrate_inputs(
 
 @njit(cache=True, nogil=True)
 def surrogate_log_likelihood(
-    Phi: Array, Q: Array, K: Array, H: Array, R: Array, P0: Array, nu: Array, use: NDArray[np.int64], factor: Array, phi_g: Array, q_g: Array, p_g: Array
+    Phi: Array,
+    Q: Array,
+    K: Array,
+    H: Array,
+    R: Array,
+    P0: Array,
+    nu: Array,
+    use: NDArray[np.int64],
+    factor: Array,
+    phi_g: Array,
+    q_g: Array,
+    p_g: Array,
 ) -> float:  # pragma: no cover - compiled
     """Log-likelihood of stored innovations when the true noise is other than the filter believed.
 

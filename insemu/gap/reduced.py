@@ -8,7 +8,7 @@ likelihood. Below the split the same multitaper likelihood would leak (Riedel an
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -92,11 +92,12 @@ def reduce(series: Series, block: int | None = None) -> Reduced:
     """
     y = np.asarray(series.values)
     block = block or block_length(y.size, series.dt)
-    f, power, dof = _spectrum(y, series.dt, 0.5 / (block * series.dt))
+    f, power, dof = spectrum(y, series.dt, 0.5 / (block * series.dt))
     return Reduced(series.name, series.unit, series.dt, y, block, block_differences(y, block), f, power, dof)
 
 
-def _spectrum(y: Array, dt: float, lowest: float) -> tuple[Array, Array, Array]:
+def spectrum(y: Array, dt: float, lowest: float) -> tuple[Array, Array, Array]:
+    """Sine-multitaper PSD above ``lowest`` Hz in narrow bins: centres, two-sided PSD, degrees of freedom."""
     n = y.size
     t = np.arange(n)
     flat = y - y.mean()
@@ -111,6 +112,26 @@ def _spectrum(y: Array, dt: float, lowest: float) -> tuple[Array, Array, Array]:
     first, count, centre = bins
     total = np.add.reduceat(power, first)[: count.size]
     return centre, total / count, 2.0 * count / _overlap(min(n, 4096))
+
+
+def reduce_again(data: Reduced, values: Array) -> Reduced:
+    """Reduce changed samples of an axis as the axis itself was; one without a block band stays without."""
+    if data.differences.size:
+        return reduce(Series(values, 1.0 / data.dt, data.unit, data.name), data.block)
+    f, power, dof = moving_spectrum(values, data.dt, float(data.f[0]))
+    return replace(data, values=values, f=f, power=power, dof=dof)
+
+
+def moving_spectrum(y: Array, dt: float, lowest: float, pieces: int = 32) -> tuple[Array, Array, Array]:
+    """Multitaper PSD of a moving sensor: the median over pieces of the record, so that single manoeuvres do not count."""
+    length = y.size // pieces
+    parts = [spectrum(y[k * length : (k + 1) * length], dt, lowest) for k in range(pieces)]
+    f, _, dof = parts[0]
+    if not f.size:
+        return f, f, f
+    # median of a mean of chi-squares over its mean (Wilson and Hilferty), and what the median keeps of the information
+    power = np.median([p for _, p, _ in parts], axis=0) / (1.0 - 2.0 / (9.0 * np.maximum(dof, 2.0 * TAPERS))) ** 3
+    return f, power, dof * pieces * (2.0 / math.pi)
 
 
 @lru_cache(maxsize=32)

@@ -95,7 +95,9 @@ class Motion:
         # attitude in the middle of the interval: back by half of the turn
         middle = C @ rotation.dcm_from_quaternion(rotation.quaternion_from_vector(-0.5 * increments.gyro))
         f_n = np.einsum("nij,nj->ni", middle, force)
-        return cls(t, middle, rate, force, f_n, result.nav[:, 3:6], result.nav[:, :3], imu.temperature, result.nodes.epoch)
+        return cls(
+            t, middle, rate, force, f_n, result.nav[:, 3:6], result.nav[:, :3], imu.temperature, result.nodes.epoch
+        )
 
 
 def deterministic_columns(motion: Motion, lags: Sequence[float] = (0.0, 60.0)) -> list[Column]:
@@ -112,10 +114,14 @@ def deterministic_columns(motion: Motion, lags: Sequence[float] = (0.0, 60.0)) -
             if motion.temperature is not None and float(np.std(motion.temperature)) > 1e-3:
                 d = motion.temperature - 25.0
                 for power in (1, 2, 3):
-                    out.append(_column("temperature", sensor, f"c{power}_{a}", (a,), f"c{power}", ((first + i, d**power),)))
+                    out.append(
+                        _column("temperature", sensor, f"c{power}_{a}", (a,), f"c{power}", ((first + i, d**power),))
+                    )
         for pair in CROSS:
             i, j = _AXES.index(pair[0]), _AXES.index(pair[1])
-            out.append(_column("misalignment", sensor, f"value_{pair}", (pair[0],), "value", ((first + i, signal[:, j]),)))
+            out.append(
+                _column("misalignment", sensor, f"value_{pair}", (pair[0],), "value", ((first + i, signal[:, j]),))
+            )
     for i, a in enumerate(_AXES):
         for j, b in enumerate(_AXES):
             out.append(_column("g_sensitivity", "gyro", f"value_{a}{b}", (a,), "value", ((i, motion.force[:, j]),)))
@@ -132,12 +138,22 @@ def deterministic_columns(motion: Motion, lags: Sequence[float] = (0.0, 60.0)) -
     del h
     for effect, w_n in (("earth_rate", ie_n), ("transport_rate", en_n)):
         w_b = -np.einsum("nji,nj->ni", motion.C, w_n)
-        out.append(_column(effect, "imu", "fraction", (), "fraction", tuple((i, np.ascontiguousarray(w_b[:, i])) for i in range(3))))
+        out.append(
+            _column(
+                effect, "imu", "fraction", (), "fraction", tuple((i, np.ascontiguousarray(w_b[:, i])) for i in range(3))
+            )
+        )
     return out
 
 
 def _column(
-    effect: str, sensor: str, label: str, axes: tuple[str, ...], parameter: str, inputs: tuple[tuple[int, Array], ...] = (), fixes: Array | None = None
+    effect: str,
+    sensor: str,
+    label: str,
+    axes: tuple[str, ...],
+    parameter: str,
+    inputs: tuple[tuple[int, Array], ...] = (),
+    fixes: Array | None = None,
 ) -> Column:
     e = EFFECTS[effect]
     return Column(effect, sensor, label, axes, e.scale(parameter, sensor), e.unit(parameter, sensor), inputs, fixes)
@@ -170,7 +186,9 @@ def _at(motion: Motion, t: Array) -> tuple[Array, Array, Array, Array]:
     a = motion.f_n + np.array([0.0, 0.0, 1.0]) * earth.gravity(motion.llh[:, 0], motion.llh[:, 2])[:, None]
     accel = 0.5 * (a[k] + a[k + 1])
     v = motion.vel[k] - accel * (motion.t[k] - t)[:, None]
-    w_ie = np.stack([earth.RATE * np.cos(motion.llh[k, 0]), np.zeros(k.size), -earth.RATE * np.sin(motion.llh[k, 0])], axis=1)
+    w_ie = np.stack(
+        [earth.RATE * np.cos(motion.llh[k, 0]), np.zeros(k.size), -earth.RATE * np.sin(motion.llh[k, 0])], axis=1
+    )
     omega = 0.5 * (motion.rate[k] + motion.rate[k + 1]) - np.einsum("nji,nj->ni", motion.C[k], w_ie)
     return v, accel, motion.C[k], omega
 

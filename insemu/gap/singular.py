@@ -11,12 +11,15 @@ from numpy.typing import NDArray
 from insemu.gap import kernel
 from insemu.gap.candidates import AMPLITUDE_RANGE, AxisState, Weighed, register
 from insemu.gap.evidence import Explanation, Free, Likelihood, fit, laplace, level, log_mean_exp
-from insemu.gap.reduced import reduce
+from insemu.gap.reduced import reduce_again
 from insemu.gap.verdict import Value
 from insemu.noise import BI, GM, RW, WN, Process
-from insemu.records import Series
 
 Array = NDArray[np.float64]
+
+
+#: What regular manoeuvres can leave at a single frequency of the fast band, nats.
+MANOEUVRE_NATS = 15.0
 
 
 def _spectral_weight(explanation: Explanation, n: int, dt: float) -> tuple[Array, Array]:
@@ -37,6 +40,12 @@ def whitened(state: AxisState) -> Array:
     def make() -> Array:
         data = state.data
         n = data.values.size
+        if not data.differences.size:
+            # a moving sensor: each sample against its neighbours, which no smooth motion notices
+            x = data.values
+            r = np.zeros(n)
+            r[1:-1] = x[1:-1] - 0.5 * (x[2:] + x[:-2])
+            return r / (1.4826 * max(float(np.median(np.abs(r))), 1e-300))
         y = np.fft.rfft(data.values - data.values.mean())
         f, S = _spectral_weight(state.explanation, n, data.dt)
         gain = np.zeros(y.size)
@@ -49,7 +58,7 @@ def whitened(state: AxisState) -> Array:
 
 def cleaned(state: AxisState, values: Array, effect: str, explanation: Explanation | None = None) -> AxisState:
     """The axis after something was taken out of its samples, refitted."""
-    data = reduce(Series(values, 1.0 / state.data.dt, state.data.unit, state.data.name), state.data.block)
+    data = reduce_again(state.data, values)
     fitted = fit(Likelihood(data), explanation or state.explanation)
     return replace(state, data=data, fitted=fitted, named=(*state.named, effect), memory={})
 
@@ -78,6 +87,10 @@ def vibration_line(state: AxisState) -> list[Weighed]:
     gain = log_mean_exp(peak * rho / (1.0 + rho) - np.log1p(rho)) - math.log(looked)
     if gain < 0.0:
         return [Weighed("vibration_line", "", gain, (), state)]
+    if not data.differences.size:
+        gain -= MANOEUVRE_NATS
+        if gain < 0.0 or not _steady(y, dt, f[k]):
+            return []
     frequency, a, b = _sinusoid(y, dt, f[k], 1.0 / (n * dt))
     amplitude = math.hypot(a, b)
     t = np.arange(n) * dt
@@ -89,6 +102,15 @@ def vibration_line(state: AxisState) -> list[Weighed]:
         Value("frequency", frequency, frequency - 1.96 * df, frequency + 1.96 * df, "Hz"),
     )
     return [Weighed("vibration_line", "", gain, values, cleaned(state, rest, "vibration_line"))]
+
+
+def _steady(y: Array, dt: float, f: float, pieces: int = 32) -> bool:
+    """Whether a sinusoid stands in most pieces of the record with one phase: what manoeuvres leave behind does not."""
+    t = np.arange(y.size) * dt
+    z = np.array([p.mean() for p in np.array_split(y * np.exp(-2j * math.pi * f * t), pieces)])
+    turned = z * np.exp(-1j * np.angle(z.mean()))
+    spread = 1.4826 * float(np.median(np.abs(turned.imag))) + 1e-300
+    return bool(float(np.median(turned.real)) > 3.0 * 1.25 * spread / math.sqrt(pieces))
 
 
 def _sinusoid(y: Array, dt: float, f0: float, resolution: float) -> tuple[float, float, float]:
@@ -122,6 +144,8 @@ def outliers(state: AxisState) -> list[Weighed]:
     edges = np.concatenate([np.linspace(0.0, 6.0, 241), np.geomspace(6.2, max(7.0, 1.01 * float(r.max())), 60)])
     count = np.histogram(r, edges)[0].astype(np.float64)
     square = np.histogram(r, edges, weights=r * r)[0]
+    if not state.data.differences.size:
+        count, square = count / 3.0, square / 3.0  # one outlier shows in three of these residuals
     use = count > 0
     count, x2 = count[use], square[use] / count[use]
     c = next((c for c in state.explanation.components if isinstance(c.process, WN)), None)
@@ -163,6 +187,9 @@ def outliers(state: AxisState) -> list[Weighed]:
     )
     if gain < 0.0:
         return [Weighed("outliers", "", gain, values, state)]
+    if not state.data.differences.size:
+        # the robust spectrum of a moving sensor does not notice them
+        return [Weighed("outliers", "", gain, values, replace(state, named=(*state.named, "outliers"), memory={}))]
     signed = whitened(state)
     odds = math.log(e / (1.0 - e) / k) + 0.5 * signed**2 / s**2 * (1.0 - 1.0 / k**2)
     wild = odds > 0.0
@@ -264,7 +291,7 @@ def _smoothed(y: Array, forward: Array, backward: Array, amplitude: float, white
 
 def _slow(state: AxisState, length: float) -> list[Process]:
     """Processes of the explanation that remember more than a few blocks."""
-    slow = []
+    slow: list[Process] = []
     for c in state.explanation.components:
         p = c.process
         if isinstance(p, RW | BI) or (isinstance(p, GM) and p.parameters["beta"] * length < 3.0):
@@ -290,12 +317,15 @@ def _background(state: AxisState, length: float) -> tuple[float, float]:
 
 def lattice(values: Array) -> float:
     """Step of the lattice that all values lie on, or 0 where there is none (floating-point resolution does not count)."""
-    sample = np.unique(values[: min(values.size, 200_000)])
-    if sample.size < 3 or sample.size > 0.2 * min(values.size, 200_000):
+    sample = np.sort(values[: min(values.size, 200_000)])
+    steps = np.diff(sample)
+    steps = steps[steps > 1e-7 * max(float(np.ptp(sample)), float(np.max(np.abs(sample))))]
+    if steps.size < 2 or steps.size > 0.2 * sample.size:
         return 0.0
-    step = float(np.min(np.diff(sample)))
-    gaps = np.diff(sample) / step
-    return step if np.all(np.abs(gaps - np.round(gaps)) < 0.02) else 0.0
+    step = float(np.min(steps))
+    gaps = steps / step
+    near = np.abs(gaps - np.round(gaps)) < 0.02 * np.maximum(1.0, gaps)
+    return float(np.median(steps[gaps < 1.5])) if np.all(near) and np.mean(gaps < 1.5) > 0.1 else 0.0
 
 
 def output_counts(state: AxisState) -> list[Weighed]:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from insemu import formats
 from insemu.errors import InputError
 from insemu.formats.npz import load_npz
-from insemu.formats.static import read_log
 from insemu.records import AXES, Recording, Series
 
 Array = NDArray[np.float64]

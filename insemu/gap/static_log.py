@@ -86,11 +86,12 @@ def search(
     threshold: float = THRESHOLD,
     without: Collection[str] = (),
     progress: Callable[[str], None] | None = None,
+    outsiders: bool = True,
 ) -> AxisResult:
     """Name, add and reconsider effects of one axis until nothing more is worth the threshold."""
     start, found = state, []
     outsider = ""
-    excluded = bool(without)
+    excluded = bool(without) and outsiders
     for _ in range(MOST_STEPS):
         ranked = weigh_all(state, without)
         best = ranked[0] if ranked else None
@@ -326,8 +327,8 @@ def find_static_gap(
             held[s.name] = held_out(named, nominal[s.name], _piece(data, cut, len(s)), T2)
     before = _map(results, rng, nominal, refined=False)
     after = _map(results, rng, nominal, refined=True)
-    steps = _merged(results, {s.name: s.unit for s in log})
-    unexplained = [w for w in after if w.p_value < OMNIBUS] or [r.outsider for r in results.values() if r.outsider]
+    steps = merged_steps(results)
+    unexplained = any(w.p_value < OMNIBUS for w in after) or any(r.outsider for r in results.values())
     verdict: VerdictName = "nothing missing"
     if unexplained:
         verdict = "unexplained"
@@ -464,7 +465,7 @@ def _hours(seconds: float) -> str:
     return f"{seconds / 3600.0:.3g} h" if seconds >= 3600.0 else f"{seconds / 60.0:.3g} min"
 
 
-def _merged(results: Mapping[str, AxisResult], units: Mapping[str, str]) -> tuple[Step, ...]:
+def merged_steps(results: Mapping[str, AxisResult]) -> tuple[Step, ...]:
     """Steps of all axes; the same effect on several axes of a sensor is one step, with a parameter set per axis."""
     groups: dict[tuple[str, str], list[tuple[str, Found, AxisResult]]] = {}
     for name, r in results.items():

@@ -61,7 +61,6 @@ class Surrogate:
 
     def log_likelihood(self, factor: Array | None = None, sigma: Array | None = None, tau: float = 1.0) -> float:
         """Log-likelihood with other levels and a Gauss-Markov part of the fixes."""
-        f = self.t.size
         sigma = np.zeros(6) if sigma is None else sigma
         gap = np.diff(self.t, prepend=self.t[0])
         phi = np.exp(-gap / tau)[:, None] * np.ones(6)
@@ -126,12 +125,17 @@ def gnss_noise_fits(s: Surrogate, base: float, uncertainty: float = 0.22) -> lis
                     sigma = np.zeros(6)
                     sigma[list(columns)] = ratio * sigma0
                     grid.append((s.log_likelihood(sigma=sigma, tau=tau) - base, ratio * sigma0, tau))
-            logs = np.array([g[0] for g in grid])
-            best = grid[int(np.argmax(logs))]
+            weights = np.array([g[0] for g in grid])
+            best = grid[int(np.argmax(weights))]
             sigma = np.zeros(6)
             sigma[list(columns)] = best[1]
-            values = (("sigma", best[1], best[1] / 1.7, best[1] * 1.7, "m"), ("tau", best[2], best[2] / 2.3, best[2] * 2.3, "s"))
-            out.append(NoiseFit("gnss_correlated_noise", axes, log_mean_exp(logs), values, np.ones(6), sigma, best[2]))
+            values = (
+                ("sigma", best[1], best[1] / 1.7, best[1] * 1.7, "m"),
+                ("tau", best[2], best[2] / 2.3, best[2] * 2.3, "s"),
+            )
+            out.append(
+                NoiseFit("gnss_correlated_noise", axes, log_mean_exp(weights), values, np.ones(6), sigma, best[2])
+            )
     return out
 
 

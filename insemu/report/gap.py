@@ -170,7 +170,8 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
             suspects.append(
                 Items(
                     [
-                        f"{' / '.join(effect_name(m.effect) for m in s.members)} ({s.sensor} {', '.join(s.axes)}): what would separate them is {s.would_separate}."
+                        f"{' / '.join(effect_name(m.effect) for m in s.members)} ({s.sensor} {', '.join(s.axes)}): "
+                        f"what would separate them is {s.would_separate}."
                         for s in classes
                     ]
                 )
