@@ -480,7 +480,7 @@ def search(
             fixes = best.fixes
             break
         if best.effect == "gnss_outliers":
-            whole = Scene.of(whole.prepared.without_positions(_wild(scene, best)))
+            whole = Scene.of(whole.prepared.without_positions(_wild(whole, best)))
         elif best.fixes is not None:
             whole = Scene.of(whole.prepared.with_levels(best.fixes[0]))
         scene, data = _until(whole, cut)
@@ -530,6 +530,13 @@ def _held_out(scene: Scene, named: Named, cut: float) -> tuple[Interval, Interva
         early = _first_part(final.surrogate, cut)
         whole = final.surrogate.log_likelihood(*named.fixes) - final.base
         total += whole - (early.log_likelihood(*named.fixes) - early.log_likelihood())
+
+    outliers = next((h for h, _ in named.steps if h.effect == "gnss_outliers"), None)
+    if outliers is not None:
+        # positions that were left out are scored as the outliers that they are said to be
+        given = {v.name: v.value for v in outliers.values}
+        gone = int(np.sum(_wild(scene, outliers) > cut))
+        total += gone * (math.log(given["probability"]) - 3.0 * math.log(given["sigma"]) - 1.5)
 
     def around(value: float, count: int) -> Interval:
         half = 1.96 * math.sqrt(2.0 / count) * max(value, 0.2)
