@@ -31,4 +31,10 @@ Arrays
     ``numpy.random.SeedSequence``, so run 7 is the same alone, in parallel, or among 1000.
 """
 
+from pathlib import Path as _Path
+
+from insemu.compiled import forget_stale_kernels as _forget_stale_kernels
+
 __version__ = "0.1.0"
+
+_forget_stale_kernels(_Path(__file__).parent)

@@ -37,8 +37,8 @@ F = 1.0 / 298.257223563
 GM = 3.986004418e14
 #: Rotation rate with respect to inertial space, rad/s.
 RATE = 7.292115e-5
-#: Semi-minor axis, m.
-B = A * (1.0 - F)
+#: Semi-minor axis, m, to the digits that geodesy libraries carry (the float next to ``A (1 - F)``, 1e-9 m above it).
+B = 6356752.31424518
 #: First eccentricity squared.
 E2 = F * (2.0 - F)
 
@@ -229,9 +229,10 @@ def llh_to_ecef(llh: ArrayLike) -> Array:
     """Earth-fixed coordinates in m of ``(..., 3)`` positions (lat rad, lon rad, height m)."""
     llh = np.asarray(llh, dtype=float)
     lat, lon, h = llh[..., 0], llh[..., 1], llh[..., 2]
-    rn = radii(lat)[1]
-    p = (rn + h) * np.cos(lat)
-    return np.stack([p * np.cos(lon), p * np.sin(lon), (rn * (1.0 - E2) + h) * np.sin(lat)], axis=-1)
+    s, c = np.sin(lat), np.cos(lat)
+    rn = A**2 / np.hypot(A * c, B * s)  # loses less to rounding than 1 - e^2 sin^2
+    p = (rn + h) * c
+    return np.stack([p * np.cos(lon), p * np.sin(lon), (rn * (B / A) ** 2 + h) * s], axis=-1)
 
 
 def ecef_to_llh(ecef: ArrayLike) -> Array:
@@ -250,8 +251,9 @@ def ecef_to_llh(ecef: ArrayLike) -> Array:
         lat = np.arctan2(z + _EP**2 * B * np.sin(beta) ** 3, p - E2 * A * np.cos(beta) ** 3)
         beta = np.arctan2((1.0 - F) * np.sin(lat), np.cos(lat))
     s, c = np.sin(lat), np.cos(lat)
-    # distance along the normal, well conditioned at every latitude
-    h = p * c + z * s - A * np.sqrt(1.0 - E2 * s * s)
+    # distance along the normal from the foot point: large numbers meet only in differences that are exact
+    rn = A**2 / np.hypot(A * c, B * s)
+    h = (p - rn * c) * c + (z - rn * (B / A) ** 2 * s) * s
     return np.stack([lat, np.arctan2(y, x), h], axis=-1)
 
 

@@ -212,7 +212,7 @@ _TABLE = (
         "e_k ~ N(0, (N max(0, T - T_0))^2 / dt)",
         (
             _P("N", "{s}/sqrt(Hz)", 3, (0.001 * _DEG, 1e-5 * _G), None, "density per kelvin", True),
-            _P("T0", "", 1, (25.0,), 25.0, "temperature where it starts, degC"),
+            _P("T0", "degC", 1, (25.0,), 25.0, "temperature where it starts"),
         ),
         "a temperature sweep", "noise level scheduled with temperature",
     ),
@@ -263,7 +263,7 @@ _TABLE = (
             _P("c1", "{s}/K", 3, (0.005 * _DEG, 1e-4 * _G), 0.0, "linear coefficient"),
             _P("c2", "{s}/K^2", 3, (1e-4 * _DEG, 2e-6 * _G), 0.0, "quadratic coefficient"),
             _P("c3", "{s}/K^3", 3, (2e-6 * _DEG, 4e-8 * _G), 0.0, "cubic coefficient"),
-            _P("T0", "", 1, (25.0,), 25.0, "reference temperature, degC"),
+            _P("T0", "degC", 1, (25.0,), 25.0, "reference temperature"),
             _P("lag", "s", 1, (60.0,), 0.0, "time constant of the sensing element behind the temperature that is recorded", True),
         ),
         "a temperature sweep", "compensation by the recorded temperature",
@@ -508,3 +508,17 @@ def effect_of(effect_id: str) -> Effect:
     if effect_id not in EFFECTS:
         raise InputError(f"unknown effect '{effect_id}'" + nearest(effect_id, EFFECTS))
     return EFFECTS[effect_id]
+
+
+def markdown_table() -> str:
+    """The catalogue as the table of the documentation."""
+    lines = ["| effect | sensor | formula | parameters [SI unit] = default |", "| --- | --- | --- | --- |"]
+    for effect in EFFECTS.values():
+        shown = []
+        for p in effect.parameters:
+            named = list(dict.fromkeys(effect.unit(p.name, sensor) or "1" for sensor in effect.sensors))
+            default = "" if p.default is None else f" = {p.default:g}"
+            shown.append(f"`{p.name}` [{'; '.join(named)}]{default}")
+        formula = effect.formula.replace("|", "\\|")
+        lines.append(f"| `{effect.id}` | {', '.join(effect.sensors)} | {formula} | {', '.join(shown)} |")
+    return "\n".join(lines)

@@ -30,8 +30,9 @@ def skew(v: ArrayLike) -> Array:
 def dcm_from_rpy(rpy: ArrayLike) -> Array:
     """``C_nb`` of roll, pitch, heading; (..., 3) to (..., 3, 3)."""
     rpy = np.asarray(rpy, dtype=float)
-    sr, sp, sh = np.moveaxis(np.sin(rpy), -1, 0)
-    cr, cp, ch = np.moveaxis(np.cos(rpy), -1, 0)
+    angles = np.ascontiguousarray(np.moveaxis(rpy, -1, 0))
+    sr, sp, sh = np.sin(angles)
+    cr, cp, ch = np.cos(angles)
     c = np.empty((*rpy.shape[:-1], 3, 3))
     c[..., 0, 0], c[..., 0, 1], c[..., 0, 2] = ch * cp, ch * sp * sr - sh * cr, ch * sp * cr + sh * sr
     c[..., 1, 0], c[..., 1, 1], c[..., 1, 2] = sh * cp, sh * sp * sr + ch * cr, sh * sp * cr - ch * sr

@@ -21,7 +21,7 @@ from insemu.noise import StateBlock
 Array = NDArray[np.float64]
 
 #: Covariances count as settled when no entry changes by more than this share of the largest.
-SETTLED = 1e-13
+SETTLED = 1e-12
 
 
 @njit(cache=True, nogil=True)
@@ -118,7 +118,8 @@ def smooth_sums(
         xs[N - 1, i] = xf[N - 1, i]
         Ps[N - 1, i] = P[i, i]
     step = np.empty(n)
-    C = np.empty((n, n))
+    C, L, row = np.empty((n, n)), np.zeros((n, n)), np.empty(n)
+    D, G = np.empty((n, n)), np.empty((n, n))
     for t in range(N - 1, 0, -1):
         at, nxt = min(t - 1, settled), min(t, settled)
         moved = nxt != ready
@@ -130,7 +131,30 @@ def smooth_sums(
                     for h in range(n):
                         s += Pf[at, i, h] * Phi[j, h]
                     T[i, j] = s
-            J[:, :] = np.linalg.solve(Pp[nxt] + np.eye(n) * (1e-300 + 1e-15 * np.trace(Pp[nxt]) / n), T.T).T
+            # by Cholesky of Pp, with a jitter below its digits for states without noise
+            tiny = 1e-300
+            for i in range(n):
+                tiny += 1e-15 * Pp[nxt, i, i] / n
+            for i in range(n):
+                for j in range(i + 1):
+                    s = Pp[nxt, i, j] + (tiny if i == j else 0.0)
+                    for h in range(j):
+                        s -= L[i, h] * L[j, h]
+                    if i == j:
+                        L[i, i] = math.sqrt(max(s, tiny))
+                    else:
+                        L[i, j] = s / L[j, j]
+            for r in range(n):
+                for i in range(n):
+                    s = T[r, i]
+                    for h in range(i):
+                        s -= L[i, h] * row[h]
+                    row[i] = s / L[i, i]
+                for i in range(n - 1, -1, -1):
+                    s = row[i]
+                    for h in range(i + 1, n):
+                        s -= L[h, i] * J[r, h]
+                    J[r, i] = s / L[i, i]
             ready = nxt
         if moved or not steady:
             for i in range(n):
@@ -139,13 +163,21 @@ def smooth_sums(
                     for h in range(n):
                         s += P[i, h] * J[j, h]
                     C[i, j] = s  # cov(x_t, x_(t-1))
+            for i in range(n):
+                for j in range(n):
+                    D[i, j] = P[i, j] - Pp[nxt, i, j]
+            for i in range(n):
+                for j in range(n):
+                    s = 0.0
+                    for h in range(n):
+                        s += D[i, h] * J[j, h]
+                    G[i, j] = s
             change, largest = 0.0, 0.0
             for i in range(n):
                 for j in range(n):
                     s = Pf[at, i, j]
                     for h in range(n):
-                        for g in range(n):
-                            s += J[i, h] * (P[h, g] - Pp[nxt, h, g]) * J[j, g]
+                        s += J[i, h] * G[h, j]
                     new[i, j] = s
                     change = max(change, abs(s - P[i, j]))
                     largest = max(largest, abs(s))
@@ -194,9 +226,7 @@ class Smoothed:
     log_likelihood: float
 
 
-def _prepared(
-    block: StateBlock, y: ArrayLike, u: ArrayLike | None, x0: ArrayLike | None
-) -> tuple[Array, Array, Array]:
+def _prepared(block: StateBlock, y: ArrayLike, u: ArrayLike | None, x0: ArrayLike | None) -> tuple[Array, Array, Array]:
     signal = np.ascontiguousarray(y, dtype=np.float64)
     if signal.ndim != 1 or signal.size == 0:
         raise InputError(f"the signal has shape {signal.shape}, expected (n,) with at least one sample")
@@ -209,7 +239,9 @@ def _prepared(
     return signal, drift, start
 
 
-def log_likelihood(block: StateBlock, y: ArrayLike, *, u: ArrayLike | None = None, x0: ArrayLike | None = None) -> float:
+def log_likelihood(
+    block: StateBlock, y: ArrayLike, *, u: ArrayLike | None = None, x0: ArrayLike | None = None
+) -> float:
     """Gaussian log-likelihood of a scalar signal.
 
     Parameters
@@ -240,7 +272,18 @@ def log_likelihood(block: StateBlock, y: ArrayLike, *, u: ArrayLike | None = Non
         return float(-0.5 * (signal.size * math.log(2.0 * math.pi * block.white) + signal @ signal / block.white))
     empty2, empty3 = np.empty((1, 1)), np.empty((1, 1, 1))
     value, _ = kalman(
-        _c(block.Phi), _c(block.Q), _c(block.c), block.white, drift, start, _c(block.P0), signal, empty2, empty3, empty3, False
+        _c(block.Phi),
+        _c(block.Q),
+        _c(block.c),
+        block.white,
+        drift,
+        start,
+        _c(block.P0),
+        signal,
+        empty2,
+        empty3,
+        empty3,
+        False,
     )
     return float(value)
 
@@ -268,4 +311,6 @@ def smooth(block: StateBlock, y: ArrayLike, *, u: ArrayLike | None = None, x0: A
 
 
 def _c(a: Array) -> Array:
-    return np.array(a, dtype=np.float64, order="C")  # the blocks' arrays are read-only, which would compile a second version
+    return np.array(
+        a, dtype=np.float64, order="C"
+    )  # the blocks' arrays are read-only, which would compile a second version

@@ -38,6 +38,20 @@ NAV_SIZE = 10
 
 
 @njit(cache=True, nogil=True)
+def scalar_coning_factor(dt: float, dt_prev: float) -> float:
+    """Factor of ``dtheta_prev x dtheta``: rate and specific force linear in time over both intervals, 1/12 where they
+    are equal.
+
+    Zero after an interval less than a fifth as long: a line through a short interval says nothing about a long one
+    (dropped samples).
+    """
+    ratio = dt / dt_prev
+    if ratio > 5.0:
+        return 0.0
+    return ratio * ratio / (6.0 * (1.0 + ratio))
+
+
+@njit(cache=True, nogil=True)
 def step(
     nav: Array,
     dtheta: Array,
@@ -53,7 +67,9 @@ def step(
     Parameters
     ----------
     nav : (10,) array
-        State at the start of the interval, overwritten by the state at its end; see the module for the layout.
+        State at the start of the interval, overwritten by the state at its end; see the module for the layout. Three more
+        numbers, where there are, keep what rounding left of latitude, longitude and height (the place is the sum): the last
+        digit of a latitude is 0.7 nm, too coarse where two implementations are to agree in every digit that matters.
     dtheta, dvel : (3,) arrays
         Integrals of angular rate (with respect to inertial space, rad) and specific force (m/s) in body axes over the
         interval, without any coning or sculling correction.
@@ -73,9 +89,7 @@ def step(
     px, py, pz = dtheta_prev[0], dtheta_prev[1], dtheta_prev[2]
     wx, wy, wz = dvel_prev[0], dvel_prev[1], dvel_prev[2]
 
-    # rate and specific force linear in time over both intervals: c = 1/12 where they are equal
-    ratio = dt / dt_prev
-    c = ratio * ratio / (6.0 * (1.0 + ratio))
+    c = scalar_coning_factor(dt, dt_prev)
     fx = ax + c * (py * az - pz * ay)
     fy = ay + c * (pz * ax - px * az)
     fz = az + c * (px * ay - py * ax)
@@ -137,31 +151,45 @@ def step(
     ve1 = ve + gy - dt * (od * vn_mid - on * vd_mid)
     vd1 = vd + gz - dt * (on * ve_mid - oe * vn_mid) + g * dt
 
-    nav[0] = lat + 0.5 * dt * (vn + vn1) * im
-    lon1 = lon + 0.5 * dt * (ve + ve1) * ie / cl
+    dlat, dlon, dh = 0.5 * dt * (vn + vn1) * im, 0.5 * dt * (ve + ve1) * ie / cl, -0.5 * dt * (vd + vd1)
+    if nav.size > NAV_SIZE:
+        dlat, dlon, dh = dlat + nav[10], dlon + nav[11], dh + nav[12]
+    lat1, lon1, h1 = lat + dlat, lon + dlon, h + dh
+    if nav.size > NAV_SIZE:
+        nav[10], nav[11], nav[12] = dlat - (lat1 - lat), dlon - (lon1 - lon), dh - (h1 - h)
+    nav[0] = lat1
     if lon1 > math.pi:
         lon1 -= 2.0 * math.pi
     elif lon1 < -math.pi:
         lon1 += 2.0 * math.pi
     nav[1] = lon1
-    nav[2] = h - 0.5 * dt * (vd + vd1)
+    nav[2] = h1
     nav[3], nav[4], nav[5] = vn1, ve1, vd1
 
-    # q <- exp(-zeta) q exp(phi)
+    # q <- exp(-zeta) q exp(phi) = q exp(-zeta_b) exp(phi). The two small rotations meet first: at rest they cancel
+    # and the attitude stays as it is to the last bit, while rounding of two large products would drift the same way
+    # at every step
+    tx, ty, tz = zy * qz - zz * qy + qw * zx, zz * qx - zx * qz + qw * zy, zx * qy - zy * qx + qw * zz
+    ex = zx + 2.0 * (ty * qz - tz * qy)
+    ey = zy + 2.0 * (tz * qx - tx * qz)
+    ez = zz + 2.0 * (tx * qy - ty * qx)
     cw, cs = scalar_half_trig(fx * fx + fy * fy + fz * fz)
     bx, by, bz = cs * fx, cs * fy, cs * fz
-    rw = qw * cw - qx * bx - qy * by - qz * bz
-    rx = qw * bx + qx * cw + qy * bz - qz * by
-    ry = qw * by - qx * bz + qy * cw + qz * bx
-    rz = qw * bz + qx * by - qy * bx + qz * cw
-    cw, cs = scalar_half_trig(zx * zx + zy * zy + zz * zz)
-    bx, by, bz = -cs * zx, -cs * zy, -cs * zz
-    qw = cw * rw - bx * rx - by * ry - bz * rz
-    qx = cw * rx + bx * rw + by * rz - bz * ry
-    qy = cw * ry - bx * rz + by * rw + bz * rx
-    qz = cw * rz + bx * ry - by * rx + bz * rw
-    scale = 1.5 - 0.5 * (qw * qw + qx * qx + qy * qy + qz * qz)  # one Newton step to unit length
-    nav[6], nav[7], nav[8], nav[9] = scale * qw, scale * qx, scale * qy, scale * qz
+    zw, zs = scalar_half_trig(ex * ex + ey * ey + ez * ez)
+    ex, ey, ez = zs * ex, zs * ey, zs * ez
+    dx = zw * bx - cw * ex - (ey * bz - ez * by)
+    dy = zw * by - cw * ey - (ez * bx - ex * bz)
+    dz = zw * bz - cw * ez - (ex * by - ey * bx)
+    dw = zw * cw + ex * bx + ey * by + ez * bz
+    less = -(dx * dx + dy * dy + dz * dz) / (1.0 + dw)  # dw - 1 without cancellation
+    rw = qw + (qw * less - qx * dx - qy * dy - qz * dz)
+    rx = qx + (qw * dx + qx * less + qy * dz - qz * dy)
+    ry = qy + (qw * dy - qx * dz + qy * less + qz * dx)
+    rz = qz + (qw * dz + qx * dy - qy * dx + qz * less)
+    short = 0.5 * (1.0 - (rw * rw + rx * rx + ry * ry + rz * rz))  # one Newton step to unit length
+    if abs(short) > 1e-15:
+        rw, rx, ry, rz = rw + short * rw, rx + short * rx, ry + short * ry, rz + short * rz
+    nav[6], nav[7], nav[8], nav[9] = rw, rx, ry, rz
 
 
 @njit(cache=True, nogil=True)

@@ -115,6 +115,59 @@ def test_means_and_samples_say_what_they_are(helicopter):
     assert 1e-4 < error < 5.0  # the trapezoid of samples is what it is
 
 
+# -- laws
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+def moved_path(path, origin):
+    return emulate.SmoothPath(path.position, path.attitude, np.asarray(origin), "moved")
+
+
+@pytest.mark.parametrize("mode", ["exact", "continuous"])
+def test_longitude_does_not_matter(helicopter, mode):
+    path, span = helicopter.path, (0.0, 300.0)
+    here = emulate.ideal_imu(path, mode=mode, span=span)
+    there = emulate.ideal_imu(moved_path(path, path.origin + np.array([0, 3.0, 0])), mode=mode, span=span)
+    # rounding of radians: 4e-16 rad of 3 rad in position, 1e-9 m; the signals do not carry it further
+    np.testing.assert_allclose(there.imu.gyro, here.imu.gyro, atol=1e-13)
+    np.testing.assert_allclose(there.imu.accel, here.imu.accel, atol=1e-11)
+
+
+def test_the_other_hemisphere_is_the_mirror_image(helicopter):
+    """North becomes south: positions and velocities north, roll, and heading from north change sign; so do w_x, w_z
+    and f_y.
+    """
+    path, t = helicopter.path, np.linspace(30.0, 1100.0, 300)
+    flip = np.array([-1.0, 1.0, 1.0])
+    from scipy.interpolate import PPoly
+
+    position = PPoly(path.position.c * flip, path.position.x)
+    attitude = path.attitude.c * np.array([-1.0, 1.0, -1.0])
+    attitude[-1, :, 2] += np.pi  # heading psi to pi - psi: east stays east
+    mirror = emulate.SmoothPath(
+        position, PPoly(attitude, path.attitude.x), path.origin * np.array([-1, 1, 1]), "mirror"
+    )
+    one, other = (sensor_motion(p, t, emulate.Mounting()) for p in (path, mirror))
+    np.testing.assert_allclose(other.w_ib_b, one.w_ib_b * [-1, 1, -1], atol=1e-13)
+    np.testing.assert_allclose(other.f_ib_b, one.f_ib_b * [1, -1, 1], atol=1e-11)
+
+
+def test_a_turned_sensor_feels_the_same_in_its_own_axes(helicopter):
+    t = np.linspace(30.0, 1100.0, 300)
+    turned = emulate.Mounting((0.5, 0.2, -0.3), (1.0, -0.5, 2.0))
+    plain, other = (sensor_motion(helicopter.path, t, m) for m in (emulate.Mounting(turned.lever_arm), turned))
+    np.testing.assert_allclose(other.w_ib_b, plain.w_ib_b @ turned.dcm(), atol=1e-14)
+    np.testing.assert_allclose(other.f_ib_b, plain.f_ib_b @ turned.dcm(), atol=1e-12)
+    np.testing.assert_array_equal(other.vel_ned, plain.vel_ned)
+
+
+def test_a_later_start_is_the_same_flight(helicopter):
+    whole = emulate.ideal_imu(helicopter, mode="continuous", span=(0.0, 200.0))
+    part = emulate.ideal_imu(helicopter, mode="continuous", span=(100.0, 200.0))
+    np.testing.assert_allclose(part.imu.accel[1:], whole.imu.accel[10001:], atol=1e-13)
+    np.testing.assert_allclose(part.imu.gyro[1:], whole.imu.gyro[10001:], atol=1e-15)
+
+
 def test_bad_options_are_named(helicopter, ideal):
     with pytest.raises(InputError, match=r"needs mode 'continuous'|need mode 'continuous'"):
         emulate.ideal_imu(helicopter, kind="sample")

@@ -10,7 +10,17 @@ import pytest
 import xarray as xr
 
 from insemu.errors import InputError
-from insemu.evaluate import Results, bootstrap_mean, navigation_error, outage_table, paired_ratio, summary, verdicts, within_outage, write
+from insemu.evaluate import (
+    Results,
+    bootstrap_mean,
+    navigation_error,
+    outage_table,
+    paired_ratio,
+    summary,
+    verdicts,
+    within_outage,
+    write,
+)
 from insemu.evaluate.results import DesignInfo
 from insemu.records import Trajectory
 
@@ -86,7 +96,9 @@ def test_paired_comparison_finds_a_difference_and_finds_none() -> None:
 
 
 def test_bootstrap_interval_covers() -> None:
-    """95 % percentile intervals of 40 normal values: 500 repeats cover between 90 and 97 % (binomial, 1e-4, small-sample deficit known)."""
+    """95 % percentile intervals of 40 normal values: 500 repeats cover between 90 and 97 % (binomial, 1e-4,
+    small-sample deficit known).
+    """
     rng = np.random.default_rng(5)
     hits = 0
     for _ in range(500):
@@ -115,7 +127,9 @@ def test_files_hold_the_same_numbers(tmp_path: Path) -> None:
 def test_errors_are_estimate_minus_truth() -> None:
     t = np.arange(3.0)
     truth = trajectory(t)
-    moved = Trajectory(t, truth.llh + [1e-7, 0, -2.0], truth.vel_ned + 0.1, truth.rpy + [0, 0, 1e-3])
+    moved = Trajectory(
+        t, truth.llh + np.array([1e-7, 0, -2.0]), truth.vel_ned + 0.1, truth.rpy + np.array([0, 0, 1e-3])
+    )
     e = navigation_error(moved, truth)
     assert e[0, 0] == pytest.approx(1e-7 * 6.37e6, rel=1e-2)
     assert e[0, 2] == pytest.approx(2.0)

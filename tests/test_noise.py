@@ -143,6 +143,14 @@ def test_flicker_approximation_states_its_error() -> None:
         BI(0.3).block(DT)
 
 
+@pytest.mark.parametrize("name", CASES)
+def test_a_scaled_model_has_scaled_variances(name: str) -> None:
+    np.testing.assert_allclose(
+        CASES[name].scaled(3.0).allan_variance([1, 8], DT), 9.0 * CASES[name].allan_variance([1, 8], DT), rtol=1e-12
+    )
+    assert RW(1.0, 2.0).scaled(3.0) == RW(3.0, 6.0)
+
+
 def _allan_estimate(y: np.ndarray, m: int) -> np.ndarray:
     """Non-overlapping Allan variances of runs of a signal, one row a run."""
     means = y[:, : y.shape[1] // m * m].reshape(y.shape[0], -1, m).mean(axis=2)
@@ -168,11 +176,11 @@ def test_draws_have_the_allan_variance_of_the_closed_form(name: str) -> None:
 def test_draws_start_stationary(name: str) -> None:
     model = CASES[name]
     rng = np.random.default_rng(7)
-    first = np.array([model.simulate(4, DT, r)[:2] for r in rng.spawn(4000)])
+    first = np.array([model.simulate(4, DT, r)[:2] for r in rng.spawn(2000)])
     gamma = model.autocovariance([0, 1], DT)
-    # chi-square bounds at 1e-6 on a variance from 4,000 independent runs
-    np.testing.assert_allclose((first**2).mean(axis=0), gamma[0], rtol=5 * np.sqrt(2 / 4000))
-    assert abs((first[:, 0] * first[:, 1]).mean() - gamma[1]) < 5 * gamma[0] * np.sqrt(2 / 4000)
+    # chi-square bounds at 1e-6 on a variance from 2,000 independent runs
+    np.testing.assert_allclose((first**2).mean(axis=0), gamma[0], rtol=5 * np.sqrt(2 / 2000))
+    assert abs((first[:, 0] * first[:, 1]).mean() - gamma[1]) < 5 * gamma[0] * np.sqrt(2 / 2000)
 
 
 def test_random_constant_and_initial_spread() -> None:

@@ -21,16 +21,26 @@ SCENARIO: dict[str, Any] = {
     "seed": 3,
     "realizations": 2,
     "trajectory": {"builtin": "helicopter_mapping", "rate": "50 Hz", "duration": "120 s"},
-    "truth": {"gyro": "WN(N=0.03 deg/s/sqrt(Hz)) + GM(sigma=30 deg/h, Tc=40 s)", "accel": "WN(N=90 ug/sqrt(Hz)) + RW(K=30 ug*sqrt(Hz))"},
+    "truth": {
+        "gyro": "WN(N=0.03 deg/s/sqrt(Hz)) + GM(sigma=30 deg/h, Tc=40 s)",
+        "accel": "WN(N=90 ug/sqrt(Hz)) + RW(K=30 ug*sqrt(Hz))",
+    },
     "gnss": {"position_sigma": "5 cm", "velocity_sigma": "2 cm/s", "outages": [{"start": "80 s", "duration": "20 s"}]},
     "fits": {"simulate": "300 s"},
-    "designs": {"white": {"gyro": {"fit": "WN()"}, "accel": {"fit": "WN()"}}, "full": {"gyro": {"truth": True}, "accel": {"truth": True}}},
+    "designs": {
+        "white": {"gyro": {"fit": "WN()"}, "accel": {"fit": "WN()"}},
+        "full": {"gyro": {"truth": True}, "accel": {"truth": True}},
+    },
     "variants": {"coarse": {"gnss": {"position_sigma": "1 m"}}},
 }
 
 
 def write(tmp_path: Path, **changes: Any) -> Path:
-    path = tmp_path / "s.yaml"
+    return write_named(tmp_path, "s.yaml", **changes)
+
+
+def write_named(tmp_path: Path, name: str, **changes: Any) -> Path:
+    path = tmp_path / name
     path.write_text(yaml.safe_dump(SCENARIO | changes, sort_keys=False), encoding="utf-8")
     return path
 
@@ -54,7 +64,15 @@ def test_a_run_leaves_table_page_and_data(tmp_path: Path, capsys: pytest.Capture
     assert len(outage["planimetric_end_m"]["per_realization"]) == 2
     assert {"position", "velocity", "attitude"} == set(outage["coverage_3sigma"])
     assert printed["timing"]["filter_epochs"] == 2 * 2 * 6000
-    for name in ("index.html", "outages.csv", "errors.nc", "manifest.json", "resolved.yaml", "flight.png", "variants/coarse/summary.json"):
+    for name in (
+        "index.html",
+        "outages.csv",
+        "errors.nc",
+        "manifest.json",
+        "resolved.yaml",
+        "flight.png",
+        "variants/coarse/summary.json",
+    ):
         assert (out / name).stat().st_size > 0
     page = (out / "index.html").read_text()
     assert "small &lt;b&gt;flight&lt;/b&gt;" in page
@@ -85,7 +103,9 @@ def test_an_interrupted_run_resumes(tmp_path: Path) -> None:
     assert len(kept) >= 2
     kept[0].write_bytes(b"half-written")
     seen: list[int] = []
-    resumed = run_experiment(experiment, realizations=4, cache=cache, progress=lambda done, total, label: seen.append(done))
+    resumed = run_experiment(
+        experiment, realizations=4, cache=cache, progress=lambda done, total, label: seen.append(done)
+    )
     assert seen[0] == len(kept) - 1
     whole = run_experiment(Experiment(load(path), path), realizations=4)
     # the same to rounding: vector lanes of the platform's mathematics depend on how memory happens to be aligned
@@ -122,10 +142,31 @@ def test_recorded_errors_fly(tmp_path: Path) -> None:
     assert r.names == ["white"]
 
 
+def test_effects_of_sensor_time_and_place_fly(tmp_path: Path) -> None:
+    """Late, dropped and distorted samples are compared with the truth at their stamps; an area gives an outage per passage."""
+    effects = [
+        {"effect": "scale_factor", "sensor": "accel", "value": "2000 ppm"},
+        {"effect": "dropped_samples", "probability": 0.001},
+        {"effect": "imu_gnss_time_offset", "offset": "2 ms"},
+    ]
+    path = write(tmp_path, truth=SCENARIO["truth"] | {"effects": effects}, variants={})
+    plain = write_named(tmp_path, "plain.yaml", variants={})
+    r = run_experiment(Experiment(load(path), path), realizations=1)
+    p = run_experiment(Experiment(load(plain), plain), realizations=1)
+    assert np.isfinite(r.error).all()
+    assert r.error.shape == p.error.shape
+    assert not np.array_equal(r.error, p.error)
+    assert r.digest != p.digest
+
+
 @pytest.mark.parametrize(
     ("changes", "log", "message"),
     [
-        ({"gnss": {"outages": [{"start": "110 s", "duration": "20 s"}]}}, {}, "outage 1 ends at 130 s, but the trajectory ends at 120 s"),
+        (
+            {"gnss": {"outages": [{"start": "110 s", "duration": "20 s"}]}},
+            {},
+            "outage 1 ends at 130 s, but the trajectory ends at 120 s",
+        ),
         ({"gnss": {"outages": [{"strat": "110 s", "duration": "20 s"}]}}, {}, "did you mean 'start'"),
         ({"truth": SCENARIO["truth"] | {"gyro": "WN(N=-1 deg/sqrt(h))"}}, {}, "not negative"),
         ({"gnss": {"position_sigma": "1 deg"}}, {}, "another dimension"),

@@ -77,7 +77,9 @@ def test_settled_covariances_change_nothing():
     row = model.autocovariance(lag, 0.1)
     S = row[np.abs(lag[:, None] - lag[None, :])]
     factor = cho_factor(S)
-    expected = -np.log(np.diag(factor[0])).sum() - 0.5 * (y[:1500] @ cho_solve(factor, y[:1500])) - 750 * np.log(2 * np.pi)
+    expected = (
+        -np.log(np.diag(factor[0])).sum() - 0.5 * (y[:1500] @ cho_solve(factor, y[:1500])) - 750 * np.log(2 * np.pi)
+    )
     assert_allclose(log_likelihood(block, y[:1500]), expected, rtol=1e-9)
 
 

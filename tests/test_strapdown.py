@@ -39,8 +39,10 @@ def static_record(hours, lat=0.8, h=200.0, rate=1.0):
     return ImuRecord(t, gyro, accel, "increment"), strapdown.NavState(np.array([lat, 0.1, h]), np.zeros(3), rpy)
 
 
-def test_static_day_stays_where_it_is():
-    imu, initial = static_record(24.0, rate=10.0)
+@pytest.mark.parametrize("rate", [1.0, 10.0])
+def test_static_day_stays_where_it_is(rate):
+    """Neither truncation nor rounding (which repeats at every step of a vehicle at rest) adds up over 24 h."""
+    imu, initial = static_record(24.0, rate=rate)
     nav = strapdown.mechanize(imu, initial, vertical="held")
     drift = earth.position_difference(nav.llh, initial.llh)
     assert np.hypot(drift[:, 0], drift[:, 1]).max() <= 1e-3
@@ -211,6 +213,12 @@ def test_irregular_steps_keep_the_coning_correction():
     assert error["even"][6:].max() < 1e-6
     assert error["uneven"][6:].max() < 10 * error["even"][6:].max() + 1e-9
     assert error["uneven"][3:6].max() < 1e-4
+
+
+def test_a_gap_does_not_amplify_the_noise_of_the_sample_before_it():
+    assert strapdown.scalar_coning_factor(0.01, 0.01) == pytest.approx(1 / 12)
+    assert strapdown.scalar_coning_factor(0.02, 0.01) == pytest.approx(4 / 18)
+    assert strapdown.scalar_coning_factor(1.0, 0.01) == 0.0
 
 
 def test_longitude_wraps_at_the_antimeridian():

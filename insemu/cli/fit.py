@@ -7,46 +7,90 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
     from rich.console import Console
 
     from insemu.fit import FitResult
     from insemu.records import Series
+    from insemu.variance import WaveletVariance
 
 
 def command(
     file: str = typer.Argument(..., metavar="FILE", help="Static log: .npz, .csv or .npy (columns with units)."),
     model: str = typer.Option(
-        ..., "--model", "-m", help='Structure, for example "2*GM() + WN()"; values given are held.'
+        ..., "--model", "-m", help='Structure, for example "2*GM() + WN()"; given values are held.'
     ),
-    method: str = typer.Option("gmwm", "--method", help="Estimator: gmwm."),
+    method: str = typer.Option("gmwm", "--method", help="gmwm, indirect, em, mli, slopes or burg."),
+    robust: bool = typer.Option(False, "--robust", help="Use the wavelet variance that outliers cannot move (gmwm)."),
+    per_axis: bool = typer.Option(
+        True,
+        "--per-axis/--pooled",
+        help="A model per axis, or one per sensor triad from the mean of its curves (gmwm).",
+    ),
     columns: list[str] | None = typer.Option(  # noqa: B008
         None, "--column", "-c", help="Fit only this column (gx or gyro_x); may be repeated."
     ),
-    rate: float | None = typer.Option(None, "--rate", help="Sampling rate in Hz of a log that does not say it."),
-    weighting: str = typer.Option(
-        "intervals",
-        "--weighting",
-        help="Weights of the gmwm: intervals, asymptotic or bootstrap (covariance under the model).",
+    rate: str = typer.Option("", "--rate", help='Sampling rate of a log that does not say it, for example "100 Hz".'),
+    skip: str = typer.Option(
+        "0 s", "--skip", help='Leave out the start of the record, for example "40 min" of warm-up.'
     ),
-    seed: int = typer.Option(0, "--seed", min=0, help="Seed of the bootstrap."),
+    weighting: str = typer.Option(
+        "intervals", "--weighting", help="Of gmwm: intervals, asymptotic or bootstrap (covariance under the model)."
+    ),
+    start: str = typer.Option("", "--start", help="Model with values to start from (gmwm, em, mli)."),
+    tau_from: float = typer.Option(0.0, "--tau-from", help="Shortest scale to use, s (gmwm)."),
+    tau_to: float = typer.Option(0.0, "--tau-to", help="Longest scale to use, s (gmwm); 0 takes all."),
+    denoise: int = typer.Option(0, "--denoise", min=0, help="Octaves to de-noise first (burg)."),
+    pattern: str = typer.Option("uniform", "--pattern", help="Of mli: uniform or log."),
+    workers: int | None = typer.Option(
+        None, "--workers", min=1, help="Axes fitted at a time; default the number of cores."
+    ),
+    bootstrap: int = typer.Option(
+        0, "--bootstrap", min=0, help="Intervals from so many simulated signals (gmwm); 0: closed form."
+    ),
+    seed: int = typer.Option(0, "--seed", min=0, help="Seed of bootstrap and draws."),
     out: str = typer.Option("", "--out", "-o", help="Write the models as YAML that a scenario reads."),
     kalibr: str = typer.Option("", "--kalibr", help="Write a Kalibr / OpenVINS imu.yaml."),
+    page: str = typer.Option("", "--page", help="Write a page with figures (HTML)."),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on standard output instead of tables."),
 ) -> None:
     """Fit a noise model to every axis of a static log."""
     import json
+    import math
+    import os
 
+    import numpy as np
     from rich.console import Console
 
-    from insemu import formats
-    from insemu.errors import InputError
+    series = read_static(file, rate, columns, skip)
+    options: dict[str, Any] = {}
+    if method == "gmwm":
+        options = {
+            "weighting": weighting,
+            "rng": np.random.default_rng(seed),
+            "tau_from": tau_from,
+            "tau_to": tau_to or math.inf,
+        }
+    elif method == "indirect":
+        options = {"rng": np.random.default_rng(seed)}
+    elif method == "burg":
+        options = {"denoise_levels": denoise}
+    elif method == "mli":
+        options = {"pattern": pattern}
+    if per_axis:
+        results = fit_axes(series, model, method, start, robust, options, workers or os.cpu_count() or 1)
+    else:
+        results = fit_pooled(series, model, method, start, robust, options)
+    if bootstrap:
+        from insemu.fit.indirect import bootstrap_intervals
 
-    series = formats.read(file, rate_hz=rate, columns=columns or None)
-    if not isinstance(series, list):
-        raise InputError("is a dynamic recording; expected a static log (sensor at rest)", where=file)
-    results = fit_axes(series, model, method, _options(method, weighting, seed))
+        children = np.random.default_rng(seed).spawn(len(results))
+        results = {
+            axis: bootstrap_intervals(r, bootstrap, child)
+            for (axis, r), child in zip(results.items(), children, strict=True)
+        }
     console = Console(stderr=as_json)
     if as_json:
         typer.echo(json.dumps({"axes": {axis: r.to_json() for axis, r in results.items()}}, indent=1, allow_nan=False))
@@ -54,27 +98,97 @@ def command(
         for axis, r in results.items():
             show(console, axis, r)
     write(results, out, kalibr, console)
+    if page:
+        from insemu.report import render_fits
+
+        console.print(f"page: {render_fits(results, page, series=series, rng=np.random.default_rng(seed))}")
 
 
-def _options(method: str, weighting: str, seed: int) -> dict[str, Any]:
-    import numpy as np
+def read_static(file: str, rate: str, columns: list[str] | None, skip: str = "0 s") -> list[Series]:
+    """The columns of a static log without its first part."""
+    from dataclasses import replace
 
-    if method == "gmwm":
-        return {"weighting": weighting, "rng": np.random.default_rng(seed)}
-    return {}
+    from insemu import formats, units
+    from insemu.errors import InputError
+
+    series = formats.read(file, rate_hz=units.parse(rate, "Hz") if rate else None, columns=columns or None)
+    if not isinstance(series, list):
+        raise InputError("is a dynamic recording; expected a static log (sensor at rest)", where=file)
+    seconds = units.parse(skip, "s")
+    if seconds < 0:
+        raise InputError(f"--skip is {skip}, expected a duration that is not negative")
+    out = []
+    for s in series:
+        first = round(seconds * s.rate_hz)
+        if first > len(s) - 16:
+            raise InputError(f"--skip {skip} leaves less than 16 of the {len(s)} samples of {s.name}", where=file)
+        out.append(replace(s, values=s.values[first:]) if first else s)
+    return out
 
 
-def fit_axes(series: list[Series], model: str, method: str, options: dict[str, Any]) -> dict[str, FitResult]:
+def fit_axes(
+    series: list[Series], model: str, method: str, start: str, robust: bool, options: Mapping[str, Any], workers: int
+) -> dict[str, FitResult]:
     """Fit every axis; the name of the axis goes in front of what is wrong with it."""
+    from concurrent.futures import ThreadPoolExecutor
+
     from insemu.errors import InputError
     from insemu.fit import fit
+    from insemu.noise import NoiseModel
 
-    out: dict[str, FitResult] = {}
-    for s in series:
+    def one(s: Series) -> FitResult:
+        given = dict(options)
+        if "rng" in given:
+            given["rng"] = given["rng"].spawn(1)[0]
         try:
-            out[s.name] = fit(s, model, method, **options)  # type: ignore[arg-type]
+            if start:
+                given["start"] = NoiseModel.parse(start, s.unit)
+            return fit(s, model, method, robust=robust, **given)  # type: ignore[arg-type]
         except InputError as error:
-            raise InputError(error.message, where=error.where or (s.name if len(series) > 1 else None)) from None
+            known = error.where or error.message.startswith(s.name)
+            raise InputError(error.message, where=error.where if known else s.name) from None
+
+    with ThreadPoolExecutor(max_workers=min(workers, len(series))) as pool:
+        return {s.name: r for s, r in zip(series, pool.map(one, series), strict=True)}
+
+
+def fit_pooled(
+    series: list[Series], model: str, method: str, start: str, robust: bool, options: Mapping[str, Any]
+) -> dict[str, FitResult]:
+    """One model per unit and rate: the mean of the axes' curves, with as many times the information as there are axes."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from insemu.errors import InputError
+    from insemu.fit import fit
+    from insemu.fit.robust import cleaned_curve
+    from insemu.noise import NoiseModel
+    from insemu.variance import wavelet_variance
+
+    if method != "gmwm":
+        raise InputError(f"--pooled belongs to gmwm, not to '{method}'")
+    groups: dict[tuple[str, float, int], list[Series]] = {}
+    for s in series:
+        groups.setdefault((s.unit, s.rate_hz, len(s)), []).append(s)
+    out: dict[str, FitResult] = {}
+    for (unit, rate, _), members in groups.items():
+        curves: list[WaveletVariance] = [
+            cleaned_curve(s.values, rate).curve if robust else wavelet_variance(s.values, rate) for s in members
+        ]
+        count = len(curves)
+        value = np.mean([c.value for c in curves], axis=0)
+        spread = np.sqrt(1.0 / count)
+        pooled = replace(
+            curves[0],
+            value=value,
+            low=value - (value - np.mean([c.low for c in curves], axis=0)) * spread,
+            high=value + (np.mean([c.high for c in curves], axis=0) - value) * spread,
+        )
+        efficiency = count * float(np.mean([getattr(c, "efficiency", 1.0) for c in curves]))
+        name = {"rad/s": "gyro", "m/s^2": "accel"}.get(unit, "+".join(s.name for s in members))
+        given = {**options, **({"start": NoiseModel.parse(start, unit)} if start else {})}
+        out[name] = fit(pooled, model, unit=unit, name=name, **{"efficiency": efficiency, **given})
     return out
 
 
@@ -96,13 +210,23 @@ def show(console: Console, axis: str, result: FitResult) -> None:
             "the model is compatible with the data" if result.test.p_value >= 0.05 else "the data contradict the model"
         )
         console.print(
-            f"test of fit: chi-square {result.test.statistic:.2f} on {result.test.dof} degrees of freedom, p = {result.test.p_value:.3g}: {verdict}"
+            f"test of fit: chi-square {result.test.statistic:.2f} on {result.test.dof} degrees of freedom, "
+            f"p = {result.test.p_value:.3g}: {verdict}",
+            highlight=False,
         )
+    if result.criterion is not None:
+        console.print(
+            f"criterion: {result.criterion.value:.1f} ± {result.criterion.standard_error:.1f}", highlight=False
+        )
+    if "trace" in result.details:
+        trace = result.details["trace"]
+        state = "the stopping rule was met" if result.converged else "not converged"
+        console.print(f"log-likelihood {-result.objective:.3f} after {len(trace)} iterations: {state}", highlight=False)
     for warning in result.warnings:
         console.print(f"[yellow]beware[/yellow]: {warning}", highlight=False)
 
 
-def write(results: dict[str, FitResult], out: str, kalibr_path: str, console: Console) -> None:
+def write(results: Mapping[str, FitResult], out: str, kalibr_path: str, console: Console) -> None:
     """Write the model file and the Kalibr file where asked for."""
     from pathlib import Path
 

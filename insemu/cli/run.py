@@ -150,12 +150,12 @@ def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
     """The tables at the end."""
     from rich.table import Table
 
-    from insemu.evaluate import outage_table, verdicts
-    from insemu.report.tables import short
+    from insemu.evaluate import headline, outage_table, verdicts
+    from insemu.report.tables import rank_lines, short, variant_caption
 
     console.print(f"\n[bold]{main.title}[/bold]", soft_wrap=True)
     table = Table(
-        title=f"End of each outage, means over {main.realizations} realizations (seed {main.seed})",
+        title=f"{variant_caption(main)}: means over {main.realizations} realizations (seed {main.seed})",
         title_justify="left",
         box=None,
         padding=(0, 1),
@@ -174,9 +174,9 @@ def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
             low, high = p["ci95"]
             cells = [
                 f"{name} ({main.designs[name].states})" if k == 0 else "",
-                f"{row['start_s'] / 60:g} min",
-                f"{p['mean']:.3g}",
-                "" if low is None else f"{low:.3g}-{high:.3g}",
+                f"{row['start_s'] / 60:.3g} min",
+                f"{headline(main, row):.3g}",
+                "" if low is None or main.published_figure != "planimetric_end_m" else f"{low:.3g}-{high:.3g}",
                 f"{row['altimetric_end_m']:.3g}",
                 f"{row['predicted_sigma_end_m']:.3g}",
                 f"{100 * row['coverage_3sigma']['position']:.1f}%",
@@ -190,7 +190,7 @@ def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
     console.print(
         "In brackets: states. Stated: the horizontal sigma that the filter gives. NEES/dof: 1 is a filter that knows its error.\n"
     )
-    for line in verdicts(main):
+    for line in (*verdicts(main), *rank_lines(main)):
         console.print(f"- {line}", soft_wrap=True)
     if variants:
         console.print(variant_table(main, variants))
@@ -200,14 +200,19 @@ def variant_table(main: Results, variants: dict[str, Results]) -> Any:
     """Mean planimetric error at the end of each outage, every variant beside the default."""
     from rich.table import Table
 
-    from insemu.report.tables import variant_rows
+    from insemu.report.tables import variant_caption, variant_rows
 
     header, body = variant_rows(main, variants)
     shown = [
         k for k, heading in enumerate(header) if heading not in ("95 %", "inside %")
     ]  # the page has room for these
     table = Table(
-        title="\nVariants: planimetric error at outage end, m", title_justify="left", box=None, padding=(0, 1), pad_edge=False, header_style="underline"
+        title=f"\nVariants. {variant_caption(main)}",
+        title_justify="left",
+        box=None,
+        padding=(0, 1),
+        pad_edge=False,
+        header_style="underline",
     )
     for k in shown:
         table.add_column(header[k], justify="left" if k < 2 else "right", no_wrap=True)

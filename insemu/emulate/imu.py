@@ -142,7 +142,7 @@ def _exact(nodes: Trajectory, kind: ImuKind, gravity: str) -> IdealImu:
         raise InputError(f"the trajectory has {n} node(s), expected at least two")
     target = np.concatenate([nodes.llh, nodes.vel_ned, rotation.quaternion_from_rpy(nodes.rpy)], axis=1)
     gyro, accel, nav = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, strapdown.NAV_SIZE))
-    invert(nodes.t, target, earth.gravity_code(gravity), 2, gyro, accel, nav)
+    invert(nodes.t, target, earth.gravity_code(gravity), 1, gyro, accel, nav)
     if not np.isfinite(nav[-1]).all():
         raise InputError(
             "the trajectory cannot be inverted: its states are not finite (more than half a revolution per sample?)"

@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from insemu.earth import RATE, scalar_gravity
-from insemu.strapdown import step
+from insemu.strapdown import scalar_coning_factor, step
 
 Array = NDArray[np.float64]
 
@@ -102,8 +102,7 @@ def invert(t: Array, target: Array, gravity: int, passes: int, gyro: Array, acce
         goal = target[k]
         dt = t[k] - t[k - 1]
         first = k == 1
-        ratio = 1.0 if first else dt / (t[k - 1] - t[k - 2])
-        c = 0.0 if first else ratio * ratio / (6.0 * (1.0 + ratio))
+        c = 0.0 if first else scalar_coning_factor(dt, t[k - 1] - t[k - 2])
         px, py, pz = gyro[k - 1, 0], gyro[k - 1, 1], gyro[k - 1, 2]
         wx, wy, wz = accel[k - 1, 0], accel[k - 1, 1], accel[k - 1, 2]
         if first:

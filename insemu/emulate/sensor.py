@@ -93,6 +93,8 @@ class _Chain:
     true: Array
     reference: Trajectory | None
     temperature: Array | None
+    _speed: Array | None = None
+    _dcm: Array | None = None
 
     def of(self, sensor: str) -> slice:
         return slice(0, 3) if sensor == "gyro" else slice(3, 6)
@@ -108,7 +110,16 @@ class _Chain:
         return self.temperature
 
     def speed(self, use: EffectUse) -> Array:
-        return np.asarray(np.linalg.norm(self.need_reference(use).vel_ned, axis=1))
+        if self._speed is None:
+            v = self.need_reference(use).vel_ned
+            self._speed = np.sqrt(np.einsum("ni,ni->n", v, v))
+        return self._speed
+
+    def to_body(self, use: EffectUse, vector_ned: Array) -> Array:
+        """Turn (n, 3) NED vectors into body axes, (3, n)."""
+        if self._dcm is None:
+            self._dcm = rotation.dcm_from_rpy(self.need_reference(use).rpy)
+        return np.asarray(np.einsum("nji,nj->in", self._dcm, vector_ned))
 
     def motion_profile(self, use: EffectUse) -> Array | float:
         """From ``rest_factor`` at standstill to 1 above 5 m/s."""
@@ -130,27 +141,21 @@ Apply = Callable[[_Chain, EffectUse, np.random.Generator], None]
 # -------------------------------------------------------------------------------------------------------
 
 
-def _to_body(reference: Trajectory, vector_ned: Array) -> Array:
-    c = rotation.dcm_from_rpy(reference.rpy)
-    return np.einsum("nji,nj->in", c, vector_ned)
-
-
 def _earth_rate(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
     reference = chain.need_reference(use)
-    chain.signal[:3] -= use.scalar("fraction") * _to_body(reference, earth.earth_rate(reference.llh[:, 0]))
+    chain.signal[:3] -= use.scalar("fraction") * chain.to_body(use, earth.earth_rate(reference.llh[:, 0]))
 
 
 def _transport_rate(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
     reference = chain.need_reference(use)
     rate = earth.transport_rate(reference.llh, reference.vel_ned)
-    chain.signal[:3] -= use.scalar("fraction") * _to_body(reference, rate)
+    chain.signal[:3] -= use.scalar("fraction") * chain.to_body(use, rate)
 
 
 def _gravity(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
-    reference = chain.need_reference(use)
     down = np.zeros((chain.t.size, 3))
     down[:, 2] = use.scalar("offset")
-    chain.signal[3:] -= _to_body(reference, down)
+    chain.signal[3:] -= chain.to_body(use, down)
 
 
 def _mounting(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
@@ -251,7 +256,9 @@ def _vibration_band(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> 
     settle = int(np.ceil(20.0 / max(1e-9, 1.0 - r)))  # until the start is forgotten to 1e-8
     white = rng.standard_normal((3, chain.t.size + min(settle, 1_000_000)))
     coloured = lfilter([gain], [1.0, -a1, -a2], white, axis=1)[:, -chain.t.size :]
-    chain.signal[chain.of(use.sensor)] += _column(use["rms"]) * chain.motion_profile(use) * coloured
+    coloured *= chain.motion_profile(use)
+    coloured *= _column(use["rms"])
+    chain.signal[chain.of(use.sensor)] += coloured
 
 
 def _outliers(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
@@ -280,14 +287,21 @@ def _telegraph(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
         )
 
 
+def _scaled_white(density: Sequence[float], level: Array, rng: np.random.Generator) -> Array:
+    white = rng.standard_normal((3, level.size))
+    white *= level
+    white *= _column(density)
+    return white
+
+
 def _motion_noise(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
     level = chain.speed(use) / (10.0 * np.sqrt(chain.dt))
-    chain.signal[chain.of(use.sensor)] += _column(use["N"]) * level * rng.standard_normal((3, chain.t.size))
+    chain.signal[chain.of(use.sensor)] += _scaled_white(use["N"], level, rng)
 
 
 def _temperature_noise(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
     excess = np.maximum(0.0, chain.need_temperature(use) - use.scalar("T0")) / np.sqrt(chain.dt)
-    chain.signal[chain.of(use.sensor)] += _column(use["N"]) * excess * rng.standard_normal((3, chain.t.size))
+    chain.signal[chain.of(use.sensor)] += _scaled_white(use["N"], excess, rng)
 
 
 # -- 4. to 6. filter, saturation, quantization

@@ -2,16 +2,18 @@
 
 from insemu.evaluate.errors import COMPONENTS, bootstrap_mean, navigation_error, paired_ratio, within_outage
 from insemu.evaluate.experiment import Experiment, run_experiment
-from insemu.evaluate.results import Results, outage_table, summary, verdicts, write
+from insemu.evaluate.results import Results, headline, outage_table, rank_agreement, summary, verdicts, write
 
 __all__ = [
     "COMPONENTS",
     "Experiment",
     "Results",
     "bootstrap_mean",
+    "headline",
     "navigation_error",
     "outage_table",
     "paired_ratio",
+    "rank_agreement",
     "run_experiment",
     "summary",
     "verdicts",

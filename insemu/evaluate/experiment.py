@@ -11,44 +11,29 @@ import subprocess
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import metadata
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import insemu
-from insemu import earth
-from insemu.emulate import Outage, RecordedErrors, built_in, gnss_fixes, ideal_imu
-from insemu.emulate.errors import add_rates
-from insemu.emulate.pieces import ErrorPieces, recorded_pieces, simulated_pieces
+from insemu.denoise import denoise
 from insemu.errors import InputError
-from insemu.evaluate.errors import navigation_error
+from insemu.evaluate.recorded import RecordedWorld
 from insemu.evaluate.results import DesignInfo, Results
-from insemu.filters import FilterOptions, InitialSigma, LooselyCoupledEKF
+from insemu.evaluate.world import World, static_logs, stream
+from insemu.filters import Extras, FilterOptions, LooselyCoupledEKF
 from insemu.fit import FitResult, fit
-from insemu.formats import AXIS_OF_COLUMN, read_static
-from insemu.noise import NoiseModel, axis_unit, load
-from insemu.records import AXES, ImuRecord, Series, Trajectory
-from insemu.scenario import AxisSource, RecordedSignal, Scenario, digest, resolve_path
-from insemu.strapdown import NavState
+from insemu.noise import ARMA, NoiseModel, axis_unit, load
+from insemu.records import AXES, GnssRecord, ImuRecord, Series
+from insemu.scenario import AxisSource, Scenario, digest
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
-
-#: Streams of randomness; each gets children of the scenario's seed by (stream, realization or record, axis).
-_STREAMS = {"truth": 0, "gnss": 1, "initial": 2, "fits": 3}
-#: Interval of the epochs at which errors are evaluated, s.
-OUTPUT_INTERVAL = 1.0
-
-
-def stream(seed: int, name: str, *index: int) -> np.random.Generator:
-    """The generator of one stream, for example ``stream(seed, "truth", record, axis)``: the same alone or among 1000."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAMS[name], *index)))
 
 
 def silent(done: int, total: int, label: str) -> None:
@@ -63,44 +48,8 @@ class Belief:
     fits: Mapping[str, FitResult] = field(default_factory=dict)
 
 
-def _outages(scenario: Scenario) -> list[Outage]:
-    return [Outage(o.start, o.duration) for o in scenario.gnss.outages]
-
-
-def input_files(scenario: Scenario, file: str | Path | None) -> dict[str, Path]:
-    """Every file that the scenario names, by the name it uses."""
-    names: list[str] = []
-    for recorded in (scenario.truth.recorded, scenario.fits.recorded if scenario.fits else None):
-        names += list(recorded.files) if recorded else []
-    for design in scenario.designs.values():
-        names += [s.file for s in design.sources().values() if isinstance(s, AxisSource) and s.file]
-    return {name: resolve_path(name, file) for name in dict.fromkeys(names)}
-
-
-def _logs(recorded: RecordedSignal, files: Mapping[str, Path]) -> list[dict[str, Series]]:
-    """The six axes of every static log, warm-up left out."""
-    out = []
-    for name in recorded.files:
-        by_axis = {AXIS_OF_COLUMN.get(s.name, s.name): s for s in read_static(files[name])}
-        missing = [axis for axis in AXES if axis not in by_axis]
-        if missing:
-            raise InputError(f"no column for {', '.join(missing)}", where=name)
-        cut = {}
-        for axis in AXES:
-            s = by_axis[axis]
-            start = round(recorded.skip * s.rate_hz)
-            if start >= len(s):
-                raise InputError(
-                    f"the warm-up of {recorded.skip:g} s is longer than the record of {len(s) / s.rate_hz:g} s",
-                    where=name,
-                )
-            cut[axis] = Series(s.values[start:], s.rate_hz, s.unit, axis)
-        out.append(cut)
-    return out
-
-
 class Experiment:
-    """A scenario made ready to run: trajectory, ideal signals, truth, and resolved beliefs.
+    """A scenario made ready to run: its world, and the beliefs that fly through it.
 
     Parameters
     ----------
@@ -117,57 +66,16 @@ class Experiment:
     def __init__(self, scenario: Scenario, file: str | Path | None = None) -> None:
         self.scenario = scenario
         self.file = file
-        self.files = input_files(scenario, file)
-        self.digest = digest(scenario, self.files)
-        source = scenario.trajectory
-        flight = built_in(source.builtin or "").path
-        span = None if source.duration is None else (flight.start, min(flight.end, flight.start + source.duration))
-        ideal = ideal_imu(flight, source.rate, mode=source.mode, span=span)
-        self.reference: Trajectory = ideal.reference
-        self.imu: ImuRecord = ideal.imu
-        self.path_distance_m: float = ideal.path_distance_m
-        length = float(self.reference.t[-1] - self.reference.t[0])
-        for k, outage in enumerate(scenario.gnss.outages):  # before anything is flown, with the key that says it
-            if outage.start + outage.duration > length + 1e-9:
-                raise InputError(
-                    f"outage {k + 1} ends at {outage.start + outage.duration:g} s, but the trajectory ends at {length:g} s",
-                    where=f"{file or 'scenario'}: gnss.outages.{k}",
-                )
-        self._lock = Lock()
-        if self.pieces.count is not None and scenario.realizations > self.pieces.count:
-            raise InputError(
-                f"{scenario.realizations} realizations of {length:g} s asked for, but the recorded signals hold "
-                f"{self.pieces.count} non-overlapping pieces of that length",
-                where=f"{file or 'scenario'}: truth.recorded",
-            )
+        self.world: World | RecordedWorld = (
+            RecordedWorld(scenario, file) if scenario.recording is not None else World(scenario, file)
+        )
+        self.digest = digest(scenario, self.world.files)
+        _ = self.world.outage_windows  # what is wrong with them is said before anything is flown
 
     @property
-    def dt(self) -> float:
-        """IMU interval, s."""
-        return 1.0 / self.scenario.trajectory.rate
-
-    @cached_property
-    def pieces(self) -> ErrorPieces:
-        """The source of true error signals, one piece a realization."""
-        truth, n = self.scenario.truth, len(self.reference)
-        if truth.recorded is not None:
-            records = [
-                RecordedErrors(
-                    np.stack([log[axis].values for axis in AXES], axis=1),
-                    log["gyro_x"].rate_hz,
-                    truth.recorded.remove_mean,
-                    name=name,
-                )
-                for name, log in zip(truth.recorded.files, _logs(truth.recorded, self.files), strict=True)
-            ]
-            return recorded_pieces(records, n, self.scenario.trajectory.rate)
-        return simulated_pieces(
-            truth.models(),
-            n,
-            self.scenario.trajectory.rate,
-            record_s=truth.record,
-            rng=lambda record, axis: stream(self.scenario.seed, "truth", record, axis),
-        )
+    def rate_hz(self) -> float:
+        """IMU rate."""
+        return self.world.rate_hz
 
     @cached_property
     def fit_logs(self) -> dict[str, list[Series]]:
@@ -176,14 +84,14 @@ class Experiment:
         if source is None:
             return {}
         if source.recorded is not None:
-            logs = _logs(source.recorded, self.files)
+            logs = static_logs(source.recorded, self.world.files)
             return {axis: [log[axis] for log in logs] for axis in AXES}
         assert source.simulate is not None
-        rate = self.scenario.trajectory.rate
+        rate = self.rate_hz
         n = round(source.simulate * rate)
         out: dict[str, list[Series]] = {}
         drawn: dict[NoiseModel, Series] = {}
-        for index, (axis, model) in enumerate(self.scenario.truth.models().items()):
+        for index, (axis, model) in enumerate(self._true_models().items()):
             if model not in drawn:  # axes with one truth share one log, as one sensor type has one calibration
                 values = model.at_rate(rate).simulate(n, 1.0 / rate, stream(self.scenario.seed, "fits", index))
                 drawn[model] = Series(values - values.mean(), rate, axis_unit(axis), axis)
@@ -193,7 +101,7 @@ class Experiment:
     @cached_property
     def beliefs(self) -> dict[str, Belief]:
         """What every design believes, models fitted where the scenario says so."""
-        done: dict[tuple[str, int], FitResult] = {}
+        done: dict[tuple[str, int], FitResult] = {}  # a log is fitted once per structure and method
         out = {}
         for name, design in self.scenario.designs.items():
             models: dict[str, NoiseModel] = {}
@@ -202,63 +110,67 @@ class Experiment:
                 if isinstance(source, NoiseModel):
                     models[axis] = source
                 elif source.truth:
-                    models[axis] = self.scenario.truth.models()[axis]
+                    models[axis] = self._true_models()[axis]
                 elif source.file:
                     models[axis] = self._from_file(source.file, axis)
                 else:
                     assert source.fit is not None
                     log = self.fit_logs[axis][0]
-                    key = (source.fit, id(log))
+                    key = (source.model_dump_json(), id(log))
                     if key not in done:
-                        done[key] = fit(log, NoiseModel.parse(source.fit, axis_unit(axis)))
+                        done[key] = self._fitted(name, log, source)
                     fits[axis] = done[key]
                     models[axis] = done[key].model
-            out[name] = Belief({axis: m.at_rate(self.scenario.trajectory.rate) for axis, m in models.items()}, fits)
+                if isinstance(source, AxisSource) and source.stabilise:
+                    models[axis] = NoiseModel(tuple(p.stabilised() if isinstance(p, ARMA) else p for p in models[axis]))
+                tuning = design.options.tuning
+                factor = tuning.gyro if axis.startswith("gyro") else tuning.accel
+                if factor != 1.0:
+                    models[axis] = models[axis].scaled(factor)
+            out[name] = Belief({axis: m.at_rate(self.rate_hz) for axis, m in models.items()}, fits)
         return out
 
+    def _true_models(self) -> dict[str, NoiseModel]:
+        return self.scenario.truth.models() if self.scenario.truth is not None else {}
+
+    def _fitted(self, design: str, log: Series, source: AxisSource) -> FitResult:
+        model = NoiseModel.parse(source.fit or "", axis_unit(log.name))
+        try:
+            return fit(log, model, source.method, **dict[str, Any](source.options))  # type: ignore[arg-type]
+        except TypeError as error:
+            if "unexpected keyword argument" not in str(error):
+                raise
+            raise InputError(
+                f"{str(error).split('() ')[-1]}; it is no option of the method '{source.method}'",
+                where=f"{self.file or 'scenario'}: designs.{design}",
+            ) from None
+
     def _from_file(self, name: str, axis: str) -> NoiseModel:
-        models = load(self.files[name])
+        models = load(self.world.files[name])
         if axis not in models:
             raise InputError(f"no model for {axis}, expected one of: {', '.join(models)}", where=name)
         return models[axis]
 
-    @cached_property
-    def filters(self) -> dict[str, LooselyCoupledEKF]:
-        """One filter per design."""
-        gnss = self.scenario.gnss
-        every = max(1, round(OUTPUT_INTERVAL * self.scenario.trajectory.rate))
-        options = FilterOptions(output_every=every, covariance_at=tuple(self.output_times[1:]))
-        sigma = (gnss.position_sigma, gnss.velocity_sigma or (np.nan,) * 3)
-        return {
-            name: LooselyCoupledEKF(b.models, self.dt, lever_arm=gnss.lever_arm, gnss_sigma=sigma, options=options)
-            for name, b in self.beliefs.items()
-        }
-
-    @cached_property
-    def output_times(self) -> Array:
-        """Epochs at which errors are evaluated."""
-        every = max(1, round(OUTPUT_INTERVAL * self.scenario.trajectory.rate))
-        return self.reference.t[::every]
-
-    @cached_property
-    def truth_at_outputs(self) -> Trajectory:
-        """The reference at the output epochs."""
-        every = max(1, round(OUTPUT_INTERVAL * self.scenario.trajectory.rate))
-        r = self.reference
-        return Trajectory(r.t[::every], r.llh[::every], r.vel_ned[::every], r.rpy[::every], r.name)
-
-    def initial(self, realization: int) -> tuple[NavState, InitialSigma]:
-        """The filter's start: the truth moved by a draw from the sigmas that the filter believes."""
-        i = self.scenario.initial
-        attitude = (i.tilt_sigma, i.tilt_sigma, i.heading_sigma)
-        draw = stream(self.scenario.seed, "initial", realization).standard_normal(9)
-        start = NavState.of(self.reference)
-        moved = NavState(
-            earth.move(start.llh, draw[:3] * np.array(i.position_sigma)),
-            start.vel_ned + draw[3:6] * np.array(i.velocity_sigma),
-            start.rpy + draw[6:9] * np.array(attitude),
+    def filter(self, design: str, *, output_every: int = 1, covariance_at: Array | None = None) -> LooselyCoupledEKF:
+        """The filter of one design."""
+        gnss, options = self.scenario.gnss, self.scenario.designs[design].options
+        sigma = np.array(gnss.position_sigma) * options.tuning.position
+        velocity = np.array(gnss.velocity_sigma or (np.nan,) * 3) * options.tuning.velocity
+        return LooselyCoupledEKF(
+            self.beliefs[design].models,
+            1.0 / self.rate_hz,
+            lever_arm=gnss.lever_arm,
+            gravity=self.world.gravity,
+            gnss_sigma=(sigma, velocity),
+            options=FilterOptions(
+                covariance_every=options.covariance_every,
+                output_every=output_every * options.covariance_every,
+                gate=options.gate,
+                covariance_at=() if covariance_at is None else tuple(covariance_at),
+                extras=Extras(**options.states.model_dump()),
+                standstill=self.world.standstill,
+            ),
         )
-        return moved, InitialSigma(position=i.position_sigma, velocity=i.velocity_sigma, attitude=attitude)
 
     def realization(self, index: int) -> dict[str, Array]:
         """Fly every design through one realization.
@@ -266,39 +178,50 @@ class Experiment:
         Returns
         -------
         dict of arrays
-            ``error, sigma`` (design, time, 9); ``nees`` (design, time); ``nis`` (design,); ``epochs``, ``seconds``.
+            ``error, sigma`` (design, time, 9); ``nees`` (design, time); ``nis, epochs, seconds`` (design,).
         """
-        s = self.scenario
-        with self._lock:  # a simulated record serves many pieces; one thread draws it
-            signals = self.pieces.piece(index)
-        imu = add_rates(self.imu, signals[:, :3], signals[:, 3:])
-        fixes = gnss_fixes(
-            self.reference,
-            rate_hz=s.gnss.rate,
-            pos_sigma_ned=s.gnss.position_sigma,
-            vel_sigma_ned=s.gnss.velocity_sigma,
-            lever_arm=s.gnss.lever_arm,
-            outages=_outages(s),
-            rng=stream(s.seed, "gnss", index),
-        )
-        start, start_sigma = self.initial(index)
+        recording = self.world.recording(index)
+        imu, fixes = recording.imu, recording.gnss
+        assert fixes is not None
+        start, start_sigma = self.world.start(index, imu)
+        rows = self.world.rows(imu, max(d.options.covariance_every for d in self.scenario.designs.values()))
         out: dict[str, list[Any]] = {"error": [], "sigma": [], "nees": [], "nis": [], "epochs": [], "seconds": []}
-        for ekf in self.filters.values():
-            run = ekf.run(imu, fixes, start, start_sigma)
-            error = navigation_error(run.trajectory, self.truth_at_outputs)
-            covariance = run.covariance[:, :9, :9]
-            nees = np.zeros(len(error))
-            nees[1:] = np.einsum("ti,ti->t", error[1:], np.linalg.solve(covariance, error[1:, :, None])[..., 0])
-            first = error[0] / run.sigma[0, :9]
-            nees[0] = first @ first
+        for name in self.beliefs:
+            ekf = self.filter(name, covariance_at=imu.t[rows])
+            run = ekf.run(self._prefiltered(name, imu), self._believed(name, fixes), start, start_sigma)
+            scored = self.world.score(run, imu.t[rows])
             used = run.fixes.accepted
-            out["error"].append(error)
-            out["sigma"].append(run.sigma[:, :9])
-            out["nees"].append(nees)
+            out["error"].append(scored.error)
+            out["sigma"].append(scored.sigma)
+            out["nees"].append(scored.nees)
             out["nis"].append(float(run.fixes.nis[used].sum() / max(1, run.fixes.dof[used].sum())))
             out["epochs"].append(run.epochs)
             out["seconds"].append(run.seconds)
         return {name: np.array(values) for name, values in out.items()}
+
+    def _prefiltered(self, design: str, imu: ImuRecord) -> ImuRecord:
+        """What a design's filter is fed: the record, de-noised where the design says so."""
+        prefilter = self.scenario.designs[design].options.prefilter
+        if prefilter is None:
+            return imu
+        columns = [*imu.gyro.T, *imu.accel.T]
+        clean = [
+            denoise(column, levels, wavelet=prefilter.wavelet, rule=prefilter.rule, mode=prefilter.mode)
+            if levels
+            else column
+            for column, levels in zip(columns, prefilter.per_axis(), strict=True)
+        ]
+        return replace(imu, gyro=np.stack(clean[:3], axis=1), accel=np.stack(clean[3:], axis=1))
+
+    def _believed(self, design: str, fixes: GnssRecord) -> GnssRecord:
+        """The fixes with the standard deviations that a design believes."""
+        tuning = self.scenario.designs[design].options.tuning
+        out = fixes
+        if tuning.position != 1.0 and fixes.pos_std_ned is not None:
+            out = replace(out, pos_std_ned=fixes.pos_std_ned * tuning.position)
+        if tuning.velocity != 1.0 and fixes.vel_std_ned is not None:
+            out = replace(out, vel_std_ned=fixes.vel_std_ned * tuning.velocity)
+        return out
 
 
 def git_revision() -> str | None:
@@ -329,7 +252,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         "git": git_revision(),
         "python": platform.python_version(),
         "packages": {name: metadata.version(name) for name in packages},
-        "ideal_imu_distance_m": experiment.path_distance_m,
+        "ideal_imu_distance_m": experiment.world.path_distance_m,
         "beliefs": {
             name: {axis: m.to_list(axis_unit(axis)) for axis, m in b.models.items()}
             for name, b in experiment.beliefs.items()
@@ -368,6 +291,8 @@ def run_experiment(
     """
     started = time.perf_counter()
     total = realizations if realizations is not None else experiment.scenario.realizations
+    if experiment.scenario.recording is not None:
+        total = 1  # what was recorded happened once
     folder = cache / experiment.digest if cache is not None else None
     items: dict[int, dict[str, Array]] = {}
     for r in range(total):
@@ -377,7 +302,7 @@ def run_experiment(
     todo = [r for r in range(total) if r not in items]
     if todo:
         progress(len(items), total, "preparing")
-        _ = experiment.filters, experiment.pieces  # resolve fits once, before the threads
+        _ = experiment.beliefs  # fits are made once, before the threads
     progress(len(items), total, "flying")
     own = executor is None
     pool = executor if executor is not None else ThreadPoolExecutor(max_workers=max(1, workers))
@@ -395,8 +320,8 @@ def run_experiment(
         name: np.stack([items[r][name] for r in range(total)], axis=1) for name in ("error", "sigma", "nees", "nis")
     }
     designs = {
-        name: DesignInfo(ekf.layout.n, tuple(ekf.layout.names), experiment.beliefs[name].models)
-        for name, ekf in experiment.filters.items()
+        name: DesignInfo(layout.n, tuple(layout.names), experiment.beliefs[name].models)
+        for name, layout in ((name, experiment.filter(name).layout) for name in experiment.beliefs)
     }
     s = experiment.scenario
     timing = {
@@ -408,13 +333,14 @@ def run_experiment(
         title=s.title,
         digest=experiment.digest,
         seed=s.seed,
-        t=experiment.output_times,
+        t=experiment.world.output_times,
         designs=designs,
-        outages=[(o.start, o.duration) for o in s.gnss.outages],
-        truth=experiment.truth_at_outputs,
+        outages=experiment.world.outage_windows,
+        truth=experiment.world.truth_at_outputs,
         timing=timing,
         manifest=manifest_of(experiment) | {"timing": timing},
-        published=dict(s.published.planimetric_end_m) if s.published else {},
+        published=s.published.values if s.published else {},
+        published_figure=s.published.figure if s.published else "planimetric_end_m",
         **stacked,
     )
 

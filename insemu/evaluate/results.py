@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.stats import kendalltau
 
 from insemu.evaluate.errors import (
     COMPONENT_UNITS,
@@ -63,6 +64,8 @@ class Results:
         ``filter_epochs``, ``filter_seconds``, ``wall_seconds``.
     manifest : mapping
         Resolved scenario, seed, versions, git revision.
+    published : mapping
+        Design to a paper's figure per outage; ``published_figure`` says which figure of the outage table it is.
     nis : (design, realization) array
         Mean normalised innovation squared per degree of freedom over accepted fixes.
     """
@@ -81,6 +84,7 @@ class Results:
     timing: Mapping[str, float]
     manifest: Mapping[str, Any] = field(default_factory=dict)
     published: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    published_figure: str = "planimetric_end_m"
 
     @property
     def realizations(self) -> int:
@@ -157,7 +161,8 @@ def outage_table(results: Results) -> dict[str, list[dict[str, Any]]]:
             error, sigma = results.error[d], results.sigma[d]
             horizontal = np.hypot(error[..., 0], error[..., 1])
             at_end = bootstrap_mean(horizontal[:, end])
-            covered = np.abs(error[:, inside]) <= 3.0 * sigma[:, inside]
+            known = np.where(np.isnan(error[:, inside]), np.nan, 1.0)
+            covered = known * (np.abs(error[:, inside]) <= 3.0 * sigma[:, inside])
             rows.append(
                 {
                     "start_s": start,
@@ -181,6 +186,26 @@ def outage_table(results: Results) -> dict[str, list[dict[str, Any]]]:
             )
         table[name] = rows
     return table
+
+
+def headline(results: Results, row: Mapping[str, Any]) -> float:
+    """The figure of an outage row that stands beside what was published (else the mean planimetric error at outage end), m."""
+    if results.published_figure == "planimetric_mean_m":
+        return float(row["planimetric_mean_m"])
+    return float(row["planimetric_end_m"]["mean"])
+
+
+def rank_agreement(results: Results) -> list[float]:
+    """Kendall's tau between our ranking of the published designs and the paper's, per outage; empty for fewer than three designs."""
+    names = [name for name in results.names if name in results.published]
+    if len(names) < 3:
+        return []
+    table = outage_table(results)
+    taus = []
+    for k in range(min(len(results.outages), *(len(results.published[n]) for n in names))):
+        ours = [headline(results, table[n][k]) for n in names]
+        taus.append(float(kendalltau(ours, [results.published[n][k] for n in names]).statistic))
+    return taus
 
 
 def summary(results: Results) -> dict[str, Any]:
@@ -208,7 +233,7 @@ def summary(results: Results) -> dict[str, Any]:
                 comparisons.append(
                     {"design": one, "against": other, "ratio": c.ratio, "ci95": [c.low, c.high], "p_value": c.p_value}
                 )
-    return {
+    document = {
         "scenario": results.title,
         "digest": results.digest,
         "seed": results.seed,
@@ -217,6 +242,16 @@ def summary(results: Results) -> dict[str, Any]:
         "comparisons": comparisons,
         "timing": dict(results.timing),
     }
+    return dict(finite(document))
+
+
+def finite(document: Any) -> Any:
+    """The same document with NaN (an error that has no reference) as None, which JSON can say."""
+    if isinstance(document, dict):
+        return {k: finite(v) for k, v in document.items()}
+    if isinstance(document, list | tuple):
+        return [finite(v) for v in document]
+    return None if isinstance(document, float) and not np.isfinite(document) else document
 
 
 def verdicts(results: Results) -> list[str]:

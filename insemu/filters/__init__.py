@@ -11,6 +11,7 @@ from insemu.filters.ekf import (
     Standstill,
     run_filter,
 )
+from insemu.filters.smoother import SmootherResult, smooth
 
 __all__ = [
     "Extras",
@@ -20,6 +21,8 @@ __all__ = [
     "InitialSigma",
     "LooselyCoupledEKF",
     "Nodes",
+    "SmootherResult",
     "Standstill",
     "run_filter",
+    "smooth",
 ]

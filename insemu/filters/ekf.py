@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +15,7 @@ from scipy.stats import chi2
 from insemu import earth
 from insemu.augment import Augmentation, Belief, Extras, StateLayout, augment
 from insemu.errors import InputError
-from insemu.filters import kernel
+from insemu.filters import expanded, kernel
 from insemu.records import GnssRecord, ImuRecord, Trajectory
 from insemu.strapdown import NavState, trajectory_of
 
@@ -97,6 +97,8 @@ class FilterOptions:
         Calibration and installation states to be estimated.
     standstill : Standstill, optional
         Zero-velocity and zero-rate updates.
+    imposed_gnss_sigma : bool
+        Use the filter's ``gnss_sigma`` even where the record states its own.
     """
 
     covariance_every: int = 1
@@ -107,6 +109,7 @@ class FilterOptions:
     covariance_at: Sequence[float] = ()
     extras: Extras = field(default_factory=Extras)
     standstill: Standstill | None = None
+    imposed_gnss_sigma: bool = False
 
     def __post_init__(self) -> None:
         for name in ("covariance_every", "output_every"):
@@ -229,7 +232,7 @@ class FilterResult:
 
 
 @dataclass(frozen=True)
-class _Packed:
+class Packed:
     """The augmentation in the compiled loop's slots."""
 
     place: NDArray[np.int64]
@@ -237,11 +240,14 @@ class _Packed:
     diagonal: bool
     d: Array
     phi: Array
+    offsets: NDArray[np.int64]
+    mix: Array
     q_at: NDArray[np.int64]
     q: Array
 
 
-def _pack(aug: Augmentation, powers: int) -> _Packed:
+def pack(aug: Augmentation, powers: int) -> Packed:
+    """Lay an augmentation out in slots, with the transitions over 1 to ``powers`` samples."""
     lanes = np.where(aug.axis >= 0, aug.axis, 0)
     slot = np.zeros(aug.m, dtype=np.int64)
     used = np.zeros(6, dtype=np.int64)
@@ -253,15 +259,15 @@ def _pack(aug: Augmentation, powers: int) -> _Packed:
     for i, s in enumerate(loose):
         slot[s], lanes[s] = slots + i // 6, i % 6
     slots += -(-loose.size // 6)
-    if slots > kernel.MAX_SLOTS:
-        raise InputError(f"an axis carries {slots} states, expected at most {kernel.MAX_SLOTS}")
-    place = np.concatenate([np.arange(9), kernel.FIRST + 8 * slot + lanes]).astype(np.int64)
+    if slots > expanded.MAX_SLOTS:
+        raise InputError(f"an axis carries {slots} states, expected at most {expanded.MAX_SLOTS}")
+    place = np.concatenate([np.arange(9), expanded.FIRST + 8 * slot + lanes]).astype(np.int64)
     behind = place[9:]
     coupled = (aug.Phi != 0) & (lanes[:, None] != lanes[None, :])
     if coupled.any():
         raise InputError("states of different axes are coupled in Phi, expected independent axes")
     diagonal = not (aug.Phi - np.diag(np.diag(aug.Phi))).any()
-    d = np.ones((powers, kernel.LD))
+    d = np.ones((powers, expanded.LD))
     phi = np.zeros((powers, max(slots, 1), max(slots, 1), 8))
     Qs = np.zeros((powers, aug.m, aug.m))
     for p in range(powers):
@@ -269,14 +275,23 @@ def _pack(aug: Augmentation, powers: int) -> _Packed:
         d[p, behind] = np.diag(Phi)
         for i, j in zip(*np.nonzero(Phi), strict=True):
             phi[p, slot[i], slot[j], lanes[i]] = Phi[i, j]
+    far = {0} | {int(a - b) for a, b in np.argwhere((phi != 0).any(axis=(0, 3)))}
+    offsets = np.array(sorted(far, key=lambda o: (o != 0, o)), dtype=np.int64)
+    mix = np.zeros((powers, offsets.size, expanded.LD))
+    for row, o in enumerate(sorted(far, key=lambda o: (o != 0, o))):
+        for k in range(max(o, 0), min(slots, slots + o)):
+            at = expanded.FIRST + 8 * k
+            mix[:, row, at : at + 8] = phi[:, k, k - o]
     rows, columns = np.nonzero((Qs != 0).any(axis=0))
-    return _Packed(
+    return Packed(
         place,
         slots,
         diagonal,
         d,
         phi,
-        behind[rows] * kernel.LD + behind[columns],
+        offsets,
+        mix,
+        behind[rows] * expanded.LD + behind[columns],
         np.ascontiguousarray(Qs[:, rows, columns]),
     )
 
@@ -332,7 +347,20 @@ class LooselyCoupledEKF:
                 _three(gnss_sigma[1], "gnss_sigma", unknown=True),
             )
         )
-        self._packed = _pack(self.augmentation, self.options.covariance_every)
+        self._packed = pack(self.augmentation, self.options.covariance_every)
+
+        self._belief = belief
+
+    def with_options(self, **changes: Any) -> LooselyCoupledEKF:
+        """The same design with some options (fields of :class:`FilterOptions`) replaced."""
+        return LooselyCoupledEKF(
+            self._belief,
+            self.dt,
+            lever_arm=self.lever_arm,
+            gravity=self.gravity,
+            gnss_sigma=self.gnss_sigma,
+            options=replace(self.options, **changes),
+        )
 
     @property
     def layout(self) -> StateLayout:
@@ -398,6 +426,7 @@ class LooselyCoupledEKF:
         nav = initial.to_array()
         if not np.isfinite(nav).all() or abs(nav[0]) > np.deg2rad(89.9):
             raise InputError("the initial navigation state is not finite or within 0.1 deg of a pole")
+        nav = np.concatenate([nav, np.zeros(3)])
         o, n, m = self.options, self.layout.n, self.augmentation.m
         P0 = self.initial_covariance(initial_sigma)
         x0 = np.zeros(m) if initial_states is None else np.array(initial_states, dtype=np.float64)
@@ -430,7 +459,7 @@ class LooselyCoupledEKF:
         a, p = self.augmentation, self._packed
         started = time.perf_counter()
         code, detail = kernel.run(
-            t, record.gyro, record.accel, nav, x0, P0, p.place, a.axis, a.c, a.driver, p.slots, p.diagonal, p.d, p.phi, p.q_at, p.q,
+            t, record.gyro, record.accel, nav, x0, P0, p.place, a.axis, a.c, a.driver, p.slots, p.diagonal, p.d, p.phi, p.offsets, p.mix, p.q_at, p.q,
             a.white, self._gravity, self.lever_arm, lever_at, latency_at, self.thresholds(), o.covariance_every, o.output_every,
             events.epoch, events.kind, events.tau, events.z, events.var, cov_epoch, node_epoch, stored,
             out_nav, out_var, out_x, nu, S, nis, dof, ok, K, H, out_P, node_nav, node_x, before, after, phi, node_dx, P,
@@ -532,7 +561,7 @@ class LooselyCoupledEKF:
         return _Events(*(np.ascontiguousarray(v[order]) for v in joined))
 
     def _variance(self, stated: Array | None, rows: NDArray[np.int64], which: int) -> Array:
-        if stated is not None:
+        if stated is not None and not (self.options.imposed_gnss_sigma and self.gnss_sigma is not None):
             return np.asarray(stated[rows] ** 2)
         if self.gnss_sigma is not None:
             return np.asarray(np.tile(self.gnss_sigma[which] ** 2, (rows.size, 1)))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from insemu.earth import RATE, scalar_radii
 from insemu.rotation import scalar_dcm
+from insemu.strapdown import correct
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -70,7 +71,7 @@ def fill_fix(
 
     Parameters
     ----------
-    nav, nav_before : (10,) arrays
+    nav, nav_before : (13,) arrays
         State at this epoch and at the one before, ``dt`` seconds earlier.
     tau : float
         Age of the fix, s, latency included.
@@ -120,14 +121,14 @@ def fill_fix(
     s1 = swing[1] - tau * (omega_n[2] * swing[0] - omega_n[0] * swing[2])
     s2 = swing[2] - tau * (omega_n[0] * swing[1] - omega_n[1] * swing[0])
     half = 0.5 * tau * tau
-    dlon = z[1] - nav[1]
+    dlon = z[1] - nav[1] - nav[11]
     if dlon > math.pi:
         dlon -= 2.0 * math.pi
     elif dlon < -math.pi:
         dlon += 2.0 * math.pi
-    nu[0] = (z[0] - nav[0]) * (rm + h) - (a0 - tau * nav[3] + half * acc[0])
+    nu[0] = (z[0] - nav[0] - nav[10]) * (rm + h) - (a0 - tau * nav[3] + half * acc[0])
     nu[1] = dlon * (rn + h) * math.cos(nav[0]) - (a1 - tau * nav[4] + half * acc[1])
-    nu[2] = h - z[2] - (a2 - tau * nav[5] + half * acc[2])
+    nu[2] = h - z[2] + nav[12] - (a2 - tau * nav[5] + half * acc[2])
     nu[3] = z[3] - (nav[3] - tau * acc[0] + s0)
     nu[4] = z[4] - (nav[4] - tau * acc[1] + s1)
     nu[5] = z[5] - (nav[5] - tau * acc[2] + s2)
@@ -182,6 +183,28 @@ def fill_fix(
         H[3, latency_at] = -acc[0] - (omega_n[1] * swing[2] - omega_n[2] * swing[1])
         H[4, latency_at] = -acc[1] - (omega_n[2] * swing[0] - omega_n[0] * swing[2])
         H[5, latency_at] = -acc[2] - (omega_n[0] * swing[1] - omega_n[1] * swing[0])
+
+
+@njit(cache=True, nogil=True)
+def take_off(nav: Array, dx: Array) -> None:
+    """Take an estimated error off a navigation state and keep what rounding leaves of the position's change.
+
+    The last digit of a latitude is worth 0.7 nm. That is nothing to a user, but an update that rounds the other way changes everything
+    after it at that level, so that no two implementations of a filter would agree better than that.
+
+    Parameters
+    ----------
+    nav : (13,) array
+        Corrected in place; see :func:`insemu.strapdown.step` for the last three.
+    dx : (n,) array
+        Estimated error.
+    """
+    rm, rn = scalar_radii(math.sin(nav[0]))
+    lat, lon, h = nav[0], nav[1], nav[2]
+    correct(nav, dx)
+    nav[10] += -dx[0] / (rm + h) - (nav[0] - lat)
+    nav[11] += -dx[1] / ((rn + h) * math.cos(lat)) - (nav[1] - lon)
+    nav[12] += dx[2] - (nav[2] - h)
 
 
 @njit(cache=True, nogil=True)

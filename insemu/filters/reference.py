@@ -101,7 +101,9 @@ def reference_run(
     started = time.perf_counter()
     record = imu.as_increments()
     t = record.t
-    nav = (NavState.of(initial) if isinstance(initial, Trajectory) else initial).to_array()
+    nav = np.concatenate(
+        [(NavState.of(initial) if isinstance(initial, Trajectory) else initial).to_array(), np.zeros(3)]
+    )
     n, m = ekf.layout.n, a.m
     kf = KalmanFilter(dim_x=n, dim_z=6)
     kf.x = np.zeros(n)
@@ -162,14 +164,14 @@ def reference_run(
                     # the filter's state is the error, so what is measured of it is predicted minus measured
                     kf.update(-nu[used], R=R, H=H)
                     kf.P = 0.5 * (kf.P + kf.P.T)
-                    strapdown.correct(nav, kf.x)
+                    measurements.take_off(nav, kf.x)
                     x = x - kf.x[9:]
                     kf.x = np.zeros(n)
             event += 1
         if k in wanted:
             kept.append(kf.P.copy())
         if k % o.output_every == 0 or k == t.size - 1:
-            rows.append((t[k], nav.copy(), np.sqrt(np.maximum(np.diag(kf.P), 0.0)), x.copy()))
+            rows.append((t[k], nav[:10].copy(), np.sqrt(np.maximum(np.diag(kf.P), 0.0)), x.copy()))
     fixes = FixTable(events.t, events.epoch, events.kind, nu_all, S_all, nis, dof, accepted)
     return FilterResult(
         layout=ekf.layout,

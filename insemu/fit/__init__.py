@@ -5,6 +5,7 @@ One door, :func:`fit`; every method returns a :class:`FitResult`.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -16,7 +17,7 @@ from insemu.noise import NoiseModel, Process
 from insemu.records import Series
 from insemu.variance import WaveletVariance, wavelet_variance
 
-Method = Literal["gmwm"]
+Method = Literal["gmwm", "indirect", "em", "mli", "slopes", "burg"]
 
 __all__ = ["Criterion", "Estimate", "FitResult", "GoodnessOfFit", "Method", "fit", "kalibr", "save"]
 
@@ -29,6 +30,7 @@ def fit(
     rate_hz: float | None = None,
     unit: str | None = None,
     name: str | None = None,
+    robust: bool = False,
     **options: Any,
 ) -> FitResult:
     """Fit a noise model to a signal.
@@ -39,12 +41,17 @@ def fit(
         Signal at rest (or its Haar wavelet variance, for ``gmwm``).
     model : NoiseModel, Process or str
         Structure such as ``"2*GM() + WN()"``; parameters that have a value are held.
-    method : {"gmwm"}
-        Estimator.
+    method : {"gmwm", "indirect", "em", "mli", "slopes", "burg"}
+        Wavelet moments, the same by simulation (needs ``rng``), constrained expectation-maximization, integrated maximum likelihood, slopes
+        of the Allan variance or PSD, Burg's autoregression.
+    robust : bool
+        Of ``gmwm`` and ``indirect``: use the robust wavelet variance.
     rate_hz, unit, name
         Of an array; a :class:`~insemu.records.Series` carries them.
     **options
-        Of the method, see :func:`insemu.fit.gmwm.fit_curve`.
+        Of the method, see :func:`insemu.fit.gmwm.fit_curve`, :func:`insemu.fit.indirect.fit_indirect`,
+        :func:`insemu.fit.em.fit_em`, :func:`insemu.fit.likelihood.fit_mli`,
+        :func:`insemu.fit.slopes.fit_slopes`, :func:`insemu.fit.burg.fit_burg`.
 
     Raises
     ------
@@ -65,12 +72,67 @@ def fit(
     from insemu.fit.gmwm import fit_curve
 
     if isinstance(signal, WaveletVariance):
-        asked = _model(model, unit or "")
-        return fit_curve(signal, asked, unit=unit or "", name=name or "signal", **options)
+        if method != "gmwm":
+            raise InputError(f"method '{method}' needs the signal itself, not its wavelet variance")
+        efficiency = getattr(signal, "efficiency", 1.0)
+        return fit_curve(
+            signal,
+            _model(model, unit or ""),
+            unit=unit or "",
+            name=name or "signal",
+            **{"efficiency": efficiency, **options},
+        )
     series = as_series(signal, rate_hz, unit, name)
     asked = _model(model, series.unit)
-    curve = wavelet_variance(series.values, series.rate_hz)
-    return fit_curve(curve, asked, unit=series.unit, name=series.name, **options)
+    if method == "gmwm":
+        if robust:
+            return _fit_robust(series, asked, options)
+        return fit_curve(
+            wavelet_variance(series.values, series.rate_hz), asked, unit=series.unit, name=series.name, **options
+        )
+    if method == "indirect":
+        from insemu.fit.indirect import fit_indirect
+
+        return fit_indirect(series, asked, robust=robust, **options)
+    if robust:
+        raise InputError(f"robust belongs to gmwm, not to '{method}'")
+    if method == "em":
+        from insemu.fit.em import fit_em
+
+        return fit_em(series, asked, **options)
+    if method == "mli":
+        from insemu.fit.likelihood import fit_mli
+
+        return fit_mli(series, asked, **options)
+    if method == "slopes":
+        from insemu.fit.slopes import fit_slopes
+
+        return fit_slopes(series, asked, **options)
+    from insemu.fit.burg import fit_burg
+
+    return fit_burg(series, asked, **options)
+
+
+def _fit_robust(series: Series, asked: NoiseModel, options: dict[str, Any]) -> FitResult:
+    from insemu.fit.gmwm import fit_curve
+    from insemu.fit.robust import cleaned_curve
+
+    cleaned = cleaned_curve(series.values, series.rate_hz)
+    curve = cleaned.curve
+    given = {"efficiency": curve.efficiency, **options}
+    if (
+        cleaned.outlier_variance > 0
+        and options.get("widths") is None
+        and options.get("weighting", "intervals") == "intervals"
+    ):
+        # scales from which a large part was taken off know less
+        given["widths"] = curve.high - curve.low
+    result = fit_curve(curve, asked, unit=series.unit, name=series.name, **given)
+    if cleaned.outlier_variance > 0:
+        share = cleaned.outlier_variance**0.5
+        note = f"the record has outliers, which add {share:.3g} to the root mean square of a sample; they were rejected or taken off"
+        result = replace(result, warnings=(*result.warnings, note))
+    return result
 
 
 def as_series(signal: Series | ArrayLike, rate_hz: float | None, unit: str | None, name: str | None) -> Series:

@@ -92,46 +92,86 @@ def coefficients_of(z: Array) -> Array:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True)
+def _multiply(A: Array, B: Array, out: Array) -> None:  # pragma: no cover - compiled
+    """``out = A B`` by loops: the matrices are small, and calling a library costs seconds of compilation."""
+    for i in range(A.shape[0]):
+        for j in range(B.shape[1]):
+            total = 0.0
+            for k in range(A.shape[1]):
+                total += A[i, k] * B[k, j]
+            out[i, j] = total
+
+
+@njit(cache=True, nogil=True)
+def _copy(A: Array, out: Array) -> None:  # pragma: no cover - compiled
+    """``out = A``."""
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            out[i, j] = A[i, j]
+
+
+@njit(cache=True, nogil=True)
 def _arma(m: Array, z: Array, p: int, b: Array) -> None:  # pragma: no cover - compiled
     """Wavelet variance of an ARMA with unit innovations by exact doubling; ``m`` are powers of two, ascending."""
     q = z.size - p
     ar = coefficients_of(z[:p])
-    ma = -coefficients_of(z[p:])
+    ma = coefficients_of(z[p:])
     n = max(p, q + 1)
-    phi = np.zeros((n, n))
+    phi, P, A, T = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
+    power, one, two = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
     for i in range(p):
         phi[i, 0] = ar[i]
     for i in range(n - 1):
         phi[i, i + 1] += 1.0
-    drive = np.zeros(n)
-    drive[0] = 1.0
-    for i in range(q):
-        drive[i + 1] = ma[i]
-    P = np.outer(drive, drive)
-    A = phi.copy()
+    for i in range(n):
+        T[i, i] = 1.0
+        for j in range(n):
+            left = 1.0 if i == 0 else (-ma[i - 1] if i <= q else 0.0)
+            right = 1.0 if j == 0 else (-ma[j - 1] if j <= q else 0.0)
+            P[i, j] = left * right
+    _copy(phi, A)
     for _ in range(60):
-        step = A @ P @ A.T
-        P = P + step
-        A = A @ A
-        if np.abs(step).max() <= 1e-16 * np.abs(P).max():
+        # P + A P A'
+        _multiply(A, P, one)
+        change, largest = 0.0, 0.0
+        for i in range(n):
+            for j in range(n):
+                total = 0.0
+                for k in range(n):
+                    total += one[i, k] * A[j, k]
+                two[i, j] = total
+        for i in range(n):
+            for j in range(n):
+                P[i, j] += two[i, j]
+                change = max(change, abs(two[i, j]))
+                largest = max(largest, abs(P[i, j]))
+        _multiply(A, A, one)
+        _copy(one, A)
+        if change <= 1e-16 * largest:
             break
-    T = np.eye(n)
-    power = phi.copy()
+    _copy(phi, power)
     V = P[0, 0]
     at = 0
     count = 1.0
     while at < m.size:
+        # C = (P T')[0] (phi T)[0]'
         C = 0.0
-        left = P[0] @ T.T
-        right = (phi @ T)[0]
-        for i in range(n):
-            C += left[i] * right[i]
+        for j in range(n):
+            left, right = 0.0, 0.0
+            for k in range(n):
+                left += P[0, k] * T[j, k]
+                right += phi[0, k] * T[k, j]
+            C += left * right
         if m[at] == count:
             b[at] = 0.5 * (V - C) / (count * count)
             at += 1
         V = 2.0 * V + 2.0 * C
-        T = T + power @ T
-        power = power @ power
+        _multiply(power, T, one)
+        for i in range(n):
+            for j in range(n):
+                T[i, j] += one[i, j]
+        _multiply(power, power, one)
+        _copy(one, power)
         count *= 2.0
 
 
@@ -144,7 +184,8 @@ def column(kind: int, p: int, m: Array, s: Array, b: Array, db: Array) -> None: 
             first_order(m, math.exp(s[0]), b, d)
         else:
             _autoregressive_one(m, s[0], b, d)
-        db[:, 0] = d
+        for i in range(m.size):
+            db[i, 0] = d[i]
         return
     if kind == ARMA:
         _arma(m, s, p, b)
@@ -154,10 +195,12 @@ def column(kind: int, p: int, m: Array, s: Array, b: Array, db: Array) -> None: 
             h = 1e-5
             near[k] += h
             _arma(m, near, p, other)
-            db[:, k] = other
+            for i in range(m.size):
+                db[i, k] = other[i]
             near[k] -= 2.0 * h
             _arma(m, near, p, other)
-            db[:, k] = (db[:, k] - other) / (2.0 * h)
+            for i in range(m.size):
+                db[i, k] = (db[i, k] - other[i]) / (2.0 * h)
         return
     for i in range(m.size):
         k = m[i]
@@ -191,8 +234,10 @@ def columns(
         lo, hi = offsets[k], offsets[k + 1]
         db = np.zeros((m.size, hi - lo))
         column(kinds[k], orders[k], m, s[lo:hi], b, db)
-        B[:, k] = b
-        dB[:, lo:hi] = db
+        for i in range(m.size):
+            B[i, k] = b[i]
+            for h in range(hi - lo):
+                dB[i, lo + h] = db[i, h]
 
 
 @njit(cache=True, nogil=True)
@@ -339,9 +384,8 @@ def _project(
     raw = np.empty((m.size, kinds.size))
     draw = np.zeros((m.size, s.size))
     columns(kinds, orders, offsets, m, s, raw, draw)
-    B[:, :] = W @ raw
-    if s.size:
-        dB[:, :] = W @ draw
+    _multiply(W, raw, B)
+    _multiply(W, draw, dB)
     free = 0
     for k in range(kinds.size):
         if fixed[k] < 0.0:
@@ -351,10 +395,12 @@ def _project(
     at = 0
     for k in range(kinds.size):
         if fixed[k] < 0.0:
-            A[:, at] = B[:, k]
+            for i in range(y.size):
+                A[i, at] = B[i, k]
             at += 1
         else:
-            target -= fixed[k] * B[:, k]
+            for i in range(y.size):
+                target[i] -= fixed[k] * B[i, k]
     part = np.zeros(free)
     count = nonnegative(A, target, part, r, Q)
     at = 0
@@ -383,6 +429,22 @@ def screen(
 
 
 @njit(cache=True, nogil=True)
+def _solve(A: Array, b: Array) -> None:  # pragma: no cover - compiled
+    """Solve a symmetric positive definite system in place by elimination."""
+    n = b.size
+    for k in range(n):
+        for i in range(k + 1, n):
+            f = A[i, k] / A[k, k]
+            for j in range(k + 1, n):
+                A[i, j] -= f * A[k, j]
+            b[i] -= f * b[k]
+    for k in range(n - 1, -1, -1):
+        for j in range(k + 1, n):
+            b[k] -= A[k, j] * b[j]
+        b[k] /= A[k, k]
+
+
+@njit(cache=True, nogil=True)
 def refine(
     kinds: Ints, orders: Ints, offsets: Ints, m: Array, s: Array, low: Array, high: Array, W: Array, y: Array, fixed: Array,
     x: Array, most: int,
@@ -400,7 +462,8 @@ def refine(
     damping = 1e-2
     trial_x, trial_r = np.zeros(kinds.size), np.empty(n)
     trial_B, trial_dB, trial_Q = np.empty((n, kinds.size)), np.zeros((n, shapes)), np.empty((n, kinds.size))
-    J = np.empty((n, shapes))
+    J, H, M = np.empty((n, shapes)), np.empty((shapes, shapes)), np.empty((shapes, shapes))
+    g, step, trial = np.empty(shapes), np.empty(shapes), np.empty(shapes)
     quiet = 0
     for iteration in range(most):
         for k in range(kinds.size):
@@ -414,13 +477,22 @@ def refine(
                         dot += Q[i, c] * J[i, h]
                     for i in range(n):
                         J[i, h] -= dot * Q[i, c]
-        H = J.T @ J
-        g = J.T @ r
+        for h in range(shapes):
+            total_g = 0.0
+            for i in range(n):
+                total_g += J[i, h] * r[i]
+            g[h] = total_g
+            for k in range(shapes):
+                total_h = 0.0
+                for i in range(n):
+                    total_h += J[i, h] * J[i, k]
+                H[h, k] = total_h
         for h in range(shapes):
             if low[h] == high[h]:
                 g[h] = 0.0
-                H[h, :] = 0.0
-                H[:, h] = 0.0
+                for k in range(shapes):
+                    H[h, k] = 0.0
+                    H[k, h] = 0.0
         largest = 0.0
         for h in range(shapes):
             largest = max(largest, H[h, h])
@@ -428,11 +500,11 @@ def refine(
             return total, iteration
         better = False
         for _ in range(12):
-            M = H.copy()
+            _copy(H, M)
             for h in range(shapes):
                 M[h, h] += damping * max(H[h, h], 1e-9 * largest) + 1e-300
-            step = np.linalg.solve(M, g)
-            trial = s.copy()
+                step[h] = g[h]
+            _solve(M, step)
             for h in range(shapes):
                 d = min(max(step[h], -1.5), 1.5)
                 trial[h] = min(max(s[h] + d, low[h]), high[h])
@@ -451,12 +523,15 @@ def refine(
         moved = 0.0
         for h in range(shapes):
             moved = max(moved, abs(trial[h] - s[h]))
-        s[:] = trial
-        x[:] = trial_x
-        r[:] = trial_r
-        B[:, :] = trial_B
-        dB[:, :] = trial_dB
-        Q[:, :] = trial_Q
+        for h in range(shapes):
+            s[h] = trial[h]
+        for k in range(kinds.size):
+            x[k] = trial_x[k]
+        for i in range(n):
+            r[i] = trial_r[i]
+        _copy(trial_B, B)
+        _copy(trial_dB, dB)
+        _copy(trial_Q, Q)
         count = new_count
         total = new
         damping = max(damping * 0.15, 1e-9)

@@ -153,7 +153,7 @@ def fit_curve(
     widths : (J,) array, optional
         Interval widths to weigh by, instead of ``weighting``.
     covariance : (J, J) array, optional
-        Covariance whose inverse weighs, instead of ``weighting``.
+        Covariance whose inverse weighs, instead of ``weighting``; standard errors follow from it, too.
     steps : int
         How many times the covariance under the model is renewed.
     start : NoiseModel, optional
@@ -225,7 +225,8 @@ def fit_curve(
     fitted_model = structure.specified(best.coefficients, best.shapes)
     V = model_covariance(fitted_model, n, scale, dt) / efficiency
     D, free = natural_jacobian(fitted_model, structure, scale / 2.0)
-    covariance_of, weak = parameter_covariance(D, W, V)
+    spread = V if covariance is None else np.asarray(covariance, dtype=np.float64)[np.ix_(use, use)]
+    covariance_of, weak = parameter_covariance(D, W, spread)
     test = goodness_of_fit(structure, best, scale, value, V, n, dt)
     notes = warnings_of(structure, best.coefficients, best.shapes, fitted_model, free, covariance_of, scale, value, n)
     if value.size == p:
@@ -384,3 +385,32 @@ def refit(result: FitResult, value: Array) -> FitResult:
         objective=best.objective,
         converged=best.converged,
     )
+
+
+def choose_scales(result: FitResult) -> tuple[int, Array]:
+    """How many scales, from the shortest, give the smallest generalized variance of the parameters (log-determinant of their covariance).
+
+    Parameters
+    ----------
+    result : FitResult
+        Of this method, with all scales.
+
+    Returns
+    -------
+    int, (J,) array
+        The number, and the log-determinant for the first 1, 2, ... scales (infinite where they do not determine the parameters).
+    """
+    D, V, W = (result.details[k] for k in ("jacobian", "curve_covariance", "W"))
+    alive = np.linalg.norm(D, axis=0) > 0
+    D = D[:, alive]
+    size = np.array([e.value for e in result.parameters if e.free])[alive]
+    out = np.full(V.shape[0], math.inf)
+    diagonal = W.shape[0] == W.shape[1] and np.count_nonzero(W - np.diag(np.diag(W))) == 0
+    for j in range(max(D.shape[1], 1), V.shape[0] + 1):
+        rows = W[:j, :j] if diagonal else root_of_inverse(V[:j, :j])
+        covariance, lost = parameter_covariance(D[:j] * size, rows, V[:j, :j])
+        if not lost:
+            sign, value = np.linalg.slogdet(covariance)
+            if sign > 0:
+                out[j - 1] = value
+    return int(np.argmin(out)) + 1, out

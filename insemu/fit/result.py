@@ -15,7 +15,7 @@ from scipy.special import ndtri
 
 from insemu import units
 from insemu.errors import InputError
-from insemu.noise import AR1, GM, RW, WN, NoiseModel, Process
+from insemu.noise import AR1, GM, RW, WN, NoiseModel, Parameter, Process
 from insemu.variance import WaveletVariance
 
 Array = NDArray[np.float64]
@@ -242,6 +242,11 @@ def discrete_view(model: NoiseModel, dt: float) -> dict[str, str]:
     return out
 
 
+def unit_of(parameter: Parameter, signal_unit: str) -> str:
+    """SI unit of a parameter; where the signal's is not known, only what does not depend on it."""
+    return parameter.unit_for(signal_unit) if signal_unit or "{u}" not in parameter.unit else ""
+
+
 def estimates(
     model: NoiseModel, free: list[tuple[int, str]], covariance: Array, unit: str, confidence: float = 0.95
 ) -> tuple[Estimate, ...]:
@@ -268,7 +273,7 @@ def estimates(
                     low, high = math.tanh(math.atanh(value) - spread), math.tanh(math.atanh(value) + spread)
                 else:
                     low, high = value - z * error, value + z * error
-            si = meta.unit_for(unit) if unit else ""
+            si = unit_of(meta, unit)
             out.append(Estimate(p.symbol, index, meta.name, value, si, error, low, high, free=at is not None))
     return tuple(out)
 

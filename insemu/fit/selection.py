@@ -10,7 +10,7 @@ is chosen from which no richer one differs by more than chance produces.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import product
@@ -21,10 +21,12 @@ from scipy.special import chdtrc
 
 from insemu.errors import InputError
 from insemu.fit.covariance import model_covariance
-from insemu.fit.gmwm import Solution, Weighting, fit_curve, interval_widths, refit, root_of_inverse, search
+from insemu.fit.gmwm import Solution, fit_curve, interval_widths, refit, root_of_inverse, search
 from insemu.fit.result import Criterion, FitResult
+from insemu.fit.robust import cleaned_curve
 from insemu.fit.structure import Structure, natural_jacobian
 from insemu.noise import NoiseModel, Process
+from insemu.records import Series
 from insemu.variance import WaveletVariance, wavelet_variance
 
 Array = NDArray[np.float64]
@@ -78,8 +80,8 @@ class Ranking:
         The simplest that no richer one beats by more than chance.
     fit : FitResult
         The chosen structure, fitted and with its criterion.
-    dispersion : float
-        How much larger than its expectation the distance of the best model is (1 where it fits): its square root widens all margins.
+    discrepancy : float
+        Relative error of the wavelet variance per scale that the best candidate leaves beyond chance; 0 where it fits.
     verdict : str
         In plain words.
     """
@@ -88,7 +90,7 @@ class Ranking:
     candidates: tuple[Candidate, ...]
     chosen: Candidate
     fit: FitResult
-    dispersion: float
+    discrepancy: float
     verdict: str
 
 
@@ -186,19 +188,25 @@ def rank_models(
         use[int(np.flatnonzero(~use)[0])] = True
     scale, value = scale[use], value[use]
     covariance = V[0][np.ix_(use, use)]
-    W = root_of_inverse(covariance)
     possible = [s for s in structures if s.free_parameters <= scale.size]
     if not possible:
         raise InputError(f"{name}: no candidate has as few parameters as the {scale.size} usable scales of this record")
 
-    def one(structure: Structure) -> tuple[Structure, Solution]:
-        return structure, search(structure, scale, value, W, n, structure.starts(n, 400), refined=4)
+    def solve(covariance: Array) -> list[tuple[Structure, Solution, int]]:
+        W = root_of_inverse(covariance)
 
-    solved = list(executor.map(one, possible) if executor is not None else map(one, possible))
-    alive = [(s, b, _alive(s, b, scale)) for s, b in solved]
-    least = min((b.objective, p) for _, b, p in alive)
-    spare = max(scale.size - least[1], 1)
-    dispersion = max(1.0, least[0] / spare)
+        def one(structure: Structure) -> Solution:
+            return search(structure, scale, value, W, n, structure.starts(n, 400), refined=4)
+
+        found = executor.map(one, possible) if executor is not None else map(one, possible)
+        return [(s, b, _alive(s, b, scale)) for s, b in zip(possible, found, strict=True)]
+
+    alive = solve(covariance)
+    discrepancy = _discrepancy(alive, scale, value, covariance, n)
+    if discrepancy > 0:
+        covariance = (V[0] + np.diag((discrepancy * V[2]) ** 2))[np.ix_(use, use)]
+        alive = solve(covariance)
+    W = root_of_inverse(covariance)
     ranked = []
     for structure, best, p in alive:
         penalty = 2.0 * _optimism(structure, best, scale, W, covariance)
@@ -219,12 +227,67 @@ def rank_models(
             )
         )
     ranked.sort(key=lambda c: (c.criterion.value, c.parameters))
-    chosen = _choose(ranked, dispersion)
-    # the efficient weights where the model holds, the forgiving ones where no candidate does
-    weighting: Weighting = "asymptotic" if dispersion < 2.0 else "intervals"
-    result = fit_curve(curve, chosen.structure, weighting=weighting, unit=unit, name=name, efficiency=efficiency)
+
+    def gain_under(simple: Candidate, rich: Candidate) -> float:
+        """How much nearer the richer model is in the weights of the simpler one."""
+        own = model_covariance(simple.model, n, scale, 1.0 / curve.rate_hz) / efficiency
+        own = own + np.diag((discrepancy * V[2][use]) ** 2)
+        W = root_of_inverse(own)
+        distance = []
+        for c in (simple, rich):
+            structure = Structure.of(c.structure, curve.rate_hz)
+            at = structure.internal(c.model)[1]
+            starts = np.vstack([at[None, :], structure.starts(n, 200)])
+            near = search(structure, scale, value, W, n, at[None, :])
+            distance.append(min(near.objective, search(structure, scale, value, W, n, starts, refined=3).objective))
+        return distance[0] - distance[1]
+
+    chosen = _choose(ranked, gain_under)
+    if discrepancy == 0:
+        result = fit_curve(curve, chosen.structure, weighting="asymptotic", unit=unit, name=name, efficiency=efficiency)
+    else:
+        # the model's own covariance and what every candidate misses, renewed once
+        at = chosen.model
+        for _ in range(2):
+            own = model_covariance(at, n, curve.scale_samples, 1.0 / curve.rate_hz) / efficiency
+            own = own + np.diag((discrepancy * V[2]) ** 2)
+            result = fit_curve(curve, chosen.structure, covariance=own, unit=unit, name=name, efficiency=efficiency)
+            at = result.model
+    if discrepancy > 0:
+        note = (
+            f"the record has structure that no candidate has, about {discrepancy:.1%} of the wavelet variance per scale; standard errors "
+            "allow for it"
+        )
+        result = replace(result, warnings=(*result.warnings, note))
     result = replace(result, criterion=chosen.criterion)
-    return Ranking(name, tuple(ranked), chosen, result, dispersion, _verdict(name, ranked, chosen, dispersion))
+    return Ranking(name, tuple(ranked), chosen, result, discrepancy, _verdict(name, ranked, chosen, discrepancy))
+
+
+def _discrepancy(
+    alive: list[tuple[Structure, Solution, int]], scale: NDArray[np.int64], value: Array, covariance: Array, n: int
+) -> float:
+    """Relative error per scale that makes the nearest candidate as distant as its degrees of freedom (method of moments); 0 where it fits.
+
+    A real record has something that no candidate has (rounding, an averaging filter, temperature). Its short scales are so precise that
+    this small misfit would outweigh everything at the long ones; taken as one more error per scale, it does not.
+    """
+    structure, best, p = min(alive, key=lambda item: item[1].objective)
+    spare = max(scale.size - p, 1)
+    if best.objective <= spare + 3.0 * math.sqrt(2.0 * spare):
+        return 0.0
+    fitted = structure.columns(scale / 2.0, best.shapes)[0] @ best.coefficients
+    size = np.diag(fitted**2)
+    starts = np.vstack([best.shapes[None, :], structure.starts(n, 200)])
+
+    def excess(error: float) -> float:
+        W = root_of_inverse(covariance + error**2 * size)
+        return search(structure, scale, value, W, n, starts, refined=3).objective - spare
+
+    low, high = 1e-5, 1.0
+    for _ in range(14):
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if excess(middle) > 0 else (low, middle)
+    return high
 
 
 def _unrated(structure: Structure, candidates: Sequence[NoiseModel], structures: list[Structure]) -> NoiseModel:
@@ -234,8 +297,8 @@ def _unrated(structure: Structure, candidates: Sequence[NoiseModel], structures:
 
 def _reference_covariance(
     curve: WaveletVariance, references: Iterable[NoiseModel], efficiency: float
-) -> tuple[Array, Array]:
-    """Covariance of the curve under the best of the reference models, and the degrees of freedom per scale."""
+) -> tuple[Array, Array, Array]:
+    """Covariance of the curve under the best of the reference models, the degrees of freedom per scale, and that model's curve."""
     n, dt = curve.n_samples, 1.0 / curve.rate_hz
     W = np.diag(1.0 / interval_widths(curve))
     best: tuple[float, NoiseModel] | None = None
@@ -247,7 +310,7 @@ def _reference_covariance(
     assert best is not None
     V = model_covariance(best[1], n, curve.scale_samples, dt) / efficiency
     fitted = best[1].wavelet_variance(curve.scale_samples, dt)
-    return V, 2.0 * fitted**2 / np.diag(V)
+    return V, 2.0 * fitted**2 / np.diag(V), fitted
 
 
 def _alive(structure: Structure, best: Solution, scale: NDArray[np.int64]) -> int:
@@ -274,25 +337,42 @@ def _optimism(structure: Structure, best: Solution, scale: NDArray[np.int64], W:
     return float(np.trace(H @ W @ V @ W.T))
 
 
-def _choose(ranked: list[Candidate], dispersion: float) -> Candidate:
-    """The simplest candidate that no richer one beats by more than chance."""
+def _allowance(more: int) -> float:
+    """How much a model with so many more parameters must gain: its optimism, and what chance produces in this difference."""
+    return 2.0 * more + MARGIN * math.sqrt(2.0 * more)
+
+
+def _choose(ranked: list[Candidate], gain_under: Callable[[Candidate, Candidate], float]) -> Candidate:
+    """The simplest candidate that no richer one beats by more than chance.
+
+    The common weights are those of the richest model, which has adapted to the record: where a true, simpler model had an unlikely draw,
+    they take its scales for more precise than they are. So a close defeat counts only if it is one in the simpler model's own weights too,
+    in which the difference has its nominal distribution.
+    """
     whole = [c for c in ranked if not c.vanished] or ranked
     for c in sorted(whole, key=lambda c: (c.parameters, c.objective)):
-        beaten = False
+        beaten = any(o.parameters == c.parameters and o.objective < c.objective for o in whole)
+        rivals = []
         for other in whole:
             more = other.parameters - c.parameters
-            if more > 0:
-                # under the simpler model the drop is a chi-square with `more` degrees of freedom
-                beaten |= c.objective - other.objective > dispersion * (2.0 * more + MARGIN * math.sqrt(2.0 * more))
-            elif more == 0 and other.objective < c.objective:
-                beaten = True
+            surplus = c.objective - other.objective - _allowance(more) if more > 0 else 0.0
+            if surplus > 0:
+                rivals.append((surplus, other))
+        if rivals and not beaten:
+            surplus, best = max(rivals, key=lambda item: item[0])
+            beaten = surplus > 200.0
+            if not beaten:
+                # the strongest rival, and the one that is nearest in size
+                near = min(rivals, key=lambda item: (item[1].parameters, -item[0]))[1]
+                for other in {id(o): o for o in (best, near)}.values():
+                    beaten |= gain_under(c, other) > _allowance(other.parameters - c.parameters)
         if not beaten:
             return c
     return min(whole, key=lambda c: c.criterion.value)
 
 
-def _verdict(name: str, ranked: list[Candidate], chosen: Candidate, dispersion: float) -> str:
-    first = ranked[0]
+def _verdict(name: str, ranked: list[Candidate], chosen: Candidate, discrepancy: float) -> str:
+    first = next((c for c in ranked if not c.vanished), ranked[0])
     text = f"{name}: {chosen.structure}"
     if chosen is first:
         text += " has the best criterion and is the simplest that no richer model beats"
@@ -302,10 +382,11 @@ def _verdict(name: str, ranked: list[Candidate], chosen: Candidate, dispersion: 
             f" is the simplest that no richer model beats by more than chance; {first.structure} has the best criterion, but its "
             f"{first.parameters - chosen.parameters:+d} parameter(s) gain only {-gap:.1f} in distance"
         )
-    if dispersion > 3.0:
+    if discrepancy > 0:
         text += (
-            f". No candidate follows the curve within its scatter (distance {dispersion:.0f} times what chance gives): "
-            "expect structure that these processes do not have (quantization to an LSB, temperature, an averaging filter)"
+            f". No candidate follows the curve within its scatter; what is missing is about {discrepancy:.1%} per scale and was counted as an "
+            "error of every candidate: expect structure that these processes do not have (rounding to an LSB, an averaging filter, "
+            "temperature)"
         )
     return text + "."
 
@@ -359,31 +440,53 @@ def wic(result: FitResult, *, bootstrap: int = 0, rng: np.random.Generator | Non
     return Criterion(result.objective + 2.0 * optimism, math.sqrt(variance), 2.0 * optimism)
 
 
-def prediction_distance(model: NoiseModel, held_out: WaveletVariance) -> tuple[float, float]:
-    """Mean squared deviation of a record not seen from a model's prediction, in standard deviations that the model gives, and its
-    standard error: 1 is what a true model has.
+def prediction_distance(
+    model: NoiseModel, held_out: WaveletVariance, reference: NoiseModel | None = None
+) -> tuple[float, float]:
+    """Mean squared deviation of a record not seen from a model's prediction, in standard deviations, and its standard error.
 
-    Only scales with at least :data:`RANK_DOF` degrees of freedom count.
+    Parameters
+    ----------
+    model : NoiseModel
+        Predicts.
+    held_out : WaveletVariance
+        Of the record not seen.
+    reference : NoiseModel, optional
+        Whose standard deviations count (so that several predictions can be compared); by default the model's own.
+
+    Returns
+    -------
+    float, float
+        1 is what a true model has. Only scales with at least :data:`RANK_DOF` degrees of freedom count.
     """
     dt = 1.0 / held_out.rate_hz
-    V = model_covariance(model, held_out.n_samples, held_out.scale_samples, dt)
-    v = model.wavelet_variance(held_out.scale_samples, dt)
-    use = 2.0 * v**2 / np.diag(V) >= RANK_DOF
+    measure = model if reference is None else reference
+    V = model_covariance(measure, held_out.n_samples, held_out.scale_samples, dt)
+    use = 2.0 * measure.wavelet_variance(held_out.scale_samples, dt) ** 2 / np.diag(V) >= RANK_DOF
     sd = np.sqrt(np.diag(V)[use])
-    z = (held_out.value[use] - v[use]) / sd
+    z = (held_out.value[use] - model.wavelet_variance(held_out.scale_samples, dt)[use]) / sd
     C = V[np.ix_(use, use)] / np.outer(sd, sd)
     return float(z @ z / z.size), math.sqrt(2.0 * float(np.sum(C * C))) / z.size
 
 
 def select_axes(
-    signals: Sequence[tuple[str, str, Array, float]], general: NoiseModel, *, workers: int = 1
+    signals: Sequence[Series],
+    general: NoiseModel,
+    *,
+    candidates: Sequence[NoiseModel] | None = None,
+    robust: bool = False,
+    workers: int = 1,
 ) -> dict[str, Ranking]:
-    """Select for several axes in parallel.
+    """Select for several axes, axes and candidates in parallel.
 
     Parameters
     ----------
-    signals : sequence of (name, unit, (n,) array, rate_hz)
+    signals : sequence of Series
     general : NoiseModel
+    candidates : sequence of NoiseModel, optional
+        Rank these instead of everything nested in ``general``.
+    robust : bool
+        Use the robust wavelet variance.
     workers : int
         Threads; the compiled search releases the interpreter.
 
@@ -393,12 +496,24 @@ def select_axes(
         Axis to ranking, in the order given.
     """
 
-    def one(item: tuple[str, str, Array, float]) -> Ranking:
-        name, unit, values, rate = item
-        return select(wavelet_variance(values, rate), general, name=name, unit=unit)
+    def one(series: Series, executor: Executor) -> Ranking:
+        curve: WaveletVariance
+        if robust:
+            curve = cleaned_curve(series.values, series.rate_hz).curve
+        else:
+            curve = wavelet_variance(series.values, series.rate_hz)
+        efficiency = float(getattr(curve, "efficiency", 1.0))
+        if candidates is None:
+            return select(curve, general, name=series.name, unit=series.unit, efficiency=efficiency, executor=executor)
+        return rank_models(
+            curve, candidates, name=series.name, unit=series.unit, efficiency=efficiency, executor=executor
+        )
 
-    with ThreadPoolExecutor(max_workers=max(workers, 1)) as pool:
-        return {item[0]: ranking for item, ranking in zip(signals, pool.map(one, signals), strict=True)}
+    # two pools: an axis waits for its candidates, and must not hold the place of one
+    count = max(min(workers, len(signals)), 1)
+    with ThreadPoolExecutor(max(workers, 1)) as inner, ThreadPoolExecutor(count) as outer:
+        found = list(outer.map(lambda series: one(series, inner), signals))
+    return {series.name: ranking for series, ranking in zip(signals, found, strict=True)}
 
 
 __all__ = ["Candidate", "Ranking", "nested", "prediction_distance", "rank_models", "select", "select_axes", "wic"]

@@ -90,6 +90,10 @@ class NoiseModel:
         """The model at a sampling rate: discrete processes without a rate take it."""
         return NoiseModel(tuple(p.at_rate(rate_hz) for p in self))
 
+    def scaled(self, factor: float) -> NoiseModel:
+        """The model whose signal is ``factor`` times this one's."""
+        return NoiseModel(tuple(p.scaled(factor) for p in self))
+
     # -- closed forms: sums over the processes ------------------------------------------------------------------------------------
 
     def allan_variance(self, m: ArrayLike, dt: float) -> Array:
@@ -239,7 +243,8 @@ def _process_of_arguments(name: str, arguments: str, signal_unit: str, text: str
             raise InputError(
                 f"cannot read '{argument}' in '{name}({arguments})' of the model '{text}'; expected name=quantity"
             )
-    for order, value in (("p", given.pop("p", None)), ("q", given.pop("q", None))):
+    for order in ("p", "q") if issubclass(PROCESSES[name], ARMA) else ():
+        value = given.pop(order, None)
         if value is not None:
             if not str(value).isdigit():
                 raise InputError(f"order {order} of {name} is '{value}', expected a whole number")

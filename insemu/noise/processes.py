@@ -135,6 +135,14 @@ class Process:
         """The process at a sampling rate: itself, except that a discrete process without a rate takes this one."""
         return self
 
+    def scaled(self, factor: float) -> Self:
+        """The process whose signal is ``factor`` times this one's; times and coefficients stay."""
+        powers = {p.name: 2 if "^2" in p.unit_for("1") else 1 for p in self.parameters_meta() if "{u}" in p.unit}
+        if "sigma0" in {f.name for f in fields(self)}:
+            powers["sigma0"] = 1
+        known = self.parameters | {f.name: getattr(self, f.name) for f in fields(self)}
+        return self.with_parameters({name: known[name] * factor**power for name, power in powers.items()})
+
     def _require(self) -> None:
         missing = [p.name for p in self.parameters_meta() if getattr(self, p.name) is None]
         if missing:

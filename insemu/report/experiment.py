@@ -12,45 +12,54 @@ from insemu.evaluate import Results, outage_table, verdicts
 from insemu.noise import NoiseModel, axis_unit
 from insemu.report import figures
 from insemu.report.page import Block, Code, Figure, Items, Section, Table, Text, render
-from insemu.report.tables import log_distance, variant_rows
+from insemu.report.tables import log_distance, rank_lines, short, variant_caption, variant_rows
 from insemu.units import datasheet
 
 
 def _table(results: Results) -> Table:
+    mean_published = results.published_figure == "planimetric_mean_m"
     header = [
         "design",
         "states",
         "outage",
-        "planimetric m",
+        "at end m",
         "95 %",
-        "published m",
+        "mean m",
+        "max m",
         "altitude m",
         "velocity m/s",
         "attitude deg",
     ]
     header += ["stated sigma m", "cover position %", "velocity %", "attitude %", "NEES/dof"]
+    if results.published:
+        header.insert(6 if mean_published else 5, "published")
     body: list[list[str]] = []
     for name, outages in outage_table(results).items():
-        published = results.published.get(name)
+        published = results.published.get(name, ())
         for k, row in enumerate(outages):
             p, c = row["planimetric_end_m"], row["coverage_3sigma"]
-            body.append(
-                [
-                    name if k == 0 else "",
-                    str(results.designs[name].states) if k == 0 else "",
-                    f"{row['start_s'] / 60:g} min, {row['duration_s']:g} s",
-                    f"{p['mean']:.3g}",
-                    "" if p["ci95"][0] is None else f"{p['ci95'][0]:.3g} to {p['ci95'][1]:.3g}",
-                    f"{published[k]:g}" if published is not None and k < len(published) else "",
-                    f"{row['altimetric_end_m']:.3g}",
-                    f"{row['velocity_end_m_s']:.3g}",
-                    f"{row['attitude_end_deg']:.3g}",
-                    f"{row['predicted_sigma_end_m']:.3g}",
-                    *(f"{100 * c[g]:.1f}" for g in ("position", "velocity", "attitude")),
-                    f"{row['nees_per_dof']:.2f}",
-                ]
-            )
-    caption = f"Means over {results.realizations} realizations at the end of each outage; intervals by bootstrap over realizations."
+            cells = [
+                name if k == 0 else "",
+                str(results.designs[name].states) if k == 0 else "",
+                f"{row['start_s'] / 60:.3g} min, {row['duration_s']:g} s",
+                f"{p['mean']:.3g}",
+                "" if p["ci95"][0] is None else f"{p['ci95'][0]:.3g} to {p['ci95'][1]:.3g}",
+                f"{row['planimetric_mean_m']:.3g}",
+                f"{row['planimetric_max_m']:.3g}",
+                f"{row['altimetric_end_m']:.3g}",
+                f"{row['velocity_end_m_s']:.3g}",
+                f"{row['attitude_end_deg']:.3g}",
+                f"{row['predicted_sigma_end_m']:.3g}",
+                *(f"{100 * c[g]:.1f}" for g in ("position", "velocity", "attitude")),
+                short(row["nees_per_dof"]),
+            ]
+            if results.published:
+                cells.insert(6 if mean_published else 5, f"{published[k]:g}" if k < len(published) else "")
+            body.append(cells)
+    caption = (
+        f"Planimetric errors, means over {results.realizations} realizations; intervals by bootstrap over realizations. Altitude, velocity, "
+        "attitude and stated sigma at the end of the outage; cover is the share of errors inside 3 sigma during it."
+    )
     return Table(header, body, caption, left=1)
 
 
@@ -146,16 +155,19 @@ def render_experiment(
         ]
     if variants:
         header, body = variant_rows(main, variants)
-        blocks: list[Block] = [Table(header, body, "Mean planimetric error at outage end, m", left=2)]
+        blocks: list[Block] = [Table(header, body, variant_caption(main), left=2)]
         for name, results in variants.items():
-            blocks.append(Items([f"{name}: {line}" for line in verdicts(results)]))
+            blocks.append(Items([f"{name}: {line}" for line in (*verdicts(results), *rank_lines(results))]))
         sections.append(Section("Variants", blocks))
     if main.published:
         distance = log_distance(main)
         sections.append(
             Section(
                 "Beside the published table",
-                [Text(f"{text.get('source', '')} The rms of ln(ours / published) over its cells is {distance:.2f}.")],
+                [
+                    Text(f"{text.get('source', '')} The rms of ln(ours / published) over its cells is {distance:.2f}."),
+                    *(Text(line) for line in rank_lines(main)),
+                ],
             )
         )
     sections.append(Section("What each design believes", _beliefs(main)))

@@ -163,7 +163,9 @@ def end_errors(results: Results) -> Figure:
                     ms=13,
                     mew=2,
                 )
-                values_published = results.published.get(name)
+                values_published = (
+                    results.published.get(name) if results.published_figure == "planimetric_end_m" else None
+                )
                 if values_published is not None and k < len(values_published):
                     axes.plot(
                         x,
@@ -174,7 +176,7 @@ def end_errors(results: Results) -> Figure:
                         mew=1.6,
                     )
         axes.plot([], [], "_", color="#1c2430", ms=13, mew=2, ls="none", label="stated sigma")
-        if results.published:
+        if results.published and results.published_figure == "planimetric_end_m":
             axes.plot([], [], "x", color="#1c2430", ms=7, mew=1.6, ls="none", label="published")
         axes.set_xticks(
             range(len(results.outages)),

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, field_validator, model_validator
 
 from insemu import units
-from insemu.errors import InputError
+from insemu.effects import EFFECTS, EffectUse
+from insemu.errors import InputError, nearest
 from insemu.noise import NoiseModel, axis_unit
 from insemu.records import AXES
 
@@ -43,6 +45,9 @@ def _schema(unit: str, *, vector: bool = False) -> WithJsonSchema:
 Seconds = Annotated[float, BeforeValidator(_quantity("s")), _schema("s")]
 Hertz = Annotated[float, BeforeValidator(_quantity("Hz")), _schema("Hz")]
 Radians = Annotated[float, BeforeValidator(_quantity("rad")), _schema("rad")]
+Speed = Annotated[float, BeforeValidator(_quantity("m/s")), _schema("m/s")]
+Length = Annotated[float, BeforeValidator(_quantity("m")), _schema("m")]
+Angles = Annotated[Vector3, BeforeValidator(_vector("rad")), _schema("rad", vector=True)]
 Metres = Annotated[Vector3, BeforeValidator(_vector("m")), _schema("m", vector=True)]
 MetresPerSecond = Annotated[Vector3, BeforeValidator(_vector("m/s")), _schema("m/s", vector=True)]
 Signal = Annotated[
@@ -62,10 +67,62 @@ Signal = Annotated[
 ]
 
 
+def _effects(value: Any) -> Any:
+    for item in value or ():
+        if not isinstance(item, Mapping):
+            raise InputError(f"found {item!r}, expected a mapping with the key 'effect'")
+        EffectUse.from_mapping(item)
+    return value
+
+
+EffectList = Annotated[
+    tuple[dict[str, Any], ...],
+    BeforeValidator(_effects),
+    WithJsonSchema(
+        {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "properties": {
+                    "effect": {"type": "string", "enum": sorted(EFFECTS)},
+                    "sensor": {"type": "string", "enum": ["gyro", "accel", "imu", "gnss"]},
+                    "axes": {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]},
+                },
+                "required": ["effect"],
+            },
+        }
+    ),
+]
+
+
 class Section(BaseModel):
     """A part of a scenario: frozen, unknown keys refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, allow_inf_nan=False)
+
+
+class MountingKeys(Section):
+    """Where and how the IMU sits in the vehicle."""
+
+    lever_arm: Metres = Field(
+        default=(0.0, 0.0, 0.0), description="vehicle reference point to IMU, forward, right, down"
+    )
+    rpy: Angles = Field(default=(0.0, 0.0, 0.0), description="roll, pitch, yaw of the IMU with respect to the vehicle")
+
+
+class TemperatureKeys(Section):
+    """Temperature of the IMU against time, linear between points."""
+
+    t: tuple[Seconds, ...] = Field(min_length=1, description="times")
+    degc: tuple[float, ...] = Field(min_length=1, description="temperatures, degC")
+
+    @model_validator(mode="after")
+    def _increasing(self) -> TemperatureKeys:
+        if len(self.t) != len(self.degc):
+            raise InputError(f"{len(self.t)} times and {len(self.degc)} temperatures, expected as many")
+        if any(b <= a for a, b in pairwise(self.t)):
+            raise InputError("times of a temperature profile must increase")
+        return self
 
 
 class TrajectorySource(Section):
@@ -74,16 +131,47 @@ class TrajectorySource(Section):
     builtin: str | None = Field(
         default=None, description="name of a built-in trajectory, for example helicopter_mapping"
     )
+    waypoints: str | None = Field(default=None, description="waypoint file (CSV or GeoJSON)")
+    track: str | None = Field(default=None, description="recorded track: a recording or a CSV")
+    motion: str | None = Field(default=None, description="motion command file (CSV)")
+    vehicle: Literal["car", "multirotor", "helicopter", "fixed_wing"] = Field(
+        default="car", description="limits and attitude for waypoints and tracks"
+    )
+    speed: Speed | None = Field(default=None, gt=0, description="speed of waypoint legs whose file gives none")
+    max_gap: Seconds = Field(default=10.0, gt=0, description="longest gap of a track that is bridged")
+    kind: Literal["increment", "mean", "sample"] = Field(default="increment", description="what an IMU sample is")
+    gravity: Literal["normal", "free_air_first_order"] = Field(
+        default="normal", description="gravity model of emulator and filters"
+    )
+    mounting: MountingKeys | None = Field(default=None, description="where and how the IMU sits in the vehicle")
     rate: Hertz = Field(default=100.0, gt=0, description="IMU rate")
     duration: Seconds | None = Field(default=None, gt=0, description="cut the trajectory after this time")
     mode: Literal["exact", "continuous"] = Field(
         default="exact", description="how the ideal IMU is made (docs/emulation.md)"
     )
 
+    @field_validator("builtin")
+    @classmethod
+    def _exists(cls, value: str | None) -> str | None:
+        if value is not None:
+            from insemu.emulate.trajectory import TRAJECTORIES  # heavy: not needed to print the schema
+
+            if value not in TRAJECTORIES:
+                raise InputError(f"unknown trajectory '{value}'" + nearest(value, TRAJECTORIES))
+        return value
+
     @model_validator(mode="after")
     def _one_source(self) -> TrajectorySource:
-        if self.builtin is None:
-            raise InputError("no source of motion; expected the key 'builtin'")
+        given = [k for k in ("builtin", "waypoints", "track", "motion") if getattr(self, k) is not None]
+        if len(given) != 1:
+            found = " and ".join(f"'{k}'" for k in given) or "none"
+            raise InputError(
+                f"one source of motion is needed: the key 'builtin', 'waypoints', 'track' or 'motion'; found {found}"
+            )
+        if self.kind == "sample" and self.mode == "exact":
+            raise InputError(
+                "samples exist only on a continuous path; expected 'mode: continuous' beside 'kind: sample'"
+            )
         return self
 
 
@@ -94,6 +182,9 @@ class RecordedSignal(Section):
         min_length=1, description="static logs; a path, or shared:PATH under the shared data folder"
     )
     skip: Seconds = Field(default=0.0, ge=0, description="warm-up to leave out at the start of every record")
+    spans: tuple[tuple[Seconds, Seconds], ...] = Field(
+        default=(), description="of a dynamic recording: stretches [from, to] at rest, on its own clock"
+    )
     remove_mean: Literal["record", "piece", "none"] = Field(
         default="record", description="what the mean is taken over and removed"
     )
@@ -149,6 +240,14 @@ class Truth(SensorModels):
         gt=0,
         description="length of the simulated records that are cut into pieces, their mean removed (absent: no removal)",
     )
+    effects: EffectList = Field(
+        default=(), description="deterministic, timing and GNSS effects: {effect: id, sensor: gyro, parameter: value}"
+    )
+    temperature: TemperatureKeys | None = Field(default=None, description="temperature of the IMU")
+
+    def uses(self) -> tuple[EffectUse, ...]:
+        """The effects, in SI."""
+        return tuple(EffectUse.from_mapping(e) for e in self.effects)
 
     @model_validator(mode="after")
     def _one_kind(self) -> Truth:
@@ -178,6 +277,11 @@ class AxisSource(Section):
     """A belief about one sensor: fitted to the fit source, read from a file, or the truth itself."""
 
     fit: str | None = Field(default=None, description="structure to fit, for example '2*GM() + WN()'")
+    method: str = Field(default="gmwm", description="estimator: gmwm, em, mli, slopes or burg")
+    options: dict[str, int | float | str | bool] = Field(default_factory=dict, description="options of the estimator")
+    stabilise: bool = Field(
+        default=False, description="move poles of a polynomial that is not stationary inside the unit circle"
+    )
     file: str | None = Field(default=None, description="noise-model file written by insemu fit")
     truth: bool = Field(default=False, description="the model of the truth")
 
@@ -207,8 +311,68 @@ def _belief(value: Any, info: Any) -> Any:
     return value
 
 
+class Prefilter(Section):
+    """Wavelet de-noising of the IMU before the mechanization (paper 004, sections 5.6 and 6)."""
+
+    levels: int | dict[str, int] = Field(
+        description="octaves that are shrunk, one number or one per axis (gyro_x: 7, ...)"
+    )
+    wavelet: str = "db4"
+    rule: Literal["sure", "universal"] = "sure"
+    mode: Literal["soft", "hard"] = "soft"
+
+    @field_validator("levels")
+    @classmethod
+    def _known_axes(cls, value: int | dict[str, int]) -> int | dict[str, int]:
+        for axis, levels in value.items() if isinstance(value, dict) else [("levels", value)]:
+            if isinstance(value, dict) and axis not in AXES:
+                raise InputError(f"unknown axis '{axis}'" + nearest(axis, AXES))
+            if not 0 <= levels <= 20:
+                raise InputError(f"found {levels} levels, expected 0 to 20")
+        return value
+
+    def per_axis(self) -> list[int]:
+        """Levels in the order of :data:`insemu.records.AXES`; axes that are not named stay as they are."""
+        given = self.levels
+        return [given if isinstance(given, int) else given.get(axis, 0) for axis in AXES]
+
+
+class CalibrationStates(Section):
+    """Further states, each a random constant of this standard deviation; 0 leaves it out."""
+
+    gyro_scale: Annotated[float, BeforeValidator(_quantity("1")), _schema("ppm")] = Field(default=0.0, ge=0)
+    accel_scale: Annotated[float, BeforeValidator(_quantity("1")), _schema("ppm")] = Field(default=0.0, ge=0)
+    gyro_misalignment: Radians = Field(default=0.0, ge=0)
+    accel_misalignment: Radians = Field(default=0.0, ge=0)
+    lever_arm: Length = Field(default=0.0, ge=0)
+    latency: Seconds = Field(default=0.0, ge=0)
+
+
+class Tuning(Section):
+    """Factors on what is believed: noise amplitudes per sensor, standard deviations of the fixes."""
+
+    gyro: float = Field(default=1.0, gt=0)
+    accel: float = Field(default=1.0, gt=0)
+    position: float = Field(default=1.0, gt=0)
+    velocity: float = Field(default=1.0, gt=0)
+
+
+class DesignOptions(Section):
+    """How a design's filter runs."""
+
+    covariance_every: int = Field(default=1, ge=1, description="covariance propagated every n-th IMU epoch")
+    gate: float | None = Field(
+        default=None, gt=0, lt=1, description="probability that a good fix is rejected; null: no gate"
+    )
+    prefilter: Prefilter | None = None
+    states: CalibrationStates = CalibrationStates()
+    tuning: Tuning = Tuning()
+
+
 class Design(Section):
-    """A filter design: what the filter believes about every axis."""
+    """A filter design: what the filter believes about every axis, and how it runs."""
+
+    options: DesignOptions = DesignOptions()
 
     gyro: AxisSource | Signal | None = None
     accel: AxisSource | Signal | None = None
@@ -237,6 +401,24 @@ class Design(Section):
         }
 
 
+class OutageArea(Section):
+    """A circle on the ground without GNSS."""
+
+    latitude: Radians = Field(
+        ge=-1.5707963267948966, le=1.5707963267948966, description="centre, for example '46.52 deg'"
+    )
+    longitude: Radians
+    radius: Length = Field(ge=0)
+
+
+class RandomOutages(Section):
+    """Outages drawn from the scenario's seed: the same for every design and realization."""
+
+    per_hour: float = Field(ge=0, description="mean number per hour")
+    mean: Seconds = Field(gt=0, description="mean duration")
+    clear: Seconds = Field(default=60.0, ge=0, description="time without outages at the start")
+
+
 class OutageWindow(Section):
     """A span without GNSS."""
 
@@ -254,6 +436,8 @@ class Gnss(Section):
     )
     lever_arm: Metres = Field(default=(0.0, 0.0, 0.0), description="IMU to antenna, forward, right, down")
     outages: tuple[OutageWindow, ...] = ()
+    areas: tuple[OutageArea, ...] = Field(default=(), description="places without GNSS")
+    random_outages: RandomOutages | None = None
 
     @field_validator("position_sigma", "velocity_sigma")
     @classmethod
@@ -273,22 +457,60 @@ class Initial(Section):
 
 
 class Published(Section):
-    """Figures of a paper, printed beside ours: mean planimetric error at the end of each outage."""
+    """Figures of a paper, printed beside ours: planimetric errors per design, one value per outage."""
 
     source: str
-    planimetric_end_m: dict[str, tuple[float, ...]] = Field(description="design name to one value per outage")
+    planimetric_end_m: dict[str, tuple[float, ...]] | None = Field(default=None, description="mean error at outage end")
+    planimetric_mean_m: dict[str, tuple[float, ...]] | None = Field(
+        default=None, description="mean error during the outage"
+    )
+
+    @model_validator(mode="after")
+    def _one_figure(self) -> Published:
+        if (self.planimetric_end_m is None) == (self.planimetric_mean_m is None):
+            raise InputError("expected exactly one of the keys 'planimetric_end_m' and 'planimetric_mean_m'")
+        return self
+
+    @property
+    def figure(self) -> str:
+        """Which figure of the table was published."""
+        return "planimetric_end_m" if self.planimetric_end_m is not None else "planimetric_mean_m"
+
+    @property
+    def values(self) -> dict[str, tuple[float, ...]]:
+        """Design to one value per outage."""
+        return self.planimetric_end_m or self.planimetric_mean_m or {}
+
+
+class RecordingSource(Section):
+    """A recorded drive or flight instead of an emulated one."""
+
+    file: str = Field(description="recording; a path, or shared:PATH under the shared data folder")
+    mounting: Angles = Field(
+        default=(0.0, 0.0, 0.0), description="roll, pitch, yaw of the IMU with respect to the vehicle"
+    )
+    start: Seconds | None = Field(
+        default=None, description="leave out what is before this time on the recording's clock"
+    )
+    end: Seconds | None = Field(default=None, description="leave out what is after this time")
+    imu_time_offset: Seconds = Field(default=0.0, description="how late IMU stamps are against those of GNSS; taken off")
+    gravity: Literal["normal", "free_air_first_order"] = "normal"
+    zero_velocity_updates: bool = Field(default=False, description="feed zero velocity where GNSS shows a standstill")
 
 
 class Scenario(Section):
-    """One question: a trajectory, a truth, GNSS with outages, and the designs that are compared."""
+    """One question: a trajectory and a truth (or a recording), GNSS with outages, and the designs that are compared."""
 
     title: str
     question: str = ""
     notes: str = ""
     seed: int = Field(default=1, ge=0)
     realizations: int = Field(default=24, ge=1)
-    trajectory: TrajectorySource
-    truth: Truth
+    trajectory: TrajectorySource | None = None
+    truth: Truth | None = None
+    recording: RecordingSource | None = Field(
+        default=None, description="a recording to run the designs on (one realization)"
+    )
     gnss: Gnss = Gnss()
     initial: Initial = Initial()
     fits: FitSource | None = Field(default=None, description="signals that models under designs are fitted to")
@@ -301,22 +523,36 @@ class Scenario(Section):
         default=("run", "--realizations", "2"), description="command and options of the project's smoke run"
     )
 
+    @field_validator("recording", mode="before")
+    @classmethod
+    def _path_alone(cls, value: Any) -> Any:
+        return {"file": value} if isinstance(value, str) else value
+
     @model_validator(mode="after")
     def _consistent(self) -> Scenario:
+        if self.recording is None and (self.trajectory is None or self.truth is None):
+            missing = " and ".join(f"'{k}'" for k in ("trajectory", "truth") if getattr(self, k) is None)
+            raise InputError(f"the key {missing} is missing; expected a trajectory and a truth, or a recording")
+        if self.recording is not None and (self.trajectory is not None or self.truth is not None):
+            raise InputError("found a recording beside a trajectory or a truth, expected one or the other")
         for name, design in self.designs.items():
             sources = [s for s in design.sources().values() if isinstance(s, AxisSource)]
             if self.fits is None and any(s.fit for s in sources):
                 raise InputError(
                     f"the design '{name}' is fitted, but there is no section 'fits' that says to which signals"
                 )
-            if self.truth.recorded is not None and any(s.truth for s in sources):
+            if self._truth_is_recorded and any(s.truth for s in sources):
                 raise InputError(
                     f"the design '{name}' asks for the model of the truth, but the truth is a recorded signal"
                 )
-        if self.truth.recorded is not None and self.fits is not None and self.fits.simulate is not None:
+        if self._truth_is_recorded and self.fits is not None and self.fits.simulate is not None:
             raise InputError("fits cannot be simulated from a recorded truth; expected the key 'recorded' under 'fits'")
         if self.published is not None:
-            unknown = [name for name in self.published.planimetric_end_m if name not in self.designs]
+            unknown = [name for name in self.published.values if name not in self.designs]
             if unknown:
                 raise InputError(f"published figures for '{unknown[0]}', which is no design here")
         return self
+
+    @property
+    def _truth_is_recorded(self) -> bool:
+        return self.truth is None or self.truth.recorded is not None

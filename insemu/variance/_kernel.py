@@ -29,24 +29,43 @@ def haar_buffers(levels: int, full: int = FULL_OVERLAP) -> tuple[NDArray[np.int6
     return offsets, np.zeros(int(offsets[-1]))
 
 
+# Plain loops over slices that start at 0: an index such as ``i - m`` could be negative, and the check for that would keep the compiler
+# from vectorising. Averages are kept as sums: powers of two are divided out at the end, exactly.
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
-def _step(a: Array, b: Array, old: Array, m: int, n: int, first: int) -> float:  # pragma: no cover - compiled
-    """One octave of one chunk: averages ``a`` to ``b``; returns the sum of squares of differences from index ``first`` on."""
+def _octave(new: Array, old: Array, out: Array) -> float:  # pragma: no cover - compiled
+    """Sums to ``out``; returns the sum of squared differences."""
     total = 0.0
-    split = min(m, n)  # before it the earlier average comes from the delay line
-    for i in range(min(first, split)):
-        b[i] = 0.5 * (a[i] + old[i])
-    for i in range(min(first, split), split):
-        d = a[i] - old[i]
-        b[i] = 0.5 * (a[i] + old[i])
-        total += d * d
-    for i in range(split, max(first, split)):
-        b[i] = 0.5 * (a[i] + a[i - m])
-    for i in range(max(first, split), n):
-        d = a[i] - a[i - m]
-        b[i] = 0.5 * (a[i] + a[i - m])
+    for i in range(new.size):
+        d = new[i] - old[i]
+        out[i] = new[i] + old[i]
         total += d * d
     return total
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
+def _octave_of_line(new: Array, line: Array, out: Array) -> float:  # pragma: no cover - compiled
+    """As :func:`_octave` with the delay line's part, which then takes the new values."""
+    total = 0.0
+    for i in range(new.size):
+        n = new[i]
+        o = line[i]
+        d = n - o
+        out[i] = n + o
+        line[i] = n
+        total += d * d
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _octave_from(first: int, new: Array, old: Array, out: Array) -> float:  # pragma: no cover - compiled
+    """As :func:`_octave`, but differences count from index ``first`` on."""
+    if first <= 0:
+        return _octave(new, old, out)
+    if first >= new.size:
+        _octave(new, old, out)
+        return 0.0
+    _octave(new[:first], old[:first], out[:first])
+    return _octave(new[first:], old[first:], out[first:])
 
 
 @njit(cache=True, nogil=True)
@@ -96,14 +115,17 @@ def haar_push(
             first = min(max(first_g - g, 0), n)
             if m >= n:
                 at = g % m
-                window = old[at : at + n]
-                sums[level] += _step(a, b, window, m, n, first)
-                for i in range(n):
-                    window[i] = a[i]
+                line = old[at : at + n]
+                if first == 0:
+                    total = _octave_of_line(a[:n], line, b[:n])
+                else:
+                    total = _octave_from(first, a[:n], line, b[:n])
+                    line[:] = a[:n]
             else:
-                sums[level] += _step(a, b, old, m, n, first)
-                for i in range(m):
-                    old[i] = a[n - m + i]
+                total = _octave_from(first, a[:m], old, b[:m])
+                total += _octave_from(first - m, a[m:n], a[: n - m], b[m:n])
+                old[:] = a[n - m : n]
+            sums[level] += total * 0.25**level
             counts[level] += n - first
             a, b = b, a
         done += CHUNK
@@ -254,3 +276,63 @@ def reflected_second_differences(s: Array, m: int) -> float:  # pragma: no cover
         d = a - 2.0 * s[i] + b
         total += d * d
     return total
+
+
+@njit(cache=True, nogil=True)
+def _kappa(
+    kind: int, tc: float, c1: float, c2: float, c3: float, h: float, averaged: bool
+) -> float:  # pragma: no cover - compiled
+    """Generalized covariance at lag ``h >= 0`` of the running sum of a unit component (of its sum once more where ``averaged``).
+
+    Second differences of it give minus the covariance one summation lower: -h/2 for white noise, (h^3 - h)/12 for random walk, and so
+    on. Kinds: 0 quantization, 1 white, 2 Markov of time constant ``tc`` samples (constants of :func:`noise_covariance`), 3 random walk.
+    """
+    if kind == 0:
+        return -0.5 * h if averaged else 0.0
+    if kind == 1:
+        return (h * h * h - h) / 12.0 if averaged else -0.5 * h
+    if kind == 3:
+        return -(h**5 / 240.0 - h * h * h / 48.0 + h / 60.0) if averaged else (h * h * h - h) / 12.0
+    if not averaged:
+        return -(c1 * h + c2 * np.expm1(-h / tc))
+    return c1 * (h * h * h - h) / 6.0 + c2 * c3 * np.exp(-h / tc) + c2 * (0.5 + c3 * -np.expm1(-1.0 / tc)) * h
+
+
+@njit(cache=True, nogil=True)
+def noise_covariance(
+    kinds: NDArray[np.int64], tcs: Array, weights: Array, tau: Array, m: float, filter: Array, averaged: bool
+) -> Array:  # pragma: no cover - compiled
+    """Autocovariance at lags ``tau`` of differences of step ``m`` of the running sum, over 4 m^2, of a sum of unit components.
+
+    ``filter`` is the autocorrelation of the difference filter from lag 0. Without the single lags at which quantization noise (not
+    averaged) contributes.
+    """
+    order = filter.size - 1
+    out = np.zeros(tau.size)
+    sign = 1.0
+    if averaged and order == 2:
+        sign = -1.0
+    for p in range(kinds.size):
+        kind, tc, weight = kinds[p], tcs[p], weights[p]
+        if kind == 0 and not averaged:
+            continue
+        if (
+            kind == 2 and m < 1e-3 * tc
+        ):  # within its correlation time a Markov noise is a random walk; the closed form would cancel
+            weight = weight * -np.expm1(-2.0 / tc)
+            kind = 3
+        one_minus = -np.expm1(-1.0 / tc) if kind == 2 else 1.0
+        phi = 1.0 - one_minus
+        c1 = 0.5 * (1.0 + phi) / one_minus
+        c2, c3 = phi / one_minus**2, phi / one_minus**2
+        for i in range(tau.size):
+            if kind != 2 and tau[i] >= order * m:
+                break  # exactly zero from here on
+            total = filter[0] * _kappa(kind, tc, c1, c2, c3, tau[i], averaged)
+            for k in range(1, order + 1):
+                total += filter[k] * (
+                    _kappa(kind, tc, c1, c2, c3, tau[i] + k * m, averaged)
+                    + _kappa(kind, tc, c1, c2, c3, abs(tau[i] - k * m), averaged)
+                )
+            out[i] += sign * weight * total / (4.0 * m * m)
+    return out

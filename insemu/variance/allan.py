@@ -227,7 +227,7 @@ def _edof(parts: list[tuple[str, float, float]], m: NDArray[np.int64], n: int, k
 def _edof_total(parts: list[tuple[str, float, float]], m: NDArray[np.int64], n: int) -> Array:
     """Total variance: ``b N / m - c`` with the published b, c of white, flicker and random-walk noise, between them by the local slope.
 
-    NIST SP 1065, table 7 (Howe and Greenhall): (1.5, 0), (1.17, 0.22), (0.93, 0.36); never fewer than the overlapping estimate has.
+    NIST SP 1065, table 7 (Howe and Greenhall): (1.5, 0), (1.17, 0.22), (0.93, 0.36).
     """
     from insemu.variance.edof import component_variance
 
@@ -238,8 +238,9 @@ def _edof_total(parts: list[tuple[str, float, float]], m: NDArray[np.int64], n: 
     slope = np.log2(level(1.1 * steps) / level(steps / 1.1)) / np.log2(1.21)
     b = np.interp(slope, [-1.0, 0.0, 1.0], [1.5, 1.16832, 0.92715])
     c = np.interp(slope, [-1.0, 0.0, 1.0], [0.0, 0.22236, 0.35806])
-    overlapping = edof_of_noise(parts, 2.0 * np.minimum(m.astype(float), max(n // 2, 1)), n)
-    return np.maximum(b * n / m - c, np.where(slope < -1.2, overlapping, 1.0))
+    # at short times reflecting the ends adds nothing to the overlapping estimate
+    overlapping = edof_of_noise(parts, 2.0 * np.minimum(steps, max(n // 2, 1)), n)
+    return np.where(16 * m <= n, overlapping, np.maximum(b * n / m - c, 1.0))
 
 
 __all__ = ["NORMAL_ABOVE", "AllanVariance", "allan_variance", "averaging_grid", "relative_error"]

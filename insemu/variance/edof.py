@@ -11,6 +11,7 @@ degrees of freedom, and only the shape matters.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Literal, get_args
 
 import numpy as np
@@ -19,6 +20,7 @@ from scipy.optimize import nnls
 from scipy.special import chdtri, ndtri
 
 from insemu.errors import InputError
+from insemu.variance import _kernel
 
 Array = NDArray[np.float64]
 
@@ -60,51 +62,11 @@ def eta3(scale_samples: Array, n_samples: int, filter_length: int = 2) -> Array:
 # --- the curve's own noise type ------------------------------------------------------------------------------------------------------
 
 
-def _kappa(kind: str, tc: float, h: Array, m: float, averaged: bool) -> Array:
-    """Generalized covariance at lags ``h >= 0`` of the running sum of a unit component (of its sum once more where ``averaged``).
-
-    Second differences of it give minus the covariance one summation lower: -h/2 for white noise, (h^3 - h)/12 for random walk, and so on.
-    """
-    if (
-        kind == "GM" and m < 1e-3 * tc
-    ):  # within its correlation time a Markov noise is a random walk; the closed form would cancel
-        return -np.expm1(-2.0 / tc) * _kappa("RW", 0.0, h, m, averaged)
-    if kind == "QN":
-        return -0.5 * h if averaged else np.zeros_like(h)
-    if kind == "WN":
-        return (h**3 - h) / 12.0 if averaged else -0.5 * h
-    if kind == "RW":
-        return -(h**5 / 240.0 - h**3 / 48.0 + h / 60.0) if averaged else (h**3 - h) / 12.0
-    phi = np.exp(-1.0 / tc)
-    one_minus = -np.expm1(-1.0 / tc)
-    c1, c2 = 0.5 * (1.0 + phi) / one_minus, phi / one_minus**2
-    if not averaged:
-        return -(c1 * h + c2 * np.expm1(-h / tc))
-    tail = c2 * phi / one_minus**2 * np.exp(-h / tc)
-    return c1 * (h**3 - h) / 6.0 + tail + c2 * (0.5 + phi / one_minus) * h
-
-
 #: Autocorrelations of the difference filters (1, -2, 1) and (1, -3, 3, -1), from lag 0.
 _DIFFERENCE = {2: (6.0, -4.0, 1.0), 3: (20.0, -15.0, 6.0, -1.0)}
 
 
-def _component_covariance(kind: str, tc: float, tau: Array, m: float, order: int = 2, averaged: bool = False) -> Array:
-    """Autocovariance at lags ``tau`` of ``order``-th differences of step ``m`` of the running sum, over 4 m^2.
-
-    Without the single lags at which quantization noise (not averaged) contributes; :data:`_DIFFERENCE` holds those.
-    """
-    if kind == "QN" and not averaged:
-        return np.zeros_like(tau)
-    weights = _DIFFERENCE[order]
-    total = weights[0] * _kappa(kind, tc, tau, m, averaged)
-    for k, weight in enumerate(weights[1:], start=1):
-        total = total + weight * (
-            _kappa(kind, tc, tau + k * m, m, averaged) + _kappa(kind, tc, np.abs(tau - k * m), m, averaged)
-        )
-    if kind != "GM" or m < 1e-3 * tc:
-        total = np.where(tau < order * m, total, 0.0)  # exactly zero there: remove what rounding leaves
-    sign = -1.0 if averaged else 1.0
-    return (sign if order == 2 or not averaged else -sign) * total / (4.0 * m * m)
+_KINDS = {"QN": 0, "WN": 1, "GM": 2, "RW": 3}
 
 
 def _components(n_samples: int) -> list[tuple[str, float]]:
@@ -118,8 +80,23 @@ def component_variance(kind: str, tc: float, m: Array) -> Array:
         return 1.5 / m**2
     if kind == "DR":
         return 0.25 * m**2
-    zero = np.zeros(1)
-    return np.array([_component_covariance(kind, tc, zero, float(k))[0] for k in m])
+    if kind == "WN":
+        return 0.5 / m
+    walk = (2.0 * m * m + 1.0) / (12.0 * m)
+    if kind == "RW":
+        return walk
+    phi, one_minus = np.exp(-1.0 / tc), -np.expm1(-1.0 / tc)
+    closed = 4.0 * (0.5 * (1.0 + phi) / one_minus) * m + phi / one_minus**2 * (
+        8.0 * np.expm1(-m / tc) - 2.0 * np.expm1(-2.0 * m / tc)
+    )
+    return np.asarray(np.where(m < 1e-3 * tc, -np.expm1(-2.0 / tc) * walk, closed / (4.0 * m * m)))
+
+
+@lru_cache(maxsize=64)
+def _basis(m: tuple[float, ...], n_samples: int, drift: bool) -> Array:
+    """Wavelet variances of all unit components, one column each."""
+    names = _components(n_samples) + ([("DR", 0.0)] if drift else [])
+    return np.column_stack([component_variance(kind, tc, np.array(m)) for kind, tc in names])
 
 
 def noise_type(
@@ -135,12 +112,12 @@ def noise_type(
     if not use.any():
         return []
     names = _components(n_samples) + ([("DR", 0.0)] if drift else [])
-    basis = np.column_stack([component_variance(kind, tc, m[use]) for kind, tc in names])
+    basis = _basis(tuple(m[use].tolist()), n_samples, drift)
     spread = np.sqrt(2.0 / eta3(2.0 * m[use], n_samples))
     target = value[use]
     level = target.copy()
     weights = np.zeros(len(names))
-    for _ in range(4):  # re-weighting by the fitted level keeps a low estimate at a long scale from ruling the fit
+    for _ in range(3):  # re-weighting by the fitted level keeps a low estimate at a long scale from ruling the fit
         scale = 1.0 / (spread * level)
         norm = np.linalg.norm(basis * scale[:, None], axis=0)
         solution, _ = nnls(basis * scale[:, None] / norm, target * scale)
@@ -149,13 +126,14 @@ def noise_type(
     return [(kind, tc, float(w)) for (kind, tc), w in zip(names, weights, strict=True) if w > 0]
 
 
+@lru_cache(maxsize=512)
 def _nodes(m: int, last: int, longest: float, order: int, stride: int) -> Array:
     """Lags at which a coefficient's autocovariance is evaluated: dense at its corners 0, m, 2m.., geometric towards and beyond them."""
     end = min(last, int(order * m + 12 * longest))
     if end // stride <= 256:
         return np.arange(0, end + 1, stride, dtype=float)
-    reach = np.unique(np.round(np.concatenate([[0, 1, 2], 1.35 ** np.arange(4.0, np.log(end) / np.log(1.35) + 1)])))
-    body = np.linspace(0, order * m, 48 * order + 1).round()
+    reach = np.unique(np.round(np.concatenate([[0, 1, 2], 1.5 ** np.arange(3.0, np.log(end) / np.log(1.5) + 1)])))
+    body = np.linspace(0, order * m, 32 * order + 1).round()
     nodes = np.concatenate([c * m + s * reach for c in range(order + 1) for s in (-1, 1)] + [body, [end]])
     nodes = np.unique((nodes[(nodes >= 0) & (nodes <= end)] // stride) * stride)
     return nodes
@@ -188,16 +166,18 @@ def edof_of_noise(
         Step between successive terms; 1 by default (overlapping).
     """
     out = np.empty(len(scale_samples))
+    random = [part for part in parts if part[0] in _KINDS]
+    kinds = np.array([_KINDS[kind] for kind, _, _ in random], dtype=np.int64)
+    tcs, weights = np.array([tc for _, tc, _ in random]), np.array([weight for _, _, weight in random])
+    filter = np.array(_DIFFERENCE[order])
+    longest = max((tc for kind, tc, _ in parts if kind == "GM"), default=0.0)
     for index, scale in enumerate(np.asarray(scale_samples, dtype=np.int64)):
         m = int(scale) // 2
         step = 1 if stride is None else int(stride[index])
         span = n_samples + 1 - order * m
         count = max((span - 1) // step + 1, 1)
-        longest = max((tc for kind, tc, _ in parts if kind == "GM"), default=0.0)
         tau = _nodes(m, (count - 1) * step, longest, order, step)
-        smooth = np.zeros_like(tau)
-        for kind, tc, weight in parts:
-            smooth += weight * _component_covariance(kind, tc, tau, float(m), order, averaged)
+        smooth = _kernel.noise_covariance(kinds, tcs, weights, tau, float(m), filter, averaged)
         quantization = 0.0 if averaged else sum(weight for kind, _, weight in parts if kind == "QN") / (4.0 * m * m)
         share = 1.0 - tau / (count * step)
         terms = share * smooth**2

@@ -6,7 +6,7 @@ paper 004 section 4.4). Where a slope is not there, nothing is read.
 * The straight parts are found on a smooth curve through the data (:func:`insemu.variance.edof.noise_type`), so that the scatter of
   the longest times makes no slopes.
 * A coefficient is fitted over its part together with its neighbours' slopes, so that what leaks in from them is not counted; its interval
-  uses the degrees of freedom of the curve and the correlation of its octaves.
+  uses the degrees of freedom of the curve, the correlation of its octaves, and how far the curve is from straight.
 * B is the first flat value (lowest point, else flattest) over 0.664 = sqrt(2 ln 2 / pi). A Gauss-Markov noise of standard
   deviation s is at 0.617 s at most, so a model whose GM has s = 0.664 B does not read back as B but as 0.617 B, or as what white
   noise and random walk make of it.
@@ -35,6 +35,10 @@ Array = NDArray[np.float64]
 FLICKER = float(np.sqrt(2.0 * np.log(2.0) / np.pi))
 #: Averaging time, in correlation times, at which the Allan deviation of a Gauss-Markov noise is highest, and that height in its sigma.
 GM_PEAK_TIME, GM_PEAK = 1.8926, 0.6174
+
+#: Most that a straight line may miss an octave by, relatively (filters, resonances). What it misses by is estimated: without that, a
+#: million samples would pin the line to the first octaves, where real sensors roll off.
+_MISFIT = 0.1
 
 #: Slopes of the Allan variance and the factor that its coefficient has: A = factor * X^2 * tau^slope.
 _TERMS: dict[str, tuple[float, float]] = {
@@ -186,10 +190,12 @@ def _fit(
     basis = (tau[:, None] / pivot) ** np.array(exponents)
     level = value
     solution = np.zeros(len(exponents))
-    for _ in range(3):
-        scale = np.sqrt(edof / 2.0) / level
+    misfit = _MISFIT**2
+    for _ in range(5):
+        scale = 1.0 / (np.sqrt(2.0 / edof + misfit) * level)
         solution, _ = nnls(basis * scale[:, None], value * scale)
         level = np.maximum(basis @ solution, 1e-3 * value)
+        misfit = float(np.clip(np.mean((1.0 - value / level) ** 2 - 2.0 / edof), 0.0, _MISFIT**2))
     at = exponents.index(exponent)
     if solution[at] <= 0:
         return None
@@ -199,9 +205,9 @@ def _fit(
     spread = np.sqrt(2.0 / edof * (chance**2 + 2.0 * chance * certain))
     lags = np.abs(np.subtract.outer(use, use))
     rho = np.array([*_octave_correlation(exponent > 0), 0.0])
-    covariance = rho[np.minimum(lags, rho.size - 1)] * np.outer(spread, spread)
+    covariance = rho[np.minimum(lags, rho.size - 1)] * np.outer(spread, spread) + np.diag(misfit * level**2)
     # neighbours count as free here also where the fit put them at zero: the interval must not pretend to know that
-    weighted = basis.T / spread**2
+    weighted = basis.T / (spread**2 + misfit * level**2)
     row = np.linalg.solve(weighted @ basis, weighted)[at]
     variance = float(row @ covariance @ row)
     coefficient = float(solution[at])

@@ -72,7 +72,7 @@ def biweight_constants(efficiency: float) -> tuple[float, float]:
     --------
     >>> c, k = biweight_constants(0.6)
     >>> round(c, 2), round(k, 3)
-    (3.18, 0.557)
+    (3.18, 0.663)
     """
     if not 0.4 <= efficiency <= 0.99:
         raise InputError(f"efficiency is {efficiency}, expected 0.4 to 0.99")
@@ -240,7 +240,7 @@ class Contamination:
     significant : (J,) bool array
         The ratio is further from 1 than 3.3 standard deviations of two estimates of one clean record (1 in 1000).
     contaminated : bool
-        The record has heavy tails and they matter: at least one significant octave.
+        The record has heavy tails and they matter: at least one protected octave is significantly and by 5 % higher.
     """
 
     ratio: Array
@@ -262,4 +262,5 @@ def compare_with_robust(plain: WaveletVariance, robust: RobustWaveletVariance) -
     # the efficient estimate is uncorrelated with its difference from a less efficient one (Hausman)
     variance = 2.0 / robust.edof - 2.0 * robust.efficiency / robust.edof
     significant = np.abs(np.log(ratio)) > 3.3 * np.sqrt(np.maximum(variance, 0.0)) + 1e-9
-    return Contamination(ratio, significant, bool(robust.contaminated and significant.any()))
+    matters = significant & robust.protected & (ratio > 1.05)
+    return Contamination(ratio, significant, bool(robust.contaminated and matters.any()))

@@ -70,8 +70,11 @@ def max_levels(n_samples: int, filter_length: int = 2) -> int:
     return levels
 
 
-def check_signal(x: ArrayLike, name: str = "signal") -> Array:
-    """Return a one-dimensional float64 signal, or raise :class:`~insemu.errors.InputError` saying what is wrong with it."""
+def check_signal(x: ArrayLike, name: str = "signal", *, finite: bool = True) -> Array:
+    """Return a one-dimensional float64 signal, or raise :class:`~insemu.errors.InputError` saying what is wrong with it.
+
+    ``finite=False`` leaves values that are not finite to be found by the caller.
+    """
     values = np.asarray(x)
     if values.dtype.kind not in "fiu":
         raise InputError(f"{name} has type {values.dtype}, expected real numbers")
@@ -81,7 +84,7 @@ def check_signal(x: ArrayLike, name: str = "signal") -> Array:
     if values.size < 3:
         raise InputError(f"{name} has {values.size} samples, expected at least 3")
     # one reduction finds NaN and infinity; the slower search for the place runs only then
-    if not np.isfinite(values.sum()) and not np.isfinite(values).all():
+    if finite and not np.isfinite(values.sum()) and not np.isfinite(values).all():
         first = int(np.argmin(np.isfinite(values)))
         raise InputError(f"{name} is not finite at sample {first} ({values[first]}); expected finite numbers")
     return values
@@ -159,13 +162,17 @@ def wavelet_variance(
     if transform not in get_args(Transform):
         raise InputError(f"transform is '{transform}', expected one of: {', '.join(get_args(Transform))}")
     h, g = modwt_filters(filter)
-    values = check_signal(x)
     length = h.size
+    # what is not finite shows in the first octave of the fast path, without a pass of its own
+    fast = transform == "modwt" and length == 2
+    values = check_signal(x, finite=not fast)
     count = check_levels(levels, max_levels(values.size, length), values.size)
     if transform == "dwt":
         value, used = _dwt_variance(values, h, g, count)
-    elif length == 2:
+    elif fast:
         value, used = _haar_variance(values, count)
+        if not np.isfinite(value[0]):
+            check_signal(values)
     else:
         pairs = [(float(np.mean(w * w)), w.size) for w in _coefficients(values, h, g, count)]
         value, used = np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs], dtype=np.int64)

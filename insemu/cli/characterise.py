@@ -1,0 +1,176 @@
+"""``insemu characterise``: what the noise of a static log is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from insemu.formats import Log
+    from insemu.variance.characterise import AxisReport
+
+#: Longer columns are read in one pass and never held as a whole.
+LONG = 1 << 24
+
+
+def command(
+    file: str = typer.Argument(..., metavar="FILE", help="Static log: .npz, .csv or .npy (columns with units)."),
+    rate: str = typer.Option("", "--rate", help="Sampling rate of a log that does not say it, such as '100 Hz'."),
+    columns: list[str] | None = typer.Option(  # noqa: B008
+        None, "--columns", "-c", help="Only these columns, separated by commas (gx or gyro_x); may be repeated."
+    ),
+    robust: bool = typer.Option(False, "--robust", help="Read the coefficients off the robust curve."),
+    overlay: bool = typer.Option(True, "--overlay/--no-overlay", help="Also draw the axes of a sensor in one panel."),
+    beside: str = typer.Option("", "--beside", help="JSON of other sensors' wavelet variances, drawn behind ours."),
+    out: str = typer.Option(
+        "", "--out", "-o", help="Folder for page, figures and JSON; default results/characterise_NAME."
+    ),
+    as_json: bool = typer.Option(
+        False, "--json", help="Print JSON on standard output; files are written only with --out."
+    ),
+) -> None:
+    """Characterise a static log: variances, spectrum, what can be read off them, and what is wrong with the log."""
+    import json
+    from pathlib import Path
+
+    from rich.console import Console
+
+    from insemu import formats, units
+    from insemu.errors import InputError
+    from insemu.formats.curves import read_curves
+
+    console = Console(stderr=as_json)
+    rate_hz = units.parse(_number_or_text(rate), "Hz") if rate else None
+    wanted = [name.strip() for text in columns or [] for name in text.split(",") if name.strip()] or None
+    if Path(file).is_dir() or (Path(file).exists() and formats.recording.is_npz_recording(Path(file))):
+        raise InputError("is a dynamic recording; expected a static log (sensor at rest)", where=file)
+    others = read_curves(beside) if beside else []
+    log = formats.read_log(file, rate_hz=rate_hz)
+    axes = characterise_log(log, wanted, from_robust=robust)
+    content = {"axes": {axis.name: axis.to_json() for axis in axes}}
+    folder = Path(out) if out else Path("results") / f"characterise_{Path(file).name.split('.')[0]}"
+    page = None
+    if out or not as_json:
+        from insemu.report.characterise import render_characterisation
+
+        page = render_characterisation(axes, folder, source=file, beside=others, overlay=overlay)
+        (folder / "characterise.json").write_text(
+            json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8"
+        )
+    if as_json:
+        typer.echo(json.dumps(content, indent=1, allow_nan=False))
+        return
+    show(console, axes)
+    console.print(f"\nPage: [bold]{page}[/bold] (characterise.json and figures beside it)", soft_wrap=True)
+
+
+def _number_or_text(text: str) -> str | float:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def characterise_log(log: Log, wanted: Sequence[str] | None = None, *, from_robust: bool = False) -> list[AxisReport]:
+    """Characterise columns of a log: the longest part without NaN and gaps, with findings about the whole.
+
+    Raises
+    ------
+    InputError
+        An unknown column; a log with no usable part.
+    """
+    from dataclasses import replace
+
+    import numpy as np
+
+    from insemu.errors import InputError, nearest
+    from insemu.formats import AXIS_OF_COLUMN
+    from insemu.variance import findings as judge
+    from insemu.variance.characterise import characterise, characterise_stream
+
+    keep = list(range(len(log.names)))
+    if wanted is not None:
+        keep = []
+        for name in wanted:
+            found = [k for k, n in enumerate(log.names) if name in (n, AXIS_OF_COLUMN.get(n))]
+            if not found:
+                raise InputError(f"has no column '{name}'" + nearest(name, log.names), where=log.source)
+            keep.append(found[0])
+    gaps = log.gaps()
+    axes: list[AxisReport] = []
+    for k in keep:
+        name, unit = log.names[k], log.units[k]
+        if len(log) > LONG:
+            axes.append(characterise_stream(lambda k=k: log.chunks(k), log.rate_hz, name=name, unit=unit))  # type: ignore[misc]
+            continue
+        x = np.asarray(log.columns[k], dtype=np.float64)
+        notes = judge.gap_report(gaps, log.rate_hz) + judge.missing_values(x, log.rate_hz)
+        start, stop = judge.longest_good_part([x], [row for row, _ in gaps])
+        if stop - start < 16:
+            raise InputError(f"{name} has no {16} finite values in a row", where=log.source)
+        if notes:
+            notes.append(
+                f"used: rows {start} to {stop - 1} ({(stop - start) / log.rate_hz:.6g} s), the longest part without NaN and gaps; "
+                f"{100.0 * (1.0 - (stop - start) / len(log)):.3g} % of the record was left out"
+            )
+        report = characterise(
+            np.ascontiguousarray(x[start:stop]), log.rate_hz, name=name, unit=unit, from_robust=from_robust
+        )
+        axes.append(replace(report, findings=notes + report.findings))
+    judged = _unit_findings(log, axes)
+    return [replace(a, findings=judged.get(AXIS_OF_COLUMN.get(a.name, a.name), []) + a.findings) for a in axes]
+
+
+def _unit_findings(log: Log, axes: Sequence[AxisReport]) -> dict[str, list[str]]:
+    """Judge units from all columns of the file, also those that were not asked for: gravity needs three."""
+    import numpy as np
+
+    from insemu.formats import AXIS_OF_COLUMN
+    from insemu.variance import findings as judge
+
+    means, stated, white = {}, {}, {}
+    for name, unit, column in zip(log.names, log.stated_units, log.columns, strict=True):
+        axis = AXIS_OF_COLUMN.get(name, name)
+        part = np.asarray(column[: 1 << 20], dtype=np.float64)
+        if np.isfinite(part).any():
+            means[axis], stated[axis] = float(np.nanmean(part)), unit
+    for report in axes:
+        if "N" in report.readings:
+            white[AXIS_OF_COLUMN.get(report.name, report.name)] = report.readings["N"].si_value
+    return judge.unit_report(means, white, stated)
+
+
+def show(console: Console, axes: Sequence[AxisReport]) -> None:
+    """Print readings and findings."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    first = axes[0]
+    console.print(
+        f"{len(axes)} column(s), {first.samples} samples at {first.rate_hz:g} Hz ({first.samples / first.rate_hz / 3600:.3g} h)"
+    )
+    table = Table(
+        "axis", "reading", "value", "95 % interval", "unit", "read from (s)", title="Readings", title_justify="left"
+    )
+    for axis in axes:
+        for name, r in axis.readings.items():
+            table.add_row(
+                escape(axis.name),
+                name,
+                f"{r.value:.4g}",
+                f"{r.low:.4g} to {r.high:.4g}",
+                r.unit,
+                f"{r.tau_from_s:.3g} to {r.tau_to_s:.3g}",
+            )
+        table.add_row(
+            escape(axis.name), ", ".join(axis.not_visible), "not visible in this record", "", "", "", end_section=True
+        )
+    console.print(table)
+    found = [(axis.name, finding) for axis in axes for finding in axis.findings]
+    console.print("Findings" if found else "Findings: nothing wrong was found")
+    for name, finding in found:
+        console.print(f"  [bold]{escape(name)}[/bold]  {escape(finding)}", soft_wrap=True)

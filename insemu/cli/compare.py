@@ -1,0 +1,148 @@
+"""``insemu compare``: designs side by side, flown or by covariance analysis."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from insemu.evaluate import Experiment
+    from insemu.evaluate.comparison import ComparisonRow
+
+
+def command(
+    scenario: str = typer.Argument(..., metavar="SCENARIO", help="Scenario file (YAML)."),
+    designs: str = typer.Option("", "--designs", help="Designs to compare, separated by commas; default all."),
+    base: str = typer.Option("", "--base", help="Design that the others are measured against; default the first."),
+    variant: str | None = typer.Option(None, "--variant", help="Variant of the scenario."),
+    analytic: bool = typer.Option(
+        False, "--analytic", help="Covariance analysis and error budgets instead of flying (a truth of noise models)."
+    ),
+    by: str = typer.Option("process", "--by", help="Parts of the budget: source, axis or process."),
+    realizations: int | None = typer.Option(None, "--realizations", min=2, help="Default the scenario's."),
+    seed: int | None = typer.Option(None, "--seed", min=0, help="Default the scenario's."),
+    workers: int | None = typer.Option(
+        None, "--workers", min=1, help="Realizations flown at a time; default the cores."
+    ),
+    out: str = typer.Option("", "--out", help="Folder for the page; default results/NAME-compare."),
+    as_json: bool = typer.Option(False, "--json", help="Print JSON on standard output."),
+) -> None:
+    """Compare filter designs: paired ratios with intervals, effect sizes and ranks at the end of every outage.
+
+    All designs fly the same data. With --analytic nothing is drawn: rms errors come from the joint covariance of truth and belief, with an error
+    budget per outage (how many metres come from each process, initial error and fix) as stacked bars on a page.
+    """
+    import json
+    import os
+    from pathlib import Path
+
+    from rich.console import Console
+
+    from insemu.errors import InputError, nearest
+    from insemu.evaluate import Experiment, run_experiment
+    from insemu.evaluate.comparison import compare, with_designs
+    from insemu.scenario import load
+
+    if by not in ("source", "axis", "process"):
+        raise InputError(f"unknown part '{by}'" + nearest(by, ("source", "axis", "process")), where="--by")
+    console = Console(stderr=as_json)
+    given = {"seed": seed, "realizations": realizations}
+    names = [d.strip() for d in designs.split(",") if d.strip()]
+    experiment = Experiment(with_designs(load(scenario, variant=variant, overrides=given), names), scenario)
+    if base and base not in experiment.scenario.designs:
+        raise InputError(f"no design '{base}'" + nearest(base, experiment.scenario.designs), where="--base")
+    if analytic:
+        document = _analytic(
+            console, experiment, by, Path(out) if out else Path("results") / f"{Path(scenario).stem}-compare"
+        )
+    else:
+        results = run_experiment(experiment, workers=workers or os.cpu_count() or 1)
+        rows = compare(results, base or None)
+        _show(console, rows, results.realizations, base or results.names[0])
+        document = {
+            "scenario": results.title,
+            "digest": results.digest,
+            "seed": results.seed,
+            "realizations": results.realizations,
+            "base": base or results.names[0],
+            "rows": [r.to_dict() for r in rows],
+        }
+    if as_json:
+        typer.echo(json.dumps(document, indent=1))
+
+
+def _show(console: Console, rows: list[ComparisonRow], realizations: int, base: str) -> None:
+    from rich.table import Table
+
+    table = Table(
+        title=f"Planimetric error at outage end, {realizations} realizations, against {base}",
+        title_justify="left",
+        box=None,
+        header_style="underline",
+    )
+    for heading in ("outage", "design", "rank", "mean m", "ratio", "95 %", "p", "effect"):
+        table.add_column(heading, justify="left" if heading == "design" else "right", no_wrap=True)
+    for r in rows:
+        table.add_row(
+            "all" if r.outage is None else str(r.outage),
+            r.design,
+            str(r.rank),
+            f"{r.mean_m:.3g}",
+            "" if r.ratio is None else f"{r.ratio:.3f}",
+            "" if r.low is None else f"{r.low:.3f}-{r.high:.3f}",
+            "" if r.p_value is None else f"{r.p_value:.4f}",
+            "" if r.effect_size is None else f"{r.effect_size:+.2f}",
+        )
+    console.print(table)
+
+
+def _analytic(console: Console, experiment: Experiment, by: str, folder: Any) -> dict[str, Any]:
+    import numpy as np
+    from rich.table import Table
+
+    from insemu.evaluate.comparison import analyse_designs
+    from insemu.report.budget import render_budgets
+
+    analyses = analyse_designs(experiment)
+    windows = experiment.world.outage_windows
+    document: dict[str, Any] = {
+        "scenario": experiment.scenario.title,
+        "digest": experiment.digest,
+        "designs": {},
+    }
+    table = Table(
+        title="Horizontal error at outage end, rms m, by covariance analysis",
+        title_justify="left",
+        box=None,
+        header_style="underline",
+    )
+    for heading in ("design", "outage", "rms m", "stated m", "largest parts, m"):
+        table.add_column(heading, justify="left" if heading in ("design", "largest parts, m") else "right")
+    for name, a in analyses.items():
+        outages = []
+        for k, (budget, (start, duration)) in enumerate(zip(a.budgets, windows, strict=True)):
+            at = int(np.argmin(np.abs(a.t - budget.t)))
+            stated = float(np.hypot(a.sigma[at, 0], a.sigma[at, 1]))
+            parts = {key: float(np.sqrt(value)) for key, value in budget.shares(by).items()}
+            outages.append(
+                {
+                    "start_s": start,
+                    "duration_s": duration,
+                    "rms_m": budget.rms(),
+                    "predicted_sigma_m": stated,
+                    "parts_rms_m": parts,
+                }
+            )
+            top = ", ".join(f"{key} {value:.3g}" for key, value in list(parts.items())[:4])
+            table.add_row(name if k == 0 else "", str(k + 1), f"{budget.rms():.3g}", f"{stated:.3g}", top)
+        document["designs"][name] = {"states": experiment.filter(name).layout.n, "outages": outages}
+    console.print(table)
+    console.print(
+        "Parts add up as squares. A mean removed from the records (truth.record) is not part of the analysis."
+    )
+    page = render_budgets(experiment.scenario.title, analyses, windows, folder, by=by)
+    console.print(f"Page: {page}", soft_wrap=True)
+    return document

@@ -1,0 +1,63 @@
+"""``insemu emulate``: write the recording that a scenario's sensors would make."""
+
+from __future__ import annotations
+
+import typer
+
+
+def command(
+    scenario: str = typer.Argument(..., metavar="SCENARIO", help="Scenario file (YAML)."),
+    out: str = typer.Option(..., "--out", help="Recording to write: a .npz file or a folder."),
+    realization: int = typer.Option(0, "--realization", min=0, help="Which realization of the scenario."),
+    seed: int | None = typer.Option(None, "--seed", min=0, help="Seed of all random draws; default the scenario's."),
+    variant: str | None = typer.Option(None, "--variant", help="Name of one of the scenario's variants."),
+    ideal: bool = typer.Option(False, "--ideal", help="Perfect sensors: no errors on the IMU or the fixes."),
+    figure: str = typer.Option(
+        "", "--figure", help="Also draw track, speed, turn rate and residuals (PNG, PDF, SVG or HTML page)."
+    ),
+    as_json: bool = typer.Option(False, "--json", help="Print what was written as JSON."),
+) -> None:
+    """Emulate one realization of a scenario: IMU with its errors, GNSS with its outages, and the reference.
+
+    Every other command reads the recording that it writes; realization 7 is the one that insemu run flies as its
+    eighth.
+    """
+    import json
+
+    from insemu.evaluate.world import World
+    from insemu.formats import write
+    from insemu.scenario import load
+
+    given = load(scenario, variant=variant, overrides={"seed": seed})
+    world = World(given, scenario)
+    for warning in world.warnings:
+        typer.echo(f"insemu: warning: {warning}", err=True)
+    recording = world.recording(realization, ideal=ideal)
+    path = write(out, recording)
+    if figure:
+        from insemu.report.track import draw_track
+
+        draw_track(world.flight, figure, track=world.track)
+    gnss = recording.gnss
+    summary = {
+        "recording": str(path),
+        "trajectory": world.flight.name,
+        "duration_s": float(recording.imu.t[-1] - recording.imu.t[0]),
+        "imu_samples": len(recording.imu),
+        "imu_kind": recording.imu.kind,
+        "imu_rate_hz": round(1.0 / recording.imu.dt, 6),
+        "gnss_fixes": 0 if gnss is None else len(gnss),
+        "path_distance_m": world.path_distance_m,
+        "mode": world.source.mode,
+        "realization": realization,
+        "seed": given.seed,
+        "warnings": list(world.warnings),
+    }
+    if as_json:
+        typer.echo(json.dumps(summary))
+        return
+    typer.echo(
+        f"{path}: {summary['trajectory']}, {summary['duration_s']:g} s, {summary['imu_samples']} IMU {summary['imu_kind']}s at "
+        f"{summary['imu_rate_hz']:g} Hz, {summary['gnss_fixes']} fixes; reference within {1e3 * world.path_distance_m:.3g} mm "
+        f"of the path ({world.source.mode})"
+    )

@@ -1,0 +1,140 @@
+"""``insemu regress``: hold filter designs against a recorded baseline."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from insemu.evaluate import Experiment
+    from insemu.evaluate.regression import Baseline
+
+ACTIONS = ("record", "check", "sensitivity", "trial")
+
+
+def command(
+    action: str = typer.Argument(..., metavar="ACTION", help="record, check, sensitivity or trial."),
+    scenario: str = typer.Argument(..., metavar="SCENARIO", help="Scenario file (YAML)."),
+    baseline: str = typer.Option(..., "--baseline", help="Baseline file (JSON), written by record."),
+    designs: str = typer.Option("", "--designs", help="Only these designs, separated by commas."),
+    realizations: int | None = typer.Option(None, "--realizations", min=2, help="Default the scenario's."),
+    seed: int | None = typer.Option(None, "--seed", min=0, help="Default the scenario's."),
+    workers: int | None = typer.Option(
+        None, "--workers", min=1, help="Realizations flown at a time; default the cores."
+    ),
+    false_alarm: float = typer.Option(
+        0.01, "--false-alarm", help="Probability of reporting designs that did not change."
+    ),
+    trials: int = typer.Option(50, "--trials", min=1, help="Trials of each case (trial)."),
+    as_json: bool = typer.Option(False, "--json", help="Print JSON on standard output."),
+) -> None:
+    """Record the accuracy and consistency of a scenario's designs, or check them against a record.
+
+    record writes the baseline. check flies again and exits with 1 and the differences where a design changed. sensitivity prints the
+    smallest change of every believed parameter that a check finds. trial flies with other draws, and with gyro or GNSS noise believed 20 %
+    wrong, and prints how often a change was reported.
+    """
+    import json
+    import os
+    from pathlib import Path
+
+    from rich.console import Console
+
+    from insemu.errors import InputError, nearest
+    from insemu.evaluate import Experiment, run_experiment
+    from insemu.evaluate.comparison import with_designs
+    from insemu.evaluate.regression import Baseline, check
+    from insemu.scenario import load
+
+    if action not in ACTIONS:
+        raise InputError(f"unknown action '{action}'" + nearest(action, ACTIONS))
+    if action == "record" and not Path(baseline).resolve().parent.is_dir():
+        raise InputError(f"the folder of {baseline} does not exist", where="--baseline")
+    held = None if action == "record" else Baseline.read(baseline)
+    wanted = [d.strip() for d in designs.split(",") if d.strip()] or (list(held.figures) if held else [])
+    console = Console(stderr=as_json)
+    threads = workers or os.cpu_count() or 1
+
+    def make(other_seed: int | None = None) -> Experiment:
+        given = {"seed": seed if other_seed is None else other_seed, "realizations": realizations}
+        return Experiment(with_designs(load(scenario, overrides=given), wanted), scenario)
+
+    if action == "record":
+        results = run_experiment(make(), workers=threads)
+        Baseline.of(results).write(baseline)
+        console.print(
+            f"Recorded {len(results.names)} design(s), {results.realizations} realizations, seed {results.seed}: {baseline}",
+            soft_wrap=True,
+        )
+        return
+    assert held is not None
+    if action == "check":
+        results = run_experiment(make(), workers=threads)
+        changes = check(results, held, false_alarm=false_alarm)
+        changed = [c for c in changes if c.significant]
+        if as_json:
+            rows = [vars(c) | {"significant": c.significant} for c in changes]
+            typer.echo(json.dumps({"digest": results.digest, "changed": len(changed), "figures": rows}, indent=1))
+        for c in changed:
+            console.print(str(c), soft_wrap=True, style="red")
+        if changed:
+            console.print(
+                f"{len(changed)} of {len(changes)} figures changed (an unchanged set is reported with probability {false_alarm:g})."
+            )
+            raise typer.Exit(1)
+        console.print(f"No change in {len(changes)} figures. Smallest change that would have been found (80 % power):")
+        for c in changes:
+            part = 100 * c.detectable / abs(c.before) if c.before else float("nan")
+            console.print(
+                f"  {c.design}: {c.figure} {c.before:.4g} ± {c.detectable:.2g} ({part:.2g} %)", soft_wrap=True
+            )
+    elif action == "sensitivity":
+        _sensitivity(console, make(), held, false_alarm, threads, as_json)
+    else:
+        _trial(console, make, held, false_alarm, trials, threads, as_json)
+
+
+def _sensitivity(
+    console: Console, experiment: Experiment, held: Baseline, false_alarm: float, workers: int, as_json: bool
+) -> None:
+    import json
+
+    from insemu.evaluate.regression import smallest_detectable
+
+    found = {
+        d: smallest_detectable(experiment, held, d, false_alarm=false_alarm, workers=workers) for d in held.figures
+    }
+    if as_json:
+        typer.echo(json.dumps(found, indent=1))
+        return
+    console.print("Smallest change of what a filter believes that a check with other draws finds (80 % power):")
+    for design, parameters in found.items():
+        for name, change in parameters.items():
+            console.print(
+                f"  {design}: {name} {100 * change:.2g} %" if change < 1e3 else f"  {design}: {name} not seen"
+            )
+
+
+def _trial(
+    console: Console, make: object, held: Baseline, false_alarm: float, trials: int, workers: int, as_json: bool
+) -> None:
+    import json
+
+    from insemu.evaluate.regression import Alteration, trial
+
+    cases = [
+        None,
+        Alteration("gyro", "WN1.N", 1.2),
+        Alteration("gyro", "WN1.N", 0.8),
+        Alteration("gnss", "position", 1.2),
+        Alteration("gnss", "position", 0.8),
+    ]
+    found = trial(make, held, cases, trials, false_alarm=false_alarm, workers=workers)
+    if as_json:
+        typer.echo(json.dumps({"trials": trials, "reported": found}, indent=1))
+        return
+    for name, count in found.items():
+        console.print(f"{name}: reported in {count} of {trials} trials")

@@ -1,0 +1,188 @@
+"""``insemu select``: which noise model the data support."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from insemu.fit.selection import Ranking
+    from insemu.variance import WaveletVariance
+
+
+def command(
+    file: str = typer.Argument(..., metavar="FILE", help="Static log: .npz, .csv or .npy (columns with units)."),
+    general: str = typer.Option(
+        "4*GM() + WN() + RW() + QN()", "--general", "-g", help="Everything nested in this model is tried."
+    ),
+    candidates: list[str] | None = typer.Option(  # noqa: B008
+        None, "--candidate", help="Rank these models instead; may be repeated."
+    ),
+    robust: bool = typer.Option(False, "--robust", help="Use the wavelet variance that outliers cannot move."),
+    columns: list[str] | None = typer.Option(  # noqa: B008
+        None, "--column", "-c", help="Only this column (gx or gyro_x); may be repeated."
+    ),
+    held_out: list[str] | None = typer.Option(  # noqa: B008
+        None, "--held-out", help="Another log of the same sensor: how well the choice predicts it, scale by scale."
+    ),
+    rate: str = typer.Option("", "--rate", help='Sampling rate of a log that does not say it, for example "100 Hz".'),
+    skip: str = typer.Option(
+        "0 s", "--skip", help='Leave out the start of every record, for example "40 min" of warm-up.'
+    ),
+    rows: int = typer.Option(8, "--rows", min=1, help="Candidates to list per axis."),
+    workers: int | None = typer.Option(
+        None, "--workers", min=1, help="Work items at a time; default the number of cores."
+    ),
+    seed: int = typer.Option(0, "--seed", min=0, help="Seed of the draws on the page."),
+    out: str = typer.Option("", "--out", "-o", help="Write the chosen models as YAML that a scenario reads."),
+    page: str = typer.Option("", "--page", help="Write a page with figures (HTML)."),
+    as_json: bool = typer.Option(False, "--json", help="Print JSON on standard output instead of tables."),
+) -> None:
+    """Choose a noise model for every axis among all models nested in a general one."""
+    import json
+    import os
+
+    import numpy as np
+    from rich.console import Console
+
+    from insemu.cli.fit import read_static, write
+    from insemu.fit.selection import select_axes
+    from insemu.noise import NoiseModel
+
+    series = read_static(file, rate, columns, skip)
+    given = [NoiseModel.parse(c) for c in candidates] if candidates else None
+    rankings = select_axes(
+        series, NoiseModel.parse(general), candidates=given, robust=robust, workers=workers or os.cpu_count() or 1
+    )
+    console = Console(stderr=as_json)
+    checks: dict[str, dict[str, dict[str, Any]]] = {axis: {} for axis in rankings}
+    for other in held_out or []:
+        for s in read_static(other, rate, columns, skip):
+            if s.name in rankings:
+                from insemu.variance import wavelet_variance
+
+                checks[s.name][other] = prediction(rankings[s.name], wavelet_variance(s.values, s.rate_hz))
+    if as_json:
+        typer.echo(
+            json.dumps({"axes": {a: as_plain(r, checks[a]) for a, r in rankings.items()}}, indent=1, allow_nan=False)
+        )
+    else:
+        for axis, ranking in rankings.items():
+            show(console, ranking, rows)
+            for other, found in checks[axis].items():
+                show_prediction(console, axis, other, found)
+    results = {axis: r.fit for axis, r in rankings.items()}
+    write(results, out, "", console)
+    if page:
+        from insemu.report import render_fits
+
+        written = render_fits(results, page, series=series, rankings=rankings, rng=np.random.default_rng(seed))
+        console.print(f"page: {written}")
+
+
+def prediction(ranking: Ranking, curve: WaveletVariance) -> dict[str, Any]:
+    """How well the chosen model predicts another record, scale by scale."""
+    import numpy as np
+
+    from insemu.fit.covariance import model_covariance
+    from insemu.fit.selection import prediction_distance
+
+    model = ranking.fit.model
+    dt = 1.0 / curve.rate_hz
+    predicted = model.wavelet_variance(curve.scale_samples, dt)
+    spread = np.sqrt(np.diag(model_covariance(model, curve.n_samples, curve.scale_samples, dt)))
+    distance, error = prediction_distance(model, curve)
+    return {
+        "tau_s": curve.tau_s.tolist(),
+        "measured": curve.value.tolist(),
+        "predicted": predicted.tolist(),
+        "standard_deviations": ((curve.value - predicted) / spread).tolist(),
+        "mean_square": distance,
+        "mean_square_standard_error": error,
+    }
+
+
+def show_prediction(console: Console, axis: str, other: str, found: dict[str, Any]) -> None:
+    """One row per scale."""
+    from rich.table import Table
+
+    table = Table(title=f"{axis}: predicted for {other}", title_justify="left")
+    for heading in ("scale (s)", "measured (deviation)", "predicted", "measured / predicted", "in standard deviations"):
+        table.add_column(heading, justify="right")
+    for tau, measured, predicted, z in zip(
+        found["tau_s"], found["measured"], found["predicted"], found["standard_deviations"], strict=True
+    ):
+        table.add_row(
+            f"{tau:g}",
+            f"{measured**0.5:.4g}",
+            f"{predicted**0.5:.4g}",
+            f"{(measured / predicted) ** 0.5:.3f}",
+            f"{z:+.1f}",
+        )
+    console.print(table)
+    console.print(
+        f"mean square of the last column over scales with enough degrees of freedom: {found['mean_square']:.3g} "
+        f"(a true model has 1 ± {found['mean_square_standard_error']:.2g})",
+        highlight=False,
+    )
+
+
+def show(console: Console, ranking: Ranking, rows: int) -> None:
+    """The best candidates and the verdict, then the chosen fit."""
+    import math
+
+    from rich.table import Table
+
+    from insemu.cli.fit import show as show_fit
+
+    table = Table(title=f"{ranking.name}: {len(ranking.candidates)} candidates", title_justify="left")
+    for heading in ("model", "parameters", "criterion ± standard error", "distance", "p of the test of fit"):
+        table.add_column(heading, justify="left" if heading == "model" else "right")
+    listed = [c for c in ranking.candidates if not c.vanished][:rows]
+    if ranking.chosen not in listed:
+        listed.append(ranking.chosen)
+    for c in listed:
+        table.add_row(
+            str(c.structure),
+            str(c.parameters),
+            f"{c.criterion.value:.1f} ± {c.criterion.standard_error:.1f}",
+            f"{c.objective:.1f}",
+            f"{c.p_value:.2g}" if math.isfinite(c.p_value) else "–",
+            style="bold" if c is ranking.chosen else None,
+        )
+    console.print(table)
+    vanished = sum(c.vanished for c in ranking.candidates)
+    if vanished:
+        console.print(
+            f"{vanished} more had a part without variance, which makes them one of the smaller models", highlight=False
+        )
+    console.print(ranking.verdict, highlight=False)
+    show_fit(console, ranking.name, ranking.fit)
+
+
+def as_plain(ranking: Ranking, checks: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """For JSON: the chosen fit in the form of ``insemu fit``, the candidates, and the predictions."""
+    import math
+
+    out = ranking.fit.to_json()
+    out["verdict"] = ranking.verdict
+    out["discrepancy"] = ranking.discrepancy
+    out["candidates"] = [
+        {
+            "model": str(c.structure),
+            "parameters": c.parameters,
+            "criterion": c.criterion.value,
+            "criterion_standard_error": c.criterion.standard_error,
+            "distance": c.objective,
+            "p_value": c.p_value if math.isfinite(c.p_value) else None,
+            "vanished": c.vanished,
+            "chosen": c is ranking.chosen,
+        }
+        for c in ranking.candidates
+    ]
+    if checks:
+        out["held_out"] = checks
+    return out

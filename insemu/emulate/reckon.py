@@ -1,0 +1,111 @@
+"""Dead reckoning of a recording against its own reference."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from insemu import earth, rotation, strapdown
+from insemu.emulate.gnss import state_at
+from insemu.errors import InputError
+from insemu.records import ImuRecord, Recording, Trajectory
+
+
+@dataclass(frozen=True)
+class DeadReckoning:
+    """Figures of a dead reckoning, SI; errors are norms of the three components, over the epochs of the reference."""
+
+    max_position_error_m: float
+    final_position_error_m: float
+    max_velocity_error_m_s: float
+    max_attitude_error_rad: float
+    epochs_per_second: float
+    epochs: int
+    start_s: float
+    end_s: float
+    kind: str
+    gravity: str
+    source: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+
+def dead_reckon(recording: Recording, *, gravity: str = "normal") -> DeadReckoning:
+    """Navigate the IMU of a recording alone, from its reference at the first IMU epoch.
+
+    Parameters
+    ----------
+    recording : Recording
+        With a reference, which may be at another rate. Where it starts later than the IMU, so does the dead reckoning.
+    gravity : {"normal", "free_air_first_order"}
+        See :mod:`insemu.earth`.
+
+    Raises
+    ------
+    InputError
+        No reference, or one that does not overlap with the IMU.
+    """
+    reference, imu = recording.reference, recording.imu
+    if reference is None:
+        raise InputError(
+            "has no reference (ref_t, ref_llh, ref_vel_ned, ref_rpy_deg) to start from", where=recording.source
+        )
+    if len(reference) < 2:
+        raise InputError("has a reference of one epoch, expected at least two", where=recording.source)
+    inside = (imu.t >= reference.t[0] - 1e-9) & (imu.t <= reference.t[-1] + 1e-9)
+    if inside.sum() < 2:
+        raise InputError(
+            f"the IMU ({imu.t[0]:g} to {imu.t[-1]:g} s) and the reference ({reference.t[0]:g} to {reference.t[-1]:g} s) "
+            "do not overlap",
+            where=recording.source,
+        )
+    first = int(np.argmax(inside))
+    increments = imu.as_increments()
+    if first:
+        increments = _from(increments, first)
+    start = np.clip(increments.t[:1], reference.t[0], reference.t[-1])
+    llh, vel, q, _ = state_at(reference, start)
+    initial = np.concatenate([llh[0], vel[0], q[0]])
+    if start[0] == reference.t[0]:  # exactly the same start as the one that made the reference
+        initial[6:] = rotation.quaternion_from_rpy(reference.rpy[0])
+    strapdown.mechanize_array(replace(increments, **_head(increments)), initial, gravity=gravity)  # compile first
+    begin = time.perf_counter()
+    nav = strapdown.mechanize_array(increments, initial, gravity=gravity)
+    seconds = time.perf_counter() - begin
+    flown = strapdown.trajectory_of(increments.t, nav)
+    rows = (reference.t >= increments.t[0] - 1e-9) & (reference.t <= increments.t[-1] + 1e-9)
+    truth = Trajectory(reference.t[rows], reference.llh[rows], reference.vel_ned[rows], reference.rpy[rows])
+    if truth.t.shape == flown.t.shape and np.array_equal(truth.t, flown.t):
+        at, v, attitude = flown.llh, flown.vel_ned, nav[:, 6:10]
+    else:
+        at, v, attitude, _ = state_at(flown, truth.t)
+    position = np.linalg.norm(earth.position_difference(at, truth.llh), axis=1)
+    phi = rotation.vector_from_quaternion(
+        rotation.quaternion_product(attitude, rotation.quaternion_conjugate(rotation.quaternion_from_rpy(truth.rpy)))
+    )
+    return DeadReckoning(
+        max_position_error_m=float(position.max()),
+        final_position_error_m=float(position[-1]),
+        max_velocity_error_m_s=float(np.linalg.norm(v - truth.vel_ned, axis=1).max()),
+        max_attitude_error_rad=float(np.linalg.norm(phi, axis=1).max()),
+        epochs_per_second=float((len(increments) - 1) / seconds),
+        epochs=len(increments) - 1,
+        start_s=float(increments.t[0]),
+        end_s=float(increments.t[-1]),
+        kind=imu.kind,
+        gravity=gravity,
+        source=recording.source,
+    )
+
+
+def _from(imu: ImuRecord, first: int) -> ImuRecord:
+    return ImuRecord(imu.t[first:], imu.gyro[first:], imu.accel[first:], imu.kind)
+
+
+def _head(imu: ImuRecord) -> dict[str, Any]:
+    return {"t": imu.t[:2], "gyro": imu.gyro[:2], "accel": imu.accel[:2], "temperature": None}

@@ -1,0 +1,179 @@
+"""Where motion comes from: a built-in name, waypoints, a recorded track, or a motion command file; and track files."""
+
+from __future__ import annotations
+
+import csv
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu import units
+from insemu.emulate.commands import read_motion
+from insemu.emulate.flight import Flight
+from insemu.emulate.motion import Leg
+from insemu.emulate.track import SmoothedTrack, Track, smooth_track
+from insemu.emulate.trajectory import built_in
+from insemu.emulate.waypoints import read_waypoints, route
+from insemu.errors import InputError, nearest
+from insemu.formats import read_recording
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Source:
+    """A flight with what was said while it was made.
+
+    Parameters
+    ----------
+    flight : Flight
+        The path with its legs.
+    warnings : tuple of str
+        What looks odd about the input.
+    track : SmoothedTrack or None
+        Fixes and residuals, where the motion is a recorded track.
+    """
+
+    flight: Flight
+    warnings: tuple[str, ...] = ()
+    track: SmoothedTrack | None = None
+
+
+def load_flight(
+    *,
+    builtin: str | None = None,
+    waypoints: str | Path | None = None,
+    track: str | Path | None = None,
+    motion: str | Path | None = None,
+    vehicle: str = "car",
+    speed: float | None = None,
+    max_gap_s: float = 10.0,
+) -> Source:
+    """Load a flight from exactly one of its sources.
+
+    Parameters
+    ----------
+    builtin : str
+        Name of a built-in trajectory.
+    waypoints : path
+        CSV or GeoJSON; ``speed`` (m/s) where the file has none.
+    track : path
+        A recording (its GNSS fixes, else its reference) or a CSV (see :func:`read_track`).
+    motion : path
+        Motion command file (:mod:`insemu.emulate.commands`).
+    vehicle : str
+        For waypoints and tracks.
+    speed : float
+        For waypoints without speeds, m/s.
+    max_gap_s : float
+        Longest gap of a track that is bridged.
+    """
+    given = {"builtin": builtin, "waypoints": waypoints, "track": track, "motion": motion}
+    named = [name for name, value in given.items() if value is not None]
+    if len(named) != 1:
+        found = " and ".join(f"'{name}'" for name in named) or "none"
+        raise InputError(f"one source of motion is needed (builtin, waypoints, track or motion), found {found}")
+    if builtin is not None:
+        return Source(built_in(builtin))
+    if waypoints is not None:
+        made = route(read_waypoints(waypoints, speed), vehicle)
+        return Source(made.flight, made.warnings)
+    if motion is not None:
+        return Source(read_motion(motion))
+    assert track is not None
+    smoothed = smooth_track(read_track(track), vehicle, max_gap_s=max_gap_s)
+    path = smoothed.path
+    flight = Flight(path, vehicle, (Leg("track", path.start, path.end, False),))
+    return Source(flight, smoothed.warnings, smoothed)
+
+
+_COLUMNS = {
+    "t": ("t", "time"),
+    "lat": ("lat", "latitude"),
+    "lon": ("lon", "lng", "longitude"),
+    "height": ("height", "alt", "altitude", "h", "ele"),
+    "vn": ("vn", "vel_n", "v_north"),
+    "ve": ("ve", "vel_e", "v_east"),
+    "vd": ("vd", "vel_d", "v_down"),
+    "roll": ("roll",),
+    "pitch": ("pitch",),
+    "heading": ("heading", "yaw"),
+}
+_UNIT = {"t": "s", "lat": "rad", "lon": "rad", "height": "m", "vn": "m/s", "ve": "m/s", "vd": "m/s"} | {
+    name: "rad" for name in ("roll", "pitch", "heading")
+}
+_ASSUMED = {"t": "s", "height": "m", "vn": "m/s", "ve": "m/s", "vd": "m/s"} | {
+    name: "deg" for name in ("lat", "lon", "roll", "pitch", "heading")
+}
+
+
+def read_track(path: str | Path) -> Track:
+    """Read a recorded track.
+
+    Parameters
+    ----------
+    path : path
+        A recording (``.npz`` or folder): its GNSS fixes, else its reference as a full pose. Or a ``.csv`` with a
+        header that names ``t``, ``lat``, ``lon``, ``height`` and optionally ``vn, ve, vd`` and ``roll, pitch,
+        heading``, units in brackets (``height [ft]``).
+
+    Raises
+    ------
+    InputError
+        With file and line.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".csv":
+        recording = read_recording(path)
+        if recording.gnss is not None:
+            return Track.of(recording.gnss, path.stem)
+        if recording.reference is not None:
+            return Track.of(recording.reference, path.stem)
+        raise InputError("holds neither GNSS fixes nor a reference, so it has no track", where=str(path))
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except FileNotFoundError:
+        raise InputError("no such track file", where=str(path)) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot be read as text ({error})", where=str(path)) from None
+    rows = [(k + 1, row) for k, row in enumerate(csv.reader(lines)) if row and not row[0].startswith("#")]
+    if not rows:
+        raise InputError("empty, expected a header and fixes", where=str(path))
+    line, header = rows[0]
+    names = {alias: key for key, aliases in _COLUMNS.items() for alias in aliases}
+    columns: dict[str, tuple[int, float]] = {}
+    for k, cell in enumerate(header):
+        match = re.match(r"^\s*([A-Za-z_]+?)\s*(?:[\[(]\s*(.*?)\s*[\])])?\s*$", cell)
+        name = match.group(1).lower() if match else cell.strip().lower()
+        if name not in names:
+            raise InputError(f"unknown column '{cell.strip()}'" + nearest(name, names), where=f"{path}:{line}")
+        key = names[name]
+        try:
+            factor = units.conversion((match.group(2) if match else None) or _ASSUMED[key], _UNIT[key])
+        except InputError as error:
+            raise InputError(f"column '{cell.strip()}': {error.message}", where=f"{path}:{line}") from None
+        columns[key] = (k, factor)
+    missing = [key for key in ("t", "lat", "lon", "height") if key not in columns]
+    if missing:
+        raise InputError(f"no column for {', '.join(missing)}", where=f"{path}:{line}")
+    data = {key: np.empty(len(rows) - 1) for key in columns}
+    for n, (line, row) in enumerate(rows[1:]):
+        if len(row) != len(header):
+            raise InputError(f"{len(row)} cells, expected {len(header)}", where=f"{path}:{line}")
+        for key, (k, factor) in columns.items():
+            try:
+                data[key][n] = float(row[k]) * factor
+            except ValueError:
+                raise InputError(
+                    f"found '{row[k].strip()}' for {key}, expected a number", where=f"{path}:{line}"
+                ) from None
+
+    def block(keys: tuple[str, ...]) -> Array | None:
+        return np.column_stack([data[key] for key in keys]) if all(key in data for key in keys) else None
+
+    llh = block(("lat", "lon", "height"))
+    assert llh is not None
+    return Track(data["t"], llh, block(("vn", "ve", "vd")), block(("roll", "pitch", "heading")), name=f"{path}")

@@ -1,0 +1,341 @@
+"""Does a filter know its own error? NEES, NIS, whiteness, coverage and credibility, each with bounds and a verdict in words.
+
+Every test states its confidence. Where several are made together (epochs, states, components) the bounds are those of the family:
+Bonferroni's ``1 - (1 - confidence) / count`` each, so that a consistent filter passes all of them with the stated probability.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
+
+from insemu.errors import InputError
+from insemu.filters import FilterResult, FixTable
+
+Array = NDArray[np.float64]
+Word = Literal["consistent", "overconfident", "pessimistic", "correlated"]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One test: what was found, where it had to lie, and what that means.
+
+    Parameters
+    ----------
+    test, subject : str
+        For example ``NEES`` and ``position at 480 s``.
+    value, low, high : float
+        The statistic and its bounds.
+    confidence : float
+        Of the family that the test belongs to.
+    count : int
+        Samples behind the statistic.
+    word : str
+        ``consistent``; ``overconfident`` (errors larger than the filter says); ``pessimistic`` (smaller); ``correlated`` (innovations not white).
+    """
+
+    test: str
+    subject: str
+    value: float
+    low: float
+    high: float
+    confidence: float
+    count: int
+    word: Word
+
+    @property
+    def passed(self) -> bool:
+        """Whether the value lies in its bounds."""
+        return self.word == "consistent"
+
+    def __str__(self) -> str:
+        told = {
+            "consistent": "the filter knows its error",
+            "overconfident": "the filter is surer than it should be",
+            "pessimistic": "the filter is less sure than it could be",
+            "correlated": "innovations are not white: something is left to be modelled",
+        }[self.word]
+        return (
+            f"{self.test} of {self.subject}: {self.value:.4g}, expected {self.low:.4g} to {self.high:.4g} "
+            f"({100 * self.confidence:g} %, {self.count} samples): {self.word}, {told}"
+        )
+
+
+def _judge(
+    value: float, low: float, high: float, *, larger: Word = "overconfident", smaller: Word = "pessimistic"
+) -> Word:
+    if low <= value <= high:
+        return "consistent"
+    return larger if not value < low else smaller
+
+
+def nees(errors: ArrayLike, covariance: ArrayLike) -> Array:
+    """Normalised estimation error squared ``e' P^-1 e``.
+
+    Parameters
+    ----------
+    errors : (..., k) array_like
+        Estimate minus truth.
+    covariance : (..., k, k) array_like
+        What the filter says about them.
+
+    Returns
+    -------
+    (...) array
+        Chi-square with k degrees of freedom where the filter is right.
+
+    Raises
+    ------
+    InputError
+        Shapes that do not match, or a covariance that cannot be inverted.
+    """
+    e, P = np.asarray(errors, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
+    if P.shape[-2:] != (e.shape[-1],) * 2:
+        raise InputError(f"errors have shape {e.shape} and covariances {P.shape}, expected (..., k) and (..., k, k)")
+    sd = np.sqrt(np.einsum("...ii->...i", P))
+    if not (sd > 0).all():
+        raise InputError("a variance is not positive; leave states without uncertainty out of the NEES")
+    scaled = e / sd
+    correlation = P / (sd[..., :, None] * sd[..., None, :])
+    try:
+        return np.asarray(np.einsum("...i,...i->...", scaled, np.linalg.solve(correlation, scaled[..., None])[..., 0]))
+    except np.linalg.LinAlgError:
+        raise InputError("a covariance is singular; leave fully correlated states out of the NEES") from None
+
+
+def nees_test(
+    values: ArrayLike,
+    dof: int,
+    *,
+    subject: str = "navigation",
+    at: Sequence[float] | None = None,
+    confidence: float = 0.99,
+) -> list[Verdict]:
+    """Mean NEES over independent runs against its chi-square bounds, epoch by epoch.
+
+    Parameters
+    ----------
+    values : (runs, epochs) array_like
+        From :func:`nees`.
+    dof : int
+        States behind each value.
+    subject : str
+    at : sequence of float, optional
+        Epochs in s, for the text.
+    confidence : float
+        Of all epochs together.
+
+    Returns
+    -------
+    list of Verdict
+        One per epoch; values per degree of freedom.
+    """
+    v = np.atleast_2d(np.asarray(values, dtype=np.float64))
+    runs, epochs = v.shape
+    tail = 0.5 * (1.0 - confidence) / epochs
+    low, high = stats.chi2.ppf(tail, dof * runs) / (dof * runs), stats.chi2.isf(tail, dof * runs) / (dof * runs)
+    out = []
+    for k, mean in enumerate(v.mean(axis=0) / dof):
+        name = subject if at is None else f"{subject} at {at[k]:g} s"
+        out.append(Verdict("NEES/dof", name, float(mean), low, high, confidence, runs, _judge(mean, low, high)))
+    return out
+
+
+def nis_test(fixes: FixTable | Sequence[FixTable], *, confidence: float = 0.99) -> Verdict:
+    """Pooled normalised innovation squared of all accepted fixes, per degree of freedom, against its chi-square bounds.
+
+    A gate cuts the tail of the innovations and lowers the mean; a filter with a gate is judged by its :attr:`FixTable.rejected` too.
+    """
+    tables = [fixes] if isinstance(fixes, FixTable) else list(fixes)
+    total = sum(float(t.nis[t.accepted].sum()) for t in tables)
+    dof = sum(int(t.dof[t.accepted].sum()) for t in tables)
+    if dof == 0:
+        raise InputError("no accepted fix: there is no innovation to judge")
+    tail = 0.5 * (1.0 - confidence)
+    low, high = stats.chi2.ppf(tail, dof) / dof, stats.chi2.isf(tail, dof) / dof
+    return Verdict("NIS/dof", "innovations", total / dof, low, high, confidence, dof, _judge(total / dof, low, high))
+
+
+def normalised_innovations(fixes: FixTable) -> Array:
+    """Innovations of the fixes with all their usual components, made white by the Cholesky factor of S: (fixes, components).
+
+    Standard normal and independent, over components and over fixes, where the filter is right.
+    """
+    full = fixes.accepted & (fixes.dof == fixes.dof.max(initial=0))
+    if not full.any():
+        raise InputError("no accepted fix: there is no innovation to judge")
+    used = np.isfinite(fixes.innovation[full]).all(axis=0)
+    nu, S = fixes.innovation[full][:, used], fixes.S[full][:, used][:, :, used]
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(S), nu[..., None])[..., 0])
+
+
+def whiteness_test(fixes: FixTable | Sequence[FixTable], *, lags: int = 5, confidence: float = 0.99) -> list[Verdict]:
+    """Autocorrelation of the normalised innovations at lags 1 to ``lags`` fixes, pooled over components and runs.
+
+    Products of independent standard normals have mean 0 and variance 1, so the mean of N of them lies within z / sqrt(N).
+    """
+    tables = [fixes] if isinstance(fixes, FixTable) else list(fixes)
+    series = [normalised_innovations(t) for t in tables]
+    z = stats.norm.isf(0.5 * (1.0 - confidence) / lags)
+    out = []
+    for lag in range(1, lags + 1):
+        products = np.concatenate([(y[lag:] * y[:-lag]).ravel() for y in series])
+        if products.size == 0:
+            raise InputError(f"{max(len(y) for y in series)} fixes are too few for a lag of {lag}")
+        value, bound = float(products.mean()), z / math.sqrt(products.size)
+        word = _judge(value, -bound, bound, larger="correlated", smaller="correlated")
+        out.append(
+            Verdict("whiteness", f"innovations at lag {lag}", value, -bound, bound, confidence, products.size, word)
+        )
+    return out
+
+
+def coverage_test(
+    errors: ArrayLike, sigma: ArrayLike, *, names: Sequence[str], factor: float = 3.0, confidence: float = 0.99
+) -> list[Verdict]:
+    """Share of errors inside ``factor`` sigma, state by state, against binomial bounds around the Gaussian share.
+
+    Epochs of one run are correlated: as many samples count as would give the spread, over runs, of the share inside the errors' own rms.
+    (Rare events at ``factor`` sigma are correlated no more than those.)
+
+    Parameters
+    ----------
+    errors, sigma : (runs, epochs, states) array_like
+    names : sequence of str
+        One per state.
+    factor : float
+    confidence : float
+        Of all states together.
+    """
+    e, s = np.asarray(errors, dtype=np.float64), np.asarray(sigma, dtype=np.float64)
+    if e.ndim != 3 or e.shape != s.shape or e.shape[2] != len(names) or e.shape[0] < 2:
+        raise InputError(
+            f"errors have shape {e.shape} and sigma {s.shape}, expected (runs, epochs, {len(names)}) both, of two runs or more"
+        )
+    runs, epochs, _ = e.shape
+    expected = float(stats.chi2.cdf(factor**2, 1))
+    tail = 0.5 * (1.0 - confidence) / len(names)
+    share = (np.abs(e) <= factor * s).mean(axis=(0, 1))
+    inner = np.abs(e) <= np.sqrt(np.mean(e**2, axis=(0, 1)))
+    p = inner.mean(axis=(0, 1))
+    independent = p * (1.0 - p) / epochs
+    design = np.clip(inner.mean(axis=1).var(axis=0, ddof=1) / np.where(independent > 0, independent, 1.0), 1.0, epochs)
+    out = []
+    for i, name in enumerate(names):
+        count = round(runs * epochs / float(design[i]))
+        low, high = stats.binom.ppf(tail, count, expected) / count, stats.binom.isf(tail, count, expected) / count
+        word = _judge(float(share[i]), low, high, larger="pessimistic", smaller="overconfident")
+        out.append(Verdict(f"{factor:g}-sigma coverage", name, float(share[i]), low, high, confidence, count, word))
+    return out
+
+
+def pooled_coverage(
+    errors: ArrayLike, sigma: ArrayLike, *, factor: float = 3.0, confidence: float = 0.95, rng: np.random.Generator
+) -> tuple[float, float, float]:
+    """Share of all epochs and states inside ``factor`` sigma, with a bootstrap interval over runs: ``(share, low, high)``."""
+    share = (np.abs(np.asarray(errors)) <= factor * np.asarray(sigma)).mean(axis=(1, 2))
+    means = share[rng.integers(0, share.size, (4000, share.size))].mean(axis=1)
+    low, high = np.quantile(means, [0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence])
+    return float(share.mean()), float(low), float(high)
+
+
+@dataclass(frozen=True)
+class Credibility:
+    """How far the filter's covariance is from the actual one (Li and Zhao 2006), in decibels.
+
+    Parameters
+    ----------
+    index : float
+        Non-credibility index: mean over samples of ``|10 log10(NEES / NEES with the actual mean-square error)|``; 0 is credible.
+    inclination : float
+        The same without the modulus: positive for an overconfident filter, negative for a pessimistic one.
+    """
+
+    index: float
+    inclination: float
+
+    def __str__(self) -> str:
+        lean = "credible" if self.index < 1.0 else "overconfident" if self.inclination > 0 else "pessimistic"
+        return f"non-credibility {self.index:.2f} dB, inclination {self.inclination:+.2f} dB: {lean}"
+
+
+def credibility(errors: ArrayLike, covariance: ArrayLike) -> Credibility:
+    """Credibility of ``covariance`` (runs, epochs, k, k) for ``errors`` (runs, epochs, k): at least 2 k runs are needed.
+
+    Raises
+    ------
+    InputError
+        Fewer runs than twice the states.
+    """
+    e, P = np.asarray(errors, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
+    runs, _, k = e.shape
+    if runs < 2 * k:
+        raise InputError(f"{runs} runs do not tell the actual covariance of {k} states, expected at least {2 * k}")
+    actual = np.einsum("rti,rtj->tij", e, e) / runs
+    ratio = 10.0 * np.log10(nees(e, P) / nees(e, np.broadcast_to(actual, P.shape)))
+    return Credibility(float(np.abs(ratio).mean()), float(ratio.mean()))
+
+
+def observability(result: FilterResult, prior: ArrayLike) -> Array:
+    """Share of each state's own variance that the fixes have removed, over time: 0 unobserved, 1 known.
+
+    Parameters
+    ----------
+    result : FilterResult
+    prior : (o, n) array_like
+        Standard deviations that the states would have without any fix, for example ``sigma`` of the same filter run with ``gnss=None``.
+
+    Returns
+    -------
+    (o, n) array
+        ``1 - sigma^2 / prior^2``; NaN for states without prior uncertainty.
+    """
+    p = np.asarray(prior, dtype=np.float64)
+    if p.shape != result.sigma.shape:
+        raise InputError(f"the prior has shape {p.shape}, expected {result.sigma.shape} as the result")
+    return np.asarray(1.0 - np.divide(result.sigma, p, out=np.full_like(p, np.nan), where=p > 0) ** 2)
+
+
+def consistency_report(
+    errors: ArrayLike,
+    covariance: ArrayLike,
+    fixes: Sequence[FixTable],
+    *,
+    at: Sequence[float],
+    groups: dict[str, slice] | None = None,
+    confidence: float = 0.99,
+) -> list[Verdict]:
+    """All tests of many independent runs of one design.
+
+    Parameters
+    ----------
+    errors : (runs, epochs, k) array_like
+    covariance : (runs, epochs, k, k) array_like
+    fixes : sequence of FixTable
+        One per run.
+    at : sequence of float
+        The epochs, s.
+    groups : mapping of name to slice, optional
+        States judged together by NEES; position, velocity and attitude unless given.
+    confidence : float
+        Of each kind of test.
+    """
+    e, P = np.asarray(errors, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
+    groups = groups or {"position": slice(0, 3), "velocity": slice(3, 6), "attitude": slice(6, 9)}
+    each = 1.0 - (1.0 - confidence) / len(groups)
+    out: list[Verdict] = []
+    for name, s in groups.items():
+        values = nees(e[..., s], P[..., s, s])
+        out += nees_test(values, e[..., s].shape[-1], subject=name, at=at, confidence=each)
+    out.append(nis_test(fixes, confidence=confidence))
+    out += whiteness_test(fixes, confidence=confidence)
+    names = [f"{name} {i + 1}" for name, s in groups.items() for i in range(s.stop - s.start)]
+    index = np.concatenate([np.arange(s.start, s.stop) for s in groups.values()])
+    sigma = np.sqrt(np.einsum("rtii->rti", P))
+    return out + coverage_test(e[..., index], sigma[..., index], names=names, confidence=confidence)

@@ -1,0 +1,211 @@
+"""A recorded drive or flight as the world of an experiment: outages cut in, errors against a reference or the withheld fixes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu import earth, rotation
+from insemu.emulate import Outage
+from insemu.emulate.gnss import antenna, state_at
+from insemu.errors import InputError
+from insemu.evaluate.errors import navigation_error
+from insemu.evaluate.world import Scored, covariance_at, input_files, nearest_rows
+from insemu.filters import FilterResult, InitialSigma, Standstill
+from insemu.filters.alignment import Alignment, align, rests
+from insemu.formats import read_recording
+from insemu.records import GnssRecord, ImuRecord, Recording, Trajectory
+from insemu.scenario import OutageWindow, Scenario
+from insemu.strapdown import NavState
+
+Array = NDArray[np.float64]
+
+
+class RecordedWorld:
+    """The recorded side of a scenario.
+
+    Errors are against the recording's reference where it has one (``dependent`` or not, the scenario's notes say), else against the fixes:
+    during an outage against those that were withheld, at the antenna. Attitude errors are NaN then.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        With a recording.
+    file : path, optional
+        Where it was read from.
+
+    Raises
+    ------
+    InputError
+        No GNSS, an outage outside the recording, or no way to start.
+    """
+
+    def __init__(self, scenario: Scenario, file: str | Path | None = None) -> None:
+        assert scenario.recording is not None
+        self.scenario, self.file, self.source = scenario, file, scenario.recording
+        self.files = input_files(scenario, file)
+        self.path_distance_m = 0.0
+        self.warnings: tuple[str, ...] = ()
+        recording = read_recording(self.files[self.source.file])
+        if recording.gnss is None:
+            raise InputError("has no GNSS fixes, which the designs need", where=self.source.file)
+        C = rotation.dcm_from_rpy(self.source.mounting)
+        imu = replace(recording.imu, t=recording.imu.t - self.source.imu_time_offset)
+        keep = np.ones(len(imu), dtype=bool)
+        if self.source.start is not None:
+            keep &= imu.t >= self.source.start
+        if self.source.end is not None:
+            keep &= imu.t <= self.source.end
+        if keep.sum() < 2:
+            raise InputError("the span from start to end holds no IMU data", where=f"{file or 'scenario'}: recording")
+        self.vehicle_imu = replace(
+            imu,
+            t=imu.t[keep],
+            gyro=imu.gyro[keep] @ C.T,
+            accel=imu.accel[keep] @ C.T,
+            temperature=None if imu.temperature is None else imu.temperature[keep],
+        )
+        gnss = recording.gnss
+        inside = (gnss.t >= self.vehicle_imu.t[0]) & (gnss.t <= self.vehicle_imu.t[-1])
+        inside &= np.isfinite(gnss.llh).all(axis=1)
+        if inside.sum() < 2:
+            raise InputError("has no GNSS fixes within its IMU data", where=self.source.file)
+        self.gnss = self._with_sigmas(_rows(gnss, inside))
+        self.reference = recording.reference
+
+    def _with_sigmas(self, gnss: GnssRecord) -> GnssRecord:
+        """Standard deviations of the receiver where it states them, else the scenario's."""
+        g = self.scenario.gnss
+        n = len(gnss)
+        position = gnss.pos_std_ned if gnss.pos_std_ned is not None else np.tile(g.position_sigma, (n, 1))
+        velocity = gnss.vel_std_ned
+        if velocity is None and gnss.vel_ned is not None and g.velocity_sigma is not None:
+            velocity = np.tile(g.velocity_sigma, (n, 1))
+        return replace(gnss, pos_std_ned=position, vel_std_ned=velocity)
+
+    @cached_property
+    def alignment(self) -> Alignment:
+        """Where the filters start."""
+        return align(self.vehicle_imu, self.gnss, gravity=self.source.gravity)
+
+    @property
+    def rate_hz(self) -> float:
+        """Nominal IMU rate."""
+        return 1.0 / self.vehicle_imu.dt
+
+    @property
+    def gravity(self) -> str:
+        """Gravity model of the filters."""
+        return self.source.gravity
+
+    @cached_property
+    def standstill(self) -> Standstill | None:
+        """Rests that GNSS shows outside the outages, where the scenario asks for zero-velocity updates."""
+        if not self.source.zero_velocity_updates:
+            return None
+        clear = [
+            (a, b)
+            for a, b in rests(self.vehicle_imu, self.gnss)
+            if a >= self.alignment.t and not any(s < b and a < s + d for s, d in self.outage_windows)
+        ]
+        return Standstill(clear) if clear else None
+
+    @cached_property
+    def outage_windows(self) -> list[tuple[float, float]]:
+        """Outages as (start_s, duration_s) on the recording's clock."""
+        out = []
+        for k, given in enumerate(self.scenario.gnss.outages):
+            assert isinstance(given, OutageWindow)
+            end = given.start + given.duration
+            if given.start < self.gnss.t[0] or end > self.gnss.t[-1]:
+                raise InputError(
+                    f"outage {k + 1} from {given.start:g} to {end:g} s is not inside the fixes "
+                    f"({self.gnss.t[0]:g} to {self.gnss.t[-1]:g} s)",
+                    where=f"{self.file or 'scenario'}: gnss.outages.{k}",
+                )
+            out.append((given.start, given.duration))
+        return sorted(out)
+
+    def recording(self, realization: int) -> Recording:
+        """The IMU from the start of the filters, in vehicle axes, the bias at rest taken off; and the fixes that the outages leave."""
+        gnss = self.gnss
+        if self.scenario.gnss.velocity_sigma is None:  # not to be believed, for example because it is late
+            gnss = replace(gnss, vel_ned=None, vel_std_ned=None)
+        withheld = np.zeros(len(gnss), dtype=bool)
+        for start, duration in self.outage_windows:
+            withheld |= Outage(start, duration).covers(gnss.t)
+        kept = _rows(gnss, (gnss.t > self.alignment.t) & ~withheld)
+        return Recording(self.alignment.apply(self.vehicle_imu), kept, self.reference, self.source.file)
+
+    def start(self, realization: int, imu: ImuRecord) -> tuple[NavState, InitialSigma]:
+        """Where alignment says that the vehicle is."""
+        return self.alignment.state, self.alignment.sigma
+
+    @cached_property
+    def output_times(self) -> Array:
+        """Epochs of the reference, at most four a second, or of the fixes."""
+        if self.reference is None:
+            return self.gnss.t[self.gnss.t > self.alignment.t]
+        t = self.reference.t
+        t = t[(t > self.alignment.t) & (t <= self.vehicle_imu.t[-1])]
+        step = max(1, round(0.25 / float(np.median(np.diff(t)))))
+        return t[::step]
+
+    @cached_property
+    def truth_at_outputs(self) -> Trajectory:
+        """The reference at the output epochs; of fixes alone the antenna's way, without attitude."""
+        t = self.output_times
+        if self.reference is not None:
+            llh, vel, q, _ = state_at(self.reference, t)
+            return Trajectory(t, llh, vel, rotation.rpy_from_quaternion(q), self.reference.name)
+        k = np.searchsorted(self.gnss.t, t)
+        vel = self.gnss.vel_ned[k] if self.gnss.vel_ned is not None else np.zeros((t.size, 3))
+        return Trajectory(t, self.gnss.llh[k], np.nan_to_num(vel), np.zeros((t.size, 3)), "fixes")
+
+    def rows(self, imu: ImuRecord, every: int) -> NDArray[np.intp]:
+        """Rows of the record nearest the output epochs."""
+        return nearest_rows(imu.t, self.output_times, every)
+
+    def score(self, run: FilterResult, times: Array) -> Scored:
+        """Errors of a run at the output epochs, with the covariance of what it is compared with added."""
+        t = self.output_times
+        at = np.searchsorted(run.t, times - 1e-9)
+        whole = Trajectory(run.t, run.nav[:, 0:3], run.nav[:, 3:6], rotation.rpy_from_quaternion(run.nav[:, 6:10]))
+        P = covariance_at(run, times)
+        sigma = run.sigma[at, :9].copy()
+        if self.reference is not None:
+            llh, vel, q, _ = state_at(whole, np.clip(t, whole.t[0], whole.t[-1]))
+            estimate = Trajectory(t, llh, vel, rotation.rpy_from_quaternion(q))
+            error = navigation_error(estimate, self.truth_at_outputs)
+            nees = np.einsum("ti,ti->t", error, np.linalg.solve(P, error[..., None])[..., 0])
+            return Scored(error, sigma, nees)
+        fixes = _rows(self.gnss, np.isin(self.gnss.t, t))
+        llh, vel = antenna(whole, np.clip(t, whole.t[0], whole.t[-1]), self.scenario.gnss.lever_arm)
+        error = np.full((t.size, 9), np.nan)
+        error[:, :3] = earth.position_difference(llh, fixes.llh)
+        used = 3
+        R = np.zeros((t.size, 6))
+        assert fixes.pos_std_ned is not None
+        R[:, :3] = fixes.pos_std_ned**2
+        believed = self.scenario.gnss.velocity_sigma is not None
+        if believed and fixes.vel_ned is not None and fixes.vel_std_ned is not None:
+            error[:, 3:6] = vel - fixes.vel_ned
+            R[:, 3:6] = fixes.vel_std_ned**2
+            used = 6
+        S = P[:, :used, :used] + np.eye(used) * R[:, None, :used]
+        sigma[:, :used] = np.sqrt(np.diagonal(S, axis1=1, axis2=2))
+        e = np.nan_to_num(error[:, :used])
+        # scaled so that a consistent filter has 9, as with nine compared states
+        nees = np.einsum("ti,ti->t", e, np.linalg.solve(S, e[..., None])[..., 0]) * 9.0 / used
+        return Scored(error, sigma, nees)
+
+
+def _rows(gnss: GnssRecord, keep: NDArray[np.bool_]) -> GnssRecord:
+    def cut(values: Array | None) -> Array | None:
+        return None if values is None else values[keep]
+
+    return GnssRecord(gnss.t[keep], gnss.llh[keep], cut(gnss.vel_ned), cut(gnss.pos_std_ned), cut(gnss.vel_std_ned))

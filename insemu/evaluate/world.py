@@ -1,0 +1,372 @@
+"""What really happens in a scenario: motion, ideal signals, true errors, fixes; and how far a filter's run is from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from threading import Lock
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu import earth, rotation
+from insemu.emulate import (
+    AreaOutage,
+    Mounting,
+    Outage,
+    RecordedErrors,
+    TemperatureProfile,
+    corrupt,
+    gnss_fixes,
+    ideal_imu,
+    load_flight,
+    random_outages,
+)
+from insemu.emulate.gnss import state_at
+from insemu.emulate.pieces import ErrorPieces, recorded_pieces, simulated_pieces
+from insemu.errors import InputError
+from insemu.evaluate.errors import navigation_error
+from insemu.filters import FilterResult, InitialSigma, Standstill
+from insemu.formats import read_recording, read_static
+from insemu.noise import axis_unit
+from insemu.records import AXES, ImuRecord, Recording, Series, Trajectory
+from insemu.scenario import AxisSource, RecordedSignal, Scenario, resolve_path
+from insemu.strapdown import NavState
+
+Array = NDArray[np.float64]
+
+#: Streams of randomness; each gets children of the scenario's seed by (stream, realization or record, axis).
+_STREAMS = {"truth": 0, "gnss": 1, "initial": 2, "fits": 3, "effects": 4, "outages": 5}
+
+
+#: Interval of the epochs at which errors are evaluated, s.
+OUTPUT_INTERVAL = 1.0
+
+
+def stream(seed: int, name: str, *index: int) -> np.random.Generator:
+    """The generator of one stream, for example ``stream(seed, "truth", record, axis)``: the same alone or among 1000."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAMS[name], *index)))
+
+
+def input_files(scenario: Scenario, file: str | Path | None) -> dict[str, Path]:
+    """Every file that the scenario names, by the name it uses.
+
+    Raises
+    ------
+    InputError
+        One of them does not exist.
+    """
+    names: list[str] = []
+    for recorded in (
+        scenario.truth.recorded if scenario.truth else None,
+        scenario.fits.recorded if scenario.fits else None,
+    ):
+        names += list(recorded.files) if recorded else []
+    if scenario.recording is not None:
+        names.append(scenario.recording.file)
+    if scenario.trajectory is not None:
+        source = scenario.trajectory
+        names += [name for name in (source.waypoints, source.track, source.motion) if name is not None]
+    for design in scenario.designs.values():
+        names += [s.file for s in design.sources().values() if isinstance(s, AxisSource) and s.file]
+    return {name: resolve_path(name, file) for name in dict.fromkeys(names)}
+
+
+def static_logs(recorded: RecordedSignal, files: Mapping[str, Path]) -> list[dict[str, Series]]:
+    """The six axes of every static log, warm-up left out."""
+    if recorded.spans:
+        return [log for name in recorded.files for log in _stretches(read_recording(files[name]), recorded.spans, name)]
+    out = []
+    for name in recorded.files:
+        by_axis = {s.name: s for s in read_static(files[name])}
+        missing = [axis for axis in AXES if axis not in by_axis]
+        if missing:
+            raise InputError(f"no column for {', '.join(missing)}", where=name)
+        cut = {}
+        for axis in AXES:
+            s = by_axis[axis]
+            start = round(recorded.skip * s.rate_hz)
+            if start >= len(s):
+                raise InputError(
+                    f"the warm-up of {recorded.skip:g} s is longer than the record of {len(s) / s.rate_hz:g} s",
+                    where=name,
+                )
+            cut[axis] = Series(s.values[start:], s.rate_hz, s.unit, axis)
+        out.append(cut)
+    return out
+
+
+def _stretches(recording: Recording, spans: Sequence[tuple[float, float]], name: str) -> list[dict[str, Series]]:
+    """Stretches of a recording as static logs; samples are taken as evenly spaced at their mean rate."""
+    imu = recording.imu
+    if imu.kind == "increment":
+        raise InputError("holds increments, expected samples or means to fit noise to", where=name)
+    out = []
+    for start, end in spans:
+        rows = (imu.t >= start) & (imu.t <= end)
+        if rows.sum() < 100:
+            raise InputError(
+                f"the stretch from {start:g} to {end:g} s has {int(rows.sum())} samples, expected at least 100",
+                where=name,
+            )
+        rate = float(rows.sum() - 1) / float(np.ptp(imu.t[rows]))
+        both = np.concatenate([imu.gyro[rows], imu.accel[rows]], axis=1)
+        out.append({axis: Series(both[:, k], rate, axis_unit(axis), axis) for k, axis in enumerate(AXES)})
+    return out
+
+
+class World:
+    """The emulated side of a scenario.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    file : path, optional
+        Where it was read from; paths in it are relative to that file, and messages name it.
+
+    Attributes
+    ----------
+    flight : Flight
+        The requested path with its legs; ``track`` where it is a recorded one, ``warnings`` about it.
+    reference : Trajectory
+        True position, velocity and attitude of the IMU at the rows of ``imu``.
+    imu : ImuRecord
+        Ideal signals.
+    path_distance_m : float
+        Largest distance between the reference and the requested path.
+
+    Raises
+    ------
+    InputError
+        Missing or unusable input, an outage beyond the end, a signal shorter than the flight.
+    """
+
+    def __init__(self, scenario: Scenario, file: str | Path | None = None) -> None:
+        self.scenario, self.file = scenario, file
+        self.files = input_files(scenario, file)
+        if scenario.trajectory is None or scenario.truth is None:
+            raise InputError("there is nothing to emulate: the scenario has a recording", where=str(file or "scenario"))
+        self.source, self.truth = scenario.trajectory, scenario.truth
+        source = self.source
+        loaded = load_flight(
+            builtin=source.builtin,
+            waypoints=self.files[source.waypoints] if source.waypoints else None,
+            track=self.files[source.track] if source.track else None,
+            motion=self.files[source.motion] if source.motion else None,
+            vehicle=source.vehicle,
+            speed=source.speed,
+            max_gap_s=source.max_gap,
+        )
+        self.flight, self.track, self.warnings = loaded.flight, loaded.track, loaded.warnings
+        path = self.flight.path
+        ideal = ideal_imu(
+            path,
+            source.rate,
+            mode=source.mode,
+            kind=source.kind,
+            gravity=source.gravity,
+            mounting=None if source.mounting is None else Mounting(source.mounting.lever_arm, source.mounting.rpy),
+            span=None if source.duration is None else (path.start, min(path.end, path.start + source.duration)),
+        )
+        self.reference: Trajectory = ideal.reference
+        self.imu: ImuRecord = ideal.imu
+        self.path_distance_m: float = ideal.path_distance_m
+        self._lock = Lock()
+        count = self.pieces.count
+        if count is not None and scenario.realizations > count:
+            raise InputError(
+                f"{scenario.realizations} realizations of {self.duration_s:g} s asked for, but the recorded signals hold "
+                f"{count} non-overlapping pieces of that length",
+                where=f"{self._name}: truth.recorded",
+            )
+
+    @property
+    def _name(self) -> str:
+        return str(self.file or "scenario")
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the trajectory, s."""
+        return float(self.reference.t[-1] - self.reference.t[0])
+
+    @cached_property
+    def outages(self) -> list[Outage | AreaOutage]:
+        """When and where there is no GNSS, the same in every realization."""
+        gnss = self.scenario.gnss
+        start, end = float(self.reference.t[0]), float(self.reference.t[-1])
+        for k, given in enumerate(gnss.outages):
+            if given.start + given.duration > end - start + 1e-9:
+                raise InputError(
+                    f"outage {k + 1} ends at {given.start + given.duration:g} s, but the trajectory ends at {end - start:g} s",
+                    where=f"{self._name}: gnss.outages.{k}",
+                )
+        out: list[Outage | AreaOutage] = [Outage(start + o.start, o.duration) for o in gnss.outages]
+        out += [AreaOutage(a.latitude, a.longitude, a.radius) for a in gnss.areas]
+        if gnss.random_outages is not None:
+            drawn = gnss.random_outages
+            rng = stream(self.scenario.seed, "outages")
+            out += random_outages(start, end, per_hour=drawn.per_hour, mean_s=drawn.mean, clear_s=drawn.clear, rng=rng)
+        return out
+
+    @cached_property
+    def outage_windows(self) -> list[tuple[float, float]]:
+        """Every outage as (start_s, duration_s) on the trajectory's clock; an area gives one for each passage."""
+        windows: list[tuple[float, float]] = []
+        for outage in self.outages:
+            if isinstance(outage, Outage):
+                windows.append((outage.start_s, outage.duration_s))
+                continue
+            inside = np.concatenate([[0], outage.covers(self.reference.llh).astype(np.int8), [0]])
+            edges = np.flatnonzero(np.diff(inside)).reshape(-1, 2)
+            windows += [
+                (float(self.reference.t[a]), float(self.reference.t[b - 1] - self.reference.t[a])) for a, b in edges
+            ]
+        return sorted(windows)
+
+    @cached_property
+    def pieces(self) -> ErrorPieces:
+        """The source of true stochastic errors, one piece a realization."""
+        truth, n, rate = self.truth, len(self.reference), self.source.rate
+        if truth.recorded is not None:
+            records = [
+                RecordedErrors(
+                    np.stack([log[axis].values for axis in AXES], axis=1),
+                    log["gyro_x"].rate_hz,
+                    truth.recorded.remove_mean,
+                    name=name,
+                )
+                for name, log in zip(truth.recorded.files, static_logs(truth.recorded, self.files), strict=True)
+            ]
+            return recorded_pieces(records, n, rate)
+        seed = self.scenario.seed
+        return simulated_pieces(
+            truth.models(), n, rate, record_s=truth.record, rng=lambda record, axis: stream(seed, "truth", record, axis)
+        )
+
+    def recording(self, realization: int, *, ideal: bool = False) -> Recording:
+        """What the sensors give in one realization, with the reference.
+
+        Parameters
+        ----------
+        realization : int
+            The same alone or among 1000.
+        ideal : bool
+            Perfect sensors instead: no errors on the IMU or the fixes, the outages kept.
+        """
+        s = self.scenario
+        uses = () if ideal else self.truth.uses()
+        imu = self.imu
+        if not ideal:
+            with self._lock:  # a simulated record serves many pieces; one thread draws it
+                errors = self.pieces.piece(realization)
+            temperature = self.truth.temperature
+            imu = corrupt(
+                self.imu,
+                None,
+                stream(s.seed, "effects", realization),
+                effects=uses,
+                reference=self.reference,
+                temperature=None if temperature is None else TemperatureProfile(temperature.t, temperature.degc),
+                errors=errors,
+            ).imu
+        velocity = s.gnss.velocity_sigma
+        fixes = gnss_fixes(
+            self.reference,
+            rate_hz=s.gnss.rate,
+            pos_sigma_ned=(0.0, 0.0, 0.0) if ideal else s.gnss.position_sigma,
+            vel_sigma_ned=(0.0, 0.0, 0.0) if ideal and velocity is not None else velocity,
+            lever_arm=s.gnss.lever_arm,
+            outages=self.outages,
+            rng=stream(s.seed, "gnss", realization),
+            effects=uses,
+        )
+        return Recording(imu, fixes, self.reference, f"{self.flight.name}, realization {realization}")
+
+    @property
+    def rate_hz(self) -> float:
+        """IMU rate."""
+        return self.source.rate
+
+    @property
+    def standstill(self) -> Standstill | None:
+        """Known rests that are fed to the filters: none in an emulated flight."""
+        return None
+
+    @property
+    def gravity(self) -> str:
+        """Gravity model that emulator and filters share."""
+        return self.source.gravity
+
+    @cached_property
+    def output_times(self) -> Array:
+        """Epochs at which errors are evaluated: every second, and the end of every outage."""
+        t = self.reference.t
+        every = np.arange(t[0], t[-1] + 1e-9, OUTPUT_INTERVAL)
+        ends = [start + duration for start, duration in self.outage_windows]
+        return t[np.unique(np.clip(np.searchsorted(t, np.concatenate([every, ends]) - 1e-6), 0, t.size - 1))]
+
+    @cached_property
+    def truth_at_outputs(self) -> Trajectory:
+        """The reference at the output epochs."""
+        r = self.reference
+        k = np.searchsorted(r.t, self.output_times)
+        return Trajectory(r.t[k], r.llh[k], r.vel_ned[k], r.rpy[k], r.name)
+
+    def start(self, realization: int, imu: ImuRecord) -> tuple[NavState, InitialSigma]:
+        """The filter's start: the truth moved by a draw from the sigmas that the filter believes."""
+        i = self.scenario.initial
+        attitude = (i.tilt_sigma, i.tilt_sigma, i.heading_sigma)
+        draw = stream(self.scenario.seed, "initial", realization).standard_normal(9)
+        start = NavState.of(self.reference)
+        moved = NavState(
+            earth.move(start.llh, draw[:3] * np.array(i.position_sigma)),
+            start.vel_ned + draw[3:6] * np.array(i.velocity_sigma),
+            start.rpy + draw[6:9] * np.array(attitude),
+        )
+        return moved, InitialSigma(position=i.position_sigma, velocity=i.velocity_sigma, attitude=attitude)
+
+    def rows(self, imu: ImuRecord, every: int) -> NDArray[np.intp]:
+        """Rows of a record (multiples of ``every``) nearest the output epochs."""
+        return nearest_rows(imu.t, self.output_times, every)
+
+    def score(self, run: FilterResult, times: Array) -> Scored:
+        """Errors of a run at some of its epochs.
+
+        Time offsets, jitter and dropped samples move the stamps; the filter's estimate belongs to the stamp.
+        """
+        truth = self.truth_at_outputs
+        if not np.array_equal(times, truth.t):
+            at = np.clip(times, self.reference.t[0], self.reference.t[-1])
+            llh, vel, q, _ = state_at(self.reference, at)
+            truth = Trajectory(times, llh, vel, rotation.rpy_from_quaternion(q), self.reference.name)
+        at_rows = np.searchsorted(run.t, times - 1e-9)
+        nav = run.nav[at_rows]
+        estimate = Trajectory(times, nav[:, 0:3], nav[:, 3:6], rotation.rpy_from_quaternion(nav[:, 6:10]))
+        error = navigation_error(estimate, truth)
+        covariance = covariance_at(run, times)
+        nees = np.einsum("ti,ti->t", error, np.linalg.solve(covariance, error[..., None])[..., 0])
+        return Scored(error, run.sigma[at_rows, :9], nees)
+
+
+@dataclass(frozen=True)
+class Scored:
+    """Errors (n, 9), stated standard deviations (n, 9) and NEES (n,) of a run at the output epochs."""
+
+    error: Array
+    sigma: Array
+    nees: Array
+
+
+def nearest_rows(t: Array, want: Array, every: int) -> NDArray[np.intp]:
+    """Rows of ``t``, multiples of ``every``, nearest to the times ``want``."""
+    right = np.clip(np.searchsorted(t, want), 1, t.size - 1)
+    rows = np.where(np.abs(t[right - 1] - want) < np.abs(t[right] - want), right - 1, right)
+    return np.minimum(np.round(rows / every).astype(np.intp) * every, (t.size - 1) // every * every)
+
+
+def covariance_at(run: FilterResult, times: Array) -> Array:
+    """Covariance (n, 9, 9) of the navigation errors at times for which it was kept."""
+    kept = np.searchsorted(run.covariance_t, times - 1e-9)
+    return run.covariance[np.minimum(kept, len(run.covariance) - 1), :9, :9]

@@ -1,0 +1,431 @@
+"""Maximum likelihood of the integrated signal (paper 002): angles and velocities instead of rates and accelerations.
+
+Weak slow parts are buried in white noise sample by sample, but rule the integral. So the parameters are found from the increments of the
+integrated signal over intervals much longer than a sample, whose likelihood is that of a small Kalman filter (equations (12)-(19)).
+
+The paper discretises a continuous model over every interval by a balanced matrix exponential. Here the state block of the samples is taken
+to the power of the samples summed, by repeated squaring: exact for sums of samples, for every process that has a state block, with nothing
+to balance (the continuous limit is what :func:`continuous_transition` gives, and a test holds the two together).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import linalg, optimize
+
+from insemu.errors import InputError
+from insemu.fit import _integrated_kernel
+from insemu.fit.coordinates import Coordinates
+from insemu.fit.gmwm import fit_curve
+from insemu.fit.result import FitResult, estimates
+from insemu.noise import BI, DR, GM, RC, SIN, NoiseModel, StateBlock
+from insemu.records import Series
+from insemu.variance import WaveletVariance, stream_wavelet_variance, wavelet_variance
+
+Array = NDArray[np.float64]
+Pattern = Literal["uniform", "log"]
+
+#: Intervals of the uniform pattern: the standard deviation of a white-noise density is 1 / sqrt(2 n), here 0.2 %.
+UNIFORM = 131072
+#: Records longer than this many samples are gone through in pieces.
+LARGE = 1 << 25
+PIECE = 1 << 20
+#: Points of the logarithmic pattern, as in paper 002.
+LOGARITHMIC = 1000
+
+
+def continuous_transition(F: Array, GQG: Array, interval: float) -> tuple[Array, Array]:
+    """Transition and driving covariance of ``x' = F x + G w`` over an interval, equations (14), (18) and (21) of paper 002.
+
+    Parameters
+    ----------
+    F, GQG : (n, n) arrays
+        Dynamics, and ``G Q G'``.
+    interval : float
+        s.
+
+    Returns
+    -------
+    Phi, Qd : (n, n) arrays
+        The exponential of the 2n x 2n matrix is taken after balancing, without which long intervals lose all digits.
+    """
+    n = F.shape[0]
+    big = np.block([[-F, GQG], [np.zeros((n, n)), F.T]]) * interval
+    balanced, (scale, permutation) = linalg.matrix_balance(big, separate=True)
+    e = linalg.expm(balanced)
+    undone = np.empty_like(e)
+    rows = np.argsort(permutation)
+    undone = (scale[:, None] * e / scale[None, :])[np.ix_(rows, rows)]
+    Phi = undone[n:, n:].T
+    Qd = Phi @ undone[:n, n:]
+    return Phi, 0.5 * (Qd + Qd.T)
+
+
+def sampling_pattern(n_samples: int, pattern: Pattern = "uniform", points: int | None = None) -> NDArray[np.int64]:
+    """Sample counts at which the integral is looked at, ascending, the last at or near the record's end.
+
+    Parameters
+    ----------
+    n_samples : int
+    pattern : {"uniform", "log"}
+    points : int, optional
+        How many; 131072 or 1000 by default, never more than samples.
+
+    Raises
+    ------
+    InputError
+        An unknown pattern, fewer than three points.
+    """
+    if pattern not in get_args(Pattern):
+        raise InputError(f"pattern is '{pattern}', expected one of: {', '.join(get_args(Pattern))}")
+    wanted = points if points is not None else (UNIFORM if pattern == "uniform" else LOGARITHMIC)
+    if wanted < 3:
+        raise InputError(f"points is {wanted}, expected at least 3")
+    if pattern == "uniform":
+        step = max(1, math.ceil(n_samples / wanted))
+        return np.arange(step, n_samples + 1, step, dtype=np.int64)
+    return np.unique(np.round(np.geomspace(1.0, n_samples, min(wanted, n_samples))).astype(np.int64))
+
+
+def integrate(values: Array, at: NDArray[np.int64], dt: float) -> Array:
+    """Increments of the integral (equation (20)) between the pattern's points, the first from the record's start."""
+    starts = np.concatenate([[0], at[:-1]])
+    origin = float(values[0])  # keeps digits where an offset such as gravity dominates; put back below
+    out = np.empty(at.size)
+    # a piece of the record at a time: no second copy of it
+    piece = max(1, (1 << 22) // max(int(np.max(at - starts)), 1))
+    for lo in range(0, at.size, piece):
+        hi = min(lo + piece, at.size)
+        x = values[starts[lo] : at[hi - 1]] - origin
+        out[lo:hi] = np.add.reduceat(x, starts[lo:hi] - starts[lo])
+    return (out + origin * (at - starts)) * dt
+
+
+class _Problem:
+    """Increments, their spans, and the likelihood of a model for them."""
+
+    def __init__(self, increments: Array, at: NDArray[np.int64], dt: float, bias: bool) -> None:
+        self.y, self.dt, self.bias = increments, dt, bias
+        spans = np.diff(np.concatenate([[0], at]))
+        self.counts, which = np.unique(spans, return_inverse=True)
+        self.which = np.ascontiguousarray(which.ravel(), dtype=np.int64)
+        self.spans = spans * dt
+
+    def likelihood(self, model: NoiseModel) -> tuple[float, float]:
+        """Log-likelihood and the constant."""
+        block: StateBlock = model.block(self.dt)
+        n = block.n + 1
+        F, V = np.zeros((n, n)), np.zeros((n, n))
+        # the integral takes each new sample
+        F[:-1, :-1] = block.Phi
+        F[-1, :-1] = self.dt * block.c @ block.Phi
+        F[-1, -1] = 1.0
+        to = np.vstack([np.eye(n - 1), self.dt * block.c[None, :]])
+        V[:, :] = to @ block.Q @ to.T
+        k = self.counts.size
+        A, W = np.empty((k, n, n)), np.empty((k, n, n))
+        _integrated_kernel.powers(F, V, self.counts.astype(np.int64), A, W)
+        P0 = np.zeros((n, n))
+        P0[:-1, :-1] = block.P0
+        extra = block.white * self.dt**2 * self.counts
+        return _integrated_kernel.increments_likelihood(A, W, self.which, P0, extra, self.y, self.spans, self.bias)
+
+
+def fit_mli(
+    series: Series,
+    model: NoiseModel,
+    *,
+    pattern: Pattern = "uniform",
+    points: int | None = None,
+    integrated: bool = True,
+    bias: bool = True,
+    start: NoiseModel | None = None,
+    confidence: float = 0.95,
+) -> FitResult:
+    """Maximise the likelihood of the integrated signal.
+
+    Parameters
+    ----------
+    series : Series
+    model : NoiseModel
+        Any sum of processes with a state block; parameters with a value are held.
+    pattern : {"uniform", "log"}
+        Where the integral is looked at. Uniform intervals lose nothing that is slower than they are; the logarithmic pattern is the
+        paper's, cheap, and several times less precise.
+    points : int, optional
+        Of the pattern.
+    integrated : bool
+        False takes single samples at the pattern's points, the classical likelihood, for comparison.
+    bias : bool
+        Estimate a constant along (turn-on bias).
+    start : NoiseModel, optional
+        Where to begin; by default the estimate by wavelet moments.
+    confidence : float
+        Of the intervals.
+
+    Raises
+    ------
+    InputError
+        A process without a state block; a signal that is too short.
+    """
+    model = _accepted(model).at_rate(series.rate_hz)
+    n = len(series)
+    if n < 16:
+        raise InputError(f"{series.name} has {n} samples, expected at least 16")
+    about = _About(series.name, series.unit, series.rate_hz, n, pattern, integrated)
+    if n > LARGE and integrated and pattern == "uniform":
+        # the same in one pass over pieces: neither the integral nor the curve's delay lines are as long as the record
+        step = int(sampling_pattern(n, pattern, points)[0])
+        pieces = (series.values[k : k + PIECE] for k in range(0, n, PIECE))
+        increments, curve = _in_pieces(pieces, step, series.rate_hz)
+        at = step * np.arange(1, increments.size + 1, dtype=np.int64)
+        return _maximise(_Problem(increments, at, series.dt, bias), model, start, curve, about, bias, confidence)
+    at = sampling_pattern(n, pattern, points)
+    problem: _Problem | _Direct
+    if integrated:
+        problem = _Problem(integrate(series.values, at, series.dt), at, series.dt, bias)
+    else:
+        problem = _Direct(series.values[at - 1], at, series.dt, bias)
+    return _maximise(problem, model, start, wavelet_variance(series.values, series.rate_hz), about, bias, confidence)
+
+
+def fit_mli_pieces(
+    pieces: Iterable[ArrayLike],
+    n_samples: int,
+    rate_hz: float,
+    model: NoiseModel,
+    *,
+    points: int = UNIFORM,
+    bias: bool = True,
+    start: NoiseModel | None = None,
+    confidence: float = 0.95,
+    unit: str = "",
+    name: str = "signal",
+) -> FitResult:
+    """The same for a record that arrives in pieces and need not fit in memory (uniform pattern).
+
+    Parameters
+    ----------
+    pieces : iterable of (k,) arrays
+        Successive parts of the signal, of any lengths.
+    n_samples : int
+        How many samples there are about; fixes the interval of the pattern.
+    rate_hz, unit, name
+        Of the signal.
+    model, points, bias, start, confidence
+        As for :func:`fit_mli`.
+
+    Raises
+    ------
+    InputError
+        As :func:`fit_mli`; a value that is not finite.
+    """
+    model = _accepted(model).at_rate(rate_hz)
+    if n_samples < 16:
+        raise InputError(f"{name} has {n_samples} samples, expected at least 16")
+    step = int(sampling_pattern(n_samples, "uniform", points)[0])
+    increments, curve = _in_pieces(pieces, step, rate_hz)
+    at = step * np.arange(1, increments.size + 1, dtype=np.int64)
+    about = _About(name, unit, rate_hz, curve.n_samples, "uniform", True)
+    return _maximise(_Problem(increments, at, 1.0 / rate_hz, bias), model, start, curve, about, bias, confidence)
+
+
+@dataclass(frozen=True)
+class _About:
+    name: str
+    unit: str
+    rate_hz: float
+    n_samples: int
+    pattern: str
+    integrated: bool
+
+
+def _accepted(model: NoiseModel) -> NoiseModel:
+    refused = [p.symbol for p in model if isinstance(p, BI | RC | DR | SIN)]
+    if refused:
+        why = {
+            "BI": "it has no state block",
+            "RC": "a turn-on bias is estimated along with bias=True",
+            "DR": "its slope has one draw; remove the ramp",
+            "SIN": "its phase has one draw; use gmwm",
+        }[refused[0]]
+        raise InputError(f"{refused[0]} cannot be fitted by integrated maximum likelihood ({why})")
+    return model
+
+
+def _in_pieces(pieces: Iterable[ArrayLike], step: int, rate_hz: float) -> tuple[Array, WaveletVariance]:
+    """Increments over ``step`` samples, and the wavelet variance, in one pass."""
+    sums: list[Array] = []
+    rest = np.empty(0)
+    origin: float | None = None
+
+    def watched() -> Iterator[Array]:
+        nonlocal rest, origin
+        for piece in pieces:
+            values = np.asarray(piece, dtype=np.float64)
+            yield values
+            if origin is None and values.size:
+                origin = float(values[0])
+            joined = np.concatenate([rest, values]) if rest.size else values
+            whole = joined.size // step
+            sums.append((joined[: whole * step] - (origin or 0.0)).reshape(whole, step).sum(axis=1))
+            rest = joined[whole * step :].copy()
+
+    curve = stream_wavelet_variance(watched(), rate_hz)
+    increments = np.concatenate(sums) + (origin or 0.0) * step
+    return increments / rate_hz, curve
+
+
+def _maximise(
+    problem: _Problem | _Direct,
+    model: NoiseModel,
+    start: NoiseModel | None,
+    curve: WaveletVariance,
+    about: _About,
+    bias: bool,
+    confidence: float,
+) -> FitResult:
+    n, dt = about.n_samples, 1.0 / about.rate_hz
+    if start is not None:
+        begin = start.at_rate(about.rate_hz)
+    else:
+        begin = fit_curve(curve, model, weighting="asymptotic", name=about.name).model
+    coordinates = Coordinates.of(model, begin, math.sqrt(curve.value[0]))
+    values, model_at = coordinates.start, coordinates.model
+    free = coordinates.free
+
+    worst = [math.inf]
+
+    def cost(move: Array) -> float:
+        try:
+            value = -problem.likelihood(model_at(move))[0]
+        except InputError:
+            value = math.inf
+        if not math.isfinite(value):
+            return worst[0] + 1e3 if math.isfinite(worst[0]) else 1e300
+        worst[0] = value if not math.isfinite(worst[0]) else max(worst[0], value)
+        return value
+
+    if len(free):
+        low, high = values - 12.0, values + 12.0
+        found = optimize.minimize(
+            cost,
+            values,
+            method="L-BFGS-B",
+            bounds=list(zip(low, high, strict=True)),
+            options={"maxiter": 200, "ftol": 1e-11, "eps": 1e-5},
+        )
+        polished = optimize.minimize(
+            cost, found.x, method="Nelder-Mead",
+            options={"maxiter": 80 * len(free), "xatol": 1e-4, "fatol": 1e-5, "initial_simplex": _simplex(found.x)},
+        )  # fmt: skip
+        move = polished.x if polished.fun <= found.fun else found.x
+        converged = bool(polished.success)
+    else:
+        move, converged = values, True
+    fitted = model_at(move)
+    final, constant = problem.likelihood(fitted)
+    covariance = _covariance(cost, move, coordinates)
+    notes = [] if converged else ["the search did not converge; treat the values as a start"]
+    record = n * dt
+    for k, (index, p) in enumerate(fitted.indexed()):
+        if isinstance(p, GM) and (k, "beta") in free and 1.0 / p.parameters["beta"] > record / 2.0:
+            notes.append(
+                f"GM{index}: correlation time {1.0 / p.parameters['beta']:.3g} s is longer than half of the record ({record:.3g} s) and "
+                "cannot be told from a random walk; use RW() instead"
+            )
+    for i, (k, name) in enumerate(free):
+        if not math.isfinite(covariance[i, i]) or covariance[i, i] < 0:
+            notes.append(f"{fitted.processes[k].symbol}.{name}: the likelihood does not determine it")
+    return FitResult(
+        name=about.name,
+        method="mli",
+        structure=model,
+        model=fitted,
+        rate_hz=about.rate_hz,
+        n_samples=n,
+        unit=about.unit,
+        parameters=estimates(fitted, free, covariance, about.unit, confidence),
+        covariance=covariance,
+        curve=curve,
+        fitted=fitted.wavelet_variance(curve.scale_samples, dt),
+        objective=-final,
+        converged=converged,
+        warnings=tuple(notes),
+        details={
+            "pattern": about.pattern,
+            "points": problem.y.size,
+            "integrated": about.integrated,
+            "bias": constant if bias else 0.0,
+            "start": begin,
+            "free": free,
+        },
+    )
+
+
+class _Direct:
+    """The likelihood of samples themselves at the pattern's points, for comparison."""
+
+    def __init__(self, samples: Array, at: NDArray[np.int64], dt: float, bias: bool) -> None:
+        spans = np.diff(np.concatenate([[0], at]))
+        self.counts, which = np.unique(spans, return_inverse=True)
+        self.which = np.ascontiguousarray(which.ravel(), dtype=np.int64)
+        self.y, self.dt, self.bias = np.ascontiguousarray(samples), dt, bias
+        self.ones = np.ones(at.size)
+
+    def likelihood(self, model: NoiseModel) -> tuple[float, float]:
+        """Log-likelihood and the constant: the last state is what the sample sees instead of an integral."""
+        block = model.block(self.dt)
+        n = block.n
+        A, W = np.zeros((self.counts.size, n + 1, n + 1)), np.zeros((self.counts.size, n + 1, n + 1))
+        if n:
+            a, w = np.empty((self.counts.size, n, n)), np.empty((self.counts.size, n, n))
+            _integrated_kernel.powers(np.array(block.Phi), np.array(block.Q), self.counts.astype(np.int64), a, w)
+            to = np.vstack([np.eye(n), block.c[None, :]])
+            A[:, :, :n] = to @ a
+            W[:] = to @ w @ to.T
+        P0 = np.zeros((n + 1, n + 1))
+        P0[:n, :n] = block.P0
+        extra = np.full(self.counts.size, block.white)
+        return _integrated_kernel.increments_likelihood(A, W, self.which, P0, extra, self.y, self.ones, self.bias)
+
+
+def _simplex(x: Array) -> Array:
+    return np.vstack([x, x + 0.05 * np.eye(x.size)])
+
+
+def _covariance(cost: Callable[[Array], float], at: Array, coordinates: Coordinates) -> Array:
+    """From the observed information, by differences in the search coordinates, carried to the parameters as written."""
+    p = at.size
+    out = np.full((p, p), np.nan)
+    if p == 0:
+        return out
+    h = 0.03
+    hessian = np.zeros((p, p))
+    centre = cost(at)
+    for i in range(p):
+        e = np.zeros(p)
+        e[i] = h
+        hessian[i, i] = (cost(at + e) - 2.0 * centre + cost(at - e)) / h**2
+        for j in range(i):
+            f = np.zeros(p)
+            f[j] = h
+            mixed = (cost(at + e + f) - cost(at + e - f) - cost(at - e + f) + cost(at - e - f)) / (4.0 * h * h)
+            hessian[i, j] = hessian[j, i] = mixed
+    alive = np.flatnonzero(np.diag(hessian) > 1e-3)
+    if alive.size == 0:
+        return out
+    sub = hessian[np.ix_(alive, alive)]
+    values, vectors = np.linalg.eigh(sub)
+    if values[0] <= 1e-9 * values[-1]:
+        return out
+    inverse = vectors / values @ vectors.T
+    slope = coordinates.slopes(at)
+    out[np.ix_(alive, alive)] = inverse * np.outer(slope[alive], slope[alive])
+    return out

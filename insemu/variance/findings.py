@@ -1,0 +1,229 @@
+"""What is wrong or worth knowing about a static log: each finding is one sentence that begins with its kind.
+
+Kinds: ``NaN``, ``gap``, ``units``, ``warm-up``, ``level shift``, ``noise level``, ``quantization``, ``saturation``, ``stuck``, ``outliers``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from insemu.variance.wavelet import wavelet_variance
+
+Array = NDArray[np.float64]
+
+#: One false alarm in this many clean records for each test below.
+FALSE_ALARM = 1e-3
+_GRAVITY = 9.80665
+
+
+def longest_good_part(columns: Sequence[Array], breaks: Sequence[int]) -> tuple[int, int]:
+    """Return ``(start, stop)`` rows of the longest stretch without NaN in any column and without a gap (rows in ``breaks`` follow one)."""
+    n = columns[0].shape[0]
+    good = np.ones(n, dtype=bool)
+    for column in columns:
+        good &= np.isfinite(column)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(np.int8), [0]])))
+    best = (0, 0)
+    cuts = np.asarray(sorted(breaks), dtype=int)
+    for a, b in zip(edges[::2], edges[1::2], strict=True):
+        marks = [int(a), *cuts[(cuts > a) & (cuts < b)].tolist(), int(b)]
+        for start, stop in pairwise(marks):
+            if stop - start > best[1] - best[0]:
+                best = (start, stop)
+    return best
+
+
+def missing_values(x: Array, rate_hz: float) -> list[str]:
+    """Say how many values are not finite and where the first is."""
+    bad = ~np.isfinite(x)
+    count = int(bad.sum())
+    if not count:
+        return []
+    first = int(np.argmax(bad))
+    return [f"NaN: {count} value(s) are not finite, the first at row {first} ({first / rate_hz:.6g} s)"]
+
+
+def gap_report(gaps: Sequence[tuple[int, float]], rate_hz: float) -> list[str]:
+    """Say how many gaps a time column has (rows and durations as :meth:`insemu.formats.Log.gaps` gives them)."""
+    if not gaps:
+        return []
+    row, duration = max(gaps, key=lambda g: g[1])
+    return [
+        f"gap: {len(gaps)} gap(s) in time, the longest {duration:.4g} s before row {row} (samples are {1 / rate_hz:.4g} s apart)"
+    ]
+
+
+def unit_report(
+    means: Mapping[str, float], white: Mapping[str, float], stated: Mapping[str, str]
+) -> dict[str, list[str]]:
+    """Judge units by physics: gravity's magnitude at rest, and rates or noise no gyroscope has.
+
+    Parameters
+    ----------
+    means : mapping
+        Mean of each axis (``gyro_x`` .. ``accel_z``) in what is believed to be SI.
+    white : mapping
+        White noise density of each axis, unit/sqrt(Hz), where known.
+    stated : mapping
+        Unit of each axis as written in the file.
+
+    Returns
+    -------
+    dict
+        Axis to findings.
+    """
+    out: dict[str, list[str]] = {axis: [] for axis in means}
+    for axis in means:
+        if axis.startswith(("gyro", "accel")) and stated.get(axis, "").strip() in ("", "-"):
+            si = "rad/s" if axis.startswith("gyro") else "m/s^2"
+            out[axis].append(f"units: the file states none; {si} is assumed")
+        elif stated.get(axis, "").lower() in ("counts", "count", "lsb", "raw"):
+            out[axis].append("units: raw counts, no physical unit")
+    raw = any("raw counts" in f for found in out.values() for f in found)
+    accel = [a for a in ("accel_x", "accel_y", "accel_z") if a in means]
+    if len(accel) == 3 and not raw:
+        magnitude = float(np.sqrt(sum(means[a] ** 2 for a in accel)))
+        if not 0.98 * _GRAVITY < magnitude < 1.02 * _GRAVITY:
+            reason = "expected 9.8 m/s^2"
+            if 0.9 < magnitude < 1.1:
+                reason = "expected 9.8 m/s^2; the values are in g"
+            elif 0.9 * _GRAVITY**2 < magnitude < 1.1 * _GRAVITY**2:
+                reason = "expected 9.8 m/s^2; the values were m/s^2 already, not g"
+            elif 900 < magnitude < 1100:
+                reason = "expected 9.8 m/s^2; the values are in mg"
+            elif magnitude < 0.5:
+                reason = "expected 9.8 m/s^2; gravity was removed or the sensor fell"
+            for a in accel:
+                out[a].append(f"units: gravity magnitude at rest is {magnitude:.4g}, {reason}")
+    for axis, mean in means.items():
+        if not axis.startswith("gyro") or raw:
+            continue
+        noise = np.rad2deg(white.get(axis, 0.0)) * 60.0
+        if abs(mean) > 0.2:
+            out[axis].append(
+                f"units: mean rate at rest is {mean:.3g} rad/s ({np.rad2deg(mean):.3g} deg/s); the values may be in deg/s"
+            )
+        elif noise > 20.0:
+            out[axis].append(
+                f"units: white noise of {noise:.3g} deg/sqrt(h) is more than any gyroscope has; the values may be in deg/s"
+            )
+    return out
+
+
+def stationarity(x: Array, rate_hz: float, unit: str) -> list[str]:
+    """Detect warm-up, level shifts and changes of the noise level.
+
+    Averages over adjacent windows differ by twice the Allan variance on average, for every noise with stationary increments. The
+    differences of the first half are held against those of the second (warm-up), and the largest of the second half against the
+    typical one (level shift), by F and t tests at a false-alarm rate of 1e-3 shared over windows.
+    """
+    out: list[str] = []
+    n = x.size
+    if n < 2048:
+        return out
+    running = np.concatenate([[0.0], np.cumsum(x - x[0])])
+    windows = [16, 32, 64, 128, 256]
+    early: list[tuple[float, float, float]] = []
+    late: list[tuple[float, float, float, float]] = []
+    for count in windows:
+        width = n // count
+        steps = np.diff(np.diff(running[: width * count + 1 : width]) / width)
+        half = steps.size // 2
+        size = float(np.sqrt(np.mean(steps[half:] ** 2)))
+        spread = float(np.median(np.abs(steps)) / 0.6745)
+        if size == 0.0 or spread == 0.0:
+            continue
+        # adjacent differences share a window: 2/3 of a degree of freedom each
+        freedom = steps[half:].size / 1.5
+        share = FALSE_ALARM / (len(windows) * half)
+        ratio = np.abs(steps[:half]) / size / np.sqrt(stats.f.isf(share, 1, freedom))
+        if ratio.max() > 1.0:
+            last = int(np.flatnonzero(ratio > 1.0)[-1]) + 1
+            early.append((last * width / rate_hz, float(np.abs(steps[:half]).max() / size), width / rate_hz))
+        at = half + int(np.argmax(np.abs(steps[half:])))
+        beyond = abs(float(steps[at])) / spread / float(stats.t.isf(0.5 * share, freedom))
+        if beyond > 1.0:
+            late.append((beyond, float(steps[at]), (at + 1) * width / rate_hz, width / rate_hz))
+    if early:
+        settled_s = max(e[0] for e in early)
+        _, times, window_s = max(early, key=lambda e: e[1])
+        moved = _range(running, rate_hz, settled_s)
+        out.append(
+            f"warm-up: the mean wanders over {moved:.3g} {unit} in the first {settled_s / 60:.3g} min and settles then; averages over "
+            f"{window_s:.3g} s change up to {times:.2g} times as fast there as in the second half. Leave that part out before fitting"
+        )
+    if late:
+        _, jump, at_s, window_s = max(late)
+        out.append(f"level shift: the mean over {window_s:.3g} s jumps by {jump:.3g} {unit} at about {at_s:.4g} s")
+    out.extend(_noise_level(x, rate_hz))
+    return out
+
+
+def _range(running: Array, rate_hz: float, until_s: float) -> float:
+    """Range of the block means (256 per record) up to a time."""
+    width = (running.size - 1) // 256
+    count = max(2, round(until_s * rate_hz / width) + 1)
+    means = np.diff(running[: width * count + 1 : width]) / width
+    return float(means.max() - means.min())
+
+
+def _noise_level(x: Array, rate_hz: float) -> list[str]:
+    """Compare the variance of the first octave between eighths of the record."""
+    width = x.size // 8
+    first = [wavelet_variance(x[k * width : (k + 1) * width], levels=1, intervals="eta3").value[0] for k in range(8)]
+    low, high = float(min(first)), float(max(first))
+    if low <= 0.0:
+        return []
+    # a first octave of `width` samples has at least half as many degrees of freedom
+    limit = float(stats.f.isf(FALSE_ALARM / 28.0, width / 2.0, width / 2.0))
+    if high / low > max(limit, 1.1):
+        where = int(np.argmax(first))
+        return [
+            f"noise level: the fast noise is {np.sqrt(high / low):.3g} times larger from {where * width / rate_hz:.4g} to "
+            f"{(where + 1) * width / rate_hz:.4g} s than at its quietest"
+        ]
+    return []
+
+
+def resolution(x: Array, unit: str) -> list[str]:
+    """Detect coarse counts, saturation and stuck values."""
+    out: list[str] = []
+    some = x if x.size <= 200_000 else x[:: x.size // 200_000]
+    levels = np.unique(some)
+    step = float(np.diff(levels).min()) if levels.size > 1 else 0.0
+    if levels.size == 1:
+        return [f"stuck: every value is {levels[0]:.6g} {unit}"]
+    counted = levels.size < 0.02 * some.size or levels.size < 64
+    if counted:
+        # unit steps may be missed by rounding of the scale: take the typical smallest one
+        gaps = np.diff(levels)
+        step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
+        noise = float(np.sqrt(np.mean(np.diff(x[: min(x.size, 1_000_000)]) ** 2) / 2.0))
+        if noise < 1.5 * step:
+            share = step**2 / 12.0 / max(noise**2, 1e-300)
+            out.append(
+                f"quantization: one count is {step:.4g} {unit} and the fast noise only {noise / step:.2g} counts; rounding alone makes about "
+                f"{100 * min(share, 1.0):.2g} % of its variance"
+            )
+    for extreme, name in ((x.max(), "highest"), (x.min(), "lowest")):
+        count = int(np.count_nonzero(x == extreme))
+        # a continuous signal never repeats its extreme; counts do, but less often than the counts beside it
+        beside = int(np.count_nonzero(np.abs(x - extreme) <= 2.5 * step)) - count if counted else 0
+        if count >= (10 if counted else 4) and count > 3 * beside:
+            out.append(f"saturation: {count} values sit at the {name} value, {extreme:.6g} {unit}")
+    same = np.flatnonzero(np.diff(x) != 0)
+    runs = np.diff(np.concatenate([[-1], same, [x.size - 1]]))
+    longest = int(runs.max())
+    # with coarse counts long runs are natural; expected longest run of a value taken with probability p
+    p = max(float(np.mean(np.diff(x[: min(x.size, 1_000_000)]) == 0)), 1e-6)
+    natural = 30.0 if p >= 0.999 else max(30.0, 4.0 * np.log(x.size) / -np.log(p))
+    if longest > natural and p < 0.999:
+        where = int(np.argmax(runs))
+        start = int(same[where - 1]) + 1 if where > 0 else 0
+        out.append(f"stuck: the value stays the same for {longest} samples from row {start} on")
+    return out

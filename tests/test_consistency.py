@@ -1,0 +1,150 @@
+"""Consistency tests against draws whose answer is known, each with a negative twin."""
+
+import numpy as np
+import pytest
+
+from insemu.errors import InputError
+from insemu.evaluate import consistency as c
+from insemu.filters import FilterOptions, FixTable, LooselyCoupledEKF, run_filter
+from insemu.noise import GM, WN
+from tests import filter_cases as cases
+
+SHAPE = (60, 12)
+
+
+@pytest.fixture
+def draws():
+    rng = np.random.default_rng(11)
+    A = rng.standard_normal((9, 9)) + 3 * np.eye(9)
+    P = np.broadcast_to(A @ A.T, (*SHAPE, 9, 9))
+    return rng.standard_normal((*SHAPE, 9)) @ A.T, P
+
+
+def fixes_of(y, S=None):
+    """A table of fixes with given innovations (f, 6) and unit covariance."""
+    f = len(y)
+    S = np.broadcast_to(np.eye(6), (f, 6, 6)) if S is None else S
+    nis = np.einsum("fi,fij,fj->f", y, np.linalg.inv(S), y)
+    return FixTable(np.arange(f) * 1.0, np.arange(f), np.zeros(f, int), y, S, nis, np.full(f, 6), np.ones(f, bool))
+
+
+def test_nees_of_draws_from_the_covariance_is_chi_square(draws):
+    e, P = draws
+    v = c.nees(e, P)
+    assert v.mean() == pytest.approx(9, rel=0.1)
+    assert all(t.passed for t in c.nees_test(v, 9, confidence=0.9999))
+
+
+@pytest.mark.parametrize(("scale", "word"), [(0.5, "overconfident"), (2.0, "pessimistic")])
+def test_a_wrong_covariance_is_found_and_named(draws, scale, word):
+    e, P = draws
+    verdicts = c.nees_test(c.nees(e, scale**2 * P), 9, subject="all", at=np.arange(12.0))
+    assert {t.word for t in verdicts} == {word}
+    assert f"NEES/dof of all at 0 s: {verdicts[0].value:.4g}" in str(verdicts[0]) and word in str(verdicts[0])
+    lean = c.credibility(e, scale**2 * P)
+    assert lean.inclination == pytest.approx(-20 * np.log10(scale), abs=1.0) and word in str(lean)
+
+
+def test_a_right_covariance_is_credible(draws):
+    assert c.credibility(*draws).index < 1.5
+    with pytest.raises(InputError, match="at least 18"):
+        c.credibility(draws[0][:10], draws[1][:10])
+
+
+def test_bounds_hold_their_confidence():
+    """Of 400 families of a consistent filter about 1 % fail: at most 12 (binomial, false alarm 1e-4)."""
+    rng = np.random.default_rng(2)
+    failed = sum(not all(t.passed for t in c.nees_test(rng.chisquare(3, (20, 15)), 3)) for _ in range(400))
+    assert 0 < failed <= 12
+
+
+def test_innovations_are_judged_by_size_and_colour():
+    rng = np.random.default_rng(3)
+    y = rng.standard_normal((800, 6))
+    assert c.nis_test(fixes_of(y), confidence=0.9999).passed
+    assert all(t.passed for t in c.whiteness_test([fixes_of(y[:400]), fixes_of(y[400:])], confidence=0.9999))
+    assert c.nis_test(fixes_of(1.2 * y)).word == "overconfident"
+    coloured = y + 0.3 * np.vstack([y[:1], y[:-1]])
+    verdicts = c.whiteness_test(fixes_of(coloured / np.sqrt(1.09)))
+    assert verdicts[0].word == "correlated" and verdicts[0].value == pytest.approx(0.3 / 1.09, abs=0.05)
+    assert "left to be modelled" in str(verdicts[0])
+
+
+def test_innovations_are_whitened_by_their_covariance():
+    rng = np.random.default_rng(4)
+    A = rng.standard_normal((6, 6)) + 3 * np.eye(6)
+    y = rng.standard_normal((3000, 6)) @ A.T
+    white = c.normalised_innovations(fixes_of(y, np.broadcast_to(A @ A.T, (3000, 6, 6))))
+    np.testing.assert_allclose(white.T @ white / 3000, np.eye(6), atol=0.1)
+
+
+def test_coverage_is_judged_by_runs():
+    rng = np.random.default_rng(5)
+    e = rng.standard_normal((200, 50, 2)) * 0.5 + rng.standard_normal((200, 1, 2)) * np.sqrt(0.75)  # correlated epochs
+    sigma = np.ones_like(e)
+    sigma[..., 1] = 0.5
+    good, bad = c.coverage_test(e, sigma, names=("a", "b"))
+    assert good.passed and bad.word == "overconfident"
+    wide = c.coverage_test(e[..., :1], 3 * sigma[..., :1], names=("a",), factor=1.0)[0]
+    assert wide.word == "pessimistic"
+    with pytest.raises(InputError, match=r"expected \(runs, epochs, 1\)"):
+        c.coverage_test(e, sigma, names=("a",))
+
+
+def test_pooled_coverage_has_an_interval():
+    rng = np.random.default_rng(6)
+    e = rng.standard_normal((100, 200, 6))
+    share, low, high = c.pooled_coverage(e, np.ones_like(e), rng=rng)
+    assert low < share < high and low < 0.9973 < high
+    assert c.pooled_coverage(e, 0.5 * np.ones_like(e), rng=rng)[2] < 0.95
+
+
+def test_bad_covariances_are_refused():
+    with pytest.raises(InputError, match="not positive"):
+        c.nees(np.ones(2), np.diag([1.0, 0.0]))
+    with pytest.raises(InputError, match="singular"):
+        c.nees(np.ones(2), np.ones((2, 2)))
+    with pytest.raises(InputError, match="expected"):
+        c.nees(np.ones(3), np.eye(2))
+    with pytest.raises(InputError, match="no accepted fix"):
+        c.nis_test(fixes_of(np.zeros((0, 6))))
+
+
+def test_a_report_of_flown_filters_passes_and_its_negative_twin_does_not():
+    road, at, runs = cases.drive(30.0), (1.0, 12.0, 20.0, 30.0), 24
+    half = {
+        "gyro": WN(N=2.5e-4) + GM(sigma=1.5e-4, beta=0.01),
+        "accel": WN(N=5e-4) + GM(sigma=2.5e-3, beta=0.02),
+    }
+
+    def report(belief):
+        ekf = LooselyCoupledEKF(belief, cases.DT, options=FilterOptions(covariance_at=at, output_every=100))
+        errors, covariances, tables = [], [], []
+        for i in range(runs):
+            rng = np.random.default_rng(40 + i)
+            imu = cases.corrupt(road.imu, cases.MODEL_15, rng)
+            r = ekf.run(imu, cases.fixes(road, rng, outages=((12.0, 20.0),)), cases.start(road, rng), cases.START_SIGMA)
+            rows = np.searchsorted(r.t, np.array(at) - 1e-9)
+            errors.append(cases.strapdown.navigation_errors(r.nav[rows], road.nav[rows * 100]))
+            covariances.append(r.covariance[:, :9, :9])
+            tables.append(r.fixes)
+        return c.consistency_report(np.array(errors), np.array(covariances), tables, at=at, confidence=0.9999)
+
+    good = report(cases.MODEL_15)
+    assert all(v.passed for v in good), [str(v) for v in good if not v.passed]
+    assert sum(v.word == "overconfident" for v in report(half)) > 4
+
+
+def test_observability_tells_what_the_fixes_taught():
+    road = cases.drive(30.0)
+    rng = np.random.default_rng(1)
+    imu, gnss, start = cases.corrupt(road.imu, cases.MODEL_15, rng), cases.fixes(road, rng), cases.start(road, rng)
+    options = FilterOptions(output_every=100)
+    with_fixes = run_filter(imu, gnss, start, cases.START_SIGMA, cases.MODEL_15, options=options)
+    without = run_filter(imu, None, start, cases.START_SIGMA, cases.MODEL_15, options=options)
+    share = c.observability(with_fixes, without.sigma)
+    assert share[-1, :3].min() > 0.99
+    assert ((share[-1] > -1e-9) & (share[-1] < 1)).all()
+    np.testing.assert_array_equal(share[0], 0)
+    with pytest.raises(InputError, match="shape"):
+        c.observability(with_fixes, without.sigma[:3])

@@ -1,0 +1,77 @@
+"""The smoother against filterpy's, against chi-square bounds and against the filter in an outage."""
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from scipy import stats
+
+from insemu import strapdown
+from insemu.errors import InputError
+from insemu.filters import FilterOptions, LooselyCoupledEKF, smooth
+from tests import filter_cases as cases
+from tests.filter_cases import DT, MODEL_15, MODEL_24, START_SIGMA
+
+OPTIONS = FilterOptions(store="fixes", node_every=1.0, output_every=100)
+
+
+def flown(road, model, seed, outage):
+    rng = np.random.default_rng(seed)
+    imu = cases.corrupt(road.imu, model, rng)
+    return imu, cases.fixes(road, rng, outages=(outage,)), cases.start(road, rng)
+
+
+def test_the_backward_pass_is_filterpys():
+    road = cases.drive(40.0)
+    imu, gnss, start = flown(road, MODEL_24, 4, (15.0, 25.0))
+    r = LooselyCoupledEKF(MODEL_24, DT, options=OPTIONS).run(imu, gnss, start, START_SIGMA)
+    n = r.nodes
+    # filterpy smooths a state that is not fed back: the estimate relative to the nominal path without feedback
+    x, means = np.zeros(24), []
+    for k in range(len(n)):
+        x = (n.Phi[k] @ x if k else x) - n.correction[k]
+        means.append(x)
+    drive = [n.P_before[k] - n.Phi[k] @ n.P_after[k - 1] @ n.Phi[k].T for k in range(1, len(n))]
+    kf = KalmanFilter(dim_x=24, dim_z=1)
+    their_x, their_P, _, _ = kf.rts_smoother(np.array(means), n.P_after, Fs=n.Phi, Qs=[np.zeros((24, 24)), *drive])
+    s = smooth(r)
+    sd = np.sqrt(np.einsum("kii->ki", their_P))
+    np.testing.assert_allclose(s.sigma / sd, 1.0, rtol=1e-5)
+    ours = np.hstack([strapdown.navigation_errors(s.nav, n.nav), s.imu_states - n.states])
+    np.testing.assert_allclose(
+        ours / sd, (their_x - np.array(means)) / sd, atol=2e-3
+    )  # attitude corrections commute to first order only
+
+
+def test_smoothed_errors_are_what_the_smoother_says_and_half_of_the_filters():
+    """Mean NEES in chi-square bounds at 1e-4 per epoch, and the error in the middle of an outage at most half of the filter's."""
+    road, runs = cases.drive(90.0), 30
+    ekf = LooselyCoupledEKF(MODEL_15, DT, options=OPTIONS)
+    at = [5, 30, 45, 60, 80]
+    nees, filtered, smoothed = np.empty((runs, len(at))), [], []
+    for i in range(runs):
+        r = ekf.run(*flown(road, MODEL_15, 300 + i, (30.0, 60.0)), START_SIGMA)
+        s = smooth(r)
+        e = strapdown.navigation_errors(s.nav, road.nav[r.nodes.epoch])
+        f = strapdown.navigation_errors(r.nodes.nav, road.nav[r.nodes.epoch])
+        nees[i] = [e[k] @ np.linalg.solve(s.covariance[k, :9, :9], e[k]) for k in at]
+        smoothed.append(e[45, :2])
+        filtered.append(f[45, :2])
+    low, high = stats.chi2.ppf([5e-5, 1 - 5e-5], 9 * runs) / runs
+    mean = nees.mean(axis=0)
+    assert ((low < mean) & (mean < high)).all(), (low, high, mean)
+    rms_f, rms_s = (np.sqrt(np.mean(np.square(v))) for v in (filtered, smoothed))
+    assert rms_s < 0.5 * rms_f
+    # the negative twin: the filter's own covariance does not describe the smoothed error in the outage
+    assert rms_s < 0.5 * r.sigma[45, :2].max()
+
+
+def test_the_last_node_is_the_filters_and_nodes_are_needed():
+    road = cases.drive(10.0)
+    data = flown(road, MODEL_15, 1, (0.0, 0.0))
+    r = LooselyCoupledEKF(MODEL_15, DT, options=OPTIONS).run(*data, START_SIGMA)
+    s = smooth(r)
+    np.testing.assert_array_equal(s.nav[-1], r.nav[-1])
+    assert (s.sigma[3, :9] <= r.sigma[3, :9] * (1 + 1e-9)).all()
+    assert s.trajectory.t[0] == 0.0
+    with pytest.raises(InputError, match="kept no nodes"):
+        smooth(LooselyCoupledEKF(MODEL_15, DT).run(*data, START_SIGMA))

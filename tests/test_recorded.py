@@ -1,0 +1,127 @@
+"""A recording as the world of an experiment: alignment from nothing, outages cut in, errors against the reference or the withheld fixes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from insemu import rotation
+from insemu.errors import InputError
+from insemu.evaluate import Experiment, run_experiment, summary
+from insemu.evaluate.world import World
+from insemu.formats import write
+from insemu.records import Recording
+from insemu.scenario import load
+
+WORLD: dict[str, Any] = {
+    "title": "drive",
+    "seed": 5,
+    "realizations": 1,
+    "trajectory": {"builtin": "urban_drive_1", "rate": "50 Hz", "duration": "200 s"},
+    "truth": {
+        "gyro": "WN(N=0.02 deg/s/sqrt(Hz)) + RC(sigma=0.05 deg/s)",
+        "accel": "WN(N=200 ug/sqrt(Hz)) + RC(sigma=2 mg)",
+    },
+    "gnss": {"position_sigma": "5 cm", "velocity_sigma": "5 cm/s"},
+    "designs": {"full": {"gyro": {"truth": True}, "accel": {"truth": True}}},
+}
+MOUNTING = ["170 deg", "-6 deg", "20 deg"]
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    folder = Path(__file__).parent
+    return _emulated(folder)
+
+
+def _emulated(folder: Path) -> Recording:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "world.yaml"
+        path.write_text(yaml.safe_dump(WORLD))
+        return World(load(path), path).recording(0)
+
+
+def _mounted(recording: Recording) -> Recording:
+    """What an IMU that is not mounted straight would have recorded."""
+    C_vb = rotation.dcm_from_rpy(np.deg2rad([float(m.split()[0]) for m in MOUNTING]))
+    imu = recording.imu
+    return replace(recording, imu=replace(imu, gyro=imu.gyro @ C_vb, accel=imu.accel @ C_vb))
+
+
+def _scenario(tmp_path: Path, **changes: Any) -> Path:
+    path = tmp_path / "recorded.yaml"
+    document = {
+        "title": "recorded",
+        "recording": {"file": "drive.npz", "mounting": MOUNTING},
+        "gnss": {
+            "position_sigma": "5 cm",
+            "velocity_sigma": "5 cm/s",
+            "outages": [{"start": "120 s", "duration": "20 s"}],
+        },
+        "designs": {
+            "full": {
+                "gyro": "WN(N=0.02 deg/s/sqrt(Hz)) + RC(sigma=0.05 deg/s)",
+                "accel": "WN(N=200 ug/sqrt(Hz)) + RC(sigma=2 mg)",
+            }
+        },
+    }
+    path.write_text(yaml.safe_dump(document | changes))
+    return path
+
+
+@pytest.mark.parametrize("with_reference", [True, False])
+def test_a_recorded_drive_is_aligned_flown_and_scored(
+    tmp_path: Path, recording: Recording, with_reference: bool
+) -> None:
+    mounted = _mounted(recording)
+    write(tmp_path / "drive.npz", mounted if with_reference else replace(mounted, reference=None))
+    path = _scenario(tmp_path)
+    r = run_experiment(Experiment(load(path), path), realizations=9)
+    assert r.realizations == 1
+    outage = summary(r)["designs"]["full"]["outages"][0]
+    assert 0.05 < outage["planimetric_end_m"]["mean"] < 6 * outage["predicted_sigma_end_m"]
+    settled = r.t > 60
+    # chi-square bounds at 1e-6 for one drive whose errors are correlated over tens of seconds: about ten independent epochs
+    assert 0.15 < r.nees[0, 0, settled].mean() / 9 < 4
+    if not with_reference:
+        assert np.isnan(r.error[..., 6:]).all()
+        assert outage["attitude_end_deg"] is None
+
+
+def test_a_wrong_mounting_shows(tmp_path: Path, recording: Recording) -> None:
+    write(tmp_path / "drive.npz", _mounted(recording))
+    right = _scenario(tmp_path)
+    good = run_experiment(Experiment(load(right), right))
+    wrong = _scenario(tmp_path, recording={"file": "drive.npz", "mounting": ["170 deg", "-6 deg", "35 deg"]})
+    bad = run_experiment(Experiment(load(wrong), wrong))
+    assert bad.nees.mean() > 5 * good.nees.mean()
+
+
+def test_a_path_alone_is_a_recording(tmp_path: Path, recording: Recording) -> None:
+    write(tmp_path / "drive.npz", recording)
+    assert load(_scenario(tmp_path, recording="drive.npz")).recording.file == "drive.npz"  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"gnss": {"outages": [{"start": "190 s", "duration": "20 s"}]}}, "is not inside the fixes"),
+        ({"recording": {"file": "absent.npz"}}, "no such file"),
+        ({"recording": {"file": "drive.npz", "mountings": []}}, "did you mean 'mounting'"),
+        ({"recording": {"file": "drive.npz", "start": "900 s"}}, "holds no IMU data"),
+        ({"truth": WORLD["truth"]}, "expected one or the other"),
+        ({"designs": {"d": {"gyro": {"truth": True}, "accel": {"truth": True}}}}, "asks for the model of the truth"),
+    ],
+)
+def test_bad_recordings_are_named(tmp_path: Path, recording: Recording, changes: dict[str, Any], message: str) -> None:
+    write(tmp_path / "drive.npz", recording)
+    path = _scenario(tmp_path, **changes)
+    with pytest.raises(InputError, match=message):
+        Experiment(load(path), path)
