@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from insemu.errors import InputError
 from insemu.gap.band import Band
 from insemu.gap.evidence import Component, Explanation, Fitted, Free, Likelihood, Regressors, Rolloff, fit, log_mean_exp
-from insemu.gap.reduced import Reduced, block_differences
+from insemu.gap.reduced import Reduced, block_differences, reduce_again
 from insemu.gap.verdict import Value
 from insemu.noise import BI, GM, QN, RW, WN, Process
 
@@ -403,6 +403,11 @@ def temperature(state: AxisState) -> list[Weighed]:
             scales[list(which)],
             [units[k] for k in which],
         )[0]
+        d = T - centre
+        seen = lowpass(d, data.dt, lag) if lag > 0.0 else d
+        w = _less(
+            w, state, sum((v.value * seen ** (k + 1) for v, k in zip(w.values, which, strict=True)), np.zeros(T.size))
+        )
         return replace(w, values=(*w.values, reference))
 
     out = [weigh("linear", (0,)), weigh("cubic", (0, 1, 2))]
@@ -417,6 +422,20 @@ def temperature(state: AxisState) -> list[Weighed]:
             gain = log_mean_exp([w.gain for _, w in tried])  # the time constant is paid for
             out.append(replace(best, gain=gain, values=(*best.values, Value("lag", lag, lag / 1.8, lag * 1.8, "s"))))
     return out
+
+
+def _less(w: Weighed, state: AxisState, signal: Array) -> Weighed:
+    """A named signal taken out of the samples too, so that its fast part is explained as well; worth what the spectrum gains."""
+    if not state.data.f.size:
+        return w
+    apart = reduce_again(state.data, state.data.values - signal)
+    explanation = w.state.explanation
+    before, after = Likelihood(state.data).high(explanation), Likelihood(apart).high(explanation)
+    if not after > before:
+        return w
+    data = replace(apart, differences=state.data.differences)  # the block band keeps the regressors
+    fitted = fit(Likelihood(data), explanation)
+    return replace(w, gain=w.gain + after - before, state=replace(w.state, data=data, fitted=fitted))
 
 
 def lowpass(x: Array, dt: float, lag: float) -> Array:

@@ -350,11 +350,16 @@ def laplace(log_posterior: Callable[[Array], float], x0: Array, free: Sequence[F
     centre, step = cost(x0), 3e-3
     bend = np.array([(cost(x0 + e) + cost(x0 - e) - 2.0 * centre) / step**2 for e in np.eye(x0.size) * step])
     unit = 1.0 / np.sqrt(np.maximum(np.where(np.isfinite(bend), bend, 0.0), prior))
+    reach = [
+        ((math.log(f.low) - 5.9 * f.edge - c) / u, (math.log(f.high) + 5.9 * f.edge - c) / u)
+        for f, c, u in zip(free, x0, unit, strict=True)
+    ]
     minimize: Any = optimize.minimize
     result = minimize(
         lambda z: cost(x0 + unit * z),
         np.zeros(x0.size),
         method="L-BFGS-B",
+        bounds=reach,
         options={"eps": 1e-3, "maxiter": 60, "ftol": 1e-9},
     )
     x, best = x0 + unit * np.asarray(result.x, dtype=np.float64), float(result.fun)
