@@ -85,11 +85,9 @@ def load_nominal(path: str | Path) -> Nominal:
             )
         return Nominal(beliefs, gnss, initial, raw, "belief", str(path))
     scenario = load_scenario(path)
-    models = scenario.truth.models()
+    models = scenario.truth.models() if scenario.truth is not None else {}
     if not models:
-        raise InputError(
-            "its truth is recorded signals; a gap needs noise models to hold a recording against", where=str(path)
-        )
+        raise InputError("no noise models as truth; a gap needs models to hold a recording against", where=str(path))
     return Nominal(models, scenario.gnss, scenario.initial, raw, "scenario", str(path))
 
 
