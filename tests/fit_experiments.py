@@ -110,7 +110,13 @@ def selection(name: str, series: int = 50, seed: int = 5, n: int = 1_000_000) ->
         chosen, error = prediction_distance(ranking.fit.model, held_out, truth)
         worse.append((chosen - prediction_distance(fitted_truth, held_out, truth)[0]) / error)
         than_truth.append((chosen - prediction_distance(truth, held_out, truth)[0]) / error)
-    return {"right": right / series, "named": named, "worst": max(worse), "worst_than_truth": max(than_truth)}
+    return {
+        "right": right / series,
+        "named": named,
+        "worst": max(worse),
+        "beyond_two": float(np.mean(np.array(worse) > 2.0)),
+        "worst_than_truth": max(than_truth),
+    }
 
 
 @app.command("selection")

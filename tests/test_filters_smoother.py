@@ -75,3 +75,19 @@ def test_the_last_node_is_the_filters_and_nodes_are_needed():
     assert s.trajectory.t[0] == 0.0
     with pytest.raises(InputError, match="kept no nodes"):
         smooth(LooselyCoupledEKF(MODEL_15, DT).run(*data, START_SIGMA))
+
+
+@pytest.mark.slow
+def test_half_the_error_in_the_middle_of_a_long_outage():
+    """130 s without fixes, 24 realizations: horizontal rms in the middle at most half of the filter's at the same epoch."""
+    road, errors = cases.drive(400.0), []
+    ekf = LooselyCoupledEKF(MODEL_24, DT, options=OPTIONS)
+    for i in range(24):
+        r = ekf.run(*flown(road, MODEL_24, 800 + i, (200.0, 330.0)), START_SIGMA)
+        s = smooth(r)
+        k = int(np.searchsorted(s.t, 265.0))
+        truth = road.nav[r.nodes.epoch[k]][None]
+        errors.append([strapdown.navigation_errors(x[k : k + 1], truth)[0, :2] for x in (r.nodes.nav, s.nav)])
+    rms = np.sqrt((np.array(errors) ** 2).sum(axis=-1).mean(axis=0))
+    print(f"\nmiddle of 130 s: filter {rms[0]:.1f} m, smoother {rms[1]:.1f} m, ratio {rms[1] / rms[0]:.2f}")
+    assert rms[1] <= 0.5 * rms[0]

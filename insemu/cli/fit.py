@@ -136,10 +136,14 @@ def fit_axes(
     from insemu.fit import fit
     from insemu.noise import NoiseModel
 
-    def one(s: Series) -> FitResult:
+    # every axis its own child, whatever the order in which threads come to it
+    children = options["rng"].spawn(len(series)) if "rng" in options else [None] * len(series)
+
+    def one(item: tuple[Series, Any]) -> FitResult:
+        s, child = item
         given = dict(options)
-        if "rng" in given:
-            given["rng"] = given["rng"].spawn(1)[0]
+        if child is not None:
+            given["rng"] = child
         try:
             if start:
                 given["start"] = NoiseModel.parse(start, s.unit)
@@ -149,7 +153,7 @@ def fit_axes(
             raise InputError(error.message, where=error.where if known else s.name) from None
 
     with ThreadPoolExecutor(max_workers=min(workers, len(series))) as pool:
-        return {s.name: r for s, r in zip(series, pool.map(one, series), strict=True)}
+        return {s.name: r for s, r in zip(series, pool.map(one, zip(series, children, strict=True)), strict=True)}
 
 
 def fit_pooled(

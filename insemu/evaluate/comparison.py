@@ -14,6 +14,7 @@ from insemu.evaluate.covariance import CovarianceAnalysis, analyse
 from insemu.evaluate.errors import paired_ratio
 from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.results import Results
+from insemu.evaluate.world import World
 from insemu.filters import InitialSigma
 from insemu.scenario import Scenario
 from insemu.strapdown import NavState
@@ -131,10 +132,12 @@ def analyse_designs(
         The truth is recorded or has deterministic effects: there is no covariance to propagate.
     """
     s, world = experiment.scenario, experiment.world
+    where = str(experiment.file or "scenario")
+    if not isinstance(world, World) or s.truth is None:
+        raise InputError("found a recording; the analysis needs an emulated world and its truth", where=where)
     if s.truth.recorded is not None or s.truth.uses():
         raise InputError(
-            "found a recorded truth or deterministic effects; the analysis needs a truth of noise models only",
-            where=str(experiment.file or "scenario"),
+            "found a recorded truth or deterministic effects; the analysis needs noise models only", where=where
         )
     fixes = world.recording(0, ideal=True).gnss
     assert fixes is not None
@@ -142,15 +145,18 @@ def analyse_designs(
     sigma = InitialSigma(i.position_sigma, i.velocity_sigma, (i.tilt_sigma, i.tilt_sigma, i.heading_sigma))
     ends = [start + duration for start, duration in world.outage_windows]
     plain = type(fixes)(fixes.t, fixes.llh, fixes.vel_ned)  # the filter's own sigmas, not those of perfect fixes
+    truth = {axis: m.at_rate(experiment.rate_hz) for axis, m in s.truth.models().items()}
+    start = NavState.of(world.reference)
+    times = tuple(world.output_times)
     return {
         name: analyse(
             experiment.filter(name),
-            {axis: m.at_rate(experiment.rate_hz) for axis, m in s.truth.models().items()},
+            truth,
             world.imu,
             plain,
-            NavState.of(world.reference),
+            start,
             sigma,
-            at=tuple(experiment.output_times),
+            at=times,
             budget_at=ends,
             budget_states=states,
         )

@@ -431,7 +431,8 @@ def _gains(
         rates = imu.gyro[k] / dt, imu.gyro[before] / (imu.t[before] - imu.t[before - 1])
         here = np.concatenate([nav[k, :3], nav[k, 3:6]])
         fill_fix(
-            np.append(nav[k], zero), np.append(nav[k - 1], zero), dt, events.tau[i], *rates, ekf.lever_arm, np.zeros(6), np.zeros(0), none, -1, -1, here, nu, H, R
+            np.append(nav[k], zero), np.append(nav[k - 1], zero), dt,
+            events.tau[i], *rates, ekf.lever_arm, np.zeros(6), np.zeros(0), none, -1, -1, here, nu, H, R
         )  # fmt: skip
         # what the filter would predict at the truth
         z[i] = np.where(

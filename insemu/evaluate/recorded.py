@@ -16,7 +16,8 @@ from insemu.errors import InputError
 from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.world import Scored, covariance_at, input_files, nearest_rows
 from insemu.filters import FilterResult, InitialSigma, Standstill
-from insemu.filters.alignment import Alignment, align, rests
+from insemu.filters.alignment import Alignment, align
+from insemu.filters.motion import align_in_motion, cut, rests
 from insemu.formats import read_recording
 from insemu.records import GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import OutageWindow, Scenario
@@ -90,7 +91,10 @@ class RecordedWorld:
     @cached_property
     def alignment(self) -> Alignment:
         """Where the filters start."""
-        return align(self.vehicle_imu, self.gnss, gravity=self.source.gravity)
+        try:
+            return align_in_motion(self.vehicle_imu, self.gnss, gravity=self.source.gravity)
+        except InputError:  # too little motion for vectors; the course may do
+            return align(self.vehicle_imu, self.gnss, lever_arm=self.scenario.gnss.lever_arm)
 
     @property
     def rate_hz(self) -> float:
@@ -139,7 +143,7 @@ class RecordedWorld:
         for start, duration in self.outage_windows:
             withheld |= Outage(start, duration).covers(gnss.t)
         kept = _rows(gnss, (gnss.t > self.alignment.t) & ~withheld)
-        return Recording(self.alignment.apply(self.vehicle_imu), kept, self.reference, self.source.file)
+        return Recording(cut(self.vehicle_imu, self.alignment), kept, self.reference, self.source.file)
 
     def start(self, realization: int, imu: ImuRecord) -> tuple[NavState, InitialSigma]:
         """Where alignment says that the vehicle is."""

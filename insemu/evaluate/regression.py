@@ -22,7 +22,7 @@ from scipy import stats
 from insemu.errors import InputError
 from insemu.evaluate.experiment import Experiment, run_experiment
 from insemu.evaluate.results import Results
-from insemu.filters import FilterOptions, LooselyCoupledEKF
+from insemu.filters import LooselyCoupledEKF
 from insemu.noise import NoiseModel
 from insemu.records import AXES
 
@@ -240,24 +240,25 @@ class AlteredExperiment(Experiment):
     def __init__(self, original: Experiment, alteration: Alteration) -> None:
         self.__dict__.update(original.__dict__)
         self._alteration = alteration
-        self._beliefs = original.beliefs
+        self.__dict__["beliefs"] = original.beliefs  # fitted once
 
-    def filter(self, design: str, options: FilterOptions | None = None) -> LooselyCoupledEKF:
+    def filter(self, design: str, *, output_every: int = 1, covariance_at: Array | None = None) -> LooselyCoupledEKF:
         """The filter of one design, altered."""
-        a, gnss = self._alteration, self.scenario.gnss
-        position, velocity = np.array(gnss.position_sigma), np.array(gnss.velocity_sigma or (np.nan,) * 3)
+        a = self._alteration
+        plain = super().filter(design, output_every=output_every, covariance_at=covariance_at)
+        position, velocity = plain.gnss_sigma if plain.gnss_sigma is not None else (np.full(3, np.nan),) * 2
         if a.triad == "gnss":
             position, velocity = (
                 position * (a.factor if a.parameter == "position" else 1.0),
                 velocity * (a.factor if a.parameter == "velocity" else 1.0),
             )
         return LooselyCoupledEKF(
-            a.belief(self._beliefs[design].models),
-            1.0 / self.rate_hz,
-            lever_arm=gnss.lever_arm,
-            gravity=self.scenario.trajectory.gravity,
+            a.belief(self.beliefs[design].models),
+            plain.dt,
+            lever_arm=plain.lever_arm,
+            gravity=plain.gravity,
             gnss_sigma=(position, velocity),
-            options=replace(options or FilterOptions(), imposed_gnss_sigma=True),
+            options=replace(plain.options, imposed_gnss_sigma=a.triad == "gnss"),
         )
 
 

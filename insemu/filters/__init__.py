@@ -11,6 +11,7 @@ from insemu.filters.ekf import (
     Standstill,
     run_filter,
 )
+from insemu.filters.protocol import NavigationFilter, user_filter
 from insemu.filters.smoother import SmootherResult, smooth
 
 __all__ = [
@@ -20,9 +21,11 @@ __all__ = [
     "FixTable",
     "InitialSigma",
     "LooselyCoupledEKF",
+    "NavigationFilter",
     "Nodes",
     "SmootherResult",
     "Standstill",
     "run_filter",
     "smooth",
+    "user_filter",
 ]

@@ -1,11 +1,7 @@
-"""Alignment: where a filter starts when nobody tells it its attitude.
+"""Starting from nothing: standstill found, level from gravity, heading from the course of the first motion.
 
-Two ways, both independent of how the IMU is mounted:
-
-* at rest, gravity gives the level, and the Earth's rate the heading where the gyroscopes are good enough for it (coarse alignment); zero
-  velocity and zero rate then refine it in the filter (fine alignment, :class:`~insemu.filters.ekf.Standstill`);
-* in motion, integrated specific force and the velocity of the fixes are the same vectors in two frames (Wu and Pan 2013, in the form of Wahba's
-  problem): heading comes from speeding up, braking and turning, without any assumption about where the vehicle's front is.
+A MEMS gyroscope does not feel the Earth's rotation, so heading comes from GNSS velocity once the vehicle moves forward; the gyroscopes carry
+it back to the start of the record (Groves 2013, sections 5.6 and 16.2). All in vehicle axes: turn the IMU by its mounting first.
 """
 
 from __future__ import annotations
@@ -13,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from insemu import earth, rotation
 from insemu.errors import InputError
@@ -23,255 +19,124 @@ from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
 
+#: Standard deviation of roll and pitch of a vehicle that was never seen at rest, rad.
+LEVEL_SIGMA = np.deg2rad(3.0)
+
 
 @dataclass(frozen=True)
 class Alignment:
-    """A start for the filter.
+    """Where and how a filter starts.
 
     Parameters
     ----------
     t : float
-        Time of the start, s.
+        Time of the start, s; row ``row`` of the IMU record.
+    row : int
     state : NavState
     sigma : InitialSigma
-        Honest for the method: from the scatter of the data that it used, and never below 0.2 deg.
     gyro_bias : (3,) array
-        Mean rate at rest less the Earth's, rad/s; zeros where the record has no rest.
-    rest : tuple of float, optional
-        The rest that was used, (start, end) in s.
-    method : str
-        ``rest`` or ``motion``.
+        Mean angular rate at rest, rad/s; NaN where there was no rest.
+    standstill : tuple of (start, end)
+        Intervals at rest, s.
     """
 
     t: float
+    row: int
     state: NavState
     sigma: InitialSigma
     gyro_bias: Array
-    rest: tuple[float, float] | None
-    method: str
-
-    def apply(self, imu: ImuRecord) -> ImuRecord:
-        """The record from the start on, as increments, with the gyroscope bias at rest taken off."""
-        r = imu.as_increments()
-        first = int(np.searchsorted(r.t, self.t - 1e-9))
-        step = np.diff(r.t, prepend=2 * r.t[0] - r.t[1])[first:, None]
-        temperature = None if r.temperature is None else r.temperature[first:]
-        return ImuRecord(r.t[first:], r.gyro[first:] - self.gyro_bias * step, r.accel[first:], "increment", temperature)
+    standstill: tuple[tuple[float, float], ...]
 
 
-def rests(
-    imu: ImuRecord, gnss: GnssRecord | None = None, *, shortest: float = 2.0, speed: float = 0.3, factor: float = 3.0
-) -> list[tuple[float, float]]:
-    """Find when the vehicle stands still.
-
-    Parameters
-    ----------
-    imu : ImuRecord
-    gnss : GnssRecord, optional
-        Where it has velocities, faster fixes rule rest out.
-    shortest : float
-        Shortest rest, s.
-    speed : float
-        Largest horizontal speed of a fix at rest, m/s.
-    factor : float
-        Half-second spreads of the rate and the specific force up to this multiple of the quietest tenth of the record count as rest.
-
-    Returns
-    -------
-    list of (start, end) in s
-    """
-    r = imu.as_increments()
-    n = max(2, round(0.5 / r.dt))
-    count = len(r) // n
-    if count < 4:
-        return []
-    step = np.diff(r.t, prepend=2 * r.t[0] - r.t[1])[: count * n, None]
-    rate = np.hstack([r.gyro, r.accel])[: count * n] / step
-    spread = rate.reshape(count, n, 6).std(axis=1)
-    size = np.stack([np.linalg.norm(spread[:, :3], axis=1), np.linalg.norm(spread[:, 3:], axis=1)], axis=1)
-    start, end = r.t[: count * n : n], r.t[n - 1 : count * n : n]
-    fast = np.zeros(count, dtype=bool)
-    if gnss is not None and gnss.vel_ned is not None:
-        known = np.isfinite(gnss.vel_ned).all(axis=1)
-        if known.any():
-            v = np.interp(0.5 * (start + end), gnss.t[known], np.linalg.norm(gnss.vel_ned[known, :2], axis=1))
-            fast = v > speed
-    slow = size[~fast] if (~fast).sum() >= 4 else size
-    still = (size <= factor * np.quantile(slow, 0.1, axis=0)).all(axis=1) & ~fast
-    out = []
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]]))).reshape(-1, 2)
-    for a, b in edges:
-        if end[b - 1] - start[a] >= shortest:
-            out.append((float(start[a]), float(end[b - 1])))
-    return out
+def find_standstill(gnss: GnssRecord, *, speed: float = 0.1, shortest: float = 4.0) -> tuple[tuple[float, float], ...]:
+    """Intervals in which every fix is slower than ``speed`` (m/s), at least ``shortest`` seconds, a second kept off both ends."""
+    if gnss.vel_ned is None:
+        return ()
+    slow = np.linalg.norm(gnss.vel_ned, axis=1) < speed
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], slow.astype(np.int8), [0]]))).reshape(-1, 2)
+    spans = [(float(gnss.t[a]) + 1.0, float(gnss.t[b - 1]) - 1.0) for a, b in edges]
+    return tuple((a, b) for a, b in spans if b - a >= shortest - 2.0)
 
 
-def _level(force: Array) -> Array:
-    """Roll and pitch of a vehicle at rest from its specific force (3,)."""
-    return np.array([np.arctan2(-force[1], -force[2]), np.arctan2(force[0], np.hypot(force[1], force[2]))])
+def level(f_b: ArrayLike) -> tuple[float, float]:
+    """Roll and pitch (rad) of a body at rest from its mean specific force (m/s^2) in body axes."""
+    fx, fy, fz = np.asarray(f_b, dtype=np.float64)
+    return float(np.arctan2(-fy, -fz)), float(np.arctan2(fx, np.hypot(fy, fz)))
 
 
-def align_at_rest(
-    imu: ImuRecord, llh: Array, rest: tuple[float, float], *, heading: float | None = None, heading_sigma: float = np.pi
+def align(
+    imu: ImuRecord, gnss: GnssRecord, *, lever_arm: ArrayLike = (0.0, 0.0, 0.0), min_speed: float = 3.0
 ) -> Alignment:
-    """Coarse alignment over a rest: level from gravity, heading given or from the Earth's rate.
+    """Find a start for a filter from raw data.
+
+    With a rest at the start of the record it is the start of that rest: level from gravity, gyroscope bias from the mean rate, heading from the
+    first course above ``min_speed`` carried back by the gyroscopes. Otherwise it is the first fix above ``min_speed``, level assumed.
 
     Parameters
     ----------
     imu : ImuRecord
-    llh : (3,) array
-        Position, rad, rad, m.
-    rest : (start, end)
-        s; the start of the filter is its end.
-    heading, heading_sigma : float, optional
-        rad; without a heading it is found by gyro-compassing, with a sigma from the scatter of the rates.
-
-    Raises
-    ------
-    InputError
-        Fewer than ten samples in the rest.
-    """
-    r = imu.as_increments()
-    inside = (r.t > rest[0]) & (r.t <= rest[1])
-    inside[0] = False
-    if inside.sum() < 10:
-        raise InputError(
-            f"{int(inside.sum())} samples between {rest[0]:g} and {rest[1]:g} s, expected at least 10 at rest"
-        )
-    step = np.diff(r.t, prepend=2 * r.t[0] - r.t[1])[inside, None]
-    force, rate = (v[inside] / step for v in (r.accel, r.gyro))
-    roll, pitch = _level(force.mean(axis=0))
-    wander = rate.reshape(-1, 3)[: len(rate) // 10 * 10].reshape(10, -1, 3).mean(axis=1).std(axis=0, ddof=1) / np.sqrt(
-        10
-    )
-    tilt_noise = force[: len(force) // 10 * 10].reshape(10, -1, 3).mean(axis=1).std(axis=0, ddof=1) / np.sqrt(10)
-    if heading is None:
-        leveled = rotation.dcm_from_rpy(np.array([roll, pitch, 0.0])) @ rate.mean(axis=0)
-        heading = float(np.arctan2(-leveled[1], leveled[0]))
-        heading_sigma = float(min(np.pi, np.linalg.norm(wander) / (earth.RATE * np.cos(llh[0]))))
-    rpy = np.array([roll, pitch, heading])
-    C = rotation.dcm_from_rpy(rpy)
-    bias = rate.mean(axis=0) - C.T @ earth.earth_rate(float(llh[0]))
-    tilt = max(float(np.linalg.norm(tilt_noise)) / 9.8, np.deg2rad(0.2))
-    end = float(r.t[inside][-1])
-    state = NavState(np.asarray(llh, dtype=np.float64), np.zeros(3), rpy)
-    sigma = InitialSigma(1.0, 0.05, (tilt, tilt, max(heading_sigma, np.deg2rad(0.2))))
-    return Alignment(end, state, sigma, bias, rest, "rest")
-
-
-def align_in_motion(
-    imu: ImuRecord, gnss: GnssRecord, *, gravity: str = "normal", least_change: float = 12.0, longest: float = 180.0
-) -> Alignment:
-    """Align a drive that starts from nothing: level and heading from the fixes' velocity, gyroscope bias from the first rest.
-
-    Parameters
-    ----------
-    imu : ImuRecord
+        In vehicle axes.
     gnss : GnssRecord
-        With velocities.
-    gravity : str
-        See :mod:`insemu.earth`.
-    least_change : float
-        Velocity that has to have changed horizontally, summed over seconds, before the heading is trusted, m/s.
-    longest : float
-        Longest stretch to use, s.
-
-    Returns
-    -------
-    Alignment
-        At the last fix of the stretch that was used.
+        With velocity.
+    lever_arm : (3,)
+        IMU to antenna in vehicle axes, m.
+    min_speed : float
+        Speed from which the course is taken for the heading, m/s. The vehicle must drive forward then.
 
     Raises
     ------
     InputError
-        No velocities, or a vehicle that does not move enough.
+        No velocity, or never as fast as that.
     """
     if gnss.vel_ned is None:
-        raise InputError("the fixes carry no velocity; alignment in motion needs it (or give heading and level)")
-    r = imu.as_increments()
-    good = (
-        np.isfinite(gnss.vel_ned).all(axis=1)
+        raise InputError("alignment needs GNSS velocity for the heading; the record has positions only")
+    inside = (
+        (gnss.t >= imu.t[0])
+        & (gnss.t <= imu.t[-1])
+        & np.isfinite(gnss.vel_ned).all(axis=1)
         & np.isfinite(gnss.llh).all(axis=1)
-        & (gnss.t >= r.t[0])
-        & (gnss.t <= r.t[-1])
     )
-    t, v, llh = gnss.t[good], gnss.vel_ned[good], gnss.llh[good]
-    if t.size < 5:
-        raise InputError(f"{t.size} fixes with velocity during the IMU record, expected at least 5")
-    found = rests(imu, gnss)
-    rest = found[0] if found else None
-    bias = np.zeros(3)
-    if rest is not None:
-        bias = align_at_rest(imu, llh[0], rest, heading=0.0).gyro_bias
-    # the stretch: up to the fix at which the velocity has changed enough, seconds apart so that noise does not add up
-    apart = np.unique(np.searchsorted(t, np.arange(t[0], t[-1], 1.0)))
-    changed = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(v[apart, :2], axis=0), axis=1))])
-    moving = apart[max(int(np.argmax(changed > 1.0)) - 5, 0)]
-    start = int(moving)
-    from_start = changed - np.interp(start, apart, changed)
-    enough = np.flatnonzero(from_start >= least_change)
-    if enough.size == 0 or t[apart[enough[0]]] - t[start] > longest:
+    speed = np.hypot(gnss.vel_ned[:, 0], gnss.vel_ned[:, 1])
+    fast = np.flatnonzero(inside & (speed > min_speed))
+    if not fast.size:
         raise InputError(
-            f"the velocity changes by {float(changed[-1]):.1f} m/s over the record, expected {least_change:g} m/s within {longest:g} s to align"
+            f"alignment needs a fix faster than {min_speed:g} m/s; the fastest has {np.max(speed[inside], initial=0.0):.3g} m/s"
         )
-    stop = int(apart[enough[0]])
-    rows = np.searchsorted(r.t, t[start : stop + 1] - 1e-9).clip(1, len(r) - 1)
-    first, last = int(rows[0]), int(rows[-1])
-    # attitude of the body relative to the body at the first fix, and specific force integrated there
-    step = np.diff(r.t)[:, None]
-    gyro = r.gyro[1:] - bias * step
-    q = np.array([1.0, 0.0, 0.0, 0.0])
-    total = np.zeros(3)
-    sums, attitudes = [total.copy()], [q]
-    at = 1
-    for k in range(first + 1, last + 1):
-        half = rotation.quaternion_product(q, rotation.quaternion_from_vector(0.5 * gyro[k - 1]))
-        total = total + rotation.dcm_from_quaternion(half) @ r.accel[k]
-        q = rotation.quaternion_product(q, rotation.quaternion_from_vector(gyro[k - 1]))
-        if at < rows.size and k == rows[at]:
-            sums.append(total.copy())
-            attitudes.append(q)
-            at += 1
-    alpha = np.diff(np.array(sums), axis=0)
-    g = np.array([0.0, 0.0, float(earth.gravity(llh[start, 0], llh[start, 2], gravity))])
-    w_ie = earth.earth_rate(float(llh[start, 0]))
-    used = slice(start, stop + 1)
-    dt = np.diff(r.t[rows])[:, None]
-    middle = 0.5 * (v[used][1:] + v[used][:-1])
-    beta = np.diff(v[used], axis=0) + (np.cross(2 * w_ie, middle) - g) * dt
-    # Wahba by singular values, over sums of a second so that the noise of single fixes does not dominate
-    group = np.searchsorted(t[used][1:], np.arange(t[start] + 1.0, t[stop] + 1e-6, 1.0) + 1e-6)
-    edges = np.unique(np.concatenate([[0], group]))
-    a = np.add.reduceat(alpha, edges[:-1], axis=0) if edges.size > 1 else alpha
-    b = np.add.reduceat(beta, edges[:-1], axis=0) if edges.size > 1 else beta
-    left, _, right = np.linalg.svd(b.T @ a)
-    C0 = left @ np.diag([1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)]) @ right
-    residual = b - a @ C0.T
-    variance = float((residual**2).sum() / max(2 * len(b) - 3, 1))
-    information = sum((x @ x) * np.eye(3) - np.outer(x, x) for x in b) / variance
-    scatter = np.sqrt(np.diag(np.linalg.inv(information)))
-    drift = 0.0 if rest is not None else np.deg2rad(0.02) * (t[stop] - t[start])
-    floor = np.deg2rad([0.5, 0.5, 2.0])
-    sigma = np.maximum(3.0 * scatter, floor) + drift
-    C = C0 @ rotation.dcm_from_quaternion(attitudes[-1])
-    state = NavState(llh[stop], v[stop], rotation.rpy_from_dcm(C))
-    spread = 1.0 if gnss.pos_std_ned is None else np.maximum(3.0 * gnss.pos_std_ned[good][stop], 0.1)
-    return Alignment(float(r.t[last]), state, InitialSigma(spread, 0.3, sigma), bias, rest, "motion")
-
-
-def align(imu: ImuRecord, gnss: GnssRecord, *, gravity: str = "normal") -> Alignment:
-    """Align by whatever the record offers: in motion where the vehicle moves, else at rest.
-
-    Raises
-    ------
-    InputError
-        Neither motion nor rest.
-    """
-    try:
-        return align_in_motion(imu, gnss, gravity=gravity)
-    except InputError as motion:
-        still = rests(imu, gnss)
-        known = np.flatnonzero(np.isfinite(gnss.llh).all(axis=1))
-        if not still or known.size == 0:
-            raise InputError(f"cannot align: {motion.message}, and the record has no rest") from None
-        return align_at_rest(imu, gnss.llh[known[0]], max(still, key=lambda s: s[1] - s[0]))
+    first = int(fast[0])
+    course = float(np.arctan2(gnss.vel_ned[first, 1], gnss.vel_ned[first, 0]))
+    sigma_v = 0.1 if gnss.vel_std_ned is None else float(np.max(gnss.vel_std_ned[first, :2]))
+    heading_sigma = float(np.hypot(sigma_v / speed[first], np.deg2rad(1.0)))
+    still = find_standstill(gnss)
+    increments = imu.as_increments()
+    bias = np.full(3, np.nan)
+    at_rest = still and still[0][0] < gnss.t[first]
+    if at_rest:
+        a, b = np.searchsorted(imu.t, still[0])
+        span = imu.t[b] - imu.t[a]
+        bias = increments.gyro[a + 1 : b + 1].sum(axis=0) / span
+        roll, pitch = level(increments.accel[a + 1 : b + 1].sum(axis=0) / span)
+        row = int(np.searchsorted(imu.t, max(still[0][0], float(gnss.t[inside][0]))))
+        end = int(np.searchsorted(imu.t, gnss.t[first]))
+        turned = increments.gyro[row + 1 : end + 1].sum(axis=0) - bias * (imu.t[end] - imu.t[row])
+        # rate of the heading of a nearly level vehicle: (q sin(roll) + r cos(roll)) / cos(pitch)
+        heading = course - float((turned[1] * np.sin(roll) + turned[2] * np.cos(roll)) / np.cos(pitch))
+        tilt = np.deg2rad(0.5)
+        fix = int(np.flatnonzero(inside & (gnss.t >= imu.t[row] - 1e-9))[0])
+        velocity, velocity_sigma = np.zeros(3), 0.05
+    else:
+        row = int(np.searchsorted(imu.t, gnss.t[first]))
+        roll = pitch = 0.0
+        heading, tilt, fix = course, LEVEL_SIGMA, first
+        velocity, velocity_sigma = np.array(gnss.vel_ned[first]), max(0.1, sigma_v)
+    rpy = np.array([roll, pitch, (heading + np.pi) % (2.0 * np.pi) - np.pi])
+    arm = rotation.dcm_from_rpy(rpy) @ np.asarray(lever_arm, dtype=np.float64)
+    llh = earth.move(gnss.llh[fix], velocity * (imu.t[row] - gnss.t[fix]) - arm)
+    position_sigma = np.full(3, 3.0) if gnss.pos_std_ned is None else np.maximum(gnss.pos_std_ned[fix], 0.05)
+    return Alignment(
+        float(imu.t[row]),
+        row,
+        NavState(llh, velocity, rpy),
+        InitialSigma(position=position_sigma, velocity=velocity_sigma, attitude=(tilt, tilt, heading_sigma)),
+        bias,
+        still,
+    )
