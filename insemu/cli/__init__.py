@@ -14,6 +14,8 @@ import typer
 COMMANDS: dict[str, str] = {
     "characterise": "characterise",
     "run": "run",
+    "gap": "gap",
+    "gap-trial": "gap_trial",
     "compare": "compare",
     "regress": "regress",
     "schema": "schema",

@@ -1,1 +1,28 @@
-"""."""
+"""Where simulation and measurement disagree: find the missing effect, name it, add it, show the gap shrink.
+
+``find_gap`` holds a static log or a recording against what is believed and answers with a :class:`GapReport`; :func:`register` adds a
+candidate of one's own.
+"""
+
+from insemu.gap.candidates import register
+from insemu.gap.identify import find_gap
+from insemu.gap.nominal import Nominal, load_nominal, write_refined
+from insemu.gap.sources import StaticLog, load_measured
+from insemu.gap.static_log import find_static_gap
+from insemu.gap.verdict import GapReport, Member, Step, Value, Where
+
+__all__ = [
+    "GapReport",
+    "Member",
+    "Nominal",
+    "StaticLog",
+    "Step",
+    "Value",
+    "Where",
+    "find_gap",
+    "find_static_gap",
+    "load_measured",
+    "load_nominal",
+    "register",
+    "write_refined",
+]

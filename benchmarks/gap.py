@@ -1,0 +1,51 @@
+"""How long one identification takes, in units of one run of the nominal filter in the same process."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from insemu.effects import EffectUse
+from insemu.emulate import built_in, corrupt, gnss_fixes, ideal_imu
+from insemu.gap import Nominal, find_gap, find_static_gap
+from insemu.gap.preparation import fast_parts, prepare
+from insemu.noise import RW, WN, NoiseModel
+from insemu.records import AXES, Recording, Series
+from insemu.scenario import Gnss, Initial
+
+BELIEF = {a: NoiseModel((WN(1e-4), RW(1e-6)) if a.startswith("gyro") else (WN(1e-3), RW(1e-5))) for a in AXES}
+
+
+def main() -> None:
+    rng = np.random.default_rng(1)
+    made = ideal_imu(built_in("helicopter_mapping"), 100.0)
+    effect = EffectUse.from_mapping({"effect": "lever_arm", "value": [0.2, 0, 0]})
+    imu = corrupt(made.imu, BELIEF, rng, reference=made.reference).imu
+    fixes = gnss_fixes(made.reference, 1.0, 0.05, 0.05, rng=rng, effects=[effect])
+    recording = Recording(imu, fixes, made.reference)
+    nominal = Nominal(
+        BELIEF,
+        Gnss(position_sigma=(0.05,) * 3, velocity_sigma=(0.05,) * 3),
+        Initial(tilt_sigma=0.005, heading_sigma=0.01),
+    )
+    prepared = prepare(recording, nominal, fast_parts(recording), {})  # compiles
+    find_gap(recording, nominal, rng=rng, hold_out=False)
+    filter_s = prepared.again(prepared.gnss).result.seconds
+    rows = []
+    for label, hold_out in (("drive, 20 min at 100 Hz", False), ("the same with held-out scoring", True)):
+        start = time.perf_counter()
+        find_gap(recording, nominal, rng=rng, hold_out=hold_out)
+        rows.append((label, time.perf_counter() - start))
+    log = [Series(WN(1e-3).simulate(72_000, 0.05, rng), 20.0, "rad/s", a) for a in AXES[:3]]
+    start = time.perf_counter()
+    find_static_gap(log, {a: NoiseModel((WN(1e-3),)) for a in AXES[:3]}, rng=rng, hold_out=False)
+    rows.append(("static, 1 h at 20 Hz, three axes", time.perf_counter() - start))
+    print(f"one run of the nominal filter: {filter_s:.3f} s\n")
+    print(f"{'identification':36s} {'seconds':>8s} {'filter runs':>12s}")
+    for label, seconds in rows:
+        print(f"{label:36s} {seconds:8.2f} {seconds / filter_s:12.0f}")
+
+
+if __name__ == "__main__":
+    main()

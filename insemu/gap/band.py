@@ -1,0 +1,56 @@
+"""Vibration coloured by a resonance, as a process: the second-order autoregression that a sampled resonance is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from insemu.noise import AR, Parameter, Process, StateBlock
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Band(Process):
+    """Noise of standard deviation ``sigma`` around ``f`` (Hz), full width at half power ``ratio`` times ``f``."""
+
+    sigma: float | None = None
+    f: float | None = None
+    ratio: float | None = None
+    PARAMETERS: ClassVar = (
+        Parameter("sigma", "{u}", "positive", "standard deviation"),
+        Parameter("f", "Hz", "positive", "centre frequency"),
+        Parameter("ratio", "1", "positive", "full width at half power over centre frequency"),
+    )
+
+    def coefficients(self, dt: float) -> tuple[float, float, float]:
+        """Return ``(phi_1, phi_2, innovation variance)`` of the samples at interval ``dt``."""
+        p = self.parameters
+        r = math.exp(-math.pi * p["ratio"] * p["f"] * dt)
+        phi1, phi2 = 2.0 * r * math.cos(2.0 * math.pi * p["f"] * dt), -r * r
+        ratio = (1.0 - phi2) / ((1.0 + phi2) * ((1.0 - phi2) ** 2 - phi1**2))  # variance over innovation variance
+        return phi1, phi2, p["sigma"] ** 2 / ratio
+
+    def autoregression(self, dt: float) -> AR:
+        """The same process in the noise room's form, for scenarios and filters."""
+        phi1, phi2, sigma2 = self.coefficients(dt)
+        return AR((phi1, phi2), sigma2=sigma2, rate_hz=1.0 / dt)
+
+    def psd(self, f: ArrayLike, dt: float) -> Array:  # noqa: D102
+        phi1, phi2, sigma2 = self.coefficients(dt)
+        z = np.exp(-2j * np.pi * np.asarray(f, dtype=np.float64) * dt)
+        return np.asarray(sigma2 * dt / np.abs(1.0 - phi1 * z - phi2 * z**2) ** 2)
+
+    def allan_variance(self, m: ArrayLike, dt: float) -> Array:
+        """By the low-frequency density: exact for averages much longer than the resonance's memory, where alone it is used."""
+        return np.asarray(self.psd(0.0, dt) / (np.asarray(m, dtype=np.float64) * dt))
+
+    def block(self, dt: float) -> StateBlock:  # noqa: D102
+        return self.autoregression(dt).block(dt)
+
+    def simulate(self, n: int, dt: float, rng: np.random.Generator) -> Array:  # noqa: D102
+        return self.autoregression(dt).simulate(n, dt, rng)

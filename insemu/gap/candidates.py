@@ -1,0 +1,471 @@
+"""Candidates for a static log: what could be missing, each weighed in nats against the current explanation.
+
+Each candidate is a function ``(AxisState) -> list[Weighed]``; a user's own joins through :func:`register`. Grids only find where to
+start: every candidate is refined before it is compared (an unrefined one names the wrong effect).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu.errors import InputError
+from insemu.gap.band import Band
+from insemu.gap.evidence import Component, Explanation, Fitted, Free, Likelihood, Regressors, Rolloff, fit, log_mean_exp
+from insemu.gap.reduced import Reduced, block_differences, reduce_again
+from insemu.gap.verdict import Value
+from insemu.noise import BI, GM, QN, RW, WN, Process
+
+Array = NDArray[np.float64]
+
+#: Ratio of the largest to the smallest amplitude that a prior admits.
+AMPLITUDE_RANGE = 1e5
+
+
+@dataclass(frozen=True)
+class AxisState:
+    """What is known about one axis so far.
+
+    Parameters
+    ----------
+    data : Reduced
+        The reduced log, cleaned of what was named before (lines, outliers).
+    fitted : Fitted
+        The current explanation.
+    temperature : (n,) array, optional
+        degC at the samples.
+    original : Reduced, optional
+        Before cleaning; ``None`` where nothing was cleaned.
+    named : tuple of str
+        Effects named so far.
+    """
+
+    data: Reduced
+    fitted: Fitted
+    temperature: Array | None = None
+    named: tuple[str, ...] = ()
+    memory: dict[str, Array] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def likelihood(self) -> Likelihood:
+        """A fresh likelihood of this axis."""
+        return Likelihood(self.data)
+
+    @property
+    def explanation(self) -> Explanation:
+        """The current explanation."""
+        return self.fitted.explanation
+
+    @property
+    def white(self) -> float:
+        """Density of the current white noise; where there is none, of the spectrum's median."""
+        total = sum(c.process.parameters["N"] ** 2 for c in self.explanation.components if isinstance(c.process, WN))
+        return (
+            math.sqrt(total)
+            if total > 0
+            else math.sqrt(float(np.median(self.data.power)) if self.data.power.size else 1e-30)
+        )
+
+    def block_sigma(self) -> float:
+        """Standard deviation of a block mean from white noise alone."""
+        return self.white / math.sqrt(self.data.block_s)
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """A candidate after refinement.
+
+    Parameters
+    ----------
+    effect, variant : str
+        Catalogue id, and which of its shapes.
+    gain : float
+        Nats of evidence over the current explanation.
+    values : tuple of Value
+        Its parameters.
+    state : AxisState
+        The axis with the effect added.
+    """
+
+    effect: str
+    variant: str
+    gain: float
+    values: tuple[Value, ...]
+    state: AxisState
+
+
+Candidate = Callable[[AxisState], "list[Weighed]"]
+CANDIDATES: dict[str, Candidate] = {}
+
+
+def register(effect: str, candidate: Candidate) -> None:
+    """Add a candidate to the catalogue under an effect id (a user's own, or a replacement)."""
+    CANDIDATES[effect] = candidate
+
+
+def _amplitudes(top: float, count: int = 10) -> Array:
+    return top * np.geomspace(1.0 / AMPLITUDE_RANGE, 1.0, count)
+
+
+def _amplitude(name: str, top: float) -> Free:
+    return Free(name, top / AMPLITUDE_RANGE, top)
+
+
+def _spread(state: AxisState) -> float:
+    """Largest slow excursion that the log could hold, in its unit."""
+    d = state.data.differences
+    wander = np.concatenate([[0.0], np.cumsum(d)])
+    return 10.0 * max(float(np.std(wander)), state.block_sigma())
+
+
+def _log_normal(name: str, value: float, sigma: float, unit: str) -> Value:
+    return Value(name, value, value * math.exp(-1.96 * sigma), value * math.exp(1.96 * sigma), unit)
+
+
+def best_of(
+    state: AxisState, effect: str, variant: str, starts: Iterable[Explanation], refine: int = 2
+) -> list[Weighed]:
+    """Refine the most promising of many starting points and weigh the best."""
+    likelihood = state.likelihood
+    scored = sorted(((likelihood.log_posterior(e), i, e) for i, e in enumerate(starts)), key=lambda item: -item[0])
+    chosen: list[Explanation] = []
+    for _, _, explanation in scored:
+        # a neighbour of a chosen start leads to the same optimum
+        if all(np.max(np.abs(explanation.start() - other.start())) > 1.5 for other in chosen):
+            chosen.append(explanation)
+        if len(chosen) == refine:
+            break
+    fits = [fit(likelihood, e) for e in chosen]
+    if not fits:
+        return []
+    best = max(fits, key=lambda f: f.evidence)
+    return [
+        Weighed(
+            effect,
+            variant,
+            best.evidence - state.fitted.evidence,
+            values_of(best, effect, state.data.unit),
+            added(state, best, effect),
+        )
+    ]
+
+
+def added(state: AxisState, fitted: Fitted, effect: str) -> AxisState:
+    """The axis with an explanation that holds one more effect."""
+    return replace(state, fitted=fitted, named=(*state.named, effect), memory={})
+
+
+#: Names of the table of effects for parameters whose process calls them otherwise.
+_TABLE_NAMES = {
+    ("vibration_band", "sigma"): "rms",
+    ("vibration_band", "f"): "frequency",
+    ("vibration_band", "ratio"): "bandwidth",
+}
+
+
+def values_of(fitted: Fitted, effect: str, unit: str) -> tuple[Value, ...]:
+    """Parameters that an effect brought in, with intervals; the last component of that effect counts."""
+    out: list[Value] = []
+    k = 0
+    for c in fitted.explanation.components:
+        meta = {p.name: p.unit_for(unit) for p in c.process.PARAMETERS}
+        mine = [
+            _log_normal(
+                _TABLE_NAMES.get((effect, f.name), f.name),
+                getattr(c.process, f.name),
+                float(fitted.sigma[k + i]),
+                meta.get(f.name, ""),
+            )
+            for i, f in enumerate(c.free)
+        ]
+        k += len(c.free)
+        if c.effect == effect:
+            out = mine
+            if isinstance(c.process, Band):
+                f0 = c.process.parameters["f"]
+                out = [
+                    v if v.name != "bandwidth" else Value(v.name, v.value * f0, v.low * f0, v.high * f0, "Hz")
+                    for v in out
+                ]
+    if fitted.explanation.rolloff is not None and effect == fitted.explanation.rolloff.effect:
+        low_pass = fitted.explanation.rolloff
+        out = [
+            _log_normal(
+                "cutoff" if f.name == "corner" else f.name,
+                v,
+                float(fitted.sigma[k + i]),
+                "Hz" if f.name == "corner" else "1",
+            )
+            for i, (f, v) in enumerate(zip(low_pass.free, low_pass.values, strict=True))
+        ]
+    return tuple(out)
+
+
+def _process_starts(
+    state: AxisState, effect: str, make: Callable[[float], Process], free: Sequence[Free], amplitudes: Array
+) -> list[Explanation]:
+    base = state.explanation
+    return [base.with_component(Component(make(a), tuple(free), effect)) for a in amplitudes]
+
+
+# -- processes --------------------------------------------------------------------------------------------------------------------
+
+
+def white_noise(state: AxisState) -> list[Weighed]:
+    """The white noise's level is further off than a nominal level may be."""
+    base = state.explanation
+    index = next(
+        (i for i, c in enumerate(base.components) if isinstance(c.process, WN) and c.effect == "nominal"), None
+    )
+    if index is None:
+        top = 10.0 * state.white
+        free = (_amplitude("N", top),)
+        return best_of(
+            state, "white_noise", "level", _process_starts(state, "white_noise", WN, free, _amplitudes(top)), 1
+        )
+    c = base.components[index]
+    n0 = c.process.parameters["N"]
+    starts = []
+    for factor in (0.3, 0.6, 1.0, 1.6, 3.0, 6.0):
+        wide = Component(WN(n0 * factor), (Free("N", n0 / 30.0, n0 * 30.0),), "white_noise")
+        starts.append(replace(base, components=(*base.components[:index], wide, *base.components[index + 1 :])))
+    return best_of(state, "white_noise", "level", starts, 1)
+
+
+def random_walk(state: AxisState) -> list[Weighed]:
+    """A random walk that the explanation lacks, or more of it."""
+    top = _spread(state) / math.sqrt(10.0 * state.data.block_s)
+    return best_of(
+        state,
+        "random_walk",
+        "",
+        _process_starts(state, "random_walk", RW, (_amplitude("K", top),), _amplitudes(top, 16)),
+    )
+
+
+def flicker(state: AxisState) -> list[Weighed]:
+    """Bias instability."""
+    top = _spread(state)
+    return best_of(
+        state, "flicker", "", _process_starts(state, "flicker", BI, (_amplitude("B", top),), _amplitudes(top, 16))
+    )
+
+
+def gauss_markov(state: AxisState) -> list[Weighed]:
+    """A first-order Gauss-Markov process of any correlation time between four samples and half the log."""
+    data = state.data
+    fastest, slowest = 4.0 * data.dt, 0.5 * data.duration_s
+    top = max(_spread(state), 10.0 * state.white / math.sqrt(data.dt * 4.0))
+    free = (_amplitude("sigma", top), Free("beta", 1.0 / slowest, 1.0 / fastest))
+    starts: list[Explanation] = []
+    for time in np.geomspace(fastest * 1.5, slowest / 1.5, 10):
+        # only amplitudes whose spectrum at the corner is not far from the white noise's can matter or fit
+        middle = state.white / math.sqrt(2.0 * time)
+        for a in middle * np.geomspace(0.1, 300.0, 9):
+            starts.append(state.explanation.with_component(Component(GM(a, 1.0 / time), free, "gauss_markov")))
+    return best_of(state, "gauss_markov", "", starts, 3)
+
+
+def quantization_noise(state: AxisState) -> list[Weighed]:
+    """Quantization of the integrated output: a spectrum that rises with the square of the frequency."""
+    top = 10.0 * state.white * math.sqrt(state.data.dt)
+    return best_of(
+        state,
+        "quantization",
+        "integrated",
+        _process_starts(state, "quantization", QN, (_amplitude("Q", top),), _amplitudes(top, 14)),
+        1,
+    )
+
+
+def vibration_band(state: AxisState) -> list[Weighed]:
+    """Vibration coloured by a resonance."""
+    data = state.data
+    if not data.f.size:
+        return []
+    nyquist = 0.5 / data.dt
+    lowest = max(10.0 * data.f[0], 0.02 * nyquist)
+    S = state.explanation.psd(data.f, data.dt)
+    free = (
+        _amplitude("sigma", 30.0 * state.white / math.sqrt(data.dt)),
+        Free("f", lowest, 0.97 * nyquist),
+        Free("ratio", 0.003, 0.6),  # wider is no resonance
+    )
+    starts = []
+    for f0 in np.geomspace(lowest * 1.1, 0.94 * nyquist, 28):
+        for ratio in (0.02, 0.1, 0.35):
+            width = ratio * f0
+            near = float(np.interp(f0, data.f, S))
+            for excess in (0.1, 0.5, 3.0, 20.0):
+                sigma = math.sqrt(excess * near * width * math.pi)
+                starts.append(
+                    state.explanation.with_component(Component(Band(sigma, f0, ratio), free, "vibration_band"))
+                )
+    return best_of(state, "vibration_band", "", starts)
+
+
+def decimation_filter(state: AxisState) -> list[Weighed]:
+    """A low-pass of the output that the nominal model lacks."""
+    if state.explanation.rolloff is not None or not state.data.f.size:
+        return []
+    nyquist = 0.5 / state.data.dt
+    out = []
+    order = Free("order", 0.6, 12.0)
+    for kind, highest in (
+        ("moving average", 4.0),
+        ("triangular window", 6.0),
+        ("exponential", 1.5),
+        ("butterworth", 0.98),
+    ):
+        free = (Free("corner", 0.03 * nyquist, highest * nyquist), *((order,) if kind == "butterworth" else ()))
+        orders: tuple[tuple[float, ...], ...] = ((1.0,), (2.0,), (4.0,), (8.0,)) if kind == "butterworth" else ((),)
+        corners = nyquist * np.geomspace(0.05, 0.95 * highest, 14)
+        starts = [replace(state.explanation, rolloff=Rolloff(kind, (c, *o), free)) for c in corners for o in orders]
+        out += best_of(state, "decimation_filter", kind, starts, 1)
+    return out
+
+
+# -- known shapes -----------------------------------------------------------------------------------------------------------------
+
+
+def _regression(
+    state: AxisState,
+    effect: str,
+    variant: str,
+    names: Sequence[str],
+    rebuild: Callable[[Reduced, Array | None], Array],
+    scales: Array,
+    unit: Sequence[str],
+) -> list[Weighed]:
+    regressors = Regressors(effect, tuple(names), rebuild(state.data, state.temperature), scales, rebuild)
+    explanation = replace(state.explanation, regressors=(*state.explanation.regressors, regressors))
+    likelihood = state.likelihood
+    fitted = fit(likelihood, explanation)
+    mean, covariance = likelihood.coefficients(fitted.explanation)
+    k = len(names)
+    sigma = np.sqrt(np.diag(covariance))[-k:]
+    values = tuple(
+        Value(n, float(m), float(m - 1.96 * s), float(m + 1.96 * s), u)
+        for n, m, s, u in zip(names, mean[-k:], sigma, unit, strict=True)
+    )
+    return [Weighed(effect, variant, fitted.evidence - state.fitted.evidence, values, added(state, fitted, effect))]
+
+
+def ramp(state: AxisState) -> list[Weighed]:
+    """A drift in proportion to time."""
+    data = state.data
+
+    def column(where: Reduced, _: Array | None) -> Array:
+        return np.full((where.differences.size, 1), where.block_s)
+
+    scale = np.array([3.0 * state.block_sigma() / data.duration_s])
+    return _regression(state, "ramp", "", ("R",), column, scale, (f"{data.unit}/s",))
+
+
+#: Thermal time constants that the lagged shape tries, s.
+LAGS = (10.0, 20.0, 40.0, 60.0, 90.0, 150.0, 300.0, 600.0, 1200.0)
+
+
+def temperature(state: AxisState) -> list[Weighed]:
+    """A bias that follows the temperature: linearly, as a cubic, or through a thermal lag."""
+    if state.temperature is None or "temperature" in state.named:
+        return []
+    data, T = state.data, state.temperature
+    spread = float(np.std(T))
+    if not spread > 1e-3:
+        return []
+    centre = float(np.mean(T))
+    # each power is scaled so that its contribution at the edge of the range is as plausible as the linear one's
+    size = 3.0 * max(state.block_sigma(), 0.1 * float(np.std(np.cumsum(data.differences))))
+    scales = size / np.array([spread**k for k in (1, 2, 3)])
+    names = ("c1", "c2", "c3")
+    units = tuple(f"{data.unit}/K" + (f"^{k}" if k > 1 else "") for k in (1, 2, 3))
+    reference = Value("T0", centre, centre, centre, "degC")
+
+    def weigh(variant: str, which: tuple[int, ...], lag: float = 0.0) -> Weighed:
+        def columns(where: Reduced, temperature_c: Array | None) -> Array:
+            if temperature_c is None:
+                raise InputError("the temperature effect needs the temperature of the data that it is to predict")
+            d = temperature_c - centre
+            seen = lowpass(d, where.dt, lag) if lag > 0.0 else d
+            return block_differences(np.stack([seen ** (k + 1) for k in which], axis=1), where.block)
+
+        w = _regression(
+            state,
+            "temperature",
+            variant,
+            [names[k] for k in which],
+            columns,
+            scales[list(which)],
+            [units[k] for k in which],
+        )[0]
+        d = T - centre
+        seen = lowpass(d, data.dt, lag) if lag > 0.0 else d
+        w = _less(
+            w, state, sum((v.value * seen ** (k + 1) for v, k in zip(w.values, which, strict=True)), np.zeros(T.size))
+        )
+        return replace(w, values=(*w.values, reference))
+
+    out = [weigh("linear", (0,)), weigh("cubic", (0, 1, 2))]
+    shapes: tuple[tuple[str, tuple[int, ...]], ...] = (("lagged", (0,)), ("cubic and lagged", (0, 1, 2)))
+    for shape, which in shapes:
+        tried: list[tuple[float, Weighed]] = []
+        for lag in LAGS:
+            if 3.0 * data.dt < lag < 0.3 * data.duration_s:
+                tried.append((lag, weigh(shape, which, lag)))
+        if tried:
+            lag, best = max(tried, key=lambda item: item[1].gain)
+            gain = log_mean_exp([w.gain for _, w in tried])  # the time constant is paid for
+            out.append(replace(best, gain=gain, values=(*best.values, Value("lag", lag, lag / 1.8, lag * 1.8, "s"))))
+    return out
+
+
+def _less(w: Weighed, state: AxisState, signal: Array) -> Weighed:
+    """A named signal taken out of the samples too, so that its fast part is explained as well; worth what the spectrum gains."""
+    if not state.data.f.size:
+        return w
+    apart = reduce_again(state.data, state.data.values - signal)
+    explanation = w.state.explanation
+    before, after = Likelihood(state.data).high(explanation), Likelihood(apart).high(explanation)
+    if not after > before:
+        return w
+    data = replace(apart, differences=state.data.differences)  # the block band keeps the regressors
+    fitted = fit(Likelihood(data), explanation)
+    return replace(w, gain=w.gain + after - before, state=replace(w.state, data=data, fitted=fitted))
+
+
+def lowpass(x: Array, dt: float, lag: float) -> Array:
+    """A first-order lag that starts settled."""
+    from scipy.signal import lfilter
+
+    phi = math.exp(-dt / lag)
+    return np.asarray(x[0] + lfilter([1.0 - phi], [1.0, -phi], x - x[0]))
+
+
+def _initial() -> None:
+    for effect, candidate in (
+        ("white_noise", white_noise),
+        ("random_walk", random_walk),
+        ("gauss_markov", gauss_markov),
+        ("flicker", flicker),
+        ("quantization", quantization_noise),
+        ("ramp", ramp),
+        ("vibration_band", vibration_band),
+        ("decimation_filter", decimation_filter),
+        ("temperature", temperature),
+    ):
+        register(effect, candidate)
+
+
+_initial()
+
+
+def state_of(
+    data: Reduced, explanation: Explanation, temperature_c: Array | None = None, named: tuple[str, ...] = ()
+) -> AxisState:
+    """Fit an explanation to an axis."""
+    return AxisState(data, fit(Likelihood(data), explanation), temperature_c, named)

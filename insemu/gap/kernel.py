@@ -1,0 +1,293 @@
+"""Compiled loops of the room: Toeplitz whitening and the two-level switching likelihood, as scalar code over plain arrays."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@njit(cache=True, nogil=True)
+def toeplitz_whiten(gamma: Array, columns: Array, out: Array) -> float:  # pragma: no cover - compiled
+    """Whiten the columns of a stationary Gaussian vector by the Durbin-Levinson recursion.
+
+    Row k of ``out`` is the one-step prediction error over its standard deviation, so that ``out' out`` is ``columns' C^-1 columns``.
+
+    Parameters
+    ----------
+    gamma : (n,) array
+        Autocovariance at lags 0 to n - 1.
+    columns : (n, k) array
+        Data and regressors.
+    out : (n, k) array
+        Written to.
+
+    Returns
+    -------
+    float
+        ``log det C``, or NaN where the autocovariance is not positive definite.
+    """
+    n, k = columns.shape
+    phi = np.zeros(n)
+    other = np.zeros(n)
+    v = gamma[0]
+    logdet = 0.0
+    for t in range(n):
+        if t > 0:
+            r = gamma[t]
+            for j in range(1, t):
+                r -= phi[j - 1] * gamma[t - j]
+            kappa = r / v
+            for j in range(t - 1):
+                other[j] = phi[j] - kappa * phi[t - 2 - j]
+            for j in range(t - 1):
+                phi[j] = other[j]
+            phi[t - 1] = kappa
+            v *= (1.0 - kappa) * (1.0 + kappa)
+        if not v > 0.0:
+            return math.nan
+        logdet += math.log(v)
+        s = 1.0 / math.sqrt(v)
+        for c in range(k):
+            e = columns[t, c]
+            for j in range(t):
+                e -= phi[j] * columns[t - 1 - j, c]
+            out[t, c] = e * s
+    return logdet
+
+
+@njit(cache=True, nogil=True)
+def switching_log_likelihood(
+    y: Array, white: float, phi: float, q: float, p0: float, amplitude: float, stay: float, path: Array
+) -> float:  # pragma: no cover - compiled
+    """Log-likelihood of ``y_k = b_k + a s_k + white noise``, ``b`` a first-order Gaussian background, ``s = +-1`` switching at random.
+
+    Two-mode filter with moment matching (generalised pseudo-Bayes of first order): exact where the background is constant or the
+    amplitude is zero.
+
+    Parameters
+    ----------
+    y : (n,) array
+        Block means.
+    white, phi, q, p0 : float
+        Variance of a block mean's white noise; transition, driving variance and initial variance of the background.
+    amplitude, stay : float
+        Half the distance of the two levels; probability of staying for one block.
+    path : (n,) array
+        Written to: probability of the upper level.
+    """
+    n = y.size
+    total = 0.0
+    m0, m1, v0, v1, w0 = 0.0, 0.0, p0, p0, 0.5
+    for k in range(n):
+        # mixing of the two hypotheses over a possible switch
+        u0 = stay * w0 + (1.0 - stay) * (1.0 - w0)
+        a = stay * w0 / u0
+        b = stay * (1.0 - w0) / (1.0 - u0)
+        x0 = a * m0 + (1.0 - a) * m1
+        x1 = b * m1 + (1.0 - b) * m0
+        s0 = a * (v0 + (m0 - x0) ** 2) + (1.0 - a) * (v1 + (m1 - x0) ** 2)
+        s1 = b * (v1 + (m1 - x1) ** 2) + (1.0 - b) * (v0 + (m0 - x1) ** 2)
+        if k > 0:
+            x0 *= phi
+            x1 *= phi
+            s0 = phi * phi * s0 + q
+            s1 = phi * phi * s1 + q
+        e0 = y[k] - x0 + amplitude
+        e1 = y[k] - x1 - amplitude
+        d0 = s0 + white
+        d1 = s1 + white
+        l0 = -0.5 * (math.log(d0) + e0 * e0 / d0) + math.log(max(u0, 1e-300))
+        l1 = -0.5 * (math.log(d1) + e1 * e1 / d1) + math.log(max(1.0 - u0, 1e-300))
+        top = max(l0, l1)
+        sum_ = math.exp(l0 - top) + math.exp(l1 - top)
+        total += top + math.log(sum_) - 0.9189385332046727
+        w0 = min(max(math.exp(l0 - top) / sum_, 1e-12), 1.0 - 1e-12)
+        m0 = x0 + s0 / d0 * e0
+        m1 = x1 + s1 / d1 * e1
+        v0 = s0 * white / d0
+        v1 = s1 * white / d1
+        path[k] = 1.0 - w0
+    return total
+
+
+@njit(cache=True, nogil=True)
+def integrate_inputs(
+    t: Array,
+    C: Array,
+    f_n: Array,
+    node: NDArray[np.int64],
+    u: Array,
+    axis: NDArray[np.int64],
+    column: NDArray[np.int64],
+    D: Array,
+    ramp: Array,
+) -> None:  # pragma: no cover - compiled
+    """Navigation errors that unit sensor errors build up between nodes.
+
+    Within an interval the errors start at zero and grow by ``v' = C df - [f_n x] phi``, ``phi' = C dw``, ``p' = v``; what the rotation of
+    the Earth adds over an interval of seconds is below a part in a thousand and belongs to the transition from node to node.
+
+    Parameters
+    ----------
+    t : (n,) array
+        IMU times; row k describes the interval that ends there.
+    C : (n, 3, 3), f_n : (n, 3) arrays
+        Attitude and specific force in NED for each interval.
+    node : (k,) array of int
+        IMU rows of the nodes, increasing.
+    u : (e, n) array
+        Unit sensor errors, rad/s or m/s^2.
+    axis, column : (e,) arrays of int
+        Axis 0..5 of each entry, and the column of ``D`` that it belongs to.
+    D : (k, columns, 9) array
+        Written to: what has built up at each node since the one before.
+    ramp : (k, 12, 9) array
+        Written to: the same for a constant (0..5) and for a ramp from 0 to 1 across the interval (6..11) on each axis.
+    """
+    entries = axis.size
+    columns = D.shape[1]
+    total = columns + 12
+    e = np.zeros((total, 9))
+    add = np.zeros((total, 6))
+    for i in range(1, node.size):
+        a, b = node[i - 1], node[i]
+        e[:, :] = 0.0
+        span = t[b] - t[a]
+        for k in range(a + 1, b + 1):
+            dt = t[k] - t[k - 1]
+            add[:, :] = 0.0
+            for m in range(entries):
+                x = u[m, k] * dt
+                if x != 0.0:
+                    c, j = column[m], axis[m]
+                    if j < 3:
+                        for r in range(3):
+                            add[c, 3 + r] += C[k, r, j] * x
+                    else:
+                        for r in range(3):
+                            add[c, r] += C[k, r, j - 3] * x
+            part = (0.5 * (t[k] + t[k - 1]) - t[a]) / span
+            for j in range(3):
+                for r in range(3):
+                    x = C[k, r, j] * dt
+                    add[columns + j, 3 + r] = x
+                    add[columns + 3 + j, r] = x
+                    add[columns + 6 + j, 3 + r] = x * part
+                    add[columns + 9 + j, r] = x * part
+            fx, fy, fz = f_n[k, 0], f_n[k, 1], f_n[k, 2]
+            for c in range(total):
+                px = e[c, 6] + 0.5 * add[c, 3]
+                py = e[c, 7] + 0.5 * add[c, 4]
+                pz = e[c, 8] + 0.5 * add[c, 5]
+                vx = add[c, 0] - (fy * pz - fz * py) * dt
+                vy = add[c, 1] - (fz * px - fx * pz) * dt
+                vz = add[c, 2] - (fx * py - fy * px) * dt
+                e[c, 0] += (e[c, 3] + 0.5 * vx) * dt
+                e[c, 1] += (e[c, 4] + 0.5 * vy) * dt
+                e[c, 2] += (e[c, 5] + 0.5 * vz) * dt
+                e[c, 3] += vx
+                e[c, 4] += vy
+                e[c, 5] += vz
+                e[c, 6] += add[c, 3]
+                e[c, 7] += add[c, 4]
+                e[c, 8] += add[c, 5]
+        for c in range(columns):
+            for r in range(9):
+                D[i, c, r] = e[c, r]
+        for c in range(12):
+            for r in range(9):
+                ramp[i, c, r] = e[columns + c, r]
+
+
+@njit(cache=True, nogil=True)
+def surrogate_log_likelihood(
+    Phi: Array,
+    Q: Array,
+    K: Array,
+    H: Array,
+    R: Array,
+    P0: Array,
+    nu: Array,
+    use: NDArray[np.int64],
+    factor: Array,
+    phi_g: Array,
+    q_g: Array,
+    p_g: Array,
+) -> float:  # pragma: no cover - compiled
+    """Log-likelihood of stored innovations when the true noise is other than the filter believed.
+
+    The error of the nominal filter obeys ``e- = Phi e+ + w``, ``nu = -H e- + g + v``, ``e+ = e- + K nu`` with the known input ``K nu``; a Kalman
+    filter on e (and on a Gauss-Markov part g of the fixes) sees the innovations as its measurements.
+
+    Parameters
+    ----------
+    Phi, Q : (f, n, n) arrays
+        Transition and driving covariance to each fix.
+    K, H, R : (f, n, 6), (f, 6, n), (f, 6, 6) arrays
+        Nominal gain (zero where the fix was not used), Jacobian, believed noise.
+    P0 : (n, n) array
+    nu : (f, 6) array
+    use : (f, 6) array of int
+        1 where a component was measured.
+    factor : (6,) array
+        Ratio of the true to the believed standard deviation of each component.
+    phi_g, q_g, p_g : (f, 6), (f, 6), (6,) arrays
+        Transition and driving variance of g to each fix, its initial variance; zeros: no such part.
+    """
+    n = P0.shape[0]
+    m = n + 6
+    P = np.zeros((m, m))
+    P[:n, :n] = P0
+    for i in range(6):
+        P[n + i, n + i] = p_g[i]
+    x = np.zeros(m)
+    F = np.zeros((m, m))
+    total = 0.0
+    for k in range(nu.shape[0]):
+        F[:n, :n] = Phi[k]
+        for i in range(6):
+            F[n + i, n + i] = phi_g[k, i]
+        x = F @ x
+        P = F @ P @ F.T
+        P[:n, :n] += Q[k]
+        for i in range(6):
+            P[n + i, n + i] += q_g[k, i]
+        # components one after the other would need independent noise; the block is small
+        rows = np.zeros(6, dtype=np.int64)
+        count = 0
+        for i in range(6):
+            if use[k, i] == 1:
+                rows[count] = i
+                count += 1
+        if count > 0:
+            A = np.zeros((count, m))
+            S = np.zeros((count, count))
+            r = np.zeros(count)
+            for a in range(count):
+                i = rows[a]
+                for j in range(n):
+                    A[a, j] = -H[k, i, j]
+                A[a, n + i] = 1.0
+                r[a] = nu[k, i]
+                for b in range(count):
+                    S[a, b] = R[k, i, rows[b]] * factor[i] * factor[rows[b]]
+            PA = P @ A.T
+            S += A @ PA
+            r -= A @ x
+            L = np.linalg.cholesky(S)
+            z = np.linalg.solve(L, r)
+            for a in range(count):
+                total += -0.5 * z[a] * z[a] - math.log(L[a, a])
+            G = np.linalg.solve(S, PA.T).T
+            x = x + G @ r
+            P = P - G @ PA.T
+            P = 0.5 * (P + P.T)
+            for j in range(n):
+                for a in range(count):
+                    x[j] += K[k, j, rows[a]] * nu[k, rows[a]]
+    return total

@@ -1,0 +1,375 @@
+"""Candidates of a static log that no smooth spectrum shows: lines, outliers, switching levels, a lattice of output counts, held samples."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu.gap import kernel
+from insemu.gap.candidates import AMPLITUDE_RANGE, AxisState, Weighed, register
+from insemu.gap.evidence import Explanation, Free, Likelihood, fit, laplace, level, log_mean_exp
+from insemu.gap.reduced import reduce_again
+from insemu.gap.verdict import Value
+from insemu.noise import BI, GM, RW, WN, Process
+
+Array = NDArray[np.float64]
+
+
+#: What regular manoeuvres can leave at a single frequency of the fast band, nats.
+MANOEUVRE_NATS = 15.0
+
+
+def _spectral_weight(explanation: Explanation, n: int, dt: float) -> tuple[Array, Array]:
+    f = np.arange(1, n // 2 + 1) / (n * dt)
+    return f, explanation.psd(f, dt)
+
+
+def _memo(state: AxisState, key: str, make: object) -> Array:
+    assert callable(make)
+    if key not in state.memory:
+        state.memory[key] = make()
+    return state.memory[key]
+
+
+def whitened(state: AxisState) -> Array:
+    """Residuals of the samples above the block band, divided by the explanation's spectrum: unit variance where it is right."""
+
+    def make() -> Array:
+        data = state.data
+        n = data.values.size
+        if not data.differences.size:
+            # a moving sensor: each sample against its neighbours, which no smooth motion notices
+            x = data.values
+            r = np.zeros(n)
+            r[1:-1] = x[1:-1] - 0.5 * (x[2:] + x[:-2])
+            return r / (1.4826 * max(float(np.median(np.abs(r))), 1e-300))
+        y = np.fft.rfft(data.values - data.values.mean())
+        f, S = _spectral_weight(state.explanation, n, data.dt)
+        gain = np.zeros(y.size)
+        lowest = data.f[0] if data.f.size else 0.0
+        gain[1:] = np.where(f >= lowest, np.sqrt(data.dt / S), 0.0)
+        return np.asarray(np.fft.irfft(y * gain, n)) / math.sqrt(max(1.0 - 2.0 * lowest * data.dt, 0.1))
+
+    return _memo(state, "whitened", make)
+
+
+def cleaned(state: AxisState, values: Array, effect: str, explanation: Explanation | None = None) -> AxisState:
+    """The axis after something was taken out of its samples, refitted."""
+    data = reduce_again(state.data, values)
+    fitted = fit(Likelihood(data), explanation or state.explanation)
+    return replace(state, data=data, fitted=fitted, named=(*state.named, effect), memory={})
+
+
+# -- lines ------------------------------------------------------------------------------------------------------------------------
+
+
+def vibration_line(state: AxisState) -> list[Weighed]:
+    """A sinusoid: full-resolution scan, complex amplitude integrated out, frequency paid for."""
+    data = state.data
+    if not data.f.size:
+        return []
+    n, dt = data.values.size, data.dt
+    y = data.values - data.values.mean()
+    m = 2 * n
+    spectrum = np.abs(np.fft.rfft(y, m)) ** 2 * (dt / n)
+    f = np.arange(spectrum.size) / (m * dt)
+    inside = (f >= data.f[0]) & (f < 0.5 / dt * (1.0 - 4.0 / n))
+    ratio = np.zeros(spectrum.size)
+    ratio[inside] = spectrum[inside] / state.explanation.psd(f[inside], dt)
+    k = int(np.argmax(ratio))
+    peak = float(ratio[k])
+    looked = 0.5 * float(inside.sum())
+    # Bayes factor of one frequency with a complex Gaussian amplitude of variance rho, averaged over rho; frequencies count alike
+    rho = np.geomspace(0.3, 1e6, 40)
+    gain = log_mean_exp(peak * rho / (1.0 + rho) - np.log1p(rho)) - math.log(looked)
+    if gain < 0.0:
+        return [Weighed("vibration_line", "", gain, (), state)]
+    if not data.differences.size:
+        gain -= MANOEUVRE_NATS
+        if gain < 0.0 or not _steady(y, dt, f[k]):
+            return []
+    frequency, a, b = _sinusoid(y, dt, f[k], 1.0 / (n * dt))
+    amplitude = math.hypot(a, b)
+    t = np.arange(n) * dt
+    rest = data.values - a * np.cos(2.0 * math.pi * frequency * t) - b * np.sin(2.0 * math.pi * frequency * t)
+    sigma = math.sqrt(2.0 * float(state.explanation.psd(np.array([frequency]), dt)[0]) / (n * dt))
+    df = math.sqrt(6.0) / math.pi * sigma / amplitude / (n * dt)
+    values = (
+        Value("amplitude", amplitude, amplitude - 1.96 * sigma, amplitude + 1.96 * sigma, data.unit),
+        Value("frequency", frequency, frequency - 1.96 * df, frequency + 1.96 * df, "Hz"),
+    )
+    return [Weighed("vibration_line", "", gain, values, cleaned(state, rest, "vibration_line"))]
+
+
+def _steady(y: Array, dt: float, f: float, pieces: int = 32) -> bool:
+    """Whether a sinusoid stands in most pieces of the record with one phase: what manoeuvres leave behind does not."""
+    t = np.arange(y.size) * dt
+    z = np.array([p.mean() for p in np.array_split(y * np.exp(-2j * math.pi * f * t), pieces)])
+    turned = z * np.exp(-1j * np.angle(z.mean()))
+    spread = 1.4826 * float(np.median(np.abs(turned.imag))) + 1e-300
+    return bool(float(np.median(turned.real)) > 3.0 * 1.25 * spread / math.sqrt(pieces))
+
+
+def _sinusoid(y: Array, dt: float, f0: float, resolution: float) -> tuple[float, float, float]:
+    """Least-squares frequency near ``f0`` with its cosine and sine amplitudes."""
+    t = np.arange(y.size) * dt
+
+    def project(f: float) -> complex:
+        return complex(np.dot(y, np.exp(-2j * math.pi * f * t)))
+
+    h = 0.25 * resolution
+    f = f0
+    for _ in range(3):  # parabola through the periodogram's top
+        low, mid, high = (abs(project(f + d)) ** 2 for d in (-h, 0.0, h))
+        bend = low - 2.0 * mid + high
+        if bend >= 0:
+            break
+        f += float(np.clip(0.5 * h * (low - high) / bend, -h, h))
+        h *= 0.3
+    z = project(f) * 2.0 / y.size
+    return f, z.real, -z.imag
+
+
+# -- outliers ---------------------------------------------------------------------------------------------------------------------
+
+
+def outliers(state: AxisState) -> list[Weighed]:
+    """Heavy tails: a small share of samples with a larger spread, against a Gaussian whose level is free as a nominal one is."""
+    if "outliers" in state.named or not state.data.f.size:
+        return []
+    r = np.abs(whitened(state))
+    edges = np.concatenate([np.linspace(0.0, 6.0, 241), np.geomspace(6.2, max(7.0, 1.01 * float(r.max())), 60)])
+    count = np.histogram(r, edges)[0].astype(np.float64)
+    square = np.histogram(r, edges, weights=r * r)[0]
+    if not state.data.differences.size:
+        count, square = count / 3.0, square / 3.0  # one outlier shows in three of these residuals
+    use = count > 0
+    count, x2 = count[use], square[use] / count[use]
+    c = next((c for c in state.explanation.components if isinstance(c.process, WN)), None)
+    fitted_n = state.white
+    box = next((f for f in c.free if f.name == "N"), None) if c else None
+    box = box or level("N", fitted_n)
+    spread = Free("spread", box.low / fitted_n, box.high / fitted_n, box.edge)
+    free = (spread, Free("share", 1e-6, 0.2), Free("ratio", 2.5, 300.0))
+
+    def gaussian(x: Array) -> float:
+        s2 = math.exp(2.0 * x[0])
+        return float(-0.5 * np.sum(count * (math.log(s2) + x2 / s2))) + spread.log_density(x[0])
+
+    def mixture(x: Array) -> float:
+        s2, e, k2 = math.exp(2.0 * x[0]), math.exp(min(x[1], -0.7)), math.exp(2.0 * x[2])
+        narrow = math.log1p(-e) - 0.5 * x2 / s2
+        wide = math.log(e) - 0.5 * math.log(k2) - 0.5 * x2 / (s2 * k2)
+        value = float(np.sum(count * (np.logaddexp(narrow, wide) - 0.5 * math.log(s2))))
+        return value + sum(f.log_density(v) for f, v in zip(free, x, strict=True))
+
+    start = min(max(0.0, math.log(spread.low)), math.log(spread.high))
+    null = laplace(gaussian, np.array([start]), free[:1])
+    grid = [
+        np.array([s, math.log(e), math.log(k)])
+        for s in (start, -0.1)
+        for e in np.geomspace(1e-5, 0.1, 7)
+        for k in (3.0, 6.0, 15.0, 50.0)
+    ]
+    grid.sort(key=lambda x: -mixture(x))
+    best = max((laplace(mixture, x, free) for x in grid[:2]), key=lambda m: m.evidence)
+    gain = best.evidence - null.evidence
+    s, e, k = (math.exp(v) for v in best.x)
+    sd = np.sqrt(np.diag(best.covariance))
+    # the spread of what was added, as the table of effects states it
+    size = s * math.sqrt(max(k * k - 1.0, 0.01)) * fitted_n / math.sqrt(state.data.dt)
+    values = (
+        Value("probability", e, e * math.exp(-1.96 * sd[1]), e * math.exp(1.96 * sd[1]), "1"),
+        Value("sigma", size, size * math.exp(-1.96 * sd[2]), size * math.exp(1.96 * sd[2]), state.data.unit),
+    )
+    if gain < 0.0:
+        return [Weighed("outliers", "", gain, values, state)]
+    if not state.data.differences.size:
+        # the robust spectrum of a moving sensor does not notice them
+        return [Weighed("outliers", "", gain, values, replace(state, named=(*state.named, "outliers"), memory={}))]
+    signed = whitened(state)
+    odds = math.log(e / (1.0 - e) / k) + 0.5 * signed**2 / s**2 * (1.0 - 1.0 / k**2)
+    wild = odds > 0.0
+    # a wild sample is shrunk to the size of its neighbours, so that the level of the rest is what is left
+    values_clean = state.data.values.copy()
+    values_clean[wild] -= (1.0 - 1.0 / k) * signed[wild] * fitted_n / math.sqrt(state.data.dt)
+    return [Weighed("outliers", "", gain, values, cleaned(state, values_clean, "outliers"))]
+
+
+# -- switching levels -------------------------------------------------------------------------------------------------------------
+
+#: Block lengths in s at which switching is looked for.
+SWITCHING_BLOCKS_S = (0.3, 2.0, 10.0)
+
+
+def telegraph(state: AxisState) -> list[Weighed]:
+    """A level that jumps between two values at random times (telegraph or burst noise)."""
+    data = state.data
+    if "telegraph" in state.named or state.explanation.regressors:
+        return []  # levels and drifts of known shape are not told apart sample by sample
+    found: list[tuple[float, Array, int, float, Array]] = []
+    for seconds in SWITCHING_BLOCKS_S:
+        block = max(1, round(seconds / data.dt))
+        count = data.values.size // block
+        if count < 60 or (block == 1 and seconds > data.dt * 3):
+            continue
+        y = data.values[: count * block].reshape(count, block).mean(axis=1)
+        y = y - np.median(y)
+        length = block * data.dt
+        phi, q = _background(state, length)
+        # what is fast compared with a block counts as white at the level that it has there
+        f = np.array([0.25 / length])
+        fast = float(state.explanation.psd(f, data.dt)[0]) - sum(
+            float(p.psd(f, data.dt)[0]) for p in _slow(state, length)
+        )
+        white = max(fast, 0.1 * state.white**2) / length
+        p0 = (10.0 * float(np.std(y))) ** 2
+        path = np.empty(count)
+        null = kernel.switching_log_likelihood(y, white, phi, q, p0, 0.0, 0.5, path)
+        top = 4.0 * float(np.std(y)) + 1e-30
+        # as wide as the Gauss-Markov process's priors: the two compete
+        free = (Free("amplitude", top / AMPLITUDE_RANGE, top), Free("dwell", 4.0 * data.dt, 0.5 * data.duration_s))
+
+        def log_posterior(
+            x: Array, y: Array = y, white: float = white, phi: float = phi, q: float = q, p0: float = p0, free: tuple[Free, ...] = free,
+            length: float = length, path: Array = path,
+        ) -> float:  # fmt: skip
+            stay = math.exp(-length / math.exp(x[1]))
+            stay = 0.5 * (1.0 + stay**2)  # an even number of jumps is staying
+            value = kernel.switching_log_likelihood(y, white, phi, q, p0, math.exp(x[0]), stay, path)
+            return value + sum(f.log_density(v) for f, v in zip(free, x, strict=True))
+
+        grid = [
+            np.array([math.log(a), math.log(d)])
+            for a in top * np.geomspace(0.02, 0.8, 8)
+            for d in np.geomspace(4.0 * length, 0.3 * data.duration_s, 7)
+        ]
+        start = max(grid, key=log_posterior)
+        mode = laplace(log_posterior, start, free)
+        log_posterior(mode.x)
+        forward = path.copy()
+        stay = 0.5 * (1.0 + math.exp(-2.0 * length / math.exp(mode.x[1])))
+        kernel.switching_log_likelihood(y[::-1].copy(), white, phi, q, p0, math.exp(mode.x[0]), stay, path)
+        both = _smoothed(y, forward, path[::-1], math.exp(mode.x[0]), white)
+        found.append((mode.evidence - null, mode.x, block, float(np.sqrt(mode.covariance[0, 0])), both))
+    if not found:
+        return []
+    gain, x, block, sd, path = max(found, key=lambda item: item[0])
+    a, dwell = math.exp(x[0]), math.exp(x[1])
+    switches = max(1.0, data.duration_s / dwell)
+    values = (
+        Value("amplitude", a, a * math.exp(-1.96 * sd), a * math.exp(1.96 * sd), data.unit),
+        Value(
+            "rate",
+            1.0 / dwell,
+            math.exp(-1.96 / math.sqrt(switches)) / dwell,
+            math.exp(1.96 / math.sqrt(switches)) / dwell,
+            "1/s",
+        ),
+    )
+    if gain < 0.0:
+        return [Weighed("telegraph", "", gain, values, state)]
+    levels = np.repeat(a * (2.0 * path - 1.0), block)
+    levels = np.concatenate([levels, np.full(data.values.size - levels.size, levels[-1])])
+    return [Weighed("telegraph", "", gain, values, cleaned(state, data.values - levels, "telegraph"))]
+
+
+def _smoothed(y: Array, forward: Array, backward: Array, amplitude: float, white: float) -> Array:
+    """Probability of the upper level given all data, from the filters run either way; each saw the sample itself, which counts once."""
+
+    def odds(p: Array) -> Array:
+        q = np.clip(p, 1e-12, 1.0 - 1e-12)
+        return np.asarray(np.log(q / (1.0 - q)))
+
+    middle = float(np.mean(y - amplitude * (2.0 * forward - 1.0)))
+    own = 2.0 * amplitude * (y - middle) / white
+    return np.asarray(1.0 / (1.0 + np.exp(-np.clip(odds(forward) + odds(backward) - own, -40.0, 40.0))))
+
+
+def _slow(state: AxisState, length: float) -> list[Process]:
+    """Processes of the explanation that remember more than a few blocks."""
+    slow: list[Process] = []
+    for c in state.explanation.components:
+        p = c.process
+        if isinstance(p, RW | BI) or (isinstance(p, GM) and p.parameters["beta"] * length < 3.0):
+            slow.append(p)
+    return slow
+
+
+def _background(state: AxisState, length: float) -> tuple[float, float]:
+    """Transition and driving variance per block of a first-order background that stands for the explanation's slow processes."""
+    q = 0.0
+    for p in _slow(state, length):
+        if isinstance(p, RW):
+            q += p.parameters["K"] ** 2 * length
+        elif isinstance(p, GM):
+            q += 2.0 * p.parameters["sigma"] ** 2 * -math.expm1(-p.parameters["beta"] * length)
+        elif isinstance(p, BI):
+            q += p.parameters["B"] ** 2 * 0.9
+    return 1.0, q
+
+
+# -- output counts and held samples -----------------------------------------------------------------------------------------------
+
+
+def lattice(values: Array) -> float:
+    """Step of the lattice that all values lie on, or 0 where there is none (floating-point resolution does not count)."""
+    sample = np.sort(values[: min(values.size, 200_000)])
+    steps = np.diff(sample)
+    steps = steps[steps > 1e-7 * max(float(np.ptp(sample)), float(np.max(np.abs(sample))))]
+    if steps.size < 2 or steps.size > 0.2 * sample.size:
+        return 0.0
+    step = float(np.min(steps))
+    gaps = steps / step
+    near = np.abs(gaps - np.round(gaps)) < 0.02 * np.maximum(1.0, gaps)
+    return float(np.median(steps[gaps < 1.5])) if np.all(near) and np.mean(gaps < 1.5) > 0.1 else 0.0
+
+
+def output_counts(state: AxisState) -> list[Weighed]:
+    """Samples that lie on a lattice: rounding to an output LSB. A continuous signal would never do so, so the evidence is the odds of that."""
+    if "quantization" in state.named or not state.data.f.size:
+        return []
+    step = lattice(state.data.values)
+    if step <= 0.0:
+        return []
+    # each sample of a lattice of step LSB is worth log(LSB / resolution of the storage); single precision is the least there is
+    resolution = max(float(np.max(np.abs(state.data.values))), step) * 2.0**-24
+    gain = state.data.values.size * max(math.log(step / resolution), 0.0)
+    values = (Value("lsb", step, step, step, state.data.unit),)
+    return [
+        Weighed(
+            "quantization",
+            "output counts",
+            gain,
+            values,
+            replace(state, named=(*state.named, "quantization"), memory=dict(state.memory)),
+        )
+    ]
+
+
+def held_samples(state: AxisState) -> list[Weighed]:
+    """Samples that repeat their predecessor exactly: dropped and filled by holding the last one."""
+    if {"dropped_samples", "quantization"} & set(state.named) or lattice(state.data.values) > 0.0:
+        return []
+    y = state.data.values
+    held = np.flatnonzero(np.diff(y) == 0.0) + 1
+    share = held.size / y.size
+    resolution = 2.0**-24 * float(np.max(np.abs(y)))
+    chance = min(1.0, resolution / (state.white / math.sqrt(state.data.dt)))
+    if held.size < 3 or share < 10.0 * chance:
+        return []
+    gain = held.size * math.log(share / chance)
+    sd = 1.0 / math.sqrt(held.size)
+    values = (Value("probability", share, share * math.exp(-1.96 * sd), share * math.exp(1.96 * sd), "1"),)
+    mended = np.interp(np.arange(y.size), np.delete(np.arange(y.size), held), np.delete(y, held))
+    return [Weighed("dropped_samples", "held", gain, values, cleaned(state, mended, "dropped_samples"))]
+
+
+register("vibration_line", vibration_line)
+register("outliers", outliers)
+register("telegraph", telegraph)
+register("quantization_output", output_counts)
+register("dropped_samples", held_samples)

@@ -1,0 +1,91 @@
+"""From a file to what the gap workflow reads: the axes of a static log with their temperature, or a recording with fixes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu import formats
+from insemu.errors import InputError
+from insemu.formats.npz import load_npz
+from insemu.records import AXES, Recording, Series
+
+Array = NDArray[np.float64]
+
+_TEMPERATURE = ("temperature", "temp_c", "temp_C", "temp", "temperature_degC")
+
+
+@dataclass(frozen=True)
+class StaticLog:
+    """Axes of a log at rest, with temperature where it was recorded."""
+
+    axes: tuple[Series, ...]
+    temperature: Array | None
+    source: str
+
+
+def load_measured(path: str | Path, *, rate_hz: float | None = None) -> StaticLog | Recording:
+    """Read what was measured; a recording without fixes is a static log.
+
+    Raises
+    ------
+    InputError
+        See :func:`insemu.formats.read`.
+    """
+    path = Path(path)
+    temperature = _temperature(path)
+    if path.suffix == ".npz" and path.is_file() and rate_hz is None:
+        rate_hz = _stamped_rate(path)
+    data = formats.read(path, rate_hz=rate_hz)
+    if isinstance(data, Recording):
+        return data if data.gnss is not None else static_of(data)
+    axes = tuple(s for s in data if s.name.lower() not in (t.lower() for t in _TEMPERATURE))
+    column = next((s for s in data if s.name.lower() in (t.lower() for t in _TEMPERATURE)), None)
+    if column is not None:
+        temperature = np.asarray(column.values)
+    return StaticLog(axes, temperature, str(path))
+
+
+def static_of(recording: Recording) -> StaticLog:
+    """The IMU of a recording as a static log; needs a constant rate."""
+    imu = recording.imu
+    step = np.diff(imu.t)
+    dt = float(np.median(step))
+    if (np.abs(step / dt - 1.0) > 0.5).any():
+        raise InputError("the IMU has gaps, expected a constant rate for a static log", where=recording.source)
+    values = np.hstack([imu.gyro, imu.accel])
+    if imu.kind == "increment":
+        values = values / dt
+    axes = tuple(Series(values[:, k], 1.0 / dt, "rad/s" if k < 3 else "m/s^2", name) for k, name in enumerate(AXES))
+    return StaticLog(axes, imu.temperature, recording.source)
+
+
+def _temperature(path: Path) -> Array | None:
+    if path.suffix != ".npz" or not path.is_file():
+        return None
+    arrays = load_npz(path)
+    for name in _TEMPERATURE:
+        if name in arrays:
+            values = np.asarray(arrays[name], dtype=np.float64)
+            if values.ndim != 1 or not np.isfinite(values).all():
+                raise InputError(
+                    f"'{name}' has shape {values.shape} or values that are not finite, expected one number per sample",
+                    where=str(path),
+                )
+            return values
+    return None
+
+
+def _stamped_rate(path: Path) -> float | None:
+    """Rate of an archive that holds time stamps in nanoseconds instead of ``fs``."""
+    arrays = load_npz(path)
+    if "fs" in arrays or "data" not in arrays:
+        return None
+    stamps = next((v for k, v in arrays.items() if k.startswith("timestamp_ns")), None)
+    if stamps is None or stamps.ndim != 1 or stamps.size < 2:
+        return None
+    step = float(np.median(np.diff(stamps.astype(np.int64)))) * 1e-9
+    return 1.0 / step if step > 0 else None

@@ -1,0 +1,505 @@
+"""The gap of a static log: find the missing effects axis by axis, add them, and show the gap shrink on the part that was not used.
+
+Policy: the best candidate below the threshold means "nothing missing"; a lead of 3 nats over every other effect names it, otherwise all
+effects within 3 nats form a class; then it is added, everything is estimated again, earlier effects are reconsidered, and the search goes on.
+"Unexplained" is said where a test of the final model fails or where a structured alternative outside the catalogue beats it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu.errors import InputError
+from insemu.gap import disagreement
+from insemu.gap import singular as _singular  # noqa: F401 (registers its candidates)
+from insemu.gap.band import Band
+from insemu.gap.candidates import CANDIDATES, AxisState, Weighed, state_of
+from insemu.gap.evidence import Explanation, Likelihood, fit
+from insemu.gap.reduced import Reduced, reduce
+from insemu.gap.verdict import GapReport, Interval, Member, Step, VerdictName, Where
+from insemu.noise import DR, SIN, NoiseModel, Process
+from insemu.records import Series
+
+Array = NDArray[np.float64]
+
+#: A lead of this many nats separates one effect from another; less, and they are one class.
+LEAD = 3.0
+#: Evidence that an effect must exceed. Simulated nominal logs stay below it far more often than 98 times in 100 (``docs/gap.md``).
+THRESHOLD = 3.0
+#: Corrected p-value below which a final model is called unexplained.
+OMNIBUS = 0.002
+#: Share of the log on which effects are named for the held-out figures.
+NAMING_SHARE = 2.0 / 3.0
+MOST_STEPS = 8
+
+#: Candidates that describe the same effect of the catalogue.
+_EFFECT_OF = {"quantization_output": "quantization"}
+_SENSORS = {"gyro": "gyro", "accel": "accel"}
+
+
+@dataclass(frozen=True)
+class Found:
+    """One named effect of one axis, with everything it was compared with."""
+
+    chosen: Weighed
+    ranked: tuple[Weighed, ...]
+    confidence: float
+
+
+@dataclass(frozen=True)
+class AxisResult:
+    """One axis: start, end, and the effects between."""
+
+    start: AxisState
+    end: AxisState
+    found: tuple[Found, ...]
+    outsider: str = ""
+
+
+def weigh_all(state: AxisState, without: Collection[str] = ()) -> list[Weighed]:
+    """The best shape of every effect of the catalogue, best first."""
+    best: dict[str, Weighed] = {}
+    for name, candidate in CANDIDATES.items():
+        if _EFFECT_OF.get(name, name) in without:
+            continue
+        for w in candidate(state):
+            if math.isfinite(w.gain) and (w.effect not in best or w.gain > best[w.effect].gain):
+                best[w.effect] = w
+    return sorted(best.values(), key=lambda w: -w.gain)
+
+
+def _confidence(ranked: Sequence[Weighed]) -> float:
+    """Probability of the first effect among the others and nothing, each alike before the data."""
+    gains = np.array([w.gain for w in ranked] + [math.log(max(len(ranked), 1))])
+    p = np.exp(gains - gains.max())
+    return float(p[0] / p.sum())
+
+
+def search(
+    state: AxisState,
+    *,
+    threshold: float = THRESHOLD,
+    without: Collection[str] = (),
+    progress: Callable[[str], None] | None = None,
+    outsiders: bool = True,
+) -> AxisResult:
+    """Name, add and reconsider effects of one axis until nothing more is worth the threshold."""
+    start, found = state, []
+    outsider = ""
+    excluded = bool(without) and outsiders
+    for _ in range(MOST_STEPS):
+        ranked = weigh_all(state, without)
+        best = ranked[0] if ranked else None
+        beyond = [w for name in (without if excluded else ()) if name in CANDIDATES for w in CANDIDATES[name](state)]
+        if beyond and max(w.gain for w in beyond) > max(best.gain if best else 0.0, 0.0) + LEAD:
+            # something of known structure that the catalogue does not hold fits better than anything it does
+            outsider = max(beyond, key=lambda w: w.gain).effect
+            break
+        if best is None or best.gain < threshold:
+            break
+        if progress:
+            progress(f"{state.data.name}: {best.effect} {best.gain:.1f} nats")
+        found.append(Found(best, tuple(ranked), _confidence(ranked)))
+        state = best.state
+        if best.effect in ("vibration_band", "vibration_line") and disagreement.drifting_spectrum(state) < 1e-6:
+            # no stationary process explains it, and more of them would only chase it; what is slow can still be told
+            outsider = "vibration that changes with time"
+            without = (*without, *_FAST, "outliers", "telegraph", "dropped_samples")
+            excluded = False
+        if len(found) > 1:
+            state, found = _reconsider(state, found, without)
+    return AxisResult(start, state, tuple(found), outsider)
+
+
+def _reconsider(state: AxisState, found: list[Found], without: Collection[str]) -> tuple[AxisState, list[Found]]:
+    """Try to drop or to replace each earlier effect now that later ones are known."""
+    for f in list(found[:-1]):
+        effect = f.chosen.effect
+        rest = _without(state.explanation, effect)
+        if rest is None:
+            continue  # it was taken out of the samples: nothing to reconsider
+        names = list(state.named)
+        names.remove(effect)
+        base = replace(state, fitted=fit(Likelihood(state.data), rest), named=tuple(names), memory={})
+        ranked = [w for w in weigh_all(base, without) if w.gain > -LEAD]
+        kept = next((w for w in ranked if w.effect == effect), None)
+        own = max(state.fitted.evidence - base.fitted.evidence, kept.gain if kept else -math.inf)
+        if own < 0.0 and (not ranked or ranked[0].gain < LEAD):
+            found = [g for g in found if g is not f]
+            state = base
+        elif ranked and ranked[0].effect != effect and ranked[0].gain > own + 0.5 and not _taken_out(ranked[0]):
+            swapped = Found(ranked[0], tuple(ranked), _confidence(ranked))
+            found = [swapped if g is f else g for g in found]
+            state = ranked[0].state
+        elif kept is not None:
+            # same name, but ranked against its rivals with the other effects in place
+            fresh = Found(replace(kept, gain=own), tuple(ranked), _confidence(ranked))
+            found = [fresh if g is f else g for g in found]
+    return state, found
+
+
+def _taken_out(w: Weighed) -> bool:
+    return w.effect in ("vibration_line", "outliers", "telegraph", "dropped_samples", "quantization")
+
+
+def _without(explanation: Explanation, effect: str) -> Explanation | None:
+    """The explanation less one effect, or ``None`` where the effect is no part of it."""
+    if effect == "white_noise":
+        return None  # a level is not dropped; it would leave no noise at all
+    components = tuple(c for c in explanation.components if c.effect != effect)
+    regressors = tuple(r for r in explanation.regressors if r.effect != effect)
+    rolloff = None if explanation.rolloff is not None and explanation.rolloff.effect == effect else explanation.rolloff
+    smaller = Explanation(components, rolloff, regressors)
+    return None if smaller == explanation or (len(components), len(regressors), rolloff) == (
+        len(explanation.components), len(explanation.regressors), explanation.rolloff
+    ) else smaller  # fmt: skip
+
+
+# -- held out -----------------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Score:
+    """Log score of a model on data, with what its uncertainty and the reduced chi-square need."""
+
+    log_score: float
+    chi_square: Array
+    dof: Array
+
+
+def score(data: Reduced, explanation: Explanation, extra: Array | None = None) -> Score:
+    """Log score and, for the block band and each octave above it, the sum of squared whitened innovations with its degrees of freedom."""
+    y = data.differences - (extra if extra is not None else 0.0)
+    moved = replace(data, differences=np.asarray(y))
+    plain = replace(explanation, regressors=())
+    likelihood = Likelihood(moved)
+    e = disagreement.block_innovations(moved, plain)
+    squares, dof = [float(e @ e)], [float(e.size)]
+    if data.f.size:
+        ratio = data.dof * data.power / plain.psd(data.f, data.dt)
+        octave = np.floor(np.log2(data.f / data.f[0])).astype(int)
+        for k in np.unique(octave):
+            squares.append(float(ratio[octave == k].sum()))
+            dof.append(float(data.dof[octave == k].sum()))
+    return Score(likelihood.low(plain) + likelihood.high(plain), np.array(squares), np.array(dof))
+
+
+def gap_index(scores: Sequence[Score], uncertainty: float = 0.0) -> Interval:
+    """Reduced chi-square over axes, the block band and each octave counting alike; 1 where model and data agree.
+
+    Parameters
+    ----------
+    scores : sequence of Score
+        One per axis.
+    uncertainty : float
+        Standard deviation that the estimated parameters add.
+    """
+    ratio = np.concatenate([s.chi_square / s.dof for s in scores])
+    variance = np.concatenate([2.0 / s.dof for s in scores]) * ratio**2
+    value = float(ratio.mean())
+    sd = math.sqrt(float(variance.sum()) / ratio.size**2 + uncertainty**2)
+    return Interval(value, value - 1.96 * sd, value + 1.96 * sd)
+
+
+def _piece(data: Reduced, first: int, last: int) -> Reduced:
+    return reduce(Series(data.values[first:last], 1.0 / data.dt, data.unit, data.name), data.block)
+
+
+def _regressor_prediction(state: AxisState, test: Reduced, temperature: Array | None) -> Array | None:
+    """Block differences of the named deterministic effects, carried over to other data of the same axis."""
+    explanation = state.explanation
+    if not explanation.regressors:
+        return None
+    mean, _ = state.likelihood.coefficients(explanation)
+    columns = []
+    for r in explanation.regressors:
+        if r.rebuild is None:
+            return None
+        columns.append(r.rebuild(test, temperature))
+    return np.asarray(np.hstack(columns) @ mean)
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Figures of one axis on data that was not used for naming."""
+
+    before: Score
+    after: Score
+    gain: float
+    variance: float
+    blocks: int
+    uncertainty: float
+
+
+def held_out(result: AxisResult, nominal: Explanation, test: Reduced, temperature: Array | None) -> HeldOut:
+    """Score the nominal and the refined model of an axis on other data of it.
+
+    Effects that are taken out of the samples (lines, outliers, levels, held samples) are taken out of the test data by the same
+    candidate; what that is worth there has its own parameters already paid.
+    """
+    before = score(test, nominal)
+    bonus = 0.0
+    state = AxisState(test, fit(Likelihood(test), replace(result.end.explanation, regressors=())), temperature)
+    for f in result.found:
+        if _taken_out(f.chosen) and f.chosen.variant not in ("integrated", "output counts"):
+            name = "vibration_line" if f.chosen.effect == "vibration_line" else f.chosen.effect
+            tried = [w for w in CANDIDATES[name](state) if w.effect == f.chosen.effect]
+            if tried and max(tried, key=lambda w: w.gain).gain > 0.0:
+                best = max(tried, key=lambda w: w.gain)
+                bonus += best.gain
+                state = best.state
+    final = state.data
+    explanation = result.end.explanation
+    after = score(final, explanation, _regressor_prediction(result.end, final, temperature))
+    plain = score(final, nominal) if bonus else before
+    gain = after.log_score - plain.log_score + bonus
+    # sampling variance of the gain, band by band: half the squares times the change of precision
+    change = (after.chi_square - plain.chi_square) / after.dof
+    variance = float(np.sum(change**2 * after.dof / 2.0) + abs(bonus))
+    sigma = result.end.fitted.sigma
+    level = (
+        float(np.sqrt(np.mean(np.minimum(2.0 * sigma, 0.5) ** 2))) / math.sqrt(after.dof.size) if sigma.size else 0.0
+    )
+    return HeldOut(before, after, gain, variance, final.differences.size, level)
+
+
+# -- the whole log ------------------------------------------------------------------------------------------------------------------
+
+
+def find_static_gap(
+    log: Sequence[Series],
+    beliefs: Mapping[str, NoiseModel],
+    *,
+    rng: np.random.Generator,
+    temperature: Array | None = None,
+    threshold: float = THRESHOLD,
+    without: Collection[str] = (),
+    hold_out: bool = True,
+    source: str = "recording",
+    progress: Callable[[str], None] | None = None,
+) -> GapReport:
+    """Find what a static log has that the believed noise models lack.
+
+    Parameters
+    ----------
+    log : sequence of Series
+        Axes of one log, all of the same length and rate.
+    beliefs : mapping of axis to NoiseModel
+        What is believed; every level may be 20 % off before that counts as an effect.
+    rng : Generator
+        For the simulated logs of the map of disagreement.
+    temperature : (n,) array, optional
+        degC at the samples.
+    threshold : float
+        Nats that an effect must be worth.
+    without : collection of str
+        Effects taken out of the catalogue.
+    hold_out : bool
+        Whether to name effects a second time on the first two thirds alone and score them on the last.
+
+    Raises
+    ------
+    InputError
+        No axis, an axis without a belief, too few samples, a temperature of another length.
+    """
+    _check(log, beliefs, temperature)
+    say = progress or (lambda _: None)
+    nominal = {s.name: Explanation.nominal(beliefs[s.name]) for s in log}
+    results: dict[str, AxisResult] = {}
+    held: dict[str, HeldOut] = {}
+    for s in log:
+        say(f"{s.name}: weighing candidates")
+        data = reduce(s)
+        results[s.name] = search(
+            state_of(data, nominal[s.name], temperature), threshold=threshold, without=without, progress=progress
+        )
+        if hold_out:
+            say(f"{s.name}: scoring on held-out data")
+            cut = int(len(s) * NAMING_SHARE) // data.block * data.block
+            part = _piece(data, 0, cut)
+            T1, T2 = (None, None) if temperature is None else (temperature[:cut], temperature[cut:])
+            named = search(state_of(part, nominal[s.name], T1), threshold=threshold, without=without)
+            held[s.name] = held_out(named, nominal[s.name], _piece(data, cut, len(s)), T2)
+    before = _map(results, rng, nominal, refined=False)
+    after = _map(results, rng, nominal, refined=True)
+    steps = merged_steps(results)
+    unexplained = any(w.p_value < OMNIBUS for w in after) or any(r.outsider for r in results.values())
+    verdict: VerdictName = "nothing missing"
+    if unexplained:
+        verdict = "unexplained"
+    elif steps:
+        verdict = "class" if steps[0].is_class else "named"
+    if unexplained:
+        steps = tuple(replace(s, confidence=min(s.confidence, 0.5)) for s in steps)
+    nothing = Interval(math.nan, math.nan, math.nan)
+    gains = nothing
+    if held:
+        blocks = sum(h.blocks for h in held.values()) / len(held)
+        total, sd = sum(h.gain for h in held.values()), math.sqrt(sum(h.variance for h in held.values()))
+        gains = Interval(total / blocks, (total - 1.96 * sd) / blocks, (total + 1.96 * sd) / blocks)
+    spread = math.sqrt(sum(h.uncertainty**2 for h in held.values())) / max(len(held), 1)
+    return GapReport(
+        verdict,
+        steps,
+        before,
+        after,
+        gap_index([h.before for h in held.values()]) if held else nothing,
+        gap_index([h.after for h in held.values()], spread) if held else nothing,
+        gains,
+        dict(beliefs),
+        {name: refined_model(r) for name, r in results.items()},
+        threshold,
+        source,
+        {name: _curves(r, nominal[name], rng) for name, r in results.items()},
+    )
+
+
+def _check(log: Sequence[Series], beliefs: Mapping[str, NoiseModel], temperature: Array | None) -> None:
+    if not log:
+        raise InputError("the log has no axis")
+    for s in log:
+        if s.name not in beliefs:
+            raise InputError(
+                f"no noise model is believed for the axis '{s.name}', expected one (beliefs are for {', '.join(beliefs) or 'no axis'})"
+            )
+        if len(s) < 480:
+            raise InputError(
+                f"{s.name} has {len(s)} samples, expected at least 480 to tell one noise process from another"
+            )
+        if float(np.ptp(s.values)) == 0.0:
+            raise InputError(f"{s.name} is constant ({s.values[0]!r}); expected a signal with noise")
+        if temperature is not None and temperature.shape != (len(s),):
+            raise InputError(f"the temperature has shape {temperature.shape}, expected ({len(s)},) as {s.name} has")
+
+
+def refined_model(result: AxisResult) -> NoiseModel:
+    """The noise model of an axis with the stochastic effects that were found; deterministic ones are in the steps."""
+    processes: list[Process] = []
+    dt = result.end.data.dt
+    for c in result.end.explanation.components:
+        p = c.process
+        processes.append(p.autoregression(dt) if isinstance(p, Band) else p)
+    for f in result.found:
+        given = {v.name: v.value for v in f.chosen.values}
+        if f.chosen.effect == "vibration_line":
+            processes.append(SIN(given["amplitude"], given["frequency"]))
+        elif f.chosen.effect == "ramp":
+            processes.append(DR(given["R"]))
+        elif f.chosen.effect == "telegraph":
+            # the second-order twin: what a linear filter can carry of it
+            from insemu.noise import GM
+
+            processes.append(GM(given["amplitude"], 2.0 * given["rate"]))
+    return NoiseModel(tuple(processes))
+
+
+def split_axis(name: str) -> tuple[str, str]:
+    """Sensor and axis of a column name: ``gyro_x`` -> ``("gyro", "x")``; other names are their own sensor."""
+    sensor, _, axis = name.rpartition("_")
+    return (_SENSORS[sensor], axis) if sensor in _SENSORS and axis in "xyz" else (name, "")
+
+
+def _map(
+    results: Mapping[str, AxisResult], rng: np.random.Generator, nominal: Mapping[str, Explanation], *, refined: bool
+) -> tuple[Where, ...]:
+    entries: list[tuple[str, str, str, float | None, float]] = []
+    states = {}
+    for name, r in results.items():
+        sensor, axis = split_axis(name)
+        state = r.end if refined else r.start
+        states[name] = state
+        if not refined:
+            for scale, _, _, p in disagreement.wavelet_p_values(state.data, state.explanation, rng):
+                entries.append(("wavelet_variance", sensor, axis, scale, p))
+        entries += [(statistic, sensor, axis, scale, p) for statistic, scale, p in disagreement.axis_tests(state)]
+    for a, b, p in disagreement.cross_axis_tests(states):
+        entries.append(("cross_axis " + b, *split_axis(a), None, p))
+    return disagreement.corrected(entries)
+
+
+def _curves(result: AxisResult, nominal: Explanation, rng: np.random.Generator) -> dict[str, object]:
+    """Wavelet variance measured, believed and refined, and the spectrum: what the page draws."""
+    start, end = result.start, result.end
+    rows = disagreement.wavelet_p_values(start.data, start.explanation, rng)
+    refined = disagreement.wavelet_p_values(end.data, replace(end.explanation, regressors=()), rng)
+    return {
+        "unit": start.data.unit,
+        "tau_s": [r[0] for r in rows],
+        "measured": [r[1] for r in rows],
+        "nominal": [r[2] for r in rows],
+        "refined": [r[2] for r in refined],
+        "f": start.data.f.tolist(),
+        "power": start.data.power.tolist(),
+        "nominal_psd": start.explanation.psd(start.data.f, start.data.dt).tolist() if start.data.f.size else [],
+        "refined_psd": end.explanation.psd(start.data.f, start.data.dt).tolist() if start.data.f.size else [],
+    }
+
+
+#: What would tell effects of a class apart.
+_SLOW = frozenset({"random_walk", "gauss_markov", "flicker", "ramp", "telegraph"})
+_FAST = frozenset({"quantization", "vibration_band", "vibration_line", "decimation_filter", "white_noise"})
+
+
+def would_separate(effects: Collection[str], duration_s: float) -> str:
+    """The recording that would tell a class apart, in words."""
+    names = set(effects)
+    if len(names) < 2:
+        return ""
+    if "temperature" in names:
+        return "a log in which the temperature goes up and down again, so that it does not run along with time"
+    if names <= _SLOW:
+        return f"a static log of at least {_hours(10.0 * duration_s)} (ten times as long): the processes part at the longest averaging times"
+    if names <= _FAST:
+        return (
+            "a log at a higher sampling rate, or without the output filter: the processes part above the present band"
+        )
+    return f"a static log at a higher rate and of at least {_hours(10.0 * duration_s)}"
+
+
+def _hours(seconds: float) -> str:
+    return f"{seconds / 3600.0:.3g} h" if seconds >= 3600.0 else f"{seconds / 60.0:.3g} min"
+
+
+def merged_steps(results: Mapping[str, AxisResult]) -> tuple[Step, ...]:
+    """Steps of all axes; the same effect on several axes of a sensor is one step, with a parameter set per axis."""
+    groups: dict[tuple[str, str], list[tuple[str, Found, AxisResult]]] = {}
+    for name, r in results.items():
+        sensor, axis = split_axis(name)
+        for f in r.found:
+            groups.setdefault((f.chosen.effect, sensor), []).append((axis, f, r))
+    steps = []
+    for (effect, sensor), items in groups.items():
+        axes = tuple(dict.fromkeys(a for a, _, _ in items if a))
+        total = sum(f.chosen.gain for _, f, _ in items)
+        values = tuple(
+            replace(v, name=v.name if len(items) == 1 or not a else f"{v.name}_{a}")
+            for a, f, _ in items
+            for v in f.chosen.values
+        )
+        # evidence of every rival on the same axes; an axis on which it was not weighed counts nothing
+        rivals: dict[str, float] = {}
+        for _, f, _ in items:
+            for w in f.ranked:
+                rivals[w.effect] = rivals.get(w.effect, 0.0) + w.gain
+        # a rival explains the step only where it stands in for it on every axis
+        rivals = {k: v for k, v in rivals.items() if all(any(w.effect == k for w in f.ranked) for _, f, _ in items)}
+        rivals[effect] = total
+        ordered = sorted(rivals.items(), key=lambda item: -item[1])
+        top = ordered[0][1]
+        members = tuple(Member(k, sensor, axes, g) for k, g in ordered if g > top - LEAD and g > 0.0)
+        others = tuple(Member(k, sensor, axes, g) for k, g in ordered if g <= top - LEAD and g > 0.0)[:5]
+        p = np.exp(np.array([g for _, g in ordered] + [math.log(len(ordered))]) - top)
+        confidence = float(np.exp(total - top) / p.sum())
+        duration = items[0][2].start.data.duration_s
+        steps.append(
+            Step(
+                effect, items[0][1].chosen.variant, sensor, axes, values, confidence, total, members,
+                would_separate([m.effect for m in members], duration), others,
+            )
+        )  # fmt: skip
+    return tuple(sorted(steps, key=lambda s: -s.gain_nats))

@@ -1,0 +1,181 @@
+"""What the gap workflow found, as frozen data, and its stable JSON."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from insemu.noise import NoiseModel
+
+VerdictName = Literal["nothing missing", "named", "class", "unexplained"]
+
+
+@dataclass(frozen=True)
+class Value:
+    """A parameter with its 95 % interval, SI."""
+
+    name: str
+    value: float
+    low: float
+    high: float
+    unit: str
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data."""
+        return {"name": self.name, "value": self.value, "low": self.low, "high": self.high, "unit": self.unit}
+
+
+@dataclass(frozen=True)
+class Member:
+    """An effect that explains a step nearly as well as the named one."""
+
+    effect: str
+    sensor: str
+    axes: tuple[str, ...]
+    gain_nats: float
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data."""
+        return {"effect": self.effect, "sensor": self.sensor, "axes": list(self.axes), "gain_nats": self.gain_nats}
+
+
+@dataclass(frozen=True)
+class Step:
+    """One effect that was found.
+
+    Parameters
+    ----------
+    effect, variant, sensor, axes
+        Catalogue id, its shape, the sensor (``gyro``, ``accel``, ``gnss``, ``imu``) and the axes.
+    parameters : tuple of Value
+        SI, with 95 % intervals.
+    confidence : float
+        Probability that this effect and no other of the catalogue is the reason.
+    gain_nats : float
+        Evidence over the explanation without it.
+    members : tuple of Member
+        Effects within 3 nats of the best, the best first: more than one is a class.
+    would_separate : str
+        The recording that would tell the class apart; empty where one effect is named.
+    """
+
+    effect: str
+    variant: str
+    sensor: str
+    axes: tuple[str, ...]
+    parameters: tuple[Value, ...]
+    confidence: float
+    gain_nats: float
+    members: tuple[Member, ...]
+    would_separate: str = ""
+    runners_up: tuple[Member, ...] = ()
+
+    @property
+    def is_class(self) -> bool:
+        """Whether the recording leaves more than one effect standing."""
+        return len(self.members) > 1
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data; the keys of the issue first, then ours."""
+        return {
+            "effect": self.effect,
+            "sensor": self.sensor,
+            "axes": list(self.axes),
+            "parameters": [p.to_json() for p in self.parameters],
+            "confidence": self.confidence,
+            "gain_nats": self.gain_nats,
+            "class": [m.to_json() for m in self.members],
+            "would_separate": self.would_separate,
+            "variant": self.variant,
+            "runners_up": [m.to_json() for m in self.runners_up],
+        }
+
+
+@dataclass(frozen=True)
+class Where:
+    """One entry of the map of disagreement: a statistic with its p-value, corrected for how many were looked at."""
+
+    statistic: str
+    sensor: str
+    axis: str
+    scale_s: float | None
+    p_value: float
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data."""
+        return {
+            "statistic": self.statistic,
+            "sensor": self.sensor,
+            "axis": self.axis,
+            "scale_s": self.scale_s,
+            "p_value": self.p_value,
+        }
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A value with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data; a value that is not finite becomes null."""
+        return {
+            k: (v if math.isfinite(v) else None)
+            for k, v in (("value", self.value), ("low", self.low), ("high", self.high))
+        }
+
+
+@dataclass(frozen=True)
+class GapReport:
+    """The whole answer.
+
+    Parameters
+    ----------
+    verdict : str
+        ``nothing missing``, ``named``, ``class`` or ``unexplained``.
+    steps : tuple of Step
+        Effects found, strongest first.
+    where, after : tuple of Where
+        Disagreement of the nominal and of the refined model with the recording, most significant first.
+    gap_before, gap_after : Interval
+        Reduced chi-square of whitened innovations on data that was not used for naming; 1 is agreement.
+    held_out : Interval
+        Gain of log score there, nats per fix (per block of a static log).
+    refined : mapping
+        Noise model per axis with the stochastic effects added.
+    nominal : mapping
+        What was believed.
+    threshold_nats : float
+        Evidence that an effect had to exceed.
+    """
+
+    verdict: VerdictName
+    steps: tuple[Step, ...]
+    where: tuple[Where, ...]
+    after: tuple[Where, ...]
+    gap_before: Interval
+    gap_after: Interval
+    held_out: Interval
+    nominal: dict[str, NoiseModel] = field(default_factory=dict)
+    refined: dict[str, NoiseModel] = field(default_factory=dict)
+    threshold_nats: float = 3.0
+    source: str = "recording"
+    curves: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    def to_json(self) -> dict[str, Any]:
+        """The stable machine-readable face."""
+        held = self.held_out.to_json()
+        return {
+            "verdict": self.verdict,
+            "steps": [s.to_json() for s in self.steps],
+            "where": [w.to_json() for w in self.where],
+            "gap_index": {"before": self.gap_before.to_json(), "after": self.gap_after.to_json()},
+            "held_out": {"gain_nats_per_fix": held["value"], "low": held["low"], "high": held["high"]},
+            "where_after": [w.to_json() for w in self.after],
+            "threshold_nats": self.threshold_nats,
+            "source": self.source,
+        }

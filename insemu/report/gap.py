@@ -1,0 +1,215 @@
+"""The page of a gap: disagreement, suspect, evidence, refined model, agreement."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure as MplFigure
+
+from insemu.effects import EFFECTS
+from insemu.gap.verdict import GapReport, Interval, Step, Where
+from insemu.report.page import Block, Code, Figure, Items, Section, Table, Text, render
+from insemu.report.style import COLOURS, style
+
+
+def effect_name(effect: str) -> str:
+    """The field's words for an effect id."""
+    return EFFECTS[effect].name if effect in EFFECTS else effect.replace("_", " ")
+
+
+def _subject(step: Step) -> str:
+    axes = f" {', '.join(step.axes)}" if step.axes else ""
+    return f"{effect_name(step.effect)} of the {step.sensor}{axes}"
+
+
+def headline(report: GapReport) -> str:
+    """The verdict in one sentence."""
+    if report.verdict == "nothing missing":
+        return "Nothing is missing: the recording is what the nominal model predicts."
+    if report.verdict == "unexplained":
+        extra = (
+            f" What was named explains part of it: {'; '.join(_subject(s) for s in report.steps)}."
+            if report.steps
+            else ""
+        )
+        return "The recording holds something that no effect of the catalogue explains." + extra
+    first = report.steps[0]
+    if first.is_class:
+        names = " or ".join(effect_name(m.effect) for m in first.members)
+        return f"The {first.sensor} {', '.join(first.axes)} has {names}: this recording cannot tell them apart. What would: {first.would_separate}."
+    more = f", and {len(report.steps) - 1} more" if len(report.steps) > 1 else ""
+    return f"Missing from the model: {_subject(first)}{more}."
+
+
+def _number(x: float) -> str:
+    return f"{x:.4g}"
+
+
+def _interval(i: Interval) -> str:
+    return "not scored" if not np.isfinite(i.value) else f"{i.value:.3f} [{i.low:.3f}, {i.high:.3f}]"
+
+
+def _where_table(entries: Sequence[Where], caption: str, count: int = 12) -> Table:
+    rows = [
+        [
+            w.statistic.replace("_", " "),
+            f"{w.sensor} {w.axis}".strip(),
+            "" if w.scale_s is None else _number(w.scale_s),
+            f"{w.p_value:.2g}",
+        ]
+        for w in entries[:count]
+    ]
+    strong = frozenset(k for k, w in enumerate(entries[:count]) if w.p_value < 0.01)
+    return Table(("statistic", "axis", "scale, s", "corrected p"), rows, caption, left=2, strong=strong)
+
+
+def _axes_with_steps(report: GapReport) -> list[str]:
+    named = [f"{s.sensor}_{a}" if a else s.sensor for s in report.steps for a in (s.axes or ("",))]
+    return [n for n in dict.fromkeys(named) if n in report.curves] or list(report.curves)[:3]
+
+
+def wavelet_figure(report: GapReport, names: Sequence[str]) -> MplFigure:
+    """Wavelet deviation measured, nominal and refined."""
+    with style():
+        figure, panels = plt.subplots(1, len(names), figsize=(4.2 * len(names), 3.4), squeeze=False)
+        for axis, name in zip(panels[0], names, strict=True):
+            c = report.curves[name]
+            tau = np.asarray(c["tau_s"])
+            axis.loglog(tau, np.sqrt(c["measured"]), "o", ms=4, color=COLOURS[6], label="measured")
+            axis.loglog(tau, np.sqrt(c["nominal"]), "--", color=COLOURS[1], label="nominal")
+            axis.loglog(tau, np.sqrt(c["refined"]), "-", color=COLOURS[0], label="refined")
+            axis.set_title(name)
+            axis.set_xlabel("scale, s")
+            axis.set_ylabel(f"wavelet deviation, {c['unit']}")
+        panels[0][0].legend()
+    return figure
+
+
+def spectrum_figure(report: GapReport, names: Sequence[str]) -> MplFigure:
+    """PSD measured, nominal and refined."""
+    with style():
+        figure, panels = plt.subplots(1, len(names), figsize=(4.2 * len(names), 3.4), squeeze=False)
+        for axis, name in zip(panels[0], names, strict=True):
+            c = report.curves[name]
+            if c["f"]:
+                axis.loglog(c["f"], np.sqrt(c["power"]), color=COLOURS[6], lw=0.7, label="measured")
+                axis.loglog(c["f"], np.sqrt(c["nominal_psd"]), "--", color=COLOURS[1], label="nominal")
+                axis.loglog(c["f"], np.sqrt(c["refined_psd"]), color=COLOURS[0], label="refined")
+            axis.set_title(name)
+            axis.set_xlabel("frequency, Hz")
+            axis.set_ylabel(f"root of the two-sided PSD, {c['unit']}/sqrt(Hz)")
+        panels[0][0].legend()
+    return figure
+
+
+def evidence_figure(steps: Sequence[Step]) -> MplFigure:
+    """Nats of every rival, step by step."""
+    with style():
+        figure, panels = plt.subplots(len(steps), 1, figsize=(7.5, 1.0 + 1.2 * len(steps)), squeeze=False)
+        for axis, step in zip(panels[:, 0], steps, strict=True):
+            rivals = [*step.members, *step.runners_up][:6]
+            inside = {m.effect for m in step.members}
+            colours = [COLOURS[0] if m.effect in inside else COLOURS[6] for m in rivals]
+            axis.barh(
+                [effect_name(m.effect) for m in rivals][::-1], [m.gain_nats for m in rivals][::-1], color=colours[::-1]
+            )
+            axis.set_title(_subject(step))
+        panels[-1, 0].set_xlabel("evidence over the model without it, nats (blue: within 3 nats of the best)")
+    return figure
+
+
+def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path:
+    """Write ``index.html``.
+
+    Parameters
+    ----------
+    report : GapReport
+    folder : path
+        Created where absent.
+    refined : str
+        Text of the refined model's file, shown on the page.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    names = _axes_with_steps(report)
+    sections = [
+        Section(
+            "Where they disagree",
+            [
+                Text(
+                    "Each statistic compares the recording with the nominal model, whose noise levels may be off by 20 %. The p-values are corrected "
+                    "for how many were looked at (Holm); below 0.01 is in bold."
+                ),
+                _where_table(report.where, "Nominal model, most significant first"),
+                *(
+                    [Figure.of(wavelet_figure(report, names), "Wavelet deviation: measured, nominal, refined.")]
+                    if names
+                    else []
+                ),
+            ],
+        )
+    ]
+    if report.steps:
+        rows = [
+            [
+                effect_name(s.effect),
+                s.variant,
+                f"{s.sensor} {', '.join(s.axes)}",
+                f"{s.gain_nats:.1f}",
+                f"{s.confidence:.3f}",
+            ]
+            for s in report.steps
+        ]
+        suspects: list[Block] = [Table(("effect", "shape", "axes", "evidence, nats", "confidence"), rows, left=3)]
+        classes = [s for s in report.steps if s.is_class]
+        if classes:
+            suspects.append(Text("Effects that this recording cannot tell apart:"))
+            suspects.append(
+                Items(
+                    [
+                        f"{' / '.join(effect_name(m.effect) for m in s.members)} ({s.sensor} {', '.join(s.axes)}): "
+                        f"what would separate them is {s.would_separate}."
+                        for s in classes
+                    ]
+                )
+            )
+        values = [
+            [
+                effect_name(s.effect),
+                f"{s.sensor} {', '.join(s.axes)}",
+                v.name,
+                _number(v.value),
+                f"{_number(v.low)} to {_number(v.high)}",
+                v.unit,
+            ]
+            for s in report.steps
+            for v in s.parameters
+        ]
+        suspects.append(
+            Table(("effect", "axes", "parameter", "value", "95 % interval", "unit"), values, "Estimates", left=3)
+        )
+        sections.append(Section("The suspect", suspects))
+        pictures: list[Block] = [
+            Figure.of(evidence_figure(report.steps[:6]), "Evidence of the named effects and their rivals.")
+        ]
+        if names and any(report.curves[n].get("f") for n in names):
+            pictures.append(Figure.of(spectrum_figure(report, names), "Spectrum: measured, nominal, refined."))
+        sections.append(Section("The evidence", pictures))
+    if refined:
+        sections.append(Section("The refined model", [Code(refined)]))
+    index = Table(
+        ("", "before", "after"),
+        [["gap index (reduced chi-square, 1 is agreement)", _interval(report.gap_before), _interval(report.gap_after)]],
+        f"On data that was not used for naming. Gain of log score: {_interval(report.held_out)} nats per fix (per block of a static log).",
+    )
+    sections.append(Section("Agreement", [index, _where_table(report.after, "Refined model, most significant first")]))
+    return render(
+        "The gap between simulation and measurement",
+        sections,
+        folder / "index.html",
+        lead=headline(report),
+        footer=report.source,
+    )

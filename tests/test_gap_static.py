@@ -1,0 +1,282 @@
+"""The gap of a static log: likelihoods against brute force, naming, false alarms, the report's face."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+import yaml
+from scipy.linalg import toeplitz
+
+from insemu.errors import InputError
+from insemu.gap import find_static_gap, kernel, load_nominal
+from insemu.gap.band import Band
+from insemu.gap.candidates import state_of
+from insemu.gap.disagreement import axis_tests
+from insemu.gap.evidence import Explanation, Likelihood, regression_evidence
+from insemu.gap.reduced import block_differences, difference_covariance, reduce
+from insemu.gap.singular import lattice
+from insemu.gap.static_log import weigh_all
+from insemu.noise import BI, GM, QN, RW, WN, NoiseModel
+from insemu.records import Series
+
+DT, N = 0.05, 36_000
+
+
+def log_of(values: np.ndarray, name: str = "gyro_x") -> Series:
+    return Series(values, 1.0 / DT, "rad/s", name)
+
+
+@pytest.mark.parametrize("process", [WN(1e-3), QN(2e-4), RW(3e-4), GM(2e-3, 1 / 30), GM(2e-3, 1e-6), BI(1e-3)])
+def test_block_difference_covariance_equals_the_one_propagated_sample_by_sample(process) -> None:
+    block, count = 8, 5
+    if isinstance(process, BI):
+        # first differences of flicker samples have the fourth difference of t^2 ln|t| as covariance; sum them up
+        def g(t: int) -> float:
+            return t * t * math.log(abs(t)) if t else 0.0
+
+        def steps(k: int) -> float:
+            total = sum(c * g(k + j) for j, c in zip(range(-2, 3), (1, -4, 6, -4, 1), strict=True))
+            return total / (2 * math.pi) * process.B**2
+
+        n = block * (count + 1)
+        weights = [np.convolve(np.ones(block), np.ones(block)) / block] * (count + 1)
+        gamma = toeplitz([steps(k) for k in range(n + block)])
+        full = np.zeros((count, n + block))
+        for k in range(count):
+            full[k, k * block : k * block + 2 * block - 1] = weights[0]
+        expected = (full @ gamma @ full.T)[0]
+    else:
+        n = block * (count + 1)
+        b = process.block(DT)
+        Phi, c = b.Phi, b.c
+        P0 = b.P0 if b.n else np.zeros((0, 0))
+        cov = np.zeros((n, n))
+        P = P0.copy()
+        for i in range(n):
+            if i:
+                P = Phi @ P @ Phi.T + b.Q
+            cross = P.copy()
+            for j in range(i, n):
+                cov[i, j] = cov[j, i] = float(c @ cross @ c) if b.n else 0.0
+                cross = Phi @ cross
+            cov[i, i] += b.white
+        A = np.zeros((count, n))
+        for k in range(count):
+            A[k, k * block : (k + 1) * block] = -1.0 / block
+            A[k, (k + 1) * block : (k + 2) * block] = 1.0 / block
+        expected = (A @ cov @ A.T)[0]
+    got = difference_covariance(process, block, DT, count)
+    np.testing.assert_allclose(got, expected, rtol=1e-7, atol=1e-9 * abs(expected[0]))
+
+
+def test_toeplitz_whitening_is_the_dense_gaussian() -> None:
+    rng = np.random.default_rng(1)
+    gamma = difference_covariance(WN(1e-3), 200, DT, 40) + difference_covariance(RW(1e-4), 200, DT, 40)
+    X = rng.standard_normal((40, 3))
+    out = np.empty_like(X)
+    logdet = kernel.toeplitz_whiten(gamma, X, out)
+    C = toeplitz(gamma)
+    np.testing.assert_allclose(out.T @ out, X.T @ np.linalg.solve(C, X), rtol=1e-9)
+    assert logdet == pytest.approx(np.linalg.slogdet(C)[1], rel=1e-12)
+    assert math.isnan(kernel.toeplitz_whiten(np.array([1.0, 2.0]), X[:2].copy(), out[:2].copy()))
+
+
+def test_switching_likelihood_without_switching_is_the_scalar_kalman_filter() -> None:
+    rng = np.random.default_rng(2)
+    y = np.cumsum(rng.standard_normal(200)) * 0.1 + rng.standard_normal(200)
+    expected, m, v = 0.0, 0.0, 4.0
+    for k, value in enumerate(y):
+        if k:
+            v += 0.01
+        s = v + 1.0
+        expected += -0.5 * (math.log(2 * math.pi * s) + (value - m) ** 2 / s)
+        m, v = m + v / s * (value - m), v / s
+    got = kernel.switching_log_likelihood(y, 1.0, 1.0, 0.01, 4.0, 0.0, 0.9, np.empty(200))
+    assert got == pytest.approx(expected, rel=1e-12)
+
+
+def test_regression_evidence_is_the_ratio_of_marginal_likelihoods() -> None:
+    rng = np.random.default_rng(3)
+    G, y, scale = rng.standard_normal((30, 2)), rng.standard_normal(30), np.array([0.5, 2.0])
+    factors = []
+    for c in (0.1, 0.3, 1.0, 3.0, 10.0):
+        C = np.eye(30) + (G * (c * scale) ** 2) @ G.T
+        factors.append(-0.5 * np.linalg.slogdet(C)[1] - 0.5 * y @ np.linalg.solve(C, y) + 0.5 * y @ y)
+    expected = math.log(np.mean(np.exp(factors)))
+    assert regression_evidence(G.T @ G, G.T @ y, scale) == pytest.approx(expected, rel=1e-9)
+
+
+def test_white_spectrum_statistic_has_its_stated_degrees_of_freedom() -> None:
+    rng = np.random.default_rng(4)
+    z = []
+    for _ in range(10):
+        r = reduce(log_of(WN(1e-3).simulate(N, DT, rng)))
+        z.append((r.power / 1e-6 - 1.0) * np.sqrt(r.dof / 2.0))
+    z = np.concatenate(z)
+    # 2,000 standardised bins: their variance is within 4.5 standard errors of 1 (skewness of small bins allowed for)
+    assert abs(z.var() - 1.0) < 0.2
+    assert abs(z.mean()) < 0.1
+    assert abs((1.3 * z).var() - 1.0) > 0.2  # the same test sees a spread that is 30 % off
+
+
+CASES = {
+    "random_walk": lambda rng: RW(1e-4).simulate(N, DT, rng),
+    "gauss_markov": lambda rng: GM(1.2e-3, 1 / 20).simulate(N, DT, rng),
+    "flicker": lambda rng: BI(8e-4).simulate(N, DT, rng),
+    "ramp": lambda rng: 4e-6 * DT * np.arange(N),
+    "vibration_line": lambda rng: 8e-4 * np.sin(2 * np.pi * 3.3 * DT * np.arange(N)),
+    "vibration_band": lambda rng: Band(2e-3, 4.0, 0.1).simulate(N, DT, rng),
+    "telegraph": lambda rng: 8e-4 * (2.0 * (np.cumsum(rng.random(N) < DT / 30.0) % 2) - 1.0),
+    "outliers": lambda rng: np.where(rng.random(N) < 0.001, 0.05 * rng.standard_normal(N), 0.0),
+    "white_noise": lambda rng: WN(1e-3).simulate(N, DT, rng),
+}
+
+
+@pytest.mark.parametrize("effect", CASES)
+def test_a_strong_hidden_effect_is_named_although_the_level_is_wrong(effect: str) -> None:
+    rng = np.random.default_rng(list(CASES).index(effect) + 11)
+    y = WN(1e-3).simulate(N, DT, rng) + CASES[effect](rng)
+    state = state_of(
+        reduce(log_of(y)), Explanation.nominal(NoiseModel((WN(1e-3 * 1.15 if effect != "white_noise" else 0.95e-3),)))
+    )
+    ranked = weigh_all(state)
+    assert ranked[0].effect == effect, [(w.effect, round(w.gain, 1)) for w in ranked[:4]]
+    assert ranked[0].gain > 10.0
+
+
+def test_estimates_of_a_gauss_markov_process_bracket_the_truth() -> None:
+    rng = np.random.default_rng(21)
+    y = WN(1e-3).simulate(N, DT, rng) + GM(1.2e-3, 1 / 20).simulate(N, DT, rng)
+    ranked = weigh_all(state_of(reduce(log_of(y)), Explanation.nominal(NoiseModel((WN(1e-3),)))))
+    values = {v.name: v for v in ranked[0].values}
+    assert values["sigma"].low < 1.2e-3 < values["sigma"].high
+    assert values["beta"].low < 1 / 20 < values["beta"].high
+    assert values["sigma"].unit == "rad/s"
+
+
+def test_nominal_logs_with_wrong_levels_are_not_flagged() -> None:
+    rng = np.random.default_rng(5)
+    worst = -math.inf
+    for k in range(6):
+        truth = NoiseModel((WN(1e-3), RW(2e-5)) if k % 2 else (WN(1e-3),))
+        belief = NoiseModel(
+            tuple(p.with_parameters({n: v * rng.uniform(0.82, 1.2) for n, v in p.parameters.items()}) for p in truth)
+        )
+        ranked = weigh_all(state_of(reduce(log_of(truth.simulate(N, DT, rng))), Explanation.nominal(belief)))
+        worst = max(worst, ranked[0].gain)
+    assert worst < 3.0
+
+
+def test_tests_of_disagreement_are_calibrated_and_see_a_wrong_model() -> None:
+    rng = np.random.default_rng(6)
+    p = []
+    for _ in range(6):
+        y = WN(1e-3).simulate(N, DT, rng)
+        p += [
+            value
+            for _, _, value in axis_tests(state_of(reduce(log_of(y)), Explanation.nominal(NoiseModel((WN(1e-3),)))))
+        ]
+    p = np.array(p)
+    # about 50 p-values: more than a fifth below 0.05 has a probability under 1e-4
+    assert np.mean(p < 0.05) < 0.2
+    assert p.min() > 1e-6
+    t = DT * np.arange(N)
+    sweep = 2e-3 * np.sin(2 * np.pi * (2.0 * t + 0.5 * 5.0 / t[-1] * t * t))
+    y = WN(1e-3).simulate(N, DT, rng) + sweep
+    found = {
+        name: value
+        for name, _, value in axis_tests(state_of(reduce(log_of(y)), Explanation.nominal(NoiseModel((WN(1e-3),)))))
+    }
+    assert found["stationarity"] < 1e-6
+
+
+def test_temperature_is_named_with_its_shape_and_a_held_out_gain() -> None:
+    rng = np.random.default_rng(7)
+    T = 25.0 + 15.0 * np.sin(2 * np.pi * DT * np.arange(N) / 900.0)
+    y = WN(1e-3).simulate(N, DT, rng) + 1e-4 * (T - 25.0)
+    report = find_static_gap([log_of(y)], {"gyro_x": NoiseModel((WN(1e-3),))}, rng=rng, temperature=T)
+    assert report.verdict in ("named", "class")
+    assert report.steps[0].effect == "temperature"
+    assert report.held_out.low > 0.0
+    c1 = next(v for v in report.steps[0].parameters if v.name == "c1")
+    assert c1.low < 1e-4 < c1.high
+    assert report.gap_after.low < 1.0 < report.gap_after.high
+    assert report.gap_before.low > 1.0
+
+
+def test_out_of_catalogue_telegraph_noise_is_not_confidently_misnamed() -> None:
+    rng = np.random.default_rng(8)
+    y = WN(1e-3).simulate(N, DT, rng) + CASES["telegraph"](rng)
+    report = find_static_gap(
+        [log_of(y)], {"gyro_x": NoiseModel((WN(1e-3),))}, rng=rng, without=("telegraph",), hold_out=False
+    )
+    assert report.verdict == "unexplained"
+
+
+def test_two_axes_two_effects_and_the_json_of_the_issue() -> None:
+    rng = np.random.default_rng(9)
+    x = WN(1e-3).simulate(N, DT, rng) + RW(2e-4).simulate(N, DT, rng)
+    z = WN(1e-3).simulate(N, DT, rng) + CASES["vibration_line"](rng)
+    beliefs = {a: NoiseModel((WN(1e-3),)) for a in ("gyro_x", "gyro_z")}
+    report = find_static_gap([log_of(x), log_of(z, "gyro_z")], beliefs, rng=rng, hold_out=False)
+    found = {(s.effect, s.axes) for s in report.steps}
+    assert ("vibration_line", ("z",)) in found
+    assert any(axes == ("x",) for _, axes in found)
+    assert len(found) == 2
+    face = json.loads(json.dumps(report.to_json(), allow_nan=False))
+    assert set(face) >= {"verdict", "steps", "where", "gap_index", "held_out"}
+    assert set(face["steps"][0]) >= {
+        "effect",
+        "sensor",
+        "axes",
+        "parameters",
+        "confidence",
+        "gain_nats",
+        "class",
+        "would_separate",
+    }
+    assert set(face["steps"][0]["parameters"][0]) == {"name", "value", "low", "high", "unit"}
+    assert set(face["where"][0]) == {"statistic", "sensor", "axis", "scale_s", "p_value"}
+    assert set(face["gap_index"]) == {"before", "after"}
+    assert set(face["held_out"]) == {"gain_nats_per_fix", "low", "high"}
+
+
+def test_output_counts_are_seen_and_a_continuous_signal_has_none() -> None:
+    rng = np.random.default_rng(10)
+    y = WN(1e-3).simulate(20_000, DT, rng)
+    assert lattice(y) == 0.0
+    assert lattice(np.round(y / 2e-3) * 2e-3) == pytest.approx(2e-3, rel=1e-9)
+    assert lattice((np.round(y / 2e-3) * 2e-3).astype(np.float32).astype(float)) == pytest.approx(2e-3, rel=1e-3)
+
+
+def test_bad_input_says_what_is_wrong(tmp_path) -> None:
+    rng = np.random.default_rng(1)
+    good = log_of(rng.standard_normal(2000))
+    with pytest.raises(InputError, match="no noise model is believed for the axis 'gyro_x'"):
+        find_static_gap([good], {}, rng=rng)
+    with pytest.raises(InputError, match="expected at least 480"):
+        find_static_gap([log_of(rng.standard_normal(100))], {"gyro_x": NoiseModel((WN(1.0),))}, rng=rng)
+    with pytest.raises(InputError, match="is constant"):
+        find_static_gap([log_of(np.ones(2000))], {"gyro_x": NoiseModel((WN(1.0),))}, rng=rng)
+    path = tmp_path / "b.yaml"
+    path.write_text(yaml.safe_dump({"belief": {"gyro": "WN(N=1e-3)"}, "gnnss": {}}))
+    with pytest.raises(InputError, match="unknown key 'gnnss'"):
+        load_nominal(path)
+
+
+def test_likelihood_prefers_the_truth_to_a_wrong_level() -> None:
+    rng = np.random.default_rng(12)
+    likelihood = Likelihood(reduce(log_of(WN(1e-3).simulate(N, DT, rng))))
+    at = {
+        n: likelihood.low(e) + likelihood.high(e)
+        for n in (0.9e-3, 1e-3, 1.1e-3)
+        for e in (Explanation.nominal(NoiseModel((WN(n),))),)
+    }
+    assert max(at, key=at.get) == 1e-3
+
+
+def test_block_differences_drop_an_incomplete_block() -> None:
+    np.testing.assert_allclose(block_differences(np.arange(11.0), 5), [5.0])
