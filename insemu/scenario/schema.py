@@ -493,7 +493,9 @@ class RecordingSource(Section):
         default=None, description="leave out what is before this time on the recording's clock"
     )
     end: Seconds | None = Field(default=None, description="leave out what is after this time")
-    imu_time_offset: Seconds = Field(default=0.0, description="how late IMU stamps are against those of GNSS; taken off")
+    imu_time_offset: Seconds = Field(
+        default=0.0, description="how late IMU stamps are against those of GNSS; taken off"
+    )
     gravity: Literal["normal", "free_air_first_order"] = "normal"
     zero_velocity_updates: bool = Field(default=False, description="feed zero velocity where GNSS shows a standstill")
 
