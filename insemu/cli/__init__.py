@@ -12,17 +12,17 @@ import typer
 
 #: Command name -> module of this package whose function ``command`` it calls, in the order of ``insemu --help``.
 COMMANDS: dict[str, str] = {
-    "characterise": "characterise",
     "run": "run",
-    "gap": "gap",
-    "gap-trial": "gap_trial",
     "compare": "compare",
     "regress": "regress",
-    "schema": "schema",
-    "emulate": "emulate",
-    "dead-reckon": "dead_reckon",
+    "characterise": "characterise",
     "fit": "fit",
     "select": "select",
+    "emulate": "emulate",
+    "dead-reckon": "dead_reckon",
+    "gap": "gap",
+    "gap-trial": "gap_trial",
+    "schema": "schema",
 }
 
 app = typer.Typer(
