@@ -72,7 +72,7 @@ class SmoothPath:
         """
         t = np.asarray(t, dtype=float)
         ends = "clamped" if _at_rest(vel_map) else "not-a-knot"
-        velocity = CubicSpline(t, np.asarray(vel_map, dtype=float), bc_type=ends)  # type: ignore[call-overload]
+        velocity = CubicSpline(t, np.asarray(vel_map, dtype=float), bc_type=ends)
         attitude = CubicSpline(t, np.asarray(rpy, dtype=float))
         return cls(velocity.antiderivative(), attitude, np.asarray(origin, dtype=float), name)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.gap import kernel
-from insemu.gap.candidates import AMPLITUDE_RANGE, AxisState, Weighed, register
+from insemu.gap.candidates import AMPLITUDE_RANGE, AxisState, Weighed, register, white_noise
 from insemu.gap.evidence import Explanation, Free, Likelihood, fit, laplace, level, log_mean_exp
 from insemu.gap.reduced import reduce_again
 from insemu.gap.verdict import Value
@@ -176,7 +176,15 @@ def outliers(state: AxisState) -> list[Weighed]:
     ]
     grid.sort(key=lambda x: -mixture(x))
     best = max((laplace(mixture, x, free) for x in grid[:2]), key=lambda m: m.evidence)
-    gain = best.evidence - null.evidence
+    # heavy tails are what a Gaussian of any level cannot do; what another level alone is worth is counted as the spectrum counts it
+    broad = Free("spread", spread.low / 30.0, spread.high * 30.0)
+    wide = laplace(lambda x: gaussian(x) - spread.log_density(x[0]) + broad.log_density(x[0]), null.x, (broad,))
+    other_level = wide.evidence - null.evidence
+    gain = best.evidence - max(wide.evidence, null.evidence)
+    if other_level > 0.0:
+        gain += min(other_level, max((w.gain for w in white_noise(state)), default=0.0))
+        if best.evidence < wide.evidence:
+            return []
     s, e, k = (math.exp(v) for v in best.x)
     sd = np.sqrt(np.diag(best.covariance))
     # the spread of what was added, as the table of effects states it

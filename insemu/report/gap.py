@@ -117,7 +117,7 @@ def evidence_figure(steps: Sequence[Step]) -> MplFigure:
                 [effect_name(m.effect) for m in rivals][::-1], [m.gain_nats for m in rivals][::-1], color=colours[::-1]
             )
             axis.set_title(_subject(step))
-        panels[-1, 0].set_xlabel("evidence over the model without it, nats (blue: within 3 nats of the best)")
+        panels[-1, 0].set_xlabel("evidence, nats (blue: within 3 of the best)")
     return figure
 
 
