@@ -70,19 +70,12 @@ def hide(
         out[axis] = value
         return out
 
-    def log_uniform(low: float, high: float) -> float:
-        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
-
     slow = white / np.sqrt(span)  # uncertainty of the mean over the log
     memory = np.exp(rng.uniform(np.log(10.0), np.log(max(span / 15.0, 20.0)))) if effect == "gauss_markov" else 1.0
     makers: dict[str, Callable[[], dict[str, Any]]] = {
         "white_noise": lambda: {"N": axes(white * np.sqrt((1.0 + 0.45 * strength) ** 2 - 1.0))},
         "random_walk": lambda: {"K": axes(6.0 * strength * slow / np.sqrt(span))},
-<<<<<<< HEAD
-        "gauss_markov": lambda: {"sigma": axes(8.0 * strength * slow), "beta": [1.0 / log_uniform(10.0, max(span / 15.0, 20.0))] * 3},
-=======
         "gauss_markov": lambda: {"sigma": axes(8.0 * strength * slow), "beta": [1.0 / memory] * 3},
->>>>>>> gap
         "flicker": lambda: {"B": axes(6.0 * strength * slow)},
         "ramp": lambda: {"R": axes(12.0 * strength * slow / span * rng.choice([-1.0, 1.0]))},
         "vibration_line": lambda: {"amplitude": axes(7.0 * strength * slow), "frequency": float(rng.uniform(0.1, 0.45) / dt)},
