@@ -13,6 +13,7 @@ import pytest
 import yaml
 
 from insemu.cli import main
+from insemu.errors import InputError
 from insemu.evaluate import Experiment, run_experiment
 from insemu.scenario import load
 
@@ -140,6 +141,22 @@ def test_recorded_errors_fly(tmp_path: Path) -> None:
     r = run_experiment(Experiment(load(path), path))
     assert np.isfinite(r.error).all()
     assert r.names == ["white"]
+
+
+def test_pieces_are_taken_in_the_order_asked_for(tmp_path: Path) -> None:
+    signals(tmp_path, rows=50 * 250)
+    natural = write(tmp_path, **RECORDED)
+    swapped = write_named(
+        tmp_path, "swapped.yaml", **RECORDED | {"truth": {"recorded": {"files": ["log.npz"], "order": [1, 0]}}}
+    )
+    one, two = (Experiment(load(p), p).world.pieces for p in (natural, swapped))
+    np.testing.assert_array_equal(one.piece(0), two.piece(1))
+    assert not np.array_equal(one.piece(0), one.piece(1))
+    wrong = write_named(
+        tmp_path, "wrong.yaml", **RECORDED | {"truth": {"recorded": {"files": ["log.npz"], "order": [1, 2]}}}
+    )
+    with pytest.raises(InputError, match="at most once, from 0 to 1"):
+        Experiment(load(wrong), wrong)
 
 
 def test_effects_of_sensor_time_and_place_fly(tmp_path: Path) -> None:

@@ -105,7 +105,9 @@ def simulated_pieces(
     return ErrorPieces(None, draw)
 
 
-def recorded_pieces(records: Sequence[RecordedErrors], n: int, rate_hz: float) -> ErrorPieces:
+def recorded_pieces(
+    records: Sequence[RecordedErrors], n: int, rate_hz: float, order: Sequence[int] | None = None
+) -> ErrorPieces:
     """Non-overlapping pieces of recorded static signals, record after record.
 
     Parameters
@@ -115,11 +117,13 @@ def recorded_pieces(records: Sequence[RecordedErrors], n: int, rate_hz: float) -
         Rows of the IMU record.
     rate_hz : float
         IMU rate; records at another rate are refused, since resampling would change their noise.
+    order : sequence of int, optional
+        Which piece each realization takes, counted from 0 over all records.
 
     Raises
     ------
     InputError
-        Another rate, or no record as long as the flight.
+        Another rate, no record as long as the flight, or an order that names a piece twice or one that there is not.
     """
     for record in records:
         if abs(record.rate_hz / rate_hz - 1.0) > 1e-6:
@@ -133,6 +137,13 @@ def recorded_pieces(records: Sequence[RecordedErrors], n: int, rate_hz: float) -
         raise InputError(
             f"the longest recorded signal has {longest:g} s, shorter than the flight of {(n - 1) / rate_hz:g} s"
         )
+
+    if order is not None:
+        if len(set(order)) != len(order) or any(not 0 <= k < len(places) for k in order):
+            raise InputError(
+                f"the order {list(order)} of pieces must name each at most once, from 0 to {len(places) - 1}"
+            )
+        places = [places[k] for k in order]
 
     def draw(realization: int) -> Array:
         record, k = places[realization]

@@ -239,7 +239,7 @@ class World:
                 )
                 for name, log in zip(truth.recorded.files, static_logs(truth.recorded, self.files), strict=True)
             ]
-            return recorded_pieces(records, n, rate)
+            return recorded_pieces(records, n, rate, truth.recorded.order)
         seed = self.scenario.seed
         return simulated_pieces(
             truth.models(), n, rate, record_s=truth.record, rng=lambda record, axis: stream(seed, "truth", record, axis)

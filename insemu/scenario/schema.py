@@ -185,6 +185,10 @@ class RecordedSignal(Section):
     spans: tuple[tuple[Seconds, Seconds], ...] = Field(
         default=(), description="of a dynamic recording: stretches [from, to] at rest, on its own clock"
     )
+    order: tuple[int, ...] | None = Field(
+        default=None,
+        description="which piece each realization takes, counted from 0 over all files; the natural order where absent",
+    )
     remove_mean: Literal["record", "piece", "none"] = Field(
         default="record", description="what the mean is taken over and removed"
     )
