@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from insemu.evaluate import (
     navigation_error,
     outage_table,
     paired_ratio,
+    rank_agreement,
     summary,
     verdicts,
     within_outage,
@@ -93,6 +95,24 @@ def test_paired_comparison_finds_a_difference_and_finds_none() -> None:
     assert "no planimetric difference from one" in verdicts(results())[0]
     assert "no planimetric difference" in verdicts(results(scale=0.995))[0]  # sure, but too small to matter
     assert paired_ratio([1.0], [2.0]).p_value is None
+
+
+def test_the_order_of_designs_is_held_against_a_published_one() -> None:
+    r = results(scale=0.6)
+    three = replace(
+        r,
+        error=np.concatenate([r.error, 2.0 * r.error[:1]]),
+        sigma=np.concatenate([r.sigma, r.sigma[:1]]),
+        nees=np.concatenate([r.nees, r.nees[:1]]),
+        designs=dict(r.designs) | {"three": r.designs["one"]},
+        outages=[(20.0, 10.0)],
+        published={"one": (5.0,), "two": (4.0,), "three": (9.0,)},
+    )
+    assert rank_agreement(three) == [pytest.approx(1.0)]
+    assert rank_agreement(replace(three, published={"one": (5.0,), "two": (9.0,), "three": (4.0,)})) == [
+        pytest.approx(-1.0)
+    ]
+    assert rank_agreement(r) == []
 
 
 def test_bootstrap_interval_covers() -> None:

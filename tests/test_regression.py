@@ -11,7 +11,7 @@ import yaml
 from insemu.cli import main
 from insemu.errors import InputError
 from insemu.evaluate import Experiment, run_experiment
-from insemu.evaluate.comparison import analyse_designs, compare, rank_agreement, with_designs
+from insemu.evaluate.comparison import analyse_designs, compare, with_designs
 from insemu.evaluate.regression import (
     Alteration,
     AlteredExperiment,
@@ -144,13 +144,6 @@ def test_designs_are_paired_and_ranked(flown):
     assert compare(flown, "full")[1].effect_size is None
     with pytest.raises(InputError, match="did you mean 'full'"):
         compare(flown, "ful")
-
-
-def test_rank_agreement_is_kendalls():
-    assert rank_agreement([1, 2, 3, 4], [10, 20, 30, 40])[0] == pytest.approx(1)
-    assert rank_agreement([1, 2, 3, 4], [40, 30, 20, 10])[0] == pytest.approx(-1)
-    with pytest.raises(InputError, match="as many"):
-        rank_agreement([1], [1])
 
 
 def test_the_analysis_states_what_the_filter_states(file, flown):

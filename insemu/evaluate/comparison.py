@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from insemu.errors import InputError, nearest
 from insemu.evaluate.covariance import CovarianceAnalysis, analyse
@@ -111,14 +110,6 @@ def compare(results: Results, base: str | None = None) -> list[ComparisonRow]:
                 )
             )
     return rows
-
-
-def rank_agreement(ours: Sequence[float], theirs: Sequence[float]) -> tuple[float, float]:
-    """Kendall's tau-b of two lists of errors of the same designs, and its p-value."""
-    if len(ours) != len(theirs) or len(ours) < 2:
-        raise InputError(f"found {len(ours)} and {len(theirs)} values, expected as many of both, at least 2")
-    found = stats.kendalltau(ours, theirs)
-    return float(found.statistic), float(found.pvalue)
 
 
 def analyse_designs(
