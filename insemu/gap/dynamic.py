@@ -92,7 +92,7 @@ class Scene:
     motion: Motion
     loop: Loop
     columns: list[Column]
-    library: list[Column]
+    extra_columns: list[Column]
     knots: Array
     starts: Array
     data: Field
@@ -417,7 +417,7 @@ def library_gain(scene: Scene, data: Field, given: Sequence[Given]) -> tuple[flo
     """The best single structure outside the catalogue."""
     first = scene.offsets["library"]
     best = (-math.inf, "")
-    for i, c in enumerate(scene.library):
+    for i, c in enumerate(scene.extra_columns):
         gain, _ = group_evidence(data, np.array([first + i]), np.array([c.scale]), given)
         if gain > best[0]:
             best = (gain, f"{c.sensor} error that goes with {c.label}")

@@ -25,6 +25,7 @@ RC    0                              no         yes         1          free
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, ClassVar, Literal, Self
@@ -77,7 +78,7 @@ def _counts(m: ArrayLike) -> Array:
 
 
 @dataclass(frozen=True)
-class Process:
+class Process(ABC):
     """One stochastic process; subclasses give the closed forms.
 
     Conventions: m counts samples in an average, lags count samples, ``dt`` is in s, PSDs are two-sided in unit^2/Hz.
@@ -150,6 +151,7 @@ class Process:
 
     # -- what a process is ------------------------------------------------------------------------------------------------------
 
+    @abstractmethod
     def allan_variance(self, m: ArrayLike, dt: float) -> Array:
         """Allan variance of averages of ``m`` samples.
 
@@ -165,15 +167,14 @@ class Process:
         (k,) array
             unit^2.
         """
-        raise NotImplementedError
 
     def wavelet_variance(self, scale: ArrayLike, dt: float) -> Array:
         """Haar wavelet variance at scales of 2^j samples: half the Allan variance at m = scale / 2."""
         return 0.5 * self.allan_variance(np.asarray(scale) // 2, dt)
 
+    @abstractmethod
     def psd(self, f: ArrayLike, dt: float) -> Array:
         """Two-sided PSD of the sampled sequence in unit^2/Hz at frequencies ``f`` (Hz), 0 < f <= 1 / (2 dt)."""
-        raise NotImplementedError
 
     def autocovariance(self, lag: ArrayLike, dt: float) -> Array:
         """Autocovariance at ``lag`` samples, unit^2.
@@ -185,13 +186,13 @@ class Process:
         """
         raise NotStationary(f"{self.symbol} is not stationary and has no autocovariance")
 
+    @abstractmethod
     def block(self, dt: float) -> StateBlock:
         """State block at sampling interval ``dt`` (s)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def simulate(self, n: int, dt: float, rng: np.random.Generator) -> Array:
         """``n`` samples at interval ``dt`` (s), from a stationary start where there is one."""
-        raise NotImplementedError
 
     # -- sums and text ------------------------------------------------------------------------------------------------------------
 
