@@ -22,11 +22,13 @@ from numpy.typing import NDArray
 
 import insemu
 from insemu.denoise import denoise
+from insemu.emulate.pieces import TrueStates
 from insemu.errors import InputError
+from insemu.evaluate.consistency import block_nees, sensor_errors
 from insemu.evaluate.recorded import RecordedWorld
 from insemu.evaluate.results import DesignInfo, Results
 from insemu.evaluate.world import World, static_logs, stream
-from insemu.filters import Extras, FilterOptions, LooselyCoupledEKF
+from insemu.filters import Extras, FilterOptions, FilterResult, LooselyCoupledEKF, NavigationFilter
 from insemu.fit import FitResult, fit
 from insemu.noise import ARMA, NoiseModel, axis_unit, load
 from insemu.records import AXES, GnssRecord, ImuRecord, Series
@@ -178,14 +180,17 @@ class Experiment:
         Returns
         -------
         dict of arrays
-            ``error, sigma`` (design, time, 9); ``nees`` (design, time); ``nis, epochs, seconds`` (design,).
+            ``error, sigma`` (design, time, 9); ``nees`` (design, time); ``block_nees`` (design, block, time);
+            ``axis_error, axis_sigma`` (design, time, 6); ``nis, epochs, seconds`` (design,).
         """
         recording = self.world.recording(index)
         imu, fixes = recording.imu, recording.gnss
         assert fixes is not None
         start, start_sigma = self.world.start(index, imu)
         rows = self.world.rows(imu, max(d.options.covariance_every for d in self.scenario.designs.values()))
-        out: dict[str, list[Any]] = {"error": [], "sigma": [], "nees": [], "nis": [], "epochs": [], "seconds": []}
+        true = self.world.true_states(index, imu)
+        kept = ("error", "sigma", "nees", "block_nees", "axis_error", "axis_sigma", "nis", "epochs", "seconds")
+        out: dict[str, list[Any]] = {key: [] for key in kept}
         for name in self.beliefs:
             ekf = self.filter(name, covariance_at=imu.t[rows])
             run = ekf.run(self._prefiltered(name, imu), self._believed(name, fixes), start, start_sigma)
@@ -194,10 +199,41 @@ class Experiment:
             out["error"].append(scored.error)
             out["sigma"].append(scored.sigma)
             out["nees"].append(scored.nees)
+            for key, values in self._sensors(ekf, run, imu, rows, scored.error, true).items():
+                out[key].append(values)
             out["nis"].append(float(run.fixes.nis[used].sum() / max(1, run.fixes.dof[used].sum())))
             out["epochs"].append(run.epochs)
             out["seconds"].append(run.seconds)
         return {name: np.array(values) for name, values in out.items()}
+
+    def _sensors(
+        self,
+        ekf: NavigationFilter,
+        run: FilterResult,
+        imu: ImuRecord,
+        rows: NDArray[np.intp],
+        error: Array,
+        true: TrueStates | None,
+    ) -> dict[str, Array]:
+        """NEES of every block, and errors and stated standard deviations of what the filter says about its axes."""
+        times = imu.t[rows]
+        covariance = run.covariance[np.searchsorted(run.covariance_t, times - 1e-9).clip(0, len(run.covariance) - 1)]
+        if not isinstance(ekf, LooselyCoupledEKF):  # what its further states mean is not known
+            nothing = np.full((len(rows), 6), np.nan)
+            return {"block_nees": block_nees(error, covariance), "axis_error": nothing, "axis_sigma": nothing}
+        whole = imu.as_increments()
+        step = (whole.t[np.maximum(rows, 1)] - whole.t[np.maximum(rows, 1) - 1])[:, None]
+        measured = np.hstack([whole.gyro[rows], whole.accel[rows]]) / step
+        if true is not None and not np.allclose(times, self.world.output_times, rtol=0, atol=0.5 / self.rate_hz):
+            true = None  # the covariance was not propagated at the very samples
+        at = np.searchsorted(run.t, times - 1e-9)
+        axes, states, names = (None, None, ()) if true is None else (true.axes, true.states, true.names)
+        sensed = sensor_errors(run, ekf.augmentation, at, covariance, measured, axes, states, names)
+        return {
+            "block_nees": block_nees(error, covariance, sensed),
+            "axis_error": sensed.axes,
+            "axis_sigma": np.sqrt(np.maximum(np.einsum("kii->ki", sensed.axes_covariance), 0.0)),
+        }
 
     def _prefiltered(self, design: str, imu: ImuRecord) -> ImuRecord:
         """What a design's filter is fed: the record, de-noised where the design says so."""
@@ -317,7 +353,8 @@ def run_experiment(
         if own:
             pool.shutdown(wait=True, cancel_futures=True)
     stacked = {
-        name: np.stack([items[r][name] for r in range(total)], axis=1) for name in ("error", "sigma", "nees", "nis")
+        name: np.stack([items[r][name] for r in range(total)], axis=1)
+        for name in ("error", "sigma", "nees", "nis", "block_nees", "axis_error", "axis_sigma")
     }
     designs = {
         name: DesignInfo(layout.n, tuple(layout.names), experiment.beliefs[name].models)

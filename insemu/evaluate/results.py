@@ -14,6 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.stats import kendalltau
 
+from insemu.evaluate.consistency import BLOCKS
 from insemu.evaluate.errors import (
     COMPONENT_UNITS,
     COMPONENTS,
@@ -24,7 +25,7 @@ from insemu.evaluate.errors import (
     within_outage,
 )
 from insemu.noise import NoiseModel
-from insemu.records import Trajectory
+from insemu.records import AXES, Trajectory
 
 Array = NDArray[np.float64]
 
@@ -68,6 +69,10 @@ class Results:
         Design to a paper's figure per outage; ``published_figure`` says which figure of the outage table it is.
     nis : (design, realization) array
         Mean normalised innovation squared per degree of freedom over accepted fixes.
+    block_nees : (design, realization, block, time) array, optional
+        NEES per degree of freedom of the blocks :data:`insemu.evaluate.consistency.BLOCKS`; NaN where the truth is not known.
+    axis_error, axis_sigma : (design, realization, time, 6) arrays, optional
+        Estimated minus true error of every sensor axis apart from white noise, and its stated standard deviation, rad/s and m/s^2.
     """
 
     title: str
@@ -85,6 +90,9 @@ class Results:
     manifest: Mapping[str, Any] = field(default_factory=dict)
     published: Mapping[str, Sequence[float]] = field(default_factory=dict)
     published_figure: str = "planimetric_end_m"
+    block_nees: Array | None = None
+    axis_error: Array | None = None
+    axis_sigma: Array | None = None
 
     @property
     def realizations(self) -> int:
@@ -137,6 +145,21 @@ class Results:
                 "component_unit": ("component", list(COMPONENT_UNITS)),
             },
         )
+        if self.block_nees is not None:
+            data["block_nees"] = (
+                ("design", "realization", "block", "time"),
+                self.block_nees,
+                {"long_name": "NEES per degree of freedom", "units": "1"},
+            )
+            data = data.assign_coords(block=list(BLOCKS))
+        for name, values in (("axis_error", self.axis_error), ("axis_sigma", self.axis_sigma)):
+            if values is not None:
+                data[name] = (
+                    (*dims, "axis"),
+                    values,
+                    {"long_name": "of the estimated sensor error without white noise"},
+                )
+                data = data.assign_coords(axis=list(AXES))
         data.attrs = {
             "title": self.title,
             "digest": self.digest,
@@ -222,6 +245,7 @@ def summary(results: Results) -> dict[str, Any]:
             if pooled is None
             else {"mean": pooled.mean, "ci95": [pooled.low, pooled.high]},
             "nees_per_dof": float(results.nees[d].mean() / 9.0),
+            "nees_per_dof_by_block": blocks_of(results, d),
             "nis_per_dof": float(results.nis[d].mean()),
         }
     comparisons = []
@@ -243,6 +267,14 @@ def summary(results: Results) -> dict[str, Any]:
         "timing": dict(results.timing),
     }
     return dict(finite(document))
+
+
+def blocks_of(results: Results, design: int) -> dict[str, float]:
+    """Mean NEES per degree of freedom of every block that could be judged, over realizations and epochs."""
+    if results.block_nees is None:
+        return {}
+    values = results.block_nees[design]
+    return {name: float(np.nanmean(values[:, i])) for i, name in enumerate(BLOCKS) if np.isfinite(values[:, i]).any()}
 
 
 def finite(document: Any) -> Any:
