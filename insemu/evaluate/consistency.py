@@ -255,7 +255,11 @@ def nis_test(fixes: FixTable | Sequence[FixTable], *, confidence: float = 0.99) 
     """
     tables = [fixes] if isinstance(fixes, FixTable) else list(fixes)
     total = sum(float(t.nis[t.accepted].sum()) for t in tables)
-    dof = sum(int(t.dof[t.accepted].sum()) for t in tables)
+    return nis_verdict(total, sum(int(t.dof[t.accepted].sum()) for t in tables), confidence=confidence)
+
+
+def nis_verdict(total: float, dof: int, *, confidence: float = 0.99) -> Verdict:
+    """A sum of normalised innovations squared with ``dof`` degrees of freedom, judged as in :func:`nis_test`."""
     if dof == 0:
         raise InputError("no accepted fix: there is no innovation to judge")
     tail = 0.5 * (1.0 - confidence)
@@ -282,18 +286,28 @@ def whiteness_test(fixes: FixTable | Sequence[FixTable], *, lags: int = 5, confi
     Products of independent standard normals have mean 0 and variance 1, so the mean of N of them lies within z / sqrt(N).
     """
     tables = [fixes] if isinstance(fixes, FixTable) else list(fixes)
-    series = [normalised_innovations(t) for t in tables]
-    z = stats.norm.isf(0.5 * (1.0 - confidence) / lags)
+    sums, counts = (sum(part) for part in zip(*(lag_products(t, lags) for t in tables), strict=True))
+    return whiteness_verdicts(sums, counts, confidence=confidence)
+
+
+def lag_products(fixes: FixTable, lags: int = 5) -> tuple[Array, Array]:
+    """Sums of the products of normalised innovations at lags 1 to ``lags``, and how many products each has; sums of many runs add up."""
+    y = normalised_innovations(fixes)
+    products = [(y[lag:] * y[:-lag]).ravel() for lag in range(1, lags + 1)]
+    return np.array([p.sum() for p in products]), np.array([float(p.size) for p in products])
+
+
+def whiteness_verdicts(sums: ArrayLike, counts: ArrayLike, *, confidence: float = 0.99) -> list[Verdict]:
+    """Sums of :func:`lag_products`, judged as in :func:`whiteness_test`."""
+    total, number = np.asarray(sums, dtype=np.float64), np.asarray(counts, dtype=np.float64)
+    z = stats.norm.isf(0.5 * (1.0 - confidence) / total.size)
     out = []
-    for lag in range(1, lags + 1):
-        products = np.concatenate([(y[lag:] * y[:-lag]).ravel() for y in series])
-        if products.size == 0:
-            raise InputError(f"{max(len(y) for y in series)} fixes are too few for a lag of {lag}")
-        value, bound = float(products.mean()), z / math.sqrt(products.size)
+    for lag, (s, n) in enumerate(zip(total, number, strict=True), start=1):
+        if n == 0:
+            raise InputError(f"too few fixes for a lag of {lag}")
+        value, bound = float(s / n), float(z / math.sqrt(n))
         word = _judge(value, -bound, bound, larger="correlated", smaller="correlated")
-        out.append(
-            Verdict("whiteness", f"innovations at lag {lag}", value, -bound, bound, confidence, products.size, word)
-        )
+        out.append(Verdict("whiteness", f"innovations at lag {lag}", value, -bound, bound, confidence, int(n), word))
     return out
 
 
