@@ -15,7 +15,11 @@ if TYPE_CHECKING:
 
 def command(
     scenario: str = typer.Argument(..., metavar="SCENARIO", help="Scenario file (YAML)."),
-    designs: str = typer.Option("", "--designs", help="Designs to compare, separated by commas; default all."),
+    designs: str = typer.Option(
+        "",
+        "--designs",
+        help="Designs separated by commas, the scenario's or those of insemu designs; default the scenario's.",
+    ),
     base: str = typer.Option("", "--base", help="Design that the others are measured against; default the first."),
     variant: str | None = typer.Option(None, "--variant", help="Variant of the scenario."),
     analytic: bool = typer.Option(
@@ -134,6 +138,6 @@ def _analytic(console: Console, experiment: Experiment, by: str, folder: Any) ->
         "scenario": experiment.scenario.title,
         "digest": experiment.digest,
         "designs": {
-            name: {"states": experiment.filter(name).layout.n, "outages": outages} for name, outages in budgets.items()
+            name: {"states": experiment.ekf(name).layout.n, "outages": outages} for name, outages in budgets.items()
         },
     }

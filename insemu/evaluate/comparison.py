@@ -15,7 +15,7 @@ from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.results import Results
 from insemu.evaluate.world import World
 from insemu.filters import InitialSigma, LooselyCoupledEKF
-from insemu.scenario import Scenario
+from insemu.scenario import Design, Scenario, shipped_designs
 from insemu.strapdown import NavState
 
 
@@ -55,19 +55,27 @@ class ComparisonRow:
 
 
 def with_designs(scenario: Scenario, designs: Sequence[str]) -> Scenario:
-    """The scenario with these designs only, in this order.
+    """The scenario with these designs only, in this order: its own, or else those that come with insemu.
 
     Raises
     ------
     InputError
-        A design that the scenario does not have.
+        A design that neither has, or one that the scenario lacks the signals for.
     """
-    for name in designs:
-        if name not in scenario.designs:
-            raise InputError(f"no design '{name}'" + nearest(name, scenario.designs), where="--designs")
     if not designs:
         return scenario
-    return scenario.model_copy(update={"designs": {name: scenario.designs[name] for name in designs}})
+    chosen = {}
+    for name in designs:
+        if name not in scenario.designs and name not in shipped_designs():
+            raise InputError(
+                f"no design '{name}'" + nearest(name, [*scenario.designs, *shipped_designs()]), where="--designs"
+            )
+        chosen[name] = scenario.designs.get(name) or Design.model_validate(name)
+        try:
+            scenario.check_design(name, chosen[name])
+        except InputError as error:
+            raise InputError(error.message, where="--designs") from None
+    return scenario.model_copy(update={"designs": chosen})
 
 
 def compare(results: Results, base: str | None = None) -> list[ComparisonRow]:
@@ -154,7 +162,7 @@ def analyse_designs(
     truth = {axis: m.at_rate(experiment.rate_hz) for axis, m in s.truth.models().items()}
     return {
         name: analyse(
-            experiment.filter(name),
+            experiment.ekf(name),
             truth,
             world.imu,
             plain,
