@@ -126,9 +126,7 @@ def _analytic(console: Console, experiment: Experiment, by: str, folder: Any) ->
             lead = name if k == 0 else ""
             table.add_row(lead, str(k + 1), f"{b['rms_m']:.3g}", f"{b['predicted_sigma_m']:.3g}", top)
     console.print(table)
-    console.print(
-        "Parts add up as squares. A mean removed from the records (truth.record) is not part of the analysis."
-    )
+    console.print("Parts add up as squares.")
     reason = analysable(experiment)[1]
     if reason:
         console.print(reason[:1].upper() + reason[1:] + ".", soft_wrap=True)

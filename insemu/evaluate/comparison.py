@@ -121,21 +121,30 @@ def compare(results: Results, base: str | None = None) -> list[ComparisonRow]:
 
 
 def analysable(experiment: Experiment) -> tuple[list[str], str]:
-    """Designs of which a covariance analysis can be made, and why not of the others (empty where of all)."""
+    """Designs of which a covariance analysis can be made; and, in words, why not of the others and what it leaves out (empty: nothing)."""
     s = experiment.scenario
     if not isinstance(experiment.world, World) or s.truth is None:
         return [], "found a recording; the analysis needs an emulated world and its truth"
     if s.truth.recorded is not None or s.truth.uses():
         return [], "found a recorded truth or deterministic effects; the analysis needs noise models only"
     able: list[str] = []
-    left_out: list[str] = []
+    left_out: dict[str, str] = {}
     for name, design in s.designs.items():
-        o = design.options
-        plain = o.prefilter is None and not any(o.states.model_dump().values())
-        (able if plain and isinstance(experiment.filter(name), LooselyCoupledEKF) else left_out).append(name)
-    if not left_out:
-        return able, ""
-    return able, f"left out: {', '.join(left_out)}; the analysis carries noise states only and no prefilter"
+        if not isinstance(experiment.filter(name), LooselyCoupledEKF):
+            left_out[name] = "a user's filter"
+        elif design.options.prefilter is not None:
+            left_out[name] = "a prefilter"
+        else:
+            able.append(name)
+    notes = []
+    if left_out:
+        notes.append("left out: " + ", ".join(f"{name} ({why})" for name, why in left_out.items()))
+    gated = [name for name in able if s.designs[name].options.gate is not None]
+    if gated:
+        notes.append(f"the gate of {', '.join(gated)} plays no part: the analysis takes every fix")
+    if s.truth.record is not None:
+        notes.append("the mean removed from the records (truth.record) is no part of the analysis")
+    return able, "; ".join(notes)
 
 
 def analyse_designs(
