@@ -22,12 +22,13 @@ from numpy.typing import NDArray
 
 import insemu
 from insemu.denoise import denoise
+from insemu.emulate.pieces import TrueStates
 from insemu.errors import InputError
-from insemu.evaluate.consistency import lag_products
+from insemu.evaluate.consistency import block_nees, lag_products, sensor_errors
 from insemu.evaluate.recorded import RecordedWorld
-from insemu.evaluate.results import DesignInfo, Innovations, Results, Smoothed
+from insemu.evaluate.results import DesignInfo, Innovations, Results, Sensors, Smoothed
 from insemu.evaluate.world import Estimate, World, static_logs, stream
-from insemu.filters import Extras, FilterOptions, LooselyCoupledEKF, smooth
+from insemu.filters import Extras, FilterOptions, FilterResult, LooselyCoupledEKF, NavigationFilter, smooth
 from insemu.fit import FitResult, fit
 from insemu.noise import ARMA, NoiseModel, axis_unit, load
 from insemu.records import AXES, GnssRecord, ImuRecord, Series
@@ -180,15 +181,16 @@ class Experiment:
         Returns
         -------
         dict of arrays
-            ``error, sigma`` (design, time, 9); ``nees`` (design, time); ``nis, dof, epochs, seconds`` (design,): ``nis`` is the sum over accepted
-            fixes; ``lag_sum, lag_count`` (design, lags) of the normalised innovations. With a smoother ``smoothed_error, smoothed_sigma,
-            smoothed_nees`` besides.
+            ``error, sigma`` (design, time, 9); ``nees`` (design, time); ``block_nees`` (design, block, time); ``axis_error, axis_sigma``
+            (design, time, 6); ``nis, dof, epochs, seconds`` (design,): ``nis`` is the sum over accepted fixes; ``lag_sum, lag_count``
+            (design, lags) of the normalised innovations. With a smoother ``smoothed_error, smoothed_sigma, smoothed_nees`` besides.
         """
         recording = self.world.recording(index)
         imu, fixes = recording.imu, recording.gnss
         assert fixes is not None
         start, start_sigma = self.world.start(index, imu)
         rows = self.world.rows(imu, max(d.options.covariance_every for d in self.scenario.designs.values()))
+        true = self.world.true_states(index, imu)
         times = imu.t[rows]
         out: dict[str, list[Any]] = {}
         for name in self.beliefs:
@@ -199,6 +201,7 @@ class Experiment:
                 smoothed = self.world.score(Estimate.of_smoother(smooth(run), times), times)
                 found |= {f"smoothed_{key}": value for key, value in asdict(smoothed).items()}
             used = run.fixes.accepted
+            found |= self._sensors(ekf, run, imu, rows, found["error"], true)
             lag_sum, lag_count = lag_products(run.fixes) if used.any() else (np.zeros(5), np.zeros(5))
             found |= {
                 "nis": run.fixes.nis[used].sum(),
@@ -211,6 +214,37 @@ class Experiment:
             for key, value in found.items():
                 out.setdefault(key, []).append(value)
         return {name: np.array(values) for name, values in out.items()}
+
+    def _sensors(
+        self,
+        ekf: NavigationFilter,
+        run: FilterResult,
+        imu: ImuRecord,
+        rows: NDArray[np.intp],
+        error: Array,
+        true: TrueStates | None,
+    ) -> dict[str, Array]:
+        """NEES of every block, and errors and stated standard deviations of what the filter says about its axes."""
+        times = imu.t[rows]
+        if self.world.compared < 9:  # errors against fixes hold the fixes' own, which this covariance does not
+            error = np.full_like(error, np.nan)
+        covariance = run.covariance[np.searchsorted(run.covariance_t, times - 1e-9).clip(0, len(run.covariance) - 1)]
+        if not isinstance(ekf, LooselyCoupledEKF):  # what its further states mean is not known
+            nothing = np.full((len(rows), 6), np.nan)
+            return {"block_nees": block_nees(error, covariance), "axis_error": nothing, "axis_sigma": nothing}
+        whole = imu.as_increments()
+        step = (whole.t[np.maximum(rows, 1)] - whole.t[np.maximum(rows, 1) - 1])[:, None]
+        measured = np.hstack([whole.gyro[rows], whole.accel[rows]]) / step
+        if true is not None and not np.allclose(times, self.world.output_times, rtol=0, atol=0.5 / self.rate_hz):
+            true = None  # the covariance was not propagated at the very samples
+        at = np.searchsorted(run.t, times - 1e-9)
+        axes, states, names = (None, None, ()) if true is None else (true.axes, true.states, true.names)
+        sensed = sensor_errors(run, ekf.augmentation, at, covariance, measured, axes, states, names)
+        return {
+            "block_nees": block_nees(error, covariance, sensed),
+            "axis_error": sensed.axes,
+            "axis_sigma": np.sqrt(np.maximum(np.einsum("kii->ki", sensed.axes_covariance), 0.0)),
+        }
 
     def _prefiltered(self, design: str, imu: ImuRecord) -> ImuRecord:
         """What a design's filter is fed: the record, de-noised where the design says so."""
@@ -360,6 +394,7 @@ def run_experiment(
         nees_dof=experiment.world.compared,
         innovations=Innovations(stacked["nis"], stacked["dof"], stacked["lag_sum"], stacked["lag_count"]),
         smoothed=smoothed,
+        sensors=Sensors(stacked["block_nees"], stacked["axis_error"], stacked["axis_sigma"]),
     )
 
 

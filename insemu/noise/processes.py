@@ -515,10 +515,17 @@ class ARMA(Process):
     def require_stationary(self) -> None:
         """Raise ``NotStationary`` with the reason and the nearest stable polynomial where a pole is on or outside the unit circle."""
         if self.spectral_radius >= 1.0:
-            offer = ", ".join(f"{v:.6g}" for v in self.stabilised().ar if v is not None)
+            near = self.stabilised()
+            offer = ", ".join(f"{v:.6g}" for v in near.ar if v is not None)
+            size = ""
+            if self.rate_hz is not None and self.sigma2:
+                sd = math.sqrt(near.block(1.0 / self.rate_hz).P0[0, 0])
+                size = (
+                    f" (standard deviation {sd:.3g} in the signal's SI unit: see whether the sensor is as bad as that)"
+                )
             raise NotStationary(
                 f"{self.symbol} with coefficients {self.ar} is not stationary: a pole has modulus {self.spectral_radius:.6f}, expected "
-                f"below 1; the nearest stable polynomial is [{offer}]"
+                f"below 1; the nearest stable polynomial is [{offer}]{size}"
             )
 
     def stabilised(self, radius: float = 1.0 - 1e-6) -> Self:
@@ -626,6 +633,30 @@ class AR(ARMA):
         if self.ma:
             raise InputError("AR has no moving-average coefficients; use ARMA")
         super().__post_init__()
+
+    @classmethod
+    def of_partial_correlations(
+        cls, correlations: ArrayLike, *, sigma2: float | None = None, rate_hz: float | None = None
+    ) -> Self:
+        """The autoregression with these partial autocorrelations, stationary where all lie between -1 and 1 (Durbin's recursion).
+
+        The first is the coefficient of the AR(1) of the same signal. An innovation variance is that of the AR(1) times ``1 - k^2`` of each of
+        the others, which ties published fits of several orders together.
+        """
+        ar = np.zeros(0)
+        for k in np.atleast_1d(np.asarray(correlations, dtype=np.float64)):
+            ar = np.append(ar - k * ar[::-1], k)
+        return cls(tuple(float(v) for v in ar), sigma2=sigma2, rate_hz=rate_hz)
+
+    def partial_correlations(self) -> Array:
+        """Partial autocorrelations, (p,): the inverse of :meth:`of_partial_correlations`; NaN below a value of exactly 1."""
+        ar = -self._polynomials()[0][1:]
+        out = np.empty(ar.size)
+        for at in range(ar.size - 1, -1, -1):
+            k = out[at] = ar[at]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ar = (ar[:at] + k * ar[:at][::-1]) / (1.0 - k**2)
+        return out
 
 
 @dataclass(frozen=True)
