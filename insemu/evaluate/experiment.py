@@ -21,16 +21,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 import insemu
+from insemu.compensation import NEEDS_TRAJECTORY, compensated, lever_arm_of
 from insemu.denoise import denoise
 from insemu.errors import InputError
 from insemu.evaluate.recorded import RecordedWorld
 from insemu.evaluate.results import DesignInfo, Results
 from insemu.evaluate.world import World, static_logs, stream
-from insemu.filters import Extras, FilterOptions, LooselyCoupledEKF
+from insemu.filters import Extras, FilterOptions, InitialSigma, LooselyCoupledEKF
 from insemu.fit import FitResult, fit
 from insemu.noise import ARMA, NoiseModel, axis_unit, load
-from insemu.records import AXES, GnssRecord, ImuRecord, Series
+from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Series
 from insemu.scenario import AxisSource, Scenario, digest
+from insemu.strapdown import NavState, trajectory_of
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
@@ -159,7 +161,7 @@ class Experiment:
         return LooselyCoupledEKF(
             self.beliefs[design].models,
             1.0 / self.rate_hz,
-            lever_arm=gnss.lever_arm,
+            lever_arm=lever_arm_of(options.known_effects(), gnss.lever_arm),
             gravity=self.world.gravity,
             gnss_sigma=(sigma, velocity),
             options=FilterOptions(
@@ -181,15 +183,16 @@ class Experiment:
             ``error, sigma`` (design, time, 9); ``nees`` (design, time); ``nis, epochs, seconds`` (design,).
         """
         recording = self.world.recording(index)
-        imu, fixes = recording.imu, recording.gnss
-        assert fixes is not None
-        start, start_sigma = self.world.start(index, imu)
-        rows = self.world.rows(imu, max(d.options.covariance_every for d in self.scenario.designs.values()))
+        start, start_sigma = self.world.start(index, recording.imu)
+        every = max(d.options.covariance_every for d in self.scenario.designs.values())
         out: dict[str, list[Any]] = {"error": [], "sigma": [], "nees": [], "nis": [], "epochs": [], "seconds": []}
         for name in self.beliefs:
-            ekf = self.filter(name, covariance_at=imu.t[rows])
-            run = ekf.run(self._prefiltered(name, imu), self._believed(name, fixes), start, start_sigma)
-            scored = self.world.score(run, imu.t[rows])
+            known = self._compensated(name, recording, start, start_sigma)
+            assert known.gnss is not None
+            times = known.imu.t[self.world.rows(known.imu, every)]
+            ekf = self.filter(name, covariance_at=times)
+            run = ekf.run(self._prefiltered(name, known.imu), self._believed(name, known.gnss), start, start_sigma)
+            scored = self.world.score(run, times)
             used = run.fixes.accepted
             out["error"].append(scored.error)
             out["sigma"].append(scored.sigma)
@@ -198,6 +201,19 @@ class Experiment:
             out["epochs"].append(run.epochs)
             out["seconds"].append(run.seconds)
         return {name: np.array(values) for name, values in out.items()}
+
+    def _compensated(
+        self, design: str, recording: Recording, start: NavState, sigma: InitialSigma
+    ) -> Recording:
+        """The data less the effects that a design knows of."""
+        known = self.scenario.designs[design].options.known_effects()
+        along = [use for use in known if use.id in NEEDS_TRAJECTORY]
+        if not along:
+            return compensated(recording, known) if known else recording
+        # where the vehicle was is known well enough without them
+        first = compensated(recording, [use for use in known if use.id not in NEEDS_TRAJECTORY])
+        flown = self.filter(design).run(first.imu, first.gnss, start, sigma)
+        return compensated(recording, known, trajectory=trajectory_of(flown.t, flown.nav, "estimate"))
 
     def _prefiltered(self, design: str, imu: ImuRecord) -> ImuRecord:
         """What a design's filter is fed: the record, de-noised where the design says so."""
