@@ -167,6 +167,7 @@ def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
     from insemu.evaluate import headline, outage_table, verdicts
     from insemu.report.budget import budget_lines
     from insemu.report.tables import (
+        FIGURES,
         SMOOTHED,
         beside,
         consistency_lines,
@@ -220,49 +221,43 @@ def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
     for line in (*verdicts(main), *consistency_lines(main)):
         console.print(f"- {line}", soft_wrap=True, highlight=False)
     if main.smoothed is not None and main.outages:
-        console.print(plain_table(SMOOTHED, *smoother_rows(main)))
+        print_table(console, SMOOTHED, *smoother_rows(main))
     if main.budgets:
         console.print("\nWhere the metres come from, by covariance analysis (parts add up as squares):")
         for line in budget_lines(main.budgets):
             console.print(f"- {line}", soft_wrap=True, highlight=False)
     if variants:
-        console.print(variant_table(main, variants))
+        print_variants(console, main, variants)
     for label, results in shown_beside(main, variants):
-        console.print(plain_table(f"{label}: ours / published, m", *beside(results)))
+        for figure in results.published:
+            print_table(console, f"{label}: {FIGURES[figure]}, m", *beside(results, figure))
         for line in rank_lines(results):
             console.print(f"- {line}", soft_wrap=True, highlight=False)
     for line in pooled_rank_line(main, variants):
         console.print(f"- {line}", soft_wrap=True, highlight=False)
 
 
-def plain_table(title: str, header: list[str], body: list[list[str]]) -> Any:
+def print_table(console: Console, title: str, header: list[str], body: list[list[str]]) -> None:
     """A table of the page, on the terminal: the first two columns left, a gap before every new group."""
     from rich.table import Table
 
-    table = Table(
-        title=f"\n{title}",
-        title_justify="left",
-        box=None,
-        padding=(0, 1),
-        pad_edge=False,
-        header_style="underline",
-    )
+    table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="underline")
     for k, heading in enumerate(header):
         table.add_column(heading, justify="left" if k < 2 else "right", no_wrap=True)
     for i, row in enumerate(body):
         if i and row[0]:
             table.add_row()
         table.add_row(*row)
-    return table
+    console.print(f"\n{title}", soft_wrap=True, highlight=False)
+    console.print(table)
 
 
-def variant_table(main: Results, variants: dict[str, Results]) -> Any:
+def print_variants(console: Console, main: Results, variants: dict[str, Results]) -> None:
     """The headline figure of each outage, every variant beside the default."""
     from insemu.report.tables import variant_caption, variant_rows
 
     header, body = variant_rows(main, variants)
     # the page has room for the others
     shown = [k for k, heading in enumerate(header) if heading not in ("95 %", "inside %")]
-    return plain_table(
-        f"Variants. {variant_caption(main)}", [header[k] for k in shown], [[row[k] for k in shown] for row in body]
-    )
+    kept = [[row[k] for k in shown] for row in body]
+    print_table(console, f"Variants. {variant_caption(main)}", [header[k] for k in shown], kept)

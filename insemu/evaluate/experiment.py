@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import insemu
+from insemu.compensation import NEEDS_TRAJECTORY, compensated, lever_arm_of
 from insemu.denoise import denoise
 from insemu.emulate.pieces import TrueStates
 from insemu.errors import InputError
@@ -28,12 +29,21 @@ from insemu.evaluate.consistency import block_nees, lag_products, sensor_errors
 from insemu.evaluate.recorded import RecordedWorld
 from insemu.evaluate.results import DesignInfo, Innovations, Results, Sensors, Smoothed
 from insemu.evaluate.world import Estimate, World, static_logs, stream
-from insemu.filters import Extras, FilterOptions, FilterResult, LooselyCoupledEKF, NavigationFilter, smooth
+from insemu.filters import (
+    Extras,
+    FilterOptions,
+    FilterResult,
+    InitialSigma,
+    LooselyCoupledEKF,
+    NavigationFilter,
+    smooth,
+)
 from insemu.filters.protocol import FilterParts, check_result, user_filter_code
 from insemu.fit import FitResult, fit
 from insemu.noise import ARMA, NoiseModel, NotStationary, axis_unit, load
-from insemu.records import AXES, GnssRecord, ImuRecord, Series
+from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Series
 from insemu.scenario import AxisSource, Scenario, digest
+from insemu.strapdown import NavState, trajectory_of
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
@@ -201,7 +211,7 @@ class Experiment:
         parts = FilterParts(
             belief=belief.models,
             dt=1.0 / self.rate_hz,
-            lever_arm=gnss.lever_arm,
+            lever_arm=lever_arm_of(options.known_effects(), gnss.lever_arm),
             gravity=self.world.gravity,
             gnss_sigma=(sigma, velocity),
             options=FilterOptions(
@@ -234,16 +244,17 @@ class Experiment:
             (design, lags) of the normalised innovations. With a smoother ``smoothed_error, smoothed_sigma, smoothed_nees`` besides.
         """
         recording = self.world.recording(index)
-        imu, fixes = recording.imu, recording.gnss
-        assert fixes is not None
-        start, start_sigma = self.world.start(index, imu)
-        rows = self.world.rows(imu, max(d.options.covariance_every for d in self.scenario.designs.values()))
-        true = self.world.true_states(index, imu)
-        times = imu.t[rows]
+        start, start_sigma = self.world.start(index, recording.imu)
+        every = max(d.options.covariance_every for d in self.scenario.designs.values())
+        true = self.world.true_states(index, recording.imu)
         out: dict[str, list[Any]] = {}
         for name in self.beliefs:
+            known = self._compensated(name, recording, start, start_sigma)
+            assert known.gnss is not None
+            rows = self.world.rows(known.imu, every)
+            times = known.imu.t[rows]
             ekf = self.filter(name, covariance_at=times)
-            run = ekf.run(self._prefiltered(name, imu), self._believed(name, fixes), start, start_sigma)
+            run = ekf.run(self._prefiltered(name, known.imu), self._believed(name, known.gnss), start, start_sigma)
             if (users := self.scenario.designs[name].filter) is not None:
                 check_result(users, run, times, smoother=self.scenario.smoother)
             found = asdict(self.world.score(Estimate.of_filter(run, times), times))
@@ -251,7 +262,8 @@ class Experiment:
                 smoothed = self.world.score(Estimate.of_smoother(smooth(run), times), times)
                 found |= {f"smoothed_{key}": value for key, value in asdict(smoothed).items()}
             used = run.fixes.accepted
-            found |= self._sensors(ekf, run, imu, rows, found["error"], true)
+            # the true states are those of the data as they came: they say nothing of what is left after a compensation
+            found |= self._sensors(ekf, run, known.imu, rows, found["error"], true if known is recording else None)
             lag_sum, lag_count = lag_products(run.fixes) if used.any() else (np.zeros(5), np.zeros(5))
             found |= {
                 "nis": run.fixes.nis[used].sum(),
@@ -296,6 +308,17 @@ class Experiment:
             "axis_error": sensed.axes,
             "axis_sigma": np.sqrt(np.maximum(np.einsum("kii->ki", sensed.axes_covariance), 0.0)),
         }
+
+    def _compensated(self, design: str, recording: Recording, start: NavState, sigma: InitialSigma) -> Recording:
+        """The data less the effects that a design knows of."""
+        known = self.scenario.designs[design].options.known_effects()
+        along = [use for use in known if use.id in NEEDS_TRAJECTORY]
+        if not along:
+            return compensated(recording, known) if known else recording
+        # where the vehicle was is known well enough without them
+        first = compensated(recording, [use for use in known if use.id not in NEEDS_TRAJECTORY])
+        flown = self.filter(design).run(first.imu, first.gnss, start, sigma)
+        return compensated(recording, known, trajectory=trajectory_of(flown.t, flown.nav, "estimate"))
 
     def _prefiltered(self, design: str, imu: ImuRecord) -> ImuRecord:
         """What a design's filter is fed: the record, de-noised where the design says so."""

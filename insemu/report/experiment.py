@@ -13,6 +13,7 @@ from insemu.noise import NoiseModel, axis_unit
 from insemu.report import budget, figures
 from insemu.report.page import Block, Code, Figure, Items, Section, Table, Text, render
 from insemu.report.tables import (
+    FIGURES,
     SMOOTHED,
     beside,
     consistency_lines,
@@ -153,7 +154,7 @@ def render_experiment(
     if main.outages and main.smoothed is not None:
         pictures["smoothing"] = (
             figures.smoothing(main),
-            "Error north of one realization, filtered and smoothed, with the 3-sigma bands that each states.",
+            "Errors north in the longest outage, filtered (left) and smoothed (right), with the 3-sigma band that each states; scales differ.",
         )
     if main.budgets:
         pictures["budget"] = (budget.budget_bars(main.budgets), budget.BARS)
@@ -215,8 +216,9 @@ def render_experiment(
                     Text(f"{text.get('source', '')} The rms of ln(ours / published) over its cells is {distance:.2f}."),
                     *(Text(line) for line in (*rank_lines(main), *pooled_rank_line(main, variants))),
                     *(
-                        Table(*beside(results), f"{label}: ours / published, m", left=2)
+                        Table(*beside(results, figure), f"{label}: {FIGURES[figure]}, m", left=2)
                         for label, results in shown_beside(main, variants)
+                        for figure in results.published
                     ),
                 ],
             )

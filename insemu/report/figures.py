@@ -185,36 +185,31 @@ def end_errors(results: Results) -> Figure:
 
 
 def smoothing(results: Results, realization: int = 0) -> Figure:
-    """North position error of filter and smoother through the outages, one realization, with the 3-sigma bands that they state."""
+    """North position error of every design in the longest outage, filtered and smoothed, with the 3-sigma bands that they state."""
     assert results.smoothed is not None
-    shown = sorted(range(len(results.outages)), key=lambda k: -results.outages[k][1])[:3]
-    shown.sort()
+    k = max(range(len(results.outages)), key=lambda i: results.outages[i][1])
+    start, duration = results.outages[k]
+    inside = (results.t >= start - 0.1 * duration) & (results.t <= start + 1.1 * duration)
+    since = results.t[inside] - start
     rows = len(results.names)
+    both = (("filter", results.error, results.sigma), ("smoother", results.smoothed.error, results.smoothed.sigma))
     with style():
-        figure, grid = plt.subplots(rows, len(shown), figsize=(10.5, 2.3 * rows + 0.7), squeeze=False)
-        for column, k in enumerate(shown):
-            start, duration = results.outages[k]
-            inside = (results.t >= start - 0.15 * duration) & (results.t <= start + 1.15 * duration)
-            since = results.t[inside] - start
+        figure, grid = plt.subplots(rows, 2, figsize=(10.5, 2.2 * rows + 0.7), sharex=True, squeeze=False)
+        for column, (label, error, sigma) in enumerate(both):
             for d, name in enumerate(results.names):
-                axes = grid[d, column]
+                axes, colour = grid[d, column], COLOURS[d % len(COLOURS)]
                 axes.axvspan(0, duration, color=OUTAGE, zorder=0, lw=0)
-                for label, error, sigma, colour in (
-                    ("filter", results.error, results.sigma, COLOURS[0]),
-                    ("smoother", results.smoothed.error, results.smoothed.sigma, COLOURS[1]),
-                ):
-                    band = 3.0 * sigma[d, realization, inside, 0]
-                    axes.fill_between(
-                        since, -band, band, color=colour, alpha=0.18, lw=0, label=rf"{label} $\pm 3\sigma$"
-                    )
-                    axes.plot(since, error[d, realization, inside, 0], color=colour, lw=1.8, label=label)
-                axes.set_title(f"{name}, outage {k + 1}")
-                if column == 0:
-                    axes.set_ylabel("error north (m)")
+                band = 3.0 * sigma[d, realization, inside, 0]
+                axes.fill_between(since, -band, band, color=colour, alpha=0.22, lw=0, label=r"stated $\pm 3\sigma$")
+                axes.plot(since, error[d, :, inside, 0], color="#9AA3AD", lw=0.5, alpha=0.7)
+                axes.plot(
+                    since, error[d, realization, inside, 0], color=colour, lw=2, label=f"realization {realization}"
+                )
+                axes.set(title=f"{name}: {label}", ylabel="error north (m)")
                 if (d, column) == (0, 0):
                     axes.legend(loc="upper left", ncols=2)
         for axes in grid[-1]:
-            axes.set_xlabel("time since the start of the outage (s)")
+            axes.set_xlabel(f"time since the start of outage {k + 1} (s); thin grey: all realizations")
         return figure
 
 

@@ -7,7 +7,16 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from insemu.evaluate import Results, consistency_words, headline, kendall, outage_table, published_cells, rank_agreement
+from insemu.evaluate import (
+    Results,
+    consistency_words,
+    figure_of,
+    headline,
+    kendall,
+    outage_table,
+    published_cells,
+    rank_agreement,
+)
 
 #: What the published figures are, in words.
 FIGURES = {
@@ -34,37 +43,26 @@ def published_value(results: Results, design: str, outage: int) -> str:
     return "" if value is None else f"{value:g}"
 
 
-def beside(results: Results) -> Table:
-    """Every published figure beside ours, design by design: one column per outage, ``ours / theirs``."""
-    header = ["figure", "design", *outage_headings(results)]
+def beside(results: Results, figure: str) -> Table:
+    """A published figure beside ours, design by design: a row of ours and a row of the paper's, one column per outage."""
+    cells = {(name, k): theirs for name, k, _, theirs in published_cells(results, figure)}
+    table = outage_table(results)
+    numbers = range(len(results.outages))
     body = []
-    for figure in results.published:
-        cells = {(name, k): (ours, theirs) for name, k, ours, theirs in published_cells(results, figure)}
-        table = outage_table(results)
-        for i, name in enumerate(results.names):
-            row = [FIGURES[figure] if i == 0 else "", name]
-            for k in range(len(results.outages)):
-                ours, theirs = cells.get((name, k), (None, None))
-                if ours is None:
-                    value = table[name][k][figure]
-                    ours = value["mean"] if isinstance(value, dict) else value
-                row.append(f"{ours:.3g} / " + ("-" if theirs is None else f"{theirs:g}"))
-            body.append(row)
-    return header, body
+    for name in results.names:
+        body.append([name, "ours", *(f"{figure_of(table[name][k], figure):.3g}" for k in numbers)])
+        if name in results.published[figure]:
+            body.append(["", "paper", *(f"{cells[name, k]:g}" if (name, k) in cells else "-" for k in numbers)])
+    return ["design", "", *(f"no. {k + 1}" for k in numbers)], body
 
 
 def shown_beside(main: Results, variants: Mapping[str, Results]) -> list[tuple[str, Results]]:
-    """The results that bring published figures of their own: the scenario's, and those of variants with others."""
+    """The results with published figures of their own: the scenario's where it has several, and those of variants with others."""
     out: list[tuple[str, Results]] = []
     for label, results in {"default": main, **variants}.items():
         if results.published and results.published not in [r.published for _, r in out]:
             out.append((label, results))
     return out
-
-
-def outage_headings(results: Results) -> list[str]:
-    """One heading per outage: when and how long."""
-    return [f"{start / 60:.3g} min, {duration:g} s" for start, duration in results.outages]
 
 
 def rank_lines(results: Results) -> list[str]:
@@ -106,9 +104,7 @@ def consistency_lines(results: Results) -> list[str]:
 
 def smoother_rows(results: Results) -> Table:
     """Filter and smoother through every outage."""
-    header = [
-        "design", "outage", "middle: filter", "smoothed", "ratio", "stated", "largest: filter", "smoothed", "in 3 s", "NEES"
-    ]  # fmt: skip
+    header = ["design", "no.", "filter", "smooth", "ratio", "stated", "max f", "max s", "in 3 s", "NEES"]
     body = []
     for name, rows in outage_table(results).items():
         for k, row in enumerate(rows):
@@ -116,7 +112,7 @@ def smoother_rows(results: Results) -> Table:
             body.append(
                 [
                     name if k == 0 else "",
-                    outage_headings(results)[k],
+                    str(k + 1),
                     f"{s['filter_middle_rms_m']:.3g}",
                     f"{s['middle_rms_m']:.3g}",
                     f"{s['middle_rms_m'] / s['filter_middle_rms_m']:.2f}",
@@ -131,8 +127,8 @@ def smoother_rows(results: Results) -> Table:
 
 
 SMOOTHED = (
-    "Smoothed backwards through the outages: horizontal rms error in the middle of each, m, and mean of the largest. stated: the smoother's own "
-    "sigma in the middle. in 3 s and NEES: of the smoother during the outage."
+    "Smoothed backwards. filter, smooth: horizontal rms error in the middle of the outage, m. stated: the smoother's sigma there. max f, max s: mean "
+    "of the largest error of the outage, filtered and smoothed, m. in 3 s, NEES: of the smoother during it."
 )
 
 

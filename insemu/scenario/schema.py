@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, field_validator, model_validator
 
 from insemu import units
+from insemu.compensation import COMPENSABLE
 from insemu.effects import EFFECTS, EffectUse
 from insemu.errors import InputError, nearest
 from insemu.noise import NoiseModel, axis_unit
@@ -377,6 +378,25 @@ class DesignOptions(Section):
     prefilter: Prefilter | None = None
     states: CalibrationStates = CalibrationStates()
     tuning: Tuning = Tuning()
+    compensate: EffectList = Field(
+        default=(),
+        description="effects that are taken off the data before the filter: {effect: id, sensor: gyro, parameter: value}",
+    )
+
+    @field_validator("compensate")
+    @classmethod
+    def _can_be_taken_off(cls, value: Any) -> Any:
+        for item in value:
+            use = EffectUse.from_mapping(item)
+            if use.id not in COMPENSABLE:
+                raise InputError(
+                    f"the effect '{use.id}' is noise or a loss, which cannot be taken off; expected one of: {', '.join(sorted(COMPENSABLE))}"
+                )
+        return value
+
+    def known_effects(self) -> tuple[EffectUse, ...]:
+        """The effects that are taken off, in SI."""
+        return tuple(EffectUse.from_mapping(e) for e in self.compensate)
 
 
 class Design(Section):
