@@ -181,6 +181,8 @@ def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
     )
 
     console.print(f"\n[bold]{main.title}[/bold]", soft_wrap=True)
+    for warning in main.manifest.get("warnings", ()):
+        console.print(f"Warning: {warning}.", soft_wrap=True, highlight=False)
     table = Table(
         title=f"{variant_caption(main)}: means over {main.realizations} realizations (seed {main.seed})",
         title_justify="left",
