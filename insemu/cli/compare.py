@@ -87,7 +87,7 @@ def _show(console: Console, rows: list[ComparisonRow], realizations: int, base: 
         box=None,
         header_style="underline",
     )
-    for heading in ("outage", "design", "rank", "mean m", "ratio", "95 %", "p", "effect"):
+    for heading in ("outage", "design", "rank", "mean m", "ratio", "95 %", "p", "effect", "one run"):
         table.add_column(heading, justify="left" if heading == "design" else "right", no_wrap=True)
     for r in rows:
         table.add_row(
@@ -99,8 +99,15 @@ def _show(console: Console, rows: list[ComparisonRow], realizations: int, base: 
             "" if r.low is None else f"{r.low:.3f}-{r.high:.3f}",
             "" if r.p_value is None else f"{r.p_value:.4f}",
             "" if r.effect_size is None else f"{r.effect_size:+.2f}",
+            "" if r.one_run is None else f"±{r.one_run:.3f}",
         )
     console.print(table)
+    console.print(
+        "ratio: mean over the base's mean. effect: mean of the paired differences over their spread. one run: that spread over the base's mean, how "
+        "far a single run scatters.",
+        style="dim",
+        soft_wrap=True,
+    )
 
 
 def _analytic(console: Console, experiment: Experiment, by: str, folder: Any) -> dict[str, Any]:

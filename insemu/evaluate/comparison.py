@@ -37,6 +37,8 @@ class ComparisonRow:
         itself or a single realization.
     effect_size : float or None
         Mean of the paired differences over their standard deviation: 0.2 small, 0.8 large.
+    one_run : float or None
+        Standard deviation of the paired differences over the base's mean: how far the ratio of a single run scatters.
     """
 
     outage: int | None
@@ -48,6 +50,7 @@ class ComparisonRow:
     high: float | None
     p_value: float | None
     effect_size: float | None
+    one_run: float | None
 
     def to_dict(self) -> dict[str, Any]:
         """As plain data."""
@@ -115,6 +118,7 @@ def compare(results: Results, base: str | None = None) -> list[ComparisonRow]:
                     pair.high if pair else None,
                     pair.p_value if pair else None,
                     float((v - b).mean() / spread) if pair and spread > 0 else None,
+                    spread / float(b.mean()) if pair and v.size > 1 else None,
                 )
             )
     return rows

@@ -374,6 +374,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         "python": platform.python_version(),
         "packages": {name: metadata.version(name) for name in packages},
         "ideal_imu_distance_m": experiment.world.path_distance_m,
+        "warnings": list(experiment.world.warnings),
         "beliefs": {
             name: {axis: m.to_list(axis_unit(axis)) for axis, m in b.models.items()}
             for name, b in experiment.beliefs.items()
