@@ -368,6 +368,16 @@ class Tuning(Section):
     velocity: float = Field(default=1.0, gt=0)
 
 
+class ZeroUpdates(Section):
+    """Zero velocity and zero angular rate as measurements at rest, which is found from the IMU and the fixes (never during an outage)."""
+
+    every: Seconds = Field(default=1.0, gt=0, description="time between updates")
+    velocity_sigma: Speed | None = Field(default=0.01, gt=0, description="standard deviation; null: no zero velocity")
+    rate_sigma: Annotated[float, BeforeValidator(_quantity("rad/s")), _schema("rad/s")] | None = Field(
+        default=1e-4, gt=0, description="standard deviation; null: no zero rate"
+    )
+
+
 class DesignOptions(Section):
     """How a design's filter runs."""
 
@@ -378,6 +388,9 @@ class DesignOptions(Section):
     prefilter: Prefilter | None = None
     states: CalibrationStates = CalibrationStates()
     tuning: Tuning = Tuning()
+    zero_updates: ZeroUpdates | None = Field(
+        default=None, description="zero-velocity and zero-rate updates; {}: as usual"
+    )
     compensate: EffectList = Field(
         default=(),
         description="effects that are taken off the data before the filter: {effect: id, sensor: gyro, parameter: value}",
@@ -554,7 +567,14 @@ class RecordingSource(Section):
         default=0.0, description="how late IMU stamps are against those of GNSS; taken off"
     )
     gravity: Literal["normal", "free_air_first_order"] = "normal"
-    zero_velocity_updates: bool = Field(default=False, description="feed zero velocity where GNSS shows a standstill")
+    zero_velocity_updates: bool = Field(
+        default=False, description="feed every design zero velocity and rate at rest (zero_updates: one design)"
+    )
+    alignment: Literal["auto", "rest", "motion"] = Field(
+        default="auto",
+        description="where the filters start: at the first rest, level from gravity and heading from the first course; in motion, from "
+        "specific force and the fixes' velocity; or in motion where that is possible",
+    )
 
 
 class Scenario(Section):
