@@ -16,7 +16,7 @@ from insemu.gap import singular as _registers  # noqa: F401
 from insemu.gap import static_log
 from insemu.gap.candidates import CANDIDATES, AxisState
 from insemu.gap.disagreement import corrected
-from insemu.gap.evidence import Explanation, Likelihood, fit
+from insemu.gap.evidence import LEVEL_UNCERTAINTY, Explanation, Likelihood, fit
 from insemu.gap.hypotheses import (
     ONCE,
     Hypothesis,
@@ -34,10 +34,10 @@ from insemu.gap.hypotheses import (
 from insemu.gap.innovations import Block, Field
 from insemu.gap.nominal import Nominal
 from insemu.gap.preparation import fast_parts, prepare
-from insemu.gap.reduced import Reduced
+from insemu.gap.reduced import Reduced, reduce_again
 from insemu.gap.samples import mend, with_counts
 from insemu.gap.scene import Scene, first_rows
-from insemu.gap.surrogate import NED
+from insemu.gap.surrogate import NED, joint_noise
 from insemu.gap.verdict import GapReport, Interval, Member, Step, Value, VerdictName, Where
 from insemu.noise import BI, GM, RW, WN, NoiseModel
 from insemu.records import AXES, Recording
@@ -45,6 +45,8 @@ from insemu.records import AXES, Recording
 Array = NDArray[np.float64]
 
 LEAD, MOST_STEPS = 3.0, 8
+#: Probability that anything at all is missing, below which the search ends.
+SURE = 0.8
 #: Share of the posterior that the members of a class hold together.
 CLASS_SHARE = 0.96
 #: A shape worth more than this is taken out of the data and the filter run again, so that what is left is small enough to be linear.
@@ -107,6 +109,14 @@ class Named:
         return next((f.chosen for f in self.found if f.chosen.effect == "gnss_outliers"), None)
 
 
+def something(ranked: Sequence[Hypothesis]) -> float:
+    """Probability that any of the effects is there: each of them and nothing at all weigh alike before the data."""
+    gains = np.array([h.gain for h in ranked])
+    top = max(float(gains.max()), 0.0)
+    some = float(np.sum(np.exp(gains - top)))
+    return some / (some + gains.size * math.exp(-top))
+
+
 def blocks_of(found: Sequence[Found]) -> list[Block]:
     """Blocks of the steps that have one."""
     return [f.chosen.block for f in found if f.chosen.block is not None]
@@ -156,7 +166,11 @@ class Search:
         return sorted((h for h in out if math.isfinite(h.gain)), key=lambda h: -h.gain)
 
     def _skip(self, found: Sequence[Found]) -> set[str]:
-        once = {f.chosen.effect for f in found if f.chosen.effect in ONCE or f.chosen.noise is not None or f.chosen.effect == "gnss_outliers"}
+        once = {
+            f.chosen.effect
+            for f in found
+            if f.chosen.effect in ONCE or f.chosen.noise is not None or f.chosen.effect == "gnss_outliers"
+        }
         return set(self.without) | once
 
     def run(self, progress: Callable[[str], None]) -> Named:
@@ -168,7 +182,7 @@ class Search:
             if beyond > self.threshold and beyond > best.gain + OUTSIDE_LEAD:
                 self.outsider = what
                 break
-            if best.gain < self.threshold:
+            if best.gain < self.threshold or something(ranked) < SURE:
                 break
             progress(f"{best.effect} {best.gain:.1f} nats")
             self._add(best, ranked)
@@ -191,12 +205,21 @@ class Search:
             self.gone = np.union1d(self.gone, times)
             scene = scene.rebuilt(gone=self.gone)
         elif best.noise is not None:
-            self.found.append(Found(best, tuple(ranked)))
             if best.effect == "gnss_correlated_noise":
                 assert best.noise.colour is not None
-                scene = scene.coloured(best.noise.colour)
+                s = replace(scene.surrogate, nu=unexplained_innovations(scene, blocks_of(self.found)))
+                moved = scene.original.factors / scene.original.levels
+                noise = joint_noise(
+                    s if self.cut is None else s.until(self.cut), best.noise.colour, moved, LEVEL_UNCERTAINTY
+                )
+                scene = scene.coloured(noise)
+                sigma = dict(zip((f"sigma_{a}" for a in NED), noise.colour[0], strict=False))
+                best = replace(best, values=tuple(_moved(v, sigma.get(v.name, noise.colour[1])) for v in best.values))
             else:
-                scene = scene.rebuilt(factors=scene.original.factors * best.noise.factor)
+                factors = scene.original.factors * best.noise.factor
+                levels = np.where(best.noise.factor == 1.0, scene.original.levels, factors)
+                scene = scene.rebuilt(factors=factors, levels=levels)
+            self.found.append(Found(best, tuple(ranked)))
         else:
             self.found.append(Found(best, tuple(ranked)))
             if best.gain > CORRECT_NATS and best.columns:
@@ -231,8 +254,15 @@ class Search:
 
     def _swap(self, old: Found, new: Hypothesis, ranked: Sequence[Hypothesis]) -> None:
         fixes = [h for h in old.ranked if h.block is None and h.gain > 0.0]
-        merged = sorted([*ranked, *(replace(h, gain=min(h.gain, new.gain - LEAD - 1.0)) for h in fixes)], key=lambda h: -h.gain)
+        merged = sorted(
+            [*ranked, *(replace(h, gain=min(h.gain, new.gain - LEAD - 1.0)) for h in fixes)], key=lambda h: -h.gain
+        )
         self.found = [Found(new, tuple(merged)) if g is old else g for g in self.found]
+
+
+def _moved(v: Value, value: float) -> Value:
+    """A positive value re-estimated, its interval as wide in proportion as it was."""
+    return replace(v, value=float(value), low=float(v.low / v.value * value), high=float(v.high / v.value * value))
 
 
 def find_effects(
@@ -277,13 +307,14 @@ def held_out(scene: Scene, named: Named, cut: float) -> tuple[Interval, Interval
 def _log_volume(scene: Scene, cut: float) -> float:
     """Half the log determinants of the innovation covariances after ``cut``."""
     use = scene.loop.use & (scene.loop.result.fixes.t > cut)[:, None]
-    if scene.colour is None:
+    if scene.noise is None:
         diagonal = np.einsum("kii->ki", scene.loop.lower)
         return float(np.sum(np.log(diagonal[use])))
-    white, value = scene.surrogate.whiten(scene.surrogate.nu[:, :, None], None, scene.colour)
-    early = scene.surrogate.until(cut)
-    before, first = early.whiten(early.nu[:, :, None], None, scene.colour)
-    return -(value + 0.5 * float(np.sum(white**2))) + (first + 0.5 * float(np.sum(before**2)))
+    volume = 0.0
+    for sign, part in ((1.0, scene.surrogate), (-1.0, scene.surrogate.until(cut))):
+        white, value = part.whiten(part.nu[:, :, None], scene.noise.factor, scene.noise.colour)
+        volume -= sign * (value + 0.5 * float(np.sum(white**2)))
+    return volume
 
 
 # -- what the IMU shows above its motion ----------------------------------------------------------------------------------------------
@@ -303,7 +334,9 @@ def fast_effects(
         data = parts[name]
         if not data.f.size:
             continue
-        state = AxisState(data, fit(Likelihood(data), Explanation.nominal(nominal.beliefs[name])))
+        explanation = Explanation.nominal(nominal.beliefs[name])
+        data = without_tones(data, fit(Likelihood(data), explanation).explanation)
+        state = AxisState(data, fit(Likelihood(data), explanation))
         out.append(
             (
                 name,
@@ -313,6 +346,31 @@ def fast_effects(
             )
         )
     return out
+
+
+def without_tones(data: Reduced, explanation: Explanation) -> Reduced:
+    """The axis without tones that come in company: a line of the sensor stands alone, what a vehicle hums does not.
+
+    A tone counts where the periodogram stands out by more than noise does anywhere; a single one, or one that towers over the others, stays.
+    """
+    n, dt = data.values.size, data.dt
+    z = np.fft.rfft(data.values - data.values.mean())
+    f = np.arange(z.size) / (n * dt)
+    inside = (f >= data.f[0]) & (f <= data.f[-1])
+    ratio = np.zeros(z.size)
+    ratio[inside] = np.abs(z[inside]) ** 2 * dt / n / explanation.psd(f[inside], dt)
+    limit = math.log(n) + 6.0
+    loud = np.flatnonzero(ratio > limit)
+    if not loud.size:
+        return data
+    first = int(np.argmax(ratio))
+    # sidelobes of the loudest fall with the square of the distance
+    apart = np.abs(loud - first)
+    others = loud[(apart > 3) & (ratio[loud] > 4.0 * ratio[first] / np.maximum(apart, 1.0) ** 2)]
+    if not others.size or float(ratio[others].max()) < 0.1 * ratio[first]:
+        return data
+    z[loud] *= np.sqrt(1.0 / ratio[loud])
+    return reduce_again(data, np.fft.irfft(z, n))
 
 
 def find_dynamic_gap(
@@ -472,7 +530,9 @@ def _step(f: Found, named: Named) -> Step:
         held += float(p[k])
     needs = "; ".join(dict.fromkeys(EFFECTS[m.effect].excitation for m in members)) if len(members) > 1 else ""
     text = f"a recording with more of: {needs}" if needs else ""
-    return Step(h.effect, h.variant, h.sensor, h.axes, values, float(p[own]), h.gain, tuple(members), text, tuple(others[:5]))
+    return Step(
+        h.effect, h.variant, h.sensor, h.axes, values, float(p[own]), h.gain, tuple(members), text, tuple(others[:5])
+    )
 
 
 def _refine(models: dict[str, NoiseModel], step: Step) -> dict[str, NoiseModel]:

@@ -225,7 +225,9 @@ class Loop:
         S[:, np.arange(6), np.arange(6)] += ~use
         lower = np.linalg.cholesky(S) if f else np.zeros((0, 6, 6))
         white = np.where(use[:, :, None], np.linalg.inv(lower), 0.0)
-        return cls(result, np.where(use[:, :, None], lower, 0.0), white, np.einsum("kij,kj->ki", white, nu).ravel(), use)
+        return cls(
+            result, np.where(use[:, :, None], lower, 0.0), white, np.einsum("kij,kj->ki", white, nu).ravel(), use
+        )
 
     def until(self, count: int) -> Loop:
         """The first ``count`` fixes, for what looks at innovations only."""
