@@ -204,20 +204,20 @@ class Search:
             times, _ = wild_fixes(scene, best, unexplained_innovations(scene, blocks_of(self.found)))
             self.gone = np.union1d(self.gone, times)
             scene = scene.rebuilt(gone=self.gone)
-        elif best.noise is not None:
+        elif (level := best.noise) is not None:
             if best.effect == "gnss_correlated_noise":
-                assert best.noise.colour is not None
+                assert level.colour is not None
                 s = replace(scene.surrogate, nu=unexplained_innovations(scene, blocks_of(self.found)))
                 moved = scene.original.factors / scene.original.levels
                 noise = joint_noise(
-                    s if self.cut is None else s.until(self.cut), best.noise.colour, moved, LEVEL_UNCERTAINTY
+                    s if self.cut is None else s.until(self.cut), level.colour, moved, LEVEL_UNCERTAINTY
                 )
                 scene = scene.coloured(noise)
                 sigma = dict(zip((f"sigma_{a}" for a in NED), noise.colour[0], strict=False))
                 best = replace(best, values=tuple(_moved(v, sigma.get(v.name, noise.colour[1])) for v in best.values))
             else:
-                factors = scene.original.factors * best.noise.factor
-                levels = np.where(best.noise.factor == 1.0, scene.original.levels, factors)
+                factors = scene.original.factors * level.factor
+                levels = np.where(level.factor == 1.0, scene.original.levels, factors)
                 scene = scene.rebuilt(factors=factors, levels=levels)
             self.found.append(Found(best, tuple(ranked)))
         else:

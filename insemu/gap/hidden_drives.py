@@ -337,9 +337,8 @@ def draw_use(effect: str, s: Stage, rng: np.random.Generator) -> tuple[EffectUse
     """Draw sensor, axis and numbers; shaped effects at their datasheet scale, to be sized later."""
     n, dt = len(s.imu), s.imu.dt
     span = n * dt
-    sensor = str(
-        rng.choice([x for x in EFFECTS[effect].sensors if x in ("gyro", "accel")] or [EFFECTS[effect].sensors[0]])
-    )
+    sensors: list[str] = [x for x in EFFECTS[effect].sensors if x in ("gyro", "accel")]
+    sensor = str(rng.choice(sensors or [str(EFFECTS[effect].sensors[0])]))
     k = int(rng.integers(3))
     axis = "xyz"[k]
     name = f"{sensor}_{axis}"
@@ -483,8 +482,8 @@ def _level_nats(s: Stage, use: EffectUse) -> float:
         axis = int(np.argmax(use["N"]))
         n = s.truth[f"{use.sensor}_{'xyz'[axis]}"].processes[0].parameters["N"]
         believed = s.nominal.beliefs[f"{use.sensor}_{'xyz'[axis]}"].processes[0].parameters["N"]
-        r = max((n**2 + use["N"][axis] ** 2) / (1.22 * believed) ** 2, 1.0)
-        return 0.25 * len(s.imu) * (r - 1.0 - math.log(r))
+        ratio = max((n**2 + use["N"][axis] ** 2) / (1.22 * believed) ** 2, 1.0)
+        return float(0.25 * len(s.imu) * (ratio - 1.0 - math.log(ratio)))
     return math.nan
 
 
@@ -507,13 +506,9 @@ def oracle(
         if u.id in _DRAWN:
             k = int(np.argmax(u[_DRAWN[u.id]]))
             value = u[_DRAWN[u.id]][k]
-            extra = {
-                "random_walk": lambda v: RW(v),
-                "flicker": lambda v: BI(v),
-                "gauss_markov": lambda v, u=u, k=k: GM(v, u["beta"][k]),
-            }[u.id](value)
             name = f"{u.sensor}_{'xyz'[k]}"
-            beliefs[name] = beliefs[name] + extra
+            process = RW(value) if u.id == "random_walk" else BI(value) if u.id == "flicker" else GM(value, u["beta"][k])
+            beliefs[name] = beliefs[name] + process
         elif u.id == "gnss_noise_level":
             factors[:3] = u["factor"]
         elif u.id == "gnss_velocity_noise":

@@ -149,7 +149,7 @@ def _slow(scene: Scene) -> list[Variant]:
     return out
 
 
-def linear_gains(variants: Sequence[Variant], A: Array, b: Array) -> list[list[tuple[Array, Array]]]:
+def linear_gains(variants: Sequence[Variant], A: Array, b: Array) -> list[list[Array]]:
     """Log Bayes factors of every variant: per variant and shape ``(a, s)``; wide sets of axes only where a single one promises something."""
     out: list[list[Array]] = []
     promising: dict[tuple[str, str], float] = {}
@@ -164,19 +164,24 @@ def linear_gains(variants: Sequence[Variant], A: Array, b: Array) -> list[list[t
         logs = [quadratic_evidence(sub, rhs, root, v.amplitudes) for _, root in v.shapes]
         promising[key] = max(promising.get(key, -math.inf), max(float(x[:, 0].max()) for x in logs))
         out.append(logs)
-    return out  # type: ignore[return-value]
+    return out
 
 
 def pooled_gains(variants: Sequence[Variant], logs: Sequence[Sequence[Array]]) -> dict[tuple[str, str], Array]:
     """Evidence of every effect and sensor, averaged over its variants, shapes and amplitudes: (s,) per effect."""
     own: dict[tuple[str, str], list[Array]] = {}
+    passed: dict[tuple[str, str], int] = {}
     for v, x in zip(variants, logs, strict=True):
-        row = log_mean_exp_columns(np.concatenate(x)) if x else None
-        own.setdefault((v.effect, v.sensor), []).append(row)  # type: ignore[arg-type]
+        key = (v.effect, v.sensor)
+        if x:
+            own.setdefault(key, []).append(log_mean_exp_columns(np.concatenate(x)))
+        else:
+            passed[key] = passed.get(key, 0) + 1
     out = {}
     for key, rows in own.items():
-        width = next(r.size for r in rows if r is not None)
-        out[key] = log_mean_exp_columns(np.stack([r if r is not None else np.full(width, -1e3) for r in rows]))
+        # a variant that was passed over counts as one that explains nothing
+        share = len(rows) / (len(rows) + passed.get(key, 0))
+        out[key] = log_mean_exp_columns(np.stack(rows)) + math.log(share)
     return out
 
 
@@ -397,7 +402,7 @@ def gnss_outliers(scene: Scene, nu: Array, cut: float | None) -> list[Hypothesis
     gain = log_mean_exp(logs)
     count = max(1.0, p * at.size)
     spread = 1.5 / math.sqrt(count)
-    values = (
+    values: tuple[Value, ...] = (
         Value("probability", p, p * math.exp(-2.0 / math.sqrt(count)), p * math.exp(2.0 / math.sqrt(count)), "1"),
     )
     values += tuple(

@@ -54,7 +54,7 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
                 rates[:, k] = _rounded_off(imu.t, rates[:, k], at)
                 value = Value("limit", limit, limit, limit, unit)
                 steps.append(_step("saturation", sensor, (axis,), (value,), nats))
-                imu = replace(imu, **{sensor: rates * widths})
+                imu = replace(imu, gyro=rates * widths) if sensor == "gyro" else replace(imu, accel=rates * widths)
     return Mended(imu, tuple(sorted(steps, key=lambda s: -s.gain_nats)))
 
 
