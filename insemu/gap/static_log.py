@@ -118,8 +118,8 @@ def search(
             outsider = VARYING
             without = (*without, *_FAST, *_UNTIDY)
             excluded = False
-            state = _tempered(state)
-        if len(found) > 1:
+            state = tempered(state)
+        if len(found) > 1 and not _taken_out(new.chosen):
             state, found = _reconsider(state, found, without)
     if "turn_on_bias" not in without:
         for w in turn_on_bias(state):
@@ -157,7 +157,7 @@ def _of_known_shape(
     return None
 
 
-def _tempered(state: AxisState) -> AxisState:
+def tempered(state: AxisState) -> AxisState:
     """Bins count only as far as the explanation describes the spectrum there: a fast band that no model fits must not bend the slow one.
 
     The weight is the inverse of the squared misfit in standard deviations, averaged over half an octave either way.
@@ -180,13 +180,16 @@ def _reconsider(state: AxisState, found: list[Found], without: Collection[str]) 
         effect = f.chosen.effect
         occurrence = seen.get(effect, 0)
         seen[effect] = occurrence + 1
+        if is_slow(f.chosen, state.data) != is_slow(found[-1].chosen, state.data):
+            continue  # of another band than what was added
         rest = _without(state.explanation, effect, occurrence)
         if rest is None:
             continue  # it was taken out of the samples: nothing to reconsider
         names = list(state.named)
         names.remove(effect)
         base = replace(state, fitted=fit(Likelihood(state.data), rest), named=tuple(names), memory={})
-        ranked = [w for w in weigh_all(base, without) if w.gain > -LEAD]
+        others = _FAST | _UNTIDY - {"telegraph"} if is_slow(f.chosen, state.data) else _SLOW - {"gauss_markov"}
+        ranked = [w for w in weigh_all(base, (*without, *others - {effect})) if w.gain > -LEAD]
         kept = next((w for w in ranked if w.effect == effect), None)
         own = max(state.fitted.evidence - base.fitted.evidence, kept.gain if kept else -math.inf)
         # gains beside the others become gains at entry
@@ -208,6 +211,14 @@ def _reconsider(state: AxisState, found: list[Found], without: Collection[str]) 
             rivals = tuple(sorted((fresh, *moved), key=lambda w: -w.gain))
             found = [Found(fresh, rivals, _confidence(rivals)) if g is f else g for g in found]
     return state, found
+
+
+def is_slow(w: Weighed, data: Reduced) -> bool:
+    """Whether an effect lives in the block means rather than in the spectrum above them."""
+    if w.effect == "gauss_markov":
+        beta = next((v.value for v in w.values if v.name == "beta"), 0.0)
+        return bool(beta * data.block_s < 3.0)
+    return w.effect in _SLOW or w.effect in KNOWN_SHAPES
 
 
 def _taken_out(w: Weighed) -> bool:
