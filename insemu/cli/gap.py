@@ -55,7 +55,7 @@ def command(
         )
     folder = Path(out) if out else Path("results") / f"gap_{Path(measured).stem}"
     folder.mkdir(parents=True, exist_ok=True)
-    refined = write_refined(nominal, report, folder / "refined.yaml")
+    refined = write_refined(nominal, report, folder / "refined.yaml", data)
     text = json.dumps(report.to_json(), indent=1, allow_nan=False)
     (folder / "gap.json").write_text(text + "\n", encoding="utf-8")
     from insemu.report.gap import effect_name, headline, render_gap

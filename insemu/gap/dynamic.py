@@ -30,6 +30,7 @@ from insemu.gap.innovations import (
     scaled,
     slow_evidence,
 )
+from insemu.gap.known import of_axis, settled, starting_explanation, without_drawn
 from insemu.gap.nominal import Nominal
 from insemu.gap.preparation import Prepared, fast_parts, prepare
 from insemu.gap.reduced import Reduced
@@ -580,7 +581,9 @@ def fast_effects(
         data = parts[name]
         if not data.f.size:
             continue
-        state = AxisState(data, fit(Likelihood(data), Explanation.nominal(nominal.beliefs[name])))
+        given = of_axis(nominal.effects, name)
+        state = AxisState(data, fit(Likelihood(data), starting_explanation(nominal.beliefs[name], given, data.dt)))
+        state = without_drawn(replace(state, named=tuple(n for n in settled(given) if n == "quantization")), given)
         out.append(
             (
                 name,

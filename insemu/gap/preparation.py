@@ -105,7 +105,7 @@ def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], le
             f"the recording has {imu.t[-1] - imu.t[0]:.0f} s that can be used, expected at least 60 s",
             where=recording.source,
         )
-    gnss = _with_sigma(gnss, nominal)
+    gnss = with_sigma(gnss, nominal)
     beliefs = {name: _trimmed(nominal.beliefs[name], fast[name], levels.get(name)) for name in AXES}
     sigma = nominal.initial
     start = InitialSigma(
@@ -177,16 +177,16 @@ def _cut(imu: ImuRecord, first: int) -> ImuRecord:
     return replace(imu, t=imu.t[first:], gyro=imu.gyro[first:], accel=imu.accel[first:], temperature=temperature)
 
 
-def _with_sigma(gnss: GnssRecord, nominal: Nominal) -> GnssRecord:
+def with_sigma(gnss: GnssRecord, nominal: Nominal) -> GnssRecord:
+    """The fixes with the believed standard deviations where they state none; velocities that are not believed are left out."""
     n = len(gnss)
     out = gnss
+    if nominal.gnss.velocity_sigma is None:
+        out = replace(out, vel_ned=None, vel_std_ned=None)
     if out.pos_std_ned is None:
         out = replace(out, pos_std_ned=np.tile(nominal.gnss.position_sigma, (n, 1)))
     if out.vel_ned is not None and out.vel_std_ned is None:
-        if nominal.gnss.velocity_sigma is None:
-            out = replace(out, vel_ned=None)
-        else:
-            out = replace(out, vel_std_ned=np.tile(nominal.gnss.velocity_sigma, (n, 1)))
+        out = replace(out, vel_std_ned=np.tile(nominal.gnss.velocity_sigma, (n, 1)))
     return out
 
 

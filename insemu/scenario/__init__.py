@@ -21,6 +21,7 @@ from insemu.scenario.schema import (
     SensorModels,
     TrajectorySource,
     Truth,
+    Vehicle,
 )
 
 __all__ = [
@@ -39,6 +40,7 @@ __all__ = [
     "SensorModels",
     "TrajectorySource",
     "Truth",
+    "Vehicle",
     "digest",
     "load",
     "resolve_path",
