@@ -49,7 +49,10 @@ def test_taking_an_effect_off_undoes_the_emulator(effect: str, kind: str) -> Non
     temperature = 20.0 + 0.2 * imu.t
     it = use(effect, **EFFECTS[effect])
     made = corrupt(imu, None, np.random.default_rng(1), effects=[it], reference=reference, temperature=temperature).imu
-    assert max(np.abs(made.gyro - imu.gyro).max(), np.abs(made.accel - imu.accel).max(), np.abs(made.t - imu.t).max()) > 1e-9
+    assert (
+        max(np.abs(made.gyro - imu.gyro).max(), np.abs(made.accel - imu.accel).max(), np.abs(made.t - imu.t).max())
+        > 1e-9
+    )
     back = compensated(Recording(made), [it], trajectory=reference).imu
     size = max(np.abs(made.gyro - imu.gyro).max(), np.abs(made.accel - imu.accel).max(), 1e-9)
     np.testing.assert_allclose(back.t, imu.t, atol=1e-9)

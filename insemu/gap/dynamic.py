@@ -18,7 +18,7 @@ from insemu.gap import singular as _registers  # noqa: F401
 from insemu.gap import static_log
 from insemu.gap.candidates import CANDIDATES, AxisState
 from insemu.gap.disagreement import corrected
-from insemu.gap.evidence import PRIOR_SCALES, Explanation, Likelihood, fit, log_mean_exp
+from insemu.gap.evidence import PRIOR_SCALES, Likelihood, fit, log_mean_exp
 from insemu.gap.innovations import (
     Field,
     SlowFit,

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from insemu import rotation
 from insemu.errors import InputError
-from insemu.gap.known import drive_without, finite, static_without
+from insemu.gap.known import drive_without, static_without
 from insemu.gap.nominal import Nominal
 from insemu.gap.refined import joined, refined_nominal, uses_of
 from insemu.gap.sources import StaticLog
@@ -19,18 +18,7 @@ from insemu.gap.static_log import THRESHOLD, find_static_gap
 from insemu.gap.timing import find_offset
 from insemu.gap.vehicle import Mounted, find_mounting
 from insemu.gap.verdict import GapReport, Interval, Step, Value, VerdictName
-from insemu.noise import NoiseModel
 from insemu.records import AXES, Recording
-
-#: Passes in which effects too large for a linear signature are taken off and estimated again.
-MOST_PASSES = 3
-#: Smallest value of an effect that is taken off before the rest is looked for, by effect and parameter.
-LARGE = {
-    "imu_gnss_time_offset": 0.02,
-    "scale_factor": 0.01,
-    "scale_asymmetry": 0.01,
-    "misalignment": 0.01,
-}
 
 
 def find_gap(
@@ -45,8 +33,8 @@ def find_gap(
 ) -> GapReport:
     """Find, name and add what the nominal model lacks.
 
-    What the nominal model knows besides noise is taken off first. A drive with a ``vehicle`` is asked for its mounting angles; effects
-    too large for a linear signature are taken off and the search is repeated, until what is left is small.
+    What the nominal model knows besides noise is taken off first; so are a time offset too large for a linear signature and, where the nominal
+    model has a ``vehicle``, wrong mounting angles.
 
     Parameters
     ----------
@@ -88,15 +76,6 @@ def find_gap(
     return _drive(measured, nominal, rng, threshold, without, hold_out, progress or (lambda _: None))
 
 
-@dataclass(frozen=True)
-class _Pass:
-    """One pass: what was found with some effects taken off."""
-
-    mounted: Mounted | None
-    report: GapReport
-    large: tuple[Step, ...]
-
-
 def _drive(
     measured: Recording,
     nominal: Nominal,
@@ -108,41 +87,31 @@ def _drive(
 ) -> GapReport:
     from insemu.gap.dynamic import find_dynamic_gap
 
-    now = nominal
-    passes: list[_Pass] = []
-    early: list[Step] = []
     check(measured, nominal)
+    now = nominal
+    early: list[Step] = []
+
+    def taken(step: Step) -> Nominal:
+        early.append(step)
+        return replace(now, effects=joined(now.effects, uses_of(step)))
+
     if "imu_gnss_time_offset" not in without:
         late = find_offset(*drive_without(measured, now), say)
-        if late is not None:
-            early.append(late)
-            now = replace(now, effects=joined(now.effects, uses_of(late)))
-    for turn in range(MOST_PASSES):
-        recording, moved = drive_without(measured, now)
-        mounted = None
-        if now.vehicle is not None and "mounting" not in without:
-            mounted = find_mounting(recording, moved, threshold, say)
-            if mounted.step is not None:
-                now = replace(now, effects=joined(now.effects, uses_of(mounted.step)))
-                recording, moved = drive_without(measured, now)
-        skip = (*without, *(() if "mounting" in without else ("mounting",)))
-        report = find_dynamic_gap(
-            recording, moved, rng=rng, threshold=threshold, without=skip, hold_out=hold_out, progress=say
-        )
-        large = tuple(s for s in report.steps if _is_large(s)) if turn < MOST_PASSES - 1 else ()
-        passes.append(_Pass(mounted, report, large))
-        if not large:
-            break
-        say("taking off what is too large for a linear signature")
-        for step in large:
-            now = replace(now, effects=joined(now.effects, uses_of(step, measured.imu.dt)))
-    out = _together(passes, early, nominal, measured)
+        now = taken(late) if late is not None else now
+    recording, moved = drive_without(measured, now)
+    mounted = None
+    if now.vehicle is not None and "mounting" not in without:
+        mounted = find_mounting(recording, moved, threshold, say)
+        if mounted.step is not None:
+            now = taken(mounted.step)
+            recording, moved = drive_without(measured, now)
+    # by the innovations alone the mounting hides in the attitude
+    skip = tuple(dict.fromkeys((*without, "mounting")))
+    report = find_dynamic_gap(
+        recording, moved, rng=rng, threshold=threshold, without=skip, hold_out=hold_out, progress=say
+    )
+    out = _together(report, early, mounted, nominal)
     return replace(out, curves={**out.curves, "drive": _pictures(measured, nominal, out)}) if hold_out else out
-
-
-def _is_large(step: Step) -> bool:
-    limit = LARGE.get(step.effect)
-    return limit is not None and any(abs(v.value) > limit for v in step.parameters) and not step.is_class
 
 
 def check(measured: Recording, nominal: Nominal) -> None:
@@ -153,41 +122,34 @@ def check(measured: Recording, nominal: Nominal) -> None:
             f"no noise model is believed for {', '.join(missing)}; a recording with fixes needs all six axes"
         )
     if measured.gnss is None:
-        raise InputError("has no GNSS fixes, expected a drive or flight with fixes or a static log", where=measured.source)
+        raise InputError(
+            "has no GNSS fixes, expected a drive or flight with fixes or a static log", where=measured.source
+        )
 
 
-def _together(passes: list[_Pass], early: list[Step], nominal: Nominal, measured: Recording) -> GapReport:
-    """One report of all passes: what was taken off on the way and what the last one found."""
-    first, last = passes[0], passes[-1]
-    steps = list(last.report.steps)
-    for step in (*early, *(step for p in passes[:-1] for step in p.large)):
+def _together(report: GapReport, early: list[Step], mounted: Mounted | None, nominal: Nominal) -> GapReport:
+    """The report of the search with what was taken off before it."""
+    steps = list(report.steps)
+    for step in early:
         steps = _added_up(steps, step)
-    mountings = [p.mounted for p in passes if p.mounted is not None and p.mounted.step is not None]
-    if mountings:
-        steps.append(_one_mounting(mountings))
     steps.sort(key=lambda s: -s.gain_nats)
-    where, after = first.report.where, last.report.after
-    before_index, after_index, held = first.report.gap_before, last.report.gap_after, last.report.held_out
-    if len(passes) > 1:
-        held = _sum([p.report.held_out for p in passes])
-    met = next((p.mounted for p in passes if p.mounted is not None), None)
-    if met is not None:
-        end = next(p.mounted for p in reversed(passes) if p.mounted is not None)
-        where = tuple(sorted((*where, *met.where), key=lambda w: w.p_value))
-        after = tuple(sorted((*after, *end.after), key=lambda w: w.p_value))
-        if met.dof and math.isfinite(before_index.value):
-            fixes = met.dof / 2
-            gain, sd = met.gain
+    where, after, held = report.where, report.after, report.held_out
+    before_index, after_index = report.gap_before, report.gap_after
+    if mounted is not None:
+        where = tuple(sorted((*where, *mounted.where), key=lambda w: w.p_value))
+        after = tuple(sorted((*after, *mounted.after), key=lambda w: w.p_value))
+        if mounted.dof and math.isfinite(before_index.value):
+            fixes = mounted.dof / 2
+            gain, sd = mounted.gain
             held = _sum([held, Interval(gain / fixes, (gain - 1.96 * sd) / fixes, (gain + 1.96 * sd) / fixes)])
             # the motion across the vehicle and the innovations count alike
-            before_index = _mean(before_index, met.chi_square[0] / met.dof, met.dof)
-            after_index = _mean(after_index, (end.chi_square if end.dof else met.chi_square)[1] / met.dof, met.dof)
-    verdict: VerdictName = last.report.verdict
+            before_index = _mean(before_index, mounted.chi_square[0] / mounted.dof, mounted.dof)
+            after_index = _mean(after_index, mounted.chi_square[1] / mounted.dof, mounted.dof)
+    verdict: VerdictName = report.verdict
     if verdict == "nothing missing" and steps:
         verdict = "class" if steps[0].is_class else "named"
-    refined = {name: _as_believed(last.report.refined[name], nominal.beliefs[name], measured) for name in last.report.refined}
     return replace(
-        last.report,
+        report,
         verdict=verdict,
         steps=tuple(steps),
         where=where,
@@ -196,53 +158,22 @@ def _together(passes: list[_Pass], early: list[Step], nominal: Nominal, measured
         gap_after=after_index,
         held_out=held,
         nominal=dict(nominal.beliefs),
-        refined=refined,
     )
 
 
-def _as_believed(refined: NoiseModel, believed: NoiseModel, measured: Recording) -> NoiseModel:
-    """A refined model with the processes that only the filter needed turned back into what was believed."""
-    span = float(measured.imu.t[-1] - measured.imu.t[0])
-    carried = finite(believed, measured.imu.dt, span)
-    made = [p for p in carried if p not in set(believed)]
-    gone = [p for p in believed if p not in set(carried)]
-    return NoiseModel((*(p for p in refined if p not in made), *gone)) if made else refined
-
-
 def _added_up(steps: list[Step], earlier: Step) -> list[Step]:
-    """The steps with what an earlier pass took off added: to the same effect where it was found again, else as its own."""
-    out = []
-    used = False
-    for s in steps:
-        if not used and (s.effect, s.sensor) == (earlier.effect, earlier.sensor):
-            known = {v.name: v.value for v in earlier.parameters}
+    """The steps with what was taken off before: added to the same effect where it was found again, else as its own."""
+    known = {v.name: v.value for v in earlier.parameters}
+    for k, s in enumerate(steps):
+        if (s.effect, s.sensor) == (earlier.effect, earlier.sensor):
             values = tuple(_shifted(v, known.get(v.name, 0.0)) for v in s.parameters)
-            rest = tuple(v for v in earlier.parameters if v.name not in {x.name for x in values})
-            axes = tuple(dict.fromkeys((*s.axes, *earlier.axes)))
-            out.append(replace(s, parameters=(*values, *rest), axes=axes, gain_nats=earlier.gain_nats))
-            used = True
-        else:
-            out.append(s)
-    return out if used else [*out, earlier]
+            both = replace(s, parameters=values, gain_nats=s.gain_nats + earlier.gain_nats)
+            return [*steps[:k], both, *steps[k + 1 :]]
+    return [*steps, earlier]
 
 
 def _shifted(v: Value, by: float) -> Value:
     return Value(v.name, v.value + by, v.low + by, v.high + by, v.unit)
-
-
-def _one_mounting(found: list[Mounted]) -> Step:
-    """Mounting angles of all passes as one."""
-    C = np.eye(3)
-    for m in found:
-        C = rotation.dcm_from_rpy(m.rpy) @ C
-    step, last = found[0].step, found[-1].step
-    assert step is not None and last is not None
-    rpy = rotation.rpy_from_dcm(C)
-    values = []
-    for k, v in enumerate(last.parameters):
-        half = 0.5 * (v.high - v.low)
-        values.append(Value(v.name, float(rpy[k]), float(rpy[k]) - half, float(rpy[k]) + half, v.unit))
-    return replace(step, parameters=tuple(values))
 
 
 def _sum(items: list[Interval]) -> Interval:
@@ -268,9 +199,10 @@ def _pictures(measured: Recording, nominal: Nominal, report: GapReport) -> dict[
 
     out: dict[str, Any] = {}
     models = {"before": nominal, "after": refined_nominal(nominal, report, measured.imu.dt).parted()}
+    parts = fast_parts(measured)
     for name, model in models.items():
         recording, moved = drive_without(measured, model)
-        prepared = prepare(recording, moved, fast_parts(recording), {})
+        prepared = prepare(recording, moved, parts, {})
         loop = Loop.of(prepared.result)
         y = np.where(loop.use, loop.y.reshape(-1, 6), np.nan)
         out[name] = {"t": prepared.result.fixes.t, "y": y}
@@ -278,5 +210,3 @@ def _pictures(measured: Recording, nominal: Nominal, report: GapReport) -> dict[
             s = Sideways.of(prepared)
             out[name]["across"] = (s.t, s.u)
     return out
-
-

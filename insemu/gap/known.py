@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from insemu.compensation import NEEDS_TRAJECTORY, added_signal, compensated, lever_arm_of
 from insemu.effects import EffectUse
-from insemu.gap.candidates import CANDIDATES, AxisState, state_of
 from insemu.gap.band import Band
+from insemu.gap.candidates import CANDIDATES, AxisState, state_of
 from insemu.gap.evidence import Component, Explanation, Rolloff, level
 from insemu.gap.nominal import Nominal
 from insemu.gap.reduced import reduce
 from insemu.gap.sources import StaticLog
-from insemu.noise import BI, NoiseModel, Process
+from insemu.noise import NoiseModel
 from insemu.records import AXES, Recording, Series, Trajectory
 from insemu.strapdown import trajectory_of
 
@@ -25,8 +25,6 @@ Array = NDArray[np.float64]
 
 #: Effects that a candidate takes out of the samples: what was drawn is nobody's to know beforehand.
 TAKEN_OUT = ("outliers", "telegraph", "dropped_samples", "vibration_line")
-#: Gauss-Markov processes that stand for flicker in a filter.
-FLICKER_TERMS = 4
 
 
 def of_axis(effects: Sequence[EffectUse], name: str) -> tuple[EffectUse, ...]:
@@ -56,7 +54,11 @@ def starting_explanation(model: NoiseModel, known: Sequence[EffectUse], dt: floa
     cutoff, taps = low_pass.scalar("cutoff"), low_pass.scalar("taps")
     if cutoff <= 0.0 and taps < 1.5:
         return explanation
-    kind, values = ("butterworth", (cutoff, low_pass.scalar("order"))) if cutoff > 0.0 else ("moving average", (1.0 / (taps * dt),))
+    kind, values = (
+        ("butterworth", (cutoff, low_pass.scalar("order")))
+        if cutoff > 0.0
+        else ("moving average", (1.0 / (taps * dt),))
+    )
     free = tuple(level(name, value) for name, value in zip(("corner", "order"), values, strict=False))
     return replace(explanation, rolloff=Rolloff(kind, values, free))
 
@@ -91,9 +93,11 @@ def static_without(log: StaticLog, nominal: Nominal) -> tuple[StaticLog, dict[st
         mine = known[s.name]
         values = np.array(s.values)
         if s.name in AXES and mine:
-            t = np.arange(len(s)) * s.dt
+            t: Array = np.arange(len(s), dtype=np.float64) * s.dt
             sensor = s.name.partition("_")[0]
-            values -= added_signal([u for u in mine if u.sensor == sensor], t, log.temperature)[:, AXES.index(s.name) % 3]
+            values -= added_signal([u for u in mine if u.sensor == sensor], t, log.temperature)[
+                :, AXES.index(s.name) % 3
+            ]
         if any(use.id in TAKEN_OUT for use in mine) and s.name in nominal.beliefs:
             series = Series(values, s.rate_hz, s.unit, s.name)
             state = state_of(reduce(series), starting_explanation(nominal.beliefs[s.name], mine, s.dt), log.temperature)
@@ -116,11 +120,16 @@ def drive_without(recording: Recording, nominal: Nominal) -> tuple[Recording, No
     for use in effects:
         if use.id == "gnss_noise_level" and recording.gnss is not None and recording.gnss.pos_std_ned is None:
             changes["position_sigma"] = tuple(np.array(g.position_sigma) * np.array(use["factor"]))
-        if use.id == "gnss_velocity_noise" and recording.gnss is not None and recording.gnss.vel_std_ned is None and g.velocity_sigma:
-            changes["velocity_sigma"] = tuple(np.hypot(np.array(g.velocity_sigma) * np.array(use["factor"]), np.array(use["sigma"])))
-    span = float(recording.imu.t[-1] - recording.imu.t[0])
-    beliefs = {name: finite(m, recording.imu.dt, span) for name, m in nominal.beliefs.items()}
-    moved = replace(nominal, beliefs=beliefs, gnss=g.model_copy(update=changes))
+        if (
+            use.id == "gnss_velocity_noise"
+            and recording.gnss is not None
+            and recording.gnss.vel_std_ned is None
+            and g.velocity_sigma
+        ):
+            changes["velocity_sigma"] = tuple(
+                np.hypot(np.array(g.velocity_sigma) * np.array(use["factor"]), np.array(use["sigma"]))
+            )
+    moved = replace(nominal, gnss=g.model_copy(update=changes))
     trajectory = None
     if any(use.id in NEEDS_TRAJECTORY for use in effects):
         trajectory = recording.reference or _estimated(
@@ -129,14 +138,6 @@ def drive_without(recording: Recording, nominal: Nominal) -> tuple[Recording, No
     out = compensated(recording, effects, trajectory=trajectory)
     wild = next((use for use in effects if use.id == "gnss_outliers"), None)
     return (_without_wild(out, moved, wild) if wild is not None else out), moved
-
-
-def finite(model: NoiseModel, dt: float, span: float) -> NoiseModel:
-    """A model that a filter can carry: flicker as Gauss-Markov processes between ten samples and the length of the recording."""
-    out: list[Process] = []
-    for p in model:
-        out += p.approximation(FLICKER_TERMS, 10.0 * dt, max(span, 100.0 * dt))[0] if isinstance(p, BI) else (p,)
-    return NoiseModel(tuple(out))
 
 
 def _estimated(recording: Recording, nominal: Nominal) -> Trajectory:

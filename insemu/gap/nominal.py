@@ -110,7 +110,9 @@ def _belief_file(raw: dict[str, Any], path: Path) -> Nominal:
         vehicle = Vehicle.model_validate(raw["vehicle"] or {}) if "vehicle" in raw else None
         given = raw.get("effects") or []
         if not isinstance(given, list) or not all(isinstance(e, Mapping) for e in given):
-            raise InputError("'effects' is no list of mappings such as {effect: scale_factor, sensor: gyro, value: 500 ppm}")
+            raise InputError(
+                "'effects' is no list of mappings such as {effect: scale_factor, sensor: gyro, value: 500 ppm}"
+            )
         effects = tuple(EffectUse.from_mapping(e) for e in given)
     except InputError as error:
         raise InputError(str(error), where=str(path)) from None

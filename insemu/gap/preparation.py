@@ -183,10 +183,10 @@ def with_sigma(gnss: GnssRecord, nominal: Nominal) -> GnssRecord:
     out = gnss
     if nominal.gnss.velocity_sigma is None:
         out = replace(out, vel_ned=None, vel_std_ned=None)
+    elif out.vel_ned is not None and out.vel_std_ned is None:
+        out = replace(out, vel_std_ned=np.tile(nominal.gnss.velocity_sigma, (n, 1)))
     if out.pos_std_ned is None:
         out = replace(out, pos_std_ned=np.tile(nominal.gnss.position_sigma, (n, 1)))
-    if out.vel_ned is not None and out.vel_std_ned is None:
-        out = replace(out, vel_std_ned=np.tile(nominal.gnss.velocity_sigma, (n, 1)))
     return out
 
 

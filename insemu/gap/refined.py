@@ -22,13 +22,15 @@ from insemu.effects import CROSS, EFFECTS, EffectParameter, EffectUse
 from insemu.gap.nominal import Nominal
 from insemu.gap.sources import StaticLog
 from insemu.gap.verdict import GapReport, Step
-from insemu.noise import AR, DR, GM, SIN, WN, NoiseModel, Process, axis_unit, save
+from insemu.noise import AR, BI, DR, GM, SIN, WN, NoiseModel, Process, axis_unit, save
 from insemu.records import AXES, Recording
 
 #: Names of axes, by what an effect's three numbers stand for.
 _TRIPLES = (("x", "y", "z"), ("north", "east", "down"), ("roll", "pitch", "yaw"))
 #: Points of a temperature profile that a scenario is given.
 MOST_POINTS = 200
+#: Gauss-Markov processes that stand for flicker in a filter, and the longest averaging time at which they do, s.
+FLICKER_TERMS, FLICKER_SPAN = 4, 3600.0
 #: Probability that a good fix is rejected, for a filter that has to live with outliers.
 GATE = 1e-4
 
@@ -80,12 +82,15 @@ def _numbers(p: EffectParameter, given: Mapping[str, float], axes: Sequence[str]
         value = next((given[f"{p.name}_{a}"] for a in axes if f"{p.name}_{a}" in given), given.get(p.name))
         return None if value is None else (_in_bounds(p, value),)
     if p.size == 3:
-        labels = next((t for t in _TRIPLES if set(axes) <= set(t)), _TRIPLES[0])
-        plain = p.name in given or any(f"{p.name}_{a}" in given for a in labels)
+        triple = next((t for t in _TRIPLES if set(axes) <= set(t)), _TRIPLES[0])
+        plain = p.name in given or any(f"{p.name}_{a}" in given for a in triple)
         if not plain:
             return None
         single = given.get(p.name)
-        out = [given.get(f"{p.name}_{a}", single if single is not None and (a in axes or not axes) else nothing) for a in labels]
+        out = [
+            given.get(f"{p.name}_{a}", single if single is not None and (a in axes or not axes) else nothing)
+            for a in triple
+        ]
         if p.name == "beta":  # the axes without the process still need a rate
             some = next(v for v in out if v != nothing)
             out = [v if v != nothing else some for v in out]
@@ -118,7 +123,9 @@ def joined(known: Iterable[EffectUse], found: Iterable[EffectUse]) -> tuple[Effe
     """
     out = list(known)
     for use in found:
-        at = next((k for k, old in enumerate(out) if (old.id, old.sensor) == (use.id, use.sensor) and _adds(old, use)), None)
+        at = next(
+            (k for k, old in enumerate(out) if (old.id, old.sensor) == (use.id, use.sensor) and _adds(old, use)), None
+        )
         if at is None:
             out.append(use)
         else:
@@ -144,10 +151,11 @@ def _adds(old: EffectUse, new: EffectUse) -> bool:
 def _together(old: EffectUse, new: EffectUse) -> EffectUse:
     if old.id == "mounting":
         turned = rotation.dcm_from_rpy(np.array(new["rpy"])) @ rotation.dcm_from_rpy(np.array(old["rpy"]))
-        a, b, c = (float(x) for x in rotation.rpy_from_dcm(turned))
-        return EffectUse(old.id, old.sensor, {"rpy": (a, b, c)})
+        roll, pitch, yaw = (float(x) for x in rotation.rpy_from_dcm(turned))
+        return EffectUse(old.id, old.sensor, {"rpy": (roll, pitch, yaw)})
     values = {}
     for p in EFFECTS[old.id].parameters:
+        both: NDArray[np.float64]
         a, b = np.array(old[p.name]), np.array(new[p.name])
         if p.name == "factor":
             both = a * b
@@ -214,7 +222,10 @@ def filter_noise(nominal: Nominal, report: GapReport, dt: float) -> dict[str, No
             k = next((k for k, p in enumerate(rest) if isinstance(p, WN)), None)
             level = float(np.sqrt(density + (rest[k].parameters["N"] ** 2 if k is not None else 0.0)))
             rest = [WN(level), *(p for i, p in enumerate(rest) if i != k)]
-        out[name] = NoiseModel(tuple(rest))
+        parts: list[Process] = []
+        for p in rest:
+            parts += p.approximation(FLICKER_TERMS, 10.0 * dt, FLICKER_SPAN)[0] if isinstance(p, BI) else (p,)
+        out[name] = NoiseModel(tuple(parts))
     return out
 
 
@@ -289,7 +300,7 @@ def _scenario(
     """The sections of a refined scenario that change."""
     raw = {k: _moved(v, Path(nominal.source).parent, folder) for k, v in nominal.raw.items()}
     designs = dict(raw.get("designs", {}))
-    first = next(iter(designs.values()), {})
+    first: Any = next(iter(designs.values()), {})
     options = dict(first.get("options", {})) if isinstance(first, Mapping) else {}
     own = [use for use in effects if use.id in COMPENSABLE]
     dt = _interval(measured)
@@ -379,5 +390,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(v) for v in value]
     return value.item() if isinstance(value, np.generic) else value
-
-

@@ -323,14 +323,19 @@ def find_static_gap(
         say(f"{s.name}: weighing candidates")
         data = reduce(s)
         results[s.name] = search(
-            state_of(data, nominal[s.name], temperature, named_before[s.name]), threshold=threshold, without=without, progress=progress
+            state_of(data, nominal[s.name], temperature, named_before[s.name]),
+            threshold=threshold,
+            without=without,
+            progress=progress,
         )
         if hold_out:
             say(f"{s.name}: scoring on held-out data")
             cut = int(len(s) * NAMING_SHARE) // data.block * data.block
             part = _piece(data, 0, cut)
             T1, T2 = (None, None) if temperature is None else (temperature[:cut], temperature[cut:])
-            named = search(state_of(part, nominal[s.name], T1, named_before[s.name]), threshold=threshold, without=without)
+            named = search(
+                state_of(part, nominal[s.name], T1, named_before[s.name]), threshold=threshold, without=without
+            )
             held[s.name] = held_out(named, nominal[s.name], _piece(data, cut, len(s)), T2)
     before = _map(results, rng, nominal, refined=False)
     after = _map(results, rng, nominal, refined=True)

@@ -13,11 +13,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from insemu.filters import InitialSigma, run_filter
 from insemu.gap.nominal import Nominal
-from insemu.gap.preparation import starting_state, with_sigma
+from insemu.gap.preparation import fast_parts, prepare
 from insemu.gap.verdict import Member, Step, Value
-from insemu.records import AXES, Recording
+from insemu.records import Recording
 
 #: Offsets that are tried first, and the largest, s.
 FIRST, LARGEST = 0.06, 0.6
@@ -27,11 +26,11 @@ LEAST_S, LEAST_NATS = 0.03, 100.0
 LEAST_SHARE = 0.5
 
 
-def find_offset(recording: Recording, nominal: Nominal, progress: Callable[[str], None] = lambda _: None) -> Step | None:
+def find_offset(
+    recording: Recording, nominal: Nominal, progress: Callable[[str], None] = lambda _: None
+) -> Step | None:
     """Weigh a large time offset; ``None`` where there is none."""
-    sigma = nominal.initial
-    start = InitialSigma(sigma.position_sigma, sigma.velocity_sigma, (sigma.tilt_sigma, sigma.tilt_sigma, sigma.heading_sigma))
-    beliefs = {a: nominal.beliefs[a] for a in AXES}
+    parts = fast_parts(recording)
     known: dict[float, tuple[float, float]] = {}
 
     def flown(offset: float) -> tuple[float, float]:
@@ -39,17 +38,14 @@ def find_offset(recording: Recording, nominal: Nominal, progress: Callable[[str]
         if offset not in known:
             progress(f"time offset {1e3 * offset:.0f} ms")
             moved = replace(recording, imu=replace(recording.imu, t=recording.imu.t - offset))
-            imu, gnss, state = starting_state(moved)
-            fixes = run_filter(
-                imu, with_sigma(gnss, nominal), state, start, beliefs, lever_arm=nominal.gnss.lever_arm, gravity="normal"
-            ).fixes
+            fixes = prepare(moved, nominal, parts, {}).result.fixes
             use = fixes.accepted & np.isfinite(fixes.nis)
             mean = float(fixes.nis[use].sum() / max(1, fixes.dof[use].sum()))
             volume = 0.0
             for S, nu in zip(fixes.S[use], fixes.innovation[use], strict=True):
                 rows = np.isfinite(nu)
                 volume += float(np.linalg.slogdet(S[np.ix_(rows, rows)])[1])
-            known[offset] = (-0.5 * (int(fixes.dof[use].sum()) * math.log(mean) + volume) , mean)
+            known[offset] = (-0.5 * (int(fixes.dof[use].sum()) * math.log(mean) + volume), mean)
         return known[offset]
 
     base, square = flown(0.0)
@@ -65,7 +61,9 @@ def find_offset(recording: Recording, nominal: Nominal, progress: Callable[[str]
             break
         at, top = 2.0 * at, further
     low, high = sorted((0.25 * at, 2.0 * at))
-    found = minimize_scalar(lambda x: -flown(float(x))[0], bounds=(low, high), method="bounded", options={"xatol": 1e-3})
+    found = minimize_scalar(
+        lambda x: -flown(float(x))[0], bounds=(low, high), method="bounded", options={"xatol": 1e-3}
+    )
     offset = max(known, key=lambda k: known[k][0])
     gain = known[offset][0] - base
     if abs(offset) < LEAST_S or gain < LEAST_NATS or known[offset][1] > LEAST_SHARE * square or not found.success:

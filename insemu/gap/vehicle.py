@@ -72,7 +72,12 @@ class Sideways:
         width = max(1, round(0.2 / dt))
         smooth = lfilter(np.full(width, 1.0 / width), [1.0], imu.gyro / dt, axis=0)
         roll = rotation.rpy_from_dcm(C[keep])[:, 0]
-        return cls(result.fixes.t[result.fixes.accepted][keep], u[keep], smooth[k][keep], float(np.median(roll)) if keep.any() else 0.0)
+        return cls(
+            result.fixes.t[result.fixes.accepted][keep],
+            u[keep],
+            smooth[k][keep],
+            float(np.median(roll)) if keep.any() else 0.0,
+        )
 
     def part(self, keep: NDArray[np.bool_]) -> Sideways:
         """Some of the fixes."""
@@ -160,7 +165,13 @@ def estimate(s: Sideways, nominal: Nominal) -> Turned:
         for use in (slice(0, 5), slice(3, 5)):
             P = np.diag(prior[use] ** -2.0) + A[use, use]
             x = np.linalg.solve(P, b[use])
-            out.append((x, np.linalg.inv(P), 0.5 * float(b[use] @ x) - 0.5 * np.linalg.slogdet(P)[1] - float(np.sum(np.log(prior[use])))))
+            out.append(
+                (
+                    x,
+                    np.linalg.inv(P),
+                    0.5 * float(b[use] @ x) - 0.5 * np.linalg.slogdet(P)[1] - float(np.sum(np.log(prior[use]))),
+                )
+            )
         return out[0][0], out[0][1], out[0][2] - out[1][2]
 
     colour = Colour.of(left, nominal.vehicle.sigma)
@@ -242,7 +253,9 @@ def find_mounting(
         for name, m, e in zip(("roll", "pitch", "yaw"), rpy, sd, strict=True)
     )
     member = Member("mounting", "imu", ("roll", "pitch", "yaw"), start.gain)
-    step = Step("mounting", "", "imu", ("roll", "pitch", "yaw"), values, 1.0 - math.exp(-start.gain), start.gain, (member,))
+    step = Step(
+        "mounting", "", "imu", ("roll", "pitch", "yaw"), values, 1.0 - math.exp(-start.gain), start.gain, (member,)
+    )
     chi, dof, gain = _held_out(first, nominal)
     return Mounted(step, rpy, _tests(first, replace(start, angles=np.zeros(3))), _tests(s, found), chi, dof, gain)
 
