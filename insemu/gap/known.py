@@ -171,3 +171,9 @@ def _without_wild(recording: Recording, nominal: Nominal, wild: EffectUse) -> Re
 def _log_gauss(v: Array, S: Array) -> Array:
     solved = np.linalg.solve(S, v[:, :, None])[:, :, 0]
     return np.asarray(-0.5 * np.einsum("ki,ki->k", v, solved) - 0.5 * np.linalg.slogdet(S)[1])
+
+
+def colour_of(effects: Sequence[EffectUse]) -> tuple[Array, float] | None:
+    """Known coloured noise of the fixes: standard deviations (6,) of position and velocity, correlation time in s."""
+    use = next((u for u in effects if u.id == "gnss_correlated_noise"), None)
+    return None if use is None else (np.concatenate([use["sigma"], np.zeros(3)]), use.scalar("tau"))
