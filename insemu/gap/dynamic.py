@@ -16,7 +16,7 @@ from insemu.gap import singular as _registers  # noqa: F401
 from insemu.gap import static_log
 from insemu.gap.candidates import CANDIDATES, AxisState
 from insemu.gap.disagreement import corrected
-from insemu.gap.evidence import LEVEL_UNCERTAINTY, Explanation, Likelihood, fit
+from insemu.gap.evidence import LEVEL_UNCERTAINTY, Likelihood, fit
 from insemu.gap.hypotheses import (
     ONCE,
     Hypothesis,
@@ -32,6 +32,7 @@ from insemu.gap.hypotheses import (
     wild_fixes,
 )
 from insemu.gap.innovations import Block, Field
+from insemu.gap.known import colour_of, of_axis, settled, starting_explanation, without_drawn
 from insemu.gap.nominal import Nominal
 from insemu.gap.preparation import fast_parts, prepare
 from insemu.gap.reduced import Reduced, reduce_again
@@ -334,9 +335,11 @@ def fast_effects(
         data = parts[name]
         if not data.f.size:
             continue
-        explanation = Explanation.nominal(nominal.beliefs[name])
+        given = of_axis(nominal.effects, name)
+        explanation = starting_explanation(nominal.beliefs[name], given, data.dt)
         data = without_tones(data, fit(Likelihood(data), explanation).explanation)
         state = AxisState(data, fit(Likelihood(data), explanation))
+        state = without_drawn(replace(state, named=tuple(n for n in settled(given) if n == "quantization")), given)
         out.append(
             (
                 name,
@@ -392,6 +395,8 @@ def find_dynamic_gap(
             f"no noise model is believed for {', '.join(missing)}; a recording with fixes needs all six axes"
         )
     mended = mend(recording.imu, tuple(without))
+    # what is known of the samples is mended, but is no finding
+    noticed = tuple(s for s in mended.steps if s.effect not in {use.id for use in nominal.effects})
     whole, believed = recording, nominal
     nominal = replace(nominal, beliefs=with_counts(nominal.beliefs, mended.steps, recording.imu.dt))
     recording = replace(recording, imu=mended.imu)
@@ -403,6 +408,9 @@ def find_dynamic_gap(
     prepared = prepare(recording, nominal, parts, levels)
     say("responding every effect through the filter")
     scene = Scene.of(prepared)
+    colour = colour_of(nominal.effects)
+    if colour is not None:
+        scene, without = scene.coloured(colour), (*without, "gnss_correlated_noise")
     threshold = max(threshold, null_threshold([v for v in bank(scene) if v.effect not in without], scene.data, rng))
     named = find_effects(scene, None, threshold, without, say)
     nothing = Interval(math.nan, math.nan, math.nan)
@@ -411,13 +419,13 @@ def find_dynamic_gap(
         say("scoring on held-out fixes")
         cut = float(scene.motion.t[0] + static_log.NAMING_SHARE * (scene.motion.t[-1] - scene.motion.t[0]))
         first = find_effects(scene, cut, threshold, without, lambda _: None)
-        plain = Scene.of(prepare(whole, believed, parts, levels)) if mended.steps else scene
+        plain = Scene.of(prepare(whole, believed, parts, levels)) if noticed else scene
         before, after, held = held_out(plain, first, cut)
     where = corrected(disagreement_tests(scene, scene.data.y))
     residual, _ = named.scene.data.residual(named.blocks)
     rest = corrected(disagreement_tests(named.scene, residual))
     steps = [_step(f, named) for f in named.found]
-    steps += [*static_log.merged_steps(dict(fast)), *mended.steps]
+    steps += [*static_log.merged_steps(dict(fast)), *noticed]
     steps.sort(key=lambda s: -s.gain_nats)
     outsider = named.outsider or next((r.outsider for _, r in fast if r.outsider), "")
     unexplained = bool(outsider) or any(w.p_value < OMNIBUS for w in rest)

@@ -539,6 +539,17 @@ class Published(Section):
         return {name: cells for name, cells in given if cells is not None}
 
 
+class Vehicle(Section):
+    """A vehicle that moves where it points: wheels neither slip sideways nor leave the road."""
+
+    sigma: Speed = Field(
+        default=0.1, gt=0, description="standard deviation of the velocity sideways and up that a slip or a bump makes"
+    )
+    mounting_sigma: Radians = Field(
+        default=0.0872665, gt=0, description="standard deviation of the mounting angles, for example '5 deg'"
+    )
+
+
 class RecordingSource(Section):
     """A recorded drive or flight instead of an emulated one."""
 
@@ -552,6 +563,9 @@ class RecordingSource(Section):
     end: Seconds | None = Field(default=None, description="leave out what is after this time")
     imu_time_offset: Seconds = Field(
         default=0.0, description="how late IMU stamps are against those of GNSS; taken off"
+    )
+    vehicle: Vehicle | None = Field(
+        default=None, description="a vehicle that moves where it points, for the gap workflow; null: no wheels"
     )
     gravity: Literal["normal", "free_air_first_order"] = "normal"
     zero_velocity_updates: bool = Field(default=False, description="feed zero velocity where GNSS shows a standstill")
