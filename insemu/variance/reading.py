@@ -27,7 +27,7 @@ from scipy.special import chdtri
 from insemu.units import conversion
 from insemu.variance.allan import AllanVariance
 from insemu.variance.covariance import level1_autocovariance, model_covariance
-from insemu.variance.edof import component_variance, noise_type
+from insemu.variance.edof import noise_type
 
 Array = NDArray[np.float64]
 
@@ -142,12 +142,12 @@ def read_curve(curve: AllanVariance, signal_unit: str = "") -> dict[str, Reading
     dict
         Name to :class:`Reading`; a name that is missing is not visible in this record.
     """
-    parts = noise_type(2.0 * curve.m.astype(float), curve.value / 2.0, curve.n_samples, drift=True)
-    if not parts or len(curve) < 4:
+    noise = noise_type(2 * curve.m, curve.value / 2.0, curve.n_samples, drift=True)
+    if not noise.parts or len(curve) < 4:
         return {}
     fine = np.arange(0.0, np.log2(curve.m[-1]) + 1e-9, 0.125)
     m = 2.0**fine
-    smooth = 2.0 * np.asarray(sum(weight * component_variance(kind, tc, m) for kind, tc, weight in parts))
+    smooth = 2.0 * noise.variance(m)
     slope = np.gradient(np.log2(smooth), fine)
     tau = m / curve.rate_hz
     edof = np.exp(np.interp(fine, np.log2(curve.m), np.log(curve.edof)))

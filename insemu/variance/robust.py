@@ -29,7 +29,7 @@ from scipy.special import ndtr
 
 from insemu.errors import InputError
 from insemu.variance import _kernel
-from insemu.variance.edof import Intervals, check_confidence, edof_of_noise, eta3, interval, noise_type
+from insemu.variance.edof import Intervals, Scatter, check_confidence, eta3, interval, noise_type, scatter_of_noise
 from insemu.variance.wavelet import WaveletVariance, check_levels, check_rate, check_signal, max_levels
 
 Array = NDArray[np.float64]
@@ -202,13 +202,15 @@ def robust_wavelet_variance(
         value, used_efficiency, protected = plain, 1.0, np.ones(count, dtype=bool)
     scale = 2 ** np.arange(1, count + 1, dtype=np.int64)
     used = n - scale + 1
+    scatter: Scatter | None = None
     if intervals == "eta3":
         edof = eta3(scale.astype(float), n)
     else:
-        edof = edof_of_noise(noise_type(scale.astype(float), value, n), scale.astype(float), n)
+        scatter = scatter_of_noise(noise_type(scale, value, n), scale, n)
+        edof = scatter.edof
     if contaminated:
         edof = np.maximum(edof * used_efficiency * np.where(share >= 0.1, share, 1.0), 1.0)
-    low, high = interval(value, edof, confidence, intervals)
+    low, high = interval(value, edof, confidence, intervals, scatter=scatter)
     return RobustWaveletVariance(
         scale,
         scale / rate_hz,
