@@ -46,7 +46,9 @@ def _aligned(size: int) -> Array:
 # T[k - 2 m] for one octave is T[k - m] for the next, so that octaves taken together share their loads. Powers of two are divided out at
 # the end, exactly.
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
-def _two_octaves(a: Array, b: Array, c: Array, d: Array, out: Array) -> tuple[float, float]:  # pragma: no cover - compiled
+def _two_octaves(
+    a: Array, b: Array, c: Array, d: Array, out: Array
+) -> tuple[float, float]:  # pragma: no cover - compiled
     """From sums over m samples, now and m, 2 m, 3 m ago: sums of squares of this and the next octave, and sums over 4 m samples."""
     one = 0.0
     two = 0.0
@@ -143,10 +145,18 @@ def haar_push(
         _plus(x[done : done + taken], -origin, fresh[h + lead : h + lead + taken])
         n = lead + taken
         s1, s2 = _two_octaves(
-            fresh[h : h + n], fresh[h - 1 : h - 1 + n], fresh[h - 2 : h - 2 + n], fresh[h - 3 : h - 3 + n], fours[h : h + n]
+            fresh[h : h + n],
+            fresh[h - 1 : h - 1 + n],
+            fresh[h - 2 : h - 2 + n],
+            fresh[h - 3 : h - 3 + n],
+            fours[h : h + n],
         )
         s3, s4 = _two_octaves(
-            fours[h : h + n], fours[h - 4 : h - 4 + n], fours[h - 8 : h - 8 + n], fours[h - 12 : h - 12 + n], sixteens[h : h + n]
+            fours[h : h + n],
+            fours[h - 4 : h - 4 + n],
+            fours[h - 8 : h - 8 + n],
+            fours[h - 12 : h - 12 + n],
+            sixteens[h : h + n],
         )
         s5, s6 = _two_octaves(
             sixteens[h : h + n], sixteens[h - 16 : h - 16 + n], sixteens[h - 32 : h - 32 + n], sixteens[:n], sums64[:n]
@@ -183,7 +193,12 @@ def haar_push(
                     r8 = ((chunk - 8 * back) % slots) * c
                     r16 = ((chunk - 16 * back) % slots) * c
                     totals = _four_octaves(
-                        here, ring[r1 : r1 + n], ring[r2 : r2 + n], ring[r4 : r4 + n], ring[r8 : r8 + n], ring[r16 : r16 + n]
+                        here,
+                        ring[r1 : r1 + n],
+                        ring[r2 : r2 + n],
+                        ring[r4 : r4 + n],
+                        ring[r8 : r8 + n],
+                        ring[r16 : r16 + n],
                     )
                     for k in range(4):
                         sums[level + k] += totals[k] * 0.25 ** (level + k)
@@ -372,7 +387,9 @@ def reflected_second_differences(s: Array, m: int) -> float:  # pragma: no cover
 
 
 @njit(cache=True, nogil=True)
-def _kappa(kind: int, tc: float, c1: float, c2: float, c3: float, h: float, averaged: bool) -> float:  # pragma: no cover - compiled
+def _kappa(
+    kind: int, tc: float, c1: float, c2: float, c3: float, h: float, averaged: bool
+) -> float:  # pragma: no cover - compiled
     """Generalized covariance at lag ``h >= 0`` of the running sum of a unit component (of its sum once more where ``averaged``).
 
     Second differences of it give minus the covariance one summation lower: -h/2 for white noise, (h^3 - h)/12 for random walk, and so

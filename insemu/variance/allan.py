@@ -13,7 +13,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError
 from insemu.variance import _kernel
-from insemu.variance.edof import NORMAL_ABOVE, WHITE, NoiseType, Scatter, check_confidence, interval, noise_type, scatter_of_noise
+from insemu.variance.edof import (
+    NORMAL_ABOVE,
+    WHITE,
+    NoiseType,
+    Scatter,
+    check_confidence,
+    interval,
+    noise_type,
+    scatter_of_noise,
+)
 from insemu.variance.wavelet import check_rate, check_signal, max_levels, wavelet_variance
 
 Array = NDArray[np.float64]

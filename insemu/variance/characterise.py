@@ -219,8 +219,8 @@ def characterise_stream(
 def _allan_of(curve: WaveletVariance) -> AllanVariance:
     """The Allan variance that a Haar wavelet variance is half of."""
     m = curve.scale_samples // 2
-    double = (2.0 * values for values in (curve.value, curve.low, curve.high))
-    return AllanVariance(m, m / curve.rate_hz, *double, curve.edof, curve.n_samples, curve.rate_hz)
+    value, low, high = 2.0 * curve.value, 2.0 * curve.low, 2.0 * curve.high
+    return AllanVariance(m, m / curve.rate_hz, value, low, high, curve.edof, curve.n_samples, curve.rate_hz)
 
 
 def _correlation(x: Array, rate_hz: float) -> dict[str, Array]:

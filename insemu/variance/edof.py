@@ -24,6 +24,7 @@ from insemu.errors import InputError
 from insemu.variance import _kernel
 
 Array = NDArray[np.float64]
+Scales = NDArray[np.float64] | NDArray[np.int64]
 
 Intervals = Literal["edof", "eta3", "normal"]
 
@@ -90,7 +91,9 @@ def interval(
         own = freedom / scatter.skew
         # a plain chi-square where the skewness is that of one
         shifted = 1.0 + (chdtri(own, upper) / own - 1.0) / np.sqrt(scatter.skew)
-        ends.append(value / np.where(scatter.skew > 1.0, 0.5 * (shifted + _power(freedom, scatter.skew, upper)), shifted))
+        ends.append(
+            value / np.where(scatter.skew > 1.0, 0.5 * (shifted + _power(freedom, scatter.skew, upper)), shifted)
+        )
     return ends[0], ends[1]
 
 
@@ -172,7 +175,7 @@ class NoiseType:
 WHITE = NoiseType([("WN", 0.0, 1.0)], np.zeros((1, 0)))
 
 
-def noise_type(scale_samples: Array, value: Array, n_samples: int, *, drift: bool = False) -> NoiseType:
+def noise_type(scale_samples: Scales, value: Array, n_samples: int, *, drift: bool = False) -> NoiseType:
     """Return the non-negative sum of noises that follows a wavelet variance curve.
 
     ``drift`` allows a deterministic slope too (without it, degrees of freedom stay on the safe side).
@@ -194,13 +197,18 @@ def noise_type(scale_samples: Array, value: Array, n_samples: int, *, drift: boo
         level = np.maximum(basis @ weights, 1e-3 * target)
     found = np.flatnonzero(weights > 0)
     moves = np.zeros((found.size, value.size))
-    moves[:, use] = (np.linalg.pinv(basis[:, found] * scale[:, None] / norm[found]) * scale * target) / norm[found, None]
+    moves[:, use] = (np.linalg.pinv(basis[:, found] * scale[:, None] / norm[found]) * scale * target) / norm[
+        found, None
+    ]
     return NoiseType([(*names[k], float(weights[k])) for k in found], moves)
 
 
 #: Correlation of the estimates of octaves 0, 1, 2.. apart for white noise and for random walk (from the exact covariance of long records).
 OCTAVES_TOGETHER = np.array(
-    [[1.0, 0.528, 0.186, 0.066, 0.023, 0.008, 0.003, 0.001, 0.0], [1.0, 0.885, 0.671, 0.483, 0.342, 0.242, 0.170, 0.119, 0.0]]
+    [
+        [1.0, 0.528, 0.186, 0.066, 0.023, 0.008, 0.003, 0.001, 0.0],
+        [1.0, 0.885, 0.671, 0.483, 0.342, 0.242, 0.170, 0.119, 0.0],
+    ]
 )
 
 
@@ -263,12 +271,12 @@ def _unit_covariances(
 
 def scatter_of_noise(
     noise: NoiseType,
-    scale_samples: Array,
+    scale_samples: Scales,
     n_samples: int,
     *,
     order: int = 2,
     averaged: bool = False,
-    stride: Array | None = None,
+    stride: Scales | None = None,
 ) -> Scatter:
     """Return how a mean of squared differences of a noise scatters.
 
@@ -303,7 +311,19 @@ def scatter_of_noise(
     quantization = weights[quantized] if quantized >= 0 else 0.0
     edof, skew, slopes = np.empty(count), np.empty(count), np.empty((count, len(chosen)))
     _kernel.scatter_of_means(
-        units, weights, quantization, quantized, steps, strides, n_samples, lags, ends, np.array(_DIFFERENCE[order]), edof, skew, slopes
+        units,
+        weights,
+        quantization,
+        quantized,
+        steps,
+        strides,
+        n_samples,
+        lags,
+        ends,
+        np.array(_DIFFERENCE[order]),
+        edof,
+        skew,
+        slopes,
     )
     follows = np.zeros(count)
     if noise.moves.shape[1] == count:
@@ -317,12 +337,12 @@ def scatter_of_noise(
 
 def edof_of_noise(
     noise: NoiseType,
-    scale_samples: Array,
+    scale_samples: Scales,
     n_samples: int,
     *,
     order: int = 2,
     averaged: bool = False,
-    stride: Array | None = None,
+    stride: Scales | None = None,
 ) -> Array:
     """Equivalent degrees of freedom alone of :func:`scatter_of_noise`."""
     return scatter_of_noise(noise, scale_samples, n_samples, order=order, averaged=averaged, stride=stride).edof

@@ -17,7 +17,6 @@ paper 004 section 4.4). Where a slope is not there, nothing is read.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +25,7 @@ from scipy.special import chdtri
 
 from insemu.units import conversion
 from insemu.variance.allan import AllanVariance
-from insemu.variance.covariance import level1_autocovariance, model_covariance
-from insemu.variance.edof import noise_type
+from insemu.variance.edof import OCTAVES_TOGETHER, noise_type
 
 Array = NDArray[np.float64]
 
@@ -115,18 +113,6 @@ def _reading(name: str, triple: Array, signal_unit: str, span: tuple[float, floa
     return Reading(name, value, low, high, shown, float(triple[0]), *span, note)
 
 
-@lru_cache(maxsize=4)
-def _octave_correlation(walk: bool) -> tuple[float, ...]:
-    """Correlation of the variances of octaves 0, 1, 2.. apart, for white noise or random walk (the same along the curve)."""
-    n = 1 << 13
-    level1 = level1_autocovariance(n, increments=lambda k: np.where(k == 0, 1.0, 0.0)) if walk else None
-    if level1 is None:
-        level1 = level1_autocovariance(n, autocovariance=lambda k: np.where(k == 0, 1.0, 0.0))
-    c = model_covariance(level1, levels=9)
-    r = c / np.sqrt(np.outer(np.diag(c), np.diag(c)))
-    return tuple(float(np.mean([r[i, i + d] for i in range(2, 9 - d)])) for d in range(6))
-
-
 def read_curve(curve: AllanVariance, signal_unit: str = "") -> dict[str, Reading]:
     """Return the coefficients that are visible in an overlapping Allan variance over octaves.
 
@@ -204,7 +190,7 @@ def _fit(
     chance = np.maximum(level - certain, 1e-3 * level)
     spread = np.sqrt(2.0 / edof * (chance**2 + 2.0 * chance * certain))
     lags = np.abs(np.subtract.outer(use, use))
-    rho = np.array([*_octave_correlation(exponent > 0), 0.0])
+    rho = OCTAVES_TOGETHER[int(exponent > 0)]
     covariance = rho[np.minimum(lags, rho.size - 1)] * np.outer(spread, spread) + np.diag(misfit * level**2)
     # neighbours count as free here also where the fit put them at zero: the interval must not pretend to know that
     weighted = basis.T / (spread**2 + misfit * level**2)
