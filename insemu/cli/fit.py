@@ -37,7 +37,9 @@ def command(
         "0 s", "--skip", help='Leave out the start of the record, for example "40 min" of warm-up.'
     ),
     weighting: str = typer.Option(
-        "intervals", "--weighting", help="Of gmwm: intervals, asymptotic or bootstrap (covariance under the model)."
+        "auto",
+        "--weighting",
+        help="Of gmwm: intervals, asymptotic or bootstrap (covariance under the model); auto: see docs/fitting.md.",
     ),
     start: str = typer.Option("", "--start", help="Model with values to start from (gmwm, em, mli)."),
     tau_from: float = typer.Option(0.0, "--tau-from", help="Shortest scale to use, s (gmwm)."),
