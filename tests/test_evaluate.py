@@ -23,7 +23,7 @@ from insemu.evaluate import (
     within_outage,
     write,
 )
-from insemu.evaluate.results import DesignInfo
+from insemu.evaluate.results import DesignInfo, Innovations
 from insemu.records import Trajectory
 
 
@@ -45,7 +45,9 @@ def results(scale: float = 1.0, runs: int = 40, sigma: float = 1.0) -> Results:
         error=error,
         sigma=np.full_like(error, sigma),
         nees=(error**2).sum(axis=-1) / sigma**2,
-        nis=np.ones((2, runs)),
+        innovations=Innovations(
+            np.full((2, runs), 600.0), np.full((2, runs), 600), np.zeros((2, runs, 5)), np.full((2, runs, 5), 600.0)
+        ),
         designs={"one": DesignInfo(9, ("a",), {}), "two": DesignInfo(15, ("a", "b"), {})},
         outages=[(20.0, 10.0), (50.0, 0.0)],
         truth=trajectory(t),
@@ -106,12 +108,12 @@ def test_the_order_of_designs_is_held_against_a_published_one() -> None:
         nees=np.concatenate([r.nees, r.nees[:1]]),
         designs=dict(r.designs) | {"three": r.designs["one"]},
         outages=[(20.0, 10.0)],
-        published={"one": (5.0,), "two": (4.0,), "three": (9.0,)},
+        innovations=replace(r.innovations, nis=np.ones((3, 40)), dof=np.ones((3, 40))),
+        published={"planimetric_end_m": {"one": (5.0,), "two": (4.0,), "three": (9.0,)}},
     )
     assert rank_agreement(three) == [pytest.approx(1.0)]
-    assert rank_agreement(replace(three, published={"one": (5.0,), "two": (9.0,), "three": (4.0,)})) == [
-        pytest.approx(-1.0)
-    ]
+    other = {"planimetric_end_m": {"one": (5.0,), "two": (9.0,), "three": (4.0,)}}
+    assert rank_agreement(replace(three, published=other)) == [pytest.approx(-1.0)]
     assert rank_agreement(r) == []
 
 

@@ -100,19 +100,14 @@ def _show(console: Console, rows: list[ComparisonRow], realizations: int, base: 
 
 
 def _analytic(console: Console, experiment: Experiment, by: str, folder: Any) -> dict[str, Any]:
-    import numpy as np
     from rich.table import Table
 
-    from insemu.evaluate.comparison import analyse_designs
+    from insemu.evaluate.comparison import analysable, analyse_designs, outage_budgets
     from insemu.report.budget import render_budgets
 
     analyses = analyse_designs(experiment)
     windows = experiment.world.outage_windows
-    document: dict[str, Any] = {
-        "scenario": experiment.scenario.title,
-        "digest": experiment.digest,
-        "designs": {},
-    }
+    budgets = outage_budgets(analyses, windows, by)
     table = Table(
         title="Horizontal error at outage end, rms m, by covariance analysis",
         title_justify="left",
@@ -121,28 +116,24 @@ def _analytic(console: Console, experiment: Experiment, by: str, folder: Any) ->
     )
     for heading in ("design", "outage", "rms m", "stated m", "largest parts, m"):
         table.add_column(heading, justify="left" if heading in ("design", "largest parts, m") else "right")
-    for name, a in analyses.items():
-        outages = []
-        for k, (budget, (start, duration)) in enumerate(zip(a.budgets, windows, strict=True)):
-            at = int(np.argmin(np.abs(a.t - budget.t)))
-            stated = float(np.hypot(a.sigma[at, 0], a.sigma[at, 1]))
-            parts = {key: float(np.sqrt(value)) for key, value in budget.shares(by).items()}
-            outages.append(
-                {
-                    "start_s": start,
-                    "duration_s": duration,
-                    "rms_m": budget.rms(),
-                    "predicted_sigma_m": stated,
-                    "parts_rms_m": parts,
-                }
-            )
-            top = ", ".join(f"{key} {value:.3g}" for key, value in list(parts.items())[:4])
-            table.add_row(name if k == 0 else "", str(k + 1), f"{budget.rms():.3g}", f"{stated:.3g}", top)
-        document["designs"][name] = {"states": experiment.filter(name).layout.n, "outages": outages}
+    for name, outages in budgets.items():
+        for k, b in enumerate(outages):
+            top = ", ".join(f"{key} {value:.3g}" for key, value in list(b["parts_rms_m"].items())[:4])
+            lead = name if k == 0 else ""
+            table.add_row(lead, str(k + 1), f"{b['rms_m']:.3g}", f"{b['predicted_sigma_m']:.3g}", top)
     console.print(table)
     console.print(
         "Parts add up as squares. A mean removed from the records (truth.record) is not part of the analysis."
     )
+    reason = analysable(experiment)[1]
+    if reason:
+        console.print(reason[:1].upper() + reason[1:] + ".", soft_wrap=True)
     page = render_budgets(experiment.scenario.title, analyses, windows, folder, by=by)
     console.print(f"Page: {page}", soft_wrap=True)
-    return document
+    return {
+        "scenario": experiment.scenario.title,
+        "digest": experiment.digest,
+        "designs": {
+            name: {"states": experiment.filter(name).layout.n, "outages": outages} for name, outages in budgets.items()
+        },
+    }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -14,7 +14,7 @@ from insemu.evaluate.errors import paired_ratio
 from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.results import Results
 from insemu.evaluate.world import World
-from insemu.filters import InitialSigma
+from insemu.filters import InitialSigma, LooselyCoupledEKF
 from insemu.scenario import Scenario
 from insemu.strapdown import NavState
 
@@ -112,24 +112,39 @@ def compare(results: Results, base: str | None = None) -> list[ComparisonRow]:
     return rows
 
 
+def analysable(experiment: Experiment) -> tuple[list[str], str]:
+    """Designs of which a covariance analysis can be made, and why not of the others (empty where of all)."""
+    s = experiment.scenario
+    if not isinstance(experiment.world, World) or s.truth is None:
+        return [], "found a recording; the analysis needs an emulated world and its truth"
+    if s.truth.recorded is not None or s.truth.uses():
+        return [], "found a recorded truth or deterministic effects; the analysis needs noise models only"
+    able: list[str] = []
+    left_out: list[str] = []
+    for name, design in s.designs.items():
+        o = design.options
+        plain = o.prefilter is None and not any(o.states.model_dump().values())
+        (able if plain and isinstance(experiment.filter(name), LooselyCoupledEKF) else left_out).append(name)
+    if not left_out:
+        return able, ""
+    return able, f"left out: {', '.join(left_out)}; the analysis carries noise states only and no prefilter"
+
+
 def analyse_designs(
     experiment: Experiment, states: Sequence[str] = ("pos_n", "pos_e")
 ) -> dict[str, CovarianceAnalysis]:
-    """Covariance analysis of every design of a scenario, with an error budget at the end of every outage.
+    """Covariance analysis of every design that allows it, with an error budget at the end of every outage.
 
     Raises
     ------
     InputError
-        The truth is recorded or has deterministic effects: there is no covariance to propagate.
+        The truth is recorded or has deterministic effects, or no design allows it.
     """
+    able, reason = analysable(experiment)
+    if not able:
+        raise InputError(reason, where=str(experiment.file or "scenario"))
     s, world = experiment.scenario, experiment.world
-    where = str(experiment.file or "scenario")
-    if not isinstance(world, World) or s.truth is None:
-        raise InputError("found a recording; the analysis needs an emulated world and its truth", where=where)
-    if s.truth.recorded is not None or s.truth.uses():
-        raise InputError(
-            "found a recorded truth or deterministic effects; the analysis needs noise models only", where=where
-        )
+    assert isinstance(world, World) and s.truth is not None
     fixes = world.recording(0, ideal=True).gnss
     assert fixes is not None
     i = s.initial
@@ -137,22 +152,45 @@ def analyse_designs(
     ends = [start + duration for start, duration in world.outage_windows]
     plain = type(fixes)(fixes.t, fixes.llh, fixes.vel_ned)  # the filter's own sigmas, not those of perfect fixes
     truth = {axis: m.at_rate(experiment.rate_hz) for axis, m in s.truth.models().items()}
-    start = NavState.of(world.reference)
-    times = tuple(world.output_times)
     return {
         name: analyse(
             experiment.filter(name),
             truth,
             world.imu,
             plain,
-            start,
+            NavState.of(world.reference),
             sigma,
-            at=times,
+            true_gnss_sigma=(s.gnss.position_sigma, s.gnss.velocity_sigma or (0.0, 0.0, 0.0)),
+            at=tuple(world.output_times),
             budget_at=ends,
             budget_states=states,
         )
-        for name in experiment.beliefs
+        for name in able
     }
+
+
+def outage_budgets(
+    analyses: Mapping[str, CovarianceAnalysis], windows: Sequence[tuple[float, float]], by: str = "process"
+) -> dict[str, list[dict[str, Any]]]:
+    """Error budgets as plain data: per design and outage ``start_s, duration_s, rms_m, predicted_sigma_m`` and ``parts_rms_m``.
+
+    The parts add up as squares to ``rms_m``; ``by`` is ``source``, ``axis`` or ``process``.
+    """
+    out: dict[str, list[dict[str, Any]]] = {}
+    for name, a in analyses.items():
+        out[name] = []
+        for budget, (start, duration) in zip(a.budgets, windows, strict=True):
+            at = int(np.argmin(np.abs(a.t - budget.t)))
+            out[name].append(
+                {
+                    "start_s": start,
+                    "duration_s": duration,
+                    "rms_m": budget.rms(),
+                    "predicted_sigma_m": float(np.hypot(a.sigma[at, 0], a.sigma[at, 1])),
+                    "parts_rms_m": {key: float(np.sqrt(value)) for key, value in budget.shares(by).items()},
+                }
+            )
+    return out
 
 
 def horizontal_rms(analysis: CovarianceAnalysis) -> np.ndarray:

@@ -13,9 +13,10 @@ from insemu import earth, rotation
 from insemu.emulate import Outage
 from insemu.emulate.gnss import antenna, state_at
 from insemu.errors import InputError
+from insemu.evaluate.consistency import nees
 from insemu.evaluate.errors import navigation_error
-from insemu.evaluate.world import Scored, covariance_at, input_files, nearest_rows
-from insemu.filters import FilterResult, InitialSigma, Standstill
+from insemu.evaluate.world import Estimate, Scored, input_files, nearest_rows
+from insemu.filters import InitialSigma, Standstill
 from insemu.filters.alignment import Alignment, align
 from insemu.filters.motion import align_in_motion, cut, rests
 from insemu.formats import read_recording
@@ -145,6 +146,9 @@ class RecordedWorld:
         kept = _rows(gnss, (gnss.t > self.alignment.t) & ~withheld)
         return Recording(cut(self.vehicle_imu, self.alignment), kept, self.reference, self.source.file)
 
+    def true_states(self, realization: int, imu: ImuRecord) -> None:
+        """Nobody knows what the sensors of a recording really did."""
+
     def start(self, realization: int, imu: ImuRecord) -> tuple[NavState, InitialSigma]:
         """Where alignment says that the vehicle is."""
         return self.alignment.state, self.alignment.sigma
@@ -174,38 +178,41 @@ class RecordedWorld:
         """Rows of the record nearest the output epochs."""
         return nearest_rows(imu.t, self.output_times, every)
 
-    def score(self, run: FilterResult, times: Array) -> Scored:
-        """Errors of a run at the output epochs, with the covariance of what it is compared with added."""
-        t = self.output_times
-        at = np.searchsorted(run.t, times - 1e-9)
-        whole = Trajectory(run.t, run.nav[:, 0:3], run.nav[:, 3:6], rotation.rpy_from_quaternion(run.nav[:, 6:10]))
-        P = covariance_at(run, times)
-        sigma = run.sigma[at, :9].copy()
+    @property
+    def compared(self) -> int:
+        """Navigation errors that have a reference: all nine, or position and velocity of fixes, or their position alone."""
         if self.reference is not None:
-            llh, vel, q, _ = state_at(whole, np.clip(t, whole.t[0], whole.t[-1]))
+            return 9
+        believed = self.scenario.gnss.velocity_sigma is not None
+        return 6 if believed and self.gnss.vel_ned is not None and self.gnss.vel_std_ned is not None else 3
+
+    def score(self, run: Estimate, times: Array) -> Scored:
+        """Errors of a run at the output epochs; the covariance of the fixes is added where they are what it is compared with.
+
+        NEES is scaled so that a consistent filter has 9, however few errors have a reference.
+        """
+        t, used = self.output_times, self.compared
+        whole = Trajectory(run.t, run.nav[:, 0:3], run.nav[:, 3:6], rotation.rpy_from_quaternion(run.nav[:, 6:10]))
+        inside = np.clip(t, whole.t[0], whole.t[-1])
+        P = run.covariance.copy()
+        if self.reference is not None:
+            llh, vel, q, _ = state_at(whole, inside)
             estimate = Trajectory(t, llh, vel, rotation.rpy_from_quaternion(q))
             error = navigation_error(estimate, self.truth_at_outputs)
-            nees = np.einsum("ti,ti->t", error, np.linalg.solve(P, error[..., None])[..., 0])
-            return Scored(error, sigma, nees)
-        fixes = _rows(self.gnss, np.isin(self.gnss.t, t))
-        llh, vel = antenna(whole, np.clip(t, whole.t[0], whole.t[-1]), self.scenario.gnss.lever_arm)
-        error = np.full((t.size, 9), np.nan)
-        error[:, :3] = earth.position_difference(llh, fixes.llh)
-        used = 3
-        R = np.zeros((t.size, 6))
-        assert fixes.pos_std_ned is not None
-        R[:, :3] = fixes.pos_std_ned**2
-        believed = self.scenario.gnss.velocity_sigma is not None
-        if believed and fixes.vel_ned is not None and fixes.vel_std_ned is not None:
-            error[:, 3:6] = vel - fixes.vel_ned
-            R[:, 3:6] = fixes.vel_std_ned**2
-            used = 6
-        S = P[:, :used, :used] + np.eye(used) * R[:, None, :used]
-        sigma[:, :used] = np.sqrt(np.diagonal(S, axis1=1, axis2=2))
-        e = np.nan_to_num(error[:, :used])
-        # scaled so that a consistent filter has 9, as with nine compared states
-        nees = np.einsum("ti,ti->t", e, np.linalg.solve(S, e[..., None])[..., 0]) * 9.0 / used
-        return Scored(error, sigma, nees)
+        else:
+            fixes = _rows(self.gnss, np.isin(self.gnss.t, t))
+            llh, vel = antenna(whole, inside, self.scenario.gnss.lever_arm)
+            error = np.full((t.size, 9), np.nan)
+            error[:, :3] = earth.position_difference(llh, fixes.llh)
+            assert fixes.pos_std_ned is not None
+            R = fixes.pos_std_ned**2
+            if used == 6:
+                assert fixes.vel_ned is not None and fixes.vel_std_ned is not None
+                error[:, 3:6] = vel - fixes.vel_ned
+                R = np.concatenate([R, fixes.vel_std_ned**2], axis=1)
+            P[:, :used, :used] += np.eye(used) * R[:, None]
+        sigma = np.sqrt(np.einsum("tii->ti", P))
+        return Scored(error, sigma, nees(np.nan_to_num(error[:, :used]), P[:, :used, :used]) * 9.0 / used)
 
 
 def _rows(gnss: GnssRecord, keep: NDArray[np.bool_]) -> GnssRecord:

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, field_validator, model_validator
 
 from insemu import units
+from insemu.compensation import COMPENSABLE
 from insemu.effects import EFFECTS, EffectUse
 from insemu.errors import InputError, nearest
 from insemu.noise import NoiseModel, axis_unit
@@ -371,6 +372,25 @@ class DesignOptions(Section):
     prefilter: Prefilter | None = None
     states: CalibrationStates = CalibrationStates()
     tuning: Tuning = Tuning()
+    compensate: EffectList = Field(
+        default=(),
+        description="effects that are taken off the data before the filter: {effect: id, sensor: gyro, parameter: value}",
+    )
+
+    @field_validator("compensate")
+    @classmethod
+    def _can_be_taken_off(cls, value: Any) -> Any:
+        for item in value:
+            use = EffectUse.from_mapping(item)
+            if use.id not in COMPENSABLE:
+                raise InputError(
+                    f"the effect '{use.id}' is noise or a loss, which cannot be taken off; expected one of: {', '.join(sorted(COMPENSABLE))}"
+                )
+        return value
+
+    def known_effects(self) -> tuple[EffectUse, ...]:
+        """The effects that are taken off, in SI."""
+        return tuple(EffectUse.from_mapping(e) for e in self.compensate)
 
 
 class Design(Section):
@@ -460,30 +480,32 @@ class Initial(Section):
     heading_sigma: Radians = Field(default=0.0174533, ge=0)
 
 
+Cells = dict[str, tuple[float | None, ...]]
+
+
 class Published(Section):
-    """Figures of a paper, printed beside ours: planimetric errors per design, one value per outage."""
+    """Figures of a paper, printed beside ours: errors per design, one value per outage (null where the paper prints none)."""
 
     source: str
-    planimetric_end_m: dict[str, tuple[float, ...]] | None = Field(default=None, description="mean error at outage end")
-    planimetric_mean_m: dict[str, tuple[float, ...]] | None = Field(
-        default=None, description="mean error during the outage"
-    )
+    planimetric_end_m: Cells | None = Field(default=None, description="mean error at outage end")
+    planimetric_mean_m: Cells | None = Field(default=None, description="mean error during the outage")
+    planimetric_max_m: Cells | None = Field(default=None, description="largest error during the outage")
+    north_max_m: Cells | None = Field(default=None, description="largest error north during the outage")
+    east_max_m: Cells | None = Field(default=None, description="largest error east during the outage")
+    down_max_m: Cells | None = Field(default=None, description="largest error down during the outage")
 
     @model_validator(mode="after")
-    def _one_figure(self) -> Published:
-        if (self.planimetric_end_m is None) == (self.planimetric_mean_m is None):
-            raise InputError("expected exactly one of the keys 'planimetric_end_m' and 'planimetric_mean_m'")
+    def _some_figure(self) -> Published:
+        if not self.figures:
+            known = [name for name in type(self).model_fields if name != "source"]
+            raise InputError(f"no figure is given, expected at least one of the keys {', '.join(known)}")
         return self
 
     @property
-    def figure(self) -> str:
-        """Which figure of the table was published."""
-        return "planimetric_end_m" if self.planimetric_end_m is not None else "planimetric_mean_m"
-
-    @property
-    def values(self) -> dict[str, tuple[float, ...]]:
-        """Design to one value per outage."""
-        return self.planimetric_end_m or self.planimetric_mean_m or {}
+    def figures(self) -> dict[str, Cells]:
+        """Figure of the outage table to design to one value per outage; the first is the headline."""
+        given = ((name, getattr(self, name)) for name in type(self).model_fields if name != "source")
+        return {name: cells for name, cells in given if cells is not None}
 
 
 class RecordingSource(Section):
@@ -521,6 +543,10 @@ class Scenario(Section):
     initial: Initial = Initial()
     fits: FitSource | None = Field(default=None, description="signals that models under designs are fitted to")
     designs: dict[str, Design] = Field(min_length=1)
+    smoother: bool = Field(
+        default=False,
+        description="smooth every design's run backwards too (Rauch, Tung, Striebel), through the outages",
+    )
     published: Published | None = None
     variants: dict[str, dict[str, Any]] = Field(
         default_factory=dict, description="name to the keys that differ; each is run too, under variants/NAME"
@@ -554,7 +580,7 @@ class Scenario(Section):
         if self._truth_is_recorded and self.fits is not None and self.fits.simulate is not None:
             raise InputError("fits cannot be simulated from a recorded truth; expected the key 'recorded' under 'fits'")
         if self.published is not None:
-            unknown = [name for name in self.published.values if name not in self.designs]
+            unknown = [n for cells in self.published.figures.values() for n in cells if n not in self.designs]
             if unknown:
                 raise InputError(f"published figures for '{unknown[0]}', which is no design here")
         return self
