@@ -393,7 +393,7 @@ def _verdict(name: str, ranked: list[Candidate], chosen: Candidate, discrepancy:
         text += (
             f". No candidate follows the curve within its scatter; what is missing is about {discrepancy:.1%} per scale and was counted as an "
             "error of every candidate: expect structure that these processes do not have (rounding to an LSB, an averaging filter, "
-            "temperature)"
+            "a line in the spectrum, temperature)"
         )
     return text + "."
 
