@@ -228,14 +228,15 @@ def fit_curve(
         rejecting = isinstance(curve, RobustWaveletVariance) and curve.contaminated
         if not automatic or (n > LONG_RECORD and not rejecting):
             second, rows = best, W
-            for _ in range(max(steps, 1)):
+            for step in range(max(steps, 1)):
                 V = _covariance(structure, second, scale, n, weighting, bootstrap, rng) / efficiency
                 rows = root_of_inverse(V)
-                again = np.vstack([second.shapes[None, :], starts]) if start is None else second.shapes[None, :]
-                second = search(structure, scale, value, rows, n, again, refined=3, flattened=False)
-                # the solution before is always among the refined
                 near = search(structure, scale, value, rows, n, second.shapes[None, :])
-                second = near if near.objective < second.objective else second
+                if step == 0 and start is None:
+                    # other weights may have their minimum elsewhere; once they are nearly right, it stays
+                    other = search(structure, scale, value, rows, n, starts, refined=3, flattened=False)
+                    near = other if other.objective < near.objective else near
+                second = near
             V = _covariance(structure, second, scale, n, "asymptotic", 0, None) / efficiency
             test = goodness_of_fit(structure, second, scale, value, V, n, dt)
             if not automatic or (test is not None and test.p_value >= HOLDS):
