@@ -16,7 +16,7 @@ from insemu.gap import singular as _registers  # noqa: F401
 from insemu.gap import static_log
 from insemu.gap.candidates import CANDIDATES, AxisState
 from insemu.gap.disagreement import corrected
-from insemu.gap.evidence import LEVEL_UNCERTAINTY, Likelihood, fit
+from insemu.gap.evidence import LEVEL_UNCERTAINTY, Explanation, Likelihood, fit
 from insemu.gap.hypotheses import (
     ONCE,
     Hypothesis,
@@ -38,7 +38,7 @@ from insemu.gap.preparation import fast_parts, prepare
 from insemu.gap.reduced import Reduced, reduce_again
 from insemu.gap.samples import mend, with_counts
 from insemu.gap.scene import Scene, first_rows
-from insemu.gap.surrogate import NED, joint_noise
+from insemu.gap.surrogate import NED, FixNoise, joint_noise
 from insemu.gap.verdict import GapReport, Interval, Member, Step, Value, VerdictName, Where
 from insemu.noise import BI, GM, RW, WN, NoiseModel
 from insemu.records import AXES, Recording
@@ -410,7 +410,7 @@ def find_dynamic_gap(
     scene = Scene.of(prepared)
     colour = colour_of(nominal.effects)
     if colour is not None:
-        scene, without = scene.coloured(colour), (*without, "gnss_correlated_noise")
+        scene, without = scene.coloured(FixNoise(np.ones(6), colour)), (*without, "gnss_correlated_noise")
     threshold = max(threshold, null_threshold([v for v in bank(scene) if v.effect not in without], scene.data, rng))
     named = find_effects(scene, None, threshold, without, say)
     nothing = Interval(math.nan, math.nan, math.nan)

@@ -587,7 +587,9 @@ class Scenario(Section):
     gnss: Gnss = Gnss()
     initial: Initial = Initial()
     fits: FitSource | None = Field(default=None, description="signals that models under designs are fitted to")
-    designs: dict[str, Annotated[Design, _OrName]] = Field(min_length=1)
+    designs: dict[str, Annotated[Design, _OrName]] = Field(
+        default_factory=dict, description="what is compared; only emulation goes without"
+    )
     smoother: bool = Field(
         default=False,
         description="smooth every design's run backwards too (Rauch, Tung, Striebel), through the outages",
