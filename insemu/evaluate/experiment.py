@@ -81,6 +81,8 @@ class Experiment:
     def __init__(self, scenario: Scenario, file: str | Path | None = None) -> None:
         self.scenario = scenario
         self.file = file
+        if not scenario.designs:
+            raise InputError("the key 'designs' is missing: there is nothing to fly", where=str(file or "scenario"))
         self.world: World | RecordedWorld = (
             RecordedWorld(scenario, file) if scenario.recording is not None else World(scenario, file)
         )

@@ -552,6 +552,17 @@ class Published(Section):
         return {name: cells for name, cells in given if cells is not None}
 
 
+class Vehicle(Section):
+    """A vehicle that moves where it points: wheels neither slip sideways nor leave the road."""
+
+    sigma: Speed = Field(
+        default=0.1, gt=0, description="standard deviation of the velocity sideways and up that a slip or a bump makes"
+    )
+    mounting_sigma: Radians = Field(
+        default=0.0872665, gt=0, description="standard deviation of the mounting angles, for example '5 deg'"
+    )
+
+
 class RecordingSource(Section):
     """A recorded drive or flight instead of an emulated one."""
 
@@ -565,6 +576,9 @@ class RecordingSource(Section):
     end: Seconds | None = Field(default=None, description="leave out what is after this time")
     imu_time_offset: Seconds = Field(
         default=0.0, description="how late IMU stamps are against those of GNSS; taken off"
+    )
+    vehicle: Vehicle | None = Field(
+        default=None, description="a vehicle that moves where it points, for the gap workflow; null: no wheels"
     )
     gravity: Literal["normal", "free_air_first_order"] = "normal"
     zero_velocity_updates: bool = Field(
@@ -593,7 +607,9 @@ class Scenario(Section):
     gnss: Gnss = Gnss()
     initial: Initial = Initial()
     fits: FitSource | None = Field(default=None, description="signals that models under designs are fitted to")
-    designs: dict[str, Annotated[Design, _OrName]] = Field(min_length=1)
+    designs: dict[str, Annotated[Design, _OrName]] = Field(
+        default_factory=dict, description="what is compared; only emulation goes without"
+    )
     smoother: bool = Field(
         default=False,
         description="smooth every design's run backwards too (Rauch, Tung, Striebel), through the outages",
