@@ -15,7 +15,11 @@ if TYPE_CHECKING:
 
 def command(
     scenario: str = typer.Argument(..., metavar="SCENARIO", help="Scenario file (YAML)."),
-    designs: str = typer.Option("", "--designs", help="Designs to compare, separated by commas; default all."),
+    designs: str = typer.Option(
+        "",
+        "--designs",
+        help="Designs separated by commas, the scenario's or those of insemu designs; default the scenario's.",
+    ),
     base: str = typer.Option("", "--base", help="Design that the others are measured against; default the first."),
     variant: str | None = typer.Option(None, "--variant", help="Variant of the scenario."),
     analytic: bool = typer.Option(
@@ -129,9 +133,7 @@ def _analytic(console: Console, experiment: Experiment, by: str, folder: Any) ->
             lead = name if k == 0 else ""
             table.add_row(lead, str(k + 1), f"{b['rms_m']:.3g}", f"{b['predicted_sigma_m']:.3g}", top)
     console.print(table)
-    console.print(
-        "Parts add up as squares. A mean removed from the records (truth.record) is not part of the analysis."
-    )
+    console.print("Parts add up as squares.")
     reason = analysable(experiment)[1]
     if reason:
         console.print(reason[:1].upper() + reason[1:] + ".", soft_wrap=True)
@@ -141,6 +143,6 @@ def _analytic(console: Console, experiment: Experiment, by: str, folder: Any) ->
         "scenario": experiment.scenario.title,
         "digest": experiment.digest,
         "designs": {
-            name: {"states": experiment.filter(name).layout.n, "outages": outages} for name, outages in budgets.items()
+            name: {"states": experiment.ekf(name).layout.n, "outages": outages} for name, outages in budgets.items()
         },
     }

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
+from insemu.augment import Augmentation
 from insemu.errors import InputError
 from insemu.filters import FilterResult, FixTable
 
@@ -107,6 +108,106 @@ def nees(errors: ArrayLike, covariance: ArrayLike) -> Array:
         return np.asarray(np.einsum("...i,...i->...", scaled, np.linalg.solve(correlation, scaled[..., None])[..., 0]))
     except np.linalg.LinAlgError:
         raise InputError("a covariance is singular; leave fully correlated states out of the NEES") from None
+
+
+#: Groups of states that are judged together in every experiment: :func:`block_nees`.
+BLOCKS = ("position", "velocity", "attitude", "gyro", "accel", "imu_states")
+
+
+def nees_per_dof(errors: Array, covariance: Array) -> Array:
+    """NEES (n,) per degree of freedom of errors (n, k); states without uncertainty are left out, NaN where an error is not known."""
+    out = np.full(len(errors), np.nan)
+    variance = np.einsum("nii->ni", covariance)
+    known = np.isfinite(errors).all(axis=1) & np.isfinite(variance).all(axis=1)
+    live = variance > 0.0
+    for pattern in np.unique(live[known], axis=0) if known.any() else ():
+        rows = known & (live == pattern).all(axis=1)
+        if pattern.any():
+            out[rows] = nees(errors[rows][:, pattern], covariance[rows][:, pattern][:, :, pattern]) / pattern.sum()
+    return out
+
+
+@dataclass(frozen=True)
+class SensorErrors:
+    """Errors of what a filter says about its sensors.
+
+    Parameters
+    ----------
+    axes, axes_covariance : (k, 6), (k, 6, 6) arrays
+        Estimated minus true error of every axis apart from white noise (calibration states count at the rate and specific force
+        measured then), rad/s and m/s^2, and what the filter says about it: ``C P C'``.
+    states : (k, m) array
+        The states behind one by one; NaN where truth and belief do not have the same.
+    """
+
+    axes: Array
+    axes_covariance: Array
+    states: Array
+
+
+def sensor_errors(
+    result: FilterResult,
+    augmentation: Augmentation,
+    rows: NDArray[np.intp],
+    covariance: Array,
+    measured: Array,
+    true_axes: Array | None,
+    true_states: Array | None,
+    true_names: Sequence[str] = (),
+) -> SensorErrors:
+    """Compare a filter's states behind with the true ones.
+
+    The total error of an axis can be compared whatever truth and belief carry; single states only where both have the same.
+
+    Parameters
+    ----------
+    result : FilterResult
+    augmentation : Augmentation
+        Of the filter.
+    rows : (k,) array of int
+        Rows of the result.
+    covariance : (k, n, n) array
+        At these rows.
+    measured : (k, 6) array
+        Measured rate and specific force there.
+    true_axes, true_states, true_names : (k, 6), (k, m) arrays, sequence of str
+        See :class:`insemu.emulate.pieces.TrueStates`; None: not known.
+    """
+    estimate = result.imu_states[rows]
+    axes, spread = np.full((len(rows), 6), np.nan), np.full((len(rows), 6, 6), np.nan)
+    for k in range(len(rows)):
+        C = augmentation.output(measured[k])
+        spread[k] = C @ covariance[k][9:, 9:] @ C.T
+        if true_axes is not None:
+            axes[k] = C @ estimate[k] - true_axes[k]
+    states = np.full(estimate.shape, np.nan)
+    if true_states is not None and augmentation.layout.names[9:] == tuple(true_names):
+        states = estimate - true_states
+    return SensorErrors(axes, spread, states)
+
+
+def block_nees(errors: Array, covariance: Array, sensors: SensorErrors | None = None) -> Array:
+    """NEES per degree of freedom of every block of :data:`BLOCKS`, (blocks, k).
+
+    Parameters
+    ----------
+    errors : (k, 9) array
+        Navigation errors.
+    covariance : (k, n, n) array
+        Of the whole filter.
+    sensors : SensorErrors, optional
+        Without them the last three blocks are NaN.
+    """
+    out = np.full((len(BLOCKS), len(errors)), np.nan)
+    for i in range(3):
+        s = slice(3 * i, 3 * i + 3)
+        out[i] = nees_per_dof(errors[:, s], covariance[:, s, s])
+    if sensors is not None:
+        for i in (0, 1):
+            s = slice(3 * i, 3 * i + 3)
+            out[3 + i] = nees_per_dof(sensors.axes[:, s], sensors.axes_covariance[:, s, s])
+        out[5] = nees_per_dof(sensors.states, covariance[:, 9:, 9:])
+    return out
 
 
 def nees_test(

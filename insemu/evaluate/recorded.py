@@ -150,6 +150,9 @@ class RecordedWorld:
         kept = _rows(gnss, (gnss.t > self.alignment.t) & ~withheld)
         return Recording(cut(self.vehicle_imu, self.alignment), kept, self.reference, self.source.file)
 
+    def true_states(self, realization: int, imu: ImuRecord) -> None:
+        """Nobody knows what the sensors of a recording really did."""
+
     def start(self, realization: int, imu: ImuRecord) -> tuple[NavState, InitialSigma]:
         """Where alignment says that the vehicle is."""
         return self.alignment.state, self.alignment.sigma

@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.stats import kendalltau
 
-from insemu.evaluate.consistency import Verdict, nees_test, nis_verdict, whiteness_verdicts
+from insemu.evaluate.consistency import BLOCKS, Verdict, nees_test, nis_verdict, whiteness_verdicts
 from insemu.evaluate.errors import (
     COMPONENT_UNITS,
     COMPONENTS,
@@ -25,7 +25,7 @@ from insemu.evaluate.errors import (
     within_outage,
 )
 from insemu.noise import NoiseModel
-from insemu.records import Trajectory
+from insemu.records import AXES, Trajectory
 
 Array = NDArray[np.float64]
 
@@ -71,6 +71,23 @@ class Smoothed:
 
 
 @dataclass(frozen=True)
+class Sensors:
+    """What filters say about their sensors, against the truth; NaN where that is not known.
+
+    Parameters
+    ----------
+    block_nees : (design, realization, block, time) array
+        NEES per degree of freedom of the blocks :data:`insemu.evaluate.consistency.BLOCKS`, those of navigation among them.
+    error, sigma : (design, realization, time, 6) arrays
+        Estimated minus true error of every axis apart from white noise, and its stated standard deviation, rad/s and m/s^2.
+    """
+
+    block_nees: Array
+    error: Array
+    sigma: Array
+
+
+@dataclass(frozen=True)
 class Results:
     """Errors of designs in realizations of one scenario.
 
@@ -105,6 +122,8 @@ class Results:
         Figure of the outage table to design to a paper's value per outage, None where it has none; the first figure is the headline.
     budgets : mapping
         Design to an error budget per outage (:func:`~insemu.evaluate.comparison.error_budgets`); empty where none was made.
+    sensors : Sensors, optional
+        What the filters say about their sensors.
     """
 
     title: str
@@ -124,6 +143,7 @@ class Results:
     smoothed: Smoothed | None = None
     nees_dof: int = 9
     budgets: Mapping[str, Sequence[Mapping[str, Any]]] = field(default_factory=dict)
+    sensors: Sensors | None = None
 
     @property
     def realizations(self) -> int:
@@ -199,6 +219,16 @@ class Results:
                 {"long_name": "standard deviation the smoother states"},
             )
             data["smoothed_nees"] = (dims, self.smoothed.nees, {"units": "1"})
+        if self.sensors is not None:
+            about = {"long_name": "of the estimated sensor error without white noise"}
+            data["block_nees"] = (
+                ("design", "realization", "block", "time"),
+                self.sensors.block_nees,
+                {"long_name": "NEES per degree of freedom", "units": "1"},
+            )
+            data["axis_error"] = ((*dims, "axis"), self.sensors.error, about)
+            data["axis_sigma"] = ((*dims, "axis"), self.sensors.sigma, about)
+            data = data.assign_coords(block=list(BLOCKS), axis=list(AXES))
         data.attrs = {
             "title": self.title,
             "digest": self.digest,
@@ -363,8 +393,15 @@ def _runs(results: Results, design: str, outage: int, figure: str) -> Array:
     return np.asarray(np.abs(inside[..., component]).max(axis=1))
 
 
+#: What the sensor blocks are called in words.
+SENSOR_NAMES = {"gyro": "gyroscope errors", "accel": "accelerometer errors"}
+
+
 def consistency(results: Results, design: str) -> list[Verdict]:
     """Does a design know its error? NEES in the middle and at the end of every outage (and of the smoother in the middle), NIS, whiteness.
+
+    Where the truth is known, so are the errors of the estimated gyroscope and accelerometer errors, per axis and apart from white noise:
+    their NEES at the same epochs.
 
     Each kind of test has its own family at 99 %; see :mod:`insemu.evaluate.consistency`.
     """
@@ -379,6 +416,13 @@ def consistency(results: Results, design: str) -> list[Verdict]:
         middles = sorted({results.middle_index(k) for k in range(len(results.outages))})
         values = results.smoothed.nees[d][:, middles] * scale
         out += nees_test(values, results.nees_dof, subject="the smoother", at=list(results.t[middles]))
+    if at and results.sensors is not None:
+        for block, axes in (("gyro", slice(0, 3)), ("accel", slice(3, 6))):
+            values = results.sensors.block_nees[d][:, BLOCKS.index(block)][:, at]
+            carried = int((results.sensors.sigma[d][:, at, axes] > 0).all(axis=(0, 1)).sum())
+            if np.isfinite(values).all() and carried:
+                subject = f"the {SENSOR_NAMES[block]}"
+                out += nees_test(values * carried, carried, subject=subject, at=list(results.t[at]))
     i = results.innovations
     if i.dof[d].sum() > 0:
         out.append(nis_verdict(float(i.nis[d].sum()), int(i.dof[d].sum())))
@@ -394,6 +438,10 @@ def consistency_words(results: Results, design: str) -> list[str]:
     families = (
         ("NEES of the filter", [v for v in found if v.test == "NEES/dof" and v.subject.startswith("the filter")]),
         ("NEES of the smoother", [v for v in found if v.test == "NEES/dof" and v.subject.startswith("the smoother")]),
+        *(
+            (f"NEES of the {name}", [v for v in found if v.test == "NEES/dof" and v.subject.startswith(f"the {name}")])
+            for name in SENSOR_NAMES.values()
+        ),
         ("NIS", [v for v in found if v.test == "NIS/dof"]),
         ("innovations", [v for v in found if v.test == "whiteness"]),
     )
@@ -429,6 +477,7 @@ def summary(results: Results) -> dict[str, Any]:
             if pooled is None
             else {"mean": pooled.mean, "ci95": [pooled.low, pooled.high]},
             "nees_per_dof": float(results.nees[d].mean() / 9.0),
+            "nees_per_dof_by_block": blocks_of(results, d),
             "nis_per_dof": float(results.nis[d].mean()),
             "consistency": [{**asdict(v), "passed": v.passed} for v in consistency(results, name)],
         }
@@ -453,6 +502,14 @@ def summary(results: Results) -> dict[str, Any]:
         "timing": dict(results.timing),
     }
     return dict(finite(document))
+
+
+def blocks_of(results: Results, design: int) -> dict[str, float]:
+    """Mean NEES per degree of freedom of every block that could be judged, over realizations and epochs."""
+    if results.sensors is None:
+        return {}
+    values = results.sensors.block_nees[design]
+    return {name: float(np.nanmean(values[:, i])) for i, name in enumerate(BLOCKS) if np.isfinite(values[:, i]).any()}
 
 
 def finite(document: Any) -> Any:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import earth, rotation
+from insemu.effects import EFFECTS
 from insemu.emulate import (
     AreaOutage,
     Mounting,
@@ -25,7 +26,7 @@ from insemu.emulate import (
     random_outages,
 )
 from insemu.emulate.gnss import state_at
-from insemu.emulate.pieces import ErrorPieces, recorded_pieces, simulated_pieces
+from insemu.emulate.pieces import ErrorPieces, TrueStates, recorded_pieces, simulated_pieces
 from insemu.errors import InputError
 from insemu.evaluate.consistency import nees
 from insemu.evaluate.errors import navigation_error
@@ -243,7 +244,12 @@ class World:
             return recorded_pieces(records, n, rate, truth.recorded.order)
         seed = self.scenario.seed
         return simulated_pieces(
-            truth.models(), n, rate, record_s=truth.record, rng=lambda record, axis: stream(seed, "truth", record, axis)
+            truth.models(),
+            n,
+            rate,
+            record_s=truth.record,
+            rng=lambda record, axis: stream(seed, "truth", record, axis),
+            states_at=np.searchsorted(self.reference.t, self.output_times),
         )
 
     def recording(self, realization: int, *, ideal: bool = False) -> Recording:
@@ -284,6 +290,25 @@ class World:
             effects=uses,
         )
         return Recording(imu, fixes, self.reference, f"{self.flight.name}, realization {realization}")
+
+    def true_states(self, realization: int, imu: ImuRecord) -> TrueStates | None:
+        """What the axes of the corrupted ``imu`` err by at the output epochs, apart from white noise; None where that is not known.
+
+        Deterministic effects count. It is not known for recorded errors, for effects that are noise themselves or move the samples.
+        """
+        with self._lock:
+            if self.pieces.tell is None:
+                return None
+            known, errors = self.pieces.tell(realization), self.pieces.piece(realization)
+        uses = [use for use in self.truth.uses() if use.sensor != "gnss"]
+        if not uses:
+            return known
+        if any(EFFECTS[use.id].family == "stochastic" for use in uses) or not np.array_equal(imu.t, self.imu.t):
+            return None
+        rows = np.searchsorted(self.reference.t, self.output_times)
+        step = np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1])[:, None] if imu.kind == "increment" else 1.0
+        total = np.hstack([(imu.gyro - self.imu.gyro) / step, (imu.accel - self.imu.accel) / step])[rows]
+        return TrueStates(known.axes + total - errors[rows], None, known.names)
 
     @property
     def rate_hz(self) -> float:

@@ -116,6 +116,43 @@ def switching_log_likelihood(
 
 
 @njit(cache=True, nogil=True)
+def gauss_markov_log_likelihood(
+    y: Array, white: float, phi: float, q: float, p0: float, amplitude: float, stay: float
+) -> float:  # pragma: no cover - compiled
+    """Log-likelihood of the Gaussian process of the second moments that :func:`switching_log_likelihood` assumes (two-state Kalman filter).
+
+    Parameters
+    ----------
+    y, white, phi, q, p0 : as there
+    amplitude, stay : float
+        Standard deviation of the Gauss-Markov part; its correlation over one block is ``2 stay - 1``.
+    """
+    r = 2.0 * stay - 1.0
+    g = amplitude * amplitude
+    drive = g * (1.0 - r * r)
+    b, x = 0.0, 0.0
+    pbb, pbx, pxx = p0, 0.0, g
+    total = 0.0
+    for k in range(y.size):
+        if k > 0:
+            b *= phi
+            x *= r
+            pbb = phi * phi * pbb + q
+            pbx = phi * r * pbx
+            pxx = r * r * pxx + drive
+        e = y[k] - b - x
+        kb, kx = pbb + pbx, pbx + pxx
+        d = kb + kx + white
+        total += -0.5 * (math.log(d) + e * e / d) - 0.9189385332046727
+        b += kb / d * e
+        x += kx / d * e
+        pbb -= kb * kb / d
+        pbx -= kb * kx / d
+        pxx -= kx * kx / d
+    return total
+
+
+@njit(cache=True, nogil=True)
 def integrate_inputs(
     t: Array,
     C: Array,

@@ -18,10 +18,10 @@ from insemu.errors import InputError
 from insemu.gap import disagreement
 from insemu.gap import singular as _singular  # noqa: F401 (registers its candidates)
 from insemu.gap.band import Band
-from insemu.gap.candidates import CANDIDATES, AxisState, Weighed, state_of
+from insemu.gap.candidates import CANDIDATES, AxisState, Weighed, state_of, turn_on_bias
 from insemu.gap.evidence import Explanation, Likelihood, fit
 from insemu.gap.reduced import Reduced, reduce
-from insemu.gap.verdict import GapReport, Interval, Member, Step, VerdictName, Where
+from insemu.gap.verdict import GapReport, Interval, Member, Step, Value, VerdictName, Where
 from insemu.noise import DR, SIN, NoiseModel, Process
 from insemu.records import Series
 
@@ -36,7 +36,12 @@ OMNIBUS = 0.002
 #: Share of the log on which effects are named for the held-out figures.
 NAMING_SHARE = 2.0 / 3.0
 MOST_STEPS = 8
+#: p-value of a stationary spectrum below which no stationary process is looked for in the fast band any more.
+DRIFTING = 1e-6
+VARYING = "vibration that changes with time"
 
+#: Effects whose shape in time is known.
+KNOWN_SHAPES = frozenset({"temperature", "ramp"})
 #: Candidates that describe the same effect of the catalogue.
 _EFFECT_OF = {"quantization_output": "quantization"}
 _SENSORS = {"gyro": "gyro", "accel": "accel"}
@@ -102,25 +107,80 @@ def search(
             break
         if best is None or best.gain < threshold:
             break
+        new = _of_known_shape(state, ranked, threshold, without) or Found(best, tuple(ranked), _confidence(ranked))
         if progress:
-            progress(f"{state.data.name}: {best.effect} {best.gain:.1f} nats")
-        found.append(Found(best, tuple(ranked), _confidence(ranked)))
-        state = best.state
-        if best.effect in ("vibration_band", "vibration_line") and disagreement.drifting_spectrum(state) < 1e-6:
+            progress(f"{state.data.name}: {new.chosen.effect} {new.chosen.gain:.1f} nats")
+        found.append(new)
+        state = new.chosen.state
+        untidy = any(w.effect in _UNTIDY and w.gain > threshold for w in ranked)
+        if new.chosen.effect in _FAST and not untidy and disagreement.drifting_spectrum(state) < DRIFTING:
             # no stationary process explains it, and more of them would only chase it; what is slow can still be told
-            outsider = "vibration that changes with time"
-            without = (*without, *_FAST, "outliers", "telegraph", "dropped_samples")
+            outsider = VARYING
+            without = (*without, *_FAST, *_UNTIDY)
             excluded = False
+            state = _tempered(state)
         if len(found) > 1:
             state, found = _reconsider(state, found, without)
+    if "turn_on_bias" not in without:
+        for w in turn_on_bias(state):
+            if w.gain >= threshold:
+                found.append(Found(w, (w,), _confidence((w,))))
+                state = w.state
     return AxisResult(start, state, tuple(found), outsider)
 
 
+def _of_known_shape(
+    state: AxisState, ranked: Sequence[Weighed], threshold: float, without: Collection[str]
+) -> Found | None:
+    """An effect of known shape (temperature, ramp) that is worth adding although a slow process alone would explain more.
+
+    A random walk follows any slow signal, so where both are there it comes first by evidence. The shape is real where it is worth its
+    parameters even beside the process, which is asked here; its gain is then what it explains alone, and its rivals keep their distance beside
+    the process.
+    """
+    best = ranked[0]
+    if best.effect not in _SLOW or best.effect in KNOWN_SHAPES:
+        return None
+    for w in ranked:
+        if w.effect not in KNOWN_SHAPES or w.gain < threshold:
+            continue
+        beside = weigh_all(best.state, without)
+        own = next((v for v in beside if v.effect == w.effect), None)
+        if own is not None and own.gain > threshold:
+            shift = w.gain - own.gain
+            # the shape that holds beside the process, fitted without it: the process follows as a step of its own
+            alone = [v for v in CANDIDATES[w.effect](state) if v.variant == own.variant]
+            chosen = alone[0] if alone else w
+            moved = tuple(replace(v, gain=v.gain + shift) for v in beside if v.effect != w.effect)
+            ordered = sorted((replace(chosen, gain=w.gain), *moved), key=lambda v: -v.gain)
+            return Found(replace(chosen, gain=w.gain), tuple(ordered), _confidence(ordered))
+    return None
+
+
+def _tempered(state: AxisState) -> AxisState:
+    """Bins count only as far as the explanation describes the spectrum there: a fast band that no model fits must not bend the slow one.
+
+    The weight is the inverse of the squared misfit in standard deviations, averaged over half an octave either way.
+    """
+    data = state.data
+    if not data.f.size:
+        return state
+    z2 = data.dof / 2.0 * (data.power / state.explanation.psd(data.f, data.dt) - 1.0) ** 2
+    octave = np.log2(data.f)
+    misfit = np.array([float(np.mean(z2[np.abs(octave - o) <= 0.5])) for o in octave])
+    weight = 1.0 / np.maximum(misfit, 1.0)
+    tempered = replace(data, weight=weight)
+    return replace(state, data=tempered, fitted=fit(Likelihood(tempered), state.explanation), memory={})
+
+
 def _reconsider(state: AxisState, found: list[Found], without: Collection[str]) -> tuple[AxisState, list[Found]]:
-    """Try to drop or to replace each earlier effect now that later ones are known."""
+    """Try to drop or to replace each earlier effect now that later ones are known; each keeps the gain with which it entered."""
+    seen: dict[str, int] = {}
     for f in list(found[:-1]):
         effect = f.chosen.effect
-        rest = _without(state.explanation, effect)
+        occurrence = seen.get(effect, 0)
+        seen[effect] = occurrence + 1
+        rest = _without(state.explanation, effect, occurrence)
         if rest is None:
             continue  # it was taken out of the samples: nothing to reconsider
         names = list(state.named)
@@ -129,29 +189,40 @@ def _reconsider(state: AxisState, found: list[Found], without: Collection[str]) 
         ranked = [w for w in weigh_all(base, without) if w.gain > -LEAD]
         kept = next((w for w in ranked if w.effect == effect), None)
         own = max(state.fitted.evidence - base.fitted.evidence, kept.gain if kept else -math.inf)
+        # gains beside the others become gains at entry
+        shift = f.chosen.gain - own
+        moved = tuple(replace(w, gain=w.gain + shift) for w in ranked if w.effect != effect)
         if own < 0.0 and (not ranked or ranked[0].gain < LEAD):
             found = [g for g in found if g is not f]
             state = base
+            seen[effect] -= 1
         elif ranked and ranked[0].effect != effect and ranked[0].gain > own + 0.5 and not _taken_out(ranked[0]):
-            swapped = Found(ranked[0], tuple(ranked), _confidence(ranked))
-            found = [swapped if g is f else g for g in found]
+            swapped = replace(ranked[0], gain=ranked[0].gain + shift)
+            rivals = tuple(sorted((replace(f.chosen, gain=own + shift), *moved), key=lambda w: -w.gain))
+            found = [Found(swapped, rivals, _confidence(rivals)) if g is f else g for g in found]
             state = ranked[0].state
-        elif kept is not None:
+            seen[effect] -= 1
+        else:
             # same name, but ranked against its rivals with the other effects in place
-            fresh = Found(replace(kept, gain=own), tuple(ranked), _confidence(ranked))
-            found = [fresh if g is f else g for g in found]
+            fresh = replace(kept, gain=own + shift) if kept is not None else f.chosen
+            rivals = tuple(sorted((fresh, *moved), key=lambda w: -w.gain))
+            found = [Found(fresh, rivals, _confidence(rivals)) if g is f else g for g in found]
     return state, found
 
 
 def _taken_out(w: Weighed) -> bool:
-    return w.effect in ("vibration_line", "outliers", "telegraph", "dropped_samples", "quantization")
+    if w.effect == "telegraph":
+        return w.variant == "levels"
+    return w.effect in ("vibration_line", "outliers", "dropped_samples", "saturation", "quantization")
 
 
-def _without(explanation: Explanation, effect: str) -> Explanation | None:
-    """The explanation less one effect, or ``None`` where the effect is no part of it."""
+def _without(explanation: Explanation, effect: str, occurrence: int = 0) -> Explanation | None:
+    """The explanation less one effect (of several processes that one brought in, the given one), or ``None`` where it is no part of it."""
     if effect == "white_noise":
         return None  # a level is not dropped; it would leave no noise at all
-    components = tuple(c for c in explanation.components if c.effect != effect)
+    mine = [c for c in explanation.components if c.effect == effect]
+    dropped = mine[min(occurrence, len(mine) - 1)] if mine else None
+    components = tuple(c for c in explanation.components if c is not dropped)
     regressors = tuple(r for r in explanation.regressors if r.effect != effect)
     rolloff = None if explanation.rolloff is not None and explanation.rolloff.effect == effect else explanation.rolloff
     smaller = Explanation(components, rolloff, regressors)
@@ -277,6 +348,7 @@ def find_static_gap(
     *,
     rng: np.random.Generator,
     temperature: Array | None = None,
+    missing: NDArray[np.bool_] | None = None,
     threshold: float = THRESHOLD,
     without: Collection[str] = (),
     hold_out: bool = True,
@@ -295,6 +367,8 @@ def find_static_gap(
         For the simulated logs of the map of disagreement.
     temperature : (n,) array, optional
         degC at the samples.
+    missing : (n,) array of bool, optional
+        Samples that the time stamps skip and that were filled in.
     threshold : float
         Nats that an effect must be worth.
     without : collection of str
@@ -328,14 +402,17 @@ def find_static_gap(
     before = _map(results, rng, nominal, refined=False)
     after = _map(results, rng, nominal, refined=True)
     steps = merged_steps(results)
-    unexplained = any(w.p_value < OMNIBUS for w in after) or any(r.outsider for r in results.values())
+    if missing is not None and "dropped_samples" not in without:
+        steps = tuple(sorted((*steps, *gaps_of(missing)), key=lambda s: -s.gain_nats))
+    failed = [w for w in after if w.p_value < OMNIBUS]
+    outsiders = {split_axis(name): r.outsider for name, r in results.items() if r.outsider}
+    shaken = [is_shaken(s, failed, outsiders) for s in steps]
+    steps = tuple(replace(s, confidence=min(s.confidence, 0.5)) if x else s for s, x in zip(steps, shaken, strict=True))
     verdict: VerdictName = "nothing missing"
-    if unexplained:
-        verdict = "unexplained"
-    elif steps:
+    if steps and not shaken[0]:
         verdict = "class" if steps[0].is_class else "named"
-    if unexplained:
-        steps = tuple(replace(s, confidence=min(s.confidence, 0.5)) for s in steps)
+    elif failed or outsiders:
+        verdict = "unexplained"
     nothing = Interval(math.nan, math.nan, math.nan)
     gains = nothing
     if held:
@@ -356,7 +433,60 @@ def find_static_gap(
         threshold,
         source,
         {name: _curves(r, nominal[name], rng) for name, r in results.items()},
+        remainder(failed, outsiders),
     )
+
+
+#: Tests of the fast band; all others look at block means.
+_FAST_TESTS = frozenset({"spectrum", "stationarity", "noise level over time", "tails"})
+#: Effects that are read off the samples or go with a signal that was recorded beside them: nothing unexplained can stand in for them.
+_PLAIN = frozenset({"temperature", "dropped_samples", "saturation", "turn_on_bias"})
+
+
+def is_shaken(step: Step, failed: Sequence[Where], outsiders: Mapping[tuple[str, str], str]) -> bool:
+    """Whether something that no candidate explains sits where a step was named: the same axis, the same band."""
+    if step.effect in _PLAIN or step.variant == "output counts":
+        return False
+    axes = {(step.sensor, a) for a in step.axes or ("",)}
+    fast = step.effect in _FAST or step.effect in _UNTIDY - {"telegraph"}
+    for place, what in outsiders.items():
+        if place in axes and (fast or what != VARYING):
+            return True
+    for w in failed:
+        if (w.sensor, w.axis) not in axes or w.statistic.startswith("cross_axis"):
+            continue
+        if fast == (w.statistic in _FAST_TESTS):
+            return True
+    return False
+
+
+def remainder(failed: Sequence[Where], outsiders: Mapping[tuple[str, str], str]) -> str:
+    """What is left unexplained, in words; empty where nothing is."""
+    parts = [f"{what} on {' '.join(place).strip()}" for place, what in outsiders.items()]
+    for w in failed:
+        scale = f" at {w.scale_s:.3g} s" if w.scale_s is not None else ""
+        parts.append(f"{w.statistic}{scale} on {w.sensor} {w.axis} (p {w.p_value:.1g})".replace("  ", " "))
+    return "; ".join(parts)
+
+
+def gaps_of(missing: NDArray[np.bool_]) -> tuple[Step, ...]:
+    """Samples that the stamps skip, as a step: share of samples that start a gap, mean length of a gap."""
+    lost = int(missing.sum())
+    if not lost:
+        return ()
+    bursts = int(np.sum(missing[1:] & ~missing[:-1])) + int(missing[0])
+    share, length = bursts / missing.size, lost / bursts
+    sd = 1.0 / math.sqrt(bursts)
+    values = (
+        Value("probability", share, share * math.exp(-1.96 * sd), share * math.exp(1.96 * sd), "1"),
+        Value("burst", length, max(1.0, length * (1.0 - 1.96 * sd)), length * (1.0 + 1.96 * sd), "1"),
+    )
+    # every gap is seen in the stamps; against stamps that skip once in the whole log by accident
+    gain = bursts * max(math.log(share * missing.size), 0.0) + 1.0
+    if gain < THRESHOLD:
+        return ()
+    own = Member("dropped_samples", "imu", (), gain)
+    return (Step("dropped_samples", "time stamps", "imu", (), values, 1.0, gain, (own,)),)
 
 
 def _check(log: Sequence[Series], beliefs: Mapping[str, NoiseModel], temperature: Array | None) -> None:
@@ -390,7 +520,7 @@ def refined_model(result: AxisResult) -> NoiseModel:
             processes.append(SIN(given["amplitude"], given["frequency"]))
         elif f.chosen.effect == "ramp":
             processes.append(DR(given["R"]))
-        elif f.chosen.effect == "telegraph":
+        elif f.chosen.effect == "telegraph" and f.chosen.variant == "levels":
             # the second-order twin: what a linear filter can carry of it
             from insemu.noise import GM
 
@@ -443,6 +573,8 @@ def _curves(result: AxisResult, nominal: Explanation, rng: np.random.Generator) 
 #: What would tell effects of a class apart.
 _SLOW = frozenset({"random_walk", "gauss_markov", "flicker", "ramp", "telegraph"})
 _FAST = frozenset({"quantization", "vibration_band", "vibration_line", "decimation_filter", "white_noise"})
+#: What disturbs single samples or pieces of a log.
+_UNTIDY = frozenset({"outliers", "telegraph", "dropped_samples", "saturation"})
 
 
 def would_separate(effects: Collection[str], duration_s: float) -> str:
