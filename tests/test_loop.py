@@ -153,3 +153,42 @@ def test_a_recording_starts_at_rest_and_is_aligned_finely_there(tmp_path: Path) 
     path.write_text(yaml.safe_dump(moving), encoding="utf-8")
     with pytest.raises(InputError, match=r"no rest before|faster than"):
         Experiment(load(path), path)
+
+
+@pytest.mark.parametrize("record", [None, "3 min"])
+def test_the_true_errors_of_the_axes_are_kept_apart_from_white_noise(record: str | None) -> None:
+    """Without white noise the kept truth is what was added to the signals; a scale factor counts; noise-like effects say nothing."""
+    truth = {
+        "gyro": "GM(sigma=0.1 deg/s, Tc=5 s)",
+        "accel": "GM(sigma=5 mg, Tc=5 s) + GM(sigma=1 mg, Tc=50 s)",
+        "record": record,
+    }
+    short = {
+        **SCENARIO,
+        "designs": {"plain": MODEL},
+        "trajectory": {"builtin": "urban_drive_1", "rate": "50 Hz", "duration": "60 s"},
+    }
+
+    def kept(**more: Any) -> tuple[Any, np.ndarray]:
+        world = World(Scenario.model_validate({**short, "truth": {**truth, **more}}))
+        imu = world.recording(1).imu
+        rows = np.searchsorted(world.reference.t, world.output_times)
+        added = np.hstack([imu.gyro - world.imu.gyro, imu.accel - world.imu.accel])[rows] / imu.dt
+        return world.true_states(1, imu), added
+
+    known, added = kept()
+    np.testing.assert_allclose(known.axes[1:], added[1:], atol=1e-9)
+    assert (known.states is None) == (record is not None)
+    if record is None:
+        assert known.names == tuple(f"gyro_{a}.GM1" for a in "xyz") + tuple(
+            f"accel_{a}.GM{k}" for a in "xyz" for k in (1, 2)
+        )
+    white = {"gyro": "WN(N=0.1 deg/s/sqrt(Hz)) + GM(sigma=0.1 deg/s, Tc=5 s)"}
+    apart, added = kept(**white)
+    assert np.std(added[1:, :3] - apart.axes[1:, :3]) == pytest.approx(np.deg2rad(0.1) * np.sqrt(50.0), rel=0.3)
+    scaled, added = kept(effects=[{"effect": "scale_factor", "sensor": "gyro", "value": 0.02}])
+    np.testing.assert_allclose(scaled.axes[1:], added[1:], atol=1e-9)
+    noisy, _ = kept(
+        effects=[{"effect": "vibration_band", "sensor": "accel", "rms": 0.05, "frequency": 10, "bandwidth": 5}]
+    )
+    assert noisy is None
