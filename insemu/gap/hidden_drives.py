@@ -507,7 +507,9 @@ def oracle(
             k = int(np.argmax(u[_DRAWN[u.id]]))
             value = u[_DRAWN[u.id]][k]
             name = f"{u.sensor}_{'xyz'[k]}"
-            process = RW(value) if u.id == "random_walk" else BI(value) if u.id == "flicker" else GM(value, u["beta"][k])
+            process = (
+                RW(value) if u.id == "random_walk" else BI(value) if u.id == "flicker" else GM(value, u["beta"][k])
+            )
             beliefs[name] = beliefs[name] + process
         elif u.id == "gnss_noise_level":
             factors[:3] = u["factor"]
