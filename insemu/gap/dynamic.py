@@ -233,7 +233,13 @@ class Search:
         """Best values of the strong shapes, to be taken out of the data."""
         blocks = blocks_of(self.found)
         index, mean, _ = self.data.posterior(blocks)
-        strong = {c for f in self.found if f.chosen.gain > CORRECT_NATS for c in f.chosen.columns}
+        strong = {
+            c
+            for f in self.found
+            if f.chosen.gain > CORRECT_NATS
+            for c in f.chosen.columns
+            if not self.scene.columns[c].runs
+        }
         return {int(i): float(m) for i, m in zip(index, mean, strict=True) if int(i) in strong}
 
     def _reconsider(self) -> None:
