@@ -286,7 +286,7 @@ def with_process(model: NoiseModel, effect: str, given: Mapping[str, float]) -> 
     return model + (GM(given["sigma"], given["beta"]) if effect == "gauss_markov" else BI(given["B"]))
 
 
-def settled(named: Named, cut: float | None = None) -> tuple[Scene, list[Block]]:
+def believing(named: Named, cut: float | None = None) -> tuple[Scene, list[Block]]:
     """The filter that believes in the slow processes that were found, and the blocks of everything else.
 
     The search carries a process on knots; what is left of a strong one between them would count against it.
@@ -316,7 +316,7 @@ def held_out(scene: Scene, named: Named, cut: float) -> tuple[Interval, Interval
     test = scene.loop.y.reshape(-1, 6)[scene.loop.use]
     test = test[late]
     fixes = max(1, len(np.unique(scene.rows_t[late])))
-    final, blocks = settled(named, cut)
+    final, blocks = believing(named, cut)
     rows = final.rows_t > cut
     data = replace(final.data, variance=1.0)
     e, logdet = data.predictive(blocks, rows)
@@ -471,7 +471,7 @@ def find_dynamic_gap(
         plain = Scene.of(prepare(whole, believed, parts, levels)) if mended.steps else scene
         before, after, held = held_out(plain, first, cut)
     where = corrected(disagreement_tests(scene, scene.data.y))
-    final, blocks = settled(named)
+    final, blocks = believing(named)
     residual, _ = final.data.residual(blocks)
     rest = corrected(disagreement_tests(final, residual))
     fast = again_with_processes(fast, named, parts, nominal, max(threshold, FAST_THRESHOLD), without)

@@ -303,7 +303,7 @@ def run_dynamic(
             size = 0.1 * math.sqrt(target / max(half, 1e-9))
         else:
             size = (
-                0.3
+                1.0
                 * s.truth["gyro_x"].processes[0].parameters["N"]
                 / math.sqrt(s.imu.dt)
                 * float(rng.choice([1.0, 2.0]))
