@@ -33,12 +33,13 @@ from insemu.gap.hypotheses import (
     wild_fixes,
 )
 from insemu.gap.innovations import Block, Field
+from insemu.gap.known import colour_of, of_axis, settled, starting_explanation, without_drawn
 from insemu.gap.nominal import Nominal
 from insemu.gap.preparation import fast_parts, prepare
 from insemu.gap.reduced import Reduced, reduce_again
 from insemu.gap.samples import mend, with_counts
 from insemu.gap.scene import Scene, first_rows
-from insemu.gap.surrogate import NED, joint_noise
+from insemu.gap.surrogate import NED, FixNoise, joint_noise
 from insemu.gap.verdict import GapReport, Interval, Member, Step, Value, VerdictName, Where
 from insemu.noise import BI, GM, RW, WN, NoiseModel
 from insemu.records import AXES, Recording
@@ -367,9 +368,11 @@ def fast_effects(
     for name, data in parts.items():
         if not data.f.size:
             continue
-        explanation = Explanation.nominal(nominal.beliefs[name])
+        given = of_axis(nominal.effects, name)
+        explanation = starting_explanation(nominal.beliefs[name], given, data.dt)
         data = without_tones(data, fit(Likelihood(data), explanation).explanation)
         state = AxisState(data, fit(Likelihood(data), explanation))
+        state = without_drawn(replace(state, named=tuple(n for n in settled(given) if n == "quantization")), given)
         out.append(
             (
                 name,
@@ -449,6 +452,8 @@ def find_dynamic_gap(
             f"no noise model is believed for {', '.join(missing)}; a recording with fixes needs all six axes"
         )
     mended = mend(recording.imu, tuple(without))
+    # what is known of the samples is mended, but is no finding
+    noticed = tuple(s for s in mended.steps if s.effect not in {use.id for use in nominal.effects})
     whole, believed = recording, nominal
     nominal = replace(nominal, beliefs=with_counts(nominal.beliefs, mended.steps, recording.imu.dt))
     recording = replace(recording, imu=mended.imu)
@@ -460,6 +465,9 @@ def find_dynamic_gap(
     prepared = prepare(recording, nominal, parts, levels)
     say("responding every effect through the filter")
     scene = Scene.of(prepared)
+    colour = colour_of(nominal.effects)
+    if colour is not None:
+        scene, without = scene.coloured(FixNoise(np.ones(6), colour)), (*without, "gnss_correlated_noise")
     threshold = max(threshold, null_threshold([v for v in bank(scene) if v.effect not in without], scene.data, rng))
     named = find_effects(scene, None, threshold, without, say)
     nothing = Interval(math.nan, math.nan, math.nan)
@@ -468,7 +476,7 @@ def find_dynamic_gap(
         say("scoring on held-out fixes")
         cut = float(scene.motion.t[0] + static_log.NAMING_SHARE * (scene.motion.t[-1] - scene.motion.t[0]))
         first = find_effects(scene, cut, threshold, without, lambda _: None)
-        plain = Scene.of(prepare(whole, believed, parts, levels)) if mended.steps else scene
+        plain = Scene.of(prepare(whole, believed, parts, levels)) if noticed else scene
         before, after, held = held_out(plain, first, cut)
     where = corrected(disagreement_tests(scene, scene.data.y))
     final, blocks = believing(named)
@@ -476,7 +484,7 @@ def find_dynamic_gap(
     rest = corrected(disagreement_tests(final, residual))
     fast = again_with_processes(fast, named, parts, nominal, max(threshold, FAST_THRESHOLD), without)
     steps = [_step(f, named) for f in named.found]
-    steps += [*static_log.merged_steps(dict(fast)), *mended.steps]
+    steps += [*static_log.merged_steps(dict(fast)), *noticed]
     steps.sort(key=lambda s: -s.gain_nats)
     outsider = named.outsider or next((r.outsider for _, r in fast if r.outsider), "")
     unexplained = bool(outsider) or any(w.p_value < OMNIBUS for w in rest)

@@ -88,7 +88,7 @@ class Prepared:
     def on(self, recording: Recording) -> Prepared:
         """The same filter on another recording of the same motion, started as that recording lets it."""
         imu, gnss, initial, sigma = starting_state(recording, self.nominal)
-        return replace(self, start=(initial, sigma)).again(imu=imu, gnss=_with_sigma(gnss, self.nominal))
+        return replace(self, start=(initial, sigma)).again(imu=imu, gnss=with_sigma(gnss, self.nominal))
 
     def without_positions(self, t: Array) -> Prepared:
         """The same filter without the positions of some fixes."""
@@ -148,7 +148,7 @@ def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], le
             f"the recording has {imu.t[-1] - imu.t[0]:.0f} s that can be used, expected at least 60 s",
             where=recording.source,
         )
-    gnss = _with_sigma(gnss, nominal)
+    gnss = with_sigma(gnss, nominal)
     beliefs = {name: _trimmed(nominal.beliefs[name], fast[name], levels.get(name)) for name in AXES}
     start = (initial, sigma)
     lever = np.array(nominal.gnss.lever_arm)
@@ -236,7 +236,7 @@ def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, G
     velocity = gnss.vel_ned[k] + slope * late
     arm = rotation.dcm_from_rpy(rpy) @ np.array(nominal.gnss.lever_arm)
     llh = earth.move(gnss.llh[k], gnss.vel_ned[k] * late - arm)
-    fixed = _with_sigma(gnss, nominal)
+    fixed = with_sigma(gnss, nominal)
     assert fixed.pos_std_ned is not None
     vel_std = fixed.vel_std_ned[k] if fixed.vel_std_ned is not None else np.full(3, 0.3)
     position = np.hypot(np.array(believed.position_sigma), fixed.pos_std_ned[k] + START_HEADING * np.linalg.norm(arm))
@@ -255,16 +255,16 @@ def _cut(imu: ImuRecord, first: int) -> ImuRecord:
     return replace(imu, t=imu.t[first:], gyro=imu.gyro[first:], accel=imu.accel[first:], temperature=temperature)
 
 
-def _with_sigma(gnss: GnssRecord, nominal: Nominal) -> GnssRecord:
+def with_sigma(gnss: GnssRecord, nominal: Nominal) -> GnssRecord:
+    """The fixes with the believed standard deviations where they state none; velocities that are not believed are left out."""
     n = len(gnss)
     out = gnss
+    if nominal.gnss.velocity_sigma is None:
+        out = replace(out, vel_ned=None, vel_std_ned=None)
+    elif out.vel_ned is not None and out.vel_std_ned is None:
+        out = replace(out, vel_std_ned=np.tile(nominal.gnss.velocity_sigma, (n, 1)))
     if out.pos_std_ned is None:
         out = replace(out, pos_std_ned=np.tile(nominal.gnss.position_sigma, (n, 1)))
-    if out.vel_ned is not None and out.vel_std_ned is None:
-        if nominal.gnss.velocity_sigma is None:
-            out = replace(out, vel_ned=None)
-        else:
-            out = replace(out, vel_std_ned=np.tile(nominal.gnss.velocity_sigma, (n, 1)))
     return out
 
 
