@@ -186,11 +186,29 @@ class Search:
                 break
             if best.gain < self.threshold or something(ranked) < SURE:
                 break
+            best = self._apart(best)
             progress(f"{best.effect} {best.gain:.1f} nats")
             self._add(best, ranked)
             if len(self.found) > 1:
                 self._reconsider()
         return Named(tuple(self.found), self.scene, self.outsider, self.gone)
+
+    def _apart(self, best: Hypothesis) -> Hypothesis:
+        """The best effect of one axis instead of one of several axes, where two or three of their own explain more than the one together."""
+        if best.block is None or len(best.axes) < 2:
+            return best
+        single = [v for v in self.variants if len(v.axes) < 2]
+        given, total = blocks_of(self.found), 0.0
+        first: Hypothesis | None = None
+        for _ in best.axes:
+            tried = linear_hypotheses(self.scene, single, self.data, given, self._skip(self.found))
+            top = max(tried, key=lambda h: h.gain)
+            if top.block is None or top.gain < self.threshold:
+                break
+            total += top.gain
+            first = first or top
+            given = [*given, top.block]
+        return first if first is not None and total > best.gain + 1.0 else best
 
     def _add(self, best: Hypothesis, ranked: Sequence[Hypothesis]) -> None:
         scene = self.scene
