@@ -43,7 +43,7 @@ _MISFIT = 0.1
 _ROLL_OFF = 0.003
 
 #: How much closer a Markov noise must follow the curve than power laws alone to be believed, in chi-square.
-_MARKOV = 4.0
+_MARKOV = 2.5
 
 #: Growth of chi-square at the end of a 95 % interval, and without a coefficient that is to count as visible (2.5 standard deviations).
 _CHI_SQUARE, _VISIBLE = 3.84, 6.25
