@@ -92,7 +92,7 @@ class FilterOptions:
     node_every : float, optional
         With ``store="fixes"``: nodes also every so many seconds without a fix.
     covariance_at : sequence of float
-        Times in s at which the whole covariance is kept.
+        Times in s at which the whole covariance is kept; with ``store="fixes"`` these are nodes too.
     extras : Extras
         Calibration and installation states to be estimated.
     standstill : Standstill, optional
@@ -443,7 +443,9 @@ class LooselyCoupledEKF:
             regular = np.zeros(0, dtype=np.int64)
             if o.node_every is not None:
                 regular = np.searchsorted(t, np.arange(t[0], t[-1], o.node_every) - 1e-9)
-            node_epoch = np.unique(np.concatenate([[0], events.epoch, regular, [t.size - 1]])).astype(np.int64)
+            node_epoch = np.unique(np.concatenate([[0], events.epoch, regular, cov_epoch, [t.size - 1]])).astype(
+                np.int64
+            )
         rows = (t.size - 1) // o.output_every + 1 + ((t.size - 1) % o.output_every != 0)
         stored = o.store == "fixes"
         kept, g = node_epoch.size, (f if stored else 1)

@@ -9,16 +9,29 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu.effects import EFFECTS
 from insemu.errors import InputError
 from insemu.gap.band import Band
-from insemu.gap.evidence import Component, Explanation, Fitted, Free, Likelihood, Regressors, Rolloff, fit, log_mean_exp
+from insemu.gap.evidence import (
+    PRIOR_SCALES,
+    Component,
+    Explanation,
+    Fitted,
+    Free,
+    Likelihood,
+    Regressors,
+    Rolloff,
+    fit,
+    log_mean_exp,
+)
 from insemu.gap.reduced import Reduced, block_differences, reduce_again
 from insemu.gap.verdict import Value
-from insemu.noise import BI, GM, QN, RW, WN, Process
+from insemu.noise import BI, GM, QN, RC, RW, WN, Process
 
 Array = NDArray[np.float64]
 
@@ -48,7 +61,7 @@ class AxisState:
     fitted: Fitted
     temperature: Array | None = None
     named: tuple[str, ...] = ()
-    memory: dict[str, Array] = field(default_factory=dict, repr=False, compare=False)
+    memory: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def likelihood(self) -> Likelihood:
@@ -257,6 +270,12 @@ def flicker(state: AxisState) -> list[Weighed]:
 
 def gauss_markov(state: AxisState) -> list[Weighed]:
     """A first-order Gauss-Markov process of any correlation time between four samples and half the log."""
+    if "gauss_markov" not in state.memory:
+        state.memory["gauss_markov"] = _gauss_markov(state)
+    return list(state.memory["gauss_markov"])
+
+
+def _gauss_markov(state: AxisState) -> list[Weighed]:
     data = state.data
     fastest, slowest = 4.0 * data.dt, 0.5 * data.duration_s
     top = max(_spread(state), 10.0 * state.white / math.sqrt(data.dt * 4.0))
@@ -288,7 +307,10 @@ def vibration_band(state: AxisState) -> list[Weighed]:
     if not data.f.size:
         return []
     nyquist = 0.5 / data.dt
-    lowest = max(10.0 * data.f[0], 0.02 * nyquist)
+    # a moving sensor's spectrum begins where its motion ends, not at the length of the log
+    lowest = max((10.0 if data.differences.size else 1.1) * data.f[0], 0.02 * nyquist)
+    if lowest > 0.8 * nyquist:
+        return []
     S = state.explanation.psd(data.f, data.dt)
     free = (
         _amplitude("sigma", 30.0 * state.white / math.sqrt(data.dt)),
@@ -366,8 +388,45 @@ def ramp(state: AxisState) -> list[Weighed]:
     return _regression(state, "ramp", "", ("R",), column, scale, (f"{data.unit}/s",))
 
 
-#: Thermal time constants that the lagged shape tries, s.
-LAGS = (10.0, 20.0, 40.0, 60.0, 90.0, 150.0, 300.0, 600.0, 1200.0)
+#: Rotation rate of the Earth, rad/s: what a gyroscope at rest may show without any error.
+EARTH_RATE = 7.292115e-5
+
+
+def turn_on_bias(state: AxisState) -> list[Weighed]:
+    """A constant error of a gyroscope: its mean at rest is more than the rotation of the Earth can be.
+
+    An accelerometer at rest shows gravity in an unknown attitude, so its bias is not looked for. Weighed after everything else, because how well
+    the mean of the log is known follows from the slow processes that were found.
+    """
+    data, explanation = state.data, state.explanation
+    believed = any(isinstance(c.process, RC) for c in explanation.components)
+    if not data.name.startswith("gyro") or believed or explanation.regressors:
+        return []
+    mean, T = float(np.mean(data.values)), data.duration_s
+    variance = state.white**2 / T
+    for c in explanation.components:
+        p = c.process.parameters
+        if isinstance(c.process, RW):
+            variance += p["K"] ** 2 * T / 3.0  # it starts at zero
+        elif isinstance(c.process, GM):
+            x = p["beta"] * T
+            variance += p["sigma"] ** 2 * 2.0 / x**2 * (x + math.expm1(-x))
+        elif isinstance(c.process, BI):
+            variance += p["B"] ** 2 * math.log(T / data.dt) / math.pi  # between one sample and the log
+    sigma = math.sqrt(variance)
+    beyond = max(abs(mean) - EARTH_RATE, 0.0)
+    width = math.sqrt(2.0 * math.pi) * sigma + 2.0 * EARTH_RATE
+    null = -0.5 * (beyond / sigma) ** 2 - math.log(width)
+    scale = EFFECTS["turn_on_bias"].scale("value", "gyro")
+    spread = [math.hypot(sigma, c * scale) for c in PRIOR_SCALES]
+    gain = log_mean_exp([-0.5 * (mean / s) ** 2 - math.log(math.sqrt(2.0 * math.pi) * s) for s in spread]) - null
+    off = 1.96 * math.hypot(sigma, EARTH_RATE / math.sqrt(3.0))
+    values = (Value("value", mean, mean - off, mean + off, data.unit),)
+    return [Weighed("turn_on_bias", "", gain, values, replace(state, named=(*state.named, "turn_on_bias")))]
+
+
+#: Thermal time constants that the lagged shapes try, from a block to this share of the log, and their number.
+LONGEST_LAG, LAGS = 0.3, 10
 
 
 def temperature(state: AxisState) -> list[Weighed]:
@@ -386,7 +445,7 @@ def temperature(state: AxisState) -> list[Weighed]:
     units = tuple(f"{data.unit}/K" + (f"^{k}" if k > 1 else "") for k in (1, 2, 3))
     reference = Value("T0", centre, centre, centre, "degC")
 
-    def weigh(variant: str, which: tuple[int, ...], lag: float = 0.0) -> Weighed:
+    def rebuilt(which: tuple[int, ...], lag: float) -> Callable[[Reduced, Array | None], Array]:
         def columns(where: Reduced, temperature_c: Array | None) -> Array:
             if temperature_c is None:
                 raise InputError("the temperature effect needs the temperature of the data that it is to predict")
@@ -394,33 +453,42 @@ def temperature(state: AxisState) -> list[Weighed]:
             seen = lowpass(d, where.dt, lag) if lag > 0.0 else d
             return block_differences(np.stack([seen ** (k + 1) for k in which], axis=1), where.block)
 
+        return columns
+
+    def weigh(variant: str, which: tuple[int, ...], lag: float = 0.0) -> Weighed:
+        chosen = list(which)
         w = _regression(
-            state,
-            "temperature",
-            variant,
-            [names[k] for k in which],
-            columns,
-            scales[list(which)],
+            state, "temperature", variant, [names[k] for k in which], rebuilt(which, lag), scales[chosen],
             [units[k] for k in which],
-        )[0]
+        )[0]  # fmt: skip
         d = T - centre
         seen = lowpass(d, data.dt, lag) if lag > 0.0 else d
-        w = _less(
-            w, state, sum((v.value * seen ** (k + 1) for v, k in zip(w.values, which, strict=True)), np.zeros(T.size))
-        )
+        signal = sum((v.value * seen ** (k + 1) for v, k in zip(w.values, which, strict=True)), np.zeros(T.size))
+        w = _less(w, state, signal)
         return replace(w, values=(*w.values, reference))
+
+    likelihood = state.likelihood
+
+    def quick(which: tuple[int, ...], lag: float) -> float:
+        """Evidence of a time constant at the present parameters of the noise, up to a constant."""
+        own = Regressors("temperature", names, rebuilt(which, lag)(data, T), scales[list(which)])
+        base = state.explanation
+        return likelihood.low(replace(base, regressors=(*base.regressors, own)))
 
     out = [weigh("linear", (0,)), weigh("cubic", (0, 1, 2))]
     shapes: tuple[tuple[str, tuple[int, ...]], ...] = (("lagged", (0,)), ("cubic and lagged", (0, 1, 2)))
     for shape, which in shapes:
-        tried: list[tuple[float, Weighed]] = []
-        for lag in LAGS:
-            if 3.0 * data.dt < lag < 0.3 * data.duration_s:
-                tried.append((lag, weigh(shape, which, lag)))
-        if tried:
-            lag, best = max(tried, key=lambda item: item[1].gain)
-            gain = log_mean_exp([w.gain for _, w in tried])  # the time constant is paid for
-            out.append(replace(best, gain=gain, values=(*best.values, Value("lag", lag, lag / 1.8, lag * 1.8, "s"))))
+        grid = np.geomspace(data.block_s, LONGEST_LAG * data.duration_s, LAGS)
+        tried = [quick(which, float(lag)) for lag in grid]
+        k = int(np.argmax(tried))
+        top, lag, ratio = tried[k], float(grid[k]), float(grid[1] / grid[0])
+        paid = top - log_mean_exp(tried)  # the time constant is paid for
+        for _ in range(4):
+            ratio = math.sqrt(ratio)
+            top, lag = max([(top, lag), *((quick(which, lag * r), lag * r) for r in (1.0 / ratio, ratio))])
+        best = weigh(shape, which, lag)
+        values = (*best.values, Value("lag", lag, lag / ratio, lag * ratio, "s"))
+        out.append(replace(best, gain=best.gain - paid, values=values))
     return out
 
 

@@ -227,7 +227,7 @@ class Likelihood:
         S = explanation.psd(self.data.f, self.data.dt)
         if not (S > 0).all():
             return -math.inf
-        return float(-0.5 * np.sum(self.data.dof * (np.log(S) + self.data.power / S)))
+        return float(-0.5 * np.sum(self.data.counted * (np.log(S) + self.data.power / S)))
 
     def log_posterior(self, explanation: Explanation) -> float:
         """Log-likelihood plus log prior density of the free parameters."""

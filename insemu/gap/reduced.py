@@ -44,6 +44,8 @@ class Reduced:
         Differences of consecutive block means.
     f, power, dof : (bins,) arrays
         Frequency (Hz), two-sided PSD (unit^2/Hz) and chi-square degrees of freedom of each bin above ``1 / (2 block dt)``.
+    weight : (bins,) array, optional
+        Share of its degrees of freedom that a bin counts where no model describes the spectrum to their precision.
     """
 
     name: str
@@ -55,6 +57,12 @@ class Reduced:
     f: Array
     power: Array
     dof: Array
+    weight: Array | None = None
+
+    @property
+    def counted(self) -> Array:
+        """Degrees of freedom that the likelihood counts."""
+        return self.dof if self.weight is None else self.dof * self.weight
 
     @property
     def block_s(self) -> float:
@@ -117,7 +125,8 @@ def spectrum(y: Array, dt: float, lowest: float) -> tuple[Array, Array, Array]:
 def reduce_again(data: Reduced, values: Array) -> Reduced:
     """Reduce changed samples of an axis as the axis itself was; one without a block band stays without."""
     if data.differences.size:
-        return reduce(Series(values, 1.0 / data.dt, data.unit, data.name), data.block)
+        again = reduce(Series(values, 1.0 / data.dt, data.unit, data.name), data.block)
+        return replace(again, weight=data.weight)
     f, power, dof = moving_spectrum(values, data.dt, float(data.f[0]))
     return replace(data, values=values, f=f, power=power, dof=dof)
 

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from insemu.gap import kernel
-from insemu.gap.candidates import AMPLITUDE_RANGE, AxisState, Weighed, register, white_noise
+from insemu.gap.candidates import AxisState, Weighed, added, gauss_markov, register, white_noise
 from insemu.gap.evidence import Explanation, Free, Likelihood, fit, laplace, level, log_mean_exp
 from insemu.gap.reduced import reduce_again
 from insemu.gap.verdict import Value
-from insemu.noise import BI, GM, RW, WN, Process
+from insemu.noise import BI, GM, QN, RW, WN, Process
 
 Array = NDArray[np.float64]
 
 
+#: A candidate this far below nothing is not looked at more closely, nats.
+LOST_NATS = 4.0
 #: What regular manoeuvres can leave at a single frequency of the fast band, nats.
 MANOEUVRE_NATS = 15.0
 
@@ -209,80 +211,105 @@ def outliers(state: AxisState) -> list[Weighed]:
 
 # -- switching levels -------------------------------------------------------------------------------------------------------------
 
-#: Block lengths in s at which switching is looked for.
-SWITCHING_BLOCKS_S = (0.3, 2.0, 10.0)
+#: Switches per block of the block lengths at which switching is looked for, and the most blocks.
+SWITCHES_PER_BLOCK, MOST_SWITCHING_BLOCKS = (0.05, 0.25), 12_000
+#: What two levels must be worth over a Gaussian process of the same spectrum before their path is taken out of the samples, nats.
+RESOLVED_NATS = 6.0
+#: Log prior odds of a level that switches against a Gauss-Markov process: burst noise is the rarer of the two.
+RARER = 1.5
+
+
+@dataclass(frozen=True)
+class _Switching:
+    """Two levels over block means of one length, against the Gaussian process of the same second moments."""
+
+    block: int
+    excess: float
+    x: Array
+    sigma: Array
+    path: Array
 
 
 def telegraph(state: AxisState) -> list[Weighed]:
-    """A level that jumps between two values at random times (telegraph or burst noise)."""
+    """A level that jumps between two values at random times (telegraph or burst noise).
+
+    Its spectrum is that of a Gauss-Markov process of rate ``beta = 2 rate``, and second moments are all that a spectrum and a Gaussian
+    likelihood see. So it is worth what that process is worth, plus what the switching likelihood of block means says beyond the Gaussian
+    one of the same moments on the same means, less the odds of being the rarer of the two.
+    """
     data = state.data
     if "telegraph" in state.named or state.explanation.regressors:
         return []  # levels and drifts of known shape are not told apart sample by sample
-    found: list[tuple[float, Array, int, float, Array]] = []
-    for seconds in SWITCHING_BLOCKS_S:
-        block = max(1, round(seconds / data.dt))
-        count = data.values.size // block
-        if count < 60 or (block == 1 and seconds > data.dt * 3):
-            continue
-        y = data.values[: count * block].reshape(count, block).mean(axis=1)
-        y = y - np.median(y)
-        length = block * data.dt
-        phi, q = _background(state, length)
-        # what is fast compared with a block counts as white at the level that it has there
-        f = np.array([0.25 / length])
-        fast = float(state.explanation.psd(f, data.dt)[0]) - sum(
-            float(p.psd(f, data.dt)[0]) for p in _slow(state, length)
-        )
-        white = max(fast, 0.1 * state.white**2) / length
-        p0 = (10.0 * float(np.std(y))) ** 2
-        path = np.empty(count)
-        null = kernel.switching_log_likelihood(y, white, phi, q, p0, 0.0, 0.5, path)
-        top = 4.0 * float(np.std(y)) + 1e-30
-        # as wide as the Gauss-Markov process's priors: the two compete
-        free = (Free("amplitude", top / AMPLITUDE_RANGE, top), Free("dwell", 4.0 * data.dt, 0.5 * data.duration_s))
-
-        def log_posterior(
-            x: Array, y: Array = y, white: float = white, phi: float = phi, q: float = q, p0: float = p0, free: tuple[Free, ...] = free,
-            length: float = length, path: Array = path,
-        ) -> float:  # fmt: skip
-            stay = math.exp(-length / math.exp(x[1]))
-            stay = 0.5 * (1.0 + stay**2)  # an even number of jumps is staying
-            value = kernel.switching_log_likelihood(y, white, phi, q, p0, math.exp(x[0]), stay, path)
-            return value + sum(f.log_density(v) for f, v in zip(free, x, strict=True))
-
-        grid = [
-            np.array([math.log(a), math.log(d)])
-            for a in top * np.geomspace(0.02, 0.8, 8)
-            for d in np.geomspace(4.0 * length, 0.3 * data.duration_s, 7)
-        ]
-        start = max(grid, key=log_posterior)
-        mode = laplace(log_posterior, start, free)
-        log_posterior(mode.x)
-        forward = path.copy()
-        stay = 0.5 * (1.0 + math.exp(-2.0 * length / math.exp(mode.x[1])))
-        kernel.switching_log_likelihood(y[::-1].copy(), white, phi, q, p0, math.exp(mode.x[0]), stay, path)
-        both = _smoothed(y, forward, path[::-1], math.exp(mode.x[0]), white)
-        found.append((mode.evidence - null, mode.x, block, float(np.sqrt(mode.covariance[0, 0])), both))
+    twin = next(iter(gauss_markov(state)), None)
+    if twin is None or twin.gain < -LOST_NATS:
+        return []
+    component = twin.state.explanation.components[-1]
+    sigma, rate = component.process.parameters["sigma"], 0.5 * component.process.parameters["beta"]
+    shortest = max(data.dt, data.duration_s / MOST_SWITCHING_BLOCKS)
+    lengths = {max(1, round(max(share / rate, shortest) / data.dt)) for share in SWITCHES_PER_BLOCK}
+    found = [s for s in (_switching(state, block, sigma, rate) for block in sorted(lengths)) if s is not None]
     if not found:
         return []
-    gain, x, block, sd, path = max(found, key=lambda item: item[0])
-    a, dwell = math.exp(x[0]), math.exp(x[1])
-    switches = max(1.0, data.duration_s / dwell)
-    values = (
-        Value("amplitude", a, a * math.exp(-1.96 * sd), a * math.exp(1.96 * sd), data.unit),
-        Value(
-            "rate",
-            1.0 / dwell,
-            math.exp(-1.96 / math.sqrt(switches)) / dwell,
-            math.exp(1.96 / math.sqrt(switches)) / dwell,
-            "1/s",
-        ),
+    best = max(found, key=lambda s: s.excess)
+    gain = twin.gain + best.excess - RARER
+    a, rate = math.exp(best.x[0]), math.exp(best.x[1])
+    values = tuple(
+        Value(name, v, v * math.exp(-1.96 * s), v * math.exp(1.96 * s), unit)
+        for name, v, s, unit in zip(("amplitude", "rate"), (a, rate), best.sigma, (data.unit, "1/s"), strict=True)
     )
-    if gain < 0.0:
-        return [Weighed("telegraph", "", gain, values, state)]
-    levels = np.repeat(a * (2.0 * path - 1.0), block)
+    if gain < 0.0 or best.excess < RESOLVED_NATS:
+        # no single level stands out: the second moments are what can be taken into account
+        components = (*twin.state.explanation.components[:-1], replace(component, effect="telegraph"))
+        fitted = replace(twin.state.fitted, explanation=replace(twin.state.explanation, components=components))
+        return [Weighed("telegraph", "", gain, values, added(state, fitted, "telegraph"))]
+    levels = np.repeat(a * (2.0 * best.path - 1.0), best.block)
     levels = np.concatenate([levels, np.full(data.values.size - levels.size, levels[-1])])
-    return [Weighed("telegraph", "", gain, values, cleaned(state, data.values - levels, "telegraph"))]
+    return [Weighed("telegraph", "levels", gain, values, cleaned(state, data.values - levels, "telegraph"))]
+
+
+def _switching(state: AxisState, block: int, sigma: float, rate: float) -> _Switching | None:
+    """Switching against Gaussian likelihood at one block length, each at its own optimum near what the spectrum says."""
+    data = state.data
+    count = data.values.size // block
+    length = block * data.dt
+    if count < 60 or rate * length > 1.0:
+        return None
+    y = data.values[: count * block].reshape(count, block).mean(axis=1)
+    y = y - np.median(y)
+    phi, q = _background(state, length)
+    # what is fast compared with a block counts as white at the level that it has there
+    f = np.array([0.25 / length])
+    fast = float(state.explanation.psd(f, data.dt)[0]) - sum(float(p.psd(f, data.dt)[0]) for p in _slow(state, length))
+    white = max(fast, 0.1 * state.white**2) / length
+    p0 = (10.0 * float(np.std(y))) ** 2
+    path = np.empty(count)
+    # both are free in one box around the spectrum's answer; a memory near the log's length leaves only sigma^2 beta determined, and the spread
+    # of the means then says which sigma is meant
+    spread = float(np.std(y))
+    starts = ((sigma, rate), (spread, min(rate * max((sigma / spread) ** 2, 1.0), 0.5 / length)))
+    box = [(min(column) / 5.0, max(column) * 5.0) for column in zip(*starts, strict=True)]
+    free = (Free("amplitude", *box[0]), Free("rate", *box[1]))
+
+    def prior(x: Array) -> float:
+        return sum(f.log_density(v) for f, v in zip(free, x, strict=True))
+
+    def switching(x: Array) -> float:
+        stay = 0.5 * (1.0 + math.exp(-2.0 * length * math.exp(x[1])))
+        return kernel.switching_log_likelihood(y, white, phi, q, p0, math.exp(x[0]), stay, path) + prior(x)
+
+    def gaussian(x: Array) -> float:
+        stay = 0.5 * (1.0 + math.exp(-2.0 * length * math.exp(x[1])))
+        return kernel.gauss_markov_log_likelihood(y, white, phi, q, p0, math.exp(x[0]), stay) + prior(x)
+
+    grid = [np.log([s * a, r * b]) for s, r in starts for a in (0.6, 0.9, 1.3) for b in (0.2, 0.5, 1.0, 2.0)]
+    levels = laplace(switching, max(grid, key=switching), free)
+    smooth = laplace(gaussian, max(grid, key=gaussian), free)
+    switching(levels.x)
+    forward = path.copy()
+    stay = 0.5 * (1.0 + math.exp(-2.0 * length * math.exp(levels.x[1])))
+    kernel.switching_log_likelihood(y[::-1].copy(), white, phi, q, p0, math.exp(levels.x[0]), stay, path)
+    both = _smoothed(y, forward, path[::-1], math.exp(levels.x[0]), white)
+    return _Switching(block, levels.evidence - smooth.evidence, levels.x, np.sqrt(np.diag(levels.covariance)), both)
 
 
 def _smoothed(y: Array, forward: Array, backward: Array, amplitude: float, white: float) -> Array:
@@ -336,12 +363,18 @@ def lattice(values: Array) -> float:
     return float(np.median(steps[gaps < 1.5])) if np.all(near) and np.mean(gaps < 1.5) > 0.1 else 0.0
 
 
+#: A lattice finer than this share of the samples' noise adds 0.02 % to their variance and is the digits of a file.
+MATERIAL_LSB = 0.05
+
+
 def output_counts(state: AxisState) -> list[Weighed]:
     """Samples that lie on a lattice: rounding to an output LSB. A continuous signal would never do so, so the evidence is the odds of that."""
     if "quantization" in state.named or not state.data.f.size:
         return []
     step = lattice(state.data.values)
-    if step <= 0.0:
+    if step < MATERIAL_LSB * state.white / math.sqrt(state.data.dt):
+        return []  # none, or no more than the digits of a file
+    if any(isinstance(c.process, QN) and c.effect == "nominal" for c in state.explanation.components):
         return []
     # each sample of a lattice of step LSB is worth log(LSB / resolution of the storage); single precision is the least there is
     resolution = max(float(np.max(np.abs(state.data.values))), step) * 2.0**-24
@@ -353,7 +386,7 @@ def output_counts(state: AxisState) -> list[Weighed]:
             "output counts",
             gain,
             values,
-            replace(state, named=(*state.named, "quantization"), memory=dict(state.memory)),
+            replace(state, named=(*state.named, "quantization"), memory={}),
         )
     ]
 
@@ -376,6 +409,45 @@ def held_samples(state: AxisState) -> list[Weighed]:
     return [Weighed("dropped_samples", "held", gain, values, cleaned(state, mended, "dropped_samples"))]
 
 
+def saturation(state: AxisState) -> list[Weighed]:
+    """Samples pile up at the largest or smallest value: clipped at the full scale.
+
+    A continuous signal never takes its extreme value twice. On a lattice of output counts the logarithm of the frequencies is concave, which
+    bounds the outermost from the next two inside; the evidence of a pile is its Poisson ratio to that bound.
+    """
+    if "saturation" in state.named or not state.data.differences.size:
+        return []
+    y = state.data.values
+    step = lattice(y)
+    resolution = 2.0**-24 * float(np.max(np.abs(y)))
+    chance = min(1.0, resolution / (state.white / math.sqrt(state.data.dt)))
+    gain, limits = 0.0, []
+    for sign in (1.0, -1.0):
+        x = sign * y
+        top = float(np.max(x))
+        # wider than rounding, narrower than a count
+        width = 0.5 * step if step > 0.0 else 4.0 * resolution
+        piled = int(np.sum(x > top - width))
+        if step > 0.0:
+            one, two = (int(np.sum(np.abs(x - top + k * step) < width)) for k in (1, 2))
+            # a log-concave tail falls off faster and faster; two standard deviations of what is extrapolated are granted
+            most = one * min(1.0, one / max(two, 1)) if one else 1.0
+            most *= 1.0 + 2.0 * math.sqrt(4.0 / max(one, 1) + 1.0 / max(two, 1))
+            here = piled * math.log(piled / most) - (piled - most) if piled > most else 0.0
+        else:
+            here = piled * math.log(piled / y.size / chance) if piled >= 3 and piled / y.size > 10.0 * chance else 0.0
+        if here > 0.0:
+            gain += here
+            limits.append(top)
+    if not limits:
+        return []
+    limit = float(np.mean(np.abs(limits)))
+    gain -= math.log(y.size)  # any value could have been the limit
+    values = (Value("limit", limit, limit - resolution, limit + resolution, state.data.unit),)
+    return [Weighed("saturation", "", gain, values, replace(state, named=(*state.named, "saturation"), memory={}))]
+
+
+register("saturation", saturation)
 register("vibration_line", vibration_line)
 register("outliers", outliers)
 register("telegraph", telegraph)

@@ -14,14 +14,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu.effects import EffectUse
 from insemu.errors import InputError
 from insemu.gap import disagreement
 from insemu.gap import singular as _singular  # noqa: F401 (registers its candidates)
 from insemu.gap.band import Band
-from insemu.gap.candidates import CANDIDATES, AxisState, Weighed, state_of
+from insemu.gap.candidates import CANDIDATES, AxisState, Weighed, state_of, turn_on_bias
 from insemu.gap.evidence import Explanation, Likelihood, fit
+from insemu.gap.known import settled, starting_explanation
 from insemu.gap.reduced import Reduced, reduce
-from insemu.gap.verdict import GapReport, Interval, Member, Step, VerdictName, Where
+from insemu.gap.verdict import GapReport, Interval, Member, Step, Value, VerdictName, Where
 from insemu.noise import DR, SIN, NoiseModel, Process
 from insemu.records import Series
 
@@ -36,7 +38,12 @@ OMNIBUS = 0.002
 #: Share of the log on which effects are named for the held-out figures.
 NAMING_SHARE = 2.0 / 3.0
 MOST_STEPS = 8
+#: p-value of a stationary spectrum below which no stationary process is looked for in the fast band any more.
+DRIFTING = 1e-6
+VARYING = "vibration that changes with time"
 
+#: Effects whose shape in time is known.
+KNOWN_SHAPES = frozenset({"temperature", "ramp"})
 #: Candidates that describe the same effect of the catalogue.
 _EFFECT_OF = {"quantization_output": "quantization"}
 _SENSORS = {"gyro": "gyro", "accel": "accel"}
@@ -102,56 +109,139 @@ def search(
             break
         if best is None or best.gain < threshold:
             break
+        new = _of_known_shape(state, ranked, threshold, without) or Found(best, tuple(ranked), _confidence(ranked))
         if progress:
-            progress(f"{state.data.name}: {best.effect} {best.gain:.1f} nats")
-        found.append(Found(best, tuple(ranked), _confidence(ranked)))
-        state = best.state
-        if best.effect in ("vibration_band", "vibration_line") and disagreement.drifting_spectrum(state) < 1e-6:
+            progress(f"{state.data.name}: {new.chosen.effect} {new.chosen.gain:.1f} nats")
+        found.append(new)
+        state = new.chosen.state
+        untidy = any(w.effect in _UNTIDY and w.gain > threshold for w in ranked)
+        fast = new.chosen.effect in _FAST and new.chosen.variant != "output counts"
+        if fast and not untidy and disagreement.drifting_spectrum(state) < DRIFTING:
             # no stationary process explains it, and more of them would only chase it; what is slow can still be told
-            outsider = "vibration that changes with time"
-            without = (*without, *_FAST, "outliers", "telegraph", "dropped_samples")
+            outsider = VARYING
+            without = (*without, *_FAST, *_UNTIDY)
             excluded = False
-        if len(found) > 1:
+            state = tempered(state)
+        elif state.data.weight is not None:
+            state = tempered(state)  # what was missing there is explained now
+        if len(found) > 1 and not _taken_out(new.chosen):
             state, found = _reconsider(state, found, without)
+    if "turn_on_bias" not in without:
+        for w in turn_on_bias(state):
+            if w.gain >= threshold:
+                found.append(Found(w, (w,), _confidence((w,))))
+                state = w.state
     return AxisResult(start, state, tuple(found), outsider)
 
 
+def _of_known_shape(
+    state: AxisState, ranked: Sequence[Weighed], threshold: float, without: Collection[str]
+) -> Found | None:
+    """An effect of known shape (temperature, ramp) that is worth adding although a slow process alone would explain more.
+
+    A random walk follows any slow signal, so where both are there it comes first by evidence. The shape is real where it is worth its
+    parameters even beside the process, which is asked here; its gain is then what it explains alone, and its rivals keep their distance beside
+    the process.
+    """
+    best = ranked[0]
+    if best.effect not in _SLOW or best.effect in KNOWN_SHAPES:
+        return None
+    for w in ranked:
+        if w.effect not in KNOWN_SHAPES or w.gain < threshold:
+            continue
+        beside = weigh_all(best.state, without)
+        own = next((v for v in beside if v.effect == w.effect), None)
+        if own is not None and own.gain > threshold:
+            shift = w.gain - own.gain
+            # the shape that holds beside the process, fitted without it: the process follows as a step of its own
+            alone = [v for v in CANDIDATES[w.effect](state) if v.variant == own.variant]
+            chosen = alone[0] if alone else w
+            moved = tuple(replace(v, gain=v.gain + shift) for v in beside if v.effect != w.effect)
+            ordered = sorted((replace(chosen, gain=w.gain), *moved), key=lambda v: -v.gain)
+            return Found(replace(chosen, gain=w.gain), tuple(ordered), _confidence(ordered))
+    return None
+
+
+def tempered(state: AxisState) -> AxisState:
+    """Bins count only as far as the explanation describes the spectrum there: a fast band that no model fits must not bend the slow one.
+
+    The weight is the inverse of the squared misfit in standard deviations, averaged over half an octave either way. Parameters change the
+    weights and the weights the parameters, so it is done again after every effect that is added.
+    """
+    data = state.data
+    if not data.f.size:
+        return state
+    z2 = data.dof / 2.0 * (data.power / state.explanation.psd(data.f, data.dt) - 1.0) ** 2
+    octave = np.log2(data.f)
+    misfit = np.array([float(np.mean(z2[np.abs(octave - o) <= 0.5])) for o in octave])
+    weight = 1.0 / np.maximum(misfit, 1.0)
+    tempered = replace(data, weight=weight)
+    return replace(state, data=tempered, fitted=fit(Likelihood(tempered), state.explanation), memory={})
+
+
 def _reconsider(state: AxisState, found: list[Found], without: Collection[str]) -> tuple[AxisState, list[Found]]:
-    """Try to drop or to replace each earlier effect now that later ones are known."""
+    """Try to drop or to replace each earlier effect now that later ones are known; each keeps the gain with which it entered."""
+    seen: dict[str, int] = {}
     for f in list(found[:-1]):
         effect = f.chosen.effect
-        rest = _without(state.explanation, effect)
+        occurrence = seen.get(effect, 0)
+        seen[effect] = occurrence + 1
+        slow = is_slow(f.chosen, state.data)
+        if effect in without or slow != is_slow(found[-1].chosen, state.data):
+            continue  # no more looked for, or of another band than what was added
+        rest = _without(state.explanation, effect, occurrence)
         if rest is None:
             continue  # it was taken out of the samples: nothing to reconsider
         names = list(state.named)
         names.remove(effect)
         base = replace(state, fitted=fit(Likelihood(state.data), rest), named=tuple(names), memory={})
-        ranked = [w for w in weigh_all(base, without) if w.gain > -LEAD]
+        others = _FAST | _UNTIDY - {"telegraph"} if slow else (_SLOW | KNOWN_SHAPES) - {"gauss_markov"}
+        rivals = weigh_all(base, (*without, *others - {effect}))
+        ranked = [w for w in rivals if w.gain > -LEAD and is_slow(w, state.data) == slow]
         kept = next((w for w in ranked if w.effect == effect), None)
         own = max(state.fitted.evidence - base.fitted.evidence, kept.gain if kept else -math.inf)
+        # gains beside the others become gains at entry
+        shift = f.chosen.gain - own
+        moved = tuple(replace(w, gain=w.gain + shift) for w in ranked if w.effect != effect)
         if own < 0.0 and (not ranked or ranked[0].gain < LEAD):
             found = [g for g in found if g is not f]
             state = base
+            seen[effect] -= 1
         elif ranked and ranked[0].effect != effect and ranked[0].gain > own + 0.5 and not _taken_out(ranked[0]):
-            swapped = Found(ranked[0], tuple(ranked), _confidence(ranked))
-            found = [swapped if g is f else g for g in found]
+            swapped = replace(ranked[0], gain=ranked[0].gain + shift)
+            order = tuple(sorted((replace(f.chosen, gain=own + shift), *moved), key=lambda w: -w.gain))
+            found = [Found(swapped, order, _confidence(order)) if g is f else g for g in found]
             state = ranked[0].state
-        elif kept is not None:
+            seen[effect] -= 1
+        else:
             # same name, but ranked against its rivals with the other effects in place
-            fresh = Found(replace(kept, gain=own), tuple(ranked), _confidence(ranked))
-            found = [fresh if g is f else g for g in found]
+            fresh = replace(kept, gain=own + shift) if kept is not None else f.chosen
+            order = tuple(sorted((fresh, *moved), key=lambda w: -w.gain))
+            found = [Found(fresh, order, _confidence(order)) if g is f else g for g in found]
     return state, found
 
 
+def is_slow(w: Weighed, data: Reduced) -> bool:
+    """Whether an effect lives in the block means rather than in the spectrum above them."""
+    if w.effect == "gauss_markov":
+        beta = next((v.value for v in w.values if v.name == "beta"), 0.0)
+        return bool(beta * data.block_s < 3.0)
+    return w.effect in _SLOW or w.effect in KNOWN_SHAPES
+
+
 def _taken_out(w: Weighed) -> bool:
-    return w.effect in ("vibration_line", "outliers", "telegraph", "dropped_samples", "quantization")
+    if w.effect == "telegraph":
+        return w.variant == "levels"
+    return w.effect in ("vibration_line", "outliers", "dropped_samples", "saturation", "quantization")
 
 
-def _without(explanation: Explanation, effect: str) -> Explanation | None:
-    """The explanation less one effect, or ``None`` where the effect is no part of it."""
+def _without(explanation: Explanation, effect: str, occurrence: int = 0) -> Explanation | None:
+    """The explanation less one effect (of several processes that one brought in, the given one), or ``None`` where it is no part of it."""
     if effect == "white_noise":
         return None  # a level is not dropped; it would leave no noise at all
-    components = tuple(c for c in explanation.components if c.effect != effect)
+    mine = [c for c in explanation.components if c.effect == effect]
+    dropped = mine[min(occurrence, len(mine) - 1)] if mine else None
+    components = tuple(c for c in explanation.components if c is not dropped)
     regressors = tuple(r for r in explanation.regressors if r.effect != effect)
     rolloff = None if explanation.rolloff is not None and explanation.rolloff.effect == effect else explanation.rolloff
     smaller = Explanation(components, rolloff, regressors)
@@ -277,11 +367,13 @@ def find_static_gap(
     *,
     rng: np.random.Generator,
     temperature: Array | None = None,
+    missing: NDArray[np.bool_] | None = None,
     threshold: float = THRESHOLD,
     without: Collection[str] = (),
     hold_out: bool = True,
     source: str = "recording",
     progress: Callable[[str], None] | None = None,
+    known: Mapping[str, Sequence[EffectUse]] | None = None,
 ) -> GapReport:
     """Find what a static log has that the believed noise models lack.
 
@@ -295,12 +387,16 @@ def find_static_gap(
         For the simulated logs of the map of disagreement.
     temperature : (n,) array, optional
         degC at the samples.
+    missing : (n,) array of bool, optional
+        Samples that the time stamps skip and that were filled in.
     threshold : float
         Nats that an effect must be worth.
     without : collection of str
         Effects taken out of the catalogue.
     hold_out : bool
         Whether to name effects a second time on the first two thirds alone and score them on the last.
+    known : mapping of axis to sequence of EffectUse, optional
+        Low-pass and rounding that are known and not asked for.
 
     Raises
     ------
@@ -309,33 +405,43 @@ def find_static_gap(
     """
     _check(log, beliefs, temperature)
     say = progress or (lambda _: None)
-    nominal = {s.name: Explanation.nominal(beliefs[s.name]) for s in log}
+    known = known or {}
+    nominal = {s.name: starting_explanation(beliefs[s.name], known.get(s.name, ()), s.dt) for s in log}
+    named_before = {s.name: settled(known.get(s.name, ())) for s in log}
     results: dict[str, AxisResult] = {}
     held: dict[str, HeldOut] = {}
     for s in log:
         say(f"{s.name}: weighing candidates")
         data = reduce(s)
         results[s.name] = search(
-            state_of(data, nominal[s.name], temperature), threshold=threshold, without=without, progress=progress
+            state_of(data, nominal[s.name], temperature, named_before[s.name]),
+            threshold=threshold,
+            without=without,
+            progress=progress,
         )
         if hold_out:
             say(f"{s.name}: scoring on held-out data")
             cut = int(len(s) * NAMING_SHARE) // data.block * data.block
             part = _piece(data, 0, cut)
             T1, T2 = (None, None) if temperature is None else (temperature[:cut], temperature[cut:])
-            named = search(state_of(part, nominal[s.name], T1), threshold=threshold, without=without)
+            named = search(
+                state_of(part, nominal[s.name], T1, named_before[s.name]), threshold=threshold, without=without
+            )
             held[s.name] = held_out(named, nominal[s.name], _piece(data, cut, len(s)), T2)
     before = _map(results, rng, nominal, refined=False)
     after = _map(results, rng, nominal, refined=True)
     steps = merged_steps(results)
-    unexplained = any(w.p_value < OMNIBUS for w in after) or any(r.outsider for r in results.values())
+    if missing is not None and "dropped_samples" not in without:
+        steps = tuple(sorted((*steps, *gaps_of(missing)), key=lambda s: -s.gain_nats))
+    failed = [w for w in after if w.p_value < OMNIBUS]
+    outsiders = {split_axis(name): r.outsider for name, r in results.items() if r.outsider}
+    shaken = [is_shaken(s, failed, outsiders) for s in steps]
+    steps = tuple(replace(s, confidence=min(s.confidence, 0.5)) if x else s for s, x in zip(steps, shaken, strict=True))
     verdict: VerdictName = "nothing missing"
-    if unexplained:
-        verdict = "unexplained"
-    elif steps:
+    if steps and not shaken[0]:
         verdict = "class" if steps[0].is_class else "named"
-    if unexplained:
-        steps = tuple(replace(s, confidence=min(s.confidence, 0.5)) for s in steps)
+    elif failed or outsiders:
+        verdict = "unexplained"
     nothing = Interval(math.nan, math.nan, math.nan)
     gains = nothing
     if held:
@@ -356,7 +462,60 @@ def find_static_gap(
         threshold,
         source,
         {name: _curves(r, nominal[name], rng) for name, r in results.items()},
+        remainder(failed, outsiders),
     )
+
+
+#: Tests of the fast band; all others look at block means.
+_FAST_TESTS = frozenset({"spectrum", "stationarity", "noise level over time", "tails"})
+#: Effects that are read off the samples or go with a signal that was recorded beside them: nothing unexplained can stand in for them.
+_PLAIN = frozenset({"temperature", "dropped_samples", "saturation", "turn_on_bias"})
+
+
+def is_shaken(step: Step, failed: Sequence[Where], outsiders: Mapping[tuple[str, str], str]) -> bool:
+    """Whether something that no candidate explains sits where a step was named: the same axis, the same band."""
+    if step.effect in _PLAIN or step.variant == "output counts":
+        return False
+    axes = {(step.sensor, a) for a in step.axes or ("",)}
+    fast = step.effect in _FAST or step.effect in _UNTIDY - {"telegraph"}
+    for place, what in outsiders.items():
+        if place in axes and (fast or what != VARYING):
+            return True
+    for w in failed:
+        if (w.sensor, w.axis) not in axes or w.statistic.startswith("cross_axis"):
+            continue
+        if fast == (w.statistic in _FAST_TESTS):
+            return True
+    return False
+
+
+def remainder(failed: Sequence[Where], outsiders: Mapping[tuple[str, str], str]) -> str:
+    """What is left unexplained, in words; empty where nothing is."""
+    parts = [f"{what} on {' '.join(place).strip()}" for place, what in outsiders.items()]
+    for w in failed:
+        scale = f" at {w.scale_s:.3g} s" if w.scale_s is not None else ""
+        parts.append(f"{w.statistic}{scale} on {w.sensor} {w.axis} (p {w.p_value:.1g})".replace("  ", " "))
+    return "; ".join(parts)
+
+
+def gaps_of(missing: NDArray[np.bool_]) -> tuple[Step, ...]:
+    """Samples that the stamps skip, as a step: share of samples that start a gap, mean length of a gap."""
+    lost = int(missing.sum())
+    if not lost:
+        return ()
+    bursts = int(np.sum(missing[1:] & ~missing[:-1])) + int(missing[0])
+    share, length = bursts / missing.size, lost / bursts
+    sd = 1.0 / math.sqrt(bursts)
+    values = (
+        Value("probability", share, share * math.exp(-1.96 * sd), share * math.exp(1.96 * sd), "1"),
+        Value("burst", length, max(1.0, length * (1.0 - 1.96 * sd)), length * (1.0 + 1.96 * sd), "1"),
+    )
+    # every gap is seen in the stamps; against stamps that skip once in the whole log by accident
+    gain = bursts * max(math.log(share * missing.size), 0.0) + 1.0
+    if gain < THRESHOLD:
+        return ()
+    own = Member("dropped_samples", "imu", (), gain)
+    return (Step("dropped_samples", "time stamps", "imu", (), values, 1.0, gain, (own,)),)
 
 
 def _check(log: Sequence[Series], beliefs: Mapping[str, NoiseModel], temperature: Array | None) -> None:
@@ -390,7 +549,7 @@ def refined_model(result: AxisResult) -> NoiseModel:
             processes.append(SIN(given["amplitude"], given["frequency"]))
         elif f.chosen.effect == "ramp":
             processes.append(DR(given["R"]))
-        elif f.chosen.effect == "telegraph":
+        elif f.chosen.effect == "telegraph" and f.chosen.variant == "levels":
             # the second-order twin: what a linear filter can carry of it
             from insemu.noise import GM
 
@@ -443,6 +602,8 @@ def _curves(result: AxisResult, nominal: Explanation, rng: np.random.Generator) 
 #: What would tell effects of a class apart.
 _SLOW = frozenset({"random_walk", "gauss_markov", "flicker", "ramp", "telegraph"})
 _FAST = frozenset({"quantization", "vibration_band", "vibration_line", "decimation_filter", "white_noise"})
+#: What disturbs single samples or pieces of a log.
+_UNTIDY = frozenset({"outliers", "telegraph", "dropped_samples", "saturation"})
 
 
 def would_separate(effects: Collection[str], duration_s: float) -> str:
@@ -465,15 +626,30 @@ def _hours(seconds: float) -> str:
     return f"{seconds / 3600.0:.3g} h" if seconds >= 3600.0 else f"{seconds / 60.0:.3g} min"
 
 
+def _shapes(items: Sequence[tuple[str, Found, AxisResult]]) -> str:
+    """Shape of an effect; where axes differ, with the axes of each."""
+    by_shape: dict[str, list[str]] = {}
+    for axis, f, _ in items:
+        by_shape.setdefault(f.chosen.variant, []).append(axis)
+    if len(by_shape) == 1:
+        return next(iter(by_shape))
+    return ", ".join(f"{shape or 'plain'} ({' '.join(axes)})" for shape, axes in by_shape.items())
+
+
 def merged_steps(results: Mapping[str, AxisResult]) -> tuple[Step, ...]:
-    """Steps of all axes; the same effect on several axes of a sensor is one step, with a parameter set per axis."""
-    groups: dict[tuple[str, str], list[tuple[str, Found, AxisResult]]] = {}
+    """Steps of all axes; the same effect on several axes of a sensor is one step, with a parameter set per axis.
+
+    A second process of the same kind on an axis is a step of its own.
+    """
+    groups: dict[tuple[str, str, int], list[tuple[str, Found, AxisResult]]] = {}
     for name, r in results.items():
         sensor, axis = split_axis(name)
+        seen: dict[str, int] = {}
         for f in r.found:
-            groups.setdefault((f.chosen.effect, sensor), []).append((axis, f, r))
+            occurrence = seen[f.chosen.effect] = seen.get(f.chosen.effect, 0) + 1
+            groups.setdefault((f.chosen.effect, sensor, occurrence), []).append((axis, f, r))
     steps = []
-    for (effect, sensor), items in groups.items():
+    for (effect, sensor, _), items in groups.items():
         axes = tuple(dict.fromkeys(a for a, _, _ in items if a))
         total = sum(f.chosen.gain for _, f, _ in items)
         values = tuple(
@@ -498,7 +674,7 @@ def merged_steps(results: Mapping[str, AxisResult]) -> tuple[Step, ...]:
         duration = items[0][2].start.data.duration_s
         steps.append(
             Step(
-                effect, items[0][1].chosen.variant, sensor, axes, values, confidence, total, members,
+                effect, _shapes(items), sensor, axes, values, confidence, total, members,
                 would_separate([m.effect for m in members], duration), others,
             )
         )  # fmt: skip

@@ -151,6 +151,8 @@ class GapReport:
         What was believed.
     threshold_nats : float
         Evidence that an effect had to exceed.
+    remainder : str
+        What is left unexplained beside the steps, in words; empty where nothing is.
     """
 
     verdict: VerdictName
@@ -165,6 +167,7 @@ class GapReport:
     threshold_nats: float = 3.0
     source: str = "recording"
     curves: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
+    remainder: str = ""
 
     def to_json(self) -> dict[str, Any]:
         """The stable machine-readable face."""
@@ -178,4 +181,5 @@ class GapReport:
             "where_after": [w.to_json() for w in self.after],
             "threshold_nats": self.threshold_nats,
             "source": self.source,
+            "remainder": self.remainder,
         }
