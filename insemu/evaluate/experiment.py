@@ -38,8 +38,9 @@ from insemu.filters import (
     NavigationFilter,
     smooth,
 )
+from insemu.filters.protocol import FilterParts, check_result, user_filter_code
 from insemu.fit import FitResult, fit
-from insemu.noise import ARMA, NoiseModel, axis_unit, load
+from insemu.noise import ARMA, NoiseModel, NotStationary, axis_unit, load
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Series
 from insemu.scenario import AxisSource, Scenario, digest
 from insemu.strapdown import NavState, trajectory_of
@@ -78,11 +79,17 @@ class Experiment:
     def __init__(self, scenario: Scenario, file: str | Path | None = None) -> None:
         self.scenario = scenario
         self.file = file
+        if not scenario.designs:
+            raise InputError("the key 'designs' is missing: there is nothing to fly", where=str(file or "scenario"))
         self.world: World | RecordedWorld = (
             RecordedWorld(scenario, file) if scenario.recording is not None else World(scenario, file)
         )
-        self.digest = digest(scenario, self.world.files)
+        code = [file for d in scenario.designs.values() if d.filter for file in user_filter_code(d.filter).items()]
+        self.digest = digest(scenario, {**self.world.files, **dict(code)})
         _ = self.world.outage_windows  # what is wrong with them is said before anything is flown
+        for name, design in scenario.designs.items():
+            if not any(isinstance(source, AxisSource) and source.fit for source in design.sources().values()):
+                self._made(name, self._belief(name, {}))  # nor is a belief that no filter can carry
 
     @property
     def rate_hz(self) -> float:
@@ -114,33 +121,39 @@ class Experiment:
     def beliefs(self) -> dict[str, Belief]:
         """What every design believes, models fitted where the scenario says so."""
         done: dict[tuple[str, int], FitResult] = {}  # a log is fitted once per structure and method
-        out = {}
-        for name, design in self.scenario.designs.items():
-            models: dict[str, NoiseModel] = {}
-            fits: dict[str, FitResult] = {}
-            for axis, source in design.sources().items():
-                if isinstance(source, NoiseModel):
-                    models[axis] = source
-                elif source.truth:
-                    models[axis] = self._true_models()[axis]
-                elif source.file:
-                    models[axis] = self._from_file(source.file, axis)
-                else:
-                    assert source.fit is not None
-                    log = self.fit_logs[axis][0]
-                    key = (source.model_dump_json(), id(log))
-                    if key not in done:
-                        done[key] = self._fitted(name, log, source)
-                    fits[axis] = done[key]
-                    models[axis] = done[key].model
-                if isinstance(source, AxisSource) and source.stabilise:
-                    models[axis] = NoiseModel(tuple(p.stabilised() if isinstance(p, ARMA) else p for p in models[axis]))
-                tuning = design.options.tuning
-                factor = tuning.gyro if axis.startswith("gyro") else tuning.accel
-                if factor != 1.0:
-                    models[axis] = models[axis].scaled(factor)
-            out[name] = Belief({axis: m.at_rate(self.rate_hz) for axis, m in models.items()}, fits)
-        return out
+        return {name: self._belief(name, done) for name in self.scenario.designs}
+
+    def _belief(self, name: str, done: dict[tuple[str, int], FitResult]) -> Belief:
+        design = self.scenario.designs[name]
+        models: dict[str, NoiseModel] = {}
+        fits: dict[str, FitResult] = {}
+        for axis, source in design.sources().items():
+            if isinstance(source, NoiseModel):
+                models[axis] = source
+            elif source.truth:
+                models[axis] = self._true_models()[axis]
+            elif source.file:
+                models[axis] = self._from_file(source.file, axis)
+            elif source.model is not None:
+                models[axis] = NoiseModel.from_list(source.model, axis_unit(axis))
+            else:
+                assert source.fit is not None
+                log = self.fit_logs[axis][0]
+                key = (source.model_dump_json(), id(log))
+                if key not in done:
+                    done[key] = self._fitted(name, log, source)
+                fits[axis] = done[key]
+                models[axis] = done[key].model
+            if isinstance(source, AxisSource) and source.stabilise:
+                radius = {} if source.stabilise is True else {"radius": float(source.stabilise)}
+                models[axis] = NoiseModel(
+                    tuple(p.stabilised(**radius) if isinstance(p, ARMA) else p for p in models[axis])
+                )
+            tuning = design.options.tuning
+            factor = tuning.gyro if axis.startswith("gyro") else tuning.accel
+            if factor != 1.0:
+                models[axis] = models[axis].scaled(factor)
+        return Belief({axis: m.at_rate(self.rate_hz) for axis, m in models.items()}, fits)
 
     def _true_models(self) -> dict[str, NoiseModel]:
         return self.scenario.truth.models() if self.scenario.truth is not None else {}
@@ -163,14 +176,43 @@ class Experiment:
             raise InputError(f"no model for {axis}, expected one of: {', '.join(models)}", where=name)
         return models[axis]
 
-    def filter(self, design: str, *, output_every: int = 1, covariance_at: Array | None = None) -> LooselyCoupledEKF:
-        """The filter of one design."""
-        gnss, options = self.scenario.gnss, self.scenario.designs[design].options
+    def filter(
+        self, design: str, *, output_every: int = 1, covariance_at: Array | None = None
+    ) -> LooselyCoupledEKF | NavigationFilter:
+        """The filter of one design: insemu's own, or the one that an installed package offers under the name that the design gives."""
+        return self._made(design, self.beliefs[design], output_every=output_every, covariance_at=covariance_at)
+
+    def ekf(self, design: str) -> LooselyCoupledEKF:
+        """The filter of a design of insemu's own.
+
+        Raises
+        ------
+        InputError
+            The design names a user's filter.
+        """
+        made = self.filter(design)
+        if not isinstance(made, LooselyCoupledEKF):
+            name = self.scenario.designs[design].filter
+            raise InputError(
+                f"the design '{design}' is the user's filter '{name}', expected one of insemu's own",
+                where=str(self.file or "scenario"),
+            )
+        return made
+
+    def altered(self, design: str, parts: FilterParts) -> FilterParts:
+        """What a filter is made of, as it is used; for experiments that change it (:mod:`insemu.evaluate.regression`)."""
+        return parts
+
+    def _made(
+        self, design: str, belief: Belief, *, output_every: int = 1, covariance_at: Array | None = None
+    ) -> LooselyCoupledEKF | NavigationFilter:
+        gnss, chosen = self.scenario.gnss, self.scenario.designs[design]
+        options = chosen.options
         sigma = np.array(gnss.position_sigma) * options.tuning.position
         velocity = np.array(gnss.velocity_sigma or (np.nan,) * 3) * options.tuning.velocity
-        return LooselyCoupledEKF(
-            self.beliefs[design].models,
-            1.0 / self.rate_hz,
+        parts = FilterParts(
+            belief=belief.models,
+            dt=1.0 / self.rate_hz,
             lever_arm=lever_arm_of(options.known_effects(), gnss.lever_arm),
             gravity=self.world.gravity,
             gnss_sigma=(sigma, velocity),
@@ -184,6 +226,14 @@ class Experiment:
                 store="fixes" if self.scenario.smoother else "none",
             ),
         )
+        try:
+            parts = self.altered(design, parts)
+            return parts.own() if chosen.filter is None else parts.user(chosen.filter, chosen.settings)
+        except InputError as error:
+            hint = ""
+            if isinstance(error, NotStationary):
+                hint = "; to take it write {model: [...], stabilise: true}, or the largest modulus of a pole instead of true"
+            raise InputError(f"{error}{hint}", where=f"{self.file or 'scenario'}: designs.{design}") from None
 
     def realization(self, index: int) -> dict[str, Array]:
         """Fly every design through one realization.
@@ -207,6 +257,8 @@ class Experiment:
             times = known.imu.t[rows]
             ekf = self.filter(name, covariance_at=times)
             run = ekf.run(self._prefiltered(name, known.imu), self._believed(name, known.gnss), start, start_sigma)
+            if (users := self.scenario.designs[name].filter) is not None:
+                check_result(users, run, times, smoother=self.scenario.smoother)
             found = asdict(self.world.score(Estimate.of_filter(run, times), times))
             if self.scenario.smoother:
                 smoothed = self.world.score(Estimate.of_smoother(smooth(run), times), times)
@@ -222,6 +274,7 @@ class Experiment:
                 "lag_count": lag_count,
                 "epochs": run.epochs,
                 "seconds": run.seconds,
+                "state_names": "\n".join(run.layout.names),
             }
             for key, value in found.items():
                 out.setdefault(key, []).append(value)
@@ -323,6 +376,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         "python": platform.python_version(),
         "packages": {name: metadata.version(name) for name in packages},
         "ideal_imu_distance_m": experiment.world.path_distance_m,
+        "warnings": list(experiment.world.warnings),
         "beliefs": {
             name: {axis: m.to_list(axis_unit(axis)) for axis, m in b.models.items()}
             for name, b in experiment.beliefs.items()
@@ -373,7 +427,10 @@ def run_experiment(
     todo = [r for r in range(total) if r not in items]
     if todo:
         progress(len(items), total, "preparing")
-        _ = experiment.beliefs  # fits are made once, before the threads
+        for (
+            name
+        ) in experiment.beliefs:  # fits are made once, before the threads, and whatever is wrong with them is said
+            experiment.filter(name)
     progress(len(items), total, "flying")
     own = executor is None
     pool = executor if executor is not None else ThreadPoolExecutor(max_workers=max(1, workers))
@@ -387,14 +444,14 @@ def run_experiment(
     finally:
         if own:
             pool.shutdown(wait=True, cancel_futures=True)
-    stacked = {name: np.stack([items[r][name] for r in range(total)], axis=1) for name in items[0]}
+    stacked = {key: np.stack([items[r][key] for r in range(total)], axis=1) for key in items[0]}
     smoothed = None
     if s.smoother:
         smoothed = Smoothed(*(stacked[f"smoothed_{key}"] for key in ("error", "sigma", "nees")))
-    designs = {
-        name: DesignInfo(layout.n, tuple(layout.names), experiment.beliefs[name].models)
-        for name, layout in ((name, experiment.filter(name).layout) for name in experiment.beliefs)
-    }
+    designs = {}
+    for name, joined in zip(experiment.beliefs, items[0]["state_names"], strict=True):
+        states = tuple(str(joined).split("\n"))
+        designs[name] = DesignInfo(len(states), states, experiment.beliefs[name].models)
     timing = {
         "filter_epochs": int(sum(int(items[r]["epochs"].sum()) for r in range(total))),
         "filter_seconds": float(sum(float(items[r]["seconds"].sum()) for r in range(total))),

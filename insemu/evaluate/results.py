@@ -30,6 +30,10 @@ from insemu.records import AXES, Trajectory
 Array = NDArray[np.float64]
 
 
+#: Figures of an outage that are taken while it lasts.
+DURING = ("planimetric_mean_m", "planimetric_max_m", "north_max_m", "east_max_m", "down_max_m")
+
+
 @dataclass(frozen=True)
 class DesignInfo:
     """What a design carries."""
@@ -248,18 +252,17 @@ def outage_table(results: Results) -> dict[str, list[dict[str, Any]]]:
             inside = within_outage(results.t, start, duration)
             end = results.end_index(k)
             error, sigma = results.error[d], results.sigma[d]
-            horizontal = np.hypot(error[..., 0], error[..., 1])
-            at_end = bootstrap_mean(horizontal[:, end])
+            at_end_runs = _runs(results, name, k, "planimetric_end_m")
+            at_end = bootstrap_mean(at_end_runs)
             row = {
                 "start_s": start,
                 "duration_s": duration,
                 "planimetric_end_m": {
                     "mean": at_end.mean,
                     "ci95": [at_end.low, at_end.high],
-                    "per_realization": horizontal[:, end].tolist(),
+                    "per_realization": at_end_runs.tolist(),
                 },
-                "planimetric_mean_m": float(horizontal[:, inside].mean()) if inside.any() else 0.0,
-                "planimetric_max_m": float(horizontal[:, inside].max(axis=1).mean()) if inside.any() else 0.0,
+                **{f: float(_runs(results, name, k, f).mean()) for f in DURING},
                 "altimetric_end_m": float(np.abs(error[:, end, 2]).mean()),
                 "predicted_sigma_end_m": float(np.sqrt((sigma[:, end, :2] ** 2).sum(axis=1).mean())),
                 "velocity_end_m_s": float(np.linalg.norm(error[:, end, 3:6], axis=1).mean()),
@@ -267,9 +270,6 @@ def outage_table(results: Results) -> dict[str, list[dict[str, Any]]]:
                 "coverage_3sigma": _coverage(error[:, inside], sigma[:, inside]),
                 "nees_per_dof": float(results.nees[d][:, inside].mean() / 9.0) if inside.any() else float("nan"),
             }
-            for axis, component in (("north", 0), ("east", 1), ("down", 2)):
-                largest = np.abs(error[:, inside, component]).max(axis=1) if inside.any() else np.zeros(1)
-                row[f"{axis}_max_m"] = float(largest.mean())
             if results.smoothed is not None:
                 row["smoothed"] = _smoothed_row(results, d, k)
             rows.append(row)
@@ -349,6 +349,48 @@ def rank_agreement(results: Results, figure: str | None = None) -> list[float]:
         if len(ours) >= 3:
             taus.append(kendall(ours, theirs))
     return taus
+
+
+def single_run_agreement(results: Results, figure: str | None = None) -> Array:
+    """How well one run knows the order: Kendall's tau between its ranking of the published designs and that of the other runs' means.
+
+    Parameters
+    ----------
+    results : Results
+    figure : str, optional
+        A published figure; the first unless given.
+
+    Returns
+    -------
+    (outages * realizations,) array
+        Empty for fewer than three designs or two realizations. What one drive of a paper can show at best.
+    """
+    figure = figure or results.headline_figure
+    names = [name for name in results.published.get(figure, {}) if name in results.designs]
+    if len(names) < 3 or results.realizations < 2:
+        return np.zeros(0)
+    taus = []
+    for k in range(len(results.outages)):
+        values = np.stack([_runs(results, name, k, figure) for name in names])
+        total = values.sum(axis=1)
+        taus += [kendall(list(v), list(total - v)) for v in values.T]
+    return np.array([tau for tau in taus if not np.isnan(tau)])
+
+
+def _runs(results: Results, design: str, outage: int, figure: str) -> Array:
+    """A figure of one outage, run by run."""
+    error = results.error[results.names.index(design)]
+    if figure == "planimetric_end_m":
+        at = results.end_index(outage)
+        return np.hypot(error[:, at, 0], error[:, at, 1])
+    inside = error[:, within_outage(results.t, *results.outages[outage])]
+    if not inside.size:
+        return np.zeros(len(error))
+    if figure.startswith("planimetric"):
+        horizontal = np.hypot(inside[..., 0], inside[..., 1])
+        return np.asarray(horizontal.mean(axis=1) if figure == "planimetric_mean_m" else horizontal.max(axis=1))
+    component = ("north_max_m", "east_max_m", "down_max_m").index(figure)
+    return np.asarray(np.abs(inside[..., component]).max(axis=1))
 
 
 #: What the sensor blocks are called in words.

@@ -15,12 +15,12 @@ from insemu.filters.expanded import (
     advance_transition,
     fill_map,
     gather,
+    middle,
     predict,
     reset_transition,
     scatter,
 )
 from insemu.filters.measurements import FIX, fill_fix, fill_standstill, first_bad_pivot, take_off, update
-from insemu.rotation import scalar_dcm
 from insemu.strapdown import fill_dynamics, step
 
 Array = NDArray[np.float64]
@@ -187,14 +187,7 @@ def run(
                     dth1[i], dv1[i], rate1[i] = dth[i], dv[i], rate[i]
             for i in range(10):
                 nav_before[i] = nav[i]
-            scalar_dcm(nav[6:10], C)
-            # attitude and specific force at the middle of the step
-            hx, hy, hz = 0.5 * dth[0], 0.5 * dth[1], 0.5 * dth[2]
-            for i in range(3):
-                mid[i, 0] = C[i, 0] + C[i, 1] * hz - C[i, 2] * hy
-                mid[i, 1] = C[i, 1] + C[i, 2] * hx - C[i, 0] * hz
-                mid[i, 2] = C[i, 2] + C[i, 0] * hy - C[i, 1] * hx
-                f_n[i] = (mid[i, 0] * dv[0] + mid[i, 1] * dv[1] + mid[i, 2] * dv[2]) / dt
+            middle(nav[6:10], dth, dv, dt, C, mid, f_n)
             if every > 1:
                 # several steps as one: means over them, at the last state
                 span += dt

@@ -16,7 +16,7 @@ from insemu import earth, rotation
 from insemu.effects import CROSS, EFFECTS
 from insemu.filters import FilterResult
 from insemu.gap import kernel
-from insemu.records import GnssRecord, ImuRecord
+from insemu.records import ImuRecord
 
 Array = NDArray[np.float64]
 
@@ -200,14 +200,15 @@ class Loop:
     Parameters
     ----------
     result : FilterResult
-    white : (f, 6, 6) array
-        Inverse Cholesky factors of the innovation covariances, zero rows for missing components.
+    lower, white : (f, 6, 6) arrays
+        Cholesky factors of the innovation covariances and their inverses, zero rows for missing components.
     y : (6 f,) array
         Whitened innovations, zero where missing.
     use : (f, 6) array of bool
     """
 
     result: FilterResult
+    lower: Array
     white: Array
     y: Array
     use: NDArray[np.bool_]
@@ -218,19 +219,22 @@ class Loop:
         fixes = result.fixes
         f = len(fixes)
         use = np.isfinite(fixes.innovation) & fixes.accepted[:, None]
-        white = np.zeros((f, 6, 6))
-        y = np.zeros((f, 6))
-        for k in range(f):
-            rows = np.flatnonzero(use[k])
-            if rows.size:
-                L = np.linalg.cholesky(fixes.S[k][np.ix_(rows, rows)])
-                inverse = np.linalg.inv(L)
-                white[k][np.ix_(rows, rows)] = inverse
-                y[k, rows] = inverse @ fixes.innovation[k, rows]
-        return cls(result, white, y.ravel(), use)
+        nu = np.where(use, np.nan_to_num(fixes.innovation), 0.0)
+        # missing components get a unit variance of their own and then no row
+        S = np.where(use[:, :, None] & use[:, None, :], np.nan_to_num(fixes.S), 0.0)
+        S[:, np.arange(6), np.arange(6)] += ~use
+        lower = np.linalg.cholesky(S) if f else np.zeros((0, 6, 6))
+        white = np.where(use[:, :, None], np.linalg.inv(lower), 0.0)
+        return cls(
+            result, np.where(use[:, :, None], lower, 0.0), white, np.einsum("kij,kj->ki", white, nu).ravel(), use
+        )
+
+    def until(self, count: int) -> Loop:
+        """The first ``count`` fixes, for what looks at innovations only."""
+        return Loop(self.result, self.lower[:count], self.white[:count], self.y[: 6 * count], self.use[:count])
 
     def respond(self, D: Array, M: Array | None) -> Array:
-        """Whitened response of the innovations.
+        """Response of the innovations.
 
         Parameters
         ----------
@@ -241,34 +245,39 @@ class Loop:
 
         Returns
         -------
-        (6 f, columns) array
+        (f, 6, columns) array
+            Zero where a component is missing.
         """
         nodes, fixes = self.result.nodes, self.result.fixes
         assert nodes is not None and fixes.K is not None and fixes.H is not None
         n, columns = self.result.layout.n, D.shape[1]
         e = np.zeros((n, columns))
         out = np.zeros((len(fixes), 6, columns))
-        at = {int(epoch): [] for epoch in nodes.epoch}  # type: dict[int, list[int]]
-        for k, epoch in enumerate(fixes.epoch):
-            at[int(epoch)].append(k)
+        H = np.where(self.use[:, :, None], np.nan_to_num(fixes.H), 0.0)
+        K = np.where(self.use[:, None, :], np.nan_to_num(fixes.K), 0.0)
+        D = np.transpose(D, (0, 2, 1))
+        k = 0
         for i, epoch in enumerate(nodes.epoch):
             if i:
                 e = nodes.Phi[i] @ e
-                e[:9] += D[i].T
-            for k in at[int(epoch)]:
-                if not fixes.accepted[k] or not self.use[k].any():
-                    continue
-                rows = self.use[k]
-                g = -fixes.H[k][rows] @ e
-                if M is not None:
-                    g += M[k][rows]
-                e = e + fixes.K[k][:, rows] @ g
-                out[k] = self.white[k][:, rows] @ g
-        return out.reshape(-1, columns)
+                e[:9] += D[i]
+            while k < len(fixes) and fixes.epoch[k] == epoch:
+                if self.use[k].any():
+                    g = -H[k] @ e
+                    if M is not None:
+                        g += np.where(self.use[k][:, None], M[k], 0.0)
+                    e = e + K[k] @ g
+                    out[k] = g
+                k += 1
+        return out
+
+    def whiten(self, raw: Array) -> Array:
+        """Whitened responses, (6 f, columns)."""
+        return np.asarray((self.white @ raw).reshape(-1, raw.shape[2]))
 
 
 def columns_response(loop: Loop, motion: Motion, columns: Sequence[Column]) -> tuple[Array, Array]:
-    """Whitened responses of unit columns, and the built-up errors of constants and ramps on each axis (for slow processes)."""
+    """Responses (f, 6, columns) of unit columns, and the built-up errors of constants and ramps on each axis (for slow processes)."""
     entries = [(j, axis, u) for j, c in enumerate(columns) for axis, u in c.inputs]
     nodes = loop.result.nodes
     assert nodes is not None
@@ -287,11 +296,11 @@ def columns_response(loop: Loop, motion: Motion, columns: Sequence[Column]) -> t
 
 
 def knot_response(loop: Loop, motion: Motion, ramp: Array, knots: Array) -> Array:
-    """Whitened responses of slow sensor errors: linear between knots (s), one column per axis and knot, axis by axis.
+    """Responses of slow sensor errors: linear between knots (s), one column per axis and knot, axis by axis.
 
     Returns
     -------
-    (6 f, 6 knots) array
+    (f, 6, 6 knots) array
     """
     nodes = loop.result.nodes
     assert nodes is not None
@@ -306,7 +315,7 @@ def knot_response(loop: Loop, motion: Motion, ramp: Array, knots: Array) -> Arra
 
 
 def fix_step_response(loop: Loop, starts: Array) -> Array:
-    """Whitened responses of unit steps in the position fixes from each start time on; north, east, down for each start."""
+    """Responses (f, 6, 3 starts) of unit steps in the position fixes from each start time on; north, east, down for each start."""
     fixes = loop.result.fixes
     M = np.zeros((len(fixes), 6, 3 * starts.size))
     for i, s in enumerate(starts):
@@ -315,11 +324,3 @@ def fix_step_response(loop: Loop, starts: Array) -> Array:
     nodes = loop.result.nodes
     assert nodes is not None
     return loop.respond(np.zeros((nodes.epoch.size, 3 * starts.size, 9)), M)
-
-
-def fixes_of(gnss: GnssRecord) -> Array:
-    """Times of the fixes that hold anything."""
-    some = np.isfinite(gnss.llh).any(axis=1)
-    if gnss.vel_ned is not None:
-        some = some | np.isfinite(gnss.vel_ned).any(axis=1)
-    return np.asarray(gnss.t[some])

@@ -412,8 +412,8 @@ def held_samples(state: AxisState) -> list[Weighed]:
 def saturation(state: AxisState) -> list[Weighed]:
     """Samples pile up at the largest or smallest value: clipped at the full scale.
 
-    A continuous signal never takes its extreme value twice. On a lattice of output counts the tails of a distribution fall off, so an outermost
-    count that is more frequent than the next one inside is the pile; its evidence is the Poisson ratio of the two.
+    A continuous signal never takes its extreme value twice. On a lattice of output counts the logarithm of the frequencies is concave, which
+    bounds the outermost from the next two inside; the evidence of a pile is its Poisson ratio to that bound.
     """
     if "saturation" in state.named or not state.data.differences.size:
         return []
@@ -429,8 +429,11 @@ def saturation(state: AxisState) -> list[Weighed]:
         width = 0.5 * step if step > 0.0 else 4.0 * resolution
         piled = int(np.sum(x > top - width))
         if step > 0.0:
-            inside = int(np.sum((x > top - 1.5 * step) & (x <= top - width)))
-            here = piled * math.log(piled / max(inside, 1)) - (piled - inside) if piled > max(inside, 1) else 0.0
+            one, two = (int(np.sum(np.abs(x - top + k * step) < width)) for k in (1, 2))
+            # a log-concave tail falls off faster and faster; two standard deviations of what is extrapolated are granted
+            most = one * min(1.0, one / max(two, 1)) if one else 1.0
+            most *= 1.0 + 2.0 * math.sqrt(4.0 / max(one, 1) + 1.0 / max(two, 1))
+            here = piled * math.log(piled / most) - (piled - most) if piled > most else 0.0
         else:
             here = piled * math.log(piled / y.size / chance) if piled >= 3 and piled / y.size > 10.0 * chance else 0.0
         if here > 0.0:

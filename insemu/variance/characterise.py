@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from insemu.denoise import denoise
 from insemu.variance import findings as judge
 from insemu.variance.allan import AllanVariance, allan_variance
-from insemu.variance.edof import interval
 from insemu.variance.reading import Reading, read_curve
 from insemu.variance.robust import Contamination, RobustWaveletVariance, compare_with_robust, robust_wavelet_variance
 from insemu.variance.spectrum import Spectrum, autocorrelation, average_frequencies, psd
@@ -220,8 +219,7 @@ def characterise_stream(
 def _allan_of(curve: WaveletVariance) -> AllanVariance:
     """The Allan variance that a Haar wavelet variance is half of."""
     m = curve.scale_samples // 2
-    value = 2.0 * curve.value
-    low, high = interval(value, curve.edof, curve.confidence)
+    value, low, high = 2.0 * curve.value, 2.0 * curve.low, 2.0 * curve.high
     return AllanVariance(m, m / curve.rate_hz, value, low, high, curve.edof, curve.n_samples, curve.rate_hz)
 
 
