@@ -190,9 +190,18 @@ class RecordedSignal(Section):
         default=None,
         description="which piece each realization takes, counted from 0 over all files; the natural order where absent",
     )
-    remove_mean: Literal["record", "piece", "none"] = Field(
-        default="record", description="what the mean is taken over and removed"
+    remove_mean: Literal["record", "piece", "none"] | tuple[Seconds, Seconds] = Field(
+        default="record",
+        description="what the mean is taken over and removed; [from, to]: a span of every record, counted after the warm-up",
     )
+
+    @field_validator("remove_mean", mode="before")
+    @classmethod
+    def _known_span(cls, value: Any) -> Any:
+        known = ("record", "piece", "none")
+        if value in known or (isinstance(value, list | tuple) and len(value) == 2):
+            return value
+        raise InputError(f"found {value!r}, expected one of: {', '.join(known)}; or a span [from, to]")
 
 
 def _models(value: Mapping[str, Any], kind: type[Section]) -> dict[str, Any]:
@@ -542,7 +551,9 @@ class Scenario(Section):
     gnss: Gnss = Gnss()
     initial: Initial = Initial()
     fits: FitSource | None = Field(default=None, description="signals that models under designs are fitted to")
-    designs: dict[str, Design] = Field(default_factory=dict, description="what is compared; only emulation goes without")
+    designs: dict[str, Design] = Field(
+        default_factory=dict, description="what is compared; only emulation goes without"
+    )
     smoother: bool = Field(
         default=False,
         description="smooth every design's run backwards too (Rauch, Tung, Striebel), through the outages",
