@@ -22,6 +22,7 @@ from insemu.scenario.schema import (
     SensorModels,
     TrajectorySource,
     Truth,
+    Vehicle,
 )
 from insemu.scenario.structure import state_names, structures
 
@@ -41,6 +42,7 @@ __all__ = [
     "SensorModels",
     "TrajectorySource",
     "Truth",
+    "Vehicle",
     "digest",
     "load",
     "resolve_path",
