@@ -426,6 +426,11 @@ def again_with_processes(
     return [(name, fresh.get(name, r)) for name, r in fast]
 
 
+def vibrates(result: static_log.AxisResult) -> bool:
+    """Whether a vibration is among the effects of an axis, and not one that a later effect replaced."""
+    return any(f.chosen.effect.startswith("vibration") for f in result.found)
+
+
 def without_tones(data: Reduced, explanation: Explanation) -> Reduced:
     """The axis without tones that come in company: a line of the sensor stands alone, what a vehicle hums does not.
 
@@ -504,7 +509,7 @@ def find_dynamic_gap(
     steps = [_step(f, named) for f in named.found]
     steps += [*static_log.merged_steps(dict(fast)), *noticed]
     steps.sort(key=lambda s: -s.gain_nats)
-    outsider = named.outsider or next((r.outsider for _, r in fast if r.outsider), "")
+    outsider = named.outsider or next((r.outsider for _, r in fast if r.outsider and vibrates(r)), "")
     unexplained = bool(outsider) or any(w.p_value < OMNIBUS for w in rest)
     verdict: VerdictName = "nothing missing"
     if unexplained:
