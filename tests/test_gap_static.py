@@ -165,6 +165,16 @@ def test_a_strong_hidden_effect_is_named_although_the_level_is_wrong(effect: str
     assert ranked[0].gain > 10.0
 
 
+@pytest.mark.parametrize(("f", "ratio"), [(2.27, 0.08), (5.11, 0.04), (7.93, 0.02)])
+def test_a_narrow_band_is_found_wherever_it_lies(f: float, ratio: float) -> None:
+    rng = np.random.default_rng(23)
+    y = WN(1e-3).simulate(N, DT, rng) + Band(9e-4, f, ratio).simulate(N, DT, rng)
+    state = state_of(reduce(log_of(y)), Explanation.nominal(NoiseModel((WN(1.1e-3),))))
+    (found,) = CANDIDATES["vibration_band"](state)
+    assert found.gain > 20.0
+    assert found.values[1].value == pytest.approx(f, abs=0.1 * ratio * f + 0.02)
+
+
 def test_estimates_of_a_gauss_markov_process_bracket_the_truth() -> None:
     rng = np.random.default_rng(21)
     y = WN(1e-3).simulate(N, DT, rng) + GM(1.2e-3, 1 / 20).simulate(N, DT, rng)
