@@ -153,6 +153,19 @@ def rest() -> None:
             say(name, 100 * abs(period / expected - 1), "%", 0.1)
 
 
+def inverse_error(llh: Array, ecef: Array) -> float:
+    """Largest distance in m between the places of ``llh`` in extended precision and ``ecef``, beyond half of the angles' spacing."""
+    lat, lon, h = llh.T.astype(np.longdouble)
+    f = np.longdouble(1e9) / np.longdouble(298257223563)
+    s, c, b = np.sin(lat), np.cos(lat), earth.A * (1 - f)
+    rn = earth.A**2 / np.sqrt((earth.A * c) ** 2 + (b * s) ** 2)
+    p = (rn + h) * c
+    place = np.stack([p * np.cos(lon), p * np.sin(lon), (rn * (b / earth.A) ** 2 + h) * s], axis=1)
+    distance = np.linalg.norm((place - ecef).astype(float), axis=1)
+    spacing = earth.A * np.spacing(np.abs(llh[:, :2])) * np.column_stack([np.ones_like(llh[:, 0]), np.cos(llh[:, 0])])
+    return float((distance - 0.5 * np.hypot(*spacing.T)).max())
+
+
 def geodesy() -> None:
     print("\nWGS-84")
     rng = np.random.default_rng(1)
@@ -161,12 +174,18 @@ def geodesy() -> None:
     )
     theirs = np.column_stack(pymap3d.geodetic2ecef(*llh.T, deg=False))
     say("to Earth-fixed axes, against pymap3d", np.abs(earth.llh_to_ecef(llh) - theirs).max(), "m", 1e-9)
-    back = earth.llh_to_ecef(earth.ecef_to_llh(theirs))
-    say("and back", np.abs(back - theirs).max(), "m", 2e-9)
+    back = earth.ecef_to_llh(theirs)
+    say("from Earth-fixed axes, beyond the last digit of the angles", inverse_error(back, theirs), "m", 1e-9)
+    peer = np.column_stack(pymap3d.ecef2geodetic(*theirs.T, deg=False))
+    say("the same of pymap3d itself", inverse_error(peer, theirs), "m")
     origin = np.array([0.8, 0.2, 350.0])
+    near = earth.ned_to_llh(rng.uniform(-5e3, 5e3, (500, 3)), origin)
+    east, north, up = pymap3d.geodetic2enu(*near.T, *origin, deg=False)
+    off = np.abs(earth.llh_to_ned(near, origin) - np.column_stack([north, east, -up])).max()
+    say("into the local frame, against pymap3d", off, "m", 1e-9)
     ned = rng.uniform(-5e3, 5e3, (500, 3))
-    east, north, up = pymap3d.geodetic2enu(*earth.ned_to_llh(ned, origin).T, *origin, deg=False)
-    say("local frame, against pymap3d", np.abs(ned - np.column_stack([north, east, -up])).max(), "m", 5e-9)
+    theirs = np.column_stack(pymap3d.enu2ecef(ned[:, 1], ned[:, 0], -ned[:, 2], *origin, deg=False))
+    say("out of the local frame, against pymap3d", np.abs(earth.ned_to_ecef(ned, origin) - theirs).max(), "m", 1e-9)
     lat = np.linspace(-np.pi / 2, np.pi / 2, 181)
     for height, limit in ((0.0, 1e-9), (1e4, 1e-6)):
         off = np.abs(earth.gravity(lat, height) - earth.normal_gravity_exact(lat, height)[:, 2]).max()

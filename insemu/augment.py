@@ -14,9 +14,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_discrete_lyapunov
+from scipy.signal import lfilter
 
 from insemu.errors import InputError, nearest
-from insemu.noise import ARMA, NoiseModel, Process, StateBlock
+from insemu.noise import ARMA, DR, NoiseModel, Process, StateBlock
 from insemu.records import AXES
 
 Array = NDArray[np.float64]
@@ -271,6 +272,55 @@ def _block(model: NoiseModel, dt: float) -> StateBlock:
     return StateBlock.stack(blocks, dt)
 
 
+def _moving_average(process: ARMA, dt: float) -> tuple[StateBlock, Array]:
+    """The chain of an autoregression, and the weights (n, n) of the present and past values that give its states.
+
+    With ``y = w / A(z)`` and states ``B_i(z) w / A(z)`` the states are ``B_i(z) y``: the responses of the states to one innovation, times A.
+    """
+    b = _cascade(process, dt)
+    drive = b.Q[:, 0] / process.parameters["sigma2"]  # the first state takes the innovation as it is
+    response = np.empty((b.n, b.n))
+    for k in range(b.n):
+        response[:, k] = drive
+        drive = b.Phi @ drive
+    polynomial = np.concatenate([[1.0], -np.array(process.ar, dtype=np.float64)])
+    return b, np.stack([np.convolve(row, polynomial)[: b.n] for row in response])
+
+
+def true_states(model: NoiseModel, components: ArrayLike, dt: float) -> Array:
+    """States that a filter believing ``model`` would carry for signals that were drawn from it.
+
+    Parameters
+    ----------
+    model : NoiseModel
+    components : (processes, n) array_like
+        What each process drew, :meth:`~insemu.noise.NoiseModel.simulate_components`.
+    dt : float
+        s.
+
+    Returns
+    -------
+    (states, n) array
+        In the order of :func:`augment`. NaN where a process has states that its values do not tell (QN, SIN, MA, ARMA) and in the first p - 1
+        samples of an AR(p).
+    """
+    parts = np.asarray(components, dtype=np.float64)
+    rows: list[Array] = [np.zeros((0, parts.shape[1]))]
+    for process, values in zip(model.at_rate(1.0 / dt), parts, strict=True):
+        n = process.block(dt).n
+        if isinstance(process, ARMA) and n > 1 and not process.ma:
+            weights = _moving_average(process, dt)[1]
+            rows.append(np.stack([lfilter(w, [1.0], values) for w in weights]))
+            rows[-1][:, : n - 1] = np.nan
+        elif isinstance(process, DR):
+            rows.append(np.stack([values, np.full_like(values, process.parameters["R"])]))
+        elif n > 1:
+            rows.append(np.full((n, values.size), np.nan))
+        elif n == 1:
+            rows.append(values[None])
+    return np.concatenate(rows)
+
+
 def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmentation:
     """Generate a filter's states from what it believes about its sensors.
 
@@ -312,7 +362,7 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
         try:
             block = _block(model.at_rate(1.0 / dt), dt)
         except InputError as error:
-            raise InputError(str(error), where=f"belief of {axis}") from None
+            raise type(error)(str(error), where=f"belief of {axis}") from None
         names += [f"{axis}.{name}" for name in block.names]
         blocks.append(block)
         axis_of += [a] * block.n

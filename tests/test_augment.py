@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from insemu.augment import Extras, StateLayout, augment, per_axis
+from insemu.augment import Extras, StateLayout, augment, per_axis, true_states
 from insemu.errors import InputError
 from insemu.noise import AR, AR1, BI, DR, GM, QN, RC, RW, WN, NoiseModel
 
@@ -97,3 +97,52 @@ def test_bad_sizes_are_refused():
         StateLayout(("a", "a"), {})
     with pytest.raises(InputError, match="did you mean 'velocity'"):
         augment({}, DT).layout["velocty"]
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        2 * GM(sigma=1.0, beta=2.0) + WN(N=0.1) + RW(K=0.3) + RC(sigma=2.0),
+        AR((2.5, -2.09, 0.58), sigma2=1.0, rate_hz=100.0).stabilised(0.99) + WN(N=1.0),
+        AR.of_partial_correlations((0.999, -0.998, 0.567), sigma2=1e-6, rate_hz=100.0) + GM(sigma=1.0, beta=1.0),
+        AR((1.2, -0.5, 0.1, -0.2), sigma2=2.0, rate_hz=100.0) + DR(R=0.1),
+    ],
+    ids=["first order", "three poles", "complex poles", "AR(4)"],
+)
+def test_true_states_obey_the_filters_model_and_make_the_signal(model):
+    """States told from what was drawn: seen through c they are the signal, and what drives them is white with the filter's Q."""
+    n = 20_000
+    parts = model.simulate_components(n, DT, np.random.default_rng(1))
+    x, a = true_states(model, parts, DT), augment({"gyro_x": model}, DT)
+    assert len(x) == a.m
+    signal = sum(p for process, p in zip(model, parts, strict=True) if not isinstance(process, WN))
+    start = 4  # an AR(p) is told from p values
+    np.testing.assert_allclose((a.c @ x)[start:], signal[start:], atol=1e-9 * np.abs(signal).max())
+    driven = (x[:, start + 1 :] - a.Phi @ x[:, start:-1])[np.diag(a.Q) > 0]
+    Q = a.Q[np.ix_(np.diag(a.Q) > 0, np.diag(a.Q) > 0)]
+    sd = np.sqrt(np.diag(Q))
+    assert np.abs(np.cov(driven) / np.outer(sd, sd) - Q / np.outer(sd, sd)).max() < 5 * np.sqrt(2 / n)
+    quiet = (x[:, start + 1 :] - a.Phi @ x[:, start:-1])[np.diag(a.Q) == 0]
+    assert np.abs(quiet).max(initial=0.0) < 1e-9 * np.abs(x[:, start:]).max()
+
+
+def test_states_that_values_do_not_tell_are_not_made_up():
+    model = QN(Q=1e-3) + GM(sigma=1.0, beta=1.0)
+    x = true_states(model, model.simulate_components(50, DT, np.random.default_rng(1)), DT)
+    assert np.isnan(x[:2]).all() and np.isfinite(x[2]).all()
+
+
+def test_fits_of_several_orders_to_one_signal_are_tied_by_partial_correlations():
+    """Table 2 of Quinchia et al. (2013): the AR(3) rows follow from the AR(1) rows, so their variances are of one unit and one rate."""
+    for ar, sigma2, first in (
+        ((2.564, -2.131, 0.567), 2.739e-13, 1.014e-10),
+        ((2.565, -2.133, 0.568), 1.905e-13, 7.04e-11),
+        ((2.564, -2.136, 0.572), 8.399e-12, 1.148e-9),
+    ):
+        k = AR(ar, sigma2=1.0).partial_correlations()
+        assert k[0] == pytest.approx(1.0, abs=1e-12)  # the coefficients sum to 1 as printed
+        assert sigma2 == pytest.approx(first * (1 - k[1] ** 2) * (1 - k[2] ** 2), rel=0.08)
+    k = (0.999, -0.998, 0.567)
+    process = AR.of_partial_correlations(k, sigma2=1.0, rate_hz=100.0)
+    assert process.partial_correlations() == pytest.approx(k, rel=1e-9)
+    assert process.block(DT).P0[0, 0] == pytest.approx(1.0 / np.prod(1.0 - np.array(k) ** 2), rel=1e-6)

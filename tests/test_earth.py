@@ -1,3 +1,5 @@
+import decimal
+
 import numpy as np
 import pymap3d
 import pytest
@@ -24,13 +26,54 @@ def test_ecef_and_back_is_the_identity():
         np.testing.assert_allclose(back[:, 2], llh[:, 2], rtol=0, atol=3e-9)
 
 
+def exact_ecef(llh):
+    """Earth-fixed coordinates with 40 digits, from the defining a = 6378137 m and 1/f = 298.257223563."""
+    context = decimal.Context(prec=40)
+
+    def sine(x):
+        term, total, k = x, x, 1
+        while abs(term) > decimal.Decimal("1e-38"):
+            k += 2
+            term = -term * x * x / ((k - 1) * k)
+            total += term
+        return total
+
+    with decimal.localcontext(context):
+        pi = decimal.Decimal("3.141592653589793238462643383279502884197169")
+        lat, lon, h = (decimal.Decimal(float(v)) for v in llh)
+        a, f = decimal.Decimal(6378137), 1 / decimal.Decimal("298.257223563")
+        s, c = sine(lat), sine(pi / 2 - lat)
+        e2 = f * (2 - f)
+        rn = a / (1 - e2 * s * s).sqrt()
+        return [(rn + h) * c * sine(pi / 2 - lon), (rn + h) * c * sine(lon), (rn * (1 - e2) + h) * s]
+
+
+def beyond_rounding(llh, ecef):
+    """Distance in m of a place from ``ecef`` beyond half of the spacing of its angles."""
+    distance = sum((a - decimal.Decimal(float(b))) ** 2 for a, b in zip(exact_ecef(llh), ecef, strict=True)).sqrt()
+    half = 0.5 * earth.A * np.spacing(np.abs(llh[:2])) * [1.0, np.cos(llh[0])]
+    return float(distance) - np.hypot(*half)
+
+
+def test_inverse_is_right_to_a_nanometre():
+    """40 digits are the judge, because pymap3d is not right to a nanometre."""
+    places = earth.llh_to_ecef(PLACES[:100]) + rng.uniform(-1e-3, 1e-3, (100, 3))
+    extended = np.finfo(np.longdouble).eps < 1e-18
+    assert max(map(beyond_rounding, earth.ecef_to_llh(places), places)) < (1e-10 if extended else 4e-9)
+    theirs = np.column_stack(pymap3d.ecef2geodetic(*places.T, deg=False))
+    assert max(map(beyond_rounding, theirs, places)) > 1e-9
+    np.testing.assert_allclose(earth.ecef_to_llh(places), theirs, rtol=0, atol=5e-9)
+
+
 def test_local_frame_agrees_with_pymap3d():
     origin = np.array([0.8, 0.2, 350.0])
     ned = rng.uniform(-5e3, 5e3, (100, 3))
+    ecef = np.column_stack(pymap3d.enu2ecef(ned[:, 1], ned[:, 0], -ned[:, 2], *origin, deg=False))
+    np.testing.assert_allclose(earth.ned_to_ecef(ned, origin), ecef, rtol=0, atol=1e-9)
     llh = earth.ned_to_llh(ned, origin)
     east, north, up = pymap3d.geodetic2enu(*llh.T, *origin, deg=False)
-    np.testing.assert_allclose(ned, np.column_stack([north, east, -up]), rtol=0, atol=3e-9)
-    np.testing.assert_allclose(earth.llh_to_ned(llh, origin), ned, rtol=0, atol=5e-9)
+    np.testing.assert_allclose(earth.llh_to_ned(llh, origin), np.column_stack([north, east, -up]), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(earth.llh_to_ned(llh, origin), ned, rtol=0, atol=5e-9)  # forward in double precision
 
 
 def test_rotation_to_earth_axes_agrees_with_pymap3d():

@@ -15,7 +15,11 @@ if TYPE_CHECKING:
 
 def command(
     scenario: str = typer.Argument(..., metavar="SCENARIO", help="Scenario file (YAML)."),
-    designs: str = typer.Option("", "--designs", help="Designs to compare, separated by commas; default all."),
+    designs: str = typer.Option(
+        "",
+        "--designs",
+        help="Designs separated by commas, the scenario's or those of insemu designs; default the scenario's.",
+    ),
     base: str = typer.Option("", "--base", help="Design that the others are measured against; default the first."),
     variant: str | None = typer.Option(None, "--variant", help="Variant of the scenario."),
     analytic: bool = typer.Option(
@@ -83,7 +87,7 @@ def _show(console: Console, rows: list[ComparisonRow], realizations: int, base: 
         box=None,
         header_style="underline",
     )
-    for heading in ("outage", "design", "rank", "mean m", "ratio", "95 %", "p", "effect"):
+    for heading in ("outage", "design", "rank", "mean m", "ratio", "95 %", "p", "effect", "one run"):
         table.add_column(heading, justify="left" if heading == "design" else "right", no_wrap=True)
     for r in rows:
         table.add_row(
@@ -95,24 +99,26 @@ def _show(console: Console, rows: list[ComparisonRow], realizations: int, base: 
             "" if r.low is None else f"{r.low:.3f}-{r.high:.3f}",
             "" if r.p_value is None else f"{r.p_value:.4f}",
             "" if r.effect_size is None else f"{r.effect_size:+.2f}",
+            "" if r.one_run is None else f"±{r.one_run:.3f}",
         )
     console.print(table)
+    console.print(
+        "ratio: mean over the base's mean. effect: mean of the paired differences over their spread. one run: that spread over the base's mean, how "
+        "far a single run scatters.",
+        style="dim",
+        soft_wrap=True,
+    )
 
 
 def _analytic(console: Console, experiment: Experiment, by: str, folder: Any) -> dict[str, Any]:
-    import numpy as np
     from rich.table import Table
 
-    from insemu.evaluate.comparison import analyse_designs
+    from insemu.evaluate.comparison import analysable, analyse_designs, outage_budgets
     from insemu.report.budget import render_budgets
 
     analyses = analyse_designs(experiment)
     windows = experiment.world.outage_windows
-    document: dict[str, Any] = {
-        "scenario": experiment.scenario.title,
-        "digest": experiment.digest,
-        "designs": {},
-    }
+    budgets = outage_budgets(analyses, windows, by)
     table = Table(
         title="Horizontal error at outage end, rms m, by covariance analysis",
         title_justify="left",
@@ -121,28 +127,22 @@ def _analytic(console: Console, experiment: Experiment, by: str, folder: Any) ->
     )
     for heading in ("design", "outage", "rms m", "stated m", "largest parts, m"):
         table.add_column(heading, justify="left" if heading in ("design", "largest parts, m") else "right")
-    for name, a in analyses.items():
-        outages = []
-        for k, (budget, (start, duration)) in enumerate(zip(a.budgets, windows, strict=True)):
-            at = int(np.argmin(np.abs(a.t - budget.t)))
-            stated = float(np.hypot(a.sigma[at, 0], a.sigma[at, 1]))
-            parts = {key: float(np.sqrt(value)) for key, value in budget.shares(by).items()}
-            outages.append(
-                {
-                    "start_s": start,
-                    "duration_s": duration,
-                    "rms_m": budget.rms(),
-                    "predicted_sigma_m": stated,
-                    "parts_rms_m": parts,
-                }
-            )
-            top = ", ".join(f"{key} {value:.3g}" for key, value in list(parts.items())[:4])
-            table.add_row(name if k == 0 else "", str(k + 1), f"{budget.rms():.3g}", f"{stated:.3g}", top)
-        document["designs"][name] = {"states": experiment.filter(name).layout.n, "outages": outages}
+    for name, outages in budgets.items():
+        for k, b in enumerate(outages):
+            top = ", ".join(f"{key} {value:.3g}" for key, value in list(b["parts_rms_m"].items())[:4])
+            lead = name if k == 0 else ""
+            table.add_row(lead, str(k + 1), f"{b['rms_m']:.3g}", f"{b['predicted_sigma_m']:.3g}", top)
     console.print(table)
-    console.print(
-        "Parts add up as squares. A mean removed from the records (truth.record) is not part of the analysis."
-    )
+    console.print("Parts add up as squares.")
+    reason = analysable(experiment)[1]
+    if reason:
+        console.print(reason[:1].upper() + reason[1:] + ".", soft_wrap=True)
     page = render_budgets(experiment.scenario.title, analyses, windows, folder, by=by)
     console.print(f"Page: {page}", soft_wrap=True)
-    return document
+    return {
+        "scenario": experiment.scenario.title,
+        "digest": experiment.digest,
+        "designs": {
+            name: {"states": experiment.ekf(name).layout.n, "outages": outages} for name, outages in budgets.items()
+        },
+    }

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from insemu.evaluate import Results
+    from insemu.evaluate import Experiment, Results
 
 
 def command(
@@ -121,6 +121,9 @@ def run_with_variants(
                 bars.stop()
                 console.print("Interrupted. Finished realizations are kept; the same command goes on from there.")
                 raise
+            if not name:
+                bars.update(task, description=f"{label} (error budget)")
+                results = with_budgets(experiment, results)
             bars.update(task, description=label)
             write(results, target)
             (target / "resolved.yaml").write_text(
@@ -134,6 +137,17 @@ def run_with_variants(
         done,
         {"question": base.question, "notes": base.notes, "source": base.published.source if base.published else ""},
     )
+
+
+def with_budgets(experiment: Experiment, results: Results) -> Results:
+    """The results with an error budget of every design that allows a covariance analysis."""
+    from dataclasses import replace
+
+    from insemu.evaluate.comparison import analysable, analyse_designs, outage_budgets
+
+    if not results.outages or not analysable(experiment)[0]:
+        return results
+    return replace(results, budgets=outage_budgets(analyse_designs(experiment), results.outages))
 
 
 def forget_others(cache: Path, digests: set[str]) -> None:
@@ -151,9 +165,24 @@ def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
     from rich.table import Table
 
     from insemu.evaluate import headline, outage_table, verdicts
-    from insemu.report.tables import rank_lines, short, variant_caption
+    from insemu.report.budget import budget_lines
+    from insemu.report.tables import (
+        FIGURES,
+        SMOOTHED,
+        beside,
+        consistency_lines,
+        pooled_rank_line,
+        published_value,
+        rank_lines,
+        short,
+        shown_beside,
+        smoother_rows,
+        variant_caption,
+    )
 
     console.print(f"\n[bold]{main.title}[/bold]", soft_wrap=True)
+    for warning in main.manifest.get("warnings", ()):
+        console.print(f"Warning: {warning}.", soft_wrap=True, highlight=False)
     table = Table(
         title=f"{variant_caption(main)}: means over {main.realizations} realizations (seed {main.seed})",
         title_justify="left",
@@ -168,7 +197,6 @@ def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
     for heading in headings:
         table.add_column(heading, justify="left" if heading == "design" else "right", no_wrap=True)
     for name, outages in outage_table(main).items():
-        published = main.published.get(name, ())
         for k, row in enumerate(outages):
             p = row["planimetric_end_m"]
             low, high = p["ci95"]
@@ -176,14 +204,14 @@ def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
                 f"{name} ({main.designs[name].states})" if k == 0 else "",
                 f"{row['start_s'] / 60:.3g} min",
                 f"{headline(main, row):.3g}",
-                "" if low is None or main.published_figure != "planimetric_end_m" else f"{low:.3g}-{high:.3g}",
+                "" if low is None or main.headline_figure != "planimetric_end_m" else f"{low:.3g}-{high:.3g}",
                 f"{row['altimetric_end_m']:.3g}",
                 f"{row['predicted_sigma_end_m']:.3g}",
                 f"{100 * row['coverage_3sigma']['position']:.1f}%",
                 short(row["nees_per_dof"]),
             ]
             if main.published:
-                cells.insert(4, f"{published[k]:g}" if k < len(published) else "-")
+                cells.insert(4, published_value(main, name, k) or "-")
             table.add_row(*cells)
         table.add_row()
     console.print(table)
@@ -192,34 +220,50 @@ def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
         "inside 3 sigma during the outage. NEES: per degree of freedom, 1 is a filter that knows its error.\n",
         style="dim",
     )
-    for line in (*verdicts(main), *rank_lines(main)):
-        console.print(f"- {line}", soft_wrap=True)
+    for line in (*verdicts(main), *consistency_lines(main)):
+        console.print(f"- {line}", soft_wrap=True, highlight=False)
+    if main.smoothed is not None and main.outages:
+        print_table(console, SMOOTHED, *smoother_rows(main))
+    if main.budgets:
+        console.print("\nWhere the metres come from, by covariance analysis (parts add up as squares):")
+        for line in budget_lines(main.budgets):
+            console.print(f"- {line}", soft_wrap=True, highlight=False)
     if variants:
-        console.print(variant_table(main, variants))
+        print_variants(console, main, variants)
+    for label, results in shown_beside(main, variants):
+        for figure in results.published:
+            print_table(console, f"{label}: {FIGURES[figure]}, m", *beside(results, figure))
+        for line in rank_lines(results):
+            console.print(f"- {line}", soft_wrap=True, highlight=False)
+    for line in pooled_rank_line(main, variants):
+        console.print(f"- {line}", soft_wrap=True, highlight=False)
 
 
-def variant_table(main: Results, variants: dict[str, Results]) -> Any:
-    """Mean planimetric error at the end of each outage, every variant beside the default."""
+def print_table(console: Console, title: str, header: list[str], body: list[list[str]]) -> None:
+    """A table of the page, on the terminal: the first two columns left, a gap before every new group."""
     from rich.table import Table
 
-    from insemu.report.tables import variant_caption, variant_rows
-
-    header, body = variant_rows(main, variants)
-    shown = [
-        k for k, heading in enumerate(header) if heading not in ("95 %", "inside %")
-    ]  # the page has room for these
-    table = Table(
-        title=f"\nVariants. {variant_caption(main)}",
-        title_justify="left",
-        box=None,
-        padding=(0, 1),
-        pad_edge=False,
-        header_style="underline",
-    )
-    for k in shown:
-        table.add_column(header[k], justify="left" if k < 2 else "right", no_wrap=True)
+    table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="underline")
+    for k, heading in enumerate(header):
+        table.add_column(heading, justify="left" if k < 2 else "right", no_wrap=True)
     for i, row in enumerate(body):
         if i and row[0]:
             table.add_row()
-        table.add_row(*(row[k] for k in shown))
-    return table
+        table.add_row(*row)
+    console.print(f"\n{title}", soft_wrap=True, highlight=False)
+    width = console.width
+    # wider than the terminal rather than cut
+    console.width = max(width, console.measure(table, options=console.options.update(width=500)).maximum)
+    console.print(table)
+    console.width = width
+
+
+def print_variants(console: Console, main: Results, variants: dict[str, Results]) -> None:
+    """The headline figure of each outage, every variant beside the default."""
+    from insemu.report.tables import variant_caption, variant_rows
+
+    header, body = variant_rows(main, variants)
+    # the page has room for the others
+    shown = [k for k, heading in enumerate(header) if heading not in ("95 %", "inside %")]
+    kept = [[row[k] for k in shown] for row in body]
+    print_table(console, f"Variants. {variant_caption(main)}", [header[k] for k in shown], kept)

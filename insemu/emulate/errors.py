@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from insemu.errors import InputError, nearest
 from insemu.noise import NoiseModel, Process
-from insemu.records import AXES, ImuRecord
+from insemu.records import AXES
 
 Array = NDArray[np.float64]
 
@@ -67,7 +67,10 @@ class RecordedErrors:
         else:
             a, b = (round(s * self.rate_hz) for s in self.remove_mean)
             if not 0 <= a < b <= values.shape[0]:
-                raise InputError(f"{self.name}: the span {self.remove_mean} s for the mean is outside the record")
+                raise InputError(
+                    f"{self.name}: the span {self.remove_mean} s for the mean is not inside the record of "
+                    f"{values.shape[0] / self.rate_hz:g} s"
+                )
             values -= values[a:b].mean(axis=0)
         values = values[skip:]
         values.setflags(write=False)
@@ -113,11 +116,10 @@ def draw_errors(
 
     Every axis has its own child of ``rng``, so a model changed on one axis leaves the others as they were.
     """
-    errors = np.zeros((n, 6))
     components: dict[str, Array] = {}
     children = rng.spawn(6)
     if truth is None:
-        return errors, components
+        return np.zeros((n, 6)), components
     if isinstance(truth, RecordedErrors):
         if abs(truth.rate_hz * dt - 1.0) > 1e-3:
             raise InputError(
@@ -128,23 +130,18 @@ def draw_errors(
     for axis in truth:
         if axis not in AXES:
             raise InputError(f"unknown axis '{axis}'" + nearest(axis, AXES))
-    for j, axis in enumerate(AXES):
-        model = truth.get(axis)
+    models = {axis: NoiseModel((m,)) if isinstance(m, Process) else m for axis, m in truth.items()}
+    # one block for everything, axis by axis: large blocks come in large pages, and a row is drawn where it stays
+    block = np.empty((6 + sum(len(m) for m in models.values()), n))
+    errors, used = block[:6], 6
+    for row, child, axis in zip(errors, children, AXES, strict=True):
+        row[:] = 0.0
+        model = models.get(axis)
         if model is None:
             continue
-        if isinstance(model, Process):
-            model = NoiseModel((model,))
-        parts = model.simulate_components(n, dt, children[j])
+        parts = model.simulate_components(n, dt, child, out=block[used : used + len(model)])
+        used += len(model)
         components[axis] = parts
         for part in parts:
-            errors[:, j] += part
-    return errors, components
-
-
-def add_rates(imu: ImuRecord, gyro: ArrayLike, accel: ArrayLike) -> ImuRecord:
-    """Add rate-like errors (n, 3) in rad/s and m/s^2 to a record of any kind; increments carry them times dt."""
-    gyro, accel = np.asarray(gyro, dtype=float), np.asarray(accel, dtype=float)
-    if imu.kind == "increment":
-        step = np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1])[:, None]
-        gyro, accel = gyro * step, accel * step
-    return replace(imu, gyro=imu.gyro + gyro, accel=imu.accel + accel)
+            row += part
+    return errors.T, components

@@ -12,12 +12,33 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu.augment import augment, true_states
 from insemu.emulate.errors import RecordedErrors
 from insemu.errors import InputError
-from insemu.noise import NoiseModel
+from insemu.noise import BI, WN, NoiseModel
 from insemu.records import AXES
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TrueStates:
+    """What the sensors' errors really are at some epochs, apart from their white noise.
+
+    Parameters
+    ----------
+    axes : (k, 6) array
+        Error of every axis less its white noise, rad/s and m/s^2.
+    states : (k, m) array or None
+        States of the processes in the order of :func:`insemu.augment.augment`, NaN where values do not tell them; None where a mean was
+        removed, which belongs to no single process, or a process has no finite states.
+    names : tuple of str
+        Of those states, for example ``gyro_x.GM1``.
+    """
+
+    axes: Array
+    states: Array | None
+    names: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -30,10 +51,13 @@ class ErrorPieces:
         Number of pieces there are; None: as many as asked for.
     draw : callable
         Takes the index of a realization and returns the (n, 6) errors of the IMU rows.
+    tell : callable
+        Takes the index of a realization and returns its :class:`TrueStates`; None where errors are recorded.
     """
 
     count: int | None
     draw: Callable[[int], Array]
+    tell: Callable[[int], TrueStates] | None = None
 
     def piece(self, realization: int) -> Array:
         """The (n, 6) error signals of one realization, rad/s and m/s^2, columns in the order of
@@ -59,6 +83,7 @@ def simulated_pieces(
     *,
     record_s: float | None,
     rng: Callable[[int, int], np.random.Generator],
+    states_at: NDArray[np.intp] | None = None,
 ) -> ErrorPieces:
     """Pieces of records simulated from a model per axis.
 
@@ -75,6 +100,8 @@ def simulated_pieces(
         piece is drawn on its own and keeps its mean.
     rng : callable
         ``(record, axis) -> Generator``: a stream of its own for every record and axis.
+    states_at : (k,) array of int, optional
+        Rows of the IMU record at which true states are kept.
 
     Raises
     ------
@@ -87,22 +114,49 @@ def simulated_pieces(
     if length < intervals:
         raise InputError(f"the record of {record_s:g} s is shorter than the flight of {intervals / rate_hz:g} s")
     per_record = length // intervals
-    kept: dict[int, RecordedErrors] = {}
+    at = np.maximum((np.zeros(0, dtype=np.intp) if states_at is None else states_at) - 1, 0)
+    # within a record: piece by piece, row 0 of the IMU takes the first sample of the piece
+    places = (np.arange(per_record)[:, None] * intervals + at).ravel()
+    # flicker has no finite states; a removed mean belongs to no single process
+    single = at.size > 0 and record_s is None and not any(isinstance(p, BI) for model in ready for p in model)
+    names = augment(dict(zip(AXES, ready, strict=True)), 1.0 / rate_hz).layout.names[9:] if single else ()
+    kept: dict[int, tuple[RecordedErrors, Array, Array]] = {}
+
+    def record_of(record: int) -> tuple[RecordedErrors, Array, Array]:
+        if record not in kept:
+            # neighbours are asked for together; an older record is drawn again if ever needed
+            while len(kept) >= (2 if record_s is not None else 16):
+                kept.pop(next(iter(kept)))
+            values = np.empty((length, 6))
+            axes, states = np.zeros((places.size, 6)), []
+            for axis, model in enumerate(ready):
+                parts = model.simulate_components(length, 1.0 / rate_hz, rng(record, axis))
+                values[:, axis] = parts.sum(axis=0)
+                if at.size:
+                    for process, part in zip(model, parts, strict=True):
+                        if not isinstance(process, WN):
+                            axes[:, axis] += part[places]
+                if single:
+                    states.append(true_states(model, parts, 1.0 / rate_hz)[:, places])
+            if record_s is not None:
+                axes -= values.mean(axis=0)
+            errors = RecordedErrors(
+                values, rate_hz, "none" if record_s is None else "record", name=f"simulated record {record + 1}"
+            )
+            kept[record] = errors, axes, np.concatenate(states).T if states else np.zeros((0, 0))
+        return kept[record]
 
     def draw(realization: int) -> Array:
         record, place = divmod(realization, per_record)
-        if record not in kept:
-            while len(kept) >= 2:  # neighbours are asked for together; an older record is drawn again if ever needed
-                kept.pop(next(iter(kept)))
-            values = np.stack(
-                [m.simulate(length, 1.0 / rate_hz, rng(record, axis)) for axis, m in enumerate(ready)], axis=1
-            )
-            kept[record] = RecordedErrors(
-                values, rate_hz, "none" if record_s is None else "record", name=f"simulated record {record + 1}"
-            )
-        return kept[record].piece(place, intervals)
+        return record_of(record)[0].piece(place, intervals)
 
-    return ErrorPieces(None, draw)
+    def tell(realization: int) -> TrueStates:
+        record, place = divmod(realization, per_record)
+        _, axes, states = record_of(record)
+        own = slice(place * at.size, (place + 1) * at.size)
+        return TrueStates(axes[own], states[own] if single else None, names)
+
+    return ErrorPieces(None, draw, tell if at.size else None)
 
 
 def recorded_pieces(

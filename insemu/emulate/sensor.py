@@ -19,13 +19,14 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import butter, lfilter, lfilter_zi
+from scipy.signal import butter, lfilter_zi
 
-from insemu import earth, rotation
+from insemu import rotation
 from insemu.effects import CROSS, EffectUse
+from insemu.emulate import chain as passes
 from insemu.emulate.errors import RecordedErrors, draw_errors
 from insemu.errors import InputError
-from insemu.noise import BI, DR, GM, RW, WN, NoiseModel, Process
+from insemu.noise import BI, DR, GM, RW, WN, NoiseModel, Process, draws
 from insemu.records import ImuRecord, Trajectory
 
 Array = NDArray[np.float64]
@@ -84,20 +85,46 @@ class Corrupted:
 
 
 @dataclass
+class _Response:
+    """What the effects that are functions of the true signal amount to together; see :func:`~insemu.emulate.chain.respond`."""
+
+    mounting: Array = field(default_factory=lambda: np.eye(3))
+    matrix: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    asymmetry: Array = field(default_factory=lambda: np.zeros(6))
+    square: Array = field(default_factory=lambda: np.zeros(6))
+    cube: Array = field(default_factory=lambda: np.zeros(6))
+    offset: Array = field(default_factory=lambda: np.zeros(6))
+
+
+@dataclass
 class _Chain:
-    """The signals on their way through the sensor; (6, n) in rad/s and m/s^2."""
+    """The signals on their way through the sensor, (6, n) in rad/s and m/s^2, and rows to work in."""
 
     t: Array
     dt: float
     signal: Array
-    true: Array
+    work: Array
+    profile: Array
+    speed_row: Array
     reference: Trajectory | None
     temperature: Array | None
-    _speed: Array | None = None
-    _dcm: Array | None = None
+    response: _Response = field(default_factory=_Response)
+    earth_share: float = 0.0
+    transport_share: float = 0.0
+    gravity_offset: float = 0.0
+    _has_speed: bool = False
 
-    def of(self, sensor: str) -> slice:
+    @classmethod
+    def of(cls, imu: ImuRecord, step: Array, reference: Trajectory | None, temperature: Array | None) -> _Chain:
+        rows = np.empty((9, len(imu)))  # one block: large ones come in large pages
+        passes.load(imu.gyro, imu.accel, step, rows[:6])
+        return cls(imu.t, imu.dt, rows[:6], rows[6], rows[7], rows[8], reference, temperature)
+
+    def axes(self, sensor: str) -> slice:
         return slice(0, 3) if sensor == "gyro" else slice(3, 6)
+
+    def rows(self, sensor: str) -> Array:
+        return self.signal[self.axes(sensor)]
 
     def need_reference(self, use: EffectUse) -> Trajectory:
         if self.reference is None or len(self.reference) != self.t.size:
@@ -110,90 +137,107 @@ class _Chain:
         return self.temperature
 
     def speed(self, use: EffectUse) -> Array:
-        if self._speed is None:
-            v = self.need_reference(use).vel_ned
-            self._speed = np.sqrt(np.einsum("ni,ni->n", v, v))
-        return self._speed
+        reference = self.need_reference(use)
+        if not self._has_speed:
+            passes.speeds(reference.vel_ned, self.speed_row)
+            self._has_speed = True
+        return self.speed_row
 
-    def to_body(self, use: EffectUse, vector_ned: Array) -> Array:
-        """Turn (n, 3) NED vectors into body axes, (3, n)."""
-        if self._dcm is None:
-            self._dcm = rotation.dcm_from_rpy(self.need_reference(use).rpy)
-        return np.asarray(np.einsum("nji,nj->in", self._dcm, vector_ned))
-
-    def motion_profile(self, use: EffectUse) -> Array | float:
-        """From ``rest_factor`` at standstill to 1 above 5 m/s."""
+    def motion_profile(self, use: EffectUse) -> Array | None:
+        """From ``rest_factor`` at standstill to 1 above 5 m/s; None where it is 1 everywhere."""
         rest = use.scalar("rest_factor")
         if rest == 1.0:
-            return 1.0
-        u = np.clip(self.speed(use) / 5.0, 0.0, 1.0)
-        return np.asarray(rest + (1.0 - rest) * u * u * (3.0 - 2.0 * u))
+            return None
+        passes.motion_profile(self.speed(use), rest, self.profile)
+        return self.profile
+
+    def leave_out(self) -> None:
+        """Take the models that are left out away from the signal, some rows at a time."""
+        if not (self.earth_share or self.transport_share or self.gravity_offset):
+            return
+        assert self.reference is not None
+        r = self.reference
+        half = np.empty((4, _BLOCK))
+        for first in range(0, self.t.size, _BLOCK):
+            rows = slice(first, first + _BLOCK)
+            part = half[:, : len(r.rpy[rows])]
+            part[:3], part[3] = r.rpy[rows].T, r.llh[rows, 0]
+            part *= 0.5
+            np.tan(part, out=part)
+            passes.leave_out(
+                self.signal[:, rows],
+                part,
+                r.llh[rows, 2],
+                r.vel_ned[rows],
+                self.earth_share,
+                self.transport_share,
+                self.gravity_offset,
+            )
+
+    def respond(self) -> None:
+        """Apply the functions of the true signal."""
+        r = self.response
+        passes.respond(self.signal, r.mounting, r.matrix, r.asymmetry, r.square, r.cube, r.offset)
 
 
-def _column(values: Sequence[float]) -> Array:
-    return np.array(values)[:, None]
+#: Rows whose angles stay in the cache.
+_BLOCK = 2048
 
 
 Apply = Callable[[_Chain, EffectUse, np.random.Generator], None]
 
 
-# -- 1. models and mounting
-# -------------------------------------------------------------------------------------------------------
+# -- 1. models and mounting: noted, and taken away together
+# -----------------------------------------------------------------------
 
 
 def _earth_rate(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
-    reference = chain.need_reference(use)
-    chain.signal[:3] -= use.scalar("fraction") * chain.to_body(use, earth.earth_rate(reference.llh[:, 0]))
+    chain.need_reference(use)
+    chain.earth_share += use.scalar("fraction")
 
 
 def _transport_rate(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
-    reference = chain.need_reference(use)
-    rate = earth.transport_rate(reference.llh, reference.vel_ned)
-    chain.signal[:3] -= use.scalar("fraction") * chain.to_body(use, rate)
+    chain.need_reference(use)
+    chain.transport_share += use.scalar("fraction")
 
 
 def _gravity(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
-    down = np.zeros((chain.t.size, 3))
-    down[:, 2] = use.scalar("offset")
-    chain.signal[3:] -= chain.to_body(use, down)
+    chain.need_reference(use)
+    chain.gravity_offset += use.scalar("offset")
 
 
 def _mounting(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
-    c = rotation.dcm_from_rpy(use["rpy"])
-    chain.signal[:3] = c.T @ chain.signal[:3]
-    chain.signal[3:] = c.T @ chain.signal[3:]
+    chain.response.mounting = rotation.dcm_from_rpy(use["rpy"]).T @ chain.response.mounting
 
 
-# -- 2. functions of the true signal
-# ----------------------------------------------------------------------------------------------
+# -- 2. functions of the true signal: noted, and applied together
+# -----------------------------------------------------------------
 
 
 def _scale_factor(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
-    s = chain.of(use.sensor)
-    chain.signal[s] += _column(use["value"]) * chain.true[s]
+    s = chain.axes(use.sensor)
+    chain.response.matrix[s, s] += np.diag(use["value"])
 
 
 def _scale_asymmetry(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
-    s = chain.of(use.sensor)
-    chain.signal[s] += _column(use["value"]) * np.abs(chain.true[s])
+    chain.response.asymmetry[chain.axes(use.sensor)] += use["value"]
 
 
 def _scale_nonlinearity(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
-    s = chain.of(use.sensor)
-    x = chain.true[s]
-    chain.signal[s] += (_column(use["K2"]) + _column(use["K3"]) * x) * x * x
+    chain.response.square[chain.axes(use.sensor)] += use["K2"]
+    chain.response.cube[chain.axes(use.sensor)] += use["K3"]
 
 
 def _misalignment(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
-    s = chain.of(use.sensor)
     m = np.zeros((3, 3))
     for pair, value in zip(CROSS, use["value"], strict=True):
         m["xyz".index(pair[0]), "xyz".index(pair[1])] = value
-    chain.signal[s] += m @ chain.true[s]
+    s = chain.axes(use.sensor)
+    chain.response.matrix[s, s] += m
 
 
 def _g_sensitivity(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
-    chain.signal[:3] += np.array(use["value"]).reshape(3, 3) @ chain.true[3:]
+    chain.response.matrix[:3, 3:] += np.array(use["value"]).reshape(3, 3)
 
 
 # -- 3. what is added
@@ -201,41 +245,73 @@ def _g_sensitivity(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> N
 
 
 def _turn_on_bias(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
-    chain.signal[chain.of(use.sensor)] += _column(use["value"])
+    chain.response.offset[chain.axes(use.sensor)] += use["value"]
 
 
-def lagged(temperature: Array, dt: float, lag_s: float) -> Array:
-    """First-order lag of a sampled temperature, exact for straight lines between the samples; starts in equilibrium."""
+def lagged(temperature: Array, dt: float, lag_s: float, out: Array | None = None) -> Array:
+    """First-order lag of a sampled temperature, exact for straight lines between the samples; starts in equilibrium.
+
+    Parameters
+    ----------
+    temperature : (n,) array
+        degC or K.
+    dt, lag_s : float
+        Sampling interval and time constant, s; without a time constant the temperature itself.
+    out : (n,) array, optional
+        Where the result goes.
+
+    Returns
+    -------
+    (n,) array
+    """
+    out = np.empty(temperature.size) if out is None else out
     if lag_s <= 0:
-        return temperature
+        out[:] = temperature
+        return out
     a = np.exp(-dt / lag_s)
     # exact response to a ramp over one interval
     slope_gain = 1.0 - lag_s / dt * (1.0 - a)
-    b0, b1 = slope_gain, (1.0 - a) - slope_gain
-    start = temperature[:1] * (1.0 - b0)
-    return np.asarray(lfilter([b0, b1], [1.0, -a], temperature, zi=start)[0])
+    passes.ramp_response(temperature, a, slope_gain, (1.0 - a) - slope_gain, out)
+    return out
 
 
 def _temperature(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
-    d = lagged(chain.need_temperature(use), chain.dt, use.scalar("lag")) - use.scalar("T0")
-    c1, c2, c3 = _column(use["c1"]), _column(use["c2"]), _column(use["c3"])
-    chain.signal[chain.of(use.sensor)] += ((c3 * d + c2) * d + c1) * d
+    d = lagged(chain.need_temperature(use), chain.dt, use.scalar("lag"), chain.work)
+    d -= use.scalar("T0")
+    for row, c1, c2, c3 in zip(chain.rows(use.sensor), use["c1"], use["c2"], use["c3"], strict=True):
+        passes.add_cubic(row, d, c1, c2, c3)
 
 
 def _process(build: Callable[[EffectUse, int], Process]) -> Apply:
     def apply(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
-        first = 0 if use.sensor == "gyro" else 3
-        for axis, child in enumerate(rng.spawn(3)):
+        for axis, (row, child) in enumerate(zip(chain.rows(use.sensor), rng.spawn(3), strict=True)):
             process = build(use, axis)
             if any(v != 0.0 for name, v in process.parameters.items() if name not in ("beta", "Tc")):
-                chain.signal[first + axis] += process.simulate(chain.t.size, chain.dt, child)
+                process.fill(chain.work, chain.dt, child)
+                row += chain.work
 
     return apply
 
 
+def _add_shaped(
+    chain: _Chain, use: EffectUse, parameter: str, level: Array | None, draw: Callable[[], None] | None = None
+) -> None:
+    """Add the row in work, drawn anew for every axis where a way is given, times the parameter and the level."""
+    for row, factor in zip(chain.rows(use.sensor), use[parameter], strict=True):
+        if draw is not None:
+            draw()
+        if level is None:
+            passes.add_scaled(row, chain.work, factor)
+        else:
+            passes.add_product(row, chain.work, level, factor)
+
+
 def _vibration_line(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
-    wave = np.sin(2.0 * np.pi * use.scalar("frequency") * (chain.t - chain.t[0]) + use.scalar("phase"))
-    chain.signal[chain.of(use.sensor)] += _column(use["amplitude"]) * (chain.motion_profile(use) * wave)
+    wave, profile = chain.work, chain.motion_profile(use)
+    passes.half_angle(chain.t, use.scalar("frequency"), use.scalar("phase"), wave)
+    np.tan(wave, out=wave)
+    passes.sines(wave)
+    _add_shaped(chain, use, "amplitude", profile)
 
 
 def band_coefficients(frequency: float, bandwidth: float, dt: float) -> tuple[float, float, float]:
@@ -252,56 +328,44 @@ def band_coefficients(frequency: float, bandwidth: float, dt: float) -> tuple[fl
 
 def _vibration_band(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
     a1, a2, gain = band_coefficients(use.scalar("frequency"), use.scalar("bandwidth"), chain.dt)
-    r = np.sqrt(-a2)
-    settle = int(np.ceil(20.0 / max(1e-9, 1.0 - r)))  # until the start is forgotten to 1e-8
-    white = rng.standard_normal((3, chain.t.size + min(settle, 1_000_000)))
-    coloured = lfilter([gain], [1.0, -a1, -a2], white, axis=1)[:, -chain.t.size :]
-    coloured *= chain.motion_profile(use)
-    coloured *= _column(use["rms"])
-    chain.signal[chain.of(use.sensor)] += coloured
+    b, a = np.array([gain, 0.0, 0.0]), np.array([1.0, -a1, -a2])
+    # until the start is forgotten to 1e-8
+    settle = np.empty(min(int(np.ceil(20.0 / max(1e-9, 1.0 - np.sqrt(-a2)))), 1_000_000))
+
+    def draw() -> None:
+        memory = np.zeros(2)
+        for part in (settle, chain.work):
+            draws.standard_normal(part, rng)
+            draws.rational_filter(part, b, a, memory)
+
+    _add_shaped(chain, use, "rms", chain.motion_profile(use), draw)
 
 
 def _outliers(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
     p = use.scalar("probability")
     if p > 1:
         raise InputError(f"effect 'outliers': a probability of {p:g}, expected at most 1")
-    n = chain.t.size
-    first = 0 if use.sensor == "gyro" else 3
-    for axis, child in enumerate(rng.spawn(3)):
-        hit = np.nonzero(child.random(n) < p)[0]
-        chain.signal[first + axis, hit] += use["sigma"][axis] * child.standard_normal(hit.size)
-
-
-def telegraph(n: int, dt: float, rate: float, rng: np.random.Generator) -> Array:
-    """A random telegraph signal of +-1 with Poisson switches, sampled: (n,)."""
-    switch = rng.random(n) < 0.5 * (1.0 - np.exp(-2.0 * rate * dt))  # an odd number of Poisson events in dt
-    start = 1.0 if rng.random() < 0.5 else -1.0
-    return np.asarray(start * np.where(np.cumsum(switch) % 2 == 0, 1.0, -1.0))
+    for row, sigma, child in zip(chain.rows(use.sensor), use["sigma"], rng.spawn(3), strict=True):
+        passes.add_outliers(row, p, sigma, child)
 
 
 def _telegraph(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
-    first = 0 if use.sensor == "gyro" else 3
-    for axis, child in enumerate(rng.spawn(3)):
-        chain.signal[first + axis] += use["amplitude"][axis] * telegraph(
-            chain.t.size, chain.dt, use.scalar("rate"), child
-        )
-
-
-def _scaled_white(density: Sequence[float], level: Array, rng: np.random.Generator) -> Array:
-    white = rng.standard_normal((3, level.size))
-    white *= level
-    white *= _column(density)
-    return white
+    # an odd number of Poisson events between two samples
+    switch = 0.5 * (1.0 - np.exp(-2.0 * use.scalar("rate") * chain.dt))
+    for row, amplitude, child in zip(chain.rows(use.sensor), use["amplitude"], rng.spawn(3), strict=True):
+        passes.add_telegraph(row, switch, amplitude, child)
 
 
 def _motion_noise(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
-    level = chain.speed(use) / (10.0 * np.sqrt(chain.dt))
-    chain.signal[chain.of(use.sensor)] += _scaled_white(use["N"], level, rng)
+    np.divide(chain.speed(use), 10.0 * np.sqrt(chain.dt), out=chain.profile)
+    _add_shaped(chain, use, "N", chain.profile, lambda: draws.standard_normal(chain.work, rng))
 
 
 def _temperature_noise(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
-    excess = np.maximum(0.0, chain.need_temperature(use) - use.scalar("T0")) / np.sqrt(chain.dt)
-    chain.signal[chain.of(use.sensor)] += _scaled_white(use["N"], excess, rng)
+    np.subtract(chain.need_temperature(use), use.scalar("T0"), out=chain.profile)
+    np.maximum(0.0, chain.profile, out=chain.profile)
+    chain.profile /= np.sqrt(chain.dt)
+    _add_shaped(chain, use, "N", chain.profile, lambda: draws.standard_normal(chain.work, rng))
 
 
 # -- 4. to 6. filter, saturation, quantization
@@ -309,8 +373,6 @@ def _temperature_noise(chain: _Chain, use: EffectUse, rng: np.random.Generator) 
 
 
 def _decimation_filter(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
-    s = chain.of(use.sensor)
-    x = chain.signal[s]
     cutoff = use.scalar("cutoff")
     if cutoff > 0:
         if cutoff >= 0.5 / chain.dt:
@@ -322,26 +384,26 @@ def _decimation_filter(chain: _Chain, use: EffectUse, rng: np.random.Generator) 
         taps = round(use.scalar("taps"))
         if taps < 1:
             raise InputError(f"effect 'decimation_filter': {taps} taps, expected at least one, or a cutoff")
-        b, a = np.full(taps, 1.0 / taps), np.ones(1)
-    if max(len(a), len(b)) == 1:
+        b = np.full(taps, 1.0 / taps)
+        a = np.eye(1, taps)[0]
+    if len(b) == 1:
         return
     state = lfilter_zi(b, a)
-    for row in x:  # starts in equilibrium with the first sample
-        row[:] = lfilter(b, a, row, zi=state * row[0])[0]
+    for row in chain.rows(use.sensor):  # starts in equilibrium with the first sample
+        draws.rational_filter(row, b, a, state * row[0])
 
 
 def _saturation(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
-    s = chain.of(use.sensor)
-    limit = _column(use["limit"])
-    np.clip(chain.signal[s], -limit, limit, out=chain.signal[s])
+    for row, limit in zip(chain.rows(use.sensor), use["limit"], strict=True):
+        np.clip(row, -limit, limit, out=row)
 
 
 def _quantization(chain: _Chain, use: EffectUse, rng: np.random.Generator) -> None:
-    first = 0 if use.sensor == "gyro" else 3
-    for axis, lsb in enumerate(use["lsb"]):
+    for row, lsb in zip(chain.rows(use.sensor), use["lsb"], strict=True):
         if lsb > 0:
-            row = chain.signal[first + axis]
-            np.multiply(np.round(row / lsb), lsb, out=row)
+            row /= lsb
+            np.rint(row, out=row)
+            row *= lsb
 
 
 #: Effects of the IMU's values, in the order in which they act.
@@ -373,9 +435,8 @@ _ACTIONS: dict[str, Apply] = {
     "quantization": _quantization,
 }
 _ORDER = {name: k for k, name in enumerate(_ACTIONS)}
-#: What sees the signal after mounting and before anything is added.
-_FIRST_OF_TRUE = _ORDER["scale_factor"]
-_FIRST_ADDED = _ORDER["turn_on_bias"]
+#: The first that meets the signal after the functions of the truth.
+_FIRST_AFTER = _ORDER["temperature"]
 _FIRST_FILTER = _ORDER["decimation_filter"]
 _TIMING = ("clock_drift", "imu_gnss_time_offset", "time_jitter", "dropped_samples")
 
@@ -439,21 +500,15 @@ def corrupt(
     if degc is not None and np.shape(degc) != (n,):
         raise InputError(f"temperature has shape {np.shape(degc)}, expected ({n},)")
     children = dict(zip(map(id, inertial), rng.spawn(len(inertial)), strict=True))
-    step = np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1])
-    signal = np.empty((6, n))
-    signal[:3], signal[3:] = imu.gyro.T, imu.accel.T
-    if imu.kind == "increment":
-        signal /= step
-    chain = _Chain(imu.t, dt, signal, signal, reference, degc)
+    step = _intervals(imu)
+    chain = _Chain.of(imu, step, reference, degc)
     ordered = sorted((u for u in inertial if u.id not in _TIMING), key=lambda u: _ORDER[u.id])
     stage = 0
     for use in [*ordered, None]:
         place = _ORDER[use.id] if use is not None else len(_ORDER)
-        if stage < 1 and place >= _FIRST_OF_TRUE:
-            # functions of the true signal are of the same true signal
-            chain.true = (
-                chain.signal.copy() if any(_FIRST_OF_TRUE <= _ORDER[u.id] < _FIRST_ADDED for u in ordered) else signal
-            )
+        if stage < 1 and place >= _FIRST_AFTER:
+            chain.leave_out()
+            chain.respond()
             stage = 1
         if stage < 2 and place >= _FIRST_FILTER:
             if truth is not None or errors is not None:
@@ -461,24 +516,30 @@ def corrupt(
             stage = 2
         if use is not None:
             _ACTIONS[use.id](chain, use, children[id(use)])
-    if imu.kind == "increment":
-        chain.signal *= step
-    out = replace(imu, gyro=chain.signal[:3].T.copy(), accel=chain.signal[3:].T.copy(), temperature=degc)
-    out, kept = _stamps(out, inertial, children)
-    return Corrupted(out, drawn, components, kept)
+    t, kept = _stamps(imu, inertial, children)
+    gyro, accel = np.empty((2, kept.size, 3))
+    passes.unload(chain.signal, step, kept, gyro, accel)
+    if degc is not None and kept.size < n:
+        degc = degc[kept]
+    return Corrupted(ImuRecord(t, gyro, accel, imu.kind, degc), drawn, components, kept)
+
+
+def _intervals(imu: ImuRecord) -> Array:
+    """Intervals (n,) in s by which increments are divided and multiplied; empty for the other kinds."""
+    return np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1]) if imu.kind == "increment" else np.empty(0)
 
 
 def _add(imu: ImuRecord, errors: Array) -> ImuRecord:
     if imu.kind == "increment":
-        errors = errors * np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1])[:, None]
+        errors = errors * _intervals(imu)[:, None]
     return replace(imu, gyro=imu.gyro + errors[:, :3], accel=imu.accel + errors[:, 3:])
 
 
 def _stamps(
     imu: ImuRecord, effects: Sequence[EffectUse], children: Mapping[int, np.random.Generator]
-) -> tuple[ImuRecord, NDArray[np.int64]]:
-    """Time stamps and dropped samples."""
-    t = imu.t.copy()
+) -> tuple[Array, NDArray[np.int64]]:
+    """Time stamps of the samples that are kept, and their rows."""
+    t = imu.t
     keep = np.ones(t.size, bool)
     for use in sorted((u for u in effects if u.id in _TIMING), key=lambda u: _TIMING.index(u.id)):
         rng = children[id(use)]
@@ -495,13 +556,10 @@ def _stamps(
         else:
             keep &= ~_bursts(t.size, use, rng)
     keep[0] = True
-    if keep.all():
-        return (imu if t is imu.t else replace(imu, t=t)), np.arange(t.size)
-    if keep.sum() < 2:
+    kept = np.nonzero(keep)[0]
+    if kept.size < 2:
         raise InputError("effect 'dropped_samples' leaves no data")
-    temperature = None if imu.temperature is None else imu.temperature[keep]
-    record = ImuRecord(t[keep], imu.gyro[keep], imu.accel[keep], imu.kind, temperature)
-    return record, np.nonzero(keep)[0]
+    return t[kept], kept
 
 
 def _bursts(n: int, use: EffectUse, rng: np.random.Generator) -> NDArray[np.bool_]:

@@ -2,19 +2,37 @@
 
 from insemu.evaluate.errors import COMPONENTS, bootstrap_mean, navigation_error, paired_ratio, within_outage
 from insemu.evaluate.experiment import Experiment, run_experiment
-from insemu.evaluate.results import Results, headline, outage_table, rank_agreement, summary, verdicts, write
+from insemu.evaluate.results import (
+    Results,
+    consistency_words,
+    figure_of,
+    headline,
+    kendall,
+    outage_table,
+    published_cells,
+    rank_agreement,
+    single_run_agreement,
+    summary,
+    verdicts,
+    write,
+)
 
 __all__ = [
     "COMPONENTS",
     "Experiment",
     "Results",
     "bootstrap_mean",
+    "consistency_words",
+    "figure_of",
     "headline",
+    "kendall",
     "navigation_error",
     "outage_table",
     "paired_ratio",
+    "published_cells",
     "rank_agreement",
     "run_experiment",
+    "single_run_agreement",
     "summary",
     "verdicts",
     "within_outage",

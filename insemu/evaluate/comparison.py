@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -14,8 +14,8 @@ from insemu.evaluate.errors import paired_ratio
 from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.results import Results
 from insemu.evaluate.world import World
-from insemu.filters import InitialSigma
-from insemu.scenario import Scenario
+from insemu.filters import InitialSigma, LooselyCoupledEKF
+from insemu.scenario import Design, Scenario, shipped_designs
 from insemu.strapdown import NavState
 
 
@@ -37,6 +37,8 @@ class ComparisonRow:
         itself or a single realization.
     effect_size : float or None
         Mean of the paired differences over their standard deviation: 0.2 small, 0.8 large.
+    one_run : float or None
+        Standard deviation of the paired differences over the base's mean: how far the ratio of a single run scatters.
     """
 
     outage: int | None
@@ -48,6 +50,7 @@ class ComparisonRow:
     high: float | None
     p_value: float | None
     effect_size: float | None
+    one_run: float | None
 
     def to_dict(self) -> dict[str, Any]:
         """As plain data."""
@@ -55,19 +58,27 @@ class ComparisonRow:
 
 
 def with_designs(scenario: Scenario, designs: Sequence[str]) -> Scenario:
-    """The scenario with these designs only, in this order.
+    """The scenario with these designs only, in this order: its own, or else those that come with insemu.
 
     Raises
     ------
     InputError
-        A design that the scenario does not have.
+        A design that neither has, or one that the scenario lacks the signals for.
     """
-    for name in designs:
-        if name not in scenario.designs:
-            raise InputError(f"no design '{name}'" + nearest(name, scenario.designs), where="--designs")
     if not designs:
         return scenario
-    return scenario.model_copy(update={"designs": {name: scenario.designs[name] for name in designs}})
+    chosen = {}
+    for name in designs:
+        if name not in scenario.designs and name not in shipped_designs():
+            raise InputError(
+                f"no design '{name}'" + nearest(name, [*scenario.designs, *shipped_designs()]), where="--designs"
+            )
+        chosen[name] = scenario.designs.get(name) or Design.model_validate(name)
+        try:
+            scenario.check_design(name, chosen[name])
+        except InputError as error:
+            raise InputError(error.message, where="--designs") from None
+    return scenario.model_copy(update={"designs": chosen})
 
 
 def compare(results: Results, base: str | None = None) -> list[ComparisonRow]:
@@ -107,29 +118,54 @@ def compare(results: Results, base: str | None = None) -> list[ComparisonRow]:
                     pair.high if pair else None,
                     pair.p_value if pair else None,
                     float((v - b).mean() / spread) if pair and spread > 0 else None,
+                    spread / float(b.mean()) if pair and v.size > 1 else None,
                 )
             )
     return rows
 
 
+def analysable(experiment: Experiment) -> tuple[list[str], str]:
+    """Designs of which a covariance analysis can be made; and, in words, why not of the others and what it leaves out (empty: nothing)."""
+    s = experiment.scenario
+    if not isinstance(experiment.world, World) or s.truth is None:
+        return [], "found a recording; the analysis needs an emulated world and its truth"
+    if s.truth.recorded is not None or s.truth.uses():
+        return [], "found a recorded truth or deterministic effects; the analysis needs noise models only"
+    able: list[str] = []
+    left_out: dict[str, str] = {}
+    for name, design in s.designs.items():
+        if not isinstance(experiment.filter(name), LooselyCoupledEKF):
+            left_out[name] = "a user's filter"
+        elif design.options.prefilter is not None:
+            left_out[name] = "a prefilter"
+        else:
+            able.append(name)
+    notes = []
+    if left_out:
+        notes.append("left out: " + ", ".join(f"{name} ({why})" for name, why in left_out.items()))
+    gated = [name for name in able if s.designs[name].options.gate is not None]
+    if gated:
+        notes.append(f"the gate of {', '.join(gated)} plays no part: the analysis takes every fix")
+    if s.truth.record is not None:
+        notes.append("the mean removed from the records (truth.record) is no part of the analysis")
+    return able, "; ".join(notes)
+
+
 def analyse_designs(
     experiment: Experiment, states: Sequence[str] = ("pos_n", "pos_e")
 ) -> dict[str, CovarianceAnalysis]:
-    """Covariance analysis of every design of a scenario, with an error budget at the end of every outage.
+    """Covariance analysis of every design that allows it, with an error budget at the end of every outage.
 
     Raises
     ------
     InputError
-        The truth is recorded or has deterministic effects: there is no covariance to propagate.
+        The truth is recorded or has deterministic effects, or no design allows it.
     """
+    able, reason = analysable(experiment)
+    if not able:
+        raise InputError(reason, where=str(experiment.file or "scenario"))
     s, world = experiment.scenario, experiment.world
-    where = str(experiment.file or "scenario")
-    if not isinstance(world, World) or s.truth is None:
-        raise InputError("found a recording; the analysis needs an emulated world and its truth", where=where)
-    if s.truth.recorded is not None or s.truth.uses():
-        raise InputError(
-            "found a recorded truth or deterministic effects; the analysis needs noise models only", where=where
-        )
+    assert isinstance(world, World) and s.truth is not None
     fixes = world.recording(0, ideal=True).gnss
     assert fixes is not None
     i = s.initial
@@ -137,22 +173,45 @@ def analyse_designs(
     ends = [start + duration for start, duration in world.outage_windows]
     plain = type(fixes)(fixes.t, fixes.llh, fixes.vel_ned)  # the filter's own sigmas, not those of perfect fixes
     truth = {axis: m.at_rate(experiment.rate_hz) for axis, m in s.truth.models().items()}
-    start = NavState.of(world.reference)
-    times = tuple(world.output_times)
     return {
         name: analyse(
-            experiment.filter(name),
+            experiment.ekf(name),
             truth,
             world.imu,
             plain,
-            start,
+            NavState.of(world.reference),
             sigma,
-            at=times,
+            true_gnss_sigma=(s.gnss.position_sigma, s.gnss.velocity_sigma or (0.0, 0.0, 0.0)),
+            at=tuple(world.output_times),
             budget_at=ends,
             budget_states=states,
         )
-        for name in experiment.beliefs
+        for name in able
     }
+
+
+def outage_budgets(
+    analyses: Mapping[str, CovarianceAnalysis], windows: Sequence[tuple[float, float]], by: str = "process"
+) -> dict[str, list[dict[str, Any]]]:
+    """Error budgets as plain data: per design and outage ``start_s, duration_s, rms_m, predicted_sigma_m`` and ``parts_rms_m``.
+
+    The parts add up as squares to ``rms_m``; ``by`` is ``source``, ``axis`` or ``process``.
+    """
+    out: dict[str, list[dict[str, Any]]] = {}
+    for name, a in analyses.items():
+        out[name] = []
+        for budget, (start, duration) in zip(a.budgets, windows, strict=True):
+            at = int(np.argmin(np.abs(a.t - budget.t)))
+            out[name].append(
+                {
+                    "start_s": start,
+                    "duration_s": duration,
+                    "rms_m": budget.rms(),
+                    "predicted_sigma_m": float(np.hypot(a.sigma[at, 0], a.sigma[at, 1])),
+                    "parts_rms_m": {key: float(np.sqrt(value)) for key, value in budget.shares(by).items()},
+                }
+            )
+    return out
 
 
 def horizontal_rms(analysis: CovarianceAnalysis) -> np.ndarray:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
+from insemu.augment import Augmentation
 from insemu.errors import InputError
 from insemu.filters import FilterResult, FixTable
 
@@ -109,6 +110,106 @@ def nees(errors: ArrayLike, covariance: ArrayLike) -> Array:
         raise InputError("a covariance is singular; leave fully correlated states out of the NEES") from None
 
 
+#: Groups of states that are judged together in every experiment: :func:`block_nees`.
+BLOCKS = ("position", "velocity", "attitude", "gyro", "accel", "imu_states")
+
+
+def nees_per_dof(errors: Array, covariance: Array) -> Array:
+    """NEES (n,) per degree of freedom of errors (n, k); states without uncertainty are left out, NaN where an error is not known."""
+    out = np.full(len(errors), np.nan)
+    variance = np.einsum("nii->ni", covariance)
+    known = np.isfinite(errors).all(axis=1) & np.isfinite(variance).all(axis=1)
+    live = variance > 0.0
+    for pattern in np.unique(live[known], axis=0) if known.any() else ():
+        rows = known & (live == pattern).all(axis=1)
+        if pattern.any():
+            out[rows] = nees(errors[rows][:, pattern], covariance[rows][:, pattern][:, :, pattern]) / pattern.sum()
+    return out
+
+
+@dataclass(frozen=True)
+class SensorErrors:
+    """Errors of what a filter says about its sensors.
+
+    Parameters
+    ----------
+    axes, axes_covariance : (k, 6), (k, 6, 6) arrays
+        Estimated minus true error of every axis apart from white noise (calibration states count at the rate and specific force
+        measured then), rad/s and m/s^2, and what the filter says about it: ``C P C'``.
+    states : (k, m) array
+        The states behind one by one; NaN where truth and belief do not have the same.
+    """
+
+    axes: Array
+    axes_covariance: Array
+    states: Array
+
+
+def sensor_errors(
+    result: FilterResult,
+    augmentation: Augmentation,
+    rows: NDArray[np.intp],
+    covariance: Array,
+    measured: Array,
+    true_axes: Array | None,
+    true_states: Array | None,
+    true_names: Sequence[str] = (),
+) -> SensorErrors:
+    """Compare a filter's states behind with the true ones.
+
+    The total error of an axis can be compared whatever truth and belief carry; single states only where both have the same.
+
+    Parameters
+    ----------
+    result : FilterResult
+    augmentation : Augmentation
+        Of the filter.
+    rows : (k,) array of int
+        Rows of the result.
+    covariance : (k, n, n) array
+        At these rows.
+    measured : (k, 6) array
+        Measured rate and specific force there.
+    true_axes, true_states, true_names : (k, 6), (k, m) arrays, sequence of str
+        See :class:`insemu.emulate.pieces.TrueStates`; None: not known.
+    """
+    estimate = result.imu_states[rows]
+    axes, spread = np.full((len(rows), 6), np.nan), np.full((len(rows), 6, 6), np.nan)
+    for k in range(len(rows)):
+        C = augmentation.output(measured[k])
+        spread[k] = C @ covariance[k][9:, 9:] @ C.T
+        if true_axes is not None:
+            axes[k] = C @ estimate[k] - true_axes[k]
+    states = np.full(estimate.shape, np.nan)
+    if true_states is not None and augmentation.layout.names[9:] == tuple(true_names):
+        states = estimate - true_states
+    return SensorErrors(axes, spread, states)
+
+
+def block_nees(errors: Array, covariance: Array, sensors: SensorErrors | None = None) -> Array:
+    """NEES per degree of freedom of every block of :data:`BLOCKS`, (blocks, k).
+
+    Parameters
+    ----------
+    errors : (k, 9) array
+        Navigation errors.
+    covariance : (k, n, n) array
+        Of the whole filter.
+    sensors : SensorErrors, optional
+        Without them the last three blocks are NaN.
+    """
+    out = np.full((len(BLOCKS), len(errors)), np.nan)
+    for i in range(3):
+        s = slice(3 * i, 3 * i + 3)
+        out[i] = nees_per_dof(errors[:, s], covariance[:, s, s])
+    if sensors is not None:
+        for i in (0, 1):
+            s = slice(3 * i, 3 * i + 3)
+            out[3 + i] = nees_per_dof(sensors.axes[:, s], sensors.axes_covariance[:, s, s])
+        out[5] = nees_per_dof(sensors.states, covariance[:, 9:, 9:])
+    return out
+
+
 def nees_test(
     values: ArrayLike,
     dof: int,
@@ -154,7 +255,11 @@ def nis_test(fixes: FixTable | Sequence[FixTable], *, confidence: float = 0.99) 
     """
     tables = [fixes] if isinstance(fixes, FixTable) else list(fixes)
     total = sum(float(t.nis[t.accepted].sum()) for t in tables)
-    dof = sum(int(t.dof[t.accepted].sum()) for t in tables)
+    return nis_verdict(total, sum(int(t.dof[t.accepted].sum()) for t in tables), confidence=confidence)
+
+
+def nis_verdict(total: float, dof: int, *, confidence: float = 0.99) -> Verdict:
+    """A sum of normalised innovations squared with ``dof`` degrees of freedom, judged as in :func:`nis_test`."""
     if dof == 0:
         raise InputError("no accepted fix: there is no innovation to judge")
     tail = 0.5 * (1.0 - confidence)
@@ -181,18 +286,28 @@ def whiteness_test(fixes: FixTable | Sequence[FixTable], *, lags: int = 5, confi
     Products of independent standard normals have mean 0 and variance 1, so the mean of N of them lies within z / sqrt(N).
     """
     tables = [fixes] if isinstance(fixes, FixTable) else list(fixes)
-    series = [normalised_innovations(t) for t in tables]
-    z = stats.norm.isf(0.5 * (1.0 - confidence) / lags)
+    sums, counts = (sum(part) for part in zip(*(lag_products(t, lags) for t in tables), strict=True))
+    return whiteness_verdicts(sums, counts, confidence=confidence)
+
+
+def lag_products(fixes: FixTable, lags: int = 5) -> tuple[Array, Array]:
+    """Sums of the products of normalised innovations at lags 1 to ``lags``, and how many products each has; sums of many runs add up."""
+    y = normalised_innovations(fixes)
+    products = [(y[lag:] * y[:-lag]).ravel() for lag in range(1, lags + 1)]
+    return np.array([p.sum() for p in products]), np.array([float(p.size) for p in products])
+
+
+def whiteness_verdicts(sums: ArrayLike, counts: ArrayLike, *, confidence: float = 0.99) -> list[Verdict]:
+    """Sums of :func:`lag_products`, judged as in :func:`whiteness_test`."""
+    total, number = np.asarray(sums, dtype=np.float64), np.asarray(counts, dtype=np.float64)
+    z = stats.norm.isf(0.5 * (1.0 - confidence) / total.size)
     out = []
-    for lag in range(1, lags + 1):
-        products = np.concatenate([(y[lag:] * y[:-lag]).ravel() for y in series])
-        if products.size == 0:
-            raise InputError(f"{max(len(y) for y in series)} fixes are too few for a lag of {lag}")
-        value, bound = float(products.mean()), z / math.sqrt(products.size)
+    for lag, (s, n) in enumerate(zip(total, number, strict=True), start=1):
+        if n == 0:
+            raise InputError(f"too few fixes for a lag of {lag}")
+        value, bound = float(s / n), float(z / math.sqrt(n))
         word = _judge(value, -bound, bound, larger="correlated", smaller="correlated")
-        out.append(
-            Verdict("whiteness", f"innovations at lag {lag}", value, -bound, bound, confidence, products.size, word)
-        )
+        out.append(Verdict("whiteness", f"innovations at lag {lag}", value, -bound, bound, confidence, int(n), word))
     return out
 
 
@@ -282,24 +397,41 @@ def credibility(errors: ArrayLike, covariance: ArrayLike) -> Credibility:
     return Credibility(float(np.abs(ratio).mean()), float(ratio.mean()))
 
 
-def observability(result: FilterResult, prior: ArrayLike) -> Array:
+def observability(sigma: ArrayLike, prior: ArrayLike) -> Array:
     """Share of each state's own variance that the fixes have removed, over time: 0 unobserved, 1 known.
 
     Parameters
     ----------
-    result : FilterResult
+    sigma : (o, n) array_like
+        What a filter states.
     prior : (o, n) array_like
-        Standard deviations that the states would have without any fix, for example ``sigma`` of the same filter run with ``gnss=None``.
+        Standard deviations that the states would have without any fix: ``sigma`` of the same filter run with ``gnss=None``, or for the states
+        of the sensors :func:`unaided_sigma`.
 
     Returns
     -------
     (o, n) array
         ``1 - sigma^2 / prior^2``; NaN for states without prior uncertainty.
     """
-    p = np.asarray(prior, dtype=np.float64)
-    if p.shape != result.sigma.shape:
-        raise InputError(f"the prior has shape {p.shape}, expected {result.sigma.shape} as the result")
-    return np.asarray(1.0 - np.divide(result.sigma, p, out=np.full_like(p, np.nan), where=p > 0) ** 2)
+    s, p = np.asarray(sigma, dtype=np.float64), np.asarray(prior, dtype=np.float64)
+    if p.shape != s.shape:
+        raise InputError(f"the prior has shape {p.shape}, expected {s.shape} as the standard deviations")
+    return np.asarray(1.0 - np.divide(s, p, out=np.full_like(p, np.nan), where=p > 0) ** 2)
+
+
+def unaided_sigma(augmentation: Augmentation, epochs: NDArray[np.intp]) -> Array:
+    """Standard deviations (k, m) that the states behind would have after so many samples without any fix; ``epochs`` (k,) increase."""
+    P, out = augmentation.P0.copy(), np.empty((len(epochs), augmentation.m))
+    powers: dict[int, tuple[Array, Array]] = {}
+    before = 0
+    for k, epoch in enumerate(epochs):
+        count, before = int(epoch) - before, int(epoch)
+        if count not in powers:
+            powers[count] = augmentation.power(count)
+        Phi, Q = powers[count]
+        P = Phi @ P @ Phi.T + Q
+        out[k] = np.sqrt(np.diag(P))
+    return out
 
 
 def consistency_report(

@@ -11,7 +11,7 @@ import subprocess
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from importlib import metadata
 from pathlib import Path
@@ -21,16 +21,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 import insemu
+from insemu.compensation import NEEDS_TRAJECTORY, compensated, lever_arm_of
 from insemu.denoise import denoise
+from insemu.emulate.pieces import TrueStates
 from insemu.errors import InputError
+from insemu.evaluate.consistency import block_nees, lag_products, observability, sensor_errors, unaided_sigma
 from insemu.evaluate.recorded import RecordedWorld
-from insemu.evaluate.results import DesignInfo, Results
-from insemu.evaluate.world import World, static_logs, stream
-from insemu.filters import Extras, FilterOptions, LooselyCoupledEKF
+from insemu.evaluate.results import DesignInfo, Innovations, Results, Sensors, Smoothed
+from insemu.evaluate.world import Estimate, World, static_logs, stream
+from insemu.filters import (
+    Extras,
+    FilterOptions,
+    FilterResult,
+    InitialSigma,
+    LooselyCoupledEKF,
+    NavigationFilter,
+    Standstill,
+    smooth,
+)
+from insemu.filters.alignment import rests
+from insemu.filters.protocol import FilterParts, check_result, user_filter_code
 from insemu.fit import FitResult, fit
-from insemu.noise import ARMA, NoiseModel, axis_unit, load
-from insemu.records import AXES, GnssRecord, ImuRecord, Series
+from insemu.noise import ARMA, NoiseModel, NotStationary, axis_unit, load
+from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Series
 from insemu.scenario import AxisSource, Scenario, digest
+from insemu.strapdown import NavState, trajectory_of
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
@@ -66,11 +81,19 @@ class Experiment:
     def __init__(self, scenario: Scenario, file: str | Path | None = None) -> None:
         self.scenario = scenario
         self.file = file
+        if not scenario.designs:
+            raise InputError("the key 'designs' is missing: there is nothing to fly", where=str(file or "scenario"))
         self.world: World | RecordedWorld = (
             RecordedWorld(scenario, file) if scenario.recording is not None else World(scenario, file)
         )
-        self.digest = digest(scenario, self.world.files)
+        code = [file for d in scenario.designs.values() if d.filter for file in user_filter_code(d.filter).items()]
+        self.digest = digest(scenario, {**self.world.files, **dict(code)})
         _ = self.world.outage_windows  # what is wrong with them is said before anything is flown
+        if isinstance(self.world, RecordedWorld):
+            _ = self.world.alignment
+        for name, design in scenario.designs.items():
+            if not any(isinstance(source, AxisSource) and source.fit for source in design.sources().values()):
+                self._made(name, self._belief(name, {}))  # nor is a belief that no filter can carry
 
     @property
     def rate_hz(self) -> float:
@@ -102,33 +125,39 @@ class Experiment:
     def beliefs(self) -> dict[str, Belief]:
         """What every design believes, models fitted where the scenario says so."""
         done: dict[tuple[str, int], FitResult] = {}  # a log is fitted once per structure and method
-        out = {}
-        for name, design in self.scenario.designs.items():
-            models: dict[str, NoiseModel] = {}
-            fits: dict[str, FitResult] = {}
-            for axis, source in design.sources().items():
-                if isinstance(source, NoiseModel):
-                    models[axis] = source
-                elif source.truth:
-                    models[axis] = self._true_models()[axis]
-                elif source.file:
-                    models[axis] = self._from_file(source.file, axis)
-                else:
-                    assert source.fit is not None
-                    log = self.fit_logs[axis][0]
-                    key = (source.model_dump_json(), id(log))
-                    if key not in done:
-                        done[key] = self._fitted(name, log, source)
-                    fits[axis] = done[key]
-                    models[axis] = done[key].model
-                if isinstance(source, AxisSource) and source.stabilise:
-                    models[axis] = NoiseModel(tuple(p.stabilised() if isinstance(p, ARMA) else p for p in models[axis]))
-                tuning = design.options.tuning
-                factor = tuning.gyro if axis.startswith("gyro") else tuning.accel
-                if factor != 1.0:
-                    models[axis] = models[axis].scaled(factor)
-            out[name] = Belief({axis: m.at_rate(self.rate_hz) for axis, m in models.items()}, fits)
-        return out
+        return {name: self._belief(name, done) for name in self.scenario.designs}
+
+    def _belief(self, name: str, done: dict[tuple[str, int], FitResult]) -> Belief:
+        design = self.scenario.designs[name]
+        models: dict[str, NoiseModel] = {}
+        fits: dict[str, FitResult] = {}
+        for axis, source in design.sources().items():
+            if isinstance(source, NoiseModel):
+                models[axis] = source
+            elif source.truth:
+                models[axis] = self._true_models()[axis]
+            elif source.file:
+                models[axis] = self._from_file(source.file, axis)
+            elif source.model is not None:
+                models[axis] = NoiseModel.from_list(source.model, axis_unit(axis))
+            else:
+                assert source.fit is not None
+                log = self.fit_logs[axis][0]
+                key = (source.model_dump_json(), id(log))
+                if key not in done:
+                    done[key] = self._fitted(name, log, source)
+                fits[axis] = done[key]
+                models[axis] = done[key].model
+            if isinstance(source, AxisSource) and source.stabilise:
+                radius = {} if source.stabilise is True else {"radius": float(source.stabilise)}
+                models[axis] = NoiseModel(
+                    tuple(p.stabilised(**radius) if isinstance(p, ARMA) else p for p in models[axis])
+                )
+            tuning = design.options.tuning
+            factor = tuning.gyro if axis.startswith("gyro") else tuning.accel
+            if factor != 1.0:
+                models[axis] = models[axis].scaled(factor)
+        return Belief({axis: m.at_rate(self.rate_hz) for axis, m in models.items()}, fits)
 
     def _true_models(self) -> dict[str, NoiseModel]:
         return self.scenario.truth.models() if self.scenario.truth is not None else {}
@@ -151,15 +180,61 @@ class Experiment:
             raise InputError(f"no model for {axis}, expected one of: {', '.join(models)}", where=name)
         return models[axis]
 
-    def filter(self, design: str, *, output_every: int = 1, covariance_at: Array | None = None) -> LooselyCoupledEKF:
-        """The filter of one design."""
-        gnss, options = self.scenario.gnss, self.scenario.designs[design].options
+    def filter(
+        self,
+        design: str,
+        *,
+        output_every: int = 1,
+        covariance_at: Array | None = None,
+        standstill: Standstill | None = None,
+    ) -> LooselyCoupledEKF | NavigationFilter:
+        """The filter of one design: insemu's own, or the one that an installed package offers under the name that the design gives."""
+        return self._made(
+            design,
+            self.beliefs[design],
+            output_every=output_every,
+            covariance_at=covariance_at,
+            standstill=standstill or self.world.standstill,
+        )
+
+    def ekf(self, design: str) -> LooselyCoupledEKF:
+        """The filter of a design of insemu's own.
+
+        Raises
+        ------
+        InputError
+            The design names a user's filter.
+        """
+        made = self.filter(design)
+        if not isinstance(made, LooselyCoupledEKF):
+            name = self.scenario.designs[design].filter
+            raise InputError(
+                f"the design '{design}' is the user's filter '{name}', expected one of insemu's own",
+                where=str(self.file or "scenario"),
+            )
+        return made
+
+    def altered(self, design: str, parts: FilterParts) -> FilterParts:
+        """What a filter is made of, as it is used; for experiments that change it (:mod:`insemu.evaluate.regression`)."""
+        return parts
+
+    def _made(
+        self,
+        design: str,
+        belief: Belief,
+        *,
+        output_every: int = 1,
+        covariance_at: Array | None = None,
+        standstill: Standstill | None = None,
+    ) -> LooselyCoupledEKF | NavigationFilter:
+        gnss, chosen = self.scenario.gnss, self.scenario.designs[design]
+        options = chosen.options
         sigma = np.array(gnss.position_sigma) * options.tuning.position
         velocity = np.array(gnss.velocity_sigma or (np.nan,) * 3) * options.tuning.velocity
-        return LooselyCoupledEKF(
-            self.beliefs[design].models,
-            1.0 / self.rate_hz,
-            lever_arm=gnss.lever_arm,
+        parts = FilterParts(
+            belief=belief.models,
+            dt=1.0 / self.rate_hz,
+            lever_arm=lever_arm_of(options.known_effects(), gnss.lever_arm),
             gravity=self.world.gravity,
             gnss_sigma=(sigma, velocity),
             options=FilterOptions(
@@ -168,9 +243,18 @@ class Experiment:
                 gate=options.gate,
                 covariance_at=() if covariance_at is None else tuple(covariance_at),
                 extras=Extras(**options.states.model_dump()),
-                standstill=self.world.standstill,
+                standstill=standstill,
+                store="fixes" if self.scenario.smoother else "none",
             ),
         )
+        try:
+            parts = self.altered(design, parts)
+            return parts.own() if chosen.filter is None else parts.user(chosen.filter, chosen.settings)
+        except InputError as error:
+            hint = ""
+            if isinstance(error, NotStationary):
+                hint = "; to take it write {model: [...], stabilise: true}, or the largest modulus of a pole instead of true"
+            raise InputError(f"{error}{hint}", where=f"{self.file or 'scenario'}: designs.{design}") from None
 
     def realization(self, index: int) -> dict[str, Array]:
         """Fly every design through one realization.
@@ -178,26 +262,120 @@ class Experiment:
         Returns
         -------
         dict of arrays
-            ``error, sigma`` (design, time, 9); ``nees`` (design, time); ``nis, epochs, seconds`` (design,).
+            ``error, sigma`` (design, time, 9); ``nees`` (design, time); ``block_nees`` (design, block, time); ``axis_error, axis_sigma``
+            (design, time, 6); ``nis, dof, epochs, seconds`` (design,): ``nis`` is the sum over accepted fixes; ``lag_sum, lag_count``
+            (design, lags) of the normalised innovations. With a smoother ``smoothed_error, smoothed_sigma, smoothed_nees`` besides.
         """
         recording = self.world.recording(index)
-        imu, fixes = recording.imu, recording.gnss
-        assert fixes is not None
-        start, start_sigma = self.world.start(index, imu)
-        rows = self.world.rows(imu, max(d.options.covariance_every for d in self.scenario.designs.values()))
-        out: dict[str, list[Any]] = {"error": [], "sigma": [], "nees": [], "nis": [], "epochs": [], "seconds": []}
+        start, start_sigma = self.world.start(index, recording.imu)
+        every = max(d.options.covariance_every for d in self.scenario.designs.values())
+        true = self.world.true_states(index, recording.imu)
+        out: dict[str, list[Any]] = {}
         for name in self.beliefs:
-            ekf = self.filter(name, covariance_at=imu.t[rows])
-            run = ekf.run(self._prefiltered(name, imu), self._believed(name, fixes), start, start_sigma)
-            scored = self.world.score(run, imu.t[rows])
+            known = self._compensated(name, recording, start, start_sigma)
+            assert known.gnss is not None
+            rows = self.world.rows(known.imu, every)
+            times = known.imu.t[rows]
+            ekf = self.filter(name, covariance_at=times, standstill=self._rests(name, known))
+            run = ekf.run(self._prefiltered(name, known.imu), self._believed(name, known.gnss), start, start_sigma)
+            if (users := self.scenario.designs[name].filter) is not None:
+                check_result(users, run, times, smoother=self.scenario.smoother)
+            found = asdict(self.world.score(Estimate.of_filter(run, times), times))
+            if self.scenario.smoother:
+                smoothed = self.world.score(Estimate.of_smoother(smooth(run), times), times)
+                found |= {f"smoothed_{key}": value for key, value in asdict(smoothed).items()}
             used = run.fixes.accepted
-            out["error"].append(scored.error)
-            out["sigma"].append(scored.sigma)
-            out["nees"].append(scored.nees)
-            out["nis"].append(float(run.fixes.nis[used].sum() / max(1, run.fixes.dof[used].sum())))
-            out["epochs"].append(run.epochs)
-            out["seconds"].append(run.seconds)
+            # the true states are those of the data as they came: they say nothing of what is left after a compensation
+            found |= self._sensors(ekf, run, known.imu, rows, found["error"], true if known is recording else None)
+            lag_sum, lag_count = lag_products(run.fixes) if used.any() else (np.zeros(5), np.zeros(5))
+            found |= {
+                "nis": run.fixes.nis[used].sum(),
+                "dof": run.fixes.dof[used].sum(),
+                "lag_sum": lag_sum,
+                "lag_count": lag_count,
+                "epochs": run.epochs,
+                "seconds": run.seconds,
+                "rejected": len(run.fixes.rejected),
+                "fixes": np.count_nonzero(run.fixes.dof),
+                "state_names": "\n".join(run.layout.names),
+            }
+            for key, value in found.items():
+                out.setdefault(key, []).append(value)
+        widest = max(values.shape[1] for values in out["observability"])
+        out["observability"] = [
+            np.pad(values, ((0, 0), (0, widest - values.shape[1])), constant_values=np.nan)
+            for values in out["observability"]
+        ]
         return {name: np.array(values) for name, values in out.items()}
+
+    def _rests(self, design: str, data: Recording) -> Standstill | None:
+        """Zero-velocity and zero-rate updates of one design, where it has any and the data show a rest outside the outages."""
+        asked = self.scenario.designs[design].options.zero_updates
+        if asked is None:
+            return None
+        clear = [
+            (a, b)
+            for a, b in rests(data.imu, data.gnss)
+            if not any(start < b and a < start + duration for start, duration in self.world.outage_windows)
+        ]
+        return Standstill(
+            clear,
+            asked.every,
+            np.inf if asked.velocity_sigma is None else asked.velocity_sigma,
+            np.inf if asked.rate_sigma is None else asked.rate_sigma,
+        )
+
+    def _sensors(
+        self,
+        ekf: NavigationFilter,
+        run: FilterResult,
+        imu: ImuRecord,
+        rows: NDArray[np.intp],
+        error: Array,
+        true: TrueStates | None,
+    ) -> dict[str, Array]:
+        """NEES of every block, errors and stated standard deviations of what the filter says about its axes, observability of its states."""
+        times = imu.t[rows]
+        if self.world.compared < 9:  # errors against fixes hold the fixes' own, which this covariance does not
+            error = np.full_like(error, np.nan)
+        covariance = run.covariance[np.searchsorted(run.covariance_t, times - 1e-9).clip(0, len(run.covariance) - 1)]
+        if not isinstance(ekf, LooselyCoupledEKF):  # what its further states mean is not known
+            nothing = np.full((len(rows), 6), np.nan)
+            unknown = np.full((len(rows), covariance.shape[1] - 9), np.nan)
+            return {
+                "block_nees": block_nees(error, covariance),
+                "axis_error": nothing,
+                "axis_sigma": nothing,
+                "observability": unknown,
+            }
+        whole = imu.as_increments()
+        step = (whole.t[np.maximum(rows, 1)] - whole.t[np.maximum(rows, 1) - 1])[:, None]
+        measured = np.hstack([whole.gyro[rows], whole.accel[rows]]) / step
+        if true is not None and not np.allclose(times, self.world.output_times, rtol=0, atol=0.5 / self.rate_hz):
+            true = None  # the covariance was not propagated at the very samples
+        at = np.searchsorted(run.t, times - 1e-9)
+        axes, states, names = (None, None, ()) if true is None else (true.axes, true.states, true.names)
+        sensed = sensor_errors(run, ekf.augmentation, at, covariance, measured, axes, states, names)
+        return {
+            "block_nees": block_nees(error, covariance, sensed),
+            "axis_error": sensed.axes,
+            "axis_sigma": np.sqrt(np.maximum(np.einsum("kii->ki", sensed.axes_covariance), 0.0)),
+            "observability": observability(
+                np.sqrt(np.maximum(np.einsum("kii->ki", covariance[:, 9:, 9:]), 0.0)),
+                unaided_sigma(ekf.augmentation, rows),
+            ),
+        }
+
+    def _compensated(self, design: str, recording: Recording, start: NavState, sigma: InitialSigma) -> Recording:
+        """The data less the effects that a design knows of."""
+        known = self.scenario.designs[design].options.known_effects()
+        along = [use for use in known if use.id in NEEDS_TRAJECTORY]
+        if not along:
+            return compensated(recording, known) if known else recording
+        # where the vehicle was is known well enough without them
+        first = compensated(recording, [use for use in known if use.id not in NEEDS_TRAJECTORY])
+        flown = self.filter(design).run(first.imu, first.gnss, start, sigma)
+        return compensated(recording, known, trajectory=trajectory_of(flown.t, flown.nav, "estimate"))
 
     def _prefiltered(self, design: str, imu: ImuRecord) -> ImuRecord:
         """What a design's filter is fed: the record, de-noised where the design says so."""
@@ -253,6 +431,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         "python": platform.python_version(),
         "packages": {name: metadata.version(name) for name in packages},
         "ideal_imu_distance_m": experiment.world.path_distance_m,
+        "warnings": list(experiment.world.warnings),
         "beliefs": {
             name: {axis: m.to_list(axis_unit(axis)) for axis, m in b.models.items()}
             for name, b in experiment.beliefs.items()
@@ -290,8 +469,9 @@ def run_experiment(
     Results
     """
     started = time.perf_counter()
-    total = realizations if realizations is not None else experiment.scenario.realizations
-    if experiment.scenario.recording is not None:
+    s = experiment.scenario
+    total = realizations if realizations is not None else s.realizations
+    if s.recording is not None:
         total = 1  # what was recorded happened once
     folder = cache / experiment.digest if cache is not None else None
     items: dict[int, dict[str, Array]] = {}
@@ -302,7 +482,10 @@ def run_experiment(
     todo = [r for r in range(total) if r not in items]
     if todo:
         progress(len(items), total, "preparing")
-        _ = experiment.beliefs  # fits are made once, before the threads
+        for (
+            name
+        ) in experiment.beliefs:  # fits are made once, before the threads, and whatever is wrong with them is said
+            experiment.filter(name)
     progress(len(items), total, "flying")
     own = executor is None
     pool = executor if executor is not None else ThreadPoolExecutor(max_workers=max(1, workers))
@@ -316,14 +499,14 @@ def run_experiment(
     finally:
         if own:
             pool.shutdown(wait=True, cancel_futures=True)
-    stacked = {
-        name: np.stack([items[r][name] for r in range(total)], axis=1) for name in ("error", "sigma", "nees", "nis")
-    }
-    designs = {
-        name: DesignInfo(layout.n, tuple(layout.names), experiment.beliefs[name].models)
-        for name, layout in ((name, experiment.filter(name).layout) for name in experiment.beliefs)
-    }
-    s = experiment.scenario
+    stacked = {key: np.stack([items[r][key] for r in range(total)], axis=1) for key in items[0]}
+    smoothed = None
+    if s.smoother:
+        smoothed = Smoothed(*(stacked[f"smoothed_{key}"] for key in ("error", "sigma", "nees")))
+    designs = {}
+    for name, joined in zip(experiment.beliefs, items[0]["state_names"], strict=True):
+        states = tuple(str(joined).split("\n"))
+        designs[name] = DesignInfo(len(states), states, experiment.beliefs[name].models)
     timing = {
         "filter_epochs": int(sum(int(items[r]["epochs"].sum()) for r in range(total))),
         "filter_seconds": float(sum(float(items[r]["seconds"].sum()) for r in range(total))),
@@ -339,9 +522,24 @@ def run_experiment(
         truth=experiment.world.truth_at_outputs,
         timing=timing,
         manifest=manifest_of(experiment) | {"timing": timing},
-        published=s.published.values if s.published else {},
-        published_figure=s.published.figure if s.published else "planimetric_end_m",
-        **stacked,
+        published=s.published.figures if s.published else {},
+        error=stacked["error"],
+        sigma=stacked["sigma"],
+        nees=stacked["nees"],
+        nees_dof=experiment.world.compared,
+        innovations=Innovations(stacked["nis"], stacked["dof"], stacked["lag_sum"], stacked["lag_count"]),
+        smoothed=smoothed,
+        sensors=Sensors(
+            stacked["block_nees"],
+            stacked["axis_error"],
+            stacked["axis_sigma"],
+            {
+                name: stacked["observability"][d].mean(axis=0)[:, : info.states - 9]
+                for d, (name, info) in enumerate(designs.items())
+            },
+        ),
+        rejected=stacked["rejected"],
+        fixes=stacked["fixes"],
     )
 
 

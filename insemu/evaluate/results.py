@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.stats import kendalltau
 
+from insemu.evaluate.consistency import BLOCKS, Verdict, nees_test, nis_verdict, whiteness_verdicts
 from insemu.evaluate.errors import (
     COMPONENT_UNITS,
     COMPONENTS,
@@ -24,9 +25,13 @@ from insemu.evaluate.errors import (
     within_outage,
 )
 from insemu.noise import NoiseModel
-from insemu.records import Trajectory
+from insemu.records import AXES, Trajectory
 
 Array = NDArray[np.float64]
+
+
+#: Figures of an outage that are taken while it lasts.
+DURING = ("planimetric_mean_m", "planimetric_max_m", "north_max_m", "east_max_m", "down_max_m")
 
 
 @dataclass(frozen=True)
@@ -36,6 +41,53 @@ class DesignInfo:
     states: int
     state_names: tuple[str, ...]
     belief: Mapping[str, NoiseModel]
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """Sums over the accepted fixes of each run.
+
+    Parameters
+    ----------
+    nis, dof : (design, realization) arrays
+        Normalised innovations squared and their degrees of freedom.
+    lag_sum, lag_count : (design, realization, lags) arrays
+        Products of normalised innovations one and more fixes apart, and how many there are.
+    """
+
+    nis: Array
+    dof: Array
+    lag_sum: Array
+    lag_count: Array
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """The same as in :class:`Results` for the smoothed runs."""
+
+    error: Array
+    sigma: Array
+    nees: Array
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """What filters say about their sensors, against the truth; NaN where that is not known.
+
+    Parameters
+    ----------
+    block_nees : (design, realization, block, time) array
+        NEES per degree of freedom of the blocks :data:`insemu.evaluate.consistency.BLOCKS`, those of navigation among them.
+    error, sigma : (design, realization, time, 6) arrays
+        Estimated minus true error of every axis apart from white noise, and its stated standard deviation, rad/s and m/s^2.
+    observability : mapping of design to (time, states - 9) array
+        Share of the variance of each state behind the nine that the fixes have removed, mean over realizations.
+    """
+
+    block_nees: Array
+    error: Array
+    sigma: Array
+    observability: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -54,7 +106,12 @@ class Results:
     error, sigma : (design, realization, time, 9) arrays
         Navigation errors (estimate minus truth) and the filter's standard deviations; components in state order, SI.
     nees : (design, realization, time) array
-        Normalised squared error of the nine navigation states.
+        Normalised squared error of the nine navigation states, scaled to nine where fewer have a reference.
+    nees_dof : int
+        How many have one.
+    innovations : Innovations
+    smoothed : Smoothed, optional
+        The runs smoothed backwards.
     designs : mapping
         Name to :class:`DesignInfo`, in the order of the first axis.
     outages : sequence of (start_s, duration_s)
@@ -65,9 +122,13 @@ class Results:
     manifest : mapping
         Resolved scenario, seed, versions, git revision.
     published : mapping
-        Design to a paper's figure per outage; ``published_figure`` says which figure of the outage table it is.
-    nis : (design, realization) array
-        Mean normalised innovation squared per degree of freedom over accepted fixes.
+        Figure of the outage table to design to a paper's value per outage, None where it has none; the first figure is the headline.
+    budgets : mapping
+        Design to an error budget per outage (:func:`~insemu.evaluate.comparison.error_budgets`); empty where none was made.
+    sensors : Sensors, optional
+        What the filters say about their sensors.
+    rejected, fixes : (design, realization) arrays, optional
+        Fixes and standstill updates that the gate kept out, and how many there were.
     """
 
     title: str
@@ -77,19 +138,34 @@ class Results:
     error: Array
     sigma: Array
     nees: Array
-    nis: Array
+    innovations: Innovations
     designs: Mapping[str, DesignInfo]
     outages: Sequence[tuple[float, float]]
     truth: Trajectory
     timing: Mapping[str, float]
     manifest: Mapping[str, Any] = field(default_factory=dict)
-    published: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    published_figure: str = "planimetric_end_m"
+    published: Mapping[str, Mapping[str, Sequence[float | None]]] = field(default_factory=dict)
+    smoothed: Smoothed | None = None
+    nees_dof: int = 9
+    budgets: Mapping[str, Sequence[Mapping[str, Any]]] = field(default_factory=dict)
+    sensors: Sensors | None = None
+    rejected: Array | None = None
+    fixes: Array | None = None
 
     @property
     def realizations(self) -> int:
         """Number of realizations."""
         return self.error.shape[1]
+
+    @property
+    def nis(self) -> Array:
+        """Mean normalised innovation squared per degree of freedom over accepted fixes, (design, realization)."""
+        return np.asarray(self.innovations.nis / np.maximum(1, self.innovations.dof))
+
+    @property
+    def headline_figure(self) -> str:
+        """The figure of the outage table that tables show: the first that was published, else the mean error at outage end."""
+        return next(iter(self.published), "planimetric_end_m")
 
     @property
     def names(self) -> list[str]:
@@ -105,6 +181,11 @@ class Results:
         """Index of the last epoch of an outage."""
         start, duration = self.outages[outage]
         return int(np.flatnonzero(self.t <= start + duration + 1e-9)[-1])
+
+    def middle_index(self, outage: int) -> int:
+        """Index of the epoch nearest the middle of an outage."""
+        start, duration = self.outages[outage]
+        return int(np.argmin(np.abs(self.t - start - 0.5 * duration)))
 
     def pooled_end(self, design: str) -> Array:
         """Planimetric error at outage end averaged over the outages, one value per realization, m."""
@@ -137,6 +218,32 @@ class Results:
                 "component_unit": ("component", list(COMPONENT_UNITS)),
             },
         )
+        if self.smoothed is not None:
+            data["smoothed_error"] = ((*dims, "component"), self.smoothed.error, {"long_name": "error after smoothing"})
+            data["smoothed_sigma"] = (
+                (*dims, "component"),
+                self.smoothed.sigma,
+                {"long_name": "standard deviation the smoother states"},
+            )
+            data["smoothed_nees"] = (dims, self.smoothed.nees, {"units": "1"})
+        if self.sensors is not None:
+            about = {"long_name": "of the estimated sensor error without white noise"}
+            data["block_nees"] = (
+                ("design", "realization", "block", "time"),
+                self.sensors.block_nees,
+                {"long_name": "NEES per degree of freedom", "units": "1"},
+            )
+            data["axis_error"] = ((*dims, "axis"), self.sensors.error, about)
+            data["axis_sigma"] = ((*dims, "axis"), self.sensors.sigma, about)
+            data = data.assign_coords(block=list(BLOCKS), axis=list(AXES))
+            for name, values in self.sensors.observability.items():
+                states = f"states of {name}"
+                about = {"long_name": "share of a state's variance that the fixes have removed", "units": "1"}
+                data[f"observability of {name}"] = (("time", states), values, about)
+                data = data.assign_coords({states: list(self.designs[name].state_names[9:])})
+        if self.rejected is not None and self.fixes is not None:
+            data["rejected"] = (("design", "realization"), self.rejected, {"long_name": "fixes that the gate kept out"})
+            data["fixes"] = (("design", "realization"), self.fixes, {"long_name": "fixes with any component"})
         data.attrs = {
             "title": self.title,
             "digest": self.digest,
@@ -149,8 +256,9 @@ class Results:
 def outage_table(results: Results) -> dict[str, list[dict[str, Any]]]:
     """Per design and outage: the figures of ``summary.json`` (SI; attitude in degrees as its key says).
 
-    ``planimetric_mean_m`` averages over epochs and realizations of the outage; ``planimetric_max_m`` averages the largest error of each
-    realization; ``predicted_sigma_end_m`` is the root of the mean stated horizontal variance.
+    ``planimetric_mean_m`` averages over epochs and realizations of the outage; ``planimetric_max_m`` and ``north_max_m``, ``east_max_m``,
+    ``down_max_m`` average the largest error of each realization; ``predicted_sigma_end_m`` is the root of the mean stated horizontal
+    variance. With a smoother, ``smoothed`` holds its own figures beside the filter's in the middle of the outage, where a smoother is worst.
     """
     table: dict[str, list[dict[str, Any]]] = {}
     for d, name in enumerate(results.names):
@@ -159,53 +267,221 @@ def outage_table(results: Results) -> dict[str, list[dict[str, Any]]]:
             inside = within_outage(results.t, start, duration)
             end = results.end_index(k)
             error, sigma = results.error[d], results.sigma[d]
-            horizontal = np.hypot(error[..., 0], error[..., 1])
-            at_end = bootstrap_mean(horizontal[:, end])
-            known = np.where(np.isnan(error[:, inside]), np.nan, 1.0)
-            covered = known * (np.abs(error[:, inside]) <= 3.0 * sigma[:, inside])
-            rows.append(
-                {
-                    "start_s": start,
-                    "duration_s": duration,
-                    "planimetric_end_m": {
-                        "mean": at_end.mean,
-                        "ci95": [at_end.low, at_end.high],
-                        "per_realization": horizontal[:, end].tolist(),
-                    },
-                    "planimetric_mean_m": float(horizontal[:, inside].mean()) if inside.any() else 0.0,
-                    "planimetric_max_m": float(horizontal[:, inside].max(axis=1).mean()) if inside.any() else 0.0,
-                    "altimetric_end_m": float(np.abs(error[:, end, 2]).mean()),
-                    "predicted_sigma_end_m": float(np.sqrt((sigma[:, end, :2] ** 2).sum(axis=1).mean())),
-                    "velocity_end_m_s": float(np.linalg.norm(error[:, end, 3:6], axis=1).mean()),
-                    "attitude_end_deg": float(np.rad2deg(np.linalg.norm(error[:, end, 6:9], axis=1)).mean()),
-                    "coverage_3sigma": {
-                        g: float(covered[..., s].mean()) if inside.any() else 1.0 for g, s in GROUPS.items()
-                    },
-                    "nees_per_dof": float(results.nees[d][:, inside].mean() / 9.0) if inside.any() else float("nan"),
-                }
-            )
+            at_end_runs = _runs(results, name, k, "planimetric_end_m")
+            at_end = bootstrap_mean(at_end_runs)
+            row = {
+                "start_s": start,
+                "duration_s": duration,
+                "planimetric_end_m": {
+                    "mean": at_end.mean,
+                    "ci95": [at_end.low, at_end.high],
+                    "per_realization": at_end_runs.tolist(),
+                },
+                **{f: float(_runs(results, name, k, f).mean()) for f in DURING},
+                "altimetric_end_m": float(np.abs(error[:, end, 2]).mean()),
+                "predicted_sigma_end_m": float(np.sqrt((sigma[:, end, :2] ** 2).sum(axis=1).mean())),
+                "velocity_end_m_s": float(np.linalg.norm(error[:, end, 3:6], axis=1).mean()),
+                "attitude_end_deg": float(np.rad2deg(np.linalg.norm(error[:, end, 6:9], axis=1)).mean()),
+                "coverage_3sigma": _coverage(error[:, inside], sigma[:, inside]),
+                "nees_per_dof": float(results.nees[d][:, inside].mean() / 9.0) if inside.any() else float("nan"),
+            }
+            if results.smoothed is not None:
+                row["smoothed"] = _smoothed_row(results, d, k)
+            rows.append(row)
         table[name] = rows
     return table
 
 
+def _coverage(error: Array, sigma: Array) -> dict[str, float]:
+    known = np.where(np.isnan(error), np.nan, 1.0)
+    covered = known * (np.abs(error) <= 3.0 * sigma)
+    return {g: float(covered[..., s].mean()) if error.size else 1.0 for g, s in GROUPS.items()}
+
+
+def _smoothed_row(results: Results, design: int, outage: int) -> dict[str, Any]:
+    """Filter and smoother during one outage, horizontally: rms errors and stated sigma in the middle, largest errors, coverage, NEES."""
+    assert results.smoothed is not None
+    inside, middle = within_outage(results.t, *results.outages[outage]), results.middle_index(outage)
+
+    def rms(error: Array) -> float:
+        return float(np.sqrt((error[design, :, middle, :2] ** 2).sum(axis=-1).mean()))
+
+    s = results.smoothed
+    error, sigma = s.error[design][:, inside], s.sigma[design][:, inside]
+    some = bool(inside.any())
+    return {
+        "filter_middle_rms_m": rms(results.error),
+        "middle_rms_m": rms(s.error),
+        "predicted_sigma_middle_m": rms(s.sigma),
+        "planimetric_mean_m": float(np.hypot(error[..., 0], error[..., 1]).mean()) if some else 0.0,
+        "planimetric_max_m": float(np.hypot(error[..., 0], error[..., 1]).max(axis=1).mean()) if some else 0.0,
+        "altimetric_max_m": float(np.abs(error[..., 2]).max(axis=1).mean()) if some else 0.0,
+        "coverage_3sigma": _coverage(error, sigma),
+        "nees_per_dof": float(s.nees[design][:, inside].mean() / 9.0) if some else float("nan"),
+    }
+
+
+def figure_of(row: Mapping[str, Any], figure: str) -> float:
+    """One figure of an outage row, a mean over realizations."""
+    value = row[figure]
+    return float(value["mean"] if isinstance(value, Mapping) else value)
+
+
 def headline(results: Results, row: Mapping[str, Any]) -> float:
-    """The figure of an outage row that stands beside what was published (else the mean planimetric error at outage end), m."""
-    if results.published_figure == "planimetric_mean_m":
-        return float(row["planimetric_mean_m"])
-    return float(row["planimetric_end_m"]["mean"])
+    """The figure of an outage row that stands beside what was published first (else the mean planimetric error at outage end), m."""
+    return figure_of(row, results.headline_figure)
 
 
-def rank_agreement(results: Results) -> list[float]:
-    """Kendall's tau between our ranking of the published designs and the paper's, per outage; empty for fewer than three designs."""
-    names = [name for name in results.names if name in results.published]
-    if len(names) < 3:
-        return []
+def published_cells(results: Results, figure: str) -> list[tuple[str, int, float, float]]:
+    """Every published cell of a figure: design, outage (from 0), our value, theirs."""
     table = outage_table(results)
+    return [
+        (name, k, figure_of(table[name][k], figure), value)
+        for name, values in results.published.get(figure, {}).items()
+        for k, value in enumerate(values[: len(results.outages)])
+        if value is not None
+    ]
+
+
+def kendall(ours: Sequence[float], theirs: Sequence[float]) -> float:
+    """Kendall's rank correlation (tau-b)."""
+    return float(kendalltau(ours, theirs).statistic)
+
+
+def rank_agreement(results: Results, figure: str | None = None) -> list[float]:
+    """Kendall's tau between our ranking of the published designs and the paper's, per outage; of fewer than three designs none.
+
+    Parameters
+    ----------
+    results : Results
+    figure : str, optional
+        A published figure; the first unless given.
+    """
+    cells = published_cells(results, figure or results.headline_figure)
     taus = []
-    for k in range(min(len(results.outages), *(len(results.published[n]) for n in names))):
-        ours = [headline(results, table[n][k]) for n in names]
-        taus.append(float(kendalltau(ours, [results.published[n][k] for n in names]).statistic))
+    for k in sorted({c[1] for c in cells}):
+        ours, theirs = zip(*[c[2:] for c in cells if c[1] == k], strict=True)
+        if len(ours) >= 3:
+            taus.append(kendall(ours, theirs))
     return taus
+
+
+def single_run_agreement(results: Results, figure: str | None = None) -> Array:
+    """How well one run knows the order: Kendall's tau between its ranking of the published designs and that of the other runs' means.
+
+    Parameters
+    ----------
+    results : Results
+    figure : str, optional
+        A published figure; the first unless given.
+
+    Returns
+    -------
+    (outages * realizations,) array
+        Empty for fewer than three designs or two realizations. What one drive of a paper can show at best.
+    """
+    figure = figure or results.headline_figure
+    names = [name for name in results.published.get(figure, {}) if name in results.designs]
+    if len(names) < 3 or results.realizations < 2:
+        return np.zeros(0)
+    taus = []
+    for k in range(len(results.outages)):
+        values = np.stack([_runs(results, name, k, figure) for name in names])
+        total = values.sum(axis=1)
+        taus += [kendall(list(v), list(total - v)) for v in values.T]
+    return np.array([tau for tau in taus if not np.isnan(tau)])
+
+
+def _runs(results: Results, design: str, outage: int, figure: str) -> Array:
+    """A figure of one outage, run by run."""
+    error = results.error[results.names.index(design)]
+    if figure == "planimetric_end_m":
+        at = results.end_index(outage)
+        return np.hypot(error[:, at, 0], error[:, at, 1])
+    inside = error[:, within_outage(results.t, *results.outages[outage])]
+    if not inside.size:
+        return np.zeros(len(error))
+    if figure.startswith("planimetric"):
+        horizontal = np.hypot(inside[..., 0], inside[..., 1])
+        return np.asarray(horizontal.mean(axis=1) if figure == "planimetric_mean_m" else horizontal.max(axis=1))
+    component = ("north_max_m", "east_max_m", "down_max_m").index(figure)
+    return np.asarray(np.abs(inside[..., component]).max(axis=1))
+
+
+#: What the sensor blocks are called in words.
+SENSOR_NAMES = {"gyro": "gyroscope errors", "accel": "accelerometer errors"}
+
+
+def consistency(results: Results, design: str) -> list[Verdict]:
+    """Does a design know its error? NEES in the middle and at the end of every outage (and of the smoother in the middle), NIS, whiteness.
+
+    Where the truth is known, so are the errors of the estimated gyroscope and accelerometer errors, per axis and apart from white noise:
+    their NEES at the same epochs.
+
+    Each kind of test has its own family at 99 %; see :mod:`insemu.evaluate.consistency`.
+    """
+    d = results.names.index(design)
+    out: list[Verdict] = []
+    at = sorted({f(k) for k in range(len(results.outages)) for f in (results.middle_index, results.end_index)})
+    scale = results.nees_dof / 9.0  # NEES is kept scaled to nine
+    if at:
+        values = results.nees[d][:, at] * scale
+        out += nees_test(values, results.nees_dof, subject="the filter", at=list(results.t[at]))
+    if at and results.smoothed is not None:
+        middles = sorted({results.middle_index(k) for k in range(len(results.outages))})
+        values = results.smoothed.nees[d][:, middles] * scale
+        out += nees_test(values, results.nees_dof, subject="the smoother", at=list(results.t[middles]))
+    if at and results.sensors is not None:
+        for block, axes in (("gyro", slice(0, 3)), ("accel", slice(3, 6))):
+            values = results.sensors.block_nees[d][:, BLOCKS.index(block)][:, at]
+            carried = int((results.sensors.sigma[d][:, at, axes] > 0).all(axis=(0, 1)).sum())
+            if np.isfinite(values).all() and carried:
+                subject = f"the {SENSOR_NAMES[block]}"
+                out += nees_test(values * carried, carried, subject=subject, at=list(results.t[at]))
+    i = results.innovations
+    if i.dof[d].sum() > 0:
+        out.append(nis_verdict(float(i.nis[d].sum()), int(i.dof[d].sum())))
+    if (i.lag_count[d].sum(axis=0) > 0).all():
+        out += whiteness_verdicts(i.lag_sum[d].sum(axis=0), i.lag_count[d].sum(axis=0))
+    return out
+
+
+def consistency_words(results: Results, design: str) -> list[str]:
+    """What :func:`consistency` found, one phrase per kind of test."""
+    found = consistency(results, design)
+    lines = []
+    families = (
+        ("NEES of the filter", [v for v in found if v.test == "NEES/dof" and v.subject.startswith("the filter")]),
+        ("NEES of the smoother", [v for v in found if v.test == "NEES/dof" and v.subject.startswith("the smoother")]),
+        *(
+            (f"NEES of the {name}", [v for v in found if v.test == "NEES/dof" and v.subject.startswith(f"the {name}")])
+            for name in SENSOR_NAMES.values()
+        ),
+        ("NIS", [v for v in found if v.test == "NIS/dof"]),
+        ("innovations", [v for v in found if v.test == "whiteness"]),
+    )
+    for name, family in families:
+        if not family:
+            continue
+        low, high = min(v.value for v in family), max(v.value for v in family)
+        span = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
+        words = sorted({v.word for v in family if not v.passed})
+        bad = sum(not v.passed for v in family)
+        if name == "innovations":
+            what = "white" if not words else f"correlated at {bad} of {len(family)} lags"
+            lines.append(f"{name} {what} (lag correlations {span}, bound {family[0].high:.2g})")
+            continue
+        verdict = " and ".join(words) if words else "consistent"
+        if words and len(family) > 1:
+            verdict += f" at {bad} of {len(family)} epochs"
+        lines.append(f"{name} {span} ({family[0].low:.2f} to {family[0].high:.2f} expected): {verdict}")
+    if results.rejected is not None and results.fixes is not None:
+        d = results.names.index(design)
+        if results.rejected[d].any():
+            lines.append(
+                f"the gate rejected {results.rejected[d].mean():.3g} of {results.fixes[d].mean():.0f} fixes a run"
+            )
+    return lines
 
 
 def summary(results: Results) -> dict[str, Any]:
@@ -222,8 +498,14 @@ def summary(results: Results) -> dict[str, Any]:
             if pooled is None
             else {"mean": pooled.mean, "ci95": [pooled.low, pooled.high]},
             "nees_per_dof": float(results.nees[d].mean() / 9.0),
+            "nees_per_dof_by_block": blocks_of(results, d),
             "nis_per_dof": float(results.nis[d].mean()),
+            "rejected_fixes": None if results.rejected is None else results.rejected[d].tolist(),
+            "observability_end": observability_end(results, name),
+            "consistency": [{**asdict(v), "passed": v.passed} for v in consistency(results, name)],
         }
+        if name in results.budgets:
+            designs[name]["error_budget"] = list(results.budgets[name])
     comparisons = []
     names = results.names
     for i, one in enumerate(names):
@@ -243,6 +525,23 @@ def summary(results: Results) -> dict[str, Any]:
         "timing": dict(results.timing),
     }
     return dict(finite(document))
+
+
+def blocks_of(results: Results, design: int) -> dict[str, float]:
+    """Mean NEES per degree of freedom of every block that could be judged, over realizations and epochs."""
+    if results.sensors is None:
+        return {}
+    values = results.sensors.block_nees[design]
+    return {name: float(np.nanmean(values[:, i])) for i, name in enumerate(BLOCKS) if np.isfinite(values[:, i]).any()}
+
+
+def observability_end(results: Results, design: str) -> dict[str, float]:
+    """Share of each sensor state's variance that the fixes have removed by the last epoch; over time it stands in ``errors.nc``."""
+    if results.sensors is None or design not in results.sensors.observability:
+        return {}
+    last = results.sensors.observability[design][-1:]
+    names = results.designs[design].state_names[9:]
+    return {name: float(v) for name, v in zip(names, last[0] if len(last) else (), strict=False) if np.isfinite(v)}
 
 
 def finite(document: Any) -> Any:
@@ -295,6 +594,9 @@ def write(results: Results, out: Path) -> None:
                 for key, value in row.items():
                     if key == "planimetric_end_m":
                         flat |= {key: value["mean"], f"{key}_low": value["ci95"][0], f"{key}_high": value["ci95"][1]}
+                    elif key == "smoothed":
+                        flat |= {f"smoothed_{k}": v for k, v in value.items() if not isinstance(v, dict)}
+                        flat |= {f"smoothed_coverage_3sigma_{g}": v for g, v in value["coverage_3sigma"].items()}
                     elif isinstance(value, dict):
                         flat |= {f"{key}_{g}": v for g, v in value.items()}
                     else:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import earth, rotation
+from insemu.effects import EFFECTS
 from insemu.emulate import (
     AreaOutage,
     Mounting,
@@ -25,10 +26,11 @@ from insemu.emulate import (
     random_outages,
 )
 from insemu.emulate.gnss import state_at
-from insemu.emulate.pieces import ErrorPieces, recorded_pieces, simulated_pieces
+from insemu.emulate.pieces import ErrorPieces, TrueStates, recorded_pieces, simulated_pieces
 from insemu.errors import InputError
+from insemu.evaluate.consistency import nees
 from insemu.evaluate.errors import navigation_error
-from insemu.filters import FilterResult, InitialSigma, Standstill
+from insemu.filters import FilterResult, InitialSigma, SmootherResult, Standstill
 from insemu.formats import read_recording, read_static
 from insemu.noise import axis_unit
 from insemu.records import AXES, ImuRecord, Recording, Series, Trajectory
@@ -173,6 +175,7 @@ class World:
         self.reference: Trajectory = ideal.reference
         self.imu: ImuRecord = ideal.imu
         self.path_distance_m: float = ideal.path_distance_m
+        self.warnings += self._missed_areas()
         self._lock = Lock()
         count = self.pieces.count
         if count is not None and scenario.realizations > count:
@@ -210,6 +213,25 @@ class World:
             out += random_outages(start, end, per_hour=drawn.per_hour, mean_s=drawn.mean, clear_s=drawn.clear, rng=rng)
         return out
 
+    def _missed_areas(self) -> tuple[str, ...]:
+        """Outage areas that the trajectory never enters."""
+        out, way = [], self.reference.llh[:: max(1, len(self.reference) // 5000)]
+        for k, area in enumerate(self.scenario.gnss.areas):
+            if AreaOutage(area.latitude, area.longitude, area.radius).covers(self.reference.llh).any():
+                continue
+
+            def distance(lat: float, lon: float) -> float:
+                off = earth.position_difference(way, np.array([lat, lon, 0.0]))
+                return float(np.hypot(off[:, 0], off[:, 1]).min())
+
+            far, exchanged = distance(area.latitude, area.longitude), distance(area.longitude, area.latitude)
+            swapped = far > 1e5 and exchanged < 0.1 * far
+            out.append(
+                f"{self._name}: gnss.areas.{k} is never entered, its centre is {far / 1000:.4g} km away"
+                + ("; are latitude and longitude swapped?" if swapped else "")
+            )
+        return tuple(out)
+
     @cached_property
     def outage_windows(self) -> list[tuple[float, float]]:
         """Every outage as (start_s, duration_s) on the trajectory's clock; an area gives one for each passage."""
@@ -242,7 +264,12 @@ class World:
             return recorded_pieces(records, n, rate, truth.recorded.order)
         seed = self.scenario.seed
         return simulated_pieces(
-            truth.models(), n, rate, record_s=truth.record, rng=lambda record, axis: stream(seed, "truth", record, axis)
+            truth.models(),
+            n,
+            rate,
+            record_s=truth.record,
+            rng=lambda record, axis: stream(seed, "truth", record, axis),
+            states_at=np.searchsorted(self.reference.t, self.output_times),
         )
 
     def recording(self, realization: int, *, ideal: bool = False) -> Recording:
@@ -283,6 +310,25 @@ class World:
             effects=uses,
         )
         return Recording(imu, fixes, self.reference, f"{self.flight.name}, realization {realization}")
+
+    def true_states(self, realization: int, imu: ImuRecord) -> TrueStates | None:
+        """What the axes of the corrupted ``imu`` err by at the output epochs, apart from white noise; None where that is not known.
+
+        Deterministic effects count. It is not known for recorded errors, for effects that are noise themselves or move the samples.
+        """
+        with self._lock:
+            if self.pieces.tell is None:
+                return None
+            known, errors = self.pieces.tell(realization), self.pieces.piece(realization)
+        uses = [use for use in self.truth.uses() if use.sensor != "gnss"]
+        if not uses:
+            return known
+        if any(EFFECTS[use.id].family == "stochastic" for use in uses) or not np.array_equal(imu.t, self.imu.t):
+            return None
+        rows = np.searchsorted(self.reference.t, self.output_times)
+        step = np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1])[:, None] if imu.kind == "increment" else 1.0
+        total = np.hstack([(imu.gyro - self.imu.gyro) / step, (imu.accel - self.imu.accel) / step])[rows]
+        return TrueStates(known.axes + total - errors[rows], None, known.names)
 
     @property
     def rate_hz(self) -> float:
@@ -331,7 +377,10 @@ class World:
         """Rows of a record (multiples of ``every``) nearest the output epochs."""
         return nearest_rows(imu.t, self.output_times, every)
 
-    def score(self, run: FilterResult, times: Array) -> Scored:
+    #: Navigation errors that have a reference.
+    compared = 9
+
+    def score(self, run: Estimate, times: Array) -> Scored:
         """Errors of a run at some of its epochs.
 
         Time offsets, jitter and dropped samples move the stamps; the filter's estimate belongs to the stamp.
@@ -341,13 +390,10 @@ class World:
             at = np.clip(times, self.reference.t[0], self.reference.t[-1])
             llh, vel, q, _ = state_at(self.reference, at)
             truth = Trajectory(times, llh, vel, rotation.rpy_from_quaternion(q), self.reference.name)
-        at_rows = np.searchsorted(run.t, times - 1e-9)
-        nav = run.nav[at_rows]
+        nav = run.nav[np.searchsorted(run.t, times - 1e-9)]
         estimate = Trajectory(times, nav[:, 0:3], nav[:, 3:6], rotation.rpy_from_quaternion(nav[:, 6:10]))
         error = navigation_error(estimate, truth)
-        covariance = covariance_at(run, times)
-        nees = np.einsum("ti,ti->t", error, np.linalg.solve(covariance, error[..., None])[..., 0])
-        return Scored(error, run.sigma[at_rows, :9], nees)
+        return Scored(error, _sigma(run.covariance), nees(error, run.covariance))
 
 
 @dataclass(frozen=True)
@@ -366,7 +412,26 @@ def nearest_rows(t: Array, want: Array, every: int) -> NDArray[np.intp]:
     return np.minimum(np.round(rows / every).astype(np.intp) * every, (t.size - 1) // every * every)
 
 
-def covariance_at(run: FilterResult, times: Array) -> Array:
-    """Covariance (n, 9, 9) of the navigation errors at times for which it was kept."""
-    kept = np.searchsorted(run.covariance_t, times - 1e-9)
-    return run.covariance[np.minimum(kept, len(run.covariance) - 1), :9, :9]
+@dataclass(frozen=True)
+class Estimate:
+    """What a filter or a smoother says about one record: navigation states (n, 10) at times (n,), covariances (o, 9, 9) at the output epochs."""
+
+    t: Array
+    nav: Array
+    covariance: Array
+
+    @classmethod
+    def of_filter(cls, run: FilterResult, times: Array) -> Estimate:
+        """A filter's run, its covariances at ``times``, for which they were kept."""
+        kept = np.searchsorted(run.covariance_t, times - 1e-9)
+        return cls(run.t, run.nav, run.covariance[np.minimum(kept, len(run.covariance) - 1), :9, :9])
+
+    @classmethod
+    def of_smoother(cls, smoothed: SmootherResult, times: Array) -> Estimate:
+        """A smoothed run with nodes at ``times``."""
+        at = np.minimum(np.searchsorted(smoothed.t, times - 1e-9), smoothed.t.size - 1)
+        return cls(smoothed.t, smoothed.nav, smoothed.covariance[at, :9, :9])
+
+
+def _sigma(covariance: Array) -> Array:
+    return np.sqrt(np.maximum(np.einsum("tii->ti", covariance), 0.0))

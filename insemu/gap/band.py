@@ -52,5 +52,5 @@ class Band(Process):
     def block(self, dt: float) -> StateBlock:  # noqa: D102
         return self.autoregression(dt).block(dt)
 
-    def simulate(self, n: int, dt: float, rng: np.random.Generator) -> Array:  # noqa: D102
-        return self.autoregression(dt).simulate(n, dt, rng)
+    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
+        self.autoregression(dt).fill(out, dt, rng)

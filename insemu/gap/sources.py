@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu import formats
+from insemu import earth, formats
 from insemu.errors import InputError
 from insemu.formats.npz import load_npz
 from insemu.records import AXES, Recording, Series
@@ -31,7 +31,7 @@ class StaticLog:
 
 
 def load_measured(path: str | Path, *, rate_hz: float | None = None) -> StaticLog | Recording:
-    """Read what was measured; a recording without fixes is a static log.
+    """Read what was measured; a recording without fixes, or whose fixes never move, is a static log.
 
     Raises
     ------
@@ -44,12 +44,37 @@ def load_measured(path: str | Path, *, rate_hz: float | None = None) -> StaticLo
         rate_hz = _stamped_rate(path)
     data = formats.read(path, rate_hz=rate_hz)
     if isinstance(data, Recording):
-        return data if data.gnss is not None else static_of(data)
+        return static_of(data) if data.gnss is None or at_rest(data) else data
     axes = tuple(s for s in data if s.name.lower() not in (t.lower() for t in _TEMPERATURE))
     column = next((s for s in data if s.name.lower() in (t.lower() for t in _TEMPERATURE)), None)
     if column is not None:
         temperature = np.asarray(column.values)
     return StaticLog(axes, temperature, str(path))
+
+
+#: A recording whose fixes stay this close to their median, m, and this slow, m/s, or within their own noise, was made at rest.
+REST_RADIUS, REST_SPEED = 3.0, 0.5
+
+
+def at_rest(recording: Recording) -> bool:
+    """Whether the fixes say that nothing moved."""
+    gnss = recording.gnss
+    assert gnss is not None
+    known = np.isfinite(gnss.llh).all(axis=1)
+    if not known.any():
+        return True
+    middle = np.median(gnss.llh[known], axis=0)
+    away = earth.position_difference(gnss.llh[known], middle)
+    noise = 0.0 if gnss.pos_std_ned is None else float(np.nanmax(gnss.pos_std_ned))
+    if float(np.max(np.abs(np.median(away[: away.shape[0] // 10 + 1], axis=0)))) > max(REST_RADIUS, noise):
+        return False
+    if float(np.max(np.abs(away))) > max(REST_RADIUS, 6.0 * noise):
+        return False
+    if gnss.vel_ned is None:
+        return True
+    spread = 0.0 if gnss.vel_std_ned is None else float(np.nanmax(gnss.vel_std_ned))
+    speed = np.abs(gnss.vel_ned[np.isfinite(gnss.vel_ned).all(axis=1)])
+    return not speed.size or float(speed.max()) < max(REST_SPEED, 6.0 * spread)
 
 
 def static_of(recording: Recording) -> StaticLog:

@@ -14,12 +14,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu.effects import EffectUse
 from insemu.errors import InputError
 from insemu.gap import disagreement
 from insemu.gap import singular as _singular  # noqa: F401 (registers its candidates)
 from insemu.gap.band import Band
 from insemu.gap.candidates import CANDIDATES, AxisState, Weighed, state_of, turn_on_bias
 from insemu.gap.evidence import Component, Explanation, Likelihood, fit
+from insemu.gap.known import settled, starting_explanation
 from insemu.gap.reduced import Reduced, reduce
 from insemu.gap.verdict import GapReport, Interval, Member, Step, Value, VerdictName, Where
 from insemu.noise import DR, SIN, NoiseModel, Process
@@ -378,6 +380,7 @@ def find_static_gap(
     hold_out: bool = True,
     source: str = "recording",
     progress: Callable[[str], None] | None = None,
+    known: Mapping[str, Sequence[EffectUse]] | None = None,
 ) -> GapReport:
     """Find what a static log has that the believed noise models lack.
 
@@ -399,6 +402,8 @@ def find_static_gap(
         Effects taken out of the catalogue.
     hold_out : bool
         Whether to name effects a second time on the first two thirds alone and score them on the last.
+    known : mapping of axis to sequence of EffectUse, optional
+        Low-pass and rounding that are known and not asked for.
 
     Raises
     ------
@@ -407,21 +412,28 @@ def find_static_gap(
     """
     _check(log, beliefs, temperature)
     say = progress or (lambda _: None)
-    nominal = {s.name: Explanation.nominal(beliefs[s.name]) for s in log}
+    known = known or {}
+    nominal = {s.name: starting_explanation(beliefs[s.name], known.get(s.name, ()), s.dt) for s in log}
+    named_before = {s.name: settled(known.get(s.name, ())) for s in log}
     results: dict[str, AxisResult] = {}
     held: dict[str, HeldOut] = {}
     for s in log:
         say(f"{s.name}: weighing candidates")
         data = reduce(s)
         results[s.name] = search(
-            state_of(data, nominal[s.name], temperature), threshold=threshold, without=without, progress=progress
+            state_of(data, nominal[s.name], temperature, named_before[s.name]),
+            threshold=threshold,
+            without=without,
+            progress=progress,
         )
         if hold_out:
             say(f"{s.name}: scoring on held-out data")
             cut = int(len(s) * NAMING_SHARE) // data.block * data.block
             part = _piece(data, 0, cut)
             T1, T2 = (None, None) if temperature is None else (temperature[:cut], temperature[cut:])
-            named = search(state_of(part, nominal[s.name], T1), threshold=threshold, without=without)
+            named = search(
+                state_of(part, nominal[s.name], T1, named_before[s.name]), threshold=threshold, without=without
+            )
             held[s.name] = held_out(named, nominal[s.name], _piece(data, cut, len(s)), T2)
     before = _map(results, rng, nominal, refined=False)
     after = _map(results, rng, nominal, refined=True)

@@ -126,8 +126,8 @@ class NoiseModel:
 
     # -- draws --------------------------------------------------------------------------------------------------------------------
 
-    def simulate_components(self, n: int, dt: float, rng: np.random.Generator) -> Array:
-        """Draw every process.
+    def simulate_components(self, n: int, dt: float, rng: np.random.Generator, out: Array | None = None) -> Array:
+        """Draw every process, into ``out`` (processes, n) where it is given.
 
         Each process draws from its own child of ``rng``, so that a process added at the end leaves the others as they were.
 
@@ -135,9 +135,10 @@ class NoiseModel:
         -------
         (processes, n) array
         """
-        children = rng.spawn(len(self))
-        parts = [p.simulate(n, dt, child) for p, child in zip(self, children, strict=True)]
-        return np.stack(parts) if parts else np.zeros((0, n))
+        parts = np.empty((len(self), n)) if out is None else out
+        for row, p, child in zip(parts, self, rng.spawn(len(self)), strict=True):
+            p.fill(row, dt, child)
+        return parts
 
     def simulate(self, n: int, dt: float, rng: np.random.Generator) -> Array:
         """Draw ``n`` samples of the sum at interval ``dt`` (s)."""

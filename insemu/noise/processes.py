@@ -28,6 +28,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, ClassVar, Literal, Self
 
 import numpy as np
@@ -35,6 +36,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import linalg, optimize, signal, special
 
 from insemu.errors import InputError
+from insemu.noise import draws
 from insemu.noise.block import StateBlock
 
 if TYPE_CHECKING:
@@ -102,6 +104,9 @@ class Process(ABC):
             )
             if bad:
                 expected = {"positive": "a number that is not negative", "correlation": "a number between -1 and 1"}
+                if p.domain == "correlation" and abs(number) >= 1.0:
+                    expected["correlation"] += f"; the nearest stable is {math.copysign(1.0 - 1e-6, number):.6f}"
+                    expected["correlation"] += ", and at 1 it is a random walk (RW)" if number > 0 else ""
                 if p.name in ("beta", "f"):
                     expected["positive"] = "a positive number"
                 raise InputError(
@@ -191,8 +196,14 @@ class Process(ABC):
         """State block at sampling interval ``dt`` (s)."""
 
     @abstractmethod
+    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:
+        """Overwrite ``out`` (n,), contiguous float64, with samples at interval ``dt`` (s), from a stationary start where there is one."""
+
     def simulate(self, n: int, dt: float, rng: np.random.Generator) -> Array:
         """``n`` samples at interval ``dt`` (s), from a stationary start where there is one."""
+        out = np.empty(n)
+        self.fill(out, dt, rng)
+        return out
 
     # -- sums and text ------------------------------------------------------------------------------------------------------------
 
@@ -240,8 +251,9 @@ class WN(Process):
     def block(self, dt: float) -> StateBlock:  # noqa: D102
         return StateBlock.empty(dt, self.parameters["N"] ** 2 / dt)
 
-    def simulate(self, n: int, dt: float, rng: np.random.Generator) -> Array:  # noqa: D102
-        return rng.standard_normal(n) * (self.parameters["N"] / math.sqrt(dt))
+    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
+        draws.standard_normal(out, rng)
+        out *= self.parameters["N"] / math.sqrt(dt)
 
 
 @dataclass(frozen=True)
@@ -270,9 +282,10 @@ class RW(Process):
         q = self.parameters["K"] ** 2 * dt
         return StateBlock(("RW",), np.eye(1), np.array([[q]]), np.ones(1), np.array([[self.sigma0**2]]), 0.0, dt)
 
-    def simulate(self, n: int, dt: float, rng: np.random.Generator) -> Array:  # noqa: D102
+    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
         start = rng.standard_normal() * self.sigma0
-        return start + np.cumsum(rng.standard_normal(n)) * (self.parameters["K"] * math.sqrt(dt))
+        draws.standard_normal(out, rng)
+        draws.running_sum(out, start, self.parameters["K"] * math.sqrt(dt))
 
 
 def _first_order_allan(variance: float, a: float, m: Array) -> Array:
@@ -353,13 +366,10 @@ class GM(Process):
         p0 = self.parameters["sigma"] ** 2
         return StateBlock(("GM",), np.array([[phi]]), np.array([[q]]), np.ones(1), np.array([[p0]]), 0.0, dt)
 
-    def simulate(self, n: int, dt: float, rng: np.random.Generator) -> Array:  # noqa: D102
-        p = self.parameters
+    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
         phi, q = self.discrete(dt)
-        w = rng.standard_normal(n)
-        w[:1] *= p["sigma"]
-        w[1:] *= math.sqrt(q)
-        return np.asarray(signal.lfilter([1.0], [1.0, -phi], w))
+        draws.standard_normal(out, rng)
+        draws.first_order(out, phi, self.parameters["sigma"], math.sqrt(q))
 
 
 def _carried_rate(process: AR1 | ARMA, dt: float) -> None:
@@ -423,12 +433,11 @@ class AR1(Process):
             dt,
         )
 
-    def simulate(self, n: int, dt: float, rng: np.random.Generator) -> Array:  # noqa: D102
+    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
         _carried_rate(self, dt)
         p = self.parameters
-        w = rng.standard_normal(n) * math.sqrt(p["sigma2"])
-        w[:1] *= math.sqrt(self.variance / p["sigma2"]) if p["sigma2"] > 0 else 0.0
-        return np.asarray(signal.lfilter([1.0], [1.0, -p["phi"]], w))
+        draws.standard_normal(out, rng)
+        draws.first_order(out, p["phi"], math.sqrt(self.variance), math.sqrt(p["sigma2"]))
 
 
 @dataclass(frozen=True)
@@ -515,10 +524,17 @@ class ARMA(Process):
     def require_stationary(self) -> None:
         """Raise ``NotStationary`` with the reason and the nearest stable polynomial where a pole is on or outside the unit circle."""
         if self.spectral_radius >= 1.0:
-            offer = ", ".join(f"{v:.6g}" for v in self.stabilised().ar if v is not None)
+            near = self.stabilised()
+            offer = ", ".join(f"{v:.6g}" for v in near.ar if v is not None)
+            size = ""
+            if self.rate_hz is not None and self.sigma2:
+                sd = math.sqrt(near.block(1.0 / self.rate_hz).P0[0, 0])
+                size = (
+                    f" (standard deviation {sd:.3g} in the signal's SI unit: see whether the sensor is as bad as that)"
+                )
             raise NotStationary(
                 f"{self.symbol} with coefficients {self.ar} is not stationary: a pole has modulus {self.spectral_radius:.6f}, expected "
-                f"below 1; the nearest stable polynomial is [{offer}]"
+                f"below 1; the nearest stable polynomial is [{offer}]{size}"
             )
 
     def stabilised(self, radius: float = 1.0 - 1e-6) -> Self:
@@ -586,22 +602,22 @@ class ARMA(Process):
             first = np.concatenate([first, rest])
         return np.asarray(first[lags])
 
-    def simulate(self, n: int, dt: float, rng: np.random.Generator) -> Array:  # noqa: D102
+    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
         block = self.block(dt)
         eigenvalues, vectors = np.linalg.eigh(block.P0)
         start = vectors @ (np.sqrt(np.maximum(eigenvalues, 0.0)) * rng.standard_normal(block.n))
         ar, ma = self._polynomials()
-        w = rng.standard_normal(n) * math.sqrt(self.parameters["sigma2"])
+        draws.standard_normal(out, rng)
+        out *= math.sqrt(self.parameters["sigma2"])
         # Harvey's state is the direct form II transposed: y_0 sees Phi x_(-1)
         memory = (block.Phi @ start)[: max(len(ar), len(ma)) - 1]
         padded = max(len(ar), len(ma))
-        y, _ = signal.lfilter(
+        draws.rational_filter(
+            out,
             np.pad(ma, (0, padded - len(ma))),
             np.pad(ar, (0, padded - len(ar))),
-            w,
-            zi=_transposed_memory(memory, padded - 1),
+            _transposed_memory(memory, padded - 1),
         )
-        return np.asarray(y)
 
     def __str__(self) -> str:
         if not self.specified:
@@ -626,6 +642,30 @@ class AR(ARMA):
         if self.ma:
             raise InputError("AR has no moving-average coefficients; use ARMA")
         super().__post_init__()
+
+    @classmethod
+    def of_partial_correlations(
+        cls, correlations: ArrayLike, *, sigma2: float | None = None, rate_hz: float | None = None
+    ) -> Self:
+        """The autoregression with these partial autocorrelations, stationary where all lie between -1 and 1 (Durbin's recursion).
+
+        The first is the coefficient of the AR(1) of the same signal. An innovation variance is that of the AR(1) times ``1 - k^2`` of each of
+        the others, which ties published fits of several orders together.
+        """
+        ar = np.zeros(0)
+        for k in np.atleast_1d(np.asarray(correlations, dtype=np.float64)):
+            ar = np.append(ar - k * ar[::-1], k)
+        return cls(tuple(float(v) for v in ar), sigma2=sigma2, rate_hz=rate_hz)
+
+    def partial_correlations(self) -> Array:
+        """Partial autocorrelations, (p,): the inverse of :meth:`of_partial_correlations`; NaN below a value of exactly 1."""
+        ar = -self._polynomials()[0][1:]
+        out = np.empty(ar.size)
+        for at in range(ar.size - 1, -1, -1):
+            k = out[at] = ar[at]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ar = (ar[:at] + k * ar[:at][::-1]) / (1.0 - k**2)
+        return out
 
 
 @dataclass(frozen=True)
@@ -669,8 +709,8 @@ class QN(Process):
             dt,
         )
 
-    def simulate(self, n: int, dt: float, rng: np.random.Generator) -> Array:  # noqa: D102
-        return np.diff(rng.standard_normal(n + 1)) * (self.parameters["Q"] / dt)
+    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
+        np.multiply(np.diff(rng.standard_normal(out.size + 1)), self.parameters["Q"] / dt, out=out)
 
 
 @dataclass(frozen=True)
@@ -695,8 +735,8 @@ class DR(Process):
         Phi = np.array([[1.0, dt], [0.0, 1.0]])
         return StateBlock(("DR", "DR.slope"), Phi, np.zeros((2, 2)), np.array([1.0, 0.0]), np.diag([0.0, r]), 0.0, dt)
 
-    def simulate(self, n: int, dt: float, rng: np.random.Generator) -> Array:  # noqa: D102
-        return self.parameters["R"] * dt * np.arange(1.0, n + 1.0)
+    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
+        np.multiply(self.parameters["R"] * dt, np.arange(1.0, out.size + 1.0), out=out)
 
 
 @dataclass(frozen=True)
@@ -762,21 +802,37 @@ class BI(Process):
         parts = tuple(GM(math.sqrt(w * flat), 1.0 / t) for w, t in zip(weights, times, strict=True) if w > 0)
         return NoiseModel(parts), error
 
-    def simulate(self, n: int, dt: float, rng: np.random.Generator) -> Array:  # noqa: D102
-        # First differences are stationary with the fourth difference of t^2 ln|t| as autocovariance; circulant embedding is exact.
-        size = int(2 ** math.ceil(math.log2(max(2 * n, 8))))
-        lag = np.arange(-2, size // 2 + 3, dtype=np.float64)
-        magnitude = np.abs(lag)
-        g = magnitude**2 * np.log(np.where(magnitude > 0, magnitude, 1.0))
-        gamma = np.convolve(g, [1.0, -4.0, 6.0, -4.0, 1.0], mode="valid")
-        far = np.arange(gamma.size) > 1000
-        # the fourth difference cancels at long lags; there its leading term is -2 / lag^2
-        gamma[far] = -2.0 / np.arange(gamma.size)[far] ** 2
-        gamma *= self.parameters["B"] ** 2 / (2.0 * math.pi)
-        eigenvalues = np.maximum(np.fft.rfft(np.concatenate([gamma, gamma[-2:0:-1]])).real, 0.0)
-        white = np.fft.rfft(rng.standard_normal(size))
-        steps = np.fft.irfft(white * np.sqrt(eigenvalues), size)[:n]
-        return np.cumsum(steps)
+    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
+        gain = _flicker_gain(int(2 ** math.ceil(math.log2(max(2 * out.size, 8)))))
+        size = 2 * gain.size - 2
+        buffer = np.empty(2 * size + 2)  # one block for both directions of the transform
+        white, spectrum = buffer[:size], buffer[size:].view(np.complex128)
+        draws.standard_normal(white, rng)
+        np.fft.rfft(white, out=spectrum)
+        spectrum *= gain
+        np.fft.irfft(spectrum, size, out=white)
+        out[:] = white[: out.size]
+        draws.running_sum(out, 0.0, self.parameters["B"])
+
+
+@lru_cache(maxsize=4)
+def _flicker_gain(size: int) -> Array:
+    """Filter (size / 2 + 1,) that turns the transform of ``size`` white numbers into that of the first differences of unit flicker.
+
+    The differences are stationary with the fourth difference of t^2 ln|t| as autocovariance; circulant embedding is exact.
+    """
+    lag = np.arange(-2, size // 2 + 3, dtype=np.float64)
+    magnitude = np.abs(lag)
+    g = magnitude**2 * np.log(np.where(magnitude > 0, magnitude, 1.0))
+    gamma = np.convolve(g, [1.0, -4.0, 6.0, -4.0, 1.0], mode="valid")
+    far = np.arange(gamma.size) > 1000
+    # the fourth difference cancels at long lags; there its leading term is -2 / lag^2
+    gamma[far] = -2.0 / np.arange(gamma.size)[far] ** 2
+    gamma /= 2.0 * math.pi
+    eigenvalues = np.maximum(np.fft.rfft(np.concatenate([gamma, gamma[-2:0:-1]])).real, 0.0)
+    gain = np.sqrt(eigenvalues)
+    gain.setflags(write=False)
+    return gain
 
 
 @dataclass(frozen=True)
@@ -809,10 +865,11 @@ class SIN(Process):
         P0 = np.eye(2) * 0.5 * p["alpha"] ** 2
         return StateBlock(("SIN", "SIN.quadrature"), Phi, np.zeros((2, 2)), np.array([1.0, 0.0]), P0, 0.0, dt)
 
-    def simulate(self, n: int, dt: float, rng: np.random.Generator) -> Array:  # noqa: D102
+    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
         p = self.parameters
         phase = rng.uniform(0.0, 2.0 * math.pi)
-        return np.asarray(p["alpha"] * np.sin(2.0 * math.pi * p["f"] * dt * np.arange(n) + phase))
+        np.sin(2.0 * math.pi * p["f"] * dt * np.arange(out.size) + phase, out=out)
+        out *= p["alpha"]
 
 
 @dataclass(frozen=True)
@@ -835,8 +892,8 @@ class RC(Process):
         variance = self.parameters["sigma"] ** 2
         return StateBlock(("RC",), np.eye(1), np.zeros((1, 1)), np.ones(1), np.array([[variance]]), 0.0, dt)
 
-    def simulate(self, n: int, dt: float, rng: np.random.Generator) -> Array:  # noqa: D102
-        return np.full(n, rng.standard_normal() * self.parameters["sigma"])
+    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
+        out[:] = rng.standard_normal() * self.parameters["sigma"]
 
 
 #: Every process by its registered name.

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure as MplFigure
 
+from insemu.evaluate.comparison import outage_budgets
 from insemu.evaluate.covariance import CovarianceAnalysis
 from insemu.report import page
 from insemu.report.style import COLOURS, style
@@ -16,11 +18,26 @@ from insemu.report.style import COLOURS, style
 Windows = Sequence[tuple[float, float]]
 #: Parts below this share of every bar are drawn together.
 SMALL = 0.02
+BARS = (
+    "Height: rms horizontal error at the end of the outage. Parts: shares of the mean square (parts add up as squares)."
+)
 
 
-def budget_bars(analyses: Mapping[str, CovarianceAnalysis], windows: Windows, by: str = "process") -> MplFigure:
-    """One stacked bar per outage and design: its height is the rms error, its parts are shares of the mean square."""
-    shares = {name: [b.shares(by) for b in a.budgets] for name, a in analyses.items()}
+Budgets = Mapping[str, Sequence[Mapping[str, Any]]]
+
+
+def budget_bars(budgets: Budgets, by: str = "process") -> MplFigure:
+    """One stacked bar per outage and design: its height is the rms error, its parts are shares of the mean square.
+
+    Parameters
+    ----------
+    budgets : mapping
+        Of :func:`insemu.evaluate.comparison.outage_budgets`.
+    by : str
+        What the parts are, for the legend.
+    """
+    windows = [(b["start_s"], b["duration_s"]) for b in next(iter(budgets.values()))]
+    shares = {n: [{k: v * v for k, v in b["parts_rms_m"].items()} for b in per] for n, per in budgets.items()}
     totals = {name: [sum(s.values()) for s in per] for name, per in shares.items()}
     weight: dict[str, float] = {}
     for name, per in shares.items():
@@ -33,7 +50,7 @@ def budget_bars(analyses: Mapping[str, CovarianceAnalysis], windows: Windows, by
             1, len(windows), figsize=(3.2 + 2.2 * len(windows), 4.2), sharey=True, squeeze=False
         )
         for k, (ax, (start, duration)) in enumerate(zip(axes[0], windows, strict=True)):
-            for x, name in enumerate(analyses):
+            for x, name in enumerate(budgets):
                 base, total = 0.0, totals[name][k]
                 rms = float(np.sqrt(total))
                 parts = [(key, shares[name][k].get(key, 0.0)) for key in named]
@@ -48,12 +65,36 @@ def budget_bars(analyses: Mapping[str, CovarianceAnalysis], windows: Windows, by
                     )
                     base += height
                 ax.annotate(f"{rms:.3g}", (x, rms), ha="center", va="bottom", fontsize=8.5)
-            ax.set_xticks(range(len(analyses)), list(analyses), rotation=20 if len(analyses) > 2 else 0)
+            ax.set_xticks(range(len(budgets)), list(budgets), rotation=20 if len(budgets) > 2 else 0)
             ax.set_title(f"outage {k + 1}: {duration:g} s from {start / 60:g} min")
             ax.grid(axis="x", visible=False)
         axes[0, 0].set_ylabel("rms horizontal error (m)")
         figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside right upper", title=f"by {by}")
     return figure
+
+
+def budget_table(budgets: Budgets) -> page.Table:
+    """The largest parts of every bar."""
+    header = ["design", "outage", "rms m", "stated m", "part", "rms m of the part", "share %"]
+    rows: list[list[str]] = []
+    for name, per in budgets.items():
+        for k, b in enumerate(per):
+            for i, (key, value) in enumerate(list(b["parts_rms_m"].items())[:8]):
+                lead = [name, str(k + 1), f"{b['rms_m']:.3g}", f"{b['predicted_sigma_m']:.3g}"] if i == 0 else [""] * 4
+                rows.append([*lead, key, f"{value:.3g}", f"{100 * (value / b['rms_m']) ** 2:.1f}"])
+    return page.Table(header, rows, left=1)
+
+
+def budget_lines(budgets: Budgets, parts: int = 3) -> list[str]:
+    """The largest parts of every design at the end of the last outage, in words."""
+    out = []
+    for name, per in budgets.items():
+        last = per[-1]
+        top = ", ".join(f"{key} {value:.3g}" for key, value in list(last["parts_rms_m"].items())[:parts])
+        out.append(
+            f"{name}: rms {last['rms_m']:.3g} m at the end of outage {len(per)} (stated {last['predicted_sigma_m']:.3g}), of that {top}."
+        )
+    return out
 
 
 def growth(analyses: Mapping[str, CovarianceAnalysis], windows: Windows) -> MplFigure:
@@ -76,23 +117,11 @@ def render_budgets(
     title: str, analyses: Mapping[str, CovarianceAnalysis], windows: Windows, folder: str | Path, *, by: str = "process"
 ) -> Path:
     """Write the page of a covariance analysis into ``folder``/index.html."""
-    header = ["design", "outage", "rms m", "stated m", "part", "rms m of the part", "share %"]
-    rows: list[list[str]] = []
-    for name, a in analyses.items():
-        for k, budget in enumerate(a.budgets):
-            at = int(np.argmin(np.abs(a.t - budget.t)))
-            total = budget.rms() ** 2
-            for i, (key, value) in enumerate(list(budget.shares(by).items())[:8]):
-                lead = (
-                    [name, str(k + 1), f"{budget.rms():.3g}", f"{np.hypot(*a.sigma[at, :2]):.3g}"]
-                    if i == 0
-                    else [""] * 4
-                )
-                rows.append([*lead, key, f"{np.sqrt(value):.3g}", f"{100 * value / total:.1f}"])
+    budgets = outage_budgets(analyses, windows, by)
     figures = [
         page.Figure.of(
-            budget_bars(analyses, windows, by),
-            "Height: rms horizontal error at the end of the outage. Parts: shares of the mean square (parts add up as squares).",
+            budget_bars(budgets, by),
+            BARS,
         ),
         page.Figure.of(
             growth(analyses, windows),
@@ -101,7 +130,7 @@ def render_budgets(
     ]
     return page.render(
         f"Error budget: {title}",
-        [page.Section("Where the error comes from", [*figures, page.Table(header, rows, left=1)])],
+        [page.Section("Where the error comes from", [*figures, budget_table(budgets)])],
         Path(folder) / "index.html",
         lead="Covariance analysis of truth and belief together; nothing was drawn.",
     )

@@ -10,14 +10,28 @@ import yaml
 
 from insemu.evaluate import Results, outage_table, verdicts
 from insemu.noise import NoiseModel, axis_unit
-from insemu.report import figures
+from insemu.report import budget, figures
 from insemu.report.page import Block, Code, Figure, Items, Section, Table, Text, render
-from insemu.report.tables import log_distance, rank_lines, short, variant_caption, variant_rows
+from insemu.report.tables import (
+    FIGURES,
+    SMOOTHED,
+    beside,
+    consistency_lines,
+    log_distance,
+    pooled_rank_line,
+    published_value,
+    rank_lines,
+    short,
+    shown_beside,
+    smoother_rows,
+    variant_caption,
+    variant_rows,
+)
 from insemu.units import datasheet
 
 
 def _table(results: Results) -> Table:
-    mean_published = results.published_figure == "planimetric_mean_m"
+    place = {"planimetric_mean_m": 6, "planimetric_max_m": 7}.get(results.headline_figure, 5)
     header = [
         "design",
         "states",
@@ -32,10 +46,9 @@ def _table(results: Results) -> Table:
     ]
     header += ["stated sigma m", "cover position %", "velocity %", "attitude %", "NEES/dof"]
     if results.published:
-        header.insert(6 if mean_published else 5, "published")
+        header.insert(place, "published")
     body: list[list[str]] = []
     for name, outages in outage_table(results).items():
-        published = results.published.get(name, ())
         for k, row in enumerate(outages):
             p, c = row["planimetric_end_m"], row["coverage_3sigma"]
             cells = [
@@ -54,7 +67,7 @@ def _table(results: Results) -> Table:
                 short(row["nees_per_dof"]),
             ]
             if results.published:
-                cells.insert(6 if mean_published else 5, f"{published[k]:g}" if k < len(published) else "")
+                cells.insert(place, published_value(results, name, k))
             body.append(cells)
     caption = (
         f"Planimetric errors, means over {results.realizations} realizations; intervals by bootstrap over realizations. Altitude, velocity, "
@@ -138,6 +151,13 @@ def render_experiment(
         figures.consistency(main),
         "Normalised squared error of the nine navigation states; 1 is a filter that knows its error.",
     )
+    if main.outages and main.smoothed is not None:
+        pictures["smoothing"] = (
+            figures.smoothing(main),
+            "Errors north in the longest outage, filtered (left) and smoothed (right), with the 3-sigma band that each states; scales differ.",
+        )
+    if main.budgets:
+        pictures["budget"] = (budget.budget_bars(main.budgets), budget.BARS)
     drawn = {name: Figure.of(figure, caption) for name, (figure, caption) in pictures.items()}
     folder.mkdir(parents=True, exist_ok=True)
     for name, picture in drawn.items():
@@ -151,8 +171,36 @@ def render_experiment(
     if main.outages:
         sections += [
             Section("Error growth", [drawn["error_growth"], drawn["end_errors"]]),
-            Section("Does the filter know its error?", [drawn["against_bounds"], drawn["consistency"]]),
+            Section(
+                "Does the filter know its error?",
+                [
+                    Items(consistency_lines(main)),
+                    Text(
+                        "Bounds hold for all epochs (lags) of a design together at 99 %. NEES: per degree of freedom, in the middle and at "
+                        "the end of every outage (the smoother's in the middle), mean over realizations; NIS: over all accepted fixes."
+                    ),
+                    drawn["against_bounds"],
+                    drawn["consistency"],
+                ],
+            ),
         ]
+    if "smoothing" in drawn:
+        header, body = smoother_rows(main)
+        sections.append(Section("Smoothed", [Table(header, body, SMOOTHED, left=2), drawn["smoothing"]]))
+    if "budget" in drawn:
+        sections.append(
+            Section(
+                "Where the metres come from",
+                [
+                    Items(budget.budget_lines(main.budgets)),
+                    drawn["budget"],
+                    Text(
+                        "By covariance analysis of truth and belief together; nothing was drawn. Parts add up as squares. A mean removed from the "
+                        "records (truth.record) is not part of it."
+                    ),
+                ],
+            )
+        )
     if variants:
         header, body = variant_rows(main, variants)
         blocks: list[Block] = [Table(header, body, variant_caption(main), left=2)]
@@ -166,7 +214,12 @@ def render_experiment(
                 "Beside the published table",
                 [
                     Text(f"{text.get('source', '')} The rms of ln(ours / published) over its cells is {distance:.2f}."),
-                    *(Text(line) for line in rank_lines(main)),
+                    *(Text(line) for line in (*rank_lines(main), *pooled_rank_line(main, variants))),
+                    *(
+                        Table(*beside(results, figure), f"{label}: {FIGURES[figure]}, m", left=2)
+                        for label, results in shown_beside(main, variants)
+                        for figure in results.published
+                    ),
                 ],
             )
         )
@@ -175,6 +228,7 @@ def render_experiment(
     made: list[Block] = []
     if text.get("notes"):
         made += [Text(part.strip()) for part in text["notes"].split("\n\n") if part.strip()]
+    made += [Text(f"Warning: {warning}.") for warning in manifest.get("warnings", ())]
     wall, epochs = main.timing["wall_seconds"], main.timing["filter_epochs"]
     made.append(
         Text(

@@ -96,9 +96,14 @@ def error_growth(results: Results) -> Figure:
             for d, name in enumerate(results.names):
                 rms = np.sqrt(np.mean(component(results.error[d]) ** 2, axis=0))
                 axes.plot(minutes, np.maximum(rms, 1e-6), color=COLOURS[d % len(COLOURS)], label=name)
+                if results.smoothed is not None:
+                    rms = np.sqrt(np.mean(component(results.smoothed.error[d]) ** 2, axis=0))
+                    axes.plot(minutes, np.maximum(rms, 1e-6), color=COLOURS[d % len(COLOURS)], ls=":", lw=1.1)
             axes.set(title=title, ylabel=label, yscale="log")
         for axes in grid[1]:
-            axes.set_xlabel("time (min); grey: no GNSS")
+            axes.set_xlabel(
+                "time (min); grey: no GNSS" + ("; dotted: smoothed" if results.smoothed is not None else "")
+            )
         grid[0, 0].legend(loc="best")
         return figure
 
@@ -141,6 +146,7 @@ def against_bounds(results: Results, outage: int = -1, realization: int = 0) -> 
 def end_errors(results: Results) -> Figure:
     """Planimetric error at outage end: every realization, mean with its 95 % interval, what the filter states, what was published."""
     table = outage_table(results)
+    published = results.published.get("planimetric_end_m", {})
     with style():
         figure, axes = plt.subplots(figsize=(10.5, 4.2))
         count = len(results.names)
@@ -163,20 +169,10 @@ def end_errors(results: Results) -> Figure:
                     ms=13,
                     mew=2,
                 )
-                values_published = (
-                    results.published.get(name) if results.published_figure == "planimetric_end_m" else None
-                )
-                if values_published is not None and k < len(values_published):
-                    axes.plot(
-                        x,
-                        values_published[k],
-                        "x",
-                        color="#1c2430",
-                        ms=7,
-                        mew=1.6,
-                    )
+                if k < len(published.get(name, ())) and published[name][k] is not None:
+                    axes.plot(x, published[name][k], "x", color="#1c2430", ms=7, mew=1.6)
         axes.plot([], [], "_", color="#1c2430", ms=13, mew=2, ls="none", label="stated sigma")
-        if results.published and results.published_figure == "planimetric_end_m":
+        if published:
             axes.plot([], [], "x", color="#1c2430", ms=7, mew=1.6, ls="none", label="published")
         axes.set_xticks(
             range(len(results.outages)),
@@ -185,6 +181,35 @@ def end_errors(results: Results) -> Figure:
         axes.set(yscale="log", ylabel="planimetric error at outage end (m)", title="Error at the end of each outage")
         axes.grid(axis="x", visible=False)
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+        return figure
+
+
+def smoothing(results: Results, realization: int = 0) -> Figure:
+    """North position error of every design in the longest outage, filtered and smoothed, with the 3-sigma bands that they state."""
+    assert results.smoothed is not None
+    k = max(range(len(results.outages)), key=lambda i: results.outages[i][1])
+    start, duration = results.outages[k]
+    inside = (results.t >= start - 0.1 * duration) & (results.t <= start + 1.1 * duration)
+    since = results.t[inside] - start
+    rows = len(results.names)
+    both = (("filter", results.error, results.sigma), ("smoother", results.smoothed.error, results.smoothed.sigma))
+    with style():
+        figure, grid = plt.subplots(rows, 2, figsize=(10.5, 2.2 * rows + 0.7), sharex=True, squeeze=False)
+        for column, (label, error, sigma) in enumerate(both):
+            for d, name in enumerate(results.names):
+                axes, colour = grid[d, column], COLOURS[d % len(COLOURS)]
+                axes.axvspan(0, duration, color=OUTAGE, zorder=0, lw=0)
+                band = 3.0 * sigma[d, realization, inside, 0]
+                axes.fill_between(since, -band, band, color=colour, alpha=0.22, lw=0, label=r"stated $\pm 3\sigma$")
+                axes.plot(since, error[d, :, inside, 0], color="#9AA3AD", lw=0.5, alpha=0.7)
+                axes.plot(
+                    since, error[d, realization, inside, 0], color=colour, lw=2, label=f"realization {realization}"
+                )
+                axes.set(title=f"{name}: {label}", ylabel="error north (m)")
+                if (d, column) == (0, 0):
+                    axes.legend(loc="upper left", ncols=2)
+        for axes in grid[-1]:
+            axes.set_xlabel(f"time since the start of outage {k + 1} (s); thin grey: all realizations")
         return figure
 
 

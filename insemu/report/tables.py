@@ -3,34 +3,141 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from insemu.evaluate import Results, headline, outage_table, rank_agreement
+from insemu.evaluate import (
+    Results,
+    consistency_words,
+    figure_of,
+    headline,
+    kendall,
+    outage_table,
+    published_cells,
+    rank_agreement,
+    single_run_agreement,
+)
+
+#: What the published figures are, in words.
+FIGURES = {
+    "planimetric_end_m": "planimetric error at outage end",
+    "planimetric_mean_m": "mean planimetric error during the outage",
+    "planimetric_max_m": "largest planimetric error during the outage",
+    "north_max_m": "largest error north during the outage",
+    "east_max_m": "largest error east during the outage",
+    "down_max_m": "largest error down during the outage",
+}
+Table = tuple[list[str], list[list[str]]]
 
 
 def log_distance(results: Results) -> float | None:
-    """Root mean square of ln(ours / published) over all published cells, or None where nothing is published."""
+    """Root mean square of ln(ours / published) over all cells of the first published figure, or None where nothing is published."""
+    cells = published_cells(results, results.headline_figure)
+    return float(np.sqrt(np.mean([math.log(ours / theirs) ** 2 for _, _, ours, theirs in cells]))) if cells else None
+
+
+def published_value(results: Results, design: str, outage: int) -> str:
+    """The cell of the first published figure, as text."""
+    values = results.published.get(results.headline_figure, {}).get(design, ())
+    value = values[outage] if outage < len(values) else None
+    return "" if value is None else f"{value:g}"
+
+
+def beside(results: Results, figure: str) -> Table:
+    """A published figure beside ours, design by design: a row of ours and a row of the paper's, one column per outage."""
+    cells = {(name, k): theirs for name, k, _, theirs in published_cells(results, figure)}
     table = outage_table(results)
-    ratios = [
-        math.log(headline(results, table[name][k]) / value)
-        for name, values in results.published.items()
-        for k, value in enumerate(values)
-        if k < len(results.outages)
-    ]
-    return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else None
+    numbers = range(len(results.outages))
+    body = []
+    for name in results.names:
+        body.append([name, "ours", *(f"{figure_of(table[name][k], figure):.3g}" for k in numbers)])
+        if name in results.published[figure]:
+            body.append(["", "paper", *(f"{cells[name, k]:g}" if (name, k) in cells else "-" for k in numbers)])
+    return ["design", "", *(f"no. {k + 1}" for k in numbers)], body
+
+
+def shown_beside(main: Results, variants: Mapping[str, Results]) -> list[tuple[str, Results]]:
+    """The results with published figures of their own: the scenario's where it has several, and those of variants with others."""
+    out: list[tuple[str, Results]] = []
+    for label, results in {"default": main, **variants}.items():
+        if results.published and results.published not in [r.published for _, r in out]:
+            out.append((label, results))
+    return out
 
 
 def rank_lines(results: Results) -> list[str]:
     """How our ranking of the designs agrees with the paper's, in words."""
-    taus = rank_agreement(results)
+    lines = []
+    for figure in results.published:
+        taus = rank_agreement(results, figure)
+        if taus:
+            each = ", ".join(f"{tau:+.2f}" for tau in taus)
+            lines.append(
+                f"Kendall's rank agreement with the published order of the designs by {FIGURES[figure]}, per outage: {each}; "
+                f"mean {np.mean(taus):+.2f}."
+            )
+            own = single_run_agreement(results, figure)
+            if own.size:
+                low, high = np.quantile(own, [0.05, 0.95])
+                lines.append(
+                    f"What a single drive can tell: one run of ours agrees with the means of the others by {own.mean():+.2f} on average "
+                    f"(5 to 95 %: {low:+.2f} to {high:+.2f})."
+                )
+    return lines
+
+
+def pooled_rank_line(main: Results, variants: Mapping[str, Results]) -> list[str]:
+    """The agreement over all outages of a scenario whose variants bring published outages of their own."""
+    distinct = [results for _, results in shown_beside(main, variants)]
+    if len(distinct) < 2:
+        return []
+    figure = main.headline_figure
+    taus = [tau for r in distinct for tau in rank_agreement(r, figure)]
+    cells = [c for r in distinct for c in published_cells(r, figure)]
+    names = list(dict.fromkeys(c[0] for c in cells))
     if not taus:
         return []
-    each = ", ".join(f"{tau:+.2f}" for tau in taus)
+    ours, theirs = ([float(np.mean([c[i] for c in cells if c[0] == n])) for n in names] for i in (2, 3))
     return [
-        f"Kendall's rank agreement with the published order of the designs, per outage: {each}; mean {np.mean(taus):+.2f}."
+        f"Over all {len(taus)} published outages: mean of Kendall's rank agreements {np.mean(taus):+.2f}; of the designs' means over the outages "
+        f"{kendall(ours, theirs):+.2f}."
     ]
+
+
+def consistency_lines(results: Results) -> list[str]:
+    """Per design, whether the filter knows its error, in words."""
+    return [f"{name}: {'; '.join(consistency_words(results, name))}." for name in results.names]
+
+
+def smoother_rows(results: Results) -> Table:
+    """Filter and smoother through every outage."""
+    header = ["design", "no.", "filter", "smooth", "ratio", "stated", "max f", "max s", "in 3 s", "NEES"]
+    body = []
+    for name, rows in outage_table(results).items():
+        for k, row in enumerate(rows):
+            s = row["smoothed"]
+            body.append(
+                [
+                    name if k == 0 else "",
+                    str(k + 1),
+                    f"{s['filter_middle_rms_m']:.3g}",
+                    f"{s['middle_rms_m']:.3g}",
+                    f"{s['middle_rms_m'] / s['filter_middle_rms_m']:.2f}",
+                    f"{s['predicted_sigma_middle_m']:.3g}",
+                    f"{row['planimetric_max_m']:.3g}",
+                    f"{s['planimetric_max_m']:.3g}",
+                    f"{100 * s['coverage_3sigma']['position']:.1f}%",
+                    short(s["nees_per_dof"]),
+                ]
+            )
+    return header, body
+
+
+SMOOTHED = (
+    "Smoothed backwards. filter, smooth: horizontal rms error in the middle of the outage, m. stated: the smoother's sigma there. max f, max s: mean "
+    "of the largest error of the outage, filtered and smoothed, m. in 3 s, NEES: of the smoother during it."
+)
 
 
 def short(value: float) -> str:
@@ -40,31 +147,32 @@ def short(value: float) -> str:
 
 def variant_caption(results: Results) -> str:
     """What the error columns of :func:`variant_rows` are."""
-    when = "during the outage" if results.published_figure == "planimetric_mean_m" else "at outage end"
-    return f"Mean planimetric error {when}, m"
+    words = FIGURES[results.headline_figure]
+    return f"{words[:1].upper()}{words[1:]}, m"
 
 
 def _published_rows(results: Results, columns: int, width: int) -> list[list[str]]:
     rows = []
-    for i, (name, values) in enumerate(results.published.items()):
-        cells = [f"{v:g}" for v in values] + [""] * (columns - len(values))
+    for i, name in enumerate(results.published[results.headline_figure]):
+        cells = [published_value(results, name, k) for k in range(columns)]
         rows.append(["published" if i == 0 else "", name, *cells, *[""] * (width - 2 - columns)])
     return rows
 
 
-def variant_rows(main: Results, variants: Mapping[str, Results]) -> tuple[list[str], list[list[str]]]:
+def variant_rows(main: Results, variants: Mapping[str, Results]) -> Table:
     """Header and rows: variant, design, planimetric error per outage, pooled ratio to the first design with interval, mean altitude error,
-    NEES per degree of freedom, share of position errors inside 3 sigma during outages, and rms of ln(ours / published) over all cells.
+    NEES per degree of freedom, share of position errors inside 3 sigma during outages, rms of ln(ours / published) over all cells, and the
+    mean over the outages of Kendall's rank agreement with the published order of the designs.
     """
     everything = {"default": main, **variants}
     columns = max(len(r.outages) for r in everything.values())
     same = all(list(r.outages) == list(main.outages) for r in everything.values())
-    outages = (
+    outages: Sequence[str] = (
         [f"{start / 60:.3g} min" for start, _ in main.outages] if same else [f"no. {k + 1}" for k in range(columns)]
     )
     header = ["variant", "design", *outages, "ratio", "95 %", "altitude", "NEES", "inside %"]
     if any(r.published for r in everything.values()):
-        header.append("ln rms")
+        header += ["ln rms", "tau"]
     body: list[list[str]] = []
     shown: Mapping[str, object] = {}
     for label, results in everything.items():
@@ -88,8 +196,9 @@ def variant_rows(main: Results, variants: Mapping[str, Results]) -> tuple[list[s
                 short(float(results.nees[i].mean()) / 9.0),
                 f"{100 * np.mean([r['coverage_3sigma']['position'] for r in rows]):.1f}" if rows else "",
             ]
-            if header[-1] == "ln rms":
-                distance = log_distance(results) if i == 0 else None
+            if header[-1] == "tau":
+                distance, taus = (log_distance(results), rank_agreement(results)) if i == 0 else (None, [])
                 cells.append("" if distance is None else f"{distance:.2f}")
+                cells.append(f"{np.mean(taus):+.2f}" if taus else "")
             body.append(cells)
     return header, body

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from insemu import earth
+from insemu.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -75,6 +76,10 @@ def track_figure(flight: Flight, track: SmoothedTrack | None = None) -> Figure:
             ax.plot(t, values, color=color, lw=1.0, label=name)
         for start, duration in flight.outages:
             ax.axvspan(start, start + duration, color=_RED, alpha=0.15, lw=0)
+        low, high = ax.get_ylim()
+        if high - low < 1.0:  # nothing happens: do not blow up rounding
+            ax.set_ylim(0.5 * (low + high) - 0.5, 0.5 * (low + high) + 0.5)
+        ax.ticklabel_format(axis="y", useOffset=False)
         ax.set_ylabel(label)
         ax.grid(alpha=0.3)
         axes.append(ax)
@@ -94,8 +99,19 @@ def _length(vel: np.ndarray, t: np.ndarray) -> float:
     return float(np.trapezoid(np.linalg.norm(vel, axis=1), t)) / 1000.0
 
 
+_FORMATS = (".png", ".pdf", ".svg", ".html", ".htm")
+
+
+def check_figure(file: str | Path) -> None:
+    """Raise ``InputError`` for a file that :func:`draw_track` cannot write, before anything is computed."""
+    suffix = Path(file).suffix.lower()
+    if suffix not in _FORMATS:
+        raise InputError(f"cannot draw '{suffix}' files, expected {', '.join(_FORMATS)}", where=str(file))
+
+
 def draw_track(flight: Flight, file: str | Path, *, track: SmoothedTrack | None = None) -> Path:
     """Write :func:`track_figure` to a PNG, PDF or SVG file, or a page with it to an HTML file."""
+    check_figure(file)
     path = Path(file)
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix.lower() in (".html", ".htm"):
