@@ -63,7 +63,27 @@ def test_what_is_emulated_is_read_by_the_others(tmp_path, capsys, out):
     assert "largest position error" in capsys.readouterr().out
 
 
+def test_a_scenario_without_designs_is_enough(tmp_path, capsys):
+    file = scenario(tmp_path)
+    file.write_text(yaml.safe_dump({k: v for k, v in SCENARIO.items() if k != "designs"}), encoding="utf-8")
+    assert run("emulate", file, "--out", tmp_path / "r.npz") == 0
+    assert "urban_drive_1 from 4" in capsys.readouterr().out  # and says where it is
+    assert run("run", file) == 2
+    assert "the key 'designs' is missing" in capsys.readouterr().err
+
+
+def test_an_area_that_is_never_entered_is_warned_about(tmp_path, capsys):
+    start = np.rad2deg(emulate.built_in("urban_drive_1").path.llh([0.0])[0])
+    areas = [{"latitude": f"{start[1]} deg", "longitude": f"{start[0]} deg", "radius": "100 m"}]
+    assert run("emulate", scenario(tmp_path, gnss={"areas": areas}), "--out", tmp_path / "r.npz") == 0
+    said = capsys.readouterr().err
+    assert "gnss.areas.0 is never entered" in said and "are latitude and longitude swapped?" in said
+
+
 def test_a_figure_is_drawn(tmp_path, capsys):
+    bad = ("emulate", scenario(tmp_path), "--out", tmp_path / "r.npz", "--figure", tmp_path / "track.xyz")
+    assert run(*bad) == 2 and not (tmp_path / "r.npz").exists()
+    assert "cannot draw '.xyz' files" in capsys.readouterr().err
     assert run("emulate", scenario(tmp_path), "--out", tmp_path / "r.npz", "--figure", tmp_path / "track.png") == 0
     assert (tmp_path / "track.png").stat().st_size > 20_000
 

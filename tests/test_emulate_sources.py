@@ -3,6 +3,7 @@ right.
 """
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -43,14 +44,14 @@ def test_built_in_flights_stay_within_their_vehicle(name):
 
 
 def test_urban_drives_have_the_printed_windows():
-    drives = [emulate.built_in(name) for name in ("urban_drive_1", "urban_drive_2")]
-    assert [d.path.duration for d in drives] == pytest.approx([17.3 * 60, 15.05 * 60])
+    drives = [emulate.built_in(name) for name in ("urban_drive_1", "urban_drive_2", "urban_motorway")]
+    assert [d.path.duration for d in drives] == pytest.approx([17.3 * 60, 15.05 * 60, 1173.0])
     rows = outage_windows(drives)
-    assert [r["outage"] for r in rows] == [1, 2, 3, 4, 5, 6, 7]
+    assert [r["outage"] for r in rows] == [1, 2, 3, 4, 5, 6, 7, 1, 2, 3, 4, 5, 6, 7]
     for r in rows:
         assert r["duration_s"] == r["printed_duration_s"]
         assert r["speed_kmh"] == pytest.approx(r["printed_speed_kmh"], rel=0.05)
-    turns = {r["outage"]: r["turn_deg"] for r in rows}
+    turns = {r["outage"]: r["turn_deg"] for r in rows[:7]}
     assert turns[1] == pytest.approx(90, abs=5) and turns[2] < 2 and turns[5] > 30 and 3 < turns[7] < 20
 
 
@@ -210,6 +211,60 @@ def test_wrong_waypoints_are_named(tmp_path, text, message):
         route(read_waypoints(file), "car")
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "lat,lon,speed\n-79.99,40.44,10\n-79.98,40.44,10\n",
+            "latitude of -79.99 deg.*are latitude and longitude swapped",
+        ),
+        ("lat,lon,speed\n0.8395,0.2007,10\n0.8495,0.2007,10\n", "Gulf of Guinea: radians by the look of it"),
+        ("lat,lon,height,speed\n39,-105,17000,10\n39.01,-105,17000,10\n", "a car at 17000 m: heights in feet"),
+        (
+            "lat,lon,height,speed\n47,11,1640,5\n47.001,11,1690,5\n",
+            "rises 45 %, steeper than any road: heights in feet",
+        ),
+    ],
+)
+def test_waypoints_that_look_odd_are_warned_about(tmp_path, text, message):
+    file = tmp_path / "way.csv"
+    file.write_text(text)
+    made = load_flight(waypoints=file)
+    assert len(made.warnings) == 1
+    assert re.search(message, made.warnings[0])
+
+
+LINE = {"type": "LineString", "coordinates": [[11.5, 48.1], [11.5, 48.105], [11.51, 48.105]]}
+
+
+@pytest.mark.parametrize(
+    ("document", "message"),
+    [
+        ([1, 2], "not GeoJSON"),
+        ({"type": "LineString"}, "a LineString without 'coordinates'"),
+        ({"type": "Polygon", "coordinates": []}, "geometry of type 'Polygon'"),
+        ({"features": [{"type": "Feature", "geometry": None}]}, "expected a feature with a geometry"),
+        (LINE | {"coordinates": [["a", 1], [2, 3]]}, "point 1 is .*, expected .longitude, latitude"),
+        ({"geometry": LINE, "properties": {"speed": "36 kg"}}, "speed of point 1: .*kg"),
+        (LINE | {"bbox": [48, 11, 49, 12]}, r"outside of the file's bbox .*swapped all points fit"),
+        (LINE | {"bbox": [11, 48.2, 12, 49]}, r"point 1 \[11.5, 48.1\] is outside of the file's bbox .*\]$"),
+        (LINE | {"bbox": [11, 48]}, "expected .west, south, east, north"),
+    ],
+)
+def test_wrong_geojson_is_named(tmp_path, document, message):
+    file = tmp_path / "way.geojson"
+    file.write_text(json.dumps(document))
+    with pytest.raises(InputError, match=message):
+        read_waypoints(file, 10.0)
+
+
+def test_geojson_within_its_box(tmp_path):
+    file = tmp_path / "way.geojson"
+    feature = {"geometry": LINE, "properties": {"speed": "36 km/h"}, "bbox": [11, 48, 12, 49]}
+    file.write_text(json.dumps({"features": [feature], "bbox": [170, 48, 12, 49]}))  # across the antimeridian
+    np.testing.assert_allclose(read_waypoints(file).speed, 10.0)
+
+
 def test_legs_too_short_for_a_wing_are_refused():
     with pytest.raises(InputError, match="too short for a fixed_wing to turn"):
         route(Waypoints(earth.move(ORIGIN, SHAPE * 40.0), 20.0), "fixed_wing")
@@ -327,7 +382,21 @@ def test_tracks_that_cannot_be_right_are_named():
             smooth_track(bad)
 
 
+def test_headings_tell_swapped_coordinates():
+    truth = emulate.built_in("urban_drive_1").path
+    pose = truth.sample(np.arange(60.0, 360.0, 0.5))
+    track = Track(pose.t, pose.llh, None, pose.rpy)
+    assert smooth_track(track).warnings == ()
+    with pytest.raises(InputError, match="headings fit the way only with latitude and longitude swapped"):
+        smooth_track(Track(pose.t, pose.llh[:, [1, 0, 2]], None, pose.rpy))
+
+
 def test_tracks_that_look_odd_are_warned_about():
+    t = np.arange(0.0, 120.0)
+    hill = earth.move(np.array([0.8, 0.2, 500.0]), np.stack([10 * t, 0 * t, -1.5 * t], axis=1))
+    assert smooth_track(Track(t, hill)).warnings == ()
+    steep = smooth_track(Track(t, hill * [1, 1, 1 / 0.3048])).warnings
+    assert len(steep) == 1 and "steeper than any road: heights in feet by the look of it" in steep[0]
     track = some_track(name="helicopter_mapping", velocity=True)
     feet = track.llh * np.array([1, 1, 1 / 0.3048])
     assert "feet by the look of it" in smooth_track(changed(track, llh=feet), "helicopter").warnings[0]
@@ -354,6 +423,12 @@ def test_track_files(tmp_path):
         read_track(file)
     file.write_text("t,lat,lon,height\n0,1,2,3\n1,1,two,3\n")
     with pytest.raises(InputError, match=r"track.csv:3: found 'two' for lon"):
+        read_track(file)
+    file.write_text("t,lat,lon,height\n0,1,2,3\n1,1,2,nan\n")
+    with pytest.raises(InputError, match=r"track.csv:3: found 'nan' for height"):
+        read_track(file)
+    file.write_text("# made by hand\nt,lat,lon,height\n0,1,2,3\n0,1,2,3\n")
+    with pytest.raises(InputError, match=r"track.csv:4: the time repeats"):
         read_track(file)
 
 

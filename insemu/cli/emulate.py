@@ -23,11 +23,16 @@ def command(
     eighth.
     """
     import json
+    import math
 
     from insemu.evaluate.world import World
     from insemu.formats import write
     from insemu.scenario import load
 
+    if figure:
+        from insemu.report.track import check_figure, draw_track
+
+        check_figure(figure)
     given = load(scenario, variant=variant, overrides={"seed": seed})
     world = World(given, scenario)
     for warning in world.warnings:
@@ -35,13 +40,14 @@ def command(
     recording = world.recording(realization, ideal=ideal)
     path = write(out, recording)
     if figure:
-        from insemu.report.track import draw_track
-
         draw_track(world.flight, figure, track=world.track)
     gnss = recording.gnss
+    start = [math.degrees(x) for x in world.reference.llh[0, :2]]
+    place = f"{abs(start[0]):.5f} {'NS'[start[0] < 0]} {abs(start[1]):.5f} {'EW'[start[1] < 0]}"
     summary = {
         "recording": str(path),
         "trajectory": world.flight.name,
+        "start_lat_lon_deg": start,
         "duration_s": float(recording.imu.t[-1] - recording.imu.t[0]),
         "imu_samples": len(recording.imu),
         "imu_kind": recording.imu.kind,
@@ -57,7 +63,7 @@ def command(
         typer.echo(json.dumps(summary))
         return
     typer.echo(
-        f"{path}: {summary['trajectory']}, {summary['duration_s']:g} s, {summary['imu_samples']} IMU {summary['imu_kind']}s at "
+        f"{path}: {summary['trajectory']} from {place}, {summary['duration_s']:g} s, {summary['imu_samples']} IMU {summary['imu_kind']}s at "
         f"{summary['imu_rate_hz']:g} Hz, {summary['gnss_fixes']} fixes; reference within {1e3 * world.path_distance_m:.3g} mm "
         f"of the path ({world.source.mode})"
     )

@@ -16,6 +16,8 @@ from insemu.emulate.flight import Flight
 from insemu.emulate.motion import Leg
 from insemu.emulate.track import SmoothedTrack, Track, smooth_track
 from insemu.emulate.trajectory import built_in
+from insemu.emulate.vehicle import odd_places
+from insemu.emulate.vehicle import vehicle as vehicle_of
 from insemu.emulate.waypoints import read_waypoints, route
 from insemu.errors import InputError, nearest
 from insemu.formats import read_recording
@@ -82,7 +84,8 @@ def load_flight(
         made = route(read_waypoints(waypoints, speed), vehicle)
         return Source(made.flight, made.warnings)
     if motion is not None:
-        return Source(read_motion(motion))
+        flight = read_motion(motion)
+        return Source(flight, odd_places(str(motion), flight.path.origin[None], vehicle_of(flight.vehicle)))
     assert track is not None
     smoothed = smooth_track(read_track(track), vehicle, max_gap_s=max_gap_s)
     path = smoothed.path
@@ -170,6 +173,15 @@ def read_track(path: str | Path) -> Track:
                 raise InputError(
                     f"found '{row[k].strip()}' for {key}, expected a number", where=f"{path}:{line}"
                 ) from None
+            if key in ("t", "lat", "lon", "height") and not np.isfinite(data[key][n]):
+                raise InputError(
+                    f"found '{row[k].strip()}' for {key}, expected a finite number", where=f"{path}:{line}"
+                )
+        if n and data["t"][n] <= data["t"][n - 1]:
+            what = "repeats" if data["t"][n] == data["t"][n - 1] else "goes back"
+            raise InputError(
+                f"the time {what} ({data['t'][n - 1]:.6g} s then {data['t'][n]:.6g} s)", where=f"{path}:{line}"
+            )
 
     def block(keys: tuple[str, ...]) -> Array | None:
         return np.column_stack([data[key] for key in keys]) if all(key in data for key in keys) else None

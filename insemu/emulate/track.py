@@ -9,6 +9,7 @@ rule.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +18,7 @@ from scipy.linalg import solveh_banded
 
 from insemu import earth, rotation
 from insemu.emulate.path import SmoothPath
-from insemu.emulate.vehicle import Vehicle, vehicle
+from insemu.emulate.vehicle import STEEPEST_ROAD, Vehicle, odd_places, vehicle
 from insemu.errors import InputError
 from insemu.records import GnssRecord, Trajectory
 
@@ -126,7 +127,7 @@ def check_track(track: Track, max_gap_s: float, car: Vehicle) -> tuple[str, ...]
     if track.rpy is not None and not np.isfinite(track.rpy).all():
         row = int(np.argmax(~np.isfinite(track.rpy).all(axis=1)))
         raise InputError(f"{name}: row {row} has an attitude that is not finite")
-    warnings = []
+    warnings = list(odd_places(name, llh, car))
     moved = np.diff(earth.position_difference(llh, llh[0]), axis=0)
     speed = np.hypot(moved[:, 0], moved[:, 1]) / step
     noise = 4.0 * float(np.mean(track.pos_std)) / step
@@ -146,11 +147,44 @@ def check_track(track: Track, max_gap_s: float, car: Vehicle) -> tuple[str, ...]
             f"{name}: climbs at {np.percentile(climb, 95):.3g} m/s, beyond the {car.max_climb:g} m/s of a {car.name}: "
             "heights in feet by the look of it, expected metres"
         )
-    if car.name == "car" and np.median(llh[:, 2]) > 6000:
-        warnings.append(
-            f"{name}: a car at {np.median(llh[:, 2]):.0f} m: heights in feet by the look of it, expected metres"
-        )
+    elif car.name == "car":
+        warnings += _steep(name, t, moved, float(np.mean(track.pos_std)))
+    if track.rpy is not None and track.vel_ned is None:
+        _against_heading(name, llh, np.asarray(track.rpy, dtype=float), float(np.mean(track.pos_std)))
     return tuple(warnings)
+
+
+def _steep(name: str, t: Array, moved: Array, sigma: float) -> list[str]:
+    """Roads are not as steep as heights in feet make them; over stretches that stand out of the noise."""
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(moved[:, 0], moved[:, 1]))])
+    rise = np.concatenate([[0.0], np.cumsum(moved[:, 2])])
+    stretch = max(50.0, 40.0 * sigma)
+    marks = np.searchsorted(way, np.arange(0.0, way[-1], stretch))
+    if marks.size < 4:
+        return []
+    slope = np.maximum(0.0, np.abs(np.diff(rise[marks])) - 4.0 * sigma) / np.maximum(np.diff(way[marks]), stretch)
+    k = int(np.argmax(slope))
+    if slope[k] <= STEEPEST_ROAD or np.sort(slope)[-2] <= 0.75 * STEEPEST_ROAD:
+        return []
+    feet = ": heights in feet by the look of it, expected metres" if slope[k] * _FOOT <= STEEPEST_ROAD else ""
+    return [f"{name}: rises {100 * slope[k]:.0f} % at t = {t[marks[k]]:.6g} s, steeper than any road{feet}"]
+
+
+def _against_heading(name: str, llh: Array, rpy: Array, sigma: float) -> None:
+    """A vehicle goes where it points; swapped coordinates send it to the mirrored course."""
+
+    def off_course(llh: Array) -> Array:
+        way = np.diff(earth.position_difference(llh, llh[0]), axis=0)
+        far = np.hypot(way[:, 0], way[:, 1]) > max(0.2, 4.0 * sigma)
+        turn = np.arctan2(way[far, 1], way[far, 0]) - rpy[:-1][far, 2]
+        return np.asarray(np.abs((turn + np.pi) % (2.0 * np.pi) - np.pi))
+
+    exchanged = llh[:, [1, 0, 2]]
+    plain = off_course(llh)
+    if plain.size < 5 or np.median(plain) < np.deg2rad(30) or (np.abs(exchanged[:, 0]) >= np.pi / 2).any():
+        return
+    if np.median(off_course(exchanged)) < np.deg2rad(15):
+        raise InputError(f"{name}: the headings fit the way only with latitude and longitude swapped")
 
 
 def _against_velocity(name: str, t: Array, llh: Array, velocity: Array) -> list[str]:
@@ -361,7 +395,7 @@ def smooth_track(
         if (weight == 1.0).all():
             break
     attitude = _attitude(track, kind, position, spacing)
-    path = SmoothPath(position, attitude, origin, track.name)
+    path = SmoothPath(position, attitude, origin, Path(track.name).stem)
     residual = earth.position_difference(llh, path.llh(t))
     return SmoothedTrack(path, track, residual, weight, warnings)
 

@@ -79,6 +79,44 @@ VEHICLES: dict[str, Vehicle] = {
 }
 
 
+#: Rise per metre that no road has (the steepest streets have 0.37).
+STEEPEST_ROAD = 0.4
+_HIGHEST_ROAD = 6000.0
+
+
+def odd_places(name: str, llh: Array, kind: Vehicle) -> tuple[str, ...]:
+    """What looks odd about where a vehicle is asked to be: places in radians, swapped coordinates, heights in feet.
+
+    Parameters
+    ----------
+    name : str
+        Starts every message.
+    llh : (n, 3) array
+        Latitude rad, longitude rad, height m.
+    kind : Vehicle
+
+    Returns
+    -------
+    tuple of str
+        Warnings; empty where nothing is odd. Two coordinates that are both plausible latitudes are not told apart.
+    """
+    lat, lon = np.rad2deg(llh[:, 0]), np.rad2deg(llh[:, 1])
+    out = []
+    if (np.abs(lat) <= np.pi / 2).all() and (np.abs(lon) <= np.pi).all() and np.hypot(lat, lon).max() > 1e-3:
+        out.append(
+            f"{name}: starts at {lat[0]:.6g} deg, {lon[0]:.6g} deg, in the Gulf of Guinea: radians by the look of it, expected degrees"
+        )
+    elif lat.max() > 78.5 or lat.min() < -60.0:
+        k = int(np.argmax(np.abs(lat)))
+        swapped = "; are latitude and longitude swapped?" if np.abs(lon).max() <= 90.0 else ""
+        out.append(
+            f"{name}: a {kind.name} at a latitude of {lat[k]:.4g} deg, where there are no roads or towns{swapped}"
+        )
+    if kind.name == "car" and np.median(llh[:, 2]) > _HIGHEST_ROAD:
+        out.append(f"{name}: a car at {np.median(llh[:, 2]):.0f} m: heights in feet by the look of it, expected metres")
+    return tuple(out)
+
+
 def vehicle(name: str) -> Vehicle:
     """Vehicle by name.
 

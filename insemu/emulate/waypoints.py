@@ -12,6 +12,7 @@ import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from insemu import earth, units
 from insemu.emulate.flight import Flight
 from insemu.emulate.motion import Command, legs_of, path_of, profile, smoothstep_integral
-from insemu.emulate.vehicle import Vehicle, vehicle
+from insemu.emulate.vehicle import STEEPEST_ROAD, Vehicle, odd_places, vehicle
 from insemu.errors import InputError, nearest
 
 Array = NDArray[np.float64]
@@ -157,31 +158,66 @@ def _geojson(text: str, source: str, speed: float | None) -> Waypoints:
         document = json.loads(text)
     except json.JSONDecodeError as error:
         raise InputError(f"not JSON: {error.msg}", where=f"{source}:{error.lineno}") from None
-    features = document.get("features", [document]) if isinstance(document, dict) else []
-    points: list[tuple[list[float], float | None]] = []
-    for feature in features:
-        geometry = feature.get("geometry", feature)
-        own = (feature.get("properties") or {}).get("speed")
-        kind = geometry.get("type")
-        if kind == "LineString":
-            speeds = own if isinstance(own, list) else [own] * len(geometry["coordinates"])
-            if len(speeds) != len(geometry["coordinates"]):
-                raise InputError(f"{len(speeds)} speeds for {len(geometry['coordinates'])} points", where=source)
-            points += list(zip(geometry["coordinates"], speeds, strict=True))
-        elif kind == "Point":
-            points.append((geometry["coordinates"], own))
-        else:
+    if not isinstance(document, dict):
+        raise InputError("not GeoJSON, expected an object with the key 'type'", where=source)
+    features = document.get("features", [document])
+    points: list[tuple[Any, Any]] = []
+    for feature in features if isinstance(features, list) else [features]:
+        geometry = feature.get("geometry", feature) if isinstance(feature, dict) else None
+        if not isinstance(geometry, dict):
+            raise InputError(f"found {feature!r:.60}, expected a feature with a geometry", where=source)
+        kind, coordinates = geometry.get("type"), geometry.get("coordinates")
+        properties = feature.get("properties")
+        own = properties.get("speed") if isinstance(properties, dict) else None
+        if kind not in ("LineString", "Point"):
             raise InputError(f"geometry of type '{kind}', expected LineString or Point", where=source)
+        if not isinstance(coordinates, list):
+            raise InputError(f"a {kind} without 'coordinates'", where=source)
+        if kind == "LineString":
+            speeds = own if isinstance(own, list) else [own] * len(coordinates)
+            if len(speeds) != len(coordinates):
+                raise InputError(f"{len(speeds)} speeds for {len(coordinates)} points", where=source)
+            points += list(zip(coordinates, speeds, strict=True))
+        else:
+            points.append((coordinates, own))
     rows, speeds_out = [], []
     for k, (place, own) in enumerate(points):
-        if len(place) not in (2, 3) or not all(isinstance(x, int | float) for x in place):
-            raise InputError(f"point {k + 1} is {place}, expected [longitude, latitude(, height)]", where=source)
+        numbers = isinstance(place, list) and all(type(x) in (int, float) for x in place)
+        if not numbers or len(place) not in (2, 3):
+            raise InputError(f"point {k + 1} is {place!r:.60}, expected [longitude, latitude(, height)]", where=source)
         rows.append([np.deg2rad(place[1]), np.deg2rad(place[0]), place[2] if len(place) == 3 else 0.0])
         value = own if own is not None else speed
         if value is None:
             raise InputError(f"point {k + 1} has no property 'speed' and no speed was given for all legs", where=source)
-        speeds_out.append(float(value))
-    return Waypoints(np.array(rows, dtype=float).reshape(-1, 3), np.array(speeds_out), source)
+        try:
+            speeds_out.append(units.parse(value, "m/s"))
+        except InputError as error:
+            raise InputError(f"speed of point {k + 1}: {error.message}", where=source) from None
+    llh = np.array(rows, dtype=float).reshape(-1, 3)
+    _check_box(document.get("bbox"), llh, source)
+    return Waypoints(llh, np.array(speeds_out), source)
+
+
+def _check_box(box: Any, llh: Array, source: str) -> None:
+    """Hold points against the ``bbox`` of a GeoJSON file: west, south, (lowest,) east, north, (highest)."""
+    if box is None or not len(llh):
+        return
+    if not isinstance(box, list) or len(box) not in (4, 6) or not all(type(x) in (int, float) for x in box):
+        raise InputError(f"bbox is {box!r:.60}, expected [west, south, east, north]", where=source)
+    west, south, east, north = box[0], box[1], box[len(box) // 2], box[len(box) // 2 + 1]
+    lat, lon = np.rad2deg(llh[:, 0]), np.rad2deg(llh[:, 1])
+
+    def inside(lat: Array, lon: Array) -> NDArray[np.bool_]:
+        across = (lon >= west) & (lon <= east) if west <= east else (lon >= west) | (lon <= east)
+        return np.asarray(across & (lat >= south) & (lat <= north))
+
+    out = ~inside(lat, lon)
+    if out.any():
+        k = int(np.argmax(out))
+        swapped = "; with latitude and longitude swapped all points fit" if inside(lon, lat).all() else ""
+        raise InputError(
+            f"point {k + 1} [{lon[k]:.6g}, {lat[k]:.6g}] is outside of the file's bbox {box}{swapped}", where=source
+        )
 
 
 @dataclass(frozen=True)
@@ -269,7 +305,7 @@ def route(
             f"{source}: waypoint {k + 2} turns by {np.rad2deg(angle[k]):.0f} deg, expected at most 150 deg; add a waypoint beside it"
         )
     climb = np.diff(llh[:, 2])
-    warnings = _check_climb(source, v, climb, length, leg_speed)
+    warnings = odd_places(source, llh, v) + _check_climb(source, v, climb, length, leg_speed)
 
     moving_ends = v.min_speed > 0
     corner = np.empty(n)  # speed at the waypoints
@@ -345,7 +381,15 @@ def route(
 def _check_climb(source: str, v: Vehicle, climb: Array, length: Array, speed: ArrayLike) -> tuple[str, ...]:
     rate = np.abs(climb) / (length / np.asarray(speed))
     if rate.max() <= v.max_climb:
-        return ()
+        slope = np.abs(climb) / length
+        k = int(np.argmax(slope))
+        if v.name != "car" or slope[k] <= STEEPEST_ROAD:
+            return ()
+        feet = ": heights in feet by the look of it (name the column 'height [ft]')"
+        return (
+            f"{source}: the leg from waypoint {k + 1} rises {100 * slope[k]:.0f} %, steeper than any road"
+            f"{feet if slope[k] * _FOOT <= STEEPEST_ROAD else ''}",
+        )
     k = int(np.argmax(rate))
     if rate.max() * _FOOT <= v.max_climb:
         raise InputError(

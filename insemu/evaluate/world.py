@@ -175,6 +175,7 @@ class World:
         self.reference: Trajectory = ideal.reference
         self.imu: ImuRecord = ideal.imu
         self.path_distance_m: float = ideal.path_distance_m
+        self.warnings += self._missed_areas()
         self._lock = Lock()
         count = self.pieces.count
         if count is not None and scenario.realizations > count:
@@ -211,6 +212,25 @@ class World:
             rng = stream(self.scenario.seed, "outages")
             out += random_outages(start, end, per_hour=drawn.per_hour, mean_s=drawn.mean, clear_s=drawn.clear, rng=rng)
         return out
+
+    def _missed_areas(self) -> tuple[str, ...]:
+        """Outage areas that the trajectory never enters."""
+        out, way = [], self.reference.llh[:: max(1, len(self.reference) // 5000)]
+        for k, area in enumerate(self.scenario.gnss.areas):
+            if AreaOutage(area.latitude, area.longitude, area.radius).covers(self.reference.llh).any():
+                continue
+
+            def distance(lat: float, lon: float) -> float:
+                off = earth.position_difference(way, np.array([lat, lon, 0.0]))
+                return float(np.hypot(off[:, 0], off[:, 1]).min())
+
+            far, exchanged = distance(area.latitude, area.longitude), distance(area.longitude, area.latitude)
+            swapped = far > 1e5 and exchanged < 0.1 * far
+            out.append(
+                f"{self._name}: gnss.areas.{k} is never entered, its centre is {far / 1000:.4g} km away"
+                + ("; are latitude and longitude swapped?" if swapped else "")
+            )
+        return tuple(out)
 
     @cached_property
     def outage_windows(self) -> list[tuple[float, float]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,9 +16,10 @@ from insemu.gap import singular as _registers  # noqa: F401
 from insemu.gap import static_log
 from insemu.gap.candidates import CANDIDATES, AxisState
 from insemu.gap.disagreement import corrected
-from insemu.gap.evidence import Likelihood, fit
+from insemu.gap.evidence import LEVEL_UNCERTAINTY, Explanation, Likelihood, fit
 from insemu.gap.hypotheses import (
     ONCE,
+    PROCESSES,
     Hypothesis,
     Variant,
     bank,
@@ -35,10 +36,10 @@ from insemu.gap.innovations import Block, Field
 from insemu.gap.known import colour_of, of_axis, settled, starting_explanation, without_drawn
 from insemu.gap.nominal import Nominal
 from insemu.gap.preparation import fast_parts, prepare
-from insemu.gap.reduced import Reduced
+from insemu.gap.reduced import Reduced, reduce_again
 from insemu.gap.samples import mend, with_counts
 from insemu.gap.scene import Scene, first_rows
-from insemu.gap.surrogate import NED
+from insemu.gap.surrogate import NED, FixNoise, joint_noise
 from insemu.gap.verdict import GapReport, Interval, Member, Step, Value, VerdictName, Where
 from insemu.noise import BI, GM, RW, WN, NoiseModel
 from insemu.records import AXES, Recording
@@ -46,6 +47,8 @@ from insemu.records import AXES, Recording
 Array = NDArray[np.float64]
 
 LEAD, MOST_STEPS = 3.0, 8
+#: Probability that anything at all is missing, below which the search ends.
+SURE = 0.8
 #: Share of the posterior that the members of a class hold together.
 CLASS_SHARE = 0.96
 #: A shape worth more than this is taken out of the data and the filter run again, so that what is left is small enough to be linear.
@@ -108,6 +111,14 @@ class Named:
         return next((f.chosen for f in self.found if f.chosen.effect == "gnss_outliers"), None)
 
 
+def something(ranked: Sequence[Hypothesis]) -> float:
+    """Probability that any of the effects is there: each of them and nothing at all weigh alike before the data."""
+    gains = np.array([h.gain for h in ranked])
+    top = max(float(gains.max()), 0.0)
+    some = float(np.sum(np.exp(gains - top)))
+    return some / (some + gains.size * math.exp(-top))
+
+
 def blocks_of(found: Sequence[Found]) -> list[Block]:
     """Blocks of the steps that have one."""
     return [f.chosen.block for f in found if f.chosen.block is not None]
@@ -157,7 +168,11 @@ class Search:
         return sorted((h for h in out if math.isfinite(h.gain)), key=lambda h: -h.gain)
 
     def _skip(self, found: Sequence[Found]) -> set[str]:
-        once = {f.chosen.effect for f in found if f.chosen.effect in ONCE or f.chosen.noise is not None or f.chosen.effect == "gnss_outliers"}
+        once = {
+            f.chosen.effect
+            for f in found
+            if f.chosen.effect in ONCE or f.chosen.noise is not None or f.chosen.effect == "gnss_outliers"
+        }
         return set(self.without) | once
 
     def run(self, progress: Callable[[str], None]) -> Named:
@@ -169,13 +184,31 @@ class Search:
             if beyond > self.threshold and beyond > best.gain + OUTSIDE_LEAD:
                 self.outsider = what
                 break
-            if best.gain < self.threshold:
+            if best.gain < self.threshold or something(ranked) < SURE:
                 break
+            best = self._apart(best)
             progress(f"{best.effect} {best.gain:.1f} nats")
             self._add(best, ranked)
             if len(self.found) > 1:
                 self._reconsider()
         return Named(tuple(self.found), self.scene, self.outsider, self.gone)
+
+    def _apart(self, best: Hypothesis) -> Hypothesis:
+        """The best effect of one axis instead of one of several axes, where two or three of their own explain more than the one together."""
+        if best.block is None or len(best.axes) < 2:
+            return best
+        single = [v for v in self.variants if len(v.axes) < 2]
+        given, total = blocks_of(self.found), 0.0
+        first: Hypothesis | None = None
+        for _ in best.axes:
+            tried = linear_hypotheses(self.scene, single, self.data, given, self._skip(self.found))
+            top = max(tried, key=lambda h: h.gain)
+            if top.block is None or top.gain < self.threshold:
+                break
+            total += top.gain
+            first = first or top
+            given = [*given, top.block]
+        return first if first is not None and total > best.gain + 1.0 else best
 
     def _add(self, best: Hypothesis, ranked: Sequence[Hypothesis]) -> None:
         scene = self.scene
@@ -191,13 +224,22 @@ class Search:
             times, _ = wild_fixes(scene, best, unexplained_innovations(scene, blocks_of(self.found)))
             self.gone = np.union1d(self.gone, times)
             scene = scene.rebuilt(gone=self.gone)
-        elif best.noise is not None:
-            self.found.append(Found(best, tuple(ranked)))
+        elif (level := best.noise) is not None:
             if best.effect == "gnss_correlated_noise":
-                assert best.noise.colour is not None
-                scene = scene.coloured(best.noise.colour)
+                assert level.colour is not None
+                s = replace(scene.surrogate, nu=unexplained_innovations(scene, blocks_of(self.found)))
+                moved = scene.original.factors / scene.original.levels
+                noise = joint_noise(
+                    s if self.cut is None else s.until(self.cut), level.colour, moved, LEVEL_UNCERTAINTY
+                )
+                scene = scene.coloured(noise)
+                sigma = dict(zip((f"sigma_{a}" for a in NED), noise.colour[0], strict=False))
+                best = replace(best, values=tuple(_moved(v, sigma.get(v.name, noise.colour[1])) for v in best.values))
             else:
-                scene = scene.rebuilt(factors=scene.original.factors * best.noise.factor)
+                factors = scene.original.factors * level.factor
+                levels = np.where(level.factor == 1.0, scene.original.levels, factors)
+                scene = scene.rebuilt(factors=factors, levels=levels)
+            self.found.append(Found(best, tuple(ranked)))
         else:
             self.found.append(Found(best, tuple(ranked)))
             if best.gain > CORRECT_NATS and best.columns:
@@ -210,7 +252,13 @@ class Search:
         """Best values of the strong shapes, to be taken out of the data."""
         blocks = blocks_of(self.found)
         index, mean, _ = self.data.posterior(blocks)
-        strong = {c for f in self.found if f.chosen.gain > CORRECT_NATS for c in f.chosen.columns}
+        strong = {
+            c
+            for f in self.found
+            if f.chosen.gain > CORRECT_NATS
+            for c in f.chosen.columns
+            if not self.scene.columns[c].runs
+        }
         return {int(i): float(m) for i, m in zip(index, mean, strict=True) if int(i) in strong}
 
     def _reconsider(self) -> None:
@@ -232,8 +280,15 @@ class Search:
 
     def _swap(self, old: Found, new: Hypothesis, ranked: Sequence[Hypothesis]) -> None:
         fixes = [h for h in old.ranked if h.block is None and h.gain > 0.0]
-        merged = sorted([*ranked, *(replace(h, gain=min(h.gain, new.gain - LEAD - 1.0)) for h in fixes)], key=lambda h: -h.gain)
+        merged = sorted(
+            [*ranked, *(replace(h, gain=min(h.gain, new.gain - LEAD - 1.0)) for h in fixes)], key=lambda h: -h.gain
+        )
         self.found = [Found(new, tuple(merged)) if g is old else g for g in self.found]
+
+
+def _moved(v: Value, value: float) -> Value:
+    """A positive value re-estimated, its interval as wide in proportion as it was."""
+    return replace(v, value=float(value), low=float(v.low / v.value * value), high=float(v.high / v.value * value))
 
 
 def find_effects(
@@ -241,6 +296,34 @@ def find_effects(
 ) -> Named:
     """Search a recording, whole or up to a time."""
     return Search(scene, cut, threshold, without, [], np.zeros(0)).run(progress)
+
+
+def with_process(model: NoiseModel, effect: str, given: Mapping[str, float]) -> NoiseModel:
+    """A model with a slow process of a named effect."""
+    if effect == "random_walk":
+        return model + RW(given["K"])
+    return model + (GM(given["sigma"], given["beta"]) if effect == "gauss_markov" else BI(given["B"]))
+
+
+def believing(named: Named, cut: float | None = None) -> tuple[Scene, list[Block]]:
+    """The filter that believes in the slow processes that were found, and the blocks of everything else.
+
+    The search carries a process on knots; what is left of a strong one between them would count against it.
+    """
+    beliefs = dict(named.scene.original.beliefs)
+    blocks = []
+    for f in named.found:
+        h = f.chosen
+        if h.effect in PROCESSES:
+            for axis in h.axes:
+                name = f"{h.sensor}_{axis}"
+                beliefs[name] = with_process(beliefs[name], h.effect, {v.name: v.value for v in h.values})
+        elif h.block is not None:
+            blocks.append(h.block)
+    if len(blocks) == len(named.blocks):
+        return named.scene, blocks
+    scene = named.scene.rebuilt(beliefs=beliefs)
+    return scene.trimmed(blocks, cut), blocks
 
 
 # -- held out -------------------------------------------------------------------------------------------------------------------------
@@ -252,10 +335,9 @@ def held_out(scene: Scene, named: Named, cut: float) -> tuple[Interval, Interval
     test = scene.loop.y.reshape(-1, 6)[scene.loop.use]
     test = test[late]
     fixes = max(1, len(np.unique(scene.rows_t[late])))
-    final = named.scene
+    final, blocks = believing(named, cut)
     rows = final.rows_t > cut
     data = replace(final.data, variance=1.0)
-    blocks = named.blocks
     e, logdet = data.predictive(blocks, rows)
     total = 0.5 * float(test @ test) - 0.5 * float(e @ e) - logdet + _log_volume(scene, cut) - _log_volume(final, cut)
     spread = 1.96 * math.sqrt(abs(float(test @ test) - float(e @ e)) + 0.5)
@@ -278,13 +360,14 @@ def held_out(scene: Scene, named: Named, cut: float) -> tuple[Interval, Interval
 def _log_volume(scene: Scene, cut: float) -> float:
     """Half the log determinants of the innovation covariances after ``cut``."""
     use = scene.loop.use & (scene.loop.result.fixes.t > cut)[:, None]
-    if scene.colour is None:
+    if scene.noise is None:
         diagonal = np.einsum("kii->ki", scene.loop.lower)
         return float(np.sum(np.log(diagonal[use])))
-    white, value = scene.surrogate.whiten(scene.surrogate.nu[:, :, None], None, scene.colour)
-    early = scene.surrogate.until(cut)
-    before, first = early.whiten(early.nu[:, :, None], None, scene.colour)
-    return -(value + 0.5 * float(np.sum(white**2))) + (first + 0.5 * float(np.sum(before**2)))
+    volume = 0.0
+    for sign, part in ((1.0, scene.surrogate), (-1.0, scene.surrogate.until(cut))):
+        white, value = part.whiten(part.nu[:, :, None], scene.noise.factor, scene.noise.colour)
+        volume -= sign * (value + 0.5 * float(np.sum(white**2)))
+    return volume
 
 
 # -- what the IMU shows above its motion ----------------------------------------------------------------------------------------------
@@ -300,12 +383,13 @@ def fast_effects(
     """Effects that the IMU shows above its motion, axis by axis."""
     out = []
     excluded = {name for name in CANDIDATES if name not in FAST} | set(without)
-    for name in AXES:
-        data = parts[name]
+    for name, data in parts.items():
         if not data.f.size:
             continue
         given = of_axis(nominal.effects, name)
-        state = AxisState(data, fit(Likelihood(data), starting_explanation(nominal.beliefs[name], given, data.dt)))
+        explanation = starting_explanation(nominal.beliefs[name], given, data.dt)
+        data = without_tones(data, fit(Likelihood(data), explanation).explanation)
+        state = AxisState(data, fit(Likelihood(data), explanation))
         state = without_drawn(replace(state, named=tuple(n for n in settled(given) if n == "quantization")), given)
         out.append(
             (
@@ -316,6 +400,55 @@ def fast_effects(
             )
         )
     return out
+
+
+def again_with_processes(
+    fast: list[tuple[str, static_log.AxisResult]],
+    named: Named,
+    parts: dict[str, Reduced],
+    nominal: Nominal,
+    threshold: float,
+    without: Collection[str],
+) -> list[tuple[str, static_log.AxisResult]]:
+    """What the band above the motion shows where a slow process that was found since reaches into it."""
+    beliefs = dict(nominal.beliefs)
+    touched = set()
+    for f in named.found:
+        for axis in f.chosen.axes if f.chosen.effect in PROCESSES else ():
+            name = f"{f.chosen.sensor}_{axis}"
+            touched.add(name)
+            beliefs[name] = with_process(beliefs[name], f.chosen.effect, {v.name: v.value for v in f.chosen.values})
+    touched &= {name for name, r in fast if r.found}
+    if not touched:
+        return fast
+    some = {name: data for name, data in parts.items() if name in touched}
+    fresh = dict(fast_effects(some, replace(nominal, beliefs=beliefs), threshold, without, lambda _: None))
+    return [(name, fresh.get(name, r)) for name, r in fast]
+
+
+def without_tones(data: Reduced, explanation: Explanation) -> Reduced:
+    """The axis without tones that come in company: a line of the sensor stands alone, what a vehicle hums does not.
+
+    A tone counts where the periodogram stands out by more than noise does anywhere; a single one, or one that towers over the others, stays.
+    """
+    n, dt = data.values.size, data.dt
+    z = np.fft.rfft(data.values - data.values.mean())
+    f = np.arange(z.size) / (n * dt)
+    inside = (f >= data.f[0]) & (f <= data.f[-1])
+    ratio = np.zeros(z.size)
+    ratio[inside] = np.abs(z[inside]) ** 2 * dt / n / explanation.psd(f[inside], dt)
+    limit = math.log(n) + 6.0
+    loud = np.flatnonzero(ratio > limit)
+    if not loud.size:
+        return data
+    first = int(np.argmax(ratio))
+    # sidelobes of the loudest fall with the square of the distance
+    apart = np.abs(loud - first)
+    others = loud[(apart > 3) & (ratio[loud] > 4.0 * ratio[first] / np.maximum(apart, 1.0) ** 2)]
+    if not others.size or float(ratio[others].max()) < 0.1 * ratio[first]:
+        return data
+    z[loud] *= np.sqrt(1.0 / ratio[loud])
+    return reduce_again(data, np.fft.irfft(z, n))
 
 
 def find_dynamic_gap(
@@ -352,7 +485,7 @@ def find_dynamic_gap(
     scene = Scene.of(prepared)
     colour = colour_of(nominal.effects)
     if colour is not None:
-        scene, without = scene.coloured(colour), (*without, "gnss_correlated_noise")
+        scene, without = scene.coloured(FixNoise(np.ones(6), colour)), (*without, "gnss_correlated_noise")
     threshold = max(threshold, null_threshold([v for v in bank(scene) if v.effect not in without], scene.data, rng))
     named = find_effects(scene, None, threshold, without, say)
     nothing = Interval(math.nan, math.nan, math.nan)
@@ -364,8 +497,10 @@ def find_dynamic_gap(
         plain = Scene.of(prepare(whole, believed, parts, levels)) if noticed else scene
         before, after, held = held_out(plain, first, cut)
     where = corrected(disagreement_tests(scene, scene.data.y))
-    residual, _ = named.scene.data.residual(named.blocks)
-    rest = corrected(disagreement_tests(named.scene, residual))
+    final, blocks = believing(named)
+    residual, _ = final.data.residual(blocks)
+    rest = corrected(disagreement_tests(final, residual))
+    fast = again_with_processes(fast, named, parts, nominal, max(threshold, FAST_THRESHOLD), without)
     steps = [_step(f, named) for f in named.found]
     steps += [*static_log.merged_steps(dict(fast)), *noticed]
     steps.sort(key=lambda s: -s.gain_nats)
@@ -480,7 +615,9 @@ def _step(f: Found, named: Named) -> Step:
         held += float(p[k])
     needs = "; ".join(dict.fromkeys(EFFECTS[m.effect].excitation for m in members)) if len(members) > 1 else ""
     text = f"a recording with more of: {needs}" if needs else ""
-    return Step(h.effect, h.variant, h.sensor, h.axes, values, float(p[own]), h.gain, tuple(members), text, tuple(others[:5]))
+    return Step(
+        h.effect, h.variant, h.sensor, h.axes, values, float(p[own]), h.gain, tuple(members), text, tuple(others[:5])
+    )
 
 
 def _refine(models: dict[str, NoiseModel], step: Step) -> dict[str, NoiseModel]:
@@ -495,12 +632,9 @@ def _refine(models: dict[str, NoiseModel], step: Step) -> dict[str, NoiseModel]:
         def value(key: str, axis: str = axis) -> float:
             return given[key] if key in given else given[f"{key}_{axis}"]
 
-        if step.effect == "random_walk":
-            out[name] = out[name] + RW(value("K"))
-        elif step.effect == "gauss_markov":
-            out[name] = out[name] + GM(value("sigma"), value("beta"))
-        elif step.effect == "flicker":
-            out[name] = out[name] + BI(value("B"))
+        if step.effect in PROCESSES:
+            parameters = {p.name for p in EFFECTS[step.effect].parameters}
+            out[name] = with_process(out[name], step.effect, {key: value(key) for key in parameters})
         elif step.effect == "white_noise":
             out[name] = NoiseModel(tuple(WN(value("N")) if isinstance(p, WN) else p for p in out[name]))
     return out

@@ -40,6 +40,8 @@ DYNAMIC_EFFECTS = (
 )  # fmt: skip
 #: Structure that no catalogue holds.
 OUTSIDE = ("heading_dependent_gnss", "quadratic_accelerometer", "sweep")
+#: Knots of a track, s.
+FINE_KNOT_S = 0.0125
 TRACKS = ("car", "aerobatic", "uav", "helicopter", "aeroplane")
 #: Strengths of shaped effects are drawn so that they are worth one of these, nats.
 TARGETS = (8.0, 15.0, 30.0, 60.0, 150.0, 600.0)
@@ -89,13 +91,17 @@ def random_track(kind: str, seconds: float, rng: np.random.Generator) -> SmoothP
     while sum(c.duration_s for c in commands) < seconds + 2.0:
         commands.append(Command(20.0))
     p = profile(commands, heading=heading, speed=0.0)
-    on = moving(p.speed)
+    calm = path_of(p, VEHICLES[vehicle], origin, kind)
+    # a spline repeats what is fast about the frequency of its knots: fast motion gets closer knots
+    t = np.linspace(calm.start, calm.end, int((calm.end - calm.start) / FINE_KNOT_S) + 1)
+    velocity = calm.position.derivative()(t)
+    on = moving(np.hypot(velocity[:, 0], velocity[:, 1]))
     seeds = rng.integers(2**31, size=2)
-    wind = gusts(p.t, shake_v, band, on, int(seeds[0]))
-    rock = gusts(p.t, shake_a * _DEG, band, on, int(seeds[1])) * np.array([1.0, 0.9, 0.3])
+    wind = gusts(t, shake_v, band, on, int(seeds[0]))
+    rock = gusts(t, shake_a * _DEG, band, on, int(seeds[1])) * np.array([1.0, 0.9, 0.3])
     if kind == "car":
         wind *= np.array([0.0, 0.0, 1.0])
-    return path_of(p, VEHICLES[vehicle], origin, kind, gust_vel=wind, gust_rpy=rock)
+    return SmoothPath.from_velocity(t, velocity + wind, calm.attitude(t) + rock, origin, kind)
 
 
 _Commands = tuple[list[Command], str, float, float, tuple[float, float]]
@@ -105,7 +111,10 @@ def _car(seconds: float, rng: np.random.Generator) -> _Commands:
     out = [Command(float(rng.uniform(5.0, 30.0)))]
     while sum(c.duration_s for c in out) < seconds:
         cruise = float(rng.uniform(8.0, 25.0))
-        out += [Command(4.0 + cruise / 1.8, speed=cruise), Command(float(rng.uniform(10.0, 40.0)), climb=float(rng.uniform(-6.0, 6.0)))]
+        out += [
+            Command(4.0 + cruise / 1.8, speed=cruise),
+            Command(float(rng.uniform(10.0, 40.0)), climb=float(rng.uniform(-6.0, 6.0))),
+        ]
         if rng.random() < 0.3:
             out += [Command(9.0, speed=0.0), Command(float(rng.uniform(5.0, 30.0)))]
         else:
@@ -119,7 +128,11 @@ def _uav(seconds: float, rng: np.random.Generator) -> _Commands:
     while sum(c.duration_s for c in out) < seconds:
         side = float(rng.choice([-1.0, 1.0]))
         out += [
-            Command(float(rng.uniform(15.0, 40.0)), turn=side * float(rng.uniform(90.0, 360.0)) * _DEG, climb=float(rng.uniform(-15.0, 15.0))),
+            Command(
+                float(rng.uniform(15.0, 40.0)),
+                turn=side * float(rng.uniform(90.0, 360.0)) * _DEG,
+                climb=float(rng.uniform(-15.0, 15.0)),
+            ),
             Command(float(rng.uniform(10.0, 30.0)), speed=float(rng.uniform(17.0, 25.0))),
         ]
     return out, "fixed_wing", 0.1, 1.0, (0.1, 2.0)
@@ -160,7 +173,7 @@ _COMMANDS: dict[str, Callable[[float, np.random.Generator], _Commands]] = {
 def _aerobatic(seconds: float, heading: float, origin: Array, rng: np.random.Generator) -> SmoothPath:
     """Loops in the plane with slow rolls (some all the way round) and pitching: every axis of both sensors is excited."""
     end = seconds + 5.0
-    t = np.linspace(0.0, end, int(end / 0.05) + 1)
+    t = np.linspace(0.0, end, int(end / FINE_KNOT_S) + 1)
     up = np.clip((t - 15.0) / 20.0, 0.0, 1.0)
     on = up**3 * (10.0 - 15.0 * up + 6.0 * up**2)
 
@@ -170,7 +183,9 @@ def _aerobatic(seconds: float, heading: float, origin: Array, rng: np.random.Gen
             total += np.sin(2.0 * math.pi * (t / rng.uniform(*periods) + rng.random()))
         return np.asarray(total / count)
 
-    course = heading + on * (t * rng.choice([-1.0, 1.0]) * 2.0 * math.pi / rng.uniform(25.0, 45.0) * wave((60.0, 200.0), 1))
+    course = heading + on * (
+        t * rng.choice([-1.0, 1.0]) * 2.0 * math.pi / rng.uniform(25.0, 45.0) * wave((60.0, 200.0), 1)
+    )
     speed = on * (22.0 + 4.0 * wave((20.0, 60.0)))
     climb = on * 3.0 * wave((20.0, 50.0))
     vel = np.stack([speed * np.cos(course), speed * np.sin(course), climb], axis=1)
@@ -179,7 +194,11 @@ def _aerobatic(seconds: float, heading: float, origin: Array, rng: np.random.Gen
         u = np.clip((t - start) / 6.0, 0.0, 1.0)
         rolls += 2.0 * math.pi * u**3 * (10.0 - 15.0 * u + 6.0 * u**2) * rng.choice([-1.0, 1.0])
     rpy = np.stack(
-        [on * 45.0 * _DEG * wave((8.0, 30.0)) + rolls, on * 30.0 * _DEG * wave((8.0, 40.0)), course + on * 10.0 * _DEG * wave((9.0, 30.0))],
+        [
+            on * 45.0 * _DEG * wave((8.0, 30.0)) + rolls,
+            on * 30.0 * _DEG * wave((8.0, 40.0)),
+            course + on * 10.0 * _DEG * wave((9.0, 30.0)),
+        ],
         axis=1,
     )
     return SmoothPath.from_velocity(t, vel, rpy, origin, "aerobatic")
@@ -210,9 +229,17 @@ class Stage:
         """Emulate the recording, with effects hidden in it or with something that no catalogue holds."""
         imu_rng, gnss_rng, own = np.random.default_rng([self.seed, 7]).spawn(3)
         inertial = [u for u in effects if u.sensor != "gnss"]
-        imu = corrupt(self.imu, self.truth, imu_rng, effects=inertial, reference=self.motion, temperature=self.temperature).imu
+        imu = corrupt(
+            self.imu, self.truth, imu_rng, effects=inertial, reference=self.motion, temperature=self.temperature
+        ).imu
         fixes = gnss_fixes(
-            self.motion, self.rate_hz, self.sigma, self.sigma_v, self.lever_arm, rng=gnss_rng, effects=[u for u in effects if u.sensor == "gnss"]
+            self.motion,
+            self.rate_hz,
+            self.sigma,
+            self.sigma_v,
+            self.lever_arm,
+            rng=gnss_rng,
+            effects=[u for u in effects if u.sensor == "gnss"],
         )
         if outside == "heading_dependent_gnss":
             fixes = self._heading_dependent(fixes, size, own)
@@ -246,7 +273,9 @@ def _wrong(model: NoiseModel, rng: np.random.Generator) -> NoiseModel:
     return NoiseModel(tuple(off(p) for p in model))
 
 
-def stage(seed: int, minutes: float = 10.0, rate_hz: float = 50.0, *, track: str | None = None, turn_on_bias: bool = False) -> Stage:
+def stage(
+    seed: int, minutes: float = 10.0, rate_hz: float = 50.0, *, track: str | None = None, turn_on_bias: bool = False
+) -> Stage:
     """Draw everything but the hidden effect.
 
     Parameters
@@ -285,7 +314,19 @@ def stage(seed: int, minutes: float = 10.0, rate_hz: float = 50.0, *, track: str
     )
     fix_hz = float(rng.choice([1.0, 1.0, 2.0]))
     return Stage(
-        seed, kind, ideal.imu, ideal.reference, truth, sigma, sigma_v, fix_hz, lever, temperature, with_reference, nominal, stated
+        seed,
+        kind,
+        ideal.imu,
+        ideal.reference,
+        truth,
+        sigma,
+        sigma_v,
+        fix_hz,
+        lever,
+        temperature,
+        with_reference,
+        nominal,
+        stated,
     )
 
 
@@ -296,7 +337,8 @@ def draw_use(effect: str, s: Stage, rng: np.random.Generator) -> tuple[EffectUse
     """Draw sensor, axis and numbers; shaped effects at their datasheet scale, to be sized later."""
     n, dt = len(s.imu), s.imu.dt
     span = n * dt
-    sensor = str(rng.choice([x for x in EFFECTS[effect].sensors if x in ("gyro", "accel")] or [EFFECTS[effect].sensors[0]]))
+    sensors: list[str] = [x for x in EFFECTS[effect].sensors if x in ("gyro", "accel")]
+    sensor = str(rng.choice(sensors or [str(EFFECTS[effect].sensors[0])]))
     k = int(rng.integers(3))
     axis = "xyz"[k]
     name = f"{sensor}_{axis}"
@@ -368,7 +410,9 @@ def draw_use(effect: str, s: Stage, rng: np.random.Generator) -> tuple[EffectUse
 
 def _limits(s: Stage, sensor: str, k: int, loud: float) -> tuple[float, ...]:
     """Full scale of one axis such that ``loud`` in a thousand samples lie beyond it; the other axes have room."""
-    values = np.abs((s.imu.gyro if sensor == "gyro" else s.imu.accel) / (s.imu.dt if s.imu.kind == "increment" else 1.0))
+    values = np.abs(
+        (s.imu.gyro if sensor == "gyro" else s.imu.accel) / (s.imu.dt if s.imu.kind == "increment" else 1.0)
+    )
     out = 10.0 * values.max(axis=0) + 1.0
     out[k] = float(np.quantile(values[:, k], 1.0 - 1e-3 * loud))
     return tuple(float(x) for x in out)
@@ -431,17 +475,21 @@ def _level_nats(s: Stage, use: EffectUse) -> float:
     count = s.rate_hz * float(s.imu.t[-1] - s.imu.t[0])
     if use.id in ("gnss_noise_level", "gnss_velocity_noise"):
         # innovations hold more than the noise of the fixes, so this is an upper bound that a third of it stands for
-        r = (np.maximum(np.array(use["factor"]) / 1.22, 1.0)) ** 2
+        true, stated = (s.sigma, s.stated[0]) if use.id == "gnss_noise_level" else (s.sigma_v, s.stated[1])
+        r = (np.maximum(np.array(use["factor"]) * true / stated / 1.22, 1.0)) ** 2
         return float(np.sum(0.5 * count * (r - 1.0 - np.log(r)))) / 3.0
     if use.id == "white_noise":
         axis = int(np.argmax(use["N"]))
         n = s.truth[f"{use.sensor}_{'xyz'[axis]}"].processes[0].parameters["N"]
-        r = max((1.0 + (use["N"][axis] / n) ** 2) / 1.22**2, 1.0)
-        return 0.25 * len(s.imu) * (r - 1.0 - math.log(r))
+        believed = s.nominal.beliefs[f"{use.sensor}_{'xyz'[axis]}"].processes[0].parameters["N"]
+        ratio = max((n**2 + use["N"][axis] ** 2) / (1.22 * believed) ** 2, 1.0)
+        return float(0.25 * len(s.imu) * (ratio - 1.0 - math.log(ratio)))
     return math.nan
 
 
-def oracle(s: Stage, clean: Prepared, seen: Prepared, uses: Sequence[EffectUse], cut: float) -> tuple[float, float, int]:
+def oracle(
+    s: Stage, clean: Prepared, seen: Prepared, uses: Sequence[EffectUse], cut: float
+) -> tuple[float, float, int]:
     """What knowing the truth is worth: nats over the whole recording, nats after ``cut``, fixes after ``cut``.
 
     Shaped effects: the twin without them. Random processes of the IMU: the filter that believes in them. Levels of the fixes: the filter with the
@@ -458,9 +506,11 @@ def oracle(s: Stage, clean: Prepared, seen: Prepared, uses: Sequence[EffectUse],
         if u.id in _DRAWN:
             k = int(np.argmax(u[_DRAWN[u.id]]))
             value = u[_DRAWN[u.id]][k]
-            extra = {"random_walk": lambda v: RW(v), "flicker": lambda v: BI(v), "gauss_markov": lambda v, u=u, k=k: GM(v, u["beta"][k])}[u.id](value)
             name = f"{u.sensor}_{'xyz'[k]}"
-            beliefs[name] = beliefs[name] + extra
+            process = (
+                RW(value) if u.id == "random_walk" else BI(value) if u.id == "flicker" else GM(value, u["beta"][k])
+            )
+            beliefs[name] = beliefs[name] + process
         elif u.id == "gnss_noise_level":
             factors[:3] = u["factor"]
         elif u.id == "gnss_velocity_noise":

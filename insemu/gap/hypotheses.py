@@ -34,6 +34,8 @@ AMPLITUDES = np.geomspace(1e-3, 100.0, 31)
 ONCE = ("imu_gnss_time_offset", "clock_drift", "gravity", "earth_rate", "transport_rate")
 PROCESSES = {"random_walk": "K", "gauss_markov": "sigma", "flicker": "B"}
 _SENSORS = (("gyro", 0), ("accel", 3))
+#: A level is estimated together with a colour, not beside it.
+_LEVELS = ("gnss_noise_level", "gnss_velocity_noise")
 
 
 @dataclass(frozen=True)
@@ -117,7 +119,9 @@ def _slow(scene: Scene) -> list[Variant]:
     span, spacing = float(t[-1] - t[0]), float(t[1] - t[0])
     roots: dict[str, list[tuple[tuple[float, ...], Array]]] = {
         "random_walk": [((), random_walk_root(t))],
-        "gauss_markov": [((1.0 / tau,), gauss_markov_root(t, tau)) for tau in np.geomspace(1.5 * spacing, 0.6 * span, 5)],
+        "gauss_markov": [
+            ((1.0 / tau,), gauss_markov_root(t, tau)) for tau in np.geomspace(1.5 * spacing, 0.6 * span, 5)
+        ],
         "flicker": [((), flicker_root(t))],
     }
     out: list[Variant] = []
@@ -125,42 +129,59 @@ def _slow(scene: Scene) -> list[Variant]:
         for sensor, first in _SENSORS:
             amplitudes = EFFECTS[effect].scale(PROCESSES[effect], sensor) * AMPLITUDES
             for axis in range(3):
-                out.append(Variant(effect, sensor, ("xyz"[axis],), "", scene.slow(first + axis), tuple(shapes), amplitudes, True))
+                out.append(
+                    Variant(
+                        effect, sensor, ("xyz"[axis],), "", scene.slow(first + axis), tuple(shapes), amplitudes, True
+                    )
+                )
             three = tuple((p, np.asarray(np.kron(np.eye(3), root), dtype=np.float64)) for p, root in shapes[::2])
-            out.append(Variant(effect, sensor, ("x", "y", "z"), "all", scene.slow(first, 3), three, amplitudes[::2], True))
+            out.append(
+                Variant(effect, sensor, ("x", "y", "z"), "all", scene.slow(first, 3), three, amplitudes[::2], True)
+            )
     for sensor, first in _SENSORS:
         unit = (t - t[0])[:, None] * EFFECTS["ramp"].scale("R", sensor)
         for axis in range(3):
-            out.append(Variant("ramp", sensor, ("xyz"[axis],), "", scene.slow(first + axis), (((), unit),), np.array(PRIOR_SCALES)))
+            out.append(
+                Variant(
+                    "ramp", sensor, ("xyz"[axis],), "", scene.slow(first + axis), (((), unit),), np.array(PRIOR_SCALES)
+                )
+            )
     return out
 
 
-def linear_gains(variants: Sequence[Variant], A: Array, b: Array) -> list[list[tuple[Array, Array]]]:
+def linear_gains(variants: Sequence[Variant], A: Array, b: Array) -> list[list[Array]]:
     """Log Bayes factors of every variant: per variant and shape ``(a, s)``; wide sets of axes only where a single one promises something."""
     out: list[list[Array]] = []
     promising: dict[tuple[str, str], float] = {}
     for v in variants:
         key = (v.effect, v.sensor)
-        if (v.process and len(v.axes) == 3 and b.shape[1] > 1) or (v.process and len(v.axes) == 3 and promising.get(key, 0.0) < 1.0):
+        if (v.process and len(v.axes) == 3 and b.shape[1] > 1) or (
+            v.process and len(v.axes) == 3 and promising.get(key, 0.0) < 1.0
+        ):
             out.append([])
             continue
         sub, rhs = A[np.ix_(v.index, v.index)], b[v.index]
         logs = [quadratic_evidence(sub, rhs, root, v.amplitudes) for _, root in v.shapes]
         promising[key] = max(promising.get(key, -math.inf), max(float(x[:, 0].max()) for x in logs))
         out.append(logs)
-    return out  # type: ignore[return-value]
+    return out
 
 
 def pooled_gains(variants: Sequence[Variant], logs: Sequence[Sequence[Array]]) -> dict[tuple[str, str], Array]:
     """Evidence of every effect and sensor, averaged over its variants, shapes and amplitudes: (s,) per effect."""
     own: dict[tuple[str, str], list[Array]] = {}
+    passed: dict[tuple[str, str], int] = {}
     for v, x in zip(variants, logs, strict=True):
-        row = log_mean_exp_columns(np.concatenate(x)) if x else None
-        own.setdefault((v.effect, v.sensor), []).append(row)  # type: ignore[arg-type]
+        key = (v.effect, v.sensor)
+        if x:
+            own.setdefault(key, []).append(log_mean_exp_columns(np.concatenate(x)))
+        else:
+            passed[key] = passed.get(key, 0) + 1
     out = {}
     for key, rows in own.items():
-        width = next(r.size for r in rows if r is not None)
-        out[key] = log_mean_exp_columns(np.stack([r if r is not None else np.full(width, -1e3) for r in rows]))
+        # a variant that was passed over counts as one that explains nothing
+        share = len(rows) / (len(rows) + passed.get(key, 0))
+        out[key] = log_mean_exp_columns(np.stack(rows)) + math.log(share)
     return out
 
 
@@ -180,11 +201,15 @@ def linear_hypotheses(
             if key not in best or own > best[key][0]:
                 best[key] = (own, v, x)
     return [
-        _described(scene, data, given, v, x, float(gains[key][0])) for key, (_, v, x) in best.items() if math.isfinite(float(gains[key][0]))
+        _described(scene, data, given, v, x, float(gains[key][0]))
+        for key, (_, v, x) in best.items()
+        if math.isfinite(float(gains[key][0]))
     ]
 
 
-def _described(scene: Scene, data: Field, given: Sequence[Block], v: Variant, logs: Sequence[Array], gain: float) -> Hypothesis:
+def _described(
+    scene: Scene, data: Field, given: Sequence[Block], v: Variant, logs: Sequence[Array], gain: float
+) -> Hypothesis:
     """The best shape and amplitude of a variant with its parameters."""
     table = np.stack([x[:, 0] for x in logs])
     i, j = np.unravel_index(int(np.argmax(table)), table.shape)
@@ -201,7 +226,13 @@ def _described(scene: Scene, data: Field, given: Sequence[Block], v: Variant, lo
         sd = np.sqrt(np.einsum("ij,ijk->k", p, (grid - mean) ** 2))
         floor = 0.5 * math.log(v.amplitudes[1] / v.amplitudes[0])
         values = tuple(
-            Value(q.name, math.exp(m), math.exp(m - 1.96 * max(s, floor)), math.exp(m + 1.96 * max(s, floor)), effect.unit(q.name, v.sensor))
+            Value(
+                q.name,
+                math.exp(m),
+                math.exp(m - 1.96 * max(s, floor)),
+                math.exp(m + 1.96 * max(s, floor)),
+                effect.unit(q.name, v.sensor),
+            )
             for q, m, s in zip(effect.parameters, mean, sd, strict=False)
         )
         return Hypothesis(v.effect, v.sensor, v.axes, gain, values, block, v.label)
@@ -225,7 +256,9 @@ def shape_values(scene: Scene, index: NDArray[Any], mean: Array, covariance: Arr
     return tuple(out)
 
 
-def null_threshold(variants: Sequence[Variant], data: Field, rng: np.random.Generator, share: float = 0.02, draws: int = 300) -> float:
+def null_threshold(
+    variants: Sequence[Variant], data: Field, rng: np.random.Generator, share: float = 0.02, draws: int = 300
+) -> float:
     """Evidence that the best effect exceeds in ``share`` of simulated nominal recordings: the filter's own responses, drawn innovations."""
     z = rng.standard_normal((data.y.size, draws))
     b = data.G.T @ z / math.sqrt(data.variance)
@@ -237,7 +270,9 @@ def null_threshold(variants: Sequence[Variant], data: Field, rng: np.random.Gene
 # -- steps, levels, colour and outliers of the fixes ----------------------------------------------------------------------------------
 
 
-def multipath_step(scene: Scene, data: Field, rows: NDArray[np.bool_] | slice, given: Sequence[Block]) -> list[Hypothesis]:
+def multipath_step(
+    scene: Scene, data: Field, rows: NDArray[np.bool_] | slice, given: Sequence[Block]
+) -> list[Hypothesis]:
     """Scan start and duration of a step in the position fixes, on each axis; refined around the best."""
     s = scene.starts
     if s.size < 4:
@@ -351,25 +386,25 @@ def position_innovations(scene: Scene, nu: Array, cut: float | None) -> tuple[ND
 
 
 def gnss_outliers(scene: Scene, nu: Array, cut: float | None) -> list[Hypothesis]:
-    """A small share of position fixes with a much larger spread, against a Gaussian whose level is free."""
+    """A small share of position fixes with a much larger spread."""
     at, v, S = position_innovations(scene, nu, cut)
     if at.size < 30:
         return []
     plain = gaussian(v, S)
-    scaled_plain = max(float(np.sum(gaussian(v, S * k**2))) for k in np.geomspace(0.7, 4.0, 12))
     sigma0 = np.sqrt(np.median(np.einsum("kii->ki", S), axis=0))
     logs, grid = [], []
     for ratio in np.geomspace(3.0, 300.0, 10):
         wide = gaussian(v, S + np.diag((ratio * sigma0) ** 2))
-        for p in np.geomspace(1.0 / at.size, 0.15, 8):
+        for p in np.geomspace(1.0 / at.size, 0.1, 8):
             logs.append(float(np.sum(np.logaddexp(math.log1p(-p) + plain, math.log(p) + wide) - plain)))
             grid.append((p, ratio))
     p, ratio = grid[int(np.argmax(logs))]
-    # what a Gaussian of any level explains is no sign of outliers
-    gain = log_mean_exp(logs) - max(scaled_plain - float(np.sum(plain)), 0.0)
+    gain = log_mean_exp(logs)
     count = max(1.0, p * at.size)
     spread = 1.5 / math.sqrt(count)
-    values = (Value("probability", p, p * math.exp(-2.0 / math.sqrt(count)), p * math.exp(2.0 / math.sqrt(count)), "1"),)
+    values: tuple[Value, ...] = (
+        Value("probability", p, p * math.exp(-2.0 / math.sqrt(count)), p * math.exp(2.0 / math.sqrt(count)), "1"),
+    )
     values += tuple(
         Value(f"sigma_{a}", float(ratio * s), float(ratio * s) / (1.0 + spread), float(ratio * s) * (1.0 + spread), "m")
         for a, s in zip(NED, sigma0, strict=True)
@@ -391,7 +426,7 @@ def wild_fixes(scene: Scene, outliers: Hypothesis, nu: Array) -> tuple[Array, Ar
 def unexplained_innovations(scene: Scene, blocks: Sequence[Block]) -> Array:
     """Innovations (f, 6) in m and m/s less what blocks explain."""
     nu = np.where(scene.surrogate.use == 1, scene.surrogate.nu, 0.0)
-    if scene.colour is not None:
+    if scene.noise is not None:
         return nu
     explained = scene.explained(blocks)
     if explained is None:
@@ -399,7 +434,9 @@ def unexplained_innovations(scene: Scene, blocks: Sequence[Block]) -> Array:
     return np.asarray(nu - np.einsum("kij,kj->ki", scene.loop.lower, explained))
 
 
-def covariance_hypotheses(scene: Scene, given: Sequence[Block], skip: Collection[str], cut: float | None) -> list[Hypothesis]:
+def covariance_hypotheses(
+    scene: Scene, given: Sequence[Block], skip: Collection[str], cut: float | None
+) -> list[Hypothesis]:
     """Weigh levels, colour and outliers of the fixes on the innovations less what is already explained."""
     nu = unexplained_innovations(scene, given)
     surrogate = replace(scene.surrogate, nu=nu)
@@ -408,17 +445,18 @@ def covariance_hypotheses(scene: Scene, given: Sequence[Block], skip: Collection
     k = surrogate.t.size
     loop: Loop = scene.loop
     y = np.einsum("kij,kj->ki", loop.white[:k], surrogate.nu)
-    base = surrogate.log_likelihood(None, scene.colour)
+    colour = scene.noise.colour if scene.noise is not None else None
+    base = surrogate.log_likelihood(scene.noise.factor if scene.noise is not None else None, colour)
     fits: dict[str, list[NoiseFit]] = {}
     for fit in gnss_noise_fits(
         surrogate,
         base,
         loop.white[:k],
         y,
-        trimmed=scene.original.factors,
+        trimmed=scene.original.factors / scene.original.levels,
         uncertainty=LEVEL_UNCERTAINTY,
-        colour=scene.colour,
-        skip=tuple(skip),
+        colour=colour,
+        skip=(*skip, *(_LEVELS if colour is not None else ())),
     ):
         fits.setdefault(fit.effect, []).append(fit)
     out = []

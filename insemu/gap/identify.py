@@ -73,6 +73,7 @@ def find_gap(
             nominal.beliefs,
             rng=rng,
             temperature=measured.temperature,
+            missing=measured.missing,
             threshold=threshold,
             without=without,
             hold_out=hold_out,

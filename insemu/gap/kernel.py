@@ -242,7 +242,9 @@ def integrate_inputs(
 
 
 @njit(cache=True, nogil=True)
-def recursive_residuals(y: Array, U: Array, variance: float, out: Array, logs: Array) -> None:  # pragma: no cover - compiled
+def recursive_residuals(
+    y: Array, U: Array, variance: float, out: Array, logs: Array
+) -> None:  # pragma: no cover - compiled
     """One-step predictive residuals of ``y = U z + noise``, z standard normal, by recursive least squares.
 
     Parameters

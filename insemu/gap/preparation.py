@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,8 @@ class Prepared:
         Initial state and its standard deviations.
     nominal : Nominal
         What is believed.
+    levels : (6,) array
+        Levels of the fixes that were named, as ratios; the trimming stays within its tolerance of them.
     """
 
     imu: ImuRecord
@@ -65,6 +67,7 @@ class Prepared:
     factors: Array
     start: tuple[NavState, InitialSigma]
     nominal: Nominal
+    levels: Array = field(default_factory=lambda: np.ones(6))
 
     def again(
         self,
@@ -95,7 +98,11 @@ class Prepared:
 
 
 def _run(
-    imu: ImuRecord, gnss: GnssRecord, start: tuple[NavState, InitialSigma], beliefs: dict[str, NoiseModel], lever_arm: Array
+    imu: ImuRecord,
+    gnss: GnssRecord,
+    start: tuple[NavState, InitialSigma],
+    beliefs: dict[str, NoiseModel],
+    lever_arm: Array,
 ) -> FilterResult:
     span = float(imu.t[-1] - imu.t[0])
     usable = {name: for_filter(model, imu.dt, span) for name, model in beliefs.items()}
@@ -168,8 +175,8 @@ def trimmed(prepared: Prepared, loop: Loop, surrogate: Surrogate, y: Array | Non
     edge = np.log(1.0 + LEVEL_UNCERTAINTY)
     factors = prepared.factors.copy()
     for g, m in zip(groups, move, strict=True):
-        inside = np.clip(np.log(factors[g]) + np.clip(m, -0.3, 0.3), -edge, edge)
-        factors[g] = np.where(np.abs(np.log(factors[g])) > edge + 1e-6, factors[g], np.exp(inside))
+        middle = np.log(prepared.levels[g])
+        factors[g] = np.exp(np.clip(np.log(factors[g]) + np.clip(m, -0.3, 0.3), middle - edge, middle + edge))
     if np.max(np.abs(np.log(factors / prepared.factors))) < 0.02:
         return prepared, False
     return prepared.again(factors=factors), True
@@ -191,7 +198,9 @@ def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, G
         columns = np.hstack([ref.llh, ref.vel_ned, np.unwrap(ref.rpy, axis=0)])
         at = np.array([np.interp(imu.t[0], ref.t, column) for column in columns.T])
         sigma = InitialSigma(
-            believed.position_sigma, believed.velocity_sigma, (believed.tilt_sigma, believed.tilt_sigma, believed.heading_sigma)
+            believed.position_sigma,
+            believed.velocity_sigma,
+            (believed.tilt_sigma, believed.tilt_sigma, believed.heading_sigma),
         )
         return imu, gnss, NavState(at[:3], at[3:6], at[6:]), sigma
     if gnss.vel_ned is None:
@@ -283,7 +292,7 @@ def without_motion(values: Array, dt: float, corner: float) -> Array:
     Manoeuvres are a billion times stronger than the noise a few Hz above them; no taper alone keeps them out of a spectrum.
     """
     sections = signal.butter(6, corner, "highpass", fs=1.0 / dt, output="sos")
-    edge = min(round(2.0 / (corner * dt)), values.size // 20)
+    edge = min(round(6.0 / (corner * dt)), values.size // 20)
     out = signal.sosfiltfilt(sections, values)
     return np.ascontiguousarray(out[edge : out.size - edge])
 

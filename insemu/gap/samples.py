@@ -54,7 +54,7 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
                 rates[:, k] = _rounded_off(imu.t, rates[:, k], at)
                 value = Value("limit", limit, limit, limit, unit)
                 steps.append(_step("saturation", sensor, (axis,), (value,), nats))
-                imu = replace(imu, **{sensor: rates * widths})
+                imu = replace(imu, gyro=rates * widths) if sensor == "gyro" else replace(imu, accel=rates * widths)
     return Mended(imu, tuple(sorted(steps, key=lambda s: -s.gain_nats)))
 
 
@@ -72,7 +72,9 @@ def _lattices(imu: ImuRecord) -> list[Step]:
         values = tuple(Value(names[a], steps[a], steps[a], steps[a], unit) for a in on)
         # as for a log at rest: each sample is worth log(LSB / resolution of the storage)
         top = np.max(np.abs(rates), axis=0)
-        nats = sum(len(imu) * max(math.log(steps[a] / (max(top["xyz".index(a)], steps[a]) * 2.0**-24)), 0.0) for a in on)
+        nats = sum(
+            len(imu) * max(math.log(steps[a] / (max(top["xyz".index(a)], steps[a]) * 2.0**-24)), 0.0) for a in on
+        )
         out.append(_step("quantization", sensor, on, values, nats))
     return out
 
@@ -143,14 +145,13 @@ def _bridge(imu: ImuRecord) -> tuple[ImuRecord, Step] | None:
 
 
 def _cubic(t: Array, where: NDArray[np.intp], values: Array) -> Array:
-    from scipy.interpolate import PchipInterpolator
+    from scipy.interpolate import CubicSpline
 
     out = np.empty(t.size)
     out[where] = values
     gone = np.ones(t.size, dtype=bool)
     gone[where] = False
-    # only what is near a gap is needed: monotone cubics are local
-    out[gone] = PchipInterpolator(t[where], values)(t[gone])
+    out[gone] = CubicSpline(t[where], values)(t[gone])
     return out
 
 

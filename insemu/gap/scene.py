@@ -22,7 +22,8 @@ from insemu.gap.signatures import (
     fix_step_response,
     knot_response,
 )
-from insemu.gap.surrogate import Colour, Surrogate
+from insemu.gap.surrogate import FixNoise, Surrogate
+from insemu.noise import NoiseModel
 from insemu.records import GnssRecord, ImuRecord
 
 Array = NDArray[np.float64]
@@ -61,8 +62,8 @@ class Scene:
         What was taken out of the data before the filter ran.
     windows : tuple of Window
         Steps in the fixes that were found.
-    colour : Colour, optional
-        Gauss-Markov part of the fixes that the whitening allows for.
+    noise : FixNoise, optional
+        Colour and levels of the fixes that the whitening allows for.
     """
 
     prepared: Prepared
@@ -78,7 +79,7 @@ class Scene:
     steps_raw: Array
     corrections: Mapping[int, float]
     windows: tuple[Window, ...] = ()
-    colour: Colour | None = None
+    noise: FixNoise | None = None
 
     @classmethod
     def of(
@@ -134,15 +135,18 @@ class Scene:
     @cached_property
     def full_y(self) -> Array:
         """Whitened innovations (f, 6), zero where missing, as if nothing had been corrected."""
-        if self.colour is None:
-            y = self.loop.y.reshape(-1, 6).copy()
-        else:
-            y = self.surrogate.whiten(self.surrogate.nu[:, :, None], None, self.colour)[0][:, :, 0]
-        return y
+        if self.noise is None:
+            return self.loop.y.reshape(-1, 6).copy()
+        return np.asarray(
+            self.surrogate.whiten(self.surrogate.nu[:, :, None], self.noise.factor, self.noise.colour)[0][:, :, 0]
+        )
 
     def whitened(self, raw: Array) -> Array:
         """Responses (f, 6, c) to rows of the field (r, c)."""
-        white = self.loop.whiten(raw) if self.colour is None else self.surrogate.whiten(raw, None, self.colour)[0].reshape(-1, raw.shape[2])
+        if self.noise is None:
+            white = self.loop.whiten(raw)
+        else:
+            white = self.surrogate.whiten(raw, self.noise.factor, self.noise.colour)[0].reshape(-1, raw.shape[2])
         return np.asarray(white[self.loop.use.ravel()])
 
     @cached_property
@@ -160,46 +164,50 @@ class Scene:
         """Whitened responses of steps in the fixes, (r, 3 starts)."""
         return self.whitened(self.steps_raw)
 
-    @cached_property
-    def base(self) -> float:
-        """Log-likelihood of the stored innovations."""
-        return self.surrogate.log_likelihood(None, self.colour)
-
     # -- other scenes of the same recording -------------------------------------------------------------------------------------------
 
     def with_window(self, window: Window) -> Scene:
         """The scene with one more column, a step in the fixes; its place is the last."""
         return replace(
-            self, windows=(*self.windows, window), raw=np.concatenate([self.raw, window_response(self.loop, (window,))], axis=2)
+            self,
+            windows=(*self.windows, window),
+            raw=np.concatenate([self.raw, window_response(self.loop, (window,))], axis=2),
         )
 
-    def coloured(self, colour: Colour) -> Scene:
-        """The same responses whitened for coloured fixes."""
-        return replace(self, colour=colour)
+    def coloured(self, noise: FixNoise) -> Scene:
+        """The same responses whitened for other noise of the fixes."""
+        return replace(self, noise=noise)
 
     def rebuilt(
         self,
         *,
         factors: Array | None = None,
+        levels: Array | None = None,
         gone: Array | None = None,
         corrections: Mapping[int, float] | None = None,
-        colour: Colour | None = None,
+        beliefs: dict[str, NoiseModel] | None = None,
     ) -> Scene:
-        """Run the filter again: other levels of the fixes, positions left out, effects corrected in the data."""
+        """Run the filter again: other levels of the fixes, positions left out, effects corrected in the data, other noise of the IMU."""
         original = self.original
         if gone is not None and gone.size:
             original = original.without_positions(gone)
         if factors is not None:
             original = replace(original, factors=factors)
+        if levels is not None:
+            original = replace(original, levels=levels)
+        if beliefs is not None:
+            original = replace(original, beliefs=beliefs)
         values = dict(self.corrections if corrections is None else corrections)
         imu, gnss = corrected_data(original, self.columns, values, self.prepared.result.fixes.t)
-        scene = Scene.of(replace(original, result=self.prepared.result).again(imu=imu, gnss=gnss), original, values, self.windows)
-        scene.colour = self.colour if colour is None else colour
+        scene = Scene.of(
+            replace(original, result=self.prepared.result).again(imu=imu, gnss=gnss), original, values, self.windows
+        )
+        scene.noise = self.noise
         return scene
 
     def trimmed(self, blocks: Sequence[Block], cut: float | None = None) -> Scene:
         """The scene with the levels of the fixes at their most likely values inside the tolerance, given what is explained."""
-        if self.colour is not None:
+        if self.noise is not None:
             return self
         y = self.full_y
         explained = self.explained(blocks)
@@ -277,7 +285,11 @@ def library_columns(motion: Motion, t_fix: Array) -> list[Column]:
     rpy = rotation.rpy_from_dcm(motion.C)
     k = np.clip(np.searchsorted(motion.t, t_fix), 0, motion.t.size - 1)
     heading, speed = rpy[k, 2], np.linalg.norm(motion.vel[k], axis=1)
-    signals: tuple[tuple[str, Array], ...] = (("cos heading", np.cos(heading)), ("sin heading", np.sin(heading)), ("speed", speed / 10.0))
+    signals: tuple[tuple[str, Array], ...] = (
+        ("cos heading", np.cos(heading)),
+        ("sin heading", np.sin(heading)),
+        ("speed", speed / 10.0),
+    )
     for name, signal in signals:
         for c, direction in enumerate(("north", "east", "down")):
             M = np.zeros((t_fix.size, 6))

@@ -15,16 +15,19 @@ from insemu.records import AXES, Recording, Series
 
 Array = NDArray[np.float64]
 
+#: Share of samples that a static log may miss.
+MOST_LOST = 0.2
 _TEMPERATURE = ("temperature", "temp_c", "temp_C", "temp", "temperature_degC")
 
 
 @dataclass(frozen=True)
 class StaticLog:
-    """Axes of a log at rest, with temperature where it was recorded."""
+    """Axes of a log at rest, with temperature where it was recorded, and which samples the stamps skip (they are filled in)."""
 
     axes: tuple[Series, ...]
     temperature: Array | None
     source: str
+    missing: NDArray[np.bool_] | None = None
 
 
 def load_measured(path: str | Path, *, rate_hz: float | None = None) -> StaticLog | Recording:
@@ -75,17 +78,40 @@ def at_rest(recording: Recording) -> bool:
 
 
 def static_of(recording: Recording) -> StaticLog:
-    """The IMU of a recording as a static log; needs a constant rate."""
+    """The IMU of a recording as a static log at a constant rate; samples that the stamps skip are filled in.
+
+    Raises
+    ------
+    InputError
+        More than a fifth of the samples are missing.
+    """
     imu = recording.imu
-    step = np.diff(imu.t)
-    dt = float(np.median(step))
-    if (np.abs(step / dt - 1.0) > 0.5).any():
-        raise InputError("the IMU has gaps, expected a constant rate for a static log", where=recording.source)
+    dt = float(np.median(np.diff(imu.t)))
     values = np.hstack([imu.gyro, imu.accel])
     if imu.kind == "increment":
         values = values / dt
+    temperature = imu.temperature
+    missing = None
+    slots = np.concatenate([[0], np.cumsum(np.maximum(1, np.round(np.diff(imu.t) / dt).astype(np.int64)))])
+    lost = int(slots[-1]) + 1 - slots.size
+    if lost:
+        if lost > MOST_LOST * slots.size:
+            raise InputError(
+                f"the IMU's stamps skip {lost} of {slots[-1] + 1} samples, expected at most {MOST_LOST:.0%} for a static log",
+                where=recording.source,
+            )
+        missing = np.ones(int(slots[-1]) + 1, dtype=np.bool_)
+        missing[slots] = False
+        every = np.arange(missing.size)
+        # the mean of two neighbours has half their variance: the other half is drawn
+        rng = np.random.default_rng(missing.size)
+        fast = np.std(np.diff(values, axis=0), axis=0) / 2.0
+        filled = np.stack([np.interp(every, slots, v) for v in values.T], axis=1)
+        filled[missing] += fast * rng.standard_normal((lost, values.shape[1]))
+        values = filled
+        temperature = None if temperature is None else np.interp(every, slots, temperature)
     axes = tuple(Series(values[:, k], 1.0 / dt, "rad/s" if k < 3 else "m/s^2", name) for k, name in enumerate(AXES))
-    return StaticLog(axes, imu.temperature, recording.source)
+    return StaticLog(axes, temperature, recording.source, missing)
 
 
 def _temperature(path: Path) -> Array | None:

@@ -233,7 +233,9 @@ def _colours(s: Surrogate, base: float) -> list[NoiseFit]:
             return sigma, math.exp(x[1])
 
         def cost(x: Array, colour: Callable[[Array], Colour] = colour) -> float:
-            if not (math.log(ratios[0]) <= x[0] <= math.log(ratios[1]) and math.log(taus[0]) <= x[1] <= math.log(taus[1])):
+            if not (
+                math.log(ratios[0]) <= x[0] <= math.log(ratios[1]) and math.log(taus[0]) <= x[1] <= math.log(taus[1])
+            ):
                 return 1e9
             return -s.log_likelihood(None, colour(x))
 
@@ -245,7 +247,9 @@ def _colours(s: Surrogate, base: float) -> list[NoiseFit]:
             if axes == NED and max(logs) < -30.0:
                 break  # neither part of it can be worth anything then
             continue
-        found = optimize.minimize(cost, start, method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.05, "maxfev": 40})
+        found = optimize.minimize(
+            cost, start, method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.05, "maxfev": 40}
+        )
         x = np.asarray(found.x)
         top = -float(found.fun)
         h = 0.15
@@ -256,12 +260,65 @@ def _colours(s: Surrogate, base: float) -> list[NoiseFit]:
         gain = top - base + math.log(2.0 * math.pi * float(np.prod(sd)) / area)
         sigma, tau = colour(x)
         values = tuple(
-            (f"sigma_{a}", float(sigma[r]), float(sigma[r] * math.exp(-1.96 * sd[0])), float(sigma[r] * math.exp(1.96 * sd[0])), "m")
+            (
+                f"sigma_{a}",
+                float(sigma[r]),
+                float(sigma[r] * math.exp(-1.96 * sd[0])),
+                float(sigma[r] * math.exp(1.96 * sd[0])),
+                "m",
+            )
             for a, r in zip(axes, rows, strict=True)
         )
         values += (("tau", tau, tau * math.exp(-1.96 * float(sd[1])), tau * math.exp(1.96 * float(sd[1])), "s"),)
         out.append(NoiseFit("gnss_correlated_noise", axes, gain, values, np.ones(6), (sigma, tau)))
     return out
+
+
+@dataclass(frozen=True)
+class FixNoise:
+    """Noise of the fixes beyond what the filter believed: levels (6,) as ratios to it, and a Gauss-Markov part."""
+
+    factor: Array
+    colour: Colour
+
+
+def joint_noise(s: Surrogate, colour: Colour, factors: Array, uncertainty: float) -> FixNoise:
+    """Most likely colour together with the levels inside their tolerance: a level that was trimmed without the colour took some of it.
+
+    Parameters
+    ----------
+    s : Surrogate
+        Of the innovations less what is explained.
+    colour : Colour
+        To begin with; its axes stay, horizontal and vertical standard deviation and the correlation time are refined.
+    factors : (6,) array
+        By what the filter's levels were moved already, as ratios to what was named or believed.
+    """
+    edge = math.log(1.0 + uncertainty)
+    parts = [rows for rows in ([0, 1], [2]) if any(colour[0][r] > 0.0 for r in rows)]
+    moved = np.log(factors)
+
+    def unpack(x: Array) -> FixNoise:
+        sigma = colour[0].copy()
+        for k, rows in enumerate(parts):
+            sigma[rows] *= math.exp(x[k])
+        tau = colour[1] * math.exp(x[len(parts)])
+        factor = np.ones(6)
+        for k, rows in enumerate(([0, 1], [2])):
+            level = np.clip(moved[rows] + x[len(parts) + 1 + k], -edge, edge)
+            factor[rows] = np.exp(level - moved[rows])
+        return FixNoise(factor, (sigma, tau))
+
+    def cost(x: Array) -> float:
+        noise = unpack(x)
+        # what lies outside of the tolerance is pulled back, so that the search has a slope
+        outside = float(np.sum(np.maximum(np.abs(moved[[0, 2]] + x[len(parts) + 1 :]) - edge, 0.0) ** 2))
+        return -s.log_likelihood(noise.factor, noise.colour) + 1e3 * outside
+
+    start = np.zeros(len(parts) + 3)
+    simplex = np.vstack([start, np.diag(np.full(start.size, -0.2)) + start])
+    options = {"initial_simplex": simplex, "xatol": 0.01, "fatol": 0.02, "maxfev": 160}
+    return unpack(np.asarray(optimize.minimize(cost, start, method="Nelder-Mead", options=options).x))
 
 
 def pooled(fits: Sequence[NoiseFit]) -> float:

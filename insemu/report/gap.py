@@ -113,7 +113,11 @@ def wavelet_figure(report: GapReport, names: Sequence[str], model: str) -> MplFi
             tau = np.asarray(c["tau_s"])
             colour = COLOURS[1] if model == "nominal" else COLOURS[0]
             axis.loglog(tau, np.sqrt(c[model]), "-", color=colour, label=model)
-            what, label = ("measured", "measured") if model == "nominal" else ("measured_after", "measured, known effects taken off")
+            what, label = (
+                ("measured", "measured")
+                if model == "nominal"
+                else ("measured_after", "measured, known effects taken off")
+            )
             axis.loglog(tau, np.sqrt(c[what]), "o", ms=4, color=COLOURS[6], label=label)
             every = np.sqrt(np.concatenate([c["measured"], c["measured_after"], c["nominal"], c["refined"]]))
             axis.set_ylim(0.6 * every[every > 0].min(), 1.7 * every.max())

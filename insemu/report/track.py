@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from insemu import earth
+from insemu.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -94,8 +95,19 @@ def _length(vel: np.ndarray, t: np.ndarray) -> float:
     return float(np.trapezoid(np.linalg.norm(vel, axis=1), t)) / 1000.0
 
 
+_FORMATS = (".png", ".pdf", ".svg", ".html", ".htm")
+
+
+def check_figure(file: str | Path) -> None:
+    """Raise ``InputError`` for a file that :func:`draw_track` cannot write, before anything is computed."""
+    suffix = Path(file).suffix.lower()
+    if suffix not in _FORMATS:
+        raise InputError(f"cannot draw '{suffix}' files, expected {', '.join(_FORMATS)}", where=str(file))
+
+
 def draw_track(flight: Flight, file: str | Path, *, track: SmoothedTrack | None = None) -> Path:
     """Write :func:`track_figure` to a PNG, PDF or SVG file, or a page with it to an HTML file."""
+    check_figure(file)
     path = Path(file)
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix.lower() in (".html", ".htm"):
