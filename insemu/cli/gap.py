@@ -15,6 +15,11 @@ def command(
     out: str = typer.Option(
         "", "--out", help="Folder for the page, gap.json and refined.yaml; default results/gap_NAME."
     ),
+    pictures: str = typer.Option(
+        "",
+        "--pictures",
+        help="Also write the page's pictures as PNG files with this beginning, for example results/gallery/gap_drive.",
+    ),
     as_json: bool = typer.Option(False, "--json", help="Print the report as JSON on standard output."),
     rate: str = typer.Option("", "--rate", help="Sampling rate of a log that does not say it, for example '100 Hz'."),
     without: list[str] | None = typer.Option(  # noqa: B008
@@ -58,9 +63,11 @@ def command(
     refined = write_refined(nominal, report, folder / "refined.yaml", data)
     text = json.dumps(report.to_json(), indent=1, allow_nan=False)
     (folder / "gap.json").write_text(text + "\n", encoding="utf-8")
-    from insemu.report.gap import effect_name, headline, place, render_gap
+    from insemu.report.gap import draw_gap, effect_name, headline, place, render_gap
 
     page = render_gap(report, folder, refined.read_text(encoding="utf-8"))
+    if pictures:
+        draw_gap(report, Path(pictures).parent, Path(pictures).name)
     if as_json:
         typer.echo(text)
         return

@@ -98,6 +98,10 @@ def static_without(log: StaticLog, nominal: Nominal) -> tuple[StaticLog, dict[st
             values -= added_signal([u for u in mine if u.sensor == sensor], t, log.temperature)[
                 :, AXES.index(s.name) % 3
             ]
+            if any(use.id in ("temperature", "ramp") for use in mine):
+                values -= (
+                    values.mean()
+                )  # where such a law is zero is a convention, so that the constant is not known with it
         if any(use.id in TAKEN_OUT for use in mine) and s.name in nominal.beliefs:
             series = Series(values, s.rate_hz, s.unit, s.name)
             state = state_of(reduce(series), starting_explanation(nominal.beliefs[s.name], mine, s.dt), log.temperature)

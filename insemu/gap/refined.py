@@ -77,7 +77,7 @@ def uses_of(step: Step, dt: float = 0.01) -> tuple[EffectUse, ...]:
 
 def _numbers(p: EffectParameter, given: Mapping[str, float], axes: Sequence[str]) -> tuple[float, ...] | None:
     """All numbers of a parameter; axes that were not found have the value that does nothing."""
-    nothing = 1.0 if p.name == "factor" else 0.0
+    nothing = {"factor": 1.0, "limit": 1e6}.get(p.name, 0.0)
     if p.size == 1:
         value = next((given[f"{p.name}_{a}"] for a in axes if f"{p.name}_{a}" in given), given.get(p.name))
         return None if value is None else (_in_bounds(p, value),)
@@ -86,10 +86,9 @@ def _numbers(p: EffectParameter, given: Mapping[str, float], axes: Sequence[str]
         plain = p.name in given or any(f"{p.name}_{a}" in given for a in triple)
         if not plain:
             return None
-        single = given.get(p.name)
+        whole = not axes or not set(axes) <= set(triple)
         out = [
-            given.get(f"{p.name}_{a}", single if single is not None and (a in axes or not axes) else nothing)
-            for a in triple
+            given.get(f"{p.name}_{a}", given.get(p.name, nothing)) if whole or a in axes else nothing for a in triple
         ]
         if p.name == "beta":  # the axes without the process still need a rate
             some = next(v for v in out if v != nothing)
@@ -299,7 +298,7 @@ def _scenario(
 ) -> dict[str, Any]:
     """The sections of a refined scenario that change."""
     raw = {k: _moved(v, Path(nominal.source).parent, folder) for k, v in nominal.raw.items()}
-    designs = dict(raw.get("designs", {}))
+    designs = {name: _explicit(design, nominal) for name, design in raw.get("designs", {}).items()}
     first: Any = next(iter(designs.values()), {})
     options = dict(first.get("options", {})) if isinstance(first, Mapping) else {}
     own = [use for use in effects if use.id in COMPENSABLE]
@@ -339,6 +338,20 @@ def _scenario(
     out["designs"] = {**designs, "refined": {**belief, **({"options": options} if options else {})}}
     if "fits" in raw:
         out["fits"] = raw["fits"]
+    return out
+
+
+def _explicit(design: Any, nominal: Nominal) -> Any:
+    """A design that carried the truth's models still carries the nominal ones: the truth is another now."""
+    if not isinstance(design, Mapping):
+        return design
+    out: dict[str, Any] = {}
+    for key, source in design.items():
+        if key in ("gyro", "accel", *AXES) and isinstance(source, Mapping) and source.get("truth"):
+            for axis in [a for a in AXES if a == key or a.startswith(f"{key}_")]:
+                out.setdefault(axis, nominal.beliefs[axis].to_list(axis_unit(axis)))
+        else:
+            out[key] = source
     return out
 
 

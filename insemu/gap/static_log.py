@@ -599,6 +599,7 @@ def _curves(result: AxisResult, nominal: Explanation, rng: np.random.Generator) 
         "measured": [r[1] for r in rows],
         "nominal": [r[2] for r in rows],
         "refined": [r[2] for r in refined],
+        "measured_after": [r[1] for r in refined],
         "f": start.data.f.tolist(),
         "power": start.data.power.tolist(),
         "nominal_psd": start.explanation.psd(start.data.f, start.data.dt).tolist() if start.data.f.size else [],

@@ -113,8 +113,13 @@ def wavelet_figure(report: GapReport, names: Sequence[str], model: str) -> MplFi
             tau = np.asarray(c["tau_s"])
             colour = COLOURS[1] if model == "nominal" else COLOURS[0]
             axis.loglog(tau, np.sqrt(c[model]), "-", color=colour, label=model)
-            axis.loglog(tau, np.sqrt(c["measured"]), "o", ms=4, color=COLOURS[6], label="measured")
-            every = np.sqrt(np.concatenate([c["measured"], c["nominal"], c["refined"]]))
+            what, label = (
+                ("measured", "measured")
+                if model == "nominal"
+                else ("measured_after", "measured, known effects taken off")
+            )
+            axis.loglog(tau, np.sqrt(c[what]), "o", ms=4, color=COLOURS[6], label=label)
+            every = np.sqrt(np.concatenate([c["measured"], c["measured_after"], c["nominal"], c["refined"]]))
             axis.set_ylim(0.6 * every[every > 0].min(), 1.7 * every.max())
             axis.set_title(_axis_words(name))
             axis.set_xlabel("scale, s")
@@ -207,6 +212,24 @@ def evidence_figure(steps: Sequence[Step]) -> MplFigure:
             axis.set_title(_subject(step))
         panels[-1, 0].set_xlabel("evidence, nats (blue: within 3 of the best)")
     return figure
+
+
+def draw_gap(report: GapReport, folder: str | Path, name: str) -> list[Path]:
+    """Write the page's pictures as PNG files ``NAME_before.png``, ``NAME_evidence.png`` and ``NAME_after.png`` (``NAME_before_2.png`` ...)."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    evidence: list[Block] = [Figure.of(evidence_figure(report.steps[:6]), "")] if report.steps else []
+    out = []
+    for when, blocks in (
+        ("before", _pictures(report, after=False)),
+        ("evidence", evidence),
+        ("after", _pictures(report, after=True)),
+    ):
+        for k, block in enumerate(b for b in blocks if isinstance(b, Figure)):
+            path = folder / (f"{name}_{when}.png" if k == 0 else f"{name}_{when}_{k + 1}.png")
+            path.write_bytes(block.png)
+            out.append(path)
+    return out
 
 
 def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path:

@@ -1,0 +1,279 @@
+"""What was found, written down: every effect of the catalogue as a scenario that runs, the truth recovered, the loop closed."""
+
+from __future__ import annotations
+
+import functools
+import runpy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from insemu import rotation
+from insemu.effects import EFFECTS, EffectUse
+from insemu.evaluate import Experiment, run_experiment
+from insemu.evaluate.world import World
+from insemu.gap import GapReport, StaticLog, Step, find_gap, load_measured, load_nominal, write_refined
+from insemu.gap.candidates import CANDIDATES
+from insemu.gap.refined import joined, refined_nominal, uses_of
+from insemu.gap.verdict import Interval, Member, Value
+from insemu.noise import AR, BI, DR, GM, QN, RW, SIN, WN, NoiseModel
+from insemu.records import Recording, Series
+from insemu.scenario import load
+
+NOMINAL = """
+title: nominal
+seed: 3
+realizations: 1
+trajectory: {builtin: lemniscate, rate: 20 Hz, duration: 40 s}
+truth: {gyro: WN(N=1e-4 rad/s/sqrt(Hz)), accel: WN(N=1e-3 m/s^2/sqrt(Hz))}
+gnss: {rate: 1 Hz, lever_arm: [1 m, 0 m, 0 m], outages: [{start: 20 s, duration: 5 s}]}
+designs:
+  nominal: {gyro: {truth: true}, accel: {truth: true}}
+"""
+
+#: Effect, sensor, axes, variant, parameters as the search names them, and what the file must say.
+FOUND: dict[str, tuple[str, tuple[str, ...], str, dict[str, float], dict[str, Any]]] = {
+    "turn_on_bias": ("gyro", ("x",), "", {"value_x": 1e-3}, {"value": [1e-3, 0, 0]}),
+    "scale_factor": ("gyro", ("x", "y", "z"), "all", {"value_x": 1e-3, "value_y": 2e-3, "value_z": -3e-3}, {"value": [1e-3, 2e-3, -3e-3]}),
+    "scale_asymmetry": ("accel", ("y",), "", {"value_y": 1e-3}, {"value": [0, 1e-3, 0]}),
+    "misalignment": ("accel", ("y",), "", {"value_yx": 2e-3}, {"value": [0, 0, 2e-3, 0, 0, 0]}),
+    "g_sensitivity": ("gyro", ("z",), "", {"value_zx": 1e-5}, {"value": [0, 0, 0, 0, 0, 0, 1e-5, 0, 0]}),
+    "mounting": ("imu", ("roll", "pitch", "yaw"), "", {"rpy_roll": 0.0, "rpy_pitch": 0.01, "rpy_yaw": 0.02}, {"rpy": [0, 0.01, 0.02]}),
+    "temperature": ("gyro", ("y",), "cubic", {"c1": 1e-4, "c2": 0.0, "c3": 1e-7, "T0": 28.0}, {"c1": [0, 1e-4, 0], "T0": 28.0}),
+    "saturation": ("gyro", ("z",), "", {"limit": 0.3}, {"limit": [1e6, 1e6, 0.3]}),
+    "dropped_samples": ("accel", ("x",), "held", {"probability": 0.01}, {"probability": 0.01}),
+    "imu_gnss_time_offset": ("imu", (), "", {"offset": 0.02}, {"offset": 0.02}),
+    "clock_drift": ("imu", (), "", {"drift": 1e-4}, {"drift": 1e-4}),
+    "gnss_noise_level": ("gnss", ("north", "east"), "", {"factor": 2.0}, {"factor": [2.0, 2.0, 1.0]}),
+    "gnss_velocity_noise": ("gnss", ("down",), "", {"factor": 3.0}, {"factor": [1.0, 1.0, 3.0]}),
+    "gnss_correlated_noise": ("gnss", ("north",), "", {"sigma": 0.3, "tau": 20.0}, {"sigma": [0.3, 0, 0], "tau": 20.0}),
+    "lever_arm": ("gnss", ("x",), "", {"value_x": 0.2}, {"value": [0.2, 0, 0]}),
+    "gnss_multipath_step": ("gnss", ("east",), "", {"value": 2.0, "start": 10.0, "duration": 8.0}, {"value": [0, 2.0, 0], "start": 10.0}),
+    "gnss_outliers": ("gnss", ("north", "east", "down"), "", {"probability": 0.05, "sigma": 4.0}, {"sigma": [4.0, 4.0, 4.0]}),
+    "earth_rate": ("imu", (), "", {"fraction": 0.9}, {"fraction": 0.9}),
+    "gravity": ("imu", (), "", {"offset": 0.01}, {"offset": 0.01}),
+    "transport_rate": ("imu", (), "", {"fraction": 1.1}, {"fraction": 1.1}),
+    "ramp": ("gyro", ("y",), "", {"R": -1e-6}, {"R": [0, -1e-6, 0]}),
+    "outliers": (
+        "accel", ("x", "z"), "", {"probability_x": 0.01, "sigma_x": 1.0, "probability_z": 0.02, "sigma_z": 2.0},
+        {"probability": 0.01, "sigma": [1.0, 0, 0]},
+    ),
+    "telegraph": ("gyro", ("x",), "", {"amplitude": 1e-3, "rate": 0.05}, {"amplitude": [1e-3, 0, 0], "rate": 0.05}),
+    "quantization": ("accel", ("x",), "output counts", {"lsb": 0.03}, {"lsb": [0.03, 0, 0]}),
+    "decimation_filter": ("gyro", ("z",), "butterworth", {"cutoff": 6.0, "order": 2.2}, {"cutoff": 6.0, "order": 2.0}),
+    "vibration_band": ("accel", ("x",), "", {"rms": 0.1, "frequency": 5.0, "bandwidth": 1.0}, {"rms": [0.1, 0, 0], "frequency": 5.0}),
+    "vibration_line": ("accel", ("x",), "", {"amplitude": 0.1, "frequency": 5.0}, {"amplitude": [0.1, 0, 0], "frequency": 5.0}),
+}  # fmt: skip
+
+#: Noise that joins the model of an axis.
+NOISE = {"white_noise": WN(3e-4), "random_walk": RW(1e-5), "gauss_markov": GM(1e-3, 0.1), "flicker": BI(1e-4)}
+
+
+def step(effect: str) -> Step:
+    sensor, axes, variant, values, _ = FOUND[effect]
+    parameters = tuple(Value(k, v, 0.9 * v, 1.1 * v, "") for k, v in values.items())
+    return Step(effect, variant, sensor, axes, parameters, 1.0, 50.0, (Member(effect, sensor, axes, 50.0),))
+
+
+def report(*steps: Step, refined: dict[str, NoiseModel] | None = None) -> GapReport:
+    none = Interval(float("nan"), float("nan"), float("nan"))
+    return GapReport("named", steps, (), (), none, none, none, refined=refined or {})
+
+
+@functools.cache
+def measured() -> Recording:
+    r = World(load(_scenario())).recording(0)
+    return Recording(
+        type(r.imu)(r.imu.t, r.imu.gyro, r.imu.accel, r.imu.kind, 20.0 + 0.5 * r.imu.t),
+        r.gnss,
+        r.reference,
+        "drive.npz",
+    )
+
+
+@functools.cache
+def _scenario() -> Path:
+    import tempfile
+
+    path = Path(tempfile.mkdtemp()) / "nominal.yaml"
+    path.write_text(NOMINAL)
+    return path
+
+
+def test_every_effect_of_the_catalogue_has_a_place_in_the_refined_model() -> None:
+    named = (
+        "white_noise random_walk gauss_markov quantization flicker ramp vibration_line vibration_band decimation_filter outliers telegraph "
+        "turn_on_bias scale_factor scale_asymmetry misalignment mounting g_sensitivity temperature saturation dropped_samples "
+        "imu_gnss_time_offset clock_drift gnss_noise_level gnss_correlated_noise gnss_velocity_noise lever_arm gnss_multipath_step "
+        "gnss_outliers earth_rate gravity transport_rate"
+    ).split()
+    assert set(named) <= set(EFFECTS)
+    assert set(named) == set(FOUND) | set(NOISE)
+
+
+@pytest.mark.parametrize("effect", FOUND)
+def test_what_was_found_becomes_a_scenario_that_runs_with_its_values(effect: str, tmp_path: Path) -> None:
+    nominal = load_nominal(_scenario())
+    path = write_refined(nominal, report(step(effect)), tmp_path / "refined.yaml", measured())
+    refined = load(path)
+    assert refined.truth is not None
+    uses = [u for u in refined.truth.uses() if u.id == effect]
+    assert uses
+    for name, value in FOUND[effect][4].items():
+        np.testing.assert_allclose(uses[0][name], value)
+    results = run_experiment(Experiment(refined, path), realizations=1)
+    assert list(results.designs) == ["nominal", "refined"]
+    assert np.isfinite(results.nis).all()
+    # the file is itself a nominal model that knows the effect
+    again = load_nominal(path)
+    assert [u.to_mapping() for u in again.effects] == [u.to_mapping() for u in refined.truth.uses()]
+
+
+@pytest.mark.parametrize("effect", NOISE)
+def test_noise_joins_the_models_of_truth_and_filter(effect: str, tmp_path: Path) -> None:
+    nominal = load_nominal(_scenario())
+    model = NoiseModel((NOISE[effect],)) if effect == "white_noise" else nominal.beliefs["gyro_x"] + NOISE[effect]
+    found = Step(effect, "", "gyro", ("x",), (), 1.0, 50.0, ())
+    path = write_refined(nominal, report(found, refined={"gyro_x": model}), tmp_path / "refined.yaml", measured())
+    refined = load(path)
+    assert refined.truth is not None
+    assert refined.truth.models()["gyro_x"] == model
+    experiment = Experiment(refined, path)
+    carried = experiment.beliefs["refined"].models["gyro_x"]
+    assert len(carried.processes) == (5 if effect == "flicker" else len(model.processes))
+    assert np.isfinite(run_experiment(experiment, realizations=1).nis).all()
+
+
+def test_the_filter_that_takes_an_effect_off_is_consistent_and_the_nominal_one_is_not(tmp_path: Path) -> None:
+    nominal = load_nominal(_scenario())
+    path = write_refined(nominal, report(step("lever_arm"), step("gravity")), tmp_path / "refined.yaml", measured())
+    results = run_experiment(Experiment(load(path), path), realizations=2)
+    names = list(results.designs)
+    nis = dict(zip(names, results.nis.mean(axis=1), strict=True))
+    # 210 components: a consistent filter is within 1 +- 0.4 beyond 4 sigma
+    assert nis["nominal"] > 2.0
+    assert 0.6 < nis["refined"] < 1.4
+
+
+def test_a_belief_file_stays_one_and_a_noise_file_becomes_one_where_it_must(tmp_path: Path) -> None:
+    belief = tmp_path / "belief.yaml"
+    belief.write_text(
+        "belief: {gyro: WN(N=1e-4), accel: WN(N=1e-3)}\neffects: [{effect: lever_arm, value: [0.1, 0, 0]}]\nvehicle: {sigma: 0.2}\n"
+    )
+    nominal = load_nominal(belief)
+    path = write_refined(nominal, report(step("lever_arm")), tmp_path / "refined.yaml", measured())
+    again = load_nominal(path)
+    assert again.kind == "belief"
+    assert again.effects[0]["value"] == pytest.approx((0.3, 0.0, 0.0))
+    assert again.vehicle is not None
+    assert again.vehicle.sigma == 0.2
+    from insemu.noise import save
+
+    save({"gyro_x": NoiseModel((WN(1e-4),))}, tmp_path / "noise.yaml")
+    noise = load_nominal(tmp_path / "noise.yaml")
+    assert load_nominal(write_refined(noise, report(), tmp_path / "a.yaml")).kind == "noise"
+    assert load_nominal(write_refined(noise, report(step("ramp")), tmp_path / "b.yaml")).effects[0].id == "ramp"
+
+
+def test_paths_of_a_scenario_lead_to_the_same_files_from_another_folder(tmp_path: Path) -> None:
+    (tmp_path / "way.csv").write_text("x\n")
+    raw = yaml.safe_load(NOMINAL)
+    from insemu.gap.refined import _moved
+
+    (tmp_path / "out").mkdir()
+    moved = _moved({**raw, "trajectory": {"motion": "way.csv"}}, tmp_path, tmp_path / "out")
+    assert (tmp_path / "out" / moved["trajectory"]["motion"]).resolve() == (tmp_path / "way.csv").resolve()
+    assert _moved({"file": "shared:real/x.npz"}, tmp_path, tmp_path / "out") == {"file": "shared:real/x.npz"}
+
+
+def test_corrections_add_up_multiply_or_turn() -> None:
+    def use(effect: str, **values: Any) -> EffectUse:
+        return EffectUse.from_mapping({"effect": effect, **values})
+
+    both = joined([use("lever_arm", value=[0.1, 0, 0])], [use("lever_arm", value=[0.1, 0.2, 0])])
+    assert both[0]["value"] == pytest.approx((0.2, 0.2, 0.0))
+    both = joined([use("gnss_noise_level", factor=2.0)], [use("gnss_noise_level", factor=[0.5, 1, 2])])
+    assert both[0]["factor"] == pytest.approx((1.0, 2.0, 4.0))
+    a, b = use("mounting", rpy=[np.pi, 0, np.pi]), use("mounting", rpy=[0, -0.1, 0.2])
+    C = rotation.dcm_from_rpy(np.array(b["rpy"])) @ rotation.dcm_from_rpy(np.array(a["rpy"]))
+    np.testing.assert_allclose(rotation.dcm_from_rpy(np.array(joined([a], [b])[0]["rpy"])), C, atol=1e-12)
+    assert (
+        len(joined([use("temperature", sensor="gyro", c1=1e-3)], [use("temperature", sensor="gyro", c1=1e-3, T0=30.0)]))
+        == 2
+    )
+
+
+def test_a_static_loop_closes_with_effects_that_no_noise_model_holds() -> None:
+    rng = np.random.default_rng(5)
+    n, rate = 14_000, 20.0
+    t = np.arange(n) / rate
+    temperature = 25.0 + 10.0 * np.sin(2 * np.pi * t / 700.0)
+    x = WN(1e-3).simulate(n, 1 / rate, rng) + 2e-4 * (temperature - 25.0)
+    z = WN(1e-3).simulate(n, 1 / rate, rng) + 1e-3 * np.sin(2 * np.pi * 3.3 * t + 0.3)
+    z += np.where(rng.random(n) < 0.002, 0.08 * rng.standard_normal(n), 0.0)
+    log = StaticLog(tuple(Series(v, rate, "rad/s", f"gyro_{a}") for v, a in ((x, "x"), (z, "z"))), temperature, "log")
+    from insemu.gap import Nominal
+
+    nominal = Nominal({"gyro_x": NoiseModel((WN(1e-3),)), "gyro_z": NoiseModel((WN(1e-3),))})
+    first = find_gap(log, nominal, rng=np.random.default_rng(1), hold_out=False)
+    assert {s.effect for s in first.steps} == {"temperature", "vibration_line", "outliers"}
+    second = find_gap(log, refined_nominal(nominal, first, 1 / rate), rng=np.random.default_rng(1), hold_out=False)
+    assert second.verdict == "nothing missing", [(s.effect, s.axes, s.gain_nats) for s in second.steps]
+
+
+def test_lines_and_ramps_of_a_noise_model_are_known_effects() -> None:
+    from insemu.gap import Nominal
+
+    nominal = Nominal({"gyro_x": NoiseModel((WN(1e-3), SIN(2e-3, 3.0), DR(1e-6)))}).parted()
+    assert nominal.beliefs["gyro_x"] == NoiseModel((WN(1e-3),))
+    assert {u.id: next(iter(u.values.values())) for u in nominal.effects} == {
+        "vibration_line": (2e-3, 0.0, 0.0),
+        "ramp": (1e-6, 0.0, 0.0),
+    }
+
+
+def test_a_recording_whose_fixes_never_move_is_a_static_log(tmp_path: Path) -> None:
+    from insemu.formats import write
+
+    raw = yaml.safe_load(NOMINAL)
+    for name, builtin in (("rest", "static"), ("drive", "lemniscate")):
+        raw["trajectory"] = {"builtin": builtin, "rate": "20 Hz", "duration": "60 s"}
+        path = tmp_path / f"{name}.yaml"
+        path.write_text(yaml.safe_dump(raw))
+        write(tmp_path / f"{name}.npz", World(load(path)).recording(0))
+    assert isinstance(load_measured(tmp_path / "rest.npz"), StaticLog)
+    assert isinstance(load_measured(tmp_path / "drive.npz"), Recording)
+
+
+def test_a_step_that_the_table_does_not_have_is_left_to_its_owner() -> None:
+    assert uses_of(Step("my_effect", "", "gyro", ("x",), (), 1.0, 9.0, ())) == ()
+
+
+def test_the_example_of_an_own_candidate_runs() -> None:
+    before = dict(CANDIDATES)
+    try:
+        example = runpy.run_path(str(Path(__file__).parents[1] / "docs" / "own_candidate.py"))["example"]
+        assert example().startswith("thermostat: sigma 1.0")
+    finally:
+        CANDIDATES.clear()
+        CANDIDATES.update(before)
+
+
+def test_a_band_and_a_line_of_the_noise_model_are_white_noise_to_a_filter() -> None:
+    from insemu.gap.refined import filter_noise
+
+    nominal = load_nominal(_scenario())
+    band = AR((0.5, -0.8), sigma2=1e-4, rate_hz=20.0)
+    model = nominal.beliefs["gyro_x"] + band + SIN(1e-3, 3.0)
+    out = filter_noise(nominal, report(refined={"gyro_x": model}), 0.05)["gyro_x"]
+    expected = np.sqrt(1e-8 + float(band.psd(np.zeros(1), 0.05)[0]))
+    assert [p.parameters["N"] for p in out] == [pytest.approx(expected)]
+    assert (
+        QN(1e-5)
+        in filter_noise(nominal, report(refined={"gyro_x": nominal.beliefs["gyro_x"] + QN(1e-5)}), 0.05)[
+            "gyro_x"
+        ].processes
+    )
