@@ -112,18 +112,20 @@ def strength_for(effect: str, nats: float, n: int, draws: int = 3) -> float:
     """Strength at which the effect's own candidate is worth so many nats in the mean over a few draws."""
     if effect in PLAIN:
         return 2.0 if nats < 40 else 4.0
-    low, high = math.log(0.2), math.log(30.0)
-    for _ in range(7):
-        middle = 0.5 * (low + high)
+    s = 1.0
+    for _ in range(6):
         gains = []
         for k in range(draws):
             rng = np.random.default_rng([77, k])
-            series, temperature, _ = recording([hidden(effect, math.exp(middle), n, rng)], n, rng)
-            gains.append(
-                gain_of(effect, state_of(reduce(series), Explanation.nominal(NoiseModel((WN(WHITE),))), temperature))
-            )
-        low, high = (middle, high) if float(np.median(gains)) < nats else (low, middle)
-    return math.exp(0.5 * (low + high))
+            series, temperature, _ = recording([hidden(effect, s, n, rng)], n, rng)
+            state = state_of(reduce(series), Explanation.nominal(NoiseModel((WN(WHITE),))), temperature)
+            gains.append(gain_of(effect, state))
+        got = float(np.median(gains))
+        if abs(got / nats - 1.0) < 0.15:
+            break
+        # most gains go with the square of the strength
+        s = float(np.clip(s * min(max(math.sqrt(nats / max(got, 1.0)), 0.4), 2.5), 0.05, 60.0))
+    return s
 
 
 def effects(arguments: argparse.Namespace) -> None:

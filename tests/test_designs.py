@@ -261,3 +261,13 @@ def test_a_users_filter_may_do_without_a_noise_model(tmp_path, offered):
 
 def with_seed(results):
     return replace(results, seed=results.seed + 1)
+
+
+def test_the_papers_scenario_flies_the_shipped_designs():
+    """Its truth is the 18AV noise, so the numbers stand twice and must agree."""
+    scenario = load(Path(__file__).parents[1] / "scenarios" / "tables_9_10.yaml")
+    assert scenario.truth is not None
+    assert scenario.designs["18AV"].sources() == scenario.truth.models()
+    assert scenario.designs["18AVWD"].sources() == scenario.truth.models()
+    white = {axis: model.processes[:2] for axis, model in scenario.truth.models().items()}
+    assert {axis: model.processes for axis, model in scenario.designs["15AV"].sources().items()} == white

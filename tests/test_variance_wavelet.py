@@ -244,11 +244,17 @@ def test_ends_of_intervals_are_quantiles_of_the_weighted_sum_of_chi_squares(mode
 
 def test_octaves_go_together_as_the_exact_covariance_says() -> None:
     n = 1 << 13
-    for row, increments in enumerate((False, True)):
-        impulse = {"increments" if increments else "autocovariance": lambda k: np.where(k == 0, 1.0, 0.0)}
-        c = model_covariance(level1_autocovariance(n, **impulse), levels=8)  # type: ignore[arg-type]
+    impulse = lambda k: np.where(k == 0, 1.0, 0.0)  # noqa: E731
+    quantized = lambda k: np.where(k == 0, 2.0, np.where(k == 1, -1.0, 0.0))  # noqa: E731
+    processes: list[dict[str, Any]] = [
+        {"autocovariance": quantized},
+        {"autocovariance": impulse},
+        {"increments": impulse},
+    ]
+    for table, process in zip(OCTAVES_TOGETHER, processes, strict=True):
+        c = model_covariance(level1_autocovariance(n, **process), levels=8)
         r = c / np.sqrt(np.outer(np.diag(c), np.diag(c)))
-        np.testing.assert_allclose(OCTAVES_TOGETHER[row][:6], r[2, 2:8], atol=0.02)
+        np.testing.assert_allclose(table[:6], r[2, 2:8], atol=0.02)
 
 
 @pytest.mark.slow

@@ -14,7 +14,9 @@ if TYPE_CHECKING:
 
 def command(
     recordings: int = typer.Option(58, "--recordings", min=1, help="Number of recordings; effects take turns."),
-    kind: str = typer.Option("both", "--kind", help="dynamic (drives and flights), static (logs at rest) or both in turns."),
+    kind: str = typer.Option(
+        "both", "--kind", help="dynamic (drives and flights), static (logs at rest) or both in turns."
+    ),
     effects: list[str] | None = typer.Option(  # noqa: B008
         None, "--effect", help="Effect to hide ('none' too); may be repeated. Default: every one."
     ),
@@ -27,7 +29,9 @@ def command(
     hold_out: bool = typer.Option(
         True, "--hold-out/--no-hold-out", help="Also score on held-out data (half as much time again)."
     ),
-    log: str = typer.Option("", "--log", metavar="FILE", help="Add every recording to this file; what it holds is not done again."),
+    log: str = typer.Option(
+        "", "--log", metavar="FILE", help="Add every recording to this file; what it holds is not done again."
+    ),
     as_json: bool = typer.Option(False, "--json", help="Print scores and every recording as JSON."),
 ) -> None:
     """Blind trial: effect, axis, strength, track, sensor and wrong levels are drawn, hidden by the emulator and looked for."""
@@ -40,7 +44,11 @@ def command(
     from insemu.errors import InputError, nearest
     from insemu.gap.trial import Kind, Plan, catalogue_of, known_effects, run_trial, score_trials
 
-    choices: dict[str, tuple[Kind, ...]] = {"dynamic": ("dynamic",), "static": ("static",), "both": ("dynamic", "static")}
+    choices: dict[str, tuple[Kind, ...]] = {
+        "dynamic": ("dynamic",),
+        "static": ("static",),
+        "both": ("dynamic", "static"),
+    }
     if kind not in choices:
         raise InputError(f"found '{kind}', expected dynamic, static or both" + nearest(kind, choices), where="--kind")
     kinds = choices[kind]
@@ -106,16 +114,20 @@ def tables(finished: list[Trial]) -> list[Table]:
     add("one hidden: said to be unexplained", scores.unexplained)
     add("20 expected nats or more: detected", scores.strong_detected)
     add("20 expected nats or more: in the top two", scores.strong_top_two)
-    add("several hidden: all and only these named", scores.both_and_only)
-    add("several hidden: all and only these, classes counted", scores.both_in_class)
+    add("several hidden, each worth 20 nats: all and only these named", scores.both_and_only)
+    add("several hidden, each worth 20 nats: the same, classes counted", scores.both_in_class)
     add("outside the catalogue: misnamed", scores.misnamed_outside)
     add("outside the catalogue: said to be unexplained", scores.outside_unexplained)
     add("named right: gap index after contains 1", scores.gap_contains_one)
     if scores.held_out_count:
-        summary.add_row("held-out gain over the oracle's, median", f"{scores.held_out_ratio:.3f}", f"{scores.held_out_count}", "")
+        summary.add_row(
+            "held-out gain over the oracle's, median", f"{scores.held_out_ratio:.3f}", f"{scores.held_out_count}", ""
+        )
     seconds = [t.seconds for t in finished if math.isfinite(t.seconds)]
     if seconds:
-        summary.add_row("seconds of one core per identification, mean", f"{sum(seconds) / len(seconds):.1f}", f"{len(seconds)}", "")
+        summary.add_row(
+            "seconds of one core per identification, mean", f"{sum(seconds) / len(seconds):.1f}", f"{len(seconds)}", ""
+        )
     out.append(summary)
     if scores.calibration:
         calibration = Table("stated confidence", "right", "recordings", title="Calibration of the confidence")

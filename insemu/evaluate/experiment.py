@@ -25,7 +25,7 @@ from insemu.compensation import NEEDS_TRAJECTORY, compensated, lever_arm_of
 from insemu.denoise import denoise
 from insemu.emulate.pieces import TrueStates
 from insemu.errors import InputError
-from insemu.evaluate.consistency import block_nees, lag_products, sensor_errors
+from insemu.evaluate.consistency import block_nees, lag_products, observability, sensor_errors, unaided_sigma
 from insemu.evaluate.recorded import RecordedWorld
 from insemu.evaluate.results import DesignInfo, Innovations, Results, Sensors, Smoothed
 from insemu.evaluate.world import Estimate, World, static_logs, stream
@@ -36,8 +36,10 @@ from insemu.filters import (
     InitialSigma,
     LooselyCoupledEKF,
     NavigationFilter,
+    Standstill,
     smooth,
 )
+from insemu.filters.alignment import rests
 from insemu.filters.protocol import FilterParts, check_result, user_filter_code
 from insemu.fit import FitResult, fit
 from insemu.noise import ARMA, NoiseModel, NotStationary, axis_unit, load
@@ -87,6 +89,8 @@ class Experiment:
         code = [file for d in scenario.designs.values() if d.filter for file in user_filter_code(d.filter).items()]
         self.digest = digest(scenario, {**self.world.files, **dict(code)})
         _ = self.world.outage_windows  # what is wrong with them is said before anything is flown
+        if isinstance(self.world, RecordedWorld):
+            _ = self.world.alignment
         for name, design in scenario.designs.items():
             if not any(isinstance(source, AxisSource) and source.fit for source in design.sources().values()):
                 self._made(name, self._belief(name, {}))  # nor is a belief that no filter can carry
@@ -177,10 +181,21 @@ class Experiment:
         return models[axis]
 
     def filter(
-        self, design: str, *, output_every: int = 1, covariance_at: Array | None = None
+        self,
+        design: str,
+        *,
+        output_every: int = 1,
+        covariance_at: Array | None = None,
+        standstill: Standstill | None = None,
     ) -> LooselyCoupledEKF | NavigationFilter:
         """The filter of one design: insemu's own, or the one that an installed package offers under the name that the design gives."""
-        return self._made(design, self.beliefs[design], output_every=output_every, covariance_at=covariance_at)
+        return self._made(
+            design,
+            self.beliefs[design],
+            output_every=output_every,
+            covariance_at=covariance_at,
+            standstill=standstill or self.world.standstill,
+        )
 
     def ekf(self, design: str) -> LooselyCoupledEKF:
         """The filter of a design of insemu's own.
@@ -204,7 +219,13 @@ class Experiment:
         return parts
 
     def _made(
-        self, design: str, belief: Belief, *, output_every: int = 1, covariance_at: Array | None = None
+        self,
+        design: str,
+        belief: Belief,
+        *,
+        output_every: int = 1,
+        covariance_at: Array | None = None,
+        standstill: Standstill | None = None,
     ) -> LooselyCoupledEKF | NavigationFilter:
         gnss, chosen = self.scenario.gnss, self.scenario.designs[design]
         options = chosen.options
@@ -222,7 +243,7 @@ class Experiment:
                 gate=options.gate,
                 covariance_at=() if covariance_at is None else tuple(covariance_at),
                 extras=Extras(**options.states.model_dump()),
-                standstill=self.world.standstill,
+                standstill=standstill,
                 store="fixes" if self.scenario.smoother else "none",
             ),
         )
@@ -255,7 +276,7 @@ class Experiment:
             assert known.gnss is not None
             rows = self.world.rows(known.imu, every)
             times = known.imu.t[rows]
-            ekf = self.filter(name, covariance_at=times)
+            ekf = self.filter(name, covariance_at=times, standstill=self._rests(name, known))
             run = ekf.run(self._prefiltered(name, known.imu), self._believed(name, known.gnss), start, start_sigma)
             if (users := self.scenario.designs[name].filter) is not None:
                 check_result(users, run, times, smoother=self.scenario.smoother)
@@ -274,11 +295,35 @@ class Experiment:
                 "lag_count": lag_count,
                 "epochs": run.epochs,
                 "seconds": run.seconds,
+                "rejected": len(run.fixes.rejected),
+                "fixes": np.count_nonzero(run.fixes.dof),
                 "state_names": "\n".join(run.layout.names),
             }
             for key, value in found.items():
                 out.setdefault(key, []).append(value)
+        widest = max(values.shape[1] for values in out["observability"])
+        out["observability"] = [
+            np.pad(values, ((0, 0), (0, widest - values.shape[1])), constant_values=np.nan)
+            for values in out["observability"]
+        ]
         return {name: np.array(values) for name, values in out.items()}
+
+    def _rests(self, design: str, data: Recording) -> Standstill | None:
+        """Zero-velocity and zero-rate updates of one design, where it has any and the data show a rest outside the outages."""
+        asked = self.scenario.designs[design].options.zero_updates
+        if asked is None:
+            return None
+        clear = [
+            (a, b)
+            for a, b in rests(data.imu, data.gnss)
+            if not any(start < b and a < start + duration for start, duration in self.world.outage_windows)
+        ]
+        return Standstill(
+            clear,
+            asked.every,
+            np.inf if asked.velocity_sigma is None else asked.velocity_sigma,
+            np.inf if asked.rate_sigma is None else asked.rate_sigma,
+        )
 
     def _sensors(
         self,
@@ -289,14 +334,20 @@ class Experiment:
         error: Array,
         true: TrueStates | None,
     ) -> dict[str, Array]:
-        """NEES of every block, and errors and stated standard deviations of what the filter says about its axes."""
+        """NEES of every block, errors and stated standard deviations of what the filter says about its axes, observability of its states."""
         times = imu.t[rows]
         if self.world.compared < 9:  # errors against fixes hold the fixes' own, which this covariance does not
             error = np.full_like(error, np.nan)
         covariance = run.covariance[np.searchsorted(run.covariance_t, times - 1e-9).clip(0, len(run.covariance) - 1)]
         if not isinstance(ekf, LooselyCoupledEKF):  # what its further states mean is not known
             nothing = np.full((len(rows), 6), np.nan)
-            return {"block_nees": block_nees(error, covariance), "axis_error": nothing, "axis_sigma": nothing}
+            unknown = np.full((len(rows), covariance.shape[1] - 9), np.nan)
+            return {
+                "block_nees": block_nees(error, covariance),
+                "axis_error": nothing,
+                "axis_sigma": nothing,
+                "observability": unknown,
+            }
         whole = imu.as_increments()
         step = (whole.t[np.maximum(rows, 1)] - whole.t[np.maximum(rows, 1) - 1])[:, None]
         measured = np.hstack([whole.gyro[rows], whole.accel[rows]]) / step
@@ -309,6 +360,10 @@ class Experiment:
             "block_nees": block_nees(error, covariance, sensed),
             "axis_error": sensed.axes,
             "axis_sigma": np.sqrt(np.maximum(np.einsum("kii->ki", sensed.axes_covariance), 0.0)),
+            "observability": observability(
+                np.sqrt(np.maximum(np.einsum("kii->ki", covariance[:, 9:, 9:]), 0.0)),
+                unaided_sigma(ekf.augmentation, rows),
+            ),
         }
 
     def _compensated(self, design: str, recording: Recording, start: NavState, sigma: InitialSigma) -> Recording:
@@ -474,7 +529,17 @@ def run_experiment(
         nees_dof=experiment.world.compared,
         innovations=Innovations(stacked["nis"], stacked["dof"], stacked["lag_sum"], stacked["lag_count"]),
         smoothed=smoothed,
-        sensors=Sensors(stacked["block_nees"], stacked["axis_error"], stacked["axis_sigma"]),
+        sensors=Sensors(
+            stacked["block_nees"],
+            stacked["axis_error"],
+            stacked["axis_sigma"],
+            {
+                name: stacked["observability"][d].mean(axis=0)[:, : info.states - 9]
+                for d, (name, info) in enumerate(designs.items())
+            },
+        ),
+        rejected=stacked["rejected"],
+        fixes=stacked["fixes"],
     )
 
 

@@ -17,8 +17,8 @@ from insemu.evaluate.consistency import nees
 from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.world import Estimate, Scored, input_files, nearest_rows
 from insemu.filters import InitialSigma, Standstill
-from insemu.filters.alignment import Alignment, align
-from insemu.filters.motion import align_in_motion, cut, rests
+from insemu.filters.alignment import Alignment, align, cut, rests
+from insemu.filters.motion import align_in_motion
 from insemu.formats import read_recording
 from insemu.records import GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import OutageWindow, Scenario
@@ -96,10 +96,21 @@ class RecordedWorld:
     @cached_property
     def alignment(self) -> Alignment:
         """Where the filters start."""
+        how, arm = self.source.alignment, self.scenario.gnss.lever_arm
+        if how == "rest":
+            found = align(self.vehicle_imu, self.gnss, lever_arm=arm)
+            if np.isnan(found.gyro_bias).any():
+                raise InputError(
+                    "found no rest before the first motion, expected one to align at; 'motion' does without",
+                    where=f"{self.file or 'scenario'}: recording.alignment",
+                )
+            return found
+        if how == "motion":
+            return align_in_motion(self.vehicle_imu, self.gnss, lever_arm=arm, gravity=self.source.gravity)
         try:
-            return align_in_motion(self.vehicle_imu, self.gnss, gravity=self.source.gravity)
+            return align_in_motion(self.vehicle_imu, self.gnss, lever_arm=arm, gravity=self.source.gravity)
         except InputError:  # too little motion for vectors; the course may do
-            return align(self.vehicle_imu, self.gnss, lever_arm=self.scenario.gnss.lever_arm)
+            return align(self.vehicle_imu, self.gnss, lever_arm=arm)
 
     @property
     def rate_hz(self) -> float:

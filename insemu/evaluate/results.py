@@ -80,11 +80,14 @@ class Sensors:
         NEES per degree of freedom of the blocks :data:`insemu.evaluate.consistency.BLOCKS`, those of navigation among them.
     error, sigma : (design, realization, time, 6) arrays
         Estimated minus true error of every axis apart from white noise, and its stated standard deviation, rad/s and m/s^2.
+    observability : mapping of design to (time, states - 9) array
+        Share of the variance of each state behind the nine that the fixes have removed, mean over realizations.
     """
 
     block_nees: Array
     error: Array
     sigma: Array
+    observability: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -124,6 +127,8 @@ class Results:
         Design to an error budget per outage (:func:`~insemu.evaluate.comparison.error_budgets`); empty where none was made.
     sensors : Sensors, optional
         What the filters say about their sensors.
+    rejected, fixes : (design, realization) arrays, optional
+        Fixes and standstill updates that the gate kept out, and how many there were.
     """
 
     title: str
@@ -144,6 +149,8 @@ class Results:
     nees_dof: int = 9
     budgets: Mapping[str, Sequence[Mapping[str, Any]]] = field(default_factory=dict)
     sensors: Sensors | None = None
+    rejected: Array | None = None
+    fixes: Array | None = None
 
     @property
     def realizations(self) -> int:
@@ -229,6 +236,14 @@ class Results:
             data["axis_error"] = ((*dims, "axis"), self.sensors.error, about)
             data["axis_sigma"] = ((*dims, "axis"), self.sensors.sigma, about)
             data = data.assign_coords(block=list(BLOCKS), axis=list(AXES))
+            for name, values in self.sensors.observability.items():
+                states = f"states of {name}"
+                about = {"long_name": "share of a state's variance that the fixes have removed", "units": "1"}
+                data[f"observability of {name}"] = (("time", states), values, about)
+                data = data.assign_coords({states: list(self.designs[name].state_names[9:])})
+        if self.rejected is not None and self.fixes is not None:
+            data["rejected"] = (("design", "realization"), self.rejected, {"long_name": "fixes that the gate kept out"})
+            data["fixes"] = (("design", "realization"), self.fixes, {"long_name": "fixes with any component"})
         data.attrs = {
             "title": self.title,
             "digest": self.digest,
@@ -460,6 +475,12 @@ def consistency_words(results: Results, design: str) -> list[str]:
         if words and len(family) > 1:
             verdict += f" at {bad} of {len(family)} epochs"
         lines.append(f"{name} {span} ({family[0].low:.2f} to {family[0].high:.2f} expected): {verdict}")
+    if results.rejected is not None and results.fixes is not None:
+        d = results.names.index(design)
+        if results.rejected[d].any():
+            lines.append(
+                f"the gate rejected {results.rejected[d].mean():.3g} of {results.fixes[d].mean():.0f} fixes a run"
+            )
     return lines
 
 
@@ -479,6 +500,8 @@ def summary(results: Results) -> dict[str, Any]:
             "nees_per_dof": float(results.nees[d].mean() / 9.0),
             "nees_per_dof_by_block": blocks_of(results, d),
             "nis_per_dof": float(results.nis[d].mean()),
+            "rejected_fixes": None if results.rejected is None else results.rejected[d].tolist(),
+            "observability_end": observability_end(results, name),
             "consistency": [{**asdict(v), "passed": v.passed} for v in consistency(results, name)],
         }
         if name in results.budgets:
@@ -510,6 +533,15 @@ def blocks_of(results: Results, design: int) -> dict[str, float]:
         return {}
     values = results.sensors.block_nees[design]
     return {name: float(np.nanmean(values[:, i])) for i, name in enumerate(BLOCKS) if np.isfinite(values[:, i]).any()}
+
+
+def observability_end(results: Results, design: str) -> dict[str, float]:
+    """Share of each sensor state's variance that the fixes have removed by the last epoch; over time it stands in ``errors.nc``."""
+    if results.sensors is None or design not in results.sensors.observability:
+        return {}
+    last = results.sensors.observability[design][-1:]
+    names = results.designs[design].state_names[9:]
+    return {name: float(v) for name, v in zip(names, last[0] if len(last) else (), strict=False) if np.isfinite(v)}
 
 
 def finite(document: Any) -> Any:

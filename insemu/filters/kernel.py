@@ -82,6 +82,7 @@ def run(
     output_every: int,
     event_epoch: Ints,
     event_kind: Ints,
+    event_from: Ints,
     event_tau: Array,
     event_z: Array,
     event_var: Array,
@@ -156,7 +157,7 @@ def run(
             c_of[s] = c0[s]
     if store:
         reset_transition(A, end)
-    event, cov, node, row = 0, 0, 0, 0
+    event, cov, node, row, still = 0, 0, 0, 0, 0
 
     d_one, phi_one = d_of[0], phi_of[0]
     d, phi, mix, q = d_one, phi_one, mix_of[0], q_of[0]
@@ -168,6 +169,13 @@ def run(
         if k > 0:
             dt = t[k] - t[k - 1]
             before = max(k - 1, 1)
+            while still < event_epoch.size and (event_kind[still] == FIX or event_epoch[still] < k):
+                still += 1
+            if still < event_epoch.size and event_from[still] == k - 1:
+                # the rate of the next standstill is averaged from here on, whatever the vehicle did before
+                for i in range(3):
+                    rate_sum[i] = 0.0
+                rate_count = 0
             if driven:
                 for s in range(m):
                     if driver[s] >= 0:
@@ -268,9 +276,6 @@ def run(
                     for i in range(3):
                         rate_sum[i] /= rate_count
                     fill_standstill(nav, rate_sum, rate_count, white, c_of, axis, nu, H, R)
-                    for i in range(3):
-                        rate_sum[i] = 0.0
-                    rate_count = 0
                 for i in range(6):
                     used[i] = math.isfinite(event_z[event, i]) and math.isfinite(event_var[event, i])
                     if used[i]:

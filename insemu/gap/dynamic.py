@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from insemu.gap.disagreement import corrected
 from insemu.gap.evidence import LEVEL_UNCERTAINTY, Explanation, Likelihood, fit
 from insemu.gap.hypotheses import (
     ONCE,
+    PROCESSES,
     Hypothesis,
     Variant,
     bank,
@@ -185,11 +186,29 @@ class Search:
                 break
             if best.gain < self.threshold or something(ranked) < SURE:
                 break
+            best = self._apart(best)
             progress(f"{best.effect} {best.gain:.1f} nats")
             self._add(best, ranked)
             if len(self.found) > 1:
                 self._reconsider()
         return Named(tuple(self.found), self.scene, self.outsider, self.gone)
+
+    def _apart(self, best: Hypothesis) -> Hypothesis:
+        """The best effect of one axis instead of one of several axes, where two or three of their own explain more than the one together."""
+        if best.block is None or len(best.axes) < 2:
+            return best
+        single = [v for v in self.variants if len(v.axes) < 2]
+        given, total = blocks_of(self.found), 0.0
+        first: Hypothesis | None = None
+        for _ in best.axes:
+            tried = linear_hypotheses(self.scene, single, self.data, given, self._skip(self.found))
+            top = max(tried, key=lambda h: h.gain)
+            if top.block is None or top.gain < self.threshold:
+                break
+            total += top.gain
+            first = first or top
+            given = [*given, top.block]
+        return first if first is not None and total > best.gain + 1.0 else best
 
     def _add(self, best: Hypothesis, ranked: Sequence[Hypothesis]) -> None:
         scene = self.scene
@@ -233,7 +252,13 @@ class Search:
         """Best values of the strong shapes, to be taken out of the data."""
         blocks = blocks_of(self.found)
         index, mean, _ = self.data.posterior(blocks)
-        strong = {c for f in self.found if f.chosen.gain > CORRECT_NATS for c in f.chosen.columns}
+        strong = {
+            c
+            for f in self.found
+            if f.chosen.gain > CORRECT_NATS
+            for c in f.chosen.columns
+            if not self.scene.columns[c].runs
+        }
         return {int(i): float(m) for i, m in zip(index, mean, strict=True) if int(i) in strong}
 
     def _reconsider(self) -> None:
@@ -273,6 +298,34 @@ def find_effects(
     return Search(scene, cut, threshold, without, [], np.zeros(0)).run(progress)
 
 
+def with_process(model: NoiseModel, effect: str, given: Mapping[str, float]) -> NoiseModel:
+    """A model with a slow process of a named effect."""
+    if effect == "random_walk":
+        return model + RW(given["K"])
+    return model + (GM(given["sigma"], given["beta"]) if effect == "gauss_markov" else BI(given["B"]))
+
+
+def believing(named: Named, cut: float | None = None) -> tuple[Scene, list[Block]]:
+    """The filter that believes in the slow processes that were found, and the blocks of everything else.
+
+    The search carries a process on knots; what is left of a strong one between them would count against it.
+    """
+    beliefs = dict(named.scene.original.beliefs)
+    blocks = []
+    for f in named.found:
+        h = f.chosen
+        if h.effect in PROCESSES:
+            for axis in h.axes:
+                name = f"{h.sensor}_{axis}"
+                beliefs[name] = with_process(beliefs[name], h.effect, {v.name: v.value for v in h.values})
+        elif h.block is not None:
+            blocks.append(h.block)
+    if len(blocks) == len(named.blocks):
+        return named.scene, blocks
+    scene = named.scene.rebuilt(beliefs=beliefs)
+    return scene.trimmed(blocks, cut), blocks
+
+
 # -- held out -------------------------------------------------------------------------------------------------------------------------
 
 
@@ -282,10 +335,9 @@ def held_out(scene: Scene, named: Named, cut: float) -> tuple[Interval, Interval
     test = scene.loop.y.reshape(-1, 6)[scene.loop.use]
     test = test[late]
     fixes = max(1, len(np.unique(scene.rows_t[late])))
-    final = named.scene
+    final, blocks = believing(named, cut)
     rows = final.rows_t > cut
     data = replace(final.data, variance=1.0)
-    blocks = named.blocks
     e, logdet = data.predictive(blocks, rows)
     total = 0.5 * float(test @ test) - 0.5 * float(e @ e) - logdet + _log_volume(scene, cut) - _log_volume(final, cut)
     spread = 1.96 * math.sqrt(abs(float(test @ test) - float(e @ e)) + 0.5)
@@ -331,8 +383,7 @@ def fast_effects(
     """Effects that the IMU shows above its motion, axis by axis."""
     out = []
     excluded = {name for name in CANDIDATES if name not in FAST} | set(without)
-    for name in AXES:
-        data = parts[name]
+    for name, data in parts.items():
         if not data.f.size:
             continue
         given = of_axis(nominal.effects, name)
@@ -349,6 +400,30 @@ def fast_effects(
             )
         )
     return out
+
+
+def again_with_processes(
+    fast: list[tuple[str, static_log.AxisResult]],
+    named: Named,
+    parts: dict[str, Reduced],
+    nominal: Nominal,
+    threshold: float,
+    without: Collection[str],
+) -> list[tuple[str, static_log.AxisResult]]:
+    """What the band above the motion shows where a slow process that was found since reaches into it."""
+    beliefs = dict(nominal.beliefs)
+    touched = set()
+    for f in named.found:
+        for axis in f.chosen.axes if f.chosen.effect in PROCESSES else ():
+            name = f"{f.chosen.sensor}_{axis}"
+            touched.add(name)
+            beliefs[name] = with_process(beliefs[name], f.chosen.effect, {v.name: v.value for v in f.chosen.values})
+    touched &= {name for name, r in fast if r.found}
+    if not touched:
+        return fast
+    some = {name: data for name, data in parts.items() if name in touched}
+    fresh = dict(fast_effects(some, replace(nominal, beliefs=beliefs), threshold, without, lambda _: None))
+    return [(name, fresh.get(name, r)) for name, r in fast]
 
 
 def without_tones(data: Reduced, explanation: Explanation) -> Reduced:
@@ -422,8 +497,10 @@ def find_dynamic_gap(
         plain = Scene.of(prepare(whole, believed, parts, levels)) if noticed else scene
         before, after, held = held_out(plain, first, cut)
     where = corrected(disagreement_tests(scene, scene.data.y))
-    residual, _ = named.scene.data.residual(named.blocks)
-    rest = corrected(disagreement_tests(named.scene, residual))
+    final, blocks = believing(named)
+    residual, _ = final.data.residual(blocks)
+    rest = corrected(disagreement_tests(final, residual))
+    fast = again_with_processes(fast, named, parts, nominal, max(threshold, FAST_THRESHOLD), without)
     steps = [_step(f, named) for f in named.found]
     steps += [*static_log.merged_steps(dict(fast)), *noticed]
     steps.sort(key=lambda s: -s.gain_nats)
@@ -555,12 +632,9 @@ def _refine(models: dict[str, NoiseModel], step: Step) -> dict[str, NoiseModel]:
         def value(key: str, axis: str = axis) -> float:
             return given[key] if key in given else given[f"{key}_{axis}"]
 
-        if step.effect == "random_walk":
-            out[name] = out[name] + RW(value("K"))
-        elif step.effect == "gauss_markov":
-            out[name] = out[name] + GM(value("sigma"), value("beta"))
-        elif step.effect == "flicker":
-            out[name] = out[name] + BI(value("B"))
+        if step.effect in PROCESSES:
+            parameters = {p.name for p in EFFECTS[step.effect].parameters}
+            out[name] = with_process(out[name], step.effect, {key: value(key) for key in parameters})
         elif step.effect == "white_noise":
             out[name] = NoiseModel(tuple(WN(value("N")) if isinstance(p, WN) else p for p in out[name]))
     return out

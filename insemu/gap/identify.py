@@ -18,7 +18,14 @@ from insemu.gap.static_log import THRESHOLD, find_static_gap
 from insemu.gap.timing import find_offset
 from insemu.gap.vehicle import Mounted, find_mounting
 from insemu.gap.verdict import GapReport, Interval, Step, Value, VerdictName
+from insemu.noise import NoiseModel
 from insemu.records import AXES, Recording
+
+#: Effects of the fixes and of timing that together are worth more are held against the recording again once they are known: the strong ones
+#: bend what the search sees of the others, of noise levels above all.
+STRONG_NATS, MOST_PASSES = 150.0, 3
+#: A level of noise that is right within this factor is the nominal one.
+SAME_LEVEL = 1.22
 
 
 def find_gap(
@@ -112,6 +119,18 @@ def _drive(
         recording, moved, rng=rng, threshold=threshold, without=skip, hold_out=hold_out, progress=say
     )
     out = _together(report, early, mounted, nominal)
+    for turn in range(MOST_PASSES):
+        if sum(s.gain_nats for s in out.steps if s.sensor in ("gnss", "imu")) < STRONG_NATS:
+            break
+        say(f"the refined model against the recording, {turn + 1}")
+        recording, moved = drive_without(measured, refined_nominal(nominal, out, measured.imu.dt).parted())
+        more = find_dynamic_gap(
+            recording, moved, rng=rng, threshold=threshold, without=skip, hold_out=False, progress=say
+        )
+        corrected = _closer(out, more)
+        if corrected is out:
+            break
+        out = corrected
     return replace(out, curves={**out.curves, "drive": _pictures(measured, nominal, out)}) if hold_out else out
 
 
@@ -171,6 +190,81 @@ def _added_up(steps: list[Step], earlier: Step) -> list[Step]:
             both = replace(s, parameters=values, gain_nats=s.gain_nats + earlier.gain_nats)
             return [*steps[:k], both, *steps[k + 1 :]]
     return [*steps, earlier]
+
+
+def _closer(report: GapReport, more: GapReport) -> GapReport:
+    """A report with what the recording still says once its effects are known; the same object where that is nothing new."""
+    steps = list(report.steps)
+    changed = False
+    for m in more.steps:
+        k = next((k for k, s in enumerate(steps) if (s.effect, s.sensor) == (m.effect, m.sensor)), None)
+        if k is None:
+            steps.append(m)
+        elif m.sensor in ("gnss", "imu") or m.effect in _ADDED:
+            steps[k] = _corrected(steps[k], m)
+        else:
+            continue  # more of a process that is named
+        changed = True
+    changed = changed or (more.verdict != report.verdict and more.verdict in ("unexplained", "nothing missing"))
+    if not changed:
+        return report
+    steps = sorted((s for s in map(_pruned, steps) if s is not None), key=lambda s: -s.gain_nats)
+    verdict: VerdictName = "unexplained" if more.verdict == "unexplained" else "nothing missing"
+    if verdict != "unexplained" and steps:
+        verdict = "class" if steps[0].is_class else "named"
+        steps = [_settled(s) for s in steps]
+    return replace(report, verdict=verdict, steps=tuple(steps), after=more.after, refined=_refined(report, more))
+
+
+#: Deterministic effects of a sensor whose values add up.
+_ADDED = frozenset(
+    {"turn_on_bias", "scale_factor", "scale_asymmetry", "misalignment", "g_sensitivity", "temperature", "ramp"}
+)
+
+
+def _refined(report: GapReport, more: GapReport) -> dict[str, NoiseModel]:
+    """Noise of the last pass where it found a process of another kind, else as it was."""
+    known = {(s.effect, s.sensor) for s in report.steps}
+    new = any((s.effect, s.sensor) not in known and s.sensor in ("gyro", "accel") for s in more.steps)
+    return dict(more.refined) if new else report.refined
+
+
+def _corrected(old: Step, new: Step) -> Step:
+    """A step with a later pass's correction: values add up, factors multiply, of colour the larger stands."""
+    known = {v.name: v for v in old.parameters}
+    values = {v.name: v for v in old.parameters}
+    for v in new.parameters:
+        was = known.get(v.name)
+        if was is None:
+            values[v.name] = v
+        elif v.name == "factor":
+            values[v.name] = Value(v.name, v.value * was.value, v.low * was.value, v.high * was.value, v.unit)
+        elif v.name.partition("_")[0] in ("value", "offset", "drift", "fraction", "rpy", "c1", "c2", "c3", "R"):
+            values[v.name] = _shifted(v, was.value)
+    axes = tuple(dict.fromkeys((*old.axes, *new.axes)))
+    return replace(old, axes=axes, parameters=tuple(values.values()))
+
+
+def _pruned(step: Step) -> Step | None:
+    """A step less what a correction took back: parameters whose interval holds zero, levels that are nominal."""
+    if any(v.name == "factor" and 1.0 / SAME_LEVEL < v.value < SAME_LEVEL for v in step.parameters):
+        return None
+    if step.effect not in _ADDED | {"lever_arm"}:
+        return step
+    kept = tuple(v for v in step.parameters if not v.low < 0.0 < v.high or v.name in ("T0", "lag"))
+    if not any(v.name not in ("T0", "lag") for v in kept):
+        return None
+    shown = {v.name.partition("_")[2][:1] for v in kept}
+    axes = tuple(a for a in step.axes if a in shown) or step.axes
+    return replace(step, parameters=kept, axes=axes)
+
+
+def _settled(step: Step) -> Step:
+    """A step's confidence once its model agrees with the recording: its share of its class."""
+    gains = [m.gain_nats for m in step.members] or [step.gain_nats]
+    own = next((m.gain_nats for m in step.members if m.effect == step.effect), gains[0])
+    weights = [math.exp(max(g - own, -50.0)) for g in gains]
+    return replace(step, confidence=max(step.confidence, 1.0 / (sum(weights) + math.exp(-max(own, 0.0)))))
 
 
 def _shifted(v: Value, by: float) -> Value:

@@ -292,7 +292,7 @@ def without_motion(values: Array, dt: float, corner: float) -> Array:
     Manoeuvres are a billion times stronger than the noise a few Hz above them; no taper alone keeps them out of a spectrum.
     """
     sections = signal.butter(6, corner, "highpass", fs=1.0 / dt, output="sos")
-    edge = min(round(2.0 / (corner * dt)), values.size // 20)
+    edge = min(round(6.0 / (corner * dt)), values.size // 20)
     out = signal.sosfiltfilt(sections, values)
     return np.ascontiguousarray(out[edge : out.size - edge])
 

@@ -23,6 +23,7 @@ from insemu.gap.signatures import (
     knot_response,
 )
 from insemu.gap.surrogate import FixNoise, Surrogate
+from insemu.noise import NoiseModel
 from insemu.records import GnssRecord, ImuRecord
 
 Array = NDArray[np.float64]
@@ -184,8 +185,9 @@ class Scene:
         levels: Array | None = None,
         gone: Array | None = None,
         corrections: Mapping[int, float] | None = None,
+        beliefs: dict[str, NoiseModel] | None = None,
     ) -> Scene:
-        """Run the filter again: other levels of the fixes, positions left out, effects corrected in the data."""
+        """Run the filter again: other levels of the fixes, positions left out, effects corrected in the data, other noise of the IMU."""
         original = self.original
         if gone is not None and gone.size:
             original = original.without_positions(gone)
@@ -193,6 +195,8 @@ class Scene:
             original = replace(original, factors=factors)
         if levels is not None:
             original = replace(original, levels=levels)
+        if beliefs is not None:
+            original = replace(original, beliefs=beliefs)
         values = dict(self.corrections if corrections is None else corrections)
         imu, gnss = corrected_data(original, self.columns, values, self.prepared.result.fixes.t)
         scene = Scene.of(

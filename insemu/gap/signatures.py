@@ -7,7 +7,7 @@ Jacobian of the nominal filter ``e- = Phi e+ + D``, ``g = -H e- + M``, ``e+ = e-
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ class Column:
 
     Parameters
     ----------
-    effect, variant, sensor : str
+    effect, sensor : str
     label : str
         Parameter of the effect, with its axis: ``value_x``.
     axes : tuple of str
@@ -41,6 +41,8 @@ class Column:
         Unit sensor errors.
     fixes : (f, 6) array, optional
         Unit errors of the fixes, measured minus true.
+    runs : bool
+        Whether the position also runs away by the velocity.
     """
 
     effect: str
@@ -51,7 +53,7 @@ class Column:
     unit: str
     inputs: tuple[tuple[int, Array], ...] = ()
     fixes: Array | None = None
-    variant: str = ""
+    runs: bool = False
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,8 @@ class Motion:
     temperature : (n,) array, optional
     node : (k,) array of int
         IMU rows of the filter's nodes.
+    summed : bool
+        Whether the record holds increments, which no stretched time stamp changes.
     """
 
     t: Array
@@ -82,6 +86,7 @@ class Motion:
     llh: Array
     temperature: Array | None
     node: NDArray[np.int64]
+    summed: bool = True
 
     @classmethod
     def of(cls, imu: ImuRecord, result: FilterResult) -> Motion:
@@ -96,7 +101,16 @@ class Motion:
         middle = C @ rotation.dcm_from_quaternion(rotation.quaternion_from_vector(-0.5 * increments.gyro))
         f_n = np.einsum("nij,nj->ni", middle, force)
         return cls(
-            t, middle, rate, force, f_n, result.nav[:, 3:6], result.nav[:, :3], imu.temperature, result.nodes.epoch
+            t,
+            middle,
+            rate,
+            force,
+            f_n,
+            result.nav[:, 3:6],
+            result.nav[:, :3],
+            imu.temperature,
+            result.nodes.epoch,
+            imu.kind == "increment",
         )
 
 
@@ -167,12 +181,14 @@ def fix_columns(motion: Motion, t_fix: Array, lever_arm: Array) -> list[Column]:
     moved = np.hstack([v + swing, a + swing_rate])
     out = [_column("imu_gnss_time_offset", "imu", "offset", (), "offset", fixes=moved)]
     late = (t_fix - motion.t[0])[:, None]
-    # stamps that run fast: the fixes are ahead by drift (t - t_0), rates are integrated over stretched intervals
-    acceleration = motion.f_n + np.array([0.0, 0.0, 1.0]) * earth.gravity(motion.llh[:, 0], motion.llh[:, 2])[:, None]
-    a_b = np.einsum("nji,nj->ni", motion.C, acceleration)
-    inputs = tuple((i, np.ascontiguousarray(motion.rate[:, i])) for i in range(3))
-    inputs += tuple((3 + i, np.ascontiguousarray(a_b[:, i])) for i in range(3))
-    out.append(_column("clock_drift", "imu", "drift", (), "drift", inputs, moved * late))
+    # stamps that run fast: the fixes are ahead by drift (t - t_0), and what is integrated over stretched intervals is too much: velocity in
+    # any case, gravity where increments are summed, the whole acceleration and rate where means or samples are
+    gravity = np.array([0.0, 0.0, 1.0]) * earth.gravity(motion.llh[:, 0], motion.llh[:, 2])[:, None]
+    a_b = np.einsum("nji,nj->ni", motion.C, gravity if motion.summed else motion.f_n + gravity)
+    inputs = tuple((3 + i, np.ascontiguousarray(a_b[:, i])) for i in range(3))
+    if not motion.summed:
+        inputs += tuple((i, np.ascontiguousarray(motion.rate[:, i])) for i in range(3))
+    out.append(replace(_column("clock_drift", "imu", "drift", (), "drift", inputs, moved * late), runs=True))
     for i, name in enumerate(_AXES):
         axis = np.eye(3)[i]
         M = np.hstack([C[:, :, i], np.einsum("nij,nj->ni", C, np.cross(omega, axis))])
@@ -287,6 +303,10 @@ def columns_response(loop: Loop, motion: Motion, columns: Sequence[Column]) -> t
     axis = np.array([e[1] for e in entries], dtype=np.int64)
     column = np.array([e[0] for e in entries], dtype=np.int64)
     kernel.integrate_inputs(motion.t, np.ascontiguousarray(motion.C), motion.f_n, nodes.epoch, u, axis, column, D, ramp)
+    for j, c in enumerate(columns):
+        if c.runs:
+            way = np.cumsum(motion.vel * np.diff(motion.t, prepend=motion.t[0])[:, None], axis=0)[nodes.epoch]
+            D[1:, j, :3] += np.diff(way, axis=0)
     f = len(loop.result.fixes)
     M = np.zeros((f, 6, len(columns)))
     for j, c in enumerate(columns):

@@ -20,7 +20,7 @@ from insemu.gap import disagreement
 from insemu.gap import singular as _singular  # noqa: F401 (registers its candidates)
 from insemu.gap.band import Band
 from insemu.gap.candidates import CANDIDATES, AxisState, Weighed, state_of, turn_on_bias
-from insemu.gap.evidence import Explanation, Likelihood, fit
+from insemu.gap.evidence import Component, Explanation, Likelihood, fit
 from insemu.gap.known import settled, starting_explanation
 from insemu.gap.reduced import Reduced, reduce
 from insemu.gap.verdict import GapReport, Interval, Member, Step, Value, VerdictName, Where
@@ -180,14 +180,14 @@ def tempered(state: AxisState) -> AxisState:
 
 
 def _reconsider(state: AxisState, found: list[Found], without: Collection[str]) -> tuple[AxisState, list[Found]]:
-    """Try to drop or to replace each earlier effect now that later ones are known; each keeps the gain with which it entered."""
+    """Try to drop or to replace each earlier effect now that later ones are known; none loses of the gain with which it entered."""
     seen: dict[str, int] = {}
     for f in list(found[:-1]):
         effect = f.chosen.effect
         occurrence = seen.get(effect, 0)
         seen[effect] = occurrence + 1
         slow = is_slow(f.chosen, state.data)
-        if effect in without or slow != is_slow(found[-1].chosen, state.data):
+        if _taken_out(f.chosen) or effect in without or slow != is_slow(found[-1].chosen, state.data):
             continue  # no more looked for, or of another band than what was added
         rest = _without(state.explanation, effect, occurrence)
         if rest is None:
@@ -200,8 +200,8 @@ def _reconsider(state: AxisState, found: list[Found], without: Collection[str]) 
         ranked = [w for w in rivals if w.gain > -LEAD and is_slow(w, state.data) == slow]
         kept = next((w for w in ranked if w.effect == effect), None)
         own = max(state.fitted.evidence - base.fitted.evidence, kept.gain if kept else -math.inf)
-        # gains beside the others become gains at entry
-        shift = f.chosen.gain - own
+        # worth what it was at entry, or more where only the others let it be seen
+        shift = max(f.chosen.gain - own, 0.0)
         moved = tuple(replace(w, gain=w.gain + shift) for w in ranked if w.effect != effect)
         if own < 0.0 and (not ranked or ranked[0].gain < LEAD):
             found = [g for g in found if g is not f]
@@ -232,7 +232,8 @@ def is_slow(w: Weighed, data: Reduced) -> bool:
 def _taken_out(w: Weighed) -> bool:
     if w.effect == "telegraph":
         return w.variant == "levels"
-    return w.effect in ("vibration_line", "outliers", "dropped_samples", "saturation", "quantization")
+    plain = ("vibration_line", "outliers", "dropped_samples", "saturation")
+    return w.effect in plain or w.variant == "output counts"
 
 
 def _without(explanation: Explanation, effect: str, occurrence: int = 0) -> Explanation | None:
@@ -334,17 +335,23 @@ def held_out(result: AxisResult, nominal: Explanation, test: Reduced, temperatur
     """
     before = score(test, nominal)
     bonus = 0.0
+    twins: list[Component] = []
     state = AxisState(test, fit(Likelihood(test), replace(result.end.explanation, regressors=())), temperature)
     for f in result.found:
-        if _taken_out(f.chosen) and f.chosen.variant not in ("integrated", "output counts"):
-            name = "vibration_line" if f.chosen.effect == "vibration_line" else f.chosen.effect
-            tried = [w for w in CANDIDATES[name](state) if w.effect == f.chosen.effect]
-            if tried and max(tried, key=lambda w: w.gain).gain > 0.0:
-                best = max(tried, key=lambda w: w.gain)
+        if _taken_out(f.chosen) and f.chosen.effect not in ("quantization", "saturation"):
+            tried = [w for w in CANDIDATES[f.chosen.effect](state) if w.gain > 0.0]
+            if not tried:
+                continue
+            best = max(tried, key=lambda w: w.gain)
+            state = best.state
+            if best.effect == "telegraph" and best.variant != "levels":
+                twins.append(state.explanation.components[-1])  # scored with the model, not taken out
+            else:
                 bonus += best.gain
-                state = best.state
     final = state.data
     explanation = result.end.explanation
+    for twin in twins:
+        explanation = explanation.with_component(twin)
     after = score(final, explanation, _regressor_prediction(result.end, final, temperature))
     plain = score(final, nominal) if bonus else before
     gain = after.log_score - plain.log_score + bonus

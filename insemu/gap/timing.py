@@ -24,6 +24,8 @@ FIRST, LARGEST = 0.06, 0.6
 LEAST_S, LEAST_NATS = 0.03, 100.0
 #: Share of the innovations' mean square that must go with it: an effect that explains less is not the reason.
 LEAST_SHARE = 0.5
+#: Mean square of the normalised innovations below which no large offset can hide.
+SUSPICIOUS = 1.5
 
 
 def find_offset(
@@ -49,6 +51,8 @@ def find_offset(
         return known[offset]
 
     base, square = flown(0.0)
+    if square < SUSPICIOUS:
+        return None
     step = FIRST
     sides = {s: flown(s * step)[0] for s in (-1.0, 1.0)}
     side = max(sides, key=lambda s: sides[s])

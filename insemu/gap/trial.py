@@ -303,7 +303,7 @@ def run_dynamic(
             size = 0.1 * math.sqrt(target / max(half, 1e-9))
         else:
             size = (
-                0.3
+                1.0
                 * s.truth["gyro_x"].processes[0].parameters["N"]
                 / math.sqrt(s.imu.dt)
                 * float(rng.choice([1.0, 2.0]))
@@ -321,11 +321,11 @@ def run_dynamic(
         cut = start + NAMING_SHARE * (float(seen.imu.t[-1]) - start)
         whole, late, fixes = oracle(s, clean, seen, uses, cut)
         held = late / max(fixes, 1)
-        if math.isfinite(whole):
-            hidden = [
-                replace(h, nats=max(whole - 3.0, 0.0)) if len(uses) == 1 and not math.isfinite(h.nats) else h
-                for h in hidden
-            ]
+        for k, (u, h) in enumerate(zip(uses, hidden, strict=True)):
+            if not math.isfinite(h.nats):
+                alone = whole if len(uses) == 1 else oracle(s, clean, clean.on(s.record((u,))), (u,), cut)[0]
+                # an amplitude and a time constant are worth about three nats to pay for
+                hidden[k] = replace(h, nats=max(alone - 3.0, 0.0)) if math.isfinite(alone) else h
     g = report.gap_after
     return Trial(
         "dynamic", seed, tuple(hidden), outside, s.track, report.verdict, said(report), (g.value, g.low, g.high), report.held_out.value, held,
@@ -523,7 +523,8 @@ def same(hidden: Hidden, effect: str, sensor: str, axes: Sequence[str], *, axis:
 class Scores:
     """What the trial says, as shares ``(count, of)``.
 
-    A recording is detected where anything was said at all (a step, or "unexplained"); "unexplained" names nothing, so it never counts as right.
+    Several hidden effects are scored where each is worth 20 nats or more (or the trial has no measure of it). A recording is detected where
+    anything was said at all (a step, or "unexplained"); "unexplained" names nothing, so it never counts as right.
     """
 
     recordings: int
@@ -558,7 +559,7 @@ def score_trials(trials: Sequence[Trial]) -> Scores:
     """Score a trial."""
     clean = [t for t in trials if not t.hidden and not t.outside]
     single = [t for t in trials if len(t.hidden) == 1 and not t.outside]
-    many = [t for t in trials if len(t.hidden) > 1]
+    many = [t for t in trials if len(t.hidden) > 1 and not any(h.nats < 20.0 for h in t.hidden)]
     outside = [t for t in trials if t.outside]
 
     def first_right(t: Trial, axis: bool = True) -> bool:

@@ -191,9 +191,18 @@ class RecordedSignal(Section):
         default=None,
         description="which piece each realization takes, counted from 0 over all files; the natural order where absent",
     )
-    remove_mean: Literal["record", "piece", "none"] = Field(
-        default="record", description="what the mean is taken over and removed"
+    remove_mean: Literal["record", "piece", "none"] | tuple[Seconds, Seconds] = Field(
+        default="record",
+        description="what the mean is taken over and removed; [from, to]: a span of every record, counted after the warm-up",
     )
+
+    @field_validator("remove_mean", mode="before")
+    @classmethod
+    def _known_span(cls, value: Any) -> Any:
+        known = ("record", "piece", "none")
+        if value in known or (isinstance(value, list | tuple) and len(value) == 2):
+            return value
+        raise InputError(f"found {value!r}, expected one of: {', '.join(known)}; or a span [from, to]")
 
 
 def _models(value: Mapping[str, Any], kind: type[Section]) -> dict[str, Any]:
@@ -368,6 +377,16 @@ class Tuning(Section):
     velocity: float = Field(default=1.0, gt=0)
 
 
+class ZeroUpdates(Section):
+    """Zero velocity and zero angular rate as measurements at rest, which is found from the IMU and the fixes (never during an outage)."""
+
+    every: Seconds = Field(default=1.0, gt=0, description="time between updates")
+    velocity_sigma: Speed | None = Field(default=0.01, gt=0, description="standard deviation; null: no zero velocity")
+    rate_sigma: Annotated[float, BeforeValidator(_quantity("rad/s")), _schema("rad/s")] | None = Field(
+        default=1e-4, gt=0, description="standard deviation; null: no zero rate"
+    )
+
+
 class DesignOptions(Section):
     """How a design's filter runs."""
 
@@ -378,6 +397,9 @@ class DesignOptions(Section):
     prefilter: Prefilter | None = None
     states: CalibrationStates = CalibrationStates()
     tuning: Tuning = Tuning()
+    zero_updates: ZeroUpdates | None = Field(
+        default=None, description="zero-velocity and zero-rate updates; {}: as usual"
+    )
     compensate: EffectList = Field(
         default=(),
         description="effects that are taken off the data before the filter: {effect: id, sensor: gyro, parameter: value}",
@@ -568,7 +590,14 @@ class RecordingSource(Section):
         default=None, description="a vehicle that moves where it points, for the gap workflow; null: no wheels"
     )
     gravity: Literal["normal", "free_air_first_order"] = "normal"
-    zero_velocity_updates: bool = Field(default=False, description="feed zero velocity where GNSS shows a standstill")
+    zero_velocity_updates: bool = Field(
+        default=False, description="feed every design zero velocity and rate at rest (zero_updates: one design)"
+    )
+    alignment: Literal["auto", "rest", "motion"] = Field(
+        default="auto",
+        description="where the filters start: at the first rest, level from gravity and heading from the first course; in motion, from "
+        "specific force and the fixes' velocity; or in motion where that is possible",
+    )
 
 
 class Scenario(Section):

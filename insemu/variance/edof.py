@@ -203,25 +203,28 @@ def noise_type(scale_samples: Scales, value: Array, n_samples: int, *, drift: bo
     return NoiseType([(*names[k], float(weights[k])) for k in found], moves)
 
 
-#: Correlation of the estimates of octaves 0, 1, 2.. apart for white noise and for random walk (from the exact covariance of long records).
+#: Correlation of the estimates of octaves 0, 1, 2.. apart for quantization noise, white noise and random walk (exact, long records).
 OCTAVES_TOGETHER = np.array(
     [
+        [1.0, 0.400, 0.513, 0.513, 0.513, 0.513, 0.513, 0.513],
         [1.0, 0.528, 0.186, 0.066, 0.023, 0.008, 0.003, 0.001],
         [1.0, 0.885, 0.671, 0.483, 0.342, 0.242, 0.170, 0.119],
     ]
 )
+#: What it falls by per octave beyond the table.
+_BEYOND = np.array([1.0, 0.5, np.sqrt(0.5)])
 
 
 def octave_correlation(noise: NoiseType, m: Array) -> Array:
-    """Correlation matrix of the estimates of successive octaves, between that of white noise and of random walk by the local slope."""
-    walk = np.clip(0.5 + 0.25 * np.log2(noise.variance(2.0 * m) / noise.variance(0.5 * m)), 0.0, 1.0)
+    """Correlation matrix of the estimates of successive octaves, between those of the three straight slopes by the local slope."""
+    slope = 0.5 * np.log2(noise.variance(2.0 * m) / noise.variance(0.5 * m))
+    quantized, walk = np.clip(-1.0 - slope, 0.0, 1.0), np.clip(0.5 + 0.5 * slope, 0.0, 1.0)
+    shares = np.sqrt(np.array([quantized, 1.0 - quantized - walk, walk]))
     apart = np.abs(np.subtract.outer(np.arange(m.size), np.arange(m.size)))
     last = OCTAVES_TOGETHER.shape[1] - 1
-    # further apart the correlation falls by 2 and by sqrt(2) per octave
-    tail = np.array([0.5, np.sqrt(0.5)])[:, None, None] ** np.maximum(apart - last, 0)
-    white, walked = OCTAVES_TOGETHER[:, np.minimum(apart, last)] * tail
-    # a sum of two independent parts stays a correlation matrix
-    return np.asarray(np.sqrt(np.outer(1.0 - walk, 1.0 - walk)) * white + np.sqrt(np.outer(walk, walk)) * walked)
+    each = OCTAVES_TOGETHER[:, np.minimum(apart, last)] * _BEYOND[:, None, None] ** np.maximum(apart - last, 0)
+    # sums of independent parts: a correlation matrix again
+    return np.asarray(np.einsum("ki,kij,kj->ij", shares, each, shares))
 
 
 @lru_cache(maxsize=512)

@@ -43,7 +43,7 @@ _MISFIT = 0.1
 _ROLL_OFF = 0.003
 
 #: How much closer a Markov noise must follow the curve than power laws alone to be believed, in chi-square.
-_MARKOV = 4.0
+_MARKOV = 2.5
 
 #: Growth of chi-square at the end of a 95 % interval, and without a coefficient that is to count as visible (2.5 standard deviations).
 _CHI_SQUARE, _VISIBLE = 3.84, 6.25
@@ -194,7 +194,8 @@ def _power_laws(curve: AllanVariance, noise: NoiseType) -> NoiseType | None:
     for _ in range(4):
         distance, weights = best(laws, level)
         level = np.maximum(
-            sum(w * 2.0 * component_variance(kind, tc, m) for (kind, tc), w in zip(laws, weights, strict=True)), 1e-3 * value
+            sum(w * 2.0 * component_variance(kind, tc, m) for (kind, tc), w in zip(laws, weights, strict=True)),
+            1e-3 * value,
         )
     freedom = value.size - np.count_nonzero(weights)
     if freedom < 3 or distance > chdtri(freedom, 0.01):
@@ -250,7 +251,9 @@ def _fit(
     spread = np.sqrt(2.0 / edof * (chance**2 + 2.0 * chance * certain))
     covariance = octave_correlation(noise, curve.m[use].astype(float)) * np.outer(spread, spread)
     covariance += np.diag((misfit + 1e-8) * level**2)
-    white = np.linalg.solve(np.linalg.cholesky(covariance), np.column_stack([basis[:, at], np.delete(basis, at, axis=1), value]))
+    white = np.linalg.solve(
+        np.linalg.cholesky(covariance), np.column_stack([basis[:, at], np.delete(basis, at, axis=1), value])
+    )
     without = nnls(white[:, 1:-1], white[:, -1])[1] if len(exponents) > 1 else np.linalg.norm(white[:, -1])
     if without**2 - nnls(white[:, :-1], white[:, -1])[1] ** 2 < _VISIBLE:
         return None

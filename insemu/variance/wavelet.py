@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 Transform = Literal["modwt", "dwt"]
 
 #: Scales of a record in memory up to this many samples use every coefficient (longer ones: see :func:`stream_wavelet_variance`).
-IN_MEMORY_OVERLAP = 1 << 24
+IN_MEMORY_OVERLAP = 1 << 23
 
 
 @dataclass(frozen=True)
