@@ -31,7 +31,7 @@ def main() -> None:
     )
     prepared = prepare(recording, nominal, fast_parts(recording), {})  # compiles
     find_gap(recording, nominal, rng=rng, hold_out=False)
-    filter_s = prepared.again(prepared.gnss).result.seconds
+    filter_s = prepared.again().result.seconds
     rows = []
     for label, hold_out in (("drive, 20 min at 100 Hz", False), ("the same with held-out scoring", True)):
         start = time.perf_counter()

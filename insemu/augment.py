@@ -362,7 +362,7 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
         try:
             block = _block(model.at_rate(1.0 / dt), dt)
         except InputError as error:
-            raise InputError(str(error), where=f"belief of {axis}") from None
+            raise type(error)(str(error), where=f"belief of {axis}") from None
         names += [f"{axis}.{name}" for name in block.names]
         blocks.append(block)
         axis_of += [a] * block.n

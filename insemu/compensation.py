@@ -83,7 +83,7 @@ def columns_without(values: Array, t: Array, effects: Sequence[EffectUse], tempe
     """Take effects off six columns of rates and forces (n, 6), which need no knowledge of the motion; see :func:`compensated`."""
     out = np.array(values, dtype=float)
     for sensor, at in (("gyro", slice(0, 3)), ("accel", slice(3, 6))):
-        out[:, at] -= _added([use for use in effects if use.sensor == sensor], t, temperature)
+        out[:, at] -= added_signal([use for use in effects if use.sensor == sensor], t, temperature)
     force = _solved(out[:, 3:], [use for use in effects if use.sensor == "accel"])
     sensitivity = sum(
         (np.array(use["value"]).reshape(3, 3) for use in effects if use.id == "g_sensitivity"), np.zeros((3, 3))
@@ -121,7 +121,7 @@ def _imu(imu: ImuRecord, effects: Sequence[EffectUse], trajectory: Trajectory | 
     return replace(imu, t=t, gyro=rate * step, accel=force * step)
 
 
-def _added(effects: Sequence[EffectUse], t: Array, temperature: Array | None) -> Array:
+def added_signal(effects: Sequence[EffectUse], t: Array, temperature: Array | None) -> Array:
     """What the effects add whatever the signal, (n, 3)."""
     out = np.zeros((t.size, 3))
     for use in effects:

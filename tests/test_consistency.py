@@ -142,9 +142,9 @@ def test_observability_tells_what_the_fixes_taught():
     options = FilterOptions(output_every=100)
     with_fixes = run_filter(imu, gnss, start, cases.START_SIGMA, cases.MODEL_15, options=options)
     without = run_filter(imu, None, start, cases.START_SIGMA, cases.MODEL_15, options=options)
-    share = c.observability(with_fixes, without.sigma)
+    share = c.observability(with_fixes.sigma, without.sigma)
     assert share[-1, :3].min() > 0.99
     assert ((share[-1] > -1e-9) & (share[-1] < 1)).all()
     np.testing.assert_array_equal(share[0], 0)
     with pytest.raises(InputError, match="shape"):
-        c.observability(with_fixes, without.sigma[:3])
+        c.observability(with_fixes.sigma, without.sigma[:3])

@@ -14,16 +14,19 @@ from insemu.errors import InputError
 from insemu.evaluate import (
     Results,
     bootstrap_mean,
+    consistency_words,
     navigation_error,
     outage_table,
     paired_ratio,
+    published_cells,
     rank_agreement,
+    single_run_agreement,
     summary,
     verdicts,
     within_outage,
     write,
 )
-from insemu.evaluate.results import DesignInfo, Innovations
+from insemu.evaluate.results import DesignInfo, Innovations, Smoothed
 from insemu.records import Trajectory
 
 
@@ -115,6 +118,62 @@ def test_the_order_of_designs_is_held_against_a_published_one() -> None:
     other = {"planimetric_end_m": {"one": (5.0,), "two": (9.0,), "three": (4.0,)}}
     assert rank_agreement(replace(three, published=other)) == [pytest.approx(-1.0)]
     assert rank_agreement(r) == []
+
+
+def test_a_single_run_can_be_asked_for_the_order() -> None:
+    """Three designs whose errors are multiples of each other: every run knows the order; independent ones know nothing of it."""
+    r = results(runs=200)
+    rng = np.random.default_rng(3)
+    published = {"planimetric_end_m": {"one": (1.0,), "two": (2.0,), "three": (3.0,)}}
+    changes = {
+        "sigma": np.ones((3, *r.sigma.shape[1:])),
+        "nees": np.ones((3, *r.nees.shape[1:])),
+        "designs": dict(r.designs) | {"three": r.designs["one"]},
+        "outages": [(20.0, 10.0)],
+        "published": published,
+    }
+    same = replace(r, error=np.stack([r.error[0], 2 * r.error[0], 3 * r.error[0]]), **changes)
+    assert single_run_agreement(same).tolist() == [1.0] * 200
+    noise = replace(r, error=rng.standard_normal((3, *r.error.shape[1:])), **changes)
+    # the variance of tau of three unrelated items is 2 (2 n + 5) / (9 n (n - 1)) = 11 / 27: mean of 200 at five sigma
+    assert abs(single_run_agreement(noise).mean()) < 5 * np.sqrt(11 / 27 / 200)
+    assert single_run_agreement(replace(noise, published={})).size == 0
+
+
+def test_published_figures_need_not_be_complete() -> None:
+    r = replace(
+        results(),
+        outages=[(20.0, 10.0), (60.0, 20.0)],
+        published={"planimetric_max_m": {"one": (None, 4.0)}, "north_max_m": {"one": (1.0, 2.0), "two": (1.0, None)}},
+    )
+    assert r.headline_figure == "planimetric_max_m"
+    rows = outage_table(r)["one"]
+    assert [c[:2] for c in published_cells(r, "planimetric_max_m")] == [("one", 1)]
+    assert published_cells(r, "north_max_m")[1][2:] == (rows[1]["north_max_m"], 2.0)
+    largest = np.abs(r.error[0][:, 61:81, 0]).max(axis=1).mean()
+    assert rows[1]["north_max_m"] == pytest.approx(largest)
+
+
+def test_verdicts_on_consistency_say_what_is_wrong() -> None:
+    """The filter by hand is right; half its sigma is not; a smoother is judged by its own errors; correlated innovations are named."""
+    good = results(runs=60)
+    assert all(": consistent" in w or "white" in w for w in consistency_words(good, "one"))
+    assert all(v["passed"] for v in summary(good)["designs"]["one"]["consistency"])
+    small = results(runs=60, sigma=0.5)
+    assert "overconfident at 3 of 3 epochs" in consistency_words(small, "one")[0]  # the second outage has no length
+    smoothed = Smoothed(0.5 * good.error, 0.25 * good.sigma, 4.0 * good.nees)
+    both = replace(good, smoothed=smoothed, outages=[(20.0, 10.0)])
+    words = consistency_words(both, "one")
+    assert (
+        words[0].endswith(": consistent")
+        and words[1].startswith("NEES of the smoother")
+        and words[1].endswith("overconfident")
+    )
+    row = outage_table(both)["one"][0]["smoothed"]
+    assert row["middle_rms_m"] == pytest.approx(0.5 * row["filter_middle_rms_m"])
+    assert row["coverage_3sigma"]["position"] < 0.9
+    coloured = replace(good, innovations=replace(good.innovations, lag_sum=good.innovations.lag_sum + 60.0))
+    assert "correlated at 5 of 5 lags" in consistency_words(coloured, "one")[-1]
 
 
 def test_bootstrap_interval_covers() -> None:

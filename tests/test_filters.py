@@ -284,6 +284,50 @@ def test_permuting_the_sensor_axes_with_the_mounting_changes_nothing_but_their_n
     np.testing.assert_allclose(b.sigma[:, 9:12], a.sigma[:, 9:12] @ np.abs(turn).T, rtol=1e-6)
 
 
+def test_rotating_the_heading_rotates_the_errors(road):
+    """The whole flight turned about the vertical, with everything that is drawn: errors and covariance turn with it.
+
+    The Earth's rotation and curvature do not turn: over 40 s they tilt one flight against the other by 3 mrad, 0.03 m/s^2 of the specific force
+    whose horizontal part, about 1 m/s^2, ties the errors together.
+    """
+    angle = 2.0
+    turn = rotation.dcm_from_rpy([0.0, 0.0, angle])
+    R = np.kron(np.eye(3), turn)
+    rng = np.random.default_rng(4)
+    imu = cases.corrupt(road.imu, MODEL_15, rng)
+    noise = rng.standard_normal((60, 3)) * 0.05
+    draw = rng.standard_normal(9) * np.repeat([0.5, 0.1, 0.02], 3)
+
+    def fly(by):
+        start = road.nav[0].copy()
+        start[3:6] = by @ start[3:6]
+        start[6:10] = rotation.quaternion_from_dcm(by @ rotation.dcm_from_quaternion(start[6:10]))
+        state = strapdown.NavState(start[:3], start[3:6], rotation.rpy_from_quaternion(start[6:10]))
+        nav = strapdown.mechanize_array(road.imu, state)
+        rows = np.array([k for k in range(100, road.t.size, 100) if not 1500 < k <= 2200])
+        arm = np.einsum("kij,j->ki", rotation.dcm_from_quaternion(nav[rows, 6:10]), np.array(LEVER))
+        llh = earth.move(nav[rows, :3], arm + noise[: rows.size] @ by.T)
+        gnss = GnssRecord(road.t[rows], llh, None, np.full((rows.size, 3), 0.05))
+        moved = np.append(nav[0], np.zeros(3))
+        strapdown.correct(moved, -np.kron(np.eye(3), by) @ draw)
+        begin = strapdown.NavState(moved[:3], moved[3:6], rotation.rpy_from_quaternion(moved[6:10]))
+        sigma = InitialSigma(position=0.5, velocity=0.1, attitude=0.02)
+        options = FilterOptions(covariance_at=(14.0, 22.0, 40.0), output_every=100)
+        r = run_filter(imu, gnss, begin, sigma, MODEL_15, lever_arm=LEVER, options=options)
+        at = [14, 22, 40]
+        return strapdown.navigation_errors(r.nav[at], nav[np.array(at) * 100]), r.covariance
+
+    (error, P), (turned_error, turned_P) = fly(np.eye(3)), fly(turn)
+    sd = np.sqrt(np.einsum("kii->ki", turned_P[:, :9, :9]))
+    scale = sd[:, :, None] * sd[:, None, :]
+    assert (np.abs(turned_P[:, :9, :9] - R @ P[:, :9, :9] @ R.T) / scale).max() < 0.05
+    assert (np.abs(turned_P[:, 9:, 9:] - P[:, 9:, 9:]) / P[:, 9:, 9:].max()).max() < 1e-5
+    assert (np.abs(turned_error - error @ R.T) / sd).max() < 0.05
+    # unturned they differ: the law says something
+    assert (np.abs(turned_P[:, :9, :9] - P[:, :9, :9]) / scale).max() > 0.5
+    assert (np.abs(turned_error - error) / sd).max() > 1.0
+
+
 # -- fixes at their own times -----------------------------------------------------------------------------------------------------------
 
 

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from insemu.errors import InputError
 from insemu.fit import FitResult, fit, kalibr, save
 from insemu.fit.covariance import model_covariance
-from insemu.fit.gmwm import fit_curve
+from insemu.fit.gmwm import Solution, finite_record_bias, fit_curve
 from insemu.fit.structure import Structure, natural_jacobian
 from insemu.noise import AR, AR1, BI, DR, GM, MA, QN, RW, SIN, WN, NoiseModel, load
 from insemu.records import Series
@@ -83,7 +83,8 @@ def test_a_curve_without_scatter_gives_its_model_back(truth):
     n = 1 << 18
     x = wavelet_variance(np.random.default_rng(1).standard_normal(n), rate)
     curve = replace(x, value=model.wavelet_variance(x.scale_samples, 1.0 / rate))
-    result = fit_curve(curve, NoiseModel.parse(structure))
+    # the minimum itself: estimates in the model's own weights are corrected for a bias that such a curve does not have
+    result = fit_curve(curve, NoiseModel.parse(structure), weighting="intervals")
     assert result.objective < 1e-10
     assert_allclose(result.fitted, curve.value, rtol=1e-4)
     ordered = sorted(model, key=lambda p: (p.symbol, -p.parameters.get("phi", 0), p.parameters.get("beta", 0)))
@@ -172,6 +173,39 @@ def test_jacobian_equals_finite_differences(model):
         up = p.with_parameters({name: value + h}).wavelet_variance(2 * m, 1 / rate)
         down = p.with_parameters({name: value - h}).wavelet_variance(2 * m, 1 / rate)
         assert_allclose(column, (up - down) / (2 * h), rtol=2e-5, atol=1e-7 * np.abs(column).max())
+
+
+def test_weights_follow_the_length_of_the_record_and_whether_the_model_holds():
+    rng = np.random.default_rng(6)
+    x = (WN(0.1) + RW(0.02)).simulate(100_000, 0.01, rng)
+    used = {
+        label: fit(signal, model, rate_hz=100.0).details["weighting"]
+        for label, signal, model in (
+            ("long", x, "WN() + RW()"),
+            ("short", x[:60_000], "WN() + RW()"),
+            ("wrong", x, "WN()"),
+        )
+    }
+    assert used == {"long": "asymptotic", "short": "intervals", "wrong": "intervals"}
+    long = fit(x, "WN() + RW()", rate_hz=100.0)
+    assert long.to_json()["weighting"] == "asymptotic"
+    same = fit(x, "WN() + RW()", rate_hz=100.0, weighting="asymptotic")
+    assert [e.value for e in long.parameters] == [e.value for e in same.parameters]
+
+
+def test_curvature_bias_of_a_root_is_the_closed_form():
+    # N is the root of a linear estimate of N^2, so to second order its mean is low by half of its relative variance
+    rng = np.random.default_rng(7)
+    result = fit(WN(0.1).simulate(3000, 1.0, rng), "WN()", rate_hz=1.0, weighting="asymptotic")
+    structure = Structure.of(result.structure, 1.0)
+    d = result.details
+    coefficients, shapes = structure.internal(result.model)
+    at = Solution(coefficients, shapes, 0.0, True)
+    bias = finite_record_bias(
+        structure, at, d["free"], result.covariance, d["scales"], d["W"], d["curve_covariance"], result.n_samples
+    )
+    relative = result["WN1.N"].standard_error / result["WN1.N"].value
+    assert_allclose(bias[0] / result["WN1.N"].value, -0.5 * relative**2, rtol=0.02)
 
 
 def test_given_values_are_held():

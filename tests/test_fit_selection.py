@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 from insemu.cli import app
 from insemu.errors import InputError
+from insemu.fit.covariance import model_covariance
 from insemu.fit.selection import nested, prediction_distance, rank_models, select
 from insemu.noise import AR, GM, RW, WN, NoiseModel, load
 from insemu.variance import wavelet_variance
@@ -67,6 +68,34 @@ def test_prediction_distance_is_one_for_the_truth_and_large_for_another():
     assert abs(np.mean(found) - 1.0) < 4.5 * error / np.sqrt(40)
     assert np.std(found) < 2.0 * error
     assert prediction_distance(WN(0.12) + RW(0.02), curve_of(truth))[0] > 20
+
+
+def test_prediction_error_grows_with_the_scatter_of_the_fit():
+    truth = WN(0.1) + RW(0.02)
+    curve = curve_of(truth, n=20_000)
+    V = model_covariance(truth, curve.n_samples, curve.scale_samples, 0.01)
+    one, both = (prediction_distance(truth, curve, fit_covariance=C) for C in (None, V))
+    assert one[0] == both[0]
+    assert both[1] == pytest.approx(2.0 * one[1], rel=1e-12)
+
+
+def test_a_long_log_is_fitted_in_pieces_by_integrated_likelihood(tmp_path, monkeypatch):
+    x = (WN(0.1) + GM(0.1, 0.5)).simulate(30_000, 0.01, np.random.default_rng(4))
+    np.save(tmp_path / "log.npy", x)
+    arguments = ["fit", str(tmp_path / "log.npy"), "--rate", "100 Hz", "--method", "mli", "--model", "WN() + GM()"]
+    held = CliRunner().invoke(app, [*arguments, "--skip", "10 s", "--json"])
+    monkeypatch.setattr("insemu.fit.likelihood.LARGE", 10_000)
+    streamed = CliRunner().invoke(app, [*arguments, "--skip", "10 s", "--json"])
+    assert held.exit_code == streamed.exit_code == 0, streamed.output
+    one, other = (json.loads(r.stdout)["axes"]["log"] for r in (held, streamed))
+    assert one["n_samples"] == other["n_samples"] == 29_000
+    for a, b in zip(one["parameters"], other["parameters"], strict=True):
+        assert b["value"] == pytest.approx(a["value"], rel=1e-4)
+    bad = x.copy()
+    bad[20_000] = np.nan
+    np.save(tmp_path / "log.npy", bad)
+    ran = CliRunner().invoke(app, arguments)
+    assert isinstance(ran.exception, InputError) and "finite" in str(ran.exception)
 
 
 def a_log(tmp_path, model, columns=("gx", "az"), n=20_000):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,14 +14,16 @@ from scipy.linalg import toeplitz
 from insemu.errors import InputError
 from insemu.gap import find_static_gap, kernel, load_nominal
 from insemu.gap.band import Band
-from insemu.gap.candidates import state_of
+from insemu.gap.candidates import CANDIDATES, state_of, turn_on_bias
 from insemu.gap.disagreement import axis_tests
 from insemu.gap.evidence import Explanation, Likelihood, regression_evidence
 from insemu.gap.reduced import block_differences, difference_covariance, reduce
 from insemu.gap.singular import lattice
-from insemu.gap.static_log import weigh_all
-from insemu.noise import BI, GM, QN, RW, WN, NoiseModel
-from insemu.records import Series
+from insemu.gap.sources import static_of
+from insemu.gap.static_log import is_shaken, remainder, search, tempered, weigh_all
+from insemu.gap.verdict import Member, Step, Where
+from insemu.noise import BI, GM, QN, RC, RW, WN, NoiseModel
+from insemu.records import ImuRecord, Recording, Series
 
 DT, N = 0.05, 36_000
 
@@ -96,6 +99,21 @@ def test_switching_likelihood_without_switching_is_the_scalar_kalman_filter() ->
         m, v = m + v / s * (value - m), v / s
     got = kernel.switching_log_likelihood(y, 1.0, 1.0, 0.01, 4.0, 0.0, 0.9, np.empty(200))
     assert got == pytest.approx(expected, rel=1e-12)
+
+
+def test_gaussian_twin_of_switching_levels_is_the_dense_gaussian() -> None:
+    rng = np.random.default_rng(2)
+    y = rng.standard_normal(40)
+    white, q, p0, a, stay = 0.7, 0.02, 5.0, 0.8, 0.9
+    k = np.arange(40)
+    C = (
+        p0
+        + q * np.minimum(k[:, None], k[None, :])
+        + a**2 * (2 * stay - 1) ** np.abs(k[:, None] - k[None, :])
+        + white * np.eye(40)
+    )
+    expected = -0.5 * (np.linalg.slogdet(2 * np.pi * C)[1] + y @ np.linalg.solve(C, y))
+    assert kernel.gauss_markov_log_likelihood(y, white, 1.0, q, p0, a, stay) == pytest.approx(expected, rel=1e-10)
 
 
 def test_regression_evidence_is_the_ratio_of_marginal_likelihoods() -> None:
@@ -205,6 +223,107 @@ def test_temperature_is_named_with_its_shape_and_a_held_out_gain() -> None:
     assert c1.low < 1e-4 < c1.high
     assert report.gap_after.low < 1.0 < report.gap_after.high
     assert report.gap_before.low > 1.0
+
+
+def test_temperature_is_named_before_the_random_walk_that_could_follow_it() -> None:
+    rng = np.random.default_rng(17)
+    T = 25.0 + 20.0 * np.sin(2 * np.pi * DT * np.arange(N) / 1500.0)
+    slow = RW(1e-4).simulate(N, DT, rng)
+    y = WN(1e-3).simulate(N, DT, rng) + 2e-4 * (T - 25.0) + 1e-5 * (T - 25.0) ** 2 + slow
+    state = state_of(reduce(log_of(y)), Explanation.nominal(NoiseModel((WN(1e-3),))), T)
+    fast = ("vibration_band", "vibration_line", "decimation_filter", "outliers", "quantization")
+    assert weigh_all(state, fast)[0].effect == "random_walk"  # by evidence alone the walk comes first
+    found = [f.chosen for f in search(state, without=fast, outsiders=False).found]
+    assert [w.effect for w in found] == ["temperature", "random_walk"]
+    assert found[0].variant == "cubic"
+    c1, c2 = (next(v for v in found[0].values if v.name == n) for n in ("c1", "c2"))
+    assert c1.low < 2e-4 + 2e-5 * (np.mean(T) - 25.0) < c1.high
+    assert c2.low < 1e-5 < c2.high
+
+
+def test_a_gauss_markov_process_is_not_led_by_telegraph_noise() -> None:
+    led = 0
+    for seed in range(4):
+        rng = np.random.default_rng([31, seed])
+        y = WN(1e-3).simulate(N, DT, rng) + GM(4e-4, 1 / 30).simulate(N, DT, rng)
+        state = state_of(reduce(log_of(y)), Explanation.nominal(NoiseModel((WN(1.1e-3),))))
+        gains = {e: max(w.gain for w in CANDIDATES[e](state)) for e in ("gauss_markov", "telegraph")}
+        led += gains["telegraph"] > gains["gauss_markov"]
+    assert led == 0
+
+
+def test_samples_clipped_at_the_full_scale_are_saturation_on_a_lattice_or_not() -> None:
+    rng = np.random.default_rng(18)
+    y = WN(1e-3).simulate(N, DT, rng)
+    state = state_of(reduce(log_of(y)), Explanation.nominal(NoiseModel((WN(1e-3),))))
+    assert not CANDIDATES["saturation"](state)
+    for lsb in (0.0, 2e-3):
+        counts = np.round(y / lsb) * lsb if lsb else y
+        state = state_of(reduce(log_of(np.clip(counts, -0.006, 0.006))), Explanation.nominal(NoiseModel((WN(1e-3),))))
+        (found,) = CANDIDATES["saturation"](state)
+        assert found.gain > 20.0
+        assert found.values[0].value == pytest.approx(0.006, rel=1e-6)
+        state = state_of(reduce(log_of(counts)), Explanation.nominal(NoiseModel((WN(1e-3),))))
+        assert all(w.gain < 3.0 for w in CANDIDATES["saturation"](state))
+
+
+def test_turn_on_bias_is_what_the_rotation_of_the_earth_cannot_be() -> None:
+    rng = np.random.default_rng(19)
+    y = WN(1e-3).simulate(N, DT, rng)
+    belief = Explanation.nominal(NoiseModel((WN(1e-3),)))
+    assert turn_on_bias(state_of(reduce(log_of(y + 7.2e-5)), belief))[0].gain < 0.0
+    (found,) = turn_on_bias(state_of(reduce(log_of(y + 5e-4)), belief))
+    assert found.gain > 10.0
+    assert found.values[0].low < 5e-4 < found.values[0].high
+    assert not turn_on_bias(state_of(reduce(log_of(y + 5e-4)), Explanation.nominal(NoiseModel((WN(1e-3), RC(1e-3))))))
+    assert not turn_on_bias(state_of(reduce(log_of(y + 5e-4, "accel_x")), belief))
+
+
+def test_samples_that_the_stamps_skip_are_filled_and_named() -> None:
+    rng = np.random.default_rng(20)
+    n = 12_000
+    t, keep = DT * np.arange(n), rng.random(n) > 0.01
+    y = np.stack([WN(1e-3).simulate(n, DT, rng) for _ in range(3)], axis=1)
+    imu = ImuRecord(t[keep], y[keep], 100.0 * y[keep], "mean")
+    log = static_of(Recording(imu=imu, source="x"))
+    assert log.missing is not None
+    np.testing.assert_array_equal(np.flatnonzero(log.missing), np.flatnonzero(~keep[: log.missing.size]))
+    report = find_static_gap(
+        log.axes[:1], {"gyro_x": NoiseModel((WN(1e-3),))}, rng=rng, missing=log.missing, hold_out=False
+    )
+    assert [(s.effect, s.sensor) for s in report.steps] == [("dropped_samples", "imu")]
+    share = report.steps[0].parameters[0]
+    assert share.low < 0.01 < share.high
+    half = rng.random(n) > 0.4
+    with pytest.raises(InputError, match="expected at most 20%"):
+        static_of(Recording(imu=ImuRecord(t[half], y[half], y[half], "mean"), source="x"))
+
+
+def test_what_remains_unexplained_is_said_and_takes_no_name_back() -> None:
+    step = Step(
+        "temperature", "cubic", "gyro", ("x",), (), 0.99, 900.0, (Member("temperature", "gyro", ("x",), 900.0),)
+    )
+    walk = replace(step, effect="random_walk", members=(Member("random_walk", "gyro", ("x",), 50.0),))
+    band = replace(step, effect="vibration_band")
+    left = [Where("whiteness", "gyro", "x", 10.0, 1e-9)]
+    assert not is_shaken(step, left, {})
+    assert is_shaken(walk, left, {})
+    assert not is_shaken(replace(walk, axes=("y",)), left, {})
+    assert not is_shaken(band, left, {})
+    assert is_shaken(band, [Where("stationarity", "gyro", "x", 10.0, 1e-9)], {})
+    assert remainder(left, {}) == "whiteness at 10 s on gyro x (p 1e-09)"
+    assert remainder([], {}) == ""
+
+
+def test_bins_that_no_model_fits_do_not_bend_the_others() -> None:
+    rng = np.random.default_rng(22)
+    data = reduce(log_of(WN(1e-3).simulate(N, DT, rng)))
+    loud = replace(
+        data, power=np.where(data.f > 5.0, data.power * (1.5 + 0.5 * np.sin(40.0 * np.log(data.f))), data.power)
+    )
+    state = state_of(loud, Explanation.nominal(NoiseModel((WN(1e-3),))))
+    bent, kept = (s.explanation.components[0].process.parameters["N"] for s in (state, tempered(state)))
+    assert abs(kept / 1e-3 - 1.0) < 0.5 * abs(bent / 1e-3 - 1.0)
 
 
 def test_out_of_catalogue_telegraph_noise_is_not_confidently_misnamed() -> None:

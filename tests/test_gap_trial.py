@@ -3,42 +3,88 @@
 from __future__ import annotations
 
 import json
+import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from insemu import formats
 from insemu.cli import main
+from insemu.effects import EFFECTS
 from insemu.errors import InputError
 from insemu.gap import load_nominal
-from insemu.gap.trial import STATIC_EFFECTS, Trial, known_effects, run_one, score_trials, static_recording
+from insemu.gap.hidden_drives import DYNAMIC_EFFECTS, OUTSIDE, TRACKS, Hidden, draw_use, stage
+from insemu.gap.trial import (
+    STATIC_EFFECTS,
+    Job,
+    Plan,
+    Said,
+    Trial,
+    interval,
+    known_effects,
+    run_static,
+    run_trial,
+    score_trials,
+    static_recording,
+)
 from insemu.noise import BI, WN
 from insemu.records import Series
 
 
-def trial(
-    hidden: str, found: tuple[str, ...], members: tuple[str, ...], right: bool = True, verdict: str = "named"
-) -> Trial:
-    return Trial(1, hidden, "x", 1.0, verdict, found, members, 0.99, 10.0, right, (1.0, 0.9, 1.1), 0.1)
+def said(effect: str, axis: str = "x", members: tuple[str, ...] = (), confidence: float = 0.99) -> Said:
+    inside = tuple((m, "gyro", (axis,)) for m in (effect, *members))
+    return Said(effect, "gyro", (axis,), confidence, 10.0, inside)
+
+
+def trial(hidden: tuple[str, ...], *steps: Said, verdict: str, nats: float = 30.0, outside: str = "") -> Trial:
+    what = tuple(Hidden(h, "gyro", ("x",), 1.0, nats) for h in hidden)
+    return Trial("static", 1, what, outside, "rest", verdict, steps, (1.0, 0.9, 1.1), 0.09, 0.1)
 
 
 def test_scores_count_names_classes_and_false_alarms() -> None:
     scores = score_trials(
         [
-            trial("none", (), (), verdict="nothing missing"),
-            trial("none", ("ramp x",), ("ramp",)),
-            trial("flicker", ("flicker x",), ("flicker",)),
-            trial("flicker", ("flicker y",), ("flicker",), right=False),
-            trial("flicker", ("ramp x",), ("ramp", "flicker"), verdict="class"),
-            trial("telegraph", (), (), verdict="nothing missing"),
+            trial((), verdict="nothing missing"),
+            trial((), said("ramp"), verdict="named"),
+            trial((), verdict="unexplained"),
+            trial(("flicker",), said("flicker"), verdict="named"),
+            trial(("flicker",), said("flicker", "y"), verdict="named", nats=3.0),
+            trial(("flicker",), said("ramp", members=("flicker",)), verdict="class"),
+            trial(("telegraph",), verdict="nothing missing"),
+            trial(("flicker", "ramp"), said("ramp"), said("flicker"), verdict="named"),
+            trial(("flicker", "ramp"), said("ramp"), said("flicker"), said("outliers"), verdict="named"),
+            trial((), said("flicker"), verdict="named", outside="sweep"),
+            trial((), said("flicker"), verdict="unexplained", outside="sweep"),
         ]
     )
-    assert scores.false_alarms == (1, 2)
+    assert scores.false_alarms == (2, 3)
+    assert scores.falsely_named == (1, 3)
     assert scores.named_right == (1, 2)
+    assert scores.effect_right == (2, 2)
     assert scores.in_class == (1, 1)
     assert scores.detected == (3, 4)
+    assert scores.strong_detected == (2, 3)
+    assert scores.strong_top_two == (2, 3)
+    assert scores.both_and_only == (1, 2)
+    assert scores.misnamed_outside == (1, 2)
+    assert scores.outside_unexplained == (1, 2)
     assert scores.confusion["flicker"] == {"flicker": 2, "ramp": 1}
     assert scores.mean_class_size == 2.0
+    assert scores.held_out_ratio == pytest.approx(0.9)
+
+
+def test_an_unexplained_verdict_is_never_a_right_name() -> None:
+    scores = score_trials([trial(("flicker",), said("flicker"), verdict="unexplained")])
+    assert scores.named_right == (0, 0)
+    assert scores.unexplained == (1, 1)
+    assert scores.detected == (1, 1)
+
+
+def test_intervals_of_shares_are_clopper_and_pearson() -> None:
+    assert interval(0, 10) == pytest.approx((0.0, 1.0 - 0.025**0.1))
+    low, high = interval(7, 20)
+    assert (low, high) == pytest.approx((0.15391, 0.59219), abs=1e-5)
 
 
 @pytest.mark.parametrize("effect", STATIC_EFFECTS)
@@ -51,18 +97,83 @@ def test_every_effect_can_be_hidden_and_changes_one_axis_or_the_sensor(effect: s
     assert axis in (0, 1, 2)
 
 
+@pytest.mark.parametrize("track", TRACKS)
+def test_a_twin_differs_by_what_was_hidden_and_by_nothing_else(track: str) -> None:
+    s = stage(11, 3.0, 50.0, track=track)
+    clean, twin = s.record(), s.record()
+    np.testing.assert_array_equal(clean.imu.gyro, twin.imu.gyro)
+    rng = np.random.default_rng(3)
+    for effect in DYNAMIC_EFFECTS:
+        use, hidden = draw_use(effect, s, rng)
+        assert hidden.sensor in EFFECTS[effect].sensors
+        r = s.record((use,))
+        assert r.gnss is not None
+        assert clean.gnss is not None
+        moved = [
+            *(not np.array_equal(getattr(r.imu, k), getattr(clean.imu, k)) for k in ("t", "gyro", "accel")),
+            not np.array_equal(r.gnss.llh, clean.gnss.llh),
+            not np.array_equal(np.asarray(r.gnss.vel_ned), np.asarray(clean.gnss.vel_ned)),
+        ]
+        assert any(moved), effect
+        if hidden.sensor in ("gyro", "accel"):
+            other = "accel" if hidden.sensor == "gyro" else "gyro"
+            np.testing.assert_array_equal(getattr(r.imu, other), getattr(clean.imu, other), err_msg=effect)
+        if hidden.sensor == "gnss":
+            np.testing.assert_array_equal(r.imu.accel, clean.imu.accel, err_msg=effect)
+
+
+@pytest.mark.parametrize("outside", [o for o in OUTSIDE if o != "quadratic_accelerometer"])  # that is an effect of the table
+def test_what_no_catalogue_holds_is_in_the_recording(outside: str) -> None:
+    s = stage(11, 3.0, 50.0, track="car")
+    clean, other = s.record(), s.record((), outside, 0.5)
+    assert clean.gnss is not None
+    assert other.gnss is not None
+    assert not (np.array_equal(clean.gnss.llh, other.gnss.llh) and np.array_equal(clean.imu.gyro, other.imu.gyro))
+
+
 def test_a_strong_line_is_found_and_nothing_in_a_clean_log() -> None:
-    found = run_one("vibration_line", 4.0, 11, hours=0.3)
-    assert found.found[0].split()[0] == "vibration_line"
-    assert found.axis_right
-    assert run_one("none", 1.0, 12, hours=0.3).verdict == "nothing missing"
+    found = run_static(("vibration_line",), 4.0, 11, hours=0.3)
+    assert score_trials([found]).named_right == (1, 1)
+    assert run_static((), 1.0, 12, hours=0.3).verdict == "nothing missing"
+
+
+def test_a_trial_resumes_from_its_log_and_reads_back_what_it_wrote(tmp_path, monkeypatch) -> None:
+    ran: list[int] = []
+
+    def look(self: Job) -> Trial:
+        ran.append(self.seed)
+        return replace(trial(self.effects, verdict="nothing missing"), seed=self.seed, oracle=math.nan)
+
+    monkeypatch.setattr(Job, "run", look)
+    plan, log = Plan(("static",), recordings=4), tmp_path / "trial.jsonl"
+    first = run_trial(plan, log=log)
+    with log.open("a") as file:
+        file.write('{"job": "cut o')
+    second = run_trial(replace(plan, recordings=6), log=log)
+    assert len(ran) == 6
+    assert [t.seed for t in second[:4]] == [t.seed for t in first]
+    assert [t.hidden[:1] for t in second[:4]] == [t.hidden[:1] for t in first]
+    log.write_text("no log\n{}\n")
+    with pytest.raises(InputError, match=r"trial\.jsonl:1"):
+        run_trial(plan, log=log)
+
+
+def test_recordings_of_a_plan_do_not_depend_on_how_many_there_are() -> None:
+    few, many = (
+        list(Plan(("dynamic", "static"), recordings=5).jobs()),
+        list(Plan(("dynamic", "static"), recordings=9).jobs()),
+    )
+    assert few == many[:5]
+    several = list(Plan(("dynamic",), hidden=3, recordings=6).jobs())
+    assert all(len(set(j.effects)) == 3 for j in several)
+    assert all(not j.effects and j.outside for j in Plan(("static",), outside=True, recordings=4).jobs())
 
 
 def test_unknown_effects_are_refused() -> None:
     with pytest.raises(InputError, match="did you mean 'flicker'"):
         known_effects(["flickr"])
-    with pytest.raises(InputError, match="at rest cannot show"):
-        known_effects(["lever_arm"])
+    with pytest.raises(InputError, match="cannot hide 'lever_arm' in a static recording"):
+        known_effects(["lever_arm"], ["static"])
 
 
 def test_the_command_writes_a_report_and_a_refined_belief(tmp_path, capsys) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from insemu import rotation
+from insemu import earth, rotation
 from insemu.errors import InputError
 from insemu.evaluate import Experiment, run_experiment, summary
 from insemu.evaluate.world import World
@@ -93,6 +93,35 @@ def test_a_recorded_drive_is_aligned_flown_and_scored(
     if not with_reference:
         assert np.isnan(r.error[..., 6:]).all()
         assert outage["attitude_end_deg"] is None
+
+
+def test_fixes_between_rows_are_compared_with_one_side(tmp_path: Path, recording: Recording) -> None:
+    """Fixes 4 ms after the rows of a 50 Hz IMU: the epoch after an outage is scored before or after its fix, never in between."""
+    g = recording.gnss
+    assert g is not None and g.vel_ned is not None
+    later = replace(g, t=g.t + 0.004, llh=earth.move(g.llh, 0.004 * g.vel_ned))
+    write(tmp_path / "drive.npz", replace(_mounted(recording), gnss=later, reference=None))
+    path = _scenario(tmp_path)
+    r = run_experiment(Experiment(load(path), path))
+    # an error of metres held against a sigma of centimetres gives tens of thousands
+    assert r.nees[0, 0, r.t > 60].max() < 200
+
+
+def test_a_recorded_drive_is_smoothed_and_repeated_rows_are_told(tmp_path: Path, recording: Recording) -> None:
+    mounted = _mounted(recording)
+    rows = np.arange(len(mounted.imu))
+    rows[5::100] -= 1  # a row in a hundred is read twice
+    imu = mounted.imu
+    twice = replace(imu, gyro=imu.gyro[rows], accel=imu.accel[rows])
+    write(tmp_path / "drive.npz", replace(mounted, imu=twice))
+    path = _scenario(tmp_path, smoother=True)
+    r = run_experiment(Experiment(load(path), path))
+    assert r.smoothed is not None
+    row = summary(r)["designs"]["full"]["outages"][0]
+    assert row["smoothed"]["planimetric_max_m"] < row["planimetric_max_m"]
+    assert "of 10001 IMU rows (1.0%) repeat" in r.manifest["warnings"][0]
+    write(tmp_path / "drive.npz", mounted)
+    assert Experiment(load(path), path).world.warnings == ()
 
 
 def test_a_wrong_mounting_shows(tmp_path: Path, recording: Recording) -> None:

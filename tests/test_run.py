@@ -90,6 +90,49 @@ def test_realizations_are_the_same_alone_in_parallel_and_among_more(tmp_path: Pa
     assert not np.array_equal(few.error, other.error)
 
 
+def test_smoother_budget_and_published_figures_come_with_a_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    published = {
+        "source": "a paper",
+        "planimetric_mean_m": {"white": [1.5], "full": [1.0]},
+        "down_max_m": {"white": [None], "full": [0.5]},
+    }
+    out = tmp_path / "out"
+    path = write(tmp_path, smoother=True, published=published)
+    assert run(str(path), "--workers", "1", "--out", str(out), "--no-variants") == 0
+    told = " ".join(capsys.readouterr().out.split())
+    for words in ("Smoothed backwards", "NEES of the smoother", "Where the metres come from", "largest error down"):
+        assert words in told
+    full = json.loads((out / "summary.json").read_text())["designs"]["full"]
+    row, budget = full["outages"][0], full["error_budget"][0]
+    assert row["smoothed"]["middle_rms_m"] < row["smoothed"]["filter_middle_rms_m"]
+    assert sum(v**2 for v in budget["parts_rms_m"].values()) == pytest.approx(budget["rms_m"] ** 2, rel=1e-9)
+    # matched: what the analysis says is what the filter says
+    assert budget["rms_m"] == pytest.approx(row["predicted_sigma_end_m"], rel=0.02)
+    page = (out / "index.html").read_text()
+    assert "Smoothed" in page and "Where the metres come from" in page
+    assert (out / "smoothing.png").stat().st_size > 0 and (out / "budget.png").stat().st_size > 0
+    wrong = write(tmp_path, published={"source": "a paper", "planimetric_mean_m": {"wite": [1.0]}})
+    assert run(str(wrong), "--out", str(tmp_path / "no")) == 2
+    assert "'wite', which is no design here" in " ".join(capsys.readouterr().err.split())
+    none = write(tmp_path, published={"source": "a paper"})
+    assert run(str(none), "--out", str(tmp_path / "no")) == 2
+    assert "at least one of the keys planimetric_end_m" in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_smoother_changes_nothing_of_the_filter(tmp_path: Path) -> None:
+    path = write(tmp_path, variants={})
+    plain = run_experiment(Experiment(load(path), path))
+    smoothed = write_named(tmp_path, "smoothed.yaml", variants={}, smoother=True)
+    both = run_experiment(Experiment(load(smoothed), smoothed))
+    np.testing.assert_allclose(plain.error, both.error, rtol=1e-9, atol=1e-12)
+    assert plain.smoothed is None and both.smoothed is not None
+    # at the last epoch nothing is later: the smoother says what the filter says
+    np.testing.assert_allclose(both.smoothed.error[:, :, -1], both.error[:, :, -1], rtol=1e-6, atol=1e-9)
+    assert (both.smoothed.sigma[1] <= both.sigma[1] * (1 + 1e-6)).all()
+
+
 def test_an_interrupted_run_resumes(tmp_path: Path) -> None:
     path, cache = write(tmp_path), tmp_path / "cache"
 

@@ -15,6 +15,7 @@ COMMANDS: dict[str, str] = {
     "run": "run",
     "compare": "compare",
     "regress": "regress",
+    "designs": "designs",
     "characterise": "characterise",
     "fit": "fit",
     "select": "select",

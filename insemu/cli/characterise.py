@@ -44,6 +44,8 @@ def command(
     from insemu.formats.curves import read_curves
 
     console = Console(stderr=as_json)
+    if not console.is_terminal:
+        console.width = max(console.width, 100)  # a file or a pipe has no width to keep to
     rate_hz = units.parse(_number_or_text(rate), "Hz") if rate else None
     wanted = [name.strip() for text in columns or [] for name in text.split(",") if name.strip()] or None
     if Path(file).is_dir() or (Path(file).exists() and formats.recording.is_npz_recording(Path(file))):
@@ -146,16 +148,20 @@ def _unit_findings(log: Log, axes: Sequence[AxisReport]) -> dict[str, list[str]]
 
 def show(console: Console, axes: Sequence[AxisReport]) -> None:
     """Print readings and findings."""
+    from rich.box import SIMPLE_HEAD
     from rich.markup import escape
     from rich.table import Table
 
+    from insemu.variance.characterise import duration, grouped_findings
+
     first = axes[0]
     console.print(
-        f"{len(axes)} column(s), {first.samples} samples at {first.rate_hz:g} Hz ({first.samples / first.rate_hz / 3600:.3g} h)"
+        f"{len(axes)} column(s), {first.samples} samples at {first.rate_hz:g} Hz ({duration(first.samples / first.rate_hz)})"
     )
-    table = Table(
-        "axis", "reading", "value", "95 % interval", "unit", "read from (s)", title="Readings", title_justify="left"
-    )
+    table = Table("axis", "reading", "value", "95 % interval", "unit", "read from (s)", box=SIMPLE_HEAD, padding=(0, 1))
+    for column in table.columns:
+        column.no_wrap = True
+    absent: dict[str, list[str]] = {}
     for axis in axes:
         for name, r in axis.readings.items():
             table.add_row(
@@ -166,11 +172,15 @@ def show(console: Console, axes: Sequence[AxisReport]) -> None:
                 r.unit,
                 f"{r.tau_from_s:.3g} to {r.tau_to_s:.3g}",
             )
-        table.add_row(
-            escape(axis.name), ", ".join(axis.not_visible), "not visible in this record", "", "", "", end_section=True
-        )
-    console.print(table)
-    found = [(axis.name, finding) for axis in axes for finding in axis.findings]
+        table.add_section()
+        if axis.not_visible:
+            absent.setdefault(", ".join(axis.not_visible), []).append(axis.name)
+    console.print("Readings" if table.rows else "Readings: none")
+    if table.rows:
+        console.print(table)
+    for names, of in absent.items():
+        console.print(f"Not visible in this record: {names} ({escape(', '.join(of))})", soft_wrap=True)
+    found = grouped_findings(axes)
     console.print("Findings" if found else "Findings: nothing wrong was found")
-    for name, finding in found:
-        console.print(f"  [bold]{escape(name)}[/bold]  {escape(finding)}", soft_wrap=True)
+    for names, finding in found:
+        console.print(f"  [bold]{escape(names)}[/bold]  {escape(finding)}", soft_wrap=True)

@@ -15,7 +15,11 @@ if TYPE_CHECKING:
 
 def command(
     scenario: str = typer.Argument(..., metavar="SCENARIO", help="Scenario file (YAML)."),
-    designs: str = typer.Option("", "--designs", help="Designs to compare, separated by commas; default all."),
+    designs: str = typer.Option(
+        "",
+        "--designs",
+        help="Designs separated by commas, the scenario's or those of insemu designs; default the scenario's.",
+    ),
     base: str = typer.Option("", "--base", help="Design that the others are measured against; default the first."),
     variant: str | None = typer.Option(None, "--variant", help="Variant of the scenario."),
     analytic: bool = typer.Option(
@@ -83,7 +87,7 @@ def _show(console: Console, rows: list[ComparisonRow], realizations: int, base: 
         box=None,
         header_style="underline",
     )
-    for heading in ("outage", "design", "rank", "mean m", "ratio", "95 %", "p", "effect"):
+    for heading in ("outage", "design", "rank", "mean m", "ratio", "95 %", "p", "effect", "one run"):
         table.add_column(heading, justify="left" if heading == "design" else "right", no_wrap=True)
     for r in rows:
         table.add_row(
@@ -95,8 +99,15 @@ def _show(console: Console, rows: list[ComparisonRow], realizations: int, base: 
             "" if r.low is None else f"{r.low:.3f}-{r.high:.3f}",
             "" if r.p_value is None else f"{r.p_value:.4f}",
             "" if r.effect_size is None else f"{r.effect_size:+.2f}",
+            "" if r.one_run is None else f"±{r.one_run:.3f}",
         )
     console.print(table)
+    console.print(
+        "ratio: mean over the base's mean. effect: mean of the paired differences over their spread. one run: that spread over the base's mean, how "
+        "far a single run scatters.",
+        style="dim",
+        soft_wrap=True,
+    )
 
 
 def _analytic(console: Console, experiment: Experiment, by: str, folder: Any) -> dict[str, Any]:
@@ -122,9 +133,7 @@ def _analytic(console: Console, experiment: Experiment, by: str, folder: Any) ->
             lead = name if k == 0 else ""
             table.add_row(lead, str(k + 1), f"{b['rms_m']:.3g}", f"{b['predicted_sigma_m']:.3g}", top)
     console.print(table)
-    console.print(
-        "Parts add up as squares. A mean removed from the records (truth.record) is not part of the analysis."
-    )
+    console.print("Parts add up as squares.")
     reason = analysable(experiment)[1]
     if reason:
         console.print(reason[:1].upper() + reason[1:] + ".", soft_wrap=True)
@@ -134,6 +143,6 @@ def _analytic(console: Console, experiment: Experiment, by: str, folder: Any) ->
         "scenario": experiment.scenario.title,
         "digest": experiment.digest,
         "designs": {
-            name: {"states": experiment.filter(name).layout.n, "outages": outages} for name, outages in budgets.items()
+            name: {"states": experiment.ekf(name).layout.n, "outages": outages} for name, outages in budgets.items()
         },
     }

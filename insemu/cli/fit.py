@@ -13,8 +13,13 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from insemu.fit import FitResult
+    from insemu.noise import NoiseModel
     from insemu.records import Series
     from insemu.variance import WaveletVariance
+
+
+#: Fewest samples of a log.
+LEAST = 16
 
 
 def command(
@@ -37,7 +42,9 @@ def command(
         "0 s", "--skip", help='Leave out the start of the record, for example "40 min" of warm-up.'
     ),
     weighting: str = typer.Option(
-        "intervals", "--weighting", help="Of gmwm: intervals, asymptotic or bootstrap (covariance under the model)."
+        "auto",
+        "--weighting",
+        help="Of gmwm: intervals, asymptotic or bootstrap (covariance under the model); auto: see docs/fitting.md.",
     ),
     start: str = typer.Option("", "--start", help="Model with values to start from (gmwm, em, mli)."),
     tau_from: float = typer.Option(0.0, "--tau-from", help="Shortest scale to use, s (gmwm)."),
@@ -64,7 +71,12 @@ def command(
     import numpy as np
     from rich.console import Console
 
-    series = read_static(file, rate, columns, skip)
+    streamed = (
+        None
+        if page or method != "mli" or pattern != "uniform"
+        else fit_streamed(file, rate, columns, skip, model, start)
+    )
+    series = [] if streamed else read_static(file, rate, columns, skip)
     options: dict[str, Any] = {}
     if method == "gmwm":
         options = {
@@ -79,7 +91,9 @@ def command(
         options = {"denoise_levels": denoise}
     elif method == "mli":
         options = {"pattern": pattern}
-    if per_axis:
+    if streamed:
+        results = streamed
+    elif per_axis:
         results = fit_axes(series, model, method, start, robust, options, workers or os.cpu_count() or 1)
     else:
         results = fit_pooled(series, model, method, start, robust, options)
@@ -120,9 +134,42 @@ def read_static(file: str, rate: str, columns: list[str] | None, skip: str = "0 
     out = []
     for s in series:
         first = round(seconds * s.rate_hz)
-        if first > len(s) - 16:
-            raise InputError(f"--skip {skip} leaves less than 16 of the {len(s)} samples of {s.name}", where=file)
+        if len(s) < LEAST:
+            raise InputError(f"{s.name} has {len(s)} samples, expected at least {LEAST}", where=file)
+        if first > len(s) - LEAST:
+            raise InputError(f"--skip {skip} leaves less than {LEAST} of the {len(s)} samples of {s.name}", where=file)
         out.append(replace(s, values=s.values[first:]) if first else s)
+    return out
+
+
+def fit_streamed(
+    file: str, rate: str, columns: list[str] | None, skip: str, model: str, start: str
+) -> dict[str, FitResult] | None:
+    """Integrated maximum likelihood of a long ``.npy`` log, which is read in pieces and never held; None for any other."""
+    from pathlib import Path
+
+    from insemu import formats, units
+    from insemu.errors import InputError
+    from insemu.fit.likelihood import LARGE, fit_mli_pieces
+    from insemu.noise import NoiseModel
+
+    if Path(file).suffix != ".npy":
+        return None
+    log = formats.read_log(file, rate_hz=units.parse(rate, "Hz") if rate else None, columns=columns or None)
+    first = round(units.parse(skip, "s") * log.rate_hz)
+    if len(log) <= LARGE or not 0 <= first <= len(log) - LEAST:
+        return None
+    out: dict[str, FitResult] = {}
+    for k, (column, unit) in enumerate(zip(log.names, log.units, strict=True)):
+        name = formats.AXIS_OF_COLUMN.get(column, column)
+        try:
+            asked = NoiseModel.parse(model, unit)
+            begin = NoiseModel.parse(start, unit) if start else None
+            out[name] = fit_mli_pieces(
+                log.chunks(k, first=first), len(log) - first, log.rate_hz, asked, start=begin, unit=unit, name=name
+            )
+        except InputError as error:
+            raise InputError(error.message, where=f"{file}: {name}") from None
     return out
 
 
@@ -136,6 +183,7 @@ def fit_axes(
     from insemu.fit import fit
     from insemu.noise import NoiseModel
 
+    asked = parsed(model, series)
     # every axis its own child, whatever the order in which threads come to it
     children = options["rng"].spawn(len(series)) if "rng" in options else [None] * len(series)
 
@@ -147,13 +195,24 @@ def fit_axes(
         try:
             if start:
                 given["start"] = NoiseModel.parse(start, s.unit)
-            return fit(s, model, method, robust=robust, **given)  # type: ignore[arg-type]
+            return fit(s, asked[s.unit], method, robust=robust, **given)  # type: ignore[arg-type]
         except InputError as error:
             known = error.where or error.message.startswith(s.name)
             raise InputError(error.message, where=error.where if known else s.name) from None
 
     with ThreadPoolExecutor(max_workers=min(workers, len(series))) as pool:
         return {s.name: r for s, r in zip(series, pool.map(one, zip(series, children, strict=True)), strict=True)}
+
+
+def parsed(model: str, series: list[Series]) -> dict[str, NoiseModel]:
+    """The structure by unit of the axes; what is wrong with it is no axis's fault."""
+    from insemu.errors import InputError
+    from insemu.noise import NoiseModel
+
+    try:
+        return {s.unit: NoiseModel.parse(model, s.unit) for s in series}
+    except InputError as error:
+        raise InputError(error.message, where="--model") from None
 
 
 def fit_pooled(
@@ -172,6 +231,7 @@ def fit_pooled(
 
     if method != "gmwm":
         raise InputError(f"--pooled belongs to gmwm, not to '{method}'")
+    asked = parsed(model, series)
     groups: dict[tuple[str, float, int], list[Series]] = {}
     for s in series:
         groups.setdefault((s.unit, s.rate_hz, len(s)), []).append(s)
@@ -192,7 +252,7 @@ def fit_pooled(
         efficiency = count * float(np.mean([getattr(c, "efficiency", 1.0) for c in curves]))
         name = {"rad/s": "gyro", "m/s^2": "accel"}.get(unit, "+".join(s.name for s in members))
         given = {**options, **({"start": NoiseModel.parse(start, unit)} if start else {})}
-        out[name] = fit(pooled, model, unit=unit, name=name, **{"efficiency": efficiency, **given})
+        out[name] = fit(pooled, asked[unit], unit=unit, name=name, **{"efficiency": efficiency, **given})
     return out
 
 

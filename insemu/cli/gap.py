@@ -55,10 +55,10 @@ def command(
         )
     folder = Path(out) if out else Path("results") / f"gap_{Path(measured).stem}"
     folder.mkdir(parents=True, exist_ok=True)
-    refined = write_refined(nominal, report, folder / "refined.yaml")
+    refined = write_refined(nominal, report, folder / "refined.yaml", data)
     text = json.dumps(report.to_json(), indent=1, allow_nan=False)
     (folder / "gap.json").write_text(text + "\n", encoding="utf-8")
-    from insemu.report.gap import effect_name, headline, render_gap
+    from insemu.report.gap import effect_name, headline, place, render_gap
 
     page = render_gap(report, folder, refined.read_text(encoding="utf-8"))
     if as_json:
@@ -66,12 +66,13 @@ def command(
         return
     console.print(f"[bold]{report.verdict}[/bold]: {headline(report)}")
     if report.steps:
-        table = Table("effect", "axes", "evidence, nats", "confidence", "parameters")
+        table = Table("effect", "where", "evidence, nats", "confidence", "parameters, 95 % interval")
         for s in report.steps:
-            values = ", ".join(f"{v.name} {v.value:.3g} [{v.low:.3g}, {v.high:.3g}] {v.unit}" for v in s.parameters[:4])
+            values = "\n".join(f"{v.name} {v.value:.3g} [{v.low:.3g}, {v.high:.3g}] {v.unit}" for v in s.parameters[:6])
+            values += "\n..." if len(s.parameters) > 6 else ""
             table.add_row(
                 effect_name(s.effect),
-                f"{s.sensor} {', '.join(s.axes)}",
+                place(s.sensor, s.axes),
                 f"{s.gain_nats:.1f}",
                 f"{s.confidence:.3f}",
                 values,

@@ -19,7 +19,9 @@ def command(
     action: str = typer.Argument(..., metavar="ACTION", help="record, check, sensitivity or trial."),
     scenario: str = typer.Argument(..., metavar="SCENARIO", help="Scenario file (YAML)."),
     baseline: str = typer.Option(..., "--baseline", help="Baseline file (JSON), written by record."),
-    designs: str = typer.Option("", "--designs", help="Only these designs, separated by commas."),
+    designs: str = typer.Option(
+        "", "--designs", help="Only these designs (the scenario's, or those of insemu designs), separated by commas."
+    ),
     realizations: int | None = typer.Option(None, "--realizations", min=2, help="Default the scenario's."),
     seed: int | None = typer.Option(None, "--seed", min=0, help="Default the scenario's."),
     workers: int | None = typer.Option(

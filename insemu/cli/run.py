@@ -181,6 +181,8 @@ def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
     )
 
     console.print(f"\n[bold]{main.title}[/bold]", soft_wrap=True)
+    for warning in main.manifest.get("warnings", ()):
+        console.print(f"Warning: {warning}.", soft_wrap=True, highlight=False)
     table = Table(
         title=f"{variant_caption(main)}: means over {main.realizations} realizations (seed {main.seed})",
         title_justify="left",
@@ -249,7 +251,11 @@ def print_table(console: Console, title: str, header: list[str], body: list[list
             table.add_row()
         table.add_row(*row)
     console.print(f"\n{title}", soft_wrap=True, highlight=False)
+    width = console.width
+    # wider than the terminal rather than cut
+    console.width = max(width, console.measure(table, options=console.options.update(width=500)).maximum)
     console.print(table)
+    console.width = width
 
 
 def print_variants(console: Console, main: Results, variants: dict[str, Results]) -> None:

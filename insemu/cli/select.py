@@ -88,13 +88,15 @@ def prediction(ranking: Ranking, curve: WaveletVariance) -> dict[str, Any]:
     import numpy as np
 
     from insemu.fit.covariance import model_covariance
-    from insemu.fit.selection import prediction_distance
+    from insemu.fit.selection import RANK_DOF, prediction_distance
 
     model = ranking.fit.model
     dt = 1.0 / curve.rate_hz
     predicted = model.wavelet_variance(curve.scale_samples, dt)
     spread = np.sqrt(np.diag(model_covariance(model, curve.n_samples, curve.scale_samples, dt)))
     distance, error = prediction_distance(model, curve)
+    steady = 2.0 * (predicted / spread) ** 2 >= RANK_DOF
+    ratio = np.sqrt(curve.value / predicted)[steady]
     return {
         "tau_s": curve.tau_s.tolist(),
         "measured": curve.value.tolist(),
@@ -102,6 +104,12 @@ def prediction(ranking: Ranking, curve: WaveletVariance) -> dict[str, Any]:
         "standard_deviations": ((curve.value - predicted) / spread).tolist(),
         "mean_square": distance,
         "mean_square_standard_error": error,
+        "deviation_ratio": {
+            "lowest": float(ratio.min()),
+            "highest": float(ratio.max()),
+            "root_mean_square": float(np.exp(np.sqrt(np.mean(np.log(ratio) ** 2)))),
+            "longest_tau_s": float(curve.tau_s[steady][-1]),
+        },
     }
 
 
@@ -123,6 +131,12 @@ def show_prediction(console: Console, axis: str, other: str, found: dict[str, An
             f"{z:+.1f}",
         )
     console.print(table)
+    ratio = found["deviation_ratio"]
+    console.print(
+        f"measured over predicted deviation up to {ratio['longest_tau_s']:g} s: {ratio['lowest']:.2f} to {ratio['highest']:.2f}, "
+        f"off by a factor of {ratio['root_mean_square']:.2f} root mean square",
+        highlight=False,
+    )
     console.print(
         f"mean square of the last column over scales with enough degrees of freedom: {found['mean_square']:.3g} "
         f"(a true model has 1 ± {found['mean_square_standard_error']:.2g})",

@@ -1,6 +1,6 @@
-"""Two urban drives with the outage windows of Quinchia et al. (Sensors 2013), tables 9 and 10.
+"""Drives with the outage windows of Quinchia et al. (Sensors 2013): tables 9 and 10 (two urban drives) and table 6.
 
-The paper prints the length of the drives (17.3 and 15.05 minutes in Turin) and, per outage, duration, mean speed and
+The paper prints the length of the two drives (17.3 and 15.05 minutes in Turin) and, per outage, duration, mean speed and
 whether there is a turn; streets, stops and the times of the windows are ours.
 """
 
@@ -34,7 +34,7 @@ class Window:
     turn: str
 
 
-#: Tables 9 and 10; ``turn`` is the paper's remark.
+#: Tables 9, 10 and 6; ``turn`` is the paper's remark.
 WINDOWS: dict[str, tuple[Window, ...]] = {
     "urban_drive_1": (
         Window(1, 250.0, 30.0, 23.58, "turn of about 90 deg"),
@@ -46,6 +46,15 @@ WINDOWS: dict[str, tuple[Window, ...]] = {
         Window(5, 360.0, 30.0, 52.25, "turn"),
         Window(6, 520.0, 30.0, 20.44, ""),
         Window(7, 740.0, 60.0, 112.42, "straight, slight curve at the end"),
+    ),
+    "urban_motorway": (
+        Window(1, 200.0, 30.0, 25.16, ""),
+        Window(2, 320.0, 30.0, 18.86, ""),
+        Window(3, 440.0, 30.0, 42.53, ""),
+        Window(4, 570.0, 30.0, 23.56, ""),
+        Window(5, 700.0, 30.0, 39.32, ""),
+        Window(6, 860.0, 60.0, 103.36, ""),
+        Window(7, 1010.0, 60.0, 122.73, ""),
     ),
 }
 
@@ -177,6 +186,50 @@ def urban_drive_2() -> Flight:
     r.until(860.0, 15.0)
     r.add(Command(13.0, speed=0.0), Command(30.0, name="rest at the end"))
     return _drive("urban_drive_2", r, -60.0, 45.04, 7.63, 235.0, 8201)
+
+
+def urban_motorway() -> Flight:
+    """19.5 minutes of city, then motorway, with the seven outages of table 6: five of 30 s in town, two of 60 s."""
+    r = _Route()
+    r.add(Command(30.0, name="rest at the start"))
+    r.go(11.0, 20.0, 3.0)
+    r.corner(90.0)
+    r.go(12.0, 25.0)
+    r.stop(15.0)
+    r.go(9.0, 15.0)
+    r.until(200.0, 20.0, 7.5)
+    r.add(
+        Command(10.0, speed=6.733),
+        Command(10.0, turn=80.0 * _DEG, name="outage 1: the corner"),
+        Command(10.0, speed=7.5),
+    )
+    r.go(12.0, 30.0, 4.0)
+    r.corner(-85.0)
+    r.until(320.0, 0.0, 5.5)
+    r.add(Command(15.0, speed=4.978, name="outage 2"), Command(15.0, speed=5.5, turn=30.0 * _DEG, name="outage 2"))
+    r.go(12.0, 25.0)
+    r.stop(12.0)
+    r.until(440.0, 15.0, 12.0)
+    r.add(Command(15.0, speed=11.628, turn=-20.0 * _DEG, name="outage 3"), Command(15.0, speed=12.0, name="outage 3"))
+    r.go(13.0, 30.0, -5.0)
+    r.corner(85.0)
+    r.until(570.0, -15.0, 7.0)
+    r.add(Command(15.0, speed=6.089, name="outage 4"), Command(15.0, speed=7.0, turn=-60.0 * _DEG, name="outage 4"))
+    r.go(12.0, 30.0)
+    r.stop(14.0)
+    r.until(700.0, 10.0, 11.5)
+    r.add(Command(15.0, speed=10.344, name="outage 5"), Command(15.0, speed=11.5, turn=45.0 * _DEG, name="outage 5"))
+    r.go(16.0, 30.0, 3.0)
+    r.add(Command(20.0, turn=70.0 * _DEG), Command(35.0, speed=28.0, climb=5.0))
+    r.until(860.0, -10.0, 28.5)
+    r.add(Command(30.0, speed=28.922, name="outage 6"), Command(30.0, speed=28.5, turn=10.0 * _DEG, name="outage 6"))
+    r.add(Command(40.0, speed=31.0, climb=-6.0))
+    r.until(1010.0, 12.0, 34.0)
+    r.add(Command(30.0, speed=34.183, name="outage 7"), Command(30.0, speed=34.0, turn=-8.0 * _DEG, name="outage 7"))
+    r.add(Command(30.0, speed=18.0), Command(15.0, turn=75.0 * _DEG, speed=10.0))
+    r.until(1140.0, 0.0)
+    r.add(Command(13.0, speed=0.0), Command(20.0, name="rest at the end"))
+    return _drive("urban_motorway", r, 35.0, 45.06, 7.65, 238.0, 8301)
 
 
 def outage_windows(flights: Sequence[Flight]) -> list[dict[str, float | str]]:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.emulate.drives import urban_drive_1, urban_drive_2
+from insemu.emulate.drives import urban_drive_1, urban_drive_2, urban_motorway
 from insemu.emulate.flight import Flight, gusts, moving, place
 from insemu.emulate.motion import Command, Leg, Profile, legs_of, path_of, profile, smoothstep, smoothstep_integral
 from insemu.emulate.path import KNOT_S, SmoothPath
@@ -182,6 +182,7 @@ TRAJECTORIES: dict[str, Callable[[], Flight]] = {
     "helicopter_mapping": helicopter_mapping,
     "urban_drive_1": urban_drive_1,
     "urban_drive_2": urban_drive_2,
+    "urban_motorway": urban_motorway,
     "turbulent_uav": turbulent_uav,
     "lemniscate": lemniscate,
     "static": static,

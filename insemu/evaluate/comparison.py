@@ -15,7 +15,7 @@ from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.results import Results
 from insemu.evaluate.world import World
 from insemu.filters import InitialSigma, LooselyCoupledEKF
-from insemu.scenario import Scenario
+from insemu.scenario import Design, Scenario, shipped_designs
 from insemu.strapdown import NavState
 
 
@@ -37,6 +37,8 @@ class ComparisonRow:
         itself or a single realization.
     effect_size : float or None
         Mean of the paired differences over their standard deviation: 0.2 small, 0.8 large.
+    one_run : float or None
+        Standard deviation of the paired differences over the base's mean: how far the ratio of a single run scatters.
     """
 
     outage: int | None
@@ -48,6 +50,7 @@ class ComparisonRow:
     high: float | None
     p_value: float | None
     effect_size: float | None
+    one_run: float | None
 
     def to_dict(self) -> dict[str, Any]:
         """As plain data."""
@@ -55,19 +58,27 @@ class ComparisonRow:
 
 
 def with_designs(scenario: Scenario, designs: Sequence[str]) -> Scenario:
-    """The scenario with these designs only, in this order.
+    """The scenario with these designs only, in this order: its own, or else those that come with insemu.
 
     Raises
     ------
     InputError
-        A design that the scenario does not have.
+        A design that neither has, or one that the scenario lacks the signals for.
     """
-    for name in designs:
-        if name not in scenario.designs:
-            raise InputError(f"no design '{name}'" + nearest(name, scenario.designs), where="--designs")
     if not designs:
         return scenario
-    return scenario.model_copy(update={"designs": {name: scenario.designs[name] for name in designs}})
+    chosen = {}
+    for name in designs:
+        if name not in scenario.designs and name not in shipped_designs():
+            raise InputError(
+                f"no design '{name}'" + nearest(name, [*scenario.designs, *shipped_designs()]), where="--designs"
+            )
+        chosen[name] = scenario.designs.get(name) or Design.model_validate(name)
+        try:
+            scenario.check_design(name, chosen[name])
+        except InputError as error:
+            raise InputError(error.message, where="--designs") from None
+    return scenario.model_copy(update={"designs": chosen})
 
 
 def compare(results: Results, base: str | None = None) -> list[ComparisonRow]:
@@ -107,27 +118,37 @@ def compare(results: Results, base: str | None = None) -> list[ComparisonRow]:
                     pair.high if pair else None,
                     pair.p_value if pair else None,
                     float((v - b).mean() / spread) if pair and spread > 0 else None,
+                    spread / float(b.mean()) if pair and v.size > 1 else None,
                 )
             )
     return rows
 
 
 def analysable(experiment: Experiment) -> tuple[list[str], str]:
-    """Designs of which a covariance analysis can be made, and why not of the others (empty where of all)."""
+    """Designs of which a covariance analysis can be made; and, in words, why not of the others and what it leaves out (empty: nothing)."""
     s = experiment.scenario
     if not isinstance(experiment.world, World) or s.truth is None:
         return [], "found a recording; the analysis needs an emulated world and its truth"
     if s.truth.recorded is not None or s.truth.uses():
         return [], "found a recorded truth or deterministic effects; the analysis needs noise models only"
     able: list[str] = []
-    left_out: list[str] = []
+    left_out: dict[str, str] = {}
     for name, design in s.designs.items():
-        o = design.options
-        plain = o.prefilter is None and not any(o.states.model_dump().values())
-        (able if plain and isinstance(experiment.filter(name), LooselyCoupledEKF) else left_out).append(name)
-    if not left_out:
-        return able, ""
-    return able, f"left out: {', '.join(left_out)}; the analysis carries noise states only and no prefilter"
+        if not isinstance(experiment.filter(name), LooselyCoupledEKF):
+            left_out[name] = "a user's filter"
+        elif design.options.prefilter is not None:
+            left_out[name] = "a prefilter"
+        else:
+            able.append(name)
+    notes = []
+    if left_out:
+        notes.append("left out: " + ", ".join(f"{name} ({why})" for name, why in left_out.items()))
+    gated = [name for name in able if s.designs[name].options.gate is not None]
+    if gated:
+        notes.append(f"the gate of {', '.join(gated)} plays no part: the analysis takes every fix")
+    if s.truth.record is not None:
+        notes.append("the mean removed from the records (truth.record) is no part of the analysis")
+    return able, "; ".join(notes)
 
 
 def analyse_designs(
@@ -154,7 +175,7 @@ def analyse_designs(
     truth = {axis: m.at_rate(experiment.rate_hz) for axis, m in s.truth.models().items()}
     return {
         name: analyse(
-            experiment.filter(name),
+            experiment.ekf(name),
             truth,
             world.imu,
             plain,

@@ -397,24 +397,41 @@ def credibility(errors: ArrayLike, covariance: ArrayLike) -> Credibility:
     return Credibility(float(np.abs(ratio).mean()), float(ratio.mean()))
 
 
-def observability(result: FilterResult, prior: ArrayLike) -> Array:
+def observability(sigma: ArrayLike, prior: ArrayLike) -> Array:
     """Share of each state's own variance that the fixes have removed, over time: 0 unobserved, 1 known.
 
     Parameters
     ----------
-    result : FilterResult
+    sigma : (o, n) array_like
+        What a filter states.
     prior : (o, n) array_like
-        Standard deviations that the states would have without any fix, for example ``sigma`` of the same filter run with ``gnss=None``.
+        Standard deviations that the states would have without any fix: ``sigma`` of the same filter run with ``gnss=None``, or for the states
+        of the sensors :func:`unaided_sigma`.
 
     Returns
     -------
     (o, n) array
         ``1 - sigma^2 / prior^2``; NaN for states without prior uncertainty.
     """
-    p = np.asarray(prior, dtype=np.float64)
-    if p.shape != result.sigma.shape:
-        raise InputError(f"the prior has shape {p.shape}, expected {result.sigma.shape} as the result")
-    return np.asarray(1.0 - np.divide(result.sigma, p, out=np.full_like(p, np.nan), where=p > 0) ** 2)
+    s, p = np.asarray(sigma, dtype=np.float64), np.asarray(prior, dtype=np.float64)
+    if p.shape != s.shape:
+        raise InputError(f"the prior has shape {p.shape}, expected {s.shape} as the standard deviations")
+    return np.asarray(1.0 - np.divide(s, p, out=np.full_like(p, np.nan), where=p > 0) ** 2)
+
+
+def unaided_sigma(augmentation: Augmentation, epochs: NDArray[np.intp]) -> Array:
+    """Standard deviations (k, m) that the states behind would have after so many samples without any fix; ``epochs`` (k,) increase."""
+    P, out = augmentation.P0.copy(), np.empty((len(epochs), augmentation.m))
+    powers: dict[int, tuple[Array, Array]] = {}
+    before = 0
+    for k, epoch in enumerate(epochs):
+        count, before = int(epoch) - before, int(epoch)
+        if count not in powers:
+            powers[count] = augmentation.power(count)
+        Phi, Q = powers[count]
+        P = Phi @ P @ Phi.T + Q
+        out[k] = np.sqrt(np.diag(P))
+    return out
 
 
 def consistency_report(

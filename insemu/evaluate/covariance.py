@@ -20,10 +20,9 @@ from insemu.augment import Augmentation, Belief, StateLayout, augment, per_axis
 from insemu.errors import InputError
 from insemu.filters import FilterResult, InitialSigma, LooselyCoupledEKF
 from insemu.filters.ekf import pack
-from insemu.filters.expanded import FIRST, LD, MAP_SIZE, fill_map, gather, predict, scatter
+from insemu.filters.expanded import FIRST, LD, MAP_SIZE, fill_map, gather, middle, predict, scatter
 from insemu.filters.measurements import fill_fix
 from insemu.records import AXES, GnssRecord, ImuRecord
-from insemu.rotation import scalar_dcm
 from insemu.strapdown import NavState, fill_dynamics, mechanize_array
 
 Array = NDArray[np.float64]
@@ -36,13 +35,7 @@ def _maps(t: Array, gyro: Array, accel: Array, nav: Array, gravity: int, w: Arra
     F, C, mid, f_n = np.empty((9, 9)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     for k in range(1, t.size):
         dt = t[k] - t[k - 1]
-        scalar_dcm(nav[k - 1, 6:10], C)
-        hx, hy, hz = 0.5 * gyro[k, 0], 0.5 * gyro[k, 1], 0.5 * gyro[k, 2]
-        for i in range(3):
-            mid[i, 0] = C[i, 0] + C[i, 1] * hz - C[i, 2] * hy
-            mid[i, 1] = C[i, 1] + C[i, 2] * hx - C[i, 0] * hz
-            mid[i, 2] = C[i, 2] + C[i, 0] * hy - C[i, 1] * hx
-            f_n[i] = (mid[i, 0] * accel[k, 0] + mid[i, 1] * accel[k, 1] + mid[i, 2] * accel[k, 2]) / dt
+        middle(nav[k - 1, 6:10], gyro[k], accel[k], dt, C, mid, f_n)
         fill_dynamics(nav[k - 1], f_n, gravity, F)
         fill_map(F, mid, dt, w[k])
 
@@ -61,7 +54,10 @@ def _forward(
     mix: Array,
     q_at: Ints,
     q: Array,
-    c: Array,
+    c0: Array,
+    driver: Ints,
+    gyro: Array,
+    accel: Array,
     white: Array,
     fix_epoch: Ints,
     M: Array,
@@ -69,16 +65,23 @@ def _forward(
     out_epoch: Ints,
     out: Array,
 ) -> None:
-    """Joint covariance along the reference; at a fix ``P <- M P M' + R``."""
+    """Joint covariance along the reference; at a fix ``P <- M P M' + R``. ``c0`` and ``driver`` (m,) as in an augmentation."""
     n = place.size
     E, T = np.zeros((FIRST + 8 * slots + 17) * LD), np.zeros(15 * LD)
     work = np.zeros((8 * slots + 10) * LD)
     P, B = P0.copy(), np.empty((n, n))
     scatter(P, place, E)
+    c = np.zeros(LD)
+    for s in range(n - 9):
+        c[place[9 + s]] = c0[s]
     fix, row = 0, 0
     for k in range(t.size):
         if k > 0:
             half = 0.5 * (t[k] - t[k - 1])
+            for s in range(n - 9):
+                if driver[s] >= 0:
+                    raw = gyro[k, driver[s]] if driver[s] < 3 else accel[k, driver[s] - 3]
+                    c[place[9 + s]] = c0[s] * raw / (2.0 * half)
             predict(E, maps[k], half, slots, diagonal, d, phi, offsets, mix, q_at, q, c, white, T, work)
         while fix < fix_epoch.size and fix_epoch[fix] == k:
             gather(E, place, P)
@@ -110,7 +113,11 @@ def _backward(
     L: Array,
     Phi: Array,
     Q: Array,
-    C: Array,
+    axis: Ints,
+    c0: Array,
+    driver: Ints,
+    gyro: Array,
+    accel: Array,
     source: Ints,
     white: Array,
     fix_epoch: Ints,
@@ -176,8 +183,12 @@ def _backward(
             L[i] = old[i]
         # states behind: what they do through the axes in this step, their driving noise, their transition
         for s in range(m):
-            for a in range(6):
-                L[9 + s] -= C[a, s] * u[a]
+            if axis[s] >= 0:
+                c = c0[s]
+                if driver[s] >= 0:
+                    raw = gyro[k, driver[s]] if driver[s] < 3 else accel[k, driver[s] - 3]
+                    c *= raw / (2.0 * half)
+                L[9 + s] -= c * u[axis[s]]
         for i in range(m):
             for j in range(m):
                 if Q[i, j] != 0.0:
@@ -270,9 +281,10 @@ class CovarianceAnalysis:
 
 
 def _joint(belief: Augmentation, truth: Augmentation) -> Augmentation:
-    """The filter's estimates (driven by nothing) beside the true states (seen with the other sign)."""
-    if (belief.driver >= 0).any() or (belief.axis < 0).any():
-        raise InputError("the covariance analysis carries noise states only, not calibration or installation states")
+    """The filter's estimates (driven by nothing) beside the true states (seen with the other sign).
+
+    Calibration and installation states stand among the estimates only: the truth's are zero, for its sensors have no such errors.
+    """
     mb = belief.m
 
     def both(one: Array, two: Array) -> Array:
@@ -288,7 +300,7 @@ def _joint(belief: Augmentation, truth: Augmentation) -> Augmentation:
         P0=both(0.0 * belief.P0, truth.P0),
         axis=np.concatenate([belief.axis, truth.axis]),
         c=np.concatenate([belief.c, -truth.c]),
-        driver=np.full(mb + truth.m, -1),
+        driver=np.concatenate([belief.driver, truth.driver]),
         white=truth.white,
     )
 
@@ -312,7 +324,7 @@ def analyse(
     Parameters
     ----------
     ekf : LooselyCoupledEKF
-        The design (its belief, lever arm and gravity model). Its options are replaced; gates play no part.
+        The design: its belief, estimated calibration and installation, lever arm and gravity model.
     truth : mapping of axis to NoiseModel
         What the sensors really do.
     imu : ImuRecord
@@ -339,11 +351,13 @@ def analyse(
     Raises
     ------
     InputError
-        A design with calibration or installation states, an unknown state.
+        An unknown state.
 
     Notes
     -----
-    Linear in the errors: where they grow so large that the filter's own linearisation fails, so does this.
+    Linear in the errors: where they grow so large that the filter's own linearisation fails, so does this. Options that depend on the data play
+    no part: gates and standstill updates are off, and the covariance is propagated at full rate. Calibration and installation states that
+    the filter estimates are carried; the truth's sensors have no such errors.
     """
     ekf = ekf.with_options(
         gate=None, standstill=None, store="fixes", node_every=None, output_every=1_000, covariance_every=1
@@ -360,15 +374,12 @@ def analyse(
     belief_aug, true_aug = ekf.augmentation, augment(truth, ekf.dt)
     joint = _joint(belief_aug, true_aug)
     n, mb = 9 + joint.m, belief_aug.m
-    C = joint.output()
     packed = pack(joint, 1)
-    c = np.zeros(LD)
-    c[packed.place[9:]] = joint.c
     sigma0 = (true_sigma or believed_sigma).to_array()
     P0 = np.zeros((n, n))
     P0[:9, :9] = np.diag(sigma0**2)
     P0[9:, 9:] = joint.P0
-    M, R = _updates(ekf, run, record, nav, C, n, mb, gnss, true_gnss_sigma, true_aug.white)
+    M, R = _updates(ekf, run, record, nav, joint, mb, gnss, true_gnss_sigma)
     maps = np.zeros((t.size, MAP_SIZE))
     _maps(t, record.gyro, record.accel, nav, earth.gravity_code(ekf.gravity), maps)
     used = fixes.epoch
@@ -376,7 +387,7 @@ def analyse(
     order = np.argsort(out_epoch, kind="stable")
     _forward(
         t, maps, P0, packed.place, packed.slots, packed.diagonal, packed.d[0], packed.phi[0], packed.offsets, packed.mix[0], packed.q_at,
-        packed.q[0], c, true_aug.white, used, M, R, out_epoch[order], actual,
+        packed.q[0], joint.c, joint.driver, record.gyro, record.accel, joint.white, used, M, R, out_epoch[order], actual,
     )  # fmt: skip
     actual[order] = actual.copy()
     believed = run.covariance[np.searchsorted(run.covariance_t, t[out_epoch])][:, :9, :9]
@@ -392,7 +403,10 @@ def analyse(
             if ekf.layout.index(state) >= 9:
                 raise InputError(f"'{state}' is not a navigation error; a budget is made of the nine of them")
             parts, axes, gained = np.zeros(len(names)), np.zeros(6), np.zeros(used.size)
-            _backward(t, maps, last, L, joint.Phi, joint.Q, C, source, true_aug.white, used, M, R, gained, parts, axes)
+            _backward(
+                t, maps, last, L, joint.Phi, joint.Q, joint.axis, joint.c, joint.driver, record.gyro, record.accel, source, joint.white, used,
+                M, R, gained, parts, axes,
+            )  # fmt: skip
             initial_x = L[9:, None] * joint.P0 * L[None, 9:]
             for i in range(joint.m):
                 parts[source[i]] += initial_x[i].sum()
@@ -448,17 +462,16 @@ def _updates(
     run: FilterResult,
     imu: ImuRecord,
     nav: Array,
-    C: Array,
-    n: int,
+    joint: Augmentation,
     mb: int,
     gnss: GnssRecord,
     true_sigma: tuple[ArrayLike, ArrayLike] | None,
-    white: Array,
 ) -> tuple[Array, Array]:
     """Joint update matrices and noise of every fix: ``z <- M z + noise`` with covariance R."""
     fixes = run.fixes
     assert fixes.H is not None and fixes.K is not None
-    f = len(fixes)
+    f, n = len(fixes), 9 + joint.m
+    installed = np.flatnonzero(joint.axis < 0)
     K = np.zeros((f, n, 6))
     K[:, : 9 + mb] = np.nan_to_num(fixes.K)
     Hz = np.zeros((f, 6, n))
@@ -475,11 +488,14 @@ def _updates(
     for k in range(f):
         noise[k] = np.diag(np.where(used[k], var[k], 0.0))
         X = -rotation.dcm_from_quaternion(nav[fixes.epoch[k], 6:10]) @ cross
+        e = int(fixes.epoch[k])
+        C = joint.output(np.concatenate([imu.gyro[e], imu.accel[e]]) / (imu.t[e] - imu.t[e - 1]))
+        Hz[k][:, 9 + installed] = fixes.H[k][:, 9 + installed]
         # rate errors in the velocity of the arm: true minus estimated sensor error, as u in the loop
-        Hz[k, 3:, 9:] = -X @ C[:3]
-        Hz[k, :3, 9:] = events.tau[k] * X @ C[:3]
+        Hz[k, 3:, 9:] += -X @ C[:3]
+        Hz[k, :3, 9:] += events.tau[k] * X @ C[:3]
         shift = 0.5 - min(events.tau[k] / ekf.dt, 1.0)
-        noise[k, 3:, 3:] += ((1 + shift) ** 2 + shift**2) * (X * white[:3]) @ X.T
+        noise[k, 3:, 3:] += ((1 + shift) ** 2 + shift**2) * (X * joint.white[:3]) @ X.T
     Hz *= used[:, :, None]
     M = np.eye(n) - K @ Hz
     return M, K @ noise @ K.transpose(0, 2, 1)

@@ -25,7 +25,7 @@ from insemu.compensation import NEEDS_TRAJECTORY, compensated, lever_arm_of
 from insemu.denoise import denoise
 from insemu.emulate.pieces import TrueStates
 from insemu.errors import InputError
-from insemu.evaluate.consistency import block_nees, lag_products, sensor_errors
+from insemu.evaluate.consistency import block_nees, lag_products, observability, sensor_errors, unaided_sigma
 from insemu.evaluate.recorded import RecordedWorld
 from insemu.evaluate.results import DesignInfo, Innovations, Results, Sensors, Smoothed
 from insemu.evaluate.world import Estimate, World, static_logs, stream
@@ -36,10 +36,13 @@ from insemu.filters import (
     InitialSigma,
     LooselyCoupledEKF,
     NavigationFilter,
+    Standstill,
     smooth,
 )
+from insemu.filters.alignment import rests
+from insemu.filters.protocol import FilterParts, check_result, user_filter_code
 from insemu.fit import FitResult, fit
-from insemu.noise import ARMA, NoiseModel, axis_unit, load
+from insemu.noise import ARMA, NoiseModel, NotStationary, axis_unit, load
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Series
 from insemu.scenario import AxisSource, Scenario, digest
 from insemu.strapdown import NavState, trajectory_of
@@ -83,8 +86,14 @@ class Experiment:
         self.world: World | RecordedWorld = (
             RecordedWorld(scenario, file) if scenario.recording is not None else World(scenario, file)
         )
-        self.digest = digest(scenario, self.world.files)
+        code = [file for d in scenario.designs.values() if d.filter for file in user_filter_code(d.filter).items()]
+        self.digest = digest(scenario, {**self.world.files, **dict(code)})
         _ = self.world.outage_windows  # what is wrong with them is said before anything is flown
+        if isinstance(self.world, RecordedWorld):
+            _ = self.world.alignment
+        for name, design in scenario.designs.items():
+            if not any(isinstance(source, AxisSource) and source.fit for source in design.sources().values()):
+                self._made(name, self._belief(name, {}))  # nor is a belief that no filter can carry
 
     @property
     def rate_hz(self) -> float:
@@ -116,33 +125,39 @@ class Experiment:
     def beliefs(self) -> dict[str, Belief]:
         """What every design believes, models fitted where the scenario says so."""
         done: dict[tuple[str, int], FitResult] = {}  # a log is fitted once per structure and method
-        out = {}
-        for name, design in self.scenario.designs.items():
-            models: dict[str, NoiseModel] = {}
-            fits: dict[str, FitResult] = {}
-            for axis, source in design.sources().items():
-                if isinstance(source, NoiseModel):
-                    models[axis] = source
-                elif source.truth:
-                    models[axis] = self._true_models()[axis]
-                elif source.file:
-                    models[axis] = self._from_file(source.file, axis)
-                else:
-                    assert source.fit is not None
-                    log = self.fit_logs[axis][0]
-                    key = (source.model_dump_json(), id(log))
-                    if key not in done:
-                        done[key] = self._fitted(name, log, source)
-                    fits[axis] = done[key]
-                    models[axis] = done[key].model
-                if isinstance(source, AxisSource) and source.stabilise:
-                    models[axis] = NoiseModel(tuple(p.stabilised() if isinstance(p, ARMA) else p for p in models[axis]))
-                tuning = design.options.tuning
-                factor = tuning.gyro if axis.startswith("gyro") else tuning.accel
-                if factor != 1.0:
-                    models[axis] = models[axis].scaled(factor)
-            out[name] = Belief({axis: m.at_rate(self.rate_hz) for axis, m in models.items()}, fits)
-        return out
+        return {name: self._belief(name, done) for name in self.scenario.designs}
+
+    def _belief(self, name: str, done: dict[tuple[str, int], FitResult]) -> Belief:
+        design = self.scenario.designs[name]
+        models: dict[str, NoiseModel] = {}
+        fits: dict[str, FitResult] = {}
+        for axis, source in design.sources().items():
+            if isinstance(source, NoiseModel):
+                models[axis] = source
+            elif source.truth:
+                models[axis] = self._true_models()[axis]
+            elif source.file:
+                models[axis] = self._from_file(source.file, axis)
+            elif source.model is not None:
+                models[axis] = NoiseModel.from_list(source.model, axis_unit(axis))
+            else:
+                assert source.fit is not None
+                log = self.fit_logs[axis][0]
+                key = (source.model_dump_json(), id(log))
+                if key not in done:
+                    done[key] = self._fitted(name, log, source)
+                fits[axis] = done[key]
+                models[axis] = done[key].model
+            if isinstance(source, AxisSource) and source.stabilise:
+                radius = {} if source.stabilise is True else {"radius": float(source.stabilise)}
+                models[axis] = NoiseModel(
+                    tuple(p.stabilised(**radius) if isinstance(p, ARMA) else p for p in models[axis])
+                )
+            tuning = design.options.tuning
+            factor = tuning.gyro if axis.startswith("gyro") else tuning.accel
+            if factor != 1.0:
+                models[axis] = models[axis].scaled(factor)
+        return Belief({axis: m.at_rate(self.rate_hz) for axis, m in models.items()}, fits)
 
     def _true_models(self) -> dict[str, NoiseModel]:
         return self.scenario.truth.models() if self.scenario.truth is not None else {}
@@ -165,14 +180,60 @@ class Experiment:
             raise InputError(f"no model for {axis}, expected one of: {', '.join(models)}", where=name)
         return models[axis]
 
-    def filter(self, design: str, *, output_every: int = 1, covariance_at: Array | None = None) -> LooselyCoupledEKF:
-        """The filter of one design."""
-        gnss, options = self.scenario.gnss, self.scenario.designs[design].options
+    def filter(
+        self,
+        design: str,
+        *,
+        output_every: int = 1,
+        covariance_at: Array | None = None,
+        standstill: Standstill | None = None,
+    ) -> LooselyCoupledEKF | NavigationFilter:
+        """The filter of one design: insemu's own, or the one that an installed package offers under the name that the design gives."""
+        return self._made(
+            design,
+            self.beliefs[design],
+            output_every=output_every,
+            covariance_at=covariance_at,
+            standstill=standstill or self.world.standstill,
+        )
+
+    def ekf(self, design: str) -> LooselyCoupledEKF:
+        """The filter of a design of insemu's own.
+
+        Raises
+        ------
+        InputError
+            The design names a user's filter.
+        """
+        made = self.filter(design)
+        if not isinstance(made, LooselyCoupledEKF):
+            name = self.scenario.designs[design].filter
+            raise InputError(
+                f"the design '{design}' is the user's filter '{name}', expected one of insemu's own",
+                where=str(self.file or "scenario"),
+            )
+        return made
+
+    def altered(self, design: str, parts: FilterParts) -> FilterParts:
+        """What a filter is made of, as it is used; for experiments that change it (:mod:`insemu.evaluate.regression`)."""
+        return parts
+
+    def _made(
+        self,
+        design: str,
+        belief: Belief,
+        *,
+        output_every: int = 1,
+        covariance_at: Array | None = None,
+        standstill: Standstill | None = None,
+    ) -> LooselyCoupledEKF | NavigationFilter:
+        gnss, chosen = self.scenario.gnss, self.scenario.designs[design]
+        options = chosen.options
         sigma = np.array(gnss.position_sigma) * options.tuning.position
         velocity = np.array(gnss.velocity_sigma or (np.nan,) * 3) * options.tuning.velocity
-        return LooselyCoupledEKF(
-            self.beliefs[design].models,
-            1.0 / self.rate_hz,
+        parts = FilterParts(
+            belief=belief.models,
+            dt=1.0 / self.rate_hz,
             lever_arm=lever_arm_of(options.known_effects(), gnss.lever_arm),
             gravity=self.world.gravity,
             gnss_sigma=(sigma, velocity),
@@ -182,10 +243,18 @@ class Experiment:
                 gate=options.gate,
                 covariance_at=() if covariance_at is None else tuple(covariance_at),
                 extras=Extras(**options.states.model_dump()),
-                standstill=self.world.standstill,
+                standstill=standstill,
                 store="fixes" if self.scenario.smoother else "none",
             ),
         )
+        try:
+            parts = self.altered(design, parts)
+            return parts.own() if chosen.filter is None else parts.user(chosen.filter, chosen.settings)
+        except InputError as error:
+            hint = ""
+            if isinstance(error, NotStationary):
+                hint = "; to take it write {model: [...], stabilise: true}, or the largest modulus of a pole instead of true"
+            raise InputError(f"{error}{hint}", where=f"{self.file or 'scenario'}: designs.{design}") from None
 
     def realization(self, index: int) -> dict[str, Array]:
         """Fly every design through one realization.
@@ -207,8 +276,10 @@ class Experiment:
             assert known.gnss is not None
             rows = self.world.rows(known.imu, every)
             times = known.imu.t[rows]
-            ekf = self.filter(name, covariance_at=times)
+            ekf = self.filter(name, covariance_at=times, standstill=self._rests(name, known))
             run = ekf.run(self._prefiltered(name, known.imu), self._believed(name, known.gnss), start, start_sigma)
+            if (users := self.scenario.designs[name].filter) is not None:
+                check_result(users, run, times, smoother=self.scenario.smoother)
             found = asdict(self.world.score(Estimate.of_filter(run, times), times))
             if self.scenario.smoother:
                 smoothed = self.world.score(Estimate.of_smoother(smooth(run), times), times)
@@ -224,10 +295,35 @@ class Experiment:
                 "lag_count": lag_count,
                 "epochs": run.epochs,
                 "seconds": run.seconds,
+                "rejected": len(run.fixes.rejected),
+                "fixes": np.count_nonzero(run.fixes.dof),
+                "state_names": "\n".join(run.layout.names),
             }
             for key, value in found.items():
                 out.setdefault(key, []).append(value)
+        widest = max(values.shape[1] for values in out["observability"])
+        out["observability"] = [
+            np.pad(values, ((0, 0), (0, widest - values.shape[1])), constant_values=np.nan)
+            for values in out["observability"]
+        ]
         return {name: np.array(values) for name, values in out.items()}
+
+    def _rests(self, design: str, data: Recording) -> Standstill | None:
+        """Zero-velocity and zero-rate updates of one design, where it has any and the data show a rest outside the outages."""
+        asked = self.scenario.designs[design].options.zero_updates
+        if asked is None:
+            return None
+        clear = [
+            (a, b)
+            for a, b in rests(data.imu, data.gnss)
+            if not any(start < b and a < start + duration for start, duration in self.world.outage_windows)
+        ]
+        return Standstill(
+            clear,
+            asked.every,
+            np.inf if asked.velocity_sigma is None else asked.velocity_sigma,
+            np.inf if asked.rate_sigma is None else asked.rate_sigma,
+        )
 
     def _sensors(
         self,
@@ -238,14 +334,20 @@ class Experiment:
         error: Array,
         true: TrueStates | None,
     ) -> dict[str, Array]:
-        """NEES of every block, and errors and stated standard deviations of what the filter says about its axes."""
+        """NEES of every block, errors and stated standard deviations of what the filter says about its axes, observability of its states."""
         times = imu.t[rows]
         if self.world.compared < 9:  # errors against fixes hold the fixes' own, which this covariance does not
             error = np.full_like(error, np.nan)
         covariance = run.covariance[np.searchsorted(run.covariance_t, times - 1e-9).clip(0, len(run.covariance) - 1)]
         if not isinstance(ekf, LooselyCoupledEKF):  # what its further states mean is not known
             nothing = np.full((len(rows), 6), np.nan)
-            return {"block_nees": block_nees(error, covariance), "axis_error": nothing, "axis_sigma": nothing}
+            unknown = np.full((len(rows), covariance.shape[1] - 9), np.nan)
+            return {
+                "block_nees": block_nees(error, covariance),
+                "axis_error": nothing,
+                "axis_sigma": nothing,
+                "observability": unknown,
+            }
         whole = imu.as_increments()
         step = (whole.t[np.maximum(rows, 1)] - whole.t[np.maximum(rows, 1) - 1])[:, None]
         measured = np.hstack([whole.gyro[rows], whole.accel[rows]]) / step
@@ -258,6 +360,10 @@ class Experiment:
             "block_nees": block_nees(error, covariance, sensed),
             "axis_error": sensed.axes,
             "axis_sigma": np.sqrt(np.maximum(np.einsum("kii->ki", sensed.axes_covariance), 0.0)),
+            "observability": observability(
+                np.sqrt(np.maximum(np.einsum("kii->ki", covariance[:, 9:, 9:]), 0.0)),
+                unaided_sigma(ekf.augmentation, rows),
+            ),
         }
 
     def _compensated(self, design: str, recording: Recording, start: NavState, sigma: InitialSigma) -> Recording:
@@ -325,6 +431,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         "python": platform.python_version(),
         "packages": {name: metadata.version(name) for name in packages},
         "ideal_imu_distance_m": experiment.world.path_distance_m,
+        "warnings": list(experiment.world.warnings),
         "beliefs": {
             name: {axis: m.to_list(axis_unit(axis)) for axis, m in b.models.items()}
             for name, b in experiment.beliefs.items()
@@ -375,7 +482,10 @@ def run_experiment(
     todo = [r for r in range(total) if r not in items]
     if todo:
         progress(len(items), total, "preparing")
-        _ = experiment.beliefs  # fits are made once, before the threads
+        for (
+            name
+        ) in experiment.beliefs:  # fits are made once, before the threads, and whatever is wrong with them is said
+            experiment.filter(name)
     progress(len(items), total, "flying")
     own = executor is None
     pool = executor if executor is not None else ThreadPoolExecutor(max_workers=max(1, workers))
@@ -389,14 +499,14 @@ def run_experiment(
     finally:
         if own:
             pool.shutdown(wait=True, cancel_futures=True)
-    stacked = {name: np.stack([items[r][name] for r in range(total)], axis=1) for name in items[0]}
+    stacked = {key: np.stack([items[r][key] for r in range(total)], axis=1) for key in items[0]}
     smoothed = None
     if s.smoother:
         smoothed = Smoothed(*(stacked[f"smoothed_{key}"] for key in ("error", "sigma", "nees")))
-    designs = {
-        name: DesignInfo(layout.n, tuple(layout.names), experiment.beliefs[name].models)
-        for name, layout in ((name, experiment.filter(name).layout) for name in experiment.beliefs)
-    }
+    designs = {}
+    for name, joined in zip(experiment.beliefs, items[0]["state_names"], strict=True):
+        states = tuple(str(joined).split("\n"))
+        designs[name] = DesignInfo(len(states), states, experiment.beliefs[name].models)
     timing = {
         "filter_epochs": int(sum(int(items[r]["epochs"].sum()) for r in range(total))),
         "filter_seconds": float(sum(float(items[r]["seconds"].sum()) for r in range(total))),
@@ -419,7 +529,17 @@ def run_experiment(
         nees_dof=experiment.world.compared,
         innovations=Innovations(stacked["nis"], stacked["dof"], stacked["lag_sum"], stacked["lag_count"]),
         smoothed=smoothed,
-        sensors=Sensors(stacked["block_nees"], stacked["axis_error"], stacked["axis_sigma"]),
+        sensors=Sensors(
+            stacked["block_nees"],
+            stacked["axis_error"],
+            stacked["axis_sigma"],
+            {
+                name: stacked["observability"][d].mean(axis=0)[:, : info.states - 9]
+                for d, (name, info) in enumerate(designs.items())
+            },
+        ),
+        rejected=stacked["rejected"],
+        fixes=stacked["fixes"],
     )
 
 

@@ -17,14 +17,18 @@ from insemu.evaluate.consistency import nees
 from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.world import Estimate, Scored, input_files, nearest_rows
 from insemu.filters import InitialSigma, Standstill
-from insemu.filters.alignment import Alignment, align
-from insemu.filters.motion import align_in_motion, cut, rests
+from insemu.filters.alignment import Alignment, align, cut, rests
+from insemu.filters.motion import align_in_motion
 from insemu.formats import read_recording
 from insemu.records import GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import OutageWindow, Scenario
 from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
+
+
+#: Share of repeated IMU rows from which a recording is warned about.
+REPEATED = 0.002
 
 
 class RecordedWorld:
@@ -51,8 +55,8 @@ class RecordedWorld:
         self.scenario, self.file, self.source = scenario, file, scenario.recording
         self.files = input_files(scenario, file)
         self.path_distance_m = 0.0
-        self.warnings: tuple[str, ...] = ()
         recording = read_recording(self.files[self.source.file])
+        self.warnings = tuple(_repeated_rows(recording.imu, self.source.file))
         if recording.gnss is None:
             raise InputError("has no GNSS fixes, which the designs need", where=self.source.file)
         C = rotation.dcm_from_rpy(self.source.mounting)
@@ -92,10 +96,21 @@ class RecordedWorld:
     @cached_property
     def alignment(self) -> Alignment:
         """Where the filters start."""
+        how, arm = self.source.alignment, self.scenario.gnss.lever_arm
+        if how == "rest":
+            found = align(self.vehicle_imu, self.gnss, lever_arm=arm)
+            if np.isnan(found.gyro_bias).any():
+                raise InputError(
+                    "found no rest before the first motion, expected one to align at; 'motion' does without",
+                    where=f"{self.file or 'scenario'}: recording.alignment",
+                )
+            return found
+        if how == "motion":
+            return align_in_motion(self.vehicle_imu, self.gnss, lever_arm=arm, gravity=self.source.gravity)
         try:
-            return align_in_motion(self.vehicle_imu, self.gnss, gravity=self.source.gravity)
+            return align_in_motion(self.vehicle_imu, self.gnss, lever_arm=arm, gravity=self.source.gravity)
         except InputError:  # too little motion for vectors; the course may do
-            return align(self.vehicle_imu, self.gnss, lever_arm=self.scenario.gnss.lever_arm)
+            return align(self.vehicle_imu, self.gnss, lever_arm=arm)
 
     @property
     def rate_hz(self) -> float:
@@ -192,16 +207,16 @@ class RecordedWorld:
         NEES is scaled so that a consistent filter has 9, however few errors have a reference.
         """
         t, used = self.output_times, self.compared
-        whole = Trajectory(run.t, run.nav[:, 0:3], run.nav[:, 3:6], rotation.rpy_from_quaternion(run.nav[:, 6:10]))
-        inside = np.clip(t, whole.t[0], whole.t[-1])
+        # at the nearest row, moved by its velocity: between two rows a fix may lie, which the covariance knows of and an interpolation does not
+        nav = run.nav[np.searchsorted(run.t, times - 1e-9)]
+        rpy = rotation.rpy_from_quaternion(nav[:, 6:10])
+        estimate = Trajectory(t, earth.move(nav[:, :3], nav[:, 3:6] * (t - times)[:, None]), nav[:, 3:6], rpy)
         P = run.covariance.copy()
         if self.reference is not None:
-            llh, vel, q, _ = state_at(whole, inside)
-            estimate = Trajectory(t, llh, vel, rotation.rpy_from_quaternion(q))
             error = navigation_error(estimate, self.truth_at_outputs)
         else:
             fixes = _rows(self.gnss, np.isin(self.gnss.t, t))
-            llh, vel = antenna(whole, inside, self.scenario.gnss.lever_arm)
+            llh, vel = antenna(estimate, t, self.scenario.gnss.lever_arm)
             error = np.full((t.size, 9), np.nan)
             error[:, :3] = earth.position_difference(llh, fixes.llh)
             assert fixes.pos_std_ned is not None
@@ -213,6 +228,18 @@ class RecordedWorld:
             P[:, :used, :used] += np.eye(used) * R[:, None]
         sigma = np.sqrt(np.einsum("tii->ti", P))
         return Scored(error, sigma, nees(np.nan_to_num(error[:, :used]), P[:, :used, :used]) * 9.0 / used)
+
+
+def _repeated_rows(imu: ImuRecord, name: str) -> list[str]:
+    """A warning where the recorder has read samples twice: it has then lost others, and vibration becomes low-frequency noise."""
+    both = np.concatenate([imu.gyro, imu.accel], axis=1)
+    count = int((np.diff(both, axis=0) == 0).all(axis=1).sum())
+    if count < REPEATED * len(imu):
+        return []
+    return [
+        f"{name}: {count} of {len(imu)} IMU rows ({count / len(imu):.1%}) repeat the row before in all six channels: the recorder and the "
+        "sensor run on clocks of their own, and what falls between them is lost; vibration then becomes noise at low frequencies"
+    ]
 
 
 def _rows(gnss: GnssRecord, keep: NDArray[np.bool_]) -> GnssRecord:

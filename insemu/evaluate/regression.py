@@ -22,9 +22,8 @@ from scipy import stats
 from insemu.errors import InputError
 from insemu.evaluate.experiment import Experiment, run_experiment
 from insemu.evaluate.results import Results
-from insemu.filters import LooselyCoupledEKF
+from insemu.filters.protocol import FilterParts
 from insemu.noise import NoiseModel
-from insemu.records import AXES
 
 Array = NDArray[np.float64]
 
@@ -223,7 +222,7 @@ class Alteration:
     def belief(self, models: Mapping[str, NoiseModel]) -> dict[str, NoiseModel]:
         """The belief with the parameter multiplied on every axis of the triad."""
         out = dict(models)
-        for axis in AXES:
+        for axis in out:
             if axis.startswith(self.triad):
                 parts = []
                 for index, p in models[axis].indexed():
@@ -242,23 +241,18 @@ class AlteredExperiment(Experiment):
         self._alteration = alteration
         self.__dict__["beliefs"] = original.beliefs  # fitted once
 
-    def filter(self, design: str, *, output_every: int = 1, covariance_at: Array | None = None) -> LooselyCoupledEKF:
-        """The filter of one design, altered."""
+    def altered(self, design: str, parts: FilterParts) -> FilterParts:
+        """What a filter is made of, altered."""
         a = self._alteration
-        plain = super().filter(design, output_every=output_every, covariance_at=covariance_at)
-        position, velocity = plain.gnss_sigma if plain.gnss_sigma is not None else (np.full(3, np.nan),) * 2
+        position, velocity = parts.gnss_sigma
         if a.triad == "gnss":
-            position, velocity = (
-                position * (a.factor if a.parameter == "position" else 1.0),
-                velocity * (a.factor if a.parameter == "velocity" else 1.0),
-            )
-        return LooselyCoupledEKF(
-            a.belief(self.beliefs[design].models),
-            plain.dt,
-            lever_arm=plain.lever_arm,
-            gravity=plain.gravity,
+            position = position * (a.factor if a.parameter == "position" else 1.0)
+            velocity = velocity * (a.factor if a.parameter == "velocity" else 1.0)
+        return replace(
+            parts,
+            belief=a.belief(parts.belief),
             gnss_sigma=(position, velocity),
-            options=replace(plain.options, imposed_gnss_sigma=a.triad == "gnss"),
+            options=replace(parts.options, imposed_gnss_sigma=a.triad == "gnss"),
         )
 
 
@@ -268,7 +262,7 @@ def alterations(experiment: Experiment, design: str, factor: float) -> list[Alte
     models = experiment.beliefs[design].models
     for triad in ("gyro", "accel"):
         seen: list[str] = []
-        for axis in AXES:
+        for axis in models:
             if axis.startswith(triad):
                 for index, p in models[axis].indexed():
                     if p.symbol not in ("AR", "ARMA", "MA"):

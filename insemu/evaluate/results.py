@@ -30,6 +30,10 @@ from insemu.records import AXES, Trajectory
 Array = NDArray[np.float64]
 
 
+#: Figures of an outage that are taken while it lasts.
+DURING = ("planimetric_mean_m", "planimetric_max_m", "north_max_m", "east_max_m", "down_max_m")
+
+
 @dataclass(frozen=True)
 class DesignInfo:
     """What a design carries."""
@@ -76,11 +80,14 @@ class Sensors:
         NEES per degree of freedom of the blocks :data:`insemu.evaluate.consistency.BLOCKS`, those of navigation among them.
     error, sigma : (design, realization, time, 6) arrays
         Estimated minus true error of every axis apart from white noise, and its stated standard deviation, rad/s and m/s^2.
+    observability : mapping of design to (time, states - 9) array
+        Share of the variance of each state behind the nine that the fixes have removed, mean over realizations.
     """
 
     block_nees: Array
     error: Array
     sigma: Array
+    observability: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -120,6 +127,8 @@ class Results:
         Design to an error budget per outage (:func:`~insemu.evaluate.comparison.error_budgets`); empty where none was made.
     sensors : Sensors, optional
         What the filters say about their sensors.
+    rejected, fixes : (design, realization) arrays, optional
+        Fixes and standstill updates that the gate kept out, and how many there were.
     """
 
     title: str
@@ -140,6 +149,8 @@ class Results:
     nees_dof: int = 9
     budgets: Mapping[str, Sequence[Mapping[str, Any]]] = field(default_factory=dict)
     sensors: Sensors | None = None
+    rejected: Array | None = None
+    fixes: Array | None = None
 
     @property
     def realizations(self) -> int:
@@ -225,6 +236,14 @@ class Results:
             data["axis_error"] = ((*dims, "axis"), self.sensors.error, about)
             data["axis_sigma"] = ((*dims, "axis"), self.sensors.sigma, about)
             data = data.assign_coords(block=list(BLOCKS), axis=list(AXES))
+            for name, values in self.sensors.observability.items():
+                states = f"states of {name}"
+                about = {"long_name": "share of a state's variance that the fixes have removed", "units": "1"}
+                data[f"observability of {name}"] = (("time", states), values, about)
+                data = data.assign_coords({states: list(self.designs[name].state_names[9:])})
+        if self.rejected is not None and self.fixes is not None:
+            data["rejected"] = (("design", "realization"), self.rejected, {"long_name": "fixes that the gate kept out"})
+            data["fixes"] = (("design", "realization"), self.fixes, {"long_name": "fixes with any component"})
         data.attrs = {
             "title": self.title,
             "digest": self.digest,
@@ -248,18 +267,17 @@ def outage_table(results: Results) -> dict[str, list[dict[str, Any]]]:
             inside = within_outage(results.t, start, duration)
             end = results.end_index(k)
             error, sigma = results.error[d], results.sigma[d]
-            horizontal = np.hypot(error[..., 0], error[..., 1])
-            at_end = bootstrap_mean(horizontal[:, end])
+            at_end_runs = _runs(results, name, k, "planimetric_end_m")
+            at_end = bootstrap_mean(at_end_runs)
             row = {
                 "start_s": start,
                 "duration_s": duration,
                 "planimetric_end_m": {
                     "mean": at_end.mean,
                     "ci95": [at_end.low, at_end.high],
-                    "per_realization": horizontal[:, end].tolist(),
+                    "per_realization": at_end_runs.tolist(),
                 },
-                "planimetric_mean_m": float(horizontal[:, inside].mean()) if inside.any() else 0.0,
-                "planimetric_max_m": float(horizontal[:, inside].max(axis=1).mean()) if inside.any() else 0.0,
+                **{f: float(_runs(results, name, k, f).mean()) for f in DURING},
                 "altimetric_end_m": float(np.abs(error[:, end, 2]).mean()),
                 "predicted_sigma_end_m": float(np.sqrt((sigma[:, end, :2] ** 2).sum(axis=1).mean())),
                 "velocity_end_m_s": float(np.linalg.norm(error[:, end, 3:6], axis=1).mean()),
@@ -267,9 +285,6 @@ def outage_table(results: Results) -> dict[str, list[dict[str, Any]]]:
                 "coverage_3sigma": _coverage(error[:, inside], sigma[:, inside]),
                 "nees_per_dof": float(results.nees[d][:, inside].mean() / 9.0) if inside.any() else float("nan"),
             }
-            for axis, component in (("north", 0), ("east", 1), ("down", 2)):
-                largest = np.abs(error[:, inside, component]).max(axis=1) if inside.any() else np.zeros(1)
-                row[f"{axis}_max_m"] = float(largest.mean())
             if results.smoothed is not None:
                 row["smoothed"] = _smoothed_row(results, d, k)
             rows.append(row)
@@ -351,6 +366,48 @@ def rank_agreement(results: Results, figure: str | None = None) -> list[float]:
     return taus
 
 
+def single_run_agreement(results: Results, figure: str | None = None) -> Array:
+    """How well one run knows the order: Kendall's tau between its ranking of the published designs and that of the other runs' means.
+
+    Parameters
+    ----------
+    results : Results
+    figure : str, optional
+        A published figure; the first unless given.
+
+    Returns
+    -------
+    (outages * realizations,) array
+        Empty for fewer than three designs or two realizations. What one drive of a paper can show at best.
+    """
+    figure = figure or results.headline_figure
+    names = [name for name in results.published.get(figure, {}) if name in results.designs]
+    if len(names) < 3 or results.realizations < 2:
+        return np.zeros(0)
+    taus = []
+    for k in range(len(results.outages)):
+        values = np.stack([_runs(results, name, k, figure) for name in names])
+        total = values.sum(axis=1)
+        taus += [kendall(list(v), list(total - v)) for v in values.T]
+    return np.array([tau for tau in taus if not np.isnan(tau)])
+
+
+def _runs(results: Results, design: str, outage: int, figure: str) -> Array:
+    """A figure of one outage, run by run."""
+    error = results.error[results.names.index(design)]
+    if figure == "planimetric_end_m":
+        at = results.end_index(outage)
+        return np.hypot(error[:, at, 0], error[:, at, 1])
+    inside = error[:, within_outage(results.t, *results.outages[outage])]
+    if not inside.size:
+        return np.zeros(len(error))
+    if figure.startswith("planimetric"):
+        horizontal = np.hypot(inside[..., 0], inside[..., 1])
+        return np.asarray(horizontal.mean(axis=1) if figure == "planimetric_mean_m" else horizontal.max(axis=1))
+    component = ("north_max_m", "east_max_m", "down_max_m").index(figure)
+    return np.asarray(np.abs(inside[..., component]).max(axis=1))
+
+
 #: What the sensor blocks are called in words.
 SENSOR_NAMES = {"gyro": "gyroscope errors", "accel": "accelerometer errors"}
 
@@ -418,6 +475,12 @@ def consistency_words(results: Results, design: str) -> list[str]:
         if words and len(family) > 1:
             verdict += f" at {bad} of {len(family)} epochs"
         lines.append(f"{name} {span} ({family[0].low:.2f} to {family[0].high:.2f} expected): {verdict}")
+    if results.rejected is not None and results.fixes is not None:
+        d = results.names.index(design)
+        if results.rejected[d].any():
+            lines.append(
+                f"the gate rejected {results.rejected[d].mean():.3g} of {results.fixes[d].mean():.0f} fixes a run"
+            )
     return lines
 
 
@@ -437,6 +500,8 @@ def summary(results: Results) -> dict[str, Any]:
             "nees_per_dof": float(results.nees[d].mean() / 9.0),
             "nees_per_dof_by_block": blocks_of(results, d),
             "nis_per_dof": float(results.nis[d].mean()),
+            "rejected_fixes": None if results.rejected is None else results.rejected[d].tolist(),
+            "observability_end": observability_end(results, name),
             "consistency": [{**asdict(v), "passed": v.passed} for v in consistency(results, name)],
         }
         if name in results.budgets:
@@ -468,6 +533,15 @@ def blocks_of(results: Results, design: int) -> dict[str, float]:
         return {}
     values = results.sensors.block_nees[design]
     return {name: float(np.nanmean(values[:, i])) for i, name in enumerate(BLOCKS) if np.isfinite(values[:, i]).any()}
+
+
+def observability_end(results: Results, design: str) -> dict[str, float]:
+    """Share of each sensor state's variance that the fixes have removed by the last epoch; over time it stands in ``errors.nc``."""
+    if results.sensors is None or design not in results.sensors.observability:
+        return {}
+    last = results.sensors.observability[design][-1:]
+    names = results.designs[design].state_names[9:]
+    return {name: float(v) for name, v in zip(names, last[0] if len(last) else (), strict=False) if np.isfinite(v)}
 
 
 def finite(document: Any) -> Any:

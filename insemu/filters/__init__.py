@@ -11,12 +11,13 @@ from insemu.filters.ekf import (
     Standstill,
     run_filter,
 )
-from insemu.filters.protocol import NavigationFilter, user_filter
+from insemu.filters.protocol import FilterParts, NavigationFilter, user_filter
 from insemu.filters.smoother import SmootherResult, smooth
 
 __all__ = [
     "Extras",
     "FilterOptions",
+    "FilterParts",
     "FilterResult",
     "FixTable",
     "InitialSigma",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, Literal, get_args
 
@@ -443,7 +443,9 @@ class LooselyCoupledEKF:
             regular = np.zeros(0, dtype=np.int64)
             if o.node_every is not None:
                 regular = np.searchsorted(t, np.arange(t[0], t[-1], o.node_every) - 1e-9)
-            node_epoch = np.unique(np.concatenate([[0], events.epoch, regular, cov_epoch, [t.size - 1]])).astype(np.int64)
+            node_epoch = np.unique(np.concatenate([[0], events.epoch, regular, cov_epoch, [t.size - 1]])).astype(
+                np.int64
+            )
         rows = (t.size - 1) // o.output_every + 1 + ((t.size - 1) % o.output_every != 0)
         stored = o.store == "fixes"
         kept, g = node_epoch.size, (f if stored else 1)
@@ -461,7 +463,7 @@ class LooselyCoupledEKF:
         code, detail = kernel.run(
             t, record.gyro, record.accel, nav, x0, P0, p.place, a.axis, a.c, a.driver, p.slots, p.diagonal, p.d, p.phi, p.offsets, p.mix, p.q_at, p.q,
             a.white, self._gravity, self.lever_arm, lever_at, latency_at, self.thresholds(), o.covariance_every, o.output_every,
-            events.epoch, events.kind, events.tau, events.z, events.var, cov_epoch, node_epoch, stored,
+            events.epoch, events.kind, events.since, events.tau, events.z, events.var, cov_epoch, node_epoch, stored,
             out_nav, out_var, out_x, nu, S, nis, dof, ok, K, H, out_P, node_nav, node_x, before, after, phi, node_dx, P,
         )  # fmt: skip
         seconds = time.perf_counter() - started
@@ -537,7 +539,7 @@ class LooselyCoupledEKF:
                 )
             tau = t[epoch] - times
             tau[np.abs(tau) < tolerance] = 0.0
-            parts.append(_Events(times, epoch, np.zeros(inside.size, dtype=np.int64), tau, z, var))
+            parts.append(_Events(times, epoch, np.zeros(inside.size, dtype=np.int64), epoch, tau, z, var))
         if self.options.standstill is not None:
             s = self.options.standstill
             times = np.unique(
@@ -545,18 +547,14 @@ class LooselyCoupledEKF:
             )
             times = times[(times > t[0]) & (times <= t[-1])]
             epoch = np.searchsorted(t, times - 1e-6 * self.dt).astype(np.int64)
+            since = np.minimum(np.searchsorted(t, times - s.every - 1e-6 * self.dt).astype(np.int64), epoch - 1)
             var = np.tile(np.repeat([s.velocity_sigma**2, s.rate_sigma**2], 3), (times.size, 1))
-            parts.append(
-                _Events(
-                    t[epoch], epoch, np.ones(times.size, dtype=np.int64), np.zeros(times.size), np.zeros_like(var), var
-                )
-            )
+            kind, none_late, zero = np.ones(times.size, dtype=np.int64), np.zeros(times.size), np.zeros_like(var)
+            parts.append(_Events(t[epoch], epoch, kind, since, none_late, zero, var))
         if not parts:
             nothing, none = np.zeros(0), np.zeros(0, dtype=np.int64)
-            return _Events(nothing, none, none, nothing, np.zeros((0, 6)), np.zeros((0, 6)))
-        joined = [
-            np.concatenate([getattr(p, name) for p in parts]) for name in ("t", "epoch", "kind", "tau", "z", "var")
-        ]
+            return _Events(nothing, none, none, none, nothing, np.zeros((0, 6)), np.zeros((0, 6)))
+        joined = [np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Events)]
         order = np.argsort(joined[1], kind="stable")
         return _Events(*(np.ascontiguousarray(v[order]) for v in joined))
 
@@ -573,6 +571,7 @@ class _Events:
     t: Array
     epoch: NDArray[np.int64]
     kind: NDArray[np.int64]
+    since: NDArray[np.int64]  # epoch after which the rate of a standstill is averaged
     tau: Array
     z: Array
     var: Array

@@ -25,6 +25,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from insemu.rotation import scalar_dcm
+
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
@@ -38,6 +40,30 @@ MAX_SLOTS = 14
 MAP_SIZE = 46
 
 _FAST = {"contract"}  # fused multiply-add only: nothing that changes how NaN behaves
+
+
+@njit(cache=True, nogil=True, inline="always")
+def middle(q: Array, dth: Array, dv: Array, dt: float, C: Array, mid: Array, f_n: Array) -> None:
+    """Attitude and specific force at the middle of a step.
+
+    Parameters
+    ----------
+    q : (4,) array
+        Attitude at the start of the step.
+    dth, dv : (3,) arrays
+        Increments of angle and velocity.
+    dt : float
+        s.
+    C, mid, f_n : (3, 3), (3, 3), (3,) arrays
+        Overwritten: ``C_nb`` at the start and at the middle, specific force in the local frame.
+    """
+    scalar_dcm(q, C)
+    hx, hy, hz = 0.5 * dth[0], 0.5 * dth[1], 0.5 * dth[2]
+    for i in range(3):
+        mid[i, 0] = C[i, 0] + C[i, 1] * hz - C[i, 2] * hy
+        mid[i, 1] = C[i, 1] + C[i, 2] * hx - C[i, 0] * hz
+        mid[i, 2] = C[i, 2] + C[i, 0] * hy - C[i, 1] * hx
+        f_n[i] = (mid[i, 0] * dv[0] + mid[i, 1] * dv[1] + mid[i, 2] * dv[2]) / dt
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)

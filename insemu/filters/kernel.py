@@ -15,12 +15,12 @@ from insemu.filters.expanded import (
     advance_transition,
     fill_map,
     gather,
+    middle,
     predict,
     reset_transition,
     scatter,
 )
 from insemu.filters.measurements import FIX, fill_fix, fill_standstill, first_bad_pivot, take_off, update
-from insemu.rotation import scalar_dcm
 from insemu.strapdown import fill_dynamics, step
 
 Array = NDArray[np.float64]
@@ -82,6 +82,7 @@ def run(
     output_every: int,
     event_epoch: Ints,
     event_kind: Ints,
+    event_from: Ints,
     event_tau: Array,
     event_z: Array,
     event_var: Array,
@@ -156,7 +157,7 @@ def run(
             c_of[s] = c0[s]
     if store:
         reset_transition(A, end)
-    event, cov, node, row = 0, 0, 0, 0
+    event, cov, node, row, still = 0, 0, 0, 0, 0
 
     d_one, phi_one = d_of[0], phi_of[0]
     d, phi, mix, q = d_one, phi_one, mix_of[0], q_of[0]
@@ -168,6 +169,13 @@ def run(
         if k > 0:
             dt = t[k] - t[k - 1]
             before = max(k - 1, 1)
+            while still < event_epoch.size and (event_kind[still] == FIX or event_epoch[still] < k):
+                still += 1
+            if still < event_epoch.size and event_from[still] == k - 1:
+                # the rate of the next standstill is averaged from here on, whatever the vehicle did before
+                for i in range(3):
+                    rate_sum[i] = 0.0
+                rate_count = 0
             if driven:
                 for s in range(m):
                     if driver[s] >= 0:
@@ -187,14 +195,7 @@ def run(
                     dth1[i], dv1[i], rate1[i] = dth[i], dv[i], rate[i]
             for i in range(10):
                 nav_before[i] = nav[i]
-            scalar_dcm(nav[6:10], C)
-            # attitude and specific force at the middle of the step
-            hx, hy, hz = 0.5 * dth[0], 0.5 * dth[1], 0.5 * dth[2]
-            for i in range(3):
-                mid[i, 0] = C[i, 0] + C[i, 1] * hz - C[i, 2] * hy
-                mid[i, 1] = C[i, 1] + C[i, 2] * hx - C[i, 0] * hz
-                mid[i, 2] = C[i, 2] + C[i, 0] * hy - C[i, 1] * hx
-                f_n[i] = (mid[i, 0] * dv[0] + mid[i, 1] * dv[1] + mid[i, 2] * dv[2]) / dt
+            middle(nav[6:10], dth, dv, dt, C, mid, f_n)
             if every > 1:
                 # several steps as one: means over them, at the last state
                 span += dt
@@ -275,9 +276,6 @@ def run(
                     for i in range(3):
                         rate_sum[i] /= rate_count
                     fill_standstill(nav, rate_sum, rate_count, white, c_of, axis, nu, H, R)
-                    for i in range(3):
-                        rate_sum[i] = 0.0
-                    rate_count = 0
                 for i in range(6):
                     used[i] = math.isfinite(event_z[event, i]) and math.isfinite(event_var[event, i])
                     if used[i]:

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
-from typing import Protocol, runtime_checkable
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError, nearest
-from insemu.filters.ekf import FilterResult, InitialSigma
+from insemu.filters.ekf import FilterOptions, FilterResult, InitialSigma, LooselyCoupledEKF
+from insemu.noise import NoiseModel
 from insemu.records import GnssRecord, ImuRecord, Trajectory
 from insemu.strapdown import NavState
+
+Array = NDArray[np.float64]
 
 #: Group of entry points under which packages offer their filters.
 GROUP = "insemu.filters"
@@ -20,8 +28,12 @@ GROUP = "insemu.filters"
 class NavigationFilter(Protocol):
     """A filter: it gets records and a start, never the truth, and says where it was and how well it knows that.
 
-    :class:`~insemu.filters.ekf.LooselyCoupledEKF` is one. The result's first nine states are position (metres north, east, down), velocity and
-    attitude errors; its ``covariance`` at the asked epochs and its ``fixes`` are what consistency is judged by.
+    :class:`~insemu.filters.ekf.LooselyCoupledEKF` is one. A class that a scenario names (``filter: NAME``) is called with the same arguments,
+    ``Class(belief, dt, lever_arm=..., gravity=..., gnss_sigma=..., options=..., **settings)``, once per realization: ``belief`` maps axes to
+    noise models (those that the design gives), ``options`` is :class:`~insemu.filters.ekf.FilterOptions`, ``settings`` are the design's.
+
+    The result's first nine states are position (metres north, east, down), velocity and attitude errors. It has a row of ``nav`` and a
+    covariance at every time of ``options.covariance_at``, and its ``fixes`` are what consistency is judged by.
     """
 
     def run(
@@ -31,8 +43,50 @@ class NavigationFilter(Protocol):
         initial: NavState | Trajectory,
         initial_sigma: InitialSigma | ArrayLike,
     ) -> FilterResult:
-        """Filter one record; called from several threads at a time."""
+        """Filter one record; called from several threads at a time, on an object each."""
         ...
+
+
+@dataclass(frozen=True)
+class FilterParts:
+    """What a filter is made of: the arguments of :class:`~insemu.filters.ekf.LooselyCoupledEKF` and of a user's class."""
+
+    belief: Mapping[str, NoiseModel]
+    dt: float
+    lever_arm: ArrayLike
+    gravity: str
+    gnss_sigma: tuple[Array, Array]
+    options: FilterOptions
+
+    def own(self) -> LooselyCoupledEKF:
+        """The filter of this package."""
+        return LooselyCoupledEKF(**vars(self))
+
+    def user(self, name: str, settings: Mapping[str, Any]) -> NavigationFilter:
+        """The filter that an installed package offers under this name.
+
+        Raises
+        ------
+        InputError
+            See :func:`user_filter`; arguments that the class does not take.
+        """
+        offered: Any = user_filter(name)
+        try:
+            made: NavigationFilter = offered(**vars(self), **settings)
+        except TypeError as error:
+            raise InputError(
+                f"the filter '{name}' cannot be made with its settings ({error}); expected a class that takes belief, dt, lever_arm, gravity, "
+                "gnss_sigma, options and the settings"
+            ) from None
+        return made
+
+
+def _entry(name: str) -> EntryPoint:
+    offered = {e.name: e for e in entry_points(group=GROUP)}
+    if name not in offered:
+        hint = nearest(name, offered) if offered else f" (no installed package offers any under '{GROUP}')"
+        raise InputError(f"no filter '{name}'" + hint)
+    return offered[name]
 
 
 def user_filter(name: str) -> type[NavigationFilter]:
@@ -48,15 +102,73 @@ def user_filter(name: str) -> type[NavigationFilter]:
     Raises
     ------
     InputError
-        No such entry point, or a class without the method ``run``.
+        No such entry point, one that cannot be imported, or a class without the method ``run``.
     """
-    offered = {e.name: e for e in entry_points(group=GROUP)}
-    if name not in offered:
-        hint = nearest(name, offered) if offered else f" (no installed package offers any under '{GROUP}')"
-        raise InputError(f"no filter '{name}'" + hint)
-    found = offered[name].load()
+    entry = _entry(name)
+    try:
+        found = entry.load()
+    except (ImportError, AttributeError) as error:
+        raise InputError(f"the filter '{name}' ({entry.value}) cannot be imported: {error}") from None
     if not callable(getattr(found, "run", None)):
-        raise InputError(
-            f"the filter '{name}' ({offered[name].value}) has no method run(imu, gnss, initial, initial_sigma)"
-        )
+        raise InputError(f"the filter '{name}' ({entry.value}) has no method run(imu, gnss, initial, initial_sigma)")
     return found
+
+
+def user_filter_code(name: str) -> dict[str, Path]:
+    """The source files that a user's filter stands in, so that results of other code are never taken for those of this one.
+
+    All modules of its top-level package; only those of its own folder where the package has no single place.
+
+    Raises
+    ------
+    InputError
+        See :func:`user_filter`.
+    """
+    top = sys.modules.get(user_filter(name).__module__.split(".")[0])
+    file = getattr(top, "__file__", None)
+    if file is None:
+        return {}
+    path = Path(file)
+    files = sorted(path.parent.rglob("*.py")) if path.name == "__init__.py" else [path]
+    return {f"filter {name}: {f.relative_to(path.parent)}": f for f in files if f.is_file()}
+
+
+def check_result(name: str, run: object, times: Array, *, smoother: bool = False) -> None:
+    """Refuse what a user's filter returned where it cannot be judged.
+
+    Parameters
+    ----------
+    name : str
+        Of the filter.
+    run : object
+        What its ``run`` returned.
+    times : (k,) array
+        At which it was asked for covariances, s.
+    smoother : bool
+        Whether nodes were asked for.
+
+    Raises
+    ------
+    InputError
+        Names what is missing.
+    """
+    who = f"the filter '{name}'"
+    if not isinstance(run, FilterResult):
+        raise InputError(f"{who} returned {type(run).__name__}, expected a FilterResult")
+    for what, have in (("row of nav", run.t), ("covariance", run.covariance_t)):
+        at = np.clip(np.searchsorted(have, times - 1e-6), 0, max(len(have) - 1, 0))
+        bad = np.ones(times.size, dtype=bool) if len(have) == 0 else np.abs(have[at] - times) > 1e-6
+        if bad.any():
+            raise InputError(
+                f"{who} returned no {what} at {times[bad][0]:g} s, expected one at every options.covariance_at"
+            )
+    n = run.layout.n
+    if n < 9 or run.covariance.shape[1:] != (n, n) or run.nav.shape[1] < 10:
+        raise InputError(
+            f"{who} returned {n} states, covariances of shape {run.covariance.shape[1:]} and {run.nav.shape[1]} columns of nav, expected nine "
+            "navigation states or more, square covariances of all states, and 10 columns"
+        )
+    if not (np.isfinite(run.nav).all() and np.isfinite(run.covariance[:, :9, :9]).all()):
+        raise InputError(f"{who} returned numbers that are not finite")
+    if smoother and run.nodes is None:
+        raise InputError(f"{who} kept no nodes, which the scenario's smoother needs (options.store is 'fixes')")

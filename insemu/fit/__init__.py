@@ -123,7 +123,7 @@ def _fit_robust(series: Series, asked: NoiseModel, options: dict[str, Any]) -> F
     if (
         cleaned.outlier_variance > 0
         and options.get("widths") is None
-        and options.get("weighting", "intervals") == "intervals"
+        and options.get("weighting", "auto") in ("auto", "intervals")
     ):
         # scales from which a large part was taken off know less
         given["widths"] = curve.high - curve.low

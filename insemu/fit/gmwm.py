@@ -1,7 +1,8 @@
 """The generalized method of wavelet moments: a model whose wavelet variance is nearest to the signal's (papers 000 and 003).
 
-The distance is quadratic. Weights are the inverse squared widths of the curve's intervals (the default, which does not need a model), or
-the inverse of the curve's covariance under the model, in closed form or by parametric bootstrap, in further steps.
+The distance is quadratic. Weights are the inverse squared widths of the curve's intervals (which do not need a model), or the inverse of
+the curve's covariance under the model, in closed form or by parametric bootstrap, in further steps. By default the second where the record
+is long enough to check the model and the model passes, the first elsewhere.
 
 The model's curve is linear in one variance per process, so the search runs over correlation times and other shapes only, from every
 combination on a coarse grid ranked by the flattened distance (34) of paper 000 and by the weighted one; the best of both are refined. That
@@ -24,17 +25,21 @@ from insemu.fit.covariance import model_covariance
 from insemu.fit.identifiability import warnings_of
 from insemu.fit.result import FitResult, GoodnessOfFit, estimates
 from insemu.fit.structure import Structure, natural_jacobian
-from insemu.noise import NoiseModel
-from insemu.variance import WaveletVariance
+from insemu.noise import ARMA, SIN, NoiseModel
+from insemu.variance import RobustWaveletVariance, WaveletVariance
 from insemu.variance.edof import eta3, interval
 
 Array = NDArray[np.float64]
-Weighting = Literal["intervals", "asymptotic", "bootstrap"]
+Weighting = Literal["auto", "intervals", "asymptotic", "bootstrap"]
 
 #: Refinements that the two rankings of starting points get each.
 REFINED = 8
 #: A scale enters the test of fit where its wavelet variance has at least this many degrees of freedom under the model.
 TEST_DOF = 40.0
+#: ``auto`` weighs by the covariance under the model for records of more samples than this: shorter ones hardly test a model, ...
+LONG_RECORD = 1 << 16
+#: ... and while the test of fit does not reject it at this level.
+HOLDS = 1e-3
 
 
 @dataclass(frozen=True)
@@ -126,7 +131,7 @@ def fit_curve(
     curve: WaveletVariance,
     model: NoiseModel,
     *,
-    weighting: Weighting = "intervals",
+    weighting: Weighting = "auto",
     widths: ArrayLike | None = None,
     covariance: ArrayLike | None = None,
     steps: int = 2,
@@ -148,8 +153,12 @@ def fit_curve(
         Haar MODWT curve.
     model : NoiseModel
         Structure; parameters that have a value are held.
-    weighting : {"intervals", "asymptotic", "bootstrap"}
-        Squared inverse interval widths; the inverse covariance under the model, in closed form; the same by parametric bootstrap.
+    weighting : {"auto", "intervals", "asymptotic", "bootstrap"}
+        Squared inverse interval widths; the inverse covariance under the model, in closed form; the same by parametric bootstrap. ``auto``
+        is ``asymptotic`` for curves without outliers of more than :data:`LONG_RECORD` samples whose model is not rejected by its test of fit
+        (p >= :data:`HOLDS`), and ``intervals`` otherwise. Interval weights follow the scatter of the curve itself, so a scale that came out
+        low counts more: parameters that rest on few degrees of freedom are pulled down by up to a third of their standard error.
+        ``asymptotic`` estimates are corrected for :func:`finite_record_bias`; the objective stays that of the minimum.
     widths : (J,) array, optional
         Interval widths to weigh by, instead of ``weighting``.
     covariance : (J, J) array, optional
@@ -212,22 +221,39 @@ def fit_curve(
         W = np.diag(1.0 / width[use])
     starts = structure.internal(start)[1][None, :] if start is not None else structure.starts(n)
     best = search(structure, scale, value, W, n, starts)
-    V: Array | None = None
-    if weighting != "intervals" and widths is None and covariance is None:
-        for _ in range(max(steps, 1)):
-            V = _covariance(structure, best, scale, n, weighting, bootstrap, rng) / efficiency
-            W = root_of_inverse(V)
-            again = np.vstack([best.shapes[None, :], starts]) if start is None else best.shapes[None, :]
-            best = search(structure, scale, value, W, n, again, refined=3, flattened=False)
-            # the solution before is always among the refined
-            near = search(structure, scale, value, W, n, best.shapes[None, :])
-            best = near if near.objective < best.objective else best
+    used: str = "intervals" if widths is None and covariance is None else "given"
+    test: GoodnessOfFit | None = None
+    if weighting != "intervals" and used != "given":
+        automatic = weighting == "auto"
+        rejecting = isinstance(curve, RobustWaveletVariance) and curve.contaminated
+        if not automatic or (n > LONG_RECORD and not rejecting):
+            second, rows = best, W
+            for step in range(max(steps, 1)):
+                V = _covariance(structure, second, scale, n, weighting, bootstrap, rng) / efficiency
+                rows = root_of_inverse(V)
+                near = search(structure, scale, value, rows, n, second.shapes[None, :])
+                if step == 0 and start is None:
+                    # other weights may have their minimum elsewhere; once they are nearly right, it stays
+                    other = search(structure, scale, value, rows, n, starts, refined=3, flattened=False)
+                    near = other if other.objective < near.objective else near
+                second = near
+            V = _covariance(structure, second, scale, n, "asymptotic", 0, None) / efficiency
+            test = goodness_of_fit(structure, second, scale, value, V, n, dt)
+            if not automatic or (test is not None and test.p_value >= HOLDS):
+                best, W, used = second, rows, "asymptotic" if automatic else weighting
     fitted_model = structure.specified(best.coefficients, best.shapes)
-    V = model_covariance(fitted_model, n, scale, dt) / efficiency
+    if used in ("intervals", "given"):
+        V = model_covariance(fitted_model, n, scale, dt) / efficiency
+        test = goodness_of_fit(structure, best, scale, value, V, n, dt)
     D, free = natural_jacobian(fitted_model, structure, scale / 2.0)
     spread = V if covariance is None else np.asarray(covariance, dtype=np.float64)[np.ix_(use, use)]
     covariance_of, weak = parameter_covariance(D, W, spread)
-    test = goodness_of_fit(structure, best, scale, value, V, n, dt)
+    if used == "asymptotic":
+        correction = finite_record_bias(structure, best, free, covariance_of, scale, W, V, n)
+        if correction.any():
+            fitted_model = _moved(fitted_model, free, -correction)
+            coefficients, shapes = structure.internal(fitted_model)
+            best = replace(best, coefficients=coefficients, shapes=shapes)
     notes = warnings_of(structure, best.coefficients, best.shapes, fitted_model, free, covariance_of, scale, value, n)
     if value.size == p:
         notes.append(f"as many parameters as scales ({p}): the fit cannot be tested")
@@ -250,7 +276,7 @@ def fit_curve(
         warnings=tuple(notes),
         test=test,
         details={
-            "weighting": weighting if covariance is None and widths is None else "given",
+            "weighting": used,
             "free": free,
             "W": W,
             "curve_covariance": V,
@@ -260,6 +286,78 @@ def fit_curve(
             "weak": weak,
         },
     )
+
+
+def finite_record_bias(
+    structure: Structure,
+    at: Solution,
+    free: list[tuple[int, str]],
+    covariance: Array,
+    scale: NDArray[np.int64],
+    W: Array,
+    V: Array,
+    n_samples: int,
+) -> Array:
+    """Mean error of the estimates that comes from their curvature in the wavelet variances, to second order.
+
+    Half the trace of each estimate's second derivatives by the curve times the curve's covariance, by central differences of one standard
+    deviation along the covariance's principal directions, from the fitted curve. A correlation time of a hundredth of the record has a
+    quarter of a standard deviation.
+
+    Parameters
+    ----------
+    structure : Structure
+    at : Solution
+        The estimate.
+    free : list of (process number, parameter name)
+    covariance : (p, p) array
+        Of the free parameters.
+    scale : (J,) array
+    W, V : arrays
+        Root of the weights, covariance of the curve.
+    n_samples : int
+
+    Returns
+    -------
+    (p,) array
+        Zero where the second order cannot be trusted: a part without variance, a standard error of half the value or more, sinusoids and
+        moving averages. At most half a standard error.
+    """
+    nothing = np.zeros(len(free))
+    model = structure.specified(at.coefficients, at.shapes)
+    centre = _values(model, free)
+    error = np.sqrt(np.diag(covariance))
+    if (
+        len(free) == 0
+        or not np.isfinite(error).all()
+        or (at.coefficients <= 0).any()
+        or (error >= 0.5 * np.abs(centre)).any()
+        or any(isinstance(p, SIN | ARMA) for p in model)
+    ):
+        return nothing
+    fitted = structure.columns(scale / 2.0, at.shapes)[0] @ at.coefficients
+    sd = np.sqrt(np.diag(V))
+    size, directions = np.linalg.eigh(V / np.outer(sd, sd))
+    steps = (directions * np.sqrt(np.maximum(size, 0.0))).T * sd
+    start = at.shapes[None, :]
+    mean = nothing.copy()
+    for step in steps:
+        for moved in (fitted + step, fitted - step):
+            near = search(structure, scale, moved, W, n_samples, start)
+            mean += 0.5 * (_values(structure.specified(near.coefficients, near.shapes), free) - centre)
+    limit = 0.5 * error
+    return np.clip(mean, -limit, limit) if np.isfinite(mean).all() else nothing
+
+
+def _values(model: NoiseModel, free: list[tuple[int, str]]) -> Array:
+    return np.array([model.processes[k].parameters[name] for k, name in free])
+
+
+def _moved(model: NoiseModel, free: list[tuple[int, str]], by: Array) -> NoiseModel:
+    parts = list(model.processes)
+    for (k, name), d in zip(free, by, strict=True):
+        parts[k] = parts[k].with_parameters({name: parts[k].parameters[name] + float(d)})
+    return NoiseModel(tuple(parts))
 
 
 def _covariance(
@@ -272,7 +370,7 @@ def _covariance(
     rng: np.random.Generator | None,
 ) -> Array:
     model = structure.specified(at.coefficients, at.shapes)
-    if weighting == "asymptotic":
+    if weighting != "bootstrap":
         return model_covariance(model, n, scale, structure.dt)
     if rng is None:
         raise InputError("weighting by bootstrap draws random numbers; give rng")

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 
 #: A part below this share of the fitted curve at every scale leaves no trace.
 TRACE = 1e-3
+#: A GM that stands for the white noise with a correlation time of this many samples or more is coloured measurably.
+COLOURED = 0.3
 
 
 def warnings_of(
@@ -66,15 +68,15 @@ def warnings_of(
                 f"random walk; {instead}"
             )
         elif time < 0.7 * structure.dt:
-            white = [i for i, q in enumerate(model) if isinstance(q, WN)]
-            if white and all(i in vanished for i in white):
-                instead = "it stands in for the white noise, coloured over a sample or two (an averaging filter in the sensor does that)"
+            white = [i for i, q in enumerate(model) if isinstance(q, WN) and i not in vanished]
+            below = f"{labels[k]}: correlation time {time:.3g} s is below the sampling interval ({structure.dt:.3g} s)"
+            if not white and time > COLOURED * structure.dt:
+                out.append(
+                    f"{below}: it stands in for the white noise, coloured over a sample or two (an averaging filter in the sensor does that)"
+                )
             else:
                 instead = "leave it out, the model has a WN already" if white else "use WN() instead"
-            out.append(
-                f"{labels[k]}: correlation time {time:.3g} s is below the sampling interval ({structure.dt:.3g} s) and can hardly be "
-                f"told from white noise; {instead}"
-            )
+                out.append(f"{below} and can hardly be told from white noise; {instead}")
     times.sort(key=lambda item: item[1])
     for (k, one), (h, two) in pairwise(times):
         if two / one < 1.3:

@@ -173,6 +173,8 @@ class FitResult:
             "rate_hz": self.rate_hz,
             "n_samples": self.n_samples,
         }
+        if "weighting" in self.details:
+            out["weighting"] = self.details["weighting"]
         if self.curve is not None:
             out["empirical_wavelet_variance"] = {
                 "tau_s": tau.tolist(),

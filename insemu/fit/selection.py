@@ -17,7 +17,7 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
+from scipy.special import chdtrc, chdtri
 
 from insemu.errors import InputError
 from insemu.fit.covariance import model_covariance
@@ -31,8 +31,15 @@ from insemu.variance import WaveletVariance, wavelet_variance
 
 Array = NDArray[np.float64]
 
-#: A richer model must be better by this many standard errors of what chance produces.
-MARGIN = 3.0
+#: A richer model must be nearer by more than chance produces once in so many comparisons. A superfluous part that chance made look good
+#: by some distance costs about that distance in the prediction of another record, so the level is strict; at 1 % one record in twenty
+#: took a superfluous part, and one in a hundred predicted visibly worse for it.
+CHANCE = 1e-4
+#: The same where no candidate follows the curve: distances then hold more of what the candidates miss than of chance, and a real log's slow
+#: part must not be given up for it.
+CHANCE_OF_MISFITS = 1e-2
+#: Beyond this surplus a simpler model's own weights are not asked.
+CLEAR = 2000.0
 #: Scales with fewer degrees of freedom under the reference are left out: their scatter is far from normal.
 RANK_DOF = 10.0
 
@@ -242,7 +249,7 @@ def rank_models(
             distance.append(min(near.objective, search(structure, scale, value, W, n, starts, refined=3).objective))
         return distance[0] - distance[1]
 
-    chosen = _choose(ranked, gain_under)
+    chosen = _choose(ranked, gain_under, CHANCE_OF_MISFITS if discrepancy > 0 else CHANCE)
     if discrepancy == 0:
         result = fit_curve(curve, chosen.structure, weighting="asymptotic", unit=unit, name=name, efficiency=efficiency)
     else:
@@ -337,12 +344,12 @@ def _optimism(structure: Structure, best: Solution, scale: NDArray[np.int64], W:
     return float(np.trace(H @ W @ V @ W.T))
 
 
-def _allowance(more: int) -> float:
-    """How much a model with so many more parameters must gain: its optimism, and what chance produces in this difference."""
-    return 2.0 * more + MARGIN * math.sqrt(2.0 * more)
+def _allowance(more: int, chance: float) -> float:
+    """How much nearer a model with so many more parameters must be: the upper quantile of the chi-square of chance."""
+    return float(chdtri(more, chance))
 
 
-def _choose(ranked: list[Candidate], gain_under: Callable[[Candidate, Candidate], float]) -> Candidate:
+def _choose(ranked: list[Candidate], gain_under: Callable[[Candidate, Candidate], float], chance: float) -> Candidate:
     """The simplest candidate that no richer one beats by more than chance.
 
     The common weights are those of the richest model, which has adapted to the record: where a true, simpler model had an unlikely draw,
@@ -355,17 +362,17 @@ def _choose(ranked: list[Candidate], gain_under: Callable[[Candidate, Candidate]
         rivals = []
         for other in whole:
             more = other.parameters - c.parameters
-            surplus = c.objective - other.objective - _allowance(more) if more > 0 else 0.0
+            surplus = c.objective - other.objective - _allowance(more, chance) if more > 0 else 0.0
             if surplus > 0:
                 rivals.append((surplus, other))
         if rivals and not beaten:
             surplus, best = max(rivals, key=lambda item: item[0])
-            beaten = surplus > 200.0
+            beaten = surplus > CLEAR
             if not beaten:
                 # the strongest rival, and the one that is nearest in size
                 near = min(rivals, key=lambda item: (item[1].parameters, -item[0]))[1]
                 for other in {id(o): o for o in (best, near)}.values():
-                    beaten |= gain_under(c, other) > _allowance(other.parameters - c.parameters)
+                    beaten |= gain_under(c, other) > _allowance(other.parameters - c.parameters, chance)
         if not beaten:
             return c
     return min(whole, key=lambda c: c.criterion.value)
@@ -386,7 +393,7 @@ def _verdict(name: str, ranked: list[Candidate], chosen: Candidate, discrepancy:
         text += (
             f". No candidate follows the curve within its scatter; what is missing is about {discrepancy:.1%} per scale and was counted as an "
             "error of every candidate: expect structure that these processes do not have (rounding to an LSB, an averaging filter, "
-            "temperature)"
+            "a line in the spectrum, temperature)"
         )
     return text + "."
 
@@ -441,7 +448,11 @@ def wic(result: FitResult, *, bootstrap: int = 0, rng: np.random.Generator | Non
 
 
 def prediction_distance(
-    model: NoiseModel, held_out: WaveletVariance, reference: NoiseModel | None = None
+    model: NoiseModel,
+    held_out: WaveletVariance,
+    reference: NoiseModel | None = None,
+    *,
+    fit_covariance: Array | None = None,
 ) -> tuple[float, float]:
     """Mean squared deviation of a record not seen from a model's prediction, in standard deviations, and its standard error.
 
@@ -453,11 +464,16 @@ def prediction_distance(
         Of the record not seen.
     reference : NoiseModel, optional
         Whose standard deviations count (so that several predictions can be compared); by default the model's own.
+    fit_covariance : (J, J) array, optional
+        Covariance of the prediction at the held-out curve's scales, where the model was fitted to another record: the standard error then
+        includes that scatter.
 
     Returns
     -------
     float, float
-        1 is what a true model has. Only scales with at least :data:`RANK_DOF` degrees of freedom count.
+        1 is what a true model has. Only scales with at least :data:`RANK_DOF` degrees of freedom count. The standard error is that of a
+        model without error: how much its distance scatters from one held-out record to the next (with ``fit_covariance``, and from one
+        fitted record to the next).
     """
     dt = 1.0 / held_out.rate_hz
     measure = model if reference is None else reference
@@ -465,7 +481,8 @@ def prediction_distance(
     use = 2.0 * measure.wavelet_variance(held_out.scale_samples, dt) ** 2 / np.diag(V) >= RANK_DOF
     sd = np.sqrt(np.diag(V)[use])
     z = (held_out.value[use] - model.wavelet_variance(held_out.scale_samples, dt)[use]) / sd
-    C = V[np.ix_(use, use)] / np.outer(sd, sd)
+    C = V if fit_covariance is None else V + fit_covariance
+    C = C[np.ix_(use, use)] / np.outer(sd, sd)
     return float(z @ z / z.size), math.sqrt(2.0 * float(np.sum(C * C))) / z.size
 
 

@@ -91,7 +91,7 @@ def fit_slopes(series: Series, model: NoiseModel, *, source: Source = "allan") -
                     low, high = beta * Tc.value / Tc.high, beta * Tc.value / Tc.low
                     spread["beta"] = ((high - low) / 3.92, low, high)
                 if Tc.note:
-                    notes.append(f"GM: {Tc.note}")
+                    notes.append(f"GM: its correlation time was read at the {Tc.note}")
         else:
             name = _READ[type(p)]
             found = read.get(name)

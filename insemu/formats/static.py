@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import logging
+import mmap
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -95,11 +96,14 @@ class Log:
                 raise InputError(str(error), where=self.source) from None
         return out
 
-    def chunks(self, column: int, size: int = 1 << 20) -> Iterator[Array]:
-        """Yield successive pieces of a column, so that a memory-mapped one is never held as a whole."""
+    def chunks(self, column: int, size: int = 1 << 20, *, first: int = 0) -> Iterator[Array]:
+        """Yield successive pieces of a column from a row on, so that a memory-mapped one is never held as a whole."""
         values = self.columns[column]
-        for start in range(0, len(self), size):
+        mapped = getattr(values, "_mmap", None)
+        for start in range(first, len(self), size):
             yield np.asarray(values[start : start + size], dtype=np.float64)
+            if mapped is not None and hasattr(mmap, "MADV_DONTNEED"):
+                mapped.madvise(mmap.MADV_DONTNEED)  # pages that were read count as this process's memory until let go
 
 
 def read_log(path: str | Path, *, rate_hz: float | None = None, columns: Iterable[str] | None = None) -> Log:

@@ -6,7 +6,8 @@ candidate of one's own.
 
 from insemu.gap.candidates import register
 from insemu.gap.identify import find_gap
-from insemu.gap.nominal import Nominal, load_nominal, write_refined
+from insemu.gap.nominal import Nominal, load_nominal
+from insemu.gap.refined import refined_nominal, write_refined
 from insemu.gap.sources import StaticLog, load_measured
 from insemu.gap.static_log import find_static_gap
 from insemu.gap.verdict import GapReport, Member, Step, Value, Where
@@ -23,6 +24,7 @@ __all__ = [
     "find_static_gap",
     "load_measured",
     "load_nominal",
+    "refined_nominal",
     "register",
     "write_refined",
 ]

@@ -307,7 +307,10 @@ def vibration_band(state: AxisState) -> list[Weighed]:
     if not data.f.size:
         return []
     nyquist = 0.5 / data.dt
-    lowest = max(10.0 * data.f[0], 0.02 * nyquist)
+    # a moving sensor's spectrum begins where its motion ends, not at the length of the log
+    lowest = max((10.0 if data.differences.size else 1.1) * data.f[0], 0.02 * nyquist)
+    if lowest > 0.8 * nyquist:
+        return []
     S = state.explanation.psd(data.f, data.dt)
     free = (
         _amplitude("sigma", 30.0 * state.white / math.sqrt(data.dt)),
@@ -442,7 +445,7 @@ def temperature(state: AxisState) -> list[Weighed]:
     units = tuple(f"{data.unit}/K" + (f"^{k}" if k > 1 else "") for k in (1, 2, 3))
     reference = Value("T0", centre, centre, centre, "degC")
 
-    def weigh(variant: str, which: tuple[int, ...], lag: float = 0.0) -> Weighed:
+    def rebuilt(which: tuple[int, ...], lag: float) -> Callable[[Reduced, Array | None], Array]:
         def columns(where: Reduced, temperature_c: Array | None) -> Array:
             if temperature_c is None:
                 raise InputError("the temperature effect needs the temperature of the data that it is to predict")
@@ -450,40 +453,42 @@ def temperature(state: AxisState) -> list[Weighed]:
             seen = lowpass(d, where.dt, lag) if lag > 0.0 else d
             return block_differences(np.stack([seen ** (k + 1) for k in which], axis=1), where.block)
 
+        return columns
+
+    def weigh(variant: str, which: tuple[int, ...], lag: float = 0.0) -> Weighed:
+        chosen = list(which)
         w = _regression(
-            state,
-            "temperature",
-            variant,
-            [names[k] for k in which],
-            columns,
-            scales[list(which)],
+            state, "temperature", variant, [names[k] for k in which], rebuilt(which, lag), scales[chosen],
             [units[k] for k in which],
-        )[0]
+        )[0]  # fmt: skip
         d = T - centre
         seen = lowpass(d, data.dt, lag) if lag > 0.0 else d
-        w = _less(
-            w, state, sum((v.value * seen ** (k + 1) for v, k in zip(w.values, which, strict=True)), np.zeros(T.size))
-        )
+        signal = sum((v.value * seen ** (k + 1) for v, k in zip(w.values, which, strict=True)), np.zeros(T.size))
+        w = _less(w, state, signal)
         return replace(w, values=(*w.values, reference))
+
+    likelihood = state.likelihood
+
+    def quick(which: tuple[int, ...], lag: float) -> float:
+        """Evidence of a time constant at the present parameters of the noise, up to a constant."""
+        own = Regressors("temperature", names, rebuilt(which, lag)(data, T), scales[list(which)])
+        base = state.explanation
+        return likelihood.low(replace(base, regressors=(*base.regressors, own)))
 
     out = [weigh("linear", (0,)), weigh("cubic", (0, 1, 2))]
     shapes: tuple[tuple[str, tuple[int, ...]], ...] = (("lagged", (0,)), ("cubic and lagged", (0, 1, 2)))
     for shape, which in shapes:
-        tried: list[tuple[float, Weighed]] = []
         grid = np.geomspace(data.block_s, LONGEST_LAG * data.duration_s, LAGS)
-        for lag in grid:
-            tried.append((float(lag), weigh(shape, which, float(lag))))
-        lag, best = max(tried, key=lambda item: item[1].gain)
-        ratio = float(grid[1] / grid[0])
-        # between the two nearest of the grid, while the evidence says so
-        for _ in range(2):
+        tried = [quick(which, float(lag)) for lag in grid]
+        k = int(np.argmax(tried))
+        top, lag, ratio = tried[k], float(grid[k]), float(grid[1] / grid[0])
+        paid = top - log_mean_exp(tried)  # the time constant is paid for
+        for _ in range(4):
             ratio = math.sqrt(ratio)
-            near = [(lag * r, weigh(shape, which, lag * r)) for r in (1.0 / ratio, ratio)]
-            lag, best = max([(lag, best), *near], key=lambda item: item[1].gain)
-        gain = log_mean_exp([w.gain for _, w in tried])  # the time constant is paid for
-        gain = max(gain, best.gain - math.log(LAGS) - 2.0)
+            top, lag = max([(top, lag), *((quick(which, lag * r), lag * r) for r in (1.0 / ratio, ratio))])
+        best = weigh(shape, which, lag)
         values = (*best.values, Value("lag", lag, lag / ratio, lag * ratio, "s"))
-        out.append(replace(best, gain=gain, values=values))
+        out.append(replace(best, gain=best.gain - paid, values=values))
     return out
 
 

@@ -3,57 +3,56 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from insemu import rotation
 from insemu.effects import EFFECTS
 from insemu.errors import InputError
 from insemu.gap import singular as _registers  # noqa: F401
 from insemu.gap import static_log
 from insemu.gap.candidates import CANDIDATES, AxisState
 from insemu.gap.disagreement import corrected
-from insemu.gap.evidence import PRIOR_SCALES, Explanation, Likelihood, fit, log_mean_exp
-from insemu.gap.innovations import (
-    Field,
-    SlowFit,
-    flicker_root,
-    gauss_markov_root,
-    group_evidence,
-    knot_times,
-    random_walk_root,
-    scaled,
-    slow_evidence,
+from insemu.gap.evidence import LEVEL_UNCERTAINTY, Explanation, Likelihood, fit
+from insemu.gap.hypotheses import (
+    ONCE,
+    PROCESSES,
+    Hypothesis,
+    Variant,
+    bank,
+    covariance_hypotheses,
+    library_gain,
+    linear_hypotheses,
+    multipath_step,
+    null_threshold,
+    shape_values,
+    unexplained_innovations,
+    wild_fixes,
 )
+from insemu.gap.innovations import Block, Field
+from insemu.gap.known import colour_of, of_axis, settled, starting_explanation, without_drawn
 from insemu.gap.nominal import Nominal
-from insemu.gap.preparation import Prepared, fast_parts, prepare
-from insemu.gap.reduced import Reduced
-from insemu.gap.signatures import (
-    Column,
-    Loop,
-    Motion,
-    columns_response,
-    deterministic_columns,
-    fix_columns,
-    fix_step_response,
-    knot_response,
-)
-from insemu.gap.surrogate import Surrogate, gnss_noise_fits
+from insemu.gap.preparation import fast_parts, prepare
+from insemu.gap.reduced import Reduced, reduce_again
+from insemu.gap.samples import mend, with_counts
+from insemu.gap.scene import Scene, first_rows
+from insemu.gap.surrogate import NED, FixNoise, joint_noise
 from insemu.gap.verdict import GapReport, Interval, Member, Step, Value, VerdictName, Where
 from insemu.noise import BI, GM, RW, WN, NoiseModel
 from insemu.records import AXES, Recording
 
 Array = NDArray[np.float64]
-Given = tuple[NDArray[Any], Array]
 
-LEAD, MOST_STEPS = 3.0, 5
-#: Knots of slow processes and starts of steps, s.
-KNOT_S, MOST_STARTS = 30.0, 400
+LEAD, MOST_STEPS = 3.0, 8
+#: Probability that anything at all is missing, below which the search ends.
+SURE = 0.8
+#: Share of the posterior that the members of a class hold together.
+CLASS_SHARE = 0.96
+#: A shape worth more than this is taken out of the data and the filter run again, so that what is left is small enough to be linear.
+CORRECT_NATS = 40.0
 #: Candidates of the fast band; the others need a sensor at rest.
 FAST = (
     "white_noise",
@@ -62,508 +61,316 @@ FAST = (
     "vibration_line",
     "decimation_filter",
     "outliers",
-    "quantization_output",
-    "dropped_samples",
 )
 OMNIBUS = 0.001
 #: What manoeuvres leave in the fast band is worth some nats, so effects there must be worth more.
 FAST_THRESHOLD = 10.0
-
-
-@dataclass(frozen=True)
-class Hypothesis:
-    """One way in which an effect may be present, weighed."""
-
-    effect: str
-    sensor: str
-    axes: tuple[str, ...]
-    gain: float
-    values: tuple[Value, ...]
-    block: Given | None = None
-    variant: str = ""
-    fixes: tuple[Array, Array, float] | None = None  # factor, sigma, tau of the fixes' noise
-
-
-@dataclass
-class Scene:
-    """A prepared recording with the responses of everything that could be missing."""
-
-    prepared: Prepared
-    motion: Motion
-    loop: Loop
-    columns: list[Column]
-    extra_columns: list[Column]
-    knots: Array
-    starts: Array
-    data: Field
-    surrogate: Surrogate
-    rows_t: Array
-    base: float = 0.0
-    offsets: dict[str, int] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, prepared: Prepared) -> Scene:
-        """Respond every column through the filter in the loop."""
-        motion = Motion.of(prepared.imu, prepared.result)
-        loop = Loop.of(prepared.result)
-        t_fix = prepared.result.fixes.t
-        columns = deterministic_columns(motion) + fix_columns(motion, t_fix, prepared.lever_arm)
-        library = library_columns(motion, t_fix)
-        G, ramp = columns_response(loop, motion, columns + library)
-        start, end = float(motion.t[0]), float(motion.t[-1])
-        knots = knot_times(start, end, max(KNOT_S, (end - start) / 60.0))
-        starts = np.arange(start, end, max(float(np.median(np.diff(t_fix))), (end - start) / MOST_STARTS)) + 1e-3
-        slow = knot_response(loop, motion, ramp, knots)
-        steps = fix_step_response(loop, starts)
-        use = loop.use.ravel()
-        everything = np.hstack([G, slow, steps])[use]
-        y = loop.y[use]
-        spread = float(np.clip((np.median(np.abs(y)) / 0.6745) ** 2, 0.9, 1.1))
-        offsets = {"slow": G.shape[1], "step": G.shape[1] + slow.shape[1], "library": len(columns)}
-        surrogate = Surrogate.of(prepared.result)
-        rows_t = np.repeat(t_fix, 6)[use]
-        scene = cls(
-            prepared,
-            motion,
-            loop,
-            columns,
-            library,
-            knots,
-            starts,
-            Field(y, everything, spread),
-            surrogate,
-            rows_t,
-            offsets=offsets,
-        )
-        scene.base = surrogate.log_likelihood()
-        return scene
-
-
-def library_columns(motion: Motion, t_fix: Array) -> list[Column]:
-    """Structure outside the catalogue: products of specific force and rate; GNSS error against heading and speed."""
-    out: list[Column] = []
-    axes = "xyz"
-    for i in range(3):
-        out.append(
-            Column("library", "accel", f"f_{axes[i]}^2", (axes[i],), 1e-4, "", ((3 + i, motion.force[:, i] ** 2),))
-        )
-        out.append(Column("library", "gyro", f"w_{axes[i]}^2", (axes[i],), 1e-3, "", ((i, motion.rate[:, i] ** 2),)))
-        for j in range(3):
-            if j != i:
-                out.append(
-                    Column(
-                        "library",
-                        "accel",
-                        f"w_{axes[j]} f_{axes[i]}",
-                        (axes[i],),
-                        1e-3,
-                        "",
-                        ((3 + i, motion.rate[:, j] * motion.force[:, i]),),
-                    )
-                )
-    rpy = rotation.rpy_from_dcm(motion.C)
-    k = np.clip(np.searchsorted(motion.t, t_fix), 0, motion.t.size - 1)
-    heading, speed = rpy[k, 2], np.linalg.norm(motion.vel[k], axis=1)
-    for name, signal in (("cos", np.cos(heading)), ("sin", np.sin(heading)), ("speed", speed / 10.0)):
-        for c, direction in enumerate(("north", "east", "down")):
-            M = np.zeros((t_fix.size, 6))
-            M[:, c] = signal
-            out.append(Column("library", "gnss", f"{name} {direction}", (direction,), 0.05, "m", (), M))
-    return out
-
-
-# -- hypotheses ---------------------------------------------------------------------------------------------------------------------
-
-
-def _groups(columns: Sequence[Column]) -> dict[tuple[str, str], list[tuple[tuple[str, ...], str, list[int]]]]:
-    """Per effect and sensor, the sets of columns that it may consist of: single parameters, one axis, all of them."""
-    out: dict[tuple[str, str], list[tuple[tuple[str, ...], str, list[int]]]] = {}
-    for key in dict.fromkeys((c.effect, c.sensor) for c in columns):
-        mine = [i for i, c in enumerate(columns) if (c.effect, c.sensor) == key]
-        sets: list[tuple[tuple[str, ...], str, list[int]]] = []
-        if key[0] == "temperature":
-            for axis in "xyz":
-                own = [i for i in mine if columns[i].axes == (axis,)]
-                sets += [((axis,), "linear", own[:1]), ((axis,), "cubic", own)]
-            sets.append((("x", "y", "z"), "linear", [i for i in mine if columns[i].label.startswith("c1")]))
-        else:
-            sets += [(columns[i].axes, columns[i].label, [i]) for i in mine]
-            if len(mine) > 1:
-                if key[0] == "g_sensitivity":
-                    diagonal = [i for i in mine if columns[i].label[-1] == columns[i].label[-2]]
-                    sets.append((("x", "y", "z"), "diagonal", diagonal))
-                axes = tuple(dict.fromkeys(a for i in mine for a in columns[i].axes))
-                sets.append((axes, "all", mine))
-        out[key] = [s for s in sets if s[2]]
-    return out
-
-
-def _values(scene: Scene, index: Sequence[int], mean: Array, covariance: Array) -> tuple[Value, ...]:
-    out = []
-    for place, i in enumerate(index):
-        c = scene.columns[i]
-        sd = math.sqrt(float(covariance[place, place]))
-        m = float(mean[place])
-        out.append(Value(c.label, m, m - 1.96 * sd, m + 1.96 * sd, c.unit))
-    return tuple(out)
-
-
-def deterministic(scene: Scene, data: Field, given: Sequence[Given], skip: Collection[str]) -> list[Hypothesis]:
-    """Weigh every deterministic, timing, lever-arm and model effect."""
-    out = []
-    for (effect, sensor), sets in _groups(scene.columns).items():
-        if effect in skip:
-            continue
-        tried = []
-        for axes, label, members in sets:
-            index = np.array(members)
-            scales = np.array([scene.columns[i].scale for i in members])
-            gain, factor = group_evidence(data, index, scales, given)
-            tried.append((gain, axes, label, index, scaled(scales, factor)))
-        # averaged over which of its parameters are there; the best of them is what is reported
-        pooled = log_mean_exp([t[0] for t in tried])
-        top = max(tried, key=lambda t: t[0])
-        block = (top[3], top[4])
-        index, mean, covariance = data.posterior([block, *given])
-        values = _values(scene, list(top[3]), mean[: top[3].size], covariance[: top[3].size, : top[3].size])
-        out.append(
-            Hypothesis(effect, sensor, top[1], pooled, values, block, "" if top[2].startswith("value") else top[2])
-        )
-    return out
-
-
-def slow(scene: Scene, data: Field, given: Sequence[Given], skip: Collection[str]) -> list[Hypothesis]:
-    """Weigh random walk, Gauss-Markov, flicker and ramp on each axis and on each sensor."""
-    out: list[Hypothesis] = []
-    t, k = scene.knots, scene.knots.size
-    span = float(t[-1] - t[0])
-    taus = np.geomspace(2.0 * float(t[1] - t[0]), 0.6 * span, 4)
-    shapes: dict[str, list[tuple[tuple[float, ...], Array]]] = {
-        "random_walk": [((), random_walk_root(t))],
-        "gauss_markov": [((1.0 / tau,), gauss_markov_root(t, tau)) for tau in taus],
-        "flicker": [((), flicker_root(t))],
-    }
-    for effect, roots in shapes.items():
-        if effect in skip:
-            continue
-        for sensor, first in (("gyro", 0), ("accel", 3)):
-            scale = EFFECTS[effect].scale({"random_walk": "K", "gauss_markov": "sigma", "flicker": "B"}[effect], sensor)
-            amplitudes = scale * np.geomspace(1e-3, 10.0, 19)
-            tried: list[tuple[SlowFit, tuple[str, ...], NDArray[Any]]] = []
-            for axis in range(3):
-                index = scene.offsets["slow"] + (first + axis) * k + np.arange(k)
-                tried.append((slow_evidence(data, index, roots, amplitudes, given), ("xyz"[axis],), index))
-            whole = scene.offsets["slow"] + first * k + np.arange(3 * k)
-            spread = [(shape, np.asarray(np.kron(np.eye(3), root), dtype=np.float64)) for shape, root in roots[:2]]
-            if max(t[0].gain for t in tried) > 1.0:
-                tried.append((slow_evidence(data, whole, spread, amplitudes[::2], given), ("x", "y", "z"), whole))
-            pooled = log_mean_exp([f.gain for f, _, _ in tried] + ([-math.inf] if len(tried) == 3 else []))
-            best, axes, index = max(tried, key=lambda item: item[0].gain)
-            names = [p for p in EFFECTS[effect].parameters][: len(best.values)]
-            values = tuple(
-                Value(p.name, v, v * math.exp(-1.96 * s), v * math.exp(1.96 * s), EFFECTS[effect].unit(p.name, sensor))
-                for p, v, s in zip(names, best.values, best.spread, strict=True)
-            )
-            out.append(Hypothesis(effect, sensor, axes, pooled, values, (index, best.root)))
-    if "ramp" not in skip:
-        for sensor, first in (("gyro", 0), ("accel", 3)):
-            scale = EFFECTS["ramp"].scale("R", sensor)
-            tried_r = []
-            for axis in range(3):
-                index = scene.offsets["slow"] + (first + axis) * k + np.arange(k)
-                root = (t - t[0])[:, None] * scale
-                base = data.log_factor(given)
-                each = [data.log_factor([*given, (index, root * c)]) - base for c in PRIOR_SCALES]
-                tried_r.append((log_mean_exp(each), ("xyz"[axis],), index, root * PRIOR_SCALES[int(np.argmax(each))]))
-            pooled = log_mean_exp([r[0] for r in tried_r])
-            _, axes, index, root = max(tried_r, key=lambda r: r[0])
-            moved = Field(data.y, data.G[:, index] @ (t - t[0])[:, None], data.variance)
-            prior = np.array([[float(root[-1, 0] / (t[-1] - t[0]))]])
-            _, mean, covariance = moved.posterior([(np.array([0]), prior)])
-            m, sd = float(mean[0]), math.sqrt(float(covariance[0, 0]))
-            value = Value("R", m, m - 1.96 * sd, m + 1.96 * sd, EFFECTS["ramp"].unit("R", sensor))
-            out.append(Hypothesis("ramp", sensor, axes, pooled, (value,), (index, root)))
-    return out
-
-
-def multipath_step(scene: Scene, data: Field, given: Sequence[Given]) -> list[Hypothesis]:
-    """Scan start and duration of a step in the position fixes, on each axis."""
-    first, s = scene.offsets["step"], scene.starts
-    if s.size < 4:
-        return []
-    residual_b, A = data.b.copy(), data.A
-    if given:
-        index, mean, _ = data.posterior(given)
-        residual_b = data.b - data.A[:, index] @ mean
-    scale = EFFECTS["gnss_multipath_step"].scale("value", "gnss")
-    best: tuple[float, int, int, int, float] = (-math.inf, 0, 0, 0, 1.0)
-    logs = []
-    limit = max(2, s.size // 3)
-    for c in range(3):
-        at = first + 3 * np.arange(s.size) + c
-        b, a = residual_b[at] / data.variance, A[np.ix_(at, at)] / data.variance
-        i, j = np.triu_indices(s.size, 1)
-        near = j - i <= limit
-        i, j = i[near], j[near]
-        bw = b[i] - b[j]
-        aw = np.maximum(a[i, i] + a[j, j] - 2.0 * a[i, j], 1e-12)
-        for factor in PRIOR_SCALES:
-            prior = (scale * factor) ** 2
-            each = 0.5 * bw**2 / (aw + 1.0 / prior) - 0.5 * np.log1p(prior * aw)
-            logs.append(each)
-            k = int(np.argmax(each))
-            if each[k] > best[0]:
-                best = (float(each[k]), c, int(i[k]), int(j[k]), scale * factor)
-    gain = log_mean_exp(np.concatenate(logs))
-    _, c, i0, j0, width = best
-    index = np.array([first + 3 * i0 + c, first + 3 * j0 + c])
-    root = np.array([[width], [-width]])
-    column = data.G[:, index[0]] - data.G[:, index[1]]
-    a0 = float(column @ column) / data.variance + width**-2
-    m, sd = float(residual_b[index[0]] - residual_b[index[1]]) / data.variance / a0, a0**-0.5
-    half = 0.6 * float(s[1] - s[0])
-    start, duration = float(s[i0]), float(s[j0] - s[i0])
-    values = (
-        Value("value", m, m - 1.96 * sd, m + 1.96 * sd, "m"),
-        Value("start", start, start - half, start + half, "s"),
-        Value("duration", duration, duration - 2 * half, duration + 2 * half, "s"),
-    )
-    return [Hypothesis("gnss_multipath_step", "gnss", (("north", "east", "down")[c],), gain, values, (index, root))]
-
-
-def gnss_outliers(scene: Scene, nu: Array) -> list[Hypothesis]:
-    """A small share of position fixes with a much larger spread."""
-    fixes = scene.prepared.result.fixes
-    position = [k for k in range(len(fixes)) if scene.loop.use[k, :3].all()]
-    if len(position) < 30:
-        return []
-    S = np.stack([fixes.S[k][:3, :3] for k in position])
-    v = nu[position][:, :3]
-    plain = _gaussian(v, S)
-    sigma0 = float(np.sqrt(np.median(S[:, 0, 0])))
-    logs, grid = [], []
-    for ratio in np.geomspace(3.0, 300.0, 10):
-        wide = _gaussian(v, S + np.eye(3) * (ratio * sigma0) ** 2)
-        for p in np.geomspace(1.0 / len(position), 0.15, 8):
-            logs.append(float(np.sum(np.logaddexp(math.log1p(-p) + plain, math.log(p) + wide) - plain)))
-            grid.append((p, ratio * sigma0))
-    p, sigma = grid[int(np.argmax(logs))]
-    count = max(1.0, p * len(position))
-    values = (
-        Value("probability", p, p * math.exp(-2.0 / math.sqrt(count)), p * math.exp(2.0 / math.sqrt(count)), "1"),
-        Value("sigma", sigma, sigma / (1.0 + 1.5 / math.sqrt(count)), sigma * (1.0 + 1.5 / math.sqrt(count)), "m"),
-    )
-    return [Hypothesis("gnss_outliers", "gnss", ("north", "east", "down"), log_mean_exp(logs), values)]
-
-
-def _gaussian(v: Array, S: Array) -> Array:
-    solved = np.linalg.solve(S, v[:, :, None])[:, :, 0]
-    return np.asarray(-0.5 * np.einsum("ki,ki->k", v, solved) - 0.5 * np.linalg.slogdet(S)[1])
-
-
-def covariance_effects(scene: Scene, data: Field, given: Sequence[Given], skip: Collection[str]) -> list[Hypothesis]:
-    """Weigh noise level and colour of the fixes on the innovations less what is already explained."""
-    surrogate, base = scene.surrogate, scene.base
-    nu = np.where(surrogate.use == 1, surrogate.nu, 0.0)
-    if given:
-        index, mean, _ = data.posterior(given)
-        gone = np.zeros(scene.loop.y.size)
-        gone[scene.loop.use.ravel()] = data.G[:, index] @ mean
-        whitened = gone.reshape(-1, 6)
-        fixes = scene.prepared.result.fixes
-        explained = np.zeros_like(nu)
-        for k in range(nu.shape[0]):
-            rows = np.flatnonzero(scene.loop.use[k])
-            if rows.size:
-                explained[k, rows] = np.linalg.cholesky(fixes.S[k][np.ix_(rows, rows)]) @ whitened[k, rows]
-        # the surrogate's gain feeds the innovations back: what is explained must not be fed back twice
-        surrogate = replace(surrogate, nu=nu - explained)
-        base = surrogate.log_likelihood()
-        nu = nu - explained
-    found: dict[str, list[Hypothesis]] = {}
-    for n in gnss_noise_fits(surrogate, base):
-        trim = 1.0
-        if n.effect != "gnss_correlated_noise":
-            # the filter's own levels were trimmed: what counts is the ratio to what was believed
-            trim = (
-                float(np.exp(np.mean(np.log(scene.prepared.factors[n.factor != 1.0]))))
-                if (n.factor != 1.0).any()
-                else 1.0
-            )
-        values = tuple(Value(name, v * trim, low * trim, high * trim, unit) for name, v, low, high, unit in n.values)
-        found.setdefault(n.effect, []).append(
-            Hypothesis(n.effect, "gnss", n.axes, n.gain, values, fixes=(n.factor, n.sigma, n.tau))
-        )
-    out = []
-    for effect, tried in found.items():
-        if effect not in skip:
-            top = max(tried, key=lambda h: h.gain)
-            out.append(replace(top, gain=log_mean_exp([h.gain for h in tried])))
-    if "gnss_outliers" not in skip:
-        out += gnss_outliers(scene, nu)
-    return out
-
-
-def weigh(scene: Scene, data: Field, given: Sequence[Given], skip: Collection[str]) -> list[Hypothesis]:
-    """Every effect that the innovations can show, best first."""
-    out = deterministic(scene, data, given, skip) + slow(scene, data, given, skip)
-    if "gnss_multipath_step" not in skip:
-        out += multipath_step(scene, data, given)
-    out += covariance_effects(scene, data, given, skip)
-    return sorted(out, key=lambda h: -h.gain)
-
-
-def library_gain(scene: Scene, data: Field, given: Sequence[Given]) -> tuple[float, str]:
-    """The best single structure outside the catalogue."""
-    first = scene.offsets["library"]
-    best = (-math.inf, "")
-    for i, c in enumerate(scene.extra_columns):
-        gain, _ = group_evidence(data, np.array([first + i]), np.array([c.scale]), given)
-        if gain > best[0]:
-            best = (gain, f"{c.sensor} error that goes with {c.label}")
-    return best
+#: By how much structure outside the catalogue must beat it: it is tried shape by shape, without the effects it could be confused with.
+OUTSIDE_LEAD = 3.0
 
 
 # -- the search -----------------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
+class Found:
+    """A step of the search: what was chosen and everything that it was compared with."""
+
+    chosen: Hypothesis
+    ranked: tuple[Hypothesis, ...]
+
+
+@dataclass(frozen=True)
 class Named:
-    """What the search found."""
-
-    steps: tuple[tuple[Hypothesis, tuple[Hypothesis, ...]], ...]
-    blocks: tuple[Given, ...]
-    fixes: tuple[Array, Array, float] | None
-    outsider: str
-    scene: Scene
-
-
-#: Effects of one number that only one description can have.
-_ONCE = ("imu_gnss_time_offset", "clock_drift", "gravity", "earth_rate", "transport_rate")
-
-
-def search(
-    whole: Scene, cut: float | None, threshold: float, without: Collection[str], progress: Callable[[str], None]
-) -> Named:
-    """Name the best effect, add it, estimate again, until nothing is worth the threshold.
+    """What the search found.
 
     Parameters
     ----------
-    whole : Scene
+    found : tuple of Found
+    scene : Scene
+        At the levels, colours and corrections that were found.
+    outsider : str
+        Structure outside the catalogue, in words, where there is any.
+    gone : (k,) array
+        Times of the positions that were left out as outliers.
+    """
+
+    found: tuple[Found, ...]
+    scene: Scene
+    outsider: str
+    gone: Array
+
+    @property
+    def blocks(self) -> list[Block]:
+        """How the effects enter the linear model of the innovations."""
+        return blocks_of(self.found)
+
+    @property
+    def outliers(self) -> Hypothesis | None:
+        """The outliers of the fixes, where they were named."""
+        return next((f.chosen for f in self.found if f.chosen.effect == "gnss_outliers"), None)
+
+
+def something(ranked: Sequence[Hypothesis]) -> float:
+    """Probability that any of the effects is there: each of them and nothing at all weigh alike before the data."""
+    gains = np.array([h.gain for h in ranked])
+    top = max(float(gains.max()), 0.0)
+    some = float(np.sum(np.exp(gains - top)))
+    return some / (some + gains.size * math.exp(-top))
+
+
+def blocks_of(found: Sequence[Found]) -> list[Block]:
+    """Blocks of the steps that have one."""
+    return [f.chosen.block for f in found if f.chosen.block is not None]
+
+
+@dataclass
+class Search:
+    """The search of one recording, whole or up to a time.
+
+    Parameters
+    ----------
+    scene : Scene
     cut : float, optional
         Fixes after this time are not looked at.
+    threshold : float
+        Evidence that an effect must exceed.
+    without : collection of str
+        Effects taken out of the catalogue.
     """
-    given: list[Given] = []
-    steps: list[tuple[Hypothesis, tuple[Hypothesis, ...]]] = []
-    skip: set[str] = set(without)
-    fixes = None
-    outsider = ""
-    scene, data = _until(whole, cut)
-    for _ in range(MOST_STEPS):
-        ranked = [h for h in weigh(scene, data, given, skip) if math.isfinite(h.gain)]
-        best = ranked[0]
-        beyond, what = library_gain(scene, data, given)
-        if beyond > threshold and beyond > best.gain + LEAD:
-            outsider = what
-            break
-        if best.gain < threshold:
-            break
-        progress(f"{best.effect} {best.gain:.1f} nats")
-        steps.append((best, tuple(ranked)))
-        if best.block is not None:
-            given.append(best.block)
-            skip |= {best.effect} & set(_ONCE)
-            continue
-        skip.add(best.effect)
-        if best.effect == "gnss_correlated_noise":
-            # coloured fixes need states that the nominal filter has not: the columns cannot be whitened for them
-            fixes = best.fixes
-            break
-        if best.effect == "gnss_outliers":
-            whole = Scene.of(whole.prepared.without_positions(_wild(whole, best)))
-        elif best.fixes is not None:
-            whole = Scene.of(whole.prepared.with_levels(best.fixes[0]))
-        scene, data = _until(whole, cut)
-    return Named(tuple(steps), tuple(given), fixes, outsider, whole)
+
+    scene: Scene
+    cut: float | None
+    threshold: float
+    without: Collection[str]
+    found: list[Found]
+    gone: Array
+    outsider: str = ""
+
+    def __post_init__(self) -> None:
+        self._take(self.scene)
+
+    def _take(self, scene: Scene) -> None:
+        self.scene = scene
+        self.variants: list[Variant] = bank(scene)
+        self.data: Field = first_rows(scene.data, scene.rows_t, self.cut)
+        self.rows: NDArray[np.bool_] = (
+            np.ones(scene.rows_t.size, dtype=bool) if self.cut is None else np.asarray(scene.rows_t <= self.cut)
+        )
+
+    def rank(self, given: Sequence[Block], skip: Collection[str], *, fixes: bool = True) -> list[Hypothesis]:
+        """Every effect that the innovations can show beside ``given``, best first."""
+        out = linear_hypotheses(self.scene, self.variants, self.data, given, skip)
+        if fixes:
+            if "gnss_multipath_step" not in skip:
+                out += multipath_step(self.scene, self.data, self.rows, given)
+            out += covariance_hypotheses(self.scene, given, skip, self.cut)
+        return sorted((h for h in out if math.isfinite(h.gain)), key=lambda h: -h.gain)
+
+    def _skip(self, found: Sequence[Found]) -> set[str]:
+        once = {
+            f.chosen.effect
+            for f in found
+            if f.chosen.effect in ONCE or f.chosen.noise is not None or f.chosen.effect == "gnss_outliers"
+        }
+        return set(self.without) | once
+
+    def run(self, progress: Callable[[str], None]) -> Named:
+        """Name the best effect, add it, estimate again, until nothing is worth the threshold."""
+        for _ in range(MOST_STEPS):
+            ranked = self.rank(blocks_of(self.found), self._skip(self.found))
+            best = ranked[0]
+            beyond, what = library_gain(self.scene, self.data, blocks_of(self.found))
+            if beyond > self.threshold and beyond > best.gain + OUTSIDE_LEAD:
+                self.outsider = what
+                break
+            if best.gain < self.threshold or something(ranked) < SURE:
+                break
+            best = self._apart(best)
+            progress(f"{best.effect} {best.gain:.1f} nats")
+            self._add(best, ranked)
+            if len(self.found) > 1:
+                self._reconsider()
+        return Named(tuple(self.found), self.scene, self.outsider, self.gone)
+
+    def _apart(self, best: Hypothesis) -> Hypothesis:
+        """The best effect of one axis instead of one of several axes, where two or three of their own explain more than the one together."""
+        if best.block is None or len(best.axes) < 2:
+            return best
+        single = [v for v in self.variants if len(v.axes) < 2]
+        given, total = blocks_of(self.found), 0.0
+        first: Hypothesis | None = None
+        for _ in best.axes:
+            tried = linear_hypotheses(self.scene, single, self.data, given, self._skip(self.found))
+            top = max(tried, key=lambda h: h.gain)
+            if top.block is None or top.gain < self.threshold:
+                break
+            total += top.gain
+            first = first or top
+            given = [*given, top.block]
+        return first if first is not None and total > best.gain + 1.0 else best
+
+    def _add(self, best: Hypothesis, ranked: Sequence[Hypothesis]) -> None:
+        scene = self.scene
+        if best.effect == "gnss_multipath_step":
+            given = {v.name: v.value for v in best.values}
+            window = (NED.index(best.axes[0]), given["start"], given["start"] + given["duration"])
+            width = 3.0 * abs(given["value"])
+            scene = scene.with_window(window)
+            best = replace(best, block=(np.array([scene.raw.shape[2] - 1]), np.array([[width]])))
+            self.found.append(Found(best, tuple(ranked)))
+        elif best.effect == "gnss_outliers":
+            self.found.append(Found(best, tuple(ranked)))
+            times, _ = wild_fixes(scene, best, unexplained_innovations(scene, blocks_of(self.found)))
+            self.gone = np.union1d(self.gone, times)
+            scene = scene.rebuilt(gone=self.gone)
+        elif (level := best.noise) is not None:
+            if best.effect == "gnss_correlated_noise":
+                assert level.colour is not None
+                s = replace(scene.surrogate, nu=unexplained_innovations(scene, blocks_of(self.found)))
+                moved = scene.original.factors / scene.original.levels
+                noise = joint_noise(
+                    s if self.cut is None else s.until(self.cut), level.colour, moved, LEVEL_UNCERTAINTY
+                )
+                scene = scene.coloured(noise)
+                sigma = dict(zip((f"sigma_{a}" for a in NED), noise.colour[0], strict=False))
+                best = replace(best, values=tuple(_moved(v, sigma.get(v.name, noise.colour[1])) for v in best.values))
+            else:
+                factors = scene.original.factors * level.factor
+                levels = np.where(level.factor == 1.0, scene.original.levels, factors)
+                scene = scene.rebuilt(factors=factors, levels=levels)
+            self.found.append(Found(best, tuple(ranked)))
+        else:
+            self.found.append(Found(best, tuple(ranked)))
+            if best.gain > CORRECT_NATS and best.columns:
+                self._take(scene)
+                scene = scene.rebuilt(corrections=self._corrections())
+        self._take(scene)
+        self._take(self.scene.trimmed(blocks_of(self.found), self.cut))
+
+    def _corrections(self) -> dict[int, float]:
+        """Best values of the strong shapes, to be taken out of the data."""
+        blocks = blocks_of(self.found)
+        index, mean, _ = self.data.posterior(blocks)
+        strong = {
+            c
+            for f in self.found
+            if f.chosen.gain > CORRECT_NATS
+            for c in f.chosen.columns
+            if not self.scene.columns[c].runs
+        }
+        return {int(i): float(m) for i, m in zip(index, mean, strict=True) if int(i) in strong}
+
+    def _reconsider(self) -> None:
+        """Try to drop or to replace each effect of the IMU or of timing beside all the others."""
+        for f in list(self.found):
+            if f.chosen.block is None or f.chosen.effect == "gnss_multipath_step":
+                continue
+            others = [g for g in self.found if g is not f]
+            ranked = self.rank(blocks_of(others), self._skip(others), fixes=False)
+            kept = next((h for h in ranked if (h.effect, h.sensor) == (f.chosen.effect, f.chosen.sensor)), None)
+            best = ranked[0]
+            if best.gain < min(self.threshold, 2.0):
+                self.found = others
+            elif kept is None or best.gain > kept.gain + 0.5:
+                # its rivals among the levels of the fixes stand as they stood
+                self._swap(f, best, ranked)
+            elif f is not self.found[-1]:
+                self._swap(f, kept, ranked)
+
+    def _swap(self, old: Found, new: Hypothesis, ranked: Sequence[Hypothesis]) -> None:
+        fixes = [h for h in old.ranked if h.block is None and h.gain > 0.0]
+        merged = sorted(
+            [*ranked, *(replace(h, gain=min(h.gain, new.gain - LEAD - 1.0)) for h in fixes)], key=lambda h: -h.gain
+        )
+        self.found = [Found(new, tuple(merged)) if g is old else g for g in self.found]
 
 
-def _wild(scene: Scene, outliers: Hypothesis) -> Array:
-    """Times of the fixes that are more likely outliers than not."""
-    given = {v.name: v.value for v in outliers.values}
-    fixes = scene.prepared.result.fixes
-    whole = [k for k in range(len(fixes)) if scene.loop.use[k, :3].all()]
-    S = np.stack([fixes.S[k][:3, :3] for k in whole])
-    nu = fixes.innovation[whole][:, :3]
-    p = given["probability"]
-    odds = math.log(p / (1.0 - p)) + _gaussian(nu, S + np.eye(3) * given["sigma"] ** 2) - _gaussian(nu, S)
-    return np.asarray(fixes.t[np.array(whole)[odds > 0.0]])
+def _moved(v: Value, value: float) -> Value:
+    """A positive value re-estimated, its interval as wide in proportion as it was."""
+    return replace(v, value=float(value), low=float(v.low / v.value * value), high=float(v.high / v.value * value))
 
 
-def _until(scene: Scene, cut: float | None) -> tuple[Scene, Field]:
-    if cut is None:
-        return scene, scene.data
-    keep = scene.rows_t <= cut
-    return replace_data(scene, keep), scene.data.rows(keep)
+def find_effects(
+    scene: Scene, cut: float | None, threshold: float, without: Collection[str], progress: Callable[[str], None]
+) -> Named:
+    """Search a recording, whole or up to a time."""
+    return Search(scene, cut, threshold, without, [], np.zeros(0)).run(progress)
 
 
-def _held_out(scene: Scene, named: Named, cut: float) -> tuple[Interval, Interval, Interval]:
+def with_process(model: NoiseModel, effect: str, given: Mapping[str, float]) -> NoiseModel:
+    """A model with a slow process of a named effect."""
+    if effect == "random_walk":
+        return model + RW(given["K"])
+    return model + (GM(given["sigma"], given["beta"]) if effect == "gauss_markov" else BI(given["B"]))
+
+
+def believing(named: Named, cut: float | None = None) -> tuple[Scene, list[Block]]:
+    """The filter that believes in the slow processes that were found, and the blocks of everything else.
+
+    The search carries a process on knots; what is left of a strong one between them would count against it.
+    """
+    beliefs = dict(named.scene.original.beliefs)
+    blocks = []
+    for f in named.found:
+        h = f.chosen
+        if h.effect in PROCESSES:
+            for axis in h.axes:
+                name = f"{h.sensor}_{axis}"
+                beliefs[name] = with_process(beliefs[name], h.effect, {v.name: v.value for v in h.values})
+        elif h.block is not None:
+            blocks.append(h.block)
+    if len(blocks) == len(named.blocks):
+        return named.scene, blocks
+    scene = named.scene.rebuilt(beliefs=beliefs)
+    return scene.trimmed(blocks, cut), blocks
+
+
+# -- held out -------------------------------------------------------------------------------------------------------------------------
+
+
+def held_out(scene: Scene, named: Named, cut: float) -> tuple[Interval, Interval, Interval]:
     """Gap index before and after and gain per fix after ``cut``, where nothing was named."""
     late = scene.rows_t > cut
-    test = scene.data.y[late]
-    fixes = len(np.unique(scene.rows_t[late]))
-    final = named.scene
-    keep = final.rows_t > cut
-    data, fit_rows = final.data.rows(keep), final.data.rows(~keep)
-    n = data.y.size
-    e, logdet = data.y, 0.0
-    if named.blocks:
-        index, mean, covariance = fit_rows.posterior(named.blocks)
-        G = data.G[:, index]
-        L = np.linalg.cholesky(np.eye(n) + G @ covariance @ G.T)
-        e = np.linalg.solve(L, data.y - G @ mean)
-        logdet = float(np.sum(np.log(np.diag(L))))
-    # log densities of the same fixes: whitened innovations with the determinants of their covariances
+    test = scene.loop.y.reshape(-1, 6)[scene.loop.use]
+    test = test[late]
+    fixes = max(1, len(np.unique(scene.rows_t[late])))
+    final, blocks = believing(named, cut)
+    rows = final.rows_t > cut
+    data = replace(final.data, variance=1.0)
+    e, logdet = data.predictive(blocks, rows)
     total = 0.5 * float(test @ test) - 0.5 * float(e @ e) - logdet + _log_volume(scene, cut) - _log_volume(final, cut)
-    spread = 1.96 * math.sqrt(0.5 * abs(float(test @ test) - float(e @ e)) + 0.5)
-    after = float(e @ e) / n
-    if named.fixes is not None:
-        early = _first_part(final.surrogate, cut)
-        whole = final.surrogate.log_likelihood(*named.fixes) - final.base
-        total += whole - (early.log_likelihood(*named.fixes) - early.log_likelihood())
-
-    outliers = next((h for h, _ in named.steps if h.effect == "gnss_outliers"), None)
+    spread = 1.96 * math.sqrt(abs(float(test @ test) - float(e @ e)) + 0.5)
+    outliers = named.outliers
     if outliers is not None:
         # positions that were left out are scored as the outliers that they are said to be
-        given = {v.name: v.value for v in outliers.values}
-        gone = int(np.sum(_wild(scene, outliers) > cut))
-        total += gone * (math.log(given["probability"]) - 3.0 * math.log(given["sigma"]) - 1.5)
+        times, density = wild_fixes(scene, outliers, np.where(scene.surrogate.use == 1, scene.surrogate.nu, 0.0))
+        gone = np.isin(times, named.gone) & (times > cut)
+        total += float(np.sum(density[gone]))
 
-    def around(value: float, count: int) -> Interval:
-        half = 1.96 * math.sqrt(2.0 / count) * max(value, 0.2)
+    def around(y: Array) -> Interval:
+        value = float(np.mean(y * y))
+        # the squares of one fix go together where the model is wrong: their own spread, fix by fix, and the chi-square's where it is right
+        half = 1.96 * max(math.sqrt(2.0 / y.size) * max(value, 0.2), float(np.std(y * y)) / math.sqrt(y.size))
         return Interval(value, value - half, value + half)
 
-    before = float(test @ test) / test.size
-    return (
-        around(before, test.size),
-        around(after, n),
-        Interval(total / fixes, (total - spread) / fixes, (total + spread) / fixes),
-    )
+    return around(test), around(e), Interval(total / fixes, (total - spread) / fixes, (total + spread) / fixes)
 
 
 def _log_volume(scene: Scene, cut: float) -> float:
-    """Half the log determinants of the innovation covariances after ``cut``, less the units of the whitening."""
-    fixes = scene.prepared.result.fixes
-    total = 0.0
-    for k in np.flatnonzero(fixes.t > cut):
-        rows = np.flatnonzero(scene.loop.use[k])
-        if rows.size:
-            total += 0.5 * float(np.linalg.slogdet(fixes.S[k][np.ix_(rows, rows)])[1])
-    return total
+    """Half the log determinants of the innovation covariances after ``cut``."""
+    use = scene.loop.use & (scene.loop.result.fixes.t > cut)[:, None]
+    if scene.noise is None:
+        diagonal = np.einsum("kii->ki", scene.loop.lower)
+        return float(np.sum(np.log(diagonal[use])))
+    volume = 0.0
+    for sign, part in ((1.0, scene.surrogate), (-1.0, scene.surrogate.until(cut))):
+        white, value = part.whiten(part.nu[:, :, None], scene.noise.factor, scene.noise.colour)
+        volume -= sign * (value + 0.5 * float(np.sum(white**2)))
+    return volume
 
 
-def _first_part(s: Surrogate, cut: float) -> Surrogate:
-    k = int(np.searchsorted(s.t, cut))
-    return replace(s, t=s.t[:k], Phi=s.Phi[:k], Q=s.Q[:k], K=s.K[:k], H=s.H[:k], R=s.R[:k], nu=s.nu[:k], use=s.use[:k])
+# -- what the IMU shows above its motion ----------------------------------------------------------------------------------------------
 
 
 def fast_effects(
@@ -576,11 +383,14 @@ def fast_effects(
     """Effects that the IMU shows above its motion, axis by axis."""
     out = []
     excluded = {name for name in CANDIDATES if name not in FAST} | set(without)
-    for name in AXES:
-        data = parts[name]
+    for name, data in parts.items():
         if not data.f.size:
             continue
-        state = AxisState(data, fit(Likelihood(data), Explanation.nominal(nominal.beliefs[name])))
+        given = of_axis(nominal.effects, name)
+        explanation = starting_explanation(nominal.beliefs[name], given, data.dt)
+        data = without_tones(data, fit(Likelihood(data), explanation).explanation)
+        state = AxisState(data, fit(Likelihood(data), explanation))
+        state = without_drawn(replace(state, named=tuple(n for n in settled(given) if n == "quantization")), given)
         out.append(
             (
                 name,
@@ -590,6 +400,55 @@ def fast_effects(
             )
         )
     return out
+
+
+def again_with_processes(
+    fast: list[tuple[str, static_log.AxisResult]],
+    named: Named,
+    parts: dict[str, Reduced],
+    nominal: Nominal,
+    threshold: float,
+    without: Collection[str],
+) -> list[tuple[str, static_log.AxisResult]]:
+    """What the band above the motion shows where a slow process that was found since reaches into it."""
+    beliefs = dict(nominal.beliefs)
+    touched = set()
+    for f in named.found:
+        for axis in f.chosen.axes if f.chosen.effect in PROCESSES else ():
+            name = f"{f.chosen.sensor}_{axis}"
+            touched.add(name)
+            beliefs[name] = with_process(beliefs[name], f.chosen.effect, {v.name: v.value for v in f.chosen.values})
+    touched &= {name for name, r in fast if r.found}
+    if not touched:
+        return fast
+    some = {name: data for name, data in parts.items() if name in touched}
+    fresh = dict(fast_effects(some, replace(nominal, beliefs=beliefs), threshold, without, lambda _: None))
+    return [(name, fresh.get(name, r)) for name, r in fast]
+
+
+def without_tones(data: Reduced, explanation: Explanation) -> Reduced:
+    """The axis without tones that come in company: a line of the sensor stands alone, what a vehicle hums does not.
+
+    A tone counts where the periodogram stands out by more than noise does anywhere; a single one, or one that towers over the others, stays.
+    """
+    n, dt = data.values.size, data.dt
+    z = np.fft.rfft(data.values - data.values.mean())
+    f = np.arange(z.size) / (n * dt)
+    inside = (f >= data.f[0]) & (f <= data.f[-1])
+    ratio = np.zeros(z.size)
+    ratio[inside] = np.abs(z[inside]) ** 2 * dt / n / explanation.psd(f[inside], dt)
+    limit = math.log(n) + 6.0
+    loud = np.flatnonzero(ratio > limit)
+    if not loud.size:
+        return data
+    first = int(np.argmax(ratio))
+    # sidelobes of the loudest fall with the square of the distance
+    apart = np.abs(loud - first)
+    others = loud[(apart > 3) & (ratio[loud] > 4.0 * ratio[first] / np.maximum(apart, 1.0) ** 2)]
+    if not others.size or float(ratio[others].max()) < 0.1 * ratio[first]:
+        return data
+    z[loud] *= np.sqrt(1.0 / ratio[loud])
+    return reduce_again(data, np.fft.irfft(z, n))
 
 
 def find_dynamic_gap(
@@ -610,6 +469,12 @@ def find_dynamic_gap(
         raise InputError(
             f"no noise model is believed for {', '.join(missing)}; a recording with fixes needs all six axes"
         )
+    mended = mend(recording.imu, tuple(without))
+    # what is known of the samples is mended, but is no finding
+    noticed = tuple(s for s in mended.steps if s.effect not in {use.id for use in nominal.effects})
+    whole, believed = recording, nominal
+    nominal = replace(nominal, beliefs=with_counts(nominal.beliefs, mended.steps, recording.imu.dt))
+    recording = replace(recording, imu=mended.imu)
     parts = fast_parts(recording)
     fast = fast_effects(parts, nominal, max(threshold, FAST_THRESHOLD), without, say)
     levels = {
@@ -618,31 +483,38 @@ def find_dynamic_gap(
     prepared = prepare(recording, nominal, parts, levels)
     say("responding every effect through the filter")
     scene = Scene.of(prepared)
-    named = search(scene, None, threshold, without, say)
+    colour = colour_of(nominal.effects)
+    if colour is not None:
+        scene, without = scene.coloured(FixNoise(np.ones(6), colour)), (*without, "gnss_correlated_noise")
+    threshold = max(threshold, null_threshold([v for v in bank(scene) if v.effect not in without], scene.data, rng))
+    named = find_effects(scene, None, threshold, without, say)
     nothing = Interval(math.nan, math.nan, math.nan)
     before = after = held = nothing
     if hold_out:
         say("scoring on held-out fixes")
-        cut = scene.motion.t[0] + static_log.NAMING_SHARE * (scene.motion.t[-1] - scene.motion.t[0])
-        cut = float(cut)
-        first = search(scene, cut, threshold, without, lambda _: None)
-        before, after, held = _held_out(scene, first, cut)
+        cut = float(scene.motion.t[0] + static_log.NAMING_SHARE * (scene.motion.t[-1] - scene.motion.t[0]))
+        first = find_effects(scene, cut, threshold, without, lambda _: None)
+        plain = Scene.of(prepare(whole, believed, parts, levels)) if noticed else scene
+        before, after, held = held_out(plain, first, cut)
     where = corrected(disagreement_tests(scene, scene.data.y))
-    residual = explained_residual(named.scene.data, named.blocks)
-    rest = corrected(disagreement_tests(named.scene, residual))
-    steps = [_step(h, ranked) for h, ranked in named.steps]
-    steps += list(static_log.merged_steps(dict(fast)))
+    final, blocks = believing(named)
+    residual, _ = final.data.residual(blocks)
+    rest = corrected(disagreement_tests(final, residual))
+    fast = again_with_processes(fast, named, parts, nominal, max(threshold, FAST_THRESHOLD), without)
+    steps = [_step(f, named) for f in named.found]
+    steps += [*static_log.merged_steps(dict(fast)), *noticed]
     steps.sort(key=lambda s: -s.gain_nats)
-    unexplained = bool(named.outsider) or (named.fixes is None and any(w.p_value < OMNIBUS for w in rest))
+    outsider = named.outsider or next((r.outsider for _, r in fast if r.outsider), "")
+    unexplained = bool(outsider) or any(w.p_value < OMNIBUS for w in rest)
     verdict: VerdictName = "nothing missing"
     if unexplained:
         verdict = "unexplained"
         steps = [replace(s, confidence=min(s.confidence, 0.5)) for s in steps]
     elif steps:
         verdict = "class" if steps[0].is_class else "named"
-    if named.outsider:
-        rest = (Where(named.outsider, "", "", None, 0.0), *rest)
-    refined = dict(nominal.beliefs)
+    if outsider:
+        rest = (Where(outsider, "", "", None, 0.0), *rest)
+    refined = dict(believed.beliefs)
     for s in steps:
         refined = _refine(refined, s)
     return GapReport(
@@ -653,43 +525,18 @@ def find_dynamic_gap(
         before,
         after,
         held,
-        dict(nominal.beliefs),
+        dict(believed.beliefs),
         refined,
         threshold,
         recording.source,
     )
 
 
-def replace_data(scene: Scene, keep: NDArray[np.bool_]) -> Scene:
-    """The scene with the innovations of the first part only, for naming without the held-out part."""
-    cut = float(scene.rows_t[keep].max())
-    part = _first_part(scene.surrogate, cut + 1e-6)
-    k = part.t.size
-    loop = Loop(
-        scene.loop.result,
-        scene.loop.white,
-        np.where(np.arange(scene.loop.y.size) < 6 * k, scene.loop.y, 0.0),
-        scene.loop.use.copy(),
-    )
-    loop.use[k:] = False
-    out = replace(scene, surrogate=part, loop=loop)
-    out.base = part.log_likelihood()
-    return out
-
-
-def explained_residual(data: Field, blocks: Sequence[Given]) -> Array:
-    """Innovations less what the blocks explain, whitened again for what their estimation took."""
-    if not blocks:
-        return data.y
-    index, mean, _ = data.posterior(blocks)
-    return np.asarray(data.y - data.G[:, index] @ mean)
-
-
 def disagreement_tests(scene: Scene, y: Array) -> list[tuple[str, str, str, float | None, float]]:
     """Mean, level, whiteness and tails of each component's innovations."""
     use = scene.loop.use
     full = np.full(use.size, np.nan)
-    full[use.ravel()] = y / math.sqrt(scene.data.variance)
+    full[use.ravel()] = y
     table = full.reshape(-1, 6)
     out: list[tuple[str, str, str, float | None, float]] = []
     step = float(np.median(np.diff(scene.prepared.result.fixes.t)))
@@ -737,18 +584,40 @@ def disagreement_tests(scene: Scene, y: Array) -> list[tuple[str, str, str, floa
     return out
 
 
-def _step(h: Hypothesis, ranked: Sequence[Hypothesis]) -> Step:
+def _step(f: Found, named: Named) -> Step:
+    """A step of the search as it is reported: values from everything together, members of its class, runners-up."""
+    h, ranked = f.chosen, f.ranked
+    values = h.values
+    if h.block is not None and (h.columns or h.effect == "gnss_multipath_step"):
+        index, mean, covariance = named.scene.data.posterior(named.blocks)
+        at = [int(np.flatnonzero(index == i)[0]) for i in h.block[0]]
+        if h.columns:
+            values = shape_values(named.scene, h.block[0], mean[at], covariance[np.ix_(at, at)])
+        else:
+            m, s = float(mean[at[0]]), math.sqrt(float(covariance[at[0], at[0]]))
+            values = (Value("value", m, m - 1.96 * s, m + 1.96 * s, "m"), *values[1:])
     gains = np.array([r.gain for r in ranked] + [math.log(len(ranked))])
     p = np.exp(gains - gains.max())
-    members = tuple(
-        Member(r.effect, r.sensor, r.axes, r.gain) for r in ranked if r.gain > h.gain - LEAD and r.gain > 0.0
-    )
-    others = tuple(
-        Member(r.effect, r.sensor, r.axes, r.gain) for r in ranked if r.gain <= h.gain - LEAD and r.gain > 0.0
-    )[:5]
+    p /= p.sum()
+    own = next((k for k, r in enumerate(ranked) if (r.effect, r.sensor) == (h.effect, h.sensor)), 0)
+    order = [own, *(k for k in range(len(ranked)) if k != own)]
+    members: list[Member] = []
+    others: list[Member] = []
+    held = 0.0
+    share = float(p[:-1].sum())
+    for k in order:
+        r = ranked[k]
+        member = Member(r.effect, r.sensor, h.axes if k == own else r.axes, r.gain)
+        if k == own or (r.gain > h.gain - LEAD and r.gain > 0.0 and held < CLASS_SHARE * share):
+            members.append(member)
+        elif r.gain > 0.0:
+            others.append(member)
+        held += float(p[k])
     needs = "; ".join(dict.fromkeys(EFFECTS[m.effect].excitation for m in members)) if len(members) > 1 else ""
     text = f"a recording with more of: {needs}" if needs else ""
-    return Step(h.effect, h.variant, h.sensor, h.axes, h.values, float(p[0] / p.sum()), h.gain, members, text, others)
+    return Step(
+        h.effect, h.variant, h.sensor, h.axes, values, float(p[own]), h.gain, tuple(members), text, tuple(others[:5])
+    )
 
 
 def _refine(models: dict[str, NoiseModel], step: Step) -> dict[str, NoiseModel]:
@@ -763,12 +632,9 @@ def _refine(models: dict[str, NoiseModel], step: Step) -> dict[str, NoiseModel]:
         def value(key: str, axis: str = axis) -> float:
             return given[key] if key in given else given[f"{key}_{axis}"]
 
-        if step.effect == "random_walk":
-            out[name] = out[name] + RW(value("K"))
-        elif step.effect == "gauss_markov":
-            out[name] = out[name] + GM(value("sigma"), value("beta"))
-        elif step.effect == "flicker":
-            out[name] = out[name] + BI(value("B"))
+        if step.effect in PROCESSES:
+            parameters = {p.name for p in EFFECTS[step.effect].parameters}
+            out[name] = with_process(out[name], step.effect, {key: value(key) for key in parameters})
         elif step.effect == "white_noise":
             out[name] = NoiseModel(tuple(WN(value("N")) if isinstance(p, WN) else p for p in out[name]))
     return out

@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.gap.evidence import PRIOR_SCALES, log_mean_exp
+from insemu.gap import kernel
 
 Array = NDArray[np.float64]
+#: Column indices and prior root: the coefficients are ``root @ z`` with z standard normal.
+Block = tuple[NDArray[Any], Array]
 
 
 @dataclass
@@ -26,7 +29,7 @@ class Field:
     Parameters
     ----------
     y : (r,) array
-        Whitened innovations of the used components.
+        Whitened innovations of the used components, in order of time.
     G : (r, c) array
         Unit responses of all columns.
     variance : float
@@ -36,69 +39,121 @@ class Field:
     y: Array
     G: Array
     variance: float = 1.0
-    A: Array = field(init=False, repr=False)
-    b: Array = field(init=False, repr=False)
-    yy: float = field(init=False)
 
-    def __post_init__(self) -> None:
-        self.A = self.G.T @ self.G
-        self.b = self.G.T @ self.y
-        self.yy = float(self.y @ self.y)
+    @cached_property
+    def A(self) -> Array:
+        """Normal matrix (c, c)."""
+        return np.asarray(self.G.T @ self.G / self.variance)
 
-    def log_factor(self, blocks: Sequence[tuple[NDArray[Any], Array]]) -> float:
-        """Log Bayes factor of blocks ``(column indices, prior root)`` together against nothing."""
-        if not blocks:
-            return 0.0
+    @cached_property
+    def b(self) -> Array:
+        """Right-hand side (c,)."""
+        return np.asarray(self.G.T @ self.y / self.variance)
+
+    def _joined(self, blocks: Sequence[Block]) -> tuple[NDArray[Any], Array]:
         index = np.concatenate([i for i, _ in blocks])
-        sizes = [r.shape[1] for _, r in blocks]
-        root = np.zeros((index.size, sum(sizes)))
+        root = np.zeros((index.size, sum(r.shape[1] for _, r in blocks)))
         row = col = 0
         for i, r in blocks:
             root[row : row + i.size, col : col + r.shape[1]] = r
             row, col = row + i.size, col + r.shape[1]
-        A = self.A[np.ix_(index, index)] / self.variance
-        b = self.b[index] / self.variance
-        M = root.T @ A @ root
+        return index, root
+
+    def _solved(self, blocks: Sequence[Block]) -> tuple[NDArray[Any], Array, Array, Array]:
+        index, root = self._joined(blocks)
+        M = root.T @ self.A[np.ix_(index, index)] @ root
         M[np.diag_indices_from(M)] += 1.0
-        rb = root.T @ b
-        L = np.linalg.cholesky(M)
+        return index, root, np.linalg.cholesky(M), root.T @ self.b[index]
+
+    def log_factor(self, blocks: Sequence[Block]) -> float:
+        """Log Bayes factor of blocks together against nothing."""
+        if not blocks:
+            return 0.0
+        _, _, L, rb = self._solved(blocks)
         z = np.linalg.solve(L, rb)
         return 0.5 * float(z @ z) - float(np.sum(np.log(np.diag(L))))
 
-    def posterior(self, blocks: Sequence[tuple[NDArray[Any], Array]]) -> tuple[NDArray[np.int64], Array, Array]:
+    def posterior(self, blocks: Sequence[Block]) -> tuple[NDArray[Any], Array, Array]:
         """Indices, mean and covariance of the coefficients of all blocks together."""
-        index = np.concatenate([i for i, _ in blocks])
-        precision = np.zeros((index.size, index.size))
-        row = 0
-        for i, r in blocks:
-            s = slice(row, row + i.size)
-            precision[s, s] = np.linalg.inv(r @ r.T + 1e-12 * np.trace(r @ r.T) / i.size * np.eye(i.size))
-            row += i.size
-        covariance = np.linalg.inv(self.A[np.ix_(index, index)] / self.variance + precision)
-        return index.astype(np.int64), covariance @ (self.b[index] / self.variance), covariance
+        index, root, L, rb = self._solved(blocks)
+        half = np.linalg.solve(L, root.T)
+        return index, half.T @ np.linalg.solve(L, rb), half.T @ half
+
+    def conditioned(self, blocks: Sequence[Block], draws: Array | None = None) -> tuple[Array, Array]:
+        """Normal matrix (c, c) and right-hand sides (c, 1 + draws) of what the blocks leave unexplained.
+
+        Parameters
+        ----------
+        draws : (c, s) array, optional
+            Right-hand sides of simulated innovations, appended to the measured one.
+        """
+        b = self.b[:, None] if draws is None else np.hstack([self.b[:, None], draws])
+        if not blocks:
+            return self.A, b
+        index, root, L, _ = self._solved(blocks)
+        half = np.linalg.solve(L, (self.A[:, index] @ root).T)
+        return self.A - half.T @ half, b - half.T @ np.linalg.solve(L, root.T @ b[index])
+
+    def residual(self, blocks: Sequence[Block]) -> tuple[Array, float]:
+        """Innovations whitened again in order of time under the blocks' prior, and half the log determinant that this adds.
+
+        Each is predicted from those before it only, so the residuals of a later part are its predictive errors.
+        """
+        if not blocks:
+            return self.y, 0.0
+        index, root = self._joined(blocks)
+        out = np.empty_like(self.y)
+        logs = np.empty_like(self.y)
+        kernel.recursive_residuals(self.y, np.ascontiguousarray(self.G[:, index] @ root), self.variance, out, logs)
+        return out, float(np.sum(logs))
+
+    def predictive(self, blocks: Sequence[Block], rows: NDArray[np.bool_]) -> tuple[Array, float]:
+        """The same, of some rows only: residuals and half the log determinant."""
+        if not blocks:
+            return self.y[rows], 0.0
+        index, root = self._joined(blocks)
+        out = np.empty_like(self.y)
+        logs = np.empty_like(self.y)
+        kernel.recursive_residuals(self.y, np.ascontiguousarray(self.G[:, index] @ root), 1.0, out, logs)
+        return out[rows], float(np.sum(logs[rows]))
 
     def rows(self, keep: NDArray[np.bool_]) -> Field:
         """The same on some of the rows."""
-        return Field(self.y[keep], self.G[keep], self.variance)
+        return Field(self.y[keep], np.ascontiguousarray(self.G[keep]), self.variance)
 
 
-def scaled(scales: Array, factor: float) -> Array:
-    """Prior root of independent coefficients."""
-    return np.diag(scales * factor)
+def quadratic_evidence(A: Array, b: Array, root: Array, amplitudes: Array) -> Array:
+    """Log Bayes factors of coefficients ``amplitude root z``, z standard normal.
 
-
-def group_evidence(
-    data: Field, index: NDArray[Any], scales: Array, given: Sequence[tuple[NDArray[Any], Array]] = ()
-) -> tuple[float, float]:
-    """Evidence of a group of columns beside blocks that are given, averaged over prior scales.
+    Parameters
+    ----------
+    A : (k, k) array
+        Normal matrix of the columns.
+    b : (k, s) array
+        Right-hand sides.
+    root : (k, j) array
+    amplitudes : (a,) array
 
     Returns
     -------
-    (log Bayes factor, best prior scale)
+    (a, s) array
+        ``1/2 b' R (I + R' A R)^-1 R' b - 1/2 log|I + R' A R|`` with ``R = amplitude root``.
     """
-    base = data.log_factor(given)
-    each = [data.log_factor([*given, (index, scaled(scales, c))]) - base for c in PRIOR_SCALES]
-    return log_mean_exp(each), PRIOR_SCALES[int(np.argmax(each))]
+    if root.shape == (1, 1):
+        values, turned = np.array([A[0, 0] * root[0, 0] ** 2]), root[0, 0] * b
+    else:
+        values, vectors = np.linalg.eigh(root.T @ A @ root)
+        turned = vectors.T @ (root.T @ b)
+    values = np.maximum(values, 0.0)
+    square = amplitudes[:, None] ** 2
+    grown = 1.0 + square * values[None, :]
+    return np.asarray(0.5 * (square / grown) @ turned**2 - 0.5 * np.sum(np.log(grown), axis=1)[:, None])
+
+
+def log_mean_exp_columns(logs: Array) -> Array:
+    """Logarithm of the mean of exponentials of each column."""
+    top = logs.max(axis=0)
+    return np.asarray(top + np.log(np.mean(np.exp(logs - top), axis=0)))
 
 
 # -- slow processes on knots ----------------------------------------------------------------------------------------------------------
@@ -106,7 +161,7 @@ def group_evidence(
 
 def knot_times(start: float, end: float, spacing: float) -> Array:
     """Knots from start to end, at most ``spacing`` apart."""
-    return np.linspace(start, end, max(4, math.ceil((end - start) / spacing) + 1))
+    return np.linspace(start, end, max(4, math.ceil((end - start) / spacing - 1e-9) + 1))
 
 
 def random_walk_root(t: Array) -> Array:
@@ -129,50 +184,3 @@ def flicker_root(t: Array) -> Array:
     step = math.log(times[1] / times[0])
     C = np.asarray(sum(np.exp(-np.abs(t[:, None] - t[None, :]) / tau) for tau in times)) * step / math.pi
     return np.asarray(np.linalg.cholesky(C + 1e-9 * C[0, 0] * np.eye(t.size)), dtype=np.float64)
-
-
-@dataclass(frozen=True)
-class SlowFit:
-    """A slow process on one axis: evidence averaged over its grid, the best parameters and their spread."""
-
-    gain: float
-    values: tuple[float, ...]
-    spread: tuple[float, ...]
-    root: Array
-
-
-def slow_evidence(
-    data: Field,
-    index: NDArray[Any],
-    roots: Sequence[tuple[tuple[float, ...], Array]],
-    amplitudes: Array,
-    given: Sequence[tuple[NDArray[Any], Array]],
-) -> SlowFit:
-    """Average over amplitudes and shapes (each alike before the data); posterior mean and spread in logarithms.
-
-    Parameters
-    ----------
-    roots : sequence of (shape parameters, unit root)
-    amplitudes : (a,) array
-        Geometric grid.
-    """
-    base = data.log_factor(given)
-    grid = [
-        (a, shape, root, data.log_factor([*given, (index, root * a)]) - base)
-        for shape, root in roots
-        for a in amplitudes
-    ]
-    logs = np.array([g[3] for g in grid])
-    p = np.exp(logs - logs.max())
-    p /= p.sum()
-    best = grid[int(np.argmax(logs))]
-    table = np.log(np.array([(g[0], *g[1]) for g in grid]))
-    mean = p @ table
-    sd = np.sqrt(p @ (table - mean) ** 2)
-    step = 0.5 * math.log(amplitudes[1] / amplitudes[0])
-    return SlowFit(
-        log_mean_exp(logs),
-        tuple(float(v) for v in np.exp(mean)),
-        tuple(float(max(s, step)) for s in sd),
-        best[2] * best[0],
-    )

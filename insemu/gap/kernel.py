@@ -242,7 +242,48 @@ def integrate_inputs(
 
 
 @njit(cache=True, nogil=True)
-def surrogate_log_likelihood(
+def recursive_residuals(
+    y: Array, U: Array, variance: float, out: Array, logs: Array
+) -> None:  # pragma: no cover - compiled
+    """One-step predictive residuals of ``y = U z + noise``, z standard normal, by recursive least squares.
+
+    Parameters
+    ----------
+    y : (r,) array
+    U : (r, k) array
+    variance : float
+        Of the noise.
+    out : (r,) array
+        Written to: residuals over their standard deviations, which are one where nothing is uncertain and ``variance`` is one.
+    logs : (r,) array
+        Written to: logarithm of each standard deviation.
+    """
+    r, k = U.shape
+    P = np.eye(k)
+    z = np.zeros(k)
+    g = np.zeros(k)
+    for i in range(r):
+        s = variance
+        e = y[i]
+        for a in range(k):
+            total = 0.0
+            for b in range(k):
+                total += P[a, b] * U[i, b]
+            g[a] = total
+        for a in range(k):
+            s += U[i, a] * g[a]
+            e -= U[i, a] * z[a]
+        for a in range(k):
+            z[a] += g[a] * e / s
+            w = g[a] / s
+            for b in range(k):
+                P[a, b] -= w * g[b]
+        out[i] = e / math.sqrt(s)
+        logs[i] = 0.5 * math.log(s)
+
+
+@njit(cache=True, nogil=True)
+def surrogate_filter(
     Phi: Array,
     Q: Array,
     K: Array,
@@ -255,76 +296,119 @@ def surrogate_log_likelihood(
     phi_g: Array,
     q_g: Array,
     p_g: Array,
+    white: Array,
 ) -> float:  # pragma: no cover - compiled
-    """Log-likelihood of stored innovations when the true noise is other than the filter believed.
+    """Log-likelihood of stored innovations when the true noise is other than the filter believed, and the innovations whitened for it.
 
     The error of the nominal filter obeys ``e- = Phi e+ + w``, ``nu = -H e- + g + v``, ``e+ = e- + K nu`` with the known input ``K nu``; a Kalman
-    filter on e (and on a Gauss-Markov part g of the fixes) sees the innovations as its measurements.
+    filter on e (and on a Gauss-Markov part g of the fixes) sees the innovations as its measurements. Everything is linear in the stored
+    innovations, so responses of effects go through the same filter.
 
     Parameters
     ----------
     Phi, Q : (f, n, n) arrays
         Transition and driving covariance to each fix.
-    K, H, R : (f, n, 6), (f, 6, n), (f, 6, 6) arrays
-        Nominal gain (zero where the fix was not used), Jacobian, believed noise.
+    K, H, R : (f, n, 6), (f, 6, n), (f, 6) arrays
+        Nominal gain (zero where the fix was not used), Jacobian, believed variances.
     P0 : (n, n) array
-    nu : (f, 6) array
+    nu : (f, 6, c) array
+        Innovations, and any number of responses beside them.
     use : (f, 6) array of int
         1 where a component was measured.
     factor : (6,) array
         Ratio of the true to the believed standard deviation of each component.
     phi_g, q_g, p_g : (f, 6), (f, 6), (6,) arrays
-        Transition and driving variance of g to each fix, its initial variance; zeros: no such part.
+        Transition and driving variance of g to each fix, its initial variance; a zero in ``p_g``: no such part.
+    white : (f, 6, c) array
+        Written to: whitened columns, zero where missing.
+
+    Returns
+    -------
+    float
+        Of the first column, without the constant; NaN where a variance is not positive.
     """
     n = P0.shape[0]
-    m = n + 6
+    f, _, cols = nu.shape
+    which = np.zeros(6, dtype=np.int64)
+    extra = 0
+    for i in range(6):
+        if p_g[i] > 0.0:
+            which[extra] = i
+            extra += 1
+    m = n + extra
     P = np.zeros((m, m))
     P[:n, :n] = P0
-    for i in range(6):
-        P[n + i, n + i] = p_g[i]
-    x = np.zeros(m)
-    F = np.zeros((m, m))
+    for j in range(extra):
+        P[n + j, n + j] = p_g[which[j]]
+    x = np.zeros((m, cols))
+    T = np.zeros((n, m))
+    a = np.zeros(m)
+    g = np.zeros(m)
     total = 0.0
-    for k in range(nu.shape[0]):
-        F[:n, :n] = Phi[k]
+    for k in range(f):
+        F = Phi[k]
+        # P = F P F' + Q, block by block
+        for i in range(n):
+            for j in range(m):
+                T[i, j] = 0.0
+            for q in range(n):
+                w = F[i, q]
+                if w != 0.0:
+                    for j in range(m):
+                        T[i, j] += w * P[q, j]
+        for i in range(n):
+            for j in range(i, n):
+                v = Q[k, i, j]
+                for q in range(n):
+                    v += T[i, q] * F[j, q]
+                P[i, j] = v
+                P[j, i] = v
+            for j in range(extra):
+                v = T[i, n + j] * phi_g[k, which[j]]
+                P[i, n + j] = v
+                P[n + j, i] = v
+        for i in range(extra):
+            for j in range(extra):
+                P[n + i, n + j] *= phi_g[k, which[i]] * phi_g[k, which[j]]
+            P[n + i, n + i] += q_g[k, which[i]]
+        x[:n] = F @ x[:n]
+        for j in range(extra):
+            for c in range(cols):
+                x[n + j, c] *= phi_g[k, which[j]]
         for i in range(6):
-            F[n + i, n + i] = phi_g[k, i]
-        x = F @ x
-        P = F @ P @ F.T
-        P[:n, :n] += Q[k]
-        for i in range(6):
-            P[n + i, n + i] += q_g[k, i]
-        # components one after the other would need independent noise; the block is small
-        rows = np.zeros(6, dtype=np.int64)
-        count = 0
+            if use[k, i] == 0:
+                continue
+            for j in range(n):
+                a[j] = -H[k, i, j]
+            for j in range(extra):
+                a[n + j] = 1.0 if which[j] == i else 0.0
+            s = R[k, i] * factor[i] ** 2
+            for j in range(m):
+                v = 0.0
+                for q in range(m):
+                    v += P[j, q] * a[q]
+                g[j] = v
+                s += a[j] * v
+            if not s > 0.0:
+                return math.nan
+            root = math.sqrt(s)
+            for c in range(cols):
+                e = nu[k, i, c]
+                for j in range(m):
+                    e -= a[j] * x[j, c]
+                white[k, i, c] = e / root
+                for j in range(m):
+                    x[j, c] += g[j] * e / s
+            total -= math.log(root) + 0.5 * white[k, i, 0] ** 2
+            for j in range(m):
+                w = g[j] / s
+                for q in range(m):
+                    P[j, q] -= w * g[q]
         for i in range(6):
             if use[k, i] == 1:
-                rows[count] = i
-                count += 1
-        if count > 0:
-            A = np.zeros((count, m))
-            S = np.zeros((count, count))
-            r = np.zeros(count)
-            for a in range(count):
-                i = rows[a]
                 for j in range(n):
-                    A[a, j] = -H[k, i, j]
-                A[a, n + i] = 1.0
-                r[a] = nu[k, i]
-                for b in range(count):
-                    S[a, b] = R[k, i, rows[b]] * factor[i] * factor[rows[b]]
-            PA = P @ A.T
-            S += A @ PA
-            r -= A @ x
-            L = np.linalg.cholesky(S)
-            z = np.linalg.solve(L, r)
-            for a in range(count):
-                total += -0.5 * z[a] * z[a] - math.log(L[a, a])
-            G = np.linalg.solve(S, PA.T).T
-            x = x + G @ r
-            P = P - G @ PA.T
-            P = 0.5 * (P + P.T)
-            for j in range(n):
-                for a in range(count):
-                    x[j] += K[k, j, rows[a]] * nu[k, rows[a]]
+                    w = K[k, j, i]
+                    if w != 0.0:
+                        for c in range(cols):
+                            x[j, c] += w * nu[k, i, c]
     return total

@@ -1,21 +1,19 @@
-"""What the user believes: noise per axis, GNSS noise, initial uncertainties; read from a scenario, a short belief file or a noise-model file."""
+"""What the user believes: noise per axis, effects that are known, GNSS noise, initial uncertainties, and how the IMU sits in the vehicle."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
+from insemu.effects import EffectUse
 from insemu.errors import InputError
-from insemu.gap.verdict import GapReport, Step
-from insemu.noise import NoiseModel, load, save
-from insemu.records import AXES
-from insemu.scenario import Gnss, Initial, SensorModels
+from insemu.noise import DR, SIN, NoiseModel, load
+from insemu.scenario import Gnss, Initial, Scenario, SensorModels, Vehicle
 from insemu.scenario import load as load_scenario
 
 
@@ -29,6 +27,10 @@ class Nominal:
         ``gyro_x`` ... ``accel_z``, or a column's own name.
     gnss, initial
         Sections of a scenario; defaults where the file does not say.
+    effects : tuple of EffectUse
+        What is known besides noise; it is taken off the recording before anything is looked for.
+    vehicle : Vehicle, optional
+        How the IMU sits in a vehicle that moves where it points; ``None``: nothing is known of that.
     raw : mapping
         The file as it was read, for writing the refined one.
     kind : str
@@ -41,13 +43,35 @@ class Nominal:
     raw: Mapping[str, Any] = field(default_factory=dict)
     kind: str = "belief"
     source: str = ""
+    effects: tuple[EffectUse, ...] = ()
+    vehicle: Vehicle | None = None
+
+    def parted(self) -> Nominal:
+        """Lines and ramps, which no spectrum and no covariance holds, moved from the noise models to the known effects."""
+        beliefs: dict[str, NoiseModel] = {}
+        effects = list(self.effects)
+        for name, model in self.beliefs.items():
+            sensor, _, axis = name.rpartition("_")
+            known = [p for p in model if isinstance(p, SIN | DR)] if sensor in ("gyro", "accel") else []
+            for p in known:
+                value = p.parameters["alpha"] if isinstance(p, SIN) else p.parameters["R"]
+                size = tuple(value if a == axis else 0.0 for a in "xyz")
+                if isinstance(p, SIN):
+                    numbers = {"amplitude": size, "frequency": (p.parameters["f"],)}
+                    effects.append(EffectUse("vibration_line", sensor, numbers))
+                else:
+                    effects.append(EffectUse("ramp", sensor, {"R": size}))
+            rest = tuple(p for p in model if p not in known)
+            beliefs[name] = NoiseModel(rest) if known and rest else model
+        return replace(self, beliefs=beliefs, effects=tuple(effects))
 
 
 def load_nominal(path: str | Path) -> Nominal:
     """Read a nominal model.
 
-    Three kinds of file are understood: a scenario (its ``truth`` models are what is believed of the sensor), a short file with the keys
-    ``belief`` (noise per axis as in a scenario) and optionally ``gnss`` and ``initial``, and a noise-model file of ``insemu fit``.
+    Three kinds of file are understood: a scenario, a short file with the keys ``belief`` (noise per axis as in a scenario) and optionally
+    ``effects``, ``gnss``, ``initial`` and ``vehicle``, and a noise-model file of ``insemu fit``. Of a scenario its ``truth`` (models and effects)
+    is what is believed of the sensor; one of a recording has none, and its first design stands for it.
 
     Raises
     ------
@@ -66,79 +90,58 @@ def load_nominal(path: str | Path) -> Nominal:
     if "axes" in raw:
         return Nominal(load(path), raw=raw, kind="noise", source=str(path))
     if "belief" in raw:
-        known = {"belief", "gnss", "initial", "title", "notes", "effects"}
-        unknown = [k for k in raw if k not in known]
-        if unknown:
+        return _belief_file(raw, path)
+    return _scenario(load_scenario(path), raw, path)
+
+
+#: Keys of a belief file.
+BELIEF_KEYS = ("belief", "effects", "gnss", "initial", "vehicle", "title", "notes")
+
+
+def _belief_file(raw: dict[str, Any], path: Path) -> Nominal:
+    unknown = [k for k in raw if k not in BELIEF_KEYS]
+    if unknown:
+        raise InputError(
+            f"unknown key '{unknown[0]}' (expected one of: {', '.join(sorted(BELIEF_KEYS))})", where=str(path)
+        )
+    try:
+        beliefs = SensorModels.model_validate(raw["belief"]).models()
+        gnss, initial = Gnss.model_validate(raw.get("gnss") or {}), Initial.model_validate(raw.get("initial") or {})
+        vehicle = Vehicle.model_validate(raw["vehicle"] or {}) if "vehicle" in raw else None
+        given = raw.get("effects") or []
+        if not isinstance(given, list) or not all(isinstance(e, Mapping) for e in given):
             raise InputError(
-                f"unknown key '{unknown[0]}' (expected one of: {', '.join(sorted(known))})", where=str(path)
+                "'effects' is no list of mappings such as {effect: scale_factor, sensor: gyro, value: 500 ppm}"
             )
-        try:
-            beliefs = SensorModels.model_validate(raw["belief"]).models()
-            gnss, initial = Gnss.model_validate(raw.get("gnss", {})), Initial.model_validate(raw.get("initial", {}))
-        except InputError as error:
-            raise InputError(str(error), where=str(path)) from None
-        except ValueError as error:  # pydantic: one line is enough
-            raise InputError(re.sub(r"\s+", " ", str(error))[:400], where=str(path)) from None
-        if not beliefs:
-            raise InputError(
-                "'belief' names no axis; expected gyro, accel or single axes such as gyro_x", where=str(path)
-            )
-        return Nominal(beliefs, gnss, initial, raw, "belief", str(path))
-    scenario = load_scenario(path)
+        effects = tuple(EffectUse.from_mapping(e) for e in given)
+    except InputError as error:
+        raise InputError(str(error), where=str(path)) from None
+    except ValueError as error:  # pydantic: one line is enough
+        raise InputError(re.sub(r"\s+", " ", str(error))[:400], where=str(path)) from None
+    if not beliefs:
+        raise InputError("'belief' names no axis; expected gyro, accel or single axes such as gyro_x", where=str(path))
+    return Nominal(beliefs, gnss, initial, raw, "belief", str(path), effects, vehicle)
+
+
+def _scenario(scenario: Scenario, raw: dict[str, Any], path: Path) -> Nominal:
     models = scenario.truth.models() if scenario.truth is not None else {}
+    effects = scenario.truth.uses() if scenario.truth is not None else ()
+    vehicle = None
+    if scenario.recording is not None:
+        source = scenario.recording
+        name, design = next(iter(scenario.designs.items()))
+        models = {axis: m for axis, m in design.sources().items() if isinstance(m, NoiseModel)}
+        if len(models) < 6:
+            raise InputError(
+                f"the design '{name}' is fitted or read from a file, expected numbers: a gap needs models to hold a recording against",
+                where=f"{path}: designs.{name}",
+            )
+        effects = design.options.known_effects()
+        if source.imu_time_offset:
+            effects = (EffectUse("imu_gnss_time_offset", "imu", {"offset": (source.imu_time_offset,)}), *effects)
+        vehicle = source.vehicle
+        if any(source.mounting):
+            effects = (EffectUse("mounting", "imu", {"rpy": source.mounting}), *effects)
     if not models:
         raise InputError("no noise models as truth; a gap needs models to hold a recording against", where=str(path))
-    return Nominal(models, scenario.gnss, scenario.initial, raw, "scenario", str(path))
-
-
-def effect_mapping(step: Step) -> dict[str, Any]:
-    """A step as plain data, with the keys of the table of effects where the parameters are its own."""
-    out: dict[str, Any] = {"effect": step.effect, "sensor": step.sensor, "axes": list(step.axes)}
-    if step.variant:
-        out["shape"] = step.variant
-    return out | {
-        p.name: f"{float(p.value)!r} {p.unit}".strip() if p.unit not in ("", "1", "degC") else float(p.value)
-        for p in step.parameters
-    }
-
-
-def write_refined(nominal: Nominal, report: GapReport, path: str | Path) -> Path:
-    """Write the refined model in the form that the nominal one had.
-
-    A scenario gets the refined noise as its truth, so that ``insemu run`` takes it as it is; deterministic effects, which a scenario's noise
-    cannot hold, are listed in its notes (and under ``effects`` of a belief file).
-    """
-    path = Path(path)
-    effects = [effect_mapping(s) for s in report.steps]
-    if nominal.kind == "noise":
-        save({**nominal.beliefs, **report.refined}, path)
-        return path
-    models = {
-        a: m.to_list("rad/s" if a.startswith("gyro") else "m/s^2")
-        for a, m in {**nominal.beliefs, **report.refined}.items()
-        if a in AXES
-    }
-    document = {k: v for k, v in nominal.raw.items() if k not in ("belief", "truth", "effects", "variants")}
-    if nominal.kind == "belief":
-        document["belief"] = models
-        if effects:
-            document["effects"] = effects
-    else:
-        old = nominal.raw.get("truth", {})
-        kept = {k: v for k, v in old.items() if k not in ("gyro", "accel", *AXES)} if isinstance(old, dict) else {}
-        document["truth"] = {**kept, **models}
-        lines = [
-            f"refined against {report.source}; effects found:",
-            *(f"  {yaml.safe_dump(e, default_flow_style=True).strip()}" for e in effects),
-        ]
-        document["notes"] = "\n".join([str(document.get("notes", "")), *lines]).strip() + "\n"
-    path.write_text(yaml.safe_dump(_plain(document), sort_keys=False, allow_unicode=True, width=140), encoding="utf-8")
-    return path
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    return value.item() if isinstance(value, np.generic) else value
+    return Nominal(models, scenario.gnss, scenario.initial, raw, "scenario", str(path), effects, vehicle)

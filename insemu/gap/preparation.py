@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import signal
 
-from insemu import earth
+from insemu import earth, rotation
 from insemu.errors import InputError
 from insemu.filters import FilterOptions, FilterResult, InitialSigma, run_filter
 from insemu.gap.evidence import LEVEL_UNCERTAINTY, Explanation, Likelihood, fit
 from insemu.gap.nominal import Nominal
 from insemu.gap.reduced import Reduced, moving_spectrum
-from insemu.gap.surrogate import Surrogate
-from insemu.noise import WN, NoiseModel
+from insemu.gap.signatures import Loop
+from insemu.gap.surrogate import Surrogate, level_scores
+from insemu.noise import BI, WN, NoiseModel, Process
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording
 from insemu.strapdown import NavState
 
@@ -26,6 +28,10 @@ MOTION_HZ = 8.0
 NODE_S = 10.0
 #: Below this speed a track says nothing about the heading, m/s.
 TRACK_SPEED = 3.0
+#: What a start without a reference is uncertain by at least, rad: levelled in motion, headed along the track.
+START_TILT, START_HEADING = 0.035, 0.09
+#: Components of the fixes that share one level: horizontal and vertical position, horizontal and vertical velocity.
+LEVEL_GROUPS = ((0, 1), (2,), (3, 4), (5,))
 
 
 @dataclass(frozen=True)
@@ -34,7 +40,7 @@ class Prepared:
 
     Parameters
     ----------
-    imu, gnss : records, cut to where the filter could start
+    imu, gnss : records, cut to where the filter could start; the fixes with the nominal standard deviations
     result : FilterResult
         With every epoch and every fix stored.
     beliefs : mapping of axis to NoiseModel
@@ -43,7 +49,13 @@ class Prepared:
         The part of each axis above the motion.
     lever_arm : (3,) array
     factors : (6,) array
-        By what the standard deviations of the fixes were trimmed.
+        By what the standard deviations of the fixes were trimmed: position, then velocity, north, east, down.
+    start : tuple
+        Initial state and its standard deviations.
+    nominal : Nominal
+        What is believed.
+    levels : (6,) array
+        Levels of the fixes that were named, as ratios; the trimming stays within its tolerance of them.
     """
 
     imu: ImuRecord
@@ -54,28 +66,59 @@ class Prepared:
     lever_arm: Array
     factors: Array
     start: tuple[NavState, InitialSigma]
+    nominal: Nominal
+    levels: Array = field(default_factory=lambda: np.ones(6))
 
-    def again(self, gnss: GnssRecord) -> Prepared:
-        """The same filter on other fixes."""
-        result = run_filter(
-            self.imu,
-            gnss,
-            *self.start,
-            self.beliefs,
-            lever_arm=self.lever_arm,
-            options=FilterOptions(store="fixes", node_every=NODE_S),
-        )
-        return replace(self, gnss=gnss, result=result)
+    def again(
+        self,
+        *,
+        imu: ImuRecord | None = None,
+        gnss: GnssRecord | None = None,
+        factors: Array | None = None,
+        beliefs: dict[str, NoiseModel] | None = None,
+    ) -> Prepared:
+        """The same filter on other data, with other standard deviations of the fixes or another belief."""
+        imu = self.imu if imu is None else imu
+        gnss = self.gnss if gnss is None else gnss
+        factors = self.factors if factors is None else factors
+        beliefs = self.beliefs if beliefs is None else beliefs
+        result = _run(imu, scaled_fixes(gnss, factors), self.start, beliefs, self.lever_arm)
+        return replace(self, imu=imu, gnss=gnss, factors=factors, beliefs=beliefs, result=result)
 
-    def with_levels(self, factors: Array) -> Prepared:
-        """The same filter with other standard deviations of the fixes."""
-        return self.again(scaled_fixes(self.gnss, factors))
+    def on(self, recording: Recording) -> Prepared:
+        """The same filter on another recording of the same motion, started as that recording lets it."""
+        imu, gnss, initial, sigma = starting_state(recording, self.nominal)
+        return replace(self, start=(initial, sigma)).again(imu=imu, gnss=with_sigma(gnss, self.nominal))
 
     def without_positions(self, t: Array) -> Prepared:
         """The same filter without the positions of some fixes."""
         llh = self.gnss.llh.copy()
         llh[np.isin(self.gnss.t, t)] = np.nan
-        return self.again(replace(self.gnss, llh=llh))
+        return self.again(gnss=replace(self.gnss, llh=llh))
+
+
+def _run(
+    imu: ImuRecord,
+    gnss: GnssRecord,
+    start: tuple[NavState, InitialSigma],
+    beliefs: dict[str, NoiseModel],
+    lever_arm: Array,
+) -> FilterResult:
+    span = float(imu.t[-1] - imu.t[0])
+    usable = {name: for_filter(model, imu.dt, span) for name, model in beliefs.items()}
+    options = FilterOptions(store="fixes", node_every=NODE_S)
+    return run_filter(imu, gnss, *start, usable, lever_arm=lever_arm, options=options)
+
+
+def for_filter(model: NoiseModel, dt: float, span: float) -> NoiseModel:
+    """A model that a filter can carry: flicker as a sum of Gauss-Markov processes over the times that the recording shows."""
+    parts: list[Process] = []
+    for p in model:
+        if isinstance(p, BI):
+            parts += list(p.approximation(4, 10.0 * dt, span)[0])
+        else:
+            parts.append(p)
+    return NoiseModel(tuple(parts))
 
 
 def fast_parts(recording: Recording) -> dict[str, Reduced]:
@@ -99,46 +142,67 @@ def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], le
         No fixes, a missing belief, too short a recording, or no way to start.
     """
     assert recording.gnss is not None
-    imu, gnss, initial = starting_state(recording)
+    imu, gnss, initial, sigma = starting_state(recording, nominal)
     if imu.t[-1] - imu.t[0] < 60.0:
         raise InputError(
             f"the recording has {imu.t[-1] - imu.t[0]:.0f} s that can be used, expected at least 60 s",
             where=recording.source,
         )
-    gnss = _with_sigma(gnss, nominal)
+    gnss = with_sigma(gnss, nominal)
     beliefs = {name: _trimmed(nominal.beliefs[name], fast[name], levels.get(name)) for name in AXES}
-    sigma = nominal.initial
-    start = InitialSigma(
-        sigma.position_sigma, sigma.velocity_sigma, (sigma.tilt_sigma, sigma.tilt_sigma, sigma.heading_sigma)
-    )
+    start = (initial, sigma)
     lever = np.array(nominal.gnss.lever_arm)
-    options = FilterOptions(store="fixes", node_every=NODE_S)
-
-    def run(fixes: GnssRecord) -> FilterResult:
-        return run_filter(imu, fixes, initial, start, beliefs, lever_arm=lever, options=options)
-
-    result = run(gnss)
-    factors = _level_factors(Surrogate.of(result))
-    if np.max(np.abs(np.log(factors))) > 0.02:
-        gnss = scaled_fixes(gnss, factors)
-        result = run(gnss)
-    return Prepared(imu, gnss, result, beliefs, fast, lever, factors, (initial, start))
+    result = _run(imu, gnss, start, beliefs, lever)
+    prepared = Prepared(imu, gnss, result, beliefs, fast, lever, np.ones(6), start, nominal)
+    return trimmed(prepared, Loop.of(result), Surrogate.of(result))[0]
 
 
-def starting_state(recording: Recording) -> tuple[ImuRecord, GnssRecord, NavState]:
+def trimmed(prepared: Prepared, loop: Loop, surrogate: Surrogate, y: Array | None = None) -> tuple[Prepared, bool]:
+    """Levels of the fixes moved to their most likely values inside the tolerance; and whether they moved enough to run the filter again.
+
+    Parameters
+    ----------
+    y : (f, 6) array, optional
+        Whitened innovations less what is explained.
+    """
+    y = loop.y.reshape(-1, 6) if y is None else y
+    groups = [list(g) for g in LEVEL_GROUPS if surrogate.use[:, list(g)].any()]
+    if not groups:
+        return prepared, False
+    score, information = level_scores(surrogate, loop.white, y, groups)
+    # a weak pull towards the nominal level keeps a level that the innovations do not show
+    move = np.linalg.solve(information + np.eye(len(groups)), score)
+    edge = np.log(1.0 + LEVEL_UNCERTAINTY)
+    factors = prepared.factors.copy()
+    for g, m in zip(groups, move, strict=True):
+        middle = np.log(prepared.levels[g])
+        factors[g] = np.exp(np.clip(np.log(factors[g]) + np.clip(m, -0.3, 0.3), middle - edge, middle + edge))
+    if np.max(np.abs(np.log(factors / prepared.factors))) < 0.02:
+        return prepared, False
+    return prepared.again(factors=factors), True
+
+
+def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, GnssRecord, NavState, InitialSigma]:
     """Where the filter starts: on the reference where there is one, else levelled, on the fixes, headed along the track.
 
-    Without a reference the recording is cut to begin where the speed over ground first tells the heading.
+    Without a reference the recording is cut to begin where the speed over ground first tells the heading, and the start is as uncertain as
+    the fix it comes from; a vehicle that crabs or carries an angle of attack is off by degrees.
     """
     imu, gnss = recording.imu, recording.gnss
     assert gnss is not None
+    believed = nominal.initial
     if recording.reference is not None:
         ref = recording.reference
         first = int(np.searchsorted(imu.t, max(imu.t[0], ref.t[0])))
         imu = _cut(imu, first)
         columns = np.hstack([ref.llh, ref.vel_ned, np.unwrap(ref.rpy, axis=0)])
         at = np.array([np.interp(imu.t[0], ref.t, column) for column in columns.T])
-        return imu, gnss, NavState(at[:3], at[3:6], at[6:])
+        sigma = InitialSigma(
+            believed.position_sigma,
+            believed.velocity_sigma,
+            (believed.tilt_sigma, believed.tilt_sigma, believed.heading_sigma),
+        )
+        return imu, gnss, NavState(at[:3], at[3:6], at[6:]), sigma
     if gnss.vel_ned is None:
         raise InputError(
             "the recording has neither a reference nor GNSS velocities, expected one of them to start the filter",
@@ -167,7 +231,21 @@ def starting_state(recording: Recording) -> tuple[ImuRecord, GnssRecord, NavStat
     g = float(earth.gravity(gnss.llh[k, 0], gnss.llh[k, 2]))
     level = force - np.array([along, across, 0.0])
     roll, pitch = float(np.arctan2(-level[1], -level[2])), float(np.arcsin(np.clip(level[0] / g, -1.0, 1.0)))
-    return imu, gnss, NavState(gnss.llh[k], gnss.vel_ned[k], np.array([roll, pitch, heading]))
+    rpy = np.array([roll, pitch, heading])
+    late = float(imu.t[0] - gnss.t[k])
+    velocity = gnss.vel_ned[k] + slope * late
+    arm = rotation.dcm_from_rpy(rpy) @ np.array(nominal.gnss.lever_arm)
+    llh = earth.move(gnss.llh[k], gnss.vel_ned[k] * late - arm)
+    fixed = with_sigma(gnss, nominal)
+    assert fixed.pos_std_ned is not None
+    vel_std = fixed.vel_std_ned[k] if fixed.vel_std_ned is not None else np.full(3, 0.3)
+    position = np.hypot(np.array(believed.position_sigma), fixed.pos_std_ned[k] + START_HEADING * np.linalg.norm(arm))
+    # the velocity of the antenna swings about the IMU's
+    swing = float(np.linalg.norm(np.cross(span.gyro[1:count].mean(axis=0) / imu.dt, np.array(nominal.gnss.lever_arm))))
+    vel_sigma = np.sqrt(np.array(believed.velocity_sigma) ** 2 + vel_std**2 + swing**2)
+    turn = max(believed.heading_sigma, START_HEADING, float(np.max(vel_std[:2])) / float(speed[k]))
+    tilt = max(believed.tilt_sigma, START_TILT)
+    return imu, gnss, NavState(llh, velocity, rpy), InitialSigma(position, vel_sigma, (tilt, tilt, turn))
 
 
 def _cut(imu: ImuRecord, first: int) -> ImuRecord:
@@ -177,16 +255,16 @@ def _cut(imu: ImuRecord, first: int) -> ImuRecord:
     return replace(imu, t=imu.t[first:], gyro=imu.gyro[first:], accel=imu.accel[first:], temperature=temperature)
 
 
-def _with_sigma(gnss: GnssRecord, nominal: Nominal) -> GnssRecord:
+def with_sigma(gnss: GnssRecord, nominal: Nominal) -> GnssRecord:
+    """The fixes with the believed standard deviations where they state none; velocities that are not believed are left out."""
     n = len(gnss)
     out = gnss
+    if nominal.gnss.velocity_sigma is None:
+        out = replace(out, vel_ned=None, vel_std_ned=None)
+    elif out.vel_ned is not None and out.vel_std_ned is None:
+        out = replace(out, vel_std_ned=np.tile(nominal.gnss.velocity_sigma, (n, 1)))
     if out.pos_std_ned is None:
         out = replace(out, pos_std_ned=np.tile(nominal.gnss.position_sigma, (n, 1)))
-    if out.vel_ned is not None and out.vel_std_ned is None:
-        if nominal.gnss.velocity_sigma is None:
-            out = replace(out, vel_ned=None)
-        else:
-            out = replace(out, vel_std_ned=np.tile(nominal.gnss.velocity_sigma, (n, 1)))
     return out
 
 
@@ -201,11 +279,22 @@ def _fast_part(imu: ImuRecord, k: int, name: str) -> Reduced:
     values = np.hstack([imu.gyro, imu.accel])[:, k]
     dt = imu.dt
     if imu.kind == "increment":
-        values = values / dt
-    values = values[1:]
+        values = values / np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1])
     lowest = min(MOTION_HZ, 0.5 * 0.5 / dt)
+    values = without_motion(values[1:], dt, 0.6 * lowest)
     f, power, dof = moving_spectrum(values, dt, lowest)
     return Reduced(name, "rad/s" if k < 3 else "m/s^2", dt, values, 1, np.zeros(0), f, power, dof)
+
+
+def without_motion(values: Array, dt: float, corner: float) -> Array:
+    """A signal without what is slower than ``corner`` Hz, its ends left out.
+
+    Manoeuvres are a billion times stronger than the noise a few Hz above them; no taper alone keeps them out of a spectrum.
+    """
+    sections = signal.butter(6, corner, "highpass", fs=1.0 / dt, output="sos")
+    edge = min(round(6.0 / (corner * dt)), values.size // 20)
+    out = signal.sosfiltfilt(sections, values)
+    return np.ascontiguousarray(out[edge : out.size - edge])
 
 
 def _trimmed(model: NoiseModel, fast: Reduced, named: float | None) -> NoiseModel:
@@ -220,21 +309,3 @@ def _trimmed(model: NoiseModel, fast: Reduced, named: float | None) -> NoiseMode
     n0 = whites[0].parameters["N"]
     level = float(np.clip(seen, n0 / (1.0 + LEVEL_UNCERTAINTY), n0 * (1.0 + LEVEL_UNCERTAINTY)))
     return NoiseModel(tuple(WN(level) if p is whites[0] else p for p in model))
-
-
-def _level_factors(surrogate: Surrogate) -> Array:
-    """Most likely levels of the fixes inside the tolerance: horizontal and vertical position, horizontal and vertical velocity."""
-    factors = np.ones(6)
-    grid = np.exp(np.linspace(-1.0, 1.0, 5) * np.log(1.0 + LEVEL_UNCERTAINTY))
-    for rows in ((0, 1), (2,), (3, 4), (5,)):
-        if not surrogate.use[:, rows].any():
-            continue
-        logs = []
-        for level in grid:
-            trial = factors.copy()
-            trial[list(rows)] = level
-            logs.append(surrogate.log_likelihood(trial))
-        curve = np.polyfit(np.log(grid), logs, 2)
-        best = -0.5 * curve[1] / curve[0] if curve[0] < 0 else np.log(grid[int(np.argmax(logs))])
-        factors[list(rows)] = np.exp(np.clip(best, np.log(grid[0]), np.log(grid[-1])))
-    return factors

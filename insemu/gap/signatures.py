@@ -7,7 +7,7 @@ Jacobian of the nominal filter ``e- = Phi e+ + D``, ``g = -H e- + M``, ``e+ = e-
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from insemu import earth, rotation
 from insemu.effects import CROSS, EFFECTS
 from insemu.filters import FilterResult
 from insemu.gap import kernel
-from insemu.records import GnssRecord, ImuRecord
+from insemu.records import ImuRecord
 
 Array = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ class Column:
 
     Parameters
     ----------
-    effect, variant, sensor : str
+    effect, sensor : str
     label : str
         Parameter of the effect, with its axis: ``value_x``.
     axes : tuple of str
@@ -41,6 +41,8 @@ class Column:
         Unit sensor errors.
     fixes : (f, 6) array, optional
         Unit errors of the fixes, measured minus true.
+    runs : bool
+        Whether the position also runs away by the velocity.
     """
 
     effect: str
@@ -51,7 +53,7 @@ class Column:
     unit: str
     inputs: tuple[tuple[int, Array], ...] = ()
     fixes: Array | None = None
-    variant: str = ""
+    runs: bool = False
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,8 @@ class Motion:
     temperature : (n,) array, optional
     node : (k,) array of int
         IMU rows of the filter's nodes.
+    summed : bool
+        Whether the record holds increments, which no stretched time stamp changes.
     """
 
     t: Array
@@ -82,6 +86,7 @@ class Motion:
     llh: Array
     temperature: Array | None
     node: NDArray[np.int64]
+    summed: bool = True
 
     @classmethod
     def of(cls, imu: ImuRecord, result: FilterResult) -> Motion:
@@ -96,7 +101,16 @@ class Motion:
         middle = C @ rotation.dcm_from_quaternion(rotation.quaternion_from_vector(-0.5 * increments.gyro))
         f_n = np.einsum("nij,nj->ni", middle, force)
         return cls(
-            t, middle, rate, force, f_n, result.nav[:, 3:6], result.nav[:, :3], imu.temperature, result.nodes.epoch
+            t,
+            middle,
+            rate,
+            force,
+            f_n,
+            result.nav[:, 3:6],
+            result.nav[:, :3],
+            imu.temperature,
+            result.nodes.epoch,
+            imu.kind == "increment",
         )
 
 
@@ -167,12 +181,14 @@ def fix_columns(motion: Motion, t_fix: Array, lever_arm: Array) -> list[Column]:
     moved = np.hstack([v + swing, a + swing_rate])
     out = [_column("imu_gnss_time_offset", "imu", "offset", (), "offset", fixes=moved)]
     late = (t_fix - motion.t[0])[:, None]
-    # stamps that run fast: the fixes are ahead by drift (t - t_0), rates are integrated over stretched intervals
-    acceleration = motion.f_n + np.array([0.0, 0.0, 1.0]) * earth.gravity(motion.llh[:, 0], motion.llh[:, 2])[:, None]
-    a_b = np.einsum("nji,nj->ni", motion.C, acceleration)
-    inputs = tuple((i, np.ascontiguousarray(motion.rate[:, i])) for i in range(3))
-    inputs += tuple((3 + i, np.ascontiguousarray(a_b[:, i])) for i in range(3))
-    out.append(_column("clock_drift", "imu", "drift", (), "drift", inputs, moved * late))
+    # stamps that run fast: the fixes are ahead by drift (t - t_0), and what is integrated over stretched intervals is too much: velocity in
+    # any case, gravity where increments are summed, the whole acceleration and rate where means or samples are
+    gravity = np.array([0.0, 0.0, 1.0]) * earth.gravity(motion.llh[:, 0], motion.llh[:, 2])[:, None]
+    a_b = np.einsum("nji,nj->ni", motion.C, gravity if motion.summed else motion.f_n + gravity)
+    inputs = tuple((3 + i, np.ascontiguousarray(a_b[:, i])) for i in range(3))
+    if not motion.summed:
+        inputs += tuple((i, np.ascontiguousarray(motion.rate[:, i])) for i in range(3))
+    out.append(replace(_column("clock_drift", "imu", "drift", (), "drift", inputs, moved * late), runs=True))
     for i, name in enumerate(_AXES):
         axis = np.eye(3)[i]
         M = np.hstack([C[:, :, i], np.einsum("nij,nj->ni", C, np.cross(omega, axis))])
@@ -200,14 +216,15 @@ class Loop:
     Parameters
     ----------
     result : FilterResult
-    white : (f, 6, 6) array
-        Inverse Cholesky factors of the innovation covariances, zero rows for missing components.
+    lower, white : (f, 6, 6) arrays
+        Cholesky factors of the innovation covariances and their inverses, zero rows for missing components.
     y : (6 f,) array
         Whitened innovations, zero where missing.
     use : (f, 6) array of bool
     """
 
     result: FilterResult
+    lower: Array
     white: Array
     y: Array
     use: NDArray[np.bool_]
@@ -218,19 +235,22 @@ class Loop:
         fixes = result.fixes
         f = len(fixes)
         use = np.isfinite(fixes.innovation) & fixes.accepted[:, None]
-        white = np.zeros((f, 6, 6))
-        y = np.zeros((f, 6))
-        for k in range(f):
-            rows = np.flatnonzero(use[k])
-            if rows.size:
-                L = np.linalg.cholesky(fixes.S[k][np.ix_(rows, rows)])
-                inverse = np.linalg.inv(L)
-                white[k][np.ix_(rows, rows)] = inverse
-                y[k, rows] = inverse @ fixes.innovation[k, rows]
-        return cls(result, white, y.ravel(), use)
+        nu = np.where(use, np.nan_to_num(fixes.innovation), 0.0)
+        # missing components get a unit variance of their own and then no row
+        S = np.where(use[:, :, None] & use[:, None, :], np.nan_to_num(fixes.S), 0.0)
+        S[:, np.arange(6), np.arange(6)] += ~use
+        lower = np.linalg.cholesky(S) if f else np.zeros((0, 6, 6))
+        white = np.where(use[:, :, None], np.linalg.inv(lower), 0.0)
+        return cls(
+            result, np.where(use[:, :, None], lower, 0.0), white, np.einsum("kij,kj->ki", white, nu).ravel(), use
+        )
+
+    def until(self, count: int) -> Loop:
+        """The first ``count`` fixes, for what looks at innovations only."""
+        return Loop(self.result, self.lower[:count], self.white[:count], self.y[: 6 * count], self.use[:count])
 
     def respond(self, D: Array, M: Array | None) -> Array:
-        """Whitened response of the innovations.
+        """Response of the innovations.
 
         Parameters
         ----------
@@ -241,34 +261,39 @@ class Loop:
 
         Returns
         -------
-        (6 f, columns) array
+        (f, 6, columns) array
+            Zero where a component is missing.
         """
         nodes, fixes = self.result.nodes, self.result.fixes
         assert nodes is not None and fixes.K is not None and fixes.H is not None
         n, columns = self.result.layout.n, D.shape[1]
         e = np.zeros((n, columns))
         out = np.zeros((len(fixes), 6, columns))
-        at = {int(epoch): [] for epoch in nodes.epoch}  # type: dict[int, list[int]]
-        for k, epoch in enumerate(fixes.epoch):
-            at[int(epoch)].append(k)
+        H = np.where(self.use[:, :, None], np.nan_to_num(fixes.H), 0.0)
+        K = np.where(self.use[:, None, :], np.nan_to_num(fixes.K), 0.0)
+        D = np.transpose(D, (0, 2, 1))
+        k = 0
         for i, epoch in enumerate(nodes.epoch):
             if i:
                 e = nodes.Phi[i] @ e
-                e[:9] += D[i].T
-            for k in at[int(epoch)]:
-                if not fixes.accepted[k] or not self.use[k].any():
-                    continue
-                rows = self.use[k]
-                g = -fixes.H[k][rows] @ e
-                if M is not None:
-                    g += M[k][rows]
-                e = e + fixes.K[k][:, rows] @ g
-                out[k] = self.white[k][:, rows] @ g
-        return out.reshape(-1, columns)
+                e[:9] += D[i]
+            while k < len(fixes) and fixes.epoch[k] == epoch:
+                if self.use[k].any():
+                    g = -H[k] @ e
+                    if M is not None:
+                        g += np.where(self.use[k][:, None], M[k], 0.0)
+                    e = e + K[k] @ g
+                    out[k] = g
+                k += 1
+        return out
+
+    def whiten(self, raw: Array) -> Array:
+        """Whitened responses, (6 f, columns)."""
+        return np.asarray((self.white @ raw).reshape(-1, raw.shape[2]))
 
 
 def columns_response(loop: Loop, motion: Motion, columns: Sequence[Column]) -> tuple[Array, Array]:
-    """Whitened responses of unit columns, and the built-up errors of constants and ramps on each axis (for slow processes)."""
+    """Responses (f, 6, columns) of unit columns, and the built-up errors of constants and ramps on each axis (for slow processes)."""
     entries = [(j, axis, u) for j, c in enumerate(columns) for axis, u in c.inputs]
     nodes = loop.result.nodes
     assert nodes is not None
@@ -278,6 +303,10 @@ def columns_response(loop: Loop, motion: Motion, columns: Sequence[Column]) -> t
     axis = np.array([e[1] for e in entries], dtype=np.int64)
     column = np.array([e[0] for e in entries], dtype=np.int64)
     kernel.integrate_inputs(motion.t, np.ascontiguousarray(motion.C), motion.f_n, nodes.epoch, u, axis, column, D, ramp)
+    for j, c in enumerate(columns):
+        if c.runs:
+            way = np.cumsum(motion.vel * np.diff(motion.t, prepend=motion.t[0])[:, None], axis=0)[nodes.epoch]
+            D[1:, j, :3] += np.diff(way, axis=0)
     f = len(loop.result.fixes)
     M = np.zeros((f, 6, len(columns)))
     for j, c in enumerate(columns):
@@ -287,11 +316,11 @@ def columns_response(loop: Loop, motion: Motion, columns: Sequence[Column]) -> t
 
 
 def knot_response(loop: Loop, motion: Motion, ramp: Array, knots: Array) -> Array:
-    """Whitened responses of slow sensor errors: linear between knots (s), one column per axis and knot, axis by axis.
+    """Responses of slow sensor errors: linear between knots (s), one column per axis and knot, axis by axis.
 
     Returns
     -------
-    (6 f, 6 knots) array
+    (f, 6, 6 knots) array
     """
     nodes = loop.result.nodes
     assert nodes is not None
@@ -306,7 +335,7 @@ def knot_response(loop: Loop, motion: Motion, ramp: Array, knots: Array) -> Arra
 
 
 def fix_step_response(loop: Loop, starts: Array) -> Array:
-    """Whitened responses of unit steps in the position fixes from each start time on; north, east, down for each start."""
+    """Responses (f, 6, 3 starts) of unit steps in the position fixes from each start time on; north, east, down for each start."""
     fixes = loop.result.fixes
     M = np.zeros((len(fixes), 6, 3 * starts.size))
     for i, s in enumerate(starts):
@@ -315,11 +344,3 @@ def fix_step_response(loop: Loop, starts: Array) -> Array:
     nodes = loop.result.nodes
     assert nodes is not None
     return loop.respond(np.zeros((nodes.epoch.size, 3 * starts.size, 9)), M)
-
-
-def fixes_of(gnss: GnssRecord) -> Array:
-    """Times of the fixes that hold anything."""
-    some = np.isfinite(gnss.llh).any(axis=1)
-    if gnss.vel_ned is not None:
-        some = some | np.isfinite(gnss.vel_ned).any(axis=1)
-    return np.asarray(gnss.t[some])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from insemu.gap import kernel
 from insemu.gap.candidates import AxisState, Weighed, added, gauss_markov, register, white_noise
-from insemu.gap.evidence import Explanation, Free, Likelihood, fit, laplace, level, log_mean_exp
+from insemu.gap.evidence import Component, Explanation, Free, Likelihood, fit, laplace, level, log_mean_exp
 from insemu.gap.reduced import reduce_again
 from insemu.gap.verdict import Value
 from insemu.noise import BI, GM, QN, RW, WN, Process
@@ -142,6 +142,8 @@ def outliers(state: AxisState) -> list[Weighed]:
     """Heavy tails: a small share of samples with a larger spread, against a Gaussian whose level is free as a nominal one is."""
     if "outliers" in state.named or not state.data.f.size:
         return []
+    if lattice(state.data.values) > 3.0 * state.white / math.sqrt(state.data.dt):
+        return []  # counts wider than the noise are no Gaussian with tails
     r = np.abs(whitened(state))
     edges = np.concatenate([np.linspace(0.0, 6.0, 241), np.geomspace(6.2, max(7.0, 1.01 * float(r.max())), 60)])
     count = np.histogram(r, edges)[0].astype(np.float64)
@@ -216,7 +218,7 @@ SWITCHES_PER_BLOCK, MOST_SWITCHING_BLOCKS = (0.05, 0.25), 12_000
 #: What two levels must be worth over a Gaussian process of the same spectrum before their path is taken out of the samples, nats.
 RESOLVED_NATS = 6.0
 #: Log prior odds of a level that switches against a Gauss-Markov process: burst noise is the rarer of the two.
-RARER = 1.5
+RARER = 0.7
 
 
 @dataclass(frozen=True)
@@ -355,7 +357,7 @@ def lattice(values: Array) -> float:
     sample = np.sort(values[: min(values.size, 200_000)])
     steps = np.diff(sample)
     steps = steps[steps > 1e-7 * max(float(np.ptp(sample)), float(np.max(np.abs(sample))))]
-    if steps.size < 2 or steps.size > 0.2 * sample.size:
+    if not steps.size or steps.size > 0.2 * sample.size:
         return 0.0
     step = float(np.min(steps))
     gaps = steps / step
@@ -380,25 +382,24 @@ def output_counts(state: AxisState) -> list[Weighed]:
     resolution = max(float(np.max(np.abs(state.data.values))), step) * 2.0**-24
     gain = state.data.values.size * max(math.log(step / resolution), 0.0)
     values = (Value("lsb", step, step, step, state.data.unit),)
-    return [
-        Weighed(
-            "quantization",
-            "output counts",
-            gain,
-            values,
-            replace(state, named=(*state.named, "quantization"), memory={}),
-        )
-    ]
+    # the rounding itself is white noise of variance LSB^2 / 12, less where the noise is too small to spread it evenly
+    density = step * math.sqrt(state.data.dt / 12.0)
+    rounding = Component(WN(density), (Free("N", density / 3.0, density * 1.2, 0.05),), "quantization")
+    fitted = fit(state.likelihood, state.explanation.with_component(rounding))
+    return [Weighed("quantization", "output counts", gain, values, added(state, fitted, "quantization"))]
 
 
 def held_samples(state: AxisState) -> list[Weighed]:
     """Samples that repeat their predecessor exactly: dropped and filled by holding the last one."""
-    if {"dropped_samples", "quantization"} & set(state.named) or lattice(state.data.values) > 0.0:
+    if {"dropped_samples", "quantization"} & set(state.named):
         return []
     y = state.data.values
+    step = lattice(y)
+    if step >= MATERIAL_LSB * state.white / math.sqrt(state.data.dt):
+        return []  # counts repeat by themselves
     held = np.flatnonzero(np.diff(y) == 0.0) + 1
     share = held.size / y.size
-    resolution = 2.0**-24 * float(np.max(np.abs(y)))
+    resolution = max(2.0**-24 * float(np.max(np.abs(y))), step)
     chance = min(1.0, resolution / (state.white / math.sqrt(state.data.dt)))
     if held.size < 3 or share < 10.0 * chance:
         return []
@@ -412,13 +413,15 @@ def held_samples(state: AxisState) -> list[Weighed]:
 def saturation(state: AxisState) -> list[Weighed]:
     """Samples pile up at the largest or smallest value: clipped at the full scale.
 
-    A continuous signal never takes its extreme value twice. On a lattice of output counts the tails of a distribution fall off, so an outermost
-    count that is more frequent than the next one inside is the pile; its evidence is the Poisson ratio of the two.
+    A continuous signal never takes its extreme value twice. On a lattice of output counts the logarithm of the frequencies is concave, which
+    bounds the outermost from the next two inside; the evidence of a pile is its Poisson ratio to that bound.
     """
     if "saturation" in state.named or not state.data.differences.size:
         return []
     y = state.data.values
     step = lattice(y)
+    if step > 0.0 and float(np.ptp(y)) < 5.5 * step:
+        return []  # too few levels to tell a pile from a peak
     resolution = 2.0**-24 * float(np.max(np.abs(y)))
     chance = min(1.0, resolution / (state.white / math.sqrt(state.data.dt)))
     gain, limits = 0.0, []
@@ -429,8 +432,11 @@ def saturation(state: AxisState) -> list[Weighed]:
         width = 0.5 * step if step > 0.0 else 4.0 * resolution
         piled = int(np.sum(x > top - width))
         if step > 0.0:
-            inside = int(np.sum((x > top - 1.5 * step) & (x <= top - width)))
-            here = piled * math.log(piled / max(inside, 1)) - (piled - inside) if piled > max(inside, 1) else 0.0
+            one, two = (int(np.sum(np.abs(x - top + k * step) < width)) for k in (1, 2))
+            # a log-concave tail falls off faster and faster; two standard deviations of what is extrapolated are granted
+            most = one * min(1.0, one / max(two, 1)) if one else 1.0
+            most *= 1.0 + 2.0 * math.sqrt(4.0 / max(one, 1) + 1.0 / max(two, 1))
+            here = piled * math.log(piled / most) - (piled - most) if piled > most else 0.0
         else:
             here = piled * math.log(piled / y.size / chance) if piled >= 3 and piled / y.size > 10.0 * chance else 0.0
         if here > 0.0:

@@ -8,27 +8,30 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu import formats
+from insemu import earth, formats
 from insemu.errors import InputError
 from insemu.formats.npz import load_npz
 from insemu.records import AXES, Recording, Series
 
 Array = NDArray[np.float64]
 
+#: Share of samples that a static log may miss.
+MOST_LOST = 0.2
 _TEMPERATURE = ("temperature", "temp_c", "temp_C", "temp", "temperature_degC")
 
 
 @dataclass(frozen=True)
 class StaticLog:
-    """Axes of a log at rest, with temperature where it was recorded."""
+    """Axes of a log at rest, with temperature where it was recorded, and which samples the stamps skip (they are filled in)."""
 
     axes: tuple[Series, ...]
     temperature: Array | None
     source: str
+    missing: NDArray[np.bool_] | None = None
 
 
 def load_measured(path: str | Path, *, rate_hz: float | None = None) -> StaticLog | Recording:
-    """Read what was measured; a recording without fixes is a static log.
+    """Read what was measured; a recording without fixes, or whose fixes never move, is a static log.
 
     Raises
     ------
@@ -41,7 +44,7 @@ def load_measured(path: str | Path, *, rate_hz: float | None = None) -> StaticLo
         rate_hz = _stamped_rate(path)
     data = formats.read(path, rate_hz=rate_hz)
     if isinstance(data, Recording):
-        return data if data.gnss is not None else static_of(data)
+        return static_of(data) if data.gnss is None or at_rest(data) else data
     axes = tuple(s for s in data if s.name.lower() not in (t.lower() for t in _TEMPERATURE))
     column = next((s for s in data if s.name.lower() in (t.lower() for t in _TEMPERATURE)), None)
     if column is not None:
@@ -49,18 +52,66 @@ def load_measured(path: str | Path, *, rate_hz: float | None = None) -> StaticLo
     return StaticLog(axes, temperature, str(path))
 
 
+#: A recording whose fixes stay this close to their median, m, and this slow, m/s, or within their own noise, was made at rest.
+REST_RADIUS, REST_SPEED = 3.0, 0.5
+
+
+def at_rest(recording: Recording) -> bool:
+    """Whether the fixes say that nothing moved."""
+    gnss = recording.gnss
+    assert gnss is not None
+    known = np.isfinite(gnss.llh).all(axis=1)
+    if not known.any():
+        return True
+    middle = np.median(gnss.llh[known], axis=0)
+    away = earth.position_difference(gnss.llh[known], middle)
+    noise = 0.0 if gnss.pos_std_ned is None else float(np.nanmax(gnss.pos_std_ned))
+    if float(np.max(np.abs(np.median(away[: away.shape[0] // 10 + 1], axis=0)))) > max(REST_RADIUS, noise):
+        return False
+    if float(np.max(np.abs(away))) > max(REST_RADIUS, 6.0 * noise):
+        return False
+    if gnss.vel_ned is None:
+        return True
+    spread = 0.0 if gnss.vel_std_ned is None else float(np.nanmax(gnss.vel_std_ned))
+    speed = np.abs(gnss.vel_ned[np.isfinite(gnss.vel_ned).all(axis=1)])
+    return not speed.size or float(speed.max()) < max(REST_SPEED, 6.0 * spread)
+
+
 def static_of(recording: Recording) -> StaticLog:
-    """The IMU of a recording as a static log; needs a constant rate."""
+    """The IMU of a recording as a static log at a constant rate; samples that the stamps skip are filled in.
+
+    Raises
+    ------
+    InputError
+        More than a fifth of the samples are missing.
+    """
     imu = recording.imu
-    step = np.diff(imu.t)
-    dt = float(np.median(step))
-    if (np.abs(step / dt - 1.0) > 0.5).any():
-        raise InputError("the IMU has gaps, expected a constant rate for a static log", where=recording.source)
+    dt = float(np.median(np.diff(imu.t)))
     values = np.hstack([imu.gyro, imu.accel])
     if imu.kind == "increment":
         values = values / dt
+    temperature = imu.temperature
+    missing = None
+    slots = np.concatenate([[0], np.cumsum(np.maximum(1, np.round(np.diff(imu.t) / dt).astype(np.int64)))])
+    lost = int(slots[-1]) + 1 - slots.size
+    if lost:
+        if lost > MOST_LOST * slots.size:
+            raise InputError(
+                f"the IMU's stamps skip {lost} of {slots[-1] + 1} samples, expected at most {MOST_LOST:.0%} for a static log",
+                where=recording.source,
+            )
+        missing = np.ones(int(slots[-1]) + 1, dtype=np.bool_)
+        missing[slots] = False
+        every = np.arange(missing.size)
+        # the mean of two neighbours has half their variance: the other half is drawn
+        rng = np.random.default_rng(missing.size)
+        fast = np.std(np.diff(values, axis=0), axis=0) / 2.0
+        filled = np.stack([np.interp(every, slots, v) for v in values.T], axis=1)
+        filled[missing] += fast * rng.standard_normal((lost, values.shape[1]))
+        values = filled
+        temperature = None if temperature is None else np.interp(every, slots, temperature)
     axes = tuple(Series(values[:, k], 1.0 / dt, "rad/s" if k < 3 else "m/s^2", name) for k, name in enumerate(AXES))
-    return StaticLog(axes, imu.temperature, recording.source)
+    return StaticLog(axes, temperature, recording.source, missing)
 
 
 def _temperature(path: Path) -> Array | None:

@@ -14,12 +14,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu.effects import EffectUse
 from insemu.errors import InputError
 from insemu.gap import disagreement
 from insemu.gap import singular as _singular  # noqa: F401 (registers its candidates)
 from insemu.gap.band import Band
 from insemu.gap.candidates import CANDIDATES, AxisState, Weighed, state_of, turn_on_bias
-from insemu.gap.evidence import Explanation, Likelihood, fit
+from insemu.gap.evidence import Component, Explanation, Likelihood, fit
+from insemu.gap.known import settled, starting_explanation
 from insemu.gap.reduced import Reduced, reduce
 from insemu.gap.verdict import GapReport, Interval, Member, Step, Value, VerdictName, Where
 from insemu.noise import DR, SIN, NoiseModel, Process
@@ -113,13 +115,16 @@ def search(
         found.append(new)
         state = new.chosen.state
         untidy = any(w.effect in _UNTIDY and w.gain > threshold for w in ranked)
-        if new.chosen.effect in _FAST and not untidy and disagreement.drifting_spectrum(state) < DRIFTING:
+        fast = new.chosen.effect in _FAST and new.chosen.variant != "output counts"
+        if fast and not untidy and disagreement.drifting_spectrum(state) < DRIFTING:
             # no stationary process explains it, and more of them would only chase it; what is slow can still be told
             outsider = VARYING
             without = (*without, *_FAST, *_UNTIDY)
             excluded = False
-            state = _tempered(state)
-        if len(found) > 1:
+            state = tempered(state)
+        elif state.data.weight is not None:
+            state = tempered(state)  # what was missing there is explained now
+        if len(found) > 1 and not _taken_out(new.chosen):
             state, found = _reconsider(state, found, without)
     if "turn_on_bias" not in without:
         for w in turn_on_bias(state):
@@ -157,10 +162,11 @@ def _of_known_shape(
     return None
 
 
-def _tempered(state: AxisState) -> AxisState:
+def tempered(state: AxisState) -> AxisState:
     """Bins count only as far as the explanation describes the spectrum there: a fast band that no model fits must not bend the slow one.
 
-    The weight is the inverse of the squared misfit in standard deviations, averaged over half an octave either way.
+    The weight is the inverse of the squared misfit in standard deviations, averaged over half an octave either way. Parameters change the
+    weights and the weights the parameters, so it is done again after every effect that is added.
     """
     data = state.data
     if not data.f.size:
@@ -174,23 +180,28 @@ def _tempered(state: AxisState) -> AxisState:
 
 
 def _reconsider(state: AxisState, found: list[Found], without: Collection[str]) -> tuple[AxisState, list[Found]]:
-    """Try to drop or to replace each earlier effect now that later ones are known; each keeps the gain with which it entered."""
+    """Try to drop or to replace each earlier effect now that later ones are known; none loses of the gain with which it entered."""
     seen: dict[str, int] = {}
     for f in list(found[:-1]):
         effect = f.chosen.effect
         occurrence = seen.get(effect, 0)
         seen[effect] = occurrence + 1
+        slow = is_slow(f.chosen, state.data)
+        if _taken_out(f.chosen) or effect in without or slow != is_slow(found[-1].chosen, state.data):
+            continue  # no more looked for, or of another band than what was added
         rest = _without(state.explanation, effect, occurrence)
         if rest is None:
             continue  # it was taken out of the samples: nothing to reconsider
         names = list(state.named)
         names.remove(effect)
         base = replace(state, fitted=fit(Likelihood(state.data), rest), named=tuple(names), memory={})
-        ranked = [w for w in weigh_all(base, without) if w.gain > -LEAD]
+        others = _FAST | _UNTIDY - {"telegraph"} if slow else (_SLOW | KNOWN_SHAPES) - {"gauss_markov"}
+        rivals = weigh_all(base, (*without, *others - {effect}))
+        ranked = [w for w in rivals if w.gain > -LEAD and is_slow(w, state.data) == slow]
         kept = next((w for w in ranked if w.effect == effect), None)
         own = max(state.fitted.evidence - base.fitted.evidence, kept.gain if kept else -math.inf)
-        # gains beside the others become gains at entry
-        shift = f.chosen.gain - own
+        # worth what it was at entry, or more where only the others let it be seen
+        shift = max(f.chosen.gain - own, 0.0)
         moved = tuple(replace(w, gain=w.gain + shift) for w in ranked if w.effect != effect)
         if own < 0.0 and (not ranked or ranked[0].gain < LEAD):
             found = [g for g in found if g is not f]
@@ -198,22 +209,31 @@ def _reconsider(state: AxisState, found: list[Found], without: Collection[str]) 
             seen[effect] -= 1
         elif ranked and ranked[0].effect != effect and ranked[0].gain > own + 0.5 and not _taken_out(ranked[0]):
             swapped = replace(ranked[0], gain=ranked[0].gain + shift)
-            rivals = tuple(sorted((replace(f.chosen, gain=own + shift), *moved), key=lambda w: -w.gain))
-            found = [Found(swapped, rivals, _confidence(rivals)) if g is f else g for g in found]
+            order = tuple(sorted((replace(f.chosen, gain=own + shift), *moved), key=lambda w: -w.gain))
+            found = [Found(swapped, order, _confidence(order)) if g is f else g for g in found]
             state = ranked[0].state
             seen[effect] -= 1
         else:
             # same name, but ranked against its rivals with the other effects in place
             fresh = replace(kept, gain=own + shift) if kept is not None else f.chosen
-            rivals = tuple(sorted((fresh, *moved), key=lambda w: -w.gain))
-            found = [Found(fresh, rivals, _confidence(rivals)) if g is f else g for g in found]
+            order = tuple(sorted((fresh, *moved), key=lambda w: -w.gain))
+            found = [Found(fresh, order, _confidence(order)) if g is f else g for g in found]
     return state, found
+
+
+def is_slow(w: Weighed, data: Reduced) -> bool:
+    """Whether an effect lives in the block means rather than in the spectrum above them."""
+    if w.effect == "gauss_markov":
+        beta = next((v.value for v in w.values if v.name == "beta"), 0.0)
+        return bool(beta * data.block_s < 3.0)
+    return w.effect in _SLOW or w.effect in KNOWN_SHAPES
 
 
 def _taken_out(w: Weighed) -> bool:
     if w.effect == "telegraph":
         return w.variant == "levels"
-    return w.effect in ("vibration_line", "outliers", "dropped_samples", "saturation", "quantization")
+    plain = ("vibration_line", "outliers", "dropped_samples", "saturation")
+    return w.effect in plain or w.variant == "output counts"
 
 
 def _without(explanation: Explanation, effect: str, occurrence: int = 0) -> Explanation | None:
@@ -315,17 +335,23 @@ def held_out(result: AxisResult, nominal: Explanation, test: Reduced, temperatur
     """
     before = score(test, nominal)
     bonus = 0.0
+    twins: list[Component] = []
     state = AxisState(test, fit(Likelihood(test), replace(result.end.explanation, regressors=())), temperature)
     for f in result.found:
-        if _taken_out(f.chosen) and f.chosen.variant not in ("integrated", "output counts"):
-            name = "vibration_line" if f.chosen.effect == "vibration_line" else f.chosen.effect
-            tried = [w for w in CANDIDATES[name](state) if w.effect == f.chosen.effect]
-            if tried and max(tried, key=lambda w: w.gain).gain > 0.0:
-                best = max(tried, key=lambda w: w.gain)
+        if _taken_out(f.chosen) and f.chosen.effect not in ("quantization", "saturation"):
+            tried = [w for w in CANDIDATES[f.chosen.effect](state) if w.gain > 0.0]
+            if not tried:
+                continue
+            best = max(tried, key=lambda w: w.gain)
+            state = best.state
+            if best.effect == "telegraph" and best.variant != "levels":
+                twins.append(state.explanation.components[-1])  # scored with the model, not taken out
+            else:
                 bonus += best.gain
-                state = best.state
     final = state.data
     explanation = result.end.explanation
+    for twin in twins:
+        explanation = explanation.with_component(twin)
     after = score(final, explanation, _regressor_prediction(result.end, final, temperature))
     plain = score(final, nominal) if bonus else before
     gain = after.log_score - plain.log_score + bonus
@@ -354,6 +380,7 @@ def find_static_gap(
     hold_out: bool = True,
     source: str = "recording",
     progress: Callable[[str], None] | None = None,
+    known: Mapping[str, Sequence[EffectUse]] | None = None,
 ) -> GapReport:
     """Find what a static log has that the believed noise models lack.
 
@@ -375,6 +402,8 @@ def find_static_gap(
         Effects taken out of the catalogue.
     hold_out : bool
         Whether to name effects a second time on the first two thirds alone and score them on the last.
+    known : mapping of axis to sequence of EffectUse, optional
+        Low-pass and rounding that are known and not asked for.
 
     Raises
     ------
@@ -383,21 +412,28 @@ def find_static_gap(
     """
     _check(log, beliefs, temperature)
     say = progress or (lambda _: None)
-    nominal = {s.name: Explanation.nominal(beliefs[s.name]) for s in log}
+    known = known or {}
+    nominal = {s.name: starting_explanation(beliefs[s.name], known.get(s.name, ()), s.dt) for s in log}
+    named_before = {s.name: settled(known.get(s.name, ())) for s in log}
     results: dict[str, AxisResult] = {}
     held: dict[str, HeldOut] = {}
     for s in log:
         say(f"{s.name}: weighing candidates")
         data = reduce(s)
         results[s.name] = search(
-            state_of(data, nominal[s.name], temperature), threshold=threshold, without=without, progress=progress
+            state_of(data, nominal[s.name], temperature, named_before[s.name]),
+            threshold=threshold,
+            without=without,
+            progress=progress,
         )
         if hold_out:
             say(f"{s.name}: scoring on held-out data")
             cut = int(len(s) * NAMING_SHARE) // data.block * data.block
             part = _piece(data, 0, cut)
             T1, T2 = (None, None) if temperature is None else (temperature[:cut], temperature[cut:])
-            named = search(state_of(part, nominal[s.name], T1), threshold=threshold, without=without)
+            named = search(
+                state_of(part, nominal[s.name], T1, named_before[s.name]), threshold=threshold, without=without
+            )
             held[s.name] = held_out(named, nominal[s.name], _piece(data, cut, len(s)), T2)
     before = _map(results, rng, nominal, refined=False)
     after = _map(results, rng, nominal, refined=True)
@@ -597,15 +633,30 @@ def _hours(seconds: float) -> str:
     return f"{seconds / 3600.0:.3g} h" if seconds >= 3600.0 else f"{seconds / 60.0:.3g} min"
 
 
+def _shapes(items: Sequence[tuple[str, Found, AxisResult]]) -> str:
+    """Shape of an effect; where axes differ, with the axes of each."""
+    by_shape: dict[str, list[str]] = {}
+    for axis, f, _ in items:
+        by_shape.setdefault(f.chosen.variant, []).append(axis)
+    if len(by_shape) == 1:
+        return next(iter(by_shape))
+    return ", ".join(f"{shape or 'plain'} ({' '.join(axes)})" for shape, axes in by_shape.items())
+
+
 def merged_steps(results: Mapping[str, AxisResult]) -> tuple[Step, ...]:
-    """Steps of all axes; the same effect on several axes of a sensor is one step, with a parameter set per axis."""
-    groups: dict[tuple[str, str], list[tuple[str, Found, AxisResult]]] = {}
+    """Steps of all axes; the same effect on several axes of a sensor is one step, with a parameter set per axis.
+
+    A second process of the same kind on an axis is a step of its own.
+    """
+    groups: dict[tuple[str, str, int], list[tuple[str, Found, AxisResult]]] = {}
     for name, r in results.items():
         sensor, axis = split_axis(name)
+        seen: dict[str, int] = {}
         for f in r.found:
-            groups.setdefault((f.chosen.effect, sensor), []).append((axis, f, r))
+            occurrence = seen[f.chosen.effect] = seen.get(f.chosen.effect, 0) + 1
+            groups.setdefault((f.chosen.effect, sensor, occurrence), []).append((axis, f, r))
     steps = []
-    for (effect, sensor), items in groups.items():
+    for (effect, sensor, _), items in groups.items():
         axes = tuple(dict.fromkeys(a for a, _, _ in items if a))
         total = sum(f.chosen.gain for _, f, _ in items)
         values = tuple(
@@ -630,7 +681,7 @@ def merged_steps(results: Mapping[str, AxisResult]) -> tuple[Step, ...]:
         duration = items[0][2].start.data.duration_s
         steps.append(
             Step(
-                effect, items[0][1].chosen.variant, sensor, axes, values, confidence, total, members,
+                effect, _shapes(items), sensor, axes, values, confidence, total, members,
                 would_separate([m.effect for m in members], duration), others,
             )
         )  # fmt: skip

@@ -104,6 +104,9 @@ class Process(ABC):
             )
             if bad:
                 expected = {"positive": "a number that is not negative", "correlation": "a number between -1 and 1"}
+                if p.domain == "correlation" and abs(number) >= 1.0:
+                    expected["correlation"] += f"; the nearest stable is {math.copysign(1.0 - 1e-6, number):.6f}"
+                    expected["correlation"] += ", and at 1 it is a random walk (RW)" if number > 0 else ""
                 if p.name in ("beta", "f"):
                     expected["positive"] = "a positive number"
                 raise InputError(

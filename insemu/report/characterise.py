@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from insemu.report.page import Figure, Items, Section, Table, Text, render
 from insemu.report.style import COLOURS, style
 from insemu.units import conversion
+from insemu.variance.characterise import duration, grouped_findings
 from insemu.variance.reading import FLICKER
 
 if TYPE_CHECKING:
@@ -328,26 +329,22 @@ def render_characterisation(
     """Write figures (PNG) and the page ``index.html`` into a folder; returns the page's path."""
     folder = Path(folder)
     (folder / "figures").mkdir(parents=True, exist_ok=True)
-    drawings = [
-        (
-            "allan",
-            allan_panels(axes),
-            "Allan deviation with 95 % intervals; straight parts and what was read from them.",
-        )
-    ]
-    if overlay or beside:
+    varied = [
+        axis for axis in axes if (axis.allan.value > 0).any()
+    ]  # a constant column has nothing to draw on logarithmic axes
+    drawings: list[tuple[str, MplFigure, str]] = []
+    if varied:
+        caption = "Allan deviation with 95 % intervals; straight parts and what was read from them."
+        drawings.append(("allan", allan_panels(varied), caption))
+    if varied and (overlay or beside):
         caption = "Haar wavelet variance by sensor (half the Allan variance at half the scale)."
         if beside:
             caption += " Grey: wavelet variances of other sensors from the file given, in that file's units."
-        drawings.append(("wavelet", wavelet_overlay(axes, beside), caption))
+        drawings.append(("wavelet", wavelet_overlay(varied, beside), caption))
     drawings.append(("trend", trends(axes), "Block means over time: warm-up and level shifts are seen here."))
-    drawings.append(
-        (
-            "psd",
-            spectra(axes),
-            "Root power spectral density, one-sided; squares are octave levels from the wavelet variance.",
-        )
-    )
+    if varied:
+        caption = "Root power spectral density, one-sided; squares are octave levels from the wavelet variance."
+        drawings.append(("psd", spectra(varied), caption))
     if any(axis.correlation for axis in axes):
         caption = "Autocorrelation before and after wavelet de-noising (db4, six octaves, soft, SURE): what is left is the slow noise."
         drawings.append(("correlation", correlations(axes), caption))
@@ -356,11 +353,12 @@ def render_characterisation(
         figures[name] = Figure.of(drawing, caption)
         (folder / "figures" / f"{name}.png").write_bytes(figures[name].png)
     first = axes[0]
-    lead = f"{source}: {len(axes)} column(s), {first.samples} samples at {first.rate_hz:g} Hz ({first.samples / first.rate_hz / 3600:.3g} h)."
-    findings = [f"{axis.name}: {finding}" for axis in axes for finding in axis.findings]
+    length = duration(first.samples / first.rate_hz)
+    lead = f"{source}: {len(axes)} column(s), {first.samples} samples at {first.rate_hz:g} Hz ({length})."
+    findings = [f"{names}: {finding}" for names, finding in grouped_findings(axes)]
     sections = [
         Section("Findings", [Items(findings) if findings else Text("Nothing wrong was found.")]),
-        Section("Allan deviation", [figures["allan"]]),
+        *([Section("Allan deviation", [figures["allan"]])] if varied else []),
         Section(
             "Readings",
             [
@@ -378,7 +376,8 @@ def render_characterisation(
         text = "Columns with tails heavier than Gaussian. Where bad steps touch more than half of the coefficients, nothing protects the estimate."
         sections.append(Section("Plain against robust", [Text(text), comparison]))
     sections.append(Section("Over time", [figures["trend"]]))
-    sections.append(Section("Spectrum", [figures["psd"]]))
+    if varied:
+        sections.append(Section("Spectrum", [figures["psd"]]))
     if "correlation" in figures:
         sections.append(Section("Correlation", [figures["correlation"]]))
     return render(

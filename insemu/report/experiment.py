@@ -228,6 +228,7 @@ def render_experiment(
     made: list[Block] = []
     if text.get("notes"):
         made += [Text(part.strip()) for part in text["notes"].split("\n\n") if part.strip()]
+    made += [Text(f"Warning: {warning}.") for warning in manifest.get("warnings", ())]
     wall, epochs = main.timing["wall_seconds"], main.timing["filter_epochs"]
     made.append(
         Text(

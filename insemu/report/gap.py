@@ -20,9 +20,19 @@ def effect_name(effect: str) -> str:
     return EFFECTS[effect].name if effect in EFFECTS else effect.replace("_", " ")
 
 
+#: The field's words for the sensors.
+SENSORS = {"gyro": "gyroscope", "accel": "accelerometer", "gnss": "GNSS", "imu": "IMU"}
+
+
+def place(sensor: str, axes: Sequence[str]) -> str:
+    """Sensor and axes in words."""
+    return f"{SENSORS.get(sensor, sensor)} {', '.join(axes)}".strip()
+
+
 def _subject(step: Step) -> str:
-    axes = f" {', '.join(step.axes)}" if step.axes else ""
-    return f"{effect_name(step.effect)} of the {step.sensor}{axes}"
+    where = place(step.sensor, step.axes)
+    # an effect of the whole IMU or of timing needs no place
+    return effect_name(step.effect) if step.sensor == "imu" else f"{effect_name(step.effect)} of the {where}"
 
 
 def headline(report: GapReport) -> str:
@@ -39,9 +49,9 @@ def headline(report: GapReport) -> str:
     first = report.steps[0]
     if first.is_class:
         names = " or ".join(effect_name(m.effect) for m in first.members)
-        return f"The {first.sensor} {', '.join(first.axes)} has {names}: this recording cannot tell them apart. What would: {first.would_separate}."
-    more = f", and {len(report.steps) - 1} more" if len(report.steps) > 1 else ""
-    return f"Missing from the model: {_subject(first)}{more}."
+        rest = f" Besides: {'; '.join(_subject(s) for s in report.steps[1:])}." if len(report.steps) > 1 else ""
+        return f"The {place(first.sensor, first.axes)} has {names}: this recording cannot tell them apart. What would: {first.would_separate}.{rest}"
+    return f"Missing from the model: {'; '.join(_subject(s) for s in report.steps)}."
 
 
 def _number(x: float) -> str:
@@ -67,21 +77,46 @@ def _where_table(entries: Sequence[Where], caption: str, count: int = 12) -> Tab
 
 
 def _axes_with_steps(report: GapReport) -> list[str]:
+    axes = [n for n, c in report.curves.items() if "tau_s" in c]
     named = [f"{s.sensor}_{a}" if a else s.sensor for s in report.steps for a in (s.axes or ("",))]
-    return [n for n in dict.fromkeys(named) if n in report.curves] or list(report.curves)[:3]
+    return ([n for n in dict.fromkeys(named) if n in axes] or axes)[:4]
 
 
-def wavelet_figure(report: GapReport, names: Sequence[str]) -> MplFigure:
-    """Wavelet deviation measured, nominal and refined."""
+def _axis_words(name: str) -> str:
+    sensor, _, axis = name.rpartition("_")
+    return f"{ {'gyro': 'gyroscope', 'accel': 'accelerometer'}.get(sensor, sensor) } {axis}"
+
+
+def _pictures(report: GapReport, after: bool) -> list[Block]:
+    """The figures of disagreement, with the nominal model or with the refined one."""
+    names = _axes_with_steps(report)
+    model, when = ("refined", "after") if after else ("nominal", "before")
+    out: list[Block] = []
+    if names:
+        out.append(
+            Figure.of(
+                wavelet_figure(report, names, model), f"Wavelet deviation of the recording and of the {model} model."
+            )
+        )
+    if "drive" in report.curves:
+        text = f"Innovations of the filter with the {model} model. In grey what nineteen of twenty keep to where model and drive agree."
+        out.append(Figure.of(innovation_figure(report, when), text))
+    return out
+
+
+def wavelet_figure(report: GapReport, names: Sequence[str], model: str) -> MplFigure:
+    """Wavelet deviation of the recording and of a model (``nominal`` or ``refined``); limits are those of both models."""
     with style():
-        figure, panels = plt.subplots(1, len(names), figsize=(4.2 * len(names), 3.4), squeeze=False)
+        figure, panels = plt.subplots(1, len(names), figsize=(4.2 * len(names), 3.3), squeeze=False)
         for axis, name in zip(panels[0], names, strict=True):
             c = report.curves[name]
             tau = np.asarray(c["tau_s"])
+            colour = COLOURS[1] if model == "nominal" else COLOURS[0]
+            axis.loglog(tau, np.sqrt(c[model]), "-", color=colour, label=model)
             axis.loglog(tau, np.sqrt(c["measured"]), "o", ms=4, color=COLOURS[6], label="measured")
-            axis.loglog(tau, np.sqrt(c["nominal"]), "--", color=COLOURS[1], label="nominal")
-            axis.loglog(tau, np.sqrt(c["refined"]), "-", color=COLOURS[0], label="refined")
-            axis.set_title(name)
+            every = np.sqrt(np.concatenate([c["measured"], c["nominal"], c["refined"]]))
+            axis.set_ylim(0.6 * every[every > 0].min(), 1.7 * every.max())
+            axis.set_title(_axis_words(name))
             axis.set_xlabel("scale, s")
             axis.set_ylabel(f"wavelet deviation, {c['unit']}")
         panels[0][0].legend()
@@ -91,17 +126,70 @@ def wavelet_figure(report: GapReport, names: Sequence[str]) -> MplFigure:
 def spectrum_figure(report: GapReport, names: Sequence[str]) -> MplFigure:
     """PSD measured, nominal and refined."""
     with style():
-        figure, panels = plt.subplots(1, len(names), figsize=(4.2 * len(names), 3.4), squeeze=False)
+        figure, panels = plt.subplots(1, len(names), figsize=(4.2 * len(names), 3.3), squeeze=False)
         for axis, name in zip(panels[0], names, strict=True):
             c = report.curves[name]
             if c["f"]:
                 axis.loglog(c["f"], np.sqrt(c["power"]), color=COLOURS[6], lw=0.7, label="measured")
                 axis.loglog(c["f"], np.sqrt(c["nominal_psd"]), "--", color=COLOURS[1], label="nominal")
                 axis.loglog(c["f"], np.sqrt(c["refined_psd"]), color=COLOURS[0], label="refined")
-            axis.set_title(name)
+            axis.set_title(_axis_words(name))
             axis.set_xlabel("frequency, Hz")
             axis.set_ylabel(f"root of the two-sided PSD, {c['unit']}/sqrt(Hz)")
         panels[0][0].legend()
+    return figure
+
+
+def innovation_figure(report: GapReport, when: str) -> MplFigure:
+    """Normalised innovations against time and their autocorrelation, with the ``before`` or the ``after`` model; limits are those of both."""
+    both = report.curves["drive"]
+    c = both[when]
+    across = "across" in c
+    t, y = np.asarray(c["t"]), np.asarray(c["y"])
+    limit = 1.05 * max(4.0, *(float(np.nanpercentile(np.abs(both[k]["y"]), 99.8)) for k in ("before", "after")))
+    with style():
+        figure, panels = plt.subplots(1, 4 if across else 3, figsize=(16.0 if across else 12.0, 3.2), squeeze=False)
+        for axis, first, what in ((panels[0][0], 0, "position"), (panels[0][1], 3, "velocity")):
+            axis.axhspan(-2.0, 2.0, color="#E9ECEF", zorder=0)
+            for k, name in enumerate(("north", "east", "down")):
+                axis.plot(t, y[:, first + k], ".", ms=2.5, color=COLOURS[k], label=name)
+            axis.set_ylim(-limit, limit)
+            axis.set_title(f"{what} innovations")
+            axis.set_xlabel("time, s")
+            axis.set_ylabel("innovation / its standard deviation")
+        panels[0][0].legend(markerscale=3, ncol=3, loc="upper right")
+        axis = panels[0][2]
+        lags = np.arange(1, 31)
+        step = float(np.median(np.diff(t)))
+        axis.axhspan(-2.0 / np.sqrt(t.size), 2.0 / np.sqrt(t.size), color="#E9ECEF", zorder=0)
+        for k, name in enumerate(("pos. north", "pos. east", "pos. down", "vel. north", "vel. east", "vel. down")):
+            z = y[:, k]
+            if np.isfinite(z).sum() < 60:
+                continue
+            rho = [np.nanmean(z[j:] * z[:-j]) / np.nanmean(z * z) for j in lags]
+            axis.plot(lags * step, rho, "-" if k < 3 else "--", lw=1.1, color=COLOURS[k % 3], label=name)
+        axis.set_ylim(-0.5, 1.0)
+        axis.set_title("autocorrelation")
+        axis.set_xlabel("lag, s")
+        axis.set_ylabel("correlation")
+        axis.legend(ncol=2)
+        if across:
+            axis = panels[0][3]
+            when_t, u = c["across"]
+            axis.axhline(0.0, color=COLOURS[6], lw=0.8)
+            for k, name in ((1, "sideways"), (2, "down")):
+                axis.plot(when_t, np.degrees(np.arctan2(u[:, k], u[:, 0])), ".", ms=2.5, color=COLOURS[k], label=name)
+            every = [
+                np.degrees(np.arctan2(b["across"][1][:, k], b["across"][1][:, 0]))
+                for b in both.values()
+                for k in (1, 2)
+            ]
+            top = 1.1 * max(3.0, *(float(np.percentile(np.abs(e), 99.0)) for e in every if e.size))
+            axis.set_ylim(-top, top)
+            axis.set_title("direction of travel in vehicle axes")
+            axis.set_xlabel("time, s")
+            axis.set_ylabel("angle to the forward axis, deg")
+            axis.legend(markerscale=3)
     return figure
 
 
@@ -144,11 +232,7 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
                     "for how many were looked at (Holm); below 0.01 is in bold."
                 ),
                 _where_table(report.where, "Nominal model, most significant first"),
-                *(
-                    [Figure.of(wavelet_figure(report, names), "Wavelet deviation: measured, nominal, refined.")]
-                    if names
-                    else []
-                ),
+                *_pictures(report, after=False),
             ],
         )
     ]
@@ -157,7 +241,7 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
             [
                 effect_name(s.effect),
                 s.variant,
-                f"{s.sensor} {', '.join(s.axes)}",
+                place(s.sensor, s.axes),
                 f"{s.gain_nats:.1f}",
                 f"{s.confidence:.3f}",
             ]
@@ -170,7 +254,7 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
             suspects.append(
                 Items(
                     [
-                        f"{' / '.join(effect_name(m.effect) for m in s.members)} ({s.sensor} {', '.join(s.axes)}): "
+                        f"{' / '.join(effect_name(m.effect) for m in s.members)} ({place(s.sensor, s.axes)}): "
                         f"what would separate them is {s.would_separate}."
                         for s in classes
                     ]
@@ -179,7 +263,7 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
         values = [
             [
                 effect_name(s.effect),
-                f"{s.sensor} {', '.join(s.axes)}",
+                place(s.sensor, s.axes),
                 v.name,
                 _number(v.value),
                 f"{_number(v.low)} to {_number(v.high)}",
@@ -205,7 +289,16 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
         [["gap index (reduced chi-square, 1 is agreement)", _interval(report.gap_before), _interval(report.gap_after)]],
         f"On data that was not used for naming. Gain of log score: {_interval(report.held_out)} nats per fix (per block of a static log).",
     )
-    sections.append(Section("Agreement", [index, _where_table(report.after, "Refined model, most significant first")]))
+    sections.append(
+        Section(
+            "Agreement",
+            [
+                index,
+                *_pictures(report, after=True),
+                _where_table(report.after, "Refined model, most significant first"),
+            ],
+        )
+    )
     return render(
         "The gap between simulation and measurement",
         sections,

@@ -16,6 +16,7 @@ from insemu.evaluate import (
     outage_table,
     published_cells,
     rank_agreement,
+    single_run_agreement,
 )
 
 #: What the published figures are, in words.
@@ -76,6 +77,13 @@ def rank_lines(results: Results) -> list[str]:
                 f"Kendall's rank agreement with the published order of the designs by {FIGURES[figure]}, per outage: {each}; "
                 f"mean {np.mean(taus):+.2f}."
             )
+            own = single_run_agreement(results, figure)
+            if own.size:
+                low, high = np.quantile(own, [0.05, 0.95])
+                lines.append(
+                    f"What a single drive can tell: one run of ours agrees with the means of the others by {own.mean():+.2f} on average "
+                    f"(5 to 95 %: {low:+.2f} to {high:+.2f})."
+                )
     return lines
 
 
@@ -153,7 +161,8 @@ def _published_rows(results: Results, columns: int, width: int) -> list[list[str
 
 def variant_rows(main: Results, variants: Mapping[str, Results]) -> Table:
     """Header and rows: variant, design, planimetric error per outage, pooled ratio to the first design with interval, mean altitude error,
-    NEES per degree of freedom, share of position errors inside 3 sigma during outages, and rms of ln(ours / published) over all cells.
+    NEES per degree of freedom, share of position errors inside 3 sigma during outages, rms of ln(ours / published) over all cells, and the
+    mean over the outages of Kendall's rank agreement with the published order of the designs.
     """
     everything = {"default": main, **variants}
     columns = max(len(r.outages) for r in everything.values())
@@ -163,7 +172,7 @@ def variant_rows(main: Results, variants: Mapping[str, Results]) -> Table:
     )
     header = ["variant", "design", *outages, "ratio", "95 %", "altitude", "NEES", "inside %"]
     if any(r.published for r in everything.values()):
-        header.append("ln rms")
+        header += ["ln rms", "tau"]
     body: list[list[str]] = []
     shown: Mapping[str, object] = {}
     for label, results in everything.items():
@@ -187,8 +196,9 @@ def variant_rows(main: Results, variants: Mapping[str, Results]) -> Table:
                 short(float(results.nees[i].mean()) / 9.0),
                 f"{100 * np.mean([r['coverage_3sigma']['position'] for r in rows]):.1f}" if rows else "",
             ]
-            if header[-1] == "ln rms":
-                distance = log_distance(results) if i == 0 else None
+            if header[-1] == "tau":
+                distance, taus = (log_distance(results), rank_agreement(results)) if i == 0 else (None, [])
                 cells.append("" if distance is None else f"{distance:.2f}")
+                cells.append(f"{np.mean(taus):+.2f}" if taus else "")
             body.append(cells)
     return header, body

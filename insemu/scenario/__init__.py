@@ -4,6 +4,7 @@
 trajectories are registered names, numbers carry units (``0.032 deg/s/sqrt(Hz)``) and are converted here, once.
 """
 
+from insemu.scenario.designs import shipped_designs
 from insemu.scenario.files import digest, load, resolve_path, schema, variant_names
 from insemu.scenario.schema import (
     AxisSource,
@@ -21,7 +22,9 @@ from insemu.scenario.schema import (
     SensorModels,
     TrajectorySource,
     Truth,
+    Vehicle,
 )
+from insemu.scenario.structure import state_names, structures
 
 __all__ = [
     "AxisSource",
@@ -39,9 +42,13 @@ __all__ = [
     "SensorModels",
     "TrajectorySource",
     "Truth",
+    "Vehicle",
     "digest",
     "load",
     "resolve_path",
     "schema",
+    "shipped_designs",
+    "state_names",
+    "structures",
     "variant_names",
 ]

@@ -14,6 +14,7 @@ from insemu.effects import EFFECTS, EffectUse
 from insemu.errors import InputError, nearest
 from insemu.noise import NoiseModel, axis_unit
 from insemu.records import AXES
+from insemu.scenario.designs import shipped_designs, spell_out
 
 Vector3 = tuple[float, float, float]
 
@@ -288,13 +289,15 @@ class FitSource(Section):
 
 
 class AxisSource(Section):
-    """A belief about one sensor: fitted to the fit source, read from a file, or the truth itself."""
+    """A belief about one sensor: fitted to the fit source, written out, read from a file, or the truth itself."""
 
     fit: str | None = Field(default=None, description="structure to fit, for example '2*GM() + WN()'")
+    model: Signal | None = Field(default=None, description="a noise model, for example to be stabilised")
     method: str = Field(default="gmwm", description="estimator: gmwm, em, mli, slopes or burg")
     options: dict[str, int | float | str | bool] = Field(default_factory=dict, description="options of the estimator")
-    stabilise: bool = Field(
-        default=False, description="move poles of a polynomial that is not stationary inside the unit circle"
+    stabilise: bool | Annotated[float, Field(gt=0, lt=1)] = Field(
+        default=False,
+        description="move poles of a polynomial that is not stationary inside the unit circle; a number is their largest modulus",
     )
     file: str | None = Field(default=None, description="noise-model file written by insemu fit")
     truth: bool = Field(default=False, description="the model of the truth")
@@ -308,17 +311,20 @@ class AxisSource(Section):
 
     @model_validator(mode="after")
     def _one_source(self) -> AxisSource:
-        if sum((self.fit is not None, self.file is not None, self.truth)) != 1:
-            raise InputError("expected exactly one of the keys 'fit', 'file' and 'truth: true'")
+        if sum((self.fit is not None, self.model is not None, self.file is not None, self.truth)) != 1:
+            raise InputError("expected exactly one of the keys 'fit', 'model', 'file' and 'truth: true'")
         return self
 
 
 def _belief(value: Any, info: Any) -> Any:
     if value is None or isinstance(value, AxisSource):
         return value
-    if isinstance(value, Mapping) and "process" not in value:
-        return AxisSource.model_validate(value)
     unit = axis_unit(info.field_name)
+    if isinstance(value, Mapping) and "process" not in value:
+        source = AxisSource.model_validate(value)
+        if source.model is not None:
+            NoiseModel.from_list(source.model, unit)
+        return source
     model = NoiseModel.from_list(value, unit)
     if not model.specified:
         raise InputError(f"the model '{model}' has parameters without a value; to fit it write {{fit: '{model}'}}")
@@ -371,6 +377,16 @@ class Tuning(Section):
     velocity: float = Field(default=1.0, gt=0)
 
 
+class ZeroUpdates(Section):
+    """Zero velocity and zero angular rate as measurements at rest, which is found from the IMU and the fixes (never during an outage)."""
+
+    every: Seconds = Field(default=1.0, gt=0, description="time between updates")
+    velocity_sigma: Speed | None = Field(default=0.01, gt=0, description="standard deviation; null: no zero velocity")
+    rate_sigma: Annotated[float, BeforeValidator(_quantity("rad/s")), _schema("rad/s")] | None = Field(
+        default=1e-4, gt=0, description="standard deviation; null: no zero rate"
+    )
+
+
 class DesignOptions(Section):
     """How a design's filter runs."""
 
@@ -381,6 +397,9 @@ class DesignOptions(Section):
     prefilter: Prefilter | None = None
     states: CalibrationStates = CalibrationStates()
     tuning: Tuning = Tuning()
+    zero_updates: ZeroUpdates | None = Field(
+        default=None, description="zero-velocity and zero-rate updates; {}: as usual"
+    )
     compensate: EffectList = Field(
         default=(),
         description="effects that are taken off the data before the filter: {effect: id, sensor: gyro, parameter: value}",
@@ -403,8 +422,18 @@ class DesignOptions(Section):
 
 
 class Design(Section):
-    """A filter design: what the filter believes about every axis, and how it runs."""
+    """A filter design: what the filter believes about every axis, and how it runs; a name alone is a design that comes with insemu."""
 
+    design: str | None = Field(
+        default=None, description="a design that comes with insemu (insemu designs); the keys beside it win"
+    )
+    filter: str | None = Field(
+        default=None,
+        description="a filter that an installed package offers (entry point insemu.filters); else insemu's own",
+    )
+    settings: dict[str, bool | int | float | str] = Field(
+        default_factory=dict, description="keyword arguments of that filter"
+    )
     options: DesignOptions = DesignOptions()
 
     gyro: AxisSource | Signal | None = None
@@ -418,10 +447,17 @@ class Design(Section):
 
     _read = field_validator("gyro", "accel", *AXES, mode="before")(_belief)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _named(cls, value: Any) -> Any:
+        return spell_out(value)
+
     @model_validator(mode="after")
     def _complete(self) -> Design:
+        if self.settings and self.filter is None:
+            raise InputError("found settings without the key 'filter' whose keyword arguments they are")
         missing = [axis for axis in AXES if axis not in self.sources()]
-        if missing:
+        if missing and self.filter is None:
             raise InputError(f"no belief for {', '.join(missing)}; expected gyro and accel, or each axis")
         return self
 
@@ -432,6 +468,14 @@ class Design(Section):
             axis: value if isinstance(value, AxisSource) else NoiseModel.from_list(value, axis_unit(axis))
             for axis, value in _models(given, Design).items()
         }
+
+
+class _OrName:
+    """For editors: a section, or the name of a design."""
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core: Any, handler: Any) -> dict[str, Any]:
+        return {"anyOf": [{"type": "string", "enum": sorted(shipped_designs())}, handler(core)]}
 
 
 class OutageArea(Section):
@@ -517,6 +561,17 @@ class Published(Section):
         return {name: cells for name, cells in given if cells is not None}
 
 
+class Vehicle(Section):
+    """A vehicle that moves where it points: wheels neither slip sideways nor leave the road."""
+
+    sigma: Speed = Field(
+        default=0.1, gt=0, description="standard deviation of the velocity sideways and up that a slip or a bump makes"
+    )
+    mounting_sigma: Radians = Field(
+        default=0.0872665, gt=0, description="standard deviation of the mounting angles, for example '5 deg'"
+    )
+
+
 class RecordingSource(Section):
     """A recorded drive or flight instead of an emulated one."""
 
@@ -531,8 +586,18 @@ class RecordingSource(Section):
     imu_time_offset: Seconds = Field(
         default=0.0, description="how late IMU stamps are against those of GNSS; taken off"
     )
+    vehicle: Vehicle | None = Field(
+        default=None, description="a vehicle that moves where it points, for the gap workflow; null: no wheels"
+    )
     gravity: Literal["normal", "free_air_first_order"] = "normal"
-    zero_velocity_updates: bool = Field(default=False, description="feed zero velocity where GNSS shows a standstill")
+    zero_velocity_updates: bool = Field(
+        default=False, description="feed every design zero velocity and rate at rest (zero_updates: one design)"
+    )
+    alignment: Literal["auto", "rest", "motion"] = Field(
+        default="auto",
+        description="where the filters start: at the first rest, level from gravity and heading from the first course; in motion, from "
+        "specific force and the fixes' velocity; or in motion where that is possible",
+    )
 
 
 class Scenario(Section):
@@ -551,7 +616,7 @@ class Scenario(Section):
     gnss: Gnss = Gnss()
     initial: Initial = Initial()
     fits: FitSource | None = Field(default=None, description="signals that models under designs are fitted to")
-    designs: dict[str, Design] = Field(
+    designs: dict[str, Annotated[Design, _OrName]] = Field(
         default_factory=dict, description="what is compared; only emulation goes without"
     )
     smoother: bool = Field(
@@ -579,15 +644,7 @@ class Scenario(Section):
         if self.recording is not None and (self.trajectory is not None or self.truth is not None):
             raise InputError("found a recording beside a trajectory or a truth, expected one or the other")
         for name, design in self.designs.items():
-            sources = [s for s in design.sources().values() if isinstance(s, AxisSource)]
-            if self.fits is None and any(s.fit for s in sources):
-                raise InputError(
-                    f"the design '{name}' is fitted, but there is no section 'fits' that says to which signals"
-                )
-            if self._truth_is_recorded and any(s.truth for s in sources):
-                raise InputError(
-                    f"the design '{name}' asks for the model of the truth, but the truth is a recorded signal"
-                )
+            self.check_design(name, design)
         if self._truth_is_recorded and self.fits is not None and self.fits.simulate is not None:
             raise InputError("fits cannot be simulated from a recorded truth; expected the key 'recorded' under 'fits'")
         if self.published is not None:
@@ -595,6 +652,17 @@ class Scenario(Section):
             if unknown:
                 raise InputError(f"published figures for '{unknown[0]}', which is no design here")
         return self
+
+    def check_design(self, name: str, design: Design) -> None:
+        """Raise ``InputError`` where the scenario lacks what the design is made of."""
+        sources = [s for s in design.sources().values() if isinstance(s, AxisSource)]
+        if self.fits is None and any(s.fit for s in sources):
+            raise InputError(
+                f"the design '{name}' is fitted, but there is no section 'fits' that says to which signals "
+                "(for example fits: {simulate: 4 h})"
+            )
+        if self._truth_is_recorded and any(s.truth for s in sources):
+            raise InputError(f"the design '{name}' asks for the model of the truth, but the truth is a recorded signal")
 
     @property
     def _truth_is_recorded(self) -> bool:

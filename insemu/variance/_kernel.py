@@ -11,61 +11,101 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-#: Samples worked on at a time: fits the first-level caches, so that the small octaves cost no memory traffic.
+#: Samples worked on at a time: with as many of history they fit the first-level cache.
 CHUNK = 2048
-#: Scales up to this many samples are computed at every sample; above it, coefficients are taken on a grid of at least this many
+_INSIDE = 11  # octaves whose scale is at most a chunk
+_HISTORY = 48  # sums kept in front of a chunk for the first six octaves
+#: Scales up to this many samples are computed at every sample; above it, coefficients are taken on a grid of at least half as many
 #: positions per scale, so that memory does not grow with the record.
 FULL_OVERLAP = 1 << 20
 
 
-def haar_buffers(levels: int, full: int = FULL_OVERLAP) -> tuple[NDArray[np.int64], Array]:
-    """Return the offsets and the zeroed delay lines that :func:`haar_push` keeps between chunks.
+def haar_state(levels: int, full: int = FULL_OVERLAP) -> tuple[Array, Array, Array]:
+    """Return what :func:`haar_push` keeps between calls.
 
-    Level j compares averages that are 2^(j-1) samples apart, so it needs that many earlier averages, or ``full / 2`` where its scale is
-    longer than ``full`` samples (decimated).
+    Running sums at the last samples of the longest scale at most ``full`` samples long; running sums on the grids of the longer scales;
+    the chunk being worked on with what came before it.
     """
-    sizes = [min(1 << (j - 1), full // 2) for j in range(1, levels + 1)]
-    offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-    return offsets, np.zeros(int(offsets[-1]))
+    reach = min(levels, full.bit_length() - 1)
+    ring = _aligned(((1 << reach) // CHUNK + 1) * CHUNK if levels > _INSIDE else 0)
+    grids = np.empty((max(levels - reach, 0), full // 2 if levels > reach else 0))
+    work = _aligned(5 * CHUNK + 3 * _HISTORY + 8)
+    work[:] = 0.0
+    return ring, grids, work
+
+
+def _aligned(size: int) -> Array:
+    """Uninitialised numbers that begin at a cache line: vector loads then never straddle two."""
+    room = np.empty(size + 8)
+    first = -(room.ctypes.data // 8) % 8
+    return room[first : first + size]
 
 
 # Plain loops over slices that start at 0: an index such as ``i - m`` could be negative, and the check for that would keep the compiler
-# from vectorising. Averages are kept as sums: powers of two are divided out at the end, exactly.
+# from vectorising. A coefficient times 2 m is a second difference T[k] - 2 T[k - m] + T[k - 2 m] of the running sum; what is
+# T[k - 2 m] for one octave is T[k - m] for the next, so that octaves taken together share their loads. Powers of two are divided out at
+# the end, exactly.
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
-def _octave(new: Array, old: Array, out: Array) -> float:  # pragma: no cover - compiled
-    """Sums to ``out``; returns the sum of squared differences."""
+def _two_octaves(
+    a: Array, b: Array, c: Array, d: Array, out: Array
+) -> tuple[float, float]:  # pragma: no cover - compiled
+    """From sums over m samples, now and m, 2 m, 3 m ago: sums of squares of this and the next octave, and sums over 4 m samples."""
+    one = 0.0
+    two = 0.0
+    for i in range(out.size):
+        near = a[i] + b[i]
+        far = c[i] + d[i]
+        x = a[i] - b[i]
+        y = near - far
+        one += x * x
+        two += y * y
+        out[i] = near + far
+    return one, two
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
+def _four_octaves(
+    a: Array, b: Array, c: Array, d: Array, e: Array, f: Array
+) -> tuple[float, float, float, float]:  # pragma: no cover - compiled
+    """Sums of squares of four octaves from running sums now and m, 2 m, 4 m, 8 m, 16 m ago."""
+    one = 0.0
+    two = 0.0
+    three = 0.0
+    four = 0.0
+    for i in range(a.size):
+        x = a[i] + c[i] - 2.0 * b[i]
+        one += x * x
+        x = a[i] + d[i] - 2.0 * c[i]
+        two += x * x
+        x = a[i] + e[i] - 2.0 * d[i]
+        three += x * x
+        x = a[i] + f[i] - 2.0 * e[i]
+        four += x * x
+    return one, two, three, four
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
+def _one_octave(a: Array, b: Array, c: Array) -> float:  # pragma: no cover - compiled
+    """Sum of squares of one octave from running sums now and m, 2 m ago."""
     total = 0.0
-    for i in range(new.size):
-        d = new[i] - old[i]
-        out[i] = new[i] + old[i]
-        total += d * d
+    for i in range(a.size):
+        x = a[i] + c[i] - 2.0 * b[i]
+        total += x * x
     return total
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
-def _octave_of_line(new: Array, line: Array, out: Array) -> float:  # pragma: no cover - compiled
-    """As :func:`_octave` with the delay line's part, which then takes the new values."""
-    total = 0.0
-    for i in range(new.size):
-        n = new[i]
-        o = line[i]
-        d = n - o
-        out[i] = n + o
-        line[i] = n
-        total += d * d
-    return total
+def _run_on(sums: Array, out: Array) -> None:  # pragma: no cover - compiled
+    """Running sums in ``out[64:]`` from sums over 64 samples and the 64 running sums before."""
+    for i in range(sums.size):
+        out[i + 64] = out[i] + sums[i]
 
 
 @njit(cache=True, nogil=True)
-def _octave_from(first: int, new: Array, old: Array, out: Array) -> float:  # pragma: no cover - compiled
-    """As :func:`_octave`, but differences count from index ``first`` on."""
-    if first <= 0:
-        return _octave(new, old, out)
-    if first >= new.size:
-        _octave(new, old, out)
-        return 0.0
-    _octave(new[:first], old[:first], out[:first])
-    return _octave(new[first:], old[first:], out[first:])
+def _plus(values: Array, by: float, out: Array) -> None:  # pragma: no cover - compiled
+    """Values with a constant added."""
+    for i in range(values.size):
+        out[i] = values[i] + by
 
 
 @njit(cache=True, nogil=True)
@@ -73,62 +113,130 @@ def haar_push(
     x: Array,
     origin: float,
     start: int,
-    offsets: NDArray[np.int64],
-    delay: Array,
+    ring: Array,
+    grids: Array,
+    work: Array,
     sums: Array,
-    counts: NDArray[np.int64],
     full: int,
 ) -> None:  # pragma: no cover - compiled
-    """Add samples ``x`` (at global index ``start``, a multiple of the chunk) to the sums of squares of Haar MODWT coefficients.
+    """Add samples ``x`` to the sums of squares of Haar MODWT coefficients (times 4).
 
-    ``sums[j - 1]`` is of (4 times) the squared level-j coefficients, ``counts`` how many. Every call but the last must bring a multiple of
-    ``CHUNK`` samples. ``origin`` is subtracted, so that an offset such as gravity costs no digits.
+    The first sample of a record has number 1 (before it the running sum is 0), and ``start`` is the number of ``x[0]``. Every call but the
+    last must end with the number before a multiple of ``CHUNK``. ``origin`` is subtracted, so that an offset such as gravity costs no digits.
     """
     levels = sums.size
-    a = np.empty(CHUNK)
-    b = np.empty(CHUNK)
+    inside = min(levels, _INSIDE)
+    reach = levels - grids.shape[0]
+    slots = ring.size // CHUNK
+    h, c = _HISTORY, CHUNK
+    run = work[: 2 * c]  # running sum over two chunks, relative to the end of the first
+    fresh = work[2 * c : 3 * c + h]  # samples
+    fours = work[3 * c + h : 4 * c + 2 * h]  # sums over 4
+    sixteens = work[4 * c + 2 * h : 5 * c + 3 * h]
+    base = work[5 * c + 3 * h]
+    sums64 = fresh  # made when the samples are not needed any more
     done = 0
     while done < x.size:
-        n = min(CHUNK, x.size - done)
-        for i in range(n):
-            a[i] = x[done + i] - origin
-        g = start + done  # global index of a[0], in units of the stride
-        stride = 1
-        for level in range(levels):
-            m = 1 << level
-            if 2 * m > full:
-                # keep every other average: this level's scale is 2 m samples, its grid stays full/2 positions wide
-                kept = 0
-                for i in range(g % 2, n, 2):
-                    a[kept] = a[i]
-                    kept += 1
-                g = (g + 1) // 2
-                n = kept
-                stride *= 2
-                m = full // 2
-            if n == 0:
-                break
-            old = delay[offsets[level] : offsets[level + 1]]
-            # the first coefficient that sees no sample before the record is at sample 2 * 2^level - 1
-            warm = (2 << level) - 1
-            first_g = (warm + stride - 1) // stride
-            first = min(max(first_g - g, 0), n)
-            if m >= n:
-                at = g % m
-                line = old[at : at + n]
-                if first == 0:
-                    total = _octave_of_line(a[:n], line, b[:n])
+        number = start + done
+        lead = number % c
+        chunk = number // c
+        fresh[h : h + lead] = 0.0
+        taken = min(c - lead, x.size - done)
+        _plus(x[done : done + taken], -origin, fresh[h + lead : h + lead + taken])
+        n = lead + taken
+        s1, s2 = _two_octaves(
+            fresh[h : h + n],
+            fresh[h - 1 : h - 1 + n],
+            fresh[h - 2 : h - 2 + n],
+            fresh[h - 3 : h - 3 + n],
+            fours[h : h + n],
+        )
+        s3, s4 = _two_octaves(
+            fours[h : h + n],
+            fours[h - 4 : h - 4 + n],
+            fours[h - 8 : h - 8 + n],
+            fours[h - 12 : h - 12 + n],
+            sixteens[h : h + n],
+        )
+        s5, s6 = _two_octaves(
+            sixteens[h : h + n], sixteens[h - 16 : h - 16 + n], sixteens[h - 32 : h - 32 + n], sixteens[:n], sums64[:n]
+        )
+        _run_on(sums64[:n], run[c - 64 : c + n])
+        now = run[c : c + n]
+        if chunk == 0:
+            # coefficients that would begin before the record are left out
+            for level in range(inside):
+                m = 1 << level
+                if n > 2 * m:
+                    total = _one_octave(now[2 * m :], now[m : n - m], now[: n - 2 * m])
+                    sums[level] += total * 0.25**level
+        else:
+            s7, s8, s9, s10 = _four_octaves(
+                now, run[c - 64 : c - 64 + n], run[c - 128 : c - 128 + n], run[c - 256 : c - 256 + n], run[c - 512 : c - 512 + n],
+                run[c - 1024 : c - 1024 + n],
+            )  # fmt: skip
+            s11 = _one_octave(now, run[c - 1024 : c - 1024 + n], run[c - 2048 : c - 2048 + n])
+            for level, total in enumerate((s1, s2, s3, s4, s5, s6, s7, s8, s9, s10, s11)):
+                if level < levels:
+                    sums[level] += total * 0.25**level
+        if levels > _INSIDE:
+            at = (chunk % slots) * c
+            here = ring[at : at + n]
+            _plus(now, base, here)
+            level = _INSIDE
+            while level < reach and chunk >= 2 << (level - _INSIDE):
+                back = 1 << (level - _INSIDE)  # m in chunks
+                r1 = ((chunk - back) % slots) * c
+                r2 = ((chunk - 2 * back) % slots) * c
+                if level + 3 < reach and chunk >= 16 * back:
+                    r4 = ((chunk - 4 * back) % slots) * c
+                    r8 = ((chunk - 8 * back) % slots) * c
+                    r16 = ((chunk - 16 * back) % slots) * c
+                    totals = _four_octaves(
+                        here,
+                        ring[r1 : r1 + n],
+                        ring[r2 : r2 + n],
+                        ring[r4 : r4 + n],
+                        ring[r8 : r8 + n],
+                        ring[r16 : r16 + n],
+                    )
+                    for k in range(4):
+                        sums[level + k] += totals[k] * 0.25 ** (level + k)
+                    level += 4
                 else:
-                    total = _octave_from(first, a[:n], line, b[:n])
-                    line[:] = a[:n]
-            else:
-                total = _octave_from(first, a[:m], old, b[:m])
-                total += _octave_from(first - m, a[m:n], a[: n - m], b[m:n])
-                old[:] = a[n - m : n]
-            sums[level] += total * 0.25**level
-            counts[level] += n - first
-            a, b = b, a
-        done += CHUNK
+                    sums[level] += _one_octave(here, ring[r1 : r1 + n], ring[r2 : r2 + n]) * 0.25**level
+                    level += 1
+            for g in range(grids.shape[0]):
+                # running sums at every so many samples, half a window of `full` of them to a scale
+                grid = grids[g]
+                every = 4 << g
+                first = (every - chunk * c % every) % every
+                total = 0.0
+                for i in range(first, n, every):
+                    k = (chunk * c + i) // every
+                    slot = k % grid.size
+                    value = here[i]
+                    if k >= grid.size:
+                        d = value + grid[slot] - 2.0 * grid[(k + grid.size // 2) % grid.size]
+                        total += d * d
+                    grid[slot] = value
+                sums[reach + g] += total * 0.25 ** (reach + g)
+        last = run[c + n - 1]
+        _plus(run[c:], -last, run[:c])
+        base += last
+        for i in range(h):
+            fresh[i] = fresh[c + i]
+            fours[i] = fours[c + i]
+            sixteens[i] = sixteens[c + i]
+        done += taken
+    work[5 * c + 3 * h] = base
+
+
+def haar_counts(n_samples: int, levels: int, full: int) -> NDArray[np.int64]:
+    """How many coefficients :func:`haar_push` has summed of each octave."""
+    scale = 1 << np.arange(1, levels + 1, dtype=np.int64)
+    every = np.where(scale <= full, 1, scale // (full // 2))
+    return np.asarray((n_samples - scale) // every + 1)
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
@@ -285,7 +393,7 @@ def _kappa(
     """Generalized covariance at lag ``h >= 0`` of the running sum of a unit component (of its sum once more where ``averaged``).
 
     Second differences of it give minus the covariance one summation lower: -h/2 for white noise, (h^3 - h)/12 for random walk, and so
-    on. Kinds: 0 quantization, 1 white, 2 Markov of time constant ``tc`` samples (constants of :func:`noise_covariance`), 3 random walk.
+    on. Kinds: 0 quantization, 1 white, 2 Markov of time constant ``tc`` samples (constants of :func:`_covariance`), 3 random walk.
     """
     if kind == 0:
         return -0.5 * h if averaged else 0.0
@@ -299,40 +407,132 @@ def _kappa(
 
 
 @njit(cache=True, nogil=True)
-def noise_covariance(
-    kinds: NDArray[np.int64], tcs: Array, weights: Array, tau: Array, m: float, filter: Array, averaged: bool
-) -> Array:  # pragma: no cover - compiled
-    """Autocovariance at lags ``tau`` of differences of step ``m`` of the running sum, over 4 m^2, of a sum of unit components.
+def unit_covariances(
+    kind: int,
+    tc: float,
+    steps: NDArray[np.int64],
+    lags: Array,
+    ends: NDArray[np.int64],
+    filter: Array,
+    averaged: bool,
+    out: Array,
+) -> None:  # pragma: no cover - compiled
+    """Autocovariances of differences of the running sum, over 4 m^2, of a unit component, for the steps m one after the other.
 
-    ``filter`` is the autocorrelation of the difference filter from lag 0. Without the single lags at which quantization noise (not
-    averaged) contributes.
+    Those of step ``steps[j]`` are asked for at ``lags[ends[j]:ends[j + 1]]``. ``filter`` is the autocorrelation of the difference filter from
+    lag 0. Without the single lags at which quantization noise (not averaged) contributes.
     """
     order = filter.size - 1
-    out = np.zeros(tau.size)
-    sign = 1.0
-    if averaged and order == 2:
-        sign = -1.0
-    for p in range(kinds.size):
-        kind, tc, weight = kinds[p], tcs[p], weights[p]
-        if kind == 0 and not averaged:
-            continue
-        if (
-            kind == 2 and m < 1e-3 * tc
-        ):  # within its correlation time a Markov noise is a random walk; the closed form would cancel
-            weight = weight * -np.expm1(-2.0 / tc)
-            kind = 3
-        one_minus = -np.expm1(-1.0 / tc) if kind == 2 else 1.0
+    out[:] = 0.0
+    if kind == 0 and not averaged:
+        return
+    for j in range(steps.size):
+        m = float(steps[j])
+        weight = 1.0 / (4.0 * m * m)
+        if averaged and order == 2:
+            weight = -weight
+        like = kind
+        if kind == 2 and m < 1e-3 * tc:
+            # within its correlation time a Markov noise is a random walk; the closed form would cancel
+            weight *= -np.expm1(-2.0 / tc)
+            like = 3
+        one_minus = -np.expm1(-1.0 / tc) if like == 2 else 1.0
         phi = 1.0 - one_minus
         c1 = 0.5 * (1.0 + phi) / one_minus
         c2, c3 = phi / one_minus**2, phi / one_minus**2
-        for i in range(tau.size):
-            if kind != 2 and tau[i] >= order * m:
-                break  # exactly zero from here on
-            total = filter[0] * _kappa(kind, tc, c1, c2, c3, tau[i], averaged)
+        for i in range(ends[j], ends[j + 1]):
+            if like != 2 and lags[i] >= order * m:
+                continue  # exactly zero
+            total = filter[0] * _kappa(like, tc, c1, c2, c3, lags[i], averaged)
             for k in range(1, order + 1):
                 total += filter[k] * (
-                    _kappa(kind, tc, c1, c2, c3, tau[i] + k * m, averaged)
-                    + _kappa(kind, tc, c1, c2, c3, abs(tau[i] - k * m), averaged)
+                    _kappa(like, tc, c1, c2, c3, lags[i] + k * m, averaged)
+                    + _kappa(like, tc, c1, c2, c3, abs(lags[i] - k * m), averaged)
                 )
-            out[i] += sign * weight * total / (4.0 * m * m)
-    return out
+            out[i] = weight * total
+
+
+@njit(cache=True, nogil=True)
+def scatter_of_means(
+    units: Array,
+    weights: Array,
+    quantization: float,
+    quantized: int,
+    steps: NDArray[np.int64],
+    strides: NDArray[np.int64],
+    n: int,
+    lags: Array,
+    ends: NDArray[np.int64],
+    filter: Array,
+    edof: Array,
+    skew: Array,
+    slopes: Array,
+) -> None:  # pragma: no cover - compiled
+    """Fill, for means of squared differences, degrees of freedom, squared skewness over a chi-square's, and d log(edof) / d weight.
+
+    The difference step is ``steps[j]`` and successive terms are ``strides[j]`` apart. ``lags[ends[2 j]:ends[2 j + 1]]`` are nodes between
+    which autocovariances are linear, ``lags[ends[2 j + 1]:ends[2 j + 2]]`` an even grid for the third cumulant (or none); ``units``
+    has the autocovariance of every component there. ``quantization`` is the weight of component ``quantized``, which contributes at single lags.
+    """
+    order = filter.size - 1
+    parts = weights.size
+    smooth = np.zeros(lags.size)
+    for p in range(parts):
+        for i in range(lags.size):
+            smooth[i] += weights[p] * units[p, i]
+    part = np.empty(lags.size)
+    for j in range(steps.size):
+        m, stride = steps[j], strides[j]
+        begin, end = ends[2 * j], ends[2 * j + 1]
+        reach = n - order * m  # longest lag between two terms
+        count = max(reach // stride + 1, 1)
+        delta = quantization / (4.0 * m * m)
+        # sum over lags of a function that is linear between nodes, both signs of the lag
+        total = 0.0
+        for i in range(begin, end):
+            gap = lags[min(i + 1, end - 1)] - lags[max(i - 1, begin)]
+            part[i] = (gap / stride + (1.0 if i == end - 1 else 0.0)) * (1.0 - lags[i] / (count * stride)) * smooth[i]
+            total += part[i] * smooth[i]
+        variance = smooth[begin] + filter[0] * delta
+        for p in range(parts):
+            mixed = 0.0
+            for i in range(begin, end):
+                mixed += part[i] * units[p, i]
+            slopes[j, p] = -2.0 * mixed
+        for k in range(order + 1):
+            if delta == 0.0 or k * m > (count - 1) * stride:
+                break
+            at = begin + np.searchsorted(lags[begin:end], float(k * m))
+            share = (1.0 if k == 0 else 2.0) * (1.0 - lags[at] / (count * stride))
+            d = filter[k] * delta
+            total += share * (2.0 * smooth[at] * d + d * d)
+            for p in range(parts):
+                slopes[j, p] -= 2.0 * share * d * units[p, at]
+            slopes[j, quantized] -= 2.0 * share * (smooth[at] + d) * filter[k] / (4.0 * m * m)
+        if total <= 0.0:
+            edof[j], skew[j] = 1.0, 1.0
+            slopes[j] = 0.0
+            continue
+        edof[j] = variance * variance * count / total
+        for p in range(parts):
+            slopes[j, p] = slopes[j, p] / total + 2.0 * units[p, begin] / variance
+        if delta > 0.0:
+            slopes[j, quantized] += 2.0 * filter[0] / (4.0 * m * m) / variance
+        # third cumulant: sum over triples of positions of r(i) r(k) r(i + k)
+        skew[j] = 1.0
+        r = smooth[end : ends[2 * j + 2]]
+        if r.size < 2 or r[0] <= 0.0:
+            continue
+        positions = reach // int(lags[end + 1]) + 1
+        second, third = 0.0, 0.0
+        for i in range(r.size):
+            second += (1.0 if i == 0 else 2.0) * (positions - i) * r[i] * r[i]
+            for k in range(r.size - i):
+                often = 6.0
+                if i == 0 or k == 0:
+                    often = 3.0
+                if i == 0 and k == 0:
+                    often = 1.0
+                third += often * (positions - i - k) * r[i] * r[k] * r[i + k]
+        first = positions * r[0] * variance / smooth[begin]
+        skew[j] = (third * first / (second * second)) ** 2

@@ -13,7 +13,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError
 from insemu.variance import _kernel
-from insemu.variance.edof import NORMAL_ABOVE, check_confidence, edof_of_noise, interval, noise_type
+from insemu.variance.edof import (
+    NORMAL_ABOVE,
+    WHITE,
+    NoiseType,
+    Scatter,
+    check_confidence,
+    interval,
+    noise_type,
+    scatter_of_noise,
+)
 from insemu.variance.wavelet import check_rate, check_signal, max_levels, wavelet_variance
 
 Array = NDArray[np.float64]
@@ -160,13 +169,14 @@ def allan_variance(
         value = 2.0 * haar.value
     else:
         value = _values(values, m, kind)
-    parts = noise_type(haar.scale_samples.astype(float), haar.value, n) if haar is not None else [("WN", 0.0, 1.0)]
-    edof = _edof(parts, m, n, kind)
+    noise = noise_type(haar.scale_samples, haar.value, n) if haar is not None else WHITE
+    scatter = _scatter(noise, m, n, kind)
+    edof = scatter.edof
     if intervals == "clusters":
         half = relative_error(n, m)
         low, high = value * np.maximum(1.0 - half, 0.0) ** 2, value * (1.0 + half) ** 2
     else:
-        low, high = interval(value, edof, confidence, intervals)
+        low, high = interval(value, edof, confidence, intervals, scatter=scatter)
     return AllanVariance(m, m / rate_hz, value, low, high, edof, n, rate_hz, kind, confidence)
 
 
@@ -203,44 +213,37 @@ def _values(values: Array, m: NDArray[np.int64], kind: Kind) -> Array:
     return out
 
 
-def _edof(parts: list[tuple[str, float, float]], m: NDArray[np.int64], n: int, kind: Kind) -> Array:
-    """Degrees of freedom at every m; where there are many, at a hundred of them and interpolated (they are smooth)."""
-    if not parts:
-        return np.ones(m.size)
+def _scatter(noise: NoiseType, m: NDArray[np.int64], n: int, kind: Kind) -> Scatter:
+    """How the estimates scatter at every m; where there are many, at a hundred of them and interpolated (it is smooth)."""
+    if not noise.parts:
+        return Scatter(np.ones(m.size), np.ones(m.size), np.zeros(m.size))
     if m.size > 150:
         some = np.unique(np.round(np.geomspace(1, m.size, 100)).astype(int)) - 1
-        return np.exp(np.interp(np.log(m), np.log(m[some]), np.log(_edof(parts, m[some], n, kind))))
-    scale, stride = 2.0 * m.astype(float), m.astype(float)
-    if kind == "overlapping":
-        return edof_of_noise(parts, scale, n)
-    if kind == "non-overlapping":
-        return edof_of_noise(parts, scale, n, stride=stride)
-    if kind == "hadamard":
-        return edof_of_noise(parts, scale, n, order=3, stride=stride)
-    if kind == "overlapping-hadamard":
-        return edof_of_noise(parts, scale, n, order=3)
-    if kind == "modified":
-        return edof_of_noise(parts, scale, n, order=3, averaged=True)
-    return _edof_total(parts, m, n)
+        few = _scatter(noise, m[some], n, kind)
+        at, of = np.log(m), np.log(m[some])
+        return Scatter(
+            np.exp(np.interp(at, of, np.log(few.edof))), np.interp(at, of, few.skew), np.interp(at, of, few.follows)
+        )
+    if kind == "total":
+        return _scatter_of_total(noise, m, n)
+    order = 2 if kind in ("overlapping", "non-overlapping") else 3
+    stride = m if kind in ("non-overlapping", "hadamard") else None
+    return scatter_of_noise(noise, 2 * m, n, order=order, averaged=kind == "modified", stride=stride)
 
 
-def _edof_total(parts: list[tuple[str, float, float]], m: NDArray[np.int64], n: int) -> Array:
+def _scatter_of_total(noise: NoiseType, m: NDArray[np.int64], n: int) -> Scatter:
     """Total variance: ``b N / m - c`` with the published b, c of white, flicker and random-walk noise, between them by the local slope.
 
     NIST SP 1065, table 7 (Howe and Greenhall): (1.5, 0), (1.17, 0.22), (0.93, 0.36).
     """
-    from insemu.variance.edof import component_variance
-
-    def level(k: Array) -> Array:
-        return np.asarray(sum(weight * component_variance(kind, tc, k) for kind, tc, weight in parts))
-
     steps = m.astype(float)
-    slope = np.log2(level(1.1 * steps) / level(steps / 1.1)) / np.log2(1.21)
+    slope = np.log2(noise.variance(1.1 * steps) / noise.variance(steps / 1.1)) / np.log2(1.21)
     b = np.interp(slope, [-1.0, 0.0, 1.0], [1.5, 1.16832, 0.92715])
     c = np.interp(slope, [-1.0, 0.0, 1.0], [0.0, 0.22236, 0.35806])
     # at short times reflecting the ends adds nothing to the overlapping estimate
-    overlapping = edof_of_noise(parts, 2.0 * np.minimum(steps, max(n // 2, 1)), n)
-    return np.where(16 * m <= n, overlapping, np.maximum(b * n / m - c, 1.0))
+    overlapping = scatter_of_noise(noise, 2 * np.minimum(m, max(n // 2, 1)), n)
+    edof = np.where(16 * m <= n, overlapping.edof, np.maximum(b * n / m - c, 1.0))
+    return Scatter(edof, np.where(16 * m <= n, overlapping.skew, 1.0), np.zeros(m.size))
 
 
 __all__ = ["NORMAL_ABOVE", "AllanVariance", "allan_variance", "averaging_grid", "relative_error"]

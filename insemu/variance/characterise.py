@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from insemu.denoise import denoise
 from insemu.variance import findings as judge
 from insemu.variance.allan import AllanVariance, allan_variance
-from insemu.variance.edof import interval
 from insemu.variance.reading import Reading, read_curve
 from insemu.variance.robust import Contamination, RobustWaveletVariance, compare_with_robust, robust_wavelet_variance
 from insemu.variance.spectrum import Spectrum, autocorrelation, average_frequencies, psd
@@ -103,6 +102,29 @@ class AxisReport:
             "not_visible": self.not_visible,
             "findings": list(self.findings),
         }
+
+
+def grouped_findings(axes: Sequence[AxisReport]) -> list[tuple[str, str]]:
+    """Return ``(columns, finding)``, a finding that several columns share once."""
+    of: dict[str, list[str]] = {}
+    for axis in axes:
+        for finding in axis.findings:
+            of.setdefault(finding, []).append(axis.name)
+    return [(", ".join(names), finding) for finding, names in of.items()]
+
+
+def duration(seconds: float) -> str:
+    """A duration as people say it.
+
+    Examples
+    --------
+    >>> duration(84.0), duration(3600.0), duration(36000.0)
+    ('84 s', '60 min', '10 h')
+    """
+    for limit, unit, name in ((120.0, 1.0, "s"), (7200.0, 60.0, "min")):
+        if seconds < limit:
+            return f"{seconds / unit:.3g} {name}"
+    return f"{seconds / 3600.0:.3g} h"
 
 
 def _curve(curve: WaveletVariance | AllanVariance) -> dict[str, list[float | None]]:
@@ -220,8 +242,7 @@ def characterise_stream(
 def _allan_of(curve: WaveletVariance) -> AllanVariance:
     """The Allan variance that a Haar wavelet variance is half of."""
     m = curve.scale_samples // 2
-    value = 2.0 * curve.value
-    low, high = interval(value, curve.edof, curve.confidence)
+    value, low, high = 2.0 * curve.value, 2.0 * curve.low, 2.0 * curve.high
     return AllanVariance(m, m / curve.rate_hz, value, low, high, curve.edof, curve.n_samples, curve.rate_hz)
 
 

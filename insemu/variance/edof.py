@@ -11,6 +11,7 @@ degrees of freedom, and only the shape matters.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal, get_args
 
@@ -23,6 +24,7 @@ from insemu.errors import InputError
 from insemu.variance import _kernel
 
 Array = NDArray[np.float64]
+Scales = NDArray[np.float64] | NDArray[np.int64]
 
 Intervals = Literal["edof", "eta3", "normal"]
 
@@ -37,10 +39,40 @@ def check_confidence(confidence: float) -> float:
     return confidence
 
 
-def interval(value: Array, edof: Array, confidence: float, kind: Intervals = "edof") -> tuple[Array, Array]:
+@dataclass(frozen=True)
+class Scatter:
+    """How the estimates of a curve scatter; arrays have one entry per scale.
+
+    Parameters
+    ----------
+    edof : (J,) array
+        Equivalent degrees of freedom.
+    skew : (J,) array
+        Squared skewness over that of a chi-square of so many degrees of freedom, 1 or more.
+    follows : (J,) array
+        d log(edof) / d log(value): how the degrees of freedom, being read off the curve, follow an estimate that is high or low.
+    """
+
+    edof: Array
+    skew: Array
+    follows: Array
+
+
+def interval(
+    value: Array, edof: Array, confidence: float, kind: Intervals = "edof", *, scatter: Scatter | None = None
+) -> tuple[Array, Array]:
     """Return the confidence interval of variances with ``edof`` equivalent degrees of freedom.
 
     ``kind="normal"`` gives the asymptotic normal interval where ``edof`` exceeds 100 and NaN elsewhere; the other kinds are chi-square.
+    With ``scatter``, the third cumulant and the dependence of the degrees of freedom on the estimate enter too.
+
+    Notes
+    -----
+    A mean of squares of correlated Gaussian terms is a weighted sum of chi-squares, more skewed than the one chi-square that has its
+    first two moments. Of two distributions with its first three, the shifted chi-square (Pearson 1959) is short in the lower tail and
+    the power of a Gaussian (Jensen and Solomon 1972) long; the mean of their quantiles is taken. Where the truth is at an end of the interval, the
+    estimate is low or high, and so are the degrees of freedom that were read off the curve with it: each end uses those that the curve
+    would have shown.
     """
     if kind not in get_args(Intervals):
         raise InputError(f"intervals is '{kind}', expected one of: {', '.join(get_args(Intervals))}")
@@ -49,8 +81,29 @@ def interval(value: Array, edof: Array, confidence: float, kind: Intervals = "ed
         half = ndtri(1.0 - tail) * value * np.sqrt(2.0 / edof)
         half = np.where(edof > NORMAL_ABOVE, half, np.nan)
         return value - half, value + half
-    # chdtri inverts the upper tail
-    return edof * value / chdtri(edof, tail), edof * value / chdtri(edof, 1.0 - tail)
+    if scatter is None or kind == "eta3":
+        # chdtri inverts the upper tail
+        return edof * value / chdtri(edof, tail), edof * value / chdtri(edof, 1.0 - tail)
+    ends = []
+    for upper in (tail, 1.0 - tail):
+        there = 1.0 / _power(edof, scatter.skew, upper)
+        freedom = np.maximum(edof * np.clip(there, 0.2, 5.0) ** scatter.follows, 1.0)
+        own = freedom / scatter.skew
+        # a plain chi-square where the skewness is that of one
+        shifted = 1.0 + (chdtri(own, upper) / own - 1.0) / np.sqrt(scatter.skew)
+        ends.append(
+            value / np.where(scatter.skew > 1.0, 0.5 * (shifted + _power(freedom, scatter.skew, upper)), shifted)
+        )
+    return ends[0], ends[1]
+
+
+def _power(edof: Array, skew: Array, upper: float) -> Array:
+    """Quantile, for the probability ``upper`` above it, of an estimate over its expectation, a power of which is Gaussian."""
+    h = 1.0 - 2.0 / 3.0 * np.sqrt(skew)
+    h = np.where(np.abs(h) < 1e-3, 1e-3, h)
+    return np.asarray(
+        np.maximum(1.0 + h * (h - 1.0) / edof + ndtri(1.0 - upper) * h * np.sqrt(2.0 / edof), 1e-12) ** (1.0 / h)
+    )
 
 
 def eta3(scale_samples: Array, n_samples: int, filter_length: int = 2) -> Array:
@@ -99,31 +152,79 @@ def _basis(m: tuple[float, ...], n_samples: int, drift: bool) -> Array:
     return np.column_stack([component_variance(kind, tc, np.array(m)) for kind, tc in names])
 
 
-def noise_type(
-    scale_samples: Array, value: Array, n_samples: int, *, drift: bool = False
-) -> list[tuple[str, float, float]]:
-    """Return ``(kind, time constant in samples, weight)`` of the non-negative sum of noises that follows the curve.
+@dataclass(frozen=True)
+class NoiseType:
+    """A sum of noises that follows a curve: the shape only, not a fitted sensor model.
 
-    The weights are of unit components per sample (variances); it is a description of the shape, not a fitted sensor model. ``drift``
-    allows a deterministic slope too (without it, degrees of freedom stay on the safe side).
+    Parameters
+    ----------
+    parts : list
+        ``(kind, time constant in samples, weight)``, weights being of unit components per sample (variances).
+    moves : (P, J) array
+        How much each weight moves per relative change of the curve's J values.
+    """
+
+    parts: list[tuple[str, float, float]]
+    moves: Array
+
+    def variance(self, m: Array) -> Array:
+        """Haar wavelet variance of the sum at averages of ``m`` samples."""
+        return np.asarray(sum(weight * component_variance(kind, tc, m) for kind, tc, weight in self.parts))
+
+
+WHITE = NoiseType([("WN", 0.0, 1.0)], np.zeros((1, 0)))
+
+
+def noise_type(scale_samples: Scales, value: Array, n_samples: int, *, drift: bool = False) -> NoiseType:
+    """Return the non-negative sum of noises that follows a wavelet variance curve.
+
+    ``drift`` allows a deterministic slope too (without it, degrees of freedom stay on the safe side).
     """
     m = np.asarray(scale_samples, dtype=float) / 2.0
     use = value > 0
     if not use.any():
-        return []
+        return NoiseType([], np.zeros((0, value.size)))
     names = _components(n_samples) + ([("DR", 0.0)] if drift else [])
     basis = _basis(tuple(m[use].tolist()), n_samples, drift)
     spread = np.sqrt(2.0 / eta3(2.0 * m[use], n_samples))
     target = value[use]
     level = target.copy()
-    weights = np.zeros(len(names))
     for _ in range(3):  # re-weighting by the fitted level keeps a low estimate at a long scale from ruling the fit
         scale = 1.0 / (spread * level)
         norm = np.linalg.norm(basis * scale[:, None], axis=0)
         solution, _ = nnls(basis * scale[:, None] / norm, target * scale)
         weights = solution / norm
         level = np.maximum(basis @ weights, 1e-3 * target)
-    return [(kind, tc, float(w)) for (kind, tc), w in zip(names, weights, strict=True) if w > 0]
+    found = np.flatnonzero(weights > 0)
+    moves = np.zeros((found.size, value.size))
+    moves[:, use] = (np.linalg.pinv(basis[:, found] * scale[:, None] / norm[found]) * scale * target) / norm[
+        found, None
+    ]
+    return NoiseType([(*names[k], float(weights[k])) for k in found], moves)
+
+
+#: Correlation of the estimates of octaves 0, 1, 2.. apart for quantization noise, white noise and random walk (exact, long records).
+OCTAVES_TOGETHER = np.array(
+    [
+        [1.0, 0.400, 0.513, 0.513, 0.513, 0.513, 0.513, 0.513],
+        [1.0, 0.528, 0.186, 0.066, 0.023, 0.008, 0.003, 0.001],
+        [1.0, 0.885, 0.671, 0.483, 0.342, 0.242, 0.170, 0.119],
+    ]
+)
+#: What it falls by per octave beyond the table.
+_BEYOND = np.array([1.0, 0.5, np.sqrt(0.5)])
+
+
+def octave_correlation(noise: NoiseType, m: Array) -> Array:
+    """Correlation matrix of the estimates of successive octaves, between those of the three straight slopes by the local slope."""
+    slope = 0.5 * np.log2(noise.variance(2.0 * m) / noise.variance(0.5 * m))
+    quantized, walk = np.clip(-1.0 - slope, 0.0, 1.0), np.clip(0.5 + 0.5 * slope, 0.0, 1.0)
+    shares = np.sqrt(np.array([quantized, 1.0 - quantized - walk, walk]))
+    apart = np.abs(np.subtract.outer(np.arange(m.size), np.arange(m.size)))
+    last = OCTAVES_TOGETHER.shape[1] - 1
+    each = OCTAVES_TOGETHER[:, np.minimum(apart, last)] * _BEYOND[:, None, None] ** np.maximum(apart - last, 0)
+    # sums of independent parts: a correlation matrix again
+    return np.asarray(np.einsum("ki,kij,kj->ij", shares, each, shares))
 
 
 @lru_cache(maxsize=512)
@@ -139,20 +240,56 @@ def _nodes(m: int, last: int, longest: float, order: int, stride: int) -> Array:
     return nodes
 
 
-def edof_of_noise(
-    parts: list[tuple[str, float, float]],
-    scale_samples: Array,
+@lru_cache(maxsize=64)
+def _all_lags(
+    steps: tuple[int, ...], strides: tuple[int, ...], n_samples: int, longest: float, order: int
+) -> tuple[Array, NDArray[np.int64]]:
+    """For every step :func:`_nodes`, then an even grid of 8 positions per step (none for the shortest), and where each begins."""
+    each = []
+    for m, stride in zip(steps, strides, strict=True):
+        reach = max(n_samples - order * m, 0)
+        nodes = _nodes(m, reach // stride * stride, longest, order, stride)
+        each.append(nodes)
+        spacing = max(m // 8, stride)
+        size = min(reach // spacing + 1, int(nodes[-1]) // spacing + 2, 129) if reach <= 512 * m else 0
+        each.append(spacing * np.arange(size, dtype=float))
+    return np.concatenate(each), np.concatenate([[0], np.cumsum([e.size for e in each])]).astype(np.int64)
+
+
+@lru_cache(maxsize=256)
+def _unit_covariances(
+    kind: str,
+    tc: float,
+    steps: tuple[int, ...],
+    strides: tuple[int, ...],
+    n_samples: int,
+    longest: float,
+    order: int,
+    averaged: bool,
+) -> Array:
+    """Autocovariances of one unit component at :func:`_all_lags`."""
+    lags, ends = _all_lags(steps, strides, n_samples, longest, order)
+    out = np.empty(lags.size)
+    _kernel.unit_covariances(
+        _KINDS[kind], tc, np.array(steps), lags, ends[::2].copy(), np.array(_DIFFERENCE[order]), averaged, out
+    )
+    return out
+
+
+def scatter_of_noise(
+    noise: NoiseType,
+    scale_samples: Scales,
     n_samples: int,
     *,
     order: int = 2,
     averaged: bool = False,
-    stride: Array | None = None,
-) -> Array:
-    """Equivalent degrees of freedom of a mean of squared differences for a sum of unit components (:func:`noise_type`).
+    stride: Scales | None = None,
+) -> Scatter:
+    """Return how a mean of squared differences of a noise scatters.
 
     Parameters
     ----------
-    parts : list
+    noise : NoiseType
         From :func:`noise_type`.
     scale_samples : (J,) array
         Twice the step ``m`` of the differences (the Haar scale).
@@ -165,34 +302,54 @@ def edof_of_noise(
     stride : (J,) array, optional
         Step between successive terms; 1 by default (overlapping).
     """
-    out = np.empty(len(scale_samples))
-    random = [part for part in parts if part[0] in _KINDS]
-    kinds = np.array([_KINDS[kind] for kind, _, _ in random], dtype=np.int64)
-    tcs, weights = np.array([tc for _, tc, _ in random]), np.array([weight for _, _, weight in random])
-    filter = np.array(_DIFFERENCE[order])
-    longest = max((tc for kind, tc, _ in parts if kind == "GM"), default=0.0)
-    for index, scale in enumerate(np.asarray(scale_samples, dtype=np.int64)):
-        m = int(scale) // 2
-        step = 1 if stride is None else int(stride[index])
-        span = n_samples + 1 - order * m
-        count = max((span - 1) // step + 1, 1)
-        tau = _nodes(m, (count - 1) * step, longest, order, step)
-        smooth = _kernel.noise_covariance(kinds, tcs, weights, tau, float(m), filter, averaged)
-        quantization = 0.0 if averaged else sum(weight for kind, _, weight in parts if kind == "QN") / (4.0 * m * m)
-        share = 1.0 - tau / (count * step)
-        terms = share * smooth**2
-        # sum over lags of a function that is linear between nodes, both signs of the lag
-        gaps = np.diff(tau) / step
-        total = 2.0 * (np.sum(0.5 * gaps * (terms[1:] + terms[:-1])) + 0.5 * (terms[0] + terms[-1])) - terms[0]
-        variance = smooth[0]
-        if quantization > 0:
-            deltas = _DIFFERENCE[order]
-            for k, delta in enumerate(deltas):
-                if k * m > (count - 1) * step:
-                    break
-                at = np.searchsorted(tau, k * m)
-                d = delta * quantization
-                total += (1.0 if k == 0 else 2.0) * share[at] * ((smooth[at] + d) ** 2 - smooth[at] ** 2)
-            variance += deltas[0] * quantization
-        out[index] = variance**2 * count / total if total > 0 else 1.0
-    return np.maximum(out, 1.0)
+    steps = np.asarray(scale_samples, dtype=np.int64) // 2
+    strides = np.ones_like(steps) if stride is None else np.asarray(stride, dtype=np.int64)
+    count = steps.size
+    random = [k for k, part in enumerate(noise.parts) if part[0] in _KINDS]
+    if not random:
+        return Scatter(np.ones(count), np.ones(count), np.zeros(count))
+    chosen = [noise.parts[k] for k in random]
+    weights = np.array([weight for _, _, weight in chosen])
+    longest = max((tc for kind, tc, _ in chosen if kind == "GM"), default=0.0)
+    grid = (tuple(steps.tolist()), tuple(strides.tolist()), n_samples, longest, order)
+    lags, ends = _all_lags(*grid)
+    units = np.array([_unit_covariances(kind, tc, *grid, averaged) for kind, tc, _ in chosen])
+    quantized = next((k for k, part in enumerate(chosen) if part[0] == "QN" and not averaged), -1)
+    quantization = weights[quantized] if quantized >= 0 else 0.0
+    edof, skew, slopes = np.empty(count), np.empty(count), np.empty((count, len(chosen)))
+    _kernel.scatter_of_means(
+        units,
+        weights,
+        quantization,
+        quantized,
+        steps,
+        strides,
+        n_samples,
+        lags,
+        ends,
+        np.array(_DIFFERENCE[order]),
+        edof,
+        skew,
+        slopes,
+    )
+    follows = np.zeros(count)
+    if noise.moves.shape[1] == count:
+        # the estimates of neighbouring octaves go together
+        each = slopes @ noise.moves[random]
+        spread = np.sqrt(2.0 / np.maximum(edof, 1.0))
+        together = octave_correlation(noise, steps.astype(float))
+        follows = np.sum(each * together * spread, axis=1) / spread
+    return Scatter(np.maximum(edof, 1.0), np.clip(skew, 1.0, 4.0), np.clip(follows, -1.0, 1.0))
+
+
+def edof_of_noise(
+    noise: NoiseType,
+    scale_samples: Scales,
+    n_samples: int,
+    *,
+    order: int = 2,
+    averaged: bool = False,
+    stride: Scales | None = None,
+) -> Array:
+    """Equivalent degrees of freedom alone of :func:`scatter_of_noise`."""
+    return scatter_of_noise(noise, scale_samples, n_samples, order=order, averaged=averaged, stride=stride).edof

@@ -197,7 +197,7 @@ def resolution(x: Array, unit: str) -> list[str]:
     levels = np.unique(some)
     step = float(np.diff(levels).min()) if levels.size > 1 else 0.0
     if levels.size == 1:
-        return [f"stuck: every value is {levels[0]:.6g} {unit}"]
+        return [f"stuck: every value is {levels[0]:.6g} {unit}".rstrip()]
     counted = levels.size < 0.02 * some.size or levels.size < 64
     if counted:
         # unit steps may be missed by rounding of the scale: take the typical smallest one

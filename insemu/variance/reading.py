@@ -16,18 +16,17 @@ paper 004 section 4.4). Where a slope is not there, nothing is read.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
+from scipy.optimize import brentq, nnls
 from scipy.special import chdtri
 
 from insemu.units import conversion
 from insemu.variance.allan import AllanVariance
-from insemu.variance.covariance import level1_autocovariance, model_covariance
-from insemu.variance.edof import component_variance, noise_type
+from insemu.variance.edof import NoiseType, component_variance, noise_type, octave_correlation
 
 Array = NDArray[np.float64]
 
@@ -39,6 +38,15 @@ GM_PEAK_TIME, GM_PEAK = 1.8926, 0.6174
 #: Most that a straight line may miss an octave by, relatively (filters, resonances). What it misses by is estimated: without that, a
 #: million samples would pin the line to the first octaves, where real sensors roll off.
 _MISFIT = 0.1
+
+#: What a straight description may miss an octave by, relatively, before it counts as wrong (filters roll off at the first octaves).
+_ROLL_OFF = 0.003
+
+#: How much closer a Markov noise must follow the curve than power laws alone to be believed, in chi-square.
+_MARKOV = 2.5
+
+#: Growth of chi-square at the end of a 95 % interval, and without a coefficient that is to count as visible (2.5 standard deviations).
+_CHI_SQUARE, _VISIBLE = 3.84, 6.25
 
 #: Slopes of the Allan variance and the factor that its coefficient has: A = factor * X^2 * tau^slope.
 _TERMS: dict[str, tuple[float, float]] = {
@@ -115,18 +123,6 @@ def _reading(name: str, triple: Array, signal_unit: str, span: tuple[float, floa
     return Reading(name, value, low, high, shown, float(triple[0]), *span, note)
 
 
-@lru_cache(maxsize=4)
-def _octave_correlation(walk: bool) -> tuple[float, ...]:
-    """Correlation of the variances of octaves 0, 1, 2.. apart, for white noise or random walk (the same along the curve)."""
-    n = 1 << 13
-    level1 = level1_autocovariance(n, increments=lambda k: np.where(k == 0, 1.0, 0.0)) if walk else None
-    if level1 is None:
-        level1 = level1_autocovariance(n, autocovariance=lambda k: np.where(k == 0, 1.0, 0.0))
-    c = model_covariance(level1, levels=9)
-    r = c / np.sqrt(np.outer(np.diag(c), np.diag(c)))
-    return tuple(float(np.mean([r[i, i + d] for i in range(2, 9 - d)])) for d in range(6))
-
-
 def read_curve(curve: AllanVariance, signal_unit: str = "") -> dict[str, Reading]:
     """Return the coefficients that are visible in an overlapping Allan variance over octaves.
 
@@ -142,12 +138,13 @@ def read_curve(curve: AllanVariance, signal_unit: str = "") -> dict[str, Reading
     dict
         Name to :class:`Reading`; a name that is missing is not visible in this record.
     """
-    parts = noise_type(2.0 * curve.m.astype(float), curve.value / 2.0, curve.n_samples, drift=True)
-    if not parts or len(curve) < 4:
+    noise = noise_type(2 * curve.m, curve.value / 2.0, curve.n_samples, drift=True)
+    if not noise.parts or len(curve) < 4:
         return {}
     fine = np.arange(0.0, np.log2(curve.m[-1]) + 1e-9, 0.125)
     m = 2.0**fine
-    smooth = 2.0 * np.asarray(sum(weight * component_variance(kind, tc, m) for kind, tc, weight in parts))
+    laws = _power_laws(curve, noise)
+    smooth = 2.0 * (laws or noise).variance(m)
     slope = np.gradient(np.log2(smooth), fine)
     tau = m / curve.rate_hz
     edof = np.exp(np.interp(fine, np.log2(curve.m), np.log(curve.edof)))
@@ -156,7 +153,7 @@ def read_curve(curve: AllanVariance, signal_unit: str = "") -> dict[str, Reading
     for name in ("Q", "N", "K", "R"):
         for span in _spans(np.abs(slope - _TERMS[name][0]) < 0.35, known, 2.0 if name in "QR" else 1.0):
             drifts = bool(slope[span[0] :].max() > 1.2)
-            found = _fit(name, curve, tau[span[0]], tau[span[1]], signal_unit, drifts)
+            found = _fit(name, curve, noise, laws is not None, tau[span[0]], tau[span[1]], signal_unit, drifts)
             if found is not None:
                 out[name] = found
                 break
@@ -172,22 +169,71 @@ def _spans(inside: NDArray[np.bool_], known: NDArray[np.bool_], octaves: float) 
     return [r for r in runs if r[1] - r[0] >= 8 * octaves]
 
 
+def _power_laws(curve: AllanVariance, noise: NoiseType) -> NoiseType | None:
+    """The simplest description, power laws alone, where nothing speaks against it; else None.
+
+    A comb of Markov noises follows every chance bend of the longest times, so that a straight part has no straight slope any more. Power laws
+    must follow the curve within its scatter (1 % level), and one Markov noise beside or in place of the random walk must not do so
+    clearly better.
+    """
+    use = curve.edof >= 1.2
+    m, value, edof = curve.m[use].astype(float), curve.value[use], curve.edof[use]
+    together = octave_correlation(noise, m)
+
+    def best(kinds: list[tuple[str, float]], level: Array) -> tuple[float, Array]:
+        basis = 2.0 * np.column_stack([component_variance(kind, tc, m) for kind, tc in kinds])
+        spread = np.sqrt(2.0 / edof + _ROLL_OFF**2) * level
+        root = np.linalg.cholesky(together * np.outer(spread, spread) + 1e-6 * np.diag(spread**2))
+        white = np.linalg.solve(root, np.column_stack([basis, value]))
+        norm = np.linalg.norm(white[:, :-1], axis=0)
+        solution, rest = nnls(white[:, :-1] / norm, white[:, -1])
+        return float(rest**2), solution / norm
+
+    laws = [("QN", 0.0), ("WN", 0.0), ("RW", 0.0), ("DR", 0.0)]
+    level = np.maximum(2.0 * noise.variance(m), 1e-3 * value)
+    for _ in range(4):
+        distance, weights = best(laws, level)
+        level = np.maximum(
+            sum(w * 2.0 * component_variance(kind, tc, m) for (kind, tc), w in zip(laws, weights, strict=True)),
+            1e-3 * value,
+        )
+    freedom = value.size - np.count_nonzero(weights)
+    if freedom < 3 or distance > chdtri(freedom, 0.01):
+        return None
+    for tc in 2.0 ** np.arange(0.0, np.log2(m[-1]) + 1.0):
+        if best([*laws, ("GM", float(tc))], level)[0] < distance - _MARKOV:
+            return None
+    parts = [(*law, float(w)) for law, w in zip(laws, weights, strict=True) if w > 0]
+    return NoiseType(parts, np.zeros((len(parts), 0)))
+
+
 def _fit(
-    name: str, curve: AllanVariance, tau_from: float, tau_to: float, signal_unit: str, drifts: bool
+    name: str,
+    curve: AllanVariance,
+    noise: NoiseType,
+    everywhere: bool,
+    tau_from: float,
+    tau_to: float,
+    signal_unit: str,
+    drifts: bool,
 ) -> Reading | None:
-    """Weighted non-negative fit of the slope and of its neighbours over the part and one octave on either side."""
+    """Weighted non-negative fit of the slope and of its neighbours, over the part and one octave on either side or everywhere."""
     exponent, factor = _TERMS[name]
-    use = np.flatnonzero((curve.tau_s >= tau_from / 2.1) & (curve.tau_s <= tau_to * 2.1) & (curve.edof >= 1.2))
+    near = (curve.tau_s >= tau_from / 2.1) & (curve.tau_s <= tau_to * 2.1)
+    use = np.flatnonzero((near | everywhere) & (curve.edof >= 1.2))
     if use.size < 2:
         return None
     tau, value, edof = curve.tau_s[use], curve.value[use], curve.edof[use]
-    exponents = [e for e, _ in _TERMS.values() if abs(e - exponent) <= 2.0 and (drifts or e < 2.0)]
+    exponents = [e for e, _ in _TERMS.values() if (everywhere or abs(e - exponent) <= 2.0) and (drifts or e < 2.0)]
     if use.size < len(exponents) + 1:
         exponents = [e for e in exponents if abs(e - exponent) <= 1.0]
     if use.size < len(exponents) + 1:
         exponents = [exponent]
     pivot = float(np.sqrt(tau[0] * tau[-1]))
     basis = (tau[:, None] / pivot) ** np.array(exponents)
+    if 1.0 in exponents:
+        # averages of a sampled random walk
+        basis[:, exponents.index(1.0)] *= 1.0 + 0.5 / curve.m[use].astype(float) ** 2
     level = value
     solution = np.zeros(len(exponents))
     misfit = _MISFIT**2
@@ -203,20 +249,60 @@ def _fit(
     certain = solution[-1] * basis[:, -1] if exponents[-1] == 2.0 else np.zeros_like(level)
     chance = np.maximum(level - certain, 1e-3 * level)
     spread = np.sqrt(2.0 / edof * (chance**2 + 2.0 * chance * certain))
-    lags = np.abs(np.subtract.outer(use, use))
-    rho = np.array([*_octave_correlation(exponent > 0), 0.0])
-    covariance = rho[np.minimum(lags, rho.size - 1)] * np.outer(spread, spread) + np.diag(misfit * level**2)
-    # neighbours count as free here also where the fit put them at zero: the interval must not pretend to know that
-    weighted = basis.T / (spread**2 + misfit * level**2)
-    row = np.linalg.solve(weighted @ basis, weighted)[at]
-    variance = float(row @ covariance @ row)
-    coefficient = float(solution[at])
-    if coefficient < 2.5 * np.sqrt(variance):
+    covariance = octave_correlation(noise, curve.m[use].astype(float)) * np.outer(spread, spread)
+    covariance += np.diag((misfit + 1e-8) * level**2)
+    white = np.linalg.solve(
+        np.linalg.cholesky(covariance), np.column_stack([basis[:, at], np.delete(basis, at, axis=1), value])
+    )
+    without = nnls(white[:, 1:-1], white[:, -1])[1] if len(exponents) > 1 else np.linalg.norm(white[:, -1])
+    if without**2 - nnls(white[:, :-1], white[:, -1])[1] ** 2 < _VISIBLE:
         return None
-    freedom = 2.0 * coefficient**2 / variance
-    low, high = coefficient * freedom / chdtri(freedom, 0.025), coefficient * freedom / chdtri(freedom, 0.975)
-    value_low_high = np.sqrt(np.array([coefficient, low, high]) * pivot**-exponent / factor)
-    return _reading(name, value_low_high, signal_unit, (float(tau_from), float(tau_to)))
+    if everywhere:
+        triple = _likely(white[:, 0], white[:, 1:-1], white[:, -1])
+    else:
+        # the neighbours stand for what is no power law: they count as free also where the fit put them at zero
+        weighted = basis.T / np.diag(covariance)
+        row = np.linalg.solve(weighted @ basis, weighted)[at]
+        freedom = 2.0 * solution[at] ** 2 / float(row @ covariance @ row)
+        triple = solution[at] * np.array([1.0, freedom / chdtri(freedom, 0.025), freedom / chdtri(freedom, 0.975)])
+    return _reading(name, np.sqrt(triple * pivot**-exponent / factor), signal_unit, (float(tau_from), float(tau_to)))
+
+
+def _likely(target: Array, neighbours: Array, aim: Array) -> Array:
+    """Coefficient of ``target`` in ``aim`` (unit scatter) beside non-negative neighbours, and its interval.
+
+    Neighbours that the data do not ask for would only take their share of the scatter: the estimate and the upper end are without them, the lower end
+    goes down to what they could explain.
+    """
+
+    def distance(a: float, beside: list[int]) -> float:
+        left = aim - a * target
+        return float(nnls(neighbours[:, beside], left)[1] ** 2) if beside else float(left @ left)
+
+    def nearest(beside: list[int]) -> tuple[float, float]:
+        solution, rest = nnls(np.column_stack([target, neighbours[:, beside]]), aim)
+        return float(solution[0]), float(rest**2)
+
+    everything = list(range(neighbours.shape[1]))
+    beside = everything
+    while beside:
+        rest, gone = min((nearest([k for k in beside if k != out])[1], out) for out in beside)
+        if rest - nearest(beside)[1] > _CHI_SQUARE:
+            break
+        beside = [k for k in beside if k != gone]
+    lowest, least = nearest(everything)
+    value, rest = nearest(beside)
+    low = _end(lambda x: distance(lowest - x, everything) - least, lowest, lowest, 0.025)
+    high = _end(lambda x: distance(value + x, beside) - rest, value, 64.0 * value, 0.975)
+    return np.array([value, min(low, value), max(high, value)])
+
+
+def _end(growth: Callable[[float], float], value: float, reach: float, tail: float) -> float:
+    """The end of a chi-square interval whose standard deviation is where the distance has grown as for one."""
+    far = growth(reach) - _CHI_SQUARE
+    sigma = (float(brentq(lambda x: growth(x) - _CHI_SQUARE, 0.0, reach, rtol=1e-4)) if far > 0 else reach) / 1.96
+    freedom = 2.0 * value**2 / sigma**2
+    return float(value * freedom / chdtri(freedom, tail))
 
 
 def _flat(

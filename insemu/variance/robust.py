@@ -11,6 +11,8 @@ An estimator tuned to Gaussian data is biased by *any* other shape, also a harml
 have light tails, and the estimate would be some 10-15 % high (this is why known programs overestimate a clean quantized signal). Weights
 are there to protect from heavy tails only. So weights are used where the record shows tails heavier than Gaussian, in the manner of
 Gervini and Yohai's adaptive cut-off (Annals of Statistics 2002); a record without any keeps full efficiency and the plain estimate.
+Where a contaminated record is light-tailed underneath (a quantized signal with outliers), the variance of what lies within the step limit
+comes out below the weighted one by more than chance explains, and replaces it.
 
 A bad sample touches ``2^j`` coefficients of octave j. Steps from sample to sample that stand out in the first octave are therefore
 remembered, and coefficients of longer scales that contain one are left out. Where fewer than half remain, the octave is flagged as not
@@ -29,7 +31,16 @@ from scipy.special import ndtr
 
 from insemu.errors import InputError
 from insemu.variance import _kernel
-from insemu.variance.edof import Intervals, check_confidence, edof_of_noise, eta3, interval, noise_type
+from insemu.variance.edof import (
+    Intervals,
+    Scatter,
+    check_confidence,
+    edof_of_noise,
+    eta3,
+    interval,
+    noise_type,
+    scatter_of_noise,
+)
 from insemu.variance.wavelet import WaveletVariance, check_levels, check_rate, check_signal, max_levels
 
 Array = NDArray[np.float64]
@@ -113,6 +124,14 @@ def _scale(w: Array, c: float, k: float) -> float:
     return float(s2)
 
 
+def _core(w: Array, s2: float) -> float:
+    """The variance of what is within the step limit, for Gaussian values cut there."""
+    inside = w[np.abs(w) <= STEP_LIMIT * np.sqrt(s2)]
+    density = np.exp(-0.5 * STEP_LIMIT**2) / np.sqrt(2.0 * np.pi)
+    cut = 1.0 - 2.0 * STEP_LIMIT * density / (2.0 * ndtr(STEP_LIMIT) - 1.0)
+    return float(np.dot(inside, inside) / max(inside.size, 1) / cut)
+
+
 def _heavy(w: Array, variance: float, scale: int) -> bool:
     """Whether more coefficients are far out than Gaussian ones would be (about one false alarm in a thousand clean records)."""
     count = w.size
@@ -194,21 +213,34 @@ def robust_wavelet_variance(
         kept = _kernel.untouched(w, seen, 2 << j, strides[j], clean)
         share[j] = kept / every.size
         picked.append(clean[:kept] if share[j] >= 0.1 else np.ascontiguousarray(every))
-    if contaminated:
-        for j, w in enumerate(picked):
-            value[j] = _scale(w, c, k)
-        used_efficiency, protected = float(efficiency), share >= 0.5
-    else:
-        value, used_efficiency, protected = plain, 1.0, np.ones(count, dtype=bool)
     scale = 2 ** np.arange(1, count + 1, dtype=np.int64)
     used = n - scale + 1
+    loss = np.ones(count)
+    used_efficiency, protected = 1.0, np.ones(count, dtype=bool)
+    if contaminated:
+        used_efficiency, protected = float(efficiency), share >= 0.5
+        value[:] = [_scale(w, c, k) for w in picked]
+        loss = np.where(share >= 0.1, share, 1.0)
+        if adaptive:
+            core = np.array([_core(w, s2) for w, s2 in zip(picked, value, strict=True)])
+            freedom = edof_of_noise(noise_type(scale, value, n), scale, n) * loss
+            # what two estimates of efficiencies 1 and e differ by (Hausman)
+            apart = np.sqrt(2.0 / np.maximum(freedom, 1.0) * (1.0 / used_efficiency - 1.0))
+            light = protected & (core < value * (1.0 - 3.3 * apart))
+            value[light] = core[light]
+            loss = np.where(light, loss, loss * used_efficiency)
+        else:
+            loss = loss * used_efficiency
+    else:
+        value = plain
+    scatter: Scatter | None = None
     if intervals == "eta3":
         edof = eta3(scale.astype(float), n)
     else:
-        edof = edof_of_noise(noise_type(scale.astype(float), value, n), scale.astype(float), n)
-    if contaminated:
-        edof = np.maximum(edof * used_efficiency * np.where(share >= 0.1, share, 1.0), 1.0)
-    low, high = interval(value, edof, confidence, intervals)
+        scatter = scatter_of_noise(noise_type(scale, value, n), scale, n)
+        edof = scatter.edof
+    edof = np.maximum(edof * loss, 1.0)
+    low, high = interval(value, edof, confidence, intervals, scatter=scatter)
     return RobustWaveletVariance(
         scale,
         scale / rate_hz,

@@ -15,11 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError
 from insemu.variance import _kernel
-from insemu.variance.edof import Intervals, check_confidence, edof_of_noise, eta3, interval, noise_type
+from insemu.variance.edof import Intervals, Scatter, check_confidence, eta3, interval, noise_type, scatter_of_noise
 from insemu.variance.filters import modwt_filters
 
 Array = NDArray[np.float64]
 Transform = Literal["modwt", "dwt"]
+
+#: Scales of a record in memory up to this many samples use every coefficient (longer ones: see :func:`stream_wavelet_variance`).
+IN_MEMORY_OVERLAP = 1 << 23
 
 
 @dataclass(frozen=True)
@@ -193,6 +196,7 @@ def _finish(
 ) -> WaveletVariance:
     count = len(value)
     scale = 2 ** np.arange(1, count + 1, dtype=np.int64)
+    scatter: Scatter | None = None
     if edof is not None:
         freedom = np.asarray(edof, dtype=float)
         if freedom.shape != (count,) or not (freedom > 0).all():
@@ -209,9 +213,9 @@ def _finish(
     else:
         reach = (scale - 1) * (length - 1) + 1
         # longer filters see the same noise through nearly the same band; their record is shorter by their reach
-        freedom = edof_of_noise(noise_type(scale.astype(float), value, n_samples), scale.astype(float), n_samples)
-        freedom = np.maximum(freedom * (n_samples - reach + 1) / (n_samples - scale + 1), 1.0)
-    low, high = interval(value, freedom, confidence, intervals)
+        scatter = scatter_of_noise(noise_type(scale, value, n_samples), scale, n_samples)
+        freedom = np.maximum(scatter.edof * (n_samples - reach + 1) / (n_samples - scale + 1), 1.0)
+    low, high = interval(value, freedom, confidence, intervals, scatter=scatter)
     return WaveletVariance(
         scale,
         scale / rate_hz,
@@ -230,11 +234,13 @@ def _finish(
 
 
 def _haar_variance(values: Array, levels: int) -> tuple[Array, NDArray[np.int64]]:
-    """Exact Haar MODWT variances of a record in memory: one chunked pass, every scale at full overlap."""
-    full = max(_kernel.FULL_OVERLAP, 1 << levels)
-    offsets, delay = _kernel.haar_buffers(levels, full)
-    sums, counts = np.zeros(levels), np.zeros(levels, dtype=np.int64)
-    _kernel.haar_push(values, float(values[0]), 0, offsets, delay, sums, counts, full)
+    """Haar MODWT variances of a record in memory in one chunked pass."""
+    full = IN_MEMORY_OVERLAP
+    sums = np.zeros(levels)
+    # the median of the first samples: an outlier there must not become the origin
+    origin = float(np.median(values[:255]))
+    _kernel.haar_push(values, origin, 1, *_kernel.haar_state(levels, full), sums, full)
+    counts = _kernel.haar_counts(values.size, levels, full)
     return 0.25 * sums / counts, counts
 
 
@@ -346,11 +352,9 @@ class HaarAccumulator:
     def __init__(self, levels: int = 40, full_overlap: int = _kernel.FULL_OVERLAP) -> None:
         self.full_overlap = full_overlap
         self.n_samples = 0
-        self._levels = 0
         self._most = levels
         self._sums = np.zeros(levels)
-        self._counts = np.zeros(levels, dtype=np.int64)
-        self._offsets, self._delay = _kernel.haar_buffers(levels, full_overlap)
+        self._state = _kernel.haar_state(levels, full_overlap)
         self._rest = np.empty(0)
         self._origin: float | None = None
         self._pushed = 0
@@ -360,29 +364,29 @@ class HaarAccumulator:
         values = np.asarray(piece)
         if values.ndim != 1 or values.dtype.kind not in "fiu":
             raise InputError(f"a piece has shape {values.shape} and type {values.dtype}, expected (k,) real numbers")
-        values = np.asarray(values, dtype=np.float64)
         if values.size == 0:
             return
-        if not np.isfinite(values.sum()) and not np.isfinite(values).all():
-            first = int(np.argmin(np.isfinite(values)))
-            raise InputError(
-                f"signal is not finite at sample {self.n_samples + first} ({values[first]}); expected finite numbers"
-            )
         if self._origin is None:
-            self._origin = float(values[0])
+            middle = float(np.median(values[:255]))
+            self._origin = middle if np.isfinite(middle) else 0.0
+            # before the first sample the running sum is zero: an origin in front stands for it
+            self._rest = np.array([self._origin])
         self.n_samples += values.size
-        if self._rest.size:
-            values = np.concatenate([self._rest, values])
+        values = np.concatenate([self._rest, values], dtype=np.float64)
         whole = values.size - values.size % _kernel.CHUNK
         if whole:
-            self._run(np.ascontiguousarray(values[:whole]))
+            self._run(values[:whole])
         self._rest = values[whole:].copy()
 
     def _run(self, values: Array) -> None:
         assert self._origin is not None
-        _kernel.haar_push(
-            values, self._origin, self._pushed, self._offsets, self._delay, self._sums, self._counts, self.full_overlap
-        )
+        _kernel.haar_push(values, self._origin, self._pushed, *self._state, self._sums, self.full_overlap)
+        # what is not finite shows in the first octave, without a pass of its own
+        if not np.isfinite(self._sums[0]) and not np.isfinite(values).all():
+            first = int(np.argmin(np.isfinite(values)))
+            raise InputError(
+                f"signal is not finite at sample {self._pushed + first - 1} ({values[first]}); expected finite numbers"
+            )
         self._pushed += values.size
 
     def result(self) -> tuple[Array, NDArray[np.int64]]:
@@ -390,7 +394,8 @@ class HaarAccumulator:
         if self.n_samples < 3:
             raise InputError(f"signal has {self.n_samples} samples, expected at least 3")
         if self._rest.size:
-            self._run(np.ascontiguousarray(self._rest))
+            self._run(self._rest)
             self._rest = np.empty(0)
         levels = min(max_levels(self.n_samples), self._most)
-        return 0.25 * self._sums[:levels] / self._counts[:levels], self._counts[:levels].copy()
+        counts = _kernel.haar_counts(self.n_samples, levels, self.full_overlap)
+        return 0.25 * self._sums[:levels] / counts, counts

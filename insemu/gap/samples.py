@@ -1,0 +1,196 @@
+"""What the samples of an IMU show by themselves: stamps with gaps, values that pile up at a full scale; and the record with both mended."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu.gap.singular import lattice
+from insemu.gap.verdict import Member, Step, Value
+from insemu.noise import WN, NoiseModel
+from insemu.records import ImuRecord
+
+Array = NDArray[np.float64]
+
+#: Longest gap that is bridged, s; a longer one is an outage of the IMU.
+LONGEST_GAP_S = 0.5
+#: Fewest samples at the full scale.
+FEWEST_CLIPPED = 4
+_SENSORS = (("gyro", "rad/s"), ("accel", "m/s^2"))
+
+
+@dataclass(frozen=True)
+class Mended:
+    """An IMU record after what its samples show was named and mended."""
+
+    imu: ImuRecord
+    steps: tuple[Step, ...]
+
+
+def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
+    """Name dropped samples and saturation and mend the record: gaps bridged, clipped stretches rounded off by a smooth curve."""
+    steps: list[Step] = []
+    if "dropped_samples" not in without:
+        bridged = _bridge(imu)
+        if bridged is not None:
+            imu = bridged[0]
+            steps.append(bridged[1])
+    if "quantization" not in without:
+        steps += _lattices(imu)
+    if "saturation" not in without:
+        for sensor, unit in _SENSORS:
+            values = np.array(getattr(imu, sensor))
+            widths = _widths(imu)
+            rates = values / widths
+            for k, axis in enumerate("xyz"):
+                found = clipped(rates[:, k])
+                if found is None:
+                    continue
+                limit, at, nats = found
+                rates[:, k] = _rounded_off(imu.t, rates[:, k], at)
+                value = Value("limit", limit, limit, limit, unit)
+                steps.append(_step("saturation", sensor, (axis,), (value,), nats))
+                imu = replace(imu, gyro=rates * widths) if sensor == "gyro" else replace(imu, accel=rates * widths)
+    return Mended(imu, tuple(sorted(steps, key=lambda s: -s.gain_nats)))
+
+
+def _lattices(imu: ImuRecord) -> list[Step]:
+    """Axes whose samples lie on a lattice of output counts."""
+    widths = _widths(imu)
+    out = []
+    for sensor, unit in _SENSORS:
+        rates = np.array(getattr(imu, sensor)) / widths
+        steps = {axis: lattice(rates[1:, k]) for k, axis in enumerate("xyz")}
+        on = tuple(axis for axis, step in steps.items() if step > 0.0)
+        if not on:
+            continue
+        names = {axis: "lsb" if len(on) == 1 else f"lsb_{axis}" for axis in on}
+        values = tuple(Value(names[a], steps[a], steps[a], steps[a], unit) for a in on)
+        # as for a log at rest: each sample is worth log(LSB / resolution of the storage)
+        top = np.max(np.abs(rates), axis=0)
+        nats = sum(
+            len(imu) * max(math.log(steps[a] / (max(top["xyz".index(a)], steps[a]) * 2.0**-24)), 0.0) for a in on
+        )
+        out.append(_step("quantization", sensor, on, values, nats))
+    return out
+
+
+def with_counts(beliefs: dict[str, NoiseModel], steps: Sequence[Step], dt: float) -> dict[str, NoiseModel]:
+    """Beliefs with the white noise that rounding to output counts adds, LSB^2 / 12 per sample."""
+    out = dict(beliefs)
+    for s in steps:
+        if s.effect == "quantization":
+            for axis, v in zip(s.axes, s.parameters, strict=True):
+                name = f"{s.sensor}_{axis}"
+                whites = [p for p in out[name] if isinstance(p, WN)]
+                if whites:
+                    level = math.sqrt(whites[0].parameters["N"] ** 2 + v.value**2 / 12.0 * dt)
+                    out[name] = NoiseModel(tuple(WN(level) if p is whites[0] else p for p in out[name]))
+    return out
+
+
+def _step(effect: str, sensor: str, axes: tuple[str, ...], values: tuple[Value, ...], nats: float) -> Step:
+    return Step(effect, "samples", sensor, axes, values, 0.999, nats, (Member(effect, sensor, axes, nats),))
+
+
+def _widths(imu: ImuRecord) -> Array:
+    """What turns rates into the record's values, (n, 1)."""
+    if imu.kind != "increment":
+        return np.ones((len(imu), 1))
+    return np.asarray(np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1])[:, None])
+
+
+def _bridge(imu: ImuRecord) -> tuple[ImuRecord, Step] | None:
+    step = np.diff(imu.t)
+    dt = float(np.median(step))
+    steady = np.abs(step / dt - 1.0) < 0.05
+    missing = np.round(step / dt).astype(int) - 1
+    gaps = np.flatnonzero((missing > 0) & (np.abs(step / dt - np.round(step / dt)) < 0.1) & (step < LONGEST_GAP_S))
+    if not gaps.size or steady.sum() + gaps.size < 0.98 * step.size or gaps.size > 0.1 * step.size:
+        return None
+    n = step.size + int(missing[gaps].sum())
+    burst = float(missing[gaps].mean())
+    p = gaps.size / n
+    spread = 1.96 / math.sqrt(gaps.size)
+    values = (
+        Value("probability", p, p * math.exp(-spread), p * math.exp(spread), "1"),
+        Value("burst", burst, max(1.0, burst * math.exp(-spread)), burst * math.exp(spread), "1"),
+    )
+    # a stamp that is missing is surprising by its share alone
+    nats = gaps.size * (1.0 - math.log(p))
+    new_t = np.concatenate([imu.t[k] + step[k] * np.arange(1, missing[k] + 1) / (missing[k] + 1) for k in gaps])
+    t = np.sort(np.concatenate([imu.t, new_t]))
+    where = np.searchsorted(t, imu.t)
+    columns = {}
+    for name in ("gyro", "accel"):
+        values_in = np.array(getattr(imu, name))
+        after = gaps + 1
+        if imu.kind == "increment":
+            # either the increments of the gap are lost, or the next row holds them all: whichever fits its neighbours
+            neighbours = 0.5 * (values_in[gaps] + values_in[np.minimum(after + 1, len(imu) - 1)])
+            share = (missing[gaps] + 1.0)[:, None]
+            lost = float(np.sum(np.abs(values_in[after] - neighbours)))
+            held = float(np.sum(np.abs(values_in[after] - neighbours * share)))
+            if held < lost:
+                values_in[after] = values_in[after] / share
+        columns[name] = np.column_stack([_cubic(t, where, values_in[:, c]) for c in range(3)])
+    temperature = None if imu.temperature is None else np.interp(t, imu.t, imu.temperature)
+    return ImuRecord(t, columns["gyro"], columns["accel"], imu.kind, temperature), _step(
+        "dropped_samples", "imu", (), values, nats
+    )
+
+
+def _cubic(t: Array, where: NDArray[np.intp], values: Array) -> Array:
+    from scipy.interpolate import CubicSpline
+
+    out = np.empty(t.size)
+    out[where] = values
+    gone = np.ones(t.size, dtype=bool)
+    gone[where] = False
+    out[gone] = CubicSpline(t[where], values)(t[gone])
+    return out
+
+
+def clipped(rates: Array) -> tuple[float, NDArray[np.bool_], float] | None:
+    """Full scale at which values pile up, which samples lie there, and the evidence in nats; None where there is no pile.
+
+    Noise never repeats an extreme value exactly; a lattice does, but then its neighbours are as crowded as the extreme.
+    """
+    noise = 1.4826 * float(np.median(np.abs(np.diff(rates)))) + 1e-300
+    at = np.zeros(rates.size, dtype=bool)
+    limits = []
+    for side in (1.0, -1.0):
+        x = side * rates
+        top = float(x.max())
+        pile = x >= top - 1e-9 * abs(top)
+        count = int(pile.sum())
+        near = int(np.sum((x < top - 1e-9 * abs(top)) & (x > top - 3.0 * noise)))
+        if count >= FEWEST_CLIPPED and 4 * count > near and count < 0.5 * rates.size and top > 0.0:
+            at |= pile
+            limits.append(top)
+    if not limits or max(limits) > 1.2 * min(limits):
+        return None
+    limit = float(np.mean(limits))
+    nats = float(at.sum()) * max(1.0, math.log(noise / (limit * 2.0**-24)))
+    return limit, at, nats
+
+
+def _rounded_off(t: Array, rates: Array, at: NDArray[np.bool_]) -> Array:
+    """Clipped stretches replaced by the parabola that leaves and meets the samples around them smoothly, never inside of the limit."""
+    out = rates.copy()
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], at, [False]]).astype(int)))
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        side = math.copysign(1.0, rates[first])
+        around = np.concatenate([np.arange(max(0, first - 6), first), np.arange(last, min(rates.size, last + 6))])
+        around = around[~at[around]]
+        if around.size < 6 or not (around < first).any() or not (around >= last).any():
+            continue
+        centre = 0.5 * (t[first] + t[last - 1])
+        curve = np.polynomial.Polynomial.fit(t[around] - centre, rates[around], 2)
+        inside = curve(t[first:last] - centre)
+        out[first:last] = side * np.maximum(side * inside, side * rates[first:last])
+    return out

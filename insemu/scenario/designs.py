@@ -1,0 +1,57 @@
+"""The filter designs that come with the package, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from insemu.errors import InputError, nearest
+from insemu.records import AXES
+
+
+@cache
+def shipped_designs() -> dict[str, dict[str, Any]]:
+    """Every design of ``designs.yaml``, as a scenario would write it, with the key ``about``."""
+    text = (Path(__file__).parent / "designs.yaml").read_text(encoding="utf-8")
+    return {str(name): dict(design) for name, design in yaml.safe_load(text).items()}
+
+
+def shipped(name: str) -> dict[str, Any]:
+    """One of them, without ``about``.
+
+    Raises
+    ------
+    InputError
+        No such design.
+    """
+    known = shipped_designs()
+    if name not in known:
+        raise InputError(f"no design '{name}' comes with insemu" + nearest(str(name), known))
+    return {key: value for key, value in known[name].items() if key != "about"}
+
+
+def spell_out(value: Any) -> Any:
+    """A design as written in a scenario, with the keys of the design that it names put in: its own keys win.
+
+    A text is the name of a design. A sensor's short form (``gyro``) replaces all three axes, and options are merged key by key.
+    """
+    if isinstance(value, str):
+        value = {"design": value}
+    if not isinstance(value, Mapping) or value.get("design") is None:
+        return value
+    own = {key: given for key, given in value.items() if given is not None}
+    base = shipped(own["design"])
+    for sensor in ("gyro", "accel"):
+        if sensor in own:
+            base = {key: given for key, given in base.items() if not (key in AXES and key.startswith(sensor))}
+    return base | own | {"options": _merge(base.get("options", {}), own.get("options", {}))}
+
+
+def _merge(base: Any, own: Any) -> Any:
+    if not (isinstance(base, Mapping) and isinstance(own, Mapping)):
+        return own
+    return {**base, **{key: _merge(base.get(key), given) for key, given in own.items()}}
