@@ -14,6 +14,7 @@ import numpy as np
 import pymap3d
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
+from scipy.signal import welch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -21,6 +22,7 @@ from insemu import earth, emulate, rotation, strapdown
 from insemu.emulate.drives import outage_windows
 from insemu.emulate.reckon import dead_reckon
 from insemu.emulate.track import held_out_distance, turn_rate
+from insemu.emulate.trajectory import turbulent_uav
 from insemu.formats import read_recording
 from insemu.records import ImuRecord, Recording, Trajectory
 
@@ -90,6 +92,31 @@ def continuous() -> None:
                     3.5,
                     least=True,
                 )
+
+
+def turbulence() -> None:
+    print(
+        "\nhow turbulent the turbulent UAV is: rms of the angular rate, deg/s, by band (0.1-0.5, 0.5-2, 2-10 Hz) and axis"
+    )
+    flights = {
+        "ours": emulate.ideal_imu(emulate.built_in("turbulent_uav").path, mode="continuous").imu.gyro[10000:110000]
+    }
+    file = shared("fixtures/inertial/uav_100hz.npz")
+    if file is not None:
+        flights["fixture uav_100hz"] = np.load(file)["gyro_incr"]
+    for name, gyro in flights.items():
+        f, psd = welch(np.rad2deg(100.0 * gyro), 100.0, nperseg=4096, axis=0)
+        rms = [
+            np.sqrt(psd[(f >= low) & (f < high)].sum(axis=0) * f[1])
+            for low, high in ((0.1, 0.5), (0.5, 2.0), (2.0, 10.0))
+        ]
+        print(f"  {name:<20}" + "   ".join("/".join(f"{x:.1f}" for x in band) for band in rms))
+    light = np.rad2deg(1.9 * 0.77 / np.sqrt(100.0 * 2.0))
+    say("roll rate of light Dryden turbulence, span 2 m at 100 m", light, "deg/s")
+    path = turbulent_uav(2.0).path
+    at = [largest(emulate.navigation_error(emulate.ideal_imu(path, r, mode="continuous")))[0] for r in (100.0, 200.0)]
+    say("twice the gusts (moderate): largest position error at 100 Hz", at[0], "m")
+    say("twice the gusts (moderate): at 200 Hz", at[1], "m")
 
 
 def fixtures() -> None:
@@ -236,7 +263,7 @@ def track() -> None:
 
 
 def main() -> int:
-    for part in (exact, continuous, fixtures, rest, geodesy, windows, track):
+    for part in (exact, continuous, turbulence, fixtures, rest, geodesy, windows, track):
         part()
     print("\n" + ("every figure holds" if not missed else "missed: " + "; ".join(missed)))
     return 1 if missed else 0

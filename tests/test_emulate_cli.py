@@ -8,8 +8,12 @@ import yaml
 
 from insemu import emulate
 from insemu.cli import main
+from insemu.effects import EFFECTS
+from insemu.evaluate.world import World
 from insemu.formats import read_recording, write
 from insemu.records import ImuRecord, Recording, Trajectory
+from insemu.scenario import load
+from insemu.scenario.schema import Truth
 from tests.shared_data import shared
 
 SCENARIO = {
@@ -70,6 +74,67 @@ def test_a_scenario_without_designs_is_enough(tmp_path, capsys):
     assert "urban_drive_1 from 4" in capsys.readouterr().out  # and says where it is
     assert run("run", file) == 2
     assert "the key 'designs' is missing" in capsys.readouterr().err
+
+
+def test_every_effect_is_reached_from_a_scenario_with_units(tmp_path):
+    """Each alone, at its datasheet scale, changes what it is said to change and nothing else."""
+    file = scenario(tmp_path, trajectory={"builtin": "urban_drive_1", "rate": "100 Hz", "duration": "60 s"})
+    document = yaml.safe_load(file.read_text())
+    document["truth"]["temperature"] = {"t": ["0 s", "60 s"], "degc": [20, 60]}
+    document["truth"]["effects"] = []
+    document["gnss"] = {"rate": "5 Hz"}
+    file.write_text(yaml.safe_dump(document))
+    world = World(load(str(file)), file)
+    before = signals(world.recording(0))
+    values = {"limit": 0.01, "start": 30.0, "cutoff": 20.0, "good": 2.0}
+    gnss = {"fix", "velocity", "stated"}
+    allowed = {"gyro": {"gyro"}, "accel": {"accel"}, "imu": {"t", "gyro", "accel"}, "gnss": gnss}
+    for effect in EFFECTS.values():
+        for sensor in effect.sensors:
+            entry = {"effect": effect.id, "sensor": sensor}
+            for p in effect.parameters:
+                scale = values.get(p.name, effect.scale(p.name, sensor))
+                quantity = f"{scale!r} {effect.unit(p.name, sensor)}".strip()
+                entry[p.name] = [quantity] * 6 if p.size == 6 else quantity
+            world.truth = Truth.model_validate(document["truth"] | {"effects": [entry]})
+            after = signals(world.recording(0))
+            changed = {k for k, v in after.items() if not np.array_equal(v, before[k], equal_nan=True)}
+            assert changed and changed <= allowed[sensor], (effect.id, sensor, changed)
+
+
+def signals(recording):
+    imu, gnss = recording.imu, recording.gnss
+    return {
+        "t": imu.t, "gyro": imu.gyro, "accel": imu.accel,
+        "fix": gnss.llh, "velocity": gnss.vel_ned, "stated": gnss.pos_std_ned,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("recrd", "truth.recorded.remove_mean: found 'recrd', expected one of: record, piece, none; or a span"),
+        (["1 s"], "or a span [from, to]"),
+        (["10 s", "5 s"], "the span (10.0, 5.0) s for the mean is not inside the record of 30 s"),
+        (["0 s", "20 s"], None),
+    ],
+)
+def test_the_mean_of_a_span_is_taken_off(tmp_path, capsys, value, message):
+    rng = np.random.default_rng(1)
+    log = 1e-3 * rng.standard_normal((3000, 6)) + np.linspace(0, 1, 3000)[:, None]
+    columns, units = ["gx", "gy", "gz", "ax", "ay", "az"], ["rad/s"] * 3 + ["m/s^2"] * 3
+    np.savez(tmp_path / "log.npz", data=log, fs=100.0, columns=columns, units=units)
+    recorded = {"files": ["log.npz"], "remove_mean": value}
+    flight = {"builtin": "static", "rate": "100 Hz", "duration": "10 s"}
+    file = scenario(tmp_path, trajectory=flight, truth={"recorded": recorded}, designs={}, realizations=1, gnss={})
+    target = tmp_path / "r.npz"
+    assert run("emulate", file, "--out", target) == (0 if message is None else 2)
+    if message is not None:
+        assert message in capsys.readouterr().err
+        return
+    ideal = World(load(str(file)), file).recording(0, ideal=True).imu
+    error = (read_recording(target).imu.gyro - ideal.gyro)[1:] * 100.0
+    np.testing.assert_allclose(error, (log[:1000] - log[:2000].mean(axis=0))[:, :3], atol=1e-9)
 
 
 def test_an_area_that_is_never_entered_is_warned_about(tmp_path, capsys):

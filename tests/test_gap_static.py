@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from scipy.linalg import toeplitz
+from scipy.signal import butter, lfilter
 
 from insemu.errors import InputError
 from insemu.gap import find_static_gap, kernel, load_nominal
@@ -165,6 +166,16 @@ def test_a_strong_hidden_effect_is_named_although_the_level_is_wrong(effect: str
     assert ranked[0].gain > 10.0
 
 
+@pytest.mark.parametrize(("f", "ratio"), [(2.27, 0.08), (5.11, 0.04), (7.93, 0.02)])
+def test_a_narrow_band_is_found_wherever_it_lies(f: float, ratio: float) -> None:
+    rng = np.random.default_rng(23)
+    y = WN(1e-3).simulate(N, DT, rng) + Band(9e-4, f, ratio).simulate(N, DT, rng)
+    state = state_of(reduce(log_of(y)), Explanation.nominal(NoiseModel((WN(1.1e-3),))))
+    (found,) = CANDIDATES["vibration_band"](state)
+    assert found.gain > 20.0
+    assert found.values[1].value == pytest.approx(f, abs=0.1 * ratio * f + 0.02)
+
+
 def test_estimates_of_a_gauss_markov_process_bracket_the_truth() -> None:
     rng = np.random.default_rng(21)
     y = WN(1e-3).simulate(N, DT, rng) + GM(1.2e-3, 1 / 20).simulate(N, DT, rng)
@@ -313,6 +324,17 @@ def test_what_remains_unexplained_is_said_and_takes_no_name_back() -> None:
     assert is_shaken(band, [Where("stationarity", "gyro", "x", 10.0, 1e-9)], {})
     assert remainder(left, {}) == "whiteness at 10 s on gyro x (p 1e-09)"
     assert remainder([], {}) == ""
+
+
+def test_a_steep_output_filter_leaves_no_disagreement_behind() -> None:
+    rng = np.random.default_rng(24)
+    b, c = butter(2, 0.7)
+    y = lfilter(b, c, WN(1e-3).simulate(N, DT, rng))
+    state = state_of(reduce(log_of(y)), Explanation.nominal(NoiseModel((WN(1.1e-3),))))
+    best = max(CANDIDATES["decimation_filter"](state), key=lambda w: w.gain)
+    values = {v.name: v.value for v in best.values}
+    assert values["cutoff"] == pytest.approx(7.0, rel=0.05)
+    assert min(p for _, _, p in axis_tests(best.state)) > 1e-6
 
 
 def test_bins_that_no_model_fits_do_not_bend_the_others() -> None:

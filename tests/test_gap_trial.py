@@ -122,7 +122,9 @@ def test_a_twin_differs_by_what_was_hidden_and_by_nothing_else(track: str) -> No
             np.testing.assert_array_equal(r.imu.accel, clean.imu.accel, err_msg=effect)
 
 
-@pytest.mark.parametrize("outside", [o for o in OUTSIDE if o != "quadratic_accelerometer"])  # that is an effect of the table
+@pytest.mark.parametrize(
+    "outside", [o for o in OUTSIDE if o != "quadratic_accelerometer"]
+)  # that is an effect of the table
 def test_what_no_catalogue_holds_is_in_the_recording(outside: str) -> None:
     s = stage(11, 3.0, 50.0, track="car")
     clean, other = s.record(), s.record((), outside, 0.5)

@@ -67,7 +67,10 @@ class RecordedErrors:
         else:
             a, b = (round(s * self.rate_hz) for s in self.remove_mean)
             if not 0 <= a < b <= values.shape[0]:
-                raise InputError(f"{self.name}: the span {self.remove_mean} s for the mean is outside the record")
+                raise InputError(
+                    f"{self.name}: the span {self.remove_mean} s for the mean is not inside the record of "
+                    f"{values.shape[0] / self.rate_hz:g} s"
+                )
             values -= values[a:b].mean(axis=0)
         values = values[skip:]
         values.setflags(write=False)

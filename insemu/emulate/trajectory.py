@@ -62,11 +62,17 @@ def helicopter_mapping() -> Flight:
     return Flight(path, "helicopter", legs_of(commands), ((420.0, 60.0), (660.0, 60.0), (900.0, 60.0)))
 
 
-def turbulent_uav() -> Flight:
+def turbulent_uav(strength: float = 1.0) -> Flight:
     """Twenty minutes of a small fixed wing in turbulence: circles and eights with up to 33 deg of bank at 18 to 24 m/s.
 
     Gusts between 0.1 and 2 Hz of 0.1 m/s and 1.3, 1.0 and 0.5 deg in roll, pitch and heading (rates to 27 deg/s): a
-    test of coning and sculling.
+    test of coning and sculling. The roll rate of 6.6 deg/s rms is that of light turbulence: Dryden gusts of 0.77 m/s (15 knots of wind
+    at 6 m, MIL-F-8785C) roll a span of 2 m at 100 m by 1.9 sigma_w / sqrt(L_w b), 5.9 deg/s rms. Two is moderate.
+
+    Parameters
+    ----------
+    strength : float
+        Scales the gusts.
     """
     deg = np.pi / 180
     commands = [
@@ -94,8 +100,8 @@ def turbulent_uav() -> Flight:
         VEHICLES["fixed_wing"],
         place(46.5, -71.3, 80.0),
         "turbulent_uav",
-        gust_vel=gusts(p.t, 0.1, (0.1, 2.0), shake, 7101),
-        gust_rpy=gusts(p.t, 1.3 * deg, (0.1, 2.0), shake, 7102) * np.array([1.0, 0.8, 0.4]),
+        gust_vel=gusts(p.t, 0.1 * strength, (0.1, 2.0), shake, 7101),
+        gust_rpy=gusts(p.t, 1.3 * strength * deg, (0.1, 2.0), shake, 7102) * np.array([1.0, 0.8, 0.4]),
     )
     return Flight(path, "fixed_wing", legs_of(commands))
 

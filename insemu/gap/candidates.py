@@ -140,7 +140,7 @@ def _log_normal(name: str, value: float, sigma: float, unit: str) -> Value:
 
 
 def best_of(
-    state: AxisState, effect: str, variant: str, starts: Iterable[Explanation], refine: int = 2
+    state: AxisState, effect: str, variant: str, starts: Iterable[Explanation], refine: int = 2, apart: float = 1.5
 ) -> list[Weighed]:
     """Refine the most promising of many starting points and weigh the best."""
     likelihood = state.likelihood
@@ -148,7 +148,7 @@ def best_of(
     chosen: list[Explanation] = []
     for _, _, explanation in scored:
         # a neighbour of a chosen start leads to the same optimum
-        if all(np.max(np.abs(explanation.start() - other.start())) > 1.5 for other in chosen):
+        if all(np.max(np.abs(explanation.start() - other.start())) > apart for other in chosen):
             chosen.append(explanation)
         if len(chosen) == refine:
             break
@@ -317,17 +317,28 @@ def vibration_band(state: AxisState) -> list[Weighed]:
         Free("f", lowest, 0.97 * nyquist),
         Free("ratio", 0.003, 0.6),  # wider is no resonance
     )
+    # where the excess over a window as wide as the band stands out most, for each width
+    excess = data.power / S - 1.0
+    weighted = np.concatenate([[0.0], np.cumsum(data.counted * excess)])
+    total = np.concatenate([[0.0], np.cumsum(data.counted)])
     starts = []
-    for f0 in np.geomspace(lowest * 1.1, 0.94 * nyquist, 28):
-        for ratio in (0.02, 0.1, 0.35):
-            width = ratio * f0
-            near = float(np.interp(f0, data.f, S))
-            for excess in (0.1, 0.5, 3.0, 20.0):
-                sigma = math.sqrt(excess * near * width * math.pi)
-                starts.append(
-                    state.explanation.with_component(Component(Band(sigma, f0, ratio), free, "vibration_band"))
-                )
-    return best_of(state, "vibration_band", "", starts)
+    for ratio in (0.01, 0.03, 0.1, 0.35):
+        first = np.searchsorted(data.f, data.f * (1.0 - 0.5 * ratio))
+        last = np.searchsorted(data.f, data.f * (1.0 + 0.5 * ratio), side="right")
+        counted = np.maximum(total[last] - total[first], 1e-9)
+        score = (weighted[last] - weighted[first]) / np.sqrt(2.0 * counted)
+        score[(data.f < lowest) | (data.f > 0.95 * nyquist)] = -np.inf
+        for _ in range(2):
+            k = int(np.argmax(score))
+            if not score[k] > 0.0:
+                break
+            f0, height = float(data.f[k]), float((weighted[last[k]] - weighted[first[k]]) / counted[k])
+            for factor in (0.7, 1.4, 3.0):
+                sigma = math.sqrt(factor * height * float(S[k]) * ratio * f0 * math.pi)
+                band = Component(Band(sigma, f0, ratio), free, "vibration_band")
+                starts.append(state.explanation.with_component(band))
+            score[np.abs(np.log(data.f / f0)) < ratio] = -np.inf
+    return best_of(state, "vibration_band", "", starts, 3, apart=0.4)
 
 
 def decimation_filter(state: AxisState) -> list[Weighed]:

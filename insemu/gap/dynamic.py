@@ -35,11 +35,11 @@ from insemu.gap.hypotheses import (
 from insemu.gap.innovations import Block, Field
 from insemu.gap.known import colour_of, of_axis, settled, starting_explanation, without_drawn
 from insemu.gap.nominal import Nominal
-from insemu.gap.preparation import fast_parts, prepare
+from insemu.gap.preparation import LEVEL_GROUPS, fast_parts, prepare
 from insemu.gap.reduced import Reduced, reduce_again
 from insemu.gap.samples import mend, with_counts
 from insemu.gap.scene import Scene, first_rows
-from insemu.gap.surrogate import NED, FixNoise, joint_noise
+from insemu.gap.surrogate import NED, FixNoise, joint_noise, level_derivatives, level_scores
 from insemu.gap.verdict import GapReport, Interval, Member, Step, Value, VerdictName, Where
 from insemu.noise import BI, GM, RW, WN, NoiseModel
 from insemu.records import AXES, Recording
@@ -348,13 +348,29 @@ def held_out(scene: Scene, named: Named, cut: float) -> tuple[Interval, Interval
         gone = np.isin(times, named.gone) & (times > cut)
         total += float(np.sum(density[gone]))
 
-    def around(y: Array) -> Interval:
+    def around(y: Array, at: Scene) -> Interval:
         value = float(np.mean(y * y))
-        # the squares of one fix go together where the model is wrong: their own spread, fix by fix, and the chi-square's where it is right
-        half = 1.96 * max(math.sqrt(2.0 / y.size) * max(value, 0.2), float(np.std(y * y)) / math.sqrt(y.size))
+        # the squares of one fix go together where the model is wrong: their own spread there, the chi-square's where it is right; and the
+        # levels of the fixes are known from the first part only
+        own = max(math.sqrt(2.0 / y.size) * max(value, 0.2), float(np.std(y * y)) / math.sqrt(y.size))
+        half = 1.96 * math.hypot(own, value * _level_spread(at, cut))
         return Interval(value, value - half, value + half)
 
-    return around(test), around(e), Interval(total / fixes, (total - spread) / fixes, (total + spread) / fixes)
+    gain = Interval(total / fixes, (total - spread) / fixes, (total + spread) / fixes)
+    return around(test, scene), around(e, final), gain
+
+
+def _level_spread(scene: Scene, cut: float) -> float:
+    """Standard deviation that the trimming of the levels before ``cut`` gives the mean square after it."""
+    s, white = scene.surrogate, scene.loop.white
+    groups = [g for g in LEVEL_GROUPS if s.use[:, list(g)].any()]
+    late = s.t > cut
+    count = int(scene.loop.use[late].sum())
+    if not groups or not count:
+        return 0.0
+    _, information = level_scores(s.until(cut), white[~late], np.zeros((int((~late).sum()), 6)), groups)
+    slope = np.array([float(np.einsum("kii->", d)) for d in level_derivatives(s.R[late], white[late], groups)]) / count
+    return math.sqrt(float(slope @ np.linalg.solve(information + np.eye(len(groups)), slope)))
 
 
 def _log_volume(scene: Scene, cut: float) -> float:
@@ -424,6 +440,11 @@ def again_with_processes(
     some = {name: data for name, data in parts.items() if name in touched}
     fresh = dict(fast_effects(some, replace(nominal, beliefs=beliefs), threshold, without, lambda _: None))
     return [(name, fresh.get(name, r)) for name, r in fast]
+
+
+def vibrates(result: static_log.AxisResult) -> bool:
+    """Whether a vibration is among the effects of an axis, and not one that a later effect replaced."""
+    return any(f.chosen.effect.startswith("vibration") for f in result.found)
 
 
 def without_tones(data: Reduced, explanation: Explanation) -> Reduced:
@@ -504,7 +525,7 @@ def find_dynamic_gap(
     steps = [_step(f, named) for f in named.found]
     steps += [*static_log.merged_steps(dict(fast)), *noticed]
     steps.sort(key=lambda s: -s.gain_nats)
-    outsider = named.outsider or next((r.outsider for _, r in fast if r.outsider), "")
+    outsider = named.outsider or next((r.outsider for _, r in fast if r.outsider and vibrates(r)), "")
     unexplained = bool(outsider) or any(w.p_value < OMNIBUS for w in rest)
     verdict: VerdictName = "nothing missing"
     if unexplained:

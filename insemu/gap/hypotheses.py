@@ -464,7 +464,7 @@ def covariance_hypotheses(
         top = max(tried, key=lambda f: f.gain)
         values = tuple(Value(*v) for v in top.values)
         out.append(Hypothesis(effect, "gnss", top.axes, pooled(tried), values, noise=top))
-    if "gnss_outliers" not in skip:
+    if "gnss_outliers" not in skip and scene.noise is None:
         out += gnss_outliers(scene, nu, cut)
     return out
 

@@ -154,21 +154,26 @@ def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], le
     lever = np.array(nominal.gnss.lever_arm)
     result = _run(imu, gnss, start, beliefs, lever)
     prepared = Prepared(imu, gnss, result, beliefs, fast, lever, np.ones(6), start, nominal)
-    return trimmed(prepared, Loop.of(result), Surrogate.of(result))[0]
+    for _ in range(2):
+        loop = Loop.of(prepared.result)
+        factors = trimmed_factors(prepared, loop, Surrogate.of(prepared.result), loop.y.reshape(-1, 6))
+        if not np.max(np.abs(np.log(factors / prepared.factors))) > 0.02:
+            break
+        prepared = prepared.again(factors=factors)
+    return prepared
 
 
-def trimmed(prepared: Prepared, loop: Loop, surrogate: Surrogate, y: Array | None = None) -> tuple[Prepared, bool]:
-    """Levels of the fixes moved to their most likely values inside the tolerance; and whether they moved enough to run the filter again.
+def trimmed_factors(prepared: Prepared, loop: Loop, surrogate: Surrogate, y: Array) -> Array:
+    """Levels of the fixes (6,) moved towards their most likely values inside the tolerance.
 
     Parameters
     ----------
-    y : (f, 6) array, optional
+    y : (f, 6) array
         Whitened innovations less what is explained.
     """
-    y = loop.y.reshape(-1, 6) if y is None else y
     groups = [list(g) for g in LEVEL_GROUPS if surrogate.use[:, list(g)].any()]
     if not groups:
-        return prepared, False
+        return prepared.factors
     score, information = level_scores(surrogate, loop.white, y, groups)
     # a weak pull towards the nominal level keeps a level that the innovations do not show
     move = np.linalg.solve(information + np.eye(len(groups)), score)
@@ -177,9 +182,7 @@ def trimmed(prepared: Prepared, loop: Loop, surrogate: Surrogate, y: Array | Non
     for g, m in zip(groups, move, strict=True):
         middle = np.log(prepared.levels[g])
         factors[g] = np.exp(np.clip(np.log(factors[g]) + np.clip(m, -0.3, 0.3), middle - edge, middle + edge))
-    if np.max(np.abs(np.log(factors / prepared.factors))) < 0.02:
-        return prepared, False
-    return prepared.again(factors=factors), True
+    return factors
 
 
 def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, GnssRecord, NavState, InitialSigma]:

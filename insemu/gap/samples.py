@@ -160,6 +160,7 @@ def clipped(rates: Array) -> tuple[float, NDArray[np.bool_], float] | None:
 
     Noise never repeats an extreme value exactly; a lattice does, but then its neighbours are as crowded as the extreme.
     """
+    coarse = lattice(rates[1:]) > 0.0
     noise = 1.4826 * float(np.median(np.abs(np.diff(rates)))) + 1e-300
     at = np.zeros(rates.size, dtype=bool)
     limits = []
@@ -169,7 +170,7 @@ def clipped(rates: Array) -> tuple[float, NDArray[np.bool_], float] | None:
         pile = x >= top - 1e-9 * abs(top)
         count = int(pile.sum())
         near = int(np.sum((x < top - 1e-9 * abs(top)) & (x > top - 3.0 * noise)))
-        if count >= FEWEST_CLIPPED and 4 * count > near and count < 0.5 * rates.size and top > 0.0:
+        if count >= FEWEST_CLIPPED and (4 * count > near or not coarse) and count < 0.5 * rates.size and top > 0.0:
             at |= pile
             limits.append(top)
     if not limits or max(limits) > 1.2 * min(limits):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from insemu import earth, rotation
 from insemu.gap.innovations import Block, Field, knot_times
-from insemu.gap.preparation import Prepared, trimmed
+from insemu.gap.preparation import Prepared, trimmed_factors
 from insemu.gap.signatures import (
     Column,
     Loop,
@@ -207,16 +207,21 @@ class Scene:
 
     def trimmed(self, blocks: Sequence[Block], cut: float | None = None) -> Scene:
         """The scene with the levels of the fixes at their most likely values inside the tolerance, given what is explained."""
-        if self.noise is not None:
-            return self
-        y = self.full_y
-        explained = self.explained(blocks)
-        if explained is not None:
-            y = y - explained
-        use = self.surrogate if cut is None else self.surrogate.until(cut)
-        k = use.t.size
-        moved, changed = trimmed(self.original, self.loop.until(k), use, y[:k])
-        return self.rebuilt(factors=moved.factors) if changed else self
+        scene = self
+        for _ in range(3):
+            if scene.noise is not None:
+                break
+            y = scene.full_y
+            explained = scene.explained(blocks)
+            if explained is not None:
+                y = y - explained
+            use = scene.surrogate if cut is None else scene.surrogate.until(cut)
+            k = use.t.size
+            moved = trimmed_factors(scene.original, scene.loop.until(k), use, y[:k])
+            if not np.max(np.abs(np.log(moved / scene.original.factors))) > 0.02:
+                break
+            scene = scene.rebuilt(factors=moved)
+        return scene
 
     def explained(self, blocks: Sequence[Block]) -> Array | None:
         """What blocks explain of the whitened innovations as they are after corrections, (f, 6)."""

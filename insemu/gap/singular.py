@@ -20,6 +20,10 @@ Array = NDArray[np.float64]
 
 #: A candidate this far below nothing is not looked at more closely, nats.
 LOST_NATS = 4.0
+#: Share of the median power below which a spectrum is not whitened.
+LEAST_POWER = 1e-3
+#: Samples at either end that the whitening of a steep spectrum spoils, because a discrete transform is periodic.
+WRAPPED = 32
 #: What regular manoeuvres can leave at a single frequency of the fast band, nats.
 MANOEUVRE_NATS = 15.0
 
@@ -50,10 +54,17 @@ def whitened(state: AxisState) -> Array:
             return r / (1.4826 * max(float(np.median(np.abs(r))), 1e-300))
         y = np.fft.rfft(data.values - data.values.mean())
         f, S = _spectral_weight(state.explanation, n, data.dt)
+        # beyond an output filter there is nothing but what leaks there: it must not be blown up
+        least = LEAST_POWER * float(np.median(S))
+        steep = bool((S < least).any())
+        S = np.maximum(S, least)
         gain = np.zeros(y.size)
         lowest = data.f[0] if data.f.size else 0.0
         gain[1:] = np.where(f >= lowest, np.sqrt(data.dt / S), 0.0)
-        return np.asarray(np.fft.irfft(y * gain, n)) / math.sqrt(max(1.0 - 2.0 * lowest * data.dt, 0.1))
+        out = np.asarray(np.fft.irfft(y * gain, n)) / math.sqrt(max(1.0 - 2.0 * lowest * data.dt, 0.1))
+        if steep:
+            out[:WRAPPED] = out[-WRAPPED:] = 0.0  # where the last sample meets the first
+        return out
 
     return _memo(state, "whitened", make)
 

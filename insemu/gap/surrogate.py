@@ -96,6 +96,23 @@ class Surrogate:
         return self.whiten(self.nu[:, :, None], factor, colour)[1]
 
 
+def level_derivatives(variance: Array, white: Array, groups: Sequence[Sequence[int]]) -> list[Array]:
+    """Derivatives (k, 6, 6) of the whitened innovation covariances by the logarithm of the fixes' standard deviations, by groups of components.
+
+    Parameters
+    ----------
+    variance : (k, 6) array
+        Believed variances.
+    white : (k, 6, 6) array
+        Inverse Cholesky factors of the innovation covariances.
+    """
+    out = []
+    for rows in groups:
+        half = white[:, :, list(rows)] * np.sqrt(2.0 * variance[:, None, list(rows)])
+        out.append(half @ np.transpose(half, (0, 2, 1)))
+    return out
+
+
 def level_scores(s: Surrogate, white: Array, y: Array, groups: Sequence[Sequence[int]]) -> tuple[Array, Array]:
     """Score and information of the logarithm of the fixes' standard deviations, by groups of components.
 
@@ -113,12 +130,8 @@ def level_scores(s: Surrogate, white: Array, y: Array, groups: Sequence[Sequence
         To first order in the levels; fixes that are wild in the position or the velocity are left out.
     """
     wild = (np.sum(y[:, :3] ** 2, axis=1) > 25.0) | (np.sum(y[:, 3:] ** 2, axis=1) > 25.0)
-    keep = ~wild
-    w, v, variance = white[keep], y[keep], s.R[keep]
-    parts = []
-    for rows in groups:
-        half = w[:, :, rows] * np.sqrt(2.0 * variance[:, None, rows])
-        parts.append(half @ np.transpose(half, (0, 2, 1)))  # derivative of the covariance, whitened
+    v = y[~wild]
+    parts = level_derivatives(s.R[~wild], white[~wild], groups)
     score = np.array([0.5 * float(np.einsum("ki,kij,kj->", v, d, v) - np.einsum("kii->", d)) for d in parts])
     information = np.array([[0.5 * float(np.einsum("kij,kij->", a, b)) for b in parts] for a in parts])
     return score, information

@@ -76,6 +76,10 @@ def track_figure(flight: Flight, track: SmoothedTrack | None = None) -> Figure:
             ax.plot(t, values, color=color, lw=1.0, label=name)
         for start, duration in flight.outages:
             ax.axvspan(start, start + duration, color=_RED, alpha=0.15, lw=0)
+        low, high = ax.get_ylim()
+        if high - low < 1.0:  # nothing happens: do not blow up rounding
+            ax.set_ylim(0.5 * (low + high) - 0.5, 0.5 * (low + high) + 0.5)
+        ax.ticklabel_format(axis="y", useOffset=False)
         ax.set_ylabel(label)
         ax.grid(alpha=0.3)
         axes.append(ax)

@@ -191,9 +191,18 @@ class RecordedSignal(Section):
         default=None,
         description="which piece each realization takes, counted from 0 over all files; the natural order where absent",
     )
-    remove_mean: Literal["record", "piece", "none"] = Field(
-        default="record", description="what the mean is taken over and removed"
+    remove_mean: Literal["record", "piece", "none"] | tuple[Seconds, Seconds] = Field(
+        default="record",
+        description="what the mean is taken over and removed; [from, to]: a span of every record, counted after the warm-up",
     )
+
+    @field_validator("remove_mean", mode="before")
+    @classmethod
+    def _known_span(cls, value: Any) -> Any:
+        known = ("record", "piece", "none")
+        if value in known or (isinstance(value, list | tuple) and len(value) == 2):
+            return value
+        raise InputError(f"found {value!r}, expected one of: {', '.join(known)}; or a span [from, to]")
 
 
 def _models(value: Mapping[str, Any], kind: type[Section]) -> dict[str, Any]:

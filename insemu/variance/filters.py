@@ -1,9 +1,9 @@
 """Wavelet filters by name, in MODWT scaling, each of which satisfies equation (3) of paper 000 to rounding.
 
 Families: ``haar``; Daubechies ``d4``..``d20``; least asymmetric ``la8``..``la20``; Fejer-Korovkin ``fk4``..``fk22`` (Nielsen
-2001; published tables); best localized ``bl14``, ``bl20`` (published tables; some programs print them under the name Battle-Lemarie);
-Battle-Lemarie spline wavelets ``battle2`` (linear) and ``battle4`` (cubic), computed and truncated; minimum bandwidth ``mb4``..``mb24``
-(Morris and Peravali 1999; published tables).
+2001; published tables, ``fk18`` computed by the construction that gives the others); best localized ``bl14``, ``bl20`` (published
+tables; some programs print them under the name Battle-Lemarie); Battle-Lemarie spline wavelets ``battle2`` (linear) and ``battle4``
+(cubic), computed and truncated; minimum bandwidth ``mb4``..``mb24`` (Morris and Peravali 1999; published tables).
 
 Tables of few digits and truncated filters are moved to the nearest filter that satisfies the conditions exactly.
 """
@@ -70,7 +70,7 @@ FILTERS: tuple[str, ...] = (
     "haar",
     *(f"d{k}" for k in range(4, 21, 2)),
     *(f"la{k}" for k in range(8, 21, 2)),
-    *(f"fk{k}" for k in (4, 6, 8, 14, 22)),
+    *(f"fk{k}" for k in (4, 6, 8, 14, 18, 22)),
     "bl14",
     "bl20",
     "battle2",
@@ -89,6 +89,8 @@ def _scaling(name: str) -> tuple[float, ...]:
         g = np.full(2, np.sqrt(0.5))
     elif name in _TABLES:
         g = np.array(_TABLES[name])
+    elif name.startswith("fk"):
+        g = fejer_korovkin(int(name.removeprefix("fk")))
     elif name.startswith("battle"):
         g = _battle_lemarie(int(name.removeprefix("battle")))
     else:
@@ -117,6 +119,25 @@ def _nearest_orthonormal(g: Array) -> Array:
             break
         g -= np.linalg.lstsq(np.array(rows), np.array(residual), rcond=1e-12)[0]
     return g
+
+
+def fejer_korovkin(length: int) -> Array:
+    """Scaling filter of unit energy and even length (6 or more) from the ideal half band smoothed by the Fejer-Korovkin kernel.
+
+    The squared magnitude has the ideal filter's odd cosine coefficients times the kernel's, scaled to vanish at half the rate; the filter is its
+    factor of minimum phase (Nielsen 2001).
+    """
+    k = np.arange(1, length, 2)
+    n = length + 2
+    kernel = ((n - k + 1) * np.sin((k + 1) * np.pi / n) - (n - k - 1) * np.sin((k - 1) * np.pi / n)) / np.sin(np.pi / n)
+    odd = kernel * np.sin(0.5 * np.pi * k) / k
+    power = np.zeros(2 * length - 1)
+    power[length - 1] = 1.0
+    power[length - 1 + k] = power[length - 1 - k] = 0.5 * odd / odd.sum()
+    # the double zero at half the rate is known; the others come in pairs inside and outside the unit circle
+    roots = np.roots(np.polydiv(power, np.array([1.0, 2.0, 1.0]))[0])
+    g = np.real(np.poly(np.append(np.sort_complex(roots[np.argsort(np.abs(roots))][: length - 2]), -1.0)))
+    return np.asarray(g / np.sqrt(np.sum(g * g)))
 
 
 def _battle_lemarie(order: int) -> Array:

@@ -42,8 +42,9 @@ _MISFIT = 0.1
 #: What a straight description may miss an octave by, relatively, before it counts as wrong (filters roll off at the first octaves).
 _ROLL_OFF = 0.003
 
-#: How much closer a Markov noise must follow the curve than power laws alone to be believed, in chi-square.
-_MARKOV = 2.5
+#: How much closer, in chi-square, a Markov noise must follow the curve than power laws alone to be believed: in place of the random
+#: walk, whose limit it is, and beside it, where many time constants have their chance.
+_INSTEAD, _BESIDE = 2.5, 9.0
 
 #: Growth of chi-square at the end of a 95 % interval, and without a coefficient that is to count as visible (2.5 standard deviations).
 _CHI_SQUARE, _VISIBLE = 3.84, 6.25
@@ -173,7 +174,7 @@ def _power_laws(curve: AllanVariance, noise: NoiseType) -> NoiseType | None:
     """The simplest description, power laws alone, where nothing speaks against it; else None.
 
     A comb of Markov noises follows every chance bend of the longest times, so that a straight part has no straight slope any more. Power laws
-    must follow the curve within its scatter (1 % level), and one Markov noise beside or in place of the random walk must not do so
+    must follow the curve within its scatter (1 % level), and one Markov noise in place of the random walk or beside it must not do so
     clearly better.
     """
     use = curve.edof >= 1.2
@@ -200,8 +201,13 @@ def _power_laws(curve: AllanVariance, noise: NoiseType) -> NoiseType | None:
     freedom = value.size - np.count_nonzero(weights)
     if freedom < 3 or distance > chdtri(freedom, 0.01):
         return None
+    walkless = [law for law in laws if law[0] != "RW"]
     for tc in 2.0 ** np.arange(0.0, np.log2(m[-1]) + 1.0):
-        if best([*laws, ("GM", float(tc))], level)[0] < distance - _MARKOV:
+        markov = ("GM", float(tc))
+        if (
+            best([*walkless, markov], level)[0] < distance - _INSTEAD
+            or best([*laws, markov], level)[0] < distance - _BESIDE
+        ):
             return None
     parts = [(*law, float(w)) for law, w in zip(laws, weights, strict=True) if w > 0]
     return NoiseType(parts, np.zeros((len(parts), 0)))
