@@ -18,12 +18,11 @@ from insemu.gap.static_log import THRESHOLD, find_static_gap
 from insemu.gap.timing import find_offset
 from insemu.gap.vehicle import Mounted, find_mounting
 from insemu.gap.verdict import GapReport, Interval, Step, Value, VerdictName
-from insemu.noise import NoiseModel
 from insemu.records import AXES, Recording
 
 #: Effects of the fixes and of timing that together are worth more are held against the recording again once they are known: the strong ones
 #: bend what the search sees of the others, of noise levels above all.
-STRONG_NATS, MOST_PASSES = 150.0, 3
+STRONG_NATS, MOST_PASSES = 150.0, 2
 #: A level of noise that is right within this factor is the nominal one.
 SAME_LEVEL = 1.22
 
@@ -198,6 +197,8 @@ def _closer(report: GapReport, more: GapReport) -> GapReport:
     changed = False
     for m in more.steps:
         k = next((k for k, s in enumerate(steps) if (s.effect, s.sensor) == (m.effect, m.sensor)), None)
+        if k is None and m.sensor not in ("gnss", "imu") and m.effect not in _ADDED:
+            continue  # what the IMU shows above its motion was searched once; more of it would only chase what changes with time
         if k is None:
             steps.append(m)
         elif m.sensor in ("gnss", "imu") or m.effect in _ADDED:
@@ -205,7 +206,7 @@ def _closer(report: GapReport, more: GapReport) -> GapReport:
         else:
             continue  # more of a process that is named
         changed = True
-    changed = changed or (more.verdict != report.verdict and more.verdict in ("unexplained", "nothing missing"))
+    changed = changed or (more.verdict == "nothing missing" and report.verdict == "unexplained")
     if not changed:
         return report
     steps = sorted((s for s in map(_pruned, steps) if s is not None), key=lambda s: -s.gain_nats)
@@ -213,20 +214,13 @@ def _closer(report: GapReport, more: GapReport) -> GapReport:
     if verdict != "unexplained" and steps:
         verdict = "class" if steps[0].is_class else "named"
         steps = [_settled(s) for s in steps]
-    return replace(report, verdict=verdict, steps=tuple(steps), after=more.after, refined=_refined(report, more))
+    return replace(report, verdict=verdict, steps=tuple(steps), after=more.after)
 
 
 #: Deterministic effects of a sensor whose values add up.
 _ADDED = frozenset(
     {"turn_on_bias", "scale_factor", "scale_asymmetry", "misalignment", "g_sensitivity", "temperature", "ramp"}
 )
-
-
-def _refined(report: GapReport, more: GapReport) -> dict[str, NoiseModel]:
-    """Noise of the last pass where it found a process of another kind, else as it was."""
-    known = {(s.effect, s.sensor) for s in report.steps}
-    new = any((s.effect, s.sensor) not in known and s.sensor in ("gyro", "accel") for s in more.steps)
-    return dict(more.refined) if new else report.refined
 
 
 def _corrected(old: Step, new: Step) -> Step:

@@ -592,7 +592,12 @@ def _curves(result: AxisResult, nominal: Explanation, rng: np.random.Generator) 
     """Wavelet variance measured, believed and refined, and the spectrum: what the page draws."""
     start, end = result.start, result.end
     rows = disagreement.wavelet_p_values(start.data, start.explanation, rng)
-    refined = disagreement.wavelet_p_values(end.data, replace(end.explanation, regressors=()), rng)
+    left = end.data
+    if end.explanation.regressors:
+        mean, _ = end.likelihood.coefficients(end.explanation)
+        known = np.hstack([r.columns for r in end.explanation.regressors]) @ mean
+        left = replace(left, differences=np.asarray(left.differences - known))
+    refined = disagreement.wavelet_p_values(left, replace(end.explanation, regressors=()), rng)
     return {
         "unit": start.data.unit,
         "tau_s": [r[0] for r in rows],
