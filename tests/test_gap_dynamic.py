@@ -8,24 +8,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.signal import butter, group_delay, sosfilt
 
 from insemu.effects import EffectUse
 from insemu.emulate import built_in, corrupt, gnss_fixes, ideal_imu
 from insemu.errors import InputError
 from insemu.filters import FilterOptions, FilterResult, InitialSigma, run_filter
 from insemu.gap import Nominal, find_gap
-from insemu.gap.dynamic import without_tones
-from insemu.gap.evidence import Explanation
+from insemu.gap.evidence import Explanation, Rolloff
 from insemu.gap.innovations import Field, gauss_markov_root, quadratic_evidence, random_walk_root
 from insemu.gap.preparation import without_motion
 from insemu.gap.reduced import Reduced, moving_spectrum
-from insemu.gap.samples import mend
+from insemu.gap.samples import advanced, mend
 from insemu.gap.signatures import Loop, Motion, columns_response, deterministic_columns, fix_columns, knot_response
 from insemu.gap.surrogate import Surrogate
+from insemu.gap.tones import wandering, without_tones
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Gnss, Initial
 
+Array = NDArray[np.float64]
 BELIEF = {a: NoiseModel((WN(1e-4), RW(1e-6)) if a.startswith("gyro") else (WN(1e-3), RW(1e-5))) for a in AXES}
 LEVER = (0.5, 0.1, -1.0)
 DURATION = 240.0
@@ -242,6 +245,57 @@ def test_several_tones_are_a_vehicle_and_one_is_a_sensor() -> None:
         data = Reduced("gyro_x", "rad/s", dt, noise + signal, 1, np.zeros(0), f, power, dof)
         out = without_tones(data, Explanation.nominal(belief))
         assert (out is data) == kept
+
+
+def axis_part(name: str, values: Array, dt: float) -> Reduced:
+    values = without_motion(values, dt, 4.8)
+    return Reduced(name, "rad/s", dt, values, 1, np.zeros(0), *moving_spectrum(values, dt, 8.0))
+
+
+def test_a_tone_that_wanders_on_one_axis_is_seen_and_hum_lines_and_bands_are_not() -> None:
+    rng, dt = np.random.default_rng(6), 0.02
+    t = np.arange(18_000) * dt
+    noise = {name: rng.standard_normal(t.size) for name in AXES}
+    sweep = np.sin(2.0 * np.pi * (10.0 * t + 0.5 * 10.0 / t[-1] * t**2))
+    line = np.sin(2.0 * np.pi * 15.0 * t)
+    band = butter(2, [14.5, 15.5], "bandpass", fs=1.0 / dt, output="sos")
+    shaking = sosfilt(band, 8.0 * rng.standard_normal(t.size))
+
+    def seen(**added: Array) -> dict[str, tuple[float, float]]:
+        return wandering({name: axis_part(name, noise[name] + added.get(name, 0.0), dt) for name in AXES})
+
+    found = seen(gyro_y=sweep)
+    assert list(found) == ["gyro_y"]
+    low, high = found["gyro_y"]
+    assert abs(low - 10.0) < 1.0
+    assert abs(high - 20.0) < 1.0
+    assert not seen()
+    assert not seen(gyro_y=line)
+    assert not seen(gyro_y=shaking)
+    assert not seen(gyro_y=sweep, accel_x=0.8 * sweep, accel_z=1.5 * sweep)
+
+
+def test_the_delay_of_a_low_pass_is_that_of_its_filter() -> None:
+    dt = 0.01
+    for order, corner in ((1, 8.0), (2, 12.0), (4, 30.0)):
+        _, late = group_delay(butter(order, corner * 2.0 * dt), w=[1e-3])
+        assert Rolloff("butterworth", (corner, float(order)), ()).delay(dt) == pytest.approx(late[0] * dt, rel=1e-3)
+    _, late = group_delay((np.full(7, 1.0 / 7.0), 1.0), w=[1e-3])
+    assert Rolloff("moving average", (1.0 / (7 * dt),), ()).delay(dt) == pytest.approx(late[0] * dt, rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["increment", "mean"])
+def test_a_sensor_is_set_forward_by_a_delay(kind: str) -> None:
+    dt, by = 0.01, 0.0137
+    t = np.arange(1, 2001) * dt
+    # means over the interval before each stamp
+    wave = np.column_stack([np.sin(a * t) for a in (1.0, 4.0, 9.0)])
+    later = np.column_stack([np.sin(a * (t + by)) for a in (1.0, 4.0, 9.0)])
+    width = dt if kind == "increment" else 1.0
+    imu = ImuRecord(t, wave * width, wave * width, kind)
+    out = advanced(imu, "gyro", by)
+    np.testing.assert_allclose(out.gyro[5:-5], later[5:-5] * width, atol=1e-5 * width)
+    np.testing.assert_array_equal(out.accel, imu.accel)
 
 
 def test_roots_have_the_covariance_of_their_process() -> None:

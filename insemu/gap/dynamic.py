@@ -16,7 +16,7 @@ from insemu.gap import singular as _registers  # noqa: F401
 from insemu.gap import static_log
 from insemu.gap.candidates import CANDIDATES, AxisState
 from insemu.gap.disagreement import corrected
-from insemu.gap.evidence import LEVEL_UNCERTAINTY, Explanation, Likelihood, fit
+from insemu.gap.evidence import LEVEL_UNCERTAINTY, Likelihood, fit
 from insemu.gap.hypotheses import (
     ONCE,
     PROCESSES,
@@ -35,11 +35,13 @@ from insemu.gap.hypotheses import (
 from insemu.gap.innovations import Block, Field
 from insemu.gap.known import colour_of, of_axis, settled, starting_explanation, without_drawn
 from insemu.gap.nominal import Nominal
-from insemu.gap.preparation import LEVEL_GROUPS, fast_parts, prepare
-from insemu.gap.reduced import Reduced, reduce_again
-from insemu.gap.samples import mend, with_counts
+from insemu.gap.preparation import LEVEL_GROUPS, Prepared, fast_parts, fixes_score, prepare
+from insemu.gap.reduced import Reduced
+from insemu.gap.samples import advanced, mend, with_counts
 from insemu.gap.scene import Scene, first_rows
+from insemu.gap.static_log import split_axis
 from insemu.gap.surrogate import NED, FixNoise, joint_noise, level_derivatives, level_scores
+from insemu.gap.tones import wandering, without_tones
 from insemu.gap.verdict import GapReport, Interval, Member, Step, Value, VerdictName, Where
 from insemu.noise import BI, GM, RW, WN, NoiseModel
 from insemu.records import AXES, Recording
@@ -63,6 +65,8 @@ FAST = (
     "outliers",
 )
 OMNIBUS = 0.001
+#: What a tone of one axis is called that changes its frequency.
+WANDERING = "a tone whose frequency wanders"
 #: What manoeuvres leave in the fast band is worth some nats, so effects there must be worth more.
 FAST_THRESHOLD = 10.0
 #: By how much structure outside the catalogue must beat it: it is tried shape by shape, without the effects it could be confused with.
@@ -399,11 +403,18 @@ def fast_effects(
     """Effects that the IMU shows above its motion, axis by axis."""
     out = []
     excluded = {name for name in CANDIDATES if name not in FAST} | set(without)
+    moving = wandering(parts)
     for name, data in parts.items():
         if not data.f.size:
             continue
         given = of_axis(nominal.effects, name)
         explanation = starting_explanation(nominal.beliefs[name], given, data.dt)
+        if name in moving:
+            # no stationary process explains it, and what the search would name instead only chases it
+            state = AxisState(data, fit(Likelihood(data), explanation))
+            low, high = moving[name]
+            out.append((name, static_log.AxisResult(state, state, (), f"{WANDERING}, {low:.3g} to {high:.3g} Hz")))
+            continue
         data = without_tones(data, fit(Likelihood(data), explanation).explanation)
         state = AxisState(data, fit(Likelihood(data), explanation))
         state = without_drawn(replace(state, named=tuple(n for n in settled(given) if n == "quantization")), given)
@@ -416,6 +427,32 @@ def fast_effects(
             )
         )
     return out
+
+
+def without_delay(
+    recording: Recording,
+    nominal: Nominal,
+    parts: dict[str, Reduced],
+    levels: dict[str, float],
+    fast: Mapping[str, static_log.AxisResult],
+) -> tuple[Prepared, Recording, dict[str, float]]:
+    """The nominal filter on sensors set forward by the delay of the low-pass that the fast band shows, sensor by sensor in s.
+
+    A low-pass may be causal (it delays) or its delay may have been taken off in the unit already; the innovations say which.
+    """
+    best = prepare(recording, nominal, parts, levels)
+    late: dict[str, float] = {}
+    for sensor in ("gyro", "accel"):
+        roll = [fast[f"{sensor}_{a}"].end.explanation.rolloff for a in "xyz" if f"{sensor}_{a}" in fast]
+        delays = [r.delay(recording.imu.dt) for r in roll if r is not None]
+        if not delays:
+            continue
+        delay = float(np.median(delays))
+        moved = replace(recording, imu=advanced(recording.imu, sensor, delay))
+        tried = prepare(moved, nominal, parts, levels)
+        if fixes_score(tried.result.fixes) > fixes_score(best.result.fixes):
+            best, recording, late[sensor] = tried, moved, delay
+    return best, recording, late
 
 
 def again_with_processes(
@@ -447,31 +484,6 @@ def vibrates(result: static_log.AxisResult) -> bool:
     return any(f.chosen.effect.startswith("vibration") for f in result.found)
 
 
-def without_tones(data: Reduced, explanation: Explanation) -> Reduced:
-    """The axis without tones that come in company: a line of the sensor stands alone, what a vehicle hums does not.
-
-    A tone counts where the periodogram stands out by more than noise does anywhere; a single one, or one that towers over the others, stays.
-    """
-    n, dt = data.values.size, data.dt
-    z = np.fft.rfft(data.values - data.values.mean())
-    f = np.arange(z.size) / (n * dt)
-    inside = (f >= data.f[0]) & (f <= data.f[-1])
-    ratio = np.zeros(z.size)
-    ratio[inside] = np.abs(z[inside]) ** 2 * dt / n / explanation.psd(f[inside], dt)
-    limit = math.log(n) + 6.0
-    loud = np.flatnonzero(ratio > limit)
-    if not loud.size:
-        return data
-    first = int(np.argmax(ratio))
-    # sidelobes of the loudest fall with the square of the distance
-    apart = np.abs(loud - first)
-    others = loud[(apart > 3) & (ratio[loud] > 4.0 * ratio[first] / np.maximum(apart, 1.0) ** 2)]
-    if not others.size or float(ratio[others].max()) < 0.1 * ratio[first]:
-        return data
-    z[loud] *= np.sqrt(1.0 / ratio[loud])
-    return reduce_again(data, np.fft.irfft(z, n))
-
-
 def find_dynamic_gap(
     recording: Recording,
     nominal: Nominal,
@@ -501,7 +513,7 @@ def find_dynamic_gap(
     levels = {
         name: v.value for name, r in fast for f in r.found if f.chosen.effect == "white_noise" for v in f.chosen.values
     }
-    prepared = prepare(recording, nominal, parts, levels)
+    prepared, recording, late = without_delay(recording, nominal, parts, levels, dict(fast))
     say("responding every effect through the filter")
     scene = Scene.of(prepared)
     colour = colour_of(nominal.effects)
@@ -515,7 +527,7 @@ def find_dynamic_gap(
         say("scoring on held-out fixes")
         cut = float(scene.motion.t[0] + static_log.NAMING_SHARE * (scene.motion.t[-1] - scene.motion.t[0]))
         first = find_effects(scene, cut, threshold, without, lambda _: None)
-        plain = Scene.of(prepare(whole, believed, parts, levels)) if noticed else scene
+        plain = Scene.of(prepare(whole, believed, parts, levels)) if noticed or late else scene
         before, after, held = held_out(plain, first, cut)
     where = corrected(disagreement_tests(scene, scene.data.y))
     final, blocks = believing(named)
@@ -525,16 +537,21 @@ def find_dynamic_gap(
     steps = [_step(f, named) for f in named.found]
     steps += [*static_log.merged_steps(dict(fast)), *noticed]
     steps.sort(key=lambda s: -s.gain_nats)
-    outsider = named.outsider or next((r.outsider for _, r in fast if r.outsider and vibrates(r)), "")
-    unexplained = bool(outsider) or any(w.p_value < OMNIBUS for w in rest)
+    loose = [
+        Where(r.outsider, *split_axis(name), None, 0.0)
+        for name, r in fast
+        if r.outsider and (vibrates(r) or r.outsider.startswith(WANDERING))
+    ]
+    if named.outsider:
+        loose.insert(0, Where(named.outsider, "", "", None, 0.0))
+    unexplained = bool(loose) or any(w.p_value < OMNIBUS for w in rest)
     verdict: VerdictName = "nothing missing"
     if unexplained:
         verdict = "unexplained"
         steps = [replace(s, confidence=min(s.confidence, 0.5)) for s in steps]
     elif steps:
         verdict = "class" if steps[0].is_class else "named"
-    if outsider:
-        rest = (Where(outsider, "", "", None, 0.0), *rest)
+    rest = (*loose, *rest)
     refined = dict(believed.beliefs)
     for s in steps:
         refined = _refine(refined, s)

@@ -107,6 +107,19 @@ class Rolloff:
         exponent = np.minimum(2.0 * self.values[1] * np.log(ratio), 300.0)
         return np.asarray(1.0 / (1.0 + np.exp(exponent)) + 1e-6)
 
+    def delay(self, dt: float) -> float:
+        """By how much a causal filter of this gain is late for slow signals, s."""
+        corner = self.values[0]
+        if self.kind == "moving average":
+            return max(0.5 * (1.0 / corner - dt), 0.0)
+        if self.kind == "triangular window":
+            return max(1.0 / corner - dt, 0.0)
+        if self.kind == "exponential":
+            phi = math.exp(-2.0 * math.pi * corner * dt)
+            return dt * phi / (1.0 - phi)
+        edge = 2.0 / dt * math.tan(math.pi * min(corner * dt, 0.499))
+        return 1.0 / (edge * math.sin(0.5 * math.pi / max(self.values[1], 1.0)))
+
 
 @dataclass(frozen=True)
 class Regressors:

@@ -10,7 +10,7 @@ from scipy import signal
 
 from insemu import earth, rotation
 from insemu.errors import InputError
-from insemu.filters import FilterOptions, FilterResult, InitialSigma, run_filter
+from insemu.filters import FilterOptions, FilterResult, FixTable, InitialSigma, run_filter
 from insemu.gap.evidence import LEVEL_UNCERTAINTY, Explanation, Likelihood, fit
 from insemu.gap.nominal import Nominal
 from insemu.gap.reduced import Reduced, moving_spectrum
@@ -161,6 +161,17 @@ def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], le
             break
         prepared = prepared.again(factors=factors)
     return prepared
+
+
+def fixes_score(fixes: FixTable) -> float:
+    """Log score of the innovations of the accepted fixes."""
+    total = 0.0
+    for k in np.flatnonzero(fixes.accepted):
+        rows = np.isfinite(fixes.innovation[k])
+        v, S = fixes.innovation[k][rows], fixes.S[k][np.ix_(rows, rows)]
+        if v.size:
+            total -= 0.5 * (float(v @ np.linalg.solve(S, v)) + float(np.linalg.slogdet(S)[1]))
+    return total
 
 
 def trimmed_factors(prepared: Prepared, loop: Loop, surrogate: Surrogate, y: Array) -> Array:

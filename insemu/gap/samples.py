@@ -93,6 +93,24 @@ def with_counts(beliefs: dict[str, NoiseModel], steps: Sequence[Step], dt: float
     return out
 
 
+def advanced(imu: ImuRecord, sensor: str, by: float) -> ImuRecord:
+    """The record with the samples of one sensor set forward in time; the last ones hold."""
+    from scipy.interpolate import CubicSpline
+
+    values = getattr(imu, sensor)
+    at = np.minimum(imu.t + by, imu.t[-1])
+    if imu.kind != "increment":
+        moved = CubicSpline(imu.t, values)(at)
+    else:
+        # the same angle or velocity, gathered between later instants
+        edges = np.concatenate([[2 * imu.t[0] - imu.t[1]], imu.t])
+        total = np.concatenate([np.zeros((1, 3)), np.cumsum(values, axis=0)])
+        inside = np.minimum(edges + by, edges[-1])
+        moved = np.diff(CubicSpline(edges, total)(inside), axis=0)
+        moved[inside[1:] >= edges[-1]] = values[-1]
+    return replace(imu, gyro=moved) if sensor == "gyro" else replace(imu, accel=moved)
+
+
 def _step(effect: str, sensor: str, axes: tuple[str, ...], values: tuple[Value, ...], nats: float) -> Step:
     return Step(effect, "samples", sensor, axes, values, 0.999, nats, (Member(effect, sensor, axes, nats),))
 

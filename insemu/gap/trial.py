@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from insemu.effects import EFFECTS, EffectUse
 from insemu.emulate import corrupt
 from insemu.errors import InputError
-from insemu.gap.dynamic import find_dynamic_gap
 from insemu.gap.hidden_drives import (
     DYNAMIC_EFFECTS,
     OUTSIDE,
@@ -34,6 +33,7 @@ from insemu.gap.hidden_drives import (
     stage,
     whitened_difference,
 )
+from insemu.gap.identify import find_gap
 from insemu.gap.preparation import fast_parts, prepare
 from insemu.gap.static_log import NAMING_SHARE, find_static_gap
 from insemu.gap.verdict import GapReport
@@ -312,7 +312,7 @@ def run_dynamic(
     else:
         recording = s.record(uses)
     started = time.process_time()
-    report = find_dynamic_gap(recording, s.nominal, rng=np.random.default_rng([seed, 4]), hold_out=hold_out)
+    report = find_gap(recording, s.nominal, rng=np.random.default_rng([seed, 4]), hold_out=hold_out)
     seconds = time.process_time() - started
     held = math.nan
     if uses and not outside:
