@@ -16,7 +16,7 @@ from insemu.gap import singular as _registers  # noqa: F401
 from insemu.gap import static_log
 from insemu.gap.candidates import CANDIDATES, AxisState
 from insemu.gap.disagreement import corrected
-from insemu.gap.evidence import LEVEL_UNCERTAINTY, Likelihood, fit
+from insemu.gap.evidence import LEVEL_UNCERTAINTY, Component, Free, Likelihood, fit
 from insemu.gap.hypotheses import (
     ONCE,
     PROCESSES,
@@ -65,6 +65,8 @@ FAST = (
     "outliers",
 )
 OMNIBUS = 0.001
+#: By what factor a slow process may be larger or smaller above the motion than the fixes say.
+LEAK = 10.0
 #: What a tone of one axis is called that changes its frequency.
 WANDERING = "a tone whose frequency wanders"
 #: What manoeuvres leave in the fast band is worth some nats, so effects there must be worth more.
@@ -399,8 +401,9 @@ def fast_effects(
     threshold: float,
     without: Collection[str],
     progress: Callable[[str], None],
+    beside: Mapping[str, Sequence[Component]] | None = None,
 ) -> list[tuple[str, static_log.AxisResult]]:
-    """Effects that the IMU shows above its motion, axis by axis."""
+    """Effects that the IMU shows above its motion, axis by axis, ``beside`` what else is known to be there."""
     out = []
     excluded = {name for name in CANDIDATES if name not in FAST} | set(without)
     moving = wandering(parts)
@@ -409,6 +412,8 @@ def fast_effects(
             continue
         given = of_axis(nominal.effects, name)
         explanation = starting_explanation(nominal.beliefs[name], given, data.dt)
+        for component in (beside or {}).get(name, ()):
+            explanation = explanation.with_component(component)
         if name in moving:
             # no stationary process explains it, and what the search would name instead only chases it
             state = AxisState(data, fit(Likelihood(data), explanation))
@@ -464,18 +469,22 @@ def again_with_processes(
     without: Collection[str],
 ) -> list[tuple[str, static_log.AxisResult]]:
     """What the band above the motion shows where a slow process that was found since reaches into it."""
-    beliefs = dict(nominal.beliefs)
-    touched = set()
+    beside: dict[str, list[Component]] = {}
     for f in named.found:
         for axis in f.chosen.axes if f.chosen.effect in PROCESSES else ():
-            name = f"{f.chosen.sensor}_{axis}"
-            touched.add(name)
-            beliefs[name] = with_process(beliefs[name], f.chosen.effect, {v.name: v.value for v in f.chosen.values})
-    touched &= {name for name, r in fast if r.found}
+            process = with_process(
+                NoiseModel(()), f.chosen.effect, {v.name: v.value for v in f.chosen.values}
+            ).processes[0]
+            # knots tell the slow part; how much of it reaches above the motion is another matter
+            size = PROCESSES[f.chosen.effect]
+            value = process.parameters[size]
+            free = (Free(size, value / LEAK, value * LEAK),)
+            beside.setdefault(f"{f.chosen.sensor}_{axis}", []).append(Component(process, free))
+    touched = set(beside) & {name for name, r in fast if r.found}
     if not touched:
         return fast
     some = {name: data for name, data in parts.items() if name in touched}
-    fresh = dict(fast_effects(some, replace(nominal, beliefs=beliefs), threshold, without, lambda _: None))
+    fresh = dict(fast_effects(some, nominal, threshold, without, lambda _: None, beside))
     return [(name, fresh.get(name, r)) for name, r in fast]
 
 
