@@ -402,8 +402,12 @@ def fast_effects(
     without: Collection[str],
     progress: Callable[[str], None],
     beside: Mapping[str, Sequence[Component]] | None = None,
+    clipped: Collection[str] = (),
 ) -> list[tuple[str, static_log.AxisResult]]:
-    """Effects that the IMU shows above its motion, axis by axis, ``beside`` what else is known to be there."""
+    """Effects that the IMU shows above its motion, axis by axis, ``beside`` what else is known to be there.
+
+    What is left of a clipped stretch after it was rounded off looks like outliers, so axes that were ``clipped`` are not asked for them.
+    """
     out = []
     excluded = {name for name in CANDIDATES if name not in FAST} | set(without)
     moving = wandering(parts)
@@ -427,7 +431,11 @@ def fast_effects(
             (
                 name,
                 static_log.search(
-                    state, threshold=threshold, without=tuple(excluded), progress=progress, outsiders=False
+                    state,
+                    threshold=threshold,
+                    without=(*excluded, *(("outliers",) if name in clipped else ())),
+                    progress=progress,
+                    outsiders=False,
                 ),
             )
         )
@@ -467,6 +475,7 @@ def again_with_processes(
     nominal: Nominal,
     threshold: float,
     without: Collection[str],
+    clipped: Collection[str],
 ) -> list[tuple[str, static_log.AxisResult]]:
     """What the band above the motion shows where a slow process that was found since reaches into it."""
     beside: dict[str, list[Component]] = {}
@@ -484,7 +493,7 @@ def again_with_processes(
     if not touched:
         return fast
     some = {name: data for name, data in parts.items() if name in touched}
-    fresh = dict(fast_effects(some, nominal, threshold, without, lambda _: None, beside))
+    fresh = dict(fast_effects(some, nominal, threshold, without, lambda _: None, beside, clipped))
     return [(name, fresh.get(name, r)) for name, r in fast]
 
 
@@ -518,7 +527,8 @@ def find_dynamic_gap(
     nominal = replace(nominal, beliefs=with_counts(nominal.beliefs, mended.steps, recording.imu.dt))
     recording = replace(recording, imu=mended.imu)
     parts = fast_parts(recording)
-    fast = fast_effects(parts, nominal, max(threshold, FAST_THRESHOLD), without, say)
+    clipped = {f"{s.sensor}_{a}" for s in mended.steps if s.effect == "saturation" for a in s.axes}
+    fast = fast_effects(parts, nominal, max(threshold, FAST_THRESHOLD), without, say, clipped=clipped)
     levels = {
         name: v.value for name, r in fast for f in r.found if f.chosen.effect == "white_noise" for v in f.chosen.values
     }
@@ -542,7 +552,7 @@ def find_dynamic_gap(
     final, blocks = believing(named)
     residual, _ = final.data.residual(blocks)
     rest = corrected(disagreement_tests(final, residual))
-    fast = again_with_processes(fast, named, parts, nominal, max(threshold, FAST_THRESHOLD), without)
+    fast = again_with_processes(fast, named, parts, nominal, max(threshold, FAST_THRESHOLD), without, clipped)
     steps = [_step(f, named) for f in named.found]
     steps += [*static_log.merged_steps(dict(fast)), *noticed]
     steps.sort(key=lambda s: -s.gain_nats)
