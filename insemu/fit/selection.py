@@ -280,7 +280,7 @@ def _discrepancy(
     """
     structure, best, p = min(alive, key=lambda item: item[1].objective)
     spare = max(scale.size - p, 1)
-    if best.objective <= spare + 3.0 * math.sqrt(2.0 * spare):
+    if chdtrc(spare, best.objective) >= CHANCE:  # a fit blurred by a misfit that is none predicts worse
         return 0.0
     fitted = structure.columns(scale / 2.0, best.shapes)[0] @ best.coefficients
     size = np.diag(fitted**2)
