@@ -24,7 +24,7 @@ from insemu.effects import EffectUse
 from insemu.emulate import corrupt
 from insemu.gap import find_static_gap, load_measured
 from insemu.gap.candidates import CANDIDATES, AxisState, state_of
-from insemu.gap.disagreement import wavelet_p_values
+from insemu.gap.disagreement import wavelet_moments
 from insemu.gap.evidence import Explanation
 from insemu.gap.reduced import reduce
 from insemu.gap.sources import static_of
@@ -317,21 +317,32 @@ def real(arguments: argparse.Namespace) -> None:
             print(f"{s.name}, believed white noise from {kind}: {result.outsider}")
             for f in result.found:
                 print(f"   {f.chosen.effect} {f.chosen.variant} {f.chosen.gain:.1f} nats, class {_class(f)}")
+            refined = replace(result.end.explanation, regressors=())
             for run in (0, 1, 2):
                 other = reduce(runs[run][k], data.block)
-                rng = np.random.default_rng(1)
-                before = wavelet_p_values(other, nominal, rng)
-                after = wavelet_p_values(other, replace(result.end.explanation, regressors=()), rng)
-                worse = []
-                scales = 0
-                for (tau, measured, plain, _), (_, _, better, _) in zip(before, after, strict=True):
-                    if tau > 1.0:
-                        scales += 1
-                        old, new = math.log(measured / plain), math.log(measured / better)
-                        if abs(new) > abs(old):
-                            worse.append(f"{tau:.3g} s ({old:+.3f} -> {new:+.3f})")
-                better_at = f"better at {scales - len(worse)} of {scales} scales above 1 s"
-                print(f"   run {run + 1}: {better_at}; worse: {', '.join(worse) or 'none'}", flush=True)
+                before = wavelet_moments(other, nominal, np.random.default_rng(1))
+                after = wavelet_moments(other, refined, np.random.default_rng(1))
+                worse, scales, lost = [], 0, 0
+                for (tau, measured, plain, _), (_, _, better, variance) in zip(before, after, strict=True):
+                    if tau <= 1.0:
+                        continue
+                    scales += 1
+                    old, new = math.log(measured / plain), math.log(measured / better)
+                    # log score of the estimate as a chi-square of the freedom that the refined model gives it, and its sampling spread
+                    half = better**2 / variance
+                    gain = half * (math.log(plain / better) + measured / plain - measured / better)
+                    spread = math.sqrt(half) * abs(measured / plain - measured / better)
+                    lost += gain < -2.0 * spread
+                    if abs(new) > abs(old) or gain < 0.0:
+                        one = 1.0 / math.sqrt(half)
+                        worse.append(
+                            f"{tau:.3g} s (log ratio {old:+.3f} -> {new:+.3f}, sampling {one:.3f}; {gain:+.1f} +- {spread:.1f} nats)"
+                        )
+                print(
+                    f"   run {run + 1}: better at {scales - len(worse)} of {scales} scales above 1 s, worse beyond twice the sampling spread "
+                    f"at {lost}; worse: {', '.join(worse) or 'none'}",
+                    flush=True,
+                )
 
 
 def _class(found: Found) -> list[str]:

@@ -15,6 +15,7 @@ from scipy.signal import butter, lfilter
 from insemu.errors import InputError
 from insemu.gap import find_static_gap, kernel, load_nominal
 from insemu.gap.band import Band
+from insemu.gap.calibration import Tail, certain, tail_of, threshold_of
 from insemu.gap.candidates import CANDIDATES, state_of, turn_on_bias
 from insemu.gap.disagreement import axis_tests
 from insemu.gap.evidence import Explanation, Likelihood, regression_evidence
@@ -421,3 +422,27 @@ def test_likelihood_prefers_the_truth_to_a_wrong_level() -> None:
 
 def test_block_differences_drop_an_incomplete_block() -> None:
     np.testing.assert_allclose(block_differences(np.arange(11.0), 5), [5.0])
+
+
+def test_threshold_of_a_data_set_is_exceeded_as_often_as_stated() -> None:
+    rng = np.random.default_rng(8)
+    tails = [tail_of(-0.3 + 0.9 * rng.exponential(size=4000)) for _ in range(6)]
+    t = threshold_of(tails, 0.0)
+    best = (-0.3 + 0.9 * rng.exponential(size=(20_000, 6))).max(axis=1)
+    assert np.mean(best > t) == pytest.approx(0.02, abs=0.006)
+    assert threshold_of(tails[:1], 0.0) < t < certain(6)
+    assert threshold_of(tails, 9.0) == 9.0
+    # however few the draws, no tail falls off more slowly than Markov's bound
+    assert tail_of(np.array([0.0, 0.0, 0.0, 30.0])).excess <= 1.0
+    assert Tail(0.0, 0.5).exceeds(-1.0) == 0.25
+
+
+def test_a_weak_effect_must_beat_the_best_of_simulated_nominal_logs() -> None:
+    rng = np.random.default_rng(3)
+    axes = [log_of(WN(1e-3).simulate(6000, DT, rng), f"gyro_{a}") for a in "xyz"]
+    beliefs = {s.name: NoiseModel((WN(1e-3),)) for s in axes}
+    plain = find_static_gap(axes, beliefs, rng=rng, hold_out=False, threshold=-0.5, calibrate=False)
+    assert plain.steps  # at half a nat below nothing there is always something
+    calibrated = find_static_gap(axes, beliefs, rng=rng, hold_out=False, threshold=-0.5)
+    assert calibrated.threshold_nats > 0.0
+    assert all(s.gain_nats >= calibrated.threshold_nats for s in calibrated.steps)

@@ -41,12 +41,27 @@ def wavelet_p_values(
 ) -> list[tuple[float, float, float, float]]:
     """Haar wavelet variance of the log against the model's, scale by scale.
 
-    Scales below a block by the sampling variance that the spectrum implies; above, against 1,000 simulated logs (block means drawn with
-    the model's covariance), whose mean and variance fix a chi-square.
-
     Returns
     -------
     list of (scale s, measured, expected, two-sided p-value)
+    """
+    return [
+        (scale, measured, expected, _chi_square_p(measured, expected, variance))
+        for scale, measured, expected, variance in wavelet_moments(data, explanation, rng)
+    ]
+
+
+def wavelet_moments(
+    data: Reduced, explanation: Explanation, rng: np.random.Generator
+) -> list[tuple[float, float, float, float]]:
+    """Haar wavelet variance of the log, and its mean and variance under the model, scale by scale.
+
+    Scales below a block by the sampling variance that the spectrum implies; above, against 1,000 simulated logs (block means drawn with
+    the model's covariance).
+
+    Returns
+    -------
+    list of (scale s, measured, expected, variance of the estimate)
     """
     out = []
     y, dt = data.values, data.dt
@@ -64,7 +79,7 @@ def wavelet_p_values(
         gain = np.sin(m * x) ** 4 / (m * np.sin(x)) ** 2
         expected = 2.0 * float(np.trapezoid(S * gain, lf))
         spread = 2.0 * float(np.trapezoid((S * gain) ** 2, lf)) * 2.0 / (w.size * dt)
-        out.append((2.0 * m * dt, measured, expected, _chi_square_p(measured, expected, spread)))
+        out.append((2.0 * m * dt, measured, expected, spread))
         m *= 2
     gamma = explanation.covariance(data.block, dt, data.differences.size)
     draws = _draw(gamma, DRAWS, rng)
@@ -74,8 +89,7 @@ def wavelet_p_values(
     while 2 * span <= own.size // 4:
         measured = float(_haar(own[None, :], span)[0])
         simulated = _haar(paths, span)
-        p = _chi_square_p(measured, float(simulated.mean()), float(simulated.var()))
-        out.append((2.0 * span * data.block_s, measured, float(simulated.mean()), p))
+        out.append((2.0 * span * data.block_s, measured, float(simulated.mean()), float(simulated.var())))
         span *= 2
     return out
 

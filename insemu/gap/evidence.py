@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from insemu.gap import kernel
-from insemu.gap.reduced import Reduced, difference_covariance
+from insemu.gap.reduced import Reduced, density, difference_covariance
 from insemu.noise import NoiseModel, Process
 
 Array = NDArray[np.float64]
@@ -186,7 +186,7 @@ class Explanation:
         """Two-sided PSD of the samples."""
         total = np.zeros_like(f)
         for c in self.components:
-            total += c.process.psd(f, dt)
+            total += density(c.process, f, dt)
         return total * self.rolloff.gain(f, dt) if self.rolloff else total
 
     def covariance(self, block: int, dt: float, count: int) -> Array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
 def toeplitz_whiten(gamma: Array, columns: Array, out: Array) -> float:  # pragma: no cover - compiled
     """Whiten the columns of a stationary Gaussian vector by the Durbin-Levinson recursion.
 
@@ -34,13 +34,17 @@ def toeplitz_whiten(gamma: Array, columns: Array, out: Array) -> float:  # pragm
     n, k = columns.shape
     phi = np.zeros(n)
     other = np.zeros(n)
+    # reversed and contiguous, so that both inner products run forwards over memory
+    back = gamma[::-1].copy()
+    past = np.zeros((k, n))
     v = gamma[0]
     logdet = 0.0
     for t in range(n):
         if t > 0:
             r = gamma[t]
-            for j in range(1, t):
-                r -= phi[j - 1] * gamma[t - j]
+            first = n - t
+            for j in range(t - 1):
+                r -= phi[j] * back[first + j]
             kappa = r / v
             for j in range(t - 1):
                 other[j] = phi[j] - kappa * phi[t - 2 - j]
@@ -55,8 +59,9 @@ def toeplitz_whiten(gamma: Array, columns: Array, out: Array) -> float:  # pragm
         for c in range(k):
             e = columns[t, c]
             for j in range(t):
-                e -= phi[j] * columns[t - 1 - j, c]
+                e -= phi[j] * past[c, n - t + j]
             out[t, c] = e * s
+            past[c, n - 1 - t] = columns[t, c]
     return logdet
 
 

@@ -170,6 +170,41 @@ def _overlap(n: int) -> float:
     return float(n * np.sum(weights**2))
 
 
+#: Processes whose density is the square of one amplitude times a shape of its own.
+_AMPLITUDE: dict[type[Process], str] = {WN: "N", QN: "Q", RW: "K", BI: "B"}
+#: Frequencies beyond which a shape is not remembered: full-resolution spectra are read once.
+MOST_REMEMBERED = 8192
+
+
+def density(process: Process, f: Array, dt: float) -> Array:
+    """Two-sided PSD of a process; the shape of one with a single amplitude is remembered, because a search asks for it thousands of times.
+
+    Parameters
+    ----------
+    process : Process
+    f : (k,) array
+        Hz.
+    dt : float
+        Sampling interval, s.
+
+    Returns
+    -------
+    (k,) array
+        unit^2/Hz.
+    """
+    name = _AMPLITUDE.get(type(process))
+    if name is None or f.size > MOST_REMEMBERED:
+        return process.psd(f, dt)
+    return process.parameters[name] ** 2 * _unit_density(type(process), f.tobytes(), dt)
+
+
+@lru_cache(maxsize=64)
+def _unit_density(kind: type[Process], f: bytes, dt: float) -> Array:
+    out = kind(**{_AMPLITUDE[kind]: 1.0}).psd(np.frombuffer(f), dt)
+    out.setflags(write=False)
+    return out
+
+
 @lru_cache(maxsize=64)
 def _unit_structure(kind: str, block: int, dt: float, count: int) -> Array:
     """Mean-square difference of block means ``h`` = 0 ... ``count`` blocks apart, for unit parameter."""
