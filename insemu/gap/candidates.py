@@ -365,7 +365,7 @@ def decimation_filter(state: AxisState) -> list[Weighed]:
         corners = nyquist * np.geomspace(0.05, 0.95 * highest, 14)
         starts = [replace(state.explanation, rolloff=Rolloff(kind, (c, *o), free)) for c in corners for o in orders]
         tried = best_of(state, "decimation_filter", kind, starts, 1)
-        out += [w for w in tried if all(v.value < nyquist for v in w.values if v.name == "cutoff")]
+        out += [w for w in tried if all(v.value < nyquist if v.name == "cutoff" else v.value > 0.5 for v in w.values)]
     return out
 
 
