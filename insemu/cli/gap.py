@@ -85,6 +85,8 @@ def command(
                 values,
             )
         console.print(table)
+    if report.remainder:
+        console.print(f"Left unexplained: {report.remainder}", highlight=False, markup=False)
     for label, value in (("before", report.gap_before), ("after", report.gap_after)):
         if np.isfinite(value.value):
             console.print(f"gap index {label}: {value.value:.3f} [{value.low:.3f}, {value.high:.3f}]")

@@ -206,10 +206,11 @@ def values_of(fitted: Fitted, effect: str, unit: str) -> tuple[Value, ...]:
                 ]
     if fitted.explanation.rolloff is not None and effect == fitted.explanation.rolloff.effect:
         low_pass = fitted.explanation.rolloff
+        half = HALF_POWER.get(low_pass.kind, 1.0)
         out = [
             _log_normal(
                 "cutoff" if f.name == "corner" else f.name,
-                v,
+                v * half if f.name == "corner" else v,
                 float(fitted.sigma[k + i]),
                 "Hz" if f.name == "corner" else "1",
             )
@@ -341,6 +342,10 @@ def vibration_band(state: AxisState) -> list[Weighed]:
     return best_of(state, "vibration_band", "", starts, 3, apart=0.4)
 
 
+#: Frequency at which a window halves the power, times its length (two of them for the triangular one).
+HALF_POWER = {"moving average": 0.44295, "triangular window": 0.31894}
+
+
 def decimation_filter(state: AxisState) -> list[Weighed]:
     """A low-pass of the output that the nominal model lacks."""
     if state.explanation.rolloff is not None or not state.data.f.size:
@@ -349,16 +354,18 @@ def decimation_filter(state: AxisState) -> list[Weighed]:
     out = []
     order = Free("order", 0.6, 12.0)
     for kind, highest in (
-        ("moving average", 4.0),
-        ("triangular window", 6.0),
-        ("exponential", 1.5),
+        # no cutoff beyond what the samples show: a slope that gentle is no filter's
+        ("moving average", 0.98 / HALF_POWER["moving average"]),
+        ("triangular window", 0.98 / HALF_POWER["triangular window"]),
+        ("exponential", 0.98),
         ("butterworth", 0.98),
     ):
         free = (Free("corner", 0.03 * nyquist, highest * nyquist), *((order,) if kind == "butterworth" else ()))
         orders: tuple[tuple[float, ...], ...] = ((1.0,), (2.0,), (4.0,), (8.0,)) if kind == "butterworth" else ((),)
         corners = nyquist * np.geomspace(0.05, 0.95 * highest, 14)
         starts = [replace(state.explanation, rolloff=Rolloff(kind, (c, *o), free)) for c in corners for o in orders]
-        out += best_of(state, "decimation_filter", kind, starts, 1)
+        tried = best_of(state, "decimation_filter", kind, starts, 1)
+        out += [w for w in tried if all(v.value < nyquist if v.name == "cutoff" else v.value > 0.5 for v in w.values)]
     return out
 
 

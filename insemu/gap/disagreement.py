@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 #: Simulated draws of the slow scales; segments of the test of stationarity.
 DRAWS, SEGMENTS = 1000, 16
+#: Statistic, sensor, axis, scale in s, p-value.
+Entry = tuple[str, str, str, float | None, float]
 #: Half the width of a bin of the spectrum over its frequency.
 BIN_HALF = 0.5 * (2.0 ** (1.0 / BINS_PER_OCTAVE) - 1.0)
 
@@ -68,6 +70,7 @@ def wavelet_moments(
     total = np.concatenate([[0.0], np.cumsum(y - y.mean())])
     m = 1
     f = (np.arange(8192) + 0.5) / 8192 * 0.5 / dt
+    known = level_variance(data, explanation)
     while m < data.block:
         half = total[m:] - total[:-m]
         w = (half[m:] - half[:-m]) / (2.0 * m)
@@ -79,6 +82,8 @@ def wavelet_moments(
         gain = np.sin(m * x) ** 4 / (m * np.sin(x)) ** 2
         expected = 2.0 * float(np.trapezoid(S * gain, lf))
         spread = 2.0 * float(np.trapezoid((S * gain) ** 2, lf)) * 2.0 / (w.size * dt)
+        # the level was fitted to the same samples, and what all scales share of it is spent
+        spread -= min(known * expected**2, 0.9 * spread)
         out.append((2.0 * m * dt, measured, expected, spread))
         m *= 2
     gamma = explanation.covariance(data.block, dt, data.differences.size)
@@ -92,6 +97,15 @@ def wavelet_moments(
         out.append((2.0 * span * data.block_s, measured, float(simulated.mean()), float(simulated.var())))
         span *= 2
     return out
+
+
+def level_variance(data: Reduced, explanation: Explanation) -> float:
+    """Sampling variance of the common level of the spectrum, relative, where the explanation follows it; 0 where its tolerance holds it back."""
+    total = float(np.sum(data.dof))
+    if not total or explanation.rolloff is not None:
+        return 0.0
+    level = float(data.dof @ (data.power / explanation.psd(data.f, data.dt))) / total
+    return 2.0 / total if abs(level - 1.0) < 2.0 * math.sqrt(2.0 / total) else 0.0
 
 
 def _haar(paths: Array, span: int) -> Array:
@@ -126,11 +140,11 @@ def axis_tests(state: AxisState) -> list[tuple[str, float | None, float]]:
     out: list[tuple[str, float | None, float]] = []
     lags = np.arange(1, min(20, n // 5) + 1)
     rho = np.array([float(np.mean(e[k:] * e[:-k])) for k in lags]) / float(np.mean(e * e))
-    out.append(("whiteness", data.block_s, float(stats.chi2.sf(n * (n + 2) * np.sum(rho**2 / (n - lags)), lags.size))))
-    out.append(("variance", data.block_s, _two_sided(float(np.sum(e * e)), n)))
+    out.append(("whiteness", data.block_s, float(stats.chi2.sf(np.sum(rho**2 * (n - lags)), lags.size))))
+    out.append(("variance", data.block_s, two_sided(float(np.sum(e * e)), n)))
     out.append(("distribution", data.block_s, float(stats.kurtosistest(e).pvalue)))
     size = np.abs(e) - np.mean(np.abs(e))
-    out.append(("volatility", data.block_s, _correlation_p(size[1:], size[:-1])))
+    out.append(("volatility", data.block_s, correlation_p(size[1:], size[:-1])))
     if data.f.size:
         # a bin is held against the density at its centre: only where that is nearly even over the bin
         slope = explanation.psd(data.f * (1.0 - BIN_HALF), data.dt) / explanation.psd(
@@ -154,7 +168,7 @@ def axis_tests(state: AxisState) -> list[tuple[str, float | None, float]]:
     if state.temperature is not None:
         steps = np.diff(state.temperature[: (n + 1) * data.block].reshape(n + 1, data.block).mean(axis=1))
         if np.std(steps) > 0:
-            out.append(("temperature", data.block_s, _correlation_p(steps, e)))
+            out.append(("temperature", data.block_s, correlation_p(steps, e)))
     t = np.linspace(-1.0, 1.0, n)
     out.append(
         (
@@ -168,11 +182,13 @@ def axis_tests(state: AxisState) -> list[tuple[str, float | None, float]]:
     return out
 
 
-def _two_sided(x: float, dof: float) -> float:
+def two_sided(x: float, dof: float) -> float:
+    """Two-sided p-value of a chi-square."""
     return float(min(1.0, 2.0 * min(stats.chi2.cdf(x, dof), stats.chi2.sf(x, dof))))
 
 
-def _correlation_p(a: Array, b: Array) -> float:
+def correlation_p(a: Array, b: Array) -> float:
+    """p-value of the correlation of two signals (Fisher's transform); 1 where one does not vary."""
     if np.std(a) == 0 or np.std(b) == 0:
         return 1.0
     r = float(np.corrcoef(a, b)[0, 1])
@@ -228,11 +244,11 @@ def cross_axis_tests(states: Mapping[str, AxisState]) -> list[tuple[str, str, fl
         for b in names[i + 1 :]:
             one, two = whitened(states[a]), whitened(states[b])
             if one.size == two.size:
-                out.append((a, b, _correlation_p(one, two)))
+                out.append((a, b, correlation_p(one, two)))
     return out
 
 
-def corrected(entries: list[tuple[str, str, str, float | None, float]]) -> tuple[Where, ...]:
+def corrected(entries: list[Entry]) -> tuple[Where, ...]:
     """Holm's correction over everything that was looked at; most significant first."""
     order = sorted(range(len(entries)), key=lambda k: entries[k][4])
     out, worst = [], 0.0

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from insemu.effects import EFFECTS
 from insemu.errors import InputError
@@ -16,6 +15,7 @@ from insemu.gap import singular as _registers  # noqa: F401
 from insemu.gap import static_log
 from insemu.gap.candidates import CANDIDATES, AxisState
 from insemu.gap.disagreement import corrected
+from insemu.gap.drive_map import drive_map, innovation_tests
 from insemu.gap.evidence import LEVEL_UNCERTAINTY, Component, Free, Likelihood, fit
 from insemu.gap.hypotheses import (
     ONCE,
@@ -39,10 +39,9 @@ from insemu.gap.preparation import LEVEL_GROUPS, Prepared, fast_parts, fixes_sco
 from insemu.gap.reduced import Reduced
 from insemu.gap.samples import advanced, mend, with_counts
 from insemu.gap.scene import Scene, first_rows
-from insemu.gap.static_log import split_axis
 from insemu.gap.surrogate import NED, FixNoise, joint_noise, level_derivatives, level_scores
 from insemu.gap.tones import wandering, without_tones
-from insemu.gap.verdict import GapReport, Interval, Member, Step, Value, VerdictName, Where
+from insemu.gap.verdict import GapReport, Interval, Member, Step, Value, judged
 from insemu.noise import BI, GM, RW, WN, NoiseModel
 from insemu.records import AXES, Recording
 
@@ -548,29 +547,32 @@ def find_dynamic_gap(
         first = find_effects(scene, cut, threshold, without, lambda _: None)
         plain = Scene.of(prepare(whole, believed, parts, levels)) if noticed or late else scene
         before, after, held = held_out(plain, first, cut)
-    where = corrected(disagreement_tests(scene, scene.data.y))
+    # a generator of its own: the search of a later pass draws what it always drew
+    drawn = rng.spawn(1)[0]
+    y = scene.data.y
+    starts = {name: r.start for name, r in fast}
+    where = corrected([*innovation_tests(scene, y), *drive_map(scene, y, starts, drawn)])
     final, blocks = believing(named)
     residual, _ = final.data.residual(blocks)
-    rest = corrected(disagreement_tests(final, residual))
+    tests = innovation_tests(final, residual)
+    failed = [w for w in corrected(tests) if w.p_value < OMNIBUS]
     fast = again_with_processes(fast, named, parts, nominal, max(threshold, FAST_THRESHOLD), without, clipped)
-    steps = [_step(f, named) for f in named.found]
-    steps += [*static_log.merged_steps(dict(fast)), *noticed]
-    steps.sort(key=lambda s: -s.gain_nats)
-    loose = [
-        Where(r.outsider, *split_axis(name), None, 0.0)
+    ends = {name: r.end for name, r in fast}
+    rest = corrected([*tests, *drive_map(final, residual, ends, drawn)])
+    changing = {
+        static_log.split_axis(name): r.outsider
         for name, r in fast
         if r.outsider and (vibrates(r) or r.outsider.startswith(WANDERING))
-    ]
-    if named.outsider:
-        loose.insert(0, Where(named.outsider, "", "", None, 0.0))
-    unexplained = bool(loose) or any(w.p_value < OMNIBUS for w in rest)
-    verdict: VerdictName = "nothing missing"
-    if unexplained:
-        verdict = "unexplained"
-        steps = [replace(s, confidence=min(s.confidence, 0.5)) for s in steps]
-    elif steps:
-        verdict = "class" if steps[0].is_class else "named"
-    rest = (*loose, *rest)
+    }
+    own = [_step(f, named) for f in named.found]
+    if named.outsider or failed:
+        own = [s.doubted() for s in own]
+    heard = [s.doubted() if static_log.is_shaken(s, (), changing) else s for s in static_log.merged_steps(dict(fast))]
+    steps = sorted([*own, *heard, *noticed], key=lambda s: -s.gain_nats)
+    remainder = static_log.remainder(
+        failed, {**({("the fixes", ""): named.outsider} if named.outsider else {}), **changing}
+    )
+    verdict = judged(steps, remainder)
     refined = dict(believed.beliefs)
     for s in steps:
         refined = _refine(refined, s)
@@ -586,59 +588,8 @@ def find_dynamic_gap(
         refined,
         threshold,
         recording.source,
+        remainder=remainder,
     )
-
-
-def disagreement_tests(scene: Scene, y: Array) -> list[tuple[str, str, str, float | None, float]]:
-    """Mean, level, whiteness and tails of each component's innovations."""
-    use = scene.loop.use
-    full = np.full(use.size, np.nan)
-    full[use.ravel()] = y
-    table = full.reshape(-1, 6)
-    out: list[tuple[str, str, str, float | None, float]] = []
-    step = float(np.median(np.diff(scene.prepared.result.fixes.t)))
-    for c, (what, axis) in enumerate(
-        [("position", a) for a in ("north", "east", "down")] + [("velocity", a) for a in ("north", "east", "down")]
-    ):
-        z = table[:, c]
-        z = z[np.isfinite(z)]
-        if z.size < 30:
-            continue
-        n = z.size
-        out.append(
-            (f"{what} innovation mean", "gnss", axis, None, float(2.0 * stats.norm.sf(abs(z.mean()) * math.sqrt(n))))
-        )
-        out.append(
-            (
-                f"{what} innovation NIS",
-                "gnss",
-                axis,
-                None,
-                float(min(1.0, 2.0 * min(stats.chi2.cdf(z @ z, n), stats.chi2.sf(z @ z, n)))),
-            )
-        )
-        lags = np.arange(1, 11)
-        rho = np.array([float(np.mean(z[k:] * z[:-k])) for k in lags]) / float(np.mean(z * z))
-        out.append(
-            (
-                f"{what} innovation whiteness",
-                "gnss",
-                axis,
-                10.0 * step,
-                float(stats.chi2.sf(n * np.sum(rho**2), lags.size)),
-            )
-        )
-        kurtosis = float(np.mean(z**4) / np.mean(z * z) ** 2 - 3.0)
-        out.append(
-            (
-                f"{what} innovation tails",
-                "gnss",
-                axis,
-                None,
-                float(2.0 * stats.norm.sf(abs(kurtosis) / math.sqrt(24.0 / n))),
-            )
-        )
-    return out
 
 
 def _step(f: Found, named: Named) -> Step:

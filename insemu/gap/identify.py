@@ -17,7 +17,7 @@ from insemu.gap.sources import StaticLog
 from insemu.gap.static_log import THRESHOLD, find_static_gap
 from insemu.gap.timing import find_offset
 from insemu.gap.vehicle import Mounted, find_mounting
-from insemu.gap.verdict import GapReport, Interval, Step, Value, VerdictName
+from insemu.gap.verdict import GapReport, Interval, Step, Value, judged
 from insemu.records import AXES, Recording
 
 #: Effects of the fixes and of timing that together are worth more are held against the recording again once they are known: the strong ones
@@ -164,12 +164,9 @@ def _together(report: GapReport, early: list[Step], mounted: Mounted | None, nom
             # the motion across the vehicle and the innovations count alike
             before_index = _mean(before_index, mounted.chi_square[0] / mounted.dof, mounted.dof)
             after_index = _mean(after_index, mounted.chi_square[1] / mounted.dof, mounted.dof)
-    verdict: VerdictName = report.verdict
-    if verdict == "nothing missing" and steps:
-        verdict = "class" if steps[0].is_class else "named"
     return replace(
         report,
-        verdict=verdict,
+        verdict=judged(steps, report.remainder),
         steps=tuple(steps),
         where=where,
         after=after,
@@ -206,15 +203,15 @@ def _closer(report: GapReport, more: GapReport) -> GapReport:
         else:
             continue  # more of a process that is named
         changed = True
-    changed = changed or (more.verdict == "nothing missing" and report.verdict == "unexplained")
+    changed = changed or (bool(report.remainder) and not more.remainder)
     if not changed:
         return report
     steps = sorted((s for s in map(_pruned, steps) if s is not None), key=lambda s: -s.gain_nats)
-    verdict: VerdictName = "unexplained" if more.verdict == "unexplained" else "nothing missing"
-    if verdict != "unexplained" and steps:
-        verdict = "class" if steps[0].is_class else "named"
+    if not more.remainder:
         steps = [_settled(s) for s in steps]
-    return replace(report, verdict=verdict, steps=tuple(steps), after=more.after)
+    return replace(
+        report, verdict=judged(steps, more.remainder), steps=tuple(steps), after=more.after, remainder=more.remainder
+    )
 
 
 #: Deterministic effects of a sensor whose values add up.
@@ -258,7 +255,8 @@ def _settled(step: Step) -> Step:
     gains = [m.gain_nats for m in step.members] or [step.gain_nats]
     own = next((m.gain_nats for m in step.members if m.effect == step.effect), gains[0])
     weights = [math.exp(max(g - own, -50.0)) for g in gains]
-    return replace(step, confidence=max(step.confidence, 1.0 / (sum(weights) + math.exp(-max(own, 0.0)))))
+    own_share = 1.0 / (sum(weights) + math.exp(-max(own, 0.0)))
+    return replace(step, confidence=max(step.confidence, own_share), shaken=False)
 
 
 def _shifted(v: Value, by: float) -> Value:

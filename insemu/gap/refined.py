@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from insemu import rotation
 from insemu.compensation import COMPENSABLE
 from insemu.effects import CROSS, EFFECTS, EffectParameter, EffectUse
+from insemu.gap.candidates import HALF_POWER
 from insemu.gap.nominal import Nominal
 from insemu.gap.sources import StaticLog
 from insemu.gap.verdict import GapReport, Step
@@ -108,8 +109,9 @@ def _low_pass(step: Step, given: Mapping[str, float], dt: float) -> tuple[Effect
     if not cutoffs:
         return ()
     cutoff = float(np.median(cutoffs))
-    if step.variant in ("moving average", "triangular window"):
-        use = EffectUse(step.effect, step.sensor, {"taps": (float(max(1, round(1.0 / (cutoff * dt)))),)})
+    if step.variant in HALF_POWER:
+        length = HALF_POWER[step.variant] / cutoff
+        use = EffectUse(step.effect, step.sensor, {"taps": (float(max(1, round(length / dt))),)})
         return (use, use) if step.variant == "triangular window" else (use,)
     order = 1.0 if step.variant == "exponential" else float(max(1, round(float(np.median(orders))))) if orders else 2.0
     return (EffectUse(step.effect, step.sensor, {"cutoff": (min(cutoff, 0.499 / dt),), "order": (order,)}),)

@@ -26,6 +26,8 @@ LEAST_POWER = 1e-3
 WRAPPED = 32
 #: What regular manoeuvres can leave at a single frequency of the fast band, nats.
 MANOEUVRE_NATS = 15.0
+#: Largest share of samples that are outliers.
+MOST_WILD = 0.1
 
 
 def _spectral_weight(explanation: Explanation, n: int, dt: float) -> tuple[Array, Array]:
@@ -201,6 +203,8 @@ def outliers(state: AxisState) -> list[Weighed]:
         if best.evidence < wide.evidence:
             return []
     s, e, k = (math.exp(v) for v in best.x)
+    if e > MOST_WILD:
+        return []  # two kinds of noise in turns, as a vehicle that stops and goes has, are no outliers
     sd = np.sqrt(np.diag(best.covariance))
     # the spread of what was added, as the table of effects states it
     size = s * math.sqrt(max(k * k - 1.0, 0.01)) * fitted_n / math.sqrt(state.data.dt)

@@ -24,7 +24,7 @@ from insemu.gap.candidates import CANDIDATES, AxisState, Weighed, state_of, turn
 from insemu.gap.evidence import Component, Explanation, Likelihood, fit
 from insemu.gap.known import settled, starting_explanation
 from insemu.gap.reduced import Reduced, reduce
-from insemu.gap.verdict import GapReport, Interval, Member, Step, Value, VerdictName, Where
+from insemu.gap.verdict import GapReport, Interval, Member, Step, Value, Where, judged
 from insemu.noise import DR, SIN, NoiseModel, Process
 from insemu.records import Series
 
@@ -457,13 +457,9 @@ def find_static_gap(
         steps = tuple(sorted((*steps, *gaps_of(missing)), key=lambda s: -s.gain_nats))
     failed = [w for w in after if w.p_value < OMNIBUS]
     outsiders = {split_axis(name): r.outsider for name, r in results.items() if r.outsider}
-    shaken = [is_shaken(s, failed, outsiders) for s in steps]
-    steps = tuple(replace(s, confidence=min(s.confidence, 0.5)) if x else s for s, x in zip(steps, shaken, strict=True))
-    verdict: VerdictName = "nothing missing"
-    if steps and not shaken[0]:
-        verdict = "class" if steps[0].is_class else "named"
-    elif failed or outsiders:
-        verdict = "unexplained"
+    steps = tuple(s.doubted() if is_shaken(s, failed, outsiders) else s for s in steps)
+    left = remainder(failed, outsiders)
+    verdict = judged(steps, left)
     nothing = Interval(math.nan, math.nan, math.nan)
     gains = nothing
     if held:
@@ -484,7 +480,7 @@ def find_static_gap(
         threshold,
         source,
         {name: _curves(r, nominal[name], rng) for name, r in results.items()},
-        remainder(failed, outsiders),
+        left,
     )
 
 
@@ -513,7 +509,10 @@ def is_shaken(step: Step, failed: Sequence[Where], outsiders: Mapping[tuple[str,
 
 def remainder(failed: Sequence[Where], outsiders: Mapping[tuple[str, str], str]) -> str:
     """What is left unexplained, in words; empty where nothing is."""
-    parts = [f"{what} on {' '.join(place).strip()}" for place, what in outsiders.items()]
+    places: dict[str, list[str]] = {}
+    for place, what in outsiders.items():
+        places.setdefault(what, []).append(" ".join(place).strip())
+    parts = [f"{what} on {', '.join(axes)}" for what, axes in places.items()]
     for w in failed:
         scale = f" at {w.scale_s:.3g} s" if w.scale_s is not None else ""
         parts.append(f"{w.statistic}{scale} on {w.sensor} {w.axis} (p {w.p_value:.1g})".replace("  ", " "))

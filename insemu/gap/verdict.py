@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from insemu.noise import NoiseModel
@@ -58,6 +59,8 @@ class Step:
         Effects within 3 nats of the best, the best first: more than one is a class.
     would_separate : str
         The recording that would tell the class apart; empty where one effect is named.
+    shaken : bool
+        Whether something that no candidate explains sits in the same place.
     """
 
     effect: str
@@ -70,6 +73,11 @@ class Step:
     members: tuple[Member, ...]
     would_separate: str = ""
     runners_up: tuple[Member, ...] = ()
+    shaken: bool = False
+
+    def doubted(self) -> Step:
+        """The step where something unexplained sits in the same place: it is no more than as likely as not."""
+        return replace(self, confidence=min(self.confidence, 0.5), shaken=True)
 
     @property
     def is_class(self) -> bool:
@@ -90,6 +98,13 @@ class Step:
             "variant": self.variant,
             "runners_up": [m.to_json() for m in self.runners_up],
         }
+
+
+def judged(steps: Sequence[Step], remainder: str) -> VerdictName:
+    """The verdict: names stand where the strongest step is not shaken, whatever else is left over."""
+    if steps and not steps[0].shaken:
+        return "class" if steps[0].is_class else "named"
+    return "unexplained" if steps or remainder else "nothing missing"
 
 
 @dataclass(frozen=True)

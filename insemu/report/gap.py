@@ -47,11 +47,14 @@ def headline(report: GapReport) -> str:
         )
         return "The recording holds something that no effect of the catalogue explains." + extra
     first = report.steps[0]
+    sure = [_subject(s) for s in report.steps if not s.shaken]
+    doubted = [_subject(s) for s in report.steps if s.shaken]
+    more = f" Beside something unexplained in the same place: {'; '.join(dict.fromkeys(doubted))}." if doubted else ""
     if first.is_class:
         names = " or ".join(effect_name(m.effect) for m in first.members)
-        rest = f" Besides: {'; '.join(_subject(s) for s in report.steps[1:])}." if len(report.steps) > 1 else ""
+        rest = (f" Besides: {'; '.join(sure[1:])}." if len(sure) > 1 else "") + more
         return f"The {place(first.sensor, first.axes)} has {names}: this recording cannot tell them apart. What would: {first.would_separate}.{rest}"
-    return f"Missing from the model: {'; '.join(_subject(s) for s in report.steps)}."
+    return f"Missing from the model: {'; '.join(dict.fromkeys(sure))}.{more}"
 
 
 def _number(x: float) -> str:
@@ -74,6 +77,34 @@ def _where_table(entries: Sequence[Where], caption: str, count: int = 12) -> Tab
     ]
     strong = frozenset(k for k, w in enumerate(entries[:count]) if w.p_value < 0.01)
     return Table(("statistic", "axis", "scale, s", "corrected p"), rows, caption, left=2, strong=strong)
+
+
+def _kind(w: Where) -> tuple[str, str]:
+    """Sensor, and what was looked at in words that leave out components, axes and scales."""
+    words = w.statistic.replace("_", " ")
+    for component in ("position ", "velocity "):
+        words = words.removeprefix(component) if words.startswith(component + "innovation") else words
+    return w.sensor, "correlation between axes" if words.startswith("cross axis") else words
+
+
+def _looked_at(report: GapReport) -> Table:
+    """How many statistics of each kind were looked at, and how many of them disagree."""
+    kinds = dict.fromkeys(_kind(w) for w in (*report.where, *report.after))
+
+    def cells(entries: Sequence[Where]) -> tuple[str, str, bool]:
+        if not entries:
+            return "", "", False
+        off = sum(w.p_value < 0.01 for w in entries)
+        return f"{off} of {len(entries)}", f"{min(w.p_value for w in entries):.2g}", off > 0
+
+    rows, strong = [], []
+    for k, (sensor, kind) in enumerate(sorted(kinds)):
+        before = cells([w for w in report.where if _kind(w) == (sensor, kind)])
+        after = cells([w for w in report.after if _kind(w) == (sensor, kind)])
+        rows.append([kind, SENSORS.get(sensor, sensor), *before[:2], *after[:2]])
+        strong += [k] if before[2] else []
+    header = ("statistic", "sensor", "nominal: disagree", "smallest p", "refined: disagree", "smallest p")
+    return Table(header, rows, "Everything that was looked at", left=2, strong=frozenset(strong))
 
 
 def _axes_with_steps(report: GapReport) -> list[str]:
@@ -256,6 +287,7 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
                 ),
                 _where_table(report.where, "Nominal model, most significant first"),
                 *_pictures(report, after=False),
+                _looked_at(report),
             ],
         )
     ]
@@ -312,11 +344,13 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
         [["gap index (reduced chi-square, 1 is agreement)", _interval(report.gap_before), _interval(report.gap_after)]],
         f"On data that was not used for naming. Gain of log score: {_interval(report.held_out)} nats per fix (per block of a static log).",
     )
+    left = [Text(f"Left unexplained beside what was named: {report.remainder}.")] if report.remainder else []
     sections.append(
         Section(
             "Agreement",
             [
                 index,
+                *left,
                 *_pictures(report, after=True),
                 _where_table(report.after, "Refined model, most significant first"),
             ],
