@@ -529,7 +529,9 @@ def find_dynamic_gap(
     fast = again_with_processes(fast, named, parts, nominal, max(threshold, FAST_THRESHOLD), without)
     ends = {name: r.end for name, r in fast}
     rest = corrected([*tests, *drive_map(final, residual, ends, drawn)])
-    changing = {static_log.split_axis(name): r.outsider for name, r in fast if r.outsider and vibrates(r)}
+    # where one axis vibrates so that no stationary process holds it, the same vibration is what changes on the others
+    humming = any(r.outsider and vibrates(r) for _, r in fast)
+    changing = {static_log.split_axis(name): r.outsider for name, r in fast if r.outsider and humming}
     own = [_step(f, named) for f in named.found]
     if named.outsider or failed:
         own = [s.doubted() for s in own]
