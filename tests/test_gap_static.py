@@ -437,6 +437,7 @@ def test_threshold_of_a_data_set_is_exceeded_as_often_as_stated() -> None:
     assert Tail(0.0, 0.5).exceeds(-1.0) == 0.25
 
 
+@pytest.mark.slow
 def test_a_weak_effect_must_beat_the_best_of_simulated_nominal_logs() -> None:
     rng = np.random.default_rng(3)
     axes = [log_of(WN(1e-3).simulate(6000, DT, rng), f"gyro_{a}") for a in "xyz"]
