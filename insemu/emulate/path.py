@@ -170,6 +170,7 @@ def _through(t: Array, nodes: Array, *, at_rest: bool = False) -> PPoly:
     spline = make_interp_spline(t, nodes - nodes[0], k=_DEGREE, bc_type=(ends, ends) if at_rest else None)
     made = pieces_of(spline)
     made.c[-1] += nodes[0]
+    made.c[-1, 0] = nodes[0]  # rest is rest without rounding
     return made
 
 
