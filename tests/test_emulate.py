@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.signal import get_window
 
 from insemu import earth, emulate, rotation, strapdown
 from insemu.emulate.gnss import antenna, state_at
@@ -57,6 +58,30 @@ def test_kinematics_are_the_derivatives_of_the_path(helicopter):
     turn = np.swapaxes(rotation.dcm_from_rpy(before.rpy), 1, 2) @ rotation.dcm_from_rpy(after.rpy)
     np.testing.assert_allclose(rotation.vector_from_dcm(turn) / (2 * d), k.w_nb_b, atol=1e-6)
     np.testing.assert_allclose((after.w_nb_b - before.w_nb_b) / (2 * d), k.alpha_nb_b, atol=2e-4)
+
+
+def largest_line(x, rate_hz, above_hz):
+    """Largest amplitude of a sine above a frequency: Blackman-Harris windows of a minute, root mean square over the record."""
+    n = int(60.0 * rate_hz)
+    parts = x[: len(x) // n * n].reshape(-1, n, x.shape[1])
+    window = get_window("blackmanharris", n)
+    amplitude = 2.0 * np.abs(np.fft.rfft((parts - parts.mean(axis=1, keepdims=True)) * window[:, None], axis=1))
+    amplitude = np.sqrt(np.mean((amplitude / window.sum()) ** 2, axis=0))
+    return amplitude[np.fft.rfftfreq(n, 1.0 / rate_hz) > above_hz].max()
+
+
+def test_largest_line_reads_a_sine():
+    t = np.arange(12000) / 100.0
+    assert largest_line(2e-4 * np.sin(2 * np.pi * 17.1 * t)[:, None], 100.0, 12.0) == pytest.approx(2e-4, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["urban_drive_1", "turbulent_uav"])
+def test_nothing_vibrates_that_was_not_asked_for(name):
+    # the knots of the path must not repeat the motion of up to 3 Hz around their own rate
+    path = emulate.built_in(name).path
+    motion = sensor_motion(path, path.start + np.arange(24000) / 100.0, emulate.Mounting())
+    assert largest_line(motion.w_ib_b, 100.0, 12.0) < 1e-7
+    assert largest_line(motion.f_ib_b, 100.0, 12.0) < 5e-6
 
 
 @pytest.mark.parametrize("arm", [(0.0, 0.0, 0.0), (5.0, -2.0, 1.0)])

@@ -81,6 +81,19 @@ def test_a_run_leaves_table_page_and_data(tmp_path: Path, capsys: pytest.Capture
     assert load(out / "resolved.yaml").truth.models() == load(tmp_path / "s.yaml").truth.models()
 
 
+def test_warnings_come_before_the_flight_and_leave_json_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    area = {"latitude": "10 deg", "longitude": "10 deg", "radius": "100 m"}
+    gnss = SCENARIO["gnss"] | {"areas": [area]}
+    path = str(write(tmp_path, gnss=gnss, realizations=1, variants={}))
+    assert run(path, "--workers", "1", "--out", str(tmp_path / "out"), "--json") == 0
+    out, err = capsys.readouterr()
+    json.loads(out)
+    assert " ".join(err.split()).count("gnss.areas.0 is never entered") == 1
+    assert err.index("Warning: ") < err.index("elapsed")
+
+
 def test_realizations_are_the_same_alone_in_parallel_and_among_more(tmp_path: Path) -> None:
     path = write(tmp_path)
     few = run_experiment(Experiment(load(path), path), realizations=2, workers=1)

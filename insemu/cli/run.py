@@ -95,6 +95,8 @@ def run_with_variants(
     experiments = {"": Experiment(base, scenario)}
     for name in names:
         experiments[name] = Experiment(load(scenario, variant=name, overrides=overrides), scenario)
+    for warning in dict.fromkeys(w for e in experiments.values() for w in e.world.warnings):
+        console.print(f"Warning: {warning}.", soft_wrap=True, highlight=False, markup=False)
     forget_others(folder / "cache", {e.digest for e in experiments.values()})
     done: dict[str, Results] = {}
     columns = (
@@ -181,8 +183,6 @@ def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
     )
 
     console.print(f"\n[bold]{main.title}[/bold]", soft_wrap=True)
-    for warning in main.manifest.get("warnings", ()):
-        console.print(f"Warning: {warning}.", soft_wrap=True, highlight=False)
     table = Table(
         title=f"{variant_caption(main)}: means over {main.realizations} realizations (seed {main.seed})",
         title_justify="left",

@@ -99,7 +99,14 @@ class Profile:
     climb_acceleration: Array
 
 
-def profile(commands: Sequence[Command], *, heading: float = 0.0, speed: float = 0.0, start_s: float = 0.0) -> Profile:
+def profile(
+    commands: Sequence[Command],
+    *,
+    heading: float = 0.0,
+    speed: float = 0.0,
+    start_s: float = 0.0,
+    knot_s: float = KNOT_S,
+) -> Profile:
     """Evaluate commands on the knots of a path.
 
     Parameters
@@ -110,11 +117,13 @@ def profile(commands: Sequence[Command], *, heading: float = 0.0, speed: float =
         Initial heading in rad and horizontal speed in m/s.
     start_s : float
         Time of the start, s.
+    knot_s : float
+        Spacing of the knots, s.
     """
     if not commands:
         raise InputError("there are no motion commands, expected at least one")
     total = sum(c.duration_s for c in commands)
-    n = max(int(np.ceil(total / KNOT_S - 1e-9)), 8)
+    n = max(int(np.ceil(total / knot_s - 1e-9)), 8)
     t = start_s + np.linspace(0.0, total, n + 1)
     columns = np.zeros((7, n + 1))
     begin = start_s

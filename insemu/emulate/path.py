@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicSpline, PPoly
+from scipy.interpolate import BSpline, PPoly, make_interp_spline
 
 from insemu import earth, rotation
 from insemu.errors import InputError
@@ -19,8 +19,10 @@ from insemu.records import Trajectory
 
 Array = NDArray[np.float64]
 
-#: Spacing of the knots of paths that are made from motion profiles, s.
-KNOT_S = 0.05
+#: Spacing of the knots of paths that are made from motion profiles, s. A spline repeats the motion around the rate of its knots: with quintics and
+#: 40 knots a second, 3 Hz and 0.02 rad come back at 37 Hz with less than 1e-7 rad/s, a millionth of a car's own turn rates.
+KNOT_S = 0.025
+_DEGREE = 5
 
 
 @dataclass(frozen=True)
@@ -68,12 +70,11 @@ class SmoothPath:
         """Integrate velocity nodes (n, 3) (north, east, up, m/s) from the origin; attitude nodes (n, 3) in rad, not
         wrapped.
 
-        Cubic splines through the nodes: the acceleration is continuous and so is its rate.
+        Quintic splines through the nodes, at least six of them: the acceleration is continuous and so are three of its rates.
         """
         t = np.asarray(t, dtype=float)
-        ends = "clamped" if _at_rest(vel_map) else "not-a-knot"
-        velocity = CubicSpline(t, np.asarray(vel_map, dtype=float), bc_type=ends)
-        attitude = CubicSpline(t, np.asarray(rpy, dtype=float))
+        velocity = _through(t, np.asarray(vel_map, dtype=float), at_rest=_at_rest(vel_map))
+        attitude = _through(t, np.asarray(rpy, dtype=float))
         return cls(velocity.antiderivative(), attitude, np.asarray(origin, dtype=float), name)
 
     @property
@@ -160,6 +161,42 @@ class SmoothPath:
         rpy, r1, r2 = self.attitude(t), self.attitude(t, 1), self.attitude(t, 2)
         w, alpha = euler_rates(rpy, r1, r2)
         return Kinematics(llh, vel, acc, rpy, w, alpha)
+
+
+def _through(t: Array, nodes: Array, *, at_rest: bool = False) -> PPoly:
+    """Quintic spline through nodes (n, k); with ``at_rest`` two derivatives vanish at both ends."""
+    ends = [(1, np.zeros(nodes.shape[1])), (2, np.zeros(nodes.shape[1]))]
+    # from the first node, so that what stays is constant to the last bit
+    spline = make_interp_spline(t, nodes - nodes[0], k=_DEGREE, bc_type=(ends, ends) if at_rest else None)
+    made = pieces_of(spline)
+    made.c[-1] += nodes[0]
+    made.c[-1, 0] = nodes[0]  # rest is rest without rounding
+    return made
+
+
+def pieces_of(spline: BSpline) -> PPoly:
+    """Polynomial pieces of a B-spline (coefficients (count, k)) between its knots, without the empty ones of repeated ends."""
+    degree = spline.k
+    x = spline.t[degree : -degree or None]
+    c = np.empty((degree + 1, x.size - 1, spline.c.shape[1]))
+    factorial = 1.0
+    for m in range(degree + 1):
+        factorial *= max(m, 1)
+        # from inside every piece: Taylor at its middle, shifted to its left end below
+        c[degree - m] = spline(0.5 * (x[:-1] + x[1:]), nu=m) / factorial
+    return PPoly(_shift(c, -0.5 * np.diff(x)), x)
+
+
+def _shift(c: Array, by: Array) -> Array:
+    """Coefficients (highest power first) of polynomials about a point moved by ``by``: repeated Horner (Taylor
+    shift).
+    """
+    out = c.copy()
+    degree = c.shape[0] - 1
+    for i in range(degree):
+        for j in range(1, degree + 1 - i):
+            out[j] += by[:, None] * out[j - 1]
+    return out
 
 
 def _at_rest(vel: ArrayLike) -> bool:

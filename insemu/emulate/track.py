@@ -17,7 +17,7 @@ from scipy.interpolate import BSpline, PPoly
 from scipy.linalg import solveh_banded
 
 from insemu import earth, rotation
-from insemu.emulate.path import SmoothPath
+from insemu.emulate.path import SmoothPath, pieces_of
 from insemu.emulate.vehicle import STEEPEST_ROAD, Vehicle, odd_places, vehicle
 from insemu.errors import InputError
 from insemu.records import GnssRecord, Trajectory
@@ -265,28 +265,7 @@ class _Basis:
 
     def ppoly(self, coefficients: Array) -> PPoly:
         """Piecewise polynomial of the coefficients (count, columns)."""
-        x = self.knots[_DEGREE : -_DEGREE or None]
-        spline = BSpline(self.knots, coefficients, _DEGREE)
-        c = np.empty((_DEGREE + 1, x.size - 1, coefficients.shape[1]))
-        factorial = 1.0
-        for m in range(_DEGREE + 1):
-            factorial *= max(m, 1)
-            # from inside every piece: Taylor at its middle, shifted to its left end below
-            c[_DEGREE - m] = spline(0.5 * (x[:-1] + x[1:]), nu=m) / factorial
-        half = -0.5 * np.diff(x)
-        return PPoly(_shift(c, half), x)
-
-
-def _shift(c: Array, by: Array) -> Array:
-    """Coefficients (highest power first) of polynomials about a point moved by ``by``: repeated Horner (Taylor
-    shift).
-    """
-    out = c.copy()
-    degree = c.shape[0] - 1
-    for i in range(degree):
-        for j in range(1, degree + 1 - i):
-            out[j] += by[:, None] * out[j - 1]
-    return out
+        return pieces_of(BSpline(self.knots, coefficients, _DEGREE))
 
 
 class _Smoother:

@@ -29,7 +29,7 @@ FALSE_ALARMS = 0.02
 DRAWS, MOST_SAMPLES = 12, 18_000
 #: Share of the draws that count as tail; its mean excess on 400 simulated half hours, nats; how many draws that knowledge is worth.
 TAIL_SHARE, USUAL_EXCESS, WORTH = 0.25, 0.75, 6.0
-#: Where the tail starts at the highest, nats (0.03 in 15 kinds of simulated logs between 3 minutes and 2 h).
+#: Where the tail starts at the highest, nats (taken well above what simulated logs between 3 minutes and 2 h show).
 HIGHEST_START = 0.5
 #: Not weighed on simulated logs: worth what a Gauss-Markov process is worth unless levels are plain to see.
 COSTLY = ("telegraph",)
