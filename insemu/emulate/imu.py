@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from insemu import earth, rotation, strapdown
 from insemu.emulate.kernel import invert
@@ -190,10 +190,3 @@ def navigation_error(ideal: IdealImu, imu: ImuRecord | None = None) -> Array:
         [ideal.reference.llh, ideal.reference.vel_ned, rotation.quaternion_from_rpy(ideal.reference.rpy)], axis=1
     )
     return strapdown.navigation_errors(nav, truth)
-
-
-def interval_rates(values: ArrayLike, t: ArrayLike) -> Array:
-    """Increments (n, 3) to mean rates; row 0 uses the first interval."""
-    t = np.asarray(t, dtype=float)
-    step = np.diff(t, prepend=2 * t[0] - t[1])[:, None]
-    return np.asarray(values, dtype=float) / step

@@ -212,8 +212,3 @@ def outage_budgets(
                 }
             )
     return out
-
-
-def horizontal_rms(analysis: CovarianceAnalysis) -> np.ndarray:
-    """True rms horizontal error over time, m: (o,)."""
-    return np.asarray(np.sqrt(analysis.rms[:, 0] ** 2 + analysis.rms[:, 1] ** 2))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -376,8 +376,3 @@ def _walk_density(p: Process) -> float:
     if isinstance(p, AR1) and p.rate_hz is not None and _is_slow(p):
         return p.parameters["sigma2"] * p.rate_hz
     return 0.0
-
-
-def with_name(result: FitResult, name: str) -> FitResult:
-    """The same result under another name."""
-    return replace(result, name=name)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from insemu import units
 from insemu.errors import InputError, nearest
 from insemu.noise.block import StateBlock
-from insemu.noise.processes import AR, AR1, ARMA, GM, MA, PROCESSES, WN, NotStationary, Process
+from insemu.noise.processes import AR, AR1, ARMA, GM, MA, PROCESSES, NotStationary, Process
 
 Array = NDArray[np.float64]
 
@@ -410,8 +410,3 @@ def axis_unit(axis: str) -> str:
     if axis.startswith("accel") or axis in ("ax", "ay", "az"):
         return "m/s^2"
     return ""
-
-
-def white_density(model: NoiseModel) -> float:
-    """Density of the sum's white noise (root of the summed squares), for filters and exports."""
-    return float(np.sqrt(sum(p.parameters["N"] ** 2 for p in model if isinstance(p, WN))))
