@@ -469,7 +469,7 @@ def consistency_words(results: Results, design: str) -> list[str]:
         bad = sum(not v.passed for v in family)
         if name == "innovations":
             what = "white" if not words else f"correlated at {bad} of {len(family)} lags"
-            lines.append(f"{name} {what} (lag correlations {span}, bound {family[0].high:.2g})")
+            lines.append(f"{name} {what} (mean products at lags 1 to 5 {span}, bound {family[0].high:.2g})")
             continue
         verdict = " and ".join(words) if words else "consistent"
         if words and len(family) > 1:
