@@ -59,8 +59,10 @@ for _name, _module in COMMANDS.items():
 
 def main(argv: list[str] | None = None) -> None:
     """Run the command line; the entry point of the ``insemu`` script."""
+    from insemu.blas import one_thread_by_default
     from insemu.errors import InputError
 
+    one_thread_by_default()
     try:
         app(args=argv, standalone_mode=True)
     except InputError as error:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from insemu.blas import on_one_thread
 from insemu.errors import InputError
 from insemu.gap.known import drive_without, static_without
 from insemu.gap.nominal import Nominal
@@ -27,6 +28,7 @@ STRONG_NATS, MOST_PASSES = 150.0, 2
 SAME_LEVEL = 1.22
 
 
+@on_one_thread
 def find_gap(
     measured: StaticLog | Recording,
     nominal: Nominal,

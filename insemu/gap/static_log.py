@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu.blas import on_one_thread
 from insemu.effects import EffectUse
 from insemu.errors import InputError
 from insemu.gap import disagreement
@@ -369,6 +370,7 @@ def held_out(result: AxisResult, nominal: Explanation, test: Reduced, temperatur
 # -- the whole log ------------------------------------------------------------------------------------------------------------------
 
 
+@on_one_thread
 def find_static_gap(
     log: Sequence[Series],
     beliefs: Mapping[str, NoiseModel],
