@@ -196,6 +196,8 @@ class Search:
             self._add(best, ranked)
             if len(self.found) > 1:
                 self._reconsider()
+        if self.cut is None:
+            self._with_rivals()
         return Named(tuple(self.found), self.scene, self.outsider, self.gone)
 
     def _apart(self, best: Hypothesis) -> Hypothesis:
@@ -278,17 +280,21 @@ class Search:
             if best.gain < min(self.threshold, 2.0):
                 self.found = others
             elif kept is None or best.gain > kept.gain + 0.5:
-                # its rivals among the levels of the fixes stand as they stood
                 self._swap(f, best, ranked)
             elif f is not self.found[-1]:
                 self._swap(f, kept, ranked)
 
     def _swap(self, old: Found, new: Hypothesis, ranked: Sequence[Hypothesis]) -> None:
-        fixes = [h for h in old.ranked if h.block is None and h.gain > 0.0]
-        merged = sorted(
-            [*ranked, *(replace(h, gain=min(h.gain, new.gain - LEAD - 1.0)) for h in fixes)], key=lambda h: -h.gain
-        )
-        self.found = [Found(new, tuple(merged)) if g is old else g for g in self.found]
+        self.found = [Found(new, tuple(ranked)) if g is old else g for g in self.found]
+
+    def _with_rivals(self) -> None:
+        """Weigh levels, colour and outliers of the fixes against each effect that was weighed again without them."""
+        for f in list(self.found):
+            if f.chosen.block is None or any(h.sensor == "gnss" and h.block is None for h in f.ranked):
+                continue
+            others = [g for g in self.found if g is not f]
+            rivals = covariance_hypotheses(self.scene, blocks_of(others), self._skip(others), self.cut)
+            self._swap(f, f.chosen, sorted([*f.ranked, *rivals], key=lambda h: -h.gain))
 
 
 def _moved(v: Value, value: float) -> Value:
