@@ -469,7 +469,7 @@ def temperature(state: AxisState) -> list[Weighed]:
                 raise InputError("the temperature effect needs the temperature of the data that it is to predict")
             d = temperature_c - centre
             seen = lowpass(d, where.dt, lag) if lag > 0.0 else d
-            return block_differences(np.stack([seen ** (k + 1) for k in which], axis=1), where.block)
+            return block_differences(np.stack([_power(seen, k + 1) for k in which], axis=1), where.block)
 
         return columns
 
@@ -481,7 +481,7 @@ def temperature(state: AxisState) -> list[Weighed]:
         )[0]  # fmt: skip
         d = T - centre
         seen = lowpass(d, data.dt, lag) if lag > 0.0 else d
-        signal = sum((v.value * seen ** (k + 1) for v, k in zip(w.values, which, strict=True)), np.zeros(T.size))
+        signal = sum((v.value * _power(seen, k + 1) for v, k in zip(w.values, which, strict=True)), np.zeros(T.size))
         w = _less(w, state, signal)
         return replace(w, values=(*w.values, reference))
 
@@ -522,6 +522,14 @@ def _less(w: Weighed, state: AxisState, signal: Array) -> Weighed:
     data = replace(apart, differences=state.data.differences)  # the block band keeps the regressors
     fitted = fit(Likelihood(data), explanation)
     return replace(w, gain=w.gain + after - before, state=replace(w.state, data=data, fitted=fitted))
+
+
+def _power(x: Array, k: int) -> Array:
+    """``x ** k`` by products, which numpy does for squares only."""
+    out = x
+    for _ in range(k - 1):
+        out = out * x
+    return out
 
 
 def lowpass(x: Array, dt: float, lag: float) -> Array:

@@ -306,9 +306,7 @@ def _axis_steps(scene: Scene, starts: Array, axis: int) -> Array:
     fixes = scene.loop.result.fixes
     M = np.zeros((len(fixes), 6, starts.size))
     M[:, axis, :] = fixes.t[:, None] > starts[None, :]
-    nodes = scene.loop.result.nodes
-    assert nodes is not None
-    return scene.loop.respond(np.zeros((nodes.epoch.size, starts.size, 9)), M)
+    return scene.loop.respond(starts.size, None, M)
 
 
 _Scan = tuple[Array, tuple[float, int, int, int, float]]
