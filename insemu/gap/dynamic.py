@@ -35,7 +35,7 @@ from insemu.gap.hypotheses import (
 from insemu.gap.innovations import Block, Field
 from insemu.gap.known import colour_of, of_axis, settled, starting_explanation, without_drawn
 from insemu.gap.nominal import Nominal
-from insemu.gap.preparation import LEVEL_GROUPS, Prepared, fast_parts, fixes_score, prepare
+from insemu.gap.preparation import LEVEL_GROUPS, Flown, Prepared, fast_parts, fixes_score, prepare
 from insemu.gap.reduced import Reduced
 from insemu.gap.samples import advanced, mend, with_counts
 from insemu.gap.scene import Scene, first_rows
@@ -453,12 +453,13 @@ def without_delay(
     parts: dict[str, Reduced],
     levels: dict[str, float],
     fast: Mapping[str, static_log.AxisResult],
+    prepared: Prepared | None = None,
 ) -> tuple[Prepared, Recording, dict[str, float]]:
-    """The nominal filter on sensors set forward by the delay of the low-pass that the fast band shows, sensor by sensor in s.
+    """The nominal filter (``prepared`` where it has run) on sensors set forward by the delay of the low-pass that the fast band shows, sensor by sensor in s.
 
     A low-pass may be causal (it delays) or its delay may have been taken off in the unit already; the innovations say which.
     """
-    best = prepare(recording, nominal, parts, levels)
+    best = prepared or prepare(recording, nominal, parts, levels)
     late: dict[str, float] = {}
     for sensor in ("gyro", "accel"):
         roll = [fast[f"{sensor}_{a}"].end.explanation.rolloff for a in "xyz" if f"{sensor}_{a}" in fast]
@@ -516,8 +517,12 @@ def find_dynamic_gap(
     without: Collection[str] = (),
     hold_out: bool = True,
     progress: Callable[[str], None] | None = None,
+    flown: Flown | None = None,
 ) -> GapReport:
-    """Find what a drive or flight has that the nominal model lacks; see :func:`insemu.gap.find_gap`."""
+    """Find what a drive or flight has that the nominal model lacks; see :func:`insemu.gap.find_gap`.
+
+    ``flown`` is the nominal filter's run on this recording, where there is one already.
+    """
     say = progress or (lambda _: None)
     say("running the nominal filter")
     missing = [a for a in AXES if a not in nominal.beliefs]
@@ -531,13 +536,17 @@ def find_dynamic_gap(
     whole, believed = recording, nominal
     nominal = replace(nominal, beliefs=with_counts(nominal.beliefs, mended.steps, recording.imu.dt))
     recording = replace(recording, imu=mended.imu)
-    parts = fast_parts(recording)
+    if mended.steps:
+        flown = None
+    parts = flown.fast if flown else fast_parts(recording)
     clipped = {f"{s.sensor}_{a}" for s in mended.steps if s.effect == "saturation" for a in s.axes}
     fast = fast_effects(parts, nominal, max(threshold, FAST_THRESHOLD), without, say, clipped=clipped)
     levels = {
         name: v.value for name, r in fast for f in r.found if f.chosen.effect == "white_noise" for v in f.chosen.values
     }
-    prepared, recording, late = without_delay(recording, nominal, parts, levels, dict(fast))
+    prepared, recording, late = without_delay(
+        recording, nominal, parts, levels, dict(fast), flown.prepared if flown and not levels else None
+    )
     say("responding every effect through the filter")
     scene = Scene.of(prepared)
     colour = colour_of(nominal.effects)

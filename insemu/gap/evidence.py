@@ -392,7 +392,6 @@ class Mode:
 
 def laplace(log_posterior: Callable[[Array], float], x0: Array, free: Sequence[Free]) -> Mode:
     """Climb to a mode and weigh it; no direction counts as wider than its prior."""
-
     admitted = [(math.log(f.low) - 6.0 * f.edge, math.log(f.high) + 6.0 * f.edge) for f in free]
 
     def cost(x: Array) -> float:

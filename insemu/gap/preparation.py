@@ -163,6 +163,31 @@ def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], le
     return prepared
 
 
+@dataclass(frozen=True)
+class Flown:
+    """A recording with the nominal filter's run on it before anything is named: what several looks at the same recording share.
+
+    Parameters
+    ----------
+    recording : Recording
+    nominal : Nominal
+        What is believed of it.
+    fast : mapping of axis to Reduced
+    prepared : Prepared
+    """
+
+    recording: Recording
+    nominal: Nominal
+    fast: dict[str, Reduced]
+    prepared: Prepared
+
+    @classmethod
+    def of(cls, recording: Recording, nominal: Nominal) -> Flown:
+        """Run the nominal filter; see :func:`prepare`."""
+        fast = fast_parts(recording)
+        return cls(recording, nominal, fast, prepare(recording, nominal, fast, {}))
+
+
 def fixes_score(fixes: FixTable) -> float:
     """Log score of the innovations of the accepted fixes."""
     total = 0.0

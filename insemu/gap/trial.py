@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import json
 import math
+import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
+from multiprocessing import active_children
 from pathlib import Path
 from typing import Any, Literal
 
@@ -312,7 +314,7 @@ def run_dynamic(
     else:
         recording = s.record(uses)
     started = time.process_time()
-    report = find_gap(recording, s.nominal, rng=np.random.default_rng([seed, 4]), hold_out=hold_out)
+    report = find_gap(recording, s.nominal, rng=np.random.default_rng([seed, 4]), hold_out=hold_out, pictures=False)
     seconds = time.process_time() - started
     held = math.nan
     if uses and not outside:
@@ -446,6 +448,8 @@ def run_trial(
     """
     out: list[Trial] = []
     known = _read_log(log) if log is not None else {}
+    if log is not None and log.exists():
+        _without_remnant(log)
     todo: list[tuple[int, Job]] = []
 
     def keep(trial: Trial) -> None:
@@ -469,19 +473,28 @@ def run_trial(
         for _, job in todo:
             finish(job, job.run())
         return out
-    with ProcessPoolExecutor(workers) as pool:
+    others = set(active_children())
+    with ProcessPoolExecutor(workers, initializer=_without_interrupts) as pool:
         futures = {pool.submit(_run, job): job for _, job in todo}
         try:
             for future in as_completed(futures):
                 finish(futures[future], future.result())
         except KeyboardInterrupt:
-            pool.shutdown(wait=False, cancel_futures=True)
+            # what they are at is lost in any case, and may take ten seconds yet
+            for child in set(active_children()) - others:
+                child.terminate()
+            pool.shutdown(wait=True, cancel_futures=True)
             raise
     return sorted(out, key=lambda t: (t.kind, t.seed))
 
 
 def _run(job: Job) -> Trial:
     return job.run()
+
+
+def _without_interrupts() -> None:
+    """Ctrl-C reaches every process of a terminal; only the first one answers it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _key(job: Job) -> str:
@@ -502,6 +515,13 @@ def _read_log(path: Path) -> dict[str, Trial]:
                 break  # cut off while it was written
             raise InputError("expected a line of JSON of a blind trial", where=f"{path}:{number}") from None
     return out
+
+
+def _without_remnant(path: Path) -> None:
+    """Cut off a last line that was interrupted while it was written, so that the next one begins a line."""
+    text = path.read_bytes()
+    if text and not text.endswith(b"\n"):
+        path.write_bytes(text[: text.rfind(b"\n") + 1])
 
 
 # -- scores ---------------------------------------------------------------------------------------------------------------------------
