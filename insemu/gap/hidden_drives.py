@@ -450,7 +450,9 @@ def log_score(result: FilterResult, after: float = -math.inf) -> float:
     return total
 
 
-def size_effect(s: Stage, clean: Prepared, use: EffectUse, hidden: Hidden, target: float) -> tuple[EffectUse, Hidden]:
+def size_effect(
+    s: Stage, clean: Callable[[], Prepared], use: EffectUse, hidden: Hidden, target: float
+) -> tuple[EffectUse, Hidden]:
     """Give an effect the size at which it is worth ``target`` nats in this recording, or as large as it may get.
 
     A random process is sized by its own draw, which the trial repeats; its evidence is less than its signal's, so the target is raised.
@@ -458,7 +460,8 @@ def size_effect(s: Stage, clean: Prepared, use: EffectUse, hidden: Hidden, targe
     key = _SIZED.get(use.id) or _DRAWN.get(use.id)
     if key is None:
         return use, replace(hidden, nats=_level_nats(s, use))
-    half = whitened_difference(clean.result, clean.on(s.record((use,))).result)
+    without = clean()
+    half = whitened_difference(without.result, without.on(s.record((use,))).result)
     if not half > 0.0:
         return use, replace(hidden, nats=0.0)
     wanted = target if use.id in _SIZED else 3.0 * target + 10.0
@@ -487,6 +490,12 @@ def _level_nats(s: Stage, use: EffectUse) -> float:
     return math.nan
 
 
+def oracle_knows(uses: Sequence[EffectUse]) -> bool:
+    """Whether :func:`oracle` covers these effects."""
+    known = {*_SIZED, *_DRAWN, "earth_rate", "gnss_noise_level", "gnss_velocity_noise", "gnss_correlated_noise"}
+    return bool(uses) and all(u.id in known for u in uses)
+
+
 def oracle(
     s: Stage, clean: Prepared, seen: Prepared, uses: Sequence[EffectUse], cut: float
 ) -> tuple[float, float, int]:
@@ -495,9 +504,8 @@ def oracle(
     Shaped effects: the twin without them. Random processes of the IMU: the filter that believes in them. Levels of the fixes: the filter with the
     true ones. Coloured fixes: the surrogate with the true process. NaN for effects that this does not cover (the fast ones and outliers).
     """
-    known = {*_SIZED, *_DRAWN, "earth_rate", "gnss_noise_level", "gnss_velocity_noise", "gnss_correlated_noise"}
     fixes = int(np.sum(seen.result.fixes.t > cut))
-    if not uses or any(u.id not in known for u in uses):
+    if not oracle_knows(uses):
         return math.nan, math.nan, fixes
     beliefs = dict(clean.beliefs)
     factors = np.ones(6)
