@@ -43,7 +43,7 @@ def test_a_twin_is_always_confused_and_what_shares_nothing_never() -> None:
 def test_a_rival_that_shares_half_is_confused_less_the_stronger_the_effect(
     nats: float, low: float, high: float
 ) -> None:
-    # it is behind by half the nats, with a variance of as much again: below 3 in 0.36, 0.06 and none of the repetitions, less where it
+    # it is behind by half the nats, with a variance of twice that: below 3 in 0.36, 0.06 and none of the repetitions, less where it
     # is worth nothing itself
     assert low <= shares(nats)["half"] <= high
 
