@@ -48,7 +48,7 @@ def wavelet_p_values(
     list of (scale s, measured, expected, two-sided p-value)
     """
     return [
-        (scale, measured, expected, _chi_square_p(measured, expected, variance))
+        (scale, measured, expected, chi_square_p(measured, expected, variance))
         for scale, measured, expected, variance in wavelet_moments(data, explanation, rng, spent)
     ]
 
@@ -89,7 +89,7 @@ def wavelet_moments(
         expected = 2.0 * float(np.trapezoid(S * gain, f))
         spread = 2.0 * float(np.trapezoid((S * gain) ** 2, f)) * 2.0 / (w.size * dt)
         g = 2.0 * np.trapezoid(slopes * gain, f, axis=1)
-        out.append((2.0 * m * dt, float(np.mean(w * w)), expected, _left(spread, share, g, spent)))
+        out.append((2.0 * m * dt, float(np.mean(w * w)), expected, left_over(spread, share, g, spent)))
         m *= 2
     gamma, slopes = _with_slopes(explanation, lambda e: e.covariance(data.block, dt, data.differences.size), spent)
     draws = _draw(gamma, DRAWS, rng)
@@ -104,7 +104,7 @@ def wavelet_moments(
         lags[1:] *= 2.0
         expected, g = float(gamma[: lags.size] @ lags), slopes[:, : lags.size] @ lags
         variance = float(_haar(paths, span).var())
-        out.append((2.0 * span * data.block_s, measured, expected, _left(variance, 1.0, g, spent)))
+        out.append((2.0 * span * data.block_s, measured, expected, left_over(variance, 1.0, g, spent)))
         span *= 2
     return out
 
@@ -132,12 +132,12 @@ def spent_on(state: AxisState) -> Array:
     values, vectors = np.linalg.eigh(information)
     covariance = (vectors / np.maximum(values, 1.0)) @ vectors.T
     kept = np.sqrt(
-        [_followed(float(v), 0.5 * math.log(f.high / f.low)) for v, f in zip(np.diag(covariance), free, strict=True)]
+        [followed(float(v), 0.5 * math.log(f.high / f.low)) for v, f in zip(np.diag(covariance), free, strict=True)]
     )
     return np.asarray(kept[:, None] * covariance * kept[None, :])
 
 
-def _followed(variance: float, half: float) -> float:
+def followed(variance: float, half: float) -> float:
     """Share of an estimate's variance that is left where it is clipped to ``half`` either way of the nominal value, truth uniform inside."""
     sd = math.sqrt(variance)
     x = np.linspace(half, half + 6.0 * sd, 400)
@@ -161,7 +161,7 @@ def _with_slopes(
     return value, np.stack([(of(explanation.at(x + h)) - of(explanation.at(x - h))) / (2.0 * STEP) for h in steps])
 
 
-def _left(variance: float, share: float, slope: Array, spent: Array | None) -> float:
+def left_over(variance: float, share: float, slope: Array, spent: Array | None) -> float:
     """Variance of a statistic about its value under a model that was fitted to the same data.
 
     An efficient estimate's error is uncorrelated with what is left, so the statistic's own variance falls by what the parameters'
@@ -184,7 +184,8 @@ def _draw(gamma: Array, count: int, rng: np.random.Generator) -> Array:
     return np.asarray((lower @ rng.standard_normal((gamma.size, count))).T)
 
 
-def _chi_square_p(value: float, mean: float, variance: float) -> float:
+def chi_square_p(value: float, mean: float, variance: float) -> float:
+    """Two-sided p-value of a statistic that is a chi-square of this mean and variance but for a factor."""
     dof = 2.0 * mean**2 / variance
     x = value / mean * dof
     return float(min(1.0, 2.0 * min(stats.chi2.cdf(x, dof), stats.chi2.sf(x, dof))))
@@ -204,7 +205,7 @@ def axis_tests(state: AxisState, spent: Array | None = None) -> list[tuple[str, 
     lags = np.arange(1, min(20, n // 5) + 1)
     rho = np.array([float(np.mean(e[k:] * e[:-k])) for k in lags]) / float(np.mean(e * e))
     out.append(("whiteness", data.block_s, float(stats.chi2.sf(np.sum(rho**2 * (n - lags)), lags.size))))
-    out.append(("variance", data.block_s, _chi_square_p(float(np.sum(e * e)), n, _volume_left(state, n, spent))))
+    out.append(("variance", data.block_s, chi_square_p(float(np.sum(e * e)), n, _volume_left(state, n, spent))))
     out.append(("distribution", data.block_s, float(stats.kurtosistest(e).pvalue)))
     size = np.abs(e) - np.mean(np.abs(e))
     out.append(("volatility", data.block_s, correlation_p(size[1:], size[:-1])))
@@ -260,7 +261,7 @@ def _volume_left(state: AxisState, n: int, spent: Array) -> float:
         return float(kernel.toeplitz_whiten(state.explanation.at(at).covariance(data.block, data.dt, n), zero, white))
 
     slope = np.array([(volume(x + e) - volume(x - e)) / (2.0 * h) for e in np.eye(x.size) * h])
-    return _left(2.0 * n, 1.0, slope, spent)
+    return left_over(2.0 * n, 1.0, slope, spent)
 
 
 def _spectrum_p(state: AxisState, groups: list[NDArray[np.intp]], z: Array, spent: Array) -> float:
@@ -279,11 +280,6 @@ def _spectrum_p(state: AxisState, groups: list[NDArray[np.intp]], z: Array, spen
     values, vectors = np.linalg.eigh(cov)
     kept = values > LEAST_LEFT
     return float(stats.chi2.sf(float(np.sum((vectors[:, kept].T @ z) ** 2 / values[kept])), int(kept.sum())))
-
-
-def two_sided(x: float, dof: float) -> float:
-    """Two-sided p-value of a chi-square."""
-    return float(min(1.0, 2.0 * min(stats.chi2.cdf(x, dof), stats.chi2.sf(x, dof))))
 
 
 def correlation_p(a: Array, b: Array) -> float:
