@@ -5,6 +5,7 @@
 ``effects``  every effect that a log at rest can show, hidden by the emulator at strengths that are worth 20 and 60 nats
 ``sets``     two and three effects on one axis
 ``null``     logs without any effect: how many are flagged, how many named
+``map``      p-values of the map on logs without any effect against the uniform distribution, statistic by statistic and scale by scale
 ``pairs``    pairs predicted indistinguishable against the confusions of repeated draws
 
 Random effects are drawn by the emulator; levels believed are wrong by up to 20 %.
@@ -24,7 +25,7 @@ from insemu.effects import EffectUse
 from insemu.emulate import corrupt
 from insemu.gap import find_static_gap, load_measured
 from insemu.gap.candidates import CANDIDATES, AxisState, state_of
-from insemu.gap.disagreement import wavelet_moments
+from insemu.gap.disagreement import axis_tests, spent_on, wavelet_moments, wavelet_p_values
 from insemu.gap.evidence import Explanation
 from insemu.gap.reduced import reduce
 from insemu.gap.sources import static_of
@@ -262,6 +263,31 @@ def null(arguments: argparse.Namespace) -> None:
         )
 
 
+def map_of_nothing(arguments: argparse.Namespace) -> None:
+    """p-values of the map where nothing is missing: Kolmogorov-Smirnov against uniform, and shares below 5 and 1 %."""
+    from scipy.stats import kstest
+
+    n = int(arguments.hours * 3600 * arguments.rate)
+    collected: dict[str, list[float]] = {}
+    for i, truth in enumerate(_NULLS):
+        model = NoiseModel.parse(truth, "rad/s")
+        for k in range(arguments.draws):
+            rng = np.random.default_rng([arguments.seed, 900 + i, k])
+            log = Series(model.simulate(n, 1.0 / arguments.rate, rng), arguments.rate, "rad/s", "gyro_x")
+            state = state_of(reduce(log), Explanation.nominal(wrong(truth, rng)))
+            spent = spent_on(state)
+            for scale, _, _, p in wavelet_p_values(state.data, state.explanation, rng, spent):
+                collected.setdefault(f"wavelet variance at {scale:.3g} s", []).append(p)
+            for statistic, _, p in axis_tests(state, spent):
+                collected.setdefault(statistic, []).append(p)
+    for statistic, values in collected.items():
+        p = np.array(values)
+        print(
+            f"{statistic:28s} {p.size} draws, against uniform p {kstest(p, 'uniform').pvalue:.2g}; "
+            f"below 5 %: {100 * np.mean(p < 0.05):.1f} %, below 1 %: {100 * np.mean(p < 0.01):.1f} %"
+        )
+
+
 def pairs(arguments: argparse.Namespace) -> None:
     """Predicted classes of repeated draws against who came first in them."""
     n = int(arguments.hours * 3600 * RATE)
@@ -367,15 +393,16 @@ def thermal(_: argparse.Namespace) -> None:
 def main() -> None:
     """Parse and run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("real", "thermal", "effects", "sets", "null", "pairs"))
+    parser.add_argument("what", choices=("real", "thermal", "effects", "sets", "null", "map", "pairs"))
     parser.add_argument("only", nargs="*", help="effects: only these")
     parser.add_argument("--draws", type=int, default=10)
     parser.add_argument("--hours", type=float, default=1.0)
+    parser.add_argument("--rate", type=float, default=RATE, help="map: samples per second")
     parser.add_argument("--axes", type=int, default=6)
     parser.add_argument("--axes-of", type=int, nargs="*", help="real: numbers of axes")
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
-    globals()[arguments.what](arguments)
+    {**globals(), "map": map_of_nothing}[arguments.what](arguments)
 
 
 if __name__ == "__main__":

@@ -474,6 +474,15 @@ def without_delay(
     return best, recording, late
 
 
+def with_delay(step: Step, delay: float) -> Step:
+    """A low-pass with the delay in s that was taken off its sensor; as uncertain as the cutoff that it follows from."""
+    if step.effect != "decimation_filter":
+        return step
+    ratios = [(v.value / v.high, v.value / v.low) for v in step.parameters if v.name.startswith("cutoff") and v.low > 0.0]
+    low, high = (min(r[0] for r in ratios), max(r[1] for r in ratios)) if ratios else (1.0, 1.0)
+    return replace(step, parameters=(*step.parameters, Value("delay", delay, delay * low, delay * high, "s")))
+
+
 def again_with_processes(
     fast: list[tuple[str, static_log.AxisResult]],
     named: Named,
@@ -585,6 +594,7 @@ def find_dynamic_gap(
     if named.outsider or failed:
         own = [s.doubted() for s in own]
     heard = [s.doubted() if static_log.is_shaken(s, (), changing) else s for s in static_log.merged_steps(dict(fast))]
+    heard = [with_delay(s, late.get(s.sensor, 0.0)) for s in heard]
     steps = sorted([*own, *heard, *noticed], key=lambda s: -s.gain_nats)
     remainder = static_log.remainder(
         failed, {**({("the fixes", ""): named.outsider} if named.outsider else {}), **changing}

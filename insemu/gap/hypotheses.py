@@ -33,6 +33,8 @@ AMPLITUDES = np.geomspace(1e-3, 100.0, 31)
 #: Effects of one number that only one description can have.
 ONCE = ("imu_gnss_time_offset", "clock_drift", "gravity", "earth_rate", "transport_rate")
 PROCESSES = {"random_walk": "K", "gauss_markov": "sigma", "flicker": "B"}
+#: Prior scales of structure outside the catalogue, for which no datasheet says how large it may be.
+LIBRARY_SCALES = (*PRIOR_SCALES, 30.0, 100.0, 300.0)
 _SENSORS = (("gyro", 0), ("accel", 3))
 #: A level is estimated together with a colour, not beside it.
 _LEVELS = ("gnss_noise_level", "gnss_velocity_noise")
@@ -471,7 +473,7 @@ def library_gain(scene: Scene, data: Field, given: Sequence[Block]) -> tuple[flo
     """The best structure outside the catalogue, those of a sensor counted alike."""
     A, b = data.conditioned(given)
     found: dict[str, list[tuple[float, str]]] = {}
-    amplitudes = np.array(PRIOR_SCALES)
+    amplitudes = np.array(LIBRARY_SCALES)
     for i, c in enumerate(scene.columns[scene.catalogue :], start=scene.catalogue):
         logs = quadratic_evidence(A[i : i + 1, i : i + 1], b[i : i + 1], np.array([[c.scale]]), amplitudes)
         found.setdefault(c.sensor, []).append((log_mean_exp(logs[:, 0]), f"{c.sensor} error that goes with {c.label}"))

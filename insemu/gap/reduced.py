@@ -121,7 +121,7 @@ def spectrum(y: Array, dt: float, lowest: float) -> tuple[Array, Array, Array]:
         return np.zeros(0), np.zeros(0), np.zeros(0)
     first, count, centre = bins
     total = np.add.reduceat(power, first)[: count.size]
-    return centre, total / count, 2.0 * count / _overlap(min(n, 4096))
+    return centre, total / count, 2.0 * count / overlap(n)
 
 
 def _each_taper(n: int) -> Iterator[Array]:
@@ -175,9 +175,13 @@ def _bins(n: int, dt: float, lowest: float) -> tuple[NDArray[np.intp], Array, Ar
     return np.append(first, stop), (last - first).astype(np.float64), centre
 
 
+def overlap(n: int) -> float:
+    """Ordinates that one independent ordinate is worth, for averages much wider than the tapers: n sum of squared mean weights."""
+    return _overlap(min(n, 4096))
+
+
 @lru_cache(maxsize=4)
 def _overlap(n: int) -> float:
-    """Ordinates that one independent ordinate is worth, for averages much wider than the tapers: n sum of squared mean weights."""
     t = np.arange(1, n + 1)
     weights = np.mean([2.0 / (n + 1) * np.sin(np.pi * k * t / (n + 1)) ** 2 for k in range(1, TAPERS + 1)], axis=0)
     return float(n * np.sum(weights**2))

@@ -595,10 +595,13 @@ def _map(
         sensor, axis = split_axis(name)
         state = r.end if refined else r.start
         states[name] = state
+        spent = disagreement.spent_on(state)
         if not refined:
-            for scale, _, _, p in disagreement.wavelet_p_values(state.data, state.explanation, rng):
+            for scale, _, _, p in disagreement.wavelet_p_values(state.data, state.explanation, rng, spent):
                 entries.append(("wavelet_variance", sensor, axis, scale, p))
-        entries += [(statistic, sensor, axis, scale, p) for statistic, scale, p in disagreement.axis_tests(state)]
+        entries += [
+            (statistic, sensor, axis, scale, p) for statistic, scale, p in disagreement.axis_tests(state, spent)
+        ]
     for a, b, p in disagreement.cross_axis_tests(states):
         entries.append(("cross_axis " + b, *split_axis(a), None, p))
     return disagreement.corrected(entries)
