@@ -257,13 +257,26 @@ def shape_values(scene: Scene, index: NDArray[Any], mean: Array, covariance: Arr
 
 
 def null_threshold(
-    variants: Sequence[Variant], data: Field, rng: np.random.Generator, share: float = 0.02, draws: int = 300
+    variants: Sequence[Variant],
+    data: Field,
+    rng: np.random.Generator,
+    share: float = 0.02,
+    draws: int = 300,
+    *,
+    always: Sequence[Block] = (),
 ) -> float:
-    """Evidence that the best effect exceeds in ``share`` of simulated nominal recordings: the filter's own responses, drawn innovations."""
+    """Evidence that the best effect exceeds in ``share`` of simulated nominal recordings: the filter's own responses, drawn innovations.
+
+    ``always`` is what is uncertain in a nominal recording too; it is drawn as well and then allowed for.
+    """
     z = rng.standard_normal((data.y.size, draws))
     b = data.G.T @ z / math.sqrt(data.variance)
+    for index, root in always:
+        b += data.A[:, index] @ root @ rng.standard_normal((root.shape[1], draws))
+    A, b = data.conditioned(always, b)
+    b = b[:, 1:]
     # the first column decides what is worth a closer look, as it does for the measured innovations
-    gains = pooled_gains(variants, linear_gains(variants, data.A, b))
+    gains = pooled_gains(variants, linear_gains(variants, A, b))
     return float(np.quantile(np.max(np.stack(list(gains.values())), axis=0), 1.0 - share))
 
 
@@ -474,7 +487,7 @@ def library_gain(scene: Scene, data: Field, given: Sequence[Block]) -> tuple[flo
     A, b = data.conditioned(given)
     found: dict[str, list[tuple[float, str]]] = {}
     amplitudes = np.array(PRIOR_SCALES)
-    for i, c in enumerate(scene.columns[scene.catalogue :], start=scene.catalogue):
+    for i, c in enumerate(scene.columns[scene.library], start=scene.library.start):
         logs = quadratic_evidence(A[i : i + 1, i : i + 1], b[i : i + 1], np.array([[c.scale]]), amplitudes)
         found.setdefault(c.sensor, []).append((log_mean_exp(logs[:, 0]), f"{c.sensor} error that goes with {c.label}"))
     best = (-math.inf, "")
