@@ -205,14 +205,20 @@ class Search:
         return Named(tuple(self.found), self.scene, self.outsider, self.gone)
 
     def _apart(self, best: Hypothesis) -> Hypothesis:
-        """The best effect of one axis instead of one of several axes, where two or three of their own explain more than the one together."""
-        if best.block is None or len(best.axes) < 2:
+        """The best of two or three simpler effects, where they explain more than the best single one does.
+
+        Of an effect of several axes those of one axis; of a slow process, which follows anything slow, those of known shape.
+        """
+        if best.effect in PROCESSES:
+            simple = [v for v in self.variants if not v.process and len(v.axes) < 2]
+        else:
+            simple = [v for v in self.variants if len(v.axes) < 2]
+        if best.block is None or (len(best.axes) < 2 and best.effect not in PROCESSES):
             return best
-        single = [v for v in self.variants if len(v.axes) < 2]
         given, total = self.blocks(self.found), 0.0
         first: Hypothesis | None = None
-        for _ in best.axes:
-            tried = linear_hypotheses(self.scene, single, self.data, given, self._skip(self.found))
+        for _ in range(3):
+            tried = linear_hypotheses(self.scene, simple, self.data, given, self._skip(self.found))
             top = max(tried, key=lambda h: h.gain)
             if top.block is None or top.gain < self.threshold:
                 break

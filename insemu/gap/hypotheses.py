@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 AMPLITUDES = np.geomspace(1e-3, 100.0, 31)
 #: Effects of one number that only one description can have.
 ONCE = ("imu_gnss_time_offset", "clock_drift", "gravity", "earth_rate", "transport_rate")
+#: What more axes of one effect must be worth over fewer, nats.
+PARSIMONY = 2.0
 PROCESSES = {"random_walk": "K", "gauss_markov": "sigma", "flicker": "B"}
 _SENSORS = (("gyro", 0), ("accel", 3))
 #: A level is estimated together with a colour, not beside it.
@@ -193,13 +195,16 @@ def linear_hypotheses(
     A, b = data.conditioned(given)
     logs = linear_gains(variants, A, b)
     gains = pooled_gains(variants, logs)
-    best: dict[tuple[str, str], tuple[float, Variant, list[Array]]] = {}
+    tried: dict[tuple[str, str], list[tuple[float, Variant, list[Array]]]] = {}
     for v, x in zip(variants, logs, strict=True):
         if x:
             own = float(log_mean_exp_columns(np.concatenate(x))[0])
-            key = (v.effect, v.sensor)
-            if key not in best or own > best[key][0]:
-                best[key] = (own, v, x)
+            tried.setdefault((v.effect, v.sensor), []).append((own, v, x))
+    best = {}
+    for key, mine in tried.items():
+        # an axis is named where the innovations speak for it, not where they hardly see it
+        top = max(own for own, _, _ in mine)
+        best[key] = min((m for m in mine if m[0] > top - PARSIMONY), key=lambda m: (len(m[1].axes), -m[0]))
     return [
         _described(scene, data, given, v, x, float(gains[key][0]))
         for key, (_, v, x) in best.items()

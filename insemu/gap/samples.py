@@ -49,13 +49,13 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
     """Name dropped samples and saturation and mend the record: gaps bridged, clipped stretches filled in."""
     steps: list[Step] = []
     stretches: list[Clipped] = []
+    if "quantization" not in without:
+        steps += _lattices(imu)  # of what was recorded: a bridge lies on no lattice
     if "dropped_samples" not in without:
         bridged = _bridge(imu)
         if bridged is not None:
             imu = bridged[0]
             steps.append(bridged[1])
-    if "quantization" not in without:
-        steps += _lattices(imu)
     if "saturation" not in without:
         for first, (sensor, unit) in zip((0, 3), _SENSORS, strict=True):
             values = np.array(getattr(imu, sensor))
@@ -77,10 +77,12 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
 def _lattices(imu: ImuRecord) -> list[Step]:
     """Axes whose samples lie on a lattice of output counts."""
     widths = _widths(imu)
+    # the increment over a gap is short of what was lost or holds several
+    steady = np.abs(widths[1:, 0] / np.median(widths) - 1.0) < 0.05
     out = []
     for sensor, unit in _SENSORS:
         rates = np.array(getattr(imu, sensor)) / widths
-        steps = {axis: lattice(rates[1:, k]) for k, axis in enumerate("xyz")}
+        steps = {axis: lattice(rates[1:][steady, k]) for k, axis in enumerate("xyz")}
         on = tuple(axis for axis, step in steps.items() if step > 0.0)
         if not on:
             continue
