@@ -107,8 +107,8 @@ class Named:
 
     @property
     def blocks(self) -> list[Block]:
-        """How the effects enter the linear model of the innovations."""
-        return blocks_of(self.found)
+        """How the effects enter the linear model of the innovations, and what is uncertain in any case."""
+        return [*self.scene.always, *blocks_of(self.found)]
 
     @property
     def outliers(self) -> Hypothesis | None:
@@ -163,6 +163,10 @@ class Search:
             np.ones(scene.rows_t.size, dtype=bool) if self.cut is None else np.asarray(scene.rows_t <= self.cut)
         )
 
+    def blocks(self, found: Sequence[Found]) -> list[Block]:
+        """How steps enter the linear model of the innovations, and what is uncertain in any case."""
+        return [*self.scene.always, *blocks_of(found)]
+
     def rank(self, given: Sequence[Block], skip: Collection[str], *, fixes: bool = True) -> list[Hypothesis]:
         """Every effect that the innovations can show beside ``given``, best first."""
         out = linear_hypotheses(self.scene, self.variants, self.data, given, skip)
@@ -183,9 +187,9 @@ class Search:
     def run(self, progress: Callable[[str], None]) -> Named:
         """Name the best effect, add it, estimate again, until nothing is worth the threshold."""
         for _ in range(MOST_STEPS):
-            ranked = self.rank(blocks_of(self.found), self._skip(self.found))
+            ranked = self.rank(self.blocks(self.found), self._skip(self.found))
             best = ranked[0]
-            beyond, what = library_gain(self.scene, self.data, blocks_of(self.found))
+            beyond, what = library_gain(self.scene, self.data, self.blocks(self.found))
             if beyond > self.threshold and beyond > best.gain + OUTSIDE_LEAD:
                 self.outsider = what
                 break
@@ -201,14 +205,20 @@ class Search:
         return Named(tuple(self.found), self.scene, self.outsider, self.gone)
 
     def _apart(self, best: Hypothesis) -> Hypothesis:
-        """The best effect of one axis instead of one of several axes, where two or three of their own explain more than the one together."""
-        if best.block is None or len(best.axes) < 2:
+        """The best of two or three simpler effects, where they explain more than the best single one does.
+
+        Of an effect of several axes those of one axis; of a slow process, which follows anything slow, those of known shape.
+        """
+        if best.effect in PROCESSES:
+            simple = [v for v in self.variants if not v.process and len(v.axes) < 2]
+        else:
+            simple = [v for v in self.variants if len(v.axes) < 2]
+        if best.block is None or (len(best.axes) < 2 and best.effect not in PROCESSES):
             return best
-        single = [v for v in self.variants if len(v.axes) < 2]
-        given, total = blocks_of(self.found), 0.0
+        given, total = self.blocks(self.found), 0.0
         first: Hypothesis | None = None
-        for _ in best.axes:
-            tried = linear_hypotheses(self.scene, single, self.data, given, self._skip(self.found))
+        for _ in range(3):
+            tried = linear_hypotheses(self.scene, simple, self.data, given, self._skip(self.found))
             top = max(tried, key=lambda h: h.gain)
             if top.block is None or top.gain < self.threshold:
                 break
@@ -228,13 +238,13 @@ class Search:
             self.found.append(Found(best, tuple(ranked)))
         elif best.effect == "gnss_outliers":
             self.found.append(Found(best, tuple(ranked)))
-            times, _ = wild_fixes(scene, best, unexplained_innovations(scene, blocks_of(self.found)))
+            times, _ = wild_fixes(scene, best, unexplained_innovations(scene, self.blocks(self.found)))
             self.gone = np.union1d(self.gone, times)
             scene = scene.rebuilt(gone=self.gone)
         elif (level := best.noise) is not None:
             if best.effect == "gnss_correlated_noise":
                 assert level.colour is not None
-                s = replace(scene.surrogate, nu=unexplained_innovations(scene, blocks_of(self.found)))
+                s = replace(scene.surrogate, nu=unexplained_innovations(scene, self.blocks(self.found)))
                 moved = scene.original.factors / scene.original.levels
                 noise = joint_noise(
                     s if self.cut is None else s.until(self.cut), level.colour, moved, LEVEL_UNCERTAINTY
@@ -253,11 +263,11 @@ class Search:
                 self._take(scene)
                 scene = scene.rebuilt(corrections=self._corrections())
         self._take(scene)
-        self._take(self.scene.trimmed(blocks_of(self.found), self.cut))
+        self._take(self.scene.trimmed(self.blocks(self.found), self.cut))
 
     def _corrections(self) -> dict[int, float]:
         """Best values of the strong shapes, to be taken out of the data."""
-        blocks = blocks_of(self.found)
+        blocks = self.blocks(self.found)
         index, mean, _ = self.data.posterior(blocks)
         strong = {
             c
@@ -274,7 +284,7 @@ class Search:
             if f.chosen.block is None or f.chosen.effect == "gnss_multipath_step":
                 continue
             others = [g for g in self.found if g is not f]
-            ranked = self.rank(blocks_of(others), self._skip(others), fixes=False)
+            ranked = self.rank(self.blocks(others), self._skip(others), fixes=False)
             kept = next((h for h in ranked if (h.effect, h.sensor) == (f.chosen.effect, f.chosen.sensor)), None)
             best = ranked[0]
             if best.gain < min(self.threshold, 2.0):
@@ -293,7 +303,7 @@ class Search:
             if f.chosen.block is None or any(h.sensor == "gnss" and h.block is None for h in f.ranked):
                 continue
             others = [g for g in self.found if g is not f]
-            rivals = covariance_hypotheses(self.scene, blocks_of(others), self._skip(others), self.cut)
+            rivals = covariance_hypotheses(self.scene, self.blocks(others), self._skip(others), self.cut)
             self._swap(f, f.chosen, sorted([*f.ranked, *rivals], key=lambda h: -h.gain))
 
 
@@ -322,7 +332,7 @@ def believing(named: Named, cut: float | None = None) -> tuple[Scene, list[Block
     The search carries a process on knots; what is left of a strong one between them would count against it.
     """
     beliefs = dict(named.scene.original.beliefs)
-    blocks = []
+    blocks = list(named.scene.always)
     for f in named.found:
         h = f.chosen
         if h.effect in PROCESSES:
@@ -556,12 +566,16 @@ def find_dynamic_gap(
     prepared, recording, late = without_delay(
         recording, nominal, parts, levels, dict(fast), flown.prepared if flown and not levels else None
     )
+    prepared = replace(prepared, clipped=mended.clipped)
     say("responding every effect through the filter")
     scene = Scene.of(prepared)
     colour = colour_of(nominal.effects)
     if colour is not None:
         scene, without = scene.coloured(FixNoise(np.ones(6), colour)), (*without, "gnss_correlated_noise")
-    threshold = max(threshold, null_threshold([v for v in bank(scene) if v.effect not in without], scene.data, rng))
+    threshold = max(
+        threshold,
+        null_threshold([v for v in bank(scene) if v.effect not in without], scene.data, rng, always=scene.always),
+    )
     named = find_effects(scene, None, threshold, without, say)
     nothing = Interval(math.nan, math.nan, math.nan)
     before = after = held = nothing

@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 AMPLITUDES = np.geomspace(1e-3, 100.0, 31)
 #: Effects of one number that only one description can have.
 ONCE = ("imu_gnss_time_offset", "clock_drift", "gravity", "earth_rate", "transport_rate")
+#: What more axes of one effect must be worth over fewer, nats.
+PARSIMONY = 2.0
 PROCESSES = {"random_walk": "K", "gauss_markov": "sigma", "flicker": "B"}
 #: Prior scales of structure outside the catalogue, for which no datasheet says how large it may be.
 LIBRARY_SCALES = (*PRIOR_SCALES, 30.0, 100.0, 300.0)
@@ -195,13 +197,16 @@ def linear_hypotheses(
     A, b = data.conditioned(given)
     logs = linear_gains(variants, A, b)
     gains = pooled_gains(variants, logs)
-    best: dict[tuple[str, str], tuple[float, Variant, list[Array]]] = {}
+    tried: dict[tuple[str, str], list[tuple[float, Variant, list[Array]]]] = {}
     for v, x in zip(variants, logs, strict=True):
         if x:
             own = float(log_mean_exp_columns(np.concatenate(x))[0])
-            key = (v.effect, v.sensor)
-            if key not in best or own > best[key][0]:
-                best[key] = (own, v, x)
+            tried.setdefault((v.effect, v.sensor), []).append((own, v, x))
+    best = {}
+    for key, mine in tried.items():
+        # an axis is named where the innovations speak for it, not where they hardly see it
+        top = max(own for own, _, _ in mine)
+        best[key] = min((m for m in mine if m[0] > top - PARSIMONY), key=lambda m: (len(m[1].axes), -m[0]))
     return [
         _described(scene, data, given, v, x, float(gains[key][0]))
         for key, (_, v, x) in best.items()
@@ -259,13 +264,26 @@ def shape_values(scene: Scene, index: NDArray[Any], mean: Array, covariance: Arr
 
 
 def null_threshold(
-    variants: Sequence[Variant], data: Field, rng: np.random.Generator, share: float = 0.02, draws: int = 300
+    variants: Sequence[Variant],
+    data: Field,
+    rng: np.random.Generator,
+    share: float = 0.02,
+    draws: int = 300,
+    *,
+    always: Sequence[Block] = (),
 ) -> float:
-    """Evidence that the best effect exceeds in ``share`` of simulated nominal recordings: the filter's own responses, drawn innovations."""
+    """Evidence that the best effect exceeds in ``share`` of simulated nominal recordings: the filter's own responses, drawn innovations.
+
+    ``always`` is what is uncertain in a nominal recording too; it is drawn as well and then allowed for.
+    """
     z = rng.standard_normal((data.y.size, draws))
     b = data.G.T @ z / math.sqrt(data.variance)
+    for index, root in always:
+        b += data.A[:, index] @ root @ rng.standard_normal((root.shape[1], draws))
+    A, b = data.conditioned(always, b)
+    b = b[:, 1:]
     # the first column decides what is worth a closer look, as it does for the measured innovations
-    gains = pooled_gains(variants, linear_gains(variants, data.A, b))
+    gains = pooled_gains(variants, linear_gains(variants, A, b))
     return float(np.quantile(np.max(np.stack(list(gains.values())), axis=0), 1.0 - share))
 
 
@@ -474,7 +492,7 @@ def library_gain(scene: Scene, data: Field, given: Sequence[Block]) -> tuple[flo
     A, b = data.conditioned(given)
     found: dict[str, list[tuple[float, str]]] = {}
     amplitudes = np.array(LIBRARY_SCALES)
-    for i, c in enumerate(scene.columns[scene.catalogue :], start=scene.catalogue):
+    for i, c in enumerate(scene.columns[scene.library], start=scene.library.start):
         logs = quadratic_evidence(A[i : i + 1, i : i + 1], b[i : i + 1], np.array([[c.scale]]), amplitudes)
         found.setdefault(c.sensor, []).append((log_mean_exp(logs[:, 0]), f"{c.sensor} error that goes with {c.label}"))
     best = (-math.inf, "")
