@@ -37,6 +37,8 @@ Array = NDArray[np.float64]
 
 #: Ratio of the largest to the smallest amplitude that a prior admits.
 AMPLITUDE_RANGE = 1e5
+#: A candidate whose best start refines to so much less than nothing is not tried from the others, nats.
+HOPELESS = 4.0
 
 
 @dataclass(frozen=True)
@@ -152,7 +154,11 @@ def best_of(
             chosen.append(explanation)
         if len(chosen) == refine:
             break
-    fits = [fit(likelihood, e) for e in chosen]
+    fits: list[Fitted] = []
+    for e in chosen:
+        fits.append(fit(likelihood, e))
+        if fits[0].evidence < state.fitted.evidence - HOPELESS:
+            break  # the most promising one leads to nothing
     if not fits:
         return []
     best = max(fits, key=lambda f: f.evidence)
@@ -469,7 +475,7 @@ def temperature(state: AxisState) -> list[Weighed]:
                 raise InputError("the temperature effect needs the temperature of the data that it is to predict")
             d = temperature_c - centre
             seen = lowpass(d, where.dt, lag) if lag > 0.0 else d
-            return block_differences(np.stack([seen ** (k + 1) for k in which], axis=1), where.block)
+            return block_differences(np.stack([_power(seen, k + 1) for k in which], axis=1), where.block)
 
         return columns
 
@@ -481,7 +487,7 @@ def temperature(state: AxisState) -> list[Weighed]:
         )[0]  # fmt: skip
         d = T - centre
         seen = lowpass(d, data.dt, lag) if lag > 0.0 else d
-        signal = sum((v.value * seen ** (k + 1) for v, k in zip(w.values, which, strict=True)), np.zeros(T.size))
+        signal = sum((v.value * _power(seen, k + 1) for v, k in zip(w.values, which, strict=True)), np.zeros(T.size))
         w = _less(w, state, signal)
         return replace(w, values=(*w.values, reference))
 
@@ -508,6 +514,11 @@ def temperature(state: AxisState) -> list[Weighed]:
         values = (*best.values, Value("lag", lag, lag / ratio, lag * ratio, "s"))
         out.append(replace(best, gain=best.gain - paid, values=values))
     return out
+
+
+def _power(x: Array, k: int) -> Array:
+    """Integer power by products: a general one takes ten times as long."""
+    return x if k == 1 else np.asarray(x * _power(x, k - 1))
 
 
 def _less(w: Weighed, state: AxisState, signal: Array) -> Weighed:

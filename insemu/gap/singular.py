@@ -78,6 +78,10 @@ def cleaned(state: AxisState, values: Array, effect: str, explanation: Explanati
     return replace(state, data=data, fitted=fitted, named=(*state.named, effect), memory={})
 
 
+#: Frequencies at which a line is looked for, per independent one.
+FINER = 4
+
+
 # -- lines ------------------------------------------------------------------------------------------------------------------------
 
 
@@ -88,15 +92,16 @@ def vibration_line(state: AxisState) -> list[Weighed]:
         return []
     n, dt = data.values.size, data.dt
     y = data.values - data.values.mean()
-    m = 2 * n
+    m = FINER * n
     spectrum = np.abs(np.fft.rfft(y, m)) ** 2 * (dt / n)
     f = np.arange(spectrum.size) / (m * dt)
     inside = (f >= data.f[0]) & (f < 0.5 / dt * (1.0 - 4.0 / n))
     ratio = np.zeros(spectrum.size)
     ratio[inside] = spectrum[inside] / state.explanation.psd(f[inside], dt)
     k = int(np.argmax(ratio))
-    peak = float(ratio[k])
-    looked = 0.5 * float(inside.sum())
+    # a line between two frequencies of the grid is worth what it is at its own
+    peak = max(float(ratio[k]), _height(y, dt, f[k]) / float(state.explanation.psd(f[[k]], dt)[0]))
+    looked = float(inside.sum()) / FINER
     # Bayes factor of one frequency with a complex Gaussian amplitude of variance rho, averaged over rho; frequencies count alike
     rho = np.geomspace(0.3, 1e6, 40)
     gain = log_mean_exp(peak * rho / (1.0 + rho) - np.log1p(rho)) - math.log(looked)
@@ -117,6 +122,12 @@ def vibration_line(state: AxisState) -> list[Weighed]:
         Value("frequency", frequency, frequency - 1.96 * df, frequency + 1.96 * df, "Hz"),
     )
     return [Weighed("vibration_line", "", gain, values, cleaned(state, rest, "vibration_line"))]
+
+
+def _height(y: Array, dt: float, f0: float) -> float:
+    """Periodogram at the best frequency near ``f0``."""
+    _, a, b = _sinusoid(y, dt, f0, 1.0 / (y.size * dt))
+    return 0.25 * (a * a + b * b) * y.size * dt
 
 
 def _steady(y: Array, dt: float, f: float, pieces: int = 32) -> bool:
