@@ -37,6 +37,8 @@ Array = NDArray[np.float64]
 
 #: Ratio of the largest to the smallest amplitude that a prior admits.
 AMPLITUDE_RANGE = 1e5
+#: A candidate whose best start refines to so much less than nothing is not tried from the others, nats.
+HOPELESS = 4.0
 
 
 @dataclass(frozen=True)
@@ -152,7 +154,11 @@ def best_of(
             chosen.append(explanation)
         if len(chosen) == refine:
             break
-    fits = [fit(likelihood, e) for e in chosen]
+    fits: list[Fitted] = []
+    for e in chosen:
+        fits.append(fit(likelihood, e))
+        if fits[0].evidence < state.fitted.evidence - HOPELESS:
+            break  # the most promising one leads to nothing
     if not fits:
         return []
     best = max(fits, key=lambda f: f.evidence)
@@ -510,6 +516,11 @@ def temperature(state: AxisState) -> list[Weighed]:
     return out
 
 
+def _power(x: Array, k: int) -> Array:
+    """Integer power by products: a general one takes ten times as long."""
+    return x if k == 1 else np.asarray(x * _power(x, k - 1))
+
+
 def _less(w: Weighed, state: AxisState, signal: Array) -> Weighed:
     """A named signal taken out of the samples too, so that its fast part is explained as well; worth what the spectrum gains."""
     if not state.data.f.size:
@@ -522,14 +533,6 @@ def _less(w: Weighed, state: AxisState, signal: Array) -> Weighed:
     data = replace(apart, differences=state.data.differences)  # the block band keeps the regressors
     fitted = fit(Likelihood(data), explanation)
     return replace(w, gain=w.gain + after - before, state=replace(w.state, data=data, fitted=fitted))
-
-
-def _power(x: Array, k: int) -> Array:
-    """``x ** k`` by products, which numpy does for squares only."""
-    out = x
-    for _ in range(k - 1):
-        out = out * x
-    return out
 
 
 def lowpass(x: Array, dt: float, lag: float) -> Array:

@@ -465,9 +465,9 @@ def without_delay(
     fast: Mapping[str, static_log.AxisResult],
     prepared: Prepared | None = None,
 ) -> tuple[Prepared, Recording, dict[str, float]]:
-    """The nominal filter (``prepared`` where it has run) on sensors set forward by the delay of the low-pass that the fast band shows, sensor by sensor in s.
+    """The nominal filter on sensors set forward by the delay of the low-pass that the fast band shows, and that delay, s per sensor.
 
-    A low-pass may be causal (it delays) or its delay may have been taken off in the unit already; the innovations say which.
+    ``prepared`` is that filter without any, where it has run. A low-pass may be causal (it delays) or its delay may have been taken off in the unit already; the innovations say which.
     """
     best = prepared or prepare(recording, nominal, parts, levels)
     late: dict[str, float] = {}
@@ -488,7 +488,9 @@ def with_delay(step: Step, delay: float) -> Step:
     """A low-pass with the delay in s that was taken off its sensor; as uncertain as the cutoff that it follows from."""
     if step.effect != "decimation_filter":
         return step
-    ratios = [(v.value / v.high, v.value / v.low) for v in step.parameters if v.name.startswith("cutoff") and v.low > 0.0]
+    ratios = [
+        (v.value / v.high, v.value / v.low) for v in step.parameters if v.name.startswith("cutoff") and v.low > 0.0
+    ]
     low, high = (min(r[0] for r in ratios), max(r[1] for r in ratios)) if ratios else (1.0, 1.0)
     return replace(step, parameters=(*step.parameters, Value("delay", delay, delay * low, delay * high, "s")))
 

@@ -119,9 +119,10 @@ def spectrum(y: Array, dt: float, lowest: float) -> tuple[Array, Array, Array]:
     bins = _bins(n, dt, lowest)
     if bins is None:
         return np.zeros(0), np.zeros(0), np.zeros(0)
-    first, count, centre = bins
+    first, count, _ = bins
     total = np.add.reduceat(power, first)[: count.size]
-    return centre, total / count, 2.0 * count / overlap(n)
+    centre, dof = spectrum_bins(n, dt, lowest)
+    return centre, total / count, dof
 
 
 def _each_taper(n: int) -> Iterator[Array]:
@@ -154,6 +155,14 @@ def moving_spectrum(y: Array, dt: float, lowest: float, pieces: int = 32) -> tup
     # median of a mean of chi-squares over its mean (Wilson and Hilferty), and what the median keeps of the information
     power = np.median([p for _, p, _ in parts], axis=0) / (1.0 - 2.0 / (9.0 * np.maximum(dof, 2.0 * TAPERS))) ** 3
     return f, power, dof * pieces * (2.0 / math.pi)
+
+
+def spectrum_bins(n: int, dt: float, lowest: float) -> tuple[Array, Array]:
+    """Centres (Hz) and degrees of freedom of the bins of :func:`spectrum`."""
+    bins = _bins(n, dt, lowest)
+    if bins is None:
+        return np.zeros(0), np.zeros(0)
+    return bins[2], 2.0 * bins[1] / overlap(n)
 
 
 @lru_cache(maxsize=32)

@@ -80,6 +80,10 @@ def cleaned(state: AxisState, values: Array, effect: str, explanation: Explanati
     return replace(state, data=data, fitted=fitted, named=(*state.named, effect), memory={})
 
 
+#: Frequencies at which a line is looked for, per independent one.
+FINER = 4
+
+
 # -- lines ------------------------------------------------------------------------------------------------------------------------
 
 
@@ -90,15 +94,16 @@ def vibration_line(state: AxisState) -> list[Weighed]:
         return []
     n, dt = data.values.size, data.dt
     y = data.values - data.values.mean()
-    m = 2 * n
+    m = FINER * n
     spectrum = np.abs(np.fft.rfft(y, m)) ** 2 * (dt / n)
     f = np.arange(spectrum.size) / (m * dt)
     inside = (f >= data.f[0]) & (f < 0.5 / dt * (1.0 - 4.0 / n))
     ratio = np.zeros(spectrum.size)
     ratio[inside] = spectrum[inside] / state.explanation.psd(f[inside], dt)
     k = int(np.argmax(ratio))
-    peak = float(ratio[k])
-    looked = 0.5 * float(inside.sum())
+    # a line between two frequencies of the grid is worth what it is at its own
+    peak = max(float(ratio[k]), _height(y, dt, f[k]) / float(state.explanation.psd(f[[k]], dt)[0]))
+    looked = float(inside.sum()) / FINER
     gain = _line_gain(peak, looked)
     if gain < 0.0:
         return [Weighed("vibration_line", "", gain, (), state)]
@@ -118,6 +123,12 @@ def vibration_line(state: AxisState) -> list[Weighed]:
         Value("frequency", frequency, frequency - 1.96 * df, frequency + 1.96 * df, "Hz"),
     )
     return [Weighed("vibration_line", "", gain, values, cleaned(state, rest, "vibration_line"))]
+
+
+def _height(y: Array, dt: float, f0: float) -> float:
+    """Periodogram at the best frequency near ``f0``."""
+    _, a, b = _sinusoid(y, dt, f0, 1.0 / (y.size * dt))
+    return 0.25 * (a * a + b * b) * y.size * dt
 
 
 def _line_gain(peak: float, looked: float) -> float:
