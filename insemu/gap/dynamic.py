@@ -467,7 +467,8 @@ def without_delay(
 ) -> tuple[Prepared, Recording, dict[str, float]]:
     """The nominal filter on sensors set forward by the delay of the low-pass that the fast band shows, and that delay, s per sensor.
 
-    ``prepared`` is that filter without any, where it has run. A low-pass may be causal (it delays) or its delay may have been taken off in the unit already; the innovations say which.
+    ``prepared`` is that filter without any, where it has run. A low-pass may be causal (it delays) or its delay may have been taken off in the
+    unit already; the innovations say which.
     """
     best = prepared or prepare(recording, nominal, parts, levels)
     late: dict[str, float] = {}
