@@ -44,7 +44,9 @@ RAISES, MOST_RAISE = 8, 2.0
 TURN_ON = (2.0, 8.0)
 
 
-def shape(effect: str, n: int, dt: float, white: float, axis: int, rng: np.random.Generator) -> Callable[[float], EffectUse]:
+def shape(
+    effect: str, n: int, dt: float, white: float, axis: int, rng: np.random.Generator
+) -> Callable[[float], EffectUse]:
     """Draw what does not scale (memory, frequency, order, sign); the effect as a function of its strength, 1 near what an hour can show."""
     span, sample = n * dt, white / math.sqrt(dt)
     slow = white / math.sqrt(span)  # uncertainty of the mean over the log
@@ -73,7 +75,7 @@ def shape(effect: str, n: int, dt: float, white: float, axis: int, rng: np.rando
             "outliers": {"probability": 5e-4, "sigma": x(2.5 * s * sample)},
             "quantization": {"lsb": x(0.3 * s * sample)},
             "saturation": {"limit": [3.0 * sample / math.sqrt(s) if k == axis else 1.0 for k in range(3)]},
-            "dropped_samples": {"probability": 2e-4 * s},
+            "dropped_samples": {"probability": 2e-3 * s},
             "turn_on_bias": {"value": x(sign * bias)},
         }  # fmt: skip
         sensor = "imu" if effect == "dropped_samples" else "gyro"
@@ -200,9 +202,7 @@ def static_recording(
     seen = static_of(Recording(imu=replace(imu, temperature=np.interp(imu.t, t, temperature)), source="hidden"))
     assert seen.temperature is not None
     hidden = tuple(
-        Hidden(
-            e, use.sensor, () if e in ("decimation_filter", "dropped_samples") else ("xyz"[axis],), math.nan, nats
-        )
+        Hidden(e, use.sensor, () if e in ("decimation_filter", "dropped_samples") else ("xyz"[axis],), math.nan, nats)
         for e, (use, nats) in zip(looked, made, strict=False)
     )
     return HiddenLog(list(seen.axes[:axes]), beliefs, seen.temperature, seen.missing, hidden, uses, axis, log)

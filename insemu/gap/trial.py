@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS, EffectUse
-from insemu.emulate import corrupt
 from insemu.errors import InputError
 from insemu.gap.hidden_drives import (
     DYNAMIC_EFFECTS,
@@ -38,11 +37,10 @@ from insemu.gap.identify import find_gap
 from insemu.gap.preparation import fast_parts, prepare
 from insemu.gap.static_log import NAMING_SHARE, find_static_gap
 from insemu.gap.verdict import GapReport
-from insemu.noise import NoiseModel
-from insemu.records import AXES, ImuRecord, Series
 
 Array = NDArray[np.float64]
 Kind = Literal["static", "dynamic"]
+
 
 @dataclass(frozen=True)
 class Said:
