@@ -40,6 +40,8 @@ Array = NDArray[np.float64]
 GAUSSIAN = (
     "white_noise", "random_walk", "gauss_markov", "telegraph", "flicker", "ramp", "temperature", "vibration_band", "decimation_filter",
 )  # fmt: skip
+#: Effects that stand in for one another at the longest averaging times.
+SLOW = ("random_walk", "gauss_markov", "telegraph", "flicker", "ramp")
 #: Sizing stops within this share of the wanted evidence, after this many trials, or at this factor of the strength it began with.
 CLOSE, TRIALS, MOST_STRENGTH = 0.03, 14, 1e3
 
@@ -197,6 +199,58 @@ class Log:
         more = len(full.free) - len(less.free) + sum(len(r.names) for r in full.regressors if r.effect == use.id)
         rare = RARER if use.id == "telegraph" else 0.0
         return with_it.evidence - without.evidence + 0.5 * more - rare
+
+    def leads(self, use: EffectUse, beside: Sequence[EffectUse] = ()) -> dict[str, float]:
+        """Nats by which a slow effect is expected to lead every other slow effect in its place; empty for any other effect.
+
+        Telegraph noise counts as the Gauss-Markov process of its spectrum, and is no rival.
+        """
+        if use.id not in SLOW:
+            return {}
+        others = [u for u in beside if u.id in GAUSSIAN]
+        full, mean = self._explained([*others, use])
+        likelihood = self._expected(full, mean)
+        rest, _ = self._explained(others)
+        own = fit(likelihood, full).evidence
+        best: dict[str, float] = {}
+        for name, rival in self._rivals(use, rest, full):
+            best[name] = max(best.get(name, -math.inf), fit(likelihood, rival).evidence)
+        return {name: own - value for name, value in best.items()}
+
+    def _rivals(self, use: EffectUse, rest: Explanation, full: Explanation) -> list[tuple[str, Explanation]]:
+        """The explanation with another slow effect in the place of one, from a few starts each."""
+        T, block = self.n * self.dt, block_length(self.n, self.dt)
+        own = next((c.process for c in reversed(full.components) if c.effect == use.id), None)
+        if own is not None:
+            size = math.sqrt(float(own.allan_variance(max(1, round(0.1 * self.n)), self.dt)))
+        else:
+            size = abs(use.values["R"][self.axis]) * T / 4.0
+        size = max(size, self.white / math.sqrt(T))
+        memory = Free("beta", 2.0 / T, 0.25 / self.dt)
+        processes: list[tuple[str, Process, str, tuple[Free, ...]]] = [
+            *(("random_walk", RW(size * a / math.sqrt(T)), "K", ()) for a in (1.0, 5.0)),
+            *(("flicker", BI(size * a), "B", ()) for a in (0.7, 2.0)),
+            *(
+                ("gauss_markov", GM(size * a, b / T), "sigma", (memory,))
+                for a, b in ((1.5, 4.0), (1.0, 20.0), (1.5, 100.0))
+            ),
+        ]
+        out = [(name, rest.with_component(_component(p, free, "rival", *more))) for name, p, free, more in processes]
+        sigma = self.white / math.sqrt(block * self.dt)
+        shapes: list[tuple[str, Array, Array]] = [
+            ("ramp", np.full((self.n // block - 1, 1), block * self.dt), np.array([3.0 * sigma / T]))
+        ]
+        if self.temperature is not None and not any(r.effect == "temperature" for r in rest.regressors):
+            d = self.temperature - self.temperature.mean()
+            spread = float(np.std(d)) ** np.arange(1, 4)
+            powers = block_differences(np.stack([d, d * d, d * d * d], axis=1), block)
+            scales = np.asarray(3.0 * max(sigma, 0.3 * size) / spread, dtype=np.float64)
+            shapes += [("temperature", powers[:, :k], scales[:k]) for k in (1, 3)]
+        for name, columns, scales in shapes:
+            shape = Regressors(name, tuple(f"c{k}" for k in range(columns.shape[1])), columns, scales)
+            out.append((name, replace(rest, regressors=(*rest.regressors, shape))))
+        kind = "gauss_markov" if use.id == "telegraph" else use.id
+        return [(name, e) for name, e in out if name != kind]
 
     def seen(self, use: EffectUse, data: Reduced) -> float:
         """Nats that a Gaussian effect is worth in one recording to somebody who knows the truth and has only its numbers to fit."""

@@ -75,7 +75,7 @@ def shape(
             "outliers": {"probability": 5e-4, "sigma": x(2.5 * s * sample)},
             "quantization": {"lsb": x(0.3 * s * sample)},
             "saturation": {"limit": [3.0 * sample / math.sqrt(s) if k == axis else 1.0 for k in range(3)]},
-            "dropped_samples": {"probability": 2e-4 * s},
+            "dropped_samples": {"probability": 2e-3 * s},
             "turn_on_bias": {"value": x(sign * bias)},
         }  # fmt: skip
         sensor = "imu" if effect == "dropped_samples" else "gyro"
