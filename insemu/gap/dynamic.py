@@ -280,6 +280,7 @@ class Search:
 
     def _reconsider(self) -> None:
         """Try to drop or to replace each effect of the IMU or of timing beside all the others."""
+        changed = False
         for f in list(self.found):
             if f.chosen.block is None or f.chosen.effect == "gnss_multipath_step":
                 continue
@@ -289,9 +290,11 @@ class Search:
             best = ranked[0]
             if best.gain < min(self.threshold, 2.0):
                 self.found = others
+                changed = True
             elif kept is None or best.gain > kept.gain + 0.5:
                 self._swap(f, best, ranked)
-            elif f is not self.found[-1]:
+                changed = True
+            elif changed or f is not self.found[-1]:
                 self._swap(f, kept, ranked)
 
     def _swap(self, old: Found, new: Hypothesis, ranked: Sequence[Hypothesis]) -> None:
