@@ -12,13 +12,23 @@ from scipy.linalg import toeplitz
 
 from insemu import formats
 from insemu.cli import main
-from insemu.effects import EFFECTS
+from insemu.effects import EFFECTS, EffectUse
 from insemu.emulate import corrupt
 from insemu.errors import InputError
 from insemu.gap import load_nominal
 from insemu.gap.expected import Log, sized, trace_of_ratio
-from insemu.gap.hidden_drives import DYNAMIC_EFFECTS, OUTSIDE, TRACKS, Hidden, draw_use, stage
+from insemu.gap.hidden_drives import (
+    DYNAMIC_EFFECTS,
+    OUTSIDE,
+    TRACKS,
+    Hidden,
+    draw_use,
+    size_effect,
+    stage,
+    worth_beside,
+)
 from insemu.gap.hidden_logs import STATIC_EFFECTS, shape, static_recording
+from insemu.gap.preparation import fast_parts, prepare
 from insemu.gap.reduced import reduce
 from insemu.gap.trial import (
     Job,
@@ -70,6 +80,12 @@ def test_scores_count_names_classes_and_false_alarms() -> None:
     assert scores.strong_detected == (2, 3)
     assert scores.strong_top_two == (2, 3)
     assert scores.both_and_only == (1, 2)
+    assert scores.beside_and_only == (1, 2)
+    several = trial(("flicker", "ramp"), said("ramp"), verdict="named")
+    swallowed = replace(several, hidden=(several.hidden[0], replace(several.hidden[1], beside=2.0)))
+    weak = replace(several, hidden=(several.hidden[0], replace(several.hidden[1], nats=2.0)))
+    counted = score_trials([several, swallowed, weak])
+    assert (counted.every_and_only, counted.both_and_only, counted.beside_and_only) == ((0, 3), (0, 2), (0, 1))
     assert scores.misnamed_outside == (1, 2)
     assert scores.outside_unexplained == (1, 2)
     assert scores.confusion["flicker"] == {"flicker": 2, "ramp": 1}
@@ -200,6 +216,30 @@ def test_recordings_of_a_plan_do_not_depend_on_how_many_there_are() -> None:
     several = list(Plan(("dynamic",), hidden=3, recordings=6).jobs())
     assert all(len(set(j.effects)) == 3 for j in several)
     assert all(not j.effects and j.outside for j in Plan(("static",), outside=True, recordings=4).jobs())
+
+
+def test_what_an_effect_is_worth_beside_another_is_nothing_where_the_other_looks_the_same() -> None:
+    s = stage(21, 3.0, 50.0, track="car", turn_on_bias=True)
+    plain = s.record()
+    clean = prepare(plain, s.nominal, fast_parts(plain), {})
+    down, other = (0.0, 0.0, 1e-3), (0.0, 1e-4, 0.0)
+    shapes = (
+        EffectUse("scale_factor", "accel", {"value": down}),
+        EffectUse("scale_asymmetry", "accel", {"value": down}),
+        EffectUse("turn_on_bias", "gyro", {"value": other}),
+    )
+    uses = [size_effect(s, clean, u, Hidden(u.id, u.sensor, ("z",)), 60.0)[0] for u in shapes]
+    worth = [worth_beside(s, clean, uses, k) for k in range(3)]
+    assert worth[0] < 5.0
+    assert worth[1] < 5.0
+    assert worth[2] > 30.0
+    assert worth_beside(s, clean, uses[1:], 0) > 40.0
+    # a walk on the same axis follows a constant; a filter that expects it sees less of the constant
+    walk = EffectUse("random_walk", "gyro", {"K": (0.0, 1e-4, 0.0)})
+    assert worth_beside(s, clean, [uses[2], walk], 0) < 0.5 * worth[2]
+    assert math.isnan(
+        worth_beside(s, clean, [EffectUse("dropped_samples", "imu", {"probability": (1e-3,), "burst": (1.0,)})], 0)
+    )
 
 
 def test_unknown_effects_are_refused() -> None:

@@ -186,6 +186,28 @@ class Search:
 
     def run(self, progress: Callable[[str], None]) -> Named:
         """Name the best effect, add it, estimate again, until nothing is worth the threshold."""
+        first = self.scene
+        self._climb(progress)
+        if self._early_noise():
+            progress("the noise of the fixes again, beside what was found since")
+            self.found = [f for f in self.found if f.chosen.block is not None and not _is_step(f)]
+            self.gone, self.outsider = np.zeros(0), ""
+            self._take(first.rebuilt(corrections=self.scene.corrections))
+            self._take(self.scene.trimmed(self.blocks(self.found), self.cut))
+            self._climb(progress)
+        if self.cut is None:
+            self._with_rivals()
+        return Named(tuple(self.found), self.scene, self.outsider, self.gone)
+
+    def _early_noise(self) -> bool:
+        """Whether noise of the fixes was named before something strong that it could have stood for."""
+        noise = next((k for k, f in enumerate(self.found) if f.chosen.block is None), None)
+        return noise is not None and any(
+            f.chosen.gain > CORRECT_NATS and f.chosen.block is not None and not _is_step(f)
+            for f in self.found[noise + 1 :]
+        )
+
+    def _climb(self, progress: Callable[[str], None]) -> None:
         for _ in range(MOST_STEPS):
             ranked = self.rank(self.blocks(self.found), self._skip(self.found))
             best = ranked[0]
@@ -200,32 +222,38 @@ class Search:
             self._add(best, ranked)
             if len(self.found) > 1:
                 self._reconsider()
-        if self.cut is None:
-            self._with_rivals()
-        return Named(tuple(self.found), self.scene, self.outsider, self.gone)
 
     def _apart(self, best: Hypothesis) -> Hypothesis:
-        """The best of two or three simpler effects, where they explain more than the best single one does.
+        """The first of two or three simpler effects, where they explain more than the best single one does.
 
-        Of an effect of several axes those of one axis; of a slow process, which follows anything slow, those of known shape.
+        Of an effect of several axes those of one axis; of a slow process, which follows anything slow, those of known shape of its sensor.
         """
-        if best.effect in PROCESSES:
-            simple = [v for v in self.variants if not v.process and len(v.axes) < 2]
-        else:
-            simple = [v for v in self.variants if len(v.axes) < 2]
-        if best.block is None or (len(best.axes) < 2 and best.effect not in PROCESSES):
+        if best.block is None:
             return best
+        single = [v for v in self.variants if len(v.axes) < 2]
+        if len(best.axes) > 1:
+            first, total = self._greedy(single)
+            if first is not None and total > best.gain + 1.0:
+                return self._apart(first)
+        if best.effect in PROCESSES:
+            first, total = self._greedy([v for v in single if not v.process and v.sensor == best.sensor])
+            if first is not None and total > best.gain + 1.0:
+                return first
+        return best
+
+    def _greedy(self, variants: Sequence[Variant]) -> tuple[Hypothesis | None, float]:
+        """The best of some variants, and what it is worth together with the two that follow it."""
         given, total = self.blocks(self.found), 0.0
         first: Hypothesis | None = None
         for _ in range(3):
-            tried = linear_hypotheses(self.scene, simple, self.data, given, self._skip(self.found))
-            top = max(tried, key=lambda h: h.gain)
-            if top.block is None or top.gain < self.threshold:
+            tried = linear_hypotheses(self.scene, variants, self.data, given, self._skip(self.found))
+            top = max(tried, key=lambda h: h.gain, default=None)
+            if top is None or top.block is None or top.gain < self.threshold:
                 break
             total += top.gain
             first = first or top
             given = [*given, top.block]
-        return first if first is not None and total > best.gain + 1.0 else best
+        return first, total
 
     def _add(self, best: Hypothesis, ranked: Sequence[Hypothesis]) -> None:
         scene = self.scene
@@ -280,6 +308,7 @@ class Search:
 
     def _reconsider(self) -> None:
         """Try to drop or to replace each effect of the IMU or of timing beside all the others."""
+        changed = False
         for f in list(self.found):
             if f.chosen.block is None or f.chosen.effect == "gnss_multipath_step":
                 continue
@@ -289,9 +318,11 @@ class Search:
             best = ranked[0]
             if best.gain < min(self.threshold, 2.0):
                 self.found = others
+                changed = True
             elif kept is None or best.gain > kept.gain + 0.5:
                 self._swap(f, best, ranked)
-            elif f is not self.found[-1]:
+                changed = True
+            elif changed or f is not self.found[-1]:
                 self._swap(f, kept, ranked)
 
     def _swap(self, old: Found, new: Hypothesis, ranked: Sequence[Hypothesis]) -> None:
@@ -305,6 +336,10 @@ class Search:
             others = [g for g in self.found if g is not f]
             rivals = covariance_hypotheses(self.scene, self.blocks(others), self._skip(others), self.cut)
             self._swap(f, f.chosen, sorted([*f.ranked, *rivals], key=lambda h: -h.gain))
+
+
+def _is_step(f: Found) -> bool:
+    return f.chosen.effect == "gnss_multipath_step"
 
 
 def _moved(v: Value, value: float) -> Value:

@@ -23,6 +23,8 @@ LONGEST_GAP_S = 0.5
 FEWEST_CLIPPED = 4
 #: Samples on either side of a clipped stretch that say how the signal goes on.
 NEIGHBOURS = 12
+#: Stretches that tell how the signal changes around them, and the most whose uncertainty is carried on.
+TELLING, CARRIED = 60, 200
 _SENSORS = (("gyro", "rad/s"), ("accel", "m/s^2"))
 
 
@@ -49,8 +51,9 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
     """Name dropped samples and saturation and mend the record: gaps bridged, clipped stretches filled in."""
     steps: list[Step] = []
     stretches: list[Clipped] = []
+    counts = _counts(imu)  # of what was recorded: a bridge lies on no lattice
     if "quantization" not in without:
-        steps += _lattices(imu)  # of what was recorded: a bridge lies on no lattice
+        steps += _lattices(imu, counts)
     if "dropped_samples" not in without:
         bridged = _bridge(imu)
         if bridged is not None:
@@ -62,7 +65,7 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
             widths = _widths(imu)
             rates = values / widths
             for k, axis in enumerate("xyz"):
-                found = clipped(rates[:, k])
+                found = clipped(rates[:, k], counts[sensor][axis] > 0.0)
                 if found is None:
                     continue
                 limit, at, nats = found
@@ -71,18 +74,29 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
                 value = Value("limit", limit, limit, limit, unit)
                 steps.append(_step("saturation", sensor, (axis,), (value,), nats))
                 imu = replace(imu, gyro=rates * widths) if sensor == "gyro" else replace(imu, accel=rates * widths)
-    return Mended(imu, tuple(sorted(steps, key=lambda s: -s.gain_nats)), tuple(stretches))
+    carried = sorted(stretches, key=lambda c: -c.sigma)[:CARRIED]
+    return Mended(imu, tuple(sorted(steps, key=lambda s: -s.gain_nats)), tuple(carried))
 
 
-def _lattices(imu: ImuRecord) -> list[Step]:
-    """Axes whose samples lie on a lattice of output counts."""
+def _counts(imu: ImuRecord) -> dict[str, dict[str, float]]:
+    """Step of the lattice that the samples of each axis lie on, by sensor; 0 where there is none."""
     widths = _widths(imu)
     # the increment over a gap is short of what was lost or holds several
-    steady = np.abs(widths[1:, 0] / np.median(widths) - 1.0) < 0.05
+    steady = np.abs(np.diff(imu.t) / np.median(np.diff(imu.t)) - 1.0) < 0.05
+    out = {}
+    for sensor, _ in _SENSORS:
+        rates = (np.array(getattr(imu, sensor)) / widths)[1:]
+        out[sensor] = {axis: lattice(rates[steady, k]) for k, axis in enumerate("xyz")}
+    return out
+
+
+def _lattices(imu: ImuRecord, counts: dict[str, dict[str, float]]) -> list[Step]:
+    """Axes whose samples lie on a lattice of output counts."""
+    widths = _widths(imu)
     out = []
     for sensor, unit in _SENSORS:
         rates = np.array(getattr(imu, sensor)) / widths
-        steps = {axis: lattice(rates[1:][steady, k]) for k, axis in enumerate("xyz")}
+        steps = counts[sensor]
         on = tuple(axis for axis, step in steps.items() if step > 0.0)
         if not on:
             continue
@@ -191,12 +205,11 @@ def _cubic(t: Array, where: NDArray[np.intp], values: Array) -> Array:
     return out
 
 
-def clipped(rates: Array) -> tuple[float, NDArray[np.bool_], float] | None:
+def clipped(rates: Array, coarse: bool) -> tuple[float, NDArray[np.bool_], float] | None:
     """Full scale at which values pile up, which samples lie there, and the evidence in nats; None where there is no pile.
 
-    Noise never repeats an extreme value exactly; a lattice does, but then its neighbours are as crowded as the extreme.
+    Noise never repeats an extreme value exactly; a lattice (``coarse``) does, but then its neighbours are as crowded as the extreme.
     """
-    coarse = lattice(rates[1:]) > 0.0
     noise = 1.4826 * float(np.median(np.abs(np.diff(rates)))) + 1e-300
     at = np.zeros(rates.size, dtype=bool)
     limits = []
@@ -253,9 +266,11 @@ def filled(t: Array, rates: Array, at: NDArray[np.bool_]) -> tuple[Array, list[t
         for first, last, near, known, x, trend in stretches
     ]
 
+    some_of = prepared[:: math.ceil(len(prepared) / TELLING)]
+
     def log_likelihood(q: float, r: float) -> float:
         total = 0.0
-        for _, _, _, known, _, y, bent, straight in prepared:
+        for _, _, _, known, _, y, bent, straight in some_of:
             some = np.ix_(known, known)
             L = np.linalg.cholesky(q * bent[some] + straight[some] + r * np.eye(int(known.sum())))
             z = np.linalg.solve(L, y[known])

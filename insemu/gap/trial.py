@@ -33,6 +33,7 @@ from insemu.gap.hidden_drives import (
     size_effect,
     stage,
     whitened_difference,
+    worth_beside,
 )
 from insemu.gap.hidden_logs import STATIC_EFFECTS, STATIC_OUTSIDE, static_recording
 from insemu.gap.identify import find_gap
@@ -114,6 +115,7 @@ class Trial:
                 number(h["strength"]),
                 number(h["nats"]),
                 number(h["scales_for_20"]),
+                number(h.get("beside")),
             )
             for h in plain["hidden"]
         )
@@ -242,6 +244,8 @@ def run_dynamic(
                 alone = whole if len(uses) == 1 else oracle(s, clean, clean.on(s.record((u,))), (u,), cut)[0]
                 # an amplitude and a time constant are worth about three nats to pay for
                 hidden[k] = replace(h, nats=max(alone - 3.0, 0.0)) if math.isfinite(alone) else h
+        if len(uses) > 1:
+            hidden = [replace(h, beside=worth_beside(s, clean, uses, k)) for k, h in enumerate(hidden)]
     g = report.gap_after
     return Trial(
         "dynamic", seed, tuple(hidden), outside, s.track, report.verdict, said(report), (g.value, g.low, g.high), report.held_out.value, held,
@@ -457,7 +461,8 @@ def same(hidden: Hidden, effect: str, sensor: str, axes: Sequence[str], *, axis:
 class Scores:
     """What the trial says, as shares ``(count, of)``.
 
-    Several hidden effects are scored where each is worth 20 nats or more (or the trial has no measure of it). A recording is detected where
+    Several hidden effects are scored in every recording (``every``), where each alone is worth 20 nats or more (``both``), and where each is worth
+    that beside the others (``beside``); an effect of which the trial has no measure counts as worth it. A recording is detected where
     anything was said at all (a step, or "unexplained"); "unexplained" names nothing, so it never counts as right.
     """
 
@@ -474,6 +479,10 @@ class Scores:
     strong_top_two: Share
     both_and_only: Share
     both_in_class: Share
+    every_and_only: Share
+    every_in_class: Share
+    beside_and_only: Share
+    beside_in_class: Share
     misnamed_outside: Share
     outside_unexplained: Share
     gap_contains_one: Share
@@ -493,7 +502,9 @@ def score_trials(trials: Sequence[Trial]) -> Scores:
     """Score a trial."""
     clean = [t for t in trials if not t.hidden and not t.outside]
     single = [t for t in trials if len(t.hidden) == 1 and not t.outside]
-    many = [t for t in trials if len(t.hidden) > 1 and not any(h.nats < 20.0 for h in t.hidden)]
+    every = [t for t in trials if len(t.hidden) > 1]
+    many = [t for t in every if not any(h.nats < 20.0 for h in t.hidden)]
+    beside = [t for t in every if not any(h.nats < 20.0 or h.beside < 20.0 for h in t.hidden)]
     outside = [t for t in trials if t.outside]
 
     def first_right(t: Trial, axis: bool = True) -> bool:
@@ -555,6 +566,10 @@ def score_trials(trials: Sequence[Trial]) -> Scores:
         (sum(_top_two(t) for t in strong), len(strong)),
         (sum(exact(t, False) for t in many), len(many)),
         (sum(exact(t, True) for t in many), len(many)),
+        (sum(exact(t, False) for t in every), len(every)),
+        (sum(exact(t, True) for t in every), len(every)),
+        (sum(exact(t, False) for t in beside), len(beside)),
+        (sum(exact(t, True) for t in beside), len(beside)),
         (sum(t.verdict == "named" for t in outside), len(outside)),
         (sum(t.verdict == "unexplained" for t in outside), len(outside)),
         (sum(t.gap_after[1] <= 1.0 <= t.gap_after[2] for t in right), len(right)),
