@@ -186,6 +186,8 @@ class Log:
         Telegraph noise counts as what its second moments are worth; infinite for what is plain in single samples.
         """
         others = [u for u in beside if u.id in GAUSSIAN]
+        if use.id == "outliers" and any(u.id == "saturation" for u in beside):
+            return 0.0  # clipped away
         if use.id not in GAUSSIAN:
             return self._of_samples(use, self._explained(others)[0])
         full, mean = self._explained([*others, use])
