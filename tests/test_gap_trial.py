@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import multiprocessing
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -205,6 +207,36 @@ def test_a_trial_resumes_from_its_log_and_reads_back_what_it_wrote(tmp_path, mon
     log.write_text("no log\n{}\n")
     with pytest.raises(InputError, match=r"trial\.jsonl:1"):
         run_trial(plan, log=log)
+
+
+def test_an_interrupted_trial_keeps_what_is_finished_and_leaves_no_worker_behind(tmp_path, monkeypatch) -> None:
+    if multiprocessing.get_start_method() != "fork":
+        pytest.skip("the stand-in for the work reaches forked workers only")
+    log, plan = tmp_path / "trial.jsonl", Plan(("static",), recordings=5, seed=3)
+    first = next(iter(plan.jobs())).seed
+
+    def work(job: Job) -> Trial:
+        if job.seed != first:
+            time.sleep(60.0)
+        return Trial("static", job.seed, (), "", "rest", "nothing missing", ())
+
+    def interrupted(_: Trial) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Job, "run", work)
+    started = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        run_trial(plan, workers=2, done=interrupted, log=log)
+    assert time.monotonic() - started < 30.0
+    assert not multiprocessing.active_children()
+    assert [json.loads(line)["seed"] for line in log.read_text().splitlines()] == [first]
+    # a line that was cut off while it was written is done again and leaves no trace
+    with log.open("a", encoding="utf-8") as file:
+        file.write('{"job": "cut')
+    monkeypatch.setattr(Job, "run", lambda job: Trial("static", job.seed, (), "", "rest", "nothing missing", ()))
+    for _ in range(2):
+        assert len(run_trial(plan, log=log)) == 5
+        assert len(log.read_text().splitlines()) == 5
 
 
 def test_recordings_of_a_plan_do_not_depend_on_how_many_there_are() -> None:

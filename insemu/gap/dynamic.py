@@ -14,6 +14,7 @@ from insemu.errors import InputError
 from insemu.gap import singular as _registers  # noqa: F401
 from insemu.gap import static_log
 from insemu.gap.candidates import CANDIDATES, AxisState
+from insemu.gap.confusion import SHARE, Repetitions
 from insemu.gap.disagreement import corrected
 from insemu.gap.drive_map import drive_map, innovation_tests
 from insemu.gap.evidence import LEVEL_UNCERTAINTY, Component, Free, Likelihood, fit
@@ -41,7 +42,7 @@ from insemu.gap.samples import advanced, mend, with_counts
 from insemu.gap.scene import Scene, first_rows
 from insemu.gap.surrogate import NED, FixNoise, joint_noise, level_derivatives, level_scores
 from insemu.gap.tones import wandering, without_tones
-from insemu.gap.verdict import GapReport, Interval, Member, Step, Value, judged
+from insemu.gap.verdict import Confusable, GapReport, Interval, Member, Step, Value, judged
 from insemu.noise import BI, GM, RW, WN, NoiseModel
 from insemu.records import AXES, Recording
 
@@ -624,7 +625,7 @@ def find_dynamic_gap(
         plain = Scene.of(prepare(whole, believed, parts, levels)) if noticed or late else scene
         before, after, held = held_out(plain, first, cut)
     # a generator of its own: the search of a later pass draws what it always drew
-    drawn = rng.spawn(1)[0]
+    drawn, repeated = rng.spawn(2)
     y = scene.data.y
     starts = {name: r.start for name, r in fast}
     where = corrected([*innovation_tests(scene, y), *drive_map(scene, y, starts, drawn)])
@@ -642,7 +643,7 @@ def find_dynamic_gap(
         for name, r in fast
         if r.outsider and (humming or r.outsider.startswith(WANDERING))
     }
-    own = [_step(f, named) for f in named.found]
+    own = with_confusable([_step(f, named) for f in named.found], named, without, repeated)
     if named.outsider or failed:
         own = [s.doubted() for s in own]
     heard = [s.doubted() if static_log.is_shaken(s, (), changing) else s for s in static_log.merged_steps(dict(fast))]
@@ -705,6 +706,35 @@ def _step(f: Found, named: Named) -> Step:
     return Step(
         h.effect, h.variant, h.sensor, h.axes, values, float(p[own]), h.gain, tuple(members), text, tuple(others[:5])
     )
+
+
+def with_confusable(
+    steps: Sequence[Step], named: Named, without: Collection[str], rng: np.random.Generator
+) -> list[Step]:
+    """The steps of the search with what each would be confused with if the recording were repeated; those without columns as they are."""
+    scene, out = named.scene, []
+    repetitions: Repetitions | None = None
+    for step, f in zip(steps, named.found, strict=True):
+        h = f.chosen
+        if h.block is None or h.effect == "gnss_multipath_step":
+            out.append(step)
+            continue
+        repetitions = repetitions or Repetitions.of(scene.data, rng)
+        others = [g.chosen for g in named.found if g is not f]
+        given = [g.block for g in others if g.block is not None]
+        passed = {*without, *(g.effect for g in others if g.effect in ONCE)}
+        index, root = h.block
+        if h.effect in PROCESSES:
+            coefficients = root @ rng.standard_normal((root.shape[1], repetitions.noise.shape[1]))
+        else:
+            at, mean, _ = scene.data.posterior(named.blocks)
+            coefficients = np.array([mean[np.flatnonzero(at == i)[0]] for i in index])
+        shares = repetitions.shares([v for v in bank(scene) if v.effect not in passed], index, coefficients, given)
+        rivals = [
+            Confusable(*key, share) for key, share in shares.items() if share >= SHARE and key != (h.effect, h.sensor)
+        ]
+        out.append(replace(step, confusable=tuple(sorted(rivals, key=lambda c: -c.share))))
+    return out
 
 
 def _refine(models: dict[str, NoiseModel], step: Step) -> dict[str, NoiseModel]:

@@ -417,13 +417,19 @@ def laplace(log_posterior: Callable[[Array], float], x0: Array, free: Sequence[F
         ((math.log(f.low) - b - c) / u, (math.log(f.high) + b - c) / u)
         for f, b, c, u in zip(free, beyond, x0, unit, strict=True)
     ]
+
+    def sloped(z: Array) -> tuple[float, Array]:
+        """Cost and its forward differences, backward at the edge."""
+        here, slope = cost(x0 + unit * z), np.empty(z.size)
+        for i in range(z.size):
+            moved = z.copy()
+            moved[i] += 1e-3 if z[i] + 1e-3 <= reach[i][1] else -1e-3
+            slope[i] = (cost(x0 + unit * moved) - here) / (moved[i] - z[i])
+        return here, slope
+
     minimize: Any = optimize.minimize
     result = minimize(
-        lambda z: cost(x0 + unit * z),
-        np.zeros(x0.size),
-        method="L-BFGS-B",
-        bounds=reach,
-        options={"eps": 1e-3, "maxiter": 60, "ftol": 1e-9},
+        sloped, np.zeros(x0.size), jac=True, method="L-BFGS-B", bounds=reach, options={"maxiter": 60, "ftol": 1e-9}
     )
     x, best = x0 + unit * np.asarray(result.x, dtype=np.float64), float(result.fun)
     H = _hessian(cost, x, best)

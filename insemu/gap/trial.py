@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from itertools import pairwise
 from multiprocessing import active_children
 from pathlib import Path
@@ -30,6 +31,7 @@ from insemu.gap.hidden_drives import (
     Hidden,
     draw_use,
     oracle,
+    oracle_knows,
     size_effect,
     stage,
     whitened_difference,
@@ -37,7 +39,7 @@ from insemu.gap.hidden_drives import (
 )
 from insemu.gap.hidden_logs import STATIC_EFFECTS, STATIC_OUTSIDE, static_recording
 from insemu.gap.identify import find_gap
-from insemu.gap.preparation import fast_parts, prepare
+from insemu.gap.preparation import Flown, Prepared
 from insemu.gap.static_log import NAMING_SHARE, find_static_gap
 from insemu.gap.verdict import GapReport
 
@@ -199,8 +201,11 @@ def run_dynamic(
     """
     s = stage(seed, minutes, rate_hz, turn_on_bias="turn_on_bias" in effects)
     rng = np.random.default_rng([seed, 3])
-    plain = s.record()
-    clean = prepare(plain, s.nominal, fast_parts(plain), {})
+
+    @cache
+    def clean() -> Prepared:
+        return Flown.of(s.record(), s.nominal).prepared
+
     uses, hidden, size = [], [], 0.0
     for e in effects:
         use, what = size_effect(s, clean, *draw_use(e, s, rng), target)
@@ -210,14 +215,14 @@ def run_dynamic(
         k2 = [0.0, 0.0, 0.0]
         k2[int(rng.integers(3))] = 1e-4 * float(rng.choice([-1.0, 1.0]))
         use = EffectUse("scale_nonlinearity", "accel", {"K2": tuple(k2), "K3": (0.0,) * 3})
-        half = whitened_difference(clean.result, clean.on(s.record((use,))).result)
+        half = whitened_difference(clean().result, clean().on(s.record((use,))).result)
         factor = min(math.sqrt(target / max(half, 1e-9)), 300.0)
         uses.append(EffectUse(use.id, use.sensor, {"K2": tuple(v * factor for v in k2), "K3": (0.0,) * 3}))
         recording = s.record(uses)
     elif outside:
         size = 1.0
         if outside == "heading_dependent_gnss":
-            half = whitened_difference(clean.result, clean.on(s.record((), outside, 0.1)).result)
+            half = whitened_difference(clean().result, clean().on(s.record((), outside, 0.1)).result)
             size = 0.1 * math.sqrt(target / max(half, 1e-9))
         else:
             size = (
@@ -230,18 +235,21 @@ def run_dynamic(
     else:
         recording = s.record(uses)
     started = time.process_time()
-    report = find_gap(recording, s.nominal, rng=np.random.default_rng([seed, 4]), hold_out=hold_out, pictures=False)
+    flown = Flown.of(recording, s.nominal.parted())
+    report = find_gap(
+        recording, s.nominal, rng=np.random.default_rng([seed, 4]), hold_out=hold_out, pictures=False, flown=flown
+    )
     seconds = time.process_time() - started
     held = math.nan
-    if uses and not outside:
-        seen = prepare(recording, s.nominal, fast_parts(recording), {}) if _mendable(uses) else clean
+    if not outside and oracle_knows(uses):
+        seen = flown.prepared
         start = float(seen.imu.t[0])
         cut = start + NAMING_SHARE * (float(seen.imu.t[-1]) - start)
-        whole, late, fixes = oracle(s, clean, seen, uses, cut)
+        whole, late, fixes = oracle(s, clean(), seen, uses, cut)
         held = late / max(fixes, 1)
         for k, (u, h) in enumerate(zip(uses, hidden, strict=True)):
             if not math.isfinite(h.nats):
-                alone = whole if len(uses) == 1 else oracle(s, clean, clean.on(s.record((u,))), (u,), cut)[0]
+                alone = whole if len(uses) == 1 else oracle(s, clean(), clean().on(s.record((u,))), (u,), cut)[0]
                 # an amplitude and a time constant are worth about three nats to pay for
                 hidden[k] = replace(h, nats=max(alone - 3.0, 0.0)) if math.isfinite(alone) else h
         if len(uses) > 1:
@@ -251,10 +259,6 @@ def run_dynamic(
         "dynamic", seed, tuple(hidden), outside, s.track, report.verdict, said(report), (g.value, g.low, g.high), report.held_out.value, held,
         seconds,
     )  # fmt: skip
-
-
-def _mendable(uses: Sequence[EffectUse]) -> bool:
-    return all(u.id not in ("dropped_samples", "saturation") for u in uses)
 
 
 # -- many of them ---------------------------------------------------------------------------------------------------------------------
