@@ -303,11 +303,25 @@ def test_turn_on_bias_is_what_the_rotation_of_the_earth_cannot_be() -> None:
     y = WN(1e-3).simulate(N, DT, rng)
     belief = Explanation.nominal(NoiseModel((WN(1e-3),)))
     assert turn_on_bias(state_of(reduce(log_of(y + 7.2e-5)), belief))[0].gain < 0.0
-    (found,) = turn_on_bias(state_of(reduce(log_of(y + 5e-4)), belief))
-    assert found.gain > 10.0
+    found, walk = turn_on_bias(state_of(reduce(log_of(y + 5e-4)), belief))
+    assert found.gain > walk.gain + 3.0 > 13.0
     assert found.values[0].low < 5e-4 < found.values[0].high
     assert not turn_on_bias(state_of(reduce(log_of(y + 5e-4)), Explanation.nominal(NoiseModel((WN(1e-3), RC(1e-3))))))
     assert not turn_on_bias(state_of(reduce(log_of(y + 5e-4, "accel_x")), belief))
+
+
+def test_a_walk_too_weak_to_be_named_is_the_rival_of_a_turn_on_bias() -> None:
+    belief = Explanation.nominal(NoiseModel((WN(1e-3),)))
+    alone, beyond = [], []
+    for seed in range(30):
+        rng = np.random.default_rng([26, seed])
+        y = WN(1e-3).simulate(N, DT, rng) + RW(5e-6).simulate(N, DT, rng)
+        bias, walk = turn_on_bias(state_of(reduce(log_of(y)), belief))
+        alone.append(bias.gain)
+        beyond.append(bias.gain - walk.gain)
+    # the mean alone would often call it a bias
+    assert max(alone) > 3.0
+    assert max(beyond) < 3.0
 
 
 def test_samples_that_the_stamps_skip_are_filled_and_named() -> None:

@@ -108,8 +108,8 @@ class Named:
 
     @property
     def blocks(self) -> list[Block]:
-        """How the effects enter the linear model of the innovations."""
-        return blocks_of(self.found)
+        """How the effects enter the linear model of the innovations, and what is uncertain in any case."""
+        return [*self.scene.always, *blocks_of(self.found)]
 
     @property
     def outliers(self) -> Hypothesis | None:
@@ -164,6 +164,10 @@ class Search:
             np.ones(scene.rows_t.size, dtype=bool) if self.cut is None else np.asarray(scene.rows_t <= self.cut)
         )
 
+    def blocks(self, found: Sequence[Found]) -> list[Block]:
+        """How steps enter the linear model of the innovations, and what is uncertain in any case."""
+        return [*self.scene.always, *blocks_of(found)]
+
     def rank(self, given: Sequence[Block], skip: Collection[str], *, fixes: bool = True) -> list[Hypothesis]:
         """Every effect that the innovations can show beside ``given``, best first."""
         out = linear_hypotheses(self.scene, self.variants, self.data, given, skip)
@@ -183,10 +187,32 @@ class Search:
 
     def run(self, progress: Callable[[str], None]) -> Named:
         """Name the best effect, add it, estimate again, until nothing is worth the threshold."""
+        first = self.scene
+        self._climb(progress)
+        if self._early_noise():
+            progress("the noise of the fixes again, beside what was found since")
+            self.found = [f for f in self.found if f.chosen.block is not None and not _is_step(f)]
+            self.gone, self.outsider = np.zeros(0), ""
+            self._take(first.rebuilt(corrections=self.scene.corrections))
+            self._take(self.scene.trimmed(self.blocks(self.found), self.cut))
+            self._climb(progress)
+        if self.cut is None:
+            self._with_rivals()
+        return Named(tuple(self.found), self.scene, self.outsider, self.gone)
+
+    def _early_noise(self) -> bool:
+        """Whether noise of the fixes was named before something strong that it could have stood for."""
+        noise = next((k for k, f in enumerate(self.found) if f.chosen.block is None), None)
+        return noise is not None and any(
+            f.chosen.gain > CORRECT_NATS and f.chosen.block is not None and not _is_step(f)
+            for f in self.found[noise + 1 :]
+        )
+
+    def _climb(self, progress: Callable[[str], None]) -> None:
         for _ in range(MOST_STEPS):
-            ranked = self.rank(blocks_of(self.found), self._skip(self.found))
+            ranked = self.rank(self.blocks(self.found), self._skip(self.found))
             best = ranked[0]
-            beyond, what = library_gain(self.scene, self.data, blocks_of(self.found))
+            beyond, what = library_gain(self.scene, self.data, self.blocks(self.found))
             if beyond > self.threshold and beyond > best.gain + OUTSIDE_LEAD:
                 self.outsider = what
                 break
@@ -197,26 +223,38 @@ class Search:
             self._add(best, ranked)
             if len(self.found) > 1:
                 self._reconsider()
-        if self.cut is None:
-            self._with_rivals()
-        return Named(tuple(self.found), self.scene, self.outsider, self.gone)
 
     def _apart(self, best: Hypothesis) -> Hypothesis:
-        """The best effect of one axis instead of one of several axes, where two or three of their own explain more than the one together."""
-        if best.block is None or len(best.axes) < 2:
+        """The first of two or three simpler effects, where they explain more than the best single one does.
+
+        Of an effect of several axes those of one axis; of a slow process, which follows anything slow, those of known shape of its sensor.
+        """
+        if best.block is None:
             return best
         single = [v for v in self.variants if len(v.axes) < 2]
-        given, total = blocks_of(self.found), 0.0
+        if len(best.axes) > 1:
+            first, total = self._greedy(single)
+            if first is not None and total > best.gain + 1.0:
+                return self._apart(first)
+        if best.effect in PROCESSES:
+            first, total = self._greedy([v for v in single if not v.process and v.sensor == best.sensor])
+            if first is not None and total > best.gain + 1.0:
+                return first
+        return best
+
+    def _greedy(self, variants: Sequence[Variant]) -> tuple[Hypothesis | None, float]:
+        """The best of some variants, and what it is worth together with the two that follow it."""
+        given, total = self.blocks(self.found), 0.0
         first: Hypothesis | None = None
-        for _ in best.axes:
-            tried = linear_hypotheses(self.scene, single, self.data, given, self._skip(self.found))
-            top = max(tried, key=lambda h: h.gain)
-            if top.block is None or top.gain < self.threshold:
+        for _ in range(3):
+            tried = linear_hypotheses(self.scene, variants, self.data, given, self._skip(self.found))
+            top = max(tried, key=lambda h: h.gain, default=None)
+            if top is None or top.block is None or top.gain < self.threshold:
                 break
             total += top.gain
             first = first or top
             given = [*given, top.block]
-        return first if first is not None and total > best.gain + 1.0 else best
+        return first, total
 
     def _add(self, best: Hypothesis, ranked: Sequence[Hypothesis]) -> None:
         scene = self.scene
@@ -229,13 +267,13 @@ class Search:
             self.found.append(Found(best, tuple(ranked)))
         elif best.effect == "gnss_outliers":
             self.found.append(Found(best, tuple(ranked)))
-            times, _ = wild_fixes(scene, best, unexplained_innovations(scene, blocks_of(self.found)))
+            times, _ = wild_fixes(scene, best, unexplained_innovations(scene, self.blocks(self.found)))
             self.gone = np.union1d(self.gone, times)
             scene = scene.rebuilt(gone=self.gone)
         elif (level := best.noise) is not None:
             if best.effect == "gnss_correlated_noise":
                 assert level.colour is not None
-                s = replace(scene.surrogate, nu=unexplained_innovations(scene, blocks_of(self.found)))
+                s = replace(scene.surrogate, nu=unexplained_innovations(scene, self.blocks(self.found)))
                 moved = scene.original.factors / scene.original.levels
                 noise = joint_noise(
                     s if self.cut is None else s.until(self.cut), level.colour, moved, LEVEL_UNCERTAINTY
@@ -254,11 +292,11 @@ class Search:
                 self._take(scene)
                 scene = scene.rebuilt(corrections=self._corrections())
         self._take(scene)
-        self._take(self.scene.trimmed(blocks_of(self.found), self.cut))
+        self._take(self.scene.trimmed(self.blocks(self.found), self.cut))
 
     def _corrections(self) -> dict[int, float]:
         """Best values of the strong shapes, to be taken out of the data."""
-        blocks = blocks_of(self.found)
+        blocks = self.blocks(self.found)
         index, mean, _ = self.data.posterior(blocks)
         strong = {
             c
@@ -271,18 +309,21 @@ class Search:
 
     def _reconsider(self) -> None:
         """Try to drop or to replace each effect of the IMU or of timing beside all the others."""
+        changed = False
         for f in list(self.found):
             if f.chosen.block is None or f.chosen.effect == "gnss_multipath_step":
                 continue
             others = [g for g in self.found if g is not f]
-            ranked = self.rank(blocks_of(others), self._skip(others), fixes=False)
+            ranked = self.rank(self.blocks(others), self._skip(others), fixes=False)
             kept = next((h for h in ranked if (h.effect, h.sensor) == (f.chosen.effect, f.chosen.sensor)), None)
             best = ranked[0]
             if best.gain < min(self.threshold, 2.0):
                 self.found = others
+                changed = True
             elif kept is None or best.gain > kept.gain + 0.5:
                 self._swap(f, best, ranked)
-            elif f is not self.found[-1]:
+                changed = True
+            elif changed or f is not self.found[-1]:
                 self._swap(f, kept, ranked)
 
     def _swap(self, old: Found, new: Hypothesis, ranked: Sequence[Hypothesis]) -> None:
@@ -294,8 +335,12 @@ class Search:
             if f.chosen.block is None or any(h.sensor == "gnss" and h.block is None for h in f.ranked):
                 continue
             others = [g for g in self.found if g is not f]
-            rivals = covariance_hypotheses(self.scene, blocks_of(others), self._skip(others), self.cut)
+            rivals = covariance_hypotheses(self.scene, self.blocks(others), self._skip(others), self.cut)
             self._swap(f, f.chosen, sorted([*f.ranked, *rivals], key=lambda h: -h.gain))
+
+
+def _is_step(f: Found) -> bool:
+    return f.chosen.effect == "gnss_multipath_step"
 
 
 def _moved(v: Value, value: float) -> Value:
@@ -323,7 +368,7 @@ def believing(named: Named, cut: float | None = None) -> tuple[Scene, list[Block
     The search carries a process on knots; what is left of a strong one between them would count against it.
     """
     beliefs = dict(named.scene.original.beliefs)
-    blocks = []
+    blocks = list(named.scene.always)
     for f in named.found:
         h = f.chosen
         if h.effect in PROCESSES:
@@ -456,10 +501,10 @@ def without_delay(
     fast: Mapping[str, static_log.AxisResult],
     prepared: Prepared | None = None,
 ) -> tuple[Prepared, Recording, dict[str, float]]:
-    """The nominal filter on sensors set forward by the delay of the low-pass that the fast band shows, sensor by sensor in s.
+    """The nominal filter on sensors set forward by the delay of the low-pass that the fast band shows, and that delay, s per sensor.
 
-    A low-pass may be causal (it delays) or its delay may have been taken off in the unit already; the innovations say which. ``prepared`` is the
-    filter on the recording as it is, where it has run.
+    ``prepared`` is that filter without any, where it has run. A low-pass may be causal (it delays) or its delay may have been taken off in the
+    unit already; the innovations say which.
     """
     best = prepared or prepare(recording, nominal, parts, levels)
     late: dict[str, float] = {}
@@ -474,6 +519,17 @@ def without_delay(
         if fixes_score(tried.result.fixes) > fixes_score(best.result.fixes):
             best, recording, late[sensor] = tried, moved, delay
     return best, recording, late
+
+
+def with_delay(step: Step, delay: float) -> Step:
+    """A low-pass with the delay in s that was taken off its sensor; as uncertain as the cutoff that it follows from."""
+    if step.effect != "decimation_filter":
+        return step
+    ratios = [
+        (v.value / v.high, v.value / v.low) for v in step.parameters if v.name.startswith("cutoff") and v.low > 0.0
+    ]
+    low, high = (min(r[0] for r in ratios), max(r[1] for r in ratios)) if ratios else (1.0, 1.0)
+    return replace(step, parameters=(*step.parameters, Value("delay", delay, delay * low, delay * high, "s")))
 
 
 def again_with_processes(
@@ -549,12 +605,16 @@ def find_dynamic_gap(
     prepared, recording, late = without_delay(
         recording, nominal, parts, levels, dict(fast), flown.prepared if flown and not levels else None
     )
+    prepared = replace(prepared, clipped=mended.clipped)
     say("responding every effect through the filter")
     scene = Scene.of(prepared)
     colour = colour_of(nominal.effects)
     if colour is not None:
         scene, without = scene.coloured(FixNoise(np.ones(6), colour)), (*without, "gnss_correlated_noise")
-    threshold = max(threshold, null_threshold([v for v in bank(scene) if v.effect not in without], scene.data, rng))
+    threshold = max(
+        threshold,
+        null_threshold([v for v in bank(scene) if v.effect not in without], scene.data, rng, always=scene.always),
+    )
     named = find_effects(scene, None, threshold, without, say)
     nothing = Interval(math.nan, math.nan, math.nan)
     before = after = held = nothing
@@ -587,6 +647,7 @@ def find_dynamic_gap(
     if named.outsider or failed:
         own = [s.doubted() for s in own]
     heard = [s.doubted() if static_log.is_shaken(s, (), changing) else s for s in static_log.merged_steps(dict(fast))]
+    heard = [with_delay(s, late.get(s.sensor, 0.0)) for s in heard]
     steps = sorted([*own, *heard, *noticed], key=lambda s: -s.gain_nats)
     remainder = static_log.remainder(
         failed, {**({("the fixes", ""): named.outsider} if named.outsider else {}), **changing}

@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 LEVEL_UNCERTAINTY, LEVEL_EDGE = 0.22, 0.02
 #: Prior standard deviations of a regressor's coefficient, in units of the effect's datasheet scale; evidence is averaged over them.
 PRIOR_SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)
+#: Step of the differences that give the curvature at a mode, in log.
+CURVATURE_STEP = 5e-3
 
 
 @dataclass(frozen=True)
@@ -409,9 +411,11 @@ def laplace(log_posterior: Callable[[Array], float], x0: Array, free: Sequence[F
     centre, step = cost(x0), 3e-3
     bend = np.array([(cost(x0 + e) + cost(x0 - e) - 2.0 * centre) / step**2 for e in np.eye(x0.size) * step])
     unit = 1.0 / np.sqrt(np.maximum(np.where(np.isfinite(bend), bend, 0.0), prior))
+    # so far inside the bounds that the curvature is not taken across them
+    beyond = [6.0 * f.edge - 1.1 * CURVATURE_STEP for f in free]
     reach = [
-        ((math.log(f.low) - 5.9 * f.edge - c) / u, (math.log(f.high) + 5.9 * f.edge - c) / u)
-        for f, c, u in zip(free, x0, unit, strict=True)
+        ((math.log(f.low) - b - c) / u, (math.log(f.high) + b - c) / u)
+        for f, b, c, u in zip(free, beyond, x0, unit, strict=True)
     ]
 
     def sloped(z: Array) -> tuple[float, Array]:
@@ -438,7 +442,7 @@ def laplace(log_posterior: Callable[[Array], float], x0: Array, free: Sequence[F
 
 
 def _hessian(cost: Callable[[Array], float], x: Array, centre: float) -> Array:
-    n, h = x.size, 5e-3
+    n, h = x.size, CURVATURE_STEP
     H = np.empty((n, n))
     steps = np.eye(n) * h
     plus = np.array([cost(x + s) for s in steps])

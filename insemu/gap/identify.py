@@ -19,7 +19,7 @@ from insemu.gap.sources import StaticLog
 from insemu.gap.static_log import THRESHOLD, find_static_gap
 from insemu.gap.timing import find_offset
 from insemu.gap.vehicle import Mounted, find_mounting
-from insemu.gap.verdict import GapReport, Interval, Step, Value, judged
+from insemu.gap.verdict import GapReport, Interval, Step, Value, held_out_said, judged
 from insemu.records import AXES, Recording
 
 #: Effects of the fixes and of timing that together are worth more are held against the recording again once they are known: the strong ones
@@ -76,7 +76,7 @@ def find_gap(
     nominal = nominal.parted()
     if isinstance(measured, StaticLog):
         log, known = static_without(measured, nominal)
-        return find_static_gap(
+        report = find_static_gap(
             log.axes,
             nominal.beliefs,
             rng=rng,
@@ -89,9 +89,11 @@ def find_gap(
             progress=progress,
             known=known,
         )
-    return _drive(
-        measured, nominal, rng, threshold, without, hold_out, hold_out and pictures, progress or (lambda _: None), flown
-    )
+    else:
+        report = _drive(
+            measured, nominal, rng, threshold, without, hold_out, hold_out and pictures, progress or (lambda _: None), flown
+        )
+    return held_out_said(report)
 
 
 def _drive(

@@ -14,6 +14,7 @@ from insemu.filters import FilterOptions, FilterResult, FixTable, InitialSigma, 
 from insemu.gap.evidence import LEVEL_UNCERTAINTY, Explanation, Likelihood, fit
 from insemu.gap.nominal import Nominal
 from insemu.gap.reduced import Reduced, moving_spectrum
+from insemu.gap.samples import Clipped
 from insemu.gap.signatures import Loop
 from insemu.gap.surrogate import Surrogate, level_scores
 from insemu.noise import BI, WN, NoiseModel, Process
@@ -54,6 +55,8 @@ class Prepared:
         Initial state and its standard deviations.
     nominal : Nominal
         What is believed.
+    clipped : tuple of Clipped
+        Stretches of the IMU that were filled in.
     levels : (6,) array
         Levels of the fixes that were named, as ratios; the trimming stays within its tolerance of them.
     """
@@ -67,6 +70,7 @@ class Prepared:
     factors: Array
     start: tuple[NavState, InitialSigma]
     nominal: Nominal
+    clipped: tuple[Clipped, ...] = ()
     levels: Array = field(default_factory=lambda: np.ones(6))
 
     def again(

@@ -119,9 +119,10 @@ def spectrum(y: Array, dt: float, lowest: float) -> tuple[Array, Array, Array]:
     bins = _bins(n, dt, lowest)
     if bins is None:
         return np.zeros(0), np.zeros(0), np.zeros(0)
-    first, count, centre = bins
+    first, count, _ = bins
     total = np.add.reduceat(power, first)[: count.size]
-    return centre, total / count, 2.0 * count / _overlap(min(n, 4096))
+    centre, dof = spectrum_bins(n, dt, lowest)
+    return centre, total / count, dof
 
 
 def _each_taper(n: int) -> Iterator[Array]:
@@ -156,6 +157,14 @@ def moving_spectrum(y: Array, dt: float, lowest: float, pieces: int = 32) -> tup
     return f, power, dof * pieces * (2.0 / math.pi)
 
 
+def spectrum_bins(n: int, dt: float, lowest: float) -> tuple[Array, Array]:
+    """Centres (Hz) and degrees of freedom of the bins of :func:`spectrum`."""
+    bins = _bins(n, dt, lowest)
+    if bins is None:
+        return np.zeros(0), np.zeros(0)
+    return bins[2], 2.0 * bins[1] / overlap(n)
+
+
 @lru_cache(maxsize=32)
 def _bins(n: int, dt: float, lowest: float) -> tuple[NDArray[np.intp], Array, Array] | None:
     """First ordinate, count and centre of each bin, from ``lowest`` (at least clear of the tapers' width) up to Nyquist, exclusive."""
@@ -175,9 +184,13 @@ def _bins(n: int, dt: float, lowest: float) -> tuple[NDArray[np.intp], Array, Ar
     return np.append(first, stop), (last - first).astype(np.float64), centre
 
 
+def overlap(n: int) -> float:
+    """Ordinates that one independent ordinate is worth, for averages much wider than the tapers: n sum of squared mean weights."""
+    return _overlap(min(n, 4096))
+
+
 @lru_cache(maxsize=4)
 def _overlap(n: int) -> float:
-    """Ordinates that one independent ordinate is worth, for averages much wider than the tapers: n sum of squared mean weights."""
     t = np.arange(1, n + 1)
     weights = np.mean([2.0 / (n + 1) * np.sin(np.pi * k * t / (n + 1)) ** 2 for k in range(1, TAPERS + 1)], axis=0)
     return float(n * np.sum(weights**2))

@@ -215,3 +215,25 @@ class GapReport:
             "source": self.source,
             "remainder": self.remainder,
         }
+
+
+def held_out_said(report: GapReport) -> GapReport:
+    """The report with a refined model that does worse on data not used for naming called so in its remainder."""
+    before, after, gain = report.gap_before, report.gap_after, report.held_out
+    said = ""
+    if report.steps and gain.high < 0.0:
+        said = f"data not used for naming are predicted worse by the refined model ({gain.value:.2g} nats per fix or block)"
+    elif report.steps and _farther(before, after):
+        said = (
+            f"on data not used for naming the gap index moved away from 1 ({before.value:.2f} to {after.value:.2f}): "
+            "what was named there does not hold throughout"
+        )
+    return replace(report, remainder="; ".join(filter(None, (said, report.remainder)))) if said else report
+
+
+def _farther(before: Interval, after: Interval) -> bool:
+    """Whether an index is farther from 1 than another, in proportion and beyond both intervals."""
+    if not min(before.value, after.value) > 0.0:
+        return False
+    apart = after.high < before.low or after.low > before.high
+    return apart and not after.low <= 1.0 <= after.high and abs(math.log(after.value)) > abs(math.log(before.value))
