@@ -18,6 +18,7 @@ from insemu.effects import EFFECTS
 from insemu.errors import InputError
 from insemu.gap.band import Band
 from insemu.gap.evidence import (
+    DEPTH,
     PRIOR_SCALES,
     Component,
     Explanation,
@@ -325,7 +326,7 @@ def vibration_band(state: AxisState) -> list[Weighed]:
         Free("ratio", 0.003, 0.6),  # wider is no resonance
     )
     # where the excess over a window as wide as the band stands out most, for each width
-    excess = data.power / S - 1.0
+    excess = state.explanation.seen(data) / S - 1.0
     weighted = np.concatenate([[0.0], np.cumsum(data.counted * excess)])
     total = np.concatenate([[0.0], np.cumsum(data.counted)])
     starts = []
@@ -359,6 +360,7 @@ def decimation_filter(state: AxisState) -> list[Weighed]:
     nyquist = 0.5 / state.data.dt
     out = []
     order = Free("order", 0.6, 12.0)
+    floor = DEPTH * state.white**2
     for kind, highest in (
         # no cutoff beyond what the samples show: a slope that gentle is no filter's
         ("moving average", 0.98 / HALF_POWER["moving average"]),
@@ -369,7 +371,11 @@ def decimation_filter(state: AxisState) -> list[Weighed]:
         free = (Free("corner", 0.03 * nyquist, highest * nyquist), *((order,) if kind == "butterworth" else ()))
         orders: tuple[tuple[float, ...], ...] = ((1.0,), (2.0,), (4.0,), (8.0,)) if kind == "butterworth" else ((),)
         corners = nyquist * np.geomspace(0.05, 0.95 * highest, 14)
-        starts = [replace(state.explanation, rolloff=Rolloff(kind, (c, *o), free)) for c in corners for o in orders]
+        starts = [
+            replace(state.explanation, rolloff=Rolloff(kind, (c, *o), free, floor=floor))
+            for c in corners
+            for o in orders
+        ]
         tried = best_of(state, "decimation_filter", kind, starts, 1)
         out += [w for w in tried if all(v.value < nyquist if v.name == "cutoff" else v.value > 0.5 for v in w.values)]
     return out

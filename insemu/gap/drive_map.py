@@ -205,7 +205,7 @@ def band_wavelet_p_values(state: AxisState, rng: np.random.Generator) -> list[tu
     """
     data = state.data
     S = state.explanation.psd(data.f, data.dt)
-    ratio = data.power / S
+    ratio = state.explanation.seen(data) / S
     width = np.gradient(data.f)
     edge = 1.0 + LEVEL_UNCERTAINTY
 

@@ -37,8 +37,8 @@ from insemu.gap.innovations import Block, Field
 from insemu.gap.known import colour_of, of_axis, settled, starting_explanation, without_drawn
 from insemu.gap.nominal import Nominal
 from insemu.gap.preparation import LEVEL_GROUPS, Flown, Prepared, fast_parts, fixes_score, prepare
-from insemu.gap.reduced import Reduced
-from insemu.gap.samples import advanced, mend, with_counts
+from insemu.gap.reduced import Reduced, unheard
+from insemu.gap.samples import advanced, coarse, mend, with_counts
 from insemu.gap.scene import Scene, first_rows
 from insemu.gap.surrogate import NED, FixNoise, joint_noise, level_derivatives, level_scores
 from insemu.gap.tones import wandering, without_tones
@@ -598,6 +598,9 @@ def find_dynamic_gap(
         flown = None
     parts = flown.fast if flown else fast_parts(recording)
     clipped = {f"{s.sensor}_{a}" for s in mended.steps if s.effect == "saturation" for a in s.axes}
+    # rounded that coarsely, the error follows the motion and is no noise that a spectrum could tell anything from
+    rounded = coarse(believed.beliefs, mended.steps, recording.imu.dt)
+    parts = {name: unheard(data) if name in rounded else data for name, data in parts.items()}
     fast = fast_effects(parts, nominal, max(threshold, FAST_THRESHOLD), without, say, clipped=clipped)
     levels = {
         name: v.value for name, r in fast for f in r.found if f.chosen.effect == "white_noise" for v in f.chosen.values

@@ -89,6 +89,10 @@ class Hypothesis:
     columns: tuple[int, ...] = ()
 
 
+#: Slopes that are tried, in the datasheet's: a random walk of any size follows a slope, so the slope may have any size too.
+SLOPES = (*PRIOR_SCALES, 30.0, 100.0, 300.0, 1000.0)
+
+
 def bank(scene: Scene) -> list[Variant]:
     """All variants of deterministic, timing, lever-arm, model and slow effects."""
     return _shapes(scene.columns[: scene.catalogue]) + _slow(scene)
@@ -148,9 +152,7 @@ def _slow(scene: Scene) -> list[Variant]:
         unit = (t - t[0])[:, None] * EFFECTS["ramp"].scale("R", sensor)
         for axis in range(3):
             out.append(
-                Variant(
-                    "ramp", sensor, ("xyz"[axis],), "", scene.slow(first + axis), (((), unit),), np.array(PRIOR_SCALES)
-                )
+                Variant("ramp", sensor, ("xyz"[axis],), "", scene.slow(first + axis), (((), unit),), np.array(SLOPES))
             )
     return out
 

@@ -91,7 +91,15 @@ def find_gap(
         )
     else:
         report = _drive(
-            measured, nominal, rng, threshold, without, hold_out, hold_out and pictures, progress or (lambda _: None), flown
+            measured,
+            nominal,
+            rng,
+            threshold,
+            without,
+            hold_out,
+            hold_out and pictures,
+            progress or (lambda _: None),
+            flown,
         )
     return held_out_said(report)
 

@@ -145,6 +145,12 @@ def reduce_again(data: Reduced, values: Array) -> Reduced:
     return replace(data, values=values, f=f, power=power, dof=dof)
 
 
+def unheard(data: Reduced) -> Reduced:
+    """The axis without its spectrum: nothing that it shows there is to be explained."""
+    none = np.zeros(0)
+    return replace(data, f=none, power=none, dof=none)
+
+
 def moving_spectrum(y: Array, dt: float, lowest: float, pieces: int = 32) -> tuple[Array, Array, Array]:
     """Multitaper PSD of a moving sensor: the median over pieces of the record, so that single manoeuvres do not count."""
     length = y.size // pieces

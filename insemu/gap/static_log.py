@@ -173,7 +173,7 @@ def tempered(state: AxisState) -> AxisState:
     data = state.data
     if not data.f.size:
         return state
-    z2 = data.dof / 2.0 * (data.power / state.explanation.psd(data.f, data.dt) - 1.0) ** 2
+    z2 = data.dof / 2.0 * (state.explanation.seen(data) / state.explanation.psd(data.f, data.dt) - 1.0) ** 2
     octave = np.log2(data.f)
     misfit = np.array([float(np.mean(z2[np.abs(octave - o) <= 0.5])) for o in octave])
     weight = 1.0 / np.maximum(misfit, 1.0)
@@ -274,7 +274,7 @@ def score(data: Reduced, explanation: Explanation, extra: Array | None = None) -
     e = disagreement.block_innovations(moved, plain)
     squares, dof = [float(e @ e)], [float(e.size)]
     if data.f.size:
-        ratio = data.dof * data.power / plain.psd(data.f, data.dt)
+        ratio = data.dof * plain.seen(data) / plain.psd(data.f, data.dt)
         octave = np.floor(np.log2(data.f / data.f[0])).astype(int)
         for k in np.unique(octave):
             squares.append(float(ratio[octave == k].sum()))
