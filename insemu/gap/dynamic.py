@@ -14,6 +14,7 @@ from insemu.errors import InputError
 from insemu.gap import singular as _registers  # noqa: F401
 from insemu.gap import static_log
 from insemu.gap.candidates import CANDIDATES, AxisState
+from insemu.gap.confusion import SHARE, Repetitions
 from insemu.gap.disagreement import corrected
 from insemu.gap.drive_map import drive_map, innovation_tests
 from insemu.gap.evidence import LEVEL_UNCERTAINTY, Component, Free, Likelihood, fit
@@ -35,13 +36,13 @@ from insemu.gap.hypotheses import (
 from insemu.gap.innovations import Block, Field
 from insemu.gap.known import colour_of, of_axis, settled, starting_explanation, without_drawn
 from insemu.gap.nominal import Nominal
-from insemu.gap.preparation import LEVEL_GROUPS, Prepared, fast_parts, fixes_score, prepare
-from insemu.gap.reduced import Reduced
-from insemu.gap.samples import advanced, mend, with_counts
+from insemu.gap.preparation import LEVEL_GROUPS, Flown, Prepared, fast_parts, fixes_score, prepare
+from insemu.gap.reduced import Reduced, unheard
+from insemu.gap.samples import advanced, coarse, mend, with_counts
 from insemu.gap.scene import Scene, first_rows
 from insemu.gap.surrogate import NED, FixNoise, joint_noise, level_derivatives, level_scores
 from insemu.gap.tones import wandering, without_tones
-from insemu.gap.verdict import GapReport, Interval, Member, Step, Value, judged
+from insemu.gap.verdict import Confusable, GapReport, Interval, Member, Step, Value, judged
 from insemu.noise import BI, GM, RW, WN, NoiseModel
 from insemu.records import AXES, Recording
 
@@ -498,12 +499,14 @@ def without_delay(
     parts: dict[str, Reduced],
     levels: dict[str, float],
     fast: Mapping[str, static_log.AxisResult],
+    prepared: Prepared | None = None,
 ) -> tuple[Prepared, Recording, dict[str, float]]:
-    """The nominal filter on sensors set forward by the delay of the low-pass that the fast band shows, sensor by sensor in s.
+    """The nominal filter on sensors set forward by the delay of the low-pass that the fast band shows, and that delay, s per sensor.
 
-    A low-pass may be causal (it delays) or its delay may have been taken off in the unit already; the innovations say which.
+    ``prepared`` is that filter without any, where it has run. A low-pass may be causal (it delays) or its delay may have been taken off in the
+    unit already; the innovations say which.
     """
-    best = prepare(recording, nominal, parts, levels)
+    best = prepared or prepare(recording, nominal, parts, levels)
     late: dict[str, float] = {}
     for sensor in ("gyro", "accel"):
         roll = [fast[f"{sensor}_{a}"].end.explanation.rolloff for a in "xyz" if f"{sensor}_{a}" in fast]
@@ -516,6 +519,17 @@ def without_delay(
         if fixes_score(tried.result.fixes) > fixes_score(best.result.fixes):
             best, recording, late[sensor] = tried, moved, delay
     return best, recording, late
+
+
+def with_delay(step: Step, delay: float) -> Step:
+    """A low-pass with the delay in s that was taken off its sensor; as uncertain as the cutoff that it follows from."""
+    if step.effect != "decimation_filter":
+        return step
+    ratios = [
+        (v.value / v.high, v.value / v.low) for v in step.parameters if v.name.startswith("cutoff") and v.low > 0.0
+    ]
+    low, high = (min(r[0] for r in ratios), max(r[1] for r in ratios)) if ratios else (1.0, 1.0)
+    return replace(step, parameters=(*step.parameters, Value("delay", delay, delay * low, delay * high, "s")))
 
 
 def again_with_processes(
@@ -561,8 +575,12 @@ def find_dynamic_gap(
     without: Collection[str] = (),
     hold_out: bool = True,
     progress: Callable[[str], None] | None = None,
+    flown: Flown | None = None,
 ) -> GapReport:
-    """Find what a drive or flight has that the nominal model lacks; see :func:`insemu.gap.find_gap`."""
+    """Find what a drive or flight has that the nominal model lacks; see :func:`insemu.gap.find_gap`.
+
+    ``flown`` is the nominal filter's run on this recording, where there is one already.
+    """
     say = progress or (lambda _: None)
     say("running the nominal filter")
     missing = [a for a in AXES if a not in nominal.beliefs]
@@ -576,13 +594,20 @@ def find_dynamic_gap(
     whole, believed = recording, nominal
     nominal = replace(nominal, beliefs=with_counts(nominal.beliefs, mended.steps, recording.imu.dt))
     recording = replace(recording, imu=mended.imu)
-    parts = fast_parts(recording)
+    if mended.steps:
+        flown = None
+    parts = flown.fast if flown else fast_parts(recording)
     clipped = {f"{s.sensor}_{a}" for s in mended.steps if s.effect == "saturation" for a in s.axes}
+    # rounded that coarsely, the error follows the motion and is no noise that a spectrum could tell anything from
+    rounded = coarse(believed.beliefs, mended.steps, recording.imu.dt)
+    parts = {name: unheard(data) if name in rounded else data for name, data in parts.items()}
     fast = fast_effects(parts, nominal, max(threshold, FAST_THRESHOLD), without, say, clipped=clipped)
     levels = {
         name: v.value for name, r in fast for f in r.found if f.chosen.effect == "white_noise" for v in f.chosen.values
     }
-    prepared, recording, late = without_delay(recording, nominal, parts, levels, dict(fast))
+    prepared, recording, late = without_delay(
+        recording, nominal, parts, levels, dict(fast), flown.prepared if flown and not levels else None
+    )
     prepared = replace(prepared, clipped=mended.clipped)
     say("responding every effect through the filter")
     scene = Scene.of(prepared)
@@ -603,7 +628,7 @@ def find_dynamic_gap(
         plain = Scene.of(prepare(whole, believed, parts, levels)) if noticed or late else scene
         before, after, held = held_out(plain, first, cut)
     # a generator of its own: the search of a later pass draws what it always drew
-    drawn = rng.spawn(1)[0]
+    drawn, repeated = rng.spawn(2)
     y = scene.data.y
     starts = {name: r.start for name, r in fast}
     where = corrected([*innovation_tests(scene, y), *drive_map(scene, y, starts, drawn)])
@@ -621,10 +646,11 @@ def find_dynamic_gap(
         for name, r in fast
         if r.outsider and (humming or r.outsider.startswith(WANDERING))
     }
-    own = [_step(f, named) for f in named.found]
+    own = with_confusable([_step(f, named) for f in named.found], named, without, repeated)
     if named.outsider or failed:
         own = [s.doubted() for s in own]
     heard = [s.doubted() if static_log.is_shaken(s, (), changing) else s for s in static_log.merged_steps(dict(fast))]
+    heard = [with_delay(s, late.get(s.sensor, 0.0)) for s in heard]
     steps = sorted([*own, *heard, *noticed], key=lambda s: -s.gain_nats)
     remainder = static_log.remainder(
         failed, {**({("the fixes", ""): named.outsider} if named.outsider else {}), **changing}
@@ -683,6 +709,35 @@ def _step(f: Found, named: Named) -> Step:
     return Step(
         h.effect, h.variant, h.sensor, h.axes, values, float(p[own]), h.gain, tuple(members), text, tuple(others[:5])
     )
+
+
+def with_confusable(
+    steps: Sequence[Step], named: Named, without: Collection[str], rng: np.random.Generator
+) -> list[Step]:
+    """The steps of the search with what each would be confused with if the recording were repeated; those without columns as they are."""
+    scene, out = named.scene, []
+    repetitions: Repetitions | None = None
+    for step, f in zip(steps, named.found, strict=True):
+        h = f.chosen
+        if h.block is None or h.effect == "gnss_multipath_step":
+            out.append(step)
+            continue
+        repetitions = repetitions or Repetitions.of(scene.data, rng)
+        others = [g.chosen for g in named.found if g is not f]
+        given = [g.block for g in others if g.block is not None]
+        passed = {*without, *(g.effect for g in others if g.effect in ONCE)}
+        index, root = h.block
+        if h.effect in PROCESSES:
+            coefficients = root @ rng.standard_normal((root.shape[1], repetitions.noise.shape[1]))
+        else:
+            at, mean, _ = scene.data.posterior(named.blocks)
+            coefficients = np.array([mean[np.flatnonzero(at == i)[0]] for i in index])
+        shares = repetitions.shares([v for v in bank(scene) if v.effect not in passed], index, coefficients, given)
+        rivals = [
+            Confusable(*key, share) for key, share in shares.items() if share >= SHARE and key != (h.effect, h.sensor)
+        ]
+        out.append(replace(step, confusable=tuple(sorted(rivals, key=lambda c: -c.share))))
+    return out
 
 
 def _refine(models: dict[str, NoiseModel], step: Step) -> dict[str, NoiseModel]:

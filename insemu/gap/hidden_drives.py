@@ -453,7 +453,9 @@ def log_score(result: FilterResult, after: float = -math.inf) -> float:
     return total
 
 
-def size_effect(s: Stage, clean: Prepared, use: EffectUse, hidden: Hidden, target: float) -> tuple[EffectUse, Hidden]:
+def size_effect(
+    s: Stage, clean: Callable[[], Prepared], use: EffectUse, hidden: Hidden, target: float
+) -> tuple[EffectUse, Hidden]:
     """Give an effect the size at which it is worth ``target`` nats in this recording, or as large as it may get.
 
     A random process is sized by its own draw, which the trial repeats; its evidence is less than its signal's, so the target is raised.
@@ -461,7 +463,8 @@ def size_effect(s: Stage, clean: Prepared, use: EffectUse, hidden: Hidden, targe
     key = _SIZED.get(use.id) or _DRAWN.get(use.id)
     if key is None:
         return use, replace(hidden, nats=_level_nats(s, use))
-    half = whitened_difference(clean.result, clean.on(s.record((use,))).result)
+    without = clean()
+    half = whitened_difference(without.result, without.on(s.record((use,))).result)
     if not half > 0.0:
         return use, replace(hidden, nats=0.0)
     wanted = target if use.id in _SIZED else 3.0 * target + 10.0
@@ -496,6 +499,16 @@ def _level_nats(s: Stage, use: EffectUse) -> float:
     return math.nan
 
 
+#: Effects that shift the innovations by something of known shape; with those whose covariance is known they can be measured.
+_SHAPED = frozenset({*_SIZED, "earth_rate"})
+_MEASURED = _SHAPED | {*_DRAWN, "gnss_noise_level", "gnss_velocity_noise", "gnss_correlated_noise"}
+
+
+def oracle_knows(uses: Sequence[EffectUse]) -> bool:
+    """Whether :func:`oracle` covers these effects."""
+    return bool(uses) and all(u.id in _MEASURED for u in uses)
+
+
 def oracle(
     s: Stage, clean: Prepared, seen: Prepared, uses: Sequence[EffectUse], cut: float
 ) -> tuple[float, float, int]:
@@ -505,7 +518,7 @@ def oracle(
     true ones. Coloured fixes: the surrogate with the true process. NaN for effects that this does not cover (the fast ones and outliers).
     """
     fixes = int(np.sum(seen.result.fixes.t > cut))
-    if not uses or any(u.id not in _MEASURED for u in uses):
+    if not oracle_knows(uses):
         return math.nan, math.nan, fixes
     twin = s.record([u for u in uses if u.id not in _SHAPED])
     knowing, colour = _knowing(clean, uses)
@@ -519,11 +532,6 @@ def oracle(
         whole += gain
         late += gain - (first.log_likelihood(None, colour) - first.log_likelihood())
     return whole, late, fixes
-
-
-#: Effects that shift the innovations by something of known shape; with those whose covariance is known they can be measured.
-_SHAPED = frozenset({*_SIZED, "earth_rate"})
-_MEASURED = _SHAPED | {*_DRAWN, "gnss_noise_level", "gnss_velocity_noise", "gnss_correlated_noise"}
 
 
 def _knowing(clean: Prepared, uses: Sequence[EffectUse]) -> tuple[Prepared, Colour | None]:

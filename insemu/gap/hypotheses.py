@@ -37,6 +37,8 @@ SHORTEST_STEP = 2.5
 #: What more axes of one effect must be worth over fewer, nats.
 PARSIMONY = 2.0
 PROCESSES = {"random_walk": "K", "gauss_markov": "sigma", "flicker": "B"}
+#: Prior scales of structure outside the catalogue, for which no datasheet says how large it may be.
+LIBRARY_SCALES = (*PRIOR_SCALES, 30.0, 100.0, 300.0)
 _SENSORS = (("gyro", 0), ("accel", 3))
 #: A level is estimated together with a colour, not beside it.
 _LEVELS = ("gnss_noise_level", "gnss_velocity_noise")
@@ -85,6 +87,10 @@ class Hypothesis:
     variant: str = ""
     noise: NoiseFit | None = None
     columns: tuple[int, ...] = ()
+
+
+#: Slopes that are tried, in the datasheet's: a random walk of any size follows a slope, so the slope may have any size too.
+SLOPES = (*PRIOR_SCALES, 30.0, 100.0, 300.0, 1000.0)
 
 
 def bank(scene: Scene) -> list[Variant]:
@@ -146,9 +152,7 @@ def _slow(scene: Scene) -> list[Variant]:
         unit = (t - t[0])[:, None] * EFFECTS["ramp"].scale("R", sensor)
         for axis in range(3):
             out.append(
-                Variant(
-                    "ramp", sensor, ("xyz"[axis],), "", scene.slow(first + axis), (((), unit),), np.array(PRIOR_SCALES)
-                )
+                Variant("ramp", sensor, ("xyz"[axis],), "", scene.slow(first + axis), (((), unit),), np.array(SLOPES))
             )
     return out
 
@@ -329,9 +333,7 @@ def _axis_steps(scene: Scene, starts: Array, axis: int) -> Array:
     fixes = scene.loop.result.fixes
     M = np.zeros((len(fixes), 6, starts.size))
     M[:, axis, :] = fixes.t[:, None] > starts[None, :]
-    nodes = scene.loop.result.nodes
-    assert nodes is not None
-    return scene.loop.respond(np.zeros((nodes.epoch.size, starts.size, 9)), M)
+    return scene.loop.respond(starts.size, None, M)
 
 
 _Scan = tuple[Array, tuple[float, int, int, int, float]]
@@ -502,7 +504,7 @@ def library_gain(scene: Scene, data: Field, given: Sequence[Block]) -> tuple[flo
     """The best structure outside the catalogue, those of a sensor counted alike."""
     A, b = data.conditioned(given)
     found: dict[str, list[tuple[float, str]]] = {}
-    amplitudes = np.array(PRIOR_SCALES)
+    amplitudes = np.array(LIBRARY_SCALES)
     for i, c in enumerate(scene.columns[scene.library], start=scene.library.start):
         logs = quadratic_evidence(A[i : i + 1, i : i + 1], b[i : i + 1], np.array([[c.scale]]), amplitudes)
         found.setdefault(c.sensor, []).append((log_mean_exp(logs[:, 0]), f"{c.sensor} error that goes with {c.label}"))

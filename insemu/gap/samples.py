@@ -62,7 +62,7 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
     if "saturation" not in without:
         for first, (sensor, unit) in zip((0, 3), _SENSORS, strict=True):
             values = np.array(getattr(imu, sensor))
-            widths = _widths(imu)
+            widths = widths_of(imu)
             rates = values / widths
             for k, axis in enumerate("xyz"):
                 found = clipped(rates[:, k], counts[sensor][axis] > 0.0)
@@ -80,7 +80,7 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
 
 def _counts(imu: ImuRecord) -> dict[str, dict[str, float]]:
     """Step of the lattice that the samples of each axis lie on, by sensor; 0 where there is none."""
-    widths = _widths(imu)
+    widths = widths_of(imu)
     # the increment over a gap is short of what was lost or holds several
     steady = np.abs(np.diff(imu.t) / np.median(np.diff(imu.t)) - 1.0) < 0.05
     out = {}
@@ -92,7 +92,7 @@ def _counts(imu: ImuRecord) -> dict[str, dict[str, float]]:
 
 def _lattices(imu: ImuRecord, counts: dict[str, dict[str, float]]) -> list[Step]:
     """Axes whose samples lie on a lattice of output counts."""
-    widths = _widths(imu)
+    widths = widths_of(imu)
     out = []
     for sensor, unit in _SENSORS:
         rates = np.array(getattr(imu, sensor)) / widths
@@ -108,6 +108,23 @@ def _lattices(imu: ImuRecord, counts: dict[str, dict[str, float]]) -> list[Step]
             len(imu) * max(math.log(steps[a] / (max(top["xyz".index(a)], steps[a]) * 2.0**-24)), 0.0) for a in on
         )
         out.append(_step("quantization", sensor, on, values, nats))
+    return out
+
+
+#: Output counts of more than so many standard deviations of the noise: the noise does not reach from one to the next often enough.
+COARSE = 3.0
+
+
+def coarse(beliefs: dict[str, NoiseModel], steps: Sequence[Step], dt: float) -> set[str]:
+    """Axes whose output counts are coarse beside their white noise."""
+    out = set()
+    for s in steps:
+        if s.effect == "quantization":
+            for axis, v in zip(s.axes, s.parameters, strict=True):
+                name = f"{s.sensor}_{axis}"
+                white = sum(p.parameters["N"] ** 2 for p in beliefs[name] if isinstance(p, WN))
+                if v.value > COARSE * math.sqrt(white / dt):
+                    out.add(name)
     return out
 
 
@@ -147,11 +164,21 @@ def _step(effect: str, sensor: str, axes: tuple[str, ...], values: tuple[Value, 
     return Step(effect, "samples", sensor, axes, values, 0.999, nats, (Member(effect, sensor, axes, nats),))
 
 
-def _widths(imu: ImuRecord) -> Array:
-    """What turns rates into the record's values, (n, 1)."""
+#: Stamps that stray from an even beat by no more than this share of it are jitter of the stamps and not of the sampling.
+JITTER = 0.02
+
+
+def widths_of(imu: ImuRecord) -> Array:
+    """What turns rates into the record's values, (n, 1).
+
+    An IMU samples by its own clock: increments between stamps that merely jitter all span the same time, or a pile-up and a lattice would be
+    smeared and gravity would look noisy.
+    """
     if imu.kind != "increment":
         return np.ones((len(imu), 1))
-    return np.asarray(np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1])[:, None])
+    step = np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1])
+    beat = float(np.median(step))
+    return np.asarray(np.where(np.abs(step / beat - 1.0) < JITTER, beat, step)[:, None])
 
 
 def _bridge(imu: ImuRecord) -> tuple[ImuRecord, Step] | None:

@@ -253,12 +253,11 @@ class Scene:
 
 def window_response(loop: Loop, windows: Sequence[Window]) -> Array:
     """Responses (f, 6, windows) of unit steps of one position axis between two times."""
-    fixes, nodes = loop.result.fixes, loop.result.nodes
-    assert nodes is not None
+    fixes = loop.result.fixes
     M = np.zeros((len(fixes), 6, len(windows)))
     for i, (axis, start, end) in enumerate(windows):
         M[:, axis, i] = (fixes.t > start) & (fixes.t <= end)
-    return loop.respond(np.zeros((nodes.epoch.size, len(windows), 9)), M) if windows else M
+    return loop.respond(len(windows), None, M) if windows else M
 
 
 def corrected_data(
