@@ -457,7 +457,7 @@ def fast_effects(
 ) -> list[tuple[str, static_log.AxisResult]]:
     """Effects that the IMU shows above its motion, axis by axis, ``beside`` what else is known to be there.
 
-    What is left of a clipped stretch after it was rounded off looks like outliers, so axes that were ``clipped`` are not asked for them.
+    What is left of a clipped stretch after it was filled in looks like outliers, so axes that were ``clipped`` are not asked for them.
     """
     out = []
     excluded = {name for name in CANDIDATES if name not in FAST} | set(without)
