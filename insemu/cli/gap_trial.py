@@ -128,8 +128,13 @@ def tables(finished: list[Trial]) -> list[Table]:
     add("one hidden: said to be unexplained", scores.unexplained)
     add("20 expected nats or more: detected", scores.strong_detected)
     add("20 expected nats or more: in the top two", scores.strong_top_two)
-    add("several hidden, each worth 20 nats: all and only these named", scores.both_and_only)
-    add("several hidden, each worth 20 nats: the same, classes counted", scores.both_in_class)
+    for where, named, classes in (
+        ("any strength", scores.every_and_only, scores.every_in_class),
+        ("each worth 20 nats", scores.both_and_only, scores.both_in_class),
+        ("each worth 20 nats beside the others", scores.beside_and_only, scores.beside_in_class),
+    ):
+        add(f"several hidden, {where}: all and only these named", named)
+        add(f"several hidden, {where}: the same, classes counted", classes)
     add("outside the catalogue: misnamed", scores.misnamed_outside)
     add("outside the catalogue: said to be unexplained", scores.outside_unexplained)
     add("named right: gap index after contains 1", scores.gap_contains_one)

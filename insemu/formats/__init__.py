@@ -143,6 +143,11 @@ def write(path: str | Path, data: Data) -> Path:
     raise InputError(f"cannot write '{path.suffix}' files, expected {expected}", where=str(path))
 
 
+def holds_recording(path: str | Path) -> bool:
+    """Whether :func:`read` takes an existing path for a dynamic recording rather than a static log."""
+    return _recognise(Path(path)).holds is Recording
+
+
 def _recognise(path: Path) -> Format:
     if not path.exists():
         raise FileNotFoundError(2, "No such file or directory", str(path))

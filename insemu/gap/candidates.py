@@ -18,6 +18,7 @@ from insemu.effects import EFFECTS
 from insemu.errors import InputError
 from insemu.gap.band import Band
 from insemu.gap.evidence import (
+    DEPTH,
     PRIOR_SCALES,
     Component,
     Explanation,
@@ -37,6 +38,8 @@ Array = NDArray[np.float64]
 
 #: Ratio of the largest to the smallest amplitude that a prior admits.
 AMPLITUDE_RANGE = 1e5
+#: A candidate whose best start refines to so much less than nothing is not tried from the others, nats.
+HOPELESS = 4.0
 
 
 @dataclass(frozen=True)
@@ -152,7 +155,11 @@ def best_of(
             chosen.append(explanation)
         if len(chosen) == refine:
             break
-    fits = [fit(likelihood, e) for e in chosen]
+    fits: list[Fitted] = []
+    for e in chosen:
+        fits.append(fit(likelihood, e))
+        if fits[0].evidence < state.fitted.evidence - HOPELESS:
+            break  # the most promising one leads to nothing
     if not fits:
         return []
     best = max(fits, key=lambda f: f.evidence)
@@ -319,7 +326,7 @@ def vibration_band(state: AxisState) -> list[Weighed]:
         Free("ratio", 0.003, 0.6),  # wider is no resonance
     )
     # where the excess over a window as wide as the band stands out most, for each width
-    excess = data.power / S - 1.0
+    excess = state.explanation.seen(data) / S - 1.0
     weighted = np.concatenate([[0.0], np.cumsum(data.counted * excess)])
     total = np.concatenate([[0.0], np.cumsum(data.counted)])
     starts = []
@@ -353,6 +360,7 @@ def decimation_filter(state: AxisState) -> list[Weighed]:
     nyquist = 0.5 / state.data.dt
     out = []
     order = Free("order", 0.6, 12.0)
+    floor = DEPTH * state.white**2
     for kind, highest in (
         # no cutoff beyond what the samples show: a slope that gentle is no filter's
         ("moving average", 0.98 / HALF_POWER["moving average"]),
@@ -363,7 +371,11 @@ def decimation_filter(state: AxisState) -> list[Weighed]:
         free = (Free("corner", 0.03 * nyquist, highest * nyquist), *((order,) if kind == "butterworth" else ()))
         orders: tuple[tuple[float, ...], ...] = ((1.0,), (2.0,), (4.0,), (8.0,)) if kind == "butterworth" else ((),)
         corners = nyquist * np.geomspace(0.05, 0.95 * highest, 14)
-        starts = [replace(state.explanation, rolloff=Rolloff(kind, (c, *o), free)) for c in corners for o in orders]
+        starts = [
+            replace(state.explanation, rolloff=Rolloff(kind, (c, *o), free, floor=floor))
+            for c in corners
+            for o in orders
+        ]
         tried = best_of(state, "decimation_filter", kind, starts, 1)
         out += [w for w in tried if all(v.value < nyquist if v.name == "cutoff" else v.value > 0.5 for v in w.values)]
     return out
@@ -411,7 +423,7 @@ EARTH_RATE = 7.292115e-5
 
 
 def turn_on_bias(state: AxisState) -> list[Weighed]:
-    """A constant error of a gyroscope: its mean at rest is more than the rotation of the Earth can be.
+    """A constant error of a gyroscope, its mean at rest more than the rotation of the Earth can be, and the random walk that is its rival.
 
     An accelerometer at rest shows gravity in an unknown attitude, so its bias is not looked for. Weighed after everything else, because how well
     the mean of the log is known follows from the slow processes that were found.
@@ -425,7 +437,7 @@ def turn_on_bias(state: AxisState) -> list[Weighed]:
     for c in explanation.components:
         p = c.process.parameters
         if isinstance(c.process, RW):
-            variance += p["K"] ** 2 * T / 3.0  # it starts at zero
+            variance += p["K"] ** 2 * T  # it began before the log, a log's length earlier counted from its middle
         elif isinstance(c.process, GM):
             x = p["beta"] * T
             variance += p["sigma"] ** 2 * 2.0 / x**2 * (x + math.expm1(-x))
@@ -433,16 +445,39 @@ def turn_on_bias(state: AxisState) -> list[Weighed]:
             variance += p["B"] ** 2 * math.log(T / data.dt) / math.pi  # between one sample and the log
     sigma = math.sqrt(variance)
     beyond = max(abs(mean) - EARTH_RATE, 0.0)
-    width = math.sqrt(2.0 * math.pi) * sigma + 2.0 * EARTH_RATE
-    null = -0.5 * (beyond / sigma) ** 2 - math.log(width)
+
+    def unbiased(reach: Array) -> Array:
+        return np.asarray(-0.5 * (beyond / reach) ** 2 - np.log(math.sqrt(2.0 * math.pi) * reach + 2.0 * EARTH_RATE))
+
+    null = float(unbiased(np.array([sigma]))[0])
     scale = EFFECTS["turn_on_bias"].scale("value", "gyro")
     spread = [math.hypot(sigma, c * scale) for c in PRIOR_SCALES]
     gain = log_mean_exp([-0.5 * (mean / s) ** 2 - math.log(math.sqrt(2.0 * math.pi) * s) for s in spread]) - null
     off = 1.96 * math.hypot(sigma, EARTH_RATE / math.sqrt(3.0))
     values = (Value("value", mean, mean - off, mean + off, data.unit),)
-    return [Weighed("turn_on_bias", "", gain, values, replace(state, named=(*state.named, "turn_on_bias")))]
+    out = [Weighed("turn_on_bias", "", gain, values, replace(state, named=(*state.named, "turn_on_bias")))]
+    if any(isinstance(c.process, RW) for c in explanation.components):
+        return out
+    # the rival: a walk, which carries the mean away even where the block means are not enough to name it
+    walks = _amplitudes(_spread(state) / math.sqrt(10.0 * data.block_s), 40)
+    free = (_amplitude("K", float(walks[-1])),)
+    likelihood = state.likelihood
+    starts = [explanation.with_component(Component(RW(float(k)), free, "random_walk")) for k in walks]
+    seen = np.array([likelihood.low(e) + likelihood.high(e) for e in starts])
+    carried = seen + unbiased(np.hypot(sigma, walks * math.sqrt(T)))
+    rival = log_mean_exp(carried) - likelihood.low(explanation) - likelihood.high(explanation) - null
+    p = np.exp(carried - carried.max())
+    p /= p.sum()
+    centre = float(p @ np.log(walks))
+    width = math.sqrt(float(p @ (np.log(walks) - centre) ** 2) + math.log(walks[1] / walks[0]) ** 2 / 12.0)
+    meta = RW.PARAMETERS[0]
+    values = (_log_normal("K", math.exp(centre), width, meta.unit_for(data.unit)),)
+    fitted = fit(likelihood, starts[int(np.argmax(carried))])
+    return [*out, Weighed("random_walk", "", rival, values, added(state, fitted, "random_walk"))]
 
 
+#: Prior weight of each shape of a thermal bias.
+THERMAL_SHAPES = {"linear": 0.5, "cubic": 0.2, "lagged": 0.2, "cubic and lagged": 0.1}
 #: Thermal time constants that the lagged shapes try, from a block to this share of the log, and their number.
 LONGEST_LAG, LAGS = 0.3, 10
 
@@ -507,7 +542,12 @@ def temperature(state: AxisState) -> list[Weighed]:
         best = weigh(shape, which, lag)
         values = (*best.values, Value("lag", lag, lag / ratio, lag * ratio, "s"))
         out.append(replace(best, gain=best.gain - paid, values=values))
-    return out
+    return [replace(w, gain=w.gain + math.log(THERMAL_SHAPES[w.variant])) for w in out]
+
+
+def _power(x: Array, k: int) -> Array:
+    """Integer power by products: a general one takes ten times as long."""
+    return x if k == 1 else np.asarray(x * _power(x, k - 1))
 
 
 def _less(w: Weighed, state: AxisState, signal: Array) -> Weighed:
@@ -522,14 +562,6 @@ def _less(w: Weighed, state: AxisState, signal: Array) -> Weighed:
     data = replace(apart, differences=state.data.differences)  # the block band keeps the regressors
     fitted = fit(Likelihood(data), explanation)
     return replace(w, gain=w.gain + after - before, state=replace(w.state, data=data, fitted=fitted))
-
-
-def _power(x: Array, k: int) -> Array:
-    """``x ** k`` by products, which numpy does for squares only."""
-    out = x
-    for _ in range(k - 1):
-        out = out * x
-    return out
 
 
 def lowpass(x: Array, dt: float, lag: float) -> Array:

@@ -215,7 +215,7 @@ def axis_tests(state: AxisState, spent: Array | None = None) -> list[tuple[str, 
             np.minimum(data.f * (1.0 + BIN_HALF), 0.499 / data.dt), data.dt
         )
         even = np.flatnonzero(np.abs(np.log(slope)) < 0.2)
-        ratio = data.power / explanation.psd(data.f, data.dt)
+        ratio = explanation.seen(data) / explanation.psd(data.f, data.dt)
         groups = [g for g in np.array_split(even, min(32, max(even.size, 1))) if g.size]
         z = np.array(
             [

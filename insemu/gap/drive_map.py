@@ -51,7 +51,15 @@ def innovation_tests(scene: Scene, y: Array) -> list[Entry]:
         mean = float(2.0 * stats.norm.sf(abs(z.mean()) * math.sqrt(n)))
         white = float(stats.chi2.sf(np.sum(rho**2 * (n - lags)), lags.size))
         out.append((f"{what} innovation mean", "gnss", axis, None, mean))
-        out.append((f"{what} innovation NIS", "gnss", axis, None, chi_square_p(float(z @ z), n, left_over(2.0 * n, 1.0, slope, spent))))
+        out.append(
+            (
+                f"{what} innovation NIS",
+                "gnss",
+                axis,
+                None,
+                chi_square_p(float(z @ z), n, left_over(2.0 * n, 1.0, slope, spent)),
+            )
+        )
         out.append((f"{what} innovation whiteness", "gnss", axis, 10.0 * step, white))
         out.append((f"{what} innovation tails", "gnss", axis, None, float(stats.kurtosistest(z).pvalue)))
     return out
@@ -197,7 +205,7 @@ def band_wavelet_p_values(state: AxisState, rng: np.random.Generator) -> list[tu
     """
     data = state.data
     S = state.explanation.psd(data.f, data.dt)
-    ratio = data.power / S
+    ratio = state.explanation.seen(data) / S
     width = np.gradient(data.f)
     edge = 1.0 + LEVEL_UNCERTAINTY
 

@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 LEVEL_UNCERTAINTY, LEVEL_EDGE = 0.22, 0.02
 #: Prior standard deviations of a regressor's coefficient, in units of the effect's datasheet scale; evidence is averaged over them.
 PRIOR_SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)
+#: Step of the differences that give the curvature at a mode, in log.
+CURVATURE_STEP = 5e-3
 
 
 @dataclass(frozen=True)
@@ -82,22 +84,30 @@ class Component:
     effect: str = "nominal"
 
 
+#: Depth below the white noise to which a filtered spectrum is compared. Deeper, a bin is not even, and tapers and rounding are seen.
+DEPTH = 1e-5
+
+
 @dataclass(frozen=True)
 class Rolloff:
-    """A low-pass of the output: ``butterworth`` (corner and order), ``moving average`` (of length ``1 / corner``), ``exponential``."""
+    """A low-pass of the output: ``butterworth`` (corner and order), ``moving average`` (of length ``1 / corner``), ``exponential``.
+
+    ``floor`` (a two-sided PSD) is added to measured and modelled spectrum alike, so that neither is compared where next to nothing is left.
+    """
 
     kind: str
     values: tuple[float, ...]
     free: tuple[Free, ...]
     effect: str = "decimation_filter"
+    floor: float = 0.0
 
     def gain(self, f: Array, dt: float) -> Array:
         """Power gain at frequencies ``f`` of samples at interval ``dt``."""
         corner = self.values[0]
         if self.kind == "moving average":
-            return np.asarray(np.sinc(f / corner) ** 2 + 1e-6)
+            return np.asarray(np.sinc(f / corner) ** 2)
         if self.kind == "triangular window":
-            return np.asarray(np.sinc(f / corner) ** 4 + 1e-6)
+            return np.asarray(np.sinc(f / corner) ** 4)
         if self.kind == "exponential":
             phi = math.exp(-2.0 * math.pi * corner * dt)
             return np.asarray((1.0 - phi) ** 2 / ((1.0 - phi) ** 2 + 4.0 * phi * np.sin(np.pi * f * dt) ** 2))
@@ -105,7 +115,7 @@ class Rolloff:
         edge = math.tan(math.pi * min(corner * dt, 0.499))
         ratio = np.tan(np.pi * np.minimum(f * dt, 0.4999)) / edge
         exponent = np.minimum(2.0 * self.values[1] * np.log(ratio), 300.0)
-        return np.asarray(1.0 / (1.0 + np.exp(exponent)) + 1e-6)
+        return np.asarray(1.0 / (1.0 + np.exp(exponent)))
 
     def delay(self, dt: float) -> float:
         """By how much a causal filter of this gain is late for slow signals, s."""
@@ -187,7 +197,11 @@ class Explanation:
         total = np.zeros_like(f)
         for c in self.components:
             total += density(c.process, f, dt)
-        return total * self.rolloff.gain(f, dt) if self.rolloff else total
+        return total * self.rolloff.gain(f, dt) + self.rolloff.floor if self.rolloff else total
+
+    def seen(self, data: Reduced) -> Array:
+        """Measured PSD of the bins as it is compared with :meth:`psd`."""
+        return data.power + self.rolloff.floor if self.rolloff else data.power
 
     def covariance(self, block: int, dt: float, count: int) -> Array:
         """Autocovariance of the block-mean differences."""
@@ -238,12 +252,12 @@ class Likelihood:
         """Whittle's log-likelihood of the spectrum."""
         if not self.data.f.size:
             return 0.0
-        return self._high(explanation.psd(self.data.f, self.data.dt))
+        return self._high(explanation.psd(self.data.f, self.data.dt), explanation.seen(self.data))
 
-    def _high(self, S: Array) -> float:
+    def _high(self, S: Array, seen: Array) -> float:
         if not (S > 0).all():
             return -math.inf
-        return float(-0.5 * np.sum(self.data.counted * (np.log(S) + self.data.power / S)))
+        return float(-0.5 * np.sum(self.data.counted * (np.log(S) + seen / S)))
 
     def along(self, explanation: Explanation) -> Callable[[Array], float]:
         """:meth:`log_posterior` as a function of the logarithms of the free parameters, inside their bounds.
@@ -267,7 +281,7 @@ class Likelihood:
                 moving.append((c, shape(c.process.with_parameters({amplitude: 1.0}))))
             else:
                 moving.append((c, None))
-        rolloff = explanation.rolloff
+        rolloff, seen = explanation.rolloff, explanation.seen(data)
         prior = [(math.log(f.low), math.log(f.high), f.edge, math.log(f.width)) for f in explanation.free]
 
         def log_posterior(x: Array) -> float:
@@ -282,11 +296,12 @@ class Likelihood:
                 psd, covariance = psd + more[0], covariance + more[1]
                 k += len(c.free)
             if rolloff is not None:
-                psd = psd * replace(rolloff, values=tuple(math.exp(v) for v in x[k:])).gain(data.f, data.dt)
+                gain = replace(rolloff, values=tuple(math.exp(v) for v in x[k:])).gain(data.f, data.dt)
+                psd = psd * gain + rolloff.floor
             total = 0.0
             for v, (low, high, edge, width) in zip(x, prior, strict=True):
                 total -= width + 0.5 * (max(low - v, v - high, 0.0) / edge) ** 2
-            total += self._high(psd) if data.f.size else 0.0
+            total += self._high(psd, seen) if data.f.size else 0.0
             return total + (self._low(covariance, explanation.regressors) if count else 0.0)
 
         return log_posterior
@@ -409,17 +424,25 @@ def laplace(log_posterior: Callable[[Array], float], x0: Array, free: Sequence[F
     centre, step = cost(x0), 3e-3
     bend = np.array([(cost(x0 + e) + cost(x0 - e) - 2.0 * centre) / step**2 for e in np.eye(x0.size) * step])
     unit = 1.0 / np.sqrt(np.maximum(np.where(np.isfinite(bend), bend, 0.0), prior))
+    # so far inside the bounds that the curvature is not taken across them
+    beyond = [6.0 * f.edge - 1.1 * CURVATURE_STEP for f in free]
     reach = [
-        ((math.log(f.low) - 5.9 * f.edge - c) / u, (math.log(f.high) + 5.9 * f.edge - c) / u)
-        for f, c, u in zip(free, x0, unit, strict=True)
+        ((math.log(f.low) - b - c) / u, (math.log(f.high) + b - c) / u)
+        for f, b, c, u in zip(free, beyond, x0, unit, strict=True)
     ]
+
+    def sloped(z: Array) -> tuple[float, Array]:
+        """Cost and its forward differences, backward at the edge."""
+        here, slope = cost(x0 + unit * z), np.empty(z.size)
+        for i in range(z.size):
+            moved = z.copy()
+            moved[i] += 1e-3 if z[i] + 1e-3 <= reach[i][1] else -1e-3
+            slope[i] = (cost(x0 + unit * moved) - here) / (moved[i] - z[i])
+        return here, slope
+
     minimize: Any = optimize.minimize
     result = minimize(
-        lambda z: cost(x0 + unit * z),
-        np.zeros(x0.size),
-        method="L-BFGS-B",
-        bounds=reach,
-        options={"eps": 1e-3, "maxiter": 60, "ftol": 1e-9},
+        sloped, np.zeros(x0.size), jac=True, method="L-BFGS-B", bounds=reach, options={"maxiter": 60, "ftol": 1e-9}
     )
     x, best = x0 + unit * np.asarray(result.x, dtype=np.float64), float(result.fun)
     H = _hessian(cost, x, best)
@@ -432,7 +455,7 @@ def laplace(log_posterior: Callable[[Array], float], x0: Array, free: Sequence[F
 
 
 def _hessian(cost: Callable[[Array], float], x: Array, centre: float) -> Array:
-    n, h = x.size, 5e-3
+    n, h = x.size, CURVATURE_STEP
     H = np.empty((n, n))
     steps = np.eye(n) * h
     plus = np.array([cost(x + s) for s in steps])

@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 AMPLITUDES = np.geomspace(1e-3, 100.0, 31)
 #: Effects of one number that only one description can have.
 ONCE = ("imu_gnss_time_offset", "clock_drift", "gravity", "earth_rate", "transport_rate")
+#: Fewest fixes that a step in them lasts; a shorter one is an outlier.
+SHORTEST_STEP = 2.5
 #: What more axes of one effect must be worth over fewer, nats.
 PARSIMONY = 2.0
 PROCESSES = {"random_walk": "K", "gauss_markov": "sigma", "flicker": "B"}
@@ -85,6 +87,10 @@ class Hypothesis:
     variant: str = ""
     noise: NoiseFit | None = None
     columns: tuple[int, ...] = ()
+
+
+#: Slopes that are tried, in the datasheet's: a random walk of any size follows a slope, so the slope may have any size too.
+SLOPES = (*PRIOR_SCALES, 30.0, 100.0, 300.0, 1000.0)
 
 
 def bank(scene: Scene) -> list[Variant]:
@@ -146,9 +152,7 @@ def _slow(scene: Scene) -> list[Variant]:
         unit = (t - t[0])[:, None] * EFFECTS["ramp"].scale("R", sensor)
         for axis in range(3):
             out.append(
-                Variant(
-                    "ramp", sensor, ("xyz"[axis],), "", scene.slow(first + axis), (((), unit),), np.array(PRIOR_SCALES)
-                )
+                Variant("ramp", sensor, ("xyz"[axis],), "", scene.slow(first + axis), (((), unit),), np.array(SLOPES))
             )
     return out
 
@@ -299,18 +303,21 @@ def multipath_step(
         return []
     G = scene.step_columns[rows]
     scale = EFFECTS["gnss_multipath_step"].scale("value", "gnss")
-    logs, best = _scan_steps(data, G, given, s, scale)
+    t_fix = scene.prepared.result.fixes.t
+    shortest = SHORTEST_STEP * float(np.median(np.diff(t_fix)))
+    logs, best = _scan_steps(data, G, given, s, scale, shortest)
     gain = log_mean_exp(logs)
     fine = None
     top, c, i0, j0, width = best
     if gain > -2.0:
         # the scan is coarse: try every start and end near the best with columns of their own
-        t_fix = scene.prepared.result.fixes.t
         spacing = float(s[1] - s[0])
         near = np.concatenate([t_fix[np.abs(t_fix - x) <= spacing] for x in (s[i0], s[j0])]) + 1e-3
         starts = np.unique(near)[:120]
         if starts.size >= 4:
-            fine = _scan_steps(data, scene.whitened(_axis_steps(scene, starts, c))[rows], given, starts, scale, axes=1)
+            fine = _scan_steps(
+                data, scene.whitened(_axis_steps(scene, starts, c))[rows], given, starts, scale, shortest, axes=1
+            )
             if fine[1][0] > top:
                 gain += fine[1][0] - top
                 _, _, i0, j0, width = fine[1]
@@ -332,7 +339,9 @@ def _axis_steps(scene: Scene, starts: Array, axis: int) -> Array:
 _Scan = tuple[Array, tuple[float, int, int, int, float]]
 
 
-def _scan_steps(data: Field, G: Array, given: Sequence[Block], s: Array, scale: float, axes: int = 3) -> _Scan:
+def _scan_steps(
+    data: Field, G: Array, given: Sequence[Block], s: Array, scale: float, shortest: float, axes: int = 3
+) -> _Scan:
     y = data.y
     cross = None
     if given:
@@ -345,8 +354,12 @@ def _scan_steps(data: Field, G: Array, given: Sequence[Block], s: Array, scale: 
     if cross is not None:
         b_all = b_all - cross[0].T @ cross[1]
     i, j = np.triu_indices(s.size, 1)
-    near = s[j] - s[i] <= (s[-1] - s[0]) / 2.5 if axes == 3 else np.ones(i.size, dtype=bool)
+    near = s[j] - s[i] >= shortest
+    if axes == 3:
+        near &= s[j] - s[i] <= (s[-1] - s[0]) / 2.5
     i, j = i[near], j[near]
+    if not i.size:
+        return np.full(1, -math.inf), (-math.inf, 0, 0, 0, 1.0)
     logs = []
     best: tuple[float, int, int, int, float] = (-math.inf, 0, 0, 0, 1.0)
     for c in range(axes):

@@ -40,6 +40,7 @@ def find_gap(
     hold_out: bool = True,
     pictures: bool = True,
     progress: Callable[[str], None] | None = None,
+    flown: Flown | None = None,
 ) -> GapReport:
     """Find, name and add what the nominal model lacks.
 
@@ -64,6 +65,8 @@ def find_gap(
         Whether to work out what the page draws of a drive before and after.
     progress : callable, optional
         Told what is being done.
+    flown : Flown, optional
+        The nominal filter's run on a drive or flight, where it is there already; of a nominal model in whose ``effects`` there is nothing.
 
     Raises
     ------
@@ -88,7 +91,15 @@ def find_gap(
         )
     else:
         report = _drive(
-            measured, nominal, rng, threshold, without, hold_out, hold_out and pictures, progress or (lambda _: None)
+            measured,
+            nominal,
+            rng,
+            threshold,
+            without,
+            hold_out,
+            hold_out and pictures,
+            progress or (lambda _: None),
+            flown,
         )
     return held_out_said(report)
 
@@ -102,6 +113,7 @@ def _drive(
     hold_out: bool,
     pictures: bool,
     say: Callable[[str], None],
+    flown: Flown | None,
 ) -> GapReport:
     from insemu.gap.dynamic import find_dynamic_gap
 
@@ -114,8 +126,7 @@ def _drive(
         return replace(now, effects=joined(now.effects, uses_of(step)))
 
     say("running the nominal filter")
-    first = Flown.of(*drive_without(measured, now))
-    flown: Flown | None = first
+    first = flown = flown or Flown.of(*drive_without(measured, now))
     recording, moved = first.recording, first.nominal
     late = find_offset(first, say) if "imu_gnss_time_offset" not in without else None
     if late is not None:

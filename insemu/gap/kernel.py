@@ -246,7 +246,7 @@ def integrate_inputs(
                 ramp[i, c, r] = e[columns + c, r]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract"})
 def respond(
     Phi: Array,
     K: Array,
@@ -360,7 +360,7 @@ def recursive_residuals(
         logs[i] = 0.5 * math.log(s)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract"})
 def surrogate_filter(
     Phi: Array,
     Q: Array,

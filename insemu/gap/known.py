@@ -13,11 +13,11 @@ from insemu.compensation import NEEDS_TRAJECTORY, added_signal, compensated, lev
 from insemu.effects import EffectUse
 from insemu.gap.band import Band
 from insemu.gap.candidates import CANDIDATES, AxisState, state_of
-from insemu.gap.evidence import Component, Explanation, Rolloff, level
+from insemu.gap.evidence import DEPTH, Component, Explanation, Rolloff, level
 from insemu.gap.nominal import Nominal
 from insemu.gap.reduced import reduce
 from insemu.gap.sources import StaticLog
-from insemu.noise import NoiseModel
+from insemu.noise import WN, NoiseModel
 from insemu.records import AXES, Recording, Series, Trajectory
 from insemu.strapdown import trajectory_of
 
@@ -60,7 +60,8 @@ def starting_explanation(model: NoiseModel, known: Sequence[EffectUse], dt: floa
         else ("moving average", (1.0 / (taps * dt),))
     )
     free = tuple(level(name, value) for name, value in zip(("corner", "order"), values, strict=False))
-    return replace(explanation, rolloff=Rolloff(kind, values, free))
+    whites = [p.parameters["N"] ** 2 for p in model if isinstance(p, WN)]
+    return replace(explanation, rolloff=Rolloff(kind, values, free, floor=DEPTH * sum(whites)))
 
 
 def settled(known: Sequence[EffectUse]) -> tuple[str, ...]:

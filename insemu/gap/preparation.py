@@ -14,7 +14,7 @@ from insemu.filters import FilterOptions, FilterResult, FixTable, InitialSigma, 
 from insemu.gap.evidence import LEVEL_UNCERTAINTY, Explanation, Likelihood, fit
 from insemu.gap.nominal import Nominal
 from insemu.gap.reduced import Reduced, moving_spectrum
-from insemu.gap.samples import Clipped
+from insemu.gap.samples import Clipped, widths_of
 from insemu.gap.signatures import Loop
 from insemu.gap.surrogate import Surrogate, level_scores
 from insemu.noise import BI, WN, NoiseModel, Process
@@ -29,6 +29,8 @@ MOTION_HZ = 8.0
 NODE_S = 10.0
 #: Below this speed a track says nothing about the heading, m/s.
 TRACK_SPEED = 3.0
+#: Where the fixes have no velocities: times to either side, s, over which positions are taken for a parabola.
+TRACK_REACH = (1.0, 2.0, 4.0, 8.0)
 #: What a start without a reference is uncertain by at least, rad: levelled in motion, headed along the track.
 START_TILT, START_HEADING = 0.035, 0.09
 #: Components of the fixes that share one level: horizontal and vertical position, horizontal and vertical velocity.
@@ -228,8 +230,8 @@ def trimmed_factors(prepared: Prepared, loop: Loop, surrogate: Surrogate, y: Arr
 def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, GnssRecord, NavState, InitialSigma]:
     """Where the filter starts: on the reference where there is one, else levelled, on the fixes, headed along the track.
 
-    Without a reference the recording is cut to begin where the speed over ground first tells the heading, and the start is as uncertain as
-    the fix it comes from; a vehicle that crabs or carries an angle of attack is off by degrees.
+    Without a reference the recording is cut to begin where the speed over ground first tells the heading (recorded, or of a parabola through the
+    positions), and the start is as uncertain as what it comes from; a vehicle that crabs or carries an angle of attack is off by degrees.
     """
     imu, gnss = recording.imu, recording.gnss
     assert gnss is not None
@@ -246,29 +248,22 @@ def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, G
             (believed.tilt_sigma, believed.tilt_sigma, believed.heading_sigma),
         )
         return imu, gnss, NavState(at[:3], at[3:6], at[6:]), sigma
-    if gnss.vel_ned is None:
-        raise InputError(
-            "the recording has neither a reference nor GNSS velocities, expected one of them to start the filter",
-            where=recording.source,
-        )
-    inside = (gnss.t > imu.t[0] + 1.0) & (gnss.t < imu.t[-1] - 60.0)
-    good = inside & np.isfinite(gnss.vel_ned).all(axis=1) & np.isfinite(gnss.llh).all(axis=1)
-    speed = np.hypot(gnss.vel_ned[:, 0], gnss.vel_ned[:, 1])
-    moving = np.flatnonzero(good & (speed > TRACK_SPEED))
-    if not moving.size:
+    fixed = with_sigma(gnss, nominal)
+    inside = (gnss.t > imu.t[0] + 1.0) & (gnss.t < imu.t[-1] - 60.0) & np.isfinite(gnss.llh).all(axis=1)
+    track = _first_track(fixed, inside) if gnss.vel_ned is None else _first_velocity(fixed, gnss, inside)
+    if track is None:
         raise InputError(
             f"never moves faster than {TRACK_SPEED:g} m/s over ground, expected a stretch that tells the heading",
             where=recording.source,
         )
-    k = int(moving[0])
+    k = track.fix
     first = int(np.searchsorted(imu.t, gnss.t[k]))
     imu = _cut(imu, first)
     span = imu.as_increments()
     count = max(2, int(0.5 / imu.dt))
-    near = np.flatnonzero(good & (np.abs(gnss.t - gnss.t[k]) < 1.1))
-    slope = np.polyfit(gnss.t[near] - gnss.t[k], gnss.vel_ned[near], 1)[0] if near.size > 1 else np.zeros(3)
+    velocity, slope = track.velocity, track.slope
     force = span.accel[1:count].mean(axis=0) / imu.dt
-    heading = float(np.arctan2(gnss.vel_ned[k, 1], gnss.vel_ned[k, 0]))
+    heading = float(np.arctan2(velocity[1], velocity[0]))
     along = float(slope[0] * np.cos(heading) + slope[1] * np.sin(heading))
     across = float(-slope[0] * np.sin(heading) + slope[1] * np.cos(heading))
     g = float(earth.gravity(gnss.llh[k, 0], gnss.llh[k, 2]))
@@ -276,19 +271,65 @@ def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, G
     roll, pitch = float(np.arctan2(-level[1], -level[2])), float(np.arcsin(np.clip(level[0] / g, -1.0, 1.0)))
     rpy = np.array([roll, pitch, heading])
     late = float(imu.t[0] - gnss.t[k])
-    velocity = gnss.vel_ned[k] + slope * late
     arm = rotation.dcm_from_rpy(rpy) @ np.array(nominal.gnss.lever_arm)
-    llh = earth.move(gnss.llh[k], gnss.vel_ned[k] * late - arm)
-    fixed = with_sigma(gnss, nominal)
+    llh = earth.move(gnss.llh[k], velocity * late - arm)
     assert fixed.pos_std_ned is not None
-    vel_std = fixed.vel_std_ned[k] if fixed.vel_std_ned is not None else np.full(3, 0.3)
     position = np.hypot(np.array(believed.position_sigma), fixed.pos_std_ned[k] + START_HEADING * np.linalg.norm(arm))
     # the velocity of the antenna swings about the IMU's
     swing = float(np.linalg.norm(np.cross(span.gyro[1:count].mean(axis=0) / imu.dt, np.array(nominal.gnss.lever_arm))))
-    vel_sigma = np.sqrt(np.array(believed.velocity_sigma) ** 2 + vel_std**2 + swing**2)
-    turn = max(believed.heading_sigma, START_HEADING, float(np.max(vel_std[:2])) / float(speed[k]))
-    tilt = max(believed.tilt_sigma, START_TILT)
-    return imu, gnss, NavState(llh, velocity, rpy), InitialSigma(position, vel_sigma, (tilt, tilt, turn))
+    vel_sigma = np.sqrt(np.array(believed.velocity_sigma) ** 2 + track.velocity_sigma**2 + swing**2)
+    speed = float(np.hypot(velocity[0], velocity[1]))
+    turn = max(believed.heading_sigma, START_HEADING, float(np.max(track.velocity_sigma[:2])) / speed)
+    tilt = max(believed.tilt_sigma, float(np.hypot(START_TILT, track.slope_sigma / g)))
+    state = NavState(llh, velocity + slope * late, rpy)
+    return imu, gnss, state, InitialSigma(position, vel_sigma, (tilt, tilt, turn))
+
+
+@dataclass(frozen=True)
+class _Track:
+    """The motion of the antenna at the fix where the filter starts: velocity and its change (3,), and what they are uncertain by."""
+
+    fix: int
+    velocity: Array
+    slope: Array
+    velocity_sigma: Array
+    slope_sigma: float = 0.0
+
+
+def _first_velocity(fixed: GnssRecord, gnss: GnssRecord, inside: NDArray[np.bool_]) -> _Track | None:
+    """The first recorded velocity that tells the heading."""
+    assert gnss.vel_ned is not None
+    good = inside & np.isfinite(gnss.vel_ned).all(axis=1)
+    moving = np.flatnonzero(good & (np.hypot(gnss.vel_ned[:, 0], gnss.vel_ned[:, 1]) > TRACK_SPEED))
+    if not moving.size:
+        return None
+    k = int(moving[0])
+    near = np.flatnonzero(good & (np.abs(gnss.t - gnss.t[k]) < 1.1))
+    slope = np.polyfit(gnss.t[near] - gnss.t[k], gnss.vel_ned[near], 1)[0] if near.size > 1 else np.zeros(3)
+    sigma = fixed.vel_std_ned[k] if fixed.vel_std_ned is not None else np.full(3, 0.3)
+    return _Track(k, gnss.vel_ned[k], slope, sigma)
+
+
+def _first_track(fixed: GnssRecord, inside: NDArray[np.bool_]) -> _Track | None:
+    """The first parabola through positions that tells the heading: over the shortest time that does, up to 8 s to either side."""
+    assert fixed.pos_std_ned is not None
+    for k in np.flatnonzero(inside):
+        for reach in TRACK_REACH:
+            near = np.flatnonzero(inside & (np.abs(fixed.t - fixed.t[k]) <= reach))
+            d = fixed.t[near] - fixed.t[k]
+            if near.size < 5 or not d.min() < 0.0 < d.max():
+                continue
+            A = np.column_stack([np.ones(d.size), d, 0.5 * d * d])
+            path = earth.position_difference(fixed.llh[near], fixed.llh[k])
+            spread = np.linalg.inv(A.T @ A)
+            shape = spread @ A.T @ path
+            misfit = np.sqrt(np.sum((path - A @ shape) ** 2, axis=0) / max(d.size - 3, 1))
+            noise = np.maximum(misfit, fixed.pos_std_ned[k])
+            sigma, bend = noise * np.sqrt(spread[1, 1]), float(np.max(noise)) * float(np.sqrt(spread[2, 2]))
+            if float(np.hypot(*shape[1, :2])) < max(TRACK_SPEED, 10.0 * float(np.max(sigma[:2]))) or bend > 1.0:
+                continue
+            return _Track(int(k), shape[1], shape[2], sigma, bend)
+    return None
 
 
 def _cut(imu: ImuRecord, first: int) -> ImuRecord:
@@ -322,11 +363,29 @@ def _fast_part(imu: ImuRecord, k: int, name: str) -> Reduced:
     values = np.hstack([imu.gyro, imu.accel])[:, k]
     dt = imu.dt
     if imu.kind == "increment":
-        values = values / np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1])
+        values = values / widths_of(imu)[:, 0]
     lowest = min(MOTION_HZ, 0.5 * 0.5 / dt)
     values = without_motion(values[1:], dt, 0.6 * lowest)
     f, power, dof = moving_spectrum(values, dt, lowest)
     return Reduced(name, "rad/s" if k < 3 else "m/s^2", dt, values, 1, np.zeros(0), f, power, dof)
+
+
+#: A sample this many standard deviations from the median of its neighbours stands alone; the scatter is taken over so many samples.
+ALONE, SCATTER_SAMPLES = 8.0, 256
+
+
+def spikes(values: Array) -> Array:
+    """By how much single samples stand out from the two on either side of them, zero elsewhere.
+
+    A filter would spread them over their neighbours.
+    """
+    padded = np.pad(values, 2, mode="edge")
+    n = values.size
+    beside = np.sort(np.stack([padded[k : k + n] for k in (0, 1, 3, 4)]), axis=0)
+    away: Array = values - 0.5 * (beside[1] + beside[2])
+    pieces = [np.median(np.abs(p)) for p in np.array_split(away, max(1, n // SCATTER_SAMPLES))]
+    local = np.repeat(pieces, [p.size for p in np.array_split(away, len(pieces))])
+    return np.where(np.abs(away) > ALONE / 0.6745 * np.maximum(local, np.median(pieces)), away, 0.0)
 
 
 def without_motion(values: Array, dt: float, corner: float) -> Array:
@@ -336,7 +395,8 @@ def without_motion(values: Array, dt: float, corner: float) -> Array:
     """
     sections = signal.butter(6, corner, "highpass", fs=1.0 / dt, output="sos")
     edge = min(round(6.0 / (corner * dt)), values.size // 20)
-    out = signal.sosfiltfilt(sections, values)
+    single = spikes(values)
+    out = signal.sosfiltfilt(sections, values - single) + single
     return np.ascontiguousarray(out[edge : out.size - edge])
 
 

@@ -119,9 +119,10 @@ def spectrum(y: Array, dt: float, lowest: float) -> tuple[Array, Array, Array]:
     bins = _bins(n, dt, lowest)
     if bins is None:
         return np.zeros(0), np.zeros(0), np.zeros(0)
-    first, count, centre = bins
+    first, count, _ = bins
     total = np.add.reduceat(power, first)[: count.size]
-    return centre, total / count, 2.0 * count / overlap(n)
+    centre, dof = spectrum_bins(n, dt, lowest)
+    return centre, total / count, dof
 
 
 def _each_taper(n: int) -> Iterator[Array]:
@@ -144,6 +145,12 @@ def reduce_again(data: Reduced, values: Array) -> Reduced:
     return replace(data, values=values, f=f, power=power, dof=dof)
 
 
+def unheard(data: Reduced) -> Reduced:
+    """The axis without its spectrum: nothing that it shows there is to be explained."""
+    none = np.zeros(0)
+    return replace(data, f=none, power=none, dof=none)
+
+
 def moving_spectrum(y: Array, dt: float, lowest: float, pieces: int = 32) -> tuple[Array, Array, Array]:
     """Multitaper PSD of a moving sensor: the median over pieces of the record, so that single manoeuvres do not count."""
     length = y.size // pieces
@@ -154,6 +161,14 @@ def moving_spectrum(y: Array, dt: float, lowest: float, pieces: int = 32) -> tup
     # median of a mean of chi-squares over its mean (Wilson and Hilferty), and what the median keeps of the information
     power = np.median([p for _, p, _ in parts], axis=0) / (1.0 - 2.0 / (9.0 * np.maximum(dof, 2.0 * TAPERS))) ** 3
     return f, power, dof * pieces * (2.0 / math.pi)
+
+
+def spectrum_bins(n: int, dt: float, lowest: float) -> tuple[Array, Array]:
+    """Centres (Hz) and degrees of freedom of the bins of :func:`spectrum`."""
+    bins = _bins(n, dt, lowest)
+    if bins is None:
+        return np.zeros(0), np.zeros(0)
+    return bins[2], 2.0 * bins[1] / overlap(n)
 
 
 @lru_cache(maxsize=32)

@@ -23,6 +23,8 @@ LONGEST_GAP_S = 0.5
 FEWEST_CLIPPED = 4
 #: Samples on either side of a clipped stretch that say how the signal goes on.
 NEIGHBOURS = 12
+#: Stretches that tell how the signal changes around them, and the most whose uncertainty is carried on.
+TELLING, CARRIED = 60, 200
 _SENSORS = (("gyro", "rad/s"), ("accel", "m/s^2"))
 
 
@@ -49,8 +51,9 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
     """Name dropped samples and saturation and mend the record: gaps bridged, clipped stretches filled in."""
     steps: list[Step] = []
     stretches: list[Clipped] = []
+    counts = _counts(imu)  # of what was recorded: a bridge lies on no lattice
     if "quantization" not in without:
-        steps += _lattices(imu)  # of what was recorded: a bridge lies on no lattice
+        steps += _lattices(imu, counts)
     if "dropped_samples" not in without:
         bridged = _bridge(imu)
         if bridged is not None:
@@ -59,10 +62,10 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
     if "saturation" not in without:
         for first, (sensor, unit) in zip((0, 3), _SENSORS, strict=True):
             values = np.array(getattr(imu, sensor))
-            widths = _widths(imu)
+            widths = widths_of(imu)
             rates = values / widths
             for k, axis in enumerate("xyz"):
-                found = clipped(rates[:, k])
+                found = clipped(rates[:, k], counts[sensor][axis] > 0.0)
                 if found is None:
                     continue
                 limit, at, nats = found
@@ -71,18 +74,29 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
                 value = Value("limit", limit, limit, limit, unit)
                 steps.append(_step("saturation", sensor, (axis,), (value,), nats))
                 imu = replace(imu, gyro=rates * widths) if sensor == "gyro" else replace(imu, accel=rates * widths)
-    return Mended(imu, tuple(sorted(steps, key=lambda s: -s.gain_nats)), tuple(stretches))
+    carried = sorted(stretches, key=lambda c: -c.sigma)[:CARRIED]
+    return Mended(imu, tuple(sorted(steps, key=lambda s: -s.gain_nats)), tuple(carried))
 
 
-def _lattices(imu: ImuRecord) -> list[Step]:
-    """Axes whose samples lie on a lattice of output counts."""
-    widths = _widths(imu)
+def _counts(imu: ImuRecord) -> dict[str, dict[str, float]]:
+    """Step of the lattice that the samples of each axis lie on, by sensor; 0 where there is none."""
+    widths = widths_of(imu)
     # the increment over a gap is short of what was lost or holds several
-    steady = np.abs(widths[1:, 0] / np.median(widths) - 1.0) < 0.05
+    steady = np.abs(np.diff(imu.t) / np.median(np.diff(imu.t)) - 1.0) < 0.05
+    out = {}
+    for sensor, _ in _SENSORS:
+        rates = (np.array(getattr(imu, sensor)) / widths)[1:]
+        out[sensor] = {axis: lattice(rates[steady, k]) for k, axis in enumerate("xyz")}
+    return out
+
+
+def _lattices(imu: ImuRecord, counts: dict[str, dict[str, float]]) -> list[Step]:
+    """Axes whose samples lie on a lattice of output counts."""
+    widths = widths_of(imu)
     out = []
     for sensor, unit in _SENSORS:
         rates = np.array(getattr(imu, sensor)) / widths
-        steps = {axis: lattice(rates[1:][steady, k]) for k, axis in enumerate("xyz")}
+        steps = counts[sensor]
         on = tuple(axis for axis, step in steps.items() if step > 0.0)
         if not on:
             continue
@@ -94,6 +108,23 @@ def _lattices(imu: ImuRecord) -> list[Step]:
             len(imu) * max(math.log(steps[a] / (max(top["xyz".index(a)], steps[a]) * 2.0**-24)), 0.0) for a in on
         )
         out.append(_step("quantization", sensor, on, values, nats))
+    return out
+
+
+#: Output counts of more than so many standard deviations of the noise: the noise does not reach from one to the next often enough.
+COARSE = 3.0
+
+
+def coarse(beliefs: dict[str, NoiseModel], steps: Sequence[Step], dt: float) -> set[str]:
+    """Axes whose output counts are coarse beside their white noise."""
+    out = set()
+    for s in steps:
+        if s.effect == "quantization":
+            for axis, v in zip(s.axes, s.parameters, strict=True):
+                name = f"{s.sensor}_{axis}"
+                white = sum(p.parameters["N"] ** 2 for p in beliefs[name] if isinstance(p, WN))
+                if v.value > COARSE * math.sqrt(white / dt):
+                    out.add(name)
     return out
 
 
@@ -133,11 +164,21 @@ def _step(effect: str, sensor: str, axes: tuple[str, ...], values: tuple[Value, 
     return Step(effect, "samples", sensor, axes, values, 0.999, nats, (Member(effect, sensor, axes, nats),))
 
 
-def _widths(imu: ImuRecord) -> Array:
-    """What turns rates into the record's values, (n, 1)."""
+#: Stamps that stray from an even beat by no more than this share of it are jitter of the stamps and not of the sampling.
+JITTER = 0.02
+
+
+def widths_of(imu: ImuRecord) -> Array:
+    """What turns rates into the record's values, (n, 1).
+
+    An IMU samples by its own clock: increments between stamps that merely jitter all span the same time, or a pile-up and a lattice would be
+    smeared and gravity would look noisy.
+    """
     if imu.kind != "increment":
         return np.ones((len(imu), 1))
-    return np.asarray(np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1])[:, None])
+    step = np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1])
+    beat = float(np.median(step))
+    return np.asarray(np.where(np.abs(step / beat - 1.0) < JITTER, beat, step)[:, None])
 
 
 def _bridge(imu: ImuRecord) -> tuple[ImuRecord, Step] | None:
@@ -191,12 +232,11 @@ def _cubic(t: Array, where: NDArray[np.intp], values: Array) -> Array:
     return out
 
 
-def clipped(rates: Array) -> tuple[float, NDArray[np.bool_], float] | None:
+def clipped(rates: Array, coarse: bool) -> tuple[float, NDArray[np.bool_], float] | None:
     """Full scale at which values pile up, which samples lie there, and the evidence in nats; None where there is no pile.
 
-    Noise never repeats an extreme value exactly; a lattice does, but then its neighbours are as crowded as the extreme.
+    Noise never repeats an extreme value exactly; a lattice (``coarse``) does, but then its neighbours are as crowded as the extreme.
     """
-    coarse = lattice(rates[1:]) > 0.0
     noise = 1.4826 * float(np.median(np.abs(np.diff(rates)))) + 1e-300
     at = np.zeros(rates.size, dtype=bool)
     limits = []
@@ -253,9 +293,11 @@ def filled(t: Array, rates: Array, at: NDArray[np.bool_]) -> tuple[Array, list[t
         for first, last, near, known, x, trend in stretches
     ]
 
+    some_of = prepared[:: math.ceil(len(prepared) / TELLING)]
+
     def log_likelihood(q: float, r: float) -> float:
         total = 0.0
-        for _, _, _, known, _, y, bent, straight in prepared:
+        for _, _, _, known, _, y, bent, straight in some_of:
             some = np.ix_(known, known)
             L = np.linalg.cholesky(q * bent[some] + straight[some] + r * np.eye(int(known.sum())))
             z = np.linalg.solve(L, y[known])

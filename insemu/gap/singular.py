@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from insemu.gap import kernel
 from insemu.gap.candidates import AxisState, Weighed, added, gauss_markov, register, white_noise
@@ -80,6 +81,10 @@ def cleaned(state: AxisState, values: Array, effect: str, explanation: Explanati
     return replace(state, data=data, fitted=fitted, named=(*state.named, effect), memory={})
 
 
+#: Frequencies at which a line is looked for, per independent one.
+FINER = 4
+
+
 # -- lines ------------------------------------------------------------------------------------------------------------------------
 
 
@@ -90,15 +95,16 @@ def vibration_line(state: AxisState) -> list[Weighed]:
         return []
     n, dt = data.values.size, data.dt
     y = data.values - data.values.mean()
-    m = 2 * n
+    m = FINER * n
     spectrum = np.abs(np.fft.rfft(y, m)) ** 2 * (dt / n)
     f = np.arange(spectrum.size) / (m * dt)
     inside = (f >= data.f[0]) & (f < 0.5 / dt * (1.0 - 4.0 / n))
     ratio = np.zeros(spectrum.size)
     ratio[inside] = spectrum[inside] / state.explanation.psd(f[inside], dt)
     k = int(np.argmax(ratio))
-    peak = float(ratio[k])
-    looked = 0.5 * float(inside.sum())
+    # a line between two frequencies of the grid is worth what it is at its own
+    peak = max(float(ratio[k]), _height(y, dt, f[k]) / float(state.explanation.psd(f[[k]], dt)[0]))
+    looked = float(inside.sum()) / FINER
     gain = _line_gain(peak, looked)
     if gain < 0.0:
         return [Weighed("vibration_line", "", gain, (), state)]
@@ -118,6 +124,12 @@ def vibration_line(state: AxisState) -> list[Weighed]:
         Value("frequency", frequency, frequency - 1.96 * df, frequency + 1.96 * df, "Hz"),
     )
     return [Weighed("vibration_line", "", gain, values, cleaned(state, rest, "vibration_line"))]
+
+
+def _height(y: Array, dt: float, f0: float) -> float:
+    """Periodogram at the best frequency near ``f0``."""
+    _, a, b = _sinusoid(y, dt, f0, 1.0 / (y.size * dt))
+    return 0.25 * (a * a + b * b) * y.size * dt
 
 
 def _line_gain(peak: float, looked: float) -> float:
@@ -230,16 +242,62 @@ def outliers(state: AxisState) -> list[Weighed]:
     )
     if gain < 0.0:
         return [Weighed("outliers", "", gain, values, state)]
-    if not state.data.differences.size:
-        # the robust spectrum of a moving sensor does not notice them
-        return [Weighed("outliers", "", gain, values, replace(state, named=(*state.named, "outliers"), memory={}))]
     signed = whitened(state)
     odds = math.log(e / (1.0 - e) / k) + 0.5 * signed**2 / s**2 * (1.0 - 1.0 / k**2)
     wild = odds > 0.0
+    if not state.data.differences.size:
+        return _wild_in_motion(state, gain, signed, wild, s)
     # a wild sample is shrunk to the size of its neighbours, so that the level of the rest is what is left
     values_clean = state.data.values.copy()
     values_clean[wild] -= (1.0 - 1.0 / k) * signed[wild] * fitted_n / math.sqrt(state.data.dt)
     return [Weighed("outliers", "", gain, values, cleaned(state, values_clean, "outliers"))]
+
+
+def _wild_in_motion(state: AxisState, gain: float, r: Array, wild: NDArray[np.bool_], s: float) -> list[Weighed]:
+    """Outliers of a moving sensor, whose samples are held against their neighbours.
+
+    One outlier shows in three residuals, so that only the largest of neighbours counts; share and size are those of a normal distribution of which
+    only what lies beyond the least of them is seen.
+    """
+    size = np.abs(r)
+    top = wild.copy()
+    top[1:] &= size[1:] >= size[:-1]
+    top[:-1] &= size[:-1] > size[1:]
+    at = np.flatnonzero(top)
+    if at.size < 2:
+        return []
+    least, squares = float(size[at].min()), float(np.sum(r[at] ** 2))
+
+    def seen(v: float) -> float:
+        return math.erfc(least / math.sqrt(2.0 * v))
+
+    def score(log_v: float) -> float:
+        v = math.exp(log_v)
+        return 0.5 * squares / v + at.size * (0.5 * log_v + math.log(max(seen(v), 1e-300)))
+
+    mean = squares / at.size
+    found = minimize_scalar(score, bounds=(math.log(0.02 * mean), math.log(2.0 * mean)), method="bounded")
+    v = math.exp(float(found.x))
+    share = at.size / (r.size * seen(v))
+    off = 1.96 / math.sqrt(at.size)
+    values = state.data.values.copy()
+    raw = np.zeros(r.size)
+    raw[1:-1] = values[1:-1] - 0.5 * (values[2:] + values[:-2])
+    unit = float(np.median(np.abs(raw[at]) / size[at]))
+    sigma = unit * math.sqrt(max(v - s * s, 0.01))
+    # shrunk to the size of its neighbours, as at rest
+    values[at] -= (1.0 - min(s / math.sqrt(v), 1.0)) * raw[at]
+    given = (
+        Value("probability", share, share * math.exp(-off), share * math.exp(off), "1"),
+        Value(
+            "sigma",
+            sigma,
+            sigma * math.exp(-off / math.sqrt(2.0)),
+            sigma * math.exp(off / math.sqrt(2.0)),
+            state.data.unit,
+        ),
+    )
+    return [Weighed("outliers", "", gain, given, cleaned(state, values, "outliers"))]
 
 
 # -- switching levels -------------------------------------------------------------------------------------------------------------

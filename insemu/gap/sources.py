@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from insemu import earth, formats
 from insemu.errors import InputError
 from insemu.formats.npz import load_npz
-from insemu.records import AXES, Recording, Series
+from insemu.records import AXES, ImuRecord, Recording, Series
 
 Array = NDArray[np.float64]
 
@@ -42,18 +42,31 @@ def load_measured(path: str | Path, *, rate_hz: float | None = None) -> StaticLo
     temperature = _temperature(path)
     if path.suffix == ".npz" and path.is_file() and rate_hz is None:
         rate_hz = _stamped_rate(path)
-    data = formats.read(path, rate_hz=rate_hz)
-    if isinstance(data, Recording):
+    if formats.holds_recording(path):
+        data = formats.read(path, rate_hz=rate_hz)
+        assert isinstance(data, Recording)
         return static_of(data) if data.gnss is None or at_rest(data) else data
-    axes = tuple(s for s in data if s.name.lower() not in (t.lower() for t in _TEMPERATURE))
-    column = next((s for s in data if s.name.lower() in (t.lower() for t in _TEMPERATURE)), None)
+    log = formats.read_log(path, rate_hz=rate_hz)
+    missing = None
+    if log.gaps():
+        assert log.t is not None
+        values, missing = filled(np.column_stack(log.columns), log.t, 1.0 / log.rate_hz, str(path))
+        if temperature is not None and temperature.size == len(log):
+            temperature = np.interp(np.arange(missing.size), np.flatnonzero(~missing), temperature)
+        log = replace(log, columns=tuple(values.T), t=None)
+    series = log.series()
+    axes = tuple(s for s in series if s.name.lower() not in (t.lower() for t in _TEMPERATURE))
+    column = next((s for s in series if s.name.lower() in (t.lower() for t in _TEMPERATURE)), None)
     if column is not None:
         temperature = np.asarray(column.values)
-    return StaticLog(axes, temperature, str(path))
+    return StaticLog(axes, temperature, str(path), missing)
 
 
 #: A recording whose fixes stay this close to their median, m, and this slow, m/s, or within their own noise, was made at rest.
-REST_RADIUS, REST_SPEED = 3.0, 0.5
+#: Fixes that wander no further than this, m, are at rest too where the IMU does not stir.
+REST_RADIUS, REST_SPEED, WANDER = 3.0, 0.5, 50.0
+#: Means over a second of an IMU that does not stir change by less than this, rad/s and m/s^2, nine times out of ten.
+STIR = (0.01, 0.1)
 
 
 def at_rest(recording: Recording) -> bool:
@@ -65,6 +78,8 @@ def at_rest(recording: Recording) -> bool:
         return True
     middle = np.median(gnss.llh[known], axis=0)
     away = earth.position_difference(gnss.llh[known], middle)
+    if float(np.max(np.abs(away))) < WANDER and _quiet(recording.imu):
+        return True
     noise = 0.0 if gnss.pos_std_ned is None else float(np.nanmax(gnss.pos_std_ned))
     if float(np.max(np.abs(np.median(away[: away.shape[0] // 10 + 1], axis=0)))) > max(REST_RADIUS, noise):
         return False
@@ -75,6 +90,20 @@ def at_rest(recording: Recording) -> bool:
     spread = 0.0 if gnss.vel_std_ned is None else float(np.nanmax(gnss.vel_std_ned))
     speed = np.abs(gnss.vel_ned[np.isfinite(gnss.vel_ned).all(axis=1)])
     return not speed.size or float(speed.max()) < max(REST_SPEED, 6.0 * spread)
+
+
+def _quiet(imu: ImuRecord) -> bool:
+    """Whether the IMU does not stir: a drift of its own is slow, a vehicle is not."""
+    count = max(1, round(1.0 / imu.dt))
+    rows = len(imu) // count * count
+    if rows < 10 * count:
+        return False
+    width = imu.dt if imu.kind == "increment" else 1.0
+    for values, limit in ((imu.gyro, STIR[0]), (imu.accel, STIR[1])):
+        means = values[:rows].reshape(-1, count, 3).mean(axis=1) / width
+        if np.quantile(np.abs(np.diff(means, axis=0)), 0.9, axis=0).max() > limit:
+            return False
+    return True
 
 
 def static_of(recording: Recording) -> StaticLog:
@@ -91,27 +120,41 @@ def static_of(recording: Recording) -> StaticLog:
     if imu.kind == "increment":
         values = values / dt
     temperature = imu.temperature
-    missing = None
-    slots = np.concatenate([[0], np.cumsum(np.maximum(1, np.round(np.diff(imu.t) / dt).astype(np.int64)))])
-    lost = int(slots[-1]) + 1 - slots.size
-    if lost:
-        if lost > MOST_LOST * slots.size:
-            raise InputError(
-                f"the IMU's stamps skip {lost} of {slots[-1] + 1} samples, expected at most {MOST_LOST:.0%} for a static log",
-                where=recording.source,
-            )
-        missing = np.ones(int(slots[-1]) + 1, dtype=np.bool_)
-        missing[slots] = False
-        every = np.arange(missing.size)
-        # the mean of two neighbours has half their variance: the other half is drawn
-        rng = np.random.default_rng(missing.size)
-        fast = np.std(np.diff(values, axis=0), axis=0) / 2.0
-        filled = np.stack([np.interp(every, slots, v) for v in values.T], axis=1)
-        filled[missing] += fast * rng.standard_normal((lost, values.shape[1]))
-        values = filled
-        temperature = None if temperature is None else np.interp(every, slots, temperature)
+    filled_in, missing = filled(values, imu.t, dt, recording.source)
+    if missing.any():
+        values = filled_in
+        if temperature is not None:
+            temperature = np.interp(np.arange(missing.size), np.flatnonzero(~missing), temperature)
     axes = tuple(Series(values[:, k], 1.0 / dt, "rad/s" if k < 3 else "m/s^2", name) for k, name in enumerate(AXES))
-    return StaticLog(axes, temperature, recording.source, missing)
+    return StaticLog(axes, temperature, recording.source, missing if missing.any() else None)
+
+
+def filled(values: Array, t: Array, dt: float, source: str) -> tuple[Array, NDArray[np.bool_]]:
+    """Samples (n, k) on every multiple of ``dt``, and which of them the stamps skip.
+
+    Raises
+    ------
+    InputError
+        More than a fifth of the samples are missing.
+    """
+    slots = np.concatenate([[0], np.cumsum(np.maximum(1, np.round(np.diff(t) / dt).astype(np.int64)))])
+    missing = np.ones(int(slots[-1]) + 1, dtype=np.bool_)
+    missing[slots] = False
+    lost = missing.size - slots.size
+    if not lost:
+        return values, missing
+    if lost > MOST_LOST * slots.size:
+        raise InputError(
+            f"the stamps skip {lost} of {missing.size} samples, expected at most {MOST_LOST:.0%} for a static log",
+            where=source,
+        )
+    every = np.arange(missing.size)
+    # the mean of two neighbours has half their variance: the other half is drawn
+    rng = np.random.default_rng(missing.size)
+    fast = np.std(np.diff(values, axis=0), axis=0) / 2.0
+    out = np.stack([np.interp(every, slots, v) for v in values.T], axis=1)
+    out[missing] += fast * rng.standard_normal((lost, values.shape[1]))
+    return out, missing
 
 
 def _temperature(path: Path) -> Array | None:

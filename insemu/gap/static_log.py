@@ -20,7 +20,7 @@ from insemu.errors import InputError
 from insemu.gap import disagreement
 from insemu.gap import singular as _singular  # noqa: F401 (registers its candidates)
 from insemu.gap.band import Band
-from insemu.gap.calibration import certain, nominal_tail, threshold_of
+from insemu.gap.calibration import USUAL, certain, nominal_tail, threshold_of
 from insemu.gap.candidates import CANDIDATES, AxisState, Weighed, state_of, turn_on_bias
 from insemu.gap.evidence import Component, Explanation, Likelihood, fit
 from insemu.gap.known import settled, starting_explanation
@@ -130,10 +130,10 @@ def search(
         if len(found) > 1 and not _taken_out(new.chosen):
             state, found = _reconsider(state, found, without)
     if "turn_on_bias" not in without:
-        for w in turn_on_bias(state):
-            if w.gain >= threshold:
-                found.append(Found(w, (w,), _confidence((w,))))
-                state = w.state
+        carried = sorted((w for w in turn_on_bias(state) if w.effect not in without), key=lambda w: -w.gain)
+        if carried and carried[0].gain >= threshold:
+            found.append(Found(carried[0], tuple(carried), _confidence(carried)))
+            state = carried[0].state
     return AxisResult(start, state, tuple(found), outsider)
 
 
@@ -174,7 +174,7 @@ def tempered(state: AxisState) -> AxisState:
     data = state.data
     if not data.f.size:
         return state
-    z2 = data.dof / 2.0 * (data.power / state.explanation.psd(data.f, data.dt) - 1.0) ** 2
+    z2 = data.dof / 2.0 * (state.explanation.seen(data) / state.explanation.psd(data.f, data.dt) - 1.0) ** 2
     octave = np.log2(data.f)
     misfit = np.array([float(np.mean(z2[np.abs(octave - o) <= 0.5])) for o in octave])
     weight = 1.0 / np.maximum(misfit, 1.0)
@@ -275,7 +275,7 @@ def score(data: Reduced, explanation: Explanation, extra: Array | None = None) -
     e = disagreement.block_innovations(moved, plain)
     squares, dof = [float(e @ e)], [float(e.size)]
     if data.f.size:
-        ratio = data.dof * data.power / plain.psd(data.f, data.dt)
+        ratio = data.dof * plain.seen(data) / plain.psd(data.f, data.dt)
         octave = np.floor(np.log2(data.f / data.f[0])).astype(int)
         for k in np.unique(octave):
             squares.append(float(ratio[octave == k].sum()))
@@ -436,7 +436,9 @@ def find_static_gap(
     weak = [k for k, r in results.items() if any(threshold <= f.chosen.gain < past_doubt for f in r.found)]
     if calibrate and weak:
         say("simulating the nominal model for the threshold")
-        tails = [nominal_tail(r.start, nominal[k], weigh_all, without) for k, r in results.items()]
+        tails = [
+            nominal_tail(r.start, nominal[k], weigh_all, without) if k in weak else USUAL for k, r in results.items()
+        ]
         higher = threshold_of(tails, threshold)
         for k in weak:
             if higher > threshold and any(f.chosen.gain < higher for f in results[k].found):
@@ -495,7 +497,7 @@ _PLAIN = frozenset({"temperature", "dropped_samples", "saturation", "turn_on_bia
 
 def is_shaken(step: Step, failed: Sequence[Where], outsiders: Mapping[tuple[str, str], str]) -> bool:
     """Whether something that no candidate explains sits where a step was named: the same axis, the same band."""
-    if step.effect in _PLAIN or step.variant == "output counts":
+    if step.effect in _PLAIN or step.variant in ("output counts", "levels"):
         return False
     axes = {(step.sensor, a) for a in step.axes or ("",)}
     fast = step.effect in _FAST or step.effect in _UNTIDY - {"telegraph"}

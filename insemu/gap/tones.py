@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,13 +30,15 @@ def without_tones(data: Reduced, explanation: Explanation) -> Reduced:
     """The axis without tones that come in company: a line of the sensor stands alone, what a vehicle hums does not.
 
     A tone counts where the periodogram stands out by more than noise does anywhere; a single one, or one that towers over the others, stays.
+    So does a band of noise, however strong.
     """
     n, dt = data.values.size, data.dt
     z = np.fft.rfft(data.values - data.values.mean())
     f = np.arange(z.size) / (n * dt)
     inside = (f >= data.f[0]) & (f <= data.f[-1])
     ratio = np.zeros(z.size)
-    ratio[inside] = np.abs(z[inside]) ** 2 * dt / n / explanation.psd(f[inside], dt)
+    power = np.abs(z) ** 2 * dt / n
+    ratio[inside] = power[inside] / np.maximum(explanation.psd(f[inside], dt), _steady(data, f, power)[inside])
     limit = math.log(n) + 6.0
     loud = np.flatnonzero(ratio > limit)
     if not loud.size:
@@ -48,6 +51,19 @@ def without_tones(data: Reduced, explanation: Explanation) -> Reduced:
         return data
     z[loud] *= np.sqrt(1.0 / ratio[loud])
     return reduce_again(data, np.fft.irfft(z, n))
+
+
+def _steady(data: Reduced, f: Array, power: Array) -> Array:
+    """PSD at the ordinates of the periodogram where it is noise: even over a bin, and the same from piece to piece; zero elsewhere."""
+    edges = np.searchsorted(f, np.concatenate([data.f[:1], 0.5 * (data.f[1:] + data.f[:-1]), data.f[-1:]]))
+    out = np.zeros(f.size)
+    for k, (first, last) in enumerate(pairwise(edges)):
+        if last - first < 8:
+            continue
+        even = float(np.median(power[first:last])) / math.log(2.0)
+        if 0.5 < even / data.power[k] < 2.0:
+            out[first:last] = data.power[k]
+    return out
 
 
 def loudest(data: Reduced) -> tuple[Array, Array]:

@@ -42,6 +42,19 @@ class Member:
 
 
 @dataclass(frozen=True)
+class Confusable:
+    """An effect that would come within three nats of the first in this share of repetitions of the recording."""
+
+    effect: str
+    sensor: str
+    share: float
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data."""
+        return {"effect": self.effect, "sensor": self.sensor, "share": self.share}
+
+
+@dataclass(frozen=True)
 class Step:
     """One effect that was found.
 
@@ -61,6 +74,8 @@ class Step:
         The recording that would tell the class apart; empty where one effect is named.
     shaken : bool
         Whether something that no candidate explains sits in the same place.
+    confusable : tuple of Confusable
+        Effects that would stand beside it in a tenth or more of repetitions of the recording, most often first.
     """
 
     effect: str
@@ -74,6 +89,7 @@ class Step:
     would_separate: str = ""
     runners_up: tuple[Member, ...] = ()
     shaken: bool = False
+    confusable: tuple[Confusable, ...] = ()
 
     def doubted(self) -> Step:
         """The step where something unexplained sits in the same place: it is no more than as likely as not."""
@@ -97,6 +113,7 @@ class Step:
             "would_separate": self.would_separate,
             "variant": self.variant,
             "runners_up": [m.to_json() for m in self.runners_up],
+            "confusable": [c.to_json() for c in self.confusable],
         }
 
 
