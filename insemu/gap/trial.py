@@ -252,9 +252,9 @@ def run_dynamic(
             if not math.isfinite(h.nats) and oracle_knows((u,)):
                 alone = whole if len(uses) == 1 else oracle(s, clean(), clean().on(s.record((u,))), (u,), cut)[0]
                 # an amplitude and a time constant are worth about three nats to pay for
-                hidden[k] = replace(h, nats=max(alone - 3.0, 0.0)) if math.isfinite(alone) else h
+                hidden[k] = replace(h, nats=max(alone - 3.0, 0.0))
         if len(uses) > 1:
-            hidden = [replace(h, beside=worth_beside(s, clean(), uses, k)) for k, h in enumerate(hidden)]
+            hidden = [replace(h, beside=worth_beside(s, clean, uses, k)) for k, h in enumerate(hidden)]
     g = report.gap_after
     return Trial(
         "dynamic", seed, tuple(hidden), outside, s.track, report.verdict, said(report), (g.value, g.low, g.high), report.held_out.value, held,
