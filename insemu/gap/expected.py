@@ -60,12 +60,9 @@ class Expected(Likelihood):
 
     gamma: Array = field(default_factory=lambda: np.zeros(0))
 
-    def low(self, explanation: Explanation) -> float:
+    def low_of(self, gamma: Array, regressors: Sequence[Regressors]) -> float:
         """Expected Gaussian log-likelihood of the block differences, regressors integrated out at their expected projections."""
-        mean = self.data.differences
-        n = mean.size
-        gamma = explanation.covariance(self.data.block, self.data.dt, n)
-        stacked = np.hstack([mean[:, None], *(r.columns for r in explanation.regressors)])
+        stacked = np.hstack([self.data.differences[:, None], *(r.columns for r in regressors)])
         white = np.empty_like(stacked)
         logdet = kernel.toeplitz_whiten(gamma, stacked, white)
         if not math.isfinite(logdet):
@@ -73,7 +70,7 @@ class Expected(Likelihood):
         e, G = white[:, 0], white[:, 1:]
         value = -0.5 * (logdet + trace_of_ratio(gamma, self.gamma) + float(e @ e))
         if G.shape[1]:
-            scales = np.concatenate([r.scales for r in explanation.regressors])
+            scales = np.concatenate([r.scales for r in regressors])
             value += regression_evidence(G.T @ G, G.T @ e, scales)
         return value
 
