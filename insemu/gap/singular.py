@@ -99,11 +99,14 @@ def vibration_line(state: AxisState) -> list[Weighed]:
     spectrum = np.abs(np.fft.rfft(y, m)) ** 2 * (dt / n)
     f = np.arange(spectrum.size) / (m * dt)
     inside = (f >= data.f[0]) & (f < 0.5 / dt * (1.0 - 4.0 / n))
+    S = state.explanation.psd(f[inside], dt)
+    # beyond an output filter there is nothing but what leaks there, and no line stands out of that
+    least = LEAST_POWER * float(np.median(S))
     ratio = np.zeros(spectrum.size)
-    ratio[inside] = spectrum[inside] / state.explanation.psd(f[inside], dt)
+    ratio[inside] = spectrum[inside] / np.maximum(S, least)
     k = int(np.argmax(ratio))
     # a line between two frequencies of the grid is worth what it is at its own
-    peak = max(float(ratio[k]), _height(y, dt, f[k]) / float(state.explanation.psd(f[[k]], dt)[0]))
+    peak = max(float(ratio[k]), _height(y, dt, f[k]) / max(float(state.explanation.psd(f[[k]], dt)[0]), least))
     looked = float(inside.sum()) / FINER
     gain = _line_gain(peak, looked)
     if gain < 0.0:
