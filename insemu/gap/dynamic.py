@@ -69,8 +69,8 @@ OMNIBUS = 0.001
 LEAK = 10.0
 #: What a tone of one axis is called that changes its frequency.
 WANDERING = "a tone whose frequency wanders"
-#: What manoeuvres leave in the fast band is worth some nats, so effects there must be worth more.
-FAST_THRESHOLD = 10.0
+#: What manoeuvres leave in the fast band is worth some nats, so effects there must be worth more; nominal drives stay below 2 on every axis.
+FAST_THRESHOLD = 6.0
 #: By how much structure outside the catalogue must beat it: it is tried shape by shape, without the effects it could be confused with.
 OUTSIDE_LEAD = 3.0
 
@@ -561,6 +561,17 @@ def again_with_processes(
     return [(name, fresh.get(name, r)) for name, r in fast]
 
 
+def white_level(result: static_log.AxisResult) -> float | None:
+    """White noise of an axis beside what its fast band was found to hold; None where the nominal model describes the band, or nothing does.
+
+    A low-pass takes from the band and a vibration adds to it, and neither says anything of the noise at the rate of the motion.
+    """
+    if not result.found or result.outsider:
+        return None
+    parts = (c for c in result.end.explanation.components if c.effect in ("nominal", "white_noise"))
+    return next((c.process.parameters["N"] for c in parts if isinstance(c.process, WN)), None)
+
+
 def vibrates(result: static_log.AxisResult) -> bool:
     """Whether a vibration is among the effects of an axis, and not one that a later effect replaced."""
     return any(f.chosen.effect.startswith("vibration") for f in result.found)
@@ -602,9 +613,7 @@ def find_dynamic_gap(
     rounded = coarse(believed.beliefs, mended.steps, recording.imu.dt)
     parts = {name: unheard(data) if name in rounded else data for name, data in parts.items()}
     fast = fast_effects(parts, nominal, max(threshold, FAST_THRESHOLD), without, say, clipped=clipped)
-    levels = {
-        name: v.value for name, r in fast for f in r.found if f.chosen.effect == "white_noise" for v in f.chosen.values
-    }
+    levels = {name: level for name, r in fast if (level := white_level(r)) is not None}
     prepared, recording, late = without_delay(
         recording, nominal, parts, levels, dict(fast), flown.prepared if flown and not levels else None
     )
