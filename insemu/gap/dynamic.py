@@ -24,6 +24,7 @@ from insemu.gap.hypotheses import (
     Hypothesis,
     Variant,
     bank,
+    best_pair,
     covariance_hypotheses,
     library_gain,
     linear_hypotheses,
@@ -216,9 +217,10 @@ class Search:
             if beyond > self.threshold and beyond > best.gain + OUTSIDE_LEAD:
                 self.outsider = what
                 break
-            if best.gain < self.threshold or something(ranked) < SURE:
+            pair = self._hidden_pair(best)
+            if pair is None and (best.gain < self.threshold or something(ranked) < SURE):
                 break
-            best = self._apart(best)
+            best = pair or self._apart(best)
             progress(f"{best.effect} {best.gain:.1f} nats")
             self._add(best, ranked)
             if len(self.found) > 1:
@@ -241,6 +243,26 @@ class Search:
             if first is not None and total > best.gain + 1.0:
                 return first
         return best
+
+    def _hidden_pair(self, best: Hypothesis) -> Hypothesis | None:
+        """The first of two shapes that hide each other: together they explain more than the best effect and what follows it."""
+        skip, given = self._skip(self.found), self.blocks(self.found)
+        ones = [v for v in self.variants if not v.process and v.index.size == 1 and v.effect not in skip]
+        if len(ones) < 2 or (best.block is None and best.gain > self.threshold):
+            return None
+        A, b = self.data.conditioned(given)
+        together, first, second = best_pair(ones, A, b[:, 0])
+        together -= math.log(0.5 * len(ones) ** 2)
+        if together < max(best.gain, self.threshold) + LEAD:
+            return None
+        beside = [*given, *((best.block,) if best.block is not None and best.gain > self.threshold else ())]
+        follows = max(
+            (h.gain for h in linear_hypotheses(self.scene, self.variants, self.data, beside, skip)), default=0.0
+        )
+        if together < max(best.gain, 0.0) + max(follows, 0.0) + LEAD:
+            return None
+        own = [v for v in ones if v.index[0] == first[0][0]]
+        return next(iter(linear_hypotheses(self.scene, own, self.data, [*given, second], skip)), None)
 
     def _greedy(self, variants: Sequence[Variant]) -> tuple[Hypothesis | None, float]:
         """The best of some variants, and what it is worth together with the two that follow it."""
