@@ -503,6 +503,17 @@ def held_samples(state: AxisState) -> list[Weighed]:
     return [Weighed("dropped_samples", "held", gain, values, cleaned(state, mended, "dropped_samples"))]
 
 
+def pile_evidence(piled: int, one: int, two: int) -> float:
+    """Evidence in nats that the outermost count of a lattice holds a pile, from how often it and the two inside of it occur.
+
+    The logarithm of the frequencies is concave without one: a tail falls off faster and faster; two standard deviations of what is
+    extrapolated are granted.
+    """
+    most = one * min(1.0, one / max(two, 1)) if one else 1.0
+    most *= 1.0 + 2.0 * math.sqrt(4.0 / max(one, 1) + 1.0 / max(two, 1))
+    return piled * math.log(piled / most) - (piled - most) if piled > most else 0.0
+
+
 def saturation(state: AxisState) -> list[Weighed]:
     """Samples pile up at the largest or smallest value: clipped at the full scale.
 
@@ -526,10 +537,7 @@ def saturation(state: AxisState) -> list[Weighed]:
         piled = int(np.sum(x > top - width))
         if step > 0.0:
             one, two = (int(np.sum(np.abs(x - top + k * step) < width)) for k in (1, 2))
-            # a log-concave tail falls off faster and faster; two standard deviations of what is extrapolated are granted
-            most = one * min(1.0, one / max(two, 1)) if one else 1.0
-            most *= 1.0 + 2.0 * math.sqrt(4.0 / max(one, 1) + 1.0 / max(two, 1))
-            here = piled * math.log(piled / most) - (piled - most) if piled > most else 0.0
+            here = pile_evidence(piled, one, two)
         else:
             here = piled * math.log(piled / y.size / chance) if piled >= 3 and piled / y.size > 10.0 * chance else 0.0
         if here > 0.0:
