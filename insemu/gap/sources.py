@@ -178,7 +178,7 @@ def _draw_missing(x: Array, missing: NDArray[np.bool_], rng: np.random.Generator
     r[0] *= 1.0 + 1e-9
     known: dict[bytes, tuple[Array, float]] = {}
     filled_in = present > 0.0
-    for k in np.flatnonzero(missing):
+    for k in np.flatnonzero(missing).tolist():
         near = np.arange(max(0, k - NEAR), min(x.size, k + NEAR + 1))
         near = near[filled_in[near]]
         key = (near - k).tobytes()
