@@ -16,13 +16,15 @@ from insemu.emulate import built_in, corrupt, gnss_fixes, ideal_imu
 from insemu.errors import InputError
 from insemu.filters import FilterOptions, FilterResult, InitialSigma, run_filter
 from insemu.gap import Nominal, find_gap
+from insemu.gap.candidates import AxisState
 from insemu.gap.dynamic import fast_effects
-from insemu.gap.evidence import Explanation, Rolloff
+from insemu.gap.evidence import Explanation, Likelihood, Rolloff, fit
 from insemu.gap.innovations import Field, gauss_markov_root, quadratic_evidence, random_walk_root
 from insemu.gap.preparation import fast_parts, starting_state, without_motion
 from insemu.gap.reduced import Reduced, moving_spectrum
-from insemu.gap.samples import advanced, coarse, mend
+from insemu.gap.samples import advanced, coarse, filled, mend
 from insemu.gap.signatures import Loop, Motion, columns_response, deterministic_columns, fix_columns, knot_response
+from insemu.gap.singular import vibration_line
 from insemu.gap.surrogate import Surrogate
 from insemu.gap.tones import wandering, without_tones
 from insemu.gap.verdict import Step, Value, judged
@@ -204,7 +206,7 @@ def test_a_coloured_fix_noise_whitens_what_it_made() -> None:
     assert s.log_likelihood(None, colour) < s.log_likelihood() - 20.0
 
 
-def test_gaps_are_bridged_and_clipped_stretches_rounded_off() -> None:
+def test_gaps_are_bridged_and_clipped_stretches_filled_in() -> None:
     t = np.arange(4000) * 0.01
     clean = np.column_stack([np.sin(t), 2.0 * np.sin(0.7 * t), np.cos(t)])
     noisy = clean + 1e-3 * np.random.default_rng(1).standard_normal(clean.shape)
@@ -223,6 +225,59 @@ def test_gaps_are_bridged_and_clipped_stretches_rounded_off() -> None:
         before = np.abs(np.clip(clean, -1.9, 1.9) - clean).max()
         assert np.abs(mended.imu.gyro / width - clean).max() < 0.4 * before
     assert not mend(ImuRecord(t, noisy, noisy, "mean")).steps
+
+
+def test_the_integral_of_a_clipped_stretch_is_known_as_well_as_is_said() -> None:
+    rng, dt = np.random.default_rng(8), 0.02
+    t = np.arange(30_000) * dt
+    shape = butter(2, 1.5, fs=1.0 / dt, output="sos")
+    signal = sosfilt(shape, rng.standard_normal(t.size))
+    signal /= signal.std()
+    noisy = signal + 0.01 * rng.standard_normal(t.size)
+    clipped = np.clip(noisy, -2.2, 2.2)
+    out, stretches = filled(t, clipped, np.abs(noisy) >= 2.2)
+    assert len(stretches) > 40
+    z, before, after = [], [], []
+    for start, end, sigma in stretches:
+        inside = (t > start + 0.5 * dt) & (t < end + 0.5 * dt)
+        error = float(np.sum((out - signal)[inside])) * dt
+        z.append(error / sigma)
+        after.append(error)
+        before.append(float(np.sum((clipped - signal)[inside])) * dt)
+    assert 0.3 < float(np.std(z)) < 1.7
+    assert float(np.std(after)) < 0.4 * float(np.std(before))
+    np.testing.assert_array_equal(out[np.abs(noisy) < 2.2], noisy[np.abs(noisy) < 2.2])
+
+
+def test_output_counts_are_seen_beside_lost_samples() -> None:
+    rng, dt = np.random.default_rng(9), 0.01
+    t = np.arange(4000) * dt
+    kept = rng.random(t.size) > 0.004
+    values = np.outer(np.sin(t) * t / t[-1], np.ones(3)) + 1e-2 * rng.standard_normal((t.size, 3))
+    values[:, 1] = np.round(values[:, 1] / 0.02) * 0.02
+    for kind, width in (("mean", 1.0), ("increment", dt)):
+        mended = mend(ImuRecord(t[kept], values[kept] * width, values[kept, ::-1] * width, kind))  # type: ignore[arg-type]
+        found = {(s.effect, s.sensor): s for s in mended.steps}
+        assert set(found) == {("dropped_samples", "imu"), ("quantization", "gyro"), ("quantization", "accel")}
+        assert found["quantization", "gyro"].axes == ("y",)
+        assert found["quantization", "gyro"].parameters[0].value == pytest.approx(0.02)
+
+
+def test_a_line_of_a_moving_sensor_is_steady_and_a_loud_stretch_is_none() -> None:
+    rng, dt, n = np.random.default_rng(10), 0.02, 18_000
+    t = np.arange(n) * dt
+    noise = rng.standard_normal(n)
+    line = 12.0 / math.sqrt(n) * np.sin(2.0 * np.pi * 17.3 * t)
+    hum = np.where((t > 100.0) & (t < 110.0), 6.0, 1.0) * noise
+
+    def gain(values: Array) -> float:
+        data = axis_part("gyro_x", values, dt)
+        state = AxisState(data, fit(Likelihood(data), Explanation.nominal(NoiseModel((WN(math.sqrt(dt)),)))))
+        return max((w.gain for w in vibration_line(state)), default=-math.inf)
+
+    assert gain(noise + line) > 10.0
+    assert gain(noise) < 3.0
+    assert gain(hum) < 3.0
 
 
 def test_motion_does_not_reach_the_band_above_it() -> None:

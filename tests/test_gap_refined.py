@@ -21,7 +21,7 @@ from insemu.evaluate.world import World
 from insemu.gap import GapReport, StaticLog, Step, find_gap, load_measured, load_nominal, write_refined
 from insemu.gap.candidates import CANDIDATES
 from insemu.gap.refined import joined, refined_nominal, uses_of
-from insemu.gap.verdict import Interval, Member, Value
+from insemu.gap.verdict import Interval, Member, Value, held_out_said
 from insemu.noise import AR, BI, DR, GM, QN, RW, SIN, WN, NoiseModel
 from insemu.records import GnssRecord, ImuRecord, Recording, Series
 from insemu.scenario import load
@@ -340,3 +340,31 @@ def test_a_band_and_a_line_of_the_noise_model_are_white_noise_to_a_filter() -> N
             "gyro_x"
         ].processes
     )
+
+
+def test_a_refined_model_that_does_worse_on_held_out_data_is_called_so() -> None:
+    step = Step("ramp", "", "gyro", ("x",), (), 0.9, 30.0, (Member("ramp", "gyro", ("x",), 30.0),))
+    index = Interval(1.2, 1.1, 1.3)
+
+    def left(after: Interval, gain: Interval) -> str:
+        return held_out_said(GapReport("named", (step,), (), (), index, after, gain, remainder="a line")).remainder
+
+    assert left(Interval(1.05, 0.95, 1.15), Interval(0.5, 0.4, 0.6)) == "a line"
+    assert "worse by the refined model (-0.5 nats" in left(Interval(1.05, 0.95, 1.15), Interval(-0.5, -0.6, -0.4))
+    assert "moved away from 1 (1.20 to 1.50)" in left(Interval(1.5, 1.4, 1.6), Interval(0.5, 0.4, 0.6))
+    assert "moved away from 1 (1.20 to 0.50)" in left(Interval(0.5, 0.4, 0.6), Interval(0.5, 0.4, 0.6))
+    assert left(Interval(0.9, 0.85, 0.95), Interval(0.5, 0.4, 0.6)) == "a line"
+
+
+def test_of_a_recorded_drive_the_first_design_in_numbers_is_the_nominal_model(tmp_path: Path) -> None:
+    path = tmp_path / "drive.yaml"
+    plain = "{gyro: WN(N=1e-4 rad/s/sqrt(Hz)), accel: WN(N=1e-3 m/s^2/sqrt(Hz))}"
+    text = (
+        "title: drive\nseed: 1\nrecording: {file: drive.npz}\nfits: {recorded: {files: [log.npz]}}\n"
+        "designs:\n  fitted: {gyro: {fit: WN()}, accel: {fit: WN()}}\n"
+    )
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match="expected one in numbers"):
+        load_nominal(path)
+    path.write_text(text + f"  numbers: {plain}\n", encoding="utf-8")
+    assert load_nominal(path).beliefs["accel_z"] == NoiseModel((WN(1e-3),))

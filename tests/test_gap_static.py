@@ -18,7 +18,7 @@ from insemu.gap.band import Band
 from insemu.gap.calibration import Tail, certain, tail_of, threshold_of
 from insemu.gap.candidates import CANDIDATES, state_of, turn_on_bias
 from insemu.gap.disagreement import axis_tests
-from insemu.gap.evidence import Explanation, Likelihood, regression_evidence
+from insemu.gap.evidence import Component, Explanation, Free, Likelihood, Regressors, Rolloff, regression_evidence
 from insemu.gap.reduced import block_differences, difference_covariance, reduce
 from insemu.gap.singular import lattice
 from insemu.gap.sources import static_of
@@ -32,6 +32,25 @@ DT, N = 0.05, 36_000
 
 def log_of(values: np.ndarray, name: str = "gyro_x") -> Series:
     return Series(values, 1.0 / DT, "rad/s", name)
+
+
+def test_the_posterior_along_the_parameters_is_that_of_the_explanation_there() -> None:
+    rng = np.random.default_rng(5)
+    data = reduce(log_of(WN(1e-3).simulate(N, DT, rng)))
+    base = Explanation.nominal(NoiseModel((WN(1.1e-3), RW(1e-6), BI(1e-6), RC(1e-3))))
+    free = (Free("sigma", 1e-6, 1.0), Free("beta", 1e-4, 5.0))
+    fixed = Component(GM(1e-5, 0.02), ())
+    full = replace(
+        base.with_component(Component(GM(2e-5, 0.1), free)).with_component(fixed),
+        rolloff=Rolloff("butterworth", (6.0, 2.0), (Free("corner", 0.3, 10.0), Free("order", 0.6, 12.0))),
+    )
+    column = np.full((data.differences.size, 1), data.block_s)
+    drifting = replace(base, regressors=(Regressors("ramp", ("R",), column, np.array([1e-7])),))
+    for explanation in (base, full, drifting):
+        at = Likelihood(data).along(explanation)
+        for _ in range(3):
+            x = explanation.start() + 0.05 * rng.standard_normal(explanation.start().size)
+            assert at(x) == pytest.approx(Likelihood(data).log_posterior(explanation.at(x)), rel=1e-12)
 
 
 @pytest.mark.parametrize("process", [WN(1e-3), QN(2e-4), RW(3e-4), GM(2e-3, 1 / 30), GM(2e-3, 1e-6), BI(1e-3)])
@@ -294,11 +313,25 @@ def test_turn_on_bias_is_what_the_rotation_of_the_earth_cannot_be() -> None:
     y = WN(1e-3).simulate(N, DT, rng)
     belief = Explanation.nominal(NoiseModel((WN(1e-3),)))
     assert turn_on_bias(state_of(reduce(log_of(y + 7.2e-5)), belief))[0].gain < 0.0
-    (found,) = turn_on_bias(state_of(reduce(log_of(y + 5e-4)), belief))
-    assert found.gain > 10.0
+    found, walk = turn_on_bias(state_of(reduce(log_of(y + 5e-4)), belief))
+    assert found.gain > walk.gain + 3.0 > 13.0
     assert found.values[0].low < 5e-4 < found.values[0].high
     assert not turn_on_bias(state_of(reduce(log_of(y + 5e-4)), Explanation.nominal(NoiseModel((WN(1e-3), RC(1e-3))))))
     assert not turn_on_bias(state_of(reduce(log_of(y + 5e-4, "accel_x")), belief))
+
+
+def test_a_walk_too_weak_to_be_named_is_the_rival_of_a_turn_on_bias() -> None:
+    belief = Explanation.nominal(NoiseModel((WN(1e-3),)))
+    alone, beyond = [], []
+    for seed in range(30):
+        rng = np.random.default_rng([26, seed])
+        y = WN(1e-3).simulate(N, DT, rng) + RW(5e-6).simulate(N, DT, rng)
+        bias, walk = turn_on_bias(state_of(reduce(log_of(y)), belief))
+        alone.append(bias.gain)
+        beyond.append(bias.gain - walk.gain)
+    # the mean alone would often call it a bias
+    assert max(alone) > 3.0
+    assert max(beyond) < 3.0
 
 
 def test_samples_that_the_stamps_skip_are_filled_and_named() -> None:

@@ -4,19 +4,35 @@ from __future__ import annotations
 
 import json
 import math
+import multiprocessing
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import toeplitz
 
 from insemu import formats
 from insemu.cli import main
-from insemu.effects import EFFECTS
+from insemu.effects import EFFECTS, EffectUse
+from insemu.emulate import corrupt
 from insemu.errors import InputError
 from insemu.gap import load_nominal
-from insemu.gap.hidden_drives import DYNAMIC_EFFECTS, OUTSIDE, TRACKS, Hidden, draw_use, stage
+from insemu.gap.expected import Log, sized, trace_of_ratio
+from insemu.gap.hidden_drives import (
+    DYNAMIC_EFFECTS,
+    OUTSIDE,
+    TRACKS,
+    Hidden,
+    draw_use,
+    size_effect,
+    stage,
+    worth_beside,
+)
+from insemu.gap.hidden_logs import STATIC_EFFECTS, shape, static_recording
+from insemu.gap.preparation import Prepared, fast_parts, prepare
+from insemu.gap.reduced import reduce
 from insemu.gap.trial import (
-    STATIC_EFFECTS,
     Job,
     Plan,
     Said,
@@ -26,10 +42,9 @@ from insemu.gap.trial import (
     run_static,
     run_trial,
     score_trials,
-    static_recording,
 )
-from insemu.noise import BI, WN
-from insemu.records import Series
+from insemu.noise import BI, WN, NoiseModel
+from insemu.records import AXES, ImuRecord, Series
 
 
 def said(effect: str, axis: str = "x", members: tuple[str, ...] = (), confidence: float = 0.99) -> Said:
@@ -67,6 +82,12 @@ def test_scores_count_names_classes_and_false_alarms() -> None:
     assert scores.strong_detected == (2, 3)
     assert scores.strong_top_two == (2, 3)
     assert scores.both_and_only == (1, 2)
+    assert scores.beside_and_only == (1, 2)
+    several = trial(("flicker", "ramp"), said("ramp"), verdict="named")
+    swallowed = replace(several, hidden=(several.hidden[0], replace(several.hidden[1], beside=2.0)))
+    weak = replace(several, hidden=(several.hidden[0], replace(several.hidden[1], nats=2.0)))
+    counted = score_trials([several, swallowed, weak])
+    assert (counted.every_and_only, counted.both_and_only, counted.beside_and_only) == ((0, 3), (0, 2), (0, 1))
     assert scores.misnamed_outside == (1, 2)
     assert scores.outside_unexplained == (1, 2)
     assert scores.confusion["flicker"] == {"flicker": 2, "ramp": 1}
@@ -89,12 +110,40 @@ def test_intervals_of_shares_are_clopper_and_pearson() -> None:
 
 @pytest.mark.parametrize("effect", STATIC_EFFECTS)
 def test_every_effect_can_be_hidden_and_changes_one_axis_or_the_sensor(effect: str) -> None:
-    log, beliefs, temperature, axis = static_recording(effect, 4.0, 5, hours=0.05)
-    again, *_ = static_recording(effect, 4.0, 5, hours=0.05)
-    assert all(np.array_equal(a.values, b.values) for a, b in zip(log, again, strict=True))
-    assert set(beliefs) == {"gyro_x", "gyro_y", "gyro_z"}
-    assert temperature.shape == log[0].values.shape
-    assert axis in (0, 1, 2)
+    made, again = (static_recording([effect], 30.0, 5, hours=0.1) for _ in range(2))
+    assert all(np.array_equal(a.values, b.values) for a, b in zip(made.log, again.log, strict=True))
+    assert set(made.beliefs) == {"gyro_x", "gyro_y", "gyro_z"}
+    assert made.temperature.shape == made.log[0].values.shape
+    assert made.axis in (0, 1, 2)
+    assert [h.effect for h in made.hidden] == [e for e in (effect,) if e != "none"]
+    plain = static_recording((), 30.0, 5, hours=0.1)
+    changed = {
+        k for k, (a, b) in enumerate(zip(made.log, plain.log, strict=True)) if not np.array_equal(a.values, b.values)
+    }
+    whole = effect in ("decimation_filter", "dropped_samples")
+    assert changed == (set() if effect == "none" else set(range(3)) if whole else {made.axis})
+
+
+def test_what_an_effect_is_expected_to_be_worth_is_what_it_is_worth_on_average() -> None:
+    rng = np.random.default_rng(4)
+    white, n, dt = WN(1e-3), 18_000, 0.1
+    log = Log(NoiseModel((white,)), NoiseModel((WN(1.1e-3),)), n, dt, 0, 25.0 + np.linspace(0.0, 5.0, n))
+    for effect in ("random_walk", "ramp", "vibration_band"):
+        make = shape(effect, n, dt, 1e-3, 0, rng)
+        strength, nats = sized(make, log.worth, 30.0)
+        assert nats == pytest.approx(30.0, rel=0.05)
+        use = make(strength)
+        still = ImuRecord(dt * np.arange(n), np.zeros((n, 3)), np.zeros((n, 3)), "mean")
+        gains = []
+        for _ in range(25):
+            y = corrupt(still, dict.fromkeys(AXES[:3], log.truth), rng, effects=(use,)).imu.gyro[:, 0]
+            gains.append(log.seen(use, reduce(Series(y, 1.0 / dt, "rad/s", "gyro_x"))))
+        assert abs(np.mean(gains) - nats) < 4.0 * np.std(gains) / 5.0 + 1.5, effect
+
+
+def test_trace_of_a_ratio_of_toeplitz_matrices() -> None:
+    a, b = np.array([2.0, -0.8, 0.1, 0.02, -0.3]), np.array([1.5, -0.6, 0.3, 0.2, 0.1])
+    assert trace_of_ratio(a, b) == pytest.approx(np.trace(np.linalg.solve(toeplitz(a), toeplitz(b))), rel=1e-12)
 
 
 @pytest.mark.parametrize("track", TRACKS)
@@ -134,9 +183,9 @@ def test_what_no_catalogue_holds_is_in_the_recording(outside: str) -> None:
 
 
 def test_a_strong_line_is_found_and_nothing_in_a_clean_log() -> None:
-    found = run_static(("vibration_line",), 4.0, 11, hours=0.3)
+    found = run_static(("vibration_line",), 60.0, 11, hours=0.3)
     assert score_trials([found]).named_right == (1, 1)
-    assert run_static((), 1.0, 12, hours=0.3).verdict == "nothing missing"
+    assert run_static((), 0.0, 12, hours=0.3).verdict == "nothing missing"
 
 
 def test_a_trial_resumes_from_its_log_and_reads_back_what_it_wrote(tmp_path, monkeypatch) -> None:
@@ -160,6 +209,36 @@ def test_a_trial_resumes_from_its_log_and_reads_back_what_it_wrote(tmp_path, mon
         run_trial(plan, log=log)
 
 
+def test_an_interrupted_trial_keeps_what_is_finished_and_leaves_no_worker_behind(tmp_path, monkeypatch) -> None:
+    if multiprocessing.get_start_method() != "fork":
+        pytest.skip("the stand-in for the work reaches forked workers only")
+    log, plan = tmp_path / "trial.jsonl", Plan(("static",), recordings=5, seed=3)
+    first = next(iter(plan.jobs())).seed
+
+    def work(job: Job) -> Trial:
+        if job.seed != first:
+            time.sleep(60.0)
+        return Trial("static", job.seed, (), "", "rest", "nothing missing", ())
+
+    def interrupted(_: Trial) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Job, "run", work)
+    started = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        run_trial(plan, workers=2, done=interrupted, log=log)
+    assert time.monotonic() - started < 30.0
+    assert not multiprocessing.active_children()
+    assert [json.loads(line)["seed"] for line in log.read_text().splitlines()] == [first]
+    # a line that was cut off while it was written is done again and leaves no trace
+    with log.open("a", encoding="utf-8") as file:
+        file.write('{"job": "cut')
+    monkeypatch.setattr(Job, "run", lambda job: Trial("static", job.seed, (), "", "rest", "nothing missing", ()))
+    for _ in range(2):
+        assert len(run_trial(plan, log=log)) == 5
+        assert len(log.read_text().splitlines()) == 5
+
+
 def test_recordings_of_a_plan_do_not_depend_on_how_many_there_are() -> None:
     few, many = (
         list(Plan(("dynamic", "static"), recordings=5).jobs()),
@@ -169,6 +248,34 @@ def test_recordings_of_a_plan_do_not_depend_on_how_many_there_are() -> None:
     several = list(Plan(("dynamic",), hidden=3, recordings=6).jobs())
     assert all(len(set(j.effects)) == 3 for j in several)
     assert all(not j.effects and j.outside for j in Plan(("static",), outside=True, recordings=4).jobs())
+
+
+def test_what_an_effect_is_worth_beside_another_is_nothing_where_the_other_looks_the_same() -> None:
+    s = stage(21, 3.0, 50.0, track="car", turn_on_bias=True)
+    plain = s.record()
+    prepared = prepare(plain, s.nominal, fast_parts(plain), {})
+
+    def clean() -> Prepared:
+        return prepared
+
+    down, other = (0.0, 0.0, 1e-3), (0.0, 1e-4, 0.0)
+    shapes = (
+        EffectUse("scale_factor", "accel", {"value": down}),
+        EffectUse("scale_asymmetry", "accel", {"value": down}),
+        EffectUse("turn_on_bias", "gyro", {"value": other}),
+    )
+    uses = [size_effect(s, clean, u, Hidden(u.id, u.sensor, ("z",)), 60.0)[0] for u in shapes]
+    worth = [worth_beside(s, clean, uses, k) for k in range(3)]
+    assert worth[0] < 5.0
+    assert worth[1] < 5.0
+    assert worth[2] > 30.0
+    assert worth_beside(s, clean, uses[1:], 0) > 40.0
+    # a walk on the same axis follows a constant; a filter that expects it sees less of the constant
+    walk = EffectUse("random_walk", "gyro", {"K": (0.0, 1e-4, 0.0)})
+    assert worth_beside(s, clean, [uses[2], walk], 0) < 0.5 * worth[2]
+    assert math.isnan(
+        worth_beside(s, clean, [EffectUse("dropped_samples", "imu", {"probability": (1e-3,), "burst": (1.0,)})], 0)
+    )
 
 
 def test_unknown_effects_are_refused() -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.table import Table
 
     from insemu.gap.trial import Trial
@@ -35,14 +36,13 @@ def command(
     as_json: bool = typer.Option(False, "--json", help="Print scores and every recording as JSON."),
 ) -> None:
     """Blind trial: effect, axis, strength, track, sensor and wrong levels are drawn, hidden by the emulator and looked for."""
-    import json
     from pathlib import Path
 
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from insemu.errors import InputError, nearest
-    from insemu.gap.trial import Kind, Plan, catalogue_of, known_effects, run_trial, score_trials
+    from insemu.gap.trial import Kind, Plan, catalogue_of, known_effects, run_trial
 
     choices: dict[str, tuple[Kind, ...]] = {
         "dynamic": ("dynamic",),
@@ -65,12 +65,26 @@ def command(
             finished.append(trial)
             progress.advance(bar)
 
+        interrupted = False
         try:
             run_trial(plan, workers=workers, done=done, log=Path(log) if log else None)
         except KeyboardInterrupt:
-            console.print(f"interrupted after {len(finished)} of {recordings} recordings")
-            if not finished:
-                raise
+            interrupted = True
+    if interrupted:
+        kept = f"; the same command goes on from {log}" if log else ""
+        Console(stderr=True).print(f"Interrupted after {len(finished)} of {recordings} recordings{kept}.")
+    if finished:
+        _show(finished, as_json, console)
+    if interrupted:
+        raise typer.Exit(130)
+
+
+def _show(finished: list[Trial], as_json: bool, console: Console) -> None:
+    """Print the scores, and as JSON every recording."""
+    import json
+
+    from insemu.gap.trial import score_trials
+
     scores = score_trials(finished)
     if as_json:
         plain = json.dumps({"scores": scores.to_json()}).replace("NaN", "null").replace("Infinity", "null")
@@ -114,8 +128,13 @@ def tables(finished: list[Trial]) -> list[Table]:
     add("one hidden: said to be unexplained", scores.unexplained)
     add("20 expected nats or more: detected", scores.strong_detected)
     add("20 expected nats or more: in the top two", scores.strong_top_two)
-    add("several hidden, each worth 20 nats: all and only these named", scores.both_and_only)
-    add("several hidden, each worth 20 nats: the same, classes counted", scores.both_in_class)
+    for where, named, classes in (
+        ("any strength", scores.every_and_only, scores.every_in_class),
+        ("each worth 20 nats", scores.both_and_only, scores.both_in_class),
+        ("each worth 20 nats beside the others", scores.beside_and_only, scores.beside_in_class),
+    ):
+        add(f"several hidden, {where}: all and only these named", named)
+        add(f"several hidden, {where}: the same, classes counted", classes)
     add("outside the catalogue: misnamed", scores.misnamed_outside)
     add("outside the catalogue: said to be unexplained", scores.outside_unexplained)
     add("named right: gap index after contains 1", scores.gap_contains_one)

@@ -29,8 +29,9 @@ FALSE_ALARMS = 0.02
 DRAWS, MOST_SAMPLES = 12, 18_000
 #: Share of the draws that count as tail; its mean excess on 400 simulated half hours, nats; how many draws that knowledge is worth.
 TAIL_SHARE, USUAL_EXCESS, WORTH = 0.25, 0.75, 6.0
-#: Where the tail starts at the highest, nats (taken well above what simulated logs between 3 minutes and 2 h show).
-HIGHEST_START = 0.5
+#: Where the tail starts as a rule (five kinds of noise, half hours: -0.3 to -0.1), and at the highest, nats (well above what logs between 3
+#: minutes and 2 h show).
+USUAL_START, HIGHEST_START = 0.0, 0.5
 #: Not weighed on simulated logs: worth what a Gauss-Markov process is worth unless levels are plain to see.
 COSTLY = ("telegraph",)
 
@@ -46,6 +47,10 @@ class Tail:
     def exceeds(self, t: float) -> float:
         """Probability of more than ``t`` nats."""
         return self.share * math.exp(-max(t - self.start, 0.0) / self.excess)
+
+
+#: Tail of an axis on which nothing hangs on it.
+USUAL = Tail(USUAL_START, USUAL_EXCESS)
 
 
 def certain(axes: int, rate: float = FALSE_ALARMS) -> float:

@@ -38,6 +38,8 @@ Array = NDArray[np.float64]
 
 #: Ratio of the largest to the smallest amplitude that a prior admits.
 AMPLITUDE_RANGE = 1e5
+#: A candidate whose best start refines to so much less than nothing is not tried from the others, nats.
+HOPELESS = 4.0
 
 
 @dataclass(frozen=True)
@@ -153,7 +155,11 @@ def best_of(
             chosen.append(explanation)
         if len(chosen) == refine:
             break
-    fits = [fit(likelihood, e) for e in chosen]
+    fits: list[Fitted] = []
+    for e in chosen:
+        fits.append(fit(likelihood, e))
+        if fits[0].evidence < state.fitted.evidence - HOPELESS:
+            break  # the most promising one leads to nothing
     if not fits:
         return []
     best = max(fits, key=lambda f: f.evidence)
@@ -309,8 +315,8 @@ def vibration_band(state: AxisState) -> list[Weighed]:
     if not data.f.size:
         return []
     nyquist = 0.5 / data.dt
-    # a moving sensor's spectrum begins where its motion ends, not at the length of the log
-    lowest = max((10.0 if data.differences.size else 1.1) * data.f[0], 0.02 * nyquist)
+    # a moving sensor's spectrum begins where its motion ends; at rest slower than ten blocks is a slow process, and buildings sway at 0.5 Hz
+    lowest = 10.0 * data.f[0] if data.differences.size else max(1.1 * data.f[0], 0.02 * nyquist)
     if lowest > 0.8 * nyquist:
         return []
     S = state.explanation.psd(data.f, data.dt)
@@ -417,7 +423,7 @@ EARTH_RATE = 7.292115e-5
 
 
 def turn_on_bias(state: AxisState) -> list[Weighed]:
-    """A constant error of a gyroscope: its mean at rest is more than the rotation of the Earth can be.
+    """A constant error of a gyroscope, its mean at rest more than the rotation of the Earth can be, and the random walk that is its rival.
 
     An accelerometer at rest shows gravity in an unknown attitude, so its bias is not looked for. Weighed after everything else, because how well
     the mean of the log is known follows from the slow processes that were found.
@@ -431,7 +437,7 @@ def turn_on_bias(state: AxisState) -> list[Weighed]:
     for c in explanation.components:
         p = c.process.parameters
         if isinstance(c.process, RW):
-            variance += p["K"] ** 2 * T / 3.0  # it starts at zero
+            variance += p["K"] ** 2 * T  # it began before the log, a log's length earlier counted from its middle
         elif isinstance(c.process, GM):
             x = p["beta"] * T
             variance += p["sigma"] ** 2 * 2.0 / x**2 * (x + math.expm1(-x))
@@ -439,16 +445,39 @@ def turn_on_bias(state: AxisState) -> list[Weighed]:
             variance += p["B"] ** 2 * math.log(T / data.dt) / math.pi  # between one sample and the log
     sigma = math.sqrt(variance)
     beyond = max(abs(mean) - EARTH_RATE, 0.0)
-    width = math.sqrt(2.0 * math.pi) * sigma + 2.0 * EARTH_RATE
-    null = -0.5 * (beyond / sigma) ** 2 - math.log(width)
+
+    def unbiased(reach: Array) -> Array:
+        return np.asarray(-0.5 * (beyond / reach) ** 2 - np.log(math.sqrt(2.0 * math.pi) * reach + 2.0 * EARTH_RATE))
+
+    null = float(unbiased(np.array([sigma]))[0])
     scale = EFFECTS["turn_on_bias"].scale("value", "gyro")
     spread = [math.hypot(sigma, c * scale) for c in PRIOR_SCALES]
     gain = log_mean_exp([-0.5 * (mean / s) ** 2 - math.log(math.sqrt(2.0 * math.pi) * s) for s in spread]) - null
     off = 1.96 * math.hypot(sigma, EARTH_RATE / math.sqrt(3.0))
     values = (Value("value", mean, mean - off, mean + off, data.unit),)
-    return [Weighed("turn_on_bias", "", gain, values, replace(state, named=(*state.named, "turn_on_bias")))]
+    out = [Weighed("turn_on_bias", "", gain, values, replace(state, named=(*state.named, "turn_on_bias")))]
+    if any(isinstance(c.process, RW) for c in explanation.components):
+        return out
+    # the rival: a walk, which carries the mean away even where the block means are not enough to name it
+    walks = _amplitudes(_spread(state) / math.sqrt(10.0 * data.block_s), 40)
+    free = (_amplitude("K", float(walks[-1])),)
+    likelihood = state.likelihood
+    starts = [explanation.with_component(Component(RW(float(k)), free, "random_walk")) for k in walks]
+    seen = np.array([likelihood.low(e) + likelihood.high(e) for e in starts])
+    carried = seen + unbiased(np.hypot(sigma, walks * math.sqrt(T)))
+    rival = log_mean_exp(carried) - likelihood.low(explanation) - likelihood.high(explanation) - null
+    p = np.exp(carried - carried.max())
+    p /= p.sum()
+    centre = float(p @ np.log(walks))
+    width = math.sqrt(float(p @ (np.log(walks) - centre) ** 2) + math.log(walks[1] / walks[0]) ** 2 / 12.0)
+    meta = RW.PARAMETERS[0]
+    values = (_log_normal("K", math.exp(centre), width, meta.unit_for(data.unit)),)
+    fitted = fit(likelihood, starts[int(np.argmax(carried))])
+    return [*out, Weighed("random_walk", "", rival, values, added(state, fitted, "random_walk"))]
 
 
+#: Prior weight of each shape of a thermal bias.
+THERMAL_SHAPES = {"linear": 0.5, "cubic": 0.2, "lagged": 0.2, "cubic and lagged": 0.1}
 #: Thermal time constants that the lagged shapes try, from a block to this share of the log, and their number.
 LONGEST_LAG, LAGS = 0.3, 10
 
@@ -475,7 +504,7 @@ def temperature(state: AxisState) -> list[Weighed]:
                 raise InputError("the temperature effect needs the temperature of the data that it is to predict")
             d = temperature_c - centre
             seen = lowpass(d, where.dt, lag) if lag > 0.0 else d
-            return block_differences(np.stack([seen ** (k + 1) for k in which], axis=1), where.block)
+            return block_differences(np.stack([_power(seen, k + 1) for k in which], axis=1), where.block)
 
         return columns
 
@@ -487,7 +516,7 @@ def temperature(state: AxisState) -> list[Weighed]:
         )[0]  # fmt: skip
         d = T - centre
         seen = lowpass(d, data.dt, lag) if lag > 0.0 else d
-        signal = sum((v.value * seen ** (k + 1) for v, k in zip(w.values, which, strict=True)), np.zeros(T.size))
+        signal = sum((v.value * _power(seen, k + 1) for v, k in zip(w.values, which, strict=True)), np.zeros(T.size))
         w = _less(w, state, signal)
         return replace(w, values=(*w.values, reference))
 
@@ -513,7 +542,12 @@ def temperature(state: AxisState) -> list[Weighed]:
         best = weigh(shape, which, lag)
         values = (*best.values, Value("lag", lag, lag / ratio, lag * ratio, "s"))
         out.append(replace(best, gain=best.gain - paid, values=values))
-    return out
+    return [replace(w, gain=w.gain + math.log(THERMAL_SHAPES[w.variant])) for w in out]
+
+
+def _power(x: Array, k: int) -> Array:
+    """Integer power by products: a general one takes ten times as long."""
+    return x if k == 1 else np.asarray(x * _power(x, k - 1))
 
 
 def _less(w: Weighed, state: AxisState, signal: Array) -> Weighed:

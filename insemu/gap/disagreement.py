@@ -6,17 +6,17 @@ Every statistic is built to be standard under the model (chi-square or normal); 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import linalg, stats
 
 from insemu.gap import kernel
 from insemu.gap.candidates import AxisState
 from insemu.gap.evidence import Explanation
-from insemu.gap.reduced import BINS_PER_OCTAVE, Reduced
+from insemu.gap.reduced import BINS_PER_OCTAVE, Reduced, overlap
 from insemu.gap.singular import lattice, whitened
 from insemu.gap.verdict import Where
 
@@ -39,27 +39,33 @@ def block_innovations(data: Reduced, explanation: Explanation, extra: Array | No
 
 
 def wavelet_p_values(
-    data: Reduced, explanation: Explanation, rng: np.random.Generator
+    data: Reduced, explanation: Explanation, rng: np.random.Generator, spent: Array | None = None
 ) -> list[tuple[float, float, float, float]]:
-    """Haar wavelet variance of the log against the model's, scale by scale.
+    """Haar wavelet variance of the log against the model's, scale by scale; see :func:`wavelet_moments`.
 
     Returns
     -------
     list of (scale s, measured, expected, two-sided p-value)
     """
     return [
-        (scale, measured, expected, _chi_square_p(measured, expected, variance))
-        for scale, measured, expected, variance in wavelet_moments(data, explanation, rng)
+        (scale, measured, expected, chi_square_p(measured, expected, variance))
+        for scale, measured, expected, variance in wavelet_moments(data, explanation, rng, spent)
     ]
 
 
 def wavelet_moments(
-    data: Reduced, explanation: Explanation, rng: np.random.Generator
+    data: Reduced, explanation: Explanation, rng: np.random.Generator, spent: Array | None = None
 ) -> list[tuple[float, float, float, float]]:
     """Haar wavelet variance of the log, and its mean and variance under the model, scale by scale.
 
     Scales below a block by the sampling variance that the spectrum implies; above, against 1,000 simulated logs (block means drawn with
     the model's covariance).
+
+    Parameters
+    ----------
+    spent : (k, k) array, optional
+        Covariance of the logarithms of the free parameters where they were fitted to the same log: what the fit follows of the log's own
+        fluctuations no statistic shows any more. ``None``: the model comes from elsewhere.
 
     Returns
     -------
@@ -69,43 +75,101 @@ def wavelet_moments(
     y, dt = data.values, data.dt
     total = np.concatenate([[0.0], np.cumsum(y - y.mean())])
     m = 1
+    # even at high frequency, finer in log f below
     f = (np.arange(8192) + 0.5) / 8192 * 0.5 / dt
-    known = level_variance(data, explanation)
+    f = np.concatenate([np.geomspace(1e-4 / (data.block * dt), f[0], 800)[:-1], f])
+    S, slopes = _with_slopes(explanation, lambda e: e.psd(f, dt), spent)
+    # a spectrum by tapers is less precise than the samples: of the fit's own error only a part goes with the statistic's
+    share = 2.0 / overlap(y.size) - 1.0
+    x = np.pi * f * dt
     while m < data.block:
         half = total[m:] - total[:-m]
         w = (half[m:] - half[:-m]) / (2.0 * m)
-        measured = float(np.mean(w * w))
-        # finer at low frequency: integrate in log f
-        lf = np.concatenate([np.geomspace(1e-4 / (m * dt), f[0], 400)[:-1], f]) if m > 16 else f
-        S = explanation.psd(lf, dt)
-        x = np.pi * lf * dt
         gain = np.sin(m * x) ** 4 / (m * np.sin(x)) ** 2
-        expected = 2.0 * float(np.trapezoid(S * gain, lf))
-        spread = 2.0 * float(np.trapezoid((S * gain) ** 2, lf)) * 2.0 / (w.size * dt)
-        # the level was fitted to the same samples, and what all scales share of it is spent
-        spread -= min(known * expected**2, 0.9 * spread)
-        out.append((2.0 * m * dt, measured, expected, spread))
+        expected = 2.0 * float(np.trapezoid(S * gain, f))
+        spread = 2.0 * float(np.trapezoid((S * gain) ** 2, f)) * 2.0 / (w.size * dt)
+        g = 2.0 * np.trapezoid(slopes * gain, f, axis=1)
+        out.append((2.0 * m * dt, float(np.mean(w * w)), expected, left_over(spread, share, g, spent)))
         m *= 2
-    gamma = explanation.covariance(data.block, dt, data.differences.size)
+    gamma, slopes = _with_slopes(explanation, lambda e: e.covariance(data.block, dt, data.differences.size), spent)
     draws = _draw(gamma, DRAWS, rng)
     paths = np.concatenate([np.zeros((DRAWS, 1)), np.cumsum(draws, axis=1)], axis=1)
     own = np.concatenate([[0.0], np.cumsum(data.differences)])
     span = 1
     while 2 * span <= own.size // 4:
         measured = float(_haar(own[None, :], span)[0])
-        simulated = _haar(paths, span)
-        out.append((2.0 * span * data.block_s, measured, float(simulated.mean()), float(simulated.var())))
+        # a coefficient is a triangular mean of differences
+        triangle = np.convolve(np.ones(span), np.ones(span)) / (2.0 * span)
+        lags = np.correlate(triangle, triangle, "full")[triangle.size - 1 :]
+        lags[1:] *= 2.0
+        expected, g = float(gamma[: lags.size] @ lags), slopes[:, : lags.size] @ lags
+        variance = float(_haar(paths, span).var())
+        out.append((2.0 * span * data.block_s, measured, expected, left_over(variance, 1.0, g, spent)))
         span *= 2
     return out
 
 
-def level_variance(data: Reduced, explanation: Explanation) -> float:
-    """Sampling variance of the common level of the spectrum, relative, where the explanation follows it; 0 where its tolerance holds it back."""
-    total = float(np.sum(data.dof))
-    if not total or explanation.rolloff is not None:
-        return 0.0
-    level = float(data.dof @ (data.power / explanation.psd(data.f, data.dt))) / total
-    return 2.0 / total if abs(level - 1.0) < 2.0 * math.sqrt(2.0 / total) else 0.0
+def spent_on(state: AxisState) -> Array:
+    """Covariance (k, k) of the logarithms of the free parameters, as far as they follow the log's own fluctuations.
+
+    That of the likelihood alone, less what the borders of the tolerance cut off: a level that is held back there leaves the rest of the
+    fluctuation to the statistics (truth anywhere inside the tolerance).
+    """
+    data, explanation = state.data, state.explanation
+    free, everything = explanation.free, np.eye(len(explanation.free))
+    if not free:
+        return everything
+    # expected and not observed curvature: one that goes with the estimate itself would make small variances where the statistic is far off
+    information = np.zeros_like(everything)
+    if data.f.size:
+        S, slopes = _with_slopes(explanation, lambda e: e.psd(data.f, data.dt), everything)
+        information += 0.5 * (slopes / S * data.counted) @ (slopes / S).T
+    n = data.differences.size
+    gamma, slopes = _with_slopes(explanation, lambda e: e.covariance(data.block, data.dt, n), everything)
+    factor = linalg.cho_factor(linalg.toeplitz(gamma))
+    parts = [linalg.cho_solve(factor, linalg.toeplitz(g)) for g in slopes]
+    information += 0.5 * np.array([[float(np.sum(a * b.T)) for b in parts] for a in parts])
+    values, vectors = np.linalg.eigh(information)
+    covariance = (vectors / np.maximum(values, 1.0)) @ vectors.T
+    kept = np.sqrt(
+        [followed(float(v), 0.5 * math.log(f.high / f.low)) for v, f in zip(np.diag(covariance), free, strict=True)]
+    )
+    return np.asarray(kept[:, None] * covariance * kept[None, :])
+
+
+def followed(variance: float, half: float) -> float:
+    """Share of an estimate's variance that is left where it is clipped to ``half`` either way of the nominal value, truth uniform inside."""
+    sd = math.sqrt(variance)
+    x = np.linspace(half, half + 6.0 * sd, 400)
+    density = (stats.norm.cdf((x + half) / sd) - stats.norm.cdf((x - half) / sd)) / (2.0 * half)
+    return max(1.0 - 2.0 * float(np.trapezoid((x - half) ** 2 * density, x)) / variance, 0.0)
+
+
+#: Step of a derivative by the logarithm of a parameter; the least that a statistic keeps of its variance.
+STEP, LEAST_LEFT = 1e-3, 0.1
+
+
+def _with_slopes(
+    explanation: Explanation, of: Callable[[Explanation], Array], spent: Array | None
+) -> tuple[Array, Array]:
+    """A curve (n,) of an explanation and its derivatives (k, n) by the logarithms of the free parameters; none where none was fitted."""
+    value = of(explanation)
+    if spent is None or not spent.size:
+        return value, np.zeros((0, value.size))
+    x = explanation.start()
+    steps = np.eye(x.size) * STEP
+    return value, np.stack([(of(explanation.at(x + h)) - of(explanation.at(x - h))) / (2.0 * STEP) for h in steps])
+
+
+def left_over(variance: float, share: float, slope: Array, spent: Array | None) -> float:
+    """Variance of a statistic about its value under a model that was fitted to the same data.
+
+    An efficient estimate's error is uncorrelated with what is left, so the statistic's own variance falls by what the parameters'
+    uncertainty makes of it (``share`` of it where the estimate is less than efficient).
+    """
+    if spent is None or not slope.size:
+        return variance
+    return max(variance - share * float(slope @ spent @ slope), LEAST_LEFT * variance)
 
 
 def _haar(paths: Array, span: int) -> Array:
@@ -116,20 +180,20 @@ def _haar(paths: Array, span: int) -> Array:
 
 
 def _draw(gamma: Array, count: int, rng: np.random.Generator) -> Array:
-    from scipy.linalg import cholesky, toeplitz
-
-    lower = cholesky(toeplitz(gamma) + np.eye(gamma.size) * (1e-12 * gamma[0]), lower=True)
+    lower = linalg.cholesky(linalg.toeplitz(gamma) + np.eye(gamma.size) * (1e-12 * gamma[0]), lower=True)
     return np.asarray((lower @ rng.standard_normal((gamma.size, count))).T)
 
 
-def _chi_square_p(value: float, mean: float, variance: float) -> float:
+def chi_square_p(value: float, mean: float, variance: float) -> float:
+    """Two-sided p-value of a statistic that is a chi-square of this mean and variance but for a factor."""
     dof = 2.0 * mean**2 / variance
     x = value / mean * dof
     return float(min(1.0, 2.0 * min(stats.chi2.cdf(x, dof), stats.chi2.sf(x, dof))))
 
 
-def axis_tests(state: AxisState) -> list[tuple[str, float | None, float]]:
-    """Tests of one axis against its current explanation: ``(statistic, scale s, p-value)``."""
+def axis_tests(state: AxisState, spent: Array | None = None) -> list[tuple[str, float | None, float]]:
+    """Tests of one axis against its current explanation: ``(statistic, scale s, p-value)``; ``spent`` as :func:`spent_on` says."""
+    spent = spent_on(state) if spent is None else spent
     data, explanation = state.data, state.explanation
     extra = None
     if explanation.regressors:
@@ -141,7 +205,7 @@ def axis_tests(state: AxisState) -> list[tuple[str, float | None, float]]:
     lags = np.arange(1, min(20, n // 5) + 1)
     rho = np.array([float(np.mean(e[k:] * e[:-k])) for k in lags]) / float(np.mean(e * e))
     out.append(("whiteness", data.block_s, float(stats.chi2.sf(np.sum(rho**2 * (n - lags)), lags.size))))
-    out.append(("variance", data.block_s, two_sided(float(np.sum(e * e)), n)))
+    out.append(("variance", data.block_s, chi_square_p(float(np.sum(e * e)), n, _volume_left(state, n, spent))))
     out.append(("distribution", data.block_s, float(stats.kurtosistest(e).pvalue)))
     size = np.abs(e) - np.mean(np.abs(e))
     out.append(("volatility", data.block_s, correlation_p(size[1:], size[:-1])))
@@ -159,7 +223,7 @@ def axis_tests(state: AxisState) -> list[tuple[str, float | None, float]]:
                 for g in groups
             ]
         )
-        out.append(("spectrum", None, float(stats.chi2.sf(float(z @ z), z.size))))
+        out.append(("spectrum", None, _spectrum_p(state, groups, z, spent)))
         r = whitened(state)
         out += _stationarity(r, data)
         if lattice(data.values) == 0.0:
@@ -182,9 +246,40 @@ def axis_tests(state: AxisState) -> list[tuple[str, float | None, float]]:
     return out
 
 
-def two_sided(x: float, dof: float) -> float:
-    """Two-sided p-value of a chi-square."""
-    return float(min(1.0, 2.0 * min(stats.chi2.cdf(x, dof), stats.chi2.sf(x, dof))))
+def _volume_left(state: AxisState, n: int, spent: Array) -> float:
+    """Variance of the sum of ``n`` squared block innovations about ``n``, less what the fitted parameters follow of it.
+
+    Its covariance with the score of a parameter is the derivative of the covariance's log determinant.
+    """
+    data, h = state.data, STEP
+    white, zero = np.empty((n, 1)), np.zeros((n, 1))
+    x = state.explanation.start()
+    if not x.size:
+        return 2.0 * n
+
+    def volume(at: Array) -> float:
+        return float(kernel.toeplitz_whiten(state.explanation.at(at).covariance(data.block, data.dt, n), zero, white))
+
+    slope = np.array([(volume(x + e) - volume(x - e)) / (2.0 * h) for e in np.eye(x.size) * h])
+    return left_over(2.0 * n, 1.0, slope, spent)
+
+
+def _spectrum_p(state: AxisState, groups: list[NDArray[np.intp]], z: Array, spent: Array) -> float:
+    """p-value of standardised mean ratios of measured to fitted density in groups of bins, less what the fit follows of them."""
+    data = state.data
+    S, slopes = _with_slopes(state.explanation, lambda e: e.psd(data.f, data.dt), spent)
+    cov = np.eye(z.size)
+    if slopes.size and data.weight is None:
+        J = np.stack(
+            [
+                (slopes / S)[:, g] @ data.dof[g] / np.sum(data.dof[g]) * math.sqrt(float(np.sum(data.dof[g])) / 2.0)
+                for g in groups
+            ]
+        )
+        cov -= J @ spent @ J.T
+    values, vectors = np.linalg.eigh(cov)
+    kept = values > LEAST_LEFT
+    return float(stats.chi2.sf(float(np.sum((vectors[:, kept].T @ z) ** 2 / values[kept])), int(kept.sum())))
 
 
 def correlation_p(a: Array, b: Array) -> float:

@@ -14,11 +14,13 @@ from scipy import stats
 
 from insemu import rotation
 from insemu.gap.candidates import AxisState
-from insemu.gap.disagreement import DRAWS, Entry, correlation_p, two_sided
+from insemu.gap.disagreement import DRAWS, Entry, chi_square_p, correlation_p, followed, left_over
 from insemu.gap.evidence import LEVEL_UNCERTAINTY
+from insemu.gap.preparation import LEVEL_GROUPS
 from insemu.gap.scene import Scene
 from insemu.gap.signatures import Motion
 from insemu.gap.singular import whitened
+from insemu.gap.surrogate import level_derivatives, level_scores
 
 Array = NDArray[np.float64]
 
@@ -38,7 +40,8 @@ def innovation_tests(scene: Scene, y: Array) -> list[Entry]:
     """Mean, level, whiteness and tails of each component's whitened innovations."""
     out: list[Entry] = []
     step = float(np.median(np.diff(scene.prepared.result.fixes.t)))
-    for (what, axis), column in zip(COMPONENTS, by_component(scene, y).T, strict=True):
+    slopes, spent = trimmed_levels(scene)
+    for (what, axis), column, slope in zip(COMPONENTS, by_component(scene, y).T, slopes.T, strict=True):
         z = column[np.isfinite(column)]
         n = z.size
         if n < FEWEST:
@@ -48,10 +51,35 @@ def innovation_tests(scene: Scene, y: Array) -> list[Entry]:
         mean = float(2.0 * stats.norm.sf(abs(z.mean()) * math.sqrt(n)))
         white = float(stats.chi2.sf(np.sum(rho**2 * (n - lags)), lags.size))
         out.append((f"{what} innovation mean", "gnss", axis, None, mean))
-        out.append((f"{what} innovation NIS", "gnss", axis, None, two_sided(float(z @ z), n)))
+        out.append(
+            (
+                f"{what} innovation NIS",
+                "gnss",
+                axis,
+                None,
+                chi_square_p(float(z @ z), n, left_over(2.0 * n, 1.0, slope, spent)),
+            )
+        )
         out.append((f"{what} innovation whiteness", "gnss", axis, 10.0 * step, white))
         out.append((f"{what} innovation tails", "gnss", axis, None, float(stats.kurtosistest(z).pvalue)))
     return out
+
+
+def trimmed_levels(scene: Scene) -> tuple[Array, Array]:
+    """Derivatives (g, 6) of the sums of squares of the components by the logarithms of the trimmed levels, and the levels' covariance (g, g).
+
+    A level follows the fluctuation of its own innovations, as far as its tolerance lets it; where a colour of the fixes is known, none is trimmed.
+    """
+    s, white = scene.surrogate, scene.loop.white
+    groups = [g for g in LEVEL_GROUPS if s.use[:, list(g)].any()]
+    if scene.noise is not None or not groups:
+        return np.zeros((0, 6)), np.zeros((0, 0))
+    _, information = level_scores(s, white, np.zeros((s.t.size, 6)), groups)
+    covariance = np.linalg.inv(information + np.eye(len(groups)))
+    half = math.log(1.0 + LEVEL_UNCERTAINTY)
+    kept = np.sqrt([followed(float(v), half) for v in np.diag(covariance)])
+    slopes = np.stack([np.einsum("kii->i", d) for d in level_derivatives(s.R, white, groups)])
+    return slopes, kept[:, None] * covariance * kept[None, :]
 
 
 def drive_map(scene: Scene, y: Array, fast: Mapping[str, AxisState], rng: np.random.Generator) -> list[Entry]:

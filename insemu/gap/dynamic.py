@@ -14,6 +14,7 @@ from insemu.errors import InputError
 from insemu.gap import singular as _registers  # noqa: F401
 from insemu.gap import static_log
 from insemu.gap.candidates import CANDIDATES, AxisState
+from insemu.gap.confusion import SHARE, Repetitions
 from insemu.gap.disagreement import corrected
 from insemu.gap.drive_map import drive_map, innovation_tests
 from insemu.gap.evidence import LEVEL_UNCERTAINTY, Component, Free, Likelihood, fit
@@ -35,14 +36,14 @@ from insemu.gap.hypotheses import (
 from insemu.gap.innovations import Block, Field
 from insemu.gap.known import colour_of, of_axis, settled, starting_explanation, without_drawn
 from insemu.gap.nominal import Nominal
-from insemu.gap.preparation import LEVEL_GROUPS, Prepared, fast_parts, fixes_score, prepare
+from insemu.gap.preparation import LEVEL_GROUPS, Flown, Prepared, fast_parts, fixes_score, prepare
 from insemu.gap.reduced import Reduced, unheard
 from insemu.gap.samples import advanced, coarse, mend, with_counts
 from insemu.gap.scene import Scene, first_rows
 from insemu.gap.singular import evident_outliers
 from insemu.gap.surrogate import NED, FixNoise, joint_noise, level_derivatives, level_scores
 from insemu.gap.tones import wandering, without_tones
-from insemu.gap.verdict import GapReport, Interval, Member, Step, Value, judged
+from insemu.gap.verdict import Confusable, GapReport, Interval, Member, Step, Value, judged
 from insemu.noise import BI, GM, QN, RW, WN, NoiseModel
 from insemu.records import AXES, Recording
 
@@ -108,8 +109,8 @@ class Named:
 
     @property
     def blocks(self) -> list[Block]:
-        """How the effects enter the linear model of the innovations."""
-        return blocks_of(self.found)
+        """How the effects enter the linear model of the innovations, and what is uncertain in any case."""
+        return [*self.scene.always, *blocks_of(self.found)]
 
     @property
     def outliers(self) -> Hypothesis | None:
@@ -164,6 +165,10 @@ class Search:
             np.ones(scene.rows_t.size, dtype=bool) if self.cut is None else np.asarray(scene.rows_t <= self.cut)
         )
 
+    def blocks(self, found: Sequence[Found]) -> list[Block]:
+        """How steps enter the linear model of the innovations, and what is uncertain in any case."""
+        return [*self.scene.always, *blocks_of(found)]
+
     def rank(self, given: Sequence[Block], skip: Collection[str], *, fixes: bool = True) -> list[Hypothesis]:
         """Every effect that the innovations can show beside ``given``, best first."""
         out = linear_hypotheses(self.scene, self.variants, self.data, given, skip)
@@ -183,10 +188,32 @@ class Search:
 
     def run(self, progress: Callable[[str], None]) -> Named:
         """Name the best effect, add it, estimate again, until nothing is worth the threshold."""
+        first = self.scene
+        self._climb(progress)
+        if self._early_noise():
+            progress("the noise of the fixes again, beside what was found since")
+            self.found = [f for f in self.found if f.chosen.block is not None and not _is_step(f)]
+            self.gone, self.outsider = np.zeros(0), ""
+            self._take(first.rebuilt(corrections=self.scene.corrections))
+            self._take(self.scene.trimmed(self.blocks(self.found), self.cut))
+            self._climb(progress)
+        if self.cut is None:
+            self._with_rivals()
+        return Named(tuple(self.found), self.scene, self.outsider, self.gone)
+
+    def _early_noise(self) -> bool:
+        """Whether noise of the fixes was named before something strong that it could have stood for."""
+        noise = next((k for k, f in enumerate(self.found) if f.chosen.block is None), None)
+        return noise is not None and any(
+            f.chosen.gain > CORRECT_NATS and f.chosen.block is not None and not _is_step(f)
+            for f in self.found[noise + 1 :]
+        )
+
+    def _climb(self, progress: Callable[[str], None]) -> None:
         for _ in range(MOST_STEPS):
-            ranked = self.rank(blocks_of(self.found), self._skip(self.found))
+            ranked = self.rank(self.blocks(self.found), self._skip(self.found))
             best = ranked[0]
-            beyond, what = library_gain(self.scene, self.data, blocks_of(self.found))
+            beyond, what = library_gain(self.scene, self.data, self.blocks(self.found))
             if beyond > self.threshold and beyond > best.gain + OUTSIDE_LEAD:
                 self.outsider = what
                 break
@@ -197,26 +224,38 @@ class Search:
             self._add(best, ranked)
             if len(self.found) > 1:
                 self._reconsider()
-        if self.cut is None:
-            self._with_rivals()
-        return Named(tuple(self.found), self.scene, self.outsider, self.gone)
 
     def _apart(self, best: Hypothesis) -> Hypothesis:
-        """The best effect of one axis instead of one of several axes, where two or three of their own explain more than the one together."""
-        if best.block is None or len(best.axes) < 2:
+        """The first of two or three simpler effects, where they explain more than the best single one does.
+
+        Of an effect of several axes those of one axis; of a slow process, which follows anything slow, those of known shape of its sensor.
+        """
+        if best.block is None:
             return best
         single = [v for v in self.variants if len(v.axes) < 2]
-        given, total = blocks_of(self.found), 0.0
+        if len(best.axes) > 1:
+            first, total = self._greedy(single)
+            if first is not None and total > best.gain + 1.0:
+                return self._apart(first)
+        if best.effect in PROCESSES:
+            first, total = self._greedy([v for v in single if not v.process and v.sensor == best.sensor])
+            if first is not None and total > best.gain + 1.0:
+                return first
+        return best
+
+    def _greedy(self, variants: Sequence[Variant]) -> tuple[Hypothesis | None, float]:
+        """The best of some variants, and what it is worth together with the two that follow it."""
+        given, total = self.blocks(self.found), 0.0
         first: Hypothesis | None = None
-        for _ in best.axes:
-            tried = linear_hypotheses(self.scene, single, self.data, given, self._skip(self.found))
-            top = max(tried, key=lambda h: h.gain)
-            if top.block is None or top.gain < self.threshold:
+        for _ in range(3):
+            tried = linear_hypotheses(self.scene, variants, self.data, given, self._skip(self.found))
+            top = max(tried, key=lambda h: h.gain, default=None)
+            if top is None or top.block is None or top.gain < self.threshold:
                 break
             total += top.gain
             first = first or top
             given = [*given, top.block]
-        return first if first is not None and total > best.gain + 1.0 else best
+        return first, total
 
     def _add(self, best: Hypothesis, ranked: Sequence[Hypothesis]) -> None:
         scene = self.scene
@@ -229,13 +268,13 @@ class Search:
             self.found.append(Found(best, tuple(ranked)))
         elif best.effect == "gnss_outliers":
             self.found.append(Found(best, tuple(ranked)))
-            times, _ = wild_fixes(scene, best, unexplained_innovations(scene, blocks_of(self.found)))
+            times, _ = wild_fixes(scene, best, unexplained_innovations(scene, self.blocks(self.found)))
             self.gone = np.union1d(self.gone, times)
             scene = scene.rebuilt(gone=self.gone)
         elif (level := best.noise) is not None:
             if best.effect == "gnss_correlated_noise":
                 assert level.colour is not None
-                s = replace(scene.surrogate, nu=unexplained_innovations(scene, blocks_of(self.found)))
+                s = replace(scene.surrogate, nu=unexplained_innovations(scene, self.blocks(self.found)))
                 moved = scene.original.factors / scene.original.levels
                 noise = joint_noise(
                     s if self.cut is None else s.until(self.cut), level.colour, moved, LEVEL_UNCERTAINTY
@@ -254,11 +293,11 @@ class Search:
                 self._take(scene)
                 scene = scene.rebuilt(corrections=self._corrections())
         self._take(scene)
-        self._take(self.scene.trimmed(blocks_of(self.found), self.cut))
+        self._take(self.scene.trimmed(self.blocks(self.found), self.cut))
 
     def _corrections(self) -> dict[int, float]:
         """Best values of the strong shapes, to be taken out of the data."""
-        blocks = blocks_of(self.found)
+        blocks = self.blocks(self.found)
         index, mean, _ = self.data.posterior(blocks)
         strong = {
             c
@@ -271,18 +310,21 @@ class Search:
 
     def _reconsider(self) -> None:
         """Try to drop or to replace each effect of the IMU or of timing beside all the others."""
+        changed = False
         for f in list(self.found):
             if f.chosen.block is None or f.chosen.effect == "gnss_multipath_step":
                 continue
             others = [g for g in self.found if g is not f]
-            ranked = self.rank(blocks_of(others), self._skip(others), fixes=False)
+            ranked = self.rank(self.blocks(others), self._skip(others), fixes=False)
             kept = next((h for h in ranked if (h.effect, h.sensor) == (f.chosen.effect, f.chosen.sensor)), None)
             best = ranked[0]
             if best.gain < min(self.threshold, 2.0):
                 self.found = others
+                changed = True
             elif kept is None or best.gain > kept.gain + 0.5:
                 self._swap(f, best, ranked)
-            elif f is not self.found[-1]:
+                changed = True
+            elif changed or f is not self.found[-1]:
                 self._swap(f, kept, ranked)
 
     def _swap(self, old: Found, new: Hypothesis, ranked: Sequence[Hypothesis]) -> None:
@@ -294,8 +336,12 @@ class Search:
             if f.chosen.block is None or any(h.sensor == "gnss" and h.block is None for h in f.ranked):
                 continue
             others = [g for g in self.found if g is not f]
-            rivals = covariance_hypotheses(self.scene, blocks_of(others), self._skip(others), self.cut)
+            rivals = covariance_hypotheses(self.scene, self.blocks(others), self._skip(others), self.cut)
             self._swap(f, f.chosen, sorted([*f.ranked, *rivals], key=lambda h: -h.gain))
+
+
+def _is_step(f: Found) -> bool:
+    return f.chosen.effect == "gnss_multipath_step"
 
 
 def _moved(v: Value, value: float) -> Value:
@@ -323,7 +369,7 @@ def believing(named: Named, cut: float | None = None) -> tuple[Scene, list[Block
     The search carries a process on knots; what is left of a strong one between them would count against it.
     """
     beliefs = dict(named.scene.original.beliefs)
-    blocks = []
+    blocks = list(named.scene.always)
     for f in named.found:
         h = f.chosen
         if h.effect in PROCESSES:
@@ -412,7 +458,7 @@ def fast_effects(
 ) -> list[tuple[str, static_log.AxisResult]]:
     """Effects that the IMU shows above its motion, axis by axis, ``beside`` what else is known to be there.
 
-    What is left of a clipped stretch after it was rounded off looks like outliers, so axes that were ``clipped`` are not asked for them.
+    What is left of a clipped stretch after it was filled in looks like outliers, so axes that were ``clipped`` are not asked for them.
     """
     out = []
     excluded = {name for name in CANDIDATES if name not in FAST} | set(without)
@@ -454,12 +500,14 @@ def without_delay(
     parts: dict[str, Reduced],
     levels: dict[str, float],
     fast: Mapping[str, static_log.AxisResult],
+    prepared: Prepared | None = None,
 ) -> tuple[Prepared, Recording, dict[str, float]]:
-    """The nominal filter on sensors set forward by the delay of the low-pass that the fast band shows, sensor by sensor in s.
+    """The nominal filter on sensors set forward by the delay of the low-pass that the fast band shows, and that delay, s per sensor.
 
-    A low-pass may be causal (it delays) or its delay may have been taken off in the unit already; the innovations say which.
+    ``prepared`` is that filter without any, where it has run. A low-pass may be causal (it delays) or its delay may have been taken off in the
+    unit already; the innovations say which.
     """
-    best = prepare(recording, nominal, parts, levels)
+    best = prepared or prepare(recording, nominal, parts, levels)
     late: dict[str, float] = {}
     for sensor in ("gyro", "accel"):
         roll = [fast[f"{sensor}_{a}"].end.explanation.rolloff for a in "xyz" if f"{sensor}_{a}" in fast]
@@ -472,6 +520,17 @@ def without_delay(
         if fixes_score(tried.result.fixes) > fixes_score(best.result.fixes):
             best, recording, late[sensor] = tried, moved, delay
     return best, recording, late
+
+
+def with_delay(step: Step, delay: float) -> Step:
+    """A low-pass with the delay in s that was taken off its sensor; as uncertain as the cutoff that it follows from."""
+    if step.effect != "decimation_filter":
+        return step
+    ratios = [
+        (v.value / v.high, v.value / v.low) for v in step.parameters if v.name.startswith("cutoff") and v.low > 0.0
+    ]
+    low, high = (min(r[0] for r in ratios), max(r[1] for r in ratios)) if ratios else (1.0, 1.0)
+    return replace(step, parameters=(*step.parameters, Value("delay", delay, delay * low, delay * high, "s")))
 
 
 def again_with_processes(
@@ -517,8 +576,12 @@ def find_dynamic_gap(
     without: Collection[str] = (),
     hold_out: bool = True,
     progress: Callable[[str], None] | None = None,
+    flown: Flown | None = None,
 ) -> GapReport:
-    """Find what a drive or flight has that the nominal model lacks; see :func:`insemu.gap.find_gap`."""
+    """Find what a drive or flight has that the nominal model lacks; see :func:`insemu.gap.find_gap`.
+
+    ``flown`` is the nominal filter's run on this recording, where there is one already.
+    """
     say = progress or (lambda _: None)
     say("running the nominal filter")
     missing = [a for a in AXES if a not in nominal.beliefs]
@@ -532,7 +595,9 @@ def find_dynamic_gap(
     whole, believed = recording, nominal
     nominal = replace(nominal, beliefs=with_counts(nominal.beliefs, mended.steps, recording.imu.dt))
     recording = replace(recording, imu=mended.imu)
-    parts = fast_parts(recording)
+    if mended.steps:
+        flown = None
+    parts = flown.fast if flown else fast_parts(recording)
     clipped = {f"{s.sensor}_{a}" for s in mended.steps if s.effect == "saturation" for a in s.axes}
     # rounded that coarsely, the error follows the motion and is no noise that a spectrum could tell anything from
     rounded = coarse(believed.beliefs, mended.steps, recording.imu.dt)
@@ -541,13 +606,19 @@ def find_dynamic_gap(
     levels = {
         name: v.value for name, r in fast for f in r.found if f.chosen.effect == "white_noise" for v in f.chosen.values
     }
-    prepared, recording, late = without_delay(recording, nominal, parts, levels, dict(fast))
+    prepared, recording, late = without_delay(
+        recording, nominal, parts, levels, dict(fast), flown.prepared if flown and not levels else None
+    )
+    prepared = replace(prepared, clipped=mended.clipped)
     say("responding every effect through the filter")
     scene = Scene.of(prepared)
     colour = colour_of(nominal.effects)
     if colour is not None:
         scene, without = scene.coloured(FixNoise(np.ones(6), colour)), (*without, "gnss_correlated_noise")
-    threshold = max(threshold, null_threshold([v for v in bank(scene) if v.effect not in without], scene.data, rng))
+    threshold = max(
+        threshold,
+        null_threshold([v for v in bank(scene) if v.effect not in without], scene.data, rng, always=scene.always),
+    )
     named = find_effects(scene, None, threshold, without, say)
     nothing = Interval(math.nan, math.nan, math.nan)
     before = after = held = nothing
@@ -558,7 +629,7 @@ def find_dynamic_gap(
         plain = Scene.of(prepare(whole, believed, parts, levels)) if noticed or late else scene
         before, after, held = held_out(plain, first, cut)
     # a generator of its own: the search of a later pass draws what it always drew
-    drawn = rng.spawn(1)[0]
+    drawn, repeated = rng.spawn(2)
     y = scene.data.y
     starts = {name: r.start for name, r in fast}
     where = corrected([*innovation_tests(scene, y), *drive_map(scene, y, starts, drawn)])
@@ -576,10 +647,11 @@ def find_dynamic_gap(
         for name, r in fast
         if r.outsider and (humming or r.outsider.startswith(WANDERING))
     }
-    own = _joined([_step(f, named) for f in named.found])
+    own = _joined(with_confusable([_step(f, named) for f in named.found], named, without, repeated))
     if named.outsider or failed:
         own = [s.doubted() for s in own]
     heard = [s.doubted() if static_log.is_shaken(s, (), changing) else s for s in static_log.merged_steps(dict(fast))]
+    heard = [with_delay(s, late.get(s.sensor, 0.0)) for s in heard]
     steps = sorted([*own, *heard, *noticed], key=lambda s: -s.gain_nats)
     remainder = static_log.remainder(
         failed, {**({("the fixes", ""): named.outsider} if named.outsider else {}), **changing}
@@ -640,6 +712,35 @@ def _step(f: Found, named: Named) -> Step:
     return Step(
         h.effect, h.variant, h.sensor, h.axes, values, float(p[own]), h.gain, tuple(members), text, tuple(others[:5])
     )
+
+
+def with_confusable(
+    steps: Sequence[Step], named: Named, without: Collection[str], rng: np.random.Generator
+) -> list[Step]:
+    """The steps of the search with what each would be confused with if the recording were repeated; those without columns as they are."""
+    scene, out = named.scene, []
+    repetitions: Repetitions | None = None
+    for step, f in zip(steps, named.found, strict=True):
+        h = f.chosen
+        if h.block is None or h.effect == "gnss_multipath_step":
+            out.append(step)
+            continue
+        repetitions = repetitions or Repetitions.of(scene.data, rng)
+        others = [g.chosen for g in named.found if g is not f]
+        given = [g.block for g in others if g.block is not None]
+        passed = {*without, *(g.effect for g in others if g.effect in ONCE)}
+        index, root = h.block
+        if h.effect in PROCESSES:
+            coefficients = root @ rng.standard_normal((root.shape[1], repetitions.noise.shape[1]))
+        else:
+            at, mean, _ = scene.data.posterior(named.blocks)
+            coefficients = np.array([mean[np.flatnonzero(at == i)[0]] for i in index])
+        shares = repetitions.shares([v for v in bank(scene) if v.effect not in passed], index, coefficients, given)
+        rivals = [
+            Confusable(*key, share) for key, share in shares.items() if share >= SHARE and key != (h.effect, h.sensor)
+        ]
+        out.append(replace(step, confusable=tuple(sorted(rivals, key=lambda c: -c.share))))
+    return out
 
 
 def _joined(steps: list[Step]) -> list[Step]:

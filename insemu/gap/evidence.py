@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from insemu.gap import kernel
-from insemu.gap.reduced import Reduced, density, difference_covariance
+from insemu.gap.reduced import Reduced, amplitude_of, density, difference_covariance
 from insemu.noise import NoiseModel, Process
 
 Array = NDArray[np.float64]
@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 LEVEL_UNCERTAINTY, LEVEL_EDGE = 0.22, 0.02
 #: Prior standard deviations of a regressor's coefficient, in units of the effect's datasheet scale; evidence is averaged over them.
 PRIOR_SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)
+#: Step of the differences that give the curvature at a mode, in log.
+CURVATURE_STEP = 5e-3
 
 
 @dataclass(frozen=True)
@@ -221,16 +223,18 @@ class Likelihood:
 
     def low(self, explanation: Explanation) -> float:
         """Gaussian log-likelihood of the block differences, regressors integrated out."""
-        y = self.data.differences
-        if not y.size:
+        data = self.data
+        if not data.differences.size:
             return 0.0
-        gamma = explanation.covariance(self.data.block, self.data.dt, y.size)
-        columns = [y[:, None], *(r.columns for r in explanation.regressors)]
-        key = gamma.tobytes() + b"".join(r.columns[:8].tobytes() + r.scales.tobytes() for r in explanation.regressors)
+        return self.low_of(explanation.covariance(data.block, data.dt, data.differences.size), explanation.regressors)
+
+    def low_of(self, gamma: Array, regressors: Sequence[Regressors]) -> float:
+        """The same, of an autocovariance."""
+        key = gamma.tobytes() + b"".join(r.columns[:8].tobytes() + r.scales.tobytes() for r in regressors)
         known = self._memory.get(key)
         if known is not None:
             return known
-        stacked = np.hstack(columns)
+        stacked = np.hstack([self.data.differences[:, None], *(r.columns for r in regressors)])
         white = np.empty_like(stacked)
         logdet = kernel.toeplitz_whiten(gamma, stacked, white)
         if not math.isfinite(logdet):
@@ -238,7 +242,7 @@ class Likelihood:
         e, G = white[:, 0], white[:, 1:]
         value = -0.5 * (logdet + float(e @ e))
         if G.shape[1]:
-            scales = np.concatenate([r.scales for r in explanation.regressors])
+            scales = np.concatenate([r.scales for r in regressors])
             value += regression_evidence(G.T @ G, G.T @ e, scales)
         if len(self._memory) > 500:
             self._memory.clear()
@@ -249,10 +253,59 @@ class Likelihood:
         """Whittle's log-likelihood of the spectrum."""
         if not self.data.f.size:
             return 0.0
-        S = explanation.psd(self.data.f, self.data.dt)
+        return self._high(explanation.psd(self.data.f, self.data.dt), explanation.seen(self.data))
+
+    def _high(self, S: Array, seen: Array) -> float:
         if not (S > 0).all():
             return -math.inf
-        return float(-0.5 * np.sum(self.data.counted * (np.log(S) + explanation.seen(self.data) / S)))
+        return float(-0.5 * np.sum(self.data.counted * (np.log(S) + seen / S)))
+
+    def along(self, explanation: Explanation) -> Callable[[Array], float]:
+        """:meth:`log_posterior` as a function of the logarithms of the free parameters, inside their bounds.
+
+        What does not depend on them is worked out once: processes with nothing free, and the shapes of those whose amplitude alone is.
+        """
+        data, count = self.data, self.data.differences.size
+
+        def shape(process: Process) -> tuple[Array, Array]:
+            covariance = difference_covariance(process, data.block, data.dt, count) if count else np.zeros(0)
+            return density(process, data.f, data.dt), covariance
+
+        still_psd, still_covariance = np.zeros_like(data.f), np.zeros(count)
+        moving: list[tuple[Component, tuple[Array, Array] | None]] = []
+        for c in explanation.components:
+            amplitude = amplitude_of(c.process)
+            if not c.free:
+                psd, covariance = shape(c.process)
+                still_psd, still_covariance = still_psd + psd, still_covariance + covariance
+            elif amplitude is not None and [f.name for f in c.free] == [amplitude]:
+                moving.append((c, shape(c.process.with_parameters({amplitude: 1.0}))))
+            else:
+                moving.append((c, None))
+        rolloff, seen = explanation.rolloff, explanation.seen(data)
+        prior = [(math.log(f.low), math.log(f.high), f.edge, math.log(f.width)) for f in explanation.free]
+
+        def log_posterior(x: Array) -> float:
+            psd, covariance, k = still_psd, still_covariance, 0
+            for c, unit in moving:
+                if unit is not None:
+                    square = math.exp(2.0 * x[k])
+                    more = (square * unit[0], square * unit[1])
+                else:
+                    values = {f.name: math.exp(x[k + i]) for i, f in enumerate(c.free)}
+                    more = shape(c.process.with_parameters(values))
+                psd, covariance = psd + more[0], covariance + more[1]
+                k += len(c.free)
+            if rolloff is not None:
+                gain = replace(rolloff, values=tuple(math.exp(v) for v in x[k:])).gain(data.f, data.dt)
+                psd = psd * gain + rolloff.floor
+            total = 0.0
+            for v, (low, high, edge, width) in zip(x, prior, strict=True):
+                total -= width + 0.5 * (max(low - v, v - high, 0.0) / edge) ** 2
+            total += self._high(psd, seen) if data.f.size else 0.0
+            return total + (self.low_of(covariance, explanation.regressors) if count else 0.0)
+
+        return log_posterior
 
     def log_posterior(self, explanation: Explanation) -> float:
         """Log-likelihood plus log prior density of the free parameters."""
@@ -339,11 +392,7 @@ def fit(likelihood: Likelihood, explanation: Explanation) -> Fitted:
 
     The evidence is Laplace's, with each parameter's posterior width limited to that of its prior.
     """
-
-    def log_posterior(x: Array) -> float:
-        return likelihood.log_posterior(explanation.at(x))
-
-    found = laplace(log_posterior, explanation.start(), explanation.free)
+    found = laplace(likelihood.along(explanation), explanation.start(), explanation.free)
     return Fitted(explanation.at(found.x), found.evidence, found.covariance, found.log_posterior)
 
 
@@ -359,9 +408,10 @@ class Mode:
 
 def laplace(log_posterior: Callable[[Array], float], x0: Array, free: Sequence[Free]) -> Mode:
     """Climb to a mode and weigh it; no direction counts as wider than its prior."""
+    admitted = [(math.log(f.low) - 6.0 * f.edge, math.log(f.high) + 6.0 * f.edge) for f in free]
 
     def cost(x: Array) -> float:
-        if any(not f.admits(v) for f, v in zip(free, x, strict=True)):
+        if any(not low <= v <= high for v, (low, high) in zip(x, admitted, strict=True)):
             return 1e12 + float(np.sum((x - x0) ** 2))  # however strong the evidence
         value = -log_posterior(x)
         return value if math.isfinite(value) else 1e12
@@ -375,17 +425,25 @@ def laplace(log_posterior: Callable[[Array], float], x0: Array, free: Sequence[F
     centre, step = cost(x0), 3e-3
     bend = np.array([(cost(x0 + e) + cost(x0 - e) - 2.0 * centre) / step**2 for e in np.eye(x0.size) * step])
     unit = 1.0 / np.sqrt(np.maximum(np.where(np.isfinite(bend), bend, 0.0), prior))
+    # so far inside the bounds that the curvature is not taken across them
+    beyond = [6.0 * f.edge - 1.1 * CURVATURE_STEP for f in free]
     reach = [
-        ((math.log(f.low) - 5.9 * f.edge - c) / u, (math.log(f.high) + 5.9 * f.edge - c) / u)
-        for f, c, u in zip(free, x0, unit, strict=True)
+        ((math.log(f.low) - b - c) / u, (math.log(f.high) + b - c) / u)
+        for f, b, c, u in zip(free, beyond, x0, unit, strict=True)
     ]
+
+    def sloped(z: Array) -> tuple[float, Array]:
+        """Cost and its forward differences, backward at the edge."""
+        here, slope = cost(x0 + unit * z), np.empty(z.size)
+        for i in range(z.size):
+            moved = z.copy()
+            moved[i] += 1e-3 if z[i] + 1e-3 <= reach[i][1] else -1e-3
+            slope[i] = (cost(x0 + unit * moved) - here) / (moved[i] - z[i])
+        return here, slope
+
     minimize: Any = optimize.minimize
     result = minimize(
-        lambda z: cost(x0 + unit * z),
-        np.zeros(x0.size),
-        method="L-BFGS-B",
-        bounds=reach,
-        options={"eps": 1e-3, "maxiter": 60, "ftol": 1e-9},
+        sloped, np.zeros(x0.size), jac=True, method="L-BFGS-B", bounds=reach, options={"maxiter": 60, "ftol": 1e-9}
     )
     x, best = x0 + unit * np.asarray(result.x, dtype=np.float64), float(result.fun)
     H = _hessian(cost, x, best)
@@ -398,7 +456,7 @@ def laplace(log_posterior: Callable[[Array], float], x0: Array, free: Sequence[F
 
 
 def _hessian(cost: Callable[[Array], float], x: Array, centre: float) -> Array:
-    n, h = x.size, 5e-3
+    n, h = x.size, CURVATURE_STEP
     H = np.empty((n, n))
     steps = np.eye(n) * h
     plus = np.array([cost(x + s) for s in steps])

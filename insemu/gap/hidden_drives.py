@@ -22,7 +22,7 @@ from insemu.emulate.vehicle import VEHICLES
 from insemu.filters import FilterResult
 from insemu.gap.nominal import Nominal
 from insemu.gap.preparation import Prepared
-from insemu.gap.surrogate import Surrogate
+from insemu.gap.surrogate import Colour, Surrogate
 from insemu.noise import BI, GM, RC, RW, WN, NoiseModel
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Gnss, Initial
@@ -63,6 +63,9 @@ class Hidden:
         What it is expected to add to the evidence, its one number paid for; NaN where the trial has no measure of it.
     scales_for_20 : float
         Strength, in datasheet scales, at which it would be worth 20 nats; NaN where unknown.
+    beside : float
+        What it is expected to add where everything else that was hidden is known already except in its size; NaN where the trial has no
+        measure of it.
     """
 
     effect: str
@@ -71,6 +74,7 @@ class Hidden:
     strength: float = 1.0
     nats: float = math.nan
     scales_for_20: float = math.nan
+    beside: float = math.nan
 
 
 def paid(half_square: float) -> float:
@@ -410,9 +414,8 @@ def draw_use(effect: str, s: Stage, rng: np.random.Generator) -> tuple[EffectUse
 
 def _limits(s: Stage, sensor: str, k: int, loud: float) -> tuple[float, ...]:
     """Full scale of one axis such that ``loud`` in a thousand samples lie beyond it; the other axes have room."""
-    values = np.abs(
-        (s.imu.gyro if sensor == "gyro" else s.imu.accel) / (s.imu.dt if s.imu.kind == "increment" else 1.0)
-    )
+    imu = s.record().imu  # a sensor's constant shifts what it clips
+    values = np.abs((imu.gyro if sensor == "gyro" else imu.accel) / (imu.dt if imu.kind == "increment" else 1.0))
     out = 10.0 * values.max(axis=0) + 1.0
     out[k] = float(np.quantile(values[:, k], 1.0 - 1e-3 * loud))
     return tuple(float(x) for x in out)
@@ -450,7 +453,9 @@ def log_score(result: FilterResult, after: float = -math.inf) -> float:
     return total
 
 
-def size_effect(s: Stage, clean: Prepared, use: EffectUse, hidden: Hidden, target: float) -> tuple[EffectUse, Hidden]:
+def size_effect(
+    s: Stage, clean: Callable[[], Prepared], use: EffectUse, hidden: Hidden, target: float
+) -> tuple[EffectUse, Hidden]:
     """Give an effect the size at which it is worth ``target`` nats in this recording, or as large as it may get.
 
     A random process is sized by its own draw, which the trial repeats; its evidence is less than its signal's, so the target is raised.
@@ -458,7 +463,8 @@ def size_effect(s: Stage, clean: Prepared, use: EffectUse, hidden: Hidden, targe
     key = _SIZED.get(use.id) or _DRAWN.get(use.id)
     if key is None:
         return use, replace(hidden, nats=_level_nats(s, use))
-    half = whitened_difference(clean.result, clean.on(s.record((use,))).result)
+    without = clean()
+    half = whitened_difference(without.result, without.on(s.record((use,))).result)
     if not half > 0.0:
         return use, replace(hidden, nats=0.0)
     wanted = target if use.id in _SIZED else 3.0 * target + 10.0
@@ -471,7 +477,13 @@ def size_effect(s: Stage, clean: Prepared, use: EffectUse, hidden: Hidden, targe
 
 
 def _level_nats(s: Stage, use: EffectUse) -> float:
-    """Expected evidence of a level beyond its tolerance: n / 2 (r - 1 - log r), the level itself paid for."""
+    """Expected evidence of a level beyond its tolerance, n / 2 (r - 1 - log r), the level itself paid for; of a line, its frequency paid for."""
+    if use.id == "vibration_line":
+        axis = int(np.argmax(use["amplitude"]))
+        n = s.truth[f"{use.sensor}_{'xyz'[axis]}"].processes[0].parameters["N"]
+        span = float(s.imu.t[-1] - s.imu.t[0])
+        half = span * (use["amplitude"][axis] / (2.0 * n)) ** 2
+        return max(half - math.log(0.5 * len(s.imu)) - math.log1p(half), 0.0)
     count = s.rate_hz * float(s.imu.t[-1] - s.imu.t[0])
     if use.id in ("gnss_noise_level", "gnss_velocity_noise"):
         # innovations hold more than the noise of the fixes, so this is an upper bound that a third of it stands for
@@ -487,6 +499,16 @@ def _level_nats(s: Stage, use: EffectUse) -> float:
     return math.nan
 
 
+#: Effects that shift the innovations by something of known shape; with those whose covariance is known they can be measured.
+_SHAPED = frozenset({*_SIZED, "earth_rate"})
+_MEASURED = _SHAPED | {*_DRAWN, "gnss_noise_level", "gnss_velocity_noise", "gnss_correlated_noise"}
+
+
+def oracle_knows(uses: Sequence[EffectUse]) -> bool:
+    """Whether :func:`oracle` covers these effects."""
+    return bool(uses) and all(u.id in _MEASURED for u in uses)
+
+
 def oracle(
     s: Stage, clean: Prepared, seen: Prepared, uses: Sequence[EffectUse], cut: float
 ) -> tuple[float, float, int]:
@@ -495,10 +517,25 @@ def oracle(
     Shaped effects: the twin without them. Random processes of the IMU: the filter that believes in them. Levels of the fixes: the filter with the
     true ones. Coloured fixes: the surrogate with the true process. NaN for effects that this does not cover (the fast ones and outliers).
     """
-    known = {*_SIZED, *_DRAWN, "earth_rate", "gnss_noise_level", "gnss_velocity_noise", "gnss_correlated_noise"}
     fixes = int(np.sum(seen.result.fixes.t > cut))
-    if not uses or any(u.id not in known for u in uses):
+    if not oracle_knows(uses):
         return math.nan, math.nan, fixes
+    twin = s.record([u for u in uses if u.id not in _SHAPED])
+    knowing, colour = _knowing(clean, uses)
+    knowing = knowing.on(twin)
+    whole = log_score(knowing.result) - log_score(seen.result)
+    late = log_score(knowing.result, cut) - log_score(seen.result, cut)
+    if colour is not None:
+        surrogate = Surrogate.of(knowing.result)
+        first = surrogate.until(cut)
+        gain = surrogate.log_likelihood(None, colour) - surrogate.log_likelihood()
+        whole += gain
+        late += gain - (first.log_likelihood(None, colour) - first.log_likelihood())
+    return whole, late, fixes
+
+
+def _knowing(clean: Prepared, uses: Sequence[EffectUse]) -> tuple[Prepared, Colour | None]:
+    """The filter that knows the processes and the levels of effects, not yet run, and the colour of the fixes."""
     beliefs = dict(clean.beliefs)
     factors = np.ones(6)
     colour = None
@@ -517,14 +554,49 @@ def oracle(
             factors[3:] = u["factor"]
         elif u.id == "gnss_correlated_noise":
             colour = (np.concatenate([u["sigma"], np.zeros(3)]), u.scalar("tau"))
-    twin = s.record([u for u in uses if u.id not in (*_SIZED, "earth_rate")])
-    knowing = replace(clean, beliefs=beliefs, factors=clean.factors * factors).on(twin)
-    whole = log_score(knowing.result) - log_score(seen.result)
-    late = log_score(knowing.result, cut) - log_score(seen.result, cut)
-    if colour is not None:
-        surrogate = Surrogate.of(knowing.result)
-        first = surrogate.until(cut)
-        gain = surrogate.log_likelihood(None, colour) - surrogate.log_likelihood()
-        whole += gain
-        late += gain - (first.log_likelihood(None, colour) - first.log_likelihood())
-    return whole, late, fixes
+    return replace(clean, beliefs=beliefs, factors=clean.factors * factors), colour
+
+
+def worth_beside(s: Stage, clean: Callable[[], Prepared], uses: Sequence[EffectUse], k: int) -> float:
+    """What effect ``k`` is expected to add beside the other hidden ones, nats; NaN where it is none of those that can be measured.
+
+    The filter knows the processes, levels and colours of the others, and how each of their shapes shifts the innovations but not how much:
+    what lies in those directions counts for nothing. Effects of the samples alone are left out; they are seen there.
+    """
+    if uses[k].id not in _MEASURED:
+        return math.nan
+    own = uses[k]
+    some = [u for u in uses if u.id in _MEASURED]
+    random = [u for u in some if u.id not in _SHAPED]
+    knowing, colour = _knowing(clean(), [u for u in random if u is not own])
+    base = knowing.on(s.record(random))
+    surrogate = Surrogate.of(base.result)
+    nu = base.result.fixes.innovation
+
+    def shift(u: EffectUse) -> Array:
+        fixes = knowing.on(s.record([*random, u])).result.fixes
+        _, here, there = np.intersect1d(base.result.fixes.t, fixes.t, return_indices=True)
+        rows = np.zeros_like(nu)
+        rows[here] = np.nan_to_num(fixes.innovation[there] - nu[here])
+        return white(rows)
+
+    def white(rows: Array) -> Array:
+        return np.asarray(surrogate.whiten(rows[:, :, None], None, colour)[0].ravel())
+
+    directions = [shift(u) for u in some if u.id in _SHAPED and u is not own]
+    basis = np.linalg.qr(np.stack(directions, axis=1))[0] if directions else np.zeros((nu.size, 0))
+    if own.id in _SHAPED:
+        d = shift(own)
+        return paid(0.5 * float(d @ d - np.sum((basis.T @ d) ** 2)))
+    full, both = _knowing(clean(), random)
+    gain = _score(full.on(s.record(random)).result, both) - _score(base.result, colour)
+    # shapes of unknown size follow some of what the process did
+    return max(gain - 0.5 * float(np.sum((basis.T @ white(np.nan_to_num(nu))) ** 2)) - 3.0, 0.0)
+
+
+def _score(result: FilterResult, colour: Colour | None) -> float:
+    """Log score of a run, the colour of the fixes known."""
+    if colour is None:
+        return log_score(result)
+    surrogate = Surrogate.of(result)
+    return log_score(result) + surrogate.log_likelihood(None, colour) - surrogate.log_likelihood()

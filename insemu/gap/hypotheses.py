@@ -32,7 +32,13 @@ Array = NDArray[np.float64]
 AMPLITUDES = np.geomspace(1e-3, 3000.0, 40)
 #: Effects of one number that only one description can have.
 ONCE = ("imu_gnss_time_offset", "clock_drift", "gravity", "earth_rate", "transport_rate")
+#: Fewest fixes that a step in them lasts; a shorter one is an outlier.
+SHORTEST_STEP = 2.5
+#: What more axes of one effect must be worth over fewer, nats.
+PARSIMONY = 2.0
 PROCESSES = {"random_walk": "K", "gauss_markov": "sigma", "flicker": "B"}
+#: Prior scales of structure outside the catalogue, for which no datasheet says how large it may be.
+LIBRARY_SCALES = (*PRIOR_SCALES, 30.0, 100.0, 300.0)
 _SENSORS = (("gyro", 0), ("accel", 3))
 #: A level is estimated together with a colour, not beside it.
 _LEVELS = ("gnss_noise_level", "gnss_velocity_noise")
@@ -197,13 +203,16 @@ def linear_hypotheses(
     A, b = data.conditioned(given)
     logs = linear_gains(variants, A, b)
     gains = pooled_gains(variants, logs)
-    best: dict[tuple[str, str], tuple[float, Variant, list[Array]]] = {}
+    tried: dict[tuple[str, str], list[tuple[float, Variant, list[Array]]]] = {}
     for v, x in zip(variants, logs, strict=True):
         if x:
             own = float(log_mean_exp_columns(np.concatenate(x))[0])
-            key = (v.effect, v.sensor)
-            if key not in best or own > best[key][0]:
-                best[key] = (own, v, x)
+            tried.setdefault((v.effect, v.sensor), []).append((own, v, x))
+    best = {}
+    for key, mine in tried.items():
+        # an axis is named where the innovations speak for it, not where they hardly see it
+        top = max(own for own, _, _ in mine)
+        best[key] = min((m for m in mine if m[0] > top - PARSIMONY), key=lambda m: (len(m[1].axes), -m[0]))
     return [
         _described(scene, data, given, v, x, float(gains[key][0]))
         for key, (_, v, x) in best.items()
@@ -261,13 +270,26 @@ def shape_values(scene: Scene, index: NDArray[Any], mean: Array, covariance: Arr
 
 
 def null_threshold(
-    variants: Sequence[Variant], data: Field, rng: np.random.Generator, share: float = 0.02, draws: int = 300
+    variants: Sequence[Variant],
+    data: Field,
+    rng: np.random.Generator,
+    share: float = 0.02,
+    draws: int = 300,
+    *,
+    always: Sequence[Block] = (),
 ) -> float:
-    """Evidence that the best effect exceeds in ``share`` of simulated nominal recordings: the filter's own responses, drawn innovations."""
+    """Evidence that the best effect exceeds in ``share`` of simulated nominal recordings: the filter's own responses, drawn innovations.
+
+    ``always`` is what is uncertain in a nominal recording too; it is drawn as well and then allowed for.
+    """
     z = rng.standard_normal((data.y.size, draws))
     b = data.G.T @ z / math.sqrt(data.variance)
+    for index, root in always:
+        b += data.A[:, index] @ root @ rng.standard_normal((root.shape[1], draws))
+    A, b = data.conditioned(always, b)
+    b = b[:, 1:]
     # the first column decides what is worth a closer look, as it does for the measured innovations
-    gains = pooled_gains(variants, linear_gains(variants, data.A, b))
+    gains = pooled_gains(variants, linear_gains(variants, A, b))
     return float(np.quantile(np.max(np.stack(list(gains.values())), axis=0), 1.0 - share))
 
 
@@ -283,18 +305,21 @@ def multipath_step(
         return []
     G = scene.step_columns[rows]
     scale = EFFECTS["gnss_multipath_step"].scale("value", "gnss")
-    logs, best = _scan_steps(data, G, given, s, scale)
+    t_fix = scene.prepared.result.fixes.t
+    shortest = SHORTEST_STEP * float(np.median(np.diff(t_fix)))
+    logs, best = _scan_steps(data, G, given, s, scale, shortest)
     gain = log_mean_exp(logs)
     fine = None
     top, c, i0, j0, width = best
     if gain > -2.0:
         # the scan is coarse: try every start and end near the best with columns of their own
-        t_fix = scene.prepared.result.fixes.t
         spacing = float(s[1] - s[0])
         near = np.concatenate([t_fix[np.abs(t_fix - x) <= spacing] for x in (s[i0], s[j0])]) + 1e-3
         starts = np.unique(near)[:120]
         if starts.size >= 4:
-            fine = _scan_steps(data, scene.whitened(_axis_steps(scene, starts, c))[rows], given, starts, scale, axes=1)
+            fine = _scan_steps(
+                data, scene.whitened(_axis_steps(scene, starts, c))[rows], given, starts, scale, shortest, axes=1
+            )
             if fine[1][0] > top:
                 gain += fine[1][0] - top
                 _, _, i0, j0, width = fine[1]
@@ -310,15 +335,15 @@ def _axis_steps(scene: Scene, starts: Array, axis: int) -> Array:
     fixes = scene.loop.result.fixes
     M = np.zeros((len(fixes), 6, starts.size))
     M[:, axis, :] = fixes.t[:, None] > starts[None, :]
-    nodes = scene.loop.result.nodes
-    assert nodes is not None
-    return scene.loop.respond(np.zeros((nodes.epoch.size, starts.size, 9)), M)
+    return scene.loop.respond(starts.size, None, M)
 
 
 _Scan = tuple[Array, tuple[float, int, int, int, float]]
 
 
-def _scan_steps(data: Field, G: Array, given: Sequence[Block], s: Array, scale: float, axes: int = 3) -> _Scan:
+def _scan_steps(
+    data: Field, G: Array, given: Sequence[Block], s: Array, scale: float, shortest: float, axes: int = 3
+) -> _Scan:
     y = data.y
     cross = None
     if given:
@@ -331,8 +356,12 @@ def _scan_steps(data: Field, G: Array, given: Sequence[Block], s: Array, scale: 
     if cross is not None:
         b_all = b_all - cross[0].T @ cross[1]
     i, j = np.triu_indices(s.size, 1)
-    near = s[j] - s[i] <= (s[-1] - s[0]) / 2.5 if axes == 3 else np.ones(i.size, dtype=bool)
+    near = s[j] - s[i] >= shortest
+    if axes == 3:
+        near &= s[j] - s[i] <= (s[-1] - s[0]) / 2.5
     i, j = i[near], j[near]
+    if not i.size:
+        return np.full(1, -math.inf), (-math.inf, 0, 0, 0, 1.0)
     logs = []
     best: tuple[float, int, int, int, float] = (-math.inf, 0, 0, 0, 1.0)
     for c in range(axes):
@@ -477,8 +506,8 @@ def library_gain(scene: Scene, data: Field, given: Sequence[Block]) -> tuple[flo
     """The best structure outside the catalogue, those of a sensor counted alike."""
     A, b = data.conditioned(given)
     found: dict[str, list[tuple[float, str]]] = {}
-    amplitudes = np.array(PRIOR_SCALES)
-    for i, c in enumerate(scene.columns[scene.catalogue :], start=scene.catalogue):
+    amplitudes = np.array(LIBRARY_SCALES)
+    for i, c in enumerate(scene.columns[scene.library], start=scene.library.start):
         logs = quadratic_evidence(A[i : i + 1, i : i + 1], b[i : i + 1], np.array([[c.scale]]), amplitudes)
         found.setdefault(c.sensor, []).append((log_mean_exp(logs[:, 0]), f"{c.sensor} error that goes with {c.label}"))
     best = (-math.inf, "")

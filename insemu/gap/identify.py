@@ -13,12 +13,13 @@ from insemu.blas import on_one_thread
 from insemu.errors import InputError
 from insemu.gap.known import drive_without, static_without
 from insemu.gap.nominal import Nominal
+from insemu.gap.preparation import Flown
 from insemu.gap.refined import joined, refined_nominal, uses_of
 from insemu.gap.sources import StaticLog
 from insemu.gap.static_log import THRESHOLD, find_static_gap
 from insemu.gap.timing import find_offset
 from insemu.gap.vehicle import Mounted, find_mounting
-from insemu.gap.verdict import GapReport, Interval, Step, Value, judged
+from insemu.gap.verdict import GapReport, Interval, Step, Value, held_out_said, judged
 from insemu.records import AXES, Recording
 
 #: Effects of the fixes and of timing that together are worth more are held against the recording again once they are known: the strong ones
@@ -37,7 +38,9 @@ def find_gap(
     threshold: float = THRESHOLD,
     without: Collection[str] = (),
     hold_out: bool = True,
+    pictures: bool = True,
     progress: Callable[[str], None] | None = None,
+    flown: Flown | None = None,
 ) -> GapReport:
     """Find, name and add what the nominal model lacks.
 
@@ -58,8 +61,12 @@ def find_gap(
         Effects taken out of the catalogue.
     hold_out : bool
         Whether to score on data that was not used for naming.
+    pictures : bool
+        Whether to work out what the page draws of a drive before and after.
     progress : callable, optional
         Told what is being done.
+    flown : Flown, optional
+        The nominal filter's run on a drive or flight, where it is there already; of a nominal model in whose ``effects`` there is nothing.
 
     Raises
     ------
@@ -69,7 +76,7 @@ def find_gap(
     nominal = nominal.parted()
     if isinstance(measured, StaticLog):
         log, known = static_without(measured, nominal)
-        return find_static_gap(
+        report = find_static_gap(
             log.axes,
             nominal.beliefs,
             rng=rng,
@@ -82,7 +89,19 @@ def find_gap(
             progress=progress,
             known=known,
         )
-    return _drive(measured, nominal, rng, threshold, without, hold_out, progress or (lambda _: None))
+    else:
+        report = _drive(
+            measured,
+            nominal,
+            rng,
+            threshold,
+            without,
+            hold_out,
+            hold_out and pictures,
+            progress or (lambda _: None),
+            flown,
+        )
+    return held_out_said(report)
 
 
 def _drive(
@@ -92,7 +111,9 @@ def _drive(
     threshold: float,
     without: Collection[str],
     hold_out: bool,
+    pictures: bool,
     say: Callable[[str], None],
+    flown: Flown | None,
 ) -> GapReport:
     from insemu.gap.dynamic import find_dynamic_gap
 
@@ -104,20 +125,23 @@ def _drive(
         early.append(step)
         return replace(now, effects=joined(now.effects, uses_of(step)))
 
-    if "imu_gnss_time_offset" not in without:
-        late = find_offset(*drive_without(measured, now), say)
-        now = taken(late) if late is not None else now
-    recording, moved = drive_without(measured, now)
+    say("running the nominal filter")
+    first = flown = flown or Flown.of(*drive_without(measured, now))
+    recording, moved = first.recording, first.nominal
+    late = find_offset(first, say) if "imu_gnss_time_offset" not in without else None
+    if late is not None:
+        now, flown = taken(late), None
+        recording, moved = drive_without(measured, now)
     mounted = None
     if now.vehicle is not None and "mounting" not in without:
         mounted = find_mounting(recording, moved, threshold, say)
         if mounted.step is not None:
-            now = taken(mounted.step)
+            now, flown = taken(mounted.step), None
             recording, moved = drive_without(measured, now)
     # by the innovations alone the mounting hides in the attitude
     skip = tuple(dict.fromkeys((*without, "mounting")))
     report = find_dynamic_gap(
-        recording, moved, rng=rng, threshold=threshold, without=skip, hold_out=hold_out, progress=say
+        recording, moved, rng=rng, threshold=threshold, without=skip, hold_out=hold_out, progress=say, flown=flown
     )
     out = _together(report, early, mounted, nominal)
     for turn in range(MOST_PASSES):
@@ -132,7 +156,7 @@ def _drive(
         if corrected is out:
             break
         out = corrected
-    return replace(out, curves={**out.curves, "drive": _pictures(measured, nominal, out)}) if hold_out else out
+    return replace(out, curves={**out.curves, "drive": _pictures(measured, first, nominal, out)}) if pictures else out
 
 
 def check(measured: Recording, nominal: Nominal) -> None:
@@ -280,18 +304,15 @@ def _mean(index: Interval, other: float, dof: int) -> Interval:
     return Interval(value, value - half, value + half)
 
 
-def _pictures(measured: Recording, nominal: Nominal, report: GapReport) -> dict[str, Any]:
+def _pictures(measured: Recording, first: Flown, nominal: Nominal, report: GapReport) -> dict[str, Any]:
     """Whitened innovations of the nominal and of the refined model: what the page draws before and after."""
-    from insemu.gap.preparation import fast_parts, prepare
     from insemu.gap.signatures import Loop
     from insemu.gap.vehicle import Sideways
 
+    refined = refined_nominal(nominal, report, measured.imu.dt).parted()
+    after = Flown.of(*drive_without(measured, refined)) if report.steps else first
     out: dict[str, Any] = {}
-    models = {"before": nominal, "after": refined_nominal(nominal, report, measured.imu.dt).parted()}
-    parts = fast_parts(measured)
-    for name, model in models.items():
-        recording, moved = drive_without(measured, model)
-        prepared = prepare(recording, moved, parts, {})
+    for name, prepared in (("before", first.prepared), ("after", after.prepared)):
         loop = Loop.of(prepared.result)
         y = np.where(loop.use, loop.y.reshape(-1, 6), np.nan)
         out[name] = {"t": prepared.result.fixes.t, "y": y}

@@ -61,9 +61,14 @@ class Field:
 
     def _solved(self, blocks: Sequence[Block]) -> tuple[NDArray[Any], Array, Array, Array]:
         index, root = self._joined(blocks)
-        M = root.T @ self.A[np.ix_(index, index)] @ root
+        if "A" in self.__dict__:
+            A, b = self.A[np.ix_(index, index)], self.b[index]
+        else:  # the normal matrix of everything costs more than these few columns
+            G = self.G[:, index]
+            A, b = G.T @ G / self.variance, G.T @ self.y / self.variance
+        M = root.T @ A @ root
         M[np.diag_indices_from(M)] += 1.0
-        return index, root, np.linalg.cholesky(M), root.T @ self.b[index]
+        return index, root, np.linalg.cholesky(M), root.T @ b
 
     def log_factor(self, blocks: Sequence[Block]) -> float:
         """Log Bayes factor of blocks together against nothing."""

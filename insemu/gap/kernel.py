@@ -246,6 +246,79 @@ def integrate_inputs(
                 ramp[i, c, r] = e[columns + c, r]
 
 
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def respond(
+    Phi: Array,
+    K: Array,
+    H: Array,
+    node: NDArray[np.int64],
+    use: NDArray[np.bool_],
+    D: Array,
+    M: Array,
+    out: Array,
+) -> None:  # pragma: no cover - compiled
+    """Innovations that navigation errors and errors of the fixes cause in a filter in the loop.
+
+    ``e- = Phi e+ + D``, ``g = M - H e-``, ``e+ = e- + K g``. Transitions and Jacobians are mostly zeros, which are passed over.
+
+    Parameters
+    ----------
+    Phi : (nodes, n, n) array
+        Transition to each node from the one before.
+    K, H : (f, n, 6), (f, 6, n) arrays
+        Zero where a component was not used.
+    node : (f,) array of int
+        Node of each fix, not decreasing.
+    use : (f, 6) array of bool
+    D : (nodes, columns, 9) array
+        Navigation errors built up since the node before; without rows where there are none.
+    M : (f, 6, columns) array
+        Errors of the fixes; without rows where there are none.
+    out : (f, 6, columns) array of zeros
+        Written to.
+    """
+    n, cols = Phi.shape[1], out.shape[2]
+    e = np.zeros((n, cols))
+    ahead = np.zeros((n, cols))
+    k = 0
+    for i in range(Phi.shape[0]):
+        if i > 0:
+            for r in range(n):
+                for c in range(cols):
+                    ahead[r, c] = 0.0
+                for q in range(n):
+                    w = Phi[i, r, q]
+                    if w != 0.0:
+                        for c in range(cols):
+                            ahead[r, c] += w * e[q, c]
+            e, ahead = ahead, e
+            if D.shape[0] > 0:
+                for c in range(cols):
+                    for r in range(9):
+                        e[r, c] += D[i, c, r]
+        while k < node.size and node[k] == i:
+            for m in range(6):
+                if not use[k, m]:
+                    continue
+                if M.shape[0] > 0:
+                    for c in range(cols):
+                        out[k, m, c] = M[k, m, c]
+                for q in range(n):
+                    w = H[k, m, q]
+                    if w != 0.0:
+                        for c in range(cols):
+                            out[k, m, c] -= w * e[q, c]
+            for m in range(6):
+                if not use[k, m]:
+                    continue
+                for q in range(n):
+                    w = K[k, q, m]
+                    if w != 0.0:
+                        for c in range(cols):
+                            e[q, c] += w * out[k, m, c]
+            k += 1
+
+
 @njit(cache=True, nogil=True)
 def recursive_residuals(
     y: Array, U: Array, variance: float, out: Array, logs: Array
@@ -287,7 +360,7 @@ def recursive_residuals(
         logs[i] = 0.5 * math.log(s)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract"})
 def surrogate_filter(
     Phi: Array,
     Q: Array,
@@ -346,64 +419,86 @@ def surrogate_filter(
     for j in range(extra):
         P[n + j, n + j] = p_g[which[j]]
     x = np.zeros((m, cols))
-    T = np.zeros((n, m))
-    a = np.zeros(m)
+    ahead = np.zeros((n, cols))
+    T = np.zeros((m, n))
     g = np.zeros(m)
+    at = np.zeros(m, dtype=np.int64)
+    a = np.zeros(m)
     total = 0.0
     for k in range(f):
         F = Phi[k]
-        # P = F P F' + Q, block by block
+        # P = F P F' + Q, block by block: transitions and Jacobians are mostly zeros, so both products go by rows of what is not
+        for j in range(m):
+            for i in range(n):
+                T[j, i] = 0.0
         for i in range(n):
-            for j in range(m):
-                T[i, j] = 0.0
             for q in range(n):
                 w = F[i, q]
                 if w != 0.0:
                     for j in range(m):
-                        T[i, j] += w * P[q, j]
+                        T[j, i] += w * P[q, j]
         for i in range(n):
-            for j in range(i, n):
-                v = Q[k, i, j]
-                for q in range(n):
-                    v += T[i, q] * F[j, q]
-                P[i, j] = v
-                P[j, i] = v
+            for j in range(i + 1):
+                P[i, j] = Q[k, i, j]
+            for q in range(n):
+                w = F[i, q]
+                if w != 0.0:
+                    for j in range(i + 1):
+                        P[i, j] += w * T[q, j]
+            for j in range(i):
+                P[j, i] = P[i, j]
             for j in range(extra):
-                v = T[i, n + j] * phi_g[k, which[j]]
+                v = T[n + j, i] * phi_g[k, which[j]]
                 P[i, n + j] = v
                 P[n + j, i] = v
         for i in range(extra):
             for j in range(extra):
                 P[n + i, n + j] *= phi_g[k, which[i]] * phi_g[k, which[j]]
             P[n + i, n + i] += q_g[k, which[i]]
-        x[:n] = F @ x[:n]
+        for i in range(n):
+            for c in range(cols):
+                ahead[i, c] = 0.0
+            for q in range(n):
+                w = F[i, q]
+                if w != 0.0:
+                    for c in range(cols):
+                        ahead[i, c] += w * x[q, c]
+        x[:n] = ahead
         for j in range(extra):
             for c in range(cols):
                 x[n + j, c] *= phi_g[k, which[j]]
         for i in range(6):
             if use[k, i] == 0:
                 continue
+            seen = 0
             for j in range(n):
-                a[j] = -H[k, i, j]
+                if H[k, i, j] != 0.0:
+                    at[seen], a[seen] = j, -H[k, i, j]
+                    seen += 1
             for j in range(extra):
-                a[n + j] = 1.0 if which[j] == i else 0.0
-            s = R[k, i] * factor[i] ** 2
-            for j in range(m):
-                v = 0.0
+                if which[j] == i:
+                    at[seen], a[seen] = n + j, 1.0
+                    seen += 1
+            g[:] = 0.0
+            for r in range(seen):
+                w = a[r]
                 for q in range(m):
-                    v += P[j, q] * a[q]
-                g[j] = v
-                s += a[j] * v
+                    g[q] += w * P[at[r], q]
+            s = R[k, i] * factor[i] ** 2
+            for r in range(seen):
+                s += a[r] * g[at[r]]
             if not s > 0.0:
                 return math.nan
             root = math.sqrt(s)
             for c in range(cols):
                 e = nu[k, i, c]
-                for j in range(m):
-                    e -= a[j] * x[j, c]
+                for r in range(seen):
+                    e -= a[r] * x[at[r], c]
                 white[k, i, c] = e / root
-                for j in range(m):
-                    x[j, c] += g[j] * e / s
+            for j in range(m):
+                w = g[j] / root
+                for c in range(cols):
+                    x[j, c] += w * white[k, i, c]
             total -= math.log(root) + 0.5 * white[k, i, 0] ** 2
             for j in range(m):
                 w = g[j] / s

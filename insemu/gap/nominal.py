@@ -71,7 +71,7 @@ def load_nominal(path: str | Path) -> Nominal:
 
     Three kinds of file are understood: a scenario, a short file with the keys ``belief`` (noise per axis as in a scenario) and optionally
     ``effects``, ``gnss``, ``initial`` and ``vehicle``, and a noise-model file of ``insemu fit``. Of a scenario its ``truth`` (models and effects)
-    is what is believed of the sensor; one of a recording has none, and its first design stands for it.
+    is what is believed of the sensor; one of a recording has none, and its first design in numbers stands for it.
 
     Raises
     ------
@@ -129,13 +129,17 @@ def _scenario(scenario: Scenario, raw: dict[str, Any], path: Path) -> Nominal:
     vehicle = None
     if scenario.recording is not None:
         source = scenario.recording
-        name, design = next(iter(scenario.designs.items()))
-        models = {axis: m for axis, m in design.sources().items() if isinstance(m, NoiseModel)}
-        if len(models) < 6:
+        held = {
+            name: {axis: m for axis, m in design.sources().items() if isinstance(m, NoiseModel)}
+            for name, design in scenario.designs.items()
+        }
+        name = next((n for n, m in held.items() if len(m) == 6), None)
+        if name is None:
             raise InputError(
-                f"the design '{name}' is fitted or read from a file, expected numbers: a gap needs models to hold a recording against",
-                where=f"{path}: designs.{name}",
+                "every design is fitted or read from a file, expected one in numbers: a gap needs models to hold a recording against",
+                where=f"{path}: designs",
             )
+        models, design = held[name], scenario.designs[name]
         effects = design.options.known_effects()
         if source.imu_time_offset:
             effects = (EffectUse("imu_gnss_time_offset", "imu", {"offset": (source.imu_time_offset,)}), *effects)

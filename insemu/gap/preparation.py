@@ -14,7 +14,7 @@ from insemu.filters import FilterOptions, FilterResult, FixTable, InitialSigma, 
 from insemu.gap.evidence import LEVEL_UNCERTAINTY, Explanation, Likelihood, fit
 from insemu.gap.nominal import Nominal
 from insemu.gap.reduced import Reduced, moving_spectrum
-from insemu.gap.samples import widths_of
+from insemu.gap.samples import Clipped, widths_of
 from insemu.gap.signatures import Loop
 from insemu.gap.surrogate import Surrogate, level_scores
 from insemu.noise import BI, WN, NoiseModel, Process
@@ -57,6 +57,8 @@ class Prepared:
         Initial state and its standard deviations.
     nominal : Nominal
         What is believed.
+    clipped : tuple of Clipped
+        Stretches of the IMU that were filled in.
     levels : (6,) array
         Levels of the fixes that were named, as ratios; the trimming stays within its tolerance of them.
     """
@@ -70,6 +72,7 @@ class Prepared:
     factors: Array
     start: tuple[NavState, InitialSigma]
     nominal: Nominal
+    clipped: tuple[Clipped, ...] = ()
     levels: Array = field(default_factory=lambda: np.ones(6))
 
     def again(
@@ -164,6 +167,31 @@ def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], le
             break
         prepared = prepared.again(factors=factors)
     return prepared
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A recording with the nominal filter's run on it before anything is named: what several looks at the same recording share.
+
+    Parameters
+    ----------
+    recording : Recording
+    nominal : Nominal
+        What is believed of it.
+    fast : mapping of axis to Reduced
+    prepared : Prepared
+    """
+
+    recording: Recording
+    nominal: Nominal
+    fast: dict[str, Reduced]
+    prepared: Prepared
+
+    @classmethod
+    def of(cls, recording: Recording, nominal: Nominal) -> Flown:
+        """Run the nominal filter; see :func:`prepare`."""
+        fast = fast_parts(recording)
+        return cls(recording, nominal, fast, prepare(recording, nominal, fast, {}))
 
 
 def fixes_score(fixes: FixTable) -> float:

@@ -8,6 +8,7 @@ likelihood. Below the split the same multitaper likelihood would leak (Riedel an
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -24,6 +25,8 @@ BLOCK_S = 10.0
 FEWEST_BLOCKS, MOST_BLOCKS = 120, 500
 #: Sine tapers, bins per octave.
 TAPERS, BINS_PER_OCTAVE = 6, 32
+#: Longest shape (frequencies, samples of a taper) that is remembered: full-resolution spectra are read once.
+MOST_REMEMBERED = 8192
 
 
 @dataclass(frozen=True)
@@ -107,19 +110,30 @@ def reduce(series: Series, block: int | None = None) -> Reduced:
 def spectrum(y: Array, dt: float, lowest: float) -> tuple[Array, Array, Array]:
     """Sine-multitaper PSD above ``lowest`` Hz in narrow bins: centres, two-sided PSD, degrees of freedom."""
     n = y.size
-    t = np.arange(n)
     flat = y - y.mean()
     power = np.zeros(n // 2 + 1)
-    for k in range(1, TAPERS + 1):
-        taper = math.sqrt(2.0 / (n + 1)) * np.sin(np.pi * k * (t + 1) / (n + 1))
+    # the tapers of the many short pieces of a moving record are remembered, those of a long log are not
+    for taper in _tapers(n) if n <= MOST_REMEMBERED else _each_taper(n):
         spectrum = np.fft.rfft(flat * taper)
         power += (spectrum.real**2 + spectrum.imag**2) * (dt / TAPERS)
     bins = _bins(n, dt, lowest)
     if bins is None:
         return np.zeros(0), np.zeros(0), np.zeros(0)
-    first, count, centre = bins
+    first, count, _ = bins
     total = np.add.reduceat(power, first)[: count.size]
-    return centre, total / count, 2.0 * count / _overlap(min(n, 4096))
+    centre, dof = spectrum_bins(n, dt, lowest)
+    return centre, total / count, dof
+
+
+def _each_taper(n: int) -> Iterator[Array]:
+    t = np.arange(1, n + 1)
+    for k in range(1, TAPERS + 1):
+        yield math.sqrt(2.0 / (n + 1)) * np.sin(np.pi * k * t / (n + 1))
+
+
+@lru_cache(maxsize=8)
+def _tapers(n: int) -> tuple[Array, ...]:
+    return tuple(_each_taper(n))
 
 
 def reduce_again(data: Reduced, values: Array) -> Reduced:
@@ -149,6 +163,14 @@ def moving_spectrum(y: Array, dt: float, lowest: float, pieces: int = 32) -> tup
     return f, power, dof * pieces * (2.0 / math.pi)
 
 
+def spectrum_bins(n: int, dt: float, lowest: float) -> tuple[Array, Array]:
+    """Centres (Hz) and degrees of freedom of the bins of :func:`spectrum`."""
+    bins = _bins(n, dt, lowest)
+    if bins is None:
+        return np.zeros(0), np.zeros(0)
+    return bins[2], 2.0 * bins[1] / overlap(n)
+
+
 @lru_cache(maxsize=32)
 def _bins(n: int, dt: float, lowest: float) -> tuple[NDArray[np.intp], Array, Array] | None:
     """First ordinate, count and centre of each bin, from ``lowest`` (at least clear of the tapers' width) up to Nyquist, exclusive."""
@@ -168,9 +190,13 @@ def _bins(n: int, dt: float, lowest: float) -> tuple[NDArray[np.intp], Array, Ar
     return np.append(first, stop), (last - first).astype(np.float64), centre
 
 
+def overlap(n: int) -> float:
+    """Ordinates that one independent ordinate is worth, for averages much wider than the tapers: n sum of squared mean weights."""
+    return _overlap(min(n, 4096))
+
+
 @lru_cache(maxsize=4)
 def _overlap(n: int) -> float:
-    """Ordinates that one independent ordinate is worth, for averages much wider than the tapers: n sum of squared mean weights."""
     t = np.arange(1, n + 1)
     weights = np.mean([2.0 / (n + 1) * np.sin(np.pi * k * t / (n + 1)) ** 2 for k in range(1, TAPERS + 1)], axis=0)
     return float(n * np.sum(weights**2))
@@ -178,8 +204,11 @@ def _overlap(n: int) -> float:
 
 #: Processes whose density is the square of one amplitude times a shape of its own.
 _AMPLITUDE: dict[type[Process], str] = {WN: "N", QN: "Q", RW: "K", BI: "B"}
-#: Frequencies beyond which a shape is not remembered: full-resolution spectra are read once.
-MOST_REMEMBERED = 8192
+
+
+def amplitude_of(process: Process) -> str | None:
+    """Name of the one amplitude whose square multiplies the density and the covariance of a process; ``None`` where there is no such one."""
+    return _AMPLITUDE.get(type(process))
 
 
 def density(process: Process, f: Array, dt: float) -> Array:
@@ -198,7 +227,7 @@ def density(process: Process, f: Array, dt: float) -> Array:
     (k,) array
         unit^2/Hz.
     """
-    name = _AMPLITUDE.get(type(process))
+    name = amplitude_of(process)
     if name is None or f.size > MOST_REMEMBERED:
         return process.psd(f, dt)
     return process.parameters[name] ** 2 * _unit_density(type(process), f.tobytes(), dt)

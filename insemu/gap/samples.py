@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import log_ndtr
 
 from insemu.gap.singular import lattice
 from insemu.gap.verdict import Member, Step, Value
@@ -20,7 +21,21 @@ Array = NDArray[np.float64]
 LONGEST_GAP_S = 0.5
 #: Fewest samples at the full scale.
 FEWEST_CLIPPED = 4
+#: Samples on either side of a clipped stretch that say how the signal goes on.
+NEIGHBOURS = 12
+#: Stretches that tell how the signal changes around them, and the most whose uncertainty is carried on.
+TELLING, CARRIED = 60, 200
 _SENSORS = (("gyro", "rad/s"), ("accel", "m/s^2"))
+
+
+@dataclass(frozen=True)
+class Clipped:
+    """A stretch at the full scale that was filled in: axis (0..5), when (s), and how uncertain its integral is (rad or m/s)."""
+
+    axis: int
+    start: float
+    end: float
+    sigma: float
 
 
 @dataclass(frozen=True)
@@ -29,42 +44,59 @@ class Mended:
 
     imu: ImuRecord
     steps: tuple[Step, ...]
+    clipped: tuple[Clipped, ...] = ()
 
 
 def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
-    """Name dropped samples and saturation and mend the record: gaps bridged, clipped stretches rounded off by a smooth curve."""
+    """Name dropped samples and saturation and mend the record: gaps bridged, clipped stretches filled in."""
     steps: list[Step] = []
+    stretches: list[Clipped] = []
+    counts = _counts(imu)  # of what was recorded: a bridge lies on no lattice
+    if "quantization" not in without:
+        steps += _lattices(imu, counts)
     if "dropped_samples" not in without:
         bridged = _bridge(imu)
         if bridged is not None:
             imu = bridged[0]
             steps.append(bridged[1])
-    if "quantization" not in without:
-        steps += _lattices(imu)
     if "saturation" not in without:
-        for sensor, unit in _SENSORS:
+        for first, (sensor, unit) in zip((0, 3), _SENSORS, strict=True):
             values = np.array(getattr(imu, sensor))
             widths = widths_of(imu)
             rates = values / widths
             for k, axis in enumerate("xyz"):
-                found = clipped(rates[:, k])
+                found = clipped(rates[:, k], counts[sensor][axis] > 0.0)
                 if found is None:
                     continue
                 limit, at, nats = found
-                rates[:, k] = _rounded_off(imu.t, rates[:, k], at)
+                rates[:, k], around = filled(imu.t, rates[:, k], at)
+                stretches += [Clipped(first + k, *stretch) for stretch in around]
                 value = Value("limit", limit, limit, limit, unit)
                 steps.append(_step("saturation", sensor, (axis,), (value,), nats))
                 imu = replace(imu, gyro=rates * widths) if sensor == "gyro" else replace(imu, accel=rates * widths)
-    return Mended(imu, tuple(sorted(steps, key=lambda s: -s.gain_nats)))
+    carried = sorted(stretches, key=lambda c: -c.sigma)[:CARRIED]
+    return Mended(imu, tuple(sorted(steps, key=lambda s: -s.gain_nats)), tuple(carried))
 
 
-def _lattices(imu: ImuRecord) -> list[Step]:
+def _counts(imu: ImuRecord) -> dict[str, dict[str, float]]:
+    """Step of the lattice that the samples of each axis lie on, by sensor; 0 where there is none."""
+    widths = widths_of(imu)
+    # the increment over a gap is short of what was lost or holds several
+    steady = np.abs(np.diff(imu.t) / np.median(np.diff(imu.t)) - 1.0) < 0.05
+    out = {}
+    for sensor, _ in _SENSORS:
+        rates = (np.array(getattr(imu, sensor)) / widths)[1:]
+        out[sensor] = {axis: lattice(rates[steady, k]) for k, axis in enumerate("xyz")}
+    return out
+
+
+def _lattices(imu: ImuRecord, counts: dict[str, dict[str, float]]) -> list[Step]:
     """Axes whose samples lie on a lattice of output counts."""
     widths = widths_of(imu)
     out = []
     for sensor, unit in _SENSORS:
         rates = np.array(getattr(imu, sensor)) / widths
-        steps = {axis: lattice(rates[1:, k]) for k, axis in enumerate("xyz")}
+        steps = counts[sensor]
         on = tuple(axis for axis, step in steps.items() if step > 0.0)
         if not on:
             continue
@@ -200,12 +232,11 @@ def _cubic(t: Array, where: NDArray[np.intp], values: Array) -> Array:
     return out
 
 
-def clipped(rates: Array) -> tuple[float, NDArray[np.bool_], float] | None:
+def clipped(rates: Array, coarse: bool) -> tuple[float, NDArray[np.bool_], float] | None:
     """Full scale at which values pile up, which samples lie there, and the evidence in nats; None where there is no pile.
 
-    Noise never repeats an extreme value exactly; a lattice does, but then its neighbours are as crowded as the extreme.
+    Noise never repeats an extreme value exactly; a lattice (``coarse``) does, but then its neighbours are as crowded as the extreme.
     """
-    coarse = lattice(rates[1:]) > 0.0
     noise = 1.4826 * float(np.median(np.abs(np.diff(rates)))) + 1e-300
     at = np.zeros(rates.size, dtype=bool)
     limits = []
@@ -225,18 +256,72 @@ def clipped(rates: Array) -> tuple[float, NDArray[np.bool_], float] | None:
     return limit, at, nats
 
 
-def _rounded_off(t: Array, rates: Array, at: NDArray[np.bool_]) -> Array:
-    """Clipped stretches replaced by the parabola that leaves and meets the samples around them smoothly, never inside of the limit."""
-    out = rates.copy()
+def filled(t: Array, rates: Array, at: NDArray[np.bool_]) -> tuple[Array, list[tuple[float, float, float]]]:
+    """Clipped stretches filled in by what the samples around them say, and start (s), end (s) and uncertainty of the integral of each.
+
+    The signal's rate of change is taken for a random walk, its strength and the samples' noise for the most likely ones around all
+    stretches together (a cubic smoothing spline: Wahba 1978); that every clipped sample lies outside of the limit is held against the
+    integral of its stretch.
+
+    Parameters
+    ----------
+    t, rates : (n,) arrays
+    at : (n,) array of bool
+        Samples at the full scale.
+    """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], at, [False]]).astype(int)))
+    dt = float(np.median(np.diff(t)))
+    noise = (1.4826 * float(np.median(np.abs(np.diff(rates, 3))))) ** 2 / 20.0 + 1e-300
+    stretches = []
     for first, last in zip(edges[::2], edges[1::2], strict=True):
+        near = np.arange(max(0, first - NEIGHBOURS), min(rates.size, last + NEIGHBOURS))
+        known = ~at[near]
+        if min((known & (near < first)).sum(), (known & (near >= last)).sum()) >= 3:
+            x = (t[near] - t[near[0]]) / dt
+            trend = np.polynomial.Polynomial.fit(x[known], rates[near[known]], 1)(x)
+            stretches.append((first, last, near, known, x, trend))
+    if not stretches:
+        return rates, []
+
+    def covariances(x: Array, known: NDArray[np.bool_], y: Array) -> tuple[Array, Array]:
+        low, high = np.minimum(x[:, None], x[None, :]), np.maximum(x[:, None], x[None, :])
+        wide = 1e4 * max(float(np.mean(y[known] ** 2)), noise)
+        return low**2 * (high / 2.0 - low / 6.0), wide * (1.0 + (x / x[-1])[:, None] * (x / x[-1])[None, :])
+
+    prepared = [
+        (first, last, near, known, trend, rates[near] - trend, *covariances(x, known, rates[near] - trend))
+        for first, last, near, known, x, trend in stretches
+    ]
+
+    some_of = prepared[:: math.ceil(len(prepared) / TELLING)]
+
+    def log_likelihood(q: float, r: float) -> float:
+        total = 0.0
+        for _, _, _, known, _, y, bent, straight in some_of:
+            some = np.ix_(known, known)
+            L = np.linalg.cholesky(q * bent[some] + straight[some] + r * np.eye(int(known.sum())))
+            z = np.linalg.solve(L, y[known])
+            total -= 0.5 * float(z @ z) + float(np.sum(np.log(np.diag(L))))
+        return total
+
+    grid = [(noise * q, noise * r) for q in np.geomspace(1e-6, 1e4, 21) for r in (0.1, 0.3, 1.0, 3.0)]
+    q, r = max(grid, key=lambda x: log_likelihood(*x))
+    out, said = rates.copy(), []
+    for first, last, near, known, trend, y, bent, straight in prepared:
+        hidden = (near >= first) & (near < last)
+        full = q * bent + straight
+        gain = np.linalg.solve(full[np.ix_(known, known)] + r * np.eye(int(known.sum())), full[np.ix_(known, hidden)]).T
+        mean = gain @ y[known] + trend[hidden]
+        spread = full[np.ix_(hidden, hidden)] - gain @ full[np.ix_(known, hidden)]
         side = math.copysign(1.0, rates[first])
-        around = np.concatenate([np.arange(max(0, first - 6), first), np.arange(last, min(rates.size, last + 6))])
-        around = around[~at[around]]
-        if around.size < 6 or not (around < first).any() or not (around >= last).any():
-            continue
-        centre = 0.5 * (t[first] + t[last - 1])
-        curve = np.polynomial.Polynomial.fit(t[around] - centre, rates[around], 2)
-        inside = curve(t[first:last] - centre)
-        out[first:last] = side * np.maximum(side * inside, side * rates[first:last])
-    return out
+        beyond = float(np.sum(side * (mean - rates[first:last])))
+        weight = spread.sum(axis=1)
+        own = max(float(weight.sum()), 0.0)
+        both = own + r * (last - first)
+        # moments of a normal above zero
+        alpha = beyond / math.sqrt(both)
+        ratio = math.exp(-0.5 * alpha**2 - 0.5 * math.log(2.0 * math.pi) - float(log_ndtr(alpha)))
+        out[first:last] = mean + side * weight * ratio / math.sqrt(both)
+        own -= own**2 / both * ratio * (ratio + alpha)
+        said.append((float(t[first]) - dt, float(t[last - 1]), math.sqrt(max(own, 0.0)) * dt))
+    return out, said

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from insemu import earth, rotation
 from insemu.gap.innovations import Block, Field, knot_times
 from insemu.gap.preparation import Prepared, trimmed_factors
+from insemu.gap.samples import Clipped
 from insemu.gap.signatures import (
     Column,
     Loop,
@@ -53,6 +54,8 @@ class Scene:
         Catalogue first, then the library of structure outside of it.
     catalogue : int
         Number of columns of the catalogue.
+    library : slice
+        Columns of the library; behind them stand the clipped stretches.
     raw : (f, 6, c) array
         Responses of the columns, then of the knots of slow errors (axis by axis), then of the windows.
     knots, starts : arrays
@@ -73,6 +76,7 @@ class Scene:
     surrogate: Surrogate
     columns: list[Column]
     catalogue: int
+    library: slice
     raw: Array
     knots: Array
     starts: Array
@@ -96,6 +100,8 @@ class Scene:
         columns = deterministic_columns(motion) + fix_columns(motion, t_fix, prepared.lever_arm)
         catalogue = len(columns)
         columns += library_columns(motion, t_fix)
+        library = slice(catalogue, len(columns))
+        columns += clipped_columns(motion, prepared.clipped)
         G, ramp = columns_response(loop, motion, columns)
         start, end = float(motion.t[0]), float(motion.t[-1])
         knots = knot_times(start, end, max(KNOT_S, (end - start) / KNOTS))
@@ -110,6 +116,7 @@ class Scene:
             Surrogate.of(prepared.result),
             columns,
             catalogue,
+            library,
             raw,
             knots,
             starts,
@@ -124,6 +131,12 @@ class Scene:
         """Columns of the knots of an axis (0..5) and of ``axes - 1`` more."""
         k = self.knots.size
         return len(self.columns) + axis * k + np.arange(axes * k)
+
+    @cached_property
+    def always(self) -> tuple[Block, ...]:
+        """What is uncertain whatever the effects are: the integrals of clipped stretches."""
+        index = np.arange(self.library.stop, len(self.columns))
+        return ((index, np.diag([self.columns[i].scale for i in index])),) if index.size else ()
 
     # -- whitened data ----------------------------------------------------------------------------------------------------------------
 
@@ -240,12 +253,11 @@ class Scene:
 
 def window_response(loop: Loop, windows: Sequence[Window]) -> Array:
     """Responses (f, 6, windows) of unit steps of one position axis between two times."""
-    fixes, nodes = loop.result.fixes, loop.result.nodes
-    assert nodes is not None
+    fixes = loop.result.fixes
     M = np.zeros((len(fixes), 6, len(windows)))
     for i, (axis, start, end) in enumerate(windows):
         M[:, axis, i] = (fixes.t > start) & (fixes.t <= end)
-    return loop.respond(np.zeros((nodes.epoch.size, len(windows), 9)), M) if windows else M
+    return loop.respond(len(windows), None, M) if windows else M
 
 
 def corrected_data(
@@ -300,6 +312,18 @@ def library_columns(motion: Motion, t_fix: Array) -> list[Column]:
             M = np.zeros((t_fix.size, 6))
             M[:, c] = signal
             out.append(Column("library", "gnss", f"{name}, {direction}", (direction,), 0.05, "m", (), M))
+    return out
+
+
+def clipped_columns(motion: Motion, clipped: Sequence[Clipped]) -> list[Column]:
+    """What filling in each clipped stretch may have got wrong: an unknown integral over it."""
+    out = []
+    for c in clipped:
+        inside = (motion.t > c.start) & (motion.t <= c.end)
+        if inside.any():
+            signal = inside / (motion.t[1] - motion.t[0]) / float(inside.sum())
+            sensor, unit = ("gyro", "rad") if c.axis < 3 else ("accel", "m/s")
+            out.append(Column("clipped", sensor, "integral", ("xyz"[c.axis % 3],), c.sigma, unit, ((c.axis, signal),)))
     return out
 
 

@@ -249,12 +249,13 @@ class Loop:
         """The first ``count`` fixes, for what looks at innovations only."""
         return Loop(self.result, self.lower[:count], self.white[:count], self.y[: 6 * count], self.use[:count])
 
-    def respond(self, D: Array, M: Array | None) -> Array:
+    def respond(self, columns: int, D: Array | None, M: Array | None) -> Array:
         """Response of the innovations.
 
         Parameters
         ----------
-        D : (nodes, columns, 9) array
+        columns : int
+        D : (nodes, columns, 9) array, optional
             Navigation errors built up since the node before.
         M : (f, 6, columns) array, optional
             Errors of the fixes.
@@ -266,25 +267,13 @@ class Loop:
         """
         nodes, fixes = self.result.nodes, self.result.fixes
         assert nodes is not None and fixes.K is not None and fixes.H is not None
-        n, columns = self.result.layout.n, D.shape[1]
-        e = np.zeros((n, columns))
-        out = np.zeros((len(fixes), 6, columns))
+        out, none = np.zeros((len(fixes), 6, columns)), np.zeros((0, 0, 0))
         H = np.where(self.use[:, :, None], np.nan_to_num(fixes.H), 0.0)
         K = np.where(self.use[:, None, :], np.nan_to_num(fixes.K), 0.0)
-        D = np.transpose(D, (0, 2, 1))
-        k = 0
-        for i, epoch in enumerate(nodes.epoch):
-            if i:
-                e = nodes.Phi[i] @ e
-                e[:9] += D[i]
-            while k < len(fixes) and fixes.epoch[k] == epoch:
-                if self.use[k].any():
-                    g = -H[k] @ e
-                    if M is not None:
-                        g += np.where(self.use[k][:, None], M[k], 0.0)
-                    e = e + K[k] @ g
-                    out[k] = g
-                k += 1
+        kernel.respond(
+            nodes.Phi, K, H, np.searchsorted(nodes.epoch, fixes.epoch), self.use, none if D is None else D,
+            none if M is None else M, out,
+        )  # fmt: skip
         return out
 
     def whiten(self, raw: Array) -> Array:
@@ -312,7 +301,7 @@ def columns_response(loop: Loop, motion: Motion, columns: Sequence[Column]) -> t
     for j, c in enumerate(columns):
         if c.fixes is not None:
             M[:, :, j] = c.fixes
-    return loop.respond(D, M), ramp
+    return loop.respond(len(columns), D, M), ramp
 
 
 def knot_response(loop: Loop, motion: Motion, ramp: Array, knots: Array) -> Array:
@@ -331,7 +320,7 @@ def knot_response(loop: Loop, motion: Motion, ramp: Array, knots: Array) -> Arra
         block = slice(axis * knots.size, (axis + 1) * knots.size)
         start, rise = hats[:-1], np.diff(hats, axis=0)
         D[1:, block] = start[:, :, None] * ramp[1:, axis, None, :] + rise[:, :, None] * ramp[1:, 6 + axis, None, :]
-    return loop.respond(D, None)
+    return loop.respond(D.shape[1], D, None)
 
 
 def fix_step_response(loop: Loop, starts: Array) -> Array:
@@ -341,6 +330,4 @@ def fix_step_response(loop: Loop, starts: Array) -> Array:
     for i, s in enumerate(starts):
         for c in range(3):
             M[fixes.t > s, c, 3 * i + c] = 1.0
-    nodes = loop.result.nodes
-    assert nodes is not None
-    return loop.respond(np.zeros((nodes.epoch.size, 3 * starts.size, 9)), M)
+    return loop.respond(3 * starts.size, None, M)

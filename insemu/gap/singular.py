@@ -25,8 +25,10 @@ LOST_NATS = 4.0
 LEAST_POWER = 1e-3
 #: Samples at either end that the whitening of a steep spectrum spoils, because a discrete transform is periodic.
 WRAPPED = 32
-#: What regular manoeuvres can leave at a single frequency of the fast band, nats.
-MANOEUVRE_NATS = 15.0
+#: Pieces of a moving sensor's record whose noise around a line is their own.
+LINE_PIECES = 32
+#: Ordinates of a piece on either side of a line that say what the noise is there.
+NEAR_LINE = 12
 #: Largest share of samples that are outliers.
 MOST_WILD = 0.1
 
@@ -79,6 +81,10 @@ def cleaned(state: AxisState, values: Array, effect: str, explanation: Explanati
     return replace(state, data=data, fitted=fitted, named=(*state.named, effect), memory={})
 
 
+#: Frequencies at which a line is looked for, per independent one.
+FINER = 4
+
+
 # -- lines ------------------------------------------------------------------------------------------------------------------------
 
 
@@ -89,25 +95,28 @@ def vibration_line(state: AxisState) -> list[Weighed]:
         return []
     n, dt = data.values.size, data.dt
     y = data.values - data.values.mean()
-    m = 2 * n
+    m = FINER * n
     spectrum = np.abs(np.fft.rfft(y, m)) ** 2 * (dt / n)
     f = np.arange(spectrum.size) / (m * dt)
     inside = (f >= data.f[0]) & (f < 0.5 / dt * (1.0 - 4.0 / n))
+    S = state.explanation.psd(f[inside], dt)
+    # beyond an output filter there is nothing but what leaks there, and no line stands out of that
+    least = LEAST_POWER * float(np.median(S))
     ratio = np.zeros(spectrum.size)
-    ratio[inside] = spectrum[inside] / state.explanation.psd(f[inside], dt)
+    ratio[inside] = spectrum[inside] / np.maximum(S, least)
     k = int(np.argmax(ratio))
-    peak = float(ratio[k])
-    looked = 0.5 * float(inside.sum())
-    # Bayes factor of one frequency with a complex Gaussian amplitude of variance rho, averaged over rho; frequencies count alike
-    rho = np.geomspace(0.3, 1e6, 40)
-    gain = log_mean_exp(peak * rho / (1.0 + rho) - np.log1p(rho)) - math.log(looked)
+    # a line between two frequencies of the grid is worth what it is at its own
+    peak = max(float(ratio[k]), _height(y, dt, f[k]) / max(float(state.explanation.psd(f[[k]], dt)[0]), least))
+    looked = float(inside.sum()) / FINER
+    gain = _line_gain(peak, looked)
     if gain < 0.0:
         return [Weighed("vibration_line", "", gain, (), state)]
-    if not data.differences.size:
-        gain -= MANOEUVRE_NATS
-        if gain < 0.0 or not _steady(y, dt, f[k]):
-            return []
     frequency, a, b = _sinusoid(y, dt, f[k], 1.0 / (n * dt))
+    if not data.differences.size:
+        # how loud a moving sensor is changes with the motion
+        gain = min(gain, _line_gain(_steady_power(y, dt, frequency), looked))
+        if gain < 0.0:
+            return []
     amplitude = math.hypot(a, b)
     t = np.arange(n) * dt
     rest = data.values - a * np.cos(2.0 * math.pi * frequency * t) - b * np.sin(2.0 * math.pi * frequency * t)
@@ -120,13 +129,34 @@ def vibration_line(state: AxisState) -> list[Weighed]:
     return [Weighed("vibration_line", "", gain, values, cleaned(state, rest, "vibration_line"))]
 
 
-def _steady(y: Array, dt: float, f: float, pieces: int = 32) -> bool:
-    """Whether a sinusoid stands in most pieces of the record with one phase: what manoeuvres leave behind does not."""
-    t = np.arange(y.size) * dt
-    z = np.array([p.mean() for p in np.array_split(y * np.exp(-2j * math.pi * f * t), pieces)])
-    turned = z * np.exp(-1j * np.angle(z.mean()))
-    spread = 1.4826 * float(np.median(np.abs(turned.imag))) + 1e-300
-    return bool(float(np.median(turned.real)) > 3.0 * 1.25 * spread / math.sqrt(pieces))
+def _height(y: Array, dt: float, f0: float) -> float:
+    """Periodogram at the best frequency near ``f0``."""
+    _, a, b = _sinusoid(y, dt, f0, 1.0 / (y.size * dt))
+    return 0.25 * (a * a + b * b) * y.size * dt
+
+
+def _line_gain(peak: float, looked: float) -> float:
+    """Evidence of a line whose periodogram stands ``peak`` times above its surroundings, at the best of ``looked`` frequencies.
+
+    Bayes factor of one frequency with a complex Gaussian amplitude of variance rho, averaged over rho; frequencies count alike.
+    """
+    rho = np.geomspace(0.3, 1e6, 40)
+    return log_mean_exp(peak * rho / (1.0 + rho) - np.log1p(rho)) - math.log(looked)
+
+
+def _steady_power(y: Array, dt: float, f: float) -> float:
+    """Squared amplitude of a steady sinusoid over its variance, each piece of the record weighed by its own noise around the frequency.
+
+    Noise alone gives an exponential variable of mean one; what is loud in a few pieces only counts little.
+    """
+    length = y.size // LINE_PIECES
+    pieces = y[: LINE_PIECES * length].reshape(LINE_PIECES, length)
+    t = np.arange(LINE_PIECES * length).reshape(LINE_PIECES, length) * dt
+    near = [k for k in range(-NEAR_LINE, NEAR_LINE + 1) if abs(k) > 2]
+    turned = pieces * np.exp(-2j * math.pi * f * t)
+    around = np.exp(-2j * math.pi * np.outer(near, np.arange(length) / length))
+    noise = np.mean(np.abs(turned @ around.T) ** 2, axis=1) + 1e-300
+    return float(np.abs(np.sum(turned.sum(axis=1) / noise)) ** 2 / np.sum(1.0 / noise))
 
 
 def _sinusoid(y: Array, dt: float, f0: float, resolution: float) -> tuple[float, float, float]:
@@ -163,7 +193,8 @@ def outliers(state: AxisState) -> list[Weighed]:
     count = np.histogram(r, edges)[0].astype(np.float64)
     square = np.histogram(r, edges, weights=r * r)[0]
     if not state.data.differences.size:
-        count, square = count / 3.0, square / 3.0  # one outlier shows in three of these residuals
+        # neighbours share noise: these residuals are worth 1 / (1 + 2 (2/3)^2 + 2 (1/6)^2) independent ones each
+        count, square = count / 1.944, square / 1.944
     use = count > 0
     count, x2 = count[use], square[use] / count[use]
     c = next((c for c in state.explanation.components if isinstance(c.process, WN)), None)

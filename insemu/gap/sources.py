@@ -181,7 +181,7 @@ def _draw_missing(x: Array, missing: NDArray[np.bool_], rng: np.random.Generator
     r[0] += 1e-3 * r[0] + max(-2.0 * lowest, 0.0)
     known: dict[bytes, tuple[Array, float]] = {}
     filled_in = present > 0.0
-    for k in np.flatnonzero(missing).tolist():
+    for k in map(int, np.flatnonzero(missing)):
         near = np.arange(max(0, k - NEAR), min(x.size, k + NEAR + 1))
         near = near[filled_in[near]]
         key = (near - k).tobytes()

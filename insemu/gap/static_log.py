@@ -20,7 +20,7 @@ from insemu.errors import InputError
 from insemu.gap import disagreement
 from insemu.gap import singular as _singular  # noqa: F401 (registers its candidates)
 from insemu.gap.band import Band
-from insemu.gap.calibration import certain, nominal_tail, threshold_of
+from insemu.gap.calibration import USUAL, certain, nominal_tail, threshold_of
 from insemu.gap.candidates import CANDIDATES, AxisState, Weighed, state_of, turn_on_bias
 from insemu.gap.evidence import Component, Explanation, Likelihood, fit
 from insemu.gap.known import settled, starting_explanation
@@ -39,7 +39,8 @@ THRESHOLD = 3.0
 OMNIBUS = 0.002
 #: Share of the log on which effects are named for the held-out figures.
 NAMING_SHARE = 2.0 / 3.0
-MOST_STEPS = 8
+#: Fast effects of a real log can be many; its slow ones come after them.
+MOST_STEPS = 12
 #: p-value of a stationary spectrum below which no stationary process is looked for in the fast band any more.
 DRIFTING = 1e-6
 VARYING = "vibration that changes with time"
@@ -129,11 +130,32 @@ def search(
         if len(found) > 1 and not _taken_out(new.chosen):
             state, found = _reconsider(state, found, without)
     if "turn_on_bias" not in without:
-        for w in turn_on_bias(state):
-            if w.gain >= threshold:
-                found.append(Found(w, (w,), _confidence((w,))))
-                state = w.state
+        carried = _carried_mean(state, found, without)
+        if carried and carried[0].gain >= threshold:
+            found.append(Found(carried[0], tuple(carried), _confidence(carried)))
+            state = carried[0].state
     return AxisResult(start, state, tuple(found), outsider)
+
+
+def _carried_mean(state: AxisState, found: Sequence[Found], without: Collection[str]) -> list[Weighed]:
+    """What a mean that no rotation of the Earth explains is worth as a turn-on bias and as a random walk, best first.
+
+    How far a slow process may carry the mean depends on which one it is, so the bias must hold against each that could stand for one that was
+    found, as far behind as that is.
+    """
+    weighed = [w for w in turn_on_bias(state) if w.effect not in without]
+    bias = next((w for w in weighed if w.effect == "turn_on_bias"), None)
+    if bias is None or bias.gain <= 0.0:
+        return sorted(weighed, key=lambda w: -w.gain)
+    gain = bias.gain
+    for f in found:
+        if f.chosen.effect not in _SLOW:
+            continue
+        for w in f.ranked:
+            if w.effect in _SLOW and w.effect != f.chosen.effect:
+                own = next((v.gain for v in turn_on_bias(w.state) if v.effect == "turn_on_bias"), gain)
+                gain = min(gain, own + max(f.chosen.gain - w.gain, 0.0))
+    return sorted((replace(w, gain=gain) if w is bias else w for w in weighed), key=lambda w: -w.gain)
 
 
 def _of_known_shape(
@@ -435,7 +457,9 @@ def find_static_gap(
     weak = [k for k, r in results.items() if any(threshold <= f.chosen.gain < past_doubt for f in r.found)]
     if calibrate and weak:
         say("simulating the nominal model for the threshold")
-        tails = [nominal_tail(r.start, nominal[k], weigh_all, without) for k, r in results.items()]
+        tails = [
+            nominal_tail(r.start, nominal[k], weigh_all, without) if k in weak else USUAL for k, r in results.items()
+        ]
         higher = threshold_of(tails, threshold)
         for k in weak:
             if higher > threshold and any(f.chosen.gain < higher for f in results[k].found):
@@ -494,7 +518,7 @@ _PLAIN = frozenset({"temperature", "dropped_samples", "saturation", "turn_on_bia
 
 def is_shaken(step: Step, failed: Sequence[Where], outsiders: Mapping[tuple[str, str], str]) -> bool:
     """Whether something that no candidate explains sits where a step was named: the same axis, the same band."""
-    if step.effect in _PLAIN or step.variant == "output counts":
+    if step.effect in _PLAIN or step.variant in ("output counts", "levels"):
         return False
     axes = {(step.sensor, a) for a in step.axes or ("",)}
     fast = step.effect in _FAST or step.effect in _UNTIDY - {"telegraph"}
@@ -595,10 +619,13 @@ def _map(
         sensor, axis = split_axis(name)
         state = r.end if refined else r.start
         states[name] = state
+        spent = disagreement.spent_on(state)
         if not refined:
-            for scale, _, _, p in disagreement.wavelet_p_values(state.data, state.explanation, rng):
+            for scale, _, _, p in disagreement.wavelet_p_values(state.data, state.explanation, rng, spent):
                 entries.append(("wavelet_variance", sensor, axis, scale, p))
-        entries += [(statistic, sensor, axis, scale, p) for statistic, scale, p in disagreement.axis_tests(state)]
+        entries += [
+            (statistic, sensor, axis, scale, p) for statistic, scale, p in disagreement.axis_tests(state, spent)
+        ]
     for a, b, p in disagreement.cross_axis_tests(states):
         entries.append(("cross_axis " + b, *split_axis(a), None, p))
     return disagreement.corrected(entries)

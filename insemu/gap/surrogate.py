@@ -149,7 +149,8 @@ class NoiseFit:
     colour: Colour | None
 
 
-LOWEST_LEVEL, HIGHEST_LEVEL = 0.2, 8.0
+#: Receivers state many times the scatter from fix to fix where they mean their slow errors.
+LOWEST_LEVEL, HIGHEST_LEVEL = 0.05, 8.0
 
 
 def gnss_noise_fits(

@@ -13,10 +13,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from insemu.gap.nominal import Nominal
-from insemu.gap.preparation import fast_parts, prepare
+from insemu.gap.preparation import Flown, prepare
 from insemu.gap.verdict import Member, Step, Value
-from insemu.records import Recording
 
 #: Offsets that are tried first, and the largest, s.
 FIRST, LARGEST = 0.06, 0.6
@@ -28,19 +26,20 @@ LEAST_SHARE = 0.5
 SUSPICIOUS = 1.5
 
 
-def find_offset(
-    recording: Recording, nominal: Nominal, progress: Callable[[str], None] = lambda _: None
-) -> Step | None:
+def find_offset(start: Flown, progress: Callable[[str], None] = lambda _: None) -> Step | None:
     """Weigh a large time offset; ``None`` where there is none."""
-    parts = fast_parts(recording)
+    recording = start.recording
     known: dict[float, tuple[float, float]] = {}
 
     def flown(offset: float) -> tuple[float, float]:
         """Log-likelihood with free level, and mean square of the normalised innovations."""
         if offset not in known:
             progress(f"time offset {1e3 * offset:.0f} ms")
-            moved = replace(recording, imu=replace(recording.imu, t=recording.imu.t - offset))
-            fixes = prepare(moved, nominal, parts, {}).result.fixes
+            if offset:
+                moved = replace(recording, imu=replace(recording.imu, t=recording.imu.t - offset))
+                fixes = prepare(moved, start.nominal, start.fast, {}).result.fixes
+            else:
+                fixes = start.prepared.result.fixes
             use = fixes.accepted & np.isfinite(fixes.nis)
             mean = float(fixes.nis[use].sum() / max(1, fixes.dof[use].sum()))
             volume = 0.0

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import json
 import math
+import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from itertools import pairwise
+from multiprocessing import active_children
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS, EffectUse
-from insemu.emulate import corrupt
 from insemu.errors import InputError
 from insemu.gap.hidden_drives import (
     DYNAMIC_EFFECTS,
@@ -29,33 +31,20 @@ from insemu.gap.hidden_drives import (
     Hidden,
     draw_use,
     oracle,
+    oracle_knows,
     size_effect,
     stage,
     whitened_difference,
+    worth_beside,
 )
+from insemu.gap.hidden_logs import STATIC_EFFECTS, STATIC_OUTSIDE, static_recording
 from insemu.gap.identify import find_gap
-from insemu.gap.preparation import fast_parts, prepare
+from insemu.gap.preparation import Flown, Prepared
 from insemu.gap.static_log import NAMING_SHARE, find_static_gap
 from insemu.gap.verdict import GapReport
-from insemu.noise import NoiseModel
-from insemu.records import AXES, ImuRecord, Series
 
 Array = NDArray[np.float64]
 Kind = Literal["static", "dynamic"]
-
-#: Effects that a log at rest can show.
-STATIC_EFFECTS = (
-    "none", "white_noise", "random_walk", "gauss_markov", "flicker", "ramp", "vibration_line", "vibration_band", "telegraph",
-    "outliers", "quantization", "decimation_filter", "temperature",
-)  # fmt: skip
-#: Structure that no catalogue holds, in a log at rest: telegraph noise is taken out of the catalogue.
-STATIC_OUTSIDE = ("telegraph", "sweep")
-#: Nominal sensors: text of the model of a gyroscope axis (rad/s).
-SENSORS = (
-    "WN(N=1e-3 rad/s/sqrt(Hz))",
-    "WN(N=2e-4 rad/s/sqrt(Hz)) + RW(K=3e-6 rad/s*sqrt(Hz))",
-    "WN(N=5e-4 rad/s/sqrt(Hz)) + GM(sigma=1e-4 rad/s, beta=0.003)",
-)
 
 
 @dataclass(frozen=True)
@@ -128,6 +117,7 @@ class Trial:
                 number(h["strength"]),
                 number(h["nats"]),
                 number(h["scales_for_20"]),
+                number(h.get("beside")),
             )
             for h in plain["hidden"]
         )
@@ -159,100 +149,30 @@ def said(report: GapReport) -> tuple[Said, ...]:
 # -- a log at rest --------------------------------------------------------------------------------------------------------------------
 
 
-def hide(
-    effect: str, strength: float, n: int, dt: float, white: float, axis: int, rng: np.random.Generator
-) -> EffectUse | None:
-    """Draw an effect's numbers; strength 1 is just visible in an hour."""
-    if effect == "none":
-        return None
-    on = [0.0, 0.0, 0.0]
-    span, sample = n * dt, white / np.sqrt(dt)
-
-    def axes(value: float) -> list[float]:
-        out = list(on)
-        out[axis] = value
-        return out
-
-    slow = white / np.sqrt(span)  # uncertainty of the mean over the log
-    memory = np.exp(rng.uniform(np.log(10.0), np.log(max(span / 15.0, 20.0)))) if effect == "gauss_markov" else 1.0
-    makers: dict[str, Callable[[], dict[str, Any]]] = {
-        "white_noise": lambda: {"N": axes(white * np.sqrt((1.0 + 0.45 * strength) ** 2 - 1.0))},
-        "random_walk": lambda: {"K": axes(6.0 * strength * slow / np.sqrt(span))},
-        "gauss_markov": lambda: {"sigma": axes(8.0 * strength * slow), "beta": [1.0 / memory] * 3},
-        "flicker": lambda: {"B": axes(6.0 * strength * slow)},
-        "ramp": lambda: {"R": axes(12.0 * strength * slow / span * rng.choice([-1.0, 1.0]))},
-        "vibration_line": lambda: {"amplitude": axes(7.0 * strength * slow), "frequency": float(rng.uniform(0.1, 0.45) / dt)},
-        "vibration_band": lambda: {
-            "rms": axes(0.1 * strength * sample), "frequency": float(rng.uniform(0.1, 0.4) / dt), "bandwidth": float(0.01 / dt),
-        },
-        "telegraph": lambda: {"amplitude": axes(9.0 * strength * slow), "rate": float(1.0 / rng.uniform(15.0, 60.0))},
-        "outliers": lambda: {"probability": 5e-4, "sigma": axes(5.0 * strength * sample)},
-        "quantization": lambda: {"lsb": axes(0.3 * strength * sample)},
-        "decimation_filter": lambda: {"cutoff": float(0.3 / dt / max(strength, 0.5)), "order": 2.0},
-        "temperature": lambda: {"c1": axes(3.0 * strength * slow / 5.0)},
-    }  # fmt: skip
-    values = makers[effect]()
-    return EffectUse(effect, "gyro", {k: tuple(v) if isinstance(v, list) else (float(v),) for k, v in values.items()})
-
-
-def static_recording(
-    effect: str | Sequence[str],
-    strength: float,
-    seed: int,
-    hours: float = 1.0,
-    rate_hz: float = 20.0,
-    *,
-    sweep: bool = False,
-) -> tuple[list[Series], dict[str, NoiseModel], Array, int]:
-    """Make a log of three gyroscope axes at rest with hidden effects on one axis; returns log, beliefs, temperature, axis."""
-    rng = np.random.default_rng(seed)
-    n, dt = int(hours * 3600.0 * rate_hz), 1.0 / rate_hz
-    axis = int(rng.integers(3))
-    truth = {a: NoiseModel.parse(str(rng.choice(SENSORS)), "rad/s") for a in AXES[:3]}
-    white = truth[AXES[axis]].processes[0].parameters["N"]
-    names = [effect] if isinstance(effect, str) else list(effect)
-    uses = [u for u in (hide(e, strength, n, dt, white, axis, rng) for e in names) if u is not None]
-    t = np.asarray(np.arange(n) * dt, dtype=np.float64)
-    still = ImuRecord(t, np.zeros((n, 3)), np.zeros((n, 3)), "mean")
-    wave = 8.0 * np.sin(2.0 * np.pi * (t / t[-1] * rng.uniform(0.7, 2.0) + rng.random()))
-    temperature = 25.0 + wave + 3.0 * (1.0 - np.exp(-t / 900.0))
-    made = corrupt(still, truth, rng, effects=uses, temperature=temperature).imu.gyro
-    if sweep:
-        made = made.copy()
-        u = t / t[-1]
-        made[:, axis] += (
-            0.3 * strength * white / np.sqrt(dt) * np.sin(2.0 * np.pi * t[-1] * (0.1 / dt * u + 0.1 / dt * u**2))
-        )
-    beliefs = {
-        a: NoiseModel(tuple(p.with_parameters(_off(p.parameters, p.parameters_meta()[0].name, rng)) for p in m))
-        for a, m in truth.items()
-    }
-    log = [Series(made[:, k], rate_hz, "rad/s", AXES[k]) for k in range(3)]
-    return log, beliefs, temperature, axis
-
-
-def _off(parameters: dict[str, float], name: str, rng: np.random.Generator) -> dict[str, float]:
-    return {**parameters, name: parameters[name] * float(rng.uniform(1.0 / 1.2, 1.2))}
-
-
 def run_static(
-    effects: Sequence[str], strength: float, seed: int, hours: float = 1.0, hold_out: bool = False, outside: str = ""
+    effects: Sequence[str], target: float, seed: int, hours: float = 1.0, hold_out: bool = False, outside: str = ""
 ) -> Trial:
-    """Hide, look, score: one log at rest."""
-    names = list(effects) + ([outside] if outside in STATIC_EFFECTS else [])
-    log, beliefs, temperature, axis = static_recording(names or "none", strength, seed, hours, sweep=outside == "sweep")
+    """Hide, look, score: one log at rest.
+
+    Parameters
+    ----------
+    effects : sequence of str
+        To be hidden together on one axis; none of them for a log in which nothing is missing.
+    target : float
+        Evidence, in nats, that each is sized for.
+    outside : str
+        Instead of effects: something that no catalogue holds.
+    """
+    made = static_recording(effects, target, seed, hours, outside=outside)
     started = time.process_time()
     report = find_static_gap(
-        log, beliefs, rng=np.random.default_rng([seed, 1]), temperature=temperature, hold_out=hold_out,
-        without=(outside,) if outside in EFFECTS else (),
+        made.log, made.beliefs, rng=np.random.default_rng([seed, 1]), temperature=made.temperature, missing=made.missing,
+        hold_out=hold_out, without=(outside,) if outside in EFFECTS else (),
     )  # fmt: skip
-    hidden = tuple(
-        Hidden(e, "gyro", ("xyz"[axis],) if e != "decimation_filter" else (), strength) for e in effects if e != "none"
-    )
     g = report.gap_after
     return Trial(
-        "static", seed, hidden, outside, "rest", report.verdict, said(report), (g.value, g.low, g.high), report.held_out.value, math.nan,
-        time.process_time() - started,
+        "static", seed, made.hidden, outside, "rest", report.verdict, said(report), (g.value, g.low, g.high), report.held_out.value,
+        math.nan, time.process_time() - started,
     )  # fmt: skip
 
 
@@ -281,8 +201,11 @@ def run_dynamic(
     """
     s = stage(seed, minutes, rate_hz, turn_on_bias="turn_on_bias" in effects)
     rng = np.random.default_rng([seed, 3])
-    plain = s.record()
-    clean = prepare(plain, s.nominal, fast_parts(plain), {})
+
+    @cache
+    def clean() -> Prepared:
+        return Flown.of(s.record(), s.nominal).prepared
+
     uses, hidden, size = [], [], 0.0
     for e in effects:
         use, what = size_effect(s, clean, *draw_use(e, s, rng), target)
@@ -292,14 +215,14 @@ def run_dynamic(
         k2 = [0.0, 0.0, 0.0]
         k2[int(rng.integers(3))] = 1e-4 * float(rng.choice([-1.0, 1.0]))
         use = EffectUse("scale_nonlinearity", "accel", {"K2": tuple(k2), "K3": (0.0,) * 3})
-        half = whitened_difference(clean.result, clean.on(s.record((use,))).result)
+        half = whitened_difference(clean().result, clean().on(s.record((use,))).result)
         factor = min(math.sqrt(target / max(half, 1e-9)), 300.0)
         uses.append(EffectUse(use.id, use.sensor, {"K2": tuple(v * factor for v in k2), "K3": (0.0,) * 3}))
         recording = s.record(uses)
     elif outside:
         size = 1.0
         if outside == "heading_dependent_gnss":
-            half = whitened_difference(clean.result, clean.on(s.record((), outside, 0.1)).result)
+            half = whitened_difference(clean().result, clean().on(s.record((), outside, 0.1)).result)
             size = 0.1 * math.sqrt(target / max(half, 1e-9))
         else:
             size = (
@@ -312,29 +235,31 @@ def run_dynamic(
     else:
         recording = s.record(uses)
     started = time.process_time()
-    report = find_gap(recording, s.nominal, rng=np.random.default_rng([seed, 4]), hold_out=hold_out)
+    flown = Flown.of(recording, s.nominal.parted())
+    report = find_gap(
+        recording, s.nominal, rng=np.random.default_rng([seed, 4]), hold_out=hold_out, pictures=False, flown=flown
+    )
     seconds = time.process_time() - started
     held = math.nan
     if uses and not outside:
-        seen = prepare(recording, s.nominal, fast_parts(recording), {}) if _mendable(uses) else clean
-        start = float(seen.imu.t[0])
-        cut = start + NAMING_SHARE * (float(seen.imu.t[-1]) - start)
-        whole, late, fixes = oracle(s, clean, seen, uses, cut)
-        held = late / max(fixes, 1)
+        start, end = float(flown.prepared.imu.t[0]), float(flown.prepared.imu.t[-1])
+        cut = start + NAMING_SHARE * (end - start)
+        whole = math.nan
+        if oracle_knows(uses):
+            whole, late, fixes = oracle(s, clean(), flown.prepared, uses, cut)
+            held = late / max(fixes, 1)
         for k, (u, h) in enumerate(zip(uses, hidden, strict=True)):
-            if not math.isfinite(h.nats):
-                alone = whole if len(uses) == 1 else oracle(s, clean, clean.on(s.record((u,))), (u,), cut)[0]
+            if not math.isfinite(h.nats) and oracle_knows((u,)):
+                alone = whole if len(uses) == 1 else oracle(s, clean(), clean().on(s.record((u,))), (u,), cut)[0]
                 # an amplitude and a time constant are worth about three nats to pay for
-                hidden[k] = replace(h, nats=max(alone - 3.0, 0.0)) if math.isfinite(alone) else h
+                hidden[k] = replace(h, nats=max(alone - 3.0, 0.0))
+        if len(uses) > 1:
+            hidden = [replace(h, beside=worth_beside(s, clean, uses, k)) for k, h in enumerate(hidden)]
     g = report.gap_after
     return Trial(
         "dynamic", seed, tuple(hidden), outside, s.track, report.verdict, said(report), (g.value, g.low, g.high), report.held_out.value, held,
         seconds,
     )  # fmt: skip
-
-
-def _mendable(uses: Sequence[EffectUse]) -> bool:
-    return all(u.id not in ("dropped_samples", "saturation") for u in uses)
 
 
 # -- many of them ---------------------------------------------------------------------------------------------------------------------
@@ -393,19 +318,19 @@ class Plan:
             kind = self.kinds[k % len(self.kinds)]
             turn = k // len(self.kinds)
             choice = [e for e in catalogue_of(kind) if not self.effects or e in self.effects]
-            strength = float(rng.choice(TARGETS if kind == "dynamic" else (1.0, 2.0, 4.0)))
+            strength = float(rng.choice(TARGETS))
             chosen: tuple[str, ...] = ()
             outside = ""
             if self.outside:
                 options = OUTSIDE if kind == "dynamic" else STATIC_OUTSIDE
-                outside, strength = options[turn % len(options)], max(strength, 60.0 if kind == "dynamic" else 2.0)
+                outside, strength = options[turn % len(options)], max(strength, 60.0)
             elif self.hidden == 1:
                 chosen = (choice[turn % len(choice)],)
             elif self.hidden > 1:
                 chosen = tuple(
                     str(e) for e in rng.choice([e for e in choice if e != "none"], self.hidden, replace=False)
                 )
-                strength = max(strength, 60.0 if kind == "dynamic" else 2.0)
+                strength = max(strength, 60.0)
             yield Job(
                 kind,
                 tuple(e for e in chosen if e != "none"),
@@ -446,6 +371,8 @@ def run_trial(
     """
     out: list[Trial] = []
     known = _read_log(log) if log is not None else {}
+    if log is not None and log.exists():
+        _without_remnant(log)
     todo: list[tuple[int, Job]] = []
 
     def keep(trial: Trial) -> None:
@@ -469,19 +396,28 @@ def run_trial(
         for _, job in todo:
             finish(job, job.run())
         return out
-    with ProcessPoolExecutor(workers) as pool:
+    others = set(active_children())
+    with ProcessPoolExecutor(workers, initializer=_without_interrupts) as pool:
         futures = {pool.submit(_run, job): job for _, job in todo}
         try:
             for future in as_completed(futures):
                 finish(futures[future], future.result())
         except KeyboardInterrupt:
-            pool.shutdown(wait=False, cancel_futures=True)
+            # what they are at is lost in any case, and may take ten seconds yet
+            for child in set(active_children()) - others:
+                child.terminate()
+            pool.shutdown(wait=True, cancel_futures=True)
             raise
     return sorted(out, key=lambda t: (t.kind, t.seed))
 
 
 def _run(job: Job) -> Trial:
     return job.run()
+
+
+def _without_interrupts() -> None:
+    """Ctrl-C reaches every process of a terminal; only the first one answers it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _key(job: Job) -> str:
@@ -504,6 +440,13 @@ def _read_log(path: Path) -> dict[str, Trial]:
     return out
 
 
+def _without_remnant(path: Path) -> None:
+    """Cut off a last line that was interrupted while it was written, so that the next one begins a line."""
+    text = path.read_bytes()
+    if text and not text.endswith(b"\n"):
+        path.write_bytes(text[: text.rfind(b"\n") + 1])
+
+
 # -- scores ---------------------------------------------------------------------------------------------------------------------------
 
 #: Edges of the bins of confidence and of expected evidence.
@@ -523,7 +466,8 @@ def same(hidden: Hidden, effect: str, sensor: str, axes: Sequence[str], *, axis:
 class Scores:
     """What the trial says, as shares ``(count, of)``.
 
-    Several hidden effects are scored where each is worth 20 nats or more (or the trial has no measure of it). A recording is detected where
+    Several hidden effects are scored in every recording (``every``), where each alone is worth 20 nats or more (``both``), and where each is worth
+    that beside the others (``beside``); an effect of which the trial has no measure counts as worth it. A recording is detected where
     anything was said at all (a step, or "unexplained"); "unexplained" names nothing, so it never counts as right.
     """
 
@@ -540,6 +484,10 @@ class Scores:
     strong_top_two: Share
     both_and_only: Share
     both_in_class: Share
+    every_and_only: Share
+    every_in_class: Share
+    beside_and_only: Share
+    beside_in_class: Share
     misnamed_outside: Share
     outside_unexplained: Share
     gap_contains_one: Share
@@ -559,7 +507,9 @@ def score_trials(trials: Sequence[Trial]) -> Scores:
     """Score a trial."""
     clean = [t for t in trials if not t.hidden and not t.outside]
     single = [t for t in trials if len(t.hidden) == 1 and not t.outside]
-    many = [t for t in trials if len(t.hidden) > 1 and not any(h.nats < 20.0 for h in t.hidden)]
+    every = [t for t in trials if len(t.hidden) > 1]
+    many = [t for t in every if not any(h.nats < 20.0 for h in t.hidden)]
+    beside = [t for t in every if not any(h.nats < 20.0 or h.beside < 20.0 for h in t.hidden)]
     outside = [t for t in trials if t.outside]
 
     def first_right(t: Trial, axis: bool = True) -> bool:
@@ -621,6 +571,10 @@ def score_trials(trials: Sequence[Trial]) -> Scores:
         (sum(_top_two(t) for t in strong), len(strong)),
         (sum(exact(t, False) for t in many), len(many)),
         (sum(exact(t, True) for t in many), len(many)),
+        (sum(exact(t, False) for t in every), len(every)),
+        (sum(exact(t, True) for t in every), len(every)),
+        (sum(exact(t, False) for t in beside), len(beside)),
+        (sum(exact(t, True) for t in beside), len(beside)),
         (sum(t.verdict == "named" for t in outside), len(outside)),
         (sum(t.verdict == "unexplained" for t in outside), len(outside)),
         (sum(t.gap_after[1] <= 1.0 <= t.gap_after[2] for t in right), len(right)),

@@ -42,6 +42,19 @@ class Member:
 
 
 @dataclass(frozen=True)
+class Confusable:
+    """An effect that would come within three nats of the first in this share of repetitions of the recording."""
+
+    effect: str
+    sensor: str
+    share: float
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data."""
+        return {"effect": self.effect, "sensor": self.sensor, "share": self.share}
+
+
+@dataclass(frozen=True)
 class Step:
     """One effect that was found.
 
@@ -61,6 +74,8 @@ class Step:
         The recording that would tell the class apart; empty where one effect is named.
     shaken : bool
         Whether something that no candidate explains sits in the same place.
+    confusable : tuple of Confusable
+        Effects that would stand beside it in a tenth or more of repetitions of the recording, most often first.
     """
 
     effect: str
@@ -74,6 +89,7 @@ class Step:
     would_separate: str = ""
     runners_up: tuple[Member, ...] = ()
     shaken: bool = False
+    confusable: tuple[Confusable, ...] = ()
 
     def doubted(self) -> Step:
         """The step where something unexplained sits in the same place: it is no more than as likely as not."""
@@ -97,6 +113,7 @@ class Step:
             "would_separate": self.would_separate,
             "variant": self.variant,
             "runners_up": [m.to_json() for m in self.runners_up],
+            "confusable": [c.to_json() for c in self.confusable],
         }
 
 
@@ -203,3 +220,25 @@ class GapReport:
             "source": self.source,
             "remainder": self.remainder,
         }
+
+
+def held_out_said(report: GapReport) -> GapReport:
+    """The report with a refined model that does worse on data not used for naming called so in its remainder."""
+    before, after, gain = report.gap_before, report.gap_after, report.held_out
+    said = ""
+    if report.steps and gain.high < 0.0:
+        said = f"data not used for naming are predicted worse by the refined model ({gain.value:.2g} nats per fix or block)"
+    elif report.steps and _farther(before, after):
+        said = (
+            f"on data not used for naming the gap index moved away from 1 ({before.value:.2f} to {after.value:.2f}): "
+            "what was named there does not hold throughout"
+        )
+    return replace(report, remainder="; ".join(filter(None, (said, report.remainder)))) if said else report
+
+
+def _farther(before: Interval, after: Interval) -> bool:
+    """Whether an index is farther from 1 than another, in proportion and beyond both intervals."""
+    if not min(before.value, after.value) > 0.0:
+        return False
+    apart = after.high < before.low or after.low > before.high
+    return apart and not after.low <= 1.0 <= after.high and abs(math.log(after.value)) > abs(math.log(before.value))

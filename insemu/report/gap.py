@@ -315,6 +315,23 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
                     ]
                 )
             )
+        if confusable := [s for s in report.steps if s.confusable]:
+            suspects.append(
+                Text(
+                    "In a repetition of this recording with other noise, these would stand within three nats of the best:"
+                )
+            )
+            suspects.append(
+                Items(
+                    [
+                        f"beside {effect_name(s.effect)} ({place(s.sensor, s.axes)}): "
+                        + ", ".join(
+                            f"{effect_name(c.effect)}, {place(c.sensor, ())} ({c.share:.0%})" for c in s.confusable[:6]
+                        )
+                        for s in confusable
+                    ]
+                )
+            )
         values = [
             [
                 effect_name(s.effect),
