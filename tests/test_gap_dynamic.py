@@ -280,6 +280,18 @@ def test_a_line_of_a_moving_sensor_is_steady_and_a_loud_stretch_is_none() -> Non
     assert gain(hum) < 3.0
 
 
+def test_samples_are_lost_from_stamps_of_a_millisecond_too() -> None:
+    rng = np.random.default_rng(21)
+    t = np.arange(4000) * 0.010003
+    signal = np.sin(t)[:, None] + 1e-3 * rng.standard_normal((t.size, 3))
+    keep = rng.random(t.size) > 0.01
+    keep[[0, -1]] = True
+    (step,) = mend(ImuRecord(np.round(t, 3)[keep], signal[keep], signal[keep], "sample")).steps
+    assert step.effect == "dropped_samples"
+    assert step.parameters[0].low < 0.01 < step.parameters[0].high
+    assert not mend(ImuRecord(np.round(t, 3), signal, signal, "sample")).steps
+
+
 def test_motion_does_not_reach_the_band_above_it() -> None:
     rng, dt = np.random.default_rng(4), 0.01
     t = np.arange(60_000) * dt
