@@ -41,6 +41,7 @@ from insemu.gap.preparation import LEVEL_GROUPS, Flown, Prepared, fast_parts, fi
 from insemu.gap.reduced import Reduced, unheard
 from insemu.gap.samples import advanced, coarse, mend, with_counts
 from insemu.gap.scene import Scene, first_rows
+from insemu.gap.singular import evident_outliers
 from insemu.gap.surrogate import NED, FixNoise, joint_noise, level_derivatives, level_scores
 from insemu.gap.tones import wandering, without_tones
 from insemu.gap.verdict import Confusable, GapReport, Interval, Member, Step, Value, judged
@@ -497,21 +498,21 @@ def fast_effects(
             low, high = moving[name]
             out.append((name, static_log.AxisResult(state, state, (), f"{WANDERING}, {low:.3g} to {high:.3g} Hz")))
             continue
+        start = AxisState(data, fit(Likelihood(data), explanation))
+        left_out = (*excluded, *(("outliers",) if name in clipped else ()))
+        wild = evident_outliers(start) if "outliers" not in left_out else None
+        if wild is not None:
+            # first of all: they raise the whole spectrum, and differently from piece to piece
+            progress(f"{name}: outliers {wild.gain:.1f} nats")
+            data, left_out = wild.state.data, (*left_out, "outliers")
         data = without_tones(data, fit(Likelihood(data), explanation).explanation)
         state = AxisState(data, fit(Likelihood(data), explanation))
         state = without_drawn(replace(state, named=tuple(n for n in settled(given) if n == "quantization")), given)
-        out.append(
-            (
-                name,
-                static_log.search(
-                    state,
-                    threshold=threshold,
-                    without=(*excluded, *(("outliers",) if name in clipped else ())),
-                    progress=progress,
-                    outsiders=False,
-                ),
-            )
-        )
+        result = static_log.search(state, threshold=threshold, without=left_out, progress=progress, outsiders=False)
+        if wild is not None and not any(use.id == "outliers" for use in given):
+            first = static_log.Found(wild, (wild,), 0.999)
+            result = replace(result, start=start, found=(first, *result.found))
+        out.append((name, result))
     return out
 
 
