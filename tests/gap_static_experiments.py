@@ -157,7 +157,7 @@ def sets(arguments: argparse.Namespace) -> None:
                 min(made.known.leads(u, [v for v in made.uses if v is not u]).values(), default=math.inf)
                 for u in made.uses
             ]
-            worth = [h.nats for h in made.hidden]
+            worth = [h.beside for h in made.hidden]
             report = look(made)
             found = sorted(s.effect for s in report.steps)
             exact = found == sorted(names)

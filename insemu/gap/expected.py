@@ -20,6 +20,7 @@ from insemu.gap import kernel
 from insemu.gap.band import Band
 from insemu.gap.candidates import AMPLITUDE_RANGE
 from insemu.gap.evidence import (
+    DEPTH,
     Component,
     Explanation,
     Free,
@@ -60,12 +61,9 @@ class Expected(Likelihood):
 
     gamma: Array = field(default_factory=lambda: np.zeros(0))
 
-    def low(self, explanation: Explanation) -> float:
+    def _low(self, gamma: Array, regressors: Sequence[Regressors]) -> float:
         """Expected Gaussian log-likelihood of the block differences, regressors integrated out at their expected projections."""
-        mean = self.data.differences
-        n = mean.size
-        gamma = explanation.covariance(self.data.block, self.data.dt, n)
-        stacked = np.hstack([mean[:, None], *(r.columns for r in explanation.regressors)])
+        stacked = np.hstack([self.data.differences[:, None], *(r.columns for r in regressors)])
         white = np.empty_like(stacked)
         logdet = kernel.toeplitz_whiten(gamma, stacked, white)
         if not math.isfinite(logdet):
@@ -73,8 +71,7 @@ class Expected(Likelihood):
         e, G = white[:, 0], white[:, 1:]
         value = -0.5 * (logdet + trace_of_ratio(gamma, self.gamma) + float(e @ e))
         if G.shape[1]:
-            scales = np.concatenate([r.scales for r in explanation.regressors])
-            value += regression_evidence(G.T @ G, G.T @ e, scales)
+            value += regression_evidence(G.T @ G, G.T @ e, np.concatenate([r.scales for r in regressors]))
         return value
 
 
@@ -159,7 +156,7 @@ class Log:
             elif u.id == "decimation_filter":
                 nyquist = 0.5 / self.dt
                 free = (Free("corner", 0.03 * nyquist, 0.98 * nyquist), Free("order", 0.6, 12.0))
-                rolloff = Rolloff("butterworth", (given["cutoff"], given["order"]), free)
+                rolloff = Rolloff("butterworth", (given["cutoff"], given["order"]), free, floor=DEPTH * self.white**2)
             elif u.id == "ramp":
                 column = np.full((count, 1), block * self.dt)
                 regressors.append(Regressors("ramp", ("R",), column, np.array([3.0 * sigma / span])))
@@ -176,7 +173,7 @@ class Log:
     def _expected(self, truth: Explanation, mean: Array) -> Expected:
         block = block_length(self.n, self.dt)
         f, dof = spectrum_bins(self.n, self.dt, 0.5 / (block * self.dt))
-        power = truth.psd(f, self.dt)
+        power = truth.psd(f, self.dt) - (truth.rolloff.floor if truth.rolloff else 0.0)
         data = Reduced("hidden", "", self.dt, np.zeros(self.n), block, mean, f, power, dof)
         return Expected(data, gamma=truth.covariance(block, self.dt, mean.size))
 
