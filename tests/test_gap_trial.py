@@ -30,7 +30,7 @@ from insemu.gap.hidden_drives import (
     worth_beside,
 )
 from insemu.gap.hidden_logs import STATIC_EFFECTS, shape, static_recording
-from insemu.gap.preparation import fast_parts, prepare
+from insemu.gap.preparation import Prepared, fast_parts, prepare
 from insemu.gap.reduced import reduce
 from insemu.gap.trial import (
     Job,
@@ -253,7 +253,11 @@ def test_recordings_of_a_plan_do_not_depend_on_how_many_there_are() -> None:
 def test_what_an_effect_is_worth_beside_another_is_nothing_where_the_other_looks_the_same() -> None:
     s = stage(21, 3.0, 50.0, track="car", turn_on_bias=True)
     plain = s.record()
-    clean = prepare(plain, s.nominal, fast_parts(plain), {})
+    prepared = prepare(plain, s.nominal, fast_parts(plain), {})
+
+    def clean() -> Prepared:
+        return prepared
+
     down, other = (0.0, 0.0, 1e-3), (0.0, 1e-4, 0.0)
     shapes = (
         EffectUse("scale_factor", "accel", {"value": down}),

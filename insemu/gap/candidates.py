@@ -315,8 +315,8 @@ def vibration_band(state: AxisState) -> list[Weighed]:
     if not data.f.size:
         return []
     nyquist = 0.5 / data.dt
-    # a moving sensor's spectrum begins where its motion ends, not at the length of the log
-    lowest = max((10.0 if data.differences.size else 1.1) * data.f[0], 0.02 * nyquist)
+    # a moving sensor's spectrum begins where its motion ends; at rest slower than ten blocks is a slow process, and buildings sway at 0.5 Hz
+    lowest = 10.0 * data.f[0] if data.differences.size else max(1.1 * data.f[0], 0.02 * nyquist)
     if lowest > 0.8 * nyquist:
         return []
     S = state.explanation.psd(data.f, data.dt)

@@ -61,7 +61,7 @@ class Expected(Likelihood):
 
     gamma: Array = field(default_factory=lambda: np.zeros(0))
 
-    def _low(self, gamma: Array, regressors: Sequence[Regressors]) -> float:
+    def low_of(self, gamma: Array, regressors: Sequence[Regressors]) -> float:
         """Expected Gaussian log-likelihood of the block differences, regressors integrated out at their expected projections."""
         stacked = np.hstack([self.data.differences[:, None], *(r.columns for r in regressors)])
         white = np.empty_like(stacked)
@@ -71,7 +71,8 @@ class Expected(Likelihood):
         e, G = white[:, 0], white[:, 1:]
         value = -0.5 * (logdet + trace_of_ratio(gamma, self.gamma) + float(e @ e))
         if G.shape[1]:
-            value += regression_evidence(G.T @ G, G.T @ e, np.concatenate([r.scales for r in regressors]))
+            scales = np.concatenate([r.scales for r in regressors])
+            value += regression_evidence(G.T @ G, G.T @ e, scales)
         return value
 
 

@@ -557,7 +557,7 @@ def _knowing(clean: Prepared, uses: Sequence[EffectUse]) -> tuple[Prepared, Colo
     return replace(clean, beliefs=beliefs, factors=clean.factors * factors), colour
 
 
-def worth_beside(s: Stage, clean: Prepared, uses: Sequence[EffectUse], k: int) -> float:
+def worth_beside(s: Stage, clean: Callable[[], Prepared], uses: Sequence[EffectUse], k: int) -> float:
     """What effect ``k`` is expected to add beside the other hidden ones, nats; NaN where it is none of those that can be measured.
 
     The filter knows the processes, levels and colours of the others, and how each of their shapes shifts the innovations but not how much:
@@ -568,7 +568,7 @@ def worth_beside(s: Stage, clean: Prepared, uses: Sequence[EffectUse], k: int) -
     own = uses[k]
     some = [u for u in uses if u.id in _MEASURED]
     random = [u for u in some if u.id not in _SHAPED]
-    knowing, colour = _knowing(clean, [u for u in random if u is not own])
+    knowing, colour = _knowing(clean(), [u for u in random if u is not own])
     base = knowing.on(s.record(random))
     surrogate = Surrogate.of(base.result)
     nu = base.result.fixes.innovation
@@ -588,7 +588,7 @@ def worth_beside(s: Stage, clean: Prepared, uses: Sequence[EffectUse], k: int) -
     if own.id in _SHAPED:
         d = shift(own)
         return paid(0.5 * float(d @ d - np.sum((basis.T @ d) ** 2)))
-    full, both = _knowing(clean, random)
+    full, both = _knowing(clean(), random)
     gain = _score(full.on(s.record(random)).result, both) - _score(base.result, colour)
     # shapes of unknown size follow some of what the process did
     return max(gain - 0.5 * float(np.sum((basis.T @ white(np.nan_to_num(nu))) ** 2)) - 3.0, 0.0)

@@ -193,7 +193,8 @@ def outliers(state: AxisState) -> list[Weighed]:
     count = np.histogram(r, edges)[0].astype(np.float64)
     square = np.histogram(r, edges, weights=r * r)[0]
     if not state.data.differences.size:
-        count, square = count / 3.0, square / 3.0  # one outlier shows in three of these residuals
+        # neighbours share noise: these residuals are worth 1 / (1 + 2 (2/3)^2 + 2 (1/6)^2) independent ones each
+        count, square = count / 1.944, square / 1.944
     use = count > 0
     count, x2 = count[use], square[use] / count[use]
     c = next((c for c in state.explanation.components if isinstance(c.process, WN)), None)

@@ -39,7 +39,8 @@ THRESHOLD = 3.0
 OMNIBUS = 0.002
 #: Share of the log on which effects are named for the held-out figures.
 NAMING_SHARE = 2.0 / 3.0
-MOST_STEPS = 8
+#: Fast effects of a real log can be many; its slow ones come after them.
+MOST_STEPS = 12
 #: p-value of a stationary spectrum below which no stationary process is looked for in the fast band any more.
 DRIFTING = 1e-6
 VARYING = "vibration that changes with time"

@@ -241,19 +241,20 @@ def run_dynamic(
     )
     seconds = time.process_time() - started
     held = math.nan
-    if not outside and oracle_knows(uses):
-        seen = flown.prepared
-        start = float(seen.imu.t[0])
-        cut = start + NAMING_SHARE * (float(seen.imu.t[-1]) - start)
-        whole, late, fixes = oracle(s, clean(), seen, uses, cut)
-        held = late / max(fixes, 1)
+    if uses and not outside:
+        start, end = float(flown.prepared.imu.t[0]), float(flown.prepared.imu.t[-1])
+        cut = start + NAMING_SHARE * (end - start)
+        whole = math.nan
+        if oracle_knows(uses):
+            whole, late, fixes = oracle(s, clean(), flown.prepared, uses, cut)
+            held = late / max(fixes, 1)
         for k, (u, h) in enumerate(zip(uses, hidden, strict=True)):
-            if not math.isfinite(h.nats):
+            if not math.isfinite(h.nats) and oracle_knows((u,)):
                 alone = whole if len(uses) == 1 else oracle(s, clean(), clean().on(s.record((u,))), (u,), cut)[0]
                 # an amplitude and a time constant are worth about three nats to pay for
-                hidden[k] = replace(h, nats=max(alone - 3.0, 0.0)) if math.isfinite(alone) else h
+                hidden[k] = replace(h, nats=max(alone - 3.0, 0.0))
         if len(uses) > 1:
-            hidden = [replace(h, beside=worth_beside(s, clean(), uses, k)) for k, h in enumerate(hidden)]
+            hidden = [replace(h, beside=worth_beside(s, clean, uses, k)) for k, h in enumerate(hidden)]
     g = report.gap_after
     return Trial(
         "dynamic", seed, tuple(hidden), outside, s.track, report.verdict, said(report), (g.value, g.low, g.high), report.held_out.value, held,
