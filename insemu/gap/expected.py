@@ -18,7 +18,7 @@ from scipy.linalg import solve_toeplitz
 from insemu.effects import EffectUse
 from insemu.gap import kernel
 from insemu.gap.band import Band
-from insemu.gap.candidates import AMPLITUDE_RANGE
+from insemu.gap.candidates import AMPLITUDE_RANGE, bias_gain, mean_spread
 from insemu.gap.evidence import (
     DEPTH,
     Component,
@@ -268,6 +268,8 @@ class Log:
         if use.id == "outliers":
             sigma2 = float(np.mean(rest.psd(np.linspace(0.05, 0.45, 41) / self.dt, self.dt))) / self.dt
             return _outliers_worth(self.n, given["probability"], math.sqrt(1.0 + given["sigma"] ** 2 / sigma2))
+        if use.id == "turn_on_bias":
+            return bias_gain(given["value"], mean_spread(rest, self.white, self.n * self.dt, self.dt))
         return math.inf
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS, EffectUse
 from insemu.emulate import corrupt
+from insemu.gap.candidates import EARTH_RATE
 from insemu.gap.expected import Log, sized
 from insemu.gap.hidden_drives import Hidden
 from insemu.gap.sources import static_of
@@ -40,8 +41,6 @@ SENSORS = (
 BESIDE_NATS = 20.0
 #: How often the strength of one that is worth less is raised, and by how much at the most.
 RAISES, MOST_RAISE = 8, 2.0
-#: A turn-on bias is drawn as this many times the rotation of the Earth, at the least and at the most.
-TURN_ON = (2.0, 8.0)
 
 
 def shape(
@@ -53,7 +52,7 @@ def shape(
     memory = float(np.exp(rng.uniform(math.log(10.0), math.log(max(span / 15.0, 20.0)))))
     switching, sign = float(1.0 / rng.uniform(15.0, 90.0)), float(rng.choice([-1.0, 1.0]))
     frequency, order = float(rng.uniform(0.1, 0.45) / dt), float(rng.integers(1, 4))
-    bandwidth, bias = float(rng.uniform(0.01, 0.15)) * frequency, float(rng.uniform(*TURN_ON)) * 7.3e-5
+    bandwidth = float(rng.uniform(0.01, 0.15)) * frequency
 
     def x(value: float) -> list[float]:
         out = [0.0, 0.0, 0.0]
@@ -76,7 +75,7 @@ def shape(
             "quantization": {"lsb": x(0.3 * s * sample)},
             "saturation": {"limit": [3.0 * sample / math.sqrt(s) if k == axis else 1.0 for k in range(3)]},
             "dropped_samples": {"probability": 2e-3 * s},
-            "turn_on_bias": {"value": x(sign * bias)},
+            "turn_on_bias": {"value": x(sign * s * 2.0 * EARTH_RATE)},
         }  # fmt: skip
         sensor = "imu" if effect == "dropped_samples" else "gyro"
         return EffectUse.from_mapping({"effect": effect, "sensor": sensor, **values[effect]})
@@ -171,7 +170,7 @@ def static_recording(
     effects : sequence of str
         Of :data:`STATIC_EFFECTS`; ``none`` counts as none.
     target : float
-        Nats that each is expected to be worth; a turn-on bias is drawn from :data:`TURN_ON` instead.
+        Nats that each is expected to be worth.
     seed : int or sequence of int
     hours, rate_hz : float
         Length and rate.
