@@ -264,7 +264,7 @@ def test_what_an_effect_is_worth_beside_another_is_nothing_where_the_other_looks
         EffectUse("scale_asymmetry", "accel", {"value": down}),
         EffectUse("turn_on_bias", "gyro", {"value": other}),
     )
-    uses = [size_effect(s, lambda: clean, u, Hidden(u.id, u.sensor, ("z",)), 60.0)[0] for u in shapes]
+    uses = [size_effect(s, clean, u, Hidden(u.id, u.sensor, ("z",)), 60.0)[0] for u in shapes]
     worth = [worth_beside(s, clean, uses, k) for k in range(3)]
     assert worth[0] < 5.0
     assert worth[1] < 5.0
