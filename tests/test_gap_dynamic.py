@@ -27,7 +27,7 @@ from insemu.gap.signatures import Loop, Motion, columns_response, deterministic_
 from insemu.gap.singular import vibration_line
 from insemu.gap.surrogate import Surrogate
 from insemu.gap.tones import wandering, without_tones
-from insemu.gap.verdict import Step, Value, judged
+from insemu.gap.verdict import Step, Value
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Gnss, Initial
@@ -489,15 +489,6 @@ def test_a_filter_starts_on_positions_alone() -> None:
     assert np.all(np.abs(state.vel_ned - best.vel_ned) < 5.0 * np.asarray(sigma.velocity) + 0.5)
     off = (state.rpy - r.reference.rpy[at] + np.pi) % (2.0 * np.pi) - np.pi
     assert np.all(np.abs(off) < 4.0 * np.asarray(sigma.attitude))
-
-
-def test_a_firm_name_stands_beside_what_nothing_explains() -> None:
-    def step(gain: float, *, shaken: bool) -> Step:
-        return Step("scale_factor", "", "gyro", ("x",), (), 0.9, gain, (), shaken=shaken)
-
-    assert judged([step(1e5, shaken=True), step(1e3, shaken=False)], "vibration") == "named"
-    assert judged([step(1e5, shaken=True), step(10.0, shaken=False)], "vibration") == "unexplained"
-    assert judged([step(1e5, shaken=True)], "") == "unexplained"
 
 
 def test_a_recording_that_cannot_be_started_says_why() -> None:
