@@ -491,6 +491,21 @@ def test_a_filter_starts_on_positions_alone() -> None:
     assert np.all(np.abs(off) < 4.0 * np.asarray(sigma.attitude))
 
 
+@pytest.mark.parametrize("reference", [True, False])
+def test_errors_of_a_turned_sensor_are_named_in_its_own_axes_and_the_lever_arm_in_the_body(reference: bool) -> None:
+    turned = use(effect="mounting", rpy=["100 deg", "-60 deg", "160 deg"])
+    misaligned = use(effect="misalignment", sensor="gyro", value=[0, 0, 0, -0.01, 0, 0])  # y errs with z
+    r = recording(turned, misaligned, use(effect="lever_arm", value=[0, 0.4, 0]), seed=9)
+    nominal = replace(believed(np.random.default_rng(9)), effects=(turned,))
+    if not reference:
+        r = replace(r, reference=None)
+    report = find_gap(r, nominal, rng=np.random.default_rng(1), hold_out=False)
+    found = {(s.effect, s.sensor, s.axes): s.parameters[0].value for s in report.steps}
+    assert set(found) == {("misalignment", "gyro", ("y",)), ("lever_arm", "gnss", ("y",))}
+    assert found["misalignment", "gyro", ("y",)] == pytest.approx(-0.01, rel=0.15)
+    assert found["lever_arm", "gnss", ("y",)] == pytest.approx(0.4, rel=0.15)
+
+
 def test_a_recording_that_cannot_be_started_says_why() -> None:
     r = recording()
     assert r.gnss is not None
