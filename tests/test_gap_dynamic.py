@@ -28,7 +28,7 @@ from insemu.gap.signatures import Loop, Motion, columns_response, deterministic_
 from insemu.gap.singular import lattice, vibration_line
 from insemu.gap.surrogate import Surrogate
 from insemu.gap.tones import wandering, without_tones
-from insemu.gap.verdict import Step, Value, judged
+from insemu.gap.verdict import Step, Value
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Gnss, Initial
@@ -520,13 +520,19 @@ def test_a_filter_starts_on_positions_alone() -> None:
     assert np.all(np.abs(off) < 4.0 * np.asarray(sigma.attitude))
 
 
-def test_a_firm_name_stands_beside_what_nothing_explains() -> None:
-    def step(gain: float, *, shaken: bool) -> Step:
-        return Step("scale_factor", "", "gyro", ("x",), (), 0.9, gain, (), shaken=shaken)
-
-    assert judged([step(1e5, shaken=True), step(1e3, shaken=False)], "vibration") == "named"
-    assert judged([step(1e5, shaken=True), step(10.0, shaken=False)], "vibration") == "unexplained"
-    assert judged([step(1e5, shaken=True)], "") == "unexplained"
+@pytest.mark.parametrize("reference", [True, False])
+def test_errors_of_a_turned_sensor_are_named_in_its_own_axes_and_the_lever_arm_in_the_body(reference: bool) -> None:
+    turned = use(effect="mounting", rpy=["100 deg", "-60 deg", "160 deg"])
+    misaligned = use(effect="misalignment", sensor="gyro", value=[0, 0, 0, -0.01, 0, 0])  # y errs with z
+    r = recording(turned, misaligned, use(effect="lever_arm", value=[0, 0.4, 0]), seed=9)
+    nominal = replace(believed(np.random.default_rng(9)), effects=(turned,))
+    if not reference:
+        r = replace(r, reference=None)
+    report = find_gap(r, nominal, rng=np.random.default_rng(1), hold_out=False)
+    found = {(s.effect, s.sensor, s.axes): s.parameters[0].value for s in report.steps}
+    assert set(found) == {("misalignment", "gyro", ("y",)), ("lever_arm", "gnss", ("y",))}
+    assert found["misalignment", "gyro", ("y",)] == pytest.approx(-0.01, rel=0.15)
+    assert found["lever_arm", "gnss", ("y",)] == pytest.approx(0.4, rel=0.15)
 
 
 def test_a_recording_that_cannot_be_started_says_why() -> None:
