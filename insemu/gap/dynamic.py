@@ -24,6 +24,7 @@ from insemu.gap.hypotheses import (
     Hypothesis,
     Variant,
     bank,
+    best_pair,
     covariance_hypotheses,
     library_gain,
     linear_hypotheses,
@@ -40,6 +41,7 @@ from insemu.gap.preparation import LEVEL_GROUPS, Flown, Prepared, fast_parts, fi
 from insemu.gap.reduced import Reduced, unheard
 from insemu.gap.samples import advanced, coarse, mend, with_counts
 from insemu.gap.scene import Scene, first_rows
+from insemu.gap.singular import evident_outliers
 from insemu.gap.surrogate import NED, FixNoise, joint_noise, level_derivatives, level_scores
 from insemu.gap.tones import wandering, without_tones
 from insemu.gap.verdict import Confusable, GapReport, Interval, Member, Step, Value, judged
@@ -69,8 +71,8 @@ OMNIBUS = 0.001
 LEAK = 10.0
 #: What a tone of one axis is called that changes its frequency.
 WANDERING = "a tone whose frequency wanders"
-#: What manoeuvres leave in the fast band is worth some nats, so effects there must be worth more.
-FAST_THRESHOLD = 10.0
+#: What manoeuvres leave in the fast band is worth some nats, so effects there must be worth more; nominal drives stay below 2 on every axis.
+FAST_THRESHOLD = 6.0
 #: By how much structure outside the catalogue must beat it: it is tried shape by shape, without the effects it could be confused with.
 OUTSIDE_LEAD = 3.0
 
@@ -216,9 +218,10 @@ class Search:
             if beyond > self.threshold and beyond > best.gain + OUTSIDE_LEAD:
                 self.outsider = what
                 break
-            if best.gain < self.threshold or something(ranked) < SURE:
+            pair = self._hidden_pair(best)
+            if pair is None and (best.gain < self.threshold or something(ranked) < SURE):
                 break
-            best = self._apart(best)
+            best = pair or self._apart(best)
             progress(f"{best.effect} {best.gain:.1f} nats")
             self._add(best, ranked)
             if len(self.found) > 1:
@@ -241,6 +244,26 @@ class Search:
             if first is not None and total > best.gain + 1.0:
                 return first
         return best
+
+    def _hidden_pair(self, best: Hypothesis) -> Hypothesis | None:
+        """The first of two shapes that hide each other: together they explain more than the best effect and what follows it."""
+        skip, given = self._skip(self.found), self.blocks(self.found)
+        ones = [v for v in self.variants if not v.process and v.index.size == 1 and v.effect not in skip]
+        if len(ones) < 2 or (best.block is None and best.gain > self.threshold):
+            return None
+        A, b = self.data.conditioned(given)
+        together, first, second = best_pair(ones, A, b[:, 0])
+        together -= math.log(0.5 * len(ones) ** 2)
+        if together < max(best.gain, self.threshold) + LEAD:
+            return None
+        beside = [*given, *((best.block,) if best.block is not None and best.gain > self.threshold else ())]
+        follows = max(
+            (h.gain for h in linear_hypotheses(self.scene, self.variants, self.data, beside, skip)), default=0.0
+        )
+        if together < max(best.gain, 0.0) + max(follows, 0.0) + LEAD:
+            return None
+        own = [v for v in ones if v.index[0] == first[0][0]]
+        return next(iter(linear_hypotheses(self.scene, own, self.data, [*given, second], skip)), None)
 
     def _greedy(self, variants: Sequence[Variant]) -> tuple[Hypothesis | None, float]:
         """The best of some variants, and what it is worth together with the two that follow it."""
@@ -475,21 +498,21 @@ def fast_effects(
             low, high = moving[name]
             out.append((name, static_log.AxisResult(state, state, (), f"{WANDERING}, {low:.3g} to {high:.3g} Hz")))
             continue
+        start = AxisState(data, fit(Likelihood(data), explanation))
+        left_out = (*excluded, *(("outliers",) if name in clipped else ()))
+        wild = evident_outliers(start) if "outliers" not in left_out else None
+        if wild is not None:
+            # first of all: they raise the whole spectrum, and differently from piece to piece
+            progress(f"{name}: outliers {wild.gain:.1f} nats")
+            data, left_out = wild.state.data, (*left_out, "outliers")
         data = without_tones(data, fit(Likelihood(data), explanation).explanation)
         state = AxisState(data, fit(Likelihood(data), explanation))
         state = without_drawn(replace(state, named=tuple(n for n in settled(given) if n == "quantization")), given)
-        out.append(
-            (
-                name,
-                static_log.search(
-                    state,
-                    threshold=threshold,
-                    without=(*excluded, *(("outliers",) if name in clipped else ())),
-                    progress=progress,
-                    outsiders=False,
-                ),
-            )
-        )
+        result = static_log.search(state, threshold=threshold, without=left_out, progress=progress, outsiders=False)
+        if wild is not None and not any(use.id == "outliers" for use in given):
+            first = static_log.Found(wild, (wild,), 0.999)
+            result = replace(result, start=start, found=(first, *result.found))
+        out.append((name, result))
     return out
 
 
@@ -561,6 +584,17 @@ def again_with_processes(
     return [(name, fresh.get(name, r)) for name, r in fast]
 
 
+def white_level(result: static_log.AxisResult) -> float | None:
+    """White noise of an axis beside what its fast band was found to hold; None where the nominal model describes the band, or nothing does.
+
+    A low-pass takes from the band and a vibration adds to it, and neither says anything of the noise at the rate of the motion.
+    """
+    if not result.found or result.outsider:
+        return None
+    parts = (c for c in result.end.explanation.components if c.effect in ("nominal", "white_noise"))
+    return next((c.process.parameters["N"] for c in parts if isinstance(c.process, WN)), None)
+
+
 def vibrates(result: static_log.AxisResult) -> bool:
     """Whether a vibration is among the effects of an axis, and not one that a later effect replaced."""
     return any(f.chosen.effect.startswith("vibration") for f in result.found)
@@ -602,9 +636,7 @@ def find_dynamic_gap(
     rounded = coarse(believed.beliefs, mended.steps, recording.imu.dt)
     parts = {name: unheard(data) if name in rounded else data for name, data in parts.items()}
     fast = fast_effects(parts, nominal, max(threshold, FAST_THRESHOLD), without, say, clipped=clipped)
-    levels = {
-        name: v.value for name, r in fast for f in r.found if f.chosen.effect == "white_noise" for v in f.chosen.values
-    }
+    levels = {name: level for name, r in fast if (level := white_level(r)) is not None}
     prepared, recording, late = without_delay(
         recording, nominal, parts, levels, dict(fast), flown.prepared if flown and not levels else None
     )

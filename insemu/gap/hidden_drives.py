@@ -499,6 +499,33 @@ def _level_nats(s: Stage, use: EffectUse) -> float:
     return math.nan
 
 
+def drawn_outliers(s: Stage, uses: Sequence[EffectUse], k: int) -> float:
+    """What the outliers that were drawn add to the evidence, nats, the noise of their axis and everything else known; three numbers paid for."""
+    own = uses[k]
+    axis = int(np.argmax(own["sigma"]))
+    name, sigma = f"{own.sensor}_{'xyz'[axis]}", own["sigma"][axis]
+    # as many draws of everything, so that only the outliers differ
+    none = replace(own, values={**own.values, "sigma": tuple(1e-12 * v for v in own["sigma"])})
+    some = [
+        u
+        for u in uses
+        if u.sensor != "gnss" and u.id not in ("saturation", "quantization", "dropped_samples", "clock_drift")
+    ]
+    made, without = (s.record([v if u is own else u for u in some]).imu for v in (own, none))
+    width = made.dt if made.kind == "increment" else 1.0
+    d = (getattr(made, own.sensor) - getattr(without, own.sensor))[:, axis] / width
+    level = s.truth[name].processes[0].parameters["N"] ** 2
+    level += sum(u["N"][axis] ** 2 for u in uses if u.id == "white_noise" and u.sensor == own.sensor)
+    variance = level / made.dt
+    wide, p = 1.0 + sigma**2 / variance, own.scalar("probability")
+    x2 = d[np.abs(d) > 1e-6 * sigma] ** 2 / variance + 1.0
+    share = math.log(p / (1.0 - p)) - 0.5 * math.log(wide) + 0.5 * x2 * (1.0 - 1.0 / wide)
+    # ordinary samples pay for the outliers that they might be; those are four standard deviations wide at most
+    paid_for = len(made) * p * (1.0 - math.erf(4.0 / math.sqrt(2.0 * wide)))
+    gain = float(np.sum(np.log1p(np.exp(np.minimum(share, 700.0))))) - paid_for
+    return max(gain - 3.0, 0.0)
+
+
 #: Effects that shift the innovations by something of known shape; with those whose covariance is known they can be measured.
 _SHAPED = frozenset({*_SIZED, "earth_rate"})
 _MEASURED = _SHAPED | {*_DRAWN, "gnss_noise_level", "gnss_velocity_noise", "gnss_correlated_noise"}

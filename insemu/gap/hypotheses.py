@@ -269,6 +269,40 @@ def shape_values(scene: Scene, index: NDArray[Any], mean: Array, covariance: Arr
     return tuple(out)
 
 
+def best_pair(variants: Sequence[Variant], A: Array, b: Array) -> tuple[float, Block, Block]:
+    """The two single columns that explain most together: log Bayes factor over a grid of prior scales, and their blocks.
+
+    Two shapes that nearly cancel are worth little one by one.
+
+    Parameters
+    ----------
+    variants : sequence of Variant
+        Of one column each.
+    A : (c, c) array
+        Normal matrix of all columns.
+    b : (c,) array
+        Right-hand side.
+    """
+    at = np.array([int(v.index[0]) for v in variants])
+    unit = np.array([float(v.shapes[0][1][0, 0]) for v in variants])
+    A, b = A[np.ix_(at, at)], b[at]
+    i, j = np.triu_indices(at.size, 1)
+    logs = []
+    grid = [(p, q) for p in PRIOR_SCALES for q in PRIOR_SCALES]
+    for p, q in grid:
+        d, e = p * unit[i], q * unit[j]
+        first, second, cross = 1.0 + d**2 * A[i, i], 1.0 + e**2 * A[j, j], d * e * A[i, j]
+        det = first * second - cross**2
+        u, v = d * b[i], e * b[j]
+        logs.append(0.5 * (u**2 * second - 2.0 * u * v * cross + v**2 * first) / det - 0.5 * np.log(det))
+    table = np.stack(logs)
+    pooled = log_mean_exp_columns(table)
+    k = int(np.argmax(pooled))
+    p, q = grid[int(np.argmax(table[:, k]))]
+    blocks = [(at[[m]], np.array([[c * unit[m]]])) for m, c in ((i[k], p), (j[k], q))]
+    return float(pooled[k]), blocks[0], blocks[1]
+
+
 def null_threshold(
     variants: Sequence[Variant],
     data: Field,

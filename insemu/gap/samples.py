@@ -10,17 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-from insemu.gap.singular import lattice
+from insemu.gap.singular import lattice, pile_evidence
 from insemu.gap.verdict import Member, Step, Value
 from insemu.noise import WN, NoiseModel
 from insemu.records import ImuRecord
 
 Array = NDArray[np.float64]
 
+#: By what share of the sampling interval a stamp may stray before it says nothing about lost samples; loggers round to milliseconds.
+STRAY = 0.25
 #: Longest gap that is bridged, s; a longer one is an outage of the IMU.
 LONGEST_GAP_S = 0.5
 #: Fewest samples at the full scale.
 FEWEST_CLIPPED = 4
+#: What a pile on a lattice must be worth over its neighbours.
+LEAST_PILE_NATS = 10.0
 #: Samples on either side of a clipped stretch that say how the signal goes on.
 NEIGHBOURS = 12
 #: Stretches that tell how the signal changes around them, and the most whose uncertainty is carried on.
@@ -65,7 +69,7 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
             widths = widths_of(imu)
             rates = values / widths
             for k, axis in enumerate("xyz"):
-                found = clipped(rates[:, k], counts[sensor][axis] > 0.0)
+                found = clipped(rates[:, k], counts[sensor][axis])
                 if found is None:
                     continue
                 limit, at, nats = found
@@ -184,9 +188,9 @@ def widths_of(imu: ImuRecord) -> Array:
 def _bridge(imu: ImuRecord) -> tuple[ImuRecord, Step] | None:
     step = np.diff(imu.t)
     dt = float(np.median(step))
-    steady = np.abs(step / dt - 1.0) < 0.05
+    steady = np.abs(step / dt - 1.0) < STRAY
     missing = np.round(step / dt).astype(int) - 1
-    gaps = np.flatnonzero((missing > 0) & (np.abs(step / dt - np.round(step / dt)) < 0.1) & (step < LONGEST_GAP_S))
+    gaps = np.flatnonzero((missing > 0) & (np.abs(step / dt - np.round(step / dt)) < STRAY) & (step < LONGEST_GAP_S))
     if not gaps.size or steady.sum() + gaps.size < 0.98 * step.size or gaps.size > 0.1 * step.size:
         return None
     n = step.size + int(missing[gaps].sum())
@@ -232,28 +236,34 @@ def _cubic(t: Array, where: NDArray[np.intp], values: Array) -> Array:
     return out
 
 
-def clipped(rates: Array, coarse: bool) -> tuple[float, NDArray[np.bool_], float] | None:
+def clipped(rates: Array, step: float = 0.0) -> tuple[float, NDArray[np.bool_], float] | None:
     """Full scale at which values pile up, which samples lie there, and the evidence in nats; None where there is no pile.
 
-    Noise never repeats an extreme value exactly; a lattice (``coarse``) does, but then its neighbours are as crowded as the extreme.
+    Noise never repeats an extreme value exactly. On a lattice of output counts, ``step`` apart, it does; there the pile is held against the two
+    counts inside of it.
     """
     noise = 1.4826 * float(np.median(np.abs(np.diff(rates)))) + 1e-300
     at = np.zeros(rates.size, dtype=bool)
-    limits = []
+    limits, nats = [], 0.0
     for side in (1.0, -1.0):
         x = side * rates
         top = float(x.max())
-        pile = x >= top - 1e-9 * abs(top)
+        pile = x > top - 0.5 * step if step > 0.0 else x >= top - 1e-9 * abs(top)
         count = int(pile.sum())
-        near = int(np.sum((x < top - 1e-9 * abs(top)) & (x > top - 3.0 * noise)))
-        if count >= FEWEST_CLIPPED and (4 * count > near or not coarse) and count < 0.5 * rates.size and top > 0.0:
-            at |= pile
-            limits.append(top)
+        if count < FEWEST_CLIPPED or count >= 0.5 * rates.size or not top > 0.0:
+            continue
+        if step > 0.0:
+            evidence = pile_evidence(*(int(np.sum(np.abs(x - top + k * step) < 0.5 * step)) for k in range(3)))
+            if evidence < LEAST_PILE_NATS:
+                continue
+        else:
+            evidence = count * max(1.0, math.log(noise / (top * 2.0**-24)))
+        at |= pile
+        limits.append(top)
+        nats += evidence
     if not limits or max(limits) > 1.2 * min(limits):
         return None
-    limit = float(np.mean(limits))
-    nats = float(at.sum()) * max(1.0, math.log(noise / (limit * 2.0**-24)))
-    return limit, at, nats
+    return float(np.mean(limits)), at, nats
 
 
 def filled(t: Array, rates: Array, at: NDArray[np.bool_]) -> tuple[Array, list[tuple[float, float, float]]]:

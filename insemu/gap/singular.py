@@ -257,6 +257,35 @@ def outliers(state: AxisState) -> list[Weighed]:
     return [Weighed("outliers", "", gain, values, cleaned(state, values_clean, "outliers"))]
 
 
+#: Residuals of a moving sensor beyond this are single samples that stand out, where so many of them look like one, and what counts beside them.
+EVIDENT, ALIKE, BESIDE = 10.0, 0.8, 5.0
+
+
+def evident_outliers(state: AxisState) -> Weighed | None:
+    """Outliers of a moving sensor so large that every other look at its spectrum would see them; ``None`` where there are no three of them.
+
+    A single sample shows in the residual against its neighbours with twice the size and the opposite sign of what it leaves on either side.
+    """
+    r = whitened(state)
+    size = np.abs(r)
+    inner = np.arange(1, r.size - 1)
+    at = inner[(size[1:-1] > EVIDENT) & (size[1:-1] >= size[:-2]) & (size[1:-1] > size[2:])]
+    if at.size < 3 or float(np.mean(size > BESIDE)) > 3.0 * MOST_WILD:
+        return None
+    beside = -(r[at - 1] + r[at + 1]) / r[at]
+    if float(np.mean(np.abs(beside - 1.0) < 0.5)) < ALIKE:
+        return None
+    found = _wild_in_motion(state, 0.0, r, size > BESIDE, 1.0)
+    if not found:
+        return None
+    share, sigma = (v.value for v in found[0].values)
+    unit = state.data.values[1:-1] - 0.5 * (state.data.values[2:] + state.data.values[:-2])
+    v = (sigma / (1.4826 * float(np.median(np.abs(unit))))) ** 2 + 1.0
+    top = r[at]
+    gain = float(np.sum(0.5 * top**2 * (1.0 - 1.0 / v))) + at.size * (math.log(share) - 0.5 * math.log(v))
+    return replace(found[0], gain=gain)
+
+
 def _wild_in_motion(state: AxisState, gain: float, r: Array, wild: NDArray[np.bool_], s: float) -> list[Weighed]:
     """Outliers of a moving sensor, whose samples are held against their neighbours.
 
@@ -491,6 +520,7 @@ def held_samples(state: AxisState) -> list[Weighed]:
     if step >= MATERIAL_LSB * state.white / math.sqrt(state.data.dt):
         return []  # counts repeat by themselves
     held = np.flatnonzero(np.diff(y) == 0.0) + 1
+    held = held[(y[held] < y.max()) & (y[held] > y.min())]  # a full scale repeats by itself
     share = held.size / y.size
     resolution = max(2.0**-24 * float(np.max(np.abs(y))), step)
     chance = min(1.0, resolution / (state.white / math.sqrt(state.data.dt)))
@@ -501,6 +531,17 @@ def held_samples(state: AxisState) -> list[Weighed]:
     values = (Value("probability", share, share * math.exp(-1.96 * sd), share * math.exp(1.96 * sd), "1"),)
     mended = np.interp(np.arange(y.size), np.delete(np.arange(y.size), held), np.delete(y, held))
     return [Weighed("dropped_samples", "held", gain, values, cleaned(state, mended, "dropped_samples"))]
+
+
+def pile_evidence(piled: int, one: int, two: int) -> float:
+    """Evidence in nats that the outermost count of a lattice holds a pile, from how often it and the two inside of it occur.
+
+    The logarithm of the frequencies is concave without one: a tail falls off faster and faster; two standard deviations of what is
+    extrapolated are granted.
+    """
+    most = one * min(1.0, one / max(two, 1)) if one else 1.0
+    most *= 1.0 + 2.0 * math.sqrt(4.0 / max(one, 1) + 1.0 / max(two, 1))
+    return piled * math.log(piled / most) - (piled - most) if piled > most else 0.0
 
 
 def saturation(state: AxisState) -> list[Weighed]:
@@ -526,10 +567,7 @@ def saturation(state: AxisState) -> list[Weighed]:
         piled = int(np.sum(x > top - width))
         if step > 0.0:
             one, two = (int(np.sum(np.abs(x - top + k * step) < width)) for k in (1, 2))
-            # a log-concave tail falls off faster and faster; two standard deviations of what is extrapolated are granted
-            most = one * min(1.0, one / max(two, 1)) if one else 1.0
-            most *= 1.0 + 2.0 * math.sqrt(4.0 / max(one, 1) + 1.0 / max(two, 1))
-            here = piled * math.log(piled / most) - (piled - most) if piled > most else 0.0
+            here = pile_evidence(piled, one, two)
         else:
             here = piled * math.log(piled / y.size / chance) if piled >= 3 and piled / y.size > 10.0 * chance else 0.0
         if here > 0.0:

@@ -30,6 +30,7 @@ from insemu.gap.hidden_drives import (
     TARGETS,
     Hidden,
     draw_use,
+    drawn_outliers,
     oracle,
     oracle_knows,
     size_effect,
@@ -253,6 +254,8 @@ def run_dynamic(
                 alone = whole if len(uses) == 1 else oracle(s, clean(), clean().on(s.record((u,))), (u,), cut)[0]
                 # an amplitude and a time constant are worth about three nats to pay for
                 hidden[k] = replace(h, nats=max(alone - 3.0, 0.0))
+            elif u.id == "outliers":
+                hidden[k] = replace(h, nats=drawn_outliers(s, uses, k))
         if len(uses) > 1:
             hidden = [replace(h, beside=worth_beside(s, clean, uses, k)) for k, h in enumerate(hidden)]
     g = report.gap_after
