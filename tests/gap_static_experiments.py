@@ -25,7 +25,7 @@ from insemu import formats
 from insemu.effects import EffectUse
 from insemu.emulate import corrupt
 from insemu.gap import find_static_gap, load_measured
-from insemu.gap.candidates import CANDIDATES, AxisState, state_of
+from insemu.gap.candidates import CANDIDATES, AxisState, state_of, turn_on_bias
 from insemu.gap.disagreement import axis_tests, spent_on, wavelet_moments, wavelet_p_values
 from insemu.gap.evidence import Explanation
 from insemu.gap.expected import GAUSSIAN, SLOW, Log
@@ -43,7 +43,7 @@ from tests.shared_data import shared
 WHITE = ("WN(N=1e-3 rad/s/sqrt(Hz))",)
 EFFECTS = tuple(e for e in STATIC_EFFECTS if e != "none")
 #: Effects whose evidence does not grow with a strength: any amount is plain in the samples.
-PLAIN = frozenset({"quantization", "saturation", "dropped_samples", "turn_on_bias"})
+PLAIN = frozenset({"quantization", "saturation", "dropped_samples"})
 
 
 #: Expected lead over the best rival from which an effect comes first in all but a few draws (it is normal of twice that variance).
@@ -77,7 +77,8 @@ def possible(effect: str, made: HiddenLog) -> bool:
     state = state_before(made)
     if effect in GAUSSIAN:
         return made.known.seen(made.uses[0], state.data) >= THRESHOLD
-    return max((w.gain for w in CANDIDATES[effect](state)), default=0.0) >= THRESHOLD
+    candidate = turn_on_bias if effect == "turn_on_bias" else CANDIDATES[effect]
+    return max((w.gain for w in candidate(state)), default=0.0) >= THRESHOLD
 
 
 def effects(arguments: argparse.Namespace) -> None:
@@ -157,7 +158,7 @@ def sets(arguments: argparse.Namespace) -> None:
                 min(made.known.leads(u, [v for v in made.uses if v is not u]).values(), default=math.inf)
                 for u in made.uses
             ]
-            worth = [h.nats for h in made.hidden]
+            worth = [h.beside for h in made.hidden]
             report = look(made)
             found = sorted(s.effect for s in report.steps)
             exact = found == sorted(names)

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.signal import butter, group_delay, sosfilt
+from scipy.signal import butter, group_delay, lfilter, sosfilt
 
 from insemu.effects import EffectUse
 from insemu.emulate import built_in, corrupt, gnss_fixes, ideal_imu
@@ -17,16 +17,18 @@ from insemu.errors import InputError
 from insemu.filters import FilterOptions, FilterResult, InitialSigma, run_filter
 from insemu.gap import Nominal, find_gap
 from insemu.gap.candidates import AxisState
+from insemu.gap.dynamic import fast_effects
 from insemu.gap.evidence import Explanation, Likelihood, Rolloff, fit
 from insemu.gap.hypotheses import Variant, best_pair
 from insemu.gap.innovations import Field, gauss_markov_root, quadratic_evidence, random_walk_root
-from insemu.gap.preparation import without_motion
+from insemu.gap.preparation import fast_parts, starting_state, without_motion
 from insemu.gap.reduced import Reduced, moving_spectrum
-from insemu.gap.samples import advanced, filled, mend
+from insemu.gap.samples import advanced, coarse, filled, mend
 from insemu.gap.signatures import Loop, Motion, columns_response, deterministic_columns, fix_columns, knot_response
 from insemu.gap.singular import lattice, vibration_line
 from insemu.gap.surrogate import Surrogate
 from insemu.gap.tones import wandering, without_tones
+from insemu.gap.verdict import Step, Value, judged
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Gnss, Initial
@@ -307,6 +309,18 @@ def test_a_line_of_a_moving_sensor_is_steady_and_a_loud_stretch_is_none() -> Non
     assert gain(hum) < 3.0
 
 
+def test_samples_are_lost_from_stamps_of_a_millisecond_too() -> None:
+    rng = np.random.default_rng(21)
+    t = np.arange(4000) * 0.010003
+    signal = np.sin(t)[:, None] + 1e-3 * rng.standard_normal((t.size, 3))
+    keep = rng.random(t.size) > 0.01
+    keep[[0, -1]] = True
+    (step,) = mend(ImuRecord(np.round(t, 3)[keep], signal[keep], signal[keep], "sample")).steps
+    assert step.effect == "dropped_samples"
+    assert step.parameters[0].low < 0.01 < step.parameters[0].high
+    assert not mend(ImuRecord(np.round(t, 3), signal, signal, "sample")).steps
+
+
 def test_motion_does_not_reach_the_band_above_it() -> None:
     rng, dt = np.random.default_rng(4), 0.01
     t = np.arange(60_000) * dt
@@ -329,6 +343,59 @@ def test_several_tones_are_a_vehicle_and_one_is_a_sensor() -> None:
         data = Reduced("gyro_x", "rad/s", dt, noise + signal, 1, np.zeros(0), f, power, dof)
         out = without_tones(data, Explanation.nominal(belief))
         assert (out is data) == kept
+
+
+def test_a_strong_band_is_no_tones() -> None:
+    rng, dt = np.random.default_rng(15), 0.01
+    band = lfilter([1.0], [1.0, -2.0 * 0.9 * math.cos(2.0 * math.pi * 23.0 * dt), 0.81], rng.standard_normal(60_000))
+    data = axis_part("gyro_x", rng.standard_normal(60_000) + 10.0 * band, dt)
+    assert without_tones(data, Explanation.nominal(NoiseModel((WN(0.1),)))) is data
+
+
+def searched(name: str, values: Array, dt: float, model: NoiseModel) -> dict[str, dict[str, float]]:
+    """What the band above the motion of one axis is said to hold."""
+    parts = {name: axis_part(name, values, dt)}
+    ((_, result),) = fast_effects(parts, Nominal({name: model}), 10.0, (), lambda _: None)
+    return {f.chosen.effect: {v.name: v.value for v in f.chosen.values} for f in result.found}
+
+
+def test_a_low_pass_is_found_where_it_leaves_next_to_nothing() -> None:
+    rng, dt = np.random.default_rng(16), 0.01
+    values = lfilter(*butter(2, 0.32), 1e-2 * rng.standard_normal(72_000))  # the power falls to 1e-8 at the last bin
+    found = searched("accel_x", values, dt, NoiseModel((WN(0.9e-3), RW(1e-4))))
+    assert set(found) == {"decimation_filter"}
+    assert found["decimation_filter"]["cutoff"] == pytest.approx(16.0, rel=0.03)
+    assert found["decimation_filter"]["order"] == pytest.approx(2.0, abs=0.05)
+
+
+def test_outliers_of_a_moving_sensor_keep_their_share_and_size() -> None:
+    rng, dt = np.random.default_rng(17), 0.01
+    wild = np.where(rng.random(72_000) < 0.002, 1.5 * rng.standard_normal(72_000), 0.0)
+    values = 3.0 * np.sin(0.5 * np.arange(72_000) * dt) + 1e-2 * rng.standard_normal(72_000) + wild
+    found = searched("accel_y", values, dt, NoiseModel((WN(1e-3),)))
+    assert set(found) == {"outliers"}
+    assert found["outliers"]["probability"] == pytest.approx(0.002, rel=0.2)
+    assert found["outliers"]["sigma"] == pytest.approx(1.5, rel=0.2)
+
+
+def test_stamps_that_jitter_do_not_smear_increments() -> None:
+    rng, dt = np.random.default_rng(18), 0.01
+    t = np.arange(6000) * dt
+    signal = np.column_stack([np.sin(t), np.cos(t), np.round(np.sin(1.3 * t) / 0.02) * 0.02])
+    gyro = np.clip(signal + [1e-3, 1e-3, 0.0] * rng.standard_normal(signal.shape), -0.96, 0.96)
+    accel = [0.0, 0.0, -9.8] + 1e-3 * rng.standard_normal(signal.shape)
+    jittered = t + rng.uniform(-2e-5, 2e-5, t.size)
+    named = {(s.effect, s.axes) for s in mend(ImuRecord(jittered, gyro * dt, accel * dt, "increment")).steps}
+    assert named == {("saturation", ("x",)), ("saturation", ("y",)), ("saturation", ("z",)), ("quantization", ("z",))}
+    part = fast_parts(Recording(ImuRecord(jittered, gyro * dt, accel * dt, "increment"), None, None))["accel_z"]
+    assert np.std(part.values) == pytest.approx(1e-3, rel=0.1)
+
+
+def test_coarse_counts_say_nothing_about_the_noise() -> None:
+    step = Step("quantization", "samples", "gyro", ("y",), (Value("lsb", 0.01, 0.01, 0.01, "rad/s"),), 1.0, 1.0, ())
+    beliefs = {a: NoiseModel((WN(1e-4),)) for a in AXES}  # 1 mrad/s per sample
+    assert coarse(beliefs, (step,), 0.01) == {"gyro_y"}
+    assert not coarse(beliefs | {"gyro_y": NoiseModel((WN(1e-3),))}, (step,), 0.01)
 
 
 def axis_part(name: str, values: Array, dt: float) -> Reduced:
@@ -424,6 +491,42 @@ def test_a_wrong_lever_arm_is_named_and_the_gap_closes() -> None:
     assert report.held_out.value > 0.05
     assert abs(report.gap_after.value - 1.0) < abs(report.gap_before.value - 1.0)
     assert math.isfinite(report.to_json()["gap_index"]["after"]["value"])
+
+
+def test_a_steep_slope_is_no_random_walk() -> None:
+    r = recording(seed=6)
+    sloped = r.imu.accel + np.outer(r.imu.t - r.imu.t[0], [0.0, 2e-4, 0.0]) * r.imu.dt  # 200 times the datasheet's
+    report = find_gap(
+        replace(r, imu=replace(r.imu, accel=sloped)),
+        believed(np.random.default_rng(6)),
+        rng=np.random.default_rng(1),
+        hold_out=False,
+    )
+    step = report.steps[0]
+    assert (step.effect, step.sensor, step.axes) == ("ramp", "accel", ("y",))
+    assert step.parameters[0].value == pytest.approx(2e-4, rel=0.1)
+
+
+def test_a_filter_starts_on_positions_alone() -> None:
+    r = recording(seed=7)
+    assert r.gnss is not None
+    assert r.reference is not None
+    nominal = believed(np.random.default_rng(7))
+    _, _, state, sigma = starting_state(Recording(r.imu, replace(r.gnss, vel_ned=None, vel_std_ned=None)), nominal)
+    imu, _, best, _ = starting_state(Recording(r.imu, r.gnss), nominal)
+    at = int(np.searchsorted(r.reference.t, imu.t[0]))
+    assert np.all(np.abs(state.vel_ned - best.vel_ned) < 5.0 * np.asarray(sigma.velocity) + 0.5)
+    off = (state.rpy - r.reference.rpy[at] + np.pi) % (2.0 * np.pi) - np.pi
+    assert np.all(np.abs(off) < 4.0 * np.asarray(sigma.attitude))
+
+
+def test_a_firm_name_stands_beside_what_nothing_explains() -> None:
+    def step(gain: float, *, shaken: bool) -> Step:
+        return Step("scale_factor", "", "gyro", ("x",), (), 0.9, gain, (), shaken=shaken)
+
+    assert judged([step(1e5, shaken=True), step(1e3, shaken=False)], "vibration") == "named"
+    assert judged([step(1e5, shaken=True), step(10.0, shaken=False)], "vibration") == "unexplained"
+    assert judged([step(1e5, shaken=True)], "") == "unexplained"
 
 
 def test_a_recording_that_cannot_be_started_says_why() -> None:

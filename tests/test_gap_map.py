@@ -80,5 +80,6 @@ def test_names_stand_where_the_strongest_is_not_shaken() -> None:
     assert weak.confidence == 0.5
     assert judged([sure, weak], "vibration that changes with time on gyro x") == "named"
     assert judged([weak, sure], "something") == "unexplained"
+    assert judged([weak, sure], "something", [sure.effect]) == "named"
     assert judged([], "something") == "unexplained"
     assert judged([], "") == "nothing missing"

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import functools
 import runpy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from scipy.signal import butter, lfilter
 
 from insemu import rotation
 from insemu.effects import EFFECTS, EffectUse
@@ -21,7 +23,7 @@ from insemu.gap.candidates import CANDIDATES
 from insemu.gap.refined import joined, refined_nominal, uses_of
 from insemu.gap.verdict import Interval, Member, Value, held_out_said
 from insemu.noise import AR, BI, DR, GM, QN, RW, SIN, WN, NoiseModel
-from insemu.records import Recording, Series
+from insemu.records import GnssRecord, ImuRecord, Recording, Series
 from insemu.scenario import load
 
 NOMINAL = """
@@ -247,6 +249,66 @@ def test_a_recording_whose_fixes_never_move_is_a_static_log(tmp_path: Path) -> N
         write(tmp_path / f"{name}.npz", World(load(path)).recording(0))
     assert isinstance(load_measured(tmp_path / "rest.npz"), StaticLog)
     assert isinstance(load_measured(tmp_path / "drive.npz"), Recording)
+
+
+def standing(duration: float, rate: float = 50.0) -> Recording:
+    """An IMU at rest under a receiver that states no noise and wanders by metres."""
+    rng = np.random.default_rng(8)
+    n = int(duration * rate)
+    imu = ImuRecord(
+        np.arange(n) / rate + 3e5,
+        2e-3 * rng.standard_normal((n, 3)),
+        [0.1, 0.2, -9.8] + 2e-2 * rng.standard_normal((n, 3)),
+        "sample",
+    )
+    t = np.arange(0.4, duration, 1.0)
+    wander = np.cumsum(0.3 * rng.standard_normal((t.size, 3)), axis=0) + rng.standard_normal((t.size, 3))
+    llh = np.array([0.8, 0.2, 400.0]) + wander * [1.6e-7, 2.3e-7, 1.0]
+    return Recording(imu, GnssRecord(t + 3e5, llh), None)
+
+
+def test_fixes_that_wander_do_not_move_an_imu_that_rests(tmp_path: Path) -> None:
+    from insemu.formats import write
+
+    still = standing(120.0)
+    write(tmp_path / "still.npz", still)
+    assert isinstance(load_measured(tmp_path / "still.npz"), StaticLog)
+    turning = replace(still.imu, gyro=still.imu.gyro + 0.3 * np.sin(0.2 * (still.imu.t - 3e5))[:, None])
+    write(tmp_path / "turning.npz", replace(still, imu=turning))
+    assert isinstance(load_measured(tmp_path / "turning.npz"), Recording)
+
+
+def test_samples_that_a_static_log_lost_are_filled_without_colour(tmp_path: Path) -> None:
+    rng = np.random.default_rng(9)
+    n, dt = 100_000, 0.01
+    smooth = lfilter(*butter(2, 0.5), rng.standard_normal(n))
+    data = np.column_stack([rng.standard_normal(n), smooth, np.cumsum(1e-2 * rng.standard_normal(n)) + smooth])
+    keep = rng.random(n) > 0.02
+    keep[[0, -1]] = True
+    np.savez(
+        tmp_path / "log.npz",
+        data=data[keep],
+        t=np.arange(n)[keep] * dt + 5e4,
+        columns=["gx", "gy", "gz"],
+        units=["rad/s"] * 3,
+        temperature=np.arange(n)[keep] * 1e-3,
+    )
+    log = load_measured(tmp_path / "log.npz")
+    assert isinstance(log, StaticLog)
+    assert log.missing is not None
+    assert log.temperature is not None
+    np.testing.assert_array_equal(log.missing, ~keep)
+    np.testing.assert_allclose(log.temperature, np.arange(n) * 1e-3, atol=1e-9)
+    for k, axis in enumerate(log.axes):
+        values = np.asarray(axis.values)
+        np.testing.assert_array_equal(values[keep], data[keep, k])
+        lag = [np.mean(v[1:] * v[:-1]) for v in (np.diff(values), np.diff(data[:, k]))]
+        assert lag[0] == pytest.approx(lag[1], abs=4e-3)  # the mean of two neighbours is off by ten times that
+    np.savez(
+        tmp_path / "holes.npz", data=data[::3][: n // 4], t=np.sort(rng.choice(n, n // 4, replace=False)) * dt, fs=100.0
+    )
+    with pytest.raises(InputError, match=r"time column steps by|stamps skip"):
+        load_measured(tmp_path / "holes.npz")
 
 
 def test_a_step_that_the_table_does_not_have_is_left_to_its_owner() -> None:

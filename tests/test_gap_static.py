@@ -298,6 +298,16 @@ def test_samples_clipped_at_the_full_scale_are_saturation_on_a_lattice_or_not() 
         assert all(w.gain < 3.0 for w in CANDIDATES["saturation"](state))
 
 
+def test_clipped_samples_are_not_held_ones() -> None:
+    y = np.minimum(WN(1e-3).simulate(N, DT, np.random.default_rng(19)), 0.01)
+    state = state_of(reduce(log_of(y)), Explanation.nominal(NoiseModel((WN(1e-3),))))
+    assert CANDIDATES["saturation"](state)[0].gain > 20.0
+    assert not CANDIDATES["dropped_samples"](state)
+    y[::50] = y[1::50][: y[::50].size]  # each of them repeated by the next
+    held = state_of(reduce(log_of(y)), Explanation.nominal(NoiseModel((WN(1e-3),))))
+    assert CANDIDATES["dropped_samples"](held)[0].values[0].value == pytest.approx(0.02, rel=0.1)
+
+
 def test_turn_on_bias_is_what_the_rotation_of_the_earth_cannot_be() -> None:
     rng = np.random.default_rng(19)
     y = WN(1e-3).simulate(N, DT, rng)

@@ -315,8 +315,8 @@ def vibration_band(state: AxisState) -> list[Weighed]:
     if not data.f.size:
         return []
     nyquist = 0.5 / data.dt
-    # a moving sensor's spectrum begins where its motion ends, not at the length of the log
-    lowest = max((10.0 if data.differences.size else 1.1) * data.f[0], 0.02 * nyquist)
+    # a moving sensor's spectrum begins where its motion ends; at rest slower than ten blocks is a slow process, and buildings sway at 0.5 Hz
+    lowest = 10.0 * data.f[0] if data.differences.size else max(1.1 * data.f[0], 0.02 * nyquist)
     if lowest > 0.8 * nyquist:
         return []
     S = state.explanation.psd(data.f, data.dt)
@@ -422,6 +422,36 @@ def ramp(state: AxisState) -> list[Weighed]:
 EARTH_RATE = 7.292115e-5
 
 
+def mean_spread(explanation: Explanation, white: float, duration_s: float, dt: float) -> float:
+    """Standard deviation of the mean of a log from the noise of an explanation."""
+    T = duration_s
+    variance = white**2 / T
+    for c in explanation.components:
+        p = c.process.parameters
+        if isinstance(c.process, RW):
+            variance += p["K"] ** 2 * T  # it began before the log, a log's length earlier counted from its middle
+        elif isinstance(c.process, GM):
+            x = p["beta"] * T
+            variance += p["sigma"] ** 2 * 2.0 / x**2 * (x + math.expm1(-x))
+        elif isinstance(c.process, BI):
+            variance += p["B"] ** 2 * math.log(T / dt) / math.pi  # between one sample and the log
+    return math.sqrt(variance)
+
+
+def unbiased_log_density(mean: float, spread: Array) -> Array:
+    """Log density of a gyroscope's mean at rest that holds noise of this spread and any part of the rotation of the Earth."""
+    beyond = max(abs(mean) - EARTH_RATE, 0.0)
+    return np.asarray(-0.5 * (beyond / spread) ** 2 - np.log(math.sqrt(2.0 * math.pi) * spread + 2.0 * EARTH_RATE))
+
+
+def bias_gain(mean: float, spread: float) -> float:
+    """Nats by which a turn-on bias explains a gyroscope's mean at rest better than noise and the rotation of the Earth do."""
+    scale = EFFECTS["turn_on_bias"].scale("value", "gyro")
+    wide = [math.hypot(spread, c * scale) for c in PRIOR_SCALES]
+    biased = log_mean_exp([-0.5 * (mean / s) ** 2 - math.log(math.sqrt(2.0 * math.pi) * s) for s in wide])
+    return biased - float(unbiased_log_density(mean, np.array([spread]))[0])
+
+
 def turn_on_bias(state: AxisState) -> list[Weighed]:
     """A constant error of a gyroscope, its mean at rest more than the rotation of the Earth can be, and the random walk that is its rival.
 
@@ -433,29 +463,11 @@ def turn_on_bias(state: AxisState) -> list[Weighed]:
     if not data.name.startswith("gyro") or believed or explanation.regressors:
         return []
     mean, T = float(np.mean(data.values)), data.duration_s
-    variance = state.white**2 / T
-    for c in explanation.components:
-        p = c.process.parameters
-        if isinstance(c.process, RW):
-            variance += p["K"] ** 2 * T  # it began before the log, a log's length earlier counted from its middle
-        elif isinstance(c.process, GM):
-            x = p["beta"] * T
-            variance += p["sigma"] ** 2 * 2.0 / x**2 * (x + math.expm1(-x))
-        elif isinstance(c.process, BI):
-            variance += p["B"] ** 2 * math.log(T / data.dt) / math.pi  # between one sample and the log
-    sigma = math.sqrt(variance)
-    beyond = max(abs(mean) - EARTH_RATE, 0.0)
-
-    def unbiased(reach: Array) -> Array:
-        return np.asarray(-0.5 * (beyond / reach) ** 2 - np.log(math.sqrt(2.0 * math.pi) * reach + 2.0 * EARTH_RATE))
-
-    null = float(unbiased(np.array([sigma]))[0])
-    scale = EFFECTS["turn_on_bias"].scale("value", "gyro")
-    spread = [math.hypot(sigma, c * scale) for c in PRIOR_SCALES]
-    gain = log_mean_exp([-0.5 * (mean / s) ** 2 - math.log(math.sqrt(2.0 * math.pi) * s) for s in spread]) - null
+    sigma = mean_spread(explanation, state.white, T, data.dt)
     off = 1.96 * math.hypot(sigma, EARTH_RATE / math.sqrt(3.0))
     values = (Value("value", mean, mean - off, mean + off, data.unit),)
-    out = [Weighed("turn_on_bias", "", gain, values, replace(state, named=(*state.named, "turn_on_bias")))]
+    named = replace(state, named=(*state.named, "turn_on_bias"))
+    out = [Weighed("turn_on_bias", "", bias_gain(mean, sigma), values, named)]
     if any(isinstance(c.process, RW) for c in explanation.components):
         return out
     # the rival: a walk, which carries the mean away even where the block means are not enough to name it
@@ -464,7 +476,8 @@ def turn_on_bias(state: AxisState) -> list[Weighed]:
     likelihood = state.likelihood
     starts = [explanation.with_component(Component(RW(float(k)), free, "random_walk")) for k in walks]
     seen = np.array([likelihood.low(e) + likelihood.high(e) for e in starts])
-    carried = seen + unbiased(np.hypot(sigma, walks * math.sqrt(T)))
+    carried = seen + unbiased_log_density(mean, np.hypot(sigma, walks * math.sqrt(T)))
+    null = float(unbiased_log_density(mean, np.array([sigma]))[0])
     rival = log_mean_exp(carried) - likelihood.low(explanation) - likelihood.high(explanation) - null
     p = np.exp(carried - carried.max())
     p /= p.sum()

@@ -42,10 +42,11 @@ from insemu.gap.preparation import LEVEL_GROUPS, Flown, Prepared, fast_parts, fi
 from insemu.gap.reduced import Reduced, unheard
 from insemu.gap.samples import advanced, coarse, mend, with_counts
 from insemu.gap.scene import Scene, first_rows
+from insemu.gap.singular import evident_outliers
 from insemu.gap.surrogate import NED, FixNoise, joint_noise, level_derivatives, level_scores
 from insemu.gap.tones import wandering, without_tones
 from insemu.gap.verdict import Confusable, GapReport, Interval, Member, Step, Value, judged
-from insemu.noise import BI, GM, RW, WN, NoiseModel
+from insemu.noise import BI, GM, QN, RW, WN, NoiseModel
 from insemu.records import AXES, Recording
 
 Array = NDArray[np.float64]
@@ -499,21 +500,21 @@ def fast_effects(
             low, high = moving[name]
             out.append((name, static_log.AxisResult(state, state, (), f"{WANDERING}, {low:.3g} to {high:.3g} Hz")))
             continue
+        start = AxisState(data, fit(Likelihood(data), explanation))
+        left_out = (*excluded, *(("outliers",) if name in clipped else ()))
+        wild = evident_outliers(start) if "outliers" not in left_out else None
+        if wild is not None:
+            # first of all: they raise the whole spectrum, and differently from piece to piece
+            progress(f"{name}: outliers {wild.gain:.1f} nats")
+            data, left_out = wild.state.data, (*left_out, "outliers")
         data = without_tones(data, fit(Likelihood(data), explanation).explanation)
         state = AxisState(data, fit(Likelihood(data), explanation))
         state = without_drawn(replace(state, named=tuple(n for n in settled(given) if n == "quantization")), given)
-        out.append(
-            (
-                name,
-                static_log.search(
-                    state,
-                    threshold=threshold,
-                    without=(*excluded, *(("outliers",) if name in clipped else ())),
-                    progress=progress,
-                    outsiders=False,
-                ),
-            )
-        )
+        result = static_log.search(state, threshold=threshold, without=left_out, progress=progress, outsiders=False)
+        if wild is not None and not any(use.id == "outliers" for use in given):
+            first = static_log.Found(wild, (wild,), 0.999)
+            result = replace(result, start=start, found=(first, *result.found))
+        out.append((name, result))
     return out
 
 
@@ -679,7 +680,7 @@ def find_dynamic_gap(
         for name, r in fast
         if r.outsider and (humming or r.outsider.startswith(WANDERING))
     }
-    own = with_confusable([_step(f, named) for f in named.found], named, without, repeated)
+    own = _joined(with_confusable([_step(f, named) for f in named.found], named, without, repeated))
     if named.outsider or failed:
         own = [s.doubted() for s in own]
     heard = [s.doubted() if static_log.is_shaken(s, (), changing) else s for s in static_log.merged_steps(dict(fast))]
@@ -714,11 +715,13 @@ def _step(f: Found, named: Named) -> Step:
     values = h.values
     if h.block is not None and (h.columns or h.effect == "gnss_multipath_step"):
         index, mean, covariance = named.scene.data.posterior(named.blocks)
-        at = [int(np.flatnonzero(index == i)[0]) for i in h.block[0]]
+        # two blocks may share a column: what it explains is their sum
+        sums = (index[None, :] == h.block[0][:, None]).astype(np.float64)
+        mean, covariance = sums @ mean, sums @ covariance @ sums.T
         if h.columns:
-            values = shape_values(named.scene, h.block[0], mean[at], covariance[np.ix_(at, at)])
+            values = shape_values(named.scene, h.block[0], mean, covariance)
         else:
-            m, s = float(mean[at[0]]), math.sqrt(float(covariance[at[0], at[0]]))
+            m, s = float(mean[0]), math.sqrt(float(covariance[0, 0]))
             values = (Value("value", m, m - 1.96 * s, m + 1.96 * s, "m"), *values[1:])
     gains = np.array([r.gain for r in ranked] + [math.log(len(ranked))])
     p = np.exp(gains - gains.max())
@@ -773,6 +776,35 @@ def with_confusable(
     return out
 
 
+def _joined(steps: list[Step]) -> list[Step]:
+    """Steps of one effect that share a parameter as one: their values are those of everything together already."""
+    out: list[Step] = []
+    for s in steps:
+        names = {v.name for v in s.parameters}
+        k = next(
+            (
+                k
+                for k, o in enumerate(out)
+                if (o.effect, o.sensor) == (s.effect, s.sensor)
+                and s.effect not in (*PROCESSES, "gnss_multipath_step")
+                and names & {v.name for v in o.parameters}
+            ),
+            None,
+        )
+        if k is None:
+            out.append(s)
+            continue
+        first = out[k]
+        known = {v.name for v in first.parameters}
+        out[k] = replace(
+            first,
+            axes=tuple(dict.fromkeys((*first.axes, *s.axes))),
+            parameters=(*first.parameters, *(v for v in s.parameters if v.name not in known)),
+            gain_nats=first.gain_nats + s.gain_nats,
+        )
+    return out
+
+
 def _refine(models: dict[str, NoiseModel], step: Step) -> dict[str, NoiseModel]:
     """The beliefs with a stochastic effect added to its axes."""
     if step.sensor not in ("gyro", "accel"):
@@ -788,6 +820,8 @@ def _refine(models: dict[str, NoiseModel], step: Step) -> dict[str, NoiseModel]:
         if step.effect in PROCESSES:
             parameters = {p.name for p in EFFECTS[step.effect].parameters}
             out[name] = with_process(out[name], step.effect, {key: value(key) for key in parameters})
+        elif step.effect == "quantization" and step.variant == "integrated":
+            out[name] = out[name] + QN(value("Q"))
         elif step.effect == "white_noise":
             out[name] = NoiseModel(tuple(WN(value("N")) if isinstance(p, WN) else p for p in out[name]))
     return out

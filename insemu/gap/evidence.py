@@ -226,9 +226,10 @@ class Likelihood:
         data = self.data
         if not data.differences.size:
             return 0.0
-        return self._low(explanation.covariance(data.block, data.dt, data.differences.size), explanation.regressors)
+        return self.low_of(explanation.covariance(data.block, data.dt, data.differences.size), explanation.regressors)
 
-    def _low(self, gamma: Array, regressors: Sequence[Regressors]) -> float:
+    def low_of(self, gamma: Array, regressors: Sequence[Regressors]) -> float:
+        """The same, of an autocovariance."""
         key = gamma.tobytes() + b"".join(r.columns[:8].tobytes() + r.scales.tobytes() for r in regressors)
         known = self._memory.get(key)
         if known is not None:
@@ -302,7 +303,7 @@ class Likelihood:
             for v, (low, high, edge, width) in zip(x, prior, strict=True):
                 total -= width + 0.5 * (max(low - v, v - high, 0.0) / edge) ** 2
             total += self._high(psd, seen) if data.f.size else 0.0
-            return total + (self._low(covariance, explanation.regressors) if count else 0.0)
+            return total + (self.low_of(covariance, explanation.regressors) if count else 0.0)
 
         return log_posterior
 

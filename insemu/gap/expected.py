@@ -18,8 +18,9 @@ from scipy.linalg import solve_toeplitz
 from insemu.effects import EffectUse
 from insemu.gap import kernel
 from insemu.gap.band import Band
-from insemu.gap.candidates import AMPLITUDE_RANGE
+from insemu.gap.candidates import AMPLITUDE_RANGE, bias_gain, mean_spread
 from insemu.gap.evidence import (
+    DEPTH,
     Component,
     Explanation,
     Free,
@@ -60,12 +61,9 @@ class Expected(Likelihood):
 
     gamma: Array = field(default_factory=lambda: np.zeros(0))
 
-    def low(self, explanation: Explanation) -> float:
+    def low_of(self, gamma: Array, regressors: Sequence[Regressors]) -> float:
         """Expected Gaussian log-likelihood of the block differences, regressors integrated out at their expected projections."""
-        mean = self.data.differences
-        n = mean.size
-        gamma = explanation.covariance(self.data.block, self.data.dt, n)
-        stacked = np.hstack([mean[:, None], *(r.columns for r in explanation.regressors)])
+        stacked = np.hstack([self.data.differences[:, None], *(r.columns for r in regressors)])
         white = np.empty_like(stacked)
         logdet = kernel.toeplitz_whiten(gamma, stacked, white)
         if not math.isfinite(logdet):
@@ -73,7 +71,7 @@ class Expected(Likelihood):
         e, G = white[:, 0], white[:, 1:]
         value = -0.5 * (logdet + trace_of_ratio(gamma, self.gamma) + float(e @ e))
         if G.shape[1]:
-            scales = np.concatenate([r.scales for r in explanation.regressors])
+            scales = np.concatenate([r.scales for r in regressors])
             value += regression_evidence(G.T @ G, G.T @ e, scales)
         return value
 
@@ -159,7 +157,7 @@ class Log:
             elif u.id == "decimation_filter":
                 nyquist = 0.5 / self.dt
                 free = (Free("corner", 0.03 * nyquist, 0.98 * nyquist), Free("order", 0.6, 12.0))
-                rolloff = Rolloff("butterworth", (given["cutoff"], given["order"]), free)
+                rolloff = Rolloff("butterworth", (given["cutoff"], given["order"]), free, floor=DEPTH * self.white**2)
             elif u.id == "ramp":
                 column = np.full((count, 1), block * self.dt)
                 regressors.append(Regressors("ramp", ("R",), column, np.array([3.0 * sigma / span])))
@@ -176,7 +174,7 @@ class Log:
     def _expected(self, truth: Explanation, mean: Array) -> Expected:
         block = block_length(self.n, self.dt)
         f, dof = spectrum_bins(self.n, self.dt, 0.5 / (block * self.dt))
-        power = truth.psd(f, self.dt)
+        power = truth.psd(f, self.dt) - (truth.rolloff.floor if truth.rolloff else 0.0)
         data = Reduced("hidden", "", self.dt, np.zeros(self.n), block, mean, f, power, dof)
         return Expected(data, gamma=truth.covariance(block, self.dt, mean.size))
 
@@ -270,6 +268,8 @@ class Log:
         if use.id == "outliers":
             sigma2 = float(np.mean(rest.psd(np.linspace(0.05, 0.45, 41) / self.dt, self.dt))) / self.dt
             return _outliers_worth(self.n, given["probability"], math.sqrt(1.0 + given["sigma"] ** 2 / sigma2))
+        if use.id == "turn_on_bias":
+            return bias_gain(given["value"], mean_spread(rest, self.white, self.n * self.dt, self.dt))
         return math.inf
 
 

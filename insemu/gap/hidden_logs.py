@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS, EffectUse
 from insemu.emulate import corrupt
+from insemu.gap.candidates import EARTH_RATE
 from insemu.gap.expected import Log, sized
 from insemu.gap.hidden_drives import Hidden
 from insemu.gap.sources import static_of
@@ -40,8 +41,6 @@ SENSORS = (
 BESIDE_NATS = 20.0
 #: How often the strength of one that is worth less is raised, and by how much at the most.
 RAISES, MOST_RAISE = 8, 2.0
-#: A turn-on bias is drawn as this many times the rotation of the Earth, at the least and at the most.
-TURN_ON = (2.0, 8.0)
 
 
 def shape(
@@ -53,7 +52,7 @@ def shape(
     memory = float(np.exp(rng.uniform(math.log(10.0), math.log(max(span / 15.0, 20.0)))))
     switching, sign = float(1.0 / rng.uniform(15.0, 90.0)), float(rng.choice([-1.0, 1.0]))
     frequency, order = float(rng.uniform(0.1, 0.45) / dt), float(rng.integers(1, 4))
-    bandwidth, bias = float(rng.uniform(0.01, 0.15)) * frequency, float(rng.uniform(*TURN_ON)) * 7.3e-5
+    bandwidth = float(rng.uniform(0.01, 0.15)) * frequency
 
     def x(value: float) -> list[float]:
         out = [0.0, 0.0, 0.0]
@@ -76,7 +75,7 @@ def shape(
             "quantization": {"lsb": x(0.3 * s * sample)},
             "saturation": {"limit": [3.0 * sample / math.sqrt(s) if k == axis else 1.0 for k in range(3)]},
             "dropped_samples": {"probability": 2e-3 * s},
-            "turn_on_bias": {"value": x(sign * bias)},
+            "turn_on_bias": {"value": x(sign * s * 2.0 * EARTH_RATE)},
         }  # fmt: skip
         sensor = "imu" if effect == "dropped_samples" else "gyro"
         return EffectUse.from_mapping({"effect": effect, "sensor": sensor, **values[effect]})
@@ -99,7 +98,7 @@ class HiddenLog:
     missing : (n,) array of bool or None
         Samples that the stamps skip.
     hidden : tuple of Hidden
-        With what each is worth beside the others.
+        With what each is worth, alone and beside the others.
     uses : tuple of EffectUse
         The same with numbers.
     axis : int
@@ -118,23 +117,30 @@ class HiddenLog:
     known: Log
 
 
-def together(makers: Sequence[Callable[[float], EffectUse]], log: Log, target: float) -> list[tuple[EffectUse, float]]:
+@dataclass(frozen=True)
+class Sized:
+    """An effect with numbers, and the nats that it is expected to be worth alone and beside the others."""
+
+    use: EffectUse
+    alone: float
+    beside: float
+
+
+def together(makers: Sequence[Callable[[float], EffectUse]], log: Log, target: float) -> list[Sized]:
     """Size effects that share an axis: each for ``target`` nats alone, and raised until each is worth its share beside the others."""
-    alone = [sized(make, log.worth, target) for make in makers]
-    strengths, worth = [s for s, _ in alone], [w for _, w in alone]
+    strengths = [sized(make, log.worth, target)[0] for make in makers]
     uses = [make(s) for make, s in zip(makers, strengths, strict=True)]
-    if len(uses) < 2:
-        return list(zip(uses, worth, strict=True))
-    for _ in range(RAISES):
-        worth = [log.worth(u, [v for v in uses if v is not u]) for u in uses]
-        low = [k for k, w in enumerate(worth) if w < BESIDE_NATS]
+    beside = [log.worth(u, [v for v in uses if v is not u]) for u in uses]
+    for _ in range(RAISES if len(uses) > 1 else 0):
+        low = [k for k, w in enumerate(beside) if w < BESIDE_NATS]
         if not low:
             break
         for k in low:
-            lacking = math.sqrt((BESIDE_NATS + 5.0) / max(worth[k] + 3.0, 3.0))
+            lacking = math.sqrt((BESIDE_NATS + 5.0) / max(beside[k] + 3.0, 3.0))
             strengths[k] *= min(max(lacking, 1.2), MOST_RAISE)
             uses[k] = makers[k](strengths[k])
-    return list(zip(uses, worth, strict=True))
+        beside = [log.worth(u, [v for v in uses if v is not u]) for u in uses]
+    return [Sized(u, log.worth(u), w) for u, w in zip(uses, beside, strict=True)]
 
 
 def wrong(truth: NoiseModel, rng: np.random.Generator) -> NoiseModel:
@@ -164,7 +170,7 @@ def static_recording(
     effects : sequence of str
         Of :data:`STATIC_EFFECTS`; ``none`` counts as none.
     target : float
-        Nats that each is expected to be worth; a turn-on bias is drawn from :data:`TURN_ON` instead.
+        Nats that each is expected to be worth.
     seed : int or sequence of int
     hours, rate_hz : float
         Length and rate.
@@ -188,7 +194,7 @@ def static_recording(
     looked = [e for e in effects if e != "none"]
     wanted = looked + ([outside] if outside in EFFECTS else [])
     made = together([shape(e, n, dt, log.white, axis, rng) for e in wanted], log, target)
-    uses = tuple(u for u, _ in made)
+    uses = tuple(s.use for s in made)
     # the emulator makes three axes; those that are not asked for are left out
     full = {a: truth.get(a, truth[names[0]]) for a in AXES[:3]}
     still = ImuRecord(t, np.zeros((n, 3)), np.zeros((n, 3)), "mean")
@@ -202,7 +208,13 @@ def static_recording(
     seen = static_of(Recording(imu=replace(imu, temperature=np.interp(imu.t, t, temperature)), source="hidden"))
     assert seen.temperature is not None
     hidden = tuple(
-        Hidden(e, use.sensor, () if e in ("decimation_filter", "dropped_samples") else ("xyz"[axis],), math.nan, nats)
-        for e, (use, nats) in zip(looked, made, strict=False)
+        Hidden(
+            e,
+            s.use.sensor,
+            () if e in ("decimation_filter", "dropped_samples") else ("xyz"[axis],),
+            nats=s.alone,
+            beside=s.beside if len(made) > 1 else math.nan,
+        )
+        for e, s in zip(looked, made, strict=False)
     )
     return HiddenLog(list(seen.axes[:axes]), beliefs, seen.temperature, seen.missing, hidden, uses, axis, log)

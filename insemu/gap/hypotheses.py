@@ -29,7 +29,7 @@ from insemu.gap.verdict import Value
 Array = NDArray[np.float64]
 
 #: Prior amplitudes of slow processes, in units of the datasheet's scale.
-AMPLITUDES = np.geomspace(1e-3, 100.0, 31)
+AMPLITUDES = np.geomspace(1e-3, 3000.0, 40)
 #: Effects of one number that only one description can have.
 ONCE = ("imu_gnss_time_offset", "clock_drift", "gravity", "earth_rate", "transport_rate")
 #: Fewest fixes that a step in them lasts; a shorter one is an outlier.
@@ -89,8 +89,10 @@ class Hypothesis:
     columns: tuple[int, ...] = ()
 
 
-#: Slopes that are tried, in the datasheet's: a random walk of any size follows a slope, so the slope may have any size too.
-SLOPES = (*PRIOR_SCALES, 30.0, 100.0, 300.0, 1000.0)
+#: Sizes of shapes and of slopes that are tried, in the datasheet's. What a fix can see of a slope or a slow process is far above it, and a random
+#: walk of any size follows a slope.
+SIZES = (*PRIOR_SCALES, 30.0, 100.0)
+SLOPES = (*SIZES, 300.0, 1000.0)
 
 
 def bank(scene: Scene) -> list[Variant]:
@@ -100,7 +102,7 @@ def bank(scene: Scene) -> list[Variant]:
 
 def _shapes(columns: Sequence[Column]) -> list[Variant]:
     out: list[Variant] = []
-    amplitudes = np.array(PRIOR_SCALES)
+    amplitudes = np.array(SIZES)
     for key in dict.fromkeys((c.effect, c.sensor) for c in columns):
         mine = [i for i, c in enumerate(columns) if (c.effect, c.sensor) == key]
         sets: list[tuple[tuple[str, ...], str, list[int]]] = []

@@ -152,7 +152,7 @@ def _drive(
         more = find_dynamic_gap(
             recording, moved, rng=rng, threshold=threshold, without=skip, hold_out=False, progress=say
         )
-        corrected = _closer(out, more)
+        corrected = _closer(out, more, [s.effect for s in early])
         if corrected is out:
             break
         out = corrected
@@ -192,7 +192,7 @@ def _together(report: GapReport, early: list[Step], mounted: Mounted | None, nom
             after_index = _mean(after_index, mounted.chi_square[1] / mounted.dof, mounted.dof)
     return replace(
         report,
-        verdict=judged(steps, report.remainder),
+        verdict=judged(steps, report.remainder, [s.effect for s in early]),
         steps=tuple(steps),
         where=where,
         after=after,
@@ -214,7 +214,7 @@ def _added_up(steps: list[Step], earlier: Step) -> list[Step]:
     return [*steps, earlier]
 
 
-def _closer(report: GapReport, more: GapReport) -> GapReport:
+def _closer(report: GapReport, more: GapReport, settled: Collection[str]) -> GapReport:
     """A report with what the recording still says once its effects are known; the same object where that is nothing new."""
     steps = list(report.steps)
     changed = False
@@ -236,7 +236,11 @@ def _closer(report: GapReport, more: GapReport) -> GapReport:
     if not more.remainder:
         steps = [_settled(s) for s in steps]
     return replace(
-        report, verdict=judged(steps, more.remainder), steps=tuple(steps), after=more.after, remainder=more.remainder
+        report,
+        verdict=judged(steps, more.remainder, settled),
+        steps=tuple(steps),
+        after=more.after,
+        remainder=more.remainder,
     )
 
 

@@ -17,6 +17,8 @@ from insemu.records import ImuRecord
 
 Array = NDArray[np.float64]
 
+#: By what share of the sampling interval a stamp may stray before it says nothing about lost samples; loggers round to milliseconds.
+STRAY = 0.25
 #: Longest gap that is bridged, s; a longer one is an outage of the IMU.
 LONGEST_GAP_S = 0.5
 #: Fewest samples at the full scale.
@@ -188,9 +190,9 @@ def widths_of(imu: ImuRecord) -> Array:
 def _bridge(imu: ImuRecord) -> tuple[ImuRecord, Step] | None:
     step = np.diff(imu.t)
     dt = float(np.median(step))
-    steady = np.abs(step / dt - 1.0) < 0.05
+    steady = np.abs(step / dt - 1.0) < STRAY
     missing = np.round(step / dt).astype(int) - 1
-    gaps = np.flatnonzero((missing > 0) & (np.abs(step / dt - np.round(step / dt)) < 0.1) & (step < LONGEST_GAP_S))
+    gaps = np.flatnonzero((missing > 0) & (np.abs(step / dt - np.round(step / dt)) < STRAY) & (step < LONGEST_GAP_S))
     if not gaps.size or steady.sum() + gaps.size < 0.98 * step.size or gaps.size > 0.1 * step.size:
         return None
     n = step.size + int(missing[gaps].sum())

@@ -99,11 +99,14 @@ def vibration_line(state: AxisState) -> list[Weighed]:
     spectrum = np.abs(np.fft.rfft(y, m)) ** 2 * (dt / n)
     f = np.arange(spectrum.size) / (m * dt)
     inside = (f >= data.f[0]) & (f < 0.5 / dt * (1.0 - 4.0 / n))
+    S = state.explanation.psd(f[inside], dt)
+    # beyond an output filter there is nothing but what leaks there, and no line stands out of that
+    least = LEAST_POWER * float(np.median(S))
     ratio = np.zeros(spectrum.size)
-    ratio[inside] = spectrum[inside] / state.explanation.psd(f[inside], dt)
+    ratio[inside] = spectrum[inside] / np.maximum(S, least)
     k = int(np.argmax(ratio))
     # a line between two frequencies of the grid is worth what it is at its own
-    peak = max(float(ratio[k]), _height(y, dt, f[k]) / float(state.explanation.psd(f[[k]], dt)[0]))
+    peak = max(float(ratio[k]), _height(y, dt, f[k]) / max(float(state.explanation.psd(f[[k]], dt)[0]), least))
     looked = float(inside.sum()) / FINER
     gain = _line_gain(peak, looked)
     if gain < 0.0:
@@ -252,6 +255,35 @@ def outliers(state: AxisState) -> list[Weighed]:
     values_clean = state.data.values.copy()
     values_clean[wild] -= (1.0 - 1.0 / k) * signed[wild] * fitted_n / math.sqrt(state.data.dt)
     return [Weighed("outliers", "", gain, values, cleaned(state, values_clean, "outliers"))]
+
+
+#: Residuals of a moving sensor beyond this are single samples that stand out, where so many of them look like one, and what counts beside them.
+EVIDENT, ALIKE, BESIDE = 10.0, 0.8, 5.0
+
+
+def evident_outliers(state: AxisState) -> Weighed | None:
+    """Outliers of a moving sensor so large that every other look at its spectrum would see them; ``None`` where there are no three of them.
+
+    A single sample shows in the residual against its neighbours with twice the size and the opposite sign of what it leaves on either side.
+    """
+    r = whitened(state)
+    size = np.abs(r)
+    inner = np.arange(1, r.size - 1)
+    at = inner[(size[1:-1] > EVIDENT) & (size[1:-1] >= size[:-2]) & (size[1:-1] > size[2:])]
+    if at.size < 3 or float(np.mean(size > BESIDE)) > 3.0 * MOST_WILD:
+        return None
+    beside = -(r[at - 1] + r[at + 1]) / r[at]
+    if float(np.mean(np.abs(beside - 1.0) < 0.5)) < ALIKE:
+        return None
+    found = _wild_in_motion(state, 0.0, r, size > BESIDE, 1.0)
+    if not found:
+        return None
+    share, sigma = (v.value for v in found[0].values)
+    unit = state.data.values[1:-1] - 0.5 * (state.data.values[2:] + state.data.values[:-2])
+    v = (sigma / (1.4826 * float(np.median(np.abs(unit))))) ** 2 + 1.0
+    top = r[at]
+    gain = float(np.sum(0.5 * top**2 * (1.0 - 1.0 / v))) + at.size * (math.log(share) - 0.5 * math.log(v))
+    return replace(found[0], gain=gain)
 
 
 def _wild_in_motion(state: AxisState, gain: float, r: Array, wild: NDArray[np.bool_], s: float) -> list[Weighed]:
@@ -494,6 +526,7 @@ def held_samples(state: AxisState) -> list[Weighed]:
     if step >= MATERIAL_LSB * state.white / math.sqrt(state.data.dt):
         return []  # counts repeat by themselves
     held = np.flatnonzero(np.diff(y) == 0.0) + 1
+    held = held[(y[held] < y.max()) & (y[held] > y.min())]  # a full scale repeats by itself
     share = held.size / y.size
     resolution = max(2.0**-24 * float(np.max(np.abs(y))), step)
     chance = min(1.0, resolution / (state.white / math.sqrt(state.data.dt)))

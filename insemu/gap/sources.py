@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import toeplitz
+from scipy.signal import fftconvolve
 
 from insemu import earth, formats
 from insemu.errors import InputError
@@ -148,13 +150,48 @@ def filled(values: Array, t: Array, dt: float, source: str) -> tuple[Array, NDAr
             f"the stamps skip {lost} of {missing.size} samples, expected at most {MOST_LOST:.0%} for a static log",
             where=source,
         )
-    every = np.arange(missing.size)
-    # the mean of two neighbours has half their variance: the other half is drawn
     rng = np.random.default_rng(missing.size)
-    fast = np.std(np.diff(values, axis=0), axis=0) / 2.0
-    out = np.stack([np.interp(every, slots, v) for v in values.T], axis=1)
-    out[missing] += fast * rng.standard_normal((lost, values.shape[1]))
+    out = np.zeros((missing.size, values.shape[1]))
+    out[slots] = values
+    for column in out.T:
+        _draw_missing(column, missing, rng)
     return out, missing
+
+
+#: Samples to either side that a lost sample is drawn from, and those that its slow part is the mean of.
+NEAR, SLOW = 12, 200
+
+
+def _draw_missing(x: Array, missing: NDArray[np.bool_], rng: np.random.Generator) -> None:
+    """Fill lost samples in place with what the ones around them leave open: the log's own autocovariance decides how much that is.
+
+    Interpolated samples would be too smooth, and a log that lost many of them would look coloured.
+    """
+    present = (~missing).astype(np.float64)
+    kernel = np.ones(2 * SLOW + 1)
+    slow = fftconvolve(x * present, kernel, "same") / fftconvolve(present, kernel, "same")
+    fast = np.where(missing, 0.0, x - slow)
+    pairs = np.array([float(present[k:] @ present[: x.size - k]) for k in range(2 * NEAR + 1)])
+    r = np.array([float(fast[k:] @ fast[: x.size - k]) for k in range(2 * NEAR + 1)]) / pairs
+    if not r[0] > 0.0:
+        x[missing] = slow[missing]
+        return
+    # estimated lag by lag it need not be one of anything: made so by a little white noise
+    lowest = float(np.linalg.eigvalsh(toeplitz(r))[0])
+    r[0] += 1e-3 * r[0] + max(-2.0 * lowest, 0.0)
+    known: dict[bytes, tuple[Array, float]] = {}
+    filled_in = present > 0.0
+    for k in map(int, np.flatnonzero(missing)):
+        near = np.arange(max(0, k - NEAR), min(x.size, k + NEAR + 1))
+        near = near[filled_in[near]]
+        key = (near - k).tobytes()
+        if key not in known:
+            weights = np.linalg.solve(r[np.abs(near[:, None] - near[None, :])], r[np.abs(near - k)])
+            known[key] = weights, float(np.sqrt(max(r[0] - weights @ r[np.abs(near - k)], 0.0)))
+        weights, spread = known[key]
+        fast[k] = weights @ fast[near] + spread * rng.standard_normal()
+        x[k] = slow[k] + fast[k]
+        filled_in[k] = True
 
 
 def _temperature(path: Path) -> Array | None:

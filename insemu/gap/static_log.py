@@ -39,7 +39,8 @@ THRESHOLD = 3.0
 OMNIBUS = 0.002
 #: Share of the log on which effects are named for the held-out figures.
 NAMING_SHARE = 2.0 / 3.0
-MOST_STEPS = 8
+#: Fast effects of a real log can be many; its slow ones come after them.
+MOST_STEPS = 12
 #: p-value of a stationary spectrum below which no stationary process is looked for in the fast band any more.
 DRIFTING = 1e-6
 VARYING = "vibration that changes with time"
@@ -129,11 +130,32 @@ def search(
         if len(found) > 1 and not _taken_out(new.chosen):
             state, found = _reconsider(state, found, without)
     if "turn_on_bias" not in without:
-        carried = sorted((w for w in turn_on_bias(state) if w.effect not in without), key=lambda w: -w.gain)
+        carried = _carried_mean(state, found, without)
         if carried and carried[0].gain >= threshold:
             found.append(Found(carried[0], tuple(carried), _confidence(carried)))
             state = carried[0].state
     return AxisResult(start, state, tuple(found), outsider)
+
+
+def _carried_mean(state: AxisState, found: Sequence[Found], without: Collection[str]) -> list[Weighed]:
+    """What a mean that no rotation of the Earth explains is worth as a turn-on bias and as a random walk, best first.
+
+    How far a slow process may carry the mean depends on which one it is, so the bias must hold against each that could stand for one that was
+    found, as far behind as that is.
+    """
+    weighed = [w for w in turn_on_bias(state) if w.effect not in without]
+    bias = next((w for w in weighed if w.effect == "turn_on_bias"), None)
+    if bias is None or bias.gain <= 0.0:
+        return sorted(weighed, key=lambda w: -w.gain)
+    gain = bias.gain
+    for f in found:
+        if f.chosen.effect not in _SLOW:
+            continue
+        for w in f.ranked:
+            if w.effect in _SLOW and w.effect != f.chosen.effect:
+                own = next((v.gain for v in turn_on_bias(w.state) if v.effect == "turn_on_bias"), gain)
+                gain = min(gain, own + max(f.chosen.gain - w.gain, 0.0))
+    return sorted((replace(w, gain=gain) if w is bias else w for w in weighed), key=lambda w: -w.gain)
 
 
 def _of_known_shape(

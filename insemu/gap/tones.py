@@ -61,7 +61,8 @@ def _steady(data: Reduced, f: Array, power: Array) -> Array:
         if last - first < 8:
             continue
         even = float(np.median(power[first:last])) / math.log(2.0)
-        if 0.5 < even / data.power[k] < 2.0:
+        spread = math.sqrt(2.1 / (last - first) + 2.0 / float(data.dof[k]))
+        if abs(math.log(even / data.power[k])) < 3.0 * spread + 0.05:
             out[first:last] = data.power[k]
     return out
 

@@ -243,9 +243,9 @@ def run_dynamic(
     seconds = time.process_time() - started
     held = math.nan
     if uses and not outside:
+        start, end = float(flown.prepared.imu.t[0]), float(flown.prepared.imu.t[-1])
+        cut = start + NAMING_SHARE * (end - start)
         whole = math.nan
-        start = float(flown.prepared.imu.t[0])
-        cut = start + NAMING_SHARE * (float(flown.prepared.imu.t[-1]) - start)
         if oracle_knows(uses):
             whole, late, fixes = oracle(s, clean(), flown.prepared, uses, cut)
             held = late / max(fixes, 1)

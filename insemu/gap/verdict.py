@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -117,10 +117,20 @@ class Step:
         }
 
 
-def judged(steps: Sequence[Step], remainder: str) -> VerdictName:
-    """The verdict: names stand where the strongest step is not shaken, whatever else is left over."""
-    if steps and not steps[0].shaken:
-        return "class" if steps[0].is_class else "named"
+#: What is worth more stands however much that is unexplained sits elsewhere: vibration over the whole band outweighs anything in nats.
+FIRM_NATS = 150.0
+
+
+def judged(steps: Sequence[Step], remainder: str, settled: Collection[str] = ()) -> VerdictName:
+    """The verdict: names stand where the strongest step, or a firm one, is not shaken, whatever else is left over.
+
+    Effects that were ``settled`` on other data than the rest (the mounting on the motion across the vehicle) speak before all others: nats of what
+    shakes a sensor do not compare with theirs.
+    """
+    steps = [s for s in steps if s.effect in settled] or steps
+    standing = [s for s in steps if not s.shaken]
+    if standing and (standing[0] is steps[0] or standing[0].gain_nats > FIRM_NATS):
+        return "class" if standing[0].is_class else "named"
     return "unexplained" if steps or remainder else "nothing missing"
 
 
@@ -232,8 +242,9 @@ def held_out_said(report: GapReport) -> GapReport:
 
 
 def _farther(before: Interval, after: Interval) -> bool:
-    """Whether an index is farther from 1 than another, in proportion and beyond both intervals."""
+    """Whether an index is farther from 1 than another, in proportion, beyond what both intervals leave open."""
     if not min(before.value, after.value) > 0.0:
         return False
-    apart = after.high < before.low or after.low > before.high
+    half = math.hypot(before.high - before.low, after.high - after.low) / 2.0
+    apart = abs(after.value - before.value) > half
     return apart and not after.low <= 1.0 <= after.high and abs(math.log(after.value)) > abs(math.log(before.value))
