@@ -243,7 +243,7 @@ class Search:
                 return self._apart(first)
         if best.effect in PROCESSES:
             first, total, _ = self._greedy([v for v in single if not v.process and v.sensor == best.sensor])
-            if first is not None and total > best.gain + 1.0:
+            if first is not None and total > best.gain + LEAD:
                 return first
         return best
 
