@@ -20,6 +20,7 @@ from insemu.gap.drive_map import drive_map, innovation_tests
 from insemu.gap.evidence import LEVEL_UNCERTAINTY, Component, Free, Likelihood, fit
 from insemu.gap.hypotheses import (
     ONCE,
+    PARSIMONY,
     PROCESSES,
     Hypothesis,
     Variant,
@@ -236,12 +237,13 @@ class Search:
             return best
         single = [v for v in self.variants if len(v.axes) < 2]
         if len(best.axes) > 1:
-            first, total = self._greedy(single)
-            if first is not None and total > best.gain + 1.0:
+            first, total, count = self._greedy(single)
+            # as many numbers must say more; with fewer it is enough to say as much
+            if first is not None and total > best.gain + (1.0 if count >= len(best.axes) else -PARSIMONY):
                 return self._apart(first)
         if best.effect in PROCESSES:
-            first, total = self._greedy([v for v in single if not v.process and v.sensor == best.sensor])
-            if first is not None and total > best.gain + 1.0:
+            first, total, _ = self._greedy([v for v in single if not v.process and v.sensor == best.sensor])
+            if first is not None and total > best.gain + LEAD:
                 return first
         return best
 
@@ -265,19 +267,19 @@ class Search:
         own = [v for v in ones if v.index[0] == first[0][0]]
         return next(iter(linear_hypotheses(self.scene, own, self.data, [*given, second], skip)), None)
 
-    def _greedy(self, variants: Sequence[Variant]) -> tuple[Hypothesis | None, float]:
-        """The best of some variants, and what it is worth together with the two that follow it."""
-        given, total = self.blocks(self.found), 0.0
+    def _greedy(self, variants: Sequence[Variant]) -> tuple[Hypothesis | None, float, int]:
+        """The best of some variants, what it is worth together with the two that follow it, and how many of them are worth anything."""
+        given, total, count = self.blocks(self.found), 0.0, 0
         first: Hypothesis | None = None
         for _ in range(3):
             tried = linear_hypotheses(self.scene, variants, self.data, given, self._skip(self.found))
             top = max(tried, key=lambda h: h.gain, default=None)
             if top is None or top.block is None or top.gain < self.threshold:
                 break
-            total += top.gain
+            total, count = total + top.gain, count + 1
             first = first or top
             given = [*given, top.block]
-        return first, total
+        return first, total, count
 
     def _add(self, best: Hypothesis, ranked: Sequence[Hypothesis]) -> None:
         scene = self.scene

@@ -23,8 +23,8 @@ STRAY = 0.25
 LONGEST_GAP_S = 0.5
 #: Fewest samples at the full scale.
 FEWEST_CLIPPED = 4
-#: What a pile on a lattice must be worth over its neighbours.
-LEAST_PILE_NATS = 10.0
+#: What a pile on a lattice must be worth over its neighbours, nats: steady manoeuvres make piles too.
+LEAST_PILE_NATS = 20.0
 #: Samples on either side of a clipped stretch that say how the signal goes on.
 NEIGHBOURS = 12
 #: Stretches that tell how the signal changes around them, and the most whose uncertainty is carried on.
