@@ -18,7 +18,7 @@ from insemu.effects import EFFECTS, EffectUse
 from insemu.errors import InputError
 from insemu.evaluate import Experiment, run_experiment
 from insemu.evaluate.world import World
-from insemu.gap import GapReport, StaticLog, Step, find_gap, load_measured, load_nominal, write_refined
+from insemu.gap import GapReport, StaticLog, Step, find_gap, from_its_start, load_measured, load_nominal, write_refined
 from insemu.gap.candidates import CANDIDATES
 from insemu.gap.refined import joined, refined_nominal, uses_of
 from insemu.gap.verdict import Interval, Member, Value, held_out_said
@@ -276,6 +276,17 @@ def test_fixes_that_wander_do_not_move_an_imu_that_rests(tmp_path: Path) -> None
     turning = replace(still.imu, gyro=still.imu.gyro + 0.3 * np.sin(0.2 * (still.imu.t - 3e5))[:, None])
     write(tmp_path / "turning.npz", replace(still, imu=turning))
     assert isinstance(load_measured(tmp_path / "turning.npz"), Recording)
+
+
+def test_a_clock_that_began_long_ago_is_told_from_the_first_sample() -> None:
+    r = standing(30.0)
+    moved = from_its_start(r)
+    assert isinstance(moved, Recording)
+    assert moved.gnss is not None
+    assert r.gnss is not None
+    assert moved.imu.t[0] == 0.0
+    np.testing.assert_allclose(moved.gnss.t - moved.imu.t[0], r.gnss.t - r.imu.t[0], atol=1e-6)
+    assert from_its_start(moved) is moved
 
 
 def test_samples_that_a_static_log_lost_are_filled_without_colour(tmp_path: Path) -> None:

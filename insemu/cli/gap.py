@@ -41,7 +41,7 @@ def command(
     from insemu import units
     from insemu.effects import EFFECTS
     from insemu.errors import InputError, nearest
-    from insemu.gap import find_gap, load_measured, load_nominal, write_refined
+    from insemu.gap import find_gap, from_its_start, load_measured, load_nominal, write_refined
 
     for effect in without or ():
         if effect not in EFFECTS:
@@ -49,6 +49,8 @@ def command(
     console = Console(stderr=as_json)
     nominal = load_nominal(scenario)
     data = load_measured(measured, rate_hz=units.parse(rate, "Hz") if rate else None)
+    if "recording" not in nominal.raw:  # a scenario of a recording tells times by the recording's clock
+        data = from_its_start(data)
     with console.status("reading") as status:
         report = find_gap(
             data,

@@ -8,7 +8,7 @@ from insemu.gap.candidates import register
 from insemu.gap.identify import find_gap
 from insemu.gap.nominal import Nominal, load_nominal
 from insemu.gap.refined import refined_nominal, write_refined
-from insemu.gap.sources import StaticLog, load_measured
+from insemu.gap.sources import StaticLog, from_its_start, load_measured
 from insemu.gap.static_log import find_static_gap
 from insemu.gap.verdict import GapReport, Member, Step, Value, Where
 
@@ -22,6 +22,7 @@ __all__ = [
     "Where",
     "find_gap",
     "find_static_gap",
+    "from_its_start",
     "load_measured",
     "load_nominal",
     "refined_nominal",

@@ -121,7 +121,9 @@ def fix_regressors(scene: Scene) -> dict[str, Array]:
     motion, t = scene.motion, scene.prepared.result.fixes.t
     edges = np.concatenate([[motion.t[0]], t])
     k = np.clip(np.searchsorted(motion.t, t), 0, motion.t.size - 1)
-    heading = rotation.rpy_from_dcm(motion.C[k])[:, 2]
+    heading = rotation.rpy_from_dcm(motion.C[k] @ rotation.dcm_from_rpy(np.array(scene.prepared.nominal.mounting)).T)[
+        :, 2
+    ]
     gap = np.diff(edges)
     out = {
         "specific force": _means(motion.t, motion.force, edges),

@@ -11,7 +11,7 @@ import numpy as np
 
 from insemu.blas import on_one_thread
 from insemu.errors import InputError
-from insemu.gap.known import drive_without, static_without
+from insemu.gap.known import drive_without, in_imu_axes, static_without
 from insemu.gap.nominal import Nominal
 from insemu.gap.preparation import Flown
 from insemu.gap.refined import joined, refined_nominal, uses_of
@@ -140,6 +140,9 @@ def _drive(
             recording, moved = drive_without(measured, now)
     # by the innovations alone the mounting hides in the attitude
     skip = tuple(dict.fromkeys((*without, "mounting")))
+    own_axes = in_imu_axes(recording, moved)
+    if own_axes[0] is not recording:
+        (recording, moved), flown = own_axes, None
     report = find_dynamic_gap(
         recording, moved, rng=rng, threshold=threshold, without=skip, hold_out=hold_out, progress=say, flown=flown
     )
@@ -148,7 +151,9 @@ def _drive(
         if sum(s.gain_nats for s in out.steps if s.sensor in ("gnss", "imu")) < STRONG_NATS:
             break
         say(f"the refined model against the recording, {turn + 1}")
-        recording, moved = drive_without(measured, refined_nominal(nominal, out, measured.imu.dt).parted())
+        recording, moved = in_imu_axes(
+            *drive_without(measured, refined_nominal(nominal, out, measured.imu.dt).parted())
+        )
         more = find_dynamic_gap(
             recording, moved, rng=rng, threshold=threshold, without=skip, hold_out=False, progress=say
         )

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu import rotation
 from insemu.compensation import NEEDS_TRAJECTORY, added_signal, compensated, lever_arm_of
 from insemu.effects import EffectUse
 from insemu.gap.band import Band
@@ -143,6 +144,26 @@ def drive_without(recording: Recording, nominal: Nominal) -> tuple[Recording, No
     out = compensated(recording, effects, trajectory=trajectory)
     wild = next((use for use in effects if use.id == "gnss_outliers"), None)
     return (_without_wild(out, moved, wild) if wild is not None else out), moved
+
+
+def in_imu_axes(recording: Recording, nominal: Nominal) -> tuple[Recording, Nominal]:
+    """A recording and its nominal model from :func:`drive_without`, both in body axes, back in the axes of the IMU.
+
+    Errors of a sensor are in its own axes: there they are looked for and named, and taken off before the mounting is.
+    """
+    C = np.eye(3)
+    for use in nominal.effects:
+        if use.id == "mounting":
+            C = rotation.dcm_from_rpy(np.array(use["rpy"])) @ C
+    if np.allclose(C, np.eye(3), atol=1e-12):
+        return recording, nominal
+    imu, reference = recording.imu, recording.reference
+    imu = replace(imu, gyro=imu.gyro @ C, accel=imu.accel @ C)
+    if reference is not None:
+        reference = replace(reference, rpy=rotation.rpy_from_dcm(rotation.dcm_from_rpy(reference.rpy) @ C))
+    gnss = nominal.gnss.model_copy(update={"lever_arm": tuple(C.T @ np.array(nominal.gnss.lever_arm))})
+    roll, pitch, yaw = (float(x) for x in rotation.rpy_from_dcm(C))
+    return replace(recording, imu=imu, reference=reference), replace(nominal, gnss=gnss, mounting=(roll, pitch, yaw))
 
 
 def _estimated(recording: Recording, nominal: Nominal) -> Trajectory:

@@ -31,6 +31,8 @@ class Nominal:
         What is known besides noise; it is taken off the recording before anything is looked for.
     vehicle : Vehicle, optional
         How the IMU sits in a vehicle that moves where it points; ``None``: nothing is known of that.
+    mounting : (3,) tuple
+        Angles of the IMU in the body, rad, where the recording and the lever arm are in the IMU's own axes; zero where they are in the body's.
     raw : mapping
         The file as it was read, for writing the refined one.
     kind : str
@@ -45,6 +47,7 @@ class Nominal:
     source: str = ""
     effects: tuple[EffectUse, ...] = ()
     vehicle: Vehicle | None = None
+    mounting: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def parted(self) -> Nominal:
         """Lines and ramps, which no spectrum and no covariance holds, moved from the noise models to the known effects."""

@@ -262,14 +262,15 @@ def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, G
     span = imu.as_increments()
     count = max(2, int(0.5 / imu.dt))
     velocity, slope = track.velocity, track.slope
-    force = span.accel[1:count].mean(axis=0) / imu.dt
+    C = rotation.dcm_from_rpy(np.array(nominal.mounting))
+    force = C @ (span.accel[1:count].mean(axis=0) / imu.dt)
     heading = float(np.arctan2(velocity[1], velocity[0]))
     along = float(slope[0] * np.cos(heading) + slope[1] * np.sin(heading))
     across = float(-slope[0] * np.sin(heading) + slope[1] * np.cos(heading))
     g = float(earth.gravity(gnss.llh[k, 0], gnss.llh[k, 2]))
     level = force - np.array([along, across, 0.0])
     roll, pitch = float(np.arctan2(-level[1], -level[2])), float(np.arcsin(np.clip(level[0] / g, -1.0, 1.0)))
-    rpy = np.array([roll, pitch, heading])
+    rpy = rotation.rpy_from_dcm(rotation.dcm_from_rpy(np.array([roll, pitch, heading])) @ C)
     late = float(imu.t[0] - gnss.t[k])
     arm = rotation.dcm_from_rpy(rpy) @ np.array(nominal.gnss.lever_arm)
     llh = earth.move(gnss.llh[k], velocity * late - arm)

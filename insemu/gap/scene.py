@@ -97,9 +97,11 @@ class Scene:
         motion = Motion.of(prepared.imu, prepared.result)
         loop = Loop.of(prepared.result)
         t_fix = prepared.result.fixes.t
-        columns = deterministic_columns(motion) + fix_columns(motion, t_fix, prepared.lever_arm)
+        columns = deterministic_columns(motion) + fix_columns(
+            motion, t_fix, prepared.lever_arm, prepared.nominal.mounting
+        )
         catalogue = len(columns)
-        columns += library_columns(motion, t_fix)
+        columns += library_columns(motion, t_fix, prepared.nominal.mounting)
         library = slice(catalogue, len(columns))
         columns += clipped_columns(motion, prepared.clipped)
         G, ramp = columns_response(loop, motion, columns)
@@ -284,7 +286,7 @@ def corrected_data(
     return replace(imu, gyro=signals[:, :3], accel=signals[:, 3:]), replace(gnss, llh=llh, vel_ned=vel)
 
 
-def library_columns(motion: Motion, t_fix: Array) -> list[Column]:
+def library_columns(motion: Motion, t_fix: Array, mounting: Sequence[float] = (0.0, 0.0, 0.0)) -> list[Column]:
     """Structure outside the catalogue: squares and products of specific force and rate; GNSS error against heading and speed."""
     out: list[Column] = []
     axes = "xyz"
@@ -299,7 +301,7 @@ def library_columns(motion: Motion, t_fix: Array) -> list[Column]:
         for j in range(3):
             if j != i:
                 add("accel", f"w_{axes[j]} f_{axes[i]}", i, 1e-3, motion.rate[:, j] * motion.force[:, i])
-    rpy = rotation.rpy_from_dcm(motion.C)
+    rpy = rotation.rpy_from_dcm(motion.C @ rotation.dcm_from_rpy(np.array(mounting)).T)
     k = np.clip(np.searchsorted(motion.t, t_fix), 0, motion.t.size - 1)
     heading, speed = rpy[k, 2], np.linalg.norm(motion.vel[k], axis=1)
     signals: tuple[tuple[str, Array], ...] = (

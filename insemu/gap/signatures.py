@@ -173,8 +173,10 @@ def _column(
     return Column(effect, sensor, label, axes, e.scale(parameter, sensor), e.unit(parameter, sensor), inputs, fixes)
 
 
-def fix_columns(motion: Motion, t_fix: Array, lever_arm: Array) -> list[Column]:
-    """Unit columns of the effects on fixes: time offset, clock drift, lever arm."""
+def fix_columns(
+    motion: Motion, t_fix: Array, lever_arm: Array, mounting: Sequence[float] = (0.0, 0.0, 0.0)
+) -> list[Column]:
+    """Unit columns of the effects on fixes: time offset, clock drift, lever arm (in body axes, of an IMU that sits in them as ``mounting`` says)."""
     v, a, C, omega = _at(motion, t_fix)
     swing = np.einsum("nij,nj->ni", C, np.cross(omega, lever_arm))
     swing_rate = np.gradient(swing, t_fix, axis=0) if t_fix.size > 2 else np.zeros_like(swing)
@@ -190,8 +192,8 @@ def fix_columns(motion: Motion, t_fix: Array, lever_arm: Array) -> list[Column]:
         inputs += tuple((i, np.ascontiguousarray(motion.rate[:, i])) for i in range(3))
     out.append(replace(_column("clock_drift", "imu", "drift", (), "drift", inputs, moved * late), runs=True))
     for i, name in enumerate(_AXES):
-        axis = np.eye(3)[i]
-        M = np.hstack([C[:, :, i], np.einsum("nij,nj->ni", C, np.cross(omega, axis))])
+        axis = rotation.dcm_from_rpy(np.array(mounting))[i]
+        M = np.hstack([C @ axis, np.einsum("nij,nj->ni", C, np.cross(omega, axis))])
         out.append(_column("lever_arm", "gnss", f"value_{name}", (name,), "value", fixes=M))
     return out
 

@@ -64,6 +64,20 @@ def load_measured(path: str | Path, *, rate_hz: float | None = None) -> StaticLo
     return StaticLog(axes, temperature, str(path), missing)
 
 
+def from_its_start(data: StaticLog | Recording) -> StaticLog | Recording:
+    """A recording under a clock that began long before it (GPS seconds, an epoch), with times from its first sample; any other as it is."""
+    if not isinstance(data, Recording) or not data.imu.t[0] > data.imu.t[-1] - data.imu.t[0]:
+        return data
+    first = float(data.imu.t[0])
+    gnss, reference = data.gnss, data.reference
+    return replace(
+        data,
+        imu=replace(data.imu, t=data.imu.t - first),
+        gnss=None if gnss is None else replace(gnss, t=gnss.t - first),
+        reference=None if reference is None else replace(reference, t=reference.t - first),
+    )
+
+
 #: A recording whose fixes stay this close to their median, m, and this slow, m/s, or within their own noise, was made at rest.
 #: Fixes that wander no further than this, m, are at rest too where the IMU does not stir.
 REST_RADIUS, REST_SPEED, WANDER = 3.0, 0.5, 50.0

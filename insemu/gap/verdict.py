@@ -117,20 +117,15 @@ class Step:
         }
 
 
-#: What is worth more stands however much that is unexplained sits elsewhere: vibration over the whole band outweighs anything in nats.
-FIRM_NATS = 150.0
-
-
 def judged(steps: Sequence[Step], remainder: str, settled: Collection[str] = ()) -> VerdictName:
-    """The verdict: names stand where the strongest step, or a firm one, is not shaken, whatever else is left over.
+    """The verdict: names stand where the strongest step is not shaken, whatever else is left over.
 
     Effects that were ``settled`` on other data than the rest (the mounting on the motion across the vehicle) speak before all others: nats of what
     shakes a sensor do not compare with theirs.
     """
     steps = [s for s in steps if s.effect in settled] or steps
-    standing = [s for s in steps if not s.shaken]
-    if standing and (standing[0] is steps[0] or standing[0].gain_nats > FIRM_NATS):
-        return "class" if standing[0].is_class else "named"
+    if steps and not steps[0].shaken:
+        return "class" if steps[0].is_class else "named"
     return "unexplained" if steps or remainder else "nothing missing"
 
 
