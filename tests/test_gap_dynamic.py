@@ -28,6 +28,7 @@ from insemu.gap.signatures import Loop, Motion, columns_response, deterministic_
 from insemu.gap.singular import lattice, vibration_line
 from insemu.gap.surrogate import Surrogate
 from insemu.gap.tones import wandering, without_tones
+from insemu.gap.trial import run_dynamic
 from insemu.gap.verdict import Step, Value
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
@@ -543,3 +544,11 @@ def test_a_recording_that_cannot_be_started_says_why() -> None:
         find_gap(Recording(r.imu, still), believed(np.random.default_rng(1)), rng=np.random.default_rng(1))
     with pytest.raises(InputError, match="no noise model is believed for accel_x"):
         find_gap(r, Nominal({a: BELIEF[a] for a in AXES[:3]}), rng=np.random.default_rng(1))
+
+
+@pytest.mark.slow
+def test_a_large_quadratic_accelerometer_is_unexplained() -> None:
+    # larger than any datasheet says: with a bounded prior it was called an asymmetry, alone and surely
+    trial = run_dynamic((), 60.0, 5004, 6.0, outside="quadratic_accelerometer")
+    assert trial.track == "aeroplane"
+    assert trial.verdict == "unexplained"

@@ -83,10 +83,14 @@ OUTSIDE_LEAD = 3.0
 
 @dataclass(frozen=True)
 class Found:
-    """A step of the search: what was chosen and everything that it was compared with."""
+    """A step of the search: what was chosen and everything that it was compared with.
+
+    ``instead`` is structure outside the catalogue, in words, that explains more in its place, though not by the lead that takes a name away.
+    """
 
     chosen: Hypothesis
     ranked: tuple[Hypothesis, ...]
+    instead: str = ""
 
 
 @dataclass(frozen=True)
@@ -201,6 +205,7 @@ class Search:
             self._climb(progress)
         if self.cut is None:
             self._with_rivals()
+            self._with_outsiders()
         return Named(tuple(self.found), self.scene, self.outsider, self.gone)
 
     def _early_noise(self) -> bool:
@@ -362,6 +367,18 @@ class Search:
             others = [g for g in self.found if g is not f]
             rivals = covariance_hypotheses(self.scene, self.blocks(others), self._skip(others), self.cut)
             self._swap(f, f.chosen, sorted([*f.ranked, *rivals], key=lambda h: -h.gain))
+
+    def _with_outsiders(self) -> None:
+        """Hold each effect of known shape against structure outside the catalogue in its place."""
+        for k, f in enumerate(self.found):
+            h = f.chosen
+            if not h.columns:
+                continue
+            others = self.blocks([g for g in self.found if g is not f])
+            own = [v for v in self.variants if (v.effect, v.sensor) == (h.effect, h.sensor)]
+            beyond, what = library_gain(self.scene, self.data, others)
+            if beyond > max(w.gain for w in linear_hypotheses(self.scene, own, self.data, others, ())):
+                self.found[k] = replace(f, instead=what)
 
 
 def _is_step(f: Found) -> bool:
@@ -681,14 +698,17 @@ def find_dynamic_gap(
         if r.outsider and (humming or r.outsider.startswith(WANDERING))
     }
     own = _joined(with_confusable([_step(f, named) for f in named.found], named, without, repeated))
-    if named.outsider or failed:
-        own = [s.doubted() for s in own]
+    # a class leaves open what it is; a single name does not where something else explains more
+    instead = {f.instead for s, f in zip(own, named.found, strict=True) if f.instead and not s.is_class}
+    own = [
+        s.doubted() if named.outsider or failed or (f.instead and not s.is_class) else s
+        for s, f in zip(own, named.found, strict=True)
+    ]
     heard = [s.doubted() if static_log.is_shaken(s, (), changing) else s for s in static_log.merged_steps(dict(fast))]
     heard = [with_delay(s, late.get(s.sensor, 0.0)) for s in heard]
     steps = sorted([*own, *heard, *noticed], key=lambda s: -s.gain_nats)
-    remainder = static_log.remainder(
-        failed, {**({("the fixes", ""): named.outsider} if named.outsider else {}), **changing}
-    )
+    beyond = " and ".join(dict.fromkeys(filter(None, (named.outsider, *sorted(instead)))))
+    remainder = static_log.remainder(failed, {**({("the fixes", ""): beyond} if beyond else {}), **changing})
     verdict = judged(steps, remainder)
     refined = dict(believed.beliefs)
     for s in steps:
