@@ -19,12 +19,13 @@ from insemu.gap import Nominal, find_gap
 from insemu.gap.candidates import AxisState
 from insemu.gap.dynamic import fast_effects
 from insemu.gap.evidence import Explanation, Likelihood, Rolloff, fit
+from insemu.gap.hypotheses import Variant, best_pair
 from insemu.gap.innovations import Field, gauss_markov_root, quadratic_evidence, random_walk_root
 from insemu.gap.preparation import fast_parts, starting_state, without_motion
 from insemu.gap.reduced import Reduced, moving_spectrum
 from insemu.gap.samples import advanced, coarse, filled, mend
 from insemu.gap.signatures import Loop, Motion, columns_response, deterministic_columns, fix_columns, knot_response
-from insemu.gap.singular import vibration_line
+from insemu.gap.singular import lattice, vibration_line
 from insemu.gap.surrogate import Surrogate
 from insemu.gap.tones import wandering, without_tones
 from insemu.gap.verdict import Step, Value
@@ -261,6 +262,34 @@ def test_output_counts_are_seen_beside_lost_samples() -> None:
         assert set(found) == {("dropped_samples", "imu"), ("quantization", "gyro"), ("quantization", "accel")}
         assert found["quantization", "gyro"].axes == ("y",)
         assert found["quantization", "gyro"].parameters[0].value == pytest.approx(0.02)
+
+
+def test_counts_are_a_lattice_while_values_repeat_and_noise_is_none() -> None:
+    rng = np.random.default_rng(11)
+    noise = rng.standard_normal(20_000)
+    moving = 40.0 * np.sin(0.01 * np.arange(noise.size)) + 0.03 * noise
+    counts = np.round(moving / 0.015) * 0.015
+    assert np.unique(counts).size > 0.2 * counts.size
+    assert lattice(counts) == pytest.approx(0.015)
+    for values in (noise, moving, moving.astype(np.float32).astype(float), np.cumsum(noise)):
+        assert lattice(values) == 0.0
+
+
+def test_two_shapes_that_cancel_are_found_together() -> None:
+    rng = np.random.default_rng(12)
+    G = rng.standard_normal((400, 6))
+    G[:, 4] = G[:, 1] + 0.2 * G[:, 4]
+    scale = np.array([1.0, 0.5, 2.0, 1.0, 0.3, 1.0])
+    y = rng.standard_normal(400) + 3.0 * G[:, 1] - 3.0 * G[:, 4]
+    data = Field(y, G)
+    variants = [
+        Variant("e", "imu", (), "", np.array([k]), (((), np.array([[scale[k]]])),), np.ones(1)) for k in range(6)
+    ]
+    gain, first, second = best_pair(variants, data.A, data.b)
+    assert {int(first[0][0]), int(second[0][0])} == {1, 4}
+    # the pooled evidence is a mean over the grid that holds the best
+    assert data.log_factor([first, second]) - math.log(25.0) < gain < data.log_factor([first, second])
+    assert max(data.log_factor([(v.index, 10.0 * v.shapes[0][1])]) for v in variants) < gain - 20.0
 
 
 def test_a_line_of_a_moving_sensor_is_steady_and_a_loud_stretch_is_none() -> None:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu import earth
 from insemu.effects import EFFECTS
 from insemu.errors import InputError
 from insemu.gap.band import Band
@@ -418,10 +419,6 @@ def ramp(state: AxisState) -> list[Weighed]:
     return _regression(state, "ramp", "", ("R",), column, scale, (f"{data.unit}/s",))
 
 
-#: Rotation rate of the Earth, rad/s: what a gyroscope at rest may show without any error.
-EARTH_RATE = 7.292115e-5
-
-
 def mean_spread(explanation: Explanation, white: float, duration_s: float, dt: float) -> float:
     """Standard deviation of the mean of a log from the noise of an explanation."""
     T = duration_s
@@ -440,8 +437,8 @@ def mean_spread(explanation: Explanation, white: float, duration_s: float, dt: f
 
 def unbiased_log_density(mean: float, spread: Array) -> Array:
     """Log density of a gyroscope's mean at rest that holds noise of this spread and any part of the rotation of the Earth."""
-    beyond = max(abs(mean) - EARTH_RATE, 0.0)
-    return np.asarray(-0.5 * (beyond / spread) ** 2 - np.log(math.sqrt(2.0 * math.pi) * spread + 2.0 * EARTH_RATE))
+    beyond = max(abs(mean) - earth.RATE, 0.0)
+    return np.asarray(-0.5 * (beyond / spread) ** 2 - np.log(math.sqrt(2.0 * math.pi) * spread + 2.0 * earth.RATE))
 
 
 def bias_gain(mean: float, spread: float) -> float:
@@ -464,7 +461,7 @@ def turn_on_bias(state: AxisState) -> list[Weighed]:
         return []
     mean, T = float(np.mean(data.values)), data.duration_s
     sigma = mean_spread(explanation, state.white, T, data.dt)
-    off = 1.96 * math.hypot(sigma, EARTH_RATE / math.sqrt(3.0))
+    off = 1.96 * math.hypot(sigma, earth.RATE / math.sqrt(3.0))
     values = (Value("value", mean, mean - off, mean + off, data.unit),)
     named = replace(state, named=(*state.named, "turn_on_bias"))
     out = [Weighed("turn_on_bias", "", bias_gain(mean, sigma), values, named)]

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu import earth
 from insemu.effects import EFFECTS, EffectUse
 from insemu.emulate import corrupt
-from insemu.gap.candidates import EARTH_RATE
 from insemu.gap.expected import Log, sized
 from insemu.gap.hidden_drives import Hidden
 from insemu.gap.sources import static_of
@@ -75,7 +75,7 @@ def shape(
             "quantization": {"lsb": x(0.3 * s * sample)},
             "saturation": {"limit": [3.0 * sample / math.sqrt(s) if k == axis else 1.0 for k in range(3)]},
             "dropped_samples": {"probability": 2e-3 * s},
-            "turn_on_bias": {"value": x(sign * s * 2.0 * EARTH_RATE)},
+            "turn_on_bias": {"value": x(sign * s * 2.0 * earth.RATE)},
         }  # fmt: skip
         sensor = "imu" if effect == "dropped_samples" else "gyro"
         return EffectUse.from_mapping({"effect": effect, "sensor": sensor, **values[effect]})

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-from insemu.gap.singular import lattice, pile_evidence
+from insemu.gap.singular import MATERIAL_LSB, lattice, pile_evidence
 from insemu.gap.verdict import Member, Step, Value
 from insemu.noise import WN, NoiseModel
 from insemu.records import ImuRecord
@@ -101,7 +101,9 @@ def _lattices(imu: ImuRecord, counts: dict[str, dict[str, float]]) -> list[Step]
     for sensor, unit in _SENSORS:
         rates = np.array(getattr(imu, sensor)) / widths
         steps = counts[sensor]
-        on = tuple(axis for axis, step in steps.items() if step > 0.0)
+        # finer than that it is the digits of a file
+        least = MATERIAL_LSB * np.array([_noise(rates[:, k]) for k in range(3)])
+        on = tuple(axis for axis, low in zip("xyz", least, strict=True) if steps[axis] > low)
         if not on:
             continue
         names = {axis: "lsb" if len(on) == 1 else f"lsb_{axis}" for axis in on}
@@ -266,6 +268,11 @@ def clipped(rates: Array, step: float = 0.0) -> tuple[float, NDArray[np.bool_], 
     return float(np.mean(limits)), at, nats
 
 
+def _noise(rates: Array) -> float:
+    """Standard deviation of the samples about whatever smooth motion they follow."""
+    return 1.4826 * float(np.median(np.abs(np.diff(rates, 3)))) / math.sqrt(20.0)
+
+
 def filled(t: Array, rates: Array, at: NDArray[np.bool_]) -> tuple[Array, list[tuple[float, float, float]]]:
     """Clipped stretches filled in by what the samples around them say, and start (s), end (s) and uncertainty of the integral of each.
 
@@ -281,7 +288,7 @@ def filled(t: Array, rates: Array, at: NDArray[np.bool_]) -> tuple[Array, list[t
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], at, [False]]).astype(int)))
     dt = float(np.median(np.diff(t)))
-    noise = (1.4826 * float(np.median(np.abs(np.diff(rates, 3))))) ** 2 / 20.0 + 1e-300
+    noise = _noise(rates) ** 2 + 1e-300
     stretches = []
     for first, last in zip(edges[::2], edges[1::2], strict=True):
         near = np.arange(max(0, first - NEIGHBOURS), min(rates.size, last + NEIGHBOURS))

@@ -474,16 +474,22 @@ def _background(state: AxisState, length: float) -> tuple[float, float]:
 # -- output counts and held samples -----------------------------------------------------------------------------------------------
 
 
+#: Largest share of different values among the samples of a lattice.
+MOST_VALUES = 0.8
+
+
 def lattice(values: Array) -> float:
     """Step of the lattice that all values lie on, or 0 where there is none (floating-point resolution does not count)."""
     sample = np.sort(values[: min(values.size, 200_000)])
     steps = np.diff(sample)
     steps = steps[steps > 1e-7 * max(float(np.ptp(sample)), float(np.max(np.abs(sample))))]
-    if not steps.size or steps.size > 0.2 * sample.size:
+    if not steps.size or steps.size > MOST_VALUES * sample.size:
         return 0.0
     step = float(np.min(steps))
     gaps = steps / step
-    near = np.abs(gaps - np.round(gaps)) < 0.02 * np.maximum(1.0, gaps)
+    # where values hardly repeat, only a gap that is a whole number of steps to the end tells a lattice from a crowd
+    tolerance = 0.02 * np.maximum(1.0, gaps) if steps.size <= 0.2 * sample.size else 0.05
+    near = np.abs(gaps - np.round(gaps)) < tolerance
     return float(np.median(steps[gaps < 1.5])) if np.all(near) and np.mean(gaps < 1.5) > 0.1 else 0.0
 
 
