@@ -17,7 +17,7 @@ from insemu.errors import InputError
 from insemu.filters import FilterOptions, FilterResult, InitialSigma, run_filter
 from insemu.gap import Nominal, find_gap
 from insemu.gap.candidates import AxisState
-from insemu.gap.dynamic import fast_effects
+from insemu.gap.dynamic import fast_effects, unknown_part
 from insemu.gap.evidence import Explanation, Likelihood, Rolloff, fit
 from insemu.gap.hypotheses import Variant, best_pair
 from insemu.gap.innovations import Field, gauss_markov_root, quadratic_evidence, random_walk_root
@@ -397,6 +397,16 @@ def test_coarse_counts_say_nothing_about_the_noise() -> None:
     beliefs = {a: NoiseModel((WN(1e-4),)) for a in AXES}  # 1 mrad/s per sample
     assert coarse(beliefs, (step,), 0.01) == {"gyro_y"}
     assert not coarse(beliefs | {"gyro_y": NoiseModel((WN(1e-3),))}, (step,), 0.01)
+
+
+def test_counts_of_one_sensor_say_nothing_about_those_of_another() -> None:
+    lsb = tuple(Value(f"lsb_{a}", 0.01, 0.01, 0.01, "rad/s") for a in "xy")
+    step = Step("quantization", "samples", "gyro", ("x", "y"), lsb, 1.0, 1.0, ())
+    assert unknown_part(step, (use(effect="quantization", sensor="accel", lsb=[0.01, 0.01, 0.01]),)) is step
+    left = unknown_part(step, (use(effect="quantization", sensor="gyro", lsb=[0.01, 0, 0]),))
+    assert left is not None
+    assert (left.axes, [v.name for v in left.parameters]) == (("y",), ["lsb_y"])
+    assert unknown_part(step, (use(effect="quantization", sensor="gyro", lsb=[0.01, 0.01, 0]),)) is None
 
 
 def axis_part(name: str, values: Array, dt: float) -> Reduced:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.effects import EFFECTS
+from insemu.effects import EFFECTS, EffectUse
 from insemu.errors import InputError
 from insemu.gap import singular as _registers  # noqa: F401
 from insemu.gap import static_log
@@ -643,7 +643,7 @@ def find_dynamic_gap(
         )
     mended = mend(recording.imu, tuple(without))
     # what is known of the samples is mended, but is no finding
-    noticed = tuple(s for s in mended.steps if s.effect not in {use.id for use in nominal.effects})
+    noticed = tuple(s for s in (unknown_part(s, nominal.effects) for s in mended.steps) if s is not None)
     whole, believed = recording, nominal
     nominal = replace(nominal, beliefs=with_counts(nominal.beliefs, mended.steps, recording.imu.dt))
     recording = replace(recording, imu=mended.imu)
@@ -794,6 +794,22 @@ def with_confusable(
         ]
         out.append(replace(step, confusable=tuple(sorted(rivals, key=lambda c: -c.share))))
     return out
+
+
+def unknown_part(step: Step, known: Sequence[EffectUse]) -> Step | None:
+    """A step that was read off the samples, less the axes of which it is known; ``None`` where it is known of all."""
+    if step.sensor not in ("gyro", "accel"):
+        return None if step.effect in {use.id for use in known} else step
+    new = [
+        k
+        for k, a in enumerate(step.axes)
+        if step.effect not in {use.id for use in of_axis(known, f"{step.sensor}_{a}")}
+    ]
+    if not new:
+        return None
+    if len(new) == len(step.axes):
+        return step
+    return replace(step, axes=tuple(step.axes[k] for k in new), parameters=tuple(step.parameters[k] for k in new))
 
 
 def _joined(steps: list[Step]) -> list[Step]:
