@@ -114,5 +114,31 @@ def _denoise(signal: Array, levels: int, wavelet: str, rule: Rule, mode: Mode, n
     return np.asarray(pywt.waverec([approximation, *shrunk], wavelet, mode="symmetric")[: signal.size]) + offset
 
 
+def outstanding(x: Array, levels: int, *, wavelet: str = "db4") -> Array:
+    """Return what stands out of white noise at any time and octave, about the median: all that is left of an axis at rest is a constant.
+
+    Every coefficient, those of the approximation too, is kept or killed at ``sqrt(2 ln n)`` deviations of the first octave (Donoho and
+    Johnstone 1994).
+
+    Parameters
+    ----------
+    x : (n, k) array
+        Finite signals, treated one by one.
+    levels : int
+        Octaves, 1 and more.
+    wavelet : str
+        A discrete wavelet of PyWavelets.
+    """
+    out = np.empty_like(x)
+    for k in range(x.shape[1]):
+        offset = float(np.median(x[:, k]))
+        # periodic, so that the coefficients of the ends scatter as all others do
+        all_of_it = pywt.wavedec(x[:, k] - offset, wavelet, mode="periodization", level=levels)
+        least = _deviation(all_of_it[-1]) * float(np.sqrt(2.0 * np.log(x.shape[0])))
+        kept = [pywt.threshold(c, least, mode="hard") for c in all_of_it]
+        out[:, k] = pywt.waverec(kept, wavelet, mode="periodization")[: x.shape[0]] + offset
+    return out
+
+
 def _deviation(details: Array) -> float:
     return float(np.median(np.abs(details)) / 0.6744897501960817)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from insemu.denoise import denoise, sure_threshold
+from insemu.denoise import denoise, outstanding, sure_threshold
 from insemu.errors import InputError
 
 
@@ -55,3 +55,15 @@ def test_bad_options_are_refused(arguments: dict[str, object], said: str) -> Non
 def test_nan_is_refused() -> None:
     with pytest.raises(InputError, match="1 value"):
         denoise([0.0, np.nan, 1.0] * 1, 0)
+
+
+def test_what_stands_out_of_noise_is_the_motion_and_an_axis_at_rest_is_a_constant() -> None:
+    rng = np.random.default_rng(5)
+    t = np.arange(20_000) * 0.01
+    turn = 0.5 * np.exp(-0.5 * ((t - 80.0) / 3.0) ** 2)
+    noise = 0.01 * rng.standard_normal((t.size, 2))
+    seen = outstanding(np.column_stack([turn, np.full(t.size, 0.3)]) + noise, 10)
+    assert np.ptp(seen[:, 1]) < 1e-12
+    assert seen[0, 1] == pytest.approx(0.3, abs=1e-3)
+    assert np.std(seen[:, 0] - turn) < 0.005
+    assert np.max(np.abs(seen[:, 0] - turn)) < 0.02

@@ -489,6 +489,14 @@ def test_a_nominal_flight_lacks_nothing() -> None:
     assert report.gap_before.low < 1.0 < report.gap_before.high
 
 
+def test_an_axis_that_hardly_moves_does_not_explain_the_noise_that_it_makes() -> None:
+    _, motion, _ = nominal_run()
+    imu, _ = ideal()
+    noise = 1e-4 / math.sqrt(imu.dt)
+    assert np.std(motion.rate[:, 0] - imu.gyro[:, 0] / imu.dt) < 0.2 * noise
+    assert np.std(motion.rate[:, 2] - imu.gyro[:, 2] / imu.dt) < 0.3 * noise
+
+
 def test_a_wrong_lever_arm_is_named_and_the_gap_closes() -> None:
     report = find_gap(
         recording(use(effect="lever_arm", value=[0.3, 0, 0]), seed=5),

@@ -697,13 +697,15 @@ def find_dynamic_gap(
         for name, r in fast
         if r.outsider and (humming or r.outsider.startswith(WANDERING))
     }
-    own = _joined(with_confusable([_step(f, named) for f in named.found], named, without, repeated))
+    each = with_confusable([_step(f, named) for f in named.found], named, without, repeated)
     # a class leaves open what it is; a single name does not where something else explains more
-    instead = {f.instead for s, f in zip(own, named.found, strict=True) if f.instead and not s.is_class}
-    own = [
-        s.doubted() if named.outsider or failed or (f.instead and not s.is_class) else s
-        for s, f in zip(own, named.found, strict=True)
-    ]
+    instead = {f.instead for s, f in zip(each, named.found, strict=True) if f.instead and not s.is_class}
+    own = _joined(
+        [
+            s.doubted() if named.outsider or failed or (f.instead and not s.is_class) else s
+            for s, f in zip(each, named.found, strict=True)
+        ]
+    )
     heard = [s.doubted() if static_log.is_shaken(s, (), changing) else s for s in static_log.merged_steps(dict(fast))]
     heard = [with_delay(s, late.get(s.sensor, 0.0)) for s in heard]
     steps = sorted([*own, *heard, *noticed], key=lambda s: -s.gain_nats)

@@ -6,6 +6,7 @@ Jacobian of the nominal filter ``e- = Phi e+ + D``, ``g = -H e- + M``, ``e+ = e-
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import earth, rotation
+from insemu.denoise import outstanding
 from insemu.effects import CROSS, EFFECTS
 from insemu.filters import FilterResult
 from insemu.gap import kernel
@@ -66,7 +68,7 @@ class Motion:
     C : (n, 3, 3) array
         Attitude for each interval.
     rate, force : (n, 3) arrays
-        Mean angular rate and specific force over each interval, sensor axes.
+        Mean angular rate and specific force over each interval, sensor axes, less what is noise.
     f_n : (n, 3) array
         Specific force in NED.
     vel : (n, 3), llh : (n, 3) arrays
@@ -103,8 +105,8 @@ class Motion:
         return cls(
             t,
             middle,
-            rate,
-            force,
+            _quiet(rate, imu.dt),
+            _quiet(force, imu.dt),
             f_n,
             result.nav[:, 3:6],
             result.nav[:, :3],
@@ -112,6 +114,20 @@ class Motion:
             result.nodes.epoch,
             imu.kind == "increment",
         )
+
+
+#: Longest time over which noise is taken out of what an error of the sensor is held to be proportional to, s.
+QUIET_S = 40.0
+
+
+def _quiet(signal: Array, dt: float) -> Array:
+    """Measured motion less what is noise.
+
+    The noise of an axis that hardly moves is its own error: a column that goes with it would explain the innovations that this noise makes, as
+    a scale factor of tens of per cent.
+    """
+    levels = max(1, math.floor(math.log2(min(QUIET_S / dt, signal.shape[0] / 16))))
+    return outstanding(signal, levels)
 
 
 def deterministic_columns(motion: Motion, lags: Sequence[float] = (0.0, 60.0)) -> list[Column]:
