@@ -31,9 +31,9 @@ from insemu.gap.evidence import Explanation
 from insemu.gap.expected import GAUSSIAN, SLOW, Log
 from insemu.gap.hidden_logs import BESIDE_NATS, STATIC_EFFECTS, HiddenLog, static_recording, wrong
 from insemu.gap.reduced import reduce
-from insemu.gap.static_log import LEAD, THRESHOLD, Found, search, weigh_all
+from insemu.gap.static_log import THRESHOLD, Found, search, weigh_all
 from insemu.gap.trial import interval
-from insemu.gap.verdict import GapReport
+from insemu.gap.verdict import LEAD, GapReport
 from insemu.noise import SIN, WN, NoiseModel
 from insemu.records import AXES, ImuRecord, Series
 from insemu.variance import allan_variance

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from insemu.gap.hypotheses import Variant, linear_gains, pooled_gains
 from insemu.gap.innovations import Block, Field
+from insemu.gap.verdict import LEAD
 
 Array = NDArray[np.float64]
 
-#: Nats within which a rival stands beside the best effect, and in what share of the repetitions it must for the two to count as confusable.
-LEAD, SHARE = 3.0, 0.1
+#: In what share of the repetitions a rival must stand beside the best effect for the two to count as confusable.
+SHARE = 0.1
 DRAWS = 300
 
 

@@ -45,13 +45,13 @@ from insemu.gap.scene import Scene, first_rows
 from insemu.gap.singular import evident_outliers
 from insemu.gap.surrogate import NED, FixNoise, joint_noise, level_derivatives, level_scores
 from insemu.gap.tones import wandering, without_tones
-from insemu.gap.verdict import Confusable, GapReport, Interval, Member, Step, Value, judged
+from insemu.gap.verdict import LEAD, Confusable, GapReport, Interval, Member, Step, Value, judged
 from insemu.noise import BI, GM, QN, RW, WN, NoiseModel
 from insemu.records import AXES, Recording
 
 Array = NDArray[np.float64]
 
-LEAD, MOST_STEPS = 3.0, 8
+MOST_STEPS = 8
 #: Probability that anything at all is missing, below which the search ends.
 SURE = 0.8
 #: Share of the posterior that the members of a class hold together.

@@ -541,7 +541,7 @@ def library_gain(scene: Scene, data: Field, given: Sequence[Block]) -> tuple[flo
     A, b = data.conditioned(given)
     found: dict[str, list[tuple[float, str]]] = {}
     amplitudes = np.array(LIBRARY_SCALES)
-    for i, c in enumerate(scene.columns[scene.library], start=scene.library.start):
+    for i, c in enumerate(scene.columns[scene.outside], start=scene.outside.start):
         logs = quadratic_evidence(A[i : i + 1, i : i + 1], b[i : i + 1], np.array([[c.scale]]), amplitudes)
         found.setdefault(c.sensor, []).append((log_mean_exp(logs[:, 0]), f"{c.sensor} error that goes with {c.label}"))
     best = (-math.inf, "")

@@ -54,7 +54,7 @@ class Scene:
         Catalogue first, then the library of structure outside of it.
     catalogue : int
         Number of columns of the catalogue.
-    library : slice
+    outside : slice
         Columns of the library; behind them stand the clipped stretches.
     raw : (f, 6, c) array
         Responses of the columns, then of the knots of slow errors (axis by axis), then of the windows.
@@ -76,7 +76,7 @@ class Scene:
     surrogate: Surrogate
     columns: list[Column]
     catalogue: int
-    library: slice
+    outside: slice
     raw: Array
     knots: Array
     starts: Array
@@ -102,7 +102,7 @@ class Scene:
         )
         catalogue = len(columns)
         columns += library_columns(motion, t_fix, prepared.nominal.mounting)
-        library = slice(catalogue, len(columns))
+        outside = slice(catalogue, len(columns))
         columns += clipped_columns(motion, prepared.clipped)
         G, ramp = columns_response(loop, motion, columns)
         start, end = float(motion.t[0]), float(motion.t[-1])
@@ -118,7 +118,7 @@ class Scene:
             Surrogate.of(prepared.result),
             columns,
             catalogue,
-            library,
+            outside,
             raw,
             knots,
             starts,
@@ -137,7 +137,7 @@ class Scene:
     @cached_property
     def always(self) -> tuple[Block, ...]:
         """What is uncertain whatever the effects are: the integrals of clipped stretches."""
-        index = np.arange(self.library.stop, len(self.columns))
+        index = np.arange(self.outside.stop, len(self.columns))
         return ((index, np.diag([self.columns[i].scale for i in index])),) if index.size else ()
 
     # -- whitened data ----------------------------------------------------------------------------------------------------------------

@@ -25,14 +25,12 @@ from insemu.gap.candidates import CANDIDATES, AxisState, Weighed, state_of, turn
 from insemu.gap.evidence import Component, Explanation, Likelihood, fit
 from insemu.gap.known import settled, starting_explanation
 from insemu.gap.reduced import Reduced, reduce
-from insemu.gap.verdict import GapReport, Interval, Member, Step, Value, Where, judged
+from insemu.gap.verdict import LEAD, GapReport, Interval, Member, Step, Value, Where, judged
 from insemu.noise import DR, SIN, NoiseModel, Process
 from insemu.records import Series
 
 Array = NDArray[np.float64]
 
-#: A lead of this many nats separates one effect from another; less, and they are one class.
-LEAD = 3.0
 #: Evidence that an effect must exceed in any log; where a decision hangs on it the nominal model is simulated (:mod:`calibration`).
 THRESHOLD = 3.0
 #: Corrected p-value below which a final model is called unexplained.

@@ -9,6 +9,9 @@ from typing import Any, Literal
 
 from insemu.noise import NoiseModel
 
+#: Nats by which an effect must lead for its name to stand alone; whatever is nearer belongs to its class.
+LEAD = 3.0
+
 VerdictName = Literal["nothing missing", "named", "class", "unexplained"]
 
 
