@@ -18,6 +18,8 @@ from insemu.effects import EFFECTS, EffectUse
 from insemu.emulate import corrupt
 from insemu.errors import InputError
 from insemu.gap import load_nominal
+from insemu.gap.data.log import reduce
+from insemu.gap.drive.preparation import Prepared, fast_parts, prepare
 from insemu.gap.expected import Log, sized, trace_of_ratio
 from insemu.gap.hidden_drives import (
     DYNAMIC_EFFECTS,
@@ -30,8 +32,6 @@ from insemu.gap.hidden_drives import (
     worth_beside,
 )
 from insemu.gap.hidden_logs import STATIC_EFFECTS, shape, static_recording
-from insemu.gap.preparation import Prepared, fast_parts, prepare
-from insemu.gap.reduced import reduce
 from insemu.gap.trial import (
     Job,
     Plan,

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS, EffectUse
 from insemu.errors import InputError
+from insemu.gap.drive.preparation import Flown, Prepared
 from insemu.gap.hidden_drives import (
     DYNAMIC_EFFECTS,
     OUTSIDE,
@@ -39,9 +40,8 @@ from insemu.gap.hidden_drives import (
     worth_beside,
 )
 from insemu.gap.hidden_logs import STATIC_EFFECTS, STATIC_OUTSIDE, static_recording
-from insemu.gap.identify import find_gap
-from insemu.gap.preparation import Flown, Prepared
-from insemu.gap.static_log import NAMING_SHARE, find_static_gap
+from insemu.gap.problems.rest import NAMING_SHARE, find_static_gap
+from insemu.gap.session import find_gap
 from insemu.gap.verdict import GapReport
 
 Array = NDArray[np.float64]
