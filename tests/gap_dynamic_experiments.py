@@ -29,8 +29,8 @@ from insemu.gap.confusion import SHARE, Repetitions
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop
-from insemu.gap.hidden_drives import TRACKS, Stage, draw_use, size_effect, stage
-from insemu.gap.trial import interval
+from insemu.trial.drives import TRACKS, Stage, draw_use, size_effect, stage
+from insemu.trial.score import interval
 
 Array = NDArray[np.float64]
 Key = tuple[str, str]

@@ -16,7 +16,7 @@ from insemu.emulate import built_in, corrupt, gnss_fixes, ideal_imu
 from insemu.errors import InputError
 from insemu.filters import FilterOptions, FilterResult, InitialSigma, run_filter
 from insemu.gap import Nominal, find_gap
-from insemu.gap.candidates.axis import AxisState
+from insemu.gap.candidates import AxisState
 from insemu.gap.candidates.shapes import Variant, best_pair
 from insemu.gap.candidates.spectral import vibration_line
 from insemu.gap.candidates.tones import wandering, without_tones
@@ -36,11 +36,11 @@ from insemu.gap.evidence.fixes import Surrogate
 from insemu.gap.evidence.linear import Field, gauss_markov_root, quadratic_evidence, random_walk_root
 from insemu.gap.evidence.model import Explanation, Likelihood, Rolloff, fit
 from insemu.gap.problems.drive import fast_effects, unknown_part
-from insemu.gap.trial import run_dynamic
 from insemu.gap.verdict import Step, Value
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Gnss, Initial
+from insemu.trial.run import run_dynamic
 
 Array = NDArray[np.float64]
 BELIEF = {a: NoiseModel((WN(1e-4), RW(1e-6)) if a.startswith("gyro") else (WN(1e-3), RW(1e-5))) for a in AXES}
