@@ -11,14 +11,11 @@ from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS, EffectUse
 from insemu.errors import InputError
-from insemu.gap import singular as _registers  # noqa: F401
-from insemu.gap import static_log
-from insemu.gap.candidates import CANDIDATES, AxisState
-from insemu.gap.confusion import SHARE, Repetitions
-from insemu.gap.disagreement import corrected
-from insemu.gap.drive_map import drive_map, innovation_tests
-from insemu.gap.evidence import LEVEL_UNCERTAINTY, Component, Free, Likelihood, fit
-from insemu.gap.hypotheses import (
+from insemu.gap.beliefs.nominal import Nominal
+from insemu.gap.candidates.axis import CANDIDATES, AxisState
+from insemu.gap.candidates.fixes import covariance_hypotheses, multipath_step, unexplained_innovations, wild_fixes
+from insemu.gap.candidates.outliers import evident_outliers
+from insemu.gap.candidates.shapes import (
     ONCE,
     PARSIMONY,
     PROCESSES,
@@ -26,25 +23,24 @@ from insemu.gap.hypotheses import (
     Variant,
     bank,
     best_pair,
-    covariance_hypotheses,
     library_gain,
     linear_hypotheses,
-    multipath_step,
     null_threshold,
     shape_values,
-    unexplained_innovations,
-    wild_fixes,
 )
-from insemu.gap.innovations import Block, Field
-from insemu.gap.known import colour_of, of_axis, settled, starting_explanation, without_drawn
-from insemu.gap.nominal import Nominal
-from insemu.gap.preparation import LEVEL_GROUPS, Flown, Prepared, fast_parts, fixes_score, prepare
-from insemu.gap.reduced import Reduced, unheard
-from insemu.gap.samples import advanced, coarse, mend, with_counts
-from insemu.gap.scene import Scene, first_rows
-from insemu.gap.singular import evident_outliers
-from insemu.gap.surrogate import NED, FixNoise, joint_noise, level_derivatives, level_scores
-from insemu.gap.tones import wandering, without_tones
+from insemu.gap.candidates.tones import wandering, without_tones
+from insemu.gap.checks.drive import drive_map, innovation_tests
+from insemu.gap.checks.rest import corrected
+from insemu.gap.confusion import SHARE, Repetitions
+from insemu.gap.data.log import Reduced, unheard
+from insemu.gap.data.samples import advanced, coarse, mend, with_counts
+from insemu.gap.drive.preparation import LEVEL_GROUPS, Flown, Prepared, fast_parts, fixes_score, prepare
+from insemu.gap.drive.scene import Scene, first_rows
+from insemu.gap.evidence.fixes import NED, FixNoise, joint_noise, level_derivatives, level_scores
+from insemu.gap.evidence.linear import Block, Field
+from insemu.gap.evidence.model import LEVEL_UNCERTAINTY, Component, Free, Likelihood, fit
+from insemu.gap.problems import rest as at_rest
+from insemu.gap.problems.known import colour_of, of_axis, settled, starting_explanation, without_drawn
 from insemu.gap.verdict import LEAD, Confusable, GapReport, Interval, Member, Step, Value, judged
 from insemu.noise import BI, GM, QN, RW, WN, NoiseModel
 from insemu.records import AXES, Recording
@@ -496,7 +492,7 @@ def fast_effects(
     progress: Callable[[str], None],
     beside: Mapping[str, Sequence[Component]] | None = None,
     clipped: Collection[str] = (),
-) -> list[tuple[str, static_log.AxisResult]]:
+) -> list[tuple[str, at_rest.AxisResult]]:
     """Effects that the IMU shows above its motion, axis by axis, ``beside`` what else is known to be there.
 
     What is left of a clipped stretch after it was filled in looks like outliers, so axes that were ``clipped`` are not asked for them.
@@ -515,7 +511,7 @@ def fast_effects(
             # no stationary process explains it, and what the search would name instead only chases it
             state = AxisState(data, fit(Likelihood(data), explanation))
             low, high = moving[name]
-            out.append((name, static_log.AxisResult(state, state, (), f"{WANDERING}, {low:.3g} to {high:.3g} Hz")))
+            out.append((name, at_rest.AxisResult(state, state, (), f"{WANDERING}, {low:.3g} to {high:.3g} Hz")))
             continue
         start = AxisState(data, fit(Likelihood(data), explanation))
         left_out = (*excluded, *(("outliers",) if name in clipped else ()))
@@ -527,9 +523,9 @@ def fast_effects(
         data = without_tones(data, fit(Likelihood(data), explanation).explanation)
         state = AxisState(data, fit(Likelihood(data), explanation))
         state = without_drawn(replace(state, named=tuple(n for n in settled(given) if n == "quantization")), given)
-        result = static_log.search(state, threshold=threshold, without=left_out, progress=progress, outsiders=False)
+        result = at_rest.search(state, threshold=threshold, without=left_out, progress=progress, outsiders=False)
         if wild is not None and not any(use.id == "outliers" for use in given):
-            first = static_log.Found(wild, (wild,), 0.999)
+            first = at_rest.Found(wild, (wild,), 0.999)
             result = replace(result, start=start, found=(first, *result.found))
         out.append((name, result))
     return out
@@ -540,7 +536,7 @@ def without_delay(
     nominal: Nominal,
     parts: dict[str, Reduced],
     levels: dict[str, float],
-    fast: Mapping[str, static_log.AxisResult],
+    fast: Mapping[str, at_rest.AxisResult],
     prepared: Prepared | None = None,
 ) -> tuple[Prepared, Recording, dict[str, float]]:
     """The nominal filter on sensors set forward by the delay of the low-pass that the fast band shows, and that delay, s per sensor.
@@ -575,14 +571,14 @@ def with_delay(step: Step, delay: float) -> Step:
 
 
 def again_with_processes(
-    fast: list[tuple[str, static_log.AxisResult]],
+    fast: list[tuple[str, at_rest.AxisResult]],
     named: Named,
     parts: dict[str, Reduced],
     nominal: Nominal,
     threshold: float,
     without: Collection[str],
     clipped: Collection[str],
-) -> list[tuple[str, static_log.AxisResult]]:
+) -> list[tuple[str, at_rest.AxisResult]]:
     """What the band above the motion shows where a slow process that was found since reaches into it."""
     beside: dict[str, list[Component]] = {}
     for f in named.found:
@@ -603,7 +599,7 @@ def again_with_processes(
     return [(name, fresh.get(name, r)) for name, r in fast]
 
 
-def white_level(result: static_log.AxisResult) -> float | None:
+def white_level(result: at_rest.AxisResult) -> float | None:
     """White noise of an axis beside what its fast band was found to hold; None where the nominal model describes the band, or nothing does.
 
     A low-pass takes from the band and a vibration adds to it, and neither says anything of the noise at the rate of the motion.
@@ -614,7 +610,7 @@ def white_level(result: static_log.AxisResult) -> float | None:
     return next((c.process.parameters["N"] for c in parts if isinstance(c.process, WN)), None)
 
 
-def vibrates(result: static_log.AxisResult) -> bool:
+def vibrates(result: at_rest.AxisResult) -> bool:
     """Whether a vibration is among the effects of an axis, and not one that a later effect replaced."""
     return any(f.chosen.effect.startswith("vibration") for f in result.found)
 
@@ -674,7 +670,7 @@ def find_dynamic_gap(
     before = after = held = nothing
     if hold_out:
         say("scoring on held-out fixes")
-        cut = float(scene.motion.t[0] + static_log.NAMING_SHARE * (scene.motion.t[-1] - scene.motion.t[0]))
+        cut = float(scene.motion.t[0] + at_rest.NAMING_SHARE * (scene.motion.t[-1] - scene.motion.t[0]))
         first = find_effects(scene, cut, threshold, without, lambda _: None)
         plain = Scene.of(prepare(whole, believed, parts, levels)) if noticed or late else scene
         before, after, held = held_out(plain, first, cut)
@@ -693,7 +689,7 @@ def find_dynamic_gap(
     # where one axis vibrates so that no stationary process holds it, the same vibration is what changes on the others
     humming = any(r.outsider and vibrates(r) for _, r in fast)
     changing = {
-        static_log.split_axis(name): r.outsider
+        at_rest.split_axis(name): r.outsider
         for name, r in fast
         if r.outsider and (humming or r.outsider.startswith(WANDERING))
     }
@@ -706,11 +702,11 @@ def find_dynamic_gap(
             for s, f in zip(each, named.found, strict=True)
         ]
     )
-    heard = [s.doubted() if static_log.is_shaken(s, (), changing) else s for s in static_log.merged_steps(dict(fast))]
+    heard = [s.doubted() if at_rest.is_shaken(s, (), changing) else s for s in at_rest.merged_steps(dict(fast))]
     heard = [with_delay(s, late.get(s.sensor, 0.0)) for s in heard]
     steps = sorted([*own, *heard, *noticed], key=lambda s: -s.gain_nats)
     beyond = " and ".join(dict.fromkeys(filter(None, (named.outsider, *sorted(instead)))))
-    remainder = static_log.remainder(failed, {**({("the fixes", ""): beyond} if beyond else {}), **changing})
+    remainder = at_rest.remainder(failed, {**({("the fixes", ""): beyond} if beyond else {}), **changing})
     verdict = judged(steps, remainder)
     refined = dict(believed.beliefs)
     for s in steps:

@@ -17,7 +17,7 @@ from insemu import earth, rotation
 from insemu.denoise import outstanding
 from insemu.effects import CROSS, EFFECTS
 from insemu.filters import FilterResult
-from insemu.gap import kernel
+from insemu.gap.evidence import kernels
 from insemu.records import ImuRecord
 
 Array = NDArray[np.float64]
@@ -288,7 +288,7 @@ class Loop:
         out, none = np.zeros((len(fixes), 6, columns)), np.zeros((0, 0, 0))
         H = np.where(self.use[:, :, None], np.nan_to_num(fixes.H), 0.0)
         K = np.where(self.use[:, None, :], np.nan_to_num(fixes.K), 0.0)
-        kernel.respond(
+        kernels.respond(
             nodes.Phi, K, H, np.searchsorted(nodes.epoch, fixes.epoch), self.use, none if D is None else D,
             none if M is None else M, out,
         )  # fmt: skip
@@ -309,7 +309,9 @@ def columns_response(loop: Loop, motion: Motion, columns: Sequence[Column]) -> t
     u = np.ascontiguousarray(np.stack([e[2] for e in entries])) if entries else np.zeros((0, motion.t.size))
     axis = np.array([e[1] for e in entries], dtype=np.int64)
     column = np.array([e[0] for e in entries], dtype=np.int64)
-    kernel.integrate_inputs(motion.t, np.ascontiguousarray(motion.C), motion.f_n, nodes.epoch, u, axis, column, D, ramp)
+    kernels.integrate_inputs(
+        motion.t, np.ascontiguousarray(motion.C), motion.f_n, nodes.epoch, u, axis, column, D, ramp
+    )
     for j, c in enumerate(columns):
         if c.runs:
             way = np.cumsum(motion.vel * np.diff(motion.t, prepend=motion.t[0])[:, None], axis=0)[nodes.epoch]

@@ -11,14 +11,14 @@ import numpy as np
 
 from insemu.blas import on_one_thread
 from insemu.errors import InputError
-from insemu.gap.known import drive_without, in_imu_axes, static_without
-from insemu.gap.nominal import Nominal
-from insemu.gap.preparation import Flown
-from insemu.gap.refined import joined, refined_nominal, uses_of
-from insemu.gap.sources import StaticLog
-from insemu.gap.static_log import THRESHOLD, find_static_gap
-from insemu.gap.timing import find_offset
-from insemu.gap.vehicle import Mounted, find_mounting
+from insemu.gap.beliefs.nominal import Nominal
+from insemu.gap.beliefs.refined import joined, refined_nominal, uses_of
+from insemu.gap.candidates.mounting import Mounted, find_mounting
+from insemu.gap.candidates.timing import find_offset
+from insemu.gap.data.sources import StaticLog
+from insemu.gap.drive.preparation import Flown
+from insemu.gap.problems.known import drive_without, in_imu_axes, static_without
+from insemu.gap.problems.rest import THRESHOLD, find_static_gap
 from insemu.gap.verdict import GapReport, Interval, Step, Value, held_out_said, judged
 from insemu.records import AXES, Recording
 
@@ -115,7 +115,7 @@ def _drive(
     say: Callable[[str], None],
     flown: Flown | None,
 ) -> GapReport:
-    from insemu.gap.dynamic import find_dynamic_gap
+    from insemu.gap.problems.drive import find_dynamic_gap
 
     check(measured, nominal)
     now = nominal
@@ -315,8 +315,8 @@ def _mean(index: Interval, other: float, dof: int) -> Interval:
 
 def _pictures(measured: Recording, first: Flown, nominal: Nominal, report: GapReport) -> dict[str, Any]:
     """Whitened innovations of the nominal and of the refined model: what the page draws before and after."""
-    from insemu.gap.signatures import Loop
-    from insemu.gap.vehicle import Sideways
+    from insemu.gap.candidates.mounting import Sideways
+    from insemu.gap.drive.signatures import Loop
 
     refined = refined_nominal(nominal, report, measured.imu.dt).parted()
     after = Flown.of(*drive_without(measured, refined)) if report.steps else first

@@ -11,12 +11,12 @@ from scipy import signal
 from insemu import earth, rotation
 from insemu.errors import InputError
 from insemu.filters import FilterOptions, FilterResult, FixTable, InitialSigma, run_filter
-from insemu.gap.evidence import LEVEL_UNCERTAINTY, Explanation, Likelihood, fit
-from insemu.gap.nominal import Nominal
-from insemu.gap.reduced import Reduced, moving_spectrum
-from insemu.gap.samples import Clipped, widths_of
-from insemu.gap.signatures import Loop
-from insemu.gap.surrogate import Surrogate, level_scores
+from insemu.gap.beliefs.nominal import Nominal
+from insemu.gap.data.log import Reduced, moving_spectrum
+from insemu.gap.data.samples import Clipped, widths_of
+from insemu.gap.drive.signatures import Loop
+from insemu.gap.evidence.fixes import Surrogate, level_scores
+from insemu.gap.evidence.model import LEVEL_UNCERTAINTY, Explanation, Likelihood, fit
 from insemu.noise import BI, WN, NoiseModel, Process
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording
 from insemu.strapdown import NavState

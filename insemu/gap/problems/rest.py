@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from insemu.blas import on_one_thread
 from insemu.effects import EffectUse
 from insemu.errors import InputError
-from insemu.gap import disagreement
-from insemu.gap import singular as _singular  # noqa: F401 (registers its candidates)
-from insemu.gap.band import Band
-from insemu.gap.calibration import USUAL, certain, nominal_tail, threshold_of
-from insemu.gap.candidates import CANDIDATES, AxisState, Weighed, state_of, turn_on_bias
-from insemu.gap.evidence import Component, Explanation, Likelihood, fit
-from insemu.gap.known import settled, starting_explanation
-from insemu.gap.reduced import Reduced, reduce
+from insemu.gap.candidates.axis import CANDIDATES, AxisState, Weighed, state_of
+from insemu.gap.candidates.noise import turn_on_bias
+from insemu.gap.checks import rest as checks
+from insemu.gap.data.log import Reduced, reduce
+from insemu.gap.evidence.band import Band
+from insemu.gap.evidence.model import Component, Explanation, Likelihood, fit
+from insemu.gap.problems.known import settled, starting_explanation
+from insemu.gap.threshold import USUAL, certain, nominal_tail, threshold_of
 from insemu.gap.verdict import LEAD, GapReport, Interval, Member, Step, Value, Where, judged
 from insemu.noise import DR, SIN, NoiseModel, Process
 from insemu.records import Series
@@ -117,7 +117,7 @@ def search(
         state = new.chosen.state
         untidy = any(w.effect in _UNTIDY and w.gain > threshold for w in ranked)
         fast = new.chosen.effect in _FAST and new.chosen.variant != "output counts"
-        if fast and not untidy and disagreement.drifting_spectrum(state) < DRIFTING:
+        if fast and not untidy and checks.drifting_spectrum(state) < DRIFTING:
             # no stationary process explains it, and more of them would only chase it; what is slow can still be told
             outsider = VARYING
             without = (*without, *_FAST, *_UNTIDY)
@@ -291,7 +291,7 @@ def score(data: Reduced, explanation: Explanation, extra: Array | None = None) -
     moved = replace(data, differences=np.asarray(y))
     plain = replace(explanation, regressors=())
     likelihood = Likelihood(moved)
-    e = disagreement.block_innovations(moved, plain)
+    e = checks.block_innovations(moved, plain)
     squares, dof = [float(e @ e)], [float(e.size)]
     if data.f.size:
         ratio = data.dof * plain.seen(data) / plain.psd(data.f, data.dt)
@@ -415,7 +415,7 @@ def find_static_gap(
     beliefs : mapping of axis to NoiseModel
         What is believed; every level may be 20 % off before that counts as an effect.
     rng : Generator
-        For the simulated logs of the map of disagreement.
+        For the simulated logs of the map of checks.
     temperature : (n,) array, optional
         degC at the samples.
     missing : (n,) array of bool, optional
@@ -617,28 +617,26 @@ def _map(
         sensor, axis = split_axis(name)
         state = r.end if refined else r.start
         states[name] = state
-        spent = disagreement.spent_on(state)
+        spent = checks.spent_on(state)
         if not refined:
-            for scale, _, _, p in disagreement.wavelet_p_values(state.data, state.explanation, rng, spent):
+            for scale, _, _, p in checks.wavelet_p_values(state.data, state.explanation, rng, spent):
                 entries.append(("wavelet_variance", sensor, axis, scale, p))
-        entries += [
-            (statistic, sensor, axis, scale, p) for statistic, scale, p in disagreement.axis_tests(state, spent)
-        ]
-    for a, b, p in disagreement.cross_axis_tests(states):
+        entries += [(statistic, sensor, axis, scale, p) for statistic, scale, p in checks.axis_tests(state, spent)]
+    for a, b, p in checks.cross_axis_tests(states):
         entries.append(("cross_axis " + b, *split_axis(a), None, p))
-    return disagreement.corrected(entries)
+    return checks.corrected(entries)
 
 
 def _curves(result: AxisResult, nominal: Explanation, rng: np.random.Generator) -> dict[str, object]:
     """Wavelet variance measured, believed and refined, and the spectrum: what the page draws."""
     start, end = result.start, result.end
-    rows = disagreement.wavelet_p_values(start.data, start.explanation, rng)
+    rows = checks.wavelet_p_values(start.data, start.explanation, rng)
     left = end.data
     if end.explanation.regressors:
         mean, _ = end.likelihood.coefficients(end.explanation)
         known = np.hstack([r.columns for r in end.explanation.regressors]) @ mean
         left = replace(left, differences=np.asarray(left.differences - known))
-    refined = disagreement.wavelet_p_values(left, replace(end.explanation, regressors=()), rng)
+    refined = checks.wavelet_p_values(left, replace(end.explanation, regressors=()), rng)
     return {
         "unit": start.data.unit,
         "tau_s": [r[0] for r in rows],

@@ -19,9 +19,9 @@ from scipy.signal import lfilter
 
 from insemu import rotation
 from insemu.effects import EFFECTS, EffectUse
-from insemu.gap.evidence import PRIOR_SCALES, log_mean_exp
-from insemu.gap.nominal import Nominal
-from insemu.gap.preparation import Prepared, fast_parts, prepare
+from insemu.gap.beliefs.nominal import Nominal
+from insemu.gap.drive.preparation import Prepared, fast_parts, prepare
+from insemu.gap.evidence.model import PRIOR_SCALES, log_mean_exp
 from insemu.gap.verdict import Member, Step, Value, Where
 from insemu.records import Recording
 

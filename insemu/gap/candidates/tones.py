@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.gap.evidence import Explanation
-from insemu.gap.reduced import Reduced, reduce_again
+from insemu.gap.data.log import Reduced, reduce_again
+from insemu.gap.evidence.model import Explanation
 
 Array = NDArray[np.float64]
 

@@ -15,9 +15,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.gap.candidates import AxisState, Weighed, state_of
-from insemu.gap.evidence import LEVEL_UNCERTAINTY, Explanation
-from insemu.gap.reduced import reduce
+from insemu.gap.candidates.axis import AxisState, Weighed, state_of
+from insemu.gap.data.log import reduce
+from insemu.gap.evidence.model import LEVEL_UNCERTAINTY, Explanation
 from insemu.records import Series
 
 Array = NDArray[np.float64]

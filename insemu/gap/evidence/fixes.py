@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from insemu.filters import FilterResult
-from insemu.gap import kernel
-from insemu.gap.evidence import log_mean_exp
+from insemu.gap.evidence import kernels
+from insemu.gap.evidence.model import log_mean_exp
 
 Array = NDArray[np.float64]
 #: Standard deviations (6,) in m and m/s and correlation time in s of a Gauss-Markov part of the fixes.
@@ -24,7 +24,7 @@ GROUPS = (NED, ("north", "east"), ("down",), ("north",), ("east",))
 
 @dataclass(frozen=True)
 class Surrogate:
-    """The nominal filter seen from outside: transitions, gains and noises per fix, ready for :func:`kernel.surrogate_filter`.
+    """The nominal filter seen from outside: transitions, gains and noises per fix, ready for :func:`kernels.surrogate_filter`.
 
     The noise of a fix counts as independent between its components; what the gyros' noise on the lever arm correlates is left out.
     """
@@ -85,7 +85,7 @@ class Surrogate:
         gap = np.diff(self.t, prepend=self.t[0])
         phi = np.exp(-gap / tau)[:, None] * np.ones(6)
         white = np.zeros_like(columns)
-        value = kernel.surrogate_filter(
+        value = kernels.surrogate_filter(
             self.Phi, self.Q, self.K, self.H, self.R, self.P0, np.ascontiguousarray(columns), self.use,
             np.ones(6) if factor is None else factor, phi, (1.0 - phi**2) * sigma**2, sigma**2, white,
         )  # fmt: skip

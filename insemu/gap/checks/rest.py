@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, stats
 
-from insemu.gap import kernel
-from insemu.gap.candidates import AxisState
-from insemu.gap.evidence import Explanation
-from insemu.gap.reduced import BINS_PER_OCTAVE, Reduced, overlap
-from insemu.gap.singular import lattice, whitened
+from insemu.gap.candidates.axis import AxisState, whitened
+from insemu.gap.data.counts import lattice
+from insemu.gap.data.log import BINS_PER_OCTAVE, Reduced, overlap
+from insemu.gap.evidence import kernels
+from insemu.gap.evidence.model import Explanation
 from insemu.gap.verdict import Where
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ def block_innovations(data: Reduced, explanation: Explanation, extra: Array | No
     """Whitened block differences: standard normal and independent where the explanation is right."""
     y = data.differences if extra is None else data.differences - extra
     out = np.empty((y.size, 1))
-    kernel.toeplitz_whiten(explanation.covariance(data.block, data.dt, y.size), np.ascontiguousarray(y[:, None]), out)
+    kernels.toeplitz_whiten(explanation.covariance(data.block, data.dt, y.size), np.ascontiguousarray(y[:, None]), out)
     return out[:, 0]
 
 
@@ -258,7 +258,7 @@ def _volume_left(state: AxisState, n: int, spent: Array) -> float:
         return 2.0 * n
 
     def volume(at: Array) -> float:
-        return float(kernel.toeplitz_whiten(state.explanation.at(at).covariance(data.block, data.dt, n), zero, white))
+        return float(kernels.toeplitz_whiten(state.explanation.at(at).covariance(data.block, data.dt, n), zero, white))
 
     slope = np.array([(volume(x + e) - volume(x - e)) / (2.0 * h) for e in np.eye(x.size) * h])
     return left_over(2.0 * n, 1.0, slope, spent)

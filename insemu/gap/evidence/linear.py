@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.gap import kernel
+from insemu.gap.evidence import kernels
 
 Array = NDArray[np.float64]
 #: Column indices and prior root: the coefficients are ``root @ z`` with z standard normal.
@@ -109,7 +109,7 @@ class Field:
         index, root = self._joined(blocks)
         out = np.empty_like(self.y)
         logs = np.empty_like(self.y)
-        kernel.recursive_residuals(self.y, np.ascontiguousarray(self.G[:, index] @ root), self.variance, out, logs)
+        kernels.recursive_residuals(self.y, np.ascontiguousarray(self.G[:, index] @ root), self.variance, out, logs)
         return out, float(np.sum(logs))
 
     def predictive(self, blocks: Sequence[Block], rows: NDArray[np.bool_]) -> tuple[Array, float]:
@@ -119,7 +119,7 @@ class Field:
         index, root = self._joined(blocks)
         out = np.empty_like(self.y)
         logs = np.empty_like(self.y)
-        kernel.recursive_residuals(self.y, np.ascontiguousarray(self.G[:, index] @ root), 1.0, out, logs)
+        kernels.recursive_residuals(self.y, np.ascontiguousarray(self.G[:, index] @ root), 1.0, out, logs)
         return out[rows], float(np.sum(logs[rows]))
 
     def rows(self, keep: NDArray[np.bool_]) -> Field:

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import earth, rotation
-from insemu.gap.innovations import Block, Field, knot_times
-from insemu.gap.preparation import Prepared, trimmed_factors
-from insemu.gap.samples import Clipped
-from insemu.gap.signatures import (
+from insemu.gap.data.samples import Clipped
+from insemu.gap.drive.preparation import Prepared, trimmed_factors
+from insemu.gap.drive.signatures import (
     Column,
     Loop,
     Motion,
@@ -23,7 +22,8 @@ from insemu.gap.signatures import (
     fix_step_response,
     knot_response,
 )
-from insemu.gap.surrogate import FixNoise, Surrogate
+from insemu.gap.evidence.fixes import FixNoise, Surrogate
+from insemu.gap.evidence.linear import Block, Field, knot_times
 from insemu.noise import NoiseModel
 from insemu.records import GnssRecord, ImuRecord
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-from insemu.gap.singular import MATERIAL_LSB, lattice, pile_evidence
+from insemu.gap.data.counts import MATERIAL_LSB, lattice, pile_evidence
 from insemu.gap.verdict import Member, Step, Value
 from insemu.noise import WN, NoiseModel
 from insemu.records import ImuRecord

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from insemu import rotation
 from insemu.compensation import NEEDS_TRAJECTORY, added_signal, compensated, lever_arm_of
 from insemu.effects import EffectUse
-from insemu.gap.band import Band
-from insemu.gap.candidates import CANDIDATES, AxisState, state_of
-from insemu.gap.evidence import DEPTH, Component, Explanation, Rolloff, level
-from insemu.gap.nominal import Nominal
-from insemu.gap.reduced import reduce
-from insemu.gap.sources import StaticLog
+from insemu.gap.beliefs.nominal import Nominal
+from insemu.gap.candidates.axis import CANDIDATES, AxisState, state_of
+from insemu.gap.data.log import reduce
+from insemu.gap.data.sources import StaticLog
+from insemu.gap.evidence.band import Band
+from insemu.gap.evidence.model import DEPTH, Component, Explanation, Rolloff, level
 from insemu.noise import WN, NoiseModel
 from insemu.records import AXES, Recording, Series, Trajectory
 from insemu.strapdown import trajectory_of
@@ -168,7 +168,7 @@ def in_imu_axes(recording: Recording, nominal: Nominal) -> tuple[Recording, Nomi
 
 def _estimated(recording: Recording, nominal: Nominal) -> Trajectory:
     """Motion as the nominal filter sees it."""
-    from insemu.gap.preparation import fast_parts, prepare
+    from insemu.gap.drive.preparation import fast_parts, prepare
 
     result = prepare(recording, nominal, fast_parts(recording), {}).result
     return trajectory_of(result.t, result.nav, "estimate")
@@ -176,7 +176,7 @@ def _estimated(recording: Recording, nominal: Nominal) -> Trajectory:
 
 def _without_wild(recording: Recording, nominal: Nominal, wild: EffectUse) -> Recording:
     """Positions that are more likely outliers than not, taken out by the innovations of the nominal filter."""
-    from insemu.gap.preparation import fast_parts, prepare
+    from insemu.gap.drive.preparation import fast_parts, prepare
 
     assert recording.gnss is not None
     llh = recording.gnss.llh.copy()

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from insemu.gap.preparation import Flown, prepare
+from insemu.gap.drive.preparation import Flown, prepare
 from insemu.gap.verdict import Member, Step, Value
 
 #: Offsets that are tried first, and the largest, s.

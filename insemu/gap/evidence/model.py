@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from insemu.gap import kernel
-from insemu.gap.reduced import Reduced, amplitude_of, density, difference_covariance
+from insemu.gap.data.log import Reduced, amplitude_of, density, difference_covariance
+from insemu.gap.evidence import kernels
 from insemu.noise import NoiseModel, Process
 
 Array = NDArray[np.float64]
@@ -86,6 +86,9 @@ class Component:
 
 #: Depth below the white noise to which a filtered spectrum is compared. Deeper, a bin is not even, and tapers and rounding are seen.
 DEPTH = 1e-5
+
+#: Frequency at which a window halves the power, times its length (two of them for the triangular one).
+HALF_POWER = {"moving average": 0.44295, "triangular window": 0.31894}
 
 
 @dataclass(frozen=True)
@@ -236,7 +239,7 @@ class Likelihood:
             return known
         stacked = np.hstack([self.data.differences[:, None], *(r.columns for r in regressors)])
         white = np.empty_like(stacked)
-        logdet = kernel.toeplitz_whiten(gamma, stacked, white)
+        logdet = kernels.toeplitz_whiten(gamma, stacked, white)
         if not math.isfinite(logdet):
             return -math.inf
         e, G = white[:, 0], white[:, 1:]
@@ -321,7 +324,7 @@ class Likelihood:
         gamma = explanation.covariance(self.data.block, self.data.dt, y.size)
         stacked = np.hstack([y[:, None], *(r.columns for r in explanation.regressors)])
         white = np.empty_like(stacked)
-        kernel.toeplitz_whiten(gamma, stacked, white)
+        kernels.toeplitz_whiten(gamma, stacked, white)
         G = white[:, 1:]
         scales = np.concatenate([r.scales for r in explanation.regressors]) * max(PRIOR_SCALES)
         covariance = np.linalg.inv(G.T @ G + np.diag(1.0 / scales**2))

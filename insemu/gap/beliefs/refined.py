@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from insemu import rotation
 from insemu.compensation import COMPENSABLE
 from insemu.effects import CROSS, EFFECTS, EffectParameter, EffectUse
-from insemu.gap.candidates import HALF_POWER
-from insemu.gap.nominal import Nominal
-from insemu.gap.sources import StaticLog
+from insemu.gap.beliefs.nominal import Nominal
+from insemu.gap.data.sources import StaticLog
+from insemu.gap.evidence.model import HALF_POWER
 from insemu.gap.verdict import GapReport, Step
 from insemu.noise import AR, BI, DR, GM, SIN, WN, NoiseModel, Process, axis_unit, save
 from insemu.records import AXES, Recording
