@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 from numpy.typing import ArrayLike, NDArray
 
-from insemu import units
+from insemu import units, yamlfile
 from insemu.errors import InputError, nearest
 from insemu.noise.block import StateBlock
 from insemu.noise.processes import AR, AR1, ARMA, GM, MA, PROCESSES, NotStationary, Process
@@ -386,10 +386,7 @@ def load(path: str | Path) -> dict[str, NoiseModel]:
     InputError
         Not such a file, or a model that cannot be read; names the file and the axis.
     """
-    try:
-        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InputError(f"not YAML ({error})", where=str(path)) from None
+    document = yamlfile.read(path).data
     if not isinstance(document, dict) or not isinstance(document.get("axes"), dict):
         raise InputError("expected a noise-model file with the key 'axes'", where=str(path))
     out = {}
