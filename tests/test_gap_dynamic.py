@@ -28,11 +28,11 @@ from insemu.gap.signatures import Loop, Motion, columns_response, deterministic_
 from insemu.gap.singular import lattice, vibration_line
 from insemu.gap.surrogate import Surrogate
 from insemu.gap.tones import wandering, without_tones
-from insemu.gap.trial import run_dynamic
 from insemu.gap.verdict import Step, Value
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Gnss, Initial
+from insemu.trial.run import run_dynamic
 
 Array = NDArray[np.float64]
 BELIEF = {a: NoiseModel((WN(1e-4), RW(1e-6)) if a.startswith("gyro") else (WN(1e-3), RW(1e-5))) for a in AXES}

@@ -332,7 +332,7 @@ def _belief(value: Any, info: Any) -> Any:
 
 
 class Prefilter(Section):
-    """Wavelet de-noising of the IMU before the mechanization (paper 004, sections 5.6 and 6)."""
+    """Wavelet de-noising of the IMU before the mechanization (Quinchia et al. 2013, sections 5.6 and 6)."""
 
     levels: int | dict[str, int] = Field(
         description="octaves that are shrunk, one number or one per axis (gyro_x: 7, ...)"

@@ -38,7 +38,7 @@ def wv_covariance(x: ArrayLike, *, filter: str = "haar", levels: int | None = No
 
     Notes
     -----
-    Equations (11) and (17) of paper 000. By Parseval the sum over all lags of squared sample cross-covariances is the sum over
+    Equations (11) and (17) of Stebler et al. 2014. By Parseval the sum over all lags of squared sample cross-covariances is the sum over
     frequency of the product of two periodograms, so the whole matrix costs one transform per octave.
     The longest scales rest on few coefficients and are rough; a model's covariance (:func:`model_covariance`) is better once there is one.
     """
@@ -197,7 +197,7 @@ def model_covariance_of_filter(
 
 
 def _equivalent_filters(h: Array, g: Array, levels: int) -> list[Array]:
-    """MODWT wavelet filters of every level as seen by the signal (equation (5) of paper 000)."""
+    """MODWT wavelet filters of every level as seen by the signal (equation (5) of Stebler et al. 2014)."""
     out, smooth = [], np.ones(1)
     for j in range(levels):
         step = 1 << j

@@ -1,6 +1,6 @@
 """Logs at rest with something hidden in them, for the blind trial: random sensors, wrong nominal levels, effects sized by what they are worth.
 
-Everything is made by :mod:`insemu.emulate`; how much an effect is worth says :mod:`insemu.gap.expected`, which knows the truth.
+Everything is made by :mod:`insemu.emulate`; how much an effect is worth says :mod:`insemu.trial.expected`, which knows the truth.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from insemu import earth
 from insemu.effects import EFFECTS, EffectUse
 from insemu.emulate import corrupt
-from insemu.gap.expected import Log, sized
-from insemu.gap.hidden_drives import Hidden
 from insemu.gap.sources import static_of
 from insemu.noise import NoiseModel
 from insemu.records import AXES, ImuRecord, Recording, Series
+from insemu.trial.drives import Hidden
+from insemu.trial.expected import Log, sized
 
 Array = NDArray[np.float64]
 
