@@ -18,8 +18,11 @@ from insemu.effects import EFFECTS, EffectUse
 from insemu.emulate import corrupt
 from insemu.errors import InputError
 from insemu.gap import load_nominal
-from insemu.gap.expected import Log, sized, trace_of_ratio
-from insemu.gap.hidden_drives import (
+from insemu.gap.data.log import reduce
+from insemu.gap.drive.preparation import Prepared, fast_parts, prepare
+from insemu.noise import BI, WN, NoiseModel
+from insemu.records import AXES, ImuRecord, Series
+from insemu.trial.drives import (
     DYNAMIC_EFFECTS,
     OUTSIDE,
     TRACKS,
@@ -29,22 +32,18 @@ from insemu.gap.hidden_drives import (
     stage,
     worth_beside,
 )
-from insemu.gap.hidden_logs import STATIC_EFFECTS, shape, static_recording
-from insemu.gap.preparation import Prepared, fast_parts, prepare
-from insemu.gap.reduced import reduce
-from insemu.gap.trial import (
+from insemu.trial.expected import Log, sized, trace_of_ratio
+from insemu.trial.logs import STATIC_EFFECTS, shape, static_recording
+from insemu.trial.run import (
     Job,
     Plan,
     Said,
     Trial,
-    interval,
     known_effects,
     run_static,
     run_trial,
-    score_trials,
 )
-from insemu.noise import BI, WN, NoiseModel
-from insemu.records import AXES, ImuRecord, Series
+from insemu.trial.score import interval, score_trials
 
 
 def said(effect: str, axis: str = "x", members: tuple[str, ...] = (), confidence: float = 0.99) -> Said:

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from insemu.gap.trial import Trial
+    from insemu.trial.run import Trial
 
 
 def command(
@@ -42,7 +42,7 @@ def command(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from insemu.errors import InputError, nearest
-    from insemu.gap.trial import Kind, Plan, catalogue_of, known_effects, run_trial
+    from insemu.trial.run import Kind, Plan, catalogue_of, known_effects, run_trial
 
     choices: dict[str, tuple[Kind, ...]] = {
         "dynamic": ("dynamic",),
@@ -83,7 +83,7 @@ def _show(finished: list[Trial], as_json: bool, console: Console) -> None:
     """Print the scores, and as JSON every recording."""
     import json
 
-    from insemu.gap.trial import score_trials
+    from insemu.trial.score import score_trials
 
     scores = score_trials(finished)
     if as_json:
@@ -100,7 +100,7 @@ def tables(finished: list[Trial]) -> list[Table]:
 
     from rich.table import Table
 
-    from insemu.gap.trial import interval, score_trials
+    from insemu.trial.score import interval, score_trials
 
     scores = score_trials(finished)
     out = []

@@ -332,7 +332,7 @@ def _belief(value: Any, info: Any) -> Any:
 
 
 class Prefilter(Section):
-    """Wavelet de-noising of the IMU before the mechanization (paper 004, sections 5.6 and 6)."""
+    """Wavelet de-noising of the IMU before the mechanization (Quinchia et al. 2013, sections 5.6 and 6)."""
 
     levels: int | dict[str, int] = Field(
         description="octaves that are shrunk, one number or one per axis (gyro_x: 7, ...)"
@@ -561,8 +561,8 @@ class Published(Section):
         return {name: cells for name, cells in given if cells is not None}
 
 
-class Vehicle(Section):
-    """A vehicle that moves where it points: wheels neither slip sideways nor leave the road."""
+class NonHolonomic(Section):
+    """The constraint of a vehicle that moves where it points: wheels neither slip sideways nor leave the road."""
 
     sigma: Speed = Field(
         default=0.1, gt=0, description="standard deviation of the velocity sideways and up that a slip or a bump makes"
@@ -586,7 +586,7 @@ class RecordingSource(Section):
     imu_time_offset: Seconds = Field(
         default=0.0, description="how late IMU stamps are against those of GNSS; taken off"
     )
-    vehicle: Vehicle | None = Field(
+    vehicle: NonHolonomic | None = Field(
         default=None, description="a vehicle that moves where it points, for the gap workflow; null: no wheels"
     )
     gravity: Literal["normal", "free_air_first_order"] = "normal"
