@@ -15,7 +15,21 @@ itself, and hidden in a blind trial: ``gnss.LeverArm`` is all about a wrong leve
 from collections.abc import Iterable
 
 from insemu.effects import deterministic, gnss, model, stochastic, timing
-from insemu.effects.base import ASPECTS, CROSS, EFFECTS, NED, RPY, SIGNAL_UNITS, XYZ, Effect, EffectParameter, EffectUse, Stage, Trait, effect_of
+from insemu.effects.base import (
+    ASPECTS,
+    CROSS,
+    EFFECTS,
+    NED,
+    RPY,
+    SIGNAL_UNITS,
+    XYZ,
+    Effect,
+    EffectParameter,
+    EffectUse,
+    Stage,
+    Trait,
+    effect_of,
+)
 from insemu.effects.chain import Chain, FixErrors
 from insemu.effects.compensation import added_signal, columns_without, compensated, lever_arm_of
 from insemu.effects.deterministic import lagged

@@ -235,7 +235,9 @@ class Effect:
         """True times (n,) of stamps (n,)."""
         raise NotImplementedError(self.id)
 
-    def omitted(self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64]) -> tuple[Array | None, Array | None]:
+    def omitted(
+        self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64]
+    ) -> tuple[Array | None, Array | None]:
         """What the rate and the specific force lack, (n, 3) in body axes each or None, at rows (n,) of a trajectory."""
         raise NotImplementedError(self.id)
 
@@ -258,7 +260,9 @@ class Effect:
     @property
     def adds(self) -> bool:
         """Whether it is an error of one sensor whose values add up."""
-        return bool(self.stage in (Stage.RESPONSE, Stage.LAW) and all(p.join in ("sum", "equal") for p in self.parameters))
+        return bool(
+            self.stage in (Stage.RESPONSE, Stage.LAW) and all(p.join in ("sum", "equal") for p in self.parameters)
+        )
 
     def merged(self, old: EffectUse, new: EffectUse) -> EffectUse | None:
         """One use for a known one and what was found beyond it; None where they stay two entries."""
@@ -330,7 +334,9 @@ class EffectUse:
         _check_sensor(effect, self.sensor)
         for name in self.values:
             effect.parameter(name)
-        object.__setattr__(self, "values", {p.name: _numbers(effect, p, self.values.get(p.name)) for p in effect.parameters})
+        object.__setattr__(
+            self, "values", {p.name: _numbers(effect, p, self.values.get(p.name)) for p in effect.parameters}
+        )
 
     @property
     def effect(self) -> Effect:
@@ -353,7 +359,9 @@ class EffectUse:
         those axes and zero on the others.
         """
         if not isinstance(mapping, Mapping):
-            raise InputError(f"found {_shown(mapping)}, expected an effect as a mapping such as {{effect: scale_factor, ...}}")
+            raise InputError(
+                f"found {_shown(mapping)}, expected an effect as a mapping such as {{effect: scale_factor, ...}}"
+            )
         given = dict(mapping)
         if "effect" not in given:
             raise InputError("an effect needs the key 'effect'" + nearest("effect", [str(k) for k in given]))
@@ -408,13 +416,17 @@ def _parsed(effect: Effect, p: EffectParameter, quantity: Any, sensor: str) -> t
     numbers = []
     for item in items:
         if isinstance(item, bool) or not isinstance(item, str | int | float | np.number):
-            raise InputError(f"effect '{effect.id}', '{p.name}': found {_shown(item)}, expected a quantity in {unit or 'plain numbers'}")
+            raise InputError(
+                f"effect '{effect.id}', '{p.name}': found {_shown(item)}, expected a quantity in {unit or 'plain numbers'}"
+            )
         try:
             numbers.append(units.parse(item if isinstance(item, str) else float(item), unit))
         except InputError as error:
             raise InputError(f"effect '{effect.id}', '{p.name}': {error.message}") from None
         except OverflowError:
-            raise InputError(f"effect '{effect.id}', '{p.name}': found {_shown(item)}, expected a finite number") from None
+            raise InputError(
+                f"effect '{effect.id}', '{p.name}': found {_shown(item)}, expected a finite number"
+            ) from None
     return tuple(numbers)
 
 

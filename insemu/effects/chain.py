@@ -129,7 +129,9 @@ class Chain:
         passes.motion_profile(self.speed(use), rest, self.profile)
         return self.profile
 
-    def add_shaped(self, use: EffectUse, parameter: str, level: Array | None, draw: Callable[[], None] | None = None) -> None:
+    def add_shaped(
+        self, use: EffectUse, parameter: str, level: Array | None, draw: Callable[[], None] | None = None
+    ) -> None:
         """Add the row in work, drawn anew for every axis where a way is given, times the parameter and the level."""
         for row, factor in zip(self.rows(use.sensor), use[parameter], strict=True):
             if draw is not None:
@@ -175,7 +177,12 @@ class FixErrors:
     """
 
     def __init__(
-        self, t: Array, sigma: Array, sigma_v: Array | None, of_position: np.random.Generator, of_velocity: np.random.Generator
+        self,
+        t: Array,
+        sigma: Array,
+        sigma_v: Array | None,
+        of_position: np.random.Generator,
+        of_velocity: np.random.Generator,
     ) -> None:
         n = t.size
         self.t, self.sigma, self.sigma_v = t, sigma, sigma_v

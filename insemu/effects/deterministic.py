@@ -170,16 +170,18 @@ class Misalignment(_OfSensor):
     def matrix(self, use: EffectUse) -> Array:
         """The sensor's block without its diagonal."""
         out, first = np.zeros((6, 6)), first_axis(use.sensor)
-        for (i, j), value in zip(CROSS, use["value"], strict=True):
+        for (i, j), value in zip(map(tuple, CROSS), use["value"], strict=True):
             out[first + "xyz".index(i), first + "xyz".index(j)] = value
         return out
 
     def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
         """The signal of another axis."""
         return [
-            Column.of(self, s, f"value_{i}{j}", (i,), ((first_axis(s) + XYZ.index(i), motion.signal(s)[:, XYZ.index(j)]),))
+            Column.of(
+                self, s, f"value_{i}{j}", (i,), ((first_axis(s) + XYZ.index(i), motion.signal(s)[:, XYZ.index(j)]),)
+            )
             for s in self.sensors
-            for i, j in CROSS
+            for i, j in map(tuple, CROSS)
         ]
 
     def hidden(self, lot: DriveLot) -> Hidden:
@@ -193,7 +195,15 @@ class Mounting(Effect):
     id, name, family, sensors = "mounting", "mounting angles", "deterministic", IMU
     formula = "s_imu = C(rpy)^T s_body, both sensors"
     parameters = (
-        _P("rpy", "rad", 3, (0.5 * DEG,), None, "roll, pitch, yaw of the IMU in the body axes that are assumed", join="sum"),
+        _P(
+            "rpy",
+            "rad",
+            3,
+            (0.5 * DEG,),
+            None,
+            "roll, pitch, yaw of the IMU in the body axes that are assumed",
+            join="sum",
+        ),
     )
     excitation = "motion, and a filter that ties velocity to the body axes"
     in_filter = "two or three attitude constants"
@@ -251,7 +261,8 @@ class GSensitivity(_OfSensor):
     def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
         """A specific force on a gyroscope axis."""
         return [
-            Column.of(self, "gyro", f"value_{a}{b}", (a,), ((XYZ.index(a), motion.force[:, XYZ.index(b)]),)) for a, b in CELLS
+            Column.of(self, "gyro", f"value_{a}{b}", (a,), ((XYZ.index(a), motion.force[:, XYZ.index(b)]),))
+            for a, b in map(tuple, CELLS)
         ]
 
     def hidden(self, lot: DriveLot) -> Hidden:
@@ -345,9 +356,7 @@ class Saturation(Effect):
 
     id, name, family, sensors = "saturation", "saturation", "deterministic", BOTH
     formula = "y = clip(s, -limit, limit)"
-    parameters = (
-        _P("limit", "{s}", 3, (250.0 * DEG, 4.0 * G), None, "full scale", True, join="smaller", nothing=1e6),
-    )
+    parameters = (_P("limit", "{s}", 3, (250.0 * DEG, 4.0 * G), None, "full scale", True, join="smaller", nothing=1e6),)
     excitation, in_filter = "motion beyond the full scale", "epochs flagged"
     traits = frozenset({"samples"})
     stage = Stage.CLIP
@@ -387,7 +396,9 @@ class DroppedSamples(Effect):
         n = chain.keep.size
         length = min(max(1, round(use.scalar("burst"))), n)
         start = np.nonzero(rng.random(n) < use.scalar("probability"))[0]
-        edges = np.bincount(start, minlength=n + length) - np.bincount(start + length, minlength=n + length)[: n + length]
+        edges = (
+            np.bincount(start, minlength=n + length) - np.bincount(start + length, minlength=n + length)[: n + length]
+        )
         chain.keep &= np.cumsum(edges[:n]) == 0
 
     def hidden(self, lot: DriveLot) -> Hidden:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,7 +30,7 @@ class _OfFixes(Effect):
 
     family = "gnss"
     sensors = GNSS
-    axes = NED
+    axes: ClassVar[tuple[str, ...]] = NED
     stage = Stage.NOISE
 
 

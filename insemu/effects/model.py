@@ -42,7 +42,9 @@ class EarthRate(_Model):
         chain.need_reference(use)
         chain.earth_share += use.scalar("fraction")
 
-    def omitted(self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64]) -> tuple[Array | None, Array | None]:
+    def omitted(
+        self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64]
+    ) -> tuple[Array | None, Array | None]:
         """The Earth rate in body axes."""
         w_n = use.scalar("fraction") * earth.earth_rate(trajectory.llh[rows, 0])
         return np.einsum("nji,nj->ni", _attitude(trajectory, rows), w_n), None
@@ -70,7 +72,9 @@ class GravityModel(_Model):
         chain.need_reference(use)
         chain.gravity_offset += use.scalar("offset")
 
-    def omitted(self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64]) -> tuple[Array | None, Array | None]:
+    def omitted(
+        self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64]
+    ) -> tuple[Array | None, Array | None]:
         """The offset in body axes."""
         return None, np.asarray(use.scalar("offset") * _attitude(trajectory, rows)[:, 2, :])
 
@@ -96,7 +100,9 @@ class TransportRate(_Model):
         chain.need_reference(use)
         chain.transport_share += use.scalar("fraction")
 
-    def omitted(self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64]) -> tuple[Array | None, Array | None]:
+    def omitted(
+        self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64]
+    ) -> tuple[Array | None, Array | None]:
         """The transport rate in body axes."""
         w_n = use.scalar("fraction") * earth.transport_rate(trajectory.llh[rows], trajectory.vel_ned[rows])
         return np.einsum("nji,nj->ni", _attitude(trajectory, rows), w_n), None

@@ -28,7 +28,9 @@ _NOT_FOUND = "no candidate looks for it"
 
 
 def _profile(default: float = 1.0) -> EffectParameter:
-    return _P("rest_factor", "", 1, (1.0,), default, "share of the noise that remains at standstill (0 to 1)", True, most=1.0)
+    return _P(
+        "rest_factor", "", 1, (1.0,), default, "share of the noise that remains at standstill (0 to 1)", True, most=1.0
+    )
 
 
 class _Process(Effect):
@@ -232,7 +234,9 @@ class VibrationLine(Effect):
     def hidden(self, lot: DriveLot) -> Hidden:
         """In the upper half of the band."""
         amplitude = lot.on(12.0 * lot.loud * lot.white / math.sqrt(lot.span))
-        return Hidden(lot.axis, {"amplitude": amplitude, "frequency": float(lot.rng.uniform(0.4, 0.9) * lot.nyquist)}, lot.loud)
+        return Hidden(
+            lot.axis, {"amplitude": amplitude, "frequency": float(lot.rng.uniform(0.4, 0.9) * lot.nyquist)}, lot.loud
+        )
 
     def hidden_at_rest(self, lot: RestLot, strength: float) -> dict[str, Any]:
         """On one axis."""

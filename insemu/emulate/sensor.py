@@ -145,9 +145,9 @@ def corrupt(
     step = _intervals(imu)
     chain = Chain.of(imu, step, reference, degc)
     order = sorted(range(len(inertial)), key=lambda k: (inertial[k].effect.stage, _PLACE[inertial[k].id]))
-    reached = Stage.MODEL
+    reached: int = Stage.MODEL
     for k in [*order, None]:
-        stage = Stage.LOSS + 1 if k is None else inertial[k].effect.stage
+        stage: int | None = Stage.LOSS + 1 if k is None else inertial[k].effect.stage
         assert stage is not None
         if reached < Stage.LAW <= stage:
             chain.leave_out()
