@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.effects import EFFECTS, EffectUse
+from insemu.effects import EFFECTS, EffectUse, having
 from insemu.errors import InputError
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.candidates.axis import CANDIDATES, AxisState
@@ -55,14 +55,7 @@ CLASS_SHARE = 0.96
 #: A shape worth more than this is taken out of the data and the filter run again, so that what is left is small enough to be linear.
 CORRECT_NATS = 40.0
 #: Candidates of the fast band; the others need a sensor at rest.
-FAST = (
-    "white_noise",
-    "quantization",
-    "vibration_band",
-    "vibration_line",
-    "decimation_filter",
-    "outliers",
-)
+FAST = having("fast") | {"outliers"}
 OMNIBUS = 0.001
 #: By what factor a slow process may be larger or smaller above the motion than the fixes say.
 LEAK = 10.0
