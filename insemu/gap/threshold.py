@@ -36,7 +36,7 @@ class Tail:
 
     start: float
     excess: float
-    share: float
+    share: float = Policy.tail_share
 
     def exceeds(self, t: float) -> float:
         """Probability of more than ``t`` nats."""
