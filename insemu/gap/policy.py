@@ -161,7 +161,7 @@ class Policy:
     start_heading: float = _decides(0.09, "rad", "tests-drive", "Least uncertainty of a start headed along the track.")
     # -- settled before the search --------------------------------------------------------------------------------------------------
     offset_first_s: float = _decides(0.06, "s", "real-drives", "Time offset that is tried first.")
-    offset_largest_s: float = _decides(0.6, "s", "real-drives", "Largest time offset that is tried: loggers that are further off are off by whole seconds.")
+    offset_largest_s: float = _decides(0.6, "s", "real-drives", "Largest time offset that is tried; loggers further off are so by seconds.")
     offset_least_s: float = _decides(0.03, "s", "tests-refined", "A smaller one is left to the search, where it is linear.")
     offset_nats: float = _decides(100.0, "nats", "tests-refined", "What it must be worth: coloured noise explains some of it.")
     offset_share: float = _decides(0.5, "1", "tests-refined", "Share of the innovations' mean square that may be left with it.")
