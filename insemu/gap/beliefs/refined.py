@@ -1,7 +1,7 @@
 """The refined model: what was found, written in the form that the nominal model had, for emulator and filter alike.
 
 Noise joins the noise models; everything else becomes an entry of the table of effects (:class:`insemu.effects.EffectUse`), which the emulator
-injects and a filter takes off (:mod:`insemu.compensation`).
+injects and a filter takes off (:mod:`insemu.effects.compensation`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import yaml
 from numpy.typing import NDArray
 
 from insemu import rotation
-from insemu.compensation import COMPENSABLE
 from insemu.effects import CROSS, EFFECTS, EffectParameter, EffectUse
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.data.sources import StaticLog
@@ -303,7 +302,7 @@ def _scenario(
     designs = {name: _explicit(design, nominal) for name, design in raw.get("designs", {}).items()}
     first: Any = next(iter(designs.values()), {})
     options = dict(first.get("options", {})) if isinstance(first, Mapping) else {}
-    own = [use for use in effects if use.id in COMPENSABLE]
+    own = [use for use in effects if use.effect.compensable]
     dt = _interval(measured)
     belief = {a: m.to_list(axis_unit(a)) for a, m in filter_noise(nominal, report, dt).items() if a in AXES}
     out: dict[str, Any] = {}

@@ -207,7 +207,7 @@ class Mounted:
 
 def turned_recording(recording: Recording, rpy: Array) -> Recording:
     """The recording of an IMU whose mounting ``rpy`` is taken off."""
-    from insemu.compensation import compensated
+    from insemu.effects import compensated
 
     a, b, c = (float(x) for x in rpy)
     return compensated(recording, [EffectUse("mounting", "imu", {"rpy": (a, b, c)})])

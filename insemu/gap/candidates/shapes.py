@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.effects import EFFECTS
+from insemu.effects import EFFECTS, Column
 from insemu.gap.drive.scene import Scene
-from insemu.gap.drive.signatures import Column
 from insemu.gap.evidence.fixes import NoiseFit
 from insemu.gap.evidence.linear import (
     Block,

@@ -10,18 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import earth, rotation
+from insemu.effects import Column, FixGeometry, Motion, catalogue_columns
 from insemu.gap.data.samples import Clipped
 from insemu.gap.drive.preparation import Prepared, trimmed_factors
-from insemu.gap.drive.signatures import (
-    Column,
-    Loop,
-    Motion,
-    columns_response,
-    deterministic_columns,
-    fix_columns,
-    fix_step_response,
-    knot_response,
-)
+from insemu.gap.drive.signatures import Loop, columns_response, fix_step_response, knot_response
 from insemu.gap.evidence.fixes import FixNoise, Surrogate
 from insemu.gap.evidence.linear import Block, Field, knot_times
 from insemu.gap.policy import rules
@@ -93,12 +85,12 @@ class Scene:
         windows: tuple[Window, ...] = (),
     ) -> Scene:
         """Respond every column through the filter in the loop."""
-        motion = Motion.of(prepared.imu, prepared.result)
+        assert prepared.result.nodes is not None
+        motion = Motion.of(prepared.imu, prepared.result.nav, prepared.result.nodes.epoch)
         loop = Loop.of(prepared.result)
         t_fix = prepared.result.fixes.t
-        columns = deterministic_columns(motion) + fix_columns(
-            motion, t_fix, prepared.lever_arm, prepared.nominal.mounting
-        )
+        fixes = FixGeometry.of(motion, t_fix, prepared.lever_arm, prepared.nominal.mounting)
+        columns = catalogue_columns(motion, fixes)
         catalogue = len(columns)
         columns += library_columns(motion, t_fix, prepared.nominal.mounting)
         outside = slice(catalogue, len(columns))

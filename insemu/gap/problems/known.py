@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import rotation
-from insemu.compensation import NEEDS_TRAJECTORY, added_signal, compensated, lever_arm_of
-from insemu.effects import EffectUse
+from insemu.effects import EffectUse, added_signal, compensated, lever_arm_of
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.candidates.axis import CANDIDATES, AxisState, state_of
 from insemu.gap.data.log import reduce
@@ -118,7 +117,7 @@ def drive_without(recording: Recording, nominal: Nominal) -> tuple[Recording, No
     Raises
     ------
     InputError
-        See :func:`insemu.compensation.compensated`.
+        See :func:`insemu.effects.compensated`.
     """
     effects = nominal.effects
     g = nominal.gnss
@@ -137,9 +136,9 @@ def drive_without(recording: Recording, nominal: Nominal) -> tuple[Recording, No
             )
     moved = replace(nominal, gnss=g.model_copy(update=changes))
     trajectory = None
-    if any(use.id in NEEDS_TRAJECTORY for use in effects):
+    if any(use.effect.needs_trajectory for use in effects):
         trajectory = recording.reference or _estimated(
-            compensated(recording, [use for use in effects if use.id not in NEEDS_TRAJECTORY]), moved
+            compensated(recording, [use for use in effects if not use.effect.needs_trajectory]), moved
         )
     out = compensated(recording, effects, trajectory=trajectory)
     wild = next((use for use in effects if use.id == "gnss_outliers"), None)
