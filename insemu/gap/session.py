@@ -18,16 +18,11 @@ from insemu.gap.candidates.mounting import Mounted, find_mounting
 from insemu.gap.candidates.timing import find_offset
 from insemu.gap.data.sources import StaticLog
 from insemu.gap.drive.preparation import Flown
+from insemu.gap.policy import Policy, rules, under
 from insemu.gap.problems.known import drive_without, in_imu_axes, static_without
-from insemu.gap.problems.rest import THRESHOLD, find_static_gap
+from insemu.gap.problems.rest import find_static_gap
 from insemu.gap.verdict import GapReport, Interval, Step, Value, held_out_said, judged
 from insemu.records import AXES, Recording
-
-#: Effects of the fixes and of timing that together are worth more are held against the recording again once they are known: the strong ones
-#: bend what the search sees of the others, of noise levels above all.
-STRONG_NATS, MOST_PASSES = 150.0, 2
-#: A level of noise that is right within this factor is the nominal one.
-SAME_LEVEL = 1.22
 
 
 @on_one_thread
@@ -36,12 +31,12 @@ def find_gap(
     nominal: Nominal,
     *,
     rng: np.random.Generator,
-    threshold: float = THRESHOLD,
     without: Collection[str] = (),
     hold_out: bool = True,
     pictures: bool = True,
     progress: Callable[[str], None] | None = None,
     flown: Flown | None = None,
+    policy: Policy | None = None,
 ) -> GapReport:
     """Find, name and add what the nominal model lacks.
 
@@ -56,8 +51,6 @@ def find_gap(
         What is believed.
     rng : Generator
         For simulated nominal data.
-    threshold : float
-        Nats that an effect must be worth.
     without : collection of str
         Effects taken out of the catalogue.
     hold_out : bool
@@ -68,13 +61,28 @@ def find_gap(
         Told what is being done.
     flown : Flown, optional
         The nominal filter's run on a drive or flight, where it is there already; of a nominal model in whose ``effects`` there is nothing.
+    policy : Policy, optional
+        The constants of the search; those in force where it is not given.
 
     Raises
     ------
     InputError
         Data or beliefs that cannot be used.
     """
-    nominal = nominal.parted()
+    with under(policy):
+        return _find(measured, nominal.parted(), rng, without, hold_out, pictures, progress or (lambda _: None), flown)
+
+
+def _find(
+    measured: StaticLog | Recording,
+    nominal: Nominal,
+    rng: np.random.Generator,
+    without: Collection[str],
+    hold_out: bool,
+    pictures: bool,
+    progress: Callable[[str], None],
+    flown: Flown | None,
+) -> GapReport:
     if isinstance(measured, StaticLog):
         log, known = static_without(measured, nominal)
         report = find_static_gap(
@@ -83,7 +91,6 @@ def find_gap(
             rng=rng,
             temperature=measured.temperature,
             missing=measured.missing,
-            threshold=threshold,
             without=without,
             hold_out=hold_out,
             source=measured.source,
@@ -95,11 +102,10 @@ def find_gap(
             measured,
             nominal,
             rng,
-            threshold,
             without,
             hold_out,
             hold_out and pictures,
-            progress or (lambda _: None),
+            progress,
             flown,
         )
     return held_out_said(report)
@@ -109,7 +115,6 @@ def _drive(
     measured: Recording,
     nominal: Nominal,
     rng: np.random.Generator,
-    threshold: float,
     without: Collection[str],
     hold_out: bool,
     pictures: bool,
@@ -135,7 +140,7 @@ def _drive(
         recording, moved = drive_without(measured, now)
     mounted = None
     if now.vehicle is not None and "mounting" not in without:
-        mounted = find_mounting(recording, moved, threshold, say)
+        mounted = find_mounting(recording, moved, say)
         if mounted.step is not None:
             now, flown = taken(mounted.step), None
             recording, moved = drive_without(measured, now)
@@ -144,20 +149,16 @@ def _drive(
     own_axes = in_imu_axes(recording, moved)
     if own_axes[0] is not recording:
         (recording, moved), flown = own_axes, None
-    report = find_dynamic_gap(
-        recording, moved, rng=rng, threshold=threshold, without=skip, hold_out=hold_out, progress=say, flown=flown
-    )
+    report = find_dynamic_gap(recording, moved, rng=rng, without=skip, hold_out=hold_out, progress=say, flown=flown)
     out = _together(report, early, mounted, nominal)
-    for turn in range(MOST_PASSES):
-        if sum(s.gain_nats for s in out.steps if s.sensor in ("gnss", "imu")) < STRONG_NATS:
+    for turn in range(rules().most_passes):
+        if sum(s.gain_nats for s in out.steps if s.sensor in ("gnss", "imu")) < rules().strong_nats:
             break
         say(f"the refined model against the recording, {turn + 1}")
         recording, moved = in_imu_axes(
             *drive_without(measured, refined_nominal(nominal, out, measured.imu.dt).parted())
         )
-        more = find_dynamic_gap(
-            recording, moved, rng=rng, threshold=threshold, without=skip, hold_out=False, progress=say
-        )
+        more = find_dynamic_gap(recording, moved, rng=rng, without=skip, hold_out=False, progress=say)
         corrected = _closer(out, more, [s.effect for s in early])
         if corrected is out:
             break
@@ -268,7 +269,7 @@ def _corrected(old: Step, new: Step) -> Step:
 
 def _pruned(step: Step) -> Step | None:
     """A step less what a correction took back: parameters whose interval holds zero, levels that are nominal."""
-    if any(v.name == "factor" and 1.0 / SAME_LEVEL < v.value < SAME_LEVEL for v in step.parameters):
+    if any(v.name == "factor" and abs(math.log(v.value)) < math.log1p(rules().tolerance) for v in step.parameters):
         return None
     if not adds(step.effect) and step.effect != "lever_arm":
         return step

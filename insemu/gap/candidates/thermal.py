@@ -23,6 +23,7 @@ from insemu.gap.evidence.model import (
     fit,
     log_mean_exp,
 )
+from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 
 Array = NDArray[np.float64]
@@ -63,10 +64,10 @@ def ramp(state: AxisState) -> list[Weighed]:
     return regression(state, "ramp", "", ("R",), column, scale, (f"{data.unit}/s",))
 
 
-#: Prior weight of each shape of a thermal bias.
-THERMAL_SHAPES = {"linear": 0.5, "cubic": 0.2, "lagged": 0.2, "cubic and lagged": 0.1}
-#: Thermal time constants that the lagged shapes try, from a block to this share of the log, and their number.
-LONGEST_LAG, LAGS = 0.3, 10
+#: Shapes of a thermal bias.
+THERMAL_SHAPES = ("linear", "cubic", "lagged", "cubic and lagged")
+#: Thermal time constants that the lagged shapes try.
+LAGS = 10
 
 
 def temperature(state: AxisState) -> list[Weighed]:
@@ -118,7 +119,7 @@ def temperature(state: AxisState) -> list[Weighed]:
     out = [weigh("linear", (0,)), weigh("cubic", (0, 1, 2))]
     shapes: tuple[tuple[str, tuple[int, ...]], ...] = (("lagged", (0,)), ("cubic and lagged", (0, 1, 2)))
     for shape, which in shapes:
-        grid = np.geomspace(data.block_s, LONGEST_LAG * data.duration_s, LAGS)
+        grid = np.geomspace(data.block_s, rules().longest_lag * data.duration_s, LAGS)
         tried = [quick(which, float(lag)) for lag in grid]
         k = int(np.argmax(tried))
         top, lag, ratio = tried[k], float(grid[k]), float(grid[1] / grid[0])
@@ -129,7 +130,8 @@ def temperature(state: AxisState) -> list[Weighed]:
         best = weigh(shape, which, lag)
         values = (*best.values, Value("lag", lag, lag / ratio, lag * ratio, "s"))
         out.append(replace(best, gain=best.gain - paid, values=values))
-    return [replace(w, gain=w.gain + math.log(THERMAL_SHAPES[w.variant])) for w in out]
+    odds = dict(zip(THERMAL_SHAPES, rules().thermal_odds, strict=True))
+    return [replace(w, gain=w.gain + math.log(odds[w.variant])) for w in out]
 
 
 def _power(x: Array, k: int) -> Array:
