@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS, EffectUse
 from insemu.errors import InputError, nearest
-from insemu.gap.identify import find_gap
-from insemu.gap.preparation import Flown, Prepared
-from insemu.gap.static_log import NAMING_SHARE, find_static_gap
+from insemu.gap.drive.preparation import Flown, Prepared
+from insemu.gap.policy import rules
+from insemu.gap.problems.rest import find_static_gap
+from insemu.gap.session import find_gap
 from insemu.gap.verdict import GapReport
 from insemu.records import Recording
 from insemu.trial.drives import (
@@ -263,7 +264,7 @@ def run_dynamic(job: Job) -> Trial:
     held = math.nan
     if uses and not job.outside and not job.sizes:
         start, end = float(flown.prepared.imu.t[0]), float(flown.prepared.imu.t[-1])
-        cut = start + NAMING_SHARE * (end - start)
+        cut = start + rules().naming_share * (end - start)
         whole = math.nan
         if oracle_knows(uses):
             whole, late, fixes = oracle(s, clean(), flown.prepared, uses, cut)
