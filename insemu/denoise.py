@@ -1,7 +1,7 @@
 """Wavelet de-noising: details of the first octaves shrunk by a threshold, the approximation kept.
 
 With a static signal it leaves the slow errors for an autocorrelation or an AR model to be seen in; with a dynamic one it must stop at the
-octave where the vehicle's motion begins (paper 004, sections 4.5, 5.2 and 5.6; table 7 uses db4, soft, SURE, 6 or 7 levels at 100 Hz).
+octave where the vehicle's motion begins (Quinchia et al. 2013, sections 4.5, 5.2 and 5.6; table 7 uses db4, soft, SURE, 6 or 7 levels at 100 Hz).
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 ``x_k = Phi x_(k-1) + u + w_k``, ``y_k = c x_k + v_k``; the state before the first sample has mean ``x0`` and covariance ``P0``. The
 compiled loops stop updating covariances once they have settled, so that a long record costs little more than two products per state and
-sample. The log-likelihood is the innovations form (equation (19) of paper 002); the smoother is the fixed-interval one of the appendix of
-paper 001.
+sample. The log-likelihood is the innovations form (equation (19) of Nikolic et al. 2016); the smoother is the fixed-interval one of the appendix of
+Stebler et al. 2011.
 """
 
 from __future__ import annotations

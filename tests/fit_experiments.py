@@ -146,7 +146,7 @@ def print_selection(series: int = 50, seed: int = 5) -> None:
         )
 
 
-# -- paper 001: constrained EM --------------------------------------------------------------------------------------------------------
+# -- Stebler et al. 2011: constrained EM --------------------------------------------------------------------------------------------------------
 
 #: Figure: truth, start, what is done about the ramp, stopping rule. 6000 samples at 1 Hz.
 EM = {
@@ -212,7 +212,7 @@ def print_em(series: int = 200) -> None:
     print(f"EM in all: {total:.0f} s on one core")
 
 
-# -- paper 002: integrated maximum likelihood -----------------------------------------------------------------------------------------
+# -- Nikolic et al. 2016: integrated maximum likelihood -----------------------------------------------------------------------------------------
 
 SIGMA_W = units.parse("21.66 deg/h/sqrt(Hz)", "rad/s/sqrt(Hz)")
 SIGMA_B, TAU_B = 1.26e-6, 530.5
@@ -267,11 +267,11 @@ def print_integrated(series: int = 100, rate: float = 10.0, full: int = 10) -> N
             print(f"   sigma_w {row[0]:.4f}  sigma_b {row[1]:.3f}  tau_b {row[2] * TAU_B:.0f} s")
 
 
-# -- paper 003: a NavChip-like gyroscope with outliers --------------------------------------------------------------------------------
+# -- Balamuta et al. 2016: a NavChip-like gyroscope with outliers --------------------------------------------------------------------------------
 
 
 def navchip() -> tuple[NoiseModel, float, int]:
-    """The classical column of paper 003's Table I; its Q2 and gamma2 are per-sample variances at 250 Hz."""
+    """The classical column of Table I of Balamuta et al. 2016; its Q2 and gamma2 are per-sample variances at 250 Hz."""
     rate = 250.0
     gms = [GM(math.sqrt(s), b) for b, s in ((6.28e-3, 1.28e-8), (0.25, 7.08e-9), (8.48, 6.48e-9))]
     model = NoiseModel(

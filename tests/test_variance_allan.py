@@ -82,7 +82,7 @@ def test_degrees_of_freedom_describe_the_scatter(kind: Any) -> None:
 
 
 def test_relative_error_by_clusters() -> None:
-    # the example of paper 004: 360000 samples, clusters of 60000
+    # the example of Quinchia et al. 2013: 360000 samples, clusters of 60000
     assert abs(float(relative_error(360_000, 60_000)) - 0.316) < 1e-3
     a = allan_variance(np.random.default_rng(4).standard_normal(1000), intervals="clusters")
     np.testing.assert_allclose(np.sqrt(a.high) / a.deviation - 1.0, relative_error(1000, a.m))

@@ -73,7 +73,7 @@ def test_units_are_those_of_datasheets() -> None:
 
 @pytest.mark.slow
 def test_the_published_sensor_reads_back() -> None:
-    """Table 4 of paper 004, simulated for 7 h: N within 1 %; K and B, over axes and seeds, within their intervals as often as 95 % says."""
+    """Table 4 of Quinchia et al. 2013, simulated for 7 h: N within 1 %; K and B within their 95 % intervals as often as that says."""
     published = yaml.safe_load(shared("published/quinchia2013.yaml").read_text())
     inside: dict[str, list[bool]] = {"K": [], "B": []}
     print("axis      N printed -> read      B printed, closed form -> read       K printed -> read")

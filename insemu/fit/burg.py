@@ -1,7 +1,7 @@
-"""Burg's autoregression, after wavelet de-noising where wanted (paper 004, sections 4.2 and 5.3).
+"""Burg's autoregression, after wavelet de-noising where wanted (Quinchia et al. 2013, sections 4.2 and 5.3).
 
 Burg's recursion minimises forward and backward prediction errors together and gives reflection coefficients below one, so the polynomial
-is stationary as long as its digits are kept. Printed to a few decimals it may not be (the polynomials of paper 004's Table 2 are a case in
+is stationary as long as its digits are kept. Printed to a few decimals it may not be (the polynomials of Quinchia et al. 2013, Table 2, are a case in
 point), which is said here, and such a process is refused wherever a filter would take it.
 """
 
@@ -90,7 +90,7 @@ def fit_burg(
     model : NoiseModel
         One ``AR(p)`` or ``AR1()``; the order is the highest one where ``choose`` is set.
     denoise_levels : int
-        Octaves that are de-noised first (6 in paper 004).
+        Octaves that are de-noised first (6 in Quinchia et al. 2013).
     wavelet : str
         Of the de-noising.
     choose : bool

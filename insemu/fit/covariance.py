@@ -1,6 +1,6 @@
 """Covariance of Haar wavelet variances under a model: exact for a finite record, in time that does not grow with its length.
 
-The large-record limit is equation (15) of paper 000; here the sum over the lags of the record is kept, which matters at the longest scales.
+The large-record limit is equation (15) of Stebler et al. 2014; here the sum over the lags of the record is kept, which matters at the longest scales.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Constrained expectation-maximization: state-space parameters of which some entries are fixed and some are free (paper 001).
+"""Constrained expectation-maximization: state-space parameters of which some entries are fixed and some are free (Stebler et al. 2011).
 
 ``x_(t+1) = Phi x_t + u + w_t``, ``y_t = H x_t + v_t``. A matrix with fixed and free entries is ``vec(M) = f + D m`` (equation (9)); the
 maximization has a closed form for each. A ramp is better removed by least squares beforehand: estimated inside, it fights with Phi and Q.
@@ -154,7 +154,7 @@ def smooth_start(space: StateSpace, first: Array) -> Array:
 def expectation_maximization(
     space: StateSpace, y: ArrayLike, *, tolerance: float = 1e-7, iterations: int = 2000
 ) -> Expectation:
-    """Iterate until the relative change of the log-likelihood, averaged as in section 3.5 of paper 001, falls below ``tolerance``.
+    """Iterate until the relative change of the log-likelihood, averaged as in section 3.5 of Stebler et al. 2011, falls below ``tolerance``.
 
     Raises
     ------
@@ -384,7 +384,7 @@ def _space(
         if drifting:
             free_u[drifting[0]] = True
         else:
-            # paper 001, section 4.2: the input of the Markov state itself
+            # Stebler et al. 2011, section 4.2: the input of the Markov state itself
             free_u[0] = True
         u[free_u] = start_slope * dt
     nothing = np.zeros(n, dtype=bool)
@@ -431,7 +431,7 @@ def _likelihood(model: NoiseModel, asked: NoiseModel, y: Array, dt: float, sprea
 def _information(
     model: NoiseModel, asked: NoiseModel, y: Array, dt: float, spread: float
 ) -> tuple[Array, list[tuple[int, str]]]:
-    """Covariance from the observed information (equation (11) of paper 001), by differences in logarithms of the parameters."""
+    """Covariance from the observed information (equation (11) of Stebler et al. 2011), by differences in logarithms of the parameters."""
     free: list[tuple[int, str]] = []
     scale: list[float] = []
     for k, p in enumerate(asked):

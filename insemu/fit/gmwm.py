@@ -1,11 +1,11 @@
-"""The generalized method of wavelet moments: a model whose wavelet variance is nearest to the signal's (papers 000 and 003).
+"""The generalized method of wavelet moments: a model whose wavelet variance is nearest to the signal's (Stebler et al. 2014, Balamuta et al. 2016).
 
 The distance is quadratic. Weights are the inverse squared widths of the curve's intervals (which do not need a model), or the inverse of
 the curve's covariance under the model, in closed form or by parametric bootstrap, in further steps. By default the second where the record
 is long enough to check the model and the model passes, the first elsewhere.
 
 The model's curve is linear in one variance per process, so the search runs over correlation times and other shapes only, from every
-combination on a coarse grid ranked by the flattened distance (34) of paper 000 and by the weighted one; the best of both are refined. That
+combination on a coarse grid ranked by the flattened distance (34) of Stebler et al. 2014 and by the weighted one; the best of both are refined. That
 is a search of the whole space at a cost of milliseconds, and why no start needs to be given.
 """
 
@@ -187,7 +187,7 @@ def fit_curve(
 
     Notes
     -----
-    Equations (20), (22)-(27) and (34) of paper 000. The covariance of the curve is that of the fitted model over the finite record.
+    Equations (20), (22)-(27) and (34) of Stebler et al. 2014. The covariance of the curve is that of the fitted model over the finite record.
     """
     if curve.filter != "haar":
         raise InputError(
@@ -399,7 +399,7 @@ def bootstrap_curves(
 
 
 def parameter_covariance(D: Array, W: Array, V: Array) -> tuple[Array, list[int]]:
-    """Covariance of the free parameters, equations (22)-(26) of paper 000, and the parameters that the weights cannot determine.
+    """Covariance of the free parameters, equations (22)-(26) of Stebler et al. 2014, and the parameters that the weights cannot determine.
 
     Parameters
     ----------
@@ -442,7 +442,7 @@ def parameter_covariance(D: Array, W: Array, V: Array) -> tuple[Array, list[int]
 def goodness_of_fit(
     structure: Structure, at: Solution, scale: NDArray[np.int64], value: Array, V: Array, n: int, dt: float
 ) -> GoodnessOfFit | None:
-    """The test of over-identifying restrictions (27) of paper 000, on scales with enough degrees of freedom.
+    """The test of over-identifying restrictions (27) of Stebler et al. 2014, on scales with enough degrees of freedom.
 
     The covariance is the model's own at the estimate, and the statistic is taken at its minimum over those scales, so that its
     degrees of freedom are scales minus parameters. None where too few scales remain.

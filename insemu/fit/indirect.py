@@ -1,7 +1,7 @@
 """Indirect inference: the model's curve by simulation where there is no closed form, or where the finite record biases the estimate.
 
 The signal's wavelet variance (plain or robust) is compared with that of signals drawn from the model and treated in the same way, so that
-every bias of the treatment cancels (paper 000, section III-C, equation (29)). The draws use common random numbers: the same ones at every
+every bias of the treatment cancels (Stebler et al. 2014, section III-C, equation (29)). The draws use common random numbers: the same ones at every
 trial of the parameters, which makes the simulated curve a smooth function of them.
 """
 

@@ -1,4 +1,4 @@
-"""Maximum likelihood of the integrated signal (paper 002): angles and velocities instead of rates and accelerations.
+"""Maximum likelihood of the integrated signal (Nikolic et al. 2016): angles and velocities instead of rates and accelerations.
 
 Weak slow parts are buried in white noise sample by sample, but rule the integral. So the parameters are found from the increments of the
 integrated signal over intervals much longer than a sample, whose likelihood is that of a small Kalman filter (equations (12)-(19)).
@@ -36,12 +36,12 @@ UNIFORM = 131072
 #: Records longer than this many samples are gone through in pieces.
 LARGE = 1 << 25
 PIECE = 1 << 20
-#: Points of the logarithmic pattern, as in paper 002.
+#: Points of the logarithmic pattern, as in Nikolic et al. 2016.
 LOGARITHMIC = 1000
 
 
 def continuous_transition(F: Array, GQG: Array, interval: float) -> tuple[Array, Array]:
-    """Transition and driving covariance of ``x' = F x + G w`` over an interval, equations (14), (18) and (21) of paper 002.
+    """Transition and driving covariance of ``x' = F x + G w`` over an interval, equations (14), (18) and (21) of Nikolic et al. 2016.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 All candidates are weighed by one matrix, the inverse covariance of the curve under the richest model, so that their distances are
 comparable: the difference between nested models is then a chi-square with as many degrees of freedom as parameters differ. The criterion
-adds twice the optimism ``tr(cov(curve, fitted) Omega)`` (Zhang, Guerrier, Molinari 2015; section 4 of paper 003), which is two per
+adds twice the optimism ``tr(cov(curve, fitted) Omega)`` (Zhang, Guerrier, Molinari 2015; section 4 of Balamuta et al. 2016), which is two per
 parameter with these weights. Its minimum alone would take a superfluous process in every sixth comparison; therefore the simplest model
 is chosen from which no richer one differs by more than chance produces.
 """

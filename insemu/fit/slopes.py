@@ -1,7 +1,7 @@
 """Slopes of the Allan variance or of the PSD read as a model: N to white noise, B and Tc to a Gauss-Markov noise, K to random walk.
 
-The graphical method of paper 004 (section 4.3-4.4, equations (27)-(30)), which other methods are compared with. It reads each straight part
-for itself, so that a part which never dominates is not there, and it cannot separate two correlation times.
+The graphical method of Quinchia et al. 2013 (section 4.3-4.4, equations (27)-(30)), which other methods are compared with. It reads each
+straight part for itself, so that a part which never dominates is not there, and it cannot separate two correlation times.
 """
 
 from __future__ import annotations

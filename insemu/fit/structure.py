@@ -299,7 +299,7 @@ def _external(p: Process, c: float, s: Array, dt: float) -> Process:
 
 
 def natural_jacobian(model: NoiseModel, structure: Structure, m: Array) -> tuple[Array, list[tuple[int, str]]]:
-    """Derivatives of the wavelet variance by the parameters as they are written (SI), equation (24) of paper 000.
+    """Derivatives of the wavelet variance by the parameters as they are written (SI), equation (24) of Stebler et al. 2014.
 
     Parameters
     ----------

@@ -5,25 +5,14 @@ Sums come free: ``2*GM() + WN()``.
 """
 
 from insemu.noise.block import StateBlock
-from insemu.noise.model import NoiseModel, axis_unit, load, save
-from insemu.noise.processes import (
-    AR,
-    AR1,
-    ARMA,
-    BI,
-    DR,
-    GM,
-    MA,
-    PROCESSES,
-    QN,
-    RC,
-    RW,
-    SIN,
-    WN,
-    NotStationary,
-    Parameter,
-    Process,
-)
+from insemu.noise.files import axis_unit, load, save
+from insemu.noise.process import PROCESSES, NoiseModel, NotStationary, Parameter, Process
+from insemu.noise.processes.autoregressive import AR, AR1, ARMA, MA
+from insemu.noise.processes.flicker import BI
+from insemu.noise.processes.gauss_markov import GM
+from insemu.noise.processes.sinusoid import SIN
+from insemu.noise.processes.walks import DR, RC, RW
+from insemu.noise.processes.white import QN, WN
 
 __all__ = [
     "AR",
@@ -48,3 +37,5 @@ __all__ = [
     "load",
     "save",
 ]
+
+globals().update(PROCESSES)  # a process in a module of its own is found here, too

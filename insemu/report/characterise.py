@@ -236,7 +236,7 @@ def correlations(axes: Sequence[AxisReport]) -> MplFigure:
 
 
 def covariance_check(tau: Array, theory: Array, drawn: Array, draws: int, title: str) -> MplFigure:
-    """Asymptotic against drawn covariance of wavelet variances: standard deviations and correlations (Figs. 3 and 4 of paper 000).
+    """Asymptotic against drawn covariance of wavelet variances: standard deviations and correlations (Figs. 3 and 4 of Stebler et al. 2014).
 
     Parameters
     ----------

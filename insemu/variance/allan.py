@@ -104,7 +104,7 @@ def _largest(n_samples: int, kind: Kind) -> int:
 
 
 def relative_error(n_samples: int, m: ArrayLike) -> Array:
-    """Return the relative error of an Allan deviation by the number of independent clusters (equation (15) of paper 004).
+    """Return the relative error of an Allan deviation by the number of independent clusters (equation (15) of Quinchia et al. 2013).
 
     ``1 / sqrt(2 (N / m - 1))``; a rule of thumb that does not depend on the noise.
 
@@ -151,7 +151,7 @@ def allan_variance(
 
     Notes
     -----
-    Definitions of NIST SP 1065 (Riley 2008); equation (13) of paper 004 is the overlapping one.
+    Definitions of NIST SP 1065 (Riley 2008); equation (13) of Quinchia et al. 2013 is the overlapping one.
     """
     if kind not in get_args(Kind):
         raise InputError(f"kind is '{kind}', expected one of: {', '.join(get_args(Kind))}")

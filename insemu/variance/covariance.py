@@ -38,7 +38,7 @@ def wv_covariance(x: ArrayLike, *, filter: str = "haar", levels: int | None = No
 
     Notes
     -----
-    Equations (11) and (17) of paper 000. By Parseval the sum over all lags of squared sample cross-covariances is the sum over
+    Equations (11) and (17) of Stebler et al. 2014. By Parseval the sum over all lags of squared sample cross-covariances is the sum over
     frequency of the product of two periodograms, so the whole matrix costs one transform per octave.
     The longest scales rest on few coefficients and are rough; a model's covariance (:func:`model_covariance`) is better once there is one.
     """
@@ -131,15 +131,15 @@ def model_covariance(
     Returns
     -------
     (J, J) array
-        In unit^4. Entry (m, l) is ``sum of 2 cov^2 / (M_m M_l)`` over all pairs of coefficients, of which equations (10), (15) of paper
-        000 are the limit.
+        In unit^4. Entry (m, l) is ``sum of 2 cov^2 / (M_m M_l)`` over all pairs of coefficients, of which equations (10), (15) of
+        Stebler et al. 2014 are the limit.
     """
     s1 = check_signal(level1, "level-1 autocovariance")
     n = s1.size if n_samples is None else n_samples
     if n > s1.size:
         raise InputError(f"level-1 autocovariance has {s1.size} lags, expected at least the record's {n} samples")
     count = check_levels(levels, max_levels(n), n)
-    means = 0.5 * drift_per_sample * 2.0 ** np.arange(count)
+    means = 0.5 * drift_per_sample * 2.0 ** np.arange(count, dtype=np.float64)
     out = np.empty((count, count))
     _kernel.haar_covariances(np.ascontiguousarray(s1[:n]), n, count, means, out)
     return out
@@ -160,7 +160,7 @@ def model_edof(level1: ArrayLike, value: ArrayLike, *, drift_per_sample: float =
     s1 = check_signal(level1, "level-1 autocovariance")
     v = np.asarray(value, dtype=float)
     count = check_levels(v.size, max_levels(s1.size), s1.size)
-    means = 0.5 * drift_per_sample * 2.0 ** np.arange(count)
+    means = 0.5 * drift_per_sample * 2.0 ** np.arange(count, dtype=np.float64)
     out = np.empty(count)
     _kernel.haar_variances_of_variances(s1, s1.size, count, means, out)
     return 2.0 * v**2 / out
@@ -197,7 +197,7 @@ def model_covariance_of_filter(
 
 
 def _equivalent_filters(h: Array, g: Array, levels: int) -> list[Array]:
-    """MODWT wavelet filters of every level as seen by the signal (equation (5) of paper 000)."""
+    """MODWT wavelet filters of every level as seen by the signal (equation (5) of Stebler et al. 2014)."""
     out, smooth = [], np.ones(1)
     for j in range(levels):
         step = 1 << j

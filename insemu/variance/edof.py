@@ -1,7 +1,7 @@
 """Equivalent degrees of freedom of Haar wavelet variances, from a model or from the curve's own shape, and the intervals they give.
 
 ``M`` overlapping coefficients are correlated, so their mean square scatters like a chi-square with fewer than ``M`` degrees of freedom:
-``eta = 2 v^2 / var(v_hat)`` (Percival & Walden 2000, section 8.4; equation (10) of paper 000 is the large-sample limit of the same
+``eta = 2 v^2 / var(v_hat)`` (Percival & Walden 2000, section 8.4; equation (10) of Stebler et al. 2014 is the large-sample limit of the same
 variance). Here ``var(v_hat)`` is the exact finite-record double sum.
 
 Without a model, the noise type is read from the whole curve at once: a sum of quantization noise, white noise, first-order Markov noises

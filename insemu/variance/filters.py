@@ -1,4 +1,4 @@
-"""Wavelet filters by name, in MODWT scaling, each of which satisfies equation (3) of paper 000 to rounding.
+"""Wavelet filters by name, in MODWT scaling, each of which satisfies equation (3) of Stebler et al. 2014 to rounding.
 
 Families: ``haar``; Daubechies ``d4``..``d20``; least asymmetric ``la8``..``la20``; Fejer-Korovkin ``fk4``..``fk22`` (Nielsen
 2001; published tables, ``fk18`` computed by the construction that gives the others); best localized ``bl14``, ``bl20`` (published

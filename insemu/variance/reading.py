@@ -1,7 +1,7 @@
 """Reading an Allan variance curve: N, B, K, Q, R and a correlation time, each with an interval and the range it was read from.
 
 A straight part of the log-log curve is one kind of noise (Allan variance ~ tau^-2: Q, tau^-1: N, flat: B, tau: K, tau^2: R; IEEE Std 952,
-paper 004 section 4.4). Where a slope is not there, nothing is read.
+Quinchia et al. 2013 section 4.4). Where a slope is not there, nothing is read.
 
 * The straight parts are found on a smooth curve through the data (:func:`insemu.variance.edof.noise_type`), so that the scatter of
   the longest times makes no slopes.
@@ -11,7 +11,7 @@ paper 004 section 4.4). Where a slope is not there, nothing is read.
   deviation s is at 0.617 s at most, so a model whose GM has s = 0.664 B does not read back as B but as 0.617 B, or as what white
   noise and random walk make of it.
 * Tc comes from the hump of a Gauss-Markov noise (its highest point is at 1.89 Tc) where there is one, else it is the middle of
-  the flat part, as paper 004 takes it.
+  the flat part, as Quinchia et al. 2013 takes it.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _TERMS: dict[str, tuple[float, float]] = {
     "R": (2.0, 0.5),
 }
 
-#: Units in which readings are given: those of the tables of paper 004.
+#: Units in which readings are given: those of the tables of Quinchia et al. 2013.
 _UNITS: dict[str, dict[str, tuple[str, str]]] = {
     "rad/s": {
         "Q": ("rad", "deg"),
@@ -88,7 +88,7 @@ class Reading:
     value, low, high : float
         Coefficient and 95 % interval, in ``unit``.
     unit : str
-        Datasheet unit (Tables 3-5 of paper 004); SI where the signal's unit is unknown.
+        Datasheet unit (Tables 3-5 of Quinchia et al. 2013); SI where the signal's unit is unknown.
     si_value : float
         The coefficient in the signal's own unit and seconds.
     tau_from_s, tau_to_s : float

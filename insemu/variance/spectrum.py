@@ -96,7 +96,7 @@ def psd(
 
     Notes
     -----
-    Equation (12) of paper 004; multitaper after Percival & Walden 1993.
+    Equation (12) of Quinchia et al. 2013; multitaper after Percival & Walden 1993.
     """
     if method not in get_args(Method):
         raise InputError(f"method is '{method}', expected one of: {', '.join(get_args(Method))}")
@@ -136,7 +136,7 @@ def _two_sided(power: Array, length: int) -> Array:
 
 
 def average_frequencies(spectrum: Spectrum, per_decade: int = 10) -> Spectrum:
-    """Return the density averaged over bands of equal width in log frequency (frequency averaging of paper 004, section 5.4).
+    """Return the density averaged over bands of equal width in log frequency (frequency averaging of Quinchia et al. 2013, section 5.4).
 
     Each band's frequency is the mean of its own; the degrees of freedom add.
     """
@@ -166,7 +166,7 @@ def _average(spectrum: Spectrum, band: NDArray[np.int64], method: str) -> Spectr
 
 
 def octave_psd(curve: WaveletVariance) -> Spectrum:
-    """Return the PSD level of each octave from a wavelet variance, ``2^j v_j / rate`` (equations (31)-(33) of paper 000).
+    """Return the PSD level of each octave from a wavelet variance, ``2^j v_j / rate`` (equations (31)-(33) of Stebler et al. 2014).
 
     The level of octave j stands for the band ``rate / 2^(j+1)`` to ``rate / 2^j`` and is given at its centre.
     """
@@ -208,7 +208,7 @@ class Autocorrelation:
 def autocorrelation(x: ArrayLike, rate_hz: float = 1.0, *, max_lag_s: float | None = None) -> Autocorrelation:
     """Return the (biased, positive definite) autocovariance of a signal about its mean, by fast transforms.
 
-    Give it :func:`insemu.denoise.denoise` of a signal for the correlation that remains when white noise is reduced (paper 004, 5.2).
+    Give it :func:`insemu.denoise.denoise` of a signal for the correlation that remains when white noise is reduced (Quinchia et al. 2013, 5.2).
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Wavelet variance with intervals: the variance of a signal octave by octave.
 
 Scale is ``tau_j = 2^j`` samples; the Haar wavelet variance there is half the Allan variance at averages of ``m = 2^(j-1)`` samples.
-Coefficients that would reach beyond the record are left out, so estimates are unbiased (equation (9) of paper 000).
+Coefficients that would reach beyond the record are left out, so estimates are unbiased (equation (9) of Stebler et al. 2014).
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ def wavelet_variance(
 
     Notes
     -----
-    Equations (3)-(9) of paper 000.
+    Equations (3)-(9) of Stebler et al. 2014.
 
     Examples
     --------
@@ -260,7 +260,7 @@ def _coefficients(values: Array, h: Array, g: Array, levels: int) -> Iterable[Ar
 
 
 def wavelet_coefficients(x: ArrayLike, *, filter: str = "haar", levels: int | None = None) -> list[Array]:
-    """Return the MODWT wavelet coefficients of each octave, boundary left out (equation (6) of paper 000).
+    """Return the MODWT wavelet coefficients of each octave, boundary left out (equation (6) of Stebler et al. 2014).
 
     Entry ``j - 1`` has shape ``(n - L_j + 1,)`` with ``L_j = (2^j - 1)(L - 1) + 1``.
 

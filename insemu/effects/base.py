@@ -1,0 +1,479 @@
+"""What an effect is: a class with its parameters, its traits and everything that the program does with it; and an effect with numbers.
+
+Each effect is one class in one of the files of this package, and says there how it is injected, taken off, recognized in the innovations,
+put together with a second find of itself, and hidden in a blind trial. An :class:`EffectUse` is an effect with numbers::
+
+    EffectUse.from_mapping({"effect": "scale_factor", "sensor": "gyro", "value": ["500 ppm", 0, 0]})
+
+Conventions: true quantities are w (angular rate, rad/s) and f (specific force, m/s^2) in sensor axes, s stands for
+either; measured = (I + S + M) s + b + ...; a positive time offset means that IMU stamps are late.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu import units
+from insemu.errors import InputError, nearest
+from insemu.noise import Process
+
+if TYPE_CHECKING:
+    from insemu.effects.chain import Chain, FixErrors
+    from insemu.effects.hiding import DriveLot, Hidden, RestLot
+    from insemu.effects.motion import Column, FixGeometry, Motion
+    from insemu.records import GnssRecord, Trajectory
+
+Array = NDArray[np.float64]
+Family = Literal["stochastic", "deterministic", "timing", "gnss", "model"]
+Sensor = Literal["gyro", "accel", "imu", "gnss"]
+#: How the numbers of two finds of one effect become one number; "" where the two stay two entries.
+Join = Literal["", "sum", "product", "root_sum_square", "larger", "smaller", "later", "equal"]
+#: What the program does with an effect; the columns of the matrix that a test walks.
+Aspect = Literal["emulate", "compensate", "signature", "candidate", "refine", "trial"]
+ASPECTS: tuple[Aspect, ...] = ("emulate", "compensate", "signature", "candidate", "refine", "trial")
+
+#: Traits that searches and rooms above ask for; see :func:`insemu.effects.having`.
+#:
+#: slow, fast : seen below or above the block length of a log at rest
+#: samples    : seen in single samples
+#: shape      : a known function of time or temperature
+#: process    : a slow random process whose size is one number per axis
+#: once       : one number that only one description can have
+#: drawn      : what was drawn is nobody's to know beforehand, and is taken out of the samples where it is found
+#: noise      : its place is the noise model of an axis
+#: level      : a level of the fixes, which is estimated together with their colour
+#: evident    : read off the samples or beside a recorded signal: nothing unexplained can stand in for it
+Trait = Literal["slow", "fast", "samples", "shape", "process", "once", "drawn", "noise", "level", "evident"]
+#: Columns that are tried together: axes, label, their places among the effect's columns.
+Subset = tuple[tuple[str, ...], str, list[int]]
+
+#: Cross-axis parameters (six): axis that errs, then axis that leaks into it.
+CROSS = ("xy", "xz", "yx", "yz", "zx", "zy")
+#: Cells of a 3 x 3 matrix row by row.
+CELLS = tuple(a + b for a in "xyz" for b in "xyz")
+XYZ, NED, RPY = ("x", "y", "z"), ("north", "east", "down"), ("roll", "pitch", "yaw")
+#: Units of the signals of the inertial sensors.
+SIGNAL_UNITS = {"gyro": "rad/s", "accel": "m/s^2"}
+DEG = math.pi / 180.0
+G = units.STANDARD_GRAVITY
+BOTH: tuple[Sensor, ...] = ("gyro", "accel")
+IMU: tuple[Sensor, ...] = ("imu",)
+GNSS: tuple[Sensor, ...] = ("gnss",)
+
+
+class Stage(IntEnum):
+    """Where in the chain of a sensor an effect acts: the order of injection, and backwards that of compensation."""
+
+    MODEL = 0
+    MOUNTING = 1
+    RESPONSE = 2
+    LAW = 3
+    NOISE = 4
+    FILTER = 5
+    CLIP = 6
+    ROUND = 7
+    CLOCK = 8
+    STAMP = 9
+    LOSS = 10
+
+
+@dataclass(frozen=True)
+class EffectParameter:
+    """A number of an effect.
+
+    Parameters
+    ----------
+    name : str
+        Key in mappings and scenarios.
+    unit : str
+        SI unit; ``{s}`` stands for the unit of the sensor's signal (rad/s or m/s^2) and is empty for GNSS and timing.
+    size : int
+        1: one number; 3: one per axis (a single number is taken for all three); 6: one per cross-axis pair
+        (:data:`CROSS`); 9: a 3 x 3 matrix row by row (three numbers are its diagonal).
+    scale : tuple of float
+        Typical datasheet magnitude in SI: one for every sensor of the effect (``gyro, accel``) or one in all. The
+        priors of the gap workflow are multiples of it.
+    default : float or None
+        Value where none is given; None: must be given.
+    meaning : str
+        In words.
+    positive : bool
+        Whether negative values are refused.
+    join : str
+        How two finds add up, see :data:`Join`.
+    nothing : float
+        The value that does nothing.
+    most : float or None
+        Largest magnitude that is plausible, SI; a larger one is refused.
+    """
+
+    name: str
+    unit: str
+    size: int
+    scale: tuple[float, ...]
+    default: float | None
+    meaning: str
+    positive: bool = False
+    join: Join = ""
+    nothing: float = 0.0
+    most: float | None = None
+
+    def labels(self, axes: Sequence[str]) -> tuple[str, ...]:
+        """Names of its numbers, as findings have them: ``value_x``, ``value_xy``, ``tau``; ``axes`` are the effect's."""
+        names = {3: tuple(axes), 6: CROSS, 9: CELLS}.get(self.size, ())
+        return tuple(f"{self.name}_{a}" for a in names) or (self.name,)
+
+
+class Effect:
+    """What can be wrong. A subclass is an effect; :data:`insemu.effects.EFFECTS` holds one object of each.
+
+    Attributes
+    ----------
+    id, name, family, sensors : str
+        Stable key; the field's words; kind of effect; which sensors can have it.
+    formula : str
+        What it does to the signal.
+    parameters : tuple of EffectParameter
+    excitation : str
+        What a recording needs to show it.
+    in_filter : str
+        How a filter carries or compensates it.
+    axes : tuple of str
+        What the numbers of a parameter with three numbers belong to.
+    traits : frozenset of str
+        See :data:`Trait`.
+    size : str
+        The parameter that makes the whole effect larger or smaller; empty where no single one does.
+    process : type, optional
+        The process of the noise algebra that holds it.
+    stage : Stage, optional
+        Where in the chain of the IMU it acts; None for effects of the fixes.
+    needs_temperature : bool
+    absent : mapping of aspect to str
+        What the program does not do with it, and why; the test of completeness takes no other excuse.
+    """
+
+    id: ClassVar[str]
+    name: ClassVar[str]
+    family: ClassVar[Family]
+    sensors: ClassVar[tuple[Sensor, ...]]
+    formula: ClassVar[str]
+    parameters: ClassVar[tuple[EffectParameter, ...]]
+    excitation: ClassVar[str]
+    in_filter: ClassVar[str]
+    axes: ClassVar[tuple[str, ...]] = XYZ
+    traits: ClassVar[frozenset[Trait]] = frozenset()
+    size: ClassVar[str] = ""
+    process: ClassVar[type[Process] | None] = None
+    stage: ClassVar[Stage | None] = None
+    needs_temperature: ClassVar[bool] = False
+    absent: ClassVar[Mapping[Aspect, str]] = {}
+
+    # -- what it is ----------------------------------------------------------------------------------------------------------------
+
+    def parameter(self, name: str) -> EffectParameter:
+        """Parameter by name; ``InputError`` with the nearest name where there is none."""
+        for p in self.parameters:
+            if p.name == name:
+                return p
+        raise InputError(
+            f"effect '{self.id}' has no parameter '{name}'" + nearest(str(name), [p.name for p in self.parameters])
+        )
+
+    def unit(self, parameter: str, sensor: str) -> str:
+        """SI unit of a parameter for a sensor."""
+        return self.parameter(parameter).unit.replace("{s}", SIGNAL_UNITS.get(sensor, ""))
+
+    def scale(self, parameter: str, sensor: str) -> float:
+        """Datasheet magnitude of a parameter for a sensor, SI."""
+        scales = self.parameter(parameter).scale
+        return scales[-1] if sensor == "accel" else scales[0]
+
+    @property
+    def compensable(self) -> bool:
+        """Whether its numbers can be taken off the data."""
+        return any(self.does(name) for name in INVERSES)
+
+    @property
+    def needs_trajectory(self) -> bool:
+        """Whether taking it off needs to know where the vehicle is and how it stands."""
+        return self.does("omitted")
+
+    # -- emulate: what the emulator does ---------------------------------------------------------------------------------------------
+
+    def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
+        """Do to the signals of the IMU what a use says; for effects of the IMU."""
+        raise NotImplementedError(self.id)
+
+    def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:
+        """Do to the errors of the fixes what a use says; for effects of the fixes."""
+        raise NotImplementedError(self.id)
+
+    # -- compensate: what a filter that knows it does to its data; at most a few of these ---------------------------------------------
+
+    def added(self, use: EffectUse, t: Array, temperature: Array | None) -> Array:
+        """What it adds whatever the signal, (n, 3) or (3,); times (n,) in s, temperature (n,) in degC."""
+        raise NotImplementedError(self.id)
+
+    def matrix(self, use: EffectUse) -> Array:
+        """Error (6, 6) per rate and specific force, of rate and specific force."""
+        raise NotImplementedError(self.id)
+
+    def bent(self, use: EffectUse, signal: Array, temperature: Array | None) -> Array:
+        """Error (n, 6) as a function of the true rate and specific force (n, 6), where that is not linear or not constant."""
+        raise NotImplementedError(self.id)
+
+    def turn(self, use: EffectUse) -> Array:
+        """The turn (3, 3) from the axes of the IMU to those of the body that is assumed."""
+        raise NotImplementedError(self.id)
+
+    def true_time(self, use: EffectUse, t: Array) -> Array:
+        """True times (n,) of stamps (n,)."""
+        raise NotImplementedError(self.id)
+
+    def omitted(
+        self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64]
+    ) -> tuple[Array | None, Array | None]:
+        """What the rate and the specific force lack, (n, 3) in body axes each or None, at rows (n,) of a trajectory."""
+        raise NotImplementedError(self.id)
+
+    def corrected_fixes(self, use: EffectUse, gnss: GnssRecord) -> GnssRecord:
+        """The fixes put right."""
+        raise NotImplementedError(self.id)
+
+    def arm(self, use: EffectUse) -> Array:
+        """What the assumed lever arm lacks, (3,) m in body axes."""
+        raise NotImplementedError(self.id)
+
+    # -- signature: what it does to the innovations, by analysis; nothing here may come from the emulator's functions -------------------
+
+    def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
+        """Unit columns along an estimated motion, for effects whose shape is known."""
+        raise NotImplementedError(self.id)
+
+    def subsets(self, columns: Sequence[Column]) -> list[Subset]:
+        """Which of its columns on one sensor a search tries together: each alone, and all."""
+        out: list[Subset] = [(c.axes, "", [k]) for k, c in enumerate(columns)]
+        if len(columns) > 1:
+            out.append((tuple(dict.fromkeys(a for c in columns for a in c.axes)), "all", list(range(len(columns)))))
+        return out
+
+    # -- refine: how two finds become one -----------------------------------------------------------------------------------------------
+
+    @property
+    def adds(self) -> bool:
+        """Whether it is an error of one sensor whose values add up."""
+        return bool(
+            self.stage in (Stage.RESPONSE, Stage.LAW) and all(p.join in ("sum", "equal") for p in self.parameters)
+        )
+
+    def merged(self, old: EffectUse, new: EffectUse) -> EffectUse | None:
+        """One use for a known one and what was found beyond it; None where they stay two entries."""
+        values = {}
+        for p in self.parameters:
+            a, b = np.array(old[p.name]), np.array(new[p.name])
+            if not p.join or (p.join == "equal" and not np.array_equal(a, b)):
+                return None
+            values[p.name] = tuple(float(x) for x in _JOINED[p.join](a, b))
+        return EffectUse(self.id, old.sensor, values)
+
+    # -- trial: how it is hidden ---------------------------------------------------------------------------------------------------------
+
+    def hidden(self, lot: DriveLot) -> Hidden:
+        """How it is hidden in a drive or flight: axes and numbers from a lot, at its datasheet's scale."""
+        raise NotImplementedError(self.id)
+
+    def hidden_at_rest(self, lot: RestLot, strength: float) -> dict[str, Any]:
+        """How it is hidden in a log at rest: its numbers at a strength, 1 near what an hour can show."""
+        raise NotImplementedError(self.id)
+
+    def does(self, what: str) -> bool:
+        """Whether this effect has a function of its own, such as ``columns`` or ``hidden``."""
+        return getattr(type(self), what) is not getattr(Effect, what)
+
+
+#: The functions by which an effect is taken off.
+INVERSES = ("added", "matrix", "bent", "turn", "true_time", "omitted", "corrected_fixes", "arm")
+_JOINED: Mapping[Join, Any] = {
+    "sum": np.add,
+    "product": np.multiply,
+    "root_sum_square": np.hypot,
+    "larger": np.maximum,
+    "smaller": np.minimum,
+    "later": lambda old, new: new,
+    "equal": lambda old, new: old,
+}
+
+
+#: Effect by id; the files of this package fill it when the package is imported.
+EFFECTS: dict[str, Effect] = {}
+
+
+@dataclass(frozen=True)
+class EffectUse:
+    """An effect with numbers: what the emulator injects and what a scenario writes down.
+
+    Parameters
+    ----------
+    id : str
+        Key of :data:`EFFECTS`.
+    sensor : str
+        ``gyro``, ``accel``, ``imu`` or ``gnss``.
+    values : mapping of str to tuple of float
+        Every parameter in SI, with as many numbers as the table says.
+
+    Raises
+    ------
+    InputError
+        An unknown effect, sensor or parameter, a missing, negative or implausible value, a wrong count.
+    """
+
+    id: str
+    sensor: str
+    values: Mapping[str, tuple[float, ...]]
+
+    def __post_init__(self) -> None:
+        effect = effect_of(self.id)
+        _check_sensor(effect, self.sensor)
+        for name in self.values:
+            effect.parameter(name)
+        object.__setattr__(
+            self, "values", {p.name: _numbers(effect, p, self.values.get(p.name)) for p in effect.parameters}
+        )
+
+    @property
+    def effect(self) -> Effect:
+        """What the table says."""
+        return EFFECTS[self.id]
+
+    def __getitem__(self, name: str) -> tuple[float, ...]:
+        return self.values[name]
+
+    def scalar(self, name: str) -> float:
+        """A parameter of one number."""
+        return self.values[name][0]
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping[str, Any]) -> EffectUse:
+        """Read ``{"effect": id, "sensor": ..., parameter: quantity, ...}``; quantities are SI numbers or texts with
+        units.
+
+        ``sensor`` may be left out where the effect has only one; ``axes`` (``x``, ``[x, z]``) puts single numbers on
+        those axes and zero on the others.
+        """
+        if not isinstance(mapping, Mapping):
+            raise InputError(
+                f"found {_shown(mapping)}, expected an effect as a mapping such as {{effect: scale_factor, ...}}"
+            )
+        given = dict(mapping)
+        if "effect" not in given:
+            raise InputError("an effect needs the key 'effect'" + nearest("effect", [str(k) for k in given]))
+        effect = effect_of(given.pop("effect"))
+        sensor = given.pop("sensor", None)
+        if sensor is None:
+            if len(effect.sensors) > 1:
+                raise InputError(f"effect '{effect.id}' needs the key 'sensor': {' or '.join(effect.sensors)}")
+            sensor = effect.sensors[0]
+        _check_sensor(effect, sensor)
+        axes = given.pop("axes", None)
+        values: dict[str, tuple[float, ...]] = {}
+        for name, quantity in given.items():
+            p = effect.parameter(name)
+            numbers = _parsed(effect, p, quantity, sensor)
+            if axes is not None and p.size == 3 and len(numbers) == 1:
+                chosen = list(axes) if isinstance(axes, list | tuple) else [axes]
+                for axis in chosen:
+                    if axis not in XYZ:
+                        raise InputError(f"effect '{effect.id}': unknown axis '{_shown(axis)}' (expected x, y or z)")
+                numbers = tuple(numbers[0] if axis in chosen else 0.0 for axis in XYZ)
+            values[name] = numbers
+        return cls(effect.id, sensor, values)
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Inverse of :meth:`from_mapping`, SI numbers."""
+        out: dict[str, Any] = {"effect": self.id, "sensor": self.sensor}
+        for name, numbers in self.values.items():
+            out[name] = numbers[0] if len(numbers) == 1 else list(numbers)
+        return out
+
+
+def _shown(value: object) -> str:
+    """A value as a message shows it, cut where it is long."""
+    if isinstance(value, int) and not isinstance(value, bool) and value.bit_length() > 128:
+        return f"an integer of {value.bit_length()} bits"  # python refuses to print very long ones
+    text = str(value)
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+def _check_sensor(effect: Effect, sensor: Any) -> None:
+    if sensor not in effect.sensors:
+        raise InputError(
+            f"effect '{effect.id}' has the sensor '{_shown(sensor)}', expected {' or '.join(repr(s) for s in effect.sensors)}"
+        )
+
+
+def _parsed(effect: Effect, p: EffectParameter, quantity: Any, sensor: str) -> tuple[float, ...]:
+    """Quantities as a file has them, in SI."""
+    unit = effect.unit(p.name, sensor)
+    items: Sequence[Any] = quantity if isinstance(quantity, list | tuple) else [quantity]
+    numbers = []
+    for item in items:
+        if isinstance(item, bool) or not isinstance(item, str | int | float | np.number):
+            raise InputError(
+                f"effect '{effect.id}', '{p.name}': found {_shown(item)}, expected a quantity in {unit or 'plain numbers'}"
+            )
+        try:
+            numbers.append(units.parse(item if isinstance(item, str) else float(item), unit))
+        except InputError as error:
+            raise InputError(f"effect '{effect.id}', '{p.name}': {error.message}") from None
+        except OverflowError:
+            raise InputError(
+                f"effect '{effect.id}', '{p.name}': found {_shown(item)}, expected a finite number"
+            ) from None
+    return tuple(numbers)
+
+
+def _numbers(effect: Effect, p: EffectParameter, given: Any) -> tuple[float, ...]:
+    """All numbers of a parameter, checked."""
+    where = f"effect '{effect.id}', '{p.name}'"
+    if given is None:
+        if p.default is None:
+            raise InputError(f"effect '{effect.id}' misses its parameter '{p.name}' ({p.meaning})")
+        given = (p.default,)
+    try:
+        numbers = tuple(float(x) for x in ((given,) if isinstance(given, int | float) else given))
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{where}: found {_shown(given)}, expected {_count(p.size)} number(s)") from None
+    if len(numbers) == 1 and p.size in (3, 9):
+        numbers *= 3
+    if len(numbers) == 3 and p.size == 9:
+        a, b, c = numbers
+        numbers = (a, 0.0, 0.0, 0.0, b, 0.0, 0.0, 0.0, c)
+    if len(numbers) != p.size:
+        raise InputError(f"{where}: found {len(numbers)} value(s), expected {_count(p.size)}")
+    if not all(math.isfinite(x) for x in numbers):
+        raise InputError(f"{where}: found a value that is not finite")
+    if p.positive and min(numbers) < 0:
+        raise InputError(f"{where}: found {min(numbers):g}, expected zero or more")
+    if p.most is not None and max(abs(x) for x in numbers) > p.most:
+        raise InputError(f"{where}: found {max(numbers, key=abs):g}, expected at most {p.most:g}")
+    return numbers
+
+
+def _count(size: int) -> str:
+    return {1: "one", 3: "one or three", 6: "six (xy, xz, yx, yz, zx, zy)", 9: "nine (or three, the diagonal)"}[size]
+
+
+def effect_of(effect_id: Any) -> Effect:
+    """Effect by id; ``InputError`` with the nearest id where there is none."""
+    if not isinstance(effect_id, str) or effect_id not in EFFECTS:
+        shown = _shown(effect_id)
+        raise InputError(f"unknown effect '{shown}'" + nearest(shown, EFFECTS))
+    return EFFECTS[effect_id]

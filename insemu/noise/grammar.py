@@ -1,0 +1,85 @@
+"""The text of a noise model, taken apart: ``2*GM() + WN(N=0.032 deg/s/sqrt(Hz))``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator
+from typing import Any
+
+from insemu import units
+from insemu.errors import InputError, nearest
+
+_TERM = re.compile(r"^\s*(?:(?P<count>\d+)\s*\*\s*)?(?P<name>[A-Za-z]\w*)\s*(?:\((?P<arguments>.*)\))?\s*$", re.DOTALL)
+
+
+def _split(text: str, separator: str) -> list[str]:
+    """Split at a separator outside brackets (and outside exponents such as 1e+3)."""
+    parts, depth, start = [], 0, 0
+    for i, ch in enumerate(text):
+        depth += ch in "(["
+        depth -= ch in ")]"
+        if ch == separator and depth == 0:
+            parts.append(text[start:i])
+            start = i + 1
+    return [*parts, text[start:]]
+
+
+def terms(text: str, known: Collection[str]) -> Iterator[tuple[int, str, list[int], dict[str, Any]]]:
+    """Yield count, name, unnamed whole numbers and named arguments of every term of a sum.
+
+    Parameters
+    ----------
+    text : str
+        The model.
+    known : collection of str
+        Names of processes.
+
+    Raises
+    ------
+    InputError
+        Anything but ``[count*]NAME(arguments)``, or an unknown name.
+    """
+    for term in _split(text, "+"):
+        match = _TERM.match(term)
+        if match is None:
+            raise InputError(
+                f"cannot read '{term.strip()}' in the model '{text}'; expected something like 2*GM() or WN(N=1e-3)"
+            )
+        name = match["name"]
+        if name not in known:
+            raise InputError(f"unknown process '{name}' in the model '{text}'" + nearest(name, known))
+        count = int(match["count"] or 1)
+        if count < 1:
+            raise InputError(f"found {count} times {name} in the model '{text}', expected at least once")
+        yield count, name, *_arguments(name, match["arguments"] or "", text)
+
+
+def _arguments(name: str, arguments: str, text: str) -> tuple[list[int], dict[str, Any]]:
+    orders: list[int] = []
+    given: dict[str, Any] = {}
+    for argument in _split(arguments, ","):
+        argument = argument.strip()
+        if not argument:
+            continue
+        if "=" in argument:
+            key, value = (part.strip() for part in argument.split("=", 1))
+            given[key] = (
+                [v.strip() for v in value.strip("([)] ").split(",") if v.strip()] if value[:1] in "([" else value
+            )
+        elif argument.isdigit():
+            orders.append(int(argument))
+        else:
+            raise InputError(
+                f"cannot read '{argument}' in '{name}({arguments})' of the model '{text}'; expected name=quantity"
+            )
+    return orders, given
+
+
+def quantity(value: Any, unit: str, where: str) -> float:
+    """A number in SI, or text with a unit of the dimension of ``unit``; raises ``InputError`` at ``where``."""
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise InputError(f"found {value!r}, expected a quantity in {unit}", where=where)
+    try:
+        return units.parse(value, unit)
+    except InputError as error:
+        raise InputError(error.message, where=where) from None

@@ -1,0 +1,31 @@
+"""The processes of inertial sensor errors, each said once, in one module.
+
+Every process is a frozen set of parameters. A parameter left out is unknown: ``GM()`` is a structure to be fitted. Closed forms take the
+sampling interval ``dt``, because what a filter or an estimator sees is the sampled sequence: averages of m samples, frequencies up to
+1 / (2 dt), lags in samples.
+
+===== ============================== ========== =========== ========== ===============
+name  Allan variance of the samples  stationary state block states     rate
+===== ============================== ========== =========== ========== ===============
+WN    closed                         yes        yes         0          free
+RW    closed                         no         yes         1          free
+GM    closed                         yes        yes         1          free
+AR1   closed                         yes        yes         1          carried
+AR    by exact doubling              yes        yes         p          carried
+MA    by exact doubling              yes        yes         q + 1      carried
+ARMA  by exact doubling              yes        yes         max(p,q+1) carried
+QN    closed                         yes        yes         2          free
+DR    closed                         no         yes         2          free
+BI    closed                         no         refused     -          free
+SIN   closed                         yes        yes         2          free
+RC    0                              no         yes         1          free
+===== ============================== ========== =========== ========== ===============
+
+A module in this folder is read when the package is: a process that it defines is registered, and nothing else has to name it.
+"""
+
+from importlib import import_module
+from pkgutil import iter_modules
+
+for _module in iter_modules(__path__):
+    import_module(f"{__name__}.{_module.name}")

@@ -1,0 +1,114 @@
+"""Bias instability: flicker noise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import optimize, special
+
+from insemu.errors import InputError
+from insemu.noise import draws
+from insemu.noise.block import StateBlock
+from insemu.noise.process import NoiseModel, Parameter, Process, counts
+from insemu.noise.processes.gauss_markov import GM, first_order_allan
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BI(Process):
+    """Bias instability (flicker) ``B``: two-sided PSD B^2 / (2 pi f), flat Allan variance (2 ln 2 / pi) B^2 = (0.664 B)^2.
+
+    A sample is the average of the continuous flicker over dt, which makes the Allan variance flat down to one sample. It has no finite
+    state block; :meth:`approximation` gives a sum of Gauss-Markov processes whose error over a band of averaging times is stated.
+    """
+
+    B: float | None = None
+    PARAMETERS: ClassVar = (Parameter("B", "{u}", "positive", "bias instability"),)
+    stationary: ClassVar[bool] = False
+
+    def allan_variance(self, m: ArrayLike, dt: float) -> Array:  # noqa: D102
+        return np.full(np.shape(counts(m)), 2.0 * math.log(2.0) / math.pi * self.parameters["B"] ** 2)
+
+    def psd(self, f: ArrayLike, dt: float) -> Array:  # noqa: D102
+        x = np.asarray(f, dtype=np.float64) * dt
+        folded = special.zeta(3.0, x) + special.zeta(3.0, 1.0 - x)  # aliases of f^-1 sinc^2
+        return np.asarray(self.parameters["B"] ** 2 * dt / (2.0 * np.pi**3) * np.sin(np.pi * x) ** 2 * folded)
+
+    def block(self, dt: float) -> StateBlock:
+        """Refused: flicker has no finite state block.
+
+        Raises
+        ------
+        InputError
+            Always; the message names the alternative.
+        """
+        raise InputError(
+            "BI (flicker) has no finite state block; use BI.approximation(k, tau_from, tau_to), a sum of k GM processes"
+        )
+
+    def approximation(self, k: int, tau_from: float, tau_to: float) -> tuple[NoiseModel, float]:
+        """Return ``(k x GM, error)``: correlation times spread over the band, least relative error of the Allan variance.
+
+        Parameters
+        ----------
+        k : int
+            Number of Gauss-Markov processes, at least 1.
+        tau_from, tau_to : float
+            Band of averaging times in s over which the flat Allan variance is matched.
+
+        Returns
+        -------
+        NoiseModel, float
+            The model and the largest relative error of its Allan variance over the band.
+        """
+        taus = np.geomspace(tau_from, tau_to, 40 * k)
+        # an Allan variance of GM peaks at 1.89 correlation times; the outer processes sit a little inside the band's ends
+        times = (
+            np.geomspace(tau_from, tau_to, k + 2)[1:-1] / 1.89 if k == 1 else np.geomspace(tau_from, tau_to, k) / 1.89
+        )
+        fine = tau_from / 1000.0
+        m = np.maximum(np.round(taus / fine), 1.0)
+        curves = np.stack([first_order_allan(1.0, fine / t, m) for t in times], axis=1)
+        flat = float(self.allan_variance(1, 1.0))
+        weights, _ = optimize.nnls(curves, np.ones(taus.size))
+        error = float(np.max(np.abs(curves @ weights - 1.0)))
+        parts = tuple(GM(math.sqrt(w * flat), 1.0 / t) for w, t in zip(weights, times, strict=True) if w > 0)
+        return NoiseModel(parts), error
+
+    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
+        gain = _flicker_gain(int(2 ** math.ceil(math.log2(max(2 * out.size, 8)))))
+        size = 2 * gain.size - 2
+        buffer = np.empty(2 * size + 2)  # one block for both directions of the transform
+        white, spectrum = buffer[:size], buffer[size:].view(np.complex128)
+        draws.standard_normal(white, rng)
+        np.fft.rfft(white, out=spectrum)
+        spectrum *= gain
+        np.fft.irfft(spectrum, size, out=white)
+        out[:] = white[: out.size]
+        draws.running_sum(out, 0.0, self.parameters["B"])
+
+
+@lru_cache(maxsize=4)
+def _flicker_gain(size: int) -> Array:
+    """Filter (size / 2 + 1,) that turns the transform of ``size`` white numbers into that of the first differences of unit flicker.
+
+    The differences are stationary with the fourth difference of t^2 ln|t| as autocovariance; circulant embedding is exact.
+    """
+    lag = np.arange(-2, size // 2 + 3, dtype=np.float64)
+    magnitude = np.abs(lag)
+    g = magnitude**2 * np.log(np.where(magnitude > 0, magnitude, 1.0))
+    gamma = np.convolve(g, [1.0, -4.0, 6.0, -4.0, 1.0], mode="valid")
+    far = np.arange(gamma.size) > 1000
+    # the fourth difference cancels at long lags; there its leading term is -2 / lag^2
+    gamma[far] = -2.0 / np.arange(gamma.size)[far] ** 2
+    gamma /= 2.0 * math.pi
+    eigenvalues = np.maximum(np.fft.rfft(np.concatenate([gamma, gamma[-2:0:-1]])).real, 0.0)
+    gain = np.sqrt(eigenvalues)
+    gain.setflags(write=False)
+    return gain

@@ -1,0 +1,52 @@
+"""A sinusoid of unknown phase."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from insemu.noise.block import StateBlock
+from insemu.noise.process import Parameter, Process, counts
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SIN(Process):
+    """Sinusoid of amplitude ``alpha`` and frequency ``f`` (Hz) with a phase drawn uniformly."""
+
+    alpha: float | None = None
+    f: float | None = None
+    PARAMETERS: ClassVar = (
+        Parameter("alpha", "{u}", "positive", "amplitude"),
+        Parameter("f", "Hz", "positive", "frequency"),
+    )
+
+    def allan_variance(self, m: ArrayLike, dt: float) -> Array:  # noqa: D102
+        p, m = self.parameters, counts(m)
+        x = np.pi * p["f"] * dt
+        return np.asarray((p["alpha"] * np.sin(m * x) ** 2 / (m * np.sin(x))) ** 2)
+
+    def psd(self, f: ArrayLike, dt: float) -> Array:  # noqa: D102
+        return np.zeros(np.shape(f))  # a line: no density away from its frequency
+
+    def autocovariance(self, lag: ArrayLike, dt: float) -> Array:  # noqa: D102
+        p = self.parameters
+        return np.asarray(0.5 * p["alpha"] ** 2 * np.cos(2.0 * np.pi * p["f"] * dt * np.asarray(lag)))
+
+    def block(self, dt: float) -> StateBlock:  # noqa: D102
+        p = self.parameters
+        angle = 2.0 * math.pi * p["f"] * dt
+        Phi = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+        P0 = np.eye(2) * 0.5 * p["alpha"] ** 2
+        return StateBlock(("SIN", "SIN.quadrature"), Phi, np.zeros((2, 2)), np.array([1.0, 0.0]), P0, 0.0, dt)
+
+    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
+        p = self.parameters
+        phase = rng.uniform(0.0, 2.0 * math.pi)
+        np.sin(2.0 * math.pi * p["f"] * dt * np.arange(out.size) + phase, out=out)
+        out *= p["alpha"]

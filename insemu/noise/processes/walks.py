@@ -1,0 +1,98 @@
+"""Processes without a stationary state: random walk, ramp, random constant."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from insemu.noise import draws
+from insemu.noise.block import StateBlock
+from insemu.noise.process import Parameter, Process, counts
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RW(Process):
+    """Random walk of driving density ``K`` (increments K sqrt(dt)): Allan variance of its samples K^2 dt (2 m^2 + 1) / (6 m).
+
+    ``sigma0`` is the standard deviation of the value before the first sample.
+    """
+
+    K: float | None = None
+    sigma0: float = 0.0
+    PARAMETERS: ClassVar = (
+        Parameter("K", "{u}*sqrt(Hz)", "positive", "random-walk density"),
+        Parameter("sigma0", "{u}", "positive", "initial standard deviation", optional=True),
+    )
+    stationary: ClassVar[bool] = False
+
+    def allan_variance(self, m: ArrayLike, dt: float) -> Array:  # noqa: D102
+        m = counts(m)
+        return self.parameters["K"] ** 2 * dt * (2.0 * m**2 + 1.0) / (6.0 * m)
+
+    def psd(self, f: ArrayLike, dt: float) -> Array:  # noqa: D102
+        return (self.parameters["K"] * dt / (2.0 * np.sin(np.pi * np.asarray(f) * dt))) ** 2
+
+    def block(self, dt: float) -> StateBlock:  # noqa: D102
+        q = self.parameters["K"] ** 2 * dt
+        return StateBlock(("RW",), np.eye(1), np.array([[q]]), np.ones(1), np.array([[self.sigma0**2]]), 0.0, dt)
+
+    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
+        start = rng.standard_normal() * self.sigma0
+        draws.standard_normal(out, rng)
+        draws.running_sum(out, start, self.parameters["K"] * math.sqrt(dt))
+
+
+@dataclass(frozen=True)
+class DR(Process):
+    """Drift (rate ramp) of slope ``R``: sample k is R k dt, Allan variance R^2 tau^2 / 2.
+
+    A filter that carries it knows the size of the slope and not its sign: value and slope start at zero with standard deviations 0 and R.
+    """
+
+    R: float | None = None
+    PARAMETERS: ClassVar = (Parameter("R", "{u}/s", "real", "ramp slope"),)
+    stationary: ClassVar[bool] = False
+
+    def allan_variance(self, m: ArrayLike, dt: float) -> Array:  # noqa: D102
+        return 0.5 * (self.parameters["R"] * dt * counts(m)) ** 2
+
+    def psd(self, f: ArrayLike, dt: float) -> Array:  # noqa: D102
+        return np.zeros(np.shape(f))  # a deterministic ramp has no spectrum away from zero frequency
+
+    def block(self, dt: float) -> StateBlock:  # noqa: D102
+        r = self.parameters["R"] ** 2
+        Phi = np.array([[1.0, dt], [0.0, 1.0]])
+        return StateBlock(("DR", "DR.slope"), Phi, np.zeros((2, 2)), np.array([1.0, 0.0]), np.diag([0.0, r]), 0.0, dt)
+
+    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
+        np.multiply(self.parameters["R"] * dt, np.arange(1.0, out.size + 1.0), out=out)
+
+
+@dataclass(frozen=True)
+class RC(Process):
+    """Random constant of standard deviation ``sigma``: the turn-on bias."""
+
+    sigma: float | None = None
+    PARAMETERS: ClassVar = (Parameter("sigma", "{u}", "positive", "standard deviation"),)
+    stationary: ClassVar[bool] = (
+        False  # one draw says nothing about the ensemble; no estimator may use its autocovariance
+    )
+
+    def allan_variance(self, m: ArrayLike, dt: float) -> Array:  # noqa: D102
+        return np.zeros(np.shape(counts(m)))
+
+    def psd(self, f: ArrayLike, dt: float) -> Array:  # noqa: D102
+        return np.zeros(np.shape(f))
+
+    def block(self, dt: float) -> StateBlock:  # noqa: D102
+        variance = self.parameters["sigma"] ** 2
+        return StateBlock(("RC",), np.eye(1), np.zeros((1, 1)), np.ones(1), np.array([[variance]]), 0.0, dt)
+
+    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
+        out[:] = rng.standard_normal() * self.parameters["sigma"]

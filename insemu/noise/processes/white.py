@@ -1,0 +1,80 @@
+"""White noise, and white noise of the integrated output: no memory beyond a sample."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from insemu.noise import draws
+from insemu.noise.block import StateBlock
+from insemu.noise.process import Parameter, Process, counts
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class WN(Process):
+    """White noise of density ``N``: two-sided PSD N^2, per-sample variance N^2 / dt, Allan variance N^2 / tau."""
+
+    N: float | None = None
+    PARAMETERS: ClassVar = (Parameter("N", "{u}/sqrt(Hz)", "positive", "white-noise density"),)
+
+    @classmethod
+    def of_variance(cls, variance: float, dt: float) -> WN:
+        """The white noise whose samples at interval ``dt`` have this variance."""
+        return cls(math.sqrt(variance * dt))
+
+    def allan_variance(self, m: ArrayLike, dt: float) -> Array:  # noqa: D102
+        return self.parameters["N"] ** 2 / (dt * counts(m))
+
+    def psd(self, f: ArrayLike, dt: float) -> Array:  # noqa: D102
+        return np.full(np.shape(f), self.parameters["N"] ** 2)
+
+    def autocovariance(self, lag: ArrayLike, dt: float) -> Array:  # noqa: D102
+        return np.where(np.asarray(lag) == 0, self.parameters["N"] ** 2 / dt, 0.0)
+
+    def block(self, dt: float) -> StateBlock:  # noqa: D102
+        return StateBlock.empty(dt, self.parameters["N"] ** 2 / dt)
+
+    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
+        draws.standard_normal(out, rng)
+        out *= self.parameters["N"] / math.sqrt(dt)
+
+
+@dataclass(frozen=True)
+class QN(Process):
+    """Quantization noise ``Q`` of the integrated output: y_k = (q_k - q_(k-1)) / dt, var q = Q^2, Allan variance 3 Q^2 / tau^2."""
+
+    Q: float | None = None
+    PARAMETERS: ClassVar = (Parameter("Q", "({u})*s", "positive", "quantization of the integrated output"),)
+
+    def allan_variance(self, m: ArrayLike, dt: float) -> Array:  # noqa: D102
+        return 3.0 * self.parameters["Q"] ** 2 / (dt * counts(m)) ** 2
+
+    def psd(self, f: ArrayLike, dt: float) -> Array:  # noqa: D102
+        return np.asarray(4.0 * self.parameters["Q"] ** 2 / dt * np.sin(np.pi * np.asarray(f) * dt) ** 2)
+
+    def autocovariance(self, lag: ArrayLike, dt: float) -> Array:  # noqa: D102
+        q = (self.parameters["Q"] / dt) ** 2
+        lag = np.abs(np.asarray(lag))
+        return np.where(lag == 0, 2.0 * q, np.where(lag == 1, -q, 0.0))
+
+    def block(self, dt: float) -> StateBlock:  # noqa: D102
+        q = self.parameters["Q"] ** 2
+        # states are q_k and q_(k-1): an integrated quantity and its predecessor
+        return StateBlock(
+            ("QN", "QN.previous"),
+            np.array([[0.0, 0.0], [1.0, 0.0]]),
+            np.diag([q, 0.0]),
+            np.array([1.0, -1.0]) / dt,
+            np.eye(2) * q,
+            0.0,
+            dt,
+        )
+
+    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
+        np.multiply(np.diff(rng.standard_normal(out.size + 1)), self.parameters["Q"] / dt, out=out)
