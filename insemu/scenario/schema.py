@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, field_validator, model_validator
 
 from insemu import units
-from insemu.compensation import COMPENSABLE
 from insemu.effects import EFFECTS, EffectUse
 from insemu.errors import InputError, nearest
 from insemu.noise import NoiseModel, axis_unit
@@ -410,9 +409,10 @@ class DesignOptions(Section):
     def _can_be_taken_off(cls, value: Any) -> Any:
         for item in value:
             use = EffectUse.from_mapping(item)
-            if use.id not in COMPENSABLE:
+            if not use.effect.compensable:
+                known = ", ".join(sorted(e.id for e in EFFECTS.values() if e.compensable))
                 raise InputError(
-                    f"the effect '{use.id}' is noise or a loss, which cannot be taken off; expected one of: {', '.join(sorted(COMPENSABLE))}"
+                    f"the effect '{use.id}' is noise or a loss, which cannot be taken off; expected one of: {known}"
                 )
         return value
 
@@ -561,8 +561,8 @@ class Published(Section):
         return {name: cells for name, cells in given if cells is not None}
 
 
-class Vehicle(Section):
-    """A vehicle that moves where it points: wheels neither slip sideways nor leave the road."""
+class NonHolonomic(Section):
+    """The constraint of a vehicle that moves where it points: wheels neither slip sideways nor leave the road."""
 
     sigma: Speed = Field(
         default=0.1, gt=0, description="standard deviation of the velocity sideways and up that a slip or a bump makes"
@@ -586,7 +586,7 @@ class RecordingSource(Section):
     imu_time_offset: Seconds = Field(
         default=0.0, description="how late IMU stamps are against those of GNSS; taken off"
     )
-    vehicle: Vehicle | None = Field(
+    vehicle: NonHolonomic | None = Field(
         default=None, description="a vehicle that moves where it points, for the gap workflow; null: no wheels"
     )
     gravity: Literal["normal", "free_air_first_order"] = "normal"

@@ -70,7 +70,8 @@ def _read(path: Path, settings: Mapping[str, str]) -> list[Table]:
 def _measurements(identity: str, payload: bytes) -> list[tuple[float, str, float]]:
     """(time tag in s, column, value) of one message: words of 24 bits of data and a type (u-blox F9 interface description)."""
     if identity == "ESF-RAW":  # 4 bytes reserved, then pairs of data and time tag
-        words = np.frombuffer(payload[4 : 4 + (len(payload) - 4) // 8 * 8], dtype="<u4").reshape(-1, 2).tolist()
+        pairs = np.frombuffer(payload[4 : 4 + (len(payload) - 4) // 8 * 8], dtype="<u4").reshape(-1, 2)
+        words = [(int(w), int(tag)) for w, tag in pairs]
     else:  # time tag, flags, id, then data: as many as the flags' upper five bits say
         tag, flags = int.from_bytes(payload[:4], "little"), int.from_bytes(payload[4:6], "little")
         data = payload[8 : 8 + 4 * min(flags >> 11, (len(payload) - 8) // 4)]
