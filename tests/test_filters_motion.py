@@ -8,7 +8,8 @@ import pytest
 from insemu import earth, rotation
 from insemu.errors import InputError
 from insemu.filters import LooselyCoupledEKF
-from insemu.filters.alignment import align_at_rest, cut, rests
+from insemu.filters.alignment import align_at_rest, cut
+from insemu.filters.rest import rests
 from insemu.filters.motion import align_in_motion
 from insemu.noise import RC, WN
 from insemu.records import GnssRecord, ImuRecord
