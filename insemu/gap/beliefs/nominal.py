@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from insemu import yamlfile
 from insemu.effects import EffectUse
 from insemu.errors import InputError
 from insemu.noise import DR, SIN, NoiseModel, load
-from insemu.scenario import Gnss, Initial, Scenario, SensorModels, Vehicle
+from insemu.scenario import EffectList, Gnss, Initial, NonHolonomic, Scenario, Section, SensorModels, validated
 from insemu.scenario import load as load_scenario
 
 
@@ -29,7 +27,7 @@ class Nominal:
         Sections of a scenario; defaults where the file does not say.
     effects : tuple of EffectUse
         What is known besides noise; it is taken off the recording before anything is looked for.
-    vehicle : Vehicle, optional
+    vehicle : NonHolonomic, optional
         How the IMU sits in a vehicle that moves where it points; ``None``: nothing is known of that.
     mounting : (3,) tuple
         Angles of the IMU in the body, rad, where the recording and the lever arm are in the IMU's own axes; zero where they are in the body's.
@@ -46,7 +44,7 @@ class Nominal:
     kind: str = "belief"
     source: str = ""
     effects: tuple[EffectUse, ...] = ()
-    vehicle: Vehicle | None = None
+    vehicle: NonHolonomic | None = None
     mounting: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def parted(self) -> Nominal:
@@ -80,50 +78,41 @@ def load_nominal(path: str | Path) -> Nominal:
     ------
     InputError
         None of them, naming file and key.
-    FileNotFoundError
-        No such file.
     """
     path = Path(path)
-    try:
-        raw = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InputError(f"not YAML ({error})", where=str(path)) from None
+    document = yamlfile.read(path)
+    raw = document.data
     if not isinstance(raw, dict):
         raise InputError("expected a scenario, a belief file or a noise-model file (a YAML mapping)", where=str(path))
     if "axes" in raw:
         return Nominal(load(path), raw=raw, kind="noise", source=str(path))
     if "belief" in raw:
-        return _belief_file(raw, path)
+        return _belief_file(document)
     return _scenario(load_scenario(path), raw, path)
 
 
-#: Keys of a belief file.
-BELIEF_KEYS = ("belief", "effects", "gnss", "initial", "vehicle", "title", "notes")
+class BeliefFile(Section):
+    """The keys of a belief file."""
+
+    belief: SensorModels
+    effects: EffectList = ()
+    gnss: Gnss = Gnss()
+    initial: Initial = Initial()
+    vehicle: NonHolonomic | None = None
+    title: str = ""
+    notes: str = ""
 
 
-def _belief_file(raw: dict[str, Any], path: Path) -> Nominal:
-    unknown = [k for k in raw if k not in BELIEF_KEYS]
-    if unknown:
-        raise InputError(
-            f"unknown key '{unknown[0]}' (expected one of: {', '.join(sorted(BELIEF_KEYS))})", where=str(path)
-        )
-    try:
-        beliefs = SensorModels.model_validate(raw["belief"]).models()
-        gnss, initial = Gnss.model_validate(raw.get("gnss") or {}), Initial.model_validate(raw.get("initial") or {})
-        vehicle = Vehicle.model_validate(raw["vehicle"] or {}) if "vehicle" in raw else None
-        given = raw.get("effects") or []
-        if not isinstance(given, list) or not all(isinstance(e, Mapping) for e in given):
-            raise InputError(
-                "'effects' is no list of mappings such as {effect: scale_factor, sensor: gyro, value: 500 ppm}"
-            )
-        effects = tuple(EffectUse.from_mapping(e) for e in given)
-    except InputError as error:
-        raise InputError(str(error), where=str(path)) from None
-    except ValueError as error:  # pydantic: one line is enough
-        raise InputError(re.sub(r"\s+", " ", str(error))[:400], where=str(path)) from None
+def _belief_file(document: yamlfile.Document) -> Nominal:
+    held = validated(BeliefFile, document)
+    beliefs = held.belief.models()
     if not beliefs:
-        raise InputError("'belief' names no axis; expected gyro, accel or single axes such as gyro_x", where=str(path))
-    return Nominal(beliefs, gnss, initial, raw, "belief", str(path), effects, vehicle)
+        raise InputError(
+            "'belief' names no axis; expected gyro, accel or single axes such as gyro_x", where=document.name
+        )
+    effects = tuple(EffectUse.from_mapping(e) for e in held.effects)
+    raw, vehicle = document.data, held.vehicle
+    return Nominal(beliefs, held.gnss, held.initial, raw, "belief", document.name, effects, vehicle)
 
 
 def _scenario(scenario: Scenario, raw: dict[str, Any], path: Path) -> Nominal:
