@@ -31,8 +31,8 @@ def nearest(name: str, candidates: Iterable[str]) -> str:
     >>> nearest("raet", ["rate", "model"])
     " (did you mean 'rate'?)"
     """
-    known = sorted(candidates)
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    known = sorted(map(str, candidates))
+    close = difflib.get_close_matches(str(name)[:100], known, n=1, cutoff=0.5)
     if close:
         return f" (did you mean '{close[0]}'?)"
     return f" (expected one of: {', '.join(known)})"

@@ -2,7 +2,8 @@
 
 A table of the field's units with a parser of products, quotients, powers and ``sqrt(...)`` does the whole job in fewer lines than a
 general registry needs to be taught the field's habits: angle is a dimension (so that rad is checked), ``g`` is 9.80665 m/s^2 (``ug`` is
-micro-g, ``mg`` milli-g), and ``ppm`` and ``%`` count as pure numbers.
+micro-g, ``mg`` milli-g), and ``ppm``, ``%`` and ``LSB`` count as pure numbers. Spellings that people use are read too: ``dps``,
+``ug/√Hz``, ``ug/rtHz``, ``m/s2``, ``m/s²``, ``rad s^-1``, ``°/h``, ``mph``, ``knots``.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
+from numbers import Real
 
 from insemu.errors import InputError, nearest
 
@@ -75,6 +78,7 @@ _UNITS: Mapping[str, Unit] = {
     "sec": _S,
     "ms": _times(1e-3, _S),
     "us": _times(1e-6, _S),
+    "ns": _times(1e-9, _S),
     "min": _times(60.0, _S),
     "h": _times(3600.0, _S),
     "hr": _times(3600.0, _S),
@@ -85,30 +89,62 @@ _UNITS: Mapping[str, Unit] = {
     "ug": Unit(STANDARD_GRAVITY * 1e-6, _ACCELERATION),
     "mGal": Unit(1e-5, _ACCELERATION),
     "kn": Unit(1852.0 / 3600.0, _dimension(length=1, time=-1)),
+    "mph": Unit(1609.344 / 3600.0, _dimension(length=1, time=-1)),
+    "kph": Unit(1.0 / 3.6, _dimension(length=1, time=-1)),
+    "dps": Unit(math.pi / 180, _dimension(angle=1, time=-1)),
+    "mdps": Unit(math.pi / 180e3, _dimension(angle=1, time=-1)),
+    "dph": Unit(math.pi / 648000, _dimension(angle=1, time=-1)),
+    "rpm": Unit(math.pi / 30, _dimension(angle=1, time=-1)),
     "K": Unit(1.0, _dimension(temperature=1)),
     "degC": Unit(1.0, _dimension(temperature=1)),  # a difference; absolute temperatures are plain numbers in degC
     "ppm": Unit(1e-6, _dimension()),
     "%": Unit(1e-2, _dimension()),
+    "LSB": _ONE,  # a count; what one is worth is written in front: 0.05 deg/s/LSB
     "1": _ONE,
 }
 
-_TOKEN = re.compile(r"\s*(?:(?P<name>[A-Za-zµμ°%]+)|(?P<number>\d+(?:\.\d+)?)|(?P<sign>\*\*|[*/^()·√-]))")
-_QUANTITY = re.compile(r"^\s*(?P<value>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>.*?)\s*$")
+#: Other spellings of the units above.
+_SPELLINGS: Mapping[str, str] = {
+    "degree": "deg", "degrees": "deg", "radian": "rad", "radians": "rad", "rads": "rad",
+    "meter": "m", "meters": "m", "metre": "m", "metres": "m", "second": "s", "seconds": "s", "secs": "s", "minute": "min",
+    "minutes": "min", "hour": "h", "hours": "h", "hrs": "h", "hz": "Hz", "HZ": "Hz", "G": "g", "mG": "mg", "gs": "g",
+    "knot": "kn", "knots": "kn", "kt": "kn", "kts": "kn", "kmh": "kph", "degC": "degC", "°C": "degC", "C": "degC",
+    "Celsius": "degC", "celsius": "degC", "lsb": "LSB", "count": "LSB", "counts": "LSB", "usec": "us", "msec": "ms",
+    "nsec": "ns", "DPS": "dps",
+}  # fmt: skip
+
+#: Limits of what is read as a unit or a quantity: characters, nested parentheses, largest power. Nobody writes more.
+LONGEST, DEEPEST, HIGHEST = 200, 16, 24
+
+_SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
+_RAISED = re.compile(r"[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+")
+_TOKEN = re.compile(r"\s*(?:(?P<name>[A-Za-zµμ°%]+)|(?P<number>\d+(?:\.\d+)?|\.\d+)|(?P<sign>\*\*|[*/^()·⋅×√-]))")
+_QUANTITY = re.compile(r"(?P<value>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>.*)", re.DOTALL)
+
+
+def _shown(text: object) -> str:
+    """What was found, short and printable."""
+    shown = repr(text)
+    return shown if len(shown) <= 60 else shown[:57] + "..."
 
 
 class _Parser:
-    """Recursive descent over ``unit := factor (('*' | '/') factor)*``, ``factor := atom ('^' number)?``."""
+    """Recursive descent over ``unit := factor (('*' | '/' | blank) factor)*``, ``factor := atom ('^'? number)?``."""
 
     def __init__(self, text: str) -> None:
-        self.text = text
+        self.text = _shown(text)
         self.tokens: list[str] = []
-        position = 0
-        stripped = text.rstrip()
+        position, depth = 0, 0
+        stripped = _RAISED.sub(lambda m: f"^({m.group().translate(_SUPERSCRIPTS)})", text.rstrip())
         while position < len(stripped):
             match = _TOKEN.match(stripped, position)
             if match is None:
-                raise InputError(f"cannot read the unit '{text}' at '{stripped[position:]}'")
-            self.tokens.append(match.group().strip())
+                raise InputError(f"cannot read the unit {self.text} at {_shown(stripped[position:])}")
+            token = match.group().strip()
+            depth += (token == "(") - (token == ")")
+            if depth > DEEPEST:
+                raise InputError(f"cannot read the unit {self.text}: more than {DEEPEST} nested parentheses")
+            self.tokens.append(token)
             position = match.end()
         self.at = 0
 
@@ -119,23 +155,29 @@ class _Parser:
         token = self.peek()
         if token is None or (expected is not None and token != expected):
             found = "the end" if token is None else f"'{token}'"
-            raise InputError(f"cannot read the unit '{self.text}': expected {expected or 'a unit'}, found {found}")
+            raise InputError(f"cannot read the unit {self.text}: expected {expected or 'a unit'}, found {found}")
         self.at += 1
         return token
 
     def unit(self) -> Unit:
         value = self.factor()
-        while self.peek() in ("*", "/", "·"):
-            operator = self.take()
+        while (token := self.peek()) is not None and token != ")":
+            if token in ("*", "/", "·", "⋅", "×"):
+                self.take()
+            elif not (token[0].isalpha() or token in ("(", "√", "°", "%")):
+                break
             right = self.factor()
-            value = value / right if operator == "/" else value * right
+            value = value / right if token == "/" else value * right
         return value
 
     def factor(self) -> Unit:
         value = self.atom()
-        if self.peek() in ("^", "**"):
+        token = self.peek()
+        if token in ("^", "**"):
             self.take()
-            value = value ** self.exponent()
+            return value ** self.exponent()
+        if token is not None and (token == "-" or token[0].isdigit()):  # m/s2, m s-2
+            return value ** self.exponent()
         return value
 
     def exponent(self) -> Fraction:
@@ -146,15 +188,18 @@ class _Parser:
                 self.take("/")
                 value = value / self.exponent()
             self.take(")")
-            return value
-        if self.peek() == "-":
+        elif self.peek() == "-":
             self.take("-")
-            return -self.exponent()
-        token = self.take()
-        try:
-            return Fraction(token)
-        except ValueError:
-            raise InputError(f"cannot read the unit '{self.text}': expected an exponent, found '{token}'") from None
+            value = -self.exponent()
+        else:
+            token = self.take()
+            try:
+                value = Fraction(token)
+            except ValueError:
+                raise InputError(f"cannot read the unit {self.text}: expected an exponent, found '{token}'") from None
+        if abs(value) > HIGHEST:
+            raise InputError(f"cannot read the unit {self.text}: powers above {HIGHEST} are no unit")
+        return value
 
     def atom(self) -> Unit:
         token = self.take()
@@ -162,15 +207,34 @@ class _Parser:
             value = self.unit()
             self.take(")")
             return value
-        if token in ("sqrt", "√"):
-            self.take("(")
-            value = self.unit()
-            self.take(")")
-            return value ** Fraction(1, 2)
-        name = token.replace("µ", "u").replace("μ", "u")
-        if name not in _UNITS:
-            raise InputError(f"unknown unit '{token}' in '{self.text}'" + nearest(name, _UNITS))
-        return _UNITS[name]
+        if token in ("sqrt", "√", "rt", "root"):
+            return self.atom() ** Fraction(1, 2)
+        found = _named(token)
+        if found is None and token.startswith(("rt", "sqrt", "root")):  # rtHz
+            inner = _named(token.removeprefix("sqrt").removeprefix("root").removeprefix("rt"))
+            found = None if inner is None else inner ** Fraction(1, 2)
+        if found is None:
+            raise InputError(f"unknown unit '{token[:40]}' in {self.text}" + nearest(token[:40], _UNITS))
+        return found
+
+
+def _named(token: str) -> Unit | None:
+    name = token.replace("µ", "u").replace("μ", "u")
+    return _UNITS.get(_SPELLINGS.get(name, name))
+
+
+@lru_cache(maxsize=1024)
+def _parsed(text: str) -> Unit:
+    parser = _Parser(text)
+    try:
+        value = parser.unit()
+    except (OverflowError, ZeroDivisionError):
+        raise InputError(f"cannot read the unit {_shown(text)}: its size is no number") from None
+    if parser.peek() is not None:
+        raise InputError(f"cannot read the unit {_shown(text)} at '{parser.peek()}'")
+    if not (math.isfinite(value.factor) and value.factor > 0.0):
+        raise InputError(f"cannot read the unit {_shown(text)}: its size is no number")
+    return value
 
 
 def parse_unit(text: str) -> Unit:
@@ -179,15 +243,39 @@ def parse_unit(text: str) -> Unit:
     Raises
     ------
     InputError
-        An unknown unit or malformed text.
+        An unknown unit, malformed text, or no text.
     """
-    if not text.strip():
-        return _ONE
-    parser = _Parser(text)
-    value = parser.unit()
-    if parser.peek() is not None:
-        raise InputError(f"cannot read the unit '{text}' at '{parser.peek()}'")
-    return value
+    if not isinstance(text, str):
+        raise InputError(f"found {_shown(text)}, expected a unit as text")
+    if len(text) > LONGEST:
+        raise InputError(
+            f"cannot read {_shown(text)} as a unit: it has {len(text)} characters, at most {LONGEST} are read"
+        )
+    return _parsed(text.strip()) if text.strip() else _ONE
+
+
+def scaled_unit(text: str) -> Unit:
+    """Return a unit with a number in front of it as one unit: ``0.05 deg/s/LSB`` of a column of counts.
+
+    Raises
+    ------
+    InputError
+        As :func:`parse_unit`; a number that is zero or not finite.
+    """
+    value, unit = _split(text) if isinstance(text, str) and text.strip()[:1] in "0123456789.+-" else (1.0, text)
+    if not (math.isfinite(value) and value != 0.0):
+        raise InputError(f"cannot read {_shown(text)} as a unit: its size is no number")
+    return _times(value, parse_unit(unit))
+
+
+def _split(quantity: str) -> tuple[float, str]:
+    """The number in front, and the rest."""
+    if len(quantity) > LONGEST:
+        raise InputError(f"cannot read {_shown(quantity)} as a quantity: at most {LONGEST} characters are read")
+    match = _QUANTITY.fullmatch(quantity.strip())
+    if match is None:
+        raise InputError(f"cannot read {_shown(quantity)} as a quantity; expected a number and a unit")
+    return float(match["value"]), match["unit"]
 
 
 def parse(quantity: str | float | int, unit: str) -> float:
@@ -203,30 +291,31 @@ def parse(quantity: str | float | int, unit: str) -> float:
     Raises
     ------
     InputError
-        Malformed text, an unknown unit, or a unit of another dimension (the message says which was expected).
+        Neither text nor a number, malformed text, an unknown unit, a number that is not finite, or a unit of another dimension (the
+        message says which was expected).
 
     Examples
     --------
     >>> round(parse("1 deg/sqrt(h)", "rad/s/sqrt(Hz)"), 9)
     0.000290888
     """
-    if isinstance(quantity, bool):
-        raise InputError(f"found {quantity}, expected a quantity in {unit or 'plain numbers'}")
-    if isinstance(quantity, int | float):
-        value, given = float(quantity), None
+    if isinstance(quantity, bool) or not isinstance(quantity, str | Real):
+        raise InputError(f"found {_shown(quantity)}, expected a quantity in {unit or 'plain numbers'}")
+    if isinstance(quantity, str):
+        try:
+            value, given = _split(quantity)
+        except InputError as error:
+            raise InputError(f"{error.message} such as '1.5 {unit}'") from None
     else:
-        match = _QUANTITY.match(quantity)
-        if match is None:
-            raise InputError(
-                f"cannot read '{quantity}' as a quantity; expected a number and a unit such as '1.5 {unit}'"
-            )
-        value = float(match["value"])
-        given = match["unit"] or None
-    if not math.isfinite(value):
-        raise InputError(f"found {quantity}, expected a finite number")
-    if given is None:
-        return value
-    return value * conversion(given, unit)
+        given = ""
+        try:
+            value = float(quantity)
+        except OverflowError:
+            value = math.inf
+    result = value * conversion(given, unit) if given else value
+    if not math.isfinite(result):
+        raise InputError(f"found {_shown(quantity)}, expected a finite number")
+    return result
 
 
 def conversion(given: str, wanted: str) -> float:

@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from insemu.gap import find_gap
+from insemu.gap.candidates.shapes import PROCESSES, bank
 from insemu.gap.confusion import SHARE, Repetitions
-from insemu.gap.hypotheses import PROCESSES, bank
-from insemu.gap.preparation import Flown
-from insemu.gap.scene import Scene
-from insemu.gap.signatures import Loop
+from insemu.gap.drive.preparation import Flown
+from insemu.gap.drive.scene import Scene
+from insemu.gap.drive.signatures import Loop
 from insemu.trial.drives import TRACKS, Stage, draw_use, size_effect, stage
 from insemu.trial.score import interval
 

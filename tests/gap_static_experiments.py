@@ -25,11 +25,13 @@ from insemu import formats
 from insemu.effects import EffectUse
 from insemu.emulate import corrupt
 from insemu.gap import find_static_gap, load_measured
-from insemu.gap.candidates import CANDIDATES, AxisState, state_of, turn_on_bias
-from insemu.gap.disagreement import axis_tests, spent_on, wavelet_moments, wavelet_p_values
-from insemu.gap.evidence import Explanation
-from insemu.gap.reduced import reduce
-from insemu.gap.static_log import THRESHOLD, Found, search, weigh_all
+from insemu.gap.candidates import CANDIDATES, AxisState
+from insemu.gap.candidates.axis import state_of
+from insemu.gap.candidates.noise import turn_on_bias
+from insemu.gap.checks.rest import axis_tests, spent_on, wavelet_moments, wavelet_p_values
+from insemu.gap.data.log import reduce
+from insemu.gap.evidence.model import Explanation
+from insemu.gap.problems.rest import THRESHOLD, Found, search, weigh_all
 from insemu.gap.verdict import LEAD, GapReport
 from insemu.noise import SIN, WN, NoiseModel
 from insemu.records import AXES, ImuRecord, Series

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from insemu.gap.candidates.shapes import Variant
 from insemu.gap.confusion import Repetitions
-from insemu.gap.evidence import PRIOR_SCALES
-from insemu.gap.hypotheses import Variant
-from insemu.gap.innovations import Block, Field
+from insemu.gap.evidence.linear import Block, Field
+from insemu.gap.evidence.model import PRIOR_SCALES
 
 ROWS = 400
 KEYS = ("twin", "half", "far")

@@ -17,17 +17,25 @@ from insemu.errors import InputError
 from insemu.filters import FilterOptions, FilterResult, InitialSigma, run_filter
 from insemu.gap import Nominal, find_gap
 from insemu.gap.candidates import AxisState
-from insemu.gap.dynamic import fast_effects, unknown_part
-from insemu.gap.evidence import Explanation, Likelihood, Rolloff, fit
-from insemu.gap.hypotheses import Variant, best_pair
-from insemu.gap.innovations import Field, gauss_markov_root, quadratic_evidence, random_walk_root
-from insemu.gap.preparation import fast_parts, starting_state, without_motion
-from insemu.gap.reduced import Reduced, moving_spectrum
-from insemu.gap.samples import advanced, coarse, filled, mend
-from insemu.gap.signatures import Loop, Motion, columns_response, deterministic_columns, fix_columns, knot_response
-from insemu.gap.singular import lattice, vibration_line
-from insemu.gap.surrogate import Surrogate
-from insemu.gap.tones import wandering, without_tones
+from insemu.gap.candidates.shapes import Variant, best_pair
+from insemu.gap.candidates.spectral import vibration_line
+from insemu.gap.candidates.tones import wandering, without_tones
+from insemu.gap.data.counts import lattice
+from insemu.gap.data.log import Reduced, moving_spectrum
+from insemu.gap.data.samples import advanced, coarse, filled, mend
+from insemu.gap.drive.preparation import fast_parts, starting_state, without_motion
+from insemu.gap.drive.signatures import (
+    Loop,
+    Motion,
+    columns_response,
+    deterministic_columns,
+    fix_columns,
+    knot_response,
+)
+from insemu.gap.evidence.fixes import Surrogate
+from insemu.gap.evidence.linear import Field, gauss_markov_root, quadratic_evidence, random_walk_root
+from insemu.gap.evidence.model import Explanation, Likelihood, Rolloff, fit
+from insemu.gap.problems.drive import fast_effects, unknown_part
 from insemu.gap.verdict import Step, Value
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory

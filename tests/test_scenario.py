@@ -113,7 +113,7 @@ def test_mistakes_are_named(tmp_path: Path, found: str, put: str, message: str) 
 
 
 def test_a_file_that_is_no_scenario(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such scenario file"):
+    with pytest.raises(InputError, match="no such file"):
         load(tmp_path / "absent.yaml")
     with pytest.raises(InputError, match="expected a mapping"):
         load(write(tmp_path, "[1, 2]"))

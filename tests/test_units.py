@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import time
 
 import pytest
 from hypothesis import given
@@ -64,3 +66,36 @@ def test_datasheet_values_are_read_back(value: float, unit: str) -> None:
 
 def test_a_unit_that_no_datasheet_uses_stays() -> None:
     assert units.datasheet(3.0, "1/s") == (3.0, "1/s")
+
+
+@pytest.mark.parametrize(
+    ("text", "plain"),
+    [
+        ("dps", "deg/s"), ("mdps", "0.001 deg/s"), ("°/h", "deg/h"), ("deg/√h", "deg/sqrt(h)"), ("ug/√Hz", "ug/sqrt(Hz)"),
+        ("ug/rtHz", "ug/sqrt(Hz)"), ("m/s²", "m/s^2"), ("m/s2", "m/s^2"), ("rad s^-1", "rad/s"), ("m s⁻²", "m/s^2"),
+        ("ns", "1e-9 s"), ("µs", "us"), ("mph", "0.44704 m/s"), ("knots", "kn"), ("0.05 deg/s/LSB", "0.05 deg/s"),
+    ],
+)  # fmt: skip
+def test_units_as_people_write_them(text: str, plain: str) -> None:
+    one, two = units.scaled_unit(text), units.scaled_unit(plain)
+    assert one.dimension == two.dimension
+    assert one.factor == pytest.approx(two.factor, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    "found",
+    [{}, {"a": 1}, [1], None, 10**400, "1" * 5000, "1 m^(1/0)", "1 m^1e9", "1 m^999999999", "1 " + "(" * 150 + "m",
+     "1 (((km^24)^24)^24)^24", "1 \ud800", "1 " + "sqrt(" * 30 + "m", b"1 m", "1 m" + " " * 10**6 + "x"],
+)  # fmt: skip
+def test_hostile_quantities_are_refused_at_once(found: object) -> None:
+    began = time.process_time()
+    with pytest.raises(InputError):
+        units.parse(found, "m")  # type: ignore[arg-type]
+    assert time.process_time() - began < 0.5
+
+
+@given(st.text(alphabet="0123456789.eE+-*/^() mskgdegHzradsqrt√°µ²⁻\t\ud800", max_size=60))
+def test_any_text_is_a_unit_or_an_input_error(text: str) -> None:
+    for read in (units.parse_unit, units.scaled_unit, lambda t: units.parse(t, "m/s")):
+        with contextlib.suppress(InputError):
+            read(text)

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.gap.hypotheses import Variant, linear_gains, pooled_gains
-from insemu.gap.innovations import Block, Field
+from insemu.gap.candidates.shapes import Variant, linear_gains, pooled_gains
+from insemu.gap.evidence.linear import Block, Field
 from insemu.gap.verdict import LEAD
 
 Array = NDArray[np.float64]

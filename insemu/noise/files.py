@@ -7,6 +7,7 @@ from pathlib import Path
 
 import yaml
 
+from insemu import yamlfile
 from insemu.errors import InputError
 from insemu.noise.process import NoiseModel
 
@@ -39,10 +40,7 @@ def load(path: str | Path) -> dict[str, NoiseModel]:
     InputError
         Not such a file, or a model that cannot be read; names the file and the axis.
     """
-    try:
-        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InputError(f"not YAML ({error})", where=str(path)) from None
+    document = yamlfile.read(path).data
     if not isinstance(document, dict) or not isinstance(document.get("axes"), dict):
         raise InputError("expected a noise-model file with the key 'axes'", where=str(path))
     out = {}

@@ -5,24 +5,26 @@ trajectories are registered names, numbers carry units (``0.032 deg/s/sqrt(Hz)``
 """
 
 from insemu.scenario.designs import shipped_designs
-from insemu.scenario.files import digest, load, resolve_path, schema, variant_names
+from insemu.scenario.files import digest, load, resolve_path, schema, validated, variant_names
 from insemu.scenario.schema import (
     AxisSource,
     Design,
     DesignOptions,
+    EffectList,
     FitSource,
     Gnss,
     Initial,
+    NonHolonomic,
     OutageArea,
     OutageWindow,
     Published,
     RandomOutages,
     RecordedSignal,
     Scenario,
+    Section,
     SensorModels,
     TrajectorySource,
     Truth,
-    Vehicle,
 )
 from insemu.scenario.structure import state_names, structures
 
@@ -30,19 +32,21 @@ __all__ = [
     "AxisSource",
     "Design",
     "DesignOptions",
+    "EffectList",
     "FitSource",
     "Gnss",
     "Initial",
+    "NonHolonomic",
     "OutageArea",
     "OutageWindow",
     "Published",
     "RandomOutages",
     "RecordedSignal",
     "Scenario",
+    "Section",
     "SensorModels",
     "TrajectorySource",
     "Truth",
-    "Vehicle",
     "digest",
     "load",
     "resolve_path",
@@ -50,5 +54,6 @@ __all__ = [
     "shipped_designs",
     "state_names",
     "structures",
+    "validated",
     "variant_names",
 ]

@@ -7,8 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from insemu import yamlfile
 from insemu.errors import InputError, nearest
 from insemu.records import AXES
 
@@ -16,8 +15,8 @@ from insemu.records import AXES
 @cache
 def shipped_designs() -> dict[str, dict[str, Any]]:
     """Every design of ``designs.yaml``, as a scenario would write it, with the key ``about``."""
-    text = (Path(__file__).parent / "designs.yaml").read_text(encoding="utf-8")
-    return {str(name): dict(design) for name, design in yaml.safe_load(text).items()}
+    held = yamlfile.read(Path(__file__).parent / "designs.yaml").data
+    return {name: dict(design) for name, design in held.items()}
 
 
 def shipped(name: str) -> dict[str, Any]:
@@ -48,10 +47,4 @@ def spell_out(value: Any) -> Any:
     for sensor in ("gyro", "accel"):
         if sensor in own:
             base = {key: given for key, given in base.items() if not (key in AXES and key.startswith(sensor))}
-    return base | own | {"options": _merge(base.get("options", {}), own.get("options", {}))}
-
-
-def _merge(base: Any, own: Any) -> Any:
-    if not (isinstance(base, Mapping) and isinstance(own, Mapping)):
-        return own
-    return {**base, **{key: _merge(base.get(key), given) for key, given in own.items()}}
+    return base | own | {"options": yamlfile.merged(base.get("options", {}), own.get("options", {}))}

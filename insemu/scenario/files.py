@@ -1,64 +1,23 @@
-"""Reading scenario files: safe YAML with line numbers, variants, paths, digests and the JSON schema for editors."""
+"""Reading scenario files: messages with line numbers, variants, paths, digests and the JSON schema for editors."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-import yaml
 from pydantic import BaseModel, ValidationError
 
 import insemu
+from insemu import yamlfile
 from insemu.errors import InputError, nearest
 from insemu.scenario.schema import Scenario
+from insemu.yamlfile import Place
 
-Place = tuple[str | int, ...]
-
-
-def _places(node: yaml.Node, at: Place = ()) -> Iterator[tuple[Place, int]]:
-    """Yield every key path and its line (from 1); duplicate keys raise."""
-    yield at, node.start_mark.line + 1
-    if isinstance(node, yaml.MappingNode):
-        seen: dict[str, int] = {}
-        for key, value in node.value:
-            name = str(key.value)
-            line = key.start_mark.line + 1
-            if name in seen:
-                raise InputError(
-                    f"the key '{name}' stands twice, first at line {seen[name]}", where=f"{key.start_mark.name}:{line}"
-                )
-            seen[name] = line
-            yield from _places(value, (*at, name))
-            yield (*at, name), line
-    elif isinstance(node, yaml.SequenceNode):
-        for index, item in enumerate(node.value):
-            yield from _places(item, (*at, index))
-
-
-def _read(path: Path) -> tuple[dict[str, Any], dict[Place, int]]:
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise InputError("no such scenario file", where=str(path)) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read as text ({error})", where=str(path)) from None
-    try:
-        loader = yaml.SafeLoader(text)
-        loader.name = str(path)
-        node = loader.get_single_node()
-        if not isinstance(node, yaml.MappingNode):
-            raise InputError("expected a mapping of keys such as title, trajectory, truth, designs", where=str(path))
-        places = dict(_places(node))
-        document = loader.construct_document(node)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f"{path}:{mark.line + 1}" if mark is not None else str(path)
-        raise InputError(f"not YAML: {getattr(error, 'problem', error)}", where=where) from None
-    return document, places
+S = TypeVar("S", bound=BaseModel)
 
 
 def load(path: str | Path, *, variant: str | None = None, overrides: Mapping[str, Any] | None = None) -> Scenario:
@@ -78,32 +37,40 @@ def load(path: str | Path, *, variant: str | None = None, overrides: Mapping[str
     InputError
         Names file, line and key, what was found and what was expected; for an unknown key the nearest valid one.
     """
-    path = Path(path)
-    document, places = _read(path)
+    document = yamlfile.read(path)
+    if not isinstance(document.data, dict):
+        expected = "expected a mapping of keys such as title, trajectory, truth, designs"
+        raise InputError(f"found {type(document.data).__name__}, {expected}", where=str(path))
+    data, lines = document.data, dict(document.lines)
     if variant is not None:
-        variants = document.get("variants") or {}
+        variants = data.get("variants")
         if not isinstance(variants, dict) or variant not in variants:
-            raise InputError(f"no variant '{variant}'" + nearest(variant, variants), where=str(path))
+            names = variants if isinstance(variants, dict) else ()
+            raise InputError(f"no variant '{variant}'" + nearest(variant, names), where=str(path))
         changes = variants[variant]
-        document = _merge(document, changes if isinstance(changes, dict) else {})
-        places |= {
-            place[2:]: line for place, line in places.items() if place[:2] == ("variants", variant) and len(place) > 2
-        }
-    if overrides:
-        document = document | {k: v for k, v in overrides.items() if v is not None}
+        data = yamlfile.merged(data, changes if isinstance(changes, dict) else {})
+        lines |= {at[2:]: line for at, line in lines.items() if at[:2] == ("variants", variant) and len(at) > 2}
+    data = data | {k: v for k, v in (overrides or {}).items() if v is not None}
+    return validated(Scenario, yamlfile.Document(document.name, data, lines))
+
+
+def validated(section: type[S], document: yamlfile.Document) -> S:
+    """A document as a section of a scenario (or the whole of it).
+
+    Parameters
+    ----------
+    section : type of Section
+    document : yamlfile.Document
+
+    Raises
+    ------
+    InputError
+        Names file, line and key, what was found and what was expected; for an unknown key the nearest valid one.
+    """
     try:
-        return Scenario.model_validate(document)
+        return section.model_validate(document.data)
     except ValidationError as error:
-        raise _named(error, path, places) from None
-
-
-def _merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    out = dict(base)
-    for key, value in changes.items():
-        # whole sections merge; designs and models are replaced as they stand
-        merged = isinstance(value, Mapping) and isinstance(out.get(key), Mapping) and "process" not in value
-        out[key] = _merge(out[key], value) if merged else value
-    return out
+        raise _named(error, section, document) from None
 
 
 def variant_names(scenario: Scenario) -> list[str]:
@@ -111,17 +78,15 @@ def variant_names(scenario: Scenario) -> list[str]:
     return list(scenario.variants)
 
 
-def _fields_at(place: Place) -> list[str]:
+def _keys_at(place: Place, section: Any) -> list[str]:
     """Valid keys of the section at a place, for the hint."""
-    model: Any = Scenario
+    model: Any = section
     for part in place:
-        if not (isinstance(model, type) and issubclass(model, BaseModel)) or part not in model.model_fields:
-            model = _inside(model)
-            continue
-        annotation = model.model_fields[str(part)].annotation
-        model = annotation
-    model = _inside(model) if not (isinstance(model, type) and issubclass(model, BaseModel)) else model
-    return list(model.model_fields) if isinstance(model, type) and issubclass(model, BaseModel) else []
+        fields = model.model_fields if isinstance(model, type) and issubclass(model, BaseModel) else {}
+        known = {field.alias or name: field.annotation for name, field in fields.items()}
+        model = _inside(known[part]) if part in known else _inside(model)
+    model = _inside(model)
+    return [] if model is None else [field.alias or name for name, field in model.model_fields.items()]
 
 
 def _inside(annotation: Any) -> Any:
@@ -135,26 +100,20 @@ def _inside(annotation: Any) -> Any:
     return None
 
 
-def _named(error: ValidationError, path: Path, places: Mapping[Place, int]) -> InputError:
+def _named(error: ValidationError, section: type[BaseModel], document: yamlfile.Document) -> InputError:
     """The first problem as one message with file, line and key."""
     # a misspelled key also makes a required one missing; the misspelling is the cause
     first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     place: Place = tuple(
         part for part in first["loc"] if not (isinstance(part, str) and ("[" in part or part in _UNION_TAGS))
     )
-    known = place
-    while known and known not in places:
-        known = known[:-1]
-    line = places.get(known, 1)
-    key = ".".join(str(part) for part in place) or "(top)"
-    where = f"{path}:{line}: {key}"
+    where = document.where(place)
     if first["type"] == "extra_forbidden":
-        return InputError(f"unknown key '{place[-1]}'" + nearest(str(place[-1]), _fields_at(place[:-1])), where=where)
+        hint = nearest(str(place[-1]), _keys_at(place[:-1], section))
+        return InputError(f"unknown key '{place[-1]}'" + hint, where=where)
     if first["type"] == "missing":
-        return InputError(
-            f"the key '{place[-1]}' is missing",
-            where=f"{path}:{line}: {'.'.join(str(p) for p in place[:-1]) or '(top)'}",
-        )
+        # the line of the section that lacks it
+        return InputError(f"the key '{place[-1]}' is missing", where=document.where(place[:-1]))
     if first["type"] == "value_error":
         return InputError(str(first["ctx"]["error"]), where=where)
     return InputError(f"found {first['input']!r}, {first['msg'][:1].lower()}{first['msg'][1:]}", where=where)

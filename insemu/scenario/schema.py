@@ -561,8 +561,8 @@ class Published(Section):
         return {name: cells for name, cells in given if cells is not None}
 
 
-class Vehicle(Section):
-    """A vehicle that moves where it points: wheels neither slip sideways nor leave the road."""
+class NonHolonomic(Section):
+    """The constraint of a vehicle that moves where it points: wheels neither slip sideways nor leave the road."""
 
     sigma: Speed = Field(
         default=0.1, gt=0, description="standard deviation of the velocity sideways and up that a slip or a bump makes"
@@ -586,7 +586,7 @@ class RecordingSource(Section):
     imu_time_offset: Seconds = Field(
         default=0.0, description="how late IMU stamps are against those of GNSS; taken off"
     )
-    vehicle: Vehicle | None = Field(
+    vehicle: NonHolonomic | None = Field(
         default=None, description="a vehicle that moves where it points, for the gap workflow; null: no wheels"
     )
     gravity: Literal["normal", "free_air_first_order"] = "normal"

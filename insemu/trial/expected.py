@@ -16,10 +16,13 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 
 from insemu.effects import EffectUse
-from insemu.gap import kernel
-from insemu.gap.band import Band
-from insemu.gap.candidates import AMPLITUDE_RANGE, bias_gain, mean_spread
-from insemu.gap.evidence import (
+from insemu.gap.candidates.axis import AMPLITUDE_RANGE
+from insemu.gap.candidates.noise import bias_gain, mean_spread
+from insemu.gap.candidates.telegraph import RARER
+from insemu.gap.data.log import Reduced, block_differences, block_length, spectrum_bins
+from insemu.gap.evidence import kernels
+from insemu.gap.evidence.band import Band
+from insemu.gap.evidence.model import (
     DEPTH,
     Component,
     Explanation,
@@ -31,8 +34,6 @@ from insemu.gap.evidence import (
     log_mean_exp,
     regression_evidence,
 )
-from insemu.gap.reduced import Reduced, block_differences, block_length, spectrum_bins
-from insemu.gap.singular import RARER
 from insemu.noise import BI, GM, RW, WN, NoiseModel, Process
 
 Array = NDArray[np.float64]
@@ -65,7 +66,7 @@ class Expected(Likelihood):
         """Expected Gaussian log-likelihood of the block differences, regressors integrated out at their expected projections."""
         stacked = np.hstack([self.data.differences[:, None], *(r.columns for r in regressors)])
         white = np.empty_like(stacked)
-        logdet = kernel.toeplitz_whiten(gamma, stacked, white)
+        logdet = kernels.toeplitz_whiten(gamma, stacked, white)
         if not math.isfinite(logdet):
             return -math.inf
         e, G = white[:, 0], white[:, 1:]

@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS, EffectUse
 from insemu.errors import InputError, nearest
-from insemu.gap.identify import find_gap
-from insemu.gap.preparation import Flown, Prepared
-from insemu.gap.static_log import NAMING_SHARE, find_static_gap
+from insemu.gap.drive.preparation import Flown, Prepared
+from insemu.gap.problems.rest import NAMING_SHARE, find_static_gap
+from insemu.gap.session import find_gap
 from insemu.gap.verdict import GapReport
 from insemu.trial.drives import (
     DYNAMIC_EFFECTS,

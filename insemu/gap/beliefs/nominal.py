@@ -1,0 +1,143 @@
+"""What the user believes: noise per axis, effects that are known, GNSS noise, initial uncertainties, and how the IMU sits in the vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from insemu import yamlfile
+from insemu.effects import EffectUse
+from insemu.errors import InputError
+from insemu.noise import DR, SIN, NoiseModel, load
+from insemu.scenario import EffectList, Gnss, Initial, NonHolonomic, Scenario, Section, SensorModels, validated
+from insemu.scenario import load as load_scenario
+
+
+@dataclass(frozen=True)
+class Nominal:
+    """The belief that a recording is held against.
+
+    Parameters
+    ----------
+    beliefs : mapping of axis to NoiseModel
+        ``gyro_x`` ... ``accel_z``, or a column's own name.
+    gnss, initial
+        Sections of a scenario; defaults where the file does not say.
+    effects : tuple of EffectUse
+        What is known besides noise; it is taken off the recording before anything is looked for.
+    vehicle : NonHolonomic, optional
+        How the IMU sits in a vehicle that moves where it points; ``None``: nothing is known of that.
+    mounting : (3,) tuple
+        Angles of the IMU in the body, rad, where the recording and the lever arm are in the IMU's own axes; zero where they are in the body's.
+    raw : mapping
+        The file as it was read, for writing the refined one.
+    kind : str
+        ``scenario``, ``belief`` or ``noise`` (a file of :func:`insemu.noise.save`).
+    """
+
+    beliefs: dict[str, NoiseModel]
+    gnss: Gnss = field(default_factory=Gnss)
+    initial: Initial = field(default_factory=Initial)
+    raw: Mapping[str, Any] = field(default_factory=dict)
+    kind: str = "belief"
+    source: str = ""
+    effects: tuple[EffectUse, ...] = ()
+    vehicle: NonHolonomic | None = None
+    mounting: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def parted(self) -> Nominal:
+        """Lines and ramps, which no spectrum and no covariance holds, moved from the noise models to the known effects."""
+        beliefs: dict[str, NoiseModel] = {}
+        effects = list(self.effects)
+        for name, model in self.beliefs.items():
+            sensor, _, axis = name.rpartition("_")
+            known = [p for p in model if isinstance(p, SIN | DR)] if sensor in ("gyro", "accel") else []
+            for p in known:
+                value = p.parameters["alpha"] if isinstance(p, SIN) else p.parameters["R"]
+                size = tuple(value if a == axis else 0.0 for a in "xyz")
+                if isinstance(p, SIN):
+                    numbers = {"amplitude": size, "frequency": (p.parameters["f"],)}
+                    effects.append(EffectUse("vibration_line", sensor, numbers))
+                else:
+                    effects.append(EffectUse("ramp", sensor, {"R": size}))
+            rest = tuple(p for p in model if p not in known)
+            beliefs[name] = NoiseModel(rest) if known and rest else model
+        return replace(self, beliefs=beliefs, effects=tuple(effects))
+
+
+def load_nominal(path: str | Path) -> Nominal:
+    """Read a nominal model.
+
+    Three kinds of file are understood: a scenario, a short file with the keys ``belief`` (noise per axis as in a scenario) and optionally
+    ``effects``, ``gnss``, ``initial`` and ``vehicle``, and a noise-model file of ``insemu fit``. Of a scenario its ``truth`` (models and effects)
+    is what is believed of the sensor; one of a recording has none, and its first design in numbers stands for it.
+
+    Raises
+    ------
+    InputError
+        None of them, naming file and key.
+    """
+    path = Path(path)
+    document = yamlfile.read(path)
+    raw = document.data
+    if not isinstance(raw, dict):
+        raise InputError("expected a scenario, a belief file or a noise-model file (a YAML mapping)", where=str(path))
+    if "axes" in raw:
+        return Nominal(load(path), raw=raw, kind="noise", source=str(path))
+    if "belief" in raw:
+        return _belief_file(document)
+    return _scenario(load_scenario(path), raw, path)
+
+
+class BeliefFile(Section):
+    """The keys of a belief file."""
+
+    belief: SensorModels
+    effects: EffectList = ()
+    gnss: Gnss = Gnss()
+    initial: Initial = Initial()
+    vehicle: NonHolonomic | None = None
+    title: str = ""
+    notes: str = ""
+
+
+def _belief_file(document: yamlfile.Document) -> Nominal:
+    held = validated(BeliefFile, document)
+    beliefs = held.belief.models()
+    if not beliefs:
+        raise InputError(
+            "'belief' names no axis; expected gyro, accel or single axes such as gyro_x", where=document.name
+        )
+    effects = tuple(EffectUse.from_mapping(e) for e in held.effects)
+    raw, vehicle = document.data, held.vehicle
+    return Nominal(beliefs, held.gnss, held.initial, raw, "belief", document.name, effects, vehicle)
+
+
+def _scenario(scenario: Scenario, raw: dict[str, Any], path: Path) -> Nominal:
+    models = scenario.truth.models() if scenario.truth is not None else {}
+    effects = scenario.truth.uses() if scenario.truth is not None else ()
+    vehicle = None
+    if scenario.recording is not None:
+        source = scenario.recording
+        held = {
+            name: {axis: m for axis, m in design.sources().items() if isinstance(m, NoiseModel)}
+            for name, design in scenario.designs.items()
+        }
+        name = next((n for n, m in held.items() if len(m) == 6), None)
+        if name is None:
+            raise InputError(
+                "every design is fitted or read from a file, expected one in numbers: a gap needs models to hold a recording against",
+                where=f"{path}: designs",
+            )
+        models, design = held[name], scenario.designs[name]
+        effects = design.options.known_effects()
+        if source.imu_time_offset:
+            effects = (EffectUse("imu_gnss_time_offset", "imu", {"offset": (source.imu_time_offset,)}), *effects)
+        vehicle = source.vehicle
+        if any(source.mounting):
+            effects = (EffectUse("mounting", "imu", {"rpy": source.mounting}), *effects)
+    if not models:
+        raise InputError("no noise models as truth; a gap needs models to hold a recording against", where=str(path))
+    return Nominal(models, scenario.gnss, scenario.initial, raw, "scenario", str(path), effects, vehicle)
