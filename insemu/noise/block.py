@@ -155,6 +155,12 @@ class StateBlock:
         square = np.einsum("ki,ij,kj->k", g, self.P0, g) + np.einsum("ki,kij,kj->k", u, V, u) + V[:, n, n]
         return np.asarray(0.5 * (square + 2.0 * flat * self.white) / flat.astype(np.float64) ** 2).reshape(counts.shape)
 
+    def mean_variance(self, m: int) -> float:
+        """Variance of the mean of ``m`` samples that start at ``P0``, unit^2."""
+        F, V = (a[0] for a in self.accumulated([m]))
+        s = F[self.n, : self.n]
+        return float(s @ self.P0 @ s + V[self.n, self.n] + m * self.white) / float(m) ** 2
+
     def autocovariance(self, lag: ArrayLike) -> Array:
         """Autocovariance at ``lag`` samples, unit^2; ``P0`` must be the stationary covariance."""
         lags = np.abs(np.asarray(lag, dtype=np.int64))

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import carray, cfunc, types
+from numba import cfunc, njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
@@ -29,7 +29,7 @@ _CALLBACK = ctypes.CFUNCTYPE(
 #: Step of the differences that give derivatives by shapes where no closed form is given.
 STEP = 1e-5
 
-__all__ = ["SIGNATURE", "STEP", "call", "callback_of", "carray", "compiled"]
+__all__ = ["SIGNATURE", "STEP", "call", "callback_of", "compiled", "evaluate"]
 
 
 def compiled(function: Callable[..., None]) -> Any:
@@ -57,11 +57,9 @@ def callback_of(curve: Callable[[Array, Array], Array]) -> tuple[int, object]:
     return address, callback
 
 
-@intrinsic
-def call(
+def _call(
     context: Any, address: Any, m: Any, s: Any, order: Any, b: Any, db: Any
 ) -> Any:  # pragma: no cover - runs while numba compiles
-    """Call the function at an address from compiled code; arrays must be contiguous."""
 
     def generate(target: Any, builder: Any, signature: Any, args: Sequence[Any]) -> Any:
         double, integer = ir.DoubleType().as_pointer(), ir.IntType(64)
@@ -81,3 +79,13 @@ def call(
         return target.get_dummy_value()
 
     return types.void(address, m, s, order, b, db), generate
+
+
+#: ``call(address, m, s, order, b, db)`` in compiled code: the function at an address, with contiguous arrays.
+call: Callable[..., None] = intrinsic(_call)
+
+
+@njit(cache=True, nogil=True)
+def evaluate(address: int, m: Array, s: Array, order: int, b: Array, db: Array) -> None:  # pragma: no cover - compiled
+    """Call one function from Python."""
+    call(address, m, s, order, b, db)

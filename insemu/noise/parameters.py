@@ -312,14 +312,32 @@ class Parametrised:
 
     @classmethod
     def from_mapping(cls, given: Mapping[str, Any], signal_unit: str) -> Self:
-        """The process with these named quantities, numbers in SI or text with a unit; raises ``InputError``."""
+        """The process with these named quantities, numbers in SI or text with a unit; raises ``InputError``.
+
+        A correlation time ``Tc`` (s) may stand for a rate ``beta``.
+        """
         known = {p.name: p for p in cls.PARAMETERS}
+        given = cls.with_rate(given)
         unknown = [k for k in given if k not in known]
         if unknown:
             raise InputError(f"unknown key '{unknown[0]}'" + nearest(unknown[0], known), where=cls.__name__)
         return cls(
             **{k: grammar.quantity(v, known[k].unit_for(signal_unit), f"{cls.__name__}.{k}") for k, v in given.items()}
         )
+
+    @classmethod
+    def with_rate(cls, given: Mapping[str, Any]) -> dict[str, Any]:
+        """The quantities with the inverse of ``Tc`` for the rate of a process that has one; raises ``InputError``."""
+        given = dict(given)
+        rate = next((p.name for p in cls.PARAMETERS if p.domain == "rate"), None)
+        if rate is None or "Tc" not in given:
+            return given
+        if rate in given:
+            raise InputError(f"found both {rate} and Tc, expected one of them", where=cls.__name__)
+        time = grammar.quantity(given.pop("Tc"), "s", f"{cls.__name__}.Tc")
+        if not time > 0:
+            raise InputError(f"Tc (correlation time) is {time!r}, expected a positive number", where=cls.__name__)
+        return given | {rate: 1.0 / time}
 
     def to_mapping(self, signal_unit: str) -> dict[str, Any]:
         """The inverse of :meth:`from_mapping`, with the key ``process``; quantities as text with their SI unit."""

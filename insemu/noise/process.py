@@ -133,6 +133,35 @@ class Process(Parametrised, ABC):
         """
         return np.zeros(count) if self.single_draw else self.block(dt).difference_covariance(m, count)
 
+    def mean_variance(self, m: int, dt: float) -> float:
+        """Variance of the mean of ``m`` samples, unit^2; of a wandering process from where it was as long before their middle.
+
+        Parameters
+        ----------
+        m : int
+            Samples.
+        dt : float
+            Sampling interval, s.
+
+        Returns
+        -------
+        float
+            Zero for a process of one draw.
+        """
+        if self.single_draw:
+            return 0.0
+        if not self.stationary:
+            raise NotStationary(f"{self.symbol} is not stationary: the mean of a record has no variance")
+        return self.block(dt).mean_variance(m)
+
+    def wandering(self, m: int, dt: float) -> float:
+        """Mean-square change over ``m`` samples, unit^2: of the process where it is stationary, else of its means over them."""
+        if self.stationary and not self.single_draw:
+            near, far = self.autocovariance(np.array([0, m]), dt)
+            return float(2.0 * (near - far))
+        first, second = self.difference_covariance(m, dt, 2)
+        return float(max(first, first + 2.0 * second))
+
     def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:
         """Overwrite ``out`` (n,), contiguous float64, with samples at interval ``dt`` (s), from a stationary start where there is one."""
         block = self.block(dt)
@@ -177,6 +206,14 @@ class Process(Parametrised, ABC):
 
         return curves.callback_of(derived)
 
+    def unit_wavelet_variance(self, m: ArrayLike, shapes: Sequence[float] = ()) -> Array:
+        """Haar wavelet variance with coefficient 1 at averages of ``m`` samples, which need not be whole where there is a closed form."""
+        averages, s = np.array(m, dtype=np.float64), np.array(shapes, dtype=np.float64)
+        b, db = np.empty(averages.size), np.zeros((averages.size, s.size))
+        address, _kept = self.curve_address(1.0)
+        curves.evaluate(address, averages.ravel(), s, self.order, b, db)
+        return b.reshape(averages.shape)
+
     def markov_parts(self, dt: float) -> MarkovParts | None:
         """The process as the sum that closed covariances of wavelet variances know; None where it is no such sum."""
         return None
@@ -198,7 +235,7 @@ class Process(Parametrised, ABC):
         time = self.correlation_time(dt)
         if time is None:
             return 0.0, 0.0
-        if time < 1.0:
+        if time <= 1.0:
             return float(self.psd(np.array([1e-9]), dt)[0]), 0.0
         block = self.block(dt)
         return 0.0, float(block.c @ block.Q @ block.c) / dt

@@ -270,11 +270,7 @@ class Stage:
 
 
 def _wrong(model: NoiseModel, rng: np.random.Generator) -> NoiseModel:
-    def off(p: Any) -> Any:
-        name = p.parameters_meta()[0].name
-        return p.with_parameters({**p.parameters, name: p.parameters[name] * float(rng.uniform(1.0 / 1.2, 1.2))})
-
-    return NoiseModel(tuple(off(p) for p in model))
+    return NoiseModel(tuple(p.scaled(float(rng.uniform(1.0 / 1.2, 1.2))) for p in model))
 
 
 def stage(

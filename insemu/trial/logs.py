@@ -145,11 +145,7 @@ def together(makers: Sequence[Callable[[float], EffectUse]], log: Log, target: f
 
 def wrong(truth: NoiseModel, rng: np.random.Generator) -> NoiseModel:
     """The belief: every level off by up to 20 %."""
-    out = []
-    for p in truth:
-        name = p.parameters_meta()[0].name
-        out.append(p.with_parameters({**p.parameters, name: p.parameters[name] * float(rng.uniform(1.0 / 1.2, 1.2))}))
-    return NoiseModel(tuple(out))
+    return NoiseModel(tuple(p.scaled(float(rng.uniform(1.0 / 1.2, 1.2))) for p in truth))
 
 
 def static_recording(

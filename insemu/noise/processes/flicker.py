@@ -71,6 +71,10 @@ class BI(Process):
     def difference_covariance(self, m: int, dt: float, count: int) -> Array:  # noqa: D102
         return self.parameters["B"] ** 2 * unit_difference_covariance(count)
 
+    def mean_variance(self, m: int, dt: float) -> float:
+        """Between one sample and the record."""
+        return self.parameters["B"] ** 2 * math.log(m) / math.pi
+
     def markov_parts(self, dt: float) -> MarkovParts:  # noqa: D102
         return MarkovParts(flicker=self.parameters["B"] ** 2)
 

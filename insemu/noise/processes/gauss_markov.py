@@ -136,17 +136,12 @@ class GM(Process):
 
     @classmethod
     def from_mapping(cls, given: Mapping[str, Any], signal_unit: str) -> Self:
-        """A correlation time ``Tc`` (s) may stand for ``beta``, and the density ``q`` of the driving noise for ``sigma``."""
+        """As every process with a rate; the density ``q`` of the driving noise may stand for ``sigma``."""
         given = dict(given)
-        if "Tc" in given:
-            if "beta" in given:
-                raise InputError("found both beta and Tc, expected one of them", where="GM")
-            time = quantity(given.pop("Tc"), "s", "GM.Tc")
-            if not time > 0:
-                raise InputError(f"Tc (correlation time) is {time!r}, expected a positive number", where="GM")
-            given["beta"] = 1.0 / time
         driving = given.pop("q", None)
         if driving is not None:
+            if "Tc" in given:
+                given = cls.with_rate(given)
             if "sigma" in given or "beta" not in given:
                 raise InputError("q (driving density) goes with beta or Tc and without sigma", where="GM")
             beta = quantity(given["beta"], "1/s", "GM.beta")
@@ -172,3 +167,8 @@ class GM(Process):
     def per_sample(self, dt: float) -> dict[str, str]:  # noqa: D102
         phi, sigma2 = self.discrete(dt)
         return {"sigma": f"σ² = {sigma2:.4g}", "beta": f"φ = {phi:.6g}"}
+
+    def as_white_and_walk(self, dt: float) -> tuple[float, float]:
+        """A slow one walks with the density of its continuous driving noise."""
+        p = self.parameters
+        return (0.0, 2.0 * p["beta"] * p["sigma"] ** 2) if p["beta"] < 1.0 else super().as_white_and_walk(dt)

@@ -61,6 +61,9 @@ class RW(Process):
         out[:2] = np.array([2.0 / 3.0 + 1.0 / (3.0 * m**2), 1.0 / 6.0 - 1.0 / (6.0 * m**2)])[:count] * step
         return out
 
+    def mean_variance(self, m: int, dt: float) -> float:  # noqa: D102
+        return self.parameters["K"] ** 2 * m * dt
+
     def markov_parts(self, dt: float) -> MarkovParts:  # noqa: D102
         return MarkovParts(walk=self.parameters["K"] ** 2 * dt)
 
