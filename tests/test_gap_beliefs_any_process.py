@@ -7,7 +7,8 @@ import pytest
 
 from insemu.gap import find_static_gap
 from insemu.gap.data.log import reduce
-from insemu.gap.evidence.model import LEVEL_UNCERTAINTY, Explanation, Likelihood
+from insemu.gap.evidence.model import Explanation, Likelihood
+from insemu.gap.policy import rules
 from insemu.noise import AR, AR1, ARMA, BI, DR, GM, RC, RW, SIN, WN, NoiseModel, Process
 from insemu.records import Series
 
@@ -64,8 +65,8 @@ def test_the_level_of_every_noise_is_free_by_as_much(process: Process, name: str
     (free,) = Explanation.nominal(NoiseModel((process,))).free
     power = process.level.power
     assert free.name == name
-    assert free.high / process.parameters[name] == pytest.approx((1.0 + LEVEL_UNCERTAINTY) ** power)
-    scaled = process.scaled(1.0 + LEVEL_UNCERTAINTY)
+    assert free.high / process.parameters[name] == pytest.approx((1.0 + rules().tolerance) ** power)
+    scaled = process.scaled(1.0 + rules().tolerance)
     assert scaled.parameters[name] == pytest.approx(free.high)
 
 

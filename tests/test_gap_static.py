@@ -13,7 +13,7 @@ from scipy.linalg import toeplitz
 from scipy.signal import butter, lfilter
 
 from insemu.errors import InputError
-from insemu.gap import find_static_gap, load_nominal
+from insemu.gap import Policy, find_static_gap, load_nominal
 from insemu.gap.candidates.axis import CANDIDATES, state_of
 from insemu.gap.candidates.noise import turn_on_bias
 from insemu.gap.checks.rest import axis_tests
@@ -487,8 +487,8 @@ def test_a_weak_effect_must_beat_the_best_of_simulated_nominal_logs() -> None:
     rng = np.random.default_rng(3)
     axes = [log_of(WN(1e-3).simulate(6000, DT, rng), f"gyro_{a}") for a in "xyz"]
     beliefs = {s.name: NoiseModel((WN(1e-3),)) for s in axes}
-    plain = find_static_gap(axes, beliefs, rng=rng, hold_out=False, threshold=-0.5, calibrate=False)
+    plain = find_static_gap(axes, beliefs, rng=rng, hold_out=False, policy=Policy(least_nats=-0.5), calibrate=False)
     assert plain.steps  # at half a nat below nothing there is always something
-    calibrated = find_static_gap(axes, beliefs, rng=rng, hold_out=False, threshold=-0.5)
+    calibrated = find_static_gap(axes, beliefs, rng=rng, hold_out=False, policy=Policy(least_nats=-0.5))
     assert calibrated.threshold_nats > 0.0
     assert all(s.gain_nats >= calibrated.threshold_nats for s in calibrated.steps)

@@ -10,23 +10,19 @@ from typing import Any
 import numpy as np
 
 from insemu.blas import on_one_thread
+from insemu.effects import adds, join_of, joined
 from insemu.errors import InputError
 from insemu.gap.beliefs.nominal import Nominal
-from insemu.gap.beliefs.refined import joined, refined_nominal, uses_of
+from insemu.gap.beliefs.refined import refined_nominal, uses_of
 from insemu.gap.candidates.mounting import Mounted, find_mounting
 from insemu.gap.candidates.timing import find_offset
 from insemu.gap.data.sources import StaticLog
 from insemu.gap.drive.preparation import Flown
+from insemu.gap.policy import Policy, rules, under
 from insemu.gap.problems.known import drive_without, in_imu_axes, static_without
-from insemu.gap.problems.rest import THRESHOLD, find_static_gap
+from insemu.gap.problems.rest import find_static_gap
 from insemu.gap.verdict import GapReport, Interval, Step, Value, held_out_said, judged
 from insemu.records import AXES, Recording
-
-#: Effects of the fixes and of timing that together are worth more are held against the recording again once they are known: the strong ones
-#: bend what the search sees of the others, of noise levels above all.
-STRONG_NATS, MOST_PASSES = 150.0, 2
-#: A level of noise that is right within this factor is the nominal one.
-SAME_LEVEL = 1.22
 
 
 @on_one_thread
@@ -35,12 +31,12 @@ def find_gap(
     nominal: Nominal,
     *,
     rng: np.random.Generator,
-    threshold: float = THRESHOLD,
     without: Collection[str] = (),
     hold_out: bool = True,
     pictures: bool = True,
     progress: Callable[[str], None] | None = None,
     flown: Flown | None = None,
+    policy: Policy | None = None,
 ) -> GapReport:
     """Find, name and add what the nominal model lacks.
 
@@ -55,8 +51,6 @@ def find_gap(
         What is believed.
     rng : Generator
         For simulated nominal data.
-    threshold : float
-        Nats that an effect must be worth.
     without : collection of str
         Effects taken out of the catalogue.
     hold_out : bool
@@ -67,13 +61,28 @@ def find_gap(
         Told what is being done.
     flown : Flown, optional
         The nominal filter's run on a drive or flight, where it is there already; of a nominal model in whose ``effects`` there is nothing.
+    policy : Policy, optional
+        The constants of the search; those in force where it is not given.
 
     Raises
     ------
     InputError
         Data or beliefs that cannot be used.
     """
-    nominal = nominal.parted()
+    with under(policy):
+        return _find(measured, nominal.parted(), rng, without, hold_out, pictures, progress or (lambda _: None), flown)
+
+
+def _find(
+    measured: StaticLog | Recording,
+    nominal: Nominal,
+    rng: np.random.Generator,
+    without: Collection[str],
+    hold_out: bool,
+    pictures: bool,
+    progress: Callable[[str], None],
+    flown: Flown | None,
+) -> GapReport:
     if isinstance(measured, StaticLog):
         log, known = static_without(measured, nominal)
         report = find_static_gap(
@@ -82,7 +91,6 @@ def find_gap(
             rng=rng,
             temperature=measured.temperature,
             missing=measured.missing,
-            threshold=threshold,
             without=without,
             hold_out=hold_out,
             source=measured.source,
@@ -94,11 +102,10 @@ def find_gap(
             measured,
             nominal,
             rng,
-            threshold,
             without,
             hold_out,
             hold_out and pictures,
-            progress or (lambda _: None),
+            progress,
             flown,
         )
     return held_out_said(report)
@@ -108,7 +115,6 @@ def _drive(
     measured: Recording,
     nominal: Nominal,
     rng: np.random.Generator,
-    threshold: float,
     without: Collection[str],
     hold_out: bool,
     pictures: bool,
@@ -134,7 +140,7 @@ def _drive(
         recording, moved = drive_without(measured, now)
     mounted = None
     if now.vehicle is not None and "mounting" not in without:
-        mounted = find_mounting(recording, moved, threshold, say)
+        mounted = find_mounting(recording, moved, say)
         if mounted.step is not None:
             now, flown = taken(mounted.step), None
             recording, moved = drive_without(measured, now)
@@ -143,20 +149,16 @@ def _drive(
     own_axes = in_imu_axes(recording, moved)
     if own_axes[0] is not recording:
         (recording, moved), flown = own_axes, None
-    report = find_dynamic_gap(
-        recording, moved, rng=rng, threshold=threshold, without=skip, hold_out=hold_out, progress=say, flown=flown
-    )
+    report = find_dynamic_gap(recording, moved, rng=rng, without=skip, hold_out=hold_out, progress=say, flown=flown)
     out = _together(report, early, mounted, nominal)
-    for turn in range(MOST_PASSES):
-        if sum(s.gain_nats for s in out.steps if s.sensor in ("gnss", "imu")) < STRONG_NATS:
+    for turn in range(rules().most_passes):
+        if sum(s.gain_nats for s in out.steps if s.sensor in ("gnss", "imu")) < rules().strong_nats:
             break
         say(f"the refined model against the recording, {turn + 1}")
         recording, moved = in_imu_axes(
             *drive_without(measured, refined_nominal(nominal, out, measured.imu.dt).parted())
         )
-        more = find_dynamic_gap(
-            recording, moved, rng=rng, threshold=threshold, without=skip, hold_out=False, progress=say
-        )
+        more = find_dynamic_gap(recording, moved, rng=rng, without=skip, hold_out=False, progress=say)
         corrected = _closer(out, more, [s.effect for s in early])
         if corrected is out:
             break
@@ -225,11 +227,11 @@ def _closer(report: GapReport, more: GapReport, settled: Collection[str]) -> Gap
     changed = False
     for m in more.steps:
         k = next((k for k, s in enumerate(steps) if (s.effect, s.sensor) == (m.effect, m.sensor)), None)
-        if k is None and m.sensor not in ("gnss", "imu") and m.effect not in _ADDED:
+        if k is None and m.sensor not in ("gnss", "imu") and not adds(m.effect):
             continue  # what the IMU shows above its motion was searched once; more of it would only chase what changes with time
         if k is None:
             steps.append(m)
-        elif m.sensor in ("gnss", "imu") or m.effect in _ADDED:
+        elif m.sensor in ("gnss", "imu") or adds(m.effect):
             steps[k] = _corrected(steps[k], m)
         else:
             continue  # more of a process that is named
@@ -249,12 +251,6 @@ def _closer(report: GapReport, more: GapReport, settled: Collection[str]) -> Gap
     )
 
 
-#: Deterministic effects of a sensor whose values add up.
-_ADDED = frozenset(
-    {"turn_on_bias", "scale_factor", "scale_asymmetry", "misalignment", "g_sensitivity", "temperature", "ramp"}
-)
-
-
 def _corrected(old: Step, new: Step) -> Step:
     """A step with a later pass's correction: values add up, factors multiply, of colour the larger stands."""
     known = {v.name: v for v in old.parameters}
@@ -263,9 +259,9 @@ def _corrected(old: Step, new: Step) -> Step:
         was = known.get(v.name)
         if was is None:
             values[v.name] = v
-        elif v.name == "factor":
+        elif join_of(new.effect, v.name) == "product":
             values[v.name] = Value(v.name, v.value * was.value, v.low * was.value, v.high * was.value, v.unit)
-        elif v.name.partition("_")[0] in ("value", "offset", "drift", "fraction", "rpy", "c1", "c2", "c3", "R"):
+        elif join_of(new.effect, v.name) == "sum":
             values[v.name] = _shifted(v, was.value)
     axes = tuple(dict.fromkeys((*old.axes, *new.axes)))
     return replace(old, axes=axes, parameters=tuple(values.values()))
@@ -273,12 +269,12 @@ def _corrected(old: Step, new: Step) -> Step:
 
 def _pruned(step: Step) -> Step | None:
     """A step less what a correction took back: parameters whose interval holds zero, levels that are nominal."""
-    if any(v.name == "factor" and 1.0 / SAME_LEVEL < v.value < SAME_LEVEL for v in step.parameters):
+    if any(v.name == "factor" and abs(math.log(v.value)) < math.log1p(rules().tolerance) for v in step.parameters):
         return None
-    if step.effect not in _ADDED | {"lever_arm"}:
+    if not adds(step.effect) and step.effect != "lever_arm":
         return step
-    kept = tuple(v for v in step.parameters if not v.low < 0.0 < v.high or v.name in ("T0", "lag"))
-    if not any(v.name not in ("T0", "lag") for v in kept):
+    kept = tuple(v for v in step.parameters if not v.low < 0.0 < v.high or join_of(step.effect, v.name) == "equal")
+    if not any(join_of(step.effect, v.name) != "equal" for v in kept):
         return None
     shown = {v.name.partition("_")[2][:1] for v in kept}
     axes = tuple(a for a in step.axes if a in shown) or step.axes

@@ -17,21 +17,15 @@ from numpy.typing import NDArray
 
 from insemu.gap.candidates.axis import AxisState, Weighed, state_of
 from insemu.gap.data.log import reduce
-from insemu.gap.evidence.model import LEVEL_UNCERTAINTY, Explanation
+from insemu.gap.evidence.model import Explanation
+from insemu.gap.policy import Policy, rules
 from insemu.records import Series
 
 Array = NDArray[np.float64]
 Search = Callable[[AxisState, Collection[str]], "list[Weighed]"]
 
-#: Share of nominal recordings (all axes together) that may be flagged.
-FALSE_ALARMS = 0.02
 #: Simulated logs per kind of axis, and the most samples of one; of a longer log one of the same length at a lower rate stands in.
 DRAWS, MOST_SAMPLES = 12, 18_000
-#: Share of the draws that count as tail; its mean excess on 400 simulated half hours, nats; how many draws that knowledge is worth.
-TAIL_SHARE, USUAL_EXCESS, WORTH = 0.25, 0.75, 6.0
-#: Where the tail starts as a rule (five kinds of noise, half hours: -0.3 to -0.1), and at the highest, nats (well above what logs between 3
-#: minutes and 2 h show).
-USUAL_START, HIGHEST_START = 0.0, 0.5
 #: Not weighed on simulated logs: worth what a Gauss-Markov process is worth unless levels are plain to see.
 COSTLY = ("telegraph",)
 
@@ -42,32 +36,34 @@ class Tail:
 
     start: float
     excess: float
-    share: float = TAIL_SHARE
+    share: float = Policy.tail_share
 
     def exceeds(self, t: float) -> float:
         """Probability of more than ``t`` nats."""
         return self.share * math.exp(-max(t - self.start, 0.0) / self.excess)
 
 
-#: Tail of an axis on which nothing hangs on it.
-USUAL = Tail(USUAL_START, USUAL_EXCESS)
+def usual_tail() -> Tail:
+    """Tail of an axis on which nothing hangs on it."""
+    return Tail(rules().tail_start, rules().tail_excess, rules().tail_share)
 
 
-def certain(axes: int, rate: float = FALSE_ALARMS) -> float:
+def certain(axes: int) -> float:
     """Nats that are past any threshold: the highest start of a tail that was met, falling off as slowly as Markov's bound allows."""
-    return HIGHEST_START + math.log(max(TAIL_SHARE * axes / rate, 1.0))
+    return rules().tail_highest + math.log(max(rules().tail_share * axes / rules().false_alarms, 1.0))
 
 
 def tail_of(gains: Array) -> Tail:
     """Exponential tail of simulated best gains; its mean excess is drawn towards the usual one, because few draws make it."""
-    start = float(np.quantile(gains, 1.0 - TAIL_SHARE))
+    start = float(np.quantile(gains, 1.0 - rules().tail_share))
     beyond = gains[gains > start] - start
-    excess = (float(np.sum(beyond)) + WORTH * USUAL_EXCESS) / (beyond.size + WORTH)
-    return Tail(start, min(excess, 1.0))  # Markov: never slower than exp(-t)
+    excess = (float(np.sum(beyond)) + rules().tail_worth * rules().tail_excess) / (beyond.size + rules().tail_worth)
+    return Tail(start, min(excess, 1.0), rules().tail_share)  # Markov: never slower than exp(-t)
 
 
-def threshold_of(tails: Sequence[Tail], least: float, rate: float = FALSE_ALARMS) -> float:
-    """Nats that the best candidate of any axis exceeds in ``rate`` of nominal recordings, and never less than ``least``."""
+def threshold_of(tails: Sequence[Tail], least: float) -> float:
+    """Nats that the best candidate of any axis exceeds in ``false_alarms`` of nominal recordings, and never less than ``least``."""
+    rate = rules().false_alarms
     low, high = least, least + 60.0
     if sum(t.exceeds(low) for t in tails) <= rate:
         return least
@@ -96,19 +92,25 @@ def nominal_tail(state: AxisState, nominal: Explanation, search: Search, without
     samples = n // coarser
     seen = b"" if T is None else T[: samples * coarser].reshape(-1, coarser).mean(axis=1).tobytes()
     left_out = tuple(sorted({*without, *COSTLY}))
-    return _simulated(replace(nominal, rolloff=None), samples, dt * coarser, seen, search, left_out)
+    return _simulated(replace(nominal, rolloff=None), samples, dt * coarser, seen, search, left_out, rules())
 
 
 @lru_cache(maxsize=32)
 def _simulated(
-    nominal: Explanation, samples: int, dt: float, temperature: bytes, search: Search, without: tuple[str, ...]
+    nominal: Explanation,
+    samples: int,
+    dt: float,
+    temperature: bytes,
+    search: Search,
+    without: tuple[str, ...],
+    key: Policy,
 ) -> Tail:
     rng = np.random.default_rng(20)  # the threshold is a property of the data set, not of the run
     T = np.frombuffer(temperature) if temperature else None
     gains = []
     for _ in range(DRAWS):
         x = nominal.start()
-        x = x + rng.uniform(-1.0, 1.0, x.size) * math.log1p(LEVEL_UNCERTAINTY)
+        x = x + rng.uniform(-1.0, 1.0, x.size) * math.log1p(rules().tolerance)
         values = nominal.at(x).model.simulate(samples, dt, rng)
         data = reduce(Series(values, 1.0 / dt, "", "simulated"))
         ranked = search(state_of(data, nominal, T), without)

@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, field_validator, model_validator
 
 from insemu import units
-from insemu.compensation import COMPENSABLE
 from insemu.effects import EFFECTS, EffectUse
 from insemu.errors import InputError, nearest
 from insemu.noise import NoiseModel, axis_unit
@@ -410,9 +409,10 @@ class DesignOptions(Section):
     def _can_be_taken_off(cls, value: Any) -> Any:
         for item in value:
             use = EffectUse.from_mapping(item)
-            if use.id not in COMPENSABLE:
+            if not use.effect.compensable:
+                known = ", ".join(sorted(e.id for e in EFFECTS.values() if e.compensable))
                 raise InputError(
-                    f"the effect '{use.id}' is noise or a loss, which cannot be taken off; expected one of: {', '.join(sorted(COMPENSABLE))}"
+                    f"the effect '{use.id}' is noise or a loss, which cannot be taken off; expected one of: {known}"
                 )
         return value
 

@@ -25,15 +25,11 @@ from insemu.gap.evidence.model import (
     Likelihood,
     fit,
 )
+from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 from insemu.noise import WN, Process
 
 Array = NDArray[np.float64]
-
-#: Ratio of the largest to the smallest amplitude that a prior admits.
-AMPLITUDE_RANGE = 1e5
-#: A candidate whose best start refines to so much less than nothing is not tried from the others, nats.
-HOPELESS = 4.0
 
 
 @dataclass(frozen=True)
@@ -119,12 +115,12 @@ def register(effect: str, candidate: Candidate) -> None:
 
 def amplitudes(top: float, count: int = 10) -> Array:
     """Amplitudes to start from, up to the largest that the log admits."""
-    return top * np.geomspace(1.0 / AMPLITUDE_RANGE, 1.0, count)
+    return top * np.geomspace(1.0 / rules().amplitude_range, 1.0, count)
 
 
 def amplitude(name: str, top: float) -> Free:
     """A free amplitude up to the largest that the log admits."""
-    return Free(name, top / AMPLITUDE_RANGE, top)
+    return Free(name, top / rules().amplitude_range, top)
 
 
 def spread_of(state: AxisState) -> float:
@@ -155,7 +151,7 @@ def best_of(
     fits: list[Fitted] = []
     for e in chosen:
         fits.append(fit(likelihood, e))
-        if fits[0].evidence < state.fitted.evidence - HOPELESS:
+        if fits[0].evidence < state.fitted.evidence - rules().hopeless:
             break  # the most promising one leads to nothing
     if not fits:
         return []

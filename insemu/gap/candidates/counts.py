@@ -14,8 +14,9 @@ from insemu.gap.candidates.axis import (
     added,
     cleaned,
 )
-from insemu.gap.data.counts import MATERIAL_LSB, lattice, pile_evidence
+from insemu.gap.data.counts import lattice, pile_evidence
 from insemu.gap.evidence.model import Component, Free, fit
+from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 from insemu.noise import QN, WN
 
@@ -27,7 +28,7 @@ def output_counts(state: AxisState) -> list[Weighed]:
     if "quantization" in state.named or not state.data.f.size:
         return []
     step = lattice(state.data.values)
-    if step < MATERIAL_LSB * state.white / math.sqrt(state.data.dt):
+    if step < rules().material_lsb * state.white / math.sqrt(state.data.dt):
         return []  # none, or no more than the digits of a file
     if any(isinstance(c.process, QN) and c.effect == "nominal" for c in state.explanation.components):
         return []
@@ -48,7 +49,7 @@ def held_samples(state: AxisState) -> list[Weighed]:
         return []
     y = state.data.values
     step = lattice(y)
-    if step >= MATERIAL_LSB * state.white / math.sqrt(state.data.dt):
+    if step >= rules().material_lsb * state.white / math.sqrt(state.data.dt):
         return []  # counts repeat by themselves
     held = np.flatnonzero(np.diff(y) == 0.0) + 1
     held = held[(y[held] < y.max()) & (y[held] > y.min())]  # a full scale repeats by itself

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.effects import EFFECTS
+from insemu.effects import EFFECTS, having
 from insemu.gap.candidates.shapes import Hypothesis
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop
@@ -18,15 +18,14 @@ from insemu.gap.evidence.linear import (
     Block,
     Field,
 )
-from insemu.gap.evidence.model import LEVEL_UNCERTAINTY, PRIOR_SCALES, log_mean_exp
+from insemu.gap.evidence.model import log_mean_exp
+from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 
 Array = NDArray[np.float64]
 
-#: Fewest fixes that a step in them lasts; a shorter one is an outlier.
-SHORTEST_STEP = 2.5
 #: A level is estimated together with a colour, not beside it.
-_LEVELS = ("gnss_noise_level", "gnss_velocity_noise")
+_LEVELS = having("level")
 
 
 def multipath_step(
@@ -39,7 +38,7 @@ def multipath_step(
     G = scene.step_columns[rows]
     scale = EFFECTS["gnss_multipath_step"].scale("value", "gnss")
     t_fix = scene.prepared.result.fixes.t
-    shortest = SHORTEST_STEP * float(np.median(np.diff(t_fix)))
+    shortest = rules().shortest_step * float(np.median(np.diff(t_fix)))
     logs, best = _scan_steps(data, G, given, s, scale, shortest)
     gain = log_mean_exp(logs)
     fine = None
@@ -105,7 +104,7 @@ def _scan_steps(
         d = np.diag(A)
         aw = np.maximum(d[i] + d[j] - 2.0 * A[i, j], 1e-12)
         bw = (b_all[at][i] - b_all[at][j]) ** 2
-        for factor in PRIOR_SCALES:
+        for factor in rules().prior_scales:
             prior = (scale * factor) ** 2
             each = 0.5 * bw / (aw + 1.0 / prior) - 0.5 * np.log1p(prior * aw)
             logs.append(each)
@@ -220,7 +219,7 @@ def covariance_hypotheses(
         loop.white[:k],
         y,
         trimmed=scene.original.factors / scene.original.levels,
-        uncertainty=LEVEL_UNCERTAINTY,
+        uncertainty=rules().tolerance,
         colour=colour,
         skip=(*skip, *(_LEVELS if colour is not None else ())),
     ):

@@ -21,22 +21,12 @@ from insemu import rotation
 from insemu.effects import EFFECTS, EffectUse
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.drive.preparation import Prepared, fast_parts, prepare
-from insemu.gap.evidence.model import PRIOR_SCALES, log_mean_exp
+from insemu.gap.evidence.model import log_mean_exp
+from insemu.gap.policy import rules
 from insemu.gap.verdict import Member, Step, Value, Where
 from insemu.records import Recording
 
 Array = NDArray[np.float64]
-
-#: Below this speed the direction of the velocity is noise, m/s.
-LEAST_SPEED = 3.0
-#: Correction below which the mounting is not turned again, and how often it may be, rad.
-ENOUGH, MOST_TURNS = math.radians(0.1), 6
-#: Standard deviation of the mean roll of a drive: roads fall to one side by 2 %, loads are uneven, accelerometers biased, rad.
-LEVEL_SIGMA = math.radians(1.5)
-#: Standard deviation of the way from the IMU to the axle, m.
-AXLE_SIGMA = 3.0
-#: Share of the drive on which the mounting is found for the figures on the rest.
-NAMING_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -66,7 +56,7 @@ class Sideways:
         k = result.fixes.epoch[result.fixes.accepted]
         C = rotation.dcm_from_quaternion(result.nav[k, 6:10])
         u = np.einsum("nji,nj->ni", C, result.nav[k, 3:6])
-        keep = (np.linalg.norm(u, axis=1) > LEAST_SPEED) & (u[:, 0] > 0.5 * np.linalg.norm(u, axis=1))
+        keep = (np.linalg.norm(u, axis=1) > rules().vehicle_speed) & (u[:, 0] > 0.5 * np.linalg.norm(u, axis=1))
         imu = prepared.imu.as_increments()
         dt = imu.dt
         width = max(1, round(0.2 / dt))
@@ -148,9 +138,9 @@ def estimate(s: Sideways, nominal: Nominal) -> Turned:
     scale = EFFECTS["mounting"].scale("rpy", "imu")
     left = r - r.mean(axis=1, keepdims=True)
     beta = np.zeros(5)
-    leans = abs(s.roll) > 2.0 * LEVEL_SIGMA
+    leans = abs(s.roll) > 2.0 * rules().road_roll
     used = np.array([1.0 if leans else 1e-6, 1.0, 1.0, 1.0, 1.0])
-    wide = used * np.array([max(nominal.vehicle.mounting_sigma, 10.0 * scale)] * 3 + [AXLE_SIGMA] * 2)
+    wide = used * np.array([max(nominal.vehicle.mounting_sigma, 10.0 * scale)] * 3 + [rules().axle_sigma] * 2)
 
     def solve(colour: Colour, prior: Array) -> tuple[Array, Array, float]:
         """Posterior and log Bayes factor against a mounting that is right, with a prior of the angles; the axle is free in both."""
@@ -159,8 +149,8 @@ def estimate(s: Sideways, nominal: Nominal) -> Turned:
         A = np.einsum("ckp,ckq->pq", g, g)
         b = np.einsum("ckp,ck->p", g, y)
         # the vehicle is level on average: its mean roll is the mounting's roll that lacks
-        A[0, 0] += LEVEL_SIGMA**-2
-        b[0] += s.roll * LEVEL_SIGMA**-2
+        A[0, 0] += rules().road_roll ** -2
+        b[0] += s.roll * rules().road_roll ** -2
         out = []
         for use in (slice(0, 5), slice(3, 5)):
             P = np.diag(prior[use] ** -2.0) + A[use, use]
@@ -179,12 +169,12 @@ def estimate(s: Sideways, nominal: Nominal) -> Turned:
         beta, covariance, _ = solve(colour, wide)
         colour = Colour.of(r - G @ beta, nominal.vehicle.sigma)
     each = []
-    for c in PRIOR_SCALES:
-        prior = used * np.array([scale * c] * 3 + [AXLE_SIGMA] * 2)
+    for c in rules().prior_scales:
+        prior = used * np.array([scale * c] * 3 + [rules().axle_sigma] * 2)
         each.append(solve(colour, prior)[2])
     beta, covariance, _ = solve(colour, wide)
     if not leans:
-        covariance[0, 0] = LEVEL_SIGMA**2
+        covariance[0, 0] = rules().road_roll ** 2
     return Turned(beta[:3], covariance[:3, :3], log_mean_exp(each), colour, beta[3:])
 
 
@@ -217,21 +207,19 @@ class Mounted:
 
 def turned_recording(recording: Recording, rpy: Array) -> Recording:
     """The recording of an IMU whose mounting ``rpy`` is taken off."""
-    from insemu.compensation import compensated
+    from insemu.effects import compensated
 
     a, b, c = (float(x) for x in rpy)
     return compensated(recording, [EffectUse("mounting", "imu", {"rpy": (a, b, c)})])
 
 
-def find_mounting(
-    recording: Recording, nominal: Nominal, threshold: float, progress: Callable[[str], None] = lambda _: None
-) -> Mounted:
+def find_mounting(recording: Recording, nominal: Nominal, progress: Callable[[str], None] = lambda _: None) -> Mounted:
     """Weigh the mounting angles of an IMU in a vehicle that moves where it points; large ones by turning and filtering again."""
     C = np.eye(3)
     first: Sideways | None = None
     found: Turned | None = None
     start: Turned | None = None
-    for turn in range(MOST_TURNS):
+    for turn in range(rules().mounting_turns):
         progress(f"mounting: filter {turn + 1}")
         now = turned_recording(recording, rotation.rpy_from_dcm(C)) if turn else recording
         s = Sideways.of(prepare(now, nominal, fast_parts(now), {}))
@@ -240,10 +228,10 @@ def find_mounting(
         found = estimate(s, nominal)
         if first is None:
             first, start = s, found
-            if found.gain < threshold:
+            if found.gain < rules().least_nats:
                 return Mounted(None, np.zeros(3), _tests(s, found), _tests(s, found))
         C = rotation.dcm_from_rpy(found.angles) @ C
-        if np.max(np.abs(found.angles)) < ENOUGH:
+        if np.max(np.abs(found.angles)) < rules().mounting_enough:
             break
     assert first is not None and found is not None and start is not None
     rpy = np.asarray(rotation.rpy_from_dcm(C))
@@ -261,8 +249,8 @@ def find_mounting(
 
 
 def _held_out(s: Sideways, nominal: Nominal) -> tuple[tuple[float, float], int, tuple[float, float]]:
-    """Score the second half with the mounting of the first."""
-    cut = s.t[0] + NAMING_SHARE * (s.t[-1] - s.t[0])
+    """Score the last part of the drive with the mounting of the first."""
+    cut = s.t[0] + rules().naming_share * (s.t[-1] - s.t[0])
     early, late = s.part(s.t <= cut), s.part(s.t > cut)
     if min(early.t.size, late.t.size) < 30:
         return (0.0, 0.0), 0, (0.0, 0.0)

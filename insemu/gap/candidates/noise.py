@@ -21,14 +21,8 @@ from insemu.gap.candidates.axis import (
     process_starts,
     spread_of,
 )
-from insemu.gap.evidence.model import (
-    PRIOR_SCALES,
-    Component,
-    Explanation,
-    Free,
-    fit,
-    log_mean_exp,
-)
+from insemu.gap.evidence.model import Component, Explanation, Free, fit, log_mean_exp
+from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 from insemu.noise import BI, GM, QN, RC, RW, WN
 
@@ -124,7 +118,7 @@ def unbiased_log_density(mean: float, spread: Array) -> Array:
 def bias_gain(mean: float, spread: float) -> float:
     """Nats by which a turn-on bias explains a gyroscope's mean at rest better than noise and the rotation of the Earth do."""
     scale = EFFECTS["turn_on_bias"].scale("value", "gyro")
-    wide = [math.hypot(spread, c * scale) for c in PRIOR_SCALES]
+    wide = [math.hypot(spread, c * scale) for c in rules().prior_scales]
     biased = log_mean_exp([-0.5 * (mean / s) ** 2 - math.log(math.sqrt(2.0 * math.pi) * s) for s in wide])
     return biased - float(unbiased_log_density(mean, np.array([spread]))[0])
 

@@ -18,13 +18,11 @@ from insemu.gap.candidates.axis import (
 from insemu.gap.candidates.noise import white_noise
 from insemu.gap.data.counts import lattice
 from insemu.gap.evidence.model import Free, laplace, level
+from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 from insemu.noise import WN
 
 Array = NDArray[np.float64]
-
-#: Largest share of samples that are outliers.
-MOST_WILD = 0.1
 
 
 def outliers(state: AxisState) -> list[Weighed]:
@@ -80,7 +78,7 @@ def outliers(state: AxisState) -> list[Weighed]:
         if best.evidence < wide.evidence:
             return []
     s, e, k = (math.exp(v) for v in best.x)
-    if e > MOST_WILD:
+    if e > rules().most_outliers:
         return []  # two kinds of noise in turns, as a vehicle that stops and goes has, are no outliers
     sd = np.sqrt(np.diag(best.covariance))
     # the spread of what was added, as the table of effects states it
@@ -102,10 +100,6 @@ def outliers(state: AxisState) -> list[Weighed]:
     return [Weighed("outliers", "", gain, values, cleaned(state, values_clean, "outliers"))]
 
 
-#: Residuals of a moving sensor beyond this are single samples that stand out, where so many of them look like one, and what counts beside them.
-EVIDENT, ALIKE, BESIDE = 10.0, 0.8, 5.0
-
-
 def evident_outliers(state: AxisState) -> Weighed | None:
     """Outliers of a moving sensor so large that every other look at its spectrum would see them; ``None`` where there are no three of them.
 
@@ -114,13 +108,13 @@ def evident_outliers(state: AxisState) -> Weighed | None:
     r = whitened(state)
     size = np.abs(r)
     inner = np.arange(1, r.size - 1)
-    at = inner[(size[1:-1] > EVIDENT) & (size[1:-1] >= size[:-2]) & (size[1:-1] > size[2:])]
-    if at.size < 3 or float(np.mean(size > BESIDE)) > 3.0 * MOST_WILD:
+    at = inner[(size[1:-1] > rules().evident) & (size[1:-1] >= size[:-2]) & (size[1:-1] > size[2:])]
+    if at.size < 3 or float(np.mean(size > rules().beside)) > 3.0 * rules().most_outliers:
         return None
     beside = -(r[at - 1] + r[at + 1]) / r[at]
-    if float(np.mean(np.abs(beside - 1.0) < 0.5)) < ALIKE:
+    if float(np.mean(np.abs(beside - 1.0) < 0.5)) < rules().alike:
         return None
-    found = _wild_in_motion(state, 0.0, r, size > BESIDE, 1.0)
+    found = _wild_in_motion(state, 0.0, r, size > rules().beside, 1.0)
     if not found:
         return None
     share, sigma = (v.value for v in found[0].values)

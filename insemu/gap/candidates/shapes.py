@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.effects import EFFECTS
+from insemu.effects import EFFECTS, Column, having
 from insemu.gap.drive.scene import Scene
-from insemu.gap.drive.signatures import Column
 from insemu.gap.evidence.fixes import NoiseFit
 from insemu.gap.evidence.linear import (
     Block,
@@ -23,20 +22,18 @@ from insemu.gap.evidence.linear import (
     quadratic_evidence,
     random_walk_root,
 )
-from insemu.gap.evidence.model import PRIOR_SCALES, log_mean_exp
+from insemu.gap.evidence.model import log_mean_exp
+from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 
 Array = NDArray[np.float64]
 
-#: Prior amplitudes of slow processes, in units of the datasheet's scale.
-AMPLITUDES = np.geomspace(1e-3, 3000.0, 40)
+#: Amplitudes of slow processes that are tried.
+AMPLITUDES = 40
 #: Effects of one number that only one description can have.
-ONCE = ("imu_gnss_time_offset", "clock_drift", "gravity", "earth_rate", "transport_rate")
-#: What more axes of one effect must be worth over fewer, nats.
-PARSIMONY = 2.0
-PROCESSES = {"random_walk": "K", "gauss_markov": "sigma", "flicker": "B"}
-#: Prior scales of structure outside the catalogue, for which no datasheet says how large it may be.
-LIBRARY_SCALES = (*PRIOR_SCALES, 30.0, 100.0, 300.0)
+ONCE = having("once")
+#: Slow random processes, and the parameter that is their size.
+PROCESSES = {e.id: e.size for e in EFFECTS.values() if "process" in e.traits}
 _SENSORS = (("gyro", 0), ("accel", 3))
 
 
@@ -85,10 +82,9 @@ class Hypothesis:
     columns: tuple[int, ...] = ()
 
 
-#: Sizes of shapes and of slopes that are tried, in the datasheet's. What a fix can see of a slope or a slow process is far above it, and a random
-#: walk of any size follows a slope.
-SIZES = (*PRIOR_SCALES, 30.0, 100.0)
-SLOPES = (*SIZES, 300.0, 1000.0)
+def sizes() -> tuple[float, ...]:
+    """Sizes of shapes that are tried, in the datasheet's. What a fix can see of a slope or of structure outside the catalogue is far above it."""
+    return (*rules().prior_scales, *rules().wider_scales)
 
 
 def bank(scene: Scene) -> list[Variant]:
@@ -98,27 +94,14 @@ def bank(scene: Scene) -> list[Variant]:
 
 def _shapes(columns: Sequence[Column]) -> list[Variant]:
     out: list[Variant] = []
-    amplitudes = np.array(SIZES)
+    amplitudes = np.array(sizes())
     for key in dict.fromkeys((c.effect, c.sensor) for c in columns):
         mine = [i for i, c in enumerate(columns) if (c.effect, c.sensor) == key]
-        sets: list[tuple[tuple[str, ...], str, list[int]]] = []
-        if key[0] == "temperature":
-            for axis in "xyz":
-                own = [i for i in mine if columns[i].axes == (axis,)]
-                sets += [((axis,), "linear", own[:1]), ((axis,), "cubic", own)]
-            sets.append((("x", "y", "z"), "linear", [i for i in mine if columns[i].label.startswith("c1")]))
-        else:
-            sets += [(columns[i].axes, "", [i]) for i in mine]
-            if len(mine) > 1:
-                if key[0] == "g_sensitivity":
-                    diagonal = [i for i in mine if columns[i].label[-1] == columns[i].label[-2]]
-                    sets.append((("x", "y", "z"), "diagonal", diagonal))
-                axes = tuple(dict.fromkeys(a for i in mine for a in columns[i].axes))
-                sets.append((axes, "all", mine))
-        for axes, label, members in sets:
+        for axes, label, members in EFFECTS[key[0]].subsets([columns[i] for i in mine]):
             if members:
-                unit = np.diag([columns[i].scale for i in members])
-                out.append(Variant(*key, axes, label, np.array(members), (((), unit),), amplitudes))
+                index = np.array(mine)[members]
+                unit = np.diag([columns[i].scale for i in index])
+                out.append(Variant(*key, axes, label, index, (((), unit),), amplitudes))
     return out
 
 
@@ -135,7 +118,9 @@ def _slow(scene: Scene) -> list[Variant]:
     out: list[Variant] = []
     for effect, shapes in roots.items():
         for sensor, first in _SENSORS:
-            amplitudes = EFFECTS[effect].scale(PROCESSES[effect], sensor) * AMPLITUDES
+            amplitudes = EFFECTS[effect].scale(PROCESSES[effect], sensor) * np.geomspace(
+                *rules().slow_amplitudes, AMPLITUDES
+            )
             for axis in range(3):
                 out.append(
                     Variant(
@@ -150,7 +135,15 @@ def _slow(scene: Scene) -> list[Variant]:
         unit = (t - t[0])[:, None] * EFFECTS["ramp"].scale("R", sensor)
         for axis in range(3):
             out.append(
-                Variant("ramp", sensor, ("xyz"[axis],), "", scene.slow(first + axis), (((), unit),), np.array(SLOPES))
+                Variant(
+                    "ramp",
+                    sensor,
+                    ("xyz"[axis],),
+                    "",
+                    scene.slow(first + axis),
+                    (((), unit),),
+                    np.array((*sizes(), *rules().widest_scales)),
+                )
             )
     return out
 
@@ -208,7 +201,7 @@ def linear_hypotheses(
     for key, mine in tried.items():
         # an axis is named where the innovations speak for it, not where they hardly see it
         top = max(own for own, _, _ in mine)
-        best[key] = min((m for m in mine if m[0] > top - PARSIMONY), key=lambda m: (len(m[1].axes), -m[0]))
+        best[key] = min((m for m in mine if m[0] > top - rules().keep_nats), key=lambda m: (len(m[1].axes), -m[0]))
     return [
         _described(scene, data, given, v, x, float(gains[key][0]))
         for key, (_, v, x) in best.items()
@@ -284,7 +277,7 @@ def best_pair(variants: Sequence[Variant], A: Array, b: Array) -> tuple[float, B
     A, b = A[np.ix_(at, at)], b[at]
     i, j = np.triu_indices(at.size, 1)
     logs = []
-    grid = [(p, q) for p in PRIOR_SCALES for q in PRIOR_SCALES]
+    grid = [(p, q) for p in rules().prior_scales for q in rules().prior_scales]
     for p, q in grid:
         d, e = p * unit[i], q * unit[j]
         first, second, cross = 1.0 + d**2 * A[i, i], 1.0 + e**2 * A[j, j], d * e * A[i, j]
@@ -303,12 +296,11 @@ def null_threshold(
     variants: Sequence[Variant],
     data: Field,
     rng: np.random.Generator,
-    share: float = 0.02,
     draws: int = 300,
     *,
     always: Sequence[Block] = (),
 ) -> float:
-    """Evidence that the best effect exceeds in ``share`` of simulated nominal recordings: the filter's own responses, drawn innovations.
+    """Evidence that the best effect exceeds in ``false_alarms`` of simulated nominal recordings: the filter's own responses, drawn innovations.
 
     ``always`` is what is uncertain in a nominal recording too; it is drawn as well and then allowed for.
     """
@@ -320,14 +312,14 @@ def null_threshold(
     b = b[:, 1:]
     # the first column decides what is worth a closer look, as it does for the measured innovations
     gains = pooled_gains(variants, linear_gains(variants, A, b))
-    return float(np.quantile(np.max(np.stack(list(gains.values())), axis=0), 1.0 - share))
+    return float(np.quantile(np.max(np.stack(list(gains.values())), axis=0), 1.0 - rules().false_alarms))
 
 
 def library_gain(scene: Scene, data: Field, given: Sequence[Block]) -> tuple[float, str]:
     """The best structure outside the catalogue, those of a sensor counted alike."""
     A, b = data.conditioned(given)
     found: dict[str, list[tuple[float, str]]] = {}
-    amplitudes = np.array(LIBRARY_SCALES)
+    amplitudes = np.array((*sizes(), rules().widest_scales[0]))
     for i, c in enumerate(scene.columns[scene.outside], start=scene.outside.start):
         logs = quadratic_evidence(A[i : i + 1, i : i + 1], b[i : i + 1], np.array([[c.scale]]), amplitudes)
         found.setdefault(c.sensor, []).append((log_mean_exp(logs[:, 0]), f"{c.sensor} error that goes with {c.label}"))

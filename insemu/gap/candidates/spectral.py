@@ -25,6 +25,7 @@ from insemu.gap.evidence.model import (
     Rolloff,
     log_mean_exp,
 )
+from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 
 Array = NDArray[np.float64]
@@ -44,7 +45,7 @@ def vibration_band(state: AxisState) -> list[Weighed]:
     free = (
         amplitude("sigma", 30.0 * state.white / math.sqrt(data.dt)),
         Free("f", lowest, 0.97 * nyquist),
-        Free("ratio", 0.003, 0.6),  # wider is no resonance
+        Free("ratio", 0.003, rules().highest_bandwidth),  # wider is no resonance
     )
     # where the excess over a window as wide as the band stands out most, for each width
     excess = state.explanation.seen(data) / S - 1.0
@@ -76,7 +77,7 @@ def decimation_filter(state: AxisState) -> list[Weighed]:
         return []
     nyquist = 0.5 / state.data.dt
     out = []
-    order = Free("order", 0.6, 12.0)
+    order = Free("order", 0.6, rules().highest_order)
     floor = DEPTH * state.white**2
     for kind, highest in (
         # no cutoff beyond what the samples show: a slope that gentle is no filter's

@@ -17,19 +17,14 @@ from insemu.gap.candidates.axis import (
 from insemu.gap.candidates.noise import gauss_markov
 from insemu.gap.evidence import kernels
 from insemu.gap.evidence.model import Free, laplace
+from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 from insemu.noise import Process
 
 Array = NDArray[np.float64]
 
-#: A candidate this far below nothing is not looked at more closely, nats.
-LOST_NATS = 4.0
 #: Switches per block of the block lengths at which switching is looked for, and the most blocks.
 SWITCHES_PER_BLOCK, MOST_SWITCHING_BLOCKS = (0.05, 0.25), 12_000
-#: What two levels must be worth over a Gaussian process of the same spectrum before their path is taken out of the samples, nats.
-RESOLVED_NATS = 6.0
-#: Log prior odds of a level that switches against a Gauss-Markov process: burst noise is the rarer of the two.
-RARER = 0.7
 
 
 @dataclass(frozen=True)
@@ -54,7 +49,7 @@ def telegraph(state: AxisState) -> list[Weighed]:
     if "telegraph" in state.named or state.explanation.regressors:
         return []  # levels and drifts of known shape are not told apart sample by sample
     twin = next(iter(gauss_markov(state)), None)
-    if twin is None or twin.gain < -LOST_NATS:
+    if twin is None or twin.gain < -rules().hopeless:
         return []
     component = twin.state.explanation.components[-1]
     sigma, rate = component.process.parameters["sigma"], 0.5 * component.process.parameters["beta"]
@@ -64,13 +59,13 @@ def telegraph(state: AxisState) -> list[Weighed]:
     if not found:
         return []
     best = max(found, key=lambda s: s.excess)
-    gain = twin.gain + best.excess - RARER
+    gain = twin.gain + best.excess - rules().telegraph_rarer
     a, rate = math.exp(best.x[0]), math.exp(best.x[1])
     values = tuple(
         Value(name, v, v * math.exp(-1.96 * s), v * math.exp(1.96 * s), unit)
         for name, v, s, unit in zip(("amplitude", "rate"), (a, rate), best.sigma, (data.unit, "1/s"), strict=True)
     )
-    if gain < 0.0 or best.excess < RESOLVED_NATS:
+    if gain < 0.0 or best.excess < rules().telegraph_resolved:
         # no single level stands out: the second moments are what can be taken into account
         components = (*twin.state.explanation.components[:-1], replace(component, effect="telegraph"))
         fitted = replace(twin.state.fitted, explanation=replace(twin.state.explanation, components=components))
@@ -142,7 +137,7 @@ def _slow(state: AxisState, length: float) -> list[Process]:
 
     def slow(p: Process) -> bool:
         time = p.correlation_time(state.data.dt)
-        return not p.single_draw and (not p.stationary or (time is not None and time > length / 3.0))
+        return not p.single_draw and (not p.stationary or (time is not None and time > length / rules().slow_blocks))
 
     return [c.process for c in state.explanation.components if slow(c.process)]
 

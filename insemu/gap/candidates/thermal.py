@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu.effects import lagged
 from insemu.errors import InputError
 from insemu.gap.candidates.axis import (
     AxisState,
@@ -22,6 +23,7 @@ from insemu.gap.evidence.model import (
     fit,
     log_mean_exp,
 )
+from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 
 Array = NDArray[np.float64]
@@ -62,10 +64,10 @@ def ramp(state: AxisState) -> list[Weighed]:
     return regression(state, "ramp", "", ("R",), column, scale, (f"{data.unit}/s",))
 
 
-#: Prior weight of each shape of a thermal bias.
-THERMAL_SHAPES = {"linear": 0.5, "cubic": 0.2, "lagged": 0.2, "cubic and lagged": 0.1}
-#: Thermal time constants that the lagged shapes try, from a block to this share of the log, and their number.
-LONGEST_LAG, LAGS = 0.3, 10
+#: Shapes of a thermal bias.
+THERMAL_SHAPES = ("linear", "cubic", "lagged", "cubic and lagged")
+#: Thermal time constants that the lagged shapes try.
+LAGS = 10
 
 
 def temperature(state: AxisState) -> list[Weighed]:
@@ -89,7 +91,7 @@ def temperature(state: AxisState) -> list[Weighed]:
             if temperature_c is None:
                 raise InputError("the temperature effect needs the temperature of the data that it is to predict")
             d = temperature_c - centre
-            seen = lowpass(d, where.dt, lag) if lag > 0.0 else d
+            seen = lagged(d, where.dt, lag)
             return block_differences(np.stack([_power(seen, k + 1) for k in which], axis=1), where.block)
 
         return columns
@@ -101,7 +103,7 @@ def temperature(state: AxisState) -> list[Weighed]:
             [units[k] for k in which],
         )[0]  # fmt: skip
         d = T - centre
-        seen = lowpass(d, data.dt, lag) if lag > 0.0 else d
+        seen = lagged(d, data.dt, lag)
         signal = sum((v.value * _power(seen, k + 1) for v, k in zip(w.values, which, strict=True)), np.zeros(T.size))
         w = _less(w, state, signal)
         return replace(w, values=(*w.values, reference))
@@ -117,7 +119,7 @@ def temperature(state: AxisState) -> list[Weighed]:
     out = [weigh("linear", (0,)), weigh("cubic", (0, 1, 2))]
     shapes: tuple[tuple[str, tuple[int, ...]], ...] = (("lagged", (0,)), ("cubic and lagged", (0, 1, 2)))
     for shape, which in shapes:
-        grid = np.geomspace(data.block_s, LONGEST_LAG * data.duration_s, LAGS)
+        grid = np.geomspace(data.block_s, rules().longest_lag * data.duration_s, LAGS)
         tried = [quick(which, float(lag)) for lag in grid]
         k = int(np.argmax(tried))
         top, lag, ratio = tried[k], float(grid[k]), float(grid[1] / grid[0])
@@ -128,7 +130,8 @@ def temperature(state: AxisState) -> list[Weighed]:
         best = weigh(shape, which, lag)
         values = (*best.values, Value("lag", lag, lag / ratio, lag * ratio, "s"))
         out.append(replace(best, gain=best.gain - paid, values=values))
-    return [replace(w, gain=w.gain + math.log(THERMAL_SHAPES[w.variant])) for w in out]
+    odds = dict(zip(THERMAL_SHAPES, rules().thermal_odds, strict=True))
+    return [replace(w, gain=w.gain + math.log(odds[w.variant])) for w in out]
 
 
 def _power(x: Array, k: int) -> Array:
@@ -148,11 +151,3 @@ def _less(w: Weighed, state: AxisState, signal: Array) -> Weighed:
     data = replace(apart, differences=state.data.differences)  # the block band keeps the regressors
     fitted = fit(Likelihood(data), explanation)
     return replace(w, gain=w.gain + after - before, state=replace(w.state, data=data, fitted=fitted))
-
-
-def lowpass(x: Array, dt: float, lag: float) -> Array:
-    """A first-order lag that starts settled."""
-    from scipy.signal import lfilter
-
-    phi = math.exp(-dt / lag)
-    return np.asarray(x[0] + lfilter([1.0 - phi], [1.0, -phi], x - x[0]))

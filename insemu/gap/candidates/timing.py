@@ -14,16 +14,8 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from insemu.gap.drive.preparation import Flown, prepare
+from insemu.gap.policy import rules
 from insemu.gap.verdict import Member, Step, Value
-
-#: Offsets that are tried first, and the largest, s.
-FIRST, LARGEST = 0.06, 0.6
-#: An offset is taken off beforehand where it is at least so large and worth so much; smaller ones are left to the search.
-LEAST_S, LEAST_NATS = 0.03, 100.0
-#: Share of the innovations' mean square that must go with it: an effect that explains less is not the reason.
-LEAST_SHARE = 0.5
-#: Mean square of the normalised innovations below which no large offset can hide.
-SUSPICIOUS = 1.5
 
 
 def find_offset(start: Flown, progress: Callable[[str], None] = lambda _: None) -> Step | None:
@@ -50,15 +42,15 @@ def find_offset(start: Flown, progress: Callable[[str], None] = lambda _: None) 
         return known[offset]
 
     base, square = flown(0.0)
-    if square < SUSPICIOUS:
+    if square < rules().offset_nis:
         return None
-    step = FIRST
+    step = rules().offset_first_s
     sides = {s: flown(s * step)[0] for s in (-1.0, 1.0)}
     side = max(sides, key=lambda s: sides[s])
-    if sides[side] < base + LEAST_NATS:
+    if sides[side] < base + rules().offset_nats:
         return None
     at, top = side * step, sides[side]
-    while abs(at) < LARGEST:  # uphill as long as it goes uphill
+    while abs(at) < rules().offset_largest_s:  # uphill as long as it goes uphill
         further = flown(2.0 * at)[0]
         if further < top:
             break
@@ -69,7 +61,12 @@ def find_offset(start: Flown, progress: Callable[[str], None] = lambda _: None) 
     )
     offset = max(known, key=lambda k: known[k][0])
     gain = known[offset][0] - base
-    if abs(offset) < LEAST_S or gain < LEAST_NATS or known[offset][1] > LEAST_SHARE * square or not found.success:
+    if (
+        abs(offset) < rules().offset_least_s
+        or gain < rules().offset_nats
+        or known[offset][1] > rules().offset_share * square
+        or not found.success
+    ):
         return None
     # width of the likelihood's top, from the parabola through its neighbours
     h = 0.005

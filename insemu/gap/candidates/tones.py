@@ -11,19 +11,9 @@ from numpy.typing import NDArray
 
 from insemu.gap.data.log import Reduced, reduce_again
 from insemu.gap.evidence.model import Explanation
+from insemu.gap.policy import rules
 
 Array = NDArray[np.float64]
-
-#: Length of the pieces in which a tone is followed, s, and the fewest of them.
-PIECE_S, FEWEST_PIECES = 4.0, 12
-#: How far the loudest ordinate of a piece stands above its median before it counts; noise does so once in a million pieces.
-LOUD = 20.0
-#: Share of the pieces in which a wandering tone is loud, and its least way in ordinates.
-LOUD_SHARE, LEAST_WAY = 0.3, 8.0
-#: Mean squared step from piece to piece against twice the variance (von Neumann 1941): 1 for independent frequencies, 0 for a smooth way.
-SMOOTH = 0.05
-#: A tone belongs to one axis where no other follows it in more than this share of its pieces.
-SHARED = 0.3
 
 
 def without_tones(data: Reduced, explanation: Explanation) -> Reduced:
@@ -69,9 +59,9 @@ def _steady(data: Reduced, f: Array, power: Array) -> Array:
 
 def loudest(data: Reduced) -> tuple[Array, Array]:
     """Frequency of the loudest ordinate in every piece of an axis (Hz), and its height above the median of the piece."""
-    length = max(16, round(PIECE_S / data.dt))
+    length = max(16, round(rules().tone_piece_s / data.dt))
     count = data.values.size // length
-    if not data.f.size or count < FEWEST_PIECES:
+    if not data.f.size or count < rules().tone_pieces:
         return np.zeros(0), np.zeros(0)
     pieces = data.values[: count * length].reshape(count, length)
     window = np.hanning(length)
@@ -95,26 +85,26 @@ def wandering(parts: Mapping[str, Reduced]) -> dict[str, tuple[float, float]]:
     seen = {name: loudest(data) for name, data in parts.items()}
     out = {}
     for name, (f, height) in seen.items():
-        loud = np.flatnonzero(height > LOUD)
-        if loud.size < max(LOUD_SHARE * f.size, FEWEST_PIECES // 2):
+        loud = np.flatnonzero(height > rules().tone_loud)
+        if loud.size < max(rules().tone_share * f.size, rules().tone_pieces // 2):
             continue
         way = f[loud]
         near = np.diff(loud) <= 3
         step = np.diff(way)[near]
         variance = float(np.var(way))
-        spacing = 1.0 / PIECE_S
+        spacing = 1.0 / rules().tone_piece_s
         # a few pieces may be led astray by something else
         if (
             not near.any()
-            or np.median(step**2) > 2.0 * SMOOTH * variance
-            or math.sqrt(12.0 * variance) < LEAST_WAY * spacing
+            or np.median(step**2) > 2.0 * rules().tone_smooth * variance
+            or math.sqrt(12.0 * variance) < rules().tone_way * spacing
         ):
             continue
         followed = [
             float(np.mean((g[loud] - way) ** 2 <= (2.0 * spacing) ** 2))
             for other, (g, h) in seen.items()
-            if other != name and g.size == f.size and np.median(h[loud]) > 0.5 * LOUD
+            if other != name and g.size == f.size and np.median(h[loud]) > 0.5 * rules().tone_loud
         ]
-        if not followed or max(followed) < SHARED:
+        if not followed or max(followed) < rules().tone_shared:
             out[name] = (float(way[0]), float(way[-1]))
     return out

@@ -13,21 +13,19 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from insemu import rotation
+from insemu.effects import Motion
 from insemu.gap.candidates.axis import AxisState, whitened
 from insemu.gap.checks.rest import DRAWS, Entry, chi_square_p, correlation_p, followed, left_over
 from insemu.gap.drive.preparation import LEVEL_GROUPS
 from insemu.gap.drive.scene import Scene
-from insemu.gap.drive.signatures import Motion
 from insemu.gap.evidence.fixes import level_derivatives, level_scores
-from insemu.gap.evidence.model import LEVEL_UNCERTAINTY
+from insemu.gap.policy import rules
 
 Array = NDArray[np.float64]
 
 COMPONENTS = tuple((what, axis) for what in ("position", "velocity") for axis in ("north", "east", "down"))
 #: Fewest innovations of a component that are tested; length of the pieces in which the IMU's noise is held against the motion, s.
 FEWEST, PIECE_S = 30, 2.0
-#: Share of its variance that a NIS keeps at least: levels are moved in steps, and before the last estimates of what was found.
-NIS_LEFT = 0.5
 
 
 def by_component(scene: Scene, y: Array) -> Array:
@@ -52,7 +50,7 @@ def innovation_tests(scene: Scene, y: Array) -> list[Entry]:
         mean = float(2.0 * stats.norm.sf(abs(z.mean()) * math.sqrt(n)))
         white = float(stats.chi2.sf(np.sum(rho**2 * (n - lags)), lags.size))
         out.append((f"{what} innovation mean", "gnss", axis, None, mean))
-        left = max(left_over(2.0 * n, 1.0, slope, spent), NIS_LEFT * 2.0 * n)
+        left = max(left_over(2.0 * n, 1.0, slope, spent), rules().nis_left * 2.0 * n)
         out.append((f"{what} innovation NIS", "gnss", axis, None, chi_square_p(float(z @ z), n, left)))
         out.append((f"{what} innovation whiteness", "gnss", axis, 10.0 * step, white))
         out.append((f"{what} innovation tails", "gnss", axis, None, float(stats.kurtosistest(z).pvalue)))
@@ -70,7 +68,7 @@ def trimmed_levels(scene: Scene) -> tuple[Array, Array]:
         return np.zeros((0, 6)), np.zeros((0, 0))
     _, information = level_scores(s, white, np.zeros((s.t.size, 6)), groups)
     covariance = np.linalg.inv(information + np.eye(len(groups)))
-    half = math.log(1.0 + LEVEL_UNCERTAINTY)
+    half = math.log(1.0 + rules().tolerance)
     kept = np.sqrt([followed(float(v), half) for v in np.diag(covariance)])
     slopes = np.stack([np.einsum("kii->i", d) for d in level_derivatives(s.R, white, groups)])
     return slopes, kept[:, None] * covariance * kept[None, :]
@@ -203,7 +201,7 @@ def band_wavelet_p_values(state: AxisState, rng: np.random.Generator) -> list[tu
     S = state.explanation.psd(data.f, data.dt)
     ratio = state.explanation.seen(data) / S
     width = np.gradient(data.f)
-    edge = 1.0 + LEVEL_UNCERTAINTY
+    edge = 1.0 + rules().tolerance
 
     def level(r: Array) -> Array:
         return np.asarray(np.clip(r @ data.dof / np.sum(data.dof), 1.0 / edge**2, edge**2))

@@ -18,6 +18,7 @@ from insemu.gap.data.counts import lattice
 from insemu.gap.data.log import BINS_PER_OCTAVE, Reduced, overlap
 from insemu.gap.evidence import kernels
 from insemu.gap.evidence.model import Explanation
+from insemu.gap.policy import rules
 from insemu.gap.verdict import Where
 
 Array = NDArray[np.float64]
@@ -145,8 +146,8 @@ def followed(variance: float, half: float) -> float:
     return max(1.0 - 2.0 * float(np.trapezoid((x - half) ** 2 * density, x)) / variance, 0.0)
 
 
-#: Step of a derivative by the logarithm of a parameter; the least that a statistic keeps of its variance.
-STEP, LEAST_LEFT = 1e-3, 0.1
+#: Step of a derivative by the logarithm of a parameter.
+STEP = 1e-3
 
 
 def _with_slopes(
@@ -169,7 +170,7 @@ def left_over(variance: float, share: float, slope: Array, spent: Array | None) 
     """
     if spent is None or not slope.size:
         return variance
-    return max(variance - share * float(slope @ spent @ slope), LEAST_LEFT * variance)
+    return max(variance - share * float(slope @ spent @ slope), rules().statistic_left * variance)
 
 
 def _haar(paths: Array, span: int) -> Array:
@@ -278,7 +279,7 @@ def _spectrum_p(state: AxisState, groups: list[NDArray[np.intp]], z: Array, spen
         )
         cov -= J @ spent @ J.T
     values, vectors = np.linalg.eigh(cov)
-    kept = values > LEAST_LEFT
+    kept = values > rules().statistic_left
     return float(stats.chi2.sf(float(np.sum((vectors[:, kept].T @ z) ** 2 / values[kept])), int(kept.sum())))
 
 

@@ -7,10 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from insemu.gap.policy import rules
 
-#: Largest share of different values among the samples of a lattice.
-MOST_VALUES = 0.8
+Array = NDArray[np.float64]
 
 
 def lattice(values: Array) -> float:
@@ -18,7 +17,7 @@ def lattice(values: Array) -> float:
     sample = np.sort(values[: min(values.size, 200_000)])
     steps = np.diff(sample)
     steps = steps[steps > 1e-7 * max(float(np.ptp(sample)), float(np.max(np.abs(sample))))]
-    if not steps.size or steps.size > MOST_VALUES * sample.size:
+    if not steps.size or steps.size > rules().most_values * sample.size:
         return 0.0
     step = float(np.min(steps))
     gaps = steps / step
@@ -26,10 +25,6 @@ def lattice(values: Array) -> float:
     tolerance = 0.02 * np.maximum(1.0, gaps) if steps.size <= 0.2 * sample.size else 0.05
     near = np.abs(gaps - np.round(gaps)) < tolerance
     return float(np.median(steps[gaps < 1.5])) if np.all(near) and np.mean(gaps < 1.5) > 0.1 else 0.0
-
-
-#: A lattice finer than this share of the samples' noise adds 0.02 % to their variance and is the digits of a file.
-MATERIAL_LSB = 0.05
 
 
 def pile_evidence(piled: int, one: int, two: int) -> float:

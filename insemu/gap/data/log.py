@@ -15,14 +15,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu.gap.policy import rules
 from insemu.noise import Process
 from insemu.records import Series
 
 Array = NDArray[np.float64]
 
-#: Block length in s, and the bounds of the number of blocks that shorten or lengthen it.
-BLOCK_S = 10.0
-FEWEST_BLOCKS, MOST_BLOCKS = 120, 500
 #: Sine tapers, bins per octave.
 TAPERS, BINS_PER_OCTAVE = 6, 32
 #: Longest shape (frequencies, samples of a taper) that is remembered: full-resolution spectra are read once.
@@ -80,8 +78,8 @@ class Reduced:
 
 def block_length(n: int, dt: float) -> int:
     """Samples per block: 10 s, shorter for short logs (at least 120 blocks), longer for long ones (at most 500)."""
-    wanted = max(1, round(BLOCK_S / dt))
-    return int(min(max(wanted, math.ceil(n / MOST_BLOCKS)), max(1, n // FEWEST_BLOCKS)))
+    wanted = max(1, round(rules().block_s / dt))
+    return int(min(max(wanted, math.ceil(n / rules().most_blocks)), max(1, n // rules().fewest_blocks)))
 
 
 def block_differences(values: Array, block: int) -> Array:

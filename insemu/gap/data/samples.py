@@ -10,21 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-from insemu.gap.data.counts import MATERIAL_LSB, lattice, pile_evidence
+from insemu.gap.data.counts import lattice, pile_evidence
+from insemu.gap.policy import rules
 from insemu.gap.verdict import Member, Step, Value
 from insemu.noise import WN, NoiseModel
 from insemu.records import ImuRecord
 
 Array = NDArray[np.float64]
 
-#: By what share of the sampling interval a stamp may stray before it says nothing about lost samples; loggers round to milliseconds.
-STRAY = 0.25
-#: Longest gap that is bridged, s; a longer one is an outage of the IMU.
-LONGEST_GAP_S = 0.5
-#: Fewest samples at the full scale.
-FEWEST_CLIPPED = 4
-#: What a pile on a lattice must be worth over its neighbours, nats: steady manoeuvres make piles too.
-LEAST_PILE_NATS = 20.0
 #: Samples on either side of a clipped stretch that say how the signal goes on.
 NEIGHBOURS = 12
 #: Stretches that tell how the signal changes around them, and the most whose uncertainty is carried on.
@@ -102,7 +95,7 @@ def _lattices(imu: ImuRecord, counts: dict[str, dict[str, float]]) -> list[Step]
         rates = np.array(getattr(imu, sensor)) / widths
         steps = counts[sensor]
         # finer than that it is the digits of a file
-        least = MATERIAL_LSB * np.array([_noise(rates[:, k]) for k in range(3)])
+        least = rules().material_lsb * np.array([_noise(rates[:, k]) for k in range(3)])
         on = tuple(axis for axis, low in zip("xyz", least, strict=True) if steps[axis] > low)
         if not on:
             continue
@@ -117,10 +110,6 @@ def _lattices(imu: ImuRecord, counts: dict[str, dict[str, float]]) -> list[Step]
     return out
 
 
-#: Output counts of more than so many standard deviations of the noise: the noise does not reach from one to the next often enough.
-COARSE = 3.0
-
-
 def coarse(beliefs: dict[str, NoiseModel], steps: Sequence[Step], dt: float) -> set[str]:
     """Axes whose output counts are coarse beside their white noise."""
     out = set()
@@ -129,7 +118,7 @@ def coarse(beliefs: dict[str, NoiseModel], steps: Sequence[Step], dt: float) -> 
             for axis, v in zip(s.axes, s.parameters, strict=True):
                 name = f"{s.sensor}_{axis}"
                 white = sum(p.parameters["N"] ** 2 for p in beliefs[name] if isinstance(p, WN))
-                if v.value > COARSE * math.sqrt(white / dt):
+                if v.value > rules().coarse_lsb * math.sqrt(white / dt):
                     out.add(name)
     return out
 
@@ -170,10 +159,6 @@ def _step(effect: str, sensor: str, axes: tuple[str, ...], values: tuple[Value, 
     return Step(effect, "samples", sensor, axes, values, 0.999, nats, (Member(effect, sensor, axes, nats),))
 
 
-#: Stamps that stray from an even beat by no more than this share of it are jitter of the stamps and not of the sampling.
-JITTER = 0.02
-
-
 def widths_of(imu: ImuRecord) -> Array:
     """What turns rates into the record's values, (n, 1).
 
@@ -184,15 +169,17 @@ def widths_of(imu: ImuRecord) -> Array:
         return np.ones((len(imu), 1))
     step = np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1])
     beat = float(np.median(step))
-    return np.asarray(np.where(np.abs(step / beat - 1.0) < JITTER, beat, step)[:, None])
+    return np.asarray(np.where(np.abs(step / beat - 1.0) < rules().jitter, beat, step)[:, None])
 
 
 def _bridge(imu: ImuRecord) -> tuple[ImuRecord, Step] | None:
     step = np.diff(imu.t)
     dt = float(np.median(step))
-    steady = np.abs(step / dt - 1.0) < STRAY
+    steady = np.abs(step / dt - 1.0) < rules().stray
     missing = np.round(step / dt).astype(int) - 1
-    gaps = np.flatnonzero((missing > 0) & (np.abs(step / dt - np.round(step / dt)) < STRAY) & (step < LONGEST_GAP_S))
+    gaps = np.flatnonzero(
+        (missing > 0) & (np.abs(step / dt - np.round(step / dt)) < rules().stray) & (step < rules().longest_gap_s)
+    )
     if not gaps.size or steady.sum() + gaps.size < 0.98 * step.size or gaps.size > 0.1 * step.size:
         return None
     n = step.size + int(missing[gaps].sum())
@@ -252,11 +239,11 @@ def clipped(rates: Array, step: float = 0.0) -> tuple[float, NDArray[np.bool_], 
         top = float(x.max())
         pile = x > top - 0.5 * step if step > 0.0 else x >= top - 1e-9 * abs(top)
         count = int(pile.sum())
-        if count < FEWEST_CLIPPED or count >= 0.5 * rates.size or not top > 0.0:
+        if count < rules().fewest_clipped or count >= 0.5 * rates.size or not top > 0.0:
             continue
         if step > 0.0:
             evidence = pile_evidence(*(int(np.sum(np.abs(x - top + k * step) < 0.5 * step)) for k in range(3)))
-            if evidence < LEAST_PILE_NATS:
+            if evidence < rules().pile_nats:
                 continue
         else:
             evidence = count * max(1.0, math.log(noise / (top * 2.0**-24)))

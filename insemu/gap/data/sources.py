@@ -13,12 +13,11 @@ from scipy.signal import fftconvolve
 from insemu import earth, formats
 from insemu.errors import InputError
 from insemu.formats.npz import load_npz
+from insemu.gap.policy import rules
 from insemu.records import AXES, ImuRecord, Recording, Series
 
 Array = NDArray[np.float64]
 
-#: Share of samples that a static log may miss.
-MOST_LOST = 0.2
 _TEMPERATURE = ("temperature", "temp_c", "temp_C", "temp", "temperature_degC")
 
 
@@ -78,13 +77,6 @@ def from_its_start(data: StaticLog | Recording) -> StaticLog | Recording:
     )
 
 
-#: A recording whose fixes stay this close to their median, m, and this slow, m/s, or within their own noise, was made at rest.
-#: Fixes that wander no further than this, m, are at rest too where the IMU does not stir.
-REST_RADIUS, REST_SPEED, WANDER = 3.0, 0.5, 50.0
-#: Means over a second of an IMU that does not stir change by less than this, rad/s and m/s^2, nine times out of ten.
-STIR = (0.01, 0.1)
-
-
 def at_rest(recording: Recording) -> bool:
     """Whether the fixes say that nothing moved."""
     gnss = recording.gnss
@@ -94,28 +86,28 @@ def at_rest(recording: Recording) -> bool:
         return True
     middle = np.median(gnss.llh[known], axis=0)
     away = earth.position_difference(gnss.llh[known], middle)
-    if float(np.max(np.abs(away))) < WANDER and _quiet(recording.imu):
+    if float(np.max(np.abs(away))) < rules().rest_wander and _quiet(recording.imu):
         return True
     noise = 0.0 if gnss.pos_std_ned is None else float(np.nanmax(gnss.pos_std_ned))
-    if float(np.max(np.abs(np.median(away[: away.shape[0] // 10 + 1], axis=0)))) > max(REST_RADIUS, noise):
+    if float(np.max(np.abs(np.median(away[: away.shape[0] // 10 + 1], axis=0)))) > max(rules().rest_radius, noise):
         return False
-    if float(np.max(np.abs(away))) > max(REST_RADIUS, 6.0 * noise):
+    if float(np.max(np.abs(away))) > max(rules().rest_radius, 6.0 * noise):
         return False
     if gnss.vel_ned is None:
         return True
     spread = 0.0 if gnss.vel_std_ned is None else float(np.nanmax(gnss.vel_std_ned))
     speed = np.abs(gnss.vel_ned[np.isfinite(gnss.vel_ned).all(axis=1)])
-    return not speed.size or float(speed.max()) < max(REST_SPEED, 6.0 * spread)
+    return not speed.size or float(speed.max()) < max(rules().rest_speed, 6.0 * spread)
 
 
 def _quiet(imu: ImuRecord) -> bool:
-    """Whether the IMU does not stir: a drift of its own is slow, a vehicle is not."""
+    """Whether means over a second hardly change, nine times out of ten: a drift of the IMU is slow, a vehicle is not."""
     count = max(1, round(1.0 / imu.dt))
     rows = len(imu) // count * count
     if rows < 10 * count:
         return False
     width = imu.dt if imu.kind == "increment" else 1.0
-    for values, limit in ((imu.gyro, STIR[0]), (imu.accel, STIR[1])):
+    for values, limit in ((imu.gyro, rules().stir_gyro), (imu.accel, rules().stir_accel)):
         means = values[:rows].reshape(-1, count, 3).mean(axis=1) / width
         if np.quantile(np.abs(np.diff(means, axis=0)), 0.9, axis=0).max() > limit:
             return False
@@ -159,9 +151,9 @@ def filled(values: Array, t: Array, dt: float, source: str) -> tuple[Array, NDAr
     lost = missing.size - slots.size
     if not lost:
         return values, missing
-    if lost > MOST_LOST * slots.size:
+    if lost > rules().most_lost * slots.size:
         raise InputError(
-            f"the stamps skip {lost} of {missing.size} samples, expected at most {MOST_LOST:.0%} for a static log",
+            f"the stamps skip {lost} of {missing.size} samples, expected at most {rules().most_lost:.0%} for a static log",
             where=source,
         )
     rng = np.random.default_rng(missing.size)

@@ -16,23 +16,18 @@ from insemu.gap.data.log import Reduced, moving_spectrum
 from insemu.gap.data.samples import Clipped, widths_of
 from insemu.gap.drive.signatures import Loop
 from insemu.gap.evidence.fixes import Surrogate, level_scores
-from insemu.gap.evidence.model import LEVEL_UNCERTAINTY, Explanation, Likelihood, fit
+from insemu.gap.evidence.model import Explanation, Likelihood, fit
+from insemu.gap.policy import rules
 from insemu.noise import BI, WN, NoiseModel, Process
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording
 from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
 
-#: Lowest frequency in Hz at which a moving IMU shows its noise rather than its motion.
-MOTION_HZ = 8.0
 #: Knots of slow processes are this many seconds apart.
 NODE_S = 10.0
-#: Below this speed a track says nothing about the heading, m/s.
-TRACK_SPEED = 3.0
 #: Where the fixes have no velocities: times to either side, s, over which positions are taken for a parabola.
 TRACK_REACH = (1.0, 2.0, 4.0, 8.0)
-#: What a start without a reference is uncertain by at least, rad: levelled in motion, headed along the track.
-START_TILT, START_HEADING = 0.035, 0.09
 #: Components of the fixes that share one level: horizontal and vertical position, horizontal and vertical velocity.
 LEVEL_GROUPS = ((0, 1), (2,), (3, 4), (5,))
 
@@ -219,7 +214,7 @@ def trimmed_factors(prepared: Prepared, loop: Loop, surrogate: Surrogate, y: Arr
     score, information = level_scores(surrogate, loop.white, y, groups)
     # a weak pull towards the nominal level keeps a level that the innovations do not show
     move = np.linalg.solve(information + np.eye(len(groups)), score)
-    edge = np.log(1.0 + LEVEL_UNCERTAINTY)
+    edge = np.log(1.0 + rules().tolerance)
     factors = prepared.factors.copy()
     for g, m in zip(groups, move, strict=True):
         middle = np.log(prepared.levels[g])
@@ -253,7 +248,7 @@ def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, G
     track = _first_track(fixed, inside) if gnss.vel_ned is None else _first_velocity(fixed, gnss, inside)
     if track is None:
         raise InputError(
-            f"never moves faster than {TRACK_SPEED:g} m/s over ground, expected a stretch that tells the heading",
+            f"never moves faster than {rules().track_speed:g} m/s over ground, expected a stretch that tells the heading",
             where=recording.source,
         )
     k = track.fix
@@ -275,13 +270,15 @@ def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, G
     arm = rotation.dcm_from_rpy(rpy) @ np.array(nominal.gnss.lever_arm)
     llh = earth.move(gnss.llh[k], velocity * late - arm)
     assert fixed.pos_std_ned is not None
-    position = np.hypot(np.array(believed.position_sigma), fixed.pos_std_ned[k] + START_HEADING * np.linalg.norm(arm))
+    position = np.hypot(
+        np.array(believed.position_sigma), fixed.pos_std_ned[k] + rules().start_heading * np.linalg.norm(arm)
+    )
     # the velocity of the antenna swings about the IMU's
     swing = float(np.linalg.norm(np.cross(span.gyro[1:count].mean(axis=0) / imu.dt, np.array(nominal.gnss.lever_arm))))
     vel_sigma = np.sqrt(np.array(believed.velocity_sigma) ** 2 + track.velocity_sigma**2 + swing**2)
     speed = float(np.hypot(velocity[0], velocity[1]))
-    turn = max(believed.heading_sigma, START_HEADING, float(np.max(track.velocity_sigma[:2])) / speed)
-    tilt = max(believed.tilt_sigma, float(np.hypot(START_TILT, track.slope_sigma / g)))
+    turn = max(believed.heading_sigma, rules().start_heading, float(np.max(track.velocity_sigma[:2])) / speed)
+    tilt = max(believed.tilt_sigma, float(np.hypot(rules().start_tilt, track.slope_sigma / g)))
     state = NavState(llh, velocity + slope * late, rpy)
     return imu, gnss, state, InitialSigma(position, vel_sigma, (tilt, tilt, turn))
 
@@ -301,7 +298,7 @@ def _first_velocity(fixed: GnssRecord, gnss: GnssRecord, inside: NDArray[np.bool
     """The first recorded velocity that tells the heading."""
     assert gnss.vel_ned is not None
     good = inside & np.isfinite(gnss.vel_ned).all(axis=1)
-    moving = np.flatnonzero(good & (np.hypot(gnss.vel_ned[:, 0], gnss.vel_ned[:, 1]) > TRACK_SPEED))
+    moving = np.flatnonzero(good & (np.hypot(gnss.vel_ned[:, 0], gnss.vel_ned[:, 1]) > rules().track_speed))
     if not moving.size:
         return None
     k = int(moving[0])
@@ -327,7 +324,7 @@ def _first_track(fixed: GnssRecord, inside: NDArray[np.bool_]) -> _Track | None:
             misfit = np.sqrt(np.sum((path - A @ shape) ** 2, axis=0) / max(d.size - 3, 1))
             noise = np.maximum(misfit, fixed.pos_std_ned[k])
             sigma, bend = noise * np.sqrt(spread[1, 1]), float(np.max(noise)) * float(np.sqrt(spread[2, 2]))
-            if float(np.hypot(*shape[1, :2])) < max(TRACK_SPEED, 10.0 * float(np.max(sigma[:2]))) or bend > 1.0:
+            if float(np.hypot(*shape[1, :2])) < max(rules().track_speed, 10.0 * float(np.max(sigma[:2]))) or bend > 1.0:
                 continue
             return _Track(int(k), shape[1], shape[2], sigma, bend)
     return None
@@ -365,14 +362,14 @@ def _fast_part(imu: ImuRecord, k: int, name: str) -> Reduced:
     dt = imu.dt
     if imu.kind == "increment":
         values = values / widths_of(imu)[:, 0]
-    lowest = min(MOTION_HZ, 0.5 * 0.5 / dt)
+    lowest = min(rules().motion_hz, 0.5 * 0.5 / dt)
     values = without_motion(values[1:], dt, 0.6 * lowest)
     f, power, dof = moving_spectrum(values, dt, lowest)
     return Reduced(name, "rad/s" if k < 3 else "m/s^2", dt, values, 1, np.zeros(0), f, power, dof)
 
 
-#: A sample this many standard deviations from the median of its neighbours stands alone; the scatter is taken over so many samples.
-ALONE, SCATTER_SAMPLES = 8.0, 256
+#: Samples over which the scatter about the neighbours is taken.
+SCATTER_SAMPLES = 256
 
 
 def spikes(values: Array) -> Array:
@@ -386,7 +383,7 @@ def spikes(values: Array) -> Array:
     away: Array = values - 0.5 * (beside[1] + beside[2])
     pieces = [np.median(np.abs(p)) for p in np.array_split(away, max(1, n // SCATTER_SAMPLES))]
     local = np.repeat(pieces, [p.size for p in np.array_split(away, len(pieces))])
-    return np.where(np.abs(away) > ALONE / 0.6745 * np.maximum(local, np.median(pieces)), away, 0.0)
+    return np.where(np.abs(away) > rules().alone / 0.6745 * np.maximum(local, np.median(pieces)), away, 0.0)
 
 
 def without_motion(values: Array, dt: float, corner: float) -> Array:
@@ -411,5 +408,5 @@ def _trimmed(model: NoiseModel, fast: Reduced, named: float | None) -> NoiseMode
     fitted = fit(Likelihood(fast), Explanation.nominal(model)).explanation.model
     seen = next(p for p in fitted if isinstance(p, WN)).parameters["N"]
     n0 = whites[0].parameters["N"]
-    level = float(np.clip(seen, n0 / (1.0 + LEVEL_UNCERTAINTY), n0 * (1.0 + LEVEL_UNCERTAINTY)))
+    level = float(np.clip(seen, n0 / (1.0 + rules().tolerance), n0 * (1.0 + rules().tolerance)))
     return NoiseModel(tuple(WN(level) if p is whites[0] else p for p in model))

@@ -10,20 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import earth, rotation
+from insemu.effects import Column, FixGeometry, Motion, catalogue_columns
 from insemu.gap.data.samples import Clipped
 from insemu.gap.drive.preparation import Prepared, trimmed_factors
-from insemu.gap.drive.signatures import (
-    Column,
-    Loop,
-    Motion,
-    columns_response,
-    deterministic_columns,
-    fix_columns,
-    fix_step_response,
-    knot_response,
-)
+from insemu.gap.drive.signatures import Loop, columns_response, fix_step_response, knot_response
 from insemu.gap.evidence.fixes import FixNoise, Surrogate
 from insemu.gap.evidence.linear import Block, Field, knot_times
+from insemu.gap.policy import rules
 from insemu.noise import NoiseModel
 from insemu.records import GnssRecord, ImuRecord
 
@@ -32,8 +25,6 @@ Array = NDArray[np.float64]
 #: A step in the position fixes: axis (0..2), start and end in s.
 Window = tuple[int, float, float]
 
-#: Knots of slow processes: at least this far apart in s, and about so many.
-KNOT_S, KNOTS = 10.0, 60
 #: Starts of steps in the fixes that are tried first.
 STARTS = 120
 
@@ -94,19 +85,19 @@ class Scene:
         windows: tuple[Window, ...] = (),
     ) -> Scene:
         """Respond every column through the filter in the loop."""
-        motion = Motion.of(prepared.imu, prepared.result)
+        assert prepared.result.nodes is not None
+        motion = Motion.of(prepared.imu, prepared.result.nav, prepared.result.nodes.epoch)
         loop = Loop.of(prepared.result)
         t_fix = prepared.result.fixes.t
-        columns = deterministic_columns(motion) + fix_columns(
-            motion, t_fix, prepared.lever_arm, prepared.nominal.mounting
-        )
+        fixes = FixGeometry.of(motion, t_fix, prepared.lever_arm, prepared.nominal.mounting)
+        columns = catalogue_columns(motion, fixes)
         catalogue = len(columns)
         columns += library_columns(motion, t_fix, prepared.nominal.mounting)
         outside = slice(catalogue, len(columns))
         columns += clipped_columns(motion, prepared.clipped)
         G, ramp = columns_response(loop, motion, columns)
         start, end = float(motion.t[0]), float(motion.t[-1])
-        knots = knot_times(start, end, max(KNOT_S, (end - start) / KNOTS))
+        knots = knot_times(start, end, max(rules().knot_s, (end - start) / rules().knots))
         step = float(np.median(np.diff(t_fix))) if t_fix.size > 1 else end - start
         starts = np.arange(start, end, max(step, (end - start) / STARTS)) + 1e-3
         raw = np.concatenate([G, knot_response(loop, motion, ramp, knots), window_response(loop, windows)], axis=2)

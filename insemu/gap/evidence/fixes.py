@@ -13,6 +13,7 @@ from scipy import optimize
 from insemu.filters import FilterResult
 from insemu.gap.evidence import kernels
 from insemu.gap.evidence.model import log_mean_exp
+from insemu.gap.policy import rules
 
 Array = NDArray[np.float64]
 #: Standard deviations (6,) in m and m/s and correlation time in s of a Gauss-Markov part of the fixes.
@@ -149,10 +150,6 @@ class NoiseFit:
     colour: Colour | None
 
 
-#: Receivers state many times the scatter from fix to fix where they mean their slow errors.
-LOWEST_LEVEL, HIGHEST_LEVEL = 0.05, 8.0
-
-
 def gnss_noise_fits(
     s: Surrogate,
     base: float,
@@ -215,7 +212,7 @@ def gnss_noise_fits(
 
 def _level(at: Callable[[float], float], base: float, moved: float, edge: float) -> tuple[float, float, float] | None:
     """Evidence, log level and its spread of one level outside of its tolerance; None where the best level is inside."""
-    low, high = math.log(LOWEST_LEVEL) - moved, math.log(HIGHEST_LEVEL) - moved
+    low, high = math.log(rules().lowest_level) - moved, math.log(rules().highest_level) - moved
     found = optimize.minimize_scalar(lambda x: -at(x), bounds=(low, high), method="bounded", options={"xatol": 0.01})
     x, top = float(found.x), -float(found.fun)
     if abs(x + moved) < edge:
@@ -234,7 +231,7 @@ def _colours(s: Surrogate, base: float) -> list[NoiseFit]:
         return []
     span = float(s.t[-1] - s.t[0])
     step = float(np.median(np.diff(s.t)))
-    taus, ratios = (2.0 * step, 0.5 * span), (0.1, 30.0)
+    taus, ratios = (2.0 * step, 0.5 * span), rules().colour_sizes
     area = math.log(taus[1] / taus[0]) * math.log(ratios[1] / ratios[0])
     out: list[NoiseFit] = []
     best_of_all = -math.inf

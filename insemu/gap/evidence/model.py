@@ -19,14 +19,11 @@ from scipy import optimize
 
 from insemu.gap.data.log import Reduced, density, difference_covariance, of_unit_level
 from insemu.gap.evidence import kernels
+from insemu.gap.policy import rules
 from insemu.noise import NoiseModel, Process
 
 Array = NDArray[np.float64]
 
-#: How far a nominal noise level may be off before that is an effect, and how soft that border is (in log).
-LEVEL_UNCERTAINTY, LEVEL_EDGE = 0.22, 0.02
-#: Prior standard deviations of a regressor's coefficient, in units of the effect's datasheet scale; evidence is averaged over them.
-PRIOR_SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)
 #: Step of the differences that give the curvature at a mode, in log.
 CURVATURE_STEP = 5e-3
 
@@ -48,7 +45,7 @@ class Free:
     name: str
     low: float
     high: float
-    edge: float = 0.3
+    edge: float = field(default_factory=lambda: rules().edge)
 
     @property
     def width(self) -> float:
@@ -70,8 +67,8 @@ class Free:
         return self.width / math.sqrt(12.0)
 
 
-def level(name: str, value: float, uncertainty: float = LEVEL_UNCERTAINTY, power: int = 1) -> Free:
-    """A nominal level that may be wrong by ``uncertainty`` (relative).
+def level(name: str, value: float, uncertainty: float | None = None, power: int = 1) -> Free:
+    """A nominal level that may be wrong by ``uncertainty`` (relative); as much as the policy says where it is not given.
 
     Parameters
     ----------
@@ -79,13 +76,14 @@ def level(name: str, value: float, uncertainty: float = LEVEL_UNCERTAINTY, power
         Parameter.
     value : float
         Its nominal value, in its own unit.
-    uncertainty : float
+    uncertainty : float, optional
         Of the signal.
     power : int
         Power of the signal in the parameter: 2 for a variance.
     """
+    uncertainty = rules().tolerance if uncertainty is None else uncertainty
     factor = (1.0 + uncertainty) ** power
-    return Free(name, value / factor, value * factor, LEVEL_EDGE * power)
+    return Free(name, value / factor, value * factor, rules().tolerance_edge * power)
 
 
 @dataclass(frozen=True)
@@ -335,7 +333,7 @@ class Likelihood:
         white = np.empty_like(stacked)
         kernels.toeplitz_whiten(gamma, stacked, white)
         G = white[:, 1:]
-        scales = np.concatenate([r.scales for r in explanation.regressors]) * max(PRIOR_SCALES)
+        scales = np.concatenate([r.scales for r in explanation.regressors]) * max(rules().prior_scales)
         covariance = np.linalg.inv(G.T @ G + np.diag(1.0 / scales**2))
         return covariance @ (G.T @ white[:, 0]), covariance
 
@@ -343,7 +341,7 @@ class Likelihood:
 def regression_evidence(A: Array, b: Array, scales: Array) -> float:
     """Log Bayes factor of a linear effect against none, averaged over prior scales.
 
-    ``1/2 b' (A + L^-1)^-1 b - 1/2 log|I + L A|`` with ``L = diag((c scales)^2)`` for c in :data:`PRIOR_SCALES`.
+    ``1/2 b' (A + L^-1)^-1 b - 1/2 log|I + L A|`` with ``L = diag((c scales)^2)`` for c in the policy's ``prior_scales``.
 
     Parameters
     ----------
@@ -353,7 +351,7 @@ def regression_evidence(A: Array, b: Array, scales: Array) -> float:
         Datasheet scale of each coefficient.
     """
     factors = []
-    for c in PRIOR_SCALES:
+    for c in rules().prior_scales:
         d = c * scales
         M = np.eye(d.size) + d[:, None] * A * d[None, :]
         sign, logdet = np.linalg.slogdet(M)

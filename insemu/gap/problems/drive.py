@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.effects import EFFECTS, EffectUse
+from insemu.effects import EFFECTS, EffectUse, having
 from insemu.errors import InputError
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.candidates.axis import CANDIDATES, AxisState
@@ -17,7 +17,6 @@ from insemu.gap.candidates.fixes import covariance_hypotheses, multipath_step, u
 from insemu.gap.candidates.outliers import evident_outliers
 from insemu.gap.candidates.shapes import (
     ONCE,
-    PARSIMONY,
     PROCESSES,
     Hypothesis,
     Variant,
@@ -31,47 +30,27 @@ from insemu.gap.candidates.shapes import (
 from insemu.gap.candidates.tones import wandering, without_tones
 from insemu.gap.checks.drive import drive_map, innovation_tests
 from insemu.gap.checks.rest import corrected
-from insemu.gap.confusion import SHARE, Repetitions
+from insemu.gap.confusion import Repetitions
 from insemu.gap.data.log import Reduced, unheard
 from insemu.gap.data.samples import advanced, coarse, mend, with_counts
 from insemu.gap.drive.preparation import LEVEL_GROUPS, Flown, Prepared, fast_parts, fixes_score, prepare
 from insemu.gap.drive.scene import Scene, first_rows
 from insemu.gap.evidence.fixes import NED, FixNoise, joint_noise, level_derivatives, level_scores
 from insemu.gap.evidence.linear import Block, Field
-from insemu.gap.evidence.model import LEVEL_UNCERTAINTY, Component, Free, Likelihood, fit
+from insemu.gap.evidence.model import Component, Free, Likelihood, fit
+from insemu.gap.policy import rules
 from insemu.gap.problems import rest as at_rest
 from insemu.gap.problems.known import colour_of, of_axis, settled, starting_explanation, without_drawn
-from insemu.gap.verdict import LEAD, Confusable, GapReport, Interval, Member, Step, Value, judged
+from insemu.gap.verdict import Confusable, GapReport, Interval, Member, Step, Value, judged
 from insemu.noise import BI, GM, QN, RW, WN, NoiseModel
 from insemu.records import AXES, Recording
 
 Array = NDArray[np.float64]
 
-MOST_STEPS = 8
-#: Probability that anything at all is missing, below which the search ends.
-SURE = 0.8
-#: Share of the posterior that the members of a class hold together.
-CLASS_SHARE = 0.96
-#: A shape worth more than this is taken out of the data and the filter run again, so that what is left is small enough to be linear.
-CORRECT_NATS = 40.0
 #: Candidates of the fast band; the others need a sensor at rest.
-FAST = (
-    "white_noise",
-    "quantization",
-    "vibration_band",
-    "vibration_line",
-    "decimation_filter",
-    "outliers",
-)
-OMNIBUS = 0.001
-#: By what factor a slow process may be larger or smaller above the motion than the fixes say.
-LEAK = 10.0
+FAST = having("fast") | {"outliers"}
 #: What a tone of one axis is called that changes its frequency.
 WANDERING = "a tone whose frequency wanders"
-#: What manoeuvres leave in the fast band is worth some nats, so effects there must be worth more; nominal drives stay below 2 on every axis.
-FAST_THRESHOLD = 6.0
-#: By how much structure outside the catalogue must beat it: it is tried shape by shape, without the effects it could be confused with.
-OUTSIDE_LEAD = 3.0
 
 
 # -- the search -----------------------------------------------------------------------------------------------------------------------
@@ -208,20 +187,20 @@ class Search:
         """Whether noise of the fixes was named before something strong that it could have stood for."""
         noise = next((k for k, f in enumerate(self.found) if f.chosen.block is None), None)
         return noise is not None and any(
-            f.chosen.gain > CORRECT_NATS and f.chosen.block is not None and not _is_step(f)
+            f.chosen.gain > rules().correct_nats and f.chosen.block is not None and not _is_step(f)
             for f in self.found[noise + 1 :]
         )
 
     def _climb(self, progress: Callable[[str], None]) -> None:
-        for _ in range(MOST_STEPS):
+        for _ in range(rules().most_effects):
             ranked = self.rank(self.blocks(self.found), self._skip(self.found))
             best = ranked[0]
             beyond, what = library_gain(self.scene, self.data, self.blocks(self.found))
-            if beyond > self.threshold and beyond > best.gain + OUTSIDE_LEAD:
+            if beyond > self.threshold and beyond > best.gain + rules().lead:
                 self.outsider = what
                 break
             pair = self._hidden_pair(best)
-            if pair is None and (best.gain < self.threshold or something(ranked) < SURE):
+            if pair is None and (best.gain < self.threshold or something(ranked) < rules().something):
                 break
             best = pair or self._apart(best)
             progress(f"{best.effect} {best.gain:.1f} nats")
@@ -240,11 +219,11 @@ class Search:
         if len(best.axes) > 1:
             first, total, count = self._greedy(single)
             # as many numbers must say more; with fewer it is enough to say as much
-            if first is not None and total > best.gain + (1.0 if count >= len(best.axes) else -PARSIMONY):
+            if first is not None and total > best.gain + (1.0 if count >= len(best.axes) else -rules().keep_nats):
                 return self._apart(first)
         if best.effect in PROCESSES:
             first, total, _ = self._greedy([v for v in single if not v.process and v.sensor == best.sensor])
-            if first is not None and total > best.gain + LEAD:
+            if first is not None and total > best.gain + rules().lead:
                 return first
         return best
 
@@ -257,13 +236,13 @@ class Search:
         A, b = self.data.conditioned(given)
         together, first, second = best_pair(ones, A, b[:, 0])
         together -= math.log(0.5 * len(ones) ** 2)
-        if together < max(best.gain, self.threshold) + LEAD:
+        if together < max(best.gain, self.threshold) + rules().lead:
             return None
         beside = [*given, *((best.block,) if best.block is not None and best.gain > self.threshold else ())]
         follows = max(
             (h.gain for h in linear_hypotheses(self.scene, self.variants, self.data, beside, skip)), default=0.0
         )
-        if together < max(best.gain, 0.0) + max(follows, 0.0) + LEAD:
+        if together < max(best.gain, 0.0) + max(follows, 0.0) + rules().lead:
             return None
         own = [v for v in ones if v.index[0] == first[0][0]]
         return next(iter(linear_hypotheses(self.scene, own, self.data, [*given, second], skip)), None)
@@ -302,7 +281,7 @@ class Search:
                 s = replace(scene.surrogate, nu=unexplained_innovations(scene, self.blocks(self.found)))
                 moved = scene.original.factors / scene.original.levels
                 noise = joint_noise(
-                    s if self.cut is None else s.until(self.cut), level.colour, moved, LEVEL_UNCERTAINTY
+                    s if self.cut is None else s.until(self.cut), level.colour, moved, rules().tolerance
                 )
                 scene = scene.coloured(noise)
                 sigma = dict(zip((f"sigma_{a}" for a in NED), noise.colour[0], strict=False))
@@ -314,7 +293,7 @@ class Search:
             self.found.append(Found(best, tuple(ranked)))
         else:
             self.found.append(Found(best, tuple(ranked)))
-            if best.gain > CORRECT_NATS and best.columns:
+            if best.gain > rules().correct_nats and best.columns:
                 self._take(scene)
                 scene = scene.rebuilt(corrections=self._corrections())
         self._take(scene)
@@ -327,7 +306,7 @@ class Search:
         strong = {
             c
             for f in self.found
-            if f.chosen.gain > CORRECT_NATS
+            if f.chosen.gain > rules().correct_nats
             for c in f.chosen.columns
             if not self.scene.columns[c].runs
         }
@@ -343,10 +322,10 @@ class Search:
             ranked = self.rank(self.blocks(others), self._skip(others), fixes=False)
             kept = next((h for h in ranked if (h.effect, h.sensor) == (f.chosen.effect, f.chosen.sensor)), None)
             best = ranked[0]
-            if best.gain < min(self.threshold, 2.0):
+            if best.gain < min(self.threshold, rules().keep_nats):
                 self.found = others
                 changed = True
-            elif kept is None or best.gain > kept.gain + 0.5:
+            elif kept is None or best.gain > kept.gain + rules().swap_nats:
                 self._swap(f, best, ranked)
                 changed = True
             elif changed or f is not self.found[-1]:
@@ -589,7 +568,7 @@ def again_with_processes(
             # knots tell the slow part; how much of it reaches above the motion is another matter
             size = PROCESSES[f.chosen.effect]
             value = process.parameters[size]
-            free = (Free(size, value / LEAK, value * LEAK),)
+            free = (Free(size, value / rules().leak, value * rules().leak),)
             beside.setdefault(f"{f.chosen.sensor}_{axis}", []).append(Component(process, free))
     touched = set(beside) & {name for name, r in fast if r.found}
     if not touched:
@@ -620,7 +599,6 @@ def find_dynamic_gap(
     nominal: Nominal,
     *,
     rng: np.random.Generator,
-    threshold: float = 3.0,
     without: Collection[str] = (),
     hold_out: bool = True,
     progress: Callable[[str], None] | None = None,
@@ -631,6 +609,7 @@ def find_dynamic_gap(
     ``flown`` is the nominal filter's run on this recording, where there is one already.
     """
     say = progress or (lambda _: None)
+    threshold = rules().least_nats
     say("running the nominal filter")
     missing = [a for a in AXES if a not in nominal.beliefs]
     if missing:
@@ -650,7 +629,7 @@ def find_dynamic_gap(
     # rounded that coarsely, the error follows the motion and is no noise that a spectrum could tell anything from
     rounded = coarse(believed.beliefs, mended.steps, recording.imu.dt)
     parts = {name: unheard(data) if name in rounded else data for name, data in parts.items()}
-    fast = fast_effects(parts, nominal, max(threshold, FAST_THRESHOLD), without, say, clipped=clipped)
+    fast = fast_effects(parts, nominal, max(threshold, rules().fast_nats), without, say, clipped=clipped)
     levels = {name: level for name, r in fast if (level := white_level(r)) is not None}
     prepared, recording, late = without_delay(
         recording, nominal, parts, levels, dict(fast), flown.prepared if flown and not levels else None
@@ -670,7 +649,7 @@ def find_dynamic_gap(
     before = after = held = nothing
     if hold_out:
         say("scoring on held-out fixes")
-        cut = float(scene.motion.t[0] + at_rest.NAMING_SHARE * (scene.motion.t[-1] - scene.motion.t[0]))
+        cut = float(scene.motion.t[0] + rules().naming_share * (scene.motion.t[-1] - scene.motion.t[0]))
         first = find_effects(scene, cut, threshold, without, lambda _: None)
         plain = Scene.of(prepare(whole, believed, parts, levels)) if noticed or late else scene
         before, after, held = held_out(plain, first, cut)
@@ -682,8 +661,8 @@ def find_dynamic_gap(
     final, blocks = believing(named)
     residual, _ = final.data.residual(blocks)
     tests = innovation_tests(final, residual)
-    failed = [w for w in corrected(tests) if w.p_value < OMNIBUS]
-    fast = again_with_processes(fast, named, parts, nominal, max(threshold, FAST_THRESHOLD), without, clipped)
+    failed = [w for w in corrected(tests) if w.p_value < rules().omnibus_drive]
+    fast = again_with_processes(fast, named, parts, nominal, max(threshold, rules().fast_nats), without, clipped)
     ends = {name: r.end for name, r in fast}
     rest = corrected([*tests, *drive_map(final, residual, ends, drawn)])
     # where one axis vibrates so that no stationary process holds it, the same vibration is what changes on the others
@@ -753,7 +732,7 @@ def _step(f: Found, named: Named) -> Step:
     for k in order:
         r = ranked[k]
         member = Member(r.effect, r.sensor, h.axes if k == own else r.axes, r.gain)
-        if k == own or (r.gain > h.gain - LEAD and r.gain > 0.0 and held < CLASS_SHARE * share):
+        if k == own or (r.gain > h.gain - rules().lead and r.gain > 0.0 and held < rules().class_share * share):
             members.append(member)
         elif r.gain > 0.0:
             others.append(member)
@@ -788,7 +767,9 @@ def with_confusable(
             coefficients = np.array([mean[np.flatnonzero(at == i)[0]] for i in index])
         shares = repetitions.shares([v for v in bank(scene) if v.effect not in passed], index, coefficients, given)
         rivals = [
-            Confusable(*key, share) for key, share in shares.items() if share >= SHARE and key != (h.effect, h.sensor)
+            Confusable(*key, share)
+            for key, share in shares.items()
+            if share >= rules().confusable and key != (h.effect, h.sensor)
         ]
         out.append(replace(step, confusable=tuple(sorted(rivals, key=lambda c: -c.share))))
     return out

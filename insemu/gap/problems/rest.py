@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.blas import on_one_thread
-from insemu.effects import EffectUse
+from insemu.effects import EffectUse, having
 from insemu.errors import InputError
 from insemu.gap.candidates.axis import CANDIDATES, AxisState, Weighed, state_of
 from insemu.gap.candidates.noise import turn_on_bias
@@ -23,28 +23,19 @@ from insemu.gap.checks import rest as checks
 from insemu.gap.data.log import Reduced, reduce
 from insemu.gap.evidence.band import Band
 from insemu.gap.evidence.model import Component, Explanation, Likelihood, fit
+from insemu.gap.policy import Policy, rules, under
 from insemu.gap.problems.known import settled, starting_explanation
-from insemu.gap.threshold import USUAL, certain, nominal_tail, threshold_of
-from insemu.gap.verdict import LEAD, GapReport, Interval, Member, Step, Value, Where, judged
+from insemu.gap.threshold import certain, nominal_tail, threshold_of, usual_tail
+from insemu.gap.verdict import GapReport, Interval, Member, Step, Value, Where, judged
 from insemu.noise import DR, SIN, NoiseModel, Process
 from insemu.records import Series
 
 Array = NDArray[np.float64]
 
-#: Evidence that an effect must exceed in any log; where a decision hangs on it the nominal model is simulated (:mod:`calibration`).
-THRESHOLD = 3.0
-#: Corrected p-value below which a final model is called unexplained.
-OMNIBUS = 0.002
-#: Share of the log on which effects are named for the held-out figures.
-NAMING_SHARE = 2.0 / 3.0
-#: Fast effects of a real log can be many; its slow ones come after them.
-MOST_STEPS = 12
-#: p-value of a stationary spectrum below which no stationary process is looked for in the fast band any more.
-DRIFTING = 1e-6
 VARYING = "vibration that changes with time"
 
 #: Effects whose shape in time is known.
-KNOWN_SHAPES = frozenset({"temperature", "ramp"})
+KNOWN_SHAPES = having("shape")
 #: Candidates that describe the same effect of the catalogue.
 _EFFECT_OF = {"quantization_output": "quantization"}
 _SENSORS = {"gyro": "gyro", "accel": "accel"}
@@ -91,20 +82,21 @@ def _confidence(ranked: Sequence[Weighed]) -> float:
 def search(
     state: AxisState,
     *,
-    threshold: float = THRESHOLD,
+    threshold: float | None = None,
     without: Collection[str] = (),
     progress: Callable[[str], None] | None = None,
     outsiders: bool = True,
 ) -> AxisResult:
     """Name, add and reconsider effects of one axis until nothing more is worth the threshold."""
+    threshold = rules().least_nats if threshold is None else threshold
     start, found = state, []
     outsider = ""
     excluded = bool(without) and outsiders
-    for _ in range(MOST_STEPS):
+    for _ in range(rules().most_effects):
         ranked = weigh_all(state, without)
         best = ranked[0] if ranked else None
         beyond = [w for name in (without if excluded else ()) if name in CANDIDATES for w in CANDIDATES[name](state)]
-        if beyond and max(w.gain for w in beyond) > max(best.gain if best else 0.0, 0.0) + LEAD:
+        if beyond and max(w.gain for w in beyond) > max(best.gain if best else 0.0, 0.0) + rules().lead:
             # something of known structure that the catalogue does not hold fits better than anything it does
             outsider = max(beyond, key=lambda w: w.gain).effect
             break
@@ -117,7 +109,7 @@ def search(
         state = new.chosen.state
         untidy = any(w.effect in _UNTIDY and w.gain > threshold for w in ranked)
         fast = new.chosen.effect in _FAST and new.chosen.variant != "output counts"
-        if fast and not untidy and checks.drifting_spectrum(state) < DRIFTING:
+        if fast and not untidy and checks.drifting_spectrum(state) < rules().drifting_p:
             # no stationary process explains it, and more of them would only chase it; what is slow can still be told
             outsider = VARYING
             without = (*without, *_FAST, *_UNTIDY)
@@ -219,17 +211,22 @@ def _reconsider(state: AxisState, found: list[Found], without: Collection[str]) 
         base = replace(state, fitted=fit(Likelihood(state.data), rest), named=tuple(names), memory={})
         others = _FAST | _UNTIDY - {"telegraph"} if slow else (_SLOW | KNOWN_SHAPES) - {"gauss_markov"}
         rivals = weigh_all(base, (*without, *others - {effect}))
-        ranked = [w for w in rivals if w.gain > -LEAD and is_slow(w, state.data) == slow]
+        ranked = [w for w in rivals if w.gain > -rules().lead and is_slow(w, state.data) == slow]
         kept = next((w for w in ranked if w.effect == effect), None)
         own = max(state.fitted.evidence - base.fitted.evidence, kept.gain if kept else -math.inf)
         # worth what it was at entry, or more where only the others let it be seen
         shift = max(f.chosen.gain - own, 0.0)
         moved = tuple(replace(w, gain=w.gain + shift) for w in ranked if w.effect != effect)
-        if own < 0.0 and (not ranked or ranked[0].gain < LEAD):
+        if own < 0.0 and (not ranked or ranked[0].gain < rules().lead):
             found = [g for g in found if g is not f]
             state = base
             seen[effect] -= 1
-        elif ranked and ranked[0].effect != effect and ranked[0].gain > own + 0.5 and not _taken_out(ranked[0]):
+        elif (
+            ranked
+            and ranked[0].effect != effect
+            and ranked[0].gain > own + rules().swap_nats
+            and not _taken_out(ranked[0])
+        ):
             swapped = replace(ranked[0], gain=ranked[0].gain + shift)
             order = tuple(sorted((replace(f.chosen, gain=own + shift), *moved), key=lambda w: -w.gain))
             found = [Found(swapped, order, _confidence(order)) if g is f else g for g in found]
@@ -247,15 +244,14 @@ def is_slow(w: Weighed, data: Reduced) -> bool:
     """Whether an effect lives in the block means rather than in the spectrum above them."""
     if w.effect == "gauss_markov":
         beta = next((v.value for v in w.values if v.name == "beta"), 0.0)
-        return bool(beta * data.block_s < 3.0)
+        return bool(beta * data.block_s < rules().slow_blocks)
     return w.effect in _SLOW or w.effect in KNOWN_SHAPES
 
 
 def _taken_out(w: Weighed) -> bool:
     if w.effect == "telegraph":
         return w.variant == "levels"
-    plain = ("vibration_line", "outliers", "dropped_samples", "saturation")
-    return w.effect in plain or w.variant == "output counts"
+    return w.effect in having("drawn", "samples") or w.variant == "output counts"
 
 
 def _without(explanation: Explanation, effect: str, occurrence: int = 0) -> Explanation | None:
@@ -398,13 +394,13 @@ def find_static_gap(
     rng: np.random.Generator,
     temperature: Array | None = None,
     missing: NDArray[np.bool_] | None = None,
-    threshold: float = THRESHOLD,
     without: Collection[str] = (),
     hold_out: bool = True,
     source: str = "recording",
     progress: Callable[[str], None] | None = None,
     known: Mapping[str, Sequence[EffectUse]] | None = None,
     calibrate: bool = True,
+    policy: Policy | None = None,
 ) -> GapReport:
     """Find what a static log has that the believed noise models lack.
 
@@ -420,8 +416,6 @@ def find_static_gap(
         degC at the samples.
     missing : (n,) array of bool, optional
         Samples that the time stamps skip and that were filled in.
-    threshold : float
-        Nats that an effect must be worth at least.
     without : collection of str
         Effects taken out of the catalogue.
     hold_out : bool
@@ -430,6 +424,8 @@ def find_static_gap(
         Low-pass and rounding that are known and not asked for.
     calibrate : bool
         Whether a weak effect must also be worth more than the best candidate is in 2 % of simulated nominal logs.
+    policy : Policy, optional
+        The constants of the search; those in force where it is not given.
 
     Raises
     ------
@@ -437,8 +433,38 @@ def find_static_gap(
         No axis, an axis without a belief, too few samples, a temperature of another length.
     """
     _check(log, beliefs, temperature)
-    say = progress or (lambda _: None)
-    known = known or {}
+    with under(policy):
+        return _static_gap(
+            log,
+            beliefs,
+            rng,
+            temperature,
+            missing,
+            without,
+            hold_out,
+            source,
+            progress or (lambda _: None),
+            known or {},
+            calibrate,
+        )
+
+
+def _static_gap(
+    log: Sequence[Series],
+    beliefs: Mapping[str, NoiseModel],
+    rng: np.random.Generator,
+    temperature: Array | None,
+    missing: NDArray[np.bool_] | None,
+    without: Collection[str],
+    hold_out: bool,
+    source: str,
+    progress: Callable[[str], None],
+    known: Mapping[str, Sequence[EffectUse]],
+    calibrate: bool,
+) -> GapReport:
+    """What :func:`find_static_gap` does, under the policy in force."""
+    threshold = rules().least_nats
+    say = progress
     nominal = {s.name: starting_explanation(beliefs[s.name], known.get(s.name, ()), s.dt) for s in log}
     named_before = {s.name: settled(known.get(s.name, ())) for s in log}
     results: dict[str, AxisResult] = {}
@@ -456,7 +482,8 @@ def find_static_gap(
     if calibrate and weak:
         say("simulating the nominal model for the threshold")
         tails = [
-            nominal_tail(r.start, nominal[k], weigh_all, without) if k in weak else USUAL for k, r in results.items()
+            nominal_tail(r.start, nominal[k], weigh_all, without) if k in weak else usual_tail()
+            for k, r in results.items()
         ]
         higher = threshold_of(tails, threshold)
         for k in weak:
@@ -467,7 +494,7 @@ def find_static_gap(
         if hold_out:
             say(f"{s.name}: scoring on held-out data")
             data = results[s.name].start.data
-            cut = int(len(s) * NAMING_SHARE) // data.block * data.block
+            cut = int(len(s) * rules().naming_share) // data.block * data.block
             part = _piece(data, 0, cut)
             T1, T2 = (None, None) if temperature is None else (temperature[:cut], temperature[cut:])
             named = search(
@@ -479,7 +506,7 @@ def find_static_gap(
     steps = merged_steps(results)
     if missing is not None and "dropped_samples" not in without:
         steps = tuple(sorted((*steps, *gaps_of(missing)), key=lambda s: -s.gain_nats))
-    failed = [w for w in after if w.p_value < OMNIBUS]
+    failed = [w for w in after if w.p_value < rules().omnibus_rest]
     outsiders = {split_axis(name): r.outsider for name, r in results.items() if r.outsider}
     steps = tuple(s.doubted() if is_shaken(s, failed, outsiders) else s for s in steps)
     left = remainder(failed, outsiders)
@@ -511,7 +538,7 @@ def find_static_gap(
 #: Tests of the fast band; all others look at block means.
 _FAST_TESTS = frozenset({"spectrum", "stationarity", "noise level over time", "tails"})
 #: Effects that are read off the samples or go with a signal that was recorded beside them: nothing unexplained can stand in for them.
-_PLAIN = frozenset({"temperature", "dropped_samples", "saturation", "turn_on_bias"})
+_PLAIN = having("evident")
 
 
 def is_shaken(step: Step, failed: Sequence[Where], outsiders: Mapping[tuple[str, str], str]) -> bool:
@@ -557,7 +584,7 @@ def gaps_of(missing: NDArray[np.bool_]) -> tuple[Step, ...]:
     )
     # every gap is seen in the stamps; against stamps that skip once in the whole log by accident
     gain = bursts * max(math.log(share * missing.size), 0.0) + 1.0
-    if gain < THRESHOLD:
+    if gain < rules().least_nats:
         return ()
     own = Member("dropped_samples", "imu", (), gain)
     return (Step("dropped_samples", "time stamps", "imu", (), values, 1.0, gain, (own,)),)
@@ -652,10 +679,9 @@ def _curves(result: AxisResult, nominal: Explanation, rng: np.random.Generator) 
 
 
 #: What would tell effects of a class apart.
-_SLOW = frozenset({"random_walk", "gauss_markov", "flicker", "ramp", "telegraph"})
-_FAST = frozenset({"quantization", "vibration_band", "vibration_line", "decimation_filter", "white_noise"})
+_SLOW, _FAST = having("slow"), having("fast")
 #: What disturbs single samples or pieces of a log.
-_UNTIDY = frozenset({"outliers", "telegraph", "dropped_samples", "saturation"})
+_UNTIDY = having("samples")
 
 
 def would_separate(effects: Collection[str], duration_s: float) -> str:
@@ -719,8 +745,8 @@ def merged_steps(results: Mapping[str, AxisResult]) -> tuple[Step, ...]:
         rivals[effect] = total
         ordered = sorted(rivals.items(), key=lambda item: -item[1])
         top = ordered[0][1]
-        members = tuple(Member(k, sensor, axes, g) for k, g in ordered if g > top - LEAD and g > 0.0)
-        others = tuple(Member(k, sensor, axes, g) for k, g in ordered if g <= top - LEAD and g > 0.0)[:5]
+        members = tuple(Member(k, sensor, axes, g) for k, g in ordered if g > top - rules().lead and g > 0.0)
+        others = tuple(Member(k, sensor, axes, g) for k, g in ordered if g <= top - rules().lead and g > 0.0)[:5]
         p = np.exp(np.array([g for _, g in ordered] + [math.log(len(ordered))]) - top)
         confidence = float(np.exp(total - top) / p.sum())
         duration = items[0][2].start.data.duration_s

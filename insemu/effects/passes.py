@@ -85,11 +85,22 @@ def leave_out(
 
 @njit(cache=True, nogil=True)
 def respond(
-    signal: Array, mounting: Array, matrix: Array, asymmetry: Array, square: Array, cube: Array, offset: Array
+    signal: Array,
+    mounting: Array,
+    matrix: Array,
+    asymmetry: Array,
+    square: Array,
+    cube: Array,
+    offset: Array,
+    places: NDArray[np.int64],
+    factors: Array,
+    changing: Array,
+    levels: Array,
 ) -> None:
     """Functions of the true signal, all of the same true signal.
 
-    ``x = mounting s`` for the gyroscopes and the accelerometers, then ``y = x + matrix x + asymmetry |x| + square x^2 + cube x^3 + offset``.
+    ``x = mounting s`` for the gyroscopes and the accelerometers, then ``y = x + matrix x + asymmetry |x| + square x^2 + cube x^3 + offset``,
+    plus ``factors[m] x[j] x[k]`` on axis i for every ``(i, j, k)`` in ``places``, plus ``levels[q] changing[q] x`` for every q.
 
     Parameters
     ----------
@@ -99,6 +110,10 @@ def respond(
     matrix : (6, 6) array
         Scale factors, misalignments, g-sensitivities.
     asymmetry, square, cube, offset : (6,) arrays
+    places, factors : (m, 3) and (m,) arrays
+        Products of two signals.
+    changing, levels : (q, 6, 6) and (q, n) arrays
+        Matrices that change with time.
     """
     x = np.empty(6)
     for k in range(signal.shape[1]):
@@ -111,6 +126,12 @@ def respond(
             for j in range(6):
                 total += matrix[i, j] * x[j]
             signal[i, k] = v + total
+        for m in range(factors.size):
+            signal[places[m, 0], k] += factors[m] * x[places[m, 1]] * x[places[m, 2]]
+        for q in range(levels.shape[0]):
+            for i in range(6):
+                for j in range(6):
+                    signal[i, k] += levels[q, k] * changing[q, i, j] * x[j]
 
 
 @njit(cache=True, nogil=True)
@@ -147,17 +168,6 @@ def motion_profile(speed: Array, rest: float, out: Array) -> None:
     for k in range(out.size):
         u = min(speed[k] / 5.0, 1.0)
         out[k] = rest + (1.0 - rest) * u * u * (3.0 - 2.0 * u)
-
-
-@njit(cache=True, nogil=True)
-def ramp_response(x: Array, a: float, b0: float, b1: float, out: Array) -> None:
-    """``y_k = a y_(k-1) + b0 x_k + b1 x_(k-1)`` from ``y_0 = x_0``."""
-    previous = y = x[0]
-    for k in range(out.size):
-        if k:
-            y = a * y + b0 * x[k] + b1 * previous
-            previous = x[k]
-        out[k] = y
 
 
 @njit(cache=True, nogil=True)
