@@ -285,6 +285,7 @@ def process_of(item: Mapping[str, Any], signal_unit: str) -> Process:
     """The process of one mapping with the key ``process``; raises ``InputError``."""
     given = dict(item)
     name = given.pop("process", None)
+    name = grammar.ALIASES.get(name, name)
     if name not in PROCESSES:
         raise InputError(f"unknown process {name!r}" + nearest(str(name), PROCESSES), where="process")
     return PROCESSES[name].from_mapping(given, signal_unit)

@@ -16,7 +16,7 @@ MA    by exact doubling              yes        yes         q + 1      carried
 ARMA  by exact doubling              yes        yes         max(p,q+1) carried
 QN    closed                         yes        yes         2          free
 DR    closed                         no         yes         2          free
-BI    closed                         no         refused     -          free
+BI    closed                         no         of a band   decades    free
 SIN   closed                         yes        yes         2          free
 RC    0                              no         yes         1          free
 ===== ============================== ========== =========== ========== ===============
