@@ -103,11 +103,7 @@ class Stage:
 
 def wrong(model: NoiseModel, rng: np.random.Generator) -> NoiseModel:
     """The belief: every level off by up to 20 %."""
-    out = []
-    for p in model:
-        name = p.parameters_meta()[0].name
-        out.append(p.with_parameters({**p.parameters, name: p.parameters[name] * float(rng.uniform(1.0 / OFF, OFF))}))
-    return NoiseModel(tuple(out))
+    return NoiseModel(tuple(p.scaled(float(rng.uniform(1.0 / OFF, OFF))) for p in model))
 
 
 def stage(
