@@ -38,6 +38,7 @@ def run_items(
     *,
     pool: Executor | None = None,
     store: Store[R] | None = None,
+    prepare: Callable[[], None] | None = None,
     done: Callable[[R], None] | None = None,
 ) -> dict[str, R]:
     """Work on every item that is not finished yet.
@@ -52,6 +53,8 @@ def run_items(
         Any of ``concurrent.futures``; none: here, one after the other.
     store : Store, optional
         Where finished items are looked for and kept.
+    prepare : callable, optional
+        Called once before the first item is worked on, where any is.
     done : callable, optional
         Told of every result, the kept ones first, as they are finished.
 
@@ -73,6 +76,8 @@ def run_items(
         if store is not None and (kept := store.get(key)) is not None:
             finish(key, kept, keep=False)
     todo = [key for key in items if key not in out]
+    if todo and prepare is not None:
+        prepare()
     if pool is None:
         for key in todo:
             finish(key, work(items[key]))

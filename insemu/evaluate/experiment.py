@@ -10,7 +10,8 @@ import platform
 import subprocess
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from importlib import metadata
@@ -46,6 +47,7 @@ from insemu.noise import ARMA, NoiseModel, NotStationary, axis_unit, load
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Series
 from insemu.scenario import AxisSource, Scenario, digest
 from insemu.strapdown import NavState, trajectory_of
+from insemu.work import Arrays, run_items
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
@@ -473,32 +475,29 @@ def run_experiment(
     total = realizations if realizations is not None else s.realizations
     if s.recording is not None:
         total = 1  # what was recorded happened once
-    folder = cache / experiment.digest if cache is not None else None
-    items: dict[int, dict[str, Array]] = {}
-    for r in range(total):
-        kept = _kept(folder, r)
-        if kept is not None:
-            items[r] = kept
-    todo = [r for r in range(total) if r not in items]
-    if todo:
-        progress(len(items), total, "preparing")
-        for (
-            name
-        ) in experiment.beliefs:  # fits are made once, before the threads, and whatever is wrong with them is said
+    store = Arrays(cache / experiment.digest) if cache is not None else None
+    finished, flying = 0, False
+
+    def prepare() -> None:
+        # fits are made once, before the threads, and whatever is wrong with them is said
+        nonlocal flying
+        flying = True
+        progress(finished, total, "preparing")
+        for name in experiment.beliefs:
             experiment.filter(name)
-    progress(len(items), total, "flying")
-    own = executor is None
-    pool = executor if executor is not None else ThreadPoolExecutor(max_workers=max(1, workers))
-    try:
-        futures = {pool.submit(experiment.realization, r): r for r in todo}
-        for future in as_completed(futures):
-            r = futures[future]
-            items[r] = future.result()
-            _keep(folder, r, items[r])
-            progress(len(items), total, "flying")
-    finally:
-        if own:
-            pool.shutdown(wait=True, cancel_futures=True)
+        progress(finished, total, "flying")
+
+    def done(_: dict[str, Array]) -> None:
+        nonlocal finished
+        finished += 1
+        if flying or finished == total:
+            progress(finished, total, "flying")
+
+    with nullcontext(executor) if executor is not None else ThreadPoolExecutor(max(1, workers)) as pool:
+        flown = run_items(
+            {f"{r:05d}": r for r in range(total)}, experiment.realization, pool=pool, store=store, prepare=prepare, done=done
+        )  # fmt: skip
+    items = list(flown.values())
     stacked = {key: np.stack([items[r][key] for r in range(total)], axis=1) for key in items[0]}
     smoothed = None
     if s.smoother:
@@ -541,25 +540,3 @@ def run_experiment(
         rejected=stacked["rejected"],
         fixes=stacked["fixes"],
     )
-
-
-def _kept(folder: Path | None, realization: int) -> dict[str, Array] | None:
-    if folder is None:
-        return None
-    path = folder / f"{realization:05d}.npz"
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            return {name: data[name] for name in data.files}
-    except (OSError, ValueError, EOFError, KeyError):
-        return None  # absent or half-written: flown again
-
-
-def _keep(folder: Path | None, realization: int, item: Mapping[str, Array]) -> None:
-    if folder is None:
-        return
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{realization:05d}.npz"
-    partial = path.with_suffix(".tmp")
-    with partial.open("wb") as handle:
-        np.savez(handle, allow_pickle=False, **item)
-    partial.replace(path)  # a reader sees a whole file or none
