@@ -30,7 +30,6 @@ from insemu.evaluate.recorded import RecordedWorld
 from insemu.evaluate.results import DesignInfo, Innovations, Results, Sensors, Smoothed
 from insemu.evaluate.world import Estimate, World, static_logs, stream
 from insemu.filters import (
-    Extras,
     FilterOptions,
     FilterResult,
     InitialSigma,
@@ -139,7 +138,7 @@ class Experiment:
             elif source.file:
                 models[axis] = self._from_file(source.file, axis)
             elif source.model is not None:
-                models[axis] = NoiseModel.from_list(source.model, axis_unit(axis))
+                models[axis] = source.model
             else:
                 assert source.fit is not None
                 log = self.fit_logs[axis][0]
@@ -148,6 +147,8 @@ class Experiment:
                     done[key] = self._fitted(name, log, source)
                 fits[axis] = done[key]
                 models[axis] = done[key].model
+            if isinstance(source, AxisSource) and source.plus is not None:
+                models[axis] = models[axis] + source.plus
             if isinstance(source, AxisSource) and source.stabilise:
                 radius = {} if source.stabilise is True else {"radius": float(source.stabilise)}
                 models[axis] = NoiseModel(
@@ -163,9 +164,9 @@ class Experiment:
         return self.scenario.truth.models() if self.scenario.truth is not None else {}
 
     def _fitted(self, design: str, log: Series, source: AxisSource) -> FitResult:
-        model = NoiseModel.parse(source.fit or "", axis_unit(log.name))
+        assert source.fit is not None
         try:
-            return fit(log, model, source.method, **dict[str, Any](source.options))  # type: ignore[arg-type]
+            return fit(log, source.fit, source.method, **dict[str, Any](source.options))  # type: ignore[arg-type]
         except TypeError as error:
             if "unexpected keyword argument" not in str(error):
                 raise
@@ -234,7 +235,7 @@ class Experiment:
         parts = FilterParts(
             belief=belief.models,
             dt=1.0 / self.rate_hz,
-            lever_arm=lever_arm_of(options.known_effects(), gnss.lever_arm),
+            lever_arm=lever_arm_of(options.compensate, gnss.lever_arm),
             gravity=self.world.gravity,
             gnss_sigma=(sigma, velocity),
             options=FilterOptions(
@@ -242,7 +243,7 @@ class Experiment:
                 output_every=output_every * options.covariance_every,
                 gate=options.gate,
                 covariance_at=() if covariance_at is None else tuple(covariance_at),
-                extras=Extras(**options.states.model_dump()),
+                extras=options.states,
                 standstill=standstill,
                 store="fixes" if self.scenario.smoother else "none",
             ),
@@ -313,16 +314,10 @@ class Experiment:
         asked = self.scenario.designs[design].options.zero_updates
         if asked is None:
             return None
-        clear = [
+        return asked.at(
             (a, b)
             for a, b in rests(data.imu, data.gnss)
             if not any(start < b and a < start + duration for start, duration in self.world.outage_windows)
-        ]
-        return Standstill(
-            clear,
-            asked.every,
-            np.inf if asked.velocity_sigma is None else asked.velocity_sigma,
-            np.inf if asked.rate_sigma is None else asked.rate_sigma,
         )
 
     def _sensors(
@@ -368,7 +363,7 @@ class Experiment:
 
     def _compensated(self, design: str, recording: Recording, start: NavState, sigma: InitialSigma) -> Recording:
         """The data less the effects that a design knows of."""
-        known = self.scenario.designs[design].options.known_effects()
+        known = self.scenario.designs[design].options.compensate
         along = [use for use in known if use.id in NEEDS_TRAJECTORY]
         if not along:
             return compensated(recording, known) if known else recording

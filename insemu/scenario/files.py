@@ -12,8 +12,9 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 import insemu
-from insemu import yamlfile
+from insemu import noise, yamlfile
 from insemu.errors import InputError, nearest
+from insemu.records import AXES
 from insemu.scenario.schema import Scenario
 from insemu.yamlfile import Place
 
@@ -51,7 +52,20 @@ def load(path: str | Path, *, variant: str | None = None, overrides: Mapping[str
         data = yamlfile.merged(data, changes if isinstance(changes, dict) else {})
         lines |= {at[2:]: line for at, line in lines.items() if at[:2] == ("variants", variant) and len(at) > 2}
     data = data | {k: v for k, v in (overrides or {}).items() if v is not None}
-    return validated(Scenario, yamlfile.Document(document.name, data, lines))
+    scenario = validated(Scenario, yamlfile.Document(document.name, data, lines))
+    return _with_file(scenario, path)
+
+
+def _with_file(scenario: Scenario, path: str | Path) -> Scenario:
+    """The scenario with the models of the truth's file read in."""
+    truth = scenario.truth
+    if truth is None or truth.file is None:
+        return scenario
+    models = noise.load(resolve_path(truth.file, path)) | truth.models()
+    missing = [axis for axis in AXES if axis not in models]
+    if missing:
+        raise InputError(f"no model for {', '.join(missing)}; it has {', '.join(models)}", where=truth.file)
+    return scenario.model_copy(update={"truth": truth.model_copy(update={axis: models[axis] for axis in AXES})})
 
 
 def validated(section: type[S], document: yamlfile.Document) -> S:
