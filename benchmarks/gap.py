@@ -9,7 +9,7 @@ import numpy as np
 from insemu.effects import EffectUse
 from insemu.emulate import built_in, corrupt, gnss_fixes, ideal_imu
 from insemu.gap import Nominal, find_gap, find_static_gap
-from insemu.gap.preparation import fast_parts, prepare
+from insemu.gap.drive.preparation import fast_parts, prepare
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import AXES, Recording, Series
 from insemu.scenario import Gnss, Initial

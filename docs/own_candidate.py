@@ -4,8 +4,8 @@
 import numpy as np
 
 from insemu.gap import find_static_gap, register
-from insemu.gap.candidates import AxisState, Weighed, best_of
-from insemu.gap.evidence import Component, Free
+from insemu.gap.candidates.axis import AxisState, Weighed, best_of
+from insemu.gap.evidence.model import Component, Free
 from insemu.noise import GM, WN, NoiseModel
 from insemu.records import Series
 

@@ -24,11 +24,12 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from insemu.gap import find_gap
-from insemu.gap.confusion import SHARE, Repetitions
-from insemu.gap.hypotheses import PROCESSES, bank
-from insemu.gap.preparation import Flown
-from insemu.gap.scene import Scene
-from insemu.gap.signatures import Loop
+from insemu.gap.candidates.shapes import PROCESSES, bank
+from insemu.gap.confusion import Repetitions
+from insemu.gap.drive.preparation import Flown
+from insemu.gap.drive.scene import Scene
+from insemu.gap.drive.signatures import Loop
+from insemu.gap.policy import rules
 from insemu.trial.drives import TRACKS, Stage, draw_use, size_effect, stage
 from insemu.trial.score import interval
 
@@ -107,7 +108,7 @@ def confusions(track: str, seed: int, minutes: float, draws: int, detail: bool) 
         for rival in said:
             if rival == truth.key:
                 continue
-            p, c = said[rival] >= SHARE, seen[rival] >= SHARE
+            p, c = said[rival] >= rules().confusable, seen[rival] >= rules().confusable
             counts[int(truth.process)] += (p, c, p and c)
             if detail and p != c:
                 what = f"{' '.join(truth.key)} {truth.label} / {' '.join(rival)}"
@@ -166,7 +167,7 @@ def whole(track: str, seed: int, minutes: float, draws: int) -> NDArray[np.int64
             continue
         said = {(c.effect, c.sensor): c.share for c in first.confusable}
         found = Counter((m.effect, m.sensor) for r in reports[1:] if r.steps for m in r.steps[0].members)
-        seen = {key: n / draws for key, n in found.items() if key != own and n >= SHARE * draws}
+        seen = {key: n / draws for key, n in found.items() if key != own and n >= rules().confusable * draws}
         counts += (len(said), len(seen), len(set(said) & set(seen)))
         words = [", ".join(f"{' '.join(k)} {v:.2f}" for k, v in table.items()) or "nothing" for table in (said, seen)]
         print(

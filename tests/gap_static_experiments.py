@@ -25,12 +25,15 @@ from insemu import formats
 from insemu.effects import EffectUse
 from insemu.emulate import corrupt
 from insemu.gap import find_static_gap, load_measured
-from insemu.gap.candidates import CANDIDATES, AxisState, state_of, turn_on_bias
-from insemu.gap.disagreement import axis_tests, spent_on, wavelet_moments, wavelet_p_values
-from insemu.gap.evidence import Explanation
-from insemu.gap.reduced import reduce
-from insemu.gap.static_log import THRESHOLD, Found, search, weigh_all
-from insemu.gap.verdict import LEAD, GapReport
+from insemu.gap.candidates import CANDIDATES, AxisState
+from insemu.gap.candidates.axis import state_of
+from insemu.gap.candidates.noise import turn_on_bias
+from insemu.gap.checks.rest import axis_tests, spent_on, wavelet_moments, wavelet_p_values
+from insemu.gap.data.log import reduce
+from insemu.gap.evidence.model import Explanation
+from insemu.gap.policy import rules
+from insemu.gap.problems.rest import Found, search, weigh_all
+from insemu.gap.verdict import GapReport
 from insemu.noise import SIN, WN, NoiseModel
 from insemu.records import AXES, ImuRecord, Series
 from insemu.trial.expected import GAUSSIAN, SLOW, Log
@@ -76,9 +79,9 @@ def possible(effect: str, made: HiddenLog) -> bool:
         return True
     state = state_before(made)
     if effect in GAUSSIAN:
-        return made.known.seen(made.uses[0], state.data) >= THRESHOLD
+        return made.known.seen(made.uses[0], state.data) >= rules().least_nats
     candidate = turn_on_bias if effect == "turn_on_bias" else CANDIDATES[effect]
-    return max((w.gain for w in candidate(state)), default=0.0) >= THRESHOLD
+    return max((w.gain for w in candidate(state)), default=0.0) >= rules().least_nats
 
 
 def effects(arguments: argparse.Namespace) -> None:
@@ -236,7 +239,7 @@ def null(arguments: argparse.Namespace) -> None:
             print(k, report.verdict, gains, flush=True)
     n = arguments.draws
     print(
-        f"threshold simulated in {sum(t > THRESHOLD for t in thresholds)} of {n} recordings, {max(thresholds):.2f} nats at the most"
+        f"threshold simulated in {sum(t > rules().least_nats for t in thresholds)} of {n} recordings, {max(thresholds):.2f} nats at the most"
     )
     _share(f"recordings of {len(axes)} axes flagged", flagged, n)
     _share(f"recordings of {len(axes)} axes named", named, n)
@@ -288,8 +291,8 @@ def pairs(arguments: argparse.Namespace) -> None:
             classes: list[list[str]] = []
             for k in range(arguments.draws):
                 ranked = weigh_all(_again(made.uses, made.known, (*seed, 2, k)), QUICK)
-                if ranked[0].gain >= THRESHOLD:
-                    classes.append([w.effect for w in ranked if w.gain > ranked[0].gain - LEAD])
+                if ranked[0].gain >= rules().least_nats:
+                    classes.append([w.effect for w in ranked if w.gain > ranked[0].gain - rules().lead])
             near, first = Counter(e for c in classes for e in c), Counter(c[0] for c in classes)
             for c in classes:
                 if c[0] != effect:
@@ -308,7 +311,7 @@ def pairs(arguments: argparse.Namespace) -> None:
             leads = sorted(made.known.leads(made.uses[0]).items(), key=lambda item: item[1])
             ahead = ", ".join(f"{e} {v:.1f}" for e, v in leads[:3])
             print(
-                f"{effect:13s} {nats:3.0f} nats, ahead of {ahead}; first {dict(first)}; within {LEAD:.0f} nats of it {dict(near)}",
+                f"{effect:13s} {nats:3.0f} nats, ahead of {ahead}; first {dict(first)}; within {rules().lead:.0f} nats of it {dict(near)}",
                 flush=True,
             )
     _share(

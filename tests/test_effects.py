@@ -11,8 +11,9 @@ from scipy.signal import butter, lfilter
 from scipy.stats import binom
 
 from insemu import earth, effects, emulate, rotation, units
-from insemu.effects import CROSS, EFFECTS, EffectUse
-from insemu.emulate.sensor import TemperatureProfile, band_coefficients, lagged
+from insemu.effects import CROSS, EFFECTS, EffectUse, lagged
+from insemu.effects.stochastic import band_coefficients
+from insemu.emulate.sensor import TemperatureProfile
 from insemu.errors import InputError
 from insemu.noise import BI, GM, RW, WN
 from insemu.records import ImuRecord, Trajectory

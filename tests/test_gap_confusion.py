@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from insemu.gap.candidates.shapes import Variant
 from insemu.gap.confusion import Repetitions
-from insemu.gap.evidence import PRIOR_SCALES
-from insemu.gap.hypotheses import Variant
-from insemu.gap.innovations import Block, Field
+from insemu.gap.evidence.linear import Block, Field
+from insemu.gap.policy import rules
 
 ROWS = 400
 KEYS = ("twin", "half", "far")
@@ -22,7 +22,7 @@ def field(rng: np.random.Generator) -> Field:
 
 
 def variants() -> list[Variant]:
-    unit, amplitudes = (((), np.array([[3.0]])),), np.array(PRIOR_SCALES)
+    unit, amplitudes = (((), np.array([[3.0]])),), np.array(rules().prior_scales)
     return [Variant(k, "gyro", (), "", np.array([i]), unit, amplitudes) for i, k in enumerate(("own", *KEYS))]
 
 

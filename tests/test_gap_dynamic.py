@@ -11,23 +11,24 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import butter, group_delay, lfilter, sosfilt
 
-from insemu.effects import EffectUse
+from insemu.effects import EffectUse, FixGeometry, Motion, catalogue_columns, effect_of
 from insemu.emulate import built_in, corrupt, gnss_fixes, ideal_imu
 from insemu.errors import InputError
 from insemu.filters import FilterOptions, FilterResult, InitialSigma, run_filter
 from insemu.gap import Nominal, find_gap
 from insemu.gap.candidates import AxisState
-from insemu.gap.dynamic import fast_effects, unknown_part
-from insemu.gap.evidence import Explanation, Likelihood, Rolloff, fit
-from insemu.gap.hypotheses import Variant, best_pair
-from insemu.gap.innovations import Field, gauss_markov_root, quadratic_evidence, random_walk_root
-from insemu.gap.preparation import fast_parts, starting_state, without_motion
-from insemu.gap.reduced import Reduced, moving_spectrum
-from insemu.gap.samples import advanced, coarse, filled, mend
-from insemu.gap.signatures import Loop, Motion, columns_response, deterministic_columns, fix_columns, knot_response
-from insemu.gap.singular import lattice, vibration_line
-from insemu.gap.surrogate import Surrogate
-from insemu.gap.tones import wandering, without_tones
+from insemu.gap.candidates.shapes import Variant, best_pair
+from insemu.gap.candidates.spectral import vibration_line
+from insemu.gap.candidates.tones import wandering, without_tones
+from insemu.gap.data.counts import lattice
+from insemu.gap.data.log import Reduced, moving_spectrum
+from insemu.gap.data.samples import advanced, coarse, filled, mend
+from insemu.gap.drive.preparation import fast_parts, starting_state, without_motion
+from insemu.gap.drive.signatures import Loop, columns_response, knot_response
+from insemu.gap.evidence.fixes import Surrogate
+from insemu.gap.evidence.linear import Field, gauss_markov_root, quadratic_evidence, random_walk_root
+from insemu.gap.evidence.model import Explanation, Likelihood, Rolloff, fit
+from insemu.gap.problems.drive import fast_effects, unknown_part
 from insemu.gap.verdict import Step, Value
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
@@ -80,7 +81,7 @@ def use(**mapping: object) -> EffectUse:
 def nominal_run(kind: str = "increment") -> tuple[FilterResult, Motion, Loop]:
     r = recording(kind=kind)
     result = flown(r)
-    return result, Motion.of(r.imu, result), Loop.of(result)
+    return result, Motion.of(r.imu, result.nav, result.nodes.epoch), Loop.of(result)
 
 
 SIGNATURES = {
@@ -98,7 +99,7 @@ SIGNATURES = {
 def test_a_signature_is_the_finite_difference_of_the_whole_filter(name: str) -> None:
     effect, label, value = SIGNATURES[name]
     result, motion, loop = nominal_run()
-    columns = deterministic_columns(motion) + fix_columns(motion, result.fixes.t, np.array(LEVER))
+    columns = catalogue_columns(motion, FixGeometry.of(motion, result.fixes.t, LEVER))
     j = next(i for i, c in enumerate(columns) if (c.effect, c.sensor, c.label) == (effect.id, effect.sensor, label))
     G, _ = columns_response(loop, motion, [columns[j]])
     changed = flown(recording(effect))
@@ -113,7 +114,7 @@ def test_a_signature_is_the_finite_difference_of_the_whole_filter(name: str) -> 
 @pytest.mark.parametrize("kind", ["increment", "mean"])
 def test_the_signature_of_a_clock_that_drifts_is_the_finite_difference_too(kind: str) -> None:
     result, motion, loop = nominal_run(kind)
-    columns = [c for c in fix_columns(motion, result.fixes.t, np.array(LEVER)) if c.effect == "clock_drift"]
+    columns = effect_of("clock_drift").columns(motion, FixGeometry.of(motion, result.fixes.t, LEVER))
     predicted = (loop.whiten(columns_response(loop, motion, columns)[0])[:, 0] * 2e-4).reshape(-1, 6)
     changed = flown(recording(use(effect="clock_drift", drift=2e-4), kind=kind))
     _, here, there = np.intersect1d(result.fixes.t, changed.fixes.t, return_indices=True)
@@ -128,7 +129,7 @@ def test_the_signature_of_a_clock_that_drifts_is_the_finite_difference_too(kind:
 
 def test_knots_of_a_constant_are_the_constant() -> None:
     _, motion, loop = nominal_run()
-    columns = [c for c in deterministic_columns(motion) if c.effect == "turn_on_bias"]
+    columns = effect_of("turn_on_bias").columns(motion, FixGeometry.of(motion, loop.result.fixes.t, LEVER))
     G, ramp = columns_response(loop, motion, columns)
     knots = np.linspace(motion.t[0], motion.t[-1], 7)
     slow = knot_response(loop, motion, ramp, knots)

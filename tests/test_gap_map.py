@@ -9,12 +9,12 @@ import pytest
 from scipy import stats
 
 from insemu.gap.candidates import AxisState
-from insemu.gap.disagreement import Entry, corrected
-from insemu.gap.drive_map import drive_map, innovation_tests, largest_p, regression_p
-from insemu.gap.evidence import Likelihood, fit
-from insemu.gap.known import starting_explanation
-from insemu.gap.preparation import fast_parts, prepare
-from insemu.gap.scene import Scene
+from insemu.gap.checks.drive import drive_map, innovation_tests, largest_p, regression_p
+from insemu.gap.checks.rest import Entry, corrected
+from insemu.gap.drive.preparation import fast_parts, prepare
+from insemu.gap.drive.scene import Scene
+from insemu.gap.evidence.model import Likelihood, fit
+from insemu.gap.problems.known import starting_explanation
 from insemu.gap.verdict import Member, Step, judged
 from insemu.records import Recording
 from insemu.trial.drives import stage

@@ -19,8 +19,8 @@ from insemu.errors import InputError
 from insemu.evaluate import Experiment, run_experiment
 from insemu.evaluate.world import World
 from insemu.gap import GapReport, StaticLog, Step, find_gap, from_its_start, load_measured, load_nominal, write_refined
-from insemu.gap.candidates import CANDIDATES
-from insemu.gap.refined import joined, refined_nominal, uses_of
+from insemu.gap.beliefs.refined import joined, refined_nominal, uses_of
+from insemu.gap.candidates.axis import CANDIDATES
 from insemu.gap.verdict import Interval, Member, Value, held_out_said
 from insemu.noise import AR, BI, DR, GM, QN, RW, SIN, WN, NoiseModel
 from insemu.records import GnssRecord, ImuRecord, Recording, Series
@@ -184,7 +184,7 @@ def test_a_belief_file_stays_one_and_a_noise_file_becomes_one_where_it_must(tmp_
 def test_paths_of_a_scenario_lead_to_the_same_files_from_another_folder(tmp_path: Path) -> None:
     (tmp_path / "way.csv").write_text("x\n")
     raw = yaml.safe_load(NOMINAL)
-    from insemu.gap.refined import _moved
+    from insemu.gap.beliefs.refined import _moved
 
     (tmp_path / "out").mkdir()
     moved = _moved({**raw, "trajectory": {"motion": "way.csv"}}, tmp_path, tmp_path / "out")
@@ -337,7 +337,7 @@ def test_the_example_of_an_own_candidate_runs() -> None:
 
 
 def test_a_band_and_a_line_of_the_noise_model_are_white_noise_to_a_filter() -> None:
-    from insemu.gap.refined import filter_noise
+    from insemu.gap.beliefs.refined import filter_noise
 
     nominal = load_nominal(_scenario())
     band = AR((0.5, -0.8), sigma2=1e-4, rate_hz=20.0)

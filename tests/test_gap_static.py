@@ -13,16 +13,18 @@ from scipy.linalg import toeplitz
 from scipy.signal import butter, lfilter
 
 from insemu.errors import InputError
-from insemu.gap import find_static_gap, kernel, load_nominal
-from insemu.gap.band import Band
-from insemu.gap.calibration import Tail, certain, tail_of, threshold_of
-from insemu.gap.candidates import CANDIDATES, state_of, turn_on_bias
-from insemu.gap.disagreement import axis_tests
-from insemu.gap.evidence import Component, Explanation, Free, Likelihood, Regressors, Rolloff, regression_evidence
-from insemu.gap.reduced import block_differences, difference_covariance, reduce
-from insemu.gap.singular import lattice
-from insemu.gap.sources import static_of
-from insemu.gap.static_log import is_shaken, remainder, search, tempered, weigh_all
+from insemu.gap import Policy, find_static_gap, load_nominal
+from insemu.gap.candidates.axis import CANDIDATES, state_of
+from insemu.gap.candidates.noise import turn_on_bias
+from insemu.gap.checks.rest import axis_tests
+from insemu.gap.data.counts import lattice
+from insemu.gap.data.log import block_differences, difference_covariance, reduce
+from insemu.gap.data.sources import static_of
+from insemu.gap.evidence import kernels
+from insemu.gap.evidence.band import Band
+from insemu.gap.evidence.model import Component, Explanation, Free, Likelihood, Regressors, Rolloff, regression_evidence
+from insemu.gap.problems.rest import is_shaken, remainder, search, tempered, weigh_all
+from insemu.gap.threshold import Tail, certain, tail_of, threshold_of
 from insemu.gap.verdict import Member, Step, Where
 from insemu.noise import BI, GM, QN, RC, RW, WN, NoiseModel
 from insemu.records import ImuRecord, Recording, Series
@@ -101,11 +103,11 @@ def test_toeplitz_whitening_is_the_dense_gaussian() -> None:
     gamma = difference_covariance(WN(1e-3), 200, DT, 40) + difference_covariance(RW(1e-4), 200, DT, 40)
     X = rng.standard_normal((40, 3))
     out = np.empty_like(X)
-    logdet = kernel.toeplitz_whiten(gamma, X, out)
+    logdet = kernels.toeplitz_whiten(gamma, X, out)
     C = toeplitz(gamma)
     np.testing.assert_allclose(out.T @ out, X.T @ np.linalg.solve(C, X), rtol=1e-9)
     assert logdet == pytest.approx(np.linalg.slogdet(C)[1], rel=1e-12)
-    assert math.isnan(kernel.toeplitz_whiten(np.array([1.0, 2.0]), X[:2].copy(), out[:2].copy()))
+    assert math.isnan(kernels.toeplitz_whiten(np.array([1.0, 2.0]), X[:2].copy(), out[:2].copy()))
 
 
 def test_switching_likelihood_without_switching_is_the_scalar_kalman_filter() -> None:
@@ -118,7 +120,7 @@ def test_switching_likelihood_without_switching_is_the_scalar_kalman_filter() ->
         s = v + 1.0
         expected += -0.5 * (math.log(2 * math.pi * s) + (value - m) ** 2 / s)
         m, v = m + v / s * (value - m), v / s
-    got = kernel.switching_log_likelihood(y, 1.0, 1.0, 0.01, 4.0, 0.0, 0.9, np.empty(200))
+    got = kernels.switching_log_likelihood(y, 1.0, 1.0, 0.01, 4.0, 0.0, 0.9, np.empty(200))
     assert got == pytest.approx(expected, rel=1e-12)
 
 
@@ -134,7 +136,7 @@ def test_gaussian_twin_of_switching_levels_is_the_dense_gaussian() -> None:
         + white * np.eye(40)
     )
     expected = -0.5 * (np.linalg.slogdet(2 * np.pi * C)[1] + y @ np.linalg.solve(C, y))
-    assert kernel.gauss_markov_log_likelihood(y, white, 1.0, q, p0, a, stay) == pytest.approx(expected, rel=1e-10)
+    assert kernels.gauss_markov_log_likelihood(y, white, 1.0, q, p0, a, stay) == pytest.approx(expected, rel=1e-10)
 
 
 def test_regression_evidence_is_the_ratio_of_marginal_likelihoods() -> None:
@@ -485,8 +487,8 @@ def test_a_weak_effect_must_beat_the_best_of_simulated_nominal_logs() -> None:
     rng = np.random.default_rng(3)
     axes = [log_of(WN(1e-3).simulate(6000, DT, rng), f"gyro_{a}") for a in "xyz"]
     beliefs = {s.name: NoiseModel((WN(1e-3),)) for s in axes}
-    plain = find_static_gap(axes, beliefs, rng=rng, hold_out=False, threshold=-0.5, calibrate=False)
+    plain = find_static_gap(axes, beliefs, rng=rng, hold_out=False, policy=Policy(least_nats=-0.5), calibrate=False)
     assert plain.steps  # at half a nat below nothing there is always something
-    calibrated = find_static_gap(axes, beliefs, rng=rng, hold_out=False, threshold=-0.5)
+    calibrated = find_static_gap(axes, beliefs, rng=rng, hold_out=False, policy=Policy(least_nats=-0.5))
     assert calibrated.threshold_nats > 0.0
     assert all(s.gain_nats >= calibrated.threshold_nats for s in calibrated.steps)

@@ -18,8 +18,8 @@ from insemu.effects import EFFECTS, EffectUse
 from insemu.emulate import corrupt
 from insemu.errors import InputError
 from insemu.gap import load_nominal
-from insemu.gap.preparation import Prepared, fast_parts, prepare
-from insemu.gap.reduced import reduce
+from insemu.gap.data.log import reduce
+from insemu.gap.drive.preparation import Prepared, fast_parts, prepare
 from insemu.noise import BI, WN, NoiseModel
 from insemu.records import AXES, ImuRecord, Series
 from insemu.trial.drives import (

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import os
 from pathlib import Path
 from typing import Any
@@ -17,11 +18,11 @@ from hypothesis import strategies as st
 
 from insemu import yamlfile
 from insemu.errors import InputError
-from insemu.scenario import digest, load, state_names
+from insemu.scenario import load, state_names
 
 FOLDER = Path(__file__).resolve().parents[1] / "scenarios"
 FILES = sorted(FOLDER.glob("*.yaml"))
-EXAMPLES = int(os.environ.get("INSEMU_FUZZ", "60"))
+EXAMPLES = int(os.environ.get("INSEMU_FUZZ", "20"))
 
 #: What stands where something else is expected, as YAML text.
 ODD = (
@@ -68,6 +69,14 @@ def text_of(value: Any) -> str:
 DATA = {path.name: yamlfile.read(path).data for path in FILES}
 
 
+SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=12)
+PLAIN = st.recursive(
+    SCALARS,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=4), inner, max_size=3),
+    max_leaves=5,
+)
+
+
 @st.composite
 def mutated(draw: st.DrawFn) -> str:
     """A shipped scenario with one to three changes, as text."""
@@ -90,14 +99,7 @@ def mutated(draw: st.DrawFn) -> str:
                 other = other[part]
             parent[at[-1]] = copy.deepcopy(other)
         elif kind == "any":
-            scalars = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=12)
-            parent[at[-1]] = draw(
-                st.recursive(
-                    scalars,
-                    lambda c: st.lists(c, max_size=3) | st.dictionaries(st.text(max_size=4), c, max_size=3),
-                    max_leaves=5,
-                )
-            )
+            parent[at[-1]] = draw(PLAIN)
         else:
             parent[at[-1]] = Raw(draw(st.sampled_from(ODD)))
     text = text_of(document)
@@ -113,19 +115,19 @@ def mutated(draw: st.DrawFn) -> str:
     suppress_health_check=list(HealthCheck),
     derandomize=EXAMPLES < 1000,
 )
-@given(mutated())
-def test_a_mutated_scenario_is_read_or_refused_in_words(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
+@given(mutated(), st.sampled_from([None, None, "drive_2", "reading_a"]))
+def test_a_mutated_scenario_is_read_or_refused_in_words(
+    tmp_path_factory: pytest.TempPathFactory, text: str, variant: str | None
+) -> None:
     path = tmp_path_factory.getbasetemp() / "mutated.yaml"
     path.write_bytes(text.encode("utf-8", "surrogatepass"))
-    for variant in (None, "drive_2", "reading_a"):
-        try:
-            scenario = load(path, variant=variant)
-            digest(scenario)
-            for design in scenario.designs.values():
-                state_names(design, scenario)
-        except InputError as error:
-            str(error).encode()  # can be printed
-            assert "Traceback" not in str(error)
+    try:
+        scenario = load(path, variant=variant)
+        json.dumps(scenario.model_dump(mode="json"))
+        for design in scenario.designs.values():
+            state_names(design, scenario)
+    except InputError as error:
+        str(error).encode()  # can be printed
 
 
 @pytest.mark.parametrize("odd", ODD)
@@ -148,5 +150,5 @@ def test_names_stay_inside_the_folder_of_results(tmp_path: Path, key: str, name:
     document["published"] = None
     path = tmp_path / "s.yaml"
     path.write_text(yaml.safe_dump(document), encoding="utf-8")
-    with pytest.raises(InputError, match="found the name|half characters|control characters"):
+    with pytest.raises(InputError, match=r"found the name|half characters|control characters"):
         load(path)

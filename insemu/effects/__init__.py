@@ -1,12 +1,87 @@
-"""Effects that a sensor, a clock, a receiver or a model of motion may have: one object each, and the one list of them."""
+"""Effects that a sensor, a clock, a receiver or a model of motion may have: one object each, and the one list of them.
 
-from insemu.effects.base import CROSS as CROSS
-from insemu.effects.base import EFFECTS as EFFECTS
-from insemu.effects.base import SIGNAL_UNITS as SIGNAL_UNITS
-from insemu.effects.base import Effect as Effect
-from insemu.effects.base import EffectParameter as EffectParameter
-from insemu.effects.base import EffectUse as EffectUse
-from insemu.effects.base import Family as Family
-from insemu.effects.base import Sensor as Sensor
-from insemu.effects.base import effect_of as effect_of
-from insemu.effects.base import markdown_table as markdown_table
+An effect says in one place what it is, how it is injected, taken off, recognized in the innovations, put together with a second find of
+itself, and hidden in a blind trial: ``gnss.LeverArm`` is all about a wrong lever arm. The files are the families::
+
+    stochastic.py     noise and what acts like it
+    deterministic.py  functions of the true signal, of temperature, of nothing
+    timing.py         the clock of the IMU
+    gnss.py           the fixes and the antenna
+    model.py          what a model of motion leaves out
+
+:data:`EFFECTS` is the one list: the emulator, the scenario, the gap workflow, the trial and the tests of completeness go through it.
+"""
+
+from collections.abc import Iterable
+
+from insemu.effects import deterministic, gnss, model, stochastic, timing
+from insemu.effects.base import (
+    ASPECTS,
+    CROSS,
+    EFFECTS,
+    NED,
+    RPY,
+    SIGNAL_UNITS,
+    XYZ,
+    Effect,
+    EffectParameter,
+    EffectUse,
+    Stage,
+    Trait,
+    effect_of,
+)
+from insemu.effects.chain import Chain, FixErrors
+from insemu.effects.compensation import added_signal, columns_without, compensated, lever_arm_of
+from insemu.effects.deterministic import lagged
+from insemu.effects.hiding import DriveLot, Hidden, RestLot
+from insemu.effects.motion import Column, FixGeometry, Motion
+
+EFFECTS.update({e.id: e for family in (stochastic, deterministic, timing, gnss, model) for e in family.EFFECTS})
+
+
+def having(*traits: Trait) -> frozenset[str]:
+    """Ids of the effects with at least one of these traits."""
+    return frozenset(e.id for e in EFFECTS.values() if e.traits & set(traits))
+
+
+def joined(known: Iterable[EffectUse], found: Iterable[EffectUse]) -> tuple[EffectUse, ...]:
+    """Known effects with what was found of them on top; the rest follows.
+
+    A recording is searched with the known effects taken off, so what is found is what they lack.
+    """
+    out = list(known)
+    for use in found:
+        for k, old in enumerate(out):
+            both = use.effect.merged(old, use) if (old.id, old.sensor) == (use.id, use.sensor) else None
+            if both is not None:
+                out[k] = both
+                break
+        else:
+            out.append(use)
+    return tuple(out)
+
+
+def catalogue_columns(motion: Motion, fixes: FixGeometry) -> list[Column]:
+    """Unit columns of every effect whose shape in the innovations is known."""
+    return [c for e in EFFECTS.values() if e.does("columns") for c in e.columns(motion, fixes)]
+
+
+def markdown_table() -> str:
+    """The catalogue as the table of the documentation."""
+    lines = ["| effect | sensor | formula | parameters [SI unit] = default |", "| --- | --- | --- | --- |"]
+    for effect in EFFECTS.values():
+        shown = []
+        for p in effect.parameters:
+            named = list(dict.fromkeys(effect.unit(p.name, sensor) or "1" for sensor in effect.sensors))
+            default = "" if p.default is None else f" = {p.default:g}"
+            shown.append(f"`{p.name}` [{'; '.join(named)}]{default}")
+        formula = effect.formula.replace("|", "\\|")
+        lines.append(f"| `{effect.id}` | {', '.join(effect.sensors)} | {formula} | {', '.join(shown)} |")
+    return "\n".join(lines)
+
+
+__all__ = [
+    "ASPECTS", "CROSS", "EFFECTS", "NED", "RPY", "SIGNAL_UNITS", "XYZ", "Chain", "Column", "DriveLot", "Effect", "EffectParameter", "EffectUse",
+    "FixErrors", "FixGeometry", "Hidden", "Motion", "RestLot", "Stage", "added_signal", "catalogue_columns", "columns_without", "compensated",
+    "effect_of", "having", "joined", "lagged", "lever_arm_of", "markdown_table",
+]  # fmt: skip

@@ -1,8 +1,7 @@
-"""The one table of effects that a sensor, a clock or a receiver may have: id, formula, parameters, units, datasheet
-scale.
+"""What an effect is: a class with its parameters, its traits and everything that the program does with it; and an effect with numbers.
 
-The emulator injects them, the scenario writes them down, the gap workflow names them. An :class:`Effect` says what an
-effect is; an :class:`EffectUse` is one with numbers::
+Each effect is one class in one of the files of this package, and says there how it is injected, taken off, recognized in the innovations,
+put together with a second find of itself, and hidden in a blind trial. An :class:`EffectUse` is an effect with numbers::
 
     EffectUse.from_mapping({"effect": "scale_factor", "sensor": "gyro", "value": ["500 ppm", 0, 0]})
 
@@ -15,16 +14,71 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from insemu import units
 from insemu.errors import InputError, nearest
+from insemu.noise import Process
 
+if TYPE_CHECKING:
+    from insemu.effects.chain import Chain, FixErrors
+    from insemu.effects.hiding import DriveLot, Hidden, RestLot
+    from insemu.effects.motion import Column, FixGeometry, Motion
+    from insemu.records import GnssRecord, Trajectory
+
+Array = NDArray[np.float64]
 Family = Literal["stochastic", "deterministic", "timing", "gnss", "model"]
 Sensor = Literal["gyro", "accel", "imu", "gnss"]
+#: How the numbers of two finds of one effect become one number; "" where the two stay two entries.
+Join = Literal["", "sum", "product", "root_sum_square", "larger", "smaller", "later", "equal"]
+#: What the program does with an effect; the columns of the matrix that a test walks.
+Aspect = Literal["emulate", "compensate", "signature", "candidate", "refine", "trial"]
+ASPECTS: tuple[Aspect, ...] = ("emulate", "compensate", "signature", "candidate", "refine", "trial")
+
+#: Traits that searches and rooms above ask for; see :func:`insemu.effects.having`.
+#:
+#: slow, fast : seen below or above the block length of a log at rest
+#: samples    : seen in single samples
+#: shape      : a known function of time or temperature
+#: process    : a slow random process whose size is one number per axis
+#: once       : one number that only one description can have
+#: drawn      : what was drawn is nobody's to know beforehand, and is taken out of the samples where it is found
+#: noise      : its place is the noise model of an axis
+#: level      : a level of the fixes, which is estimated together with their colour
+Trait = Literal["slow", "fast", "samples", "shape", "process", "once", "drawn", "noise", "level"]
 
 #: Cross-axis parameters (six): axis that errs, then axis that leaks into it.
 CROSS = ("xy", "xz", "yx", "yz", "zx", "zy")
+#: Cells of a 3 x 3 matrix row by row.
+CELLS = tuple(a + b for a in "xyz" for b in "xyz")
+XYZ, NED, RPY = ("x", "y", "z"), ("north", "east", "down"), ("roll", "pitch", "yaw")
+#: Units of the signals of the inertial sensors.
+SIGNAL_UNITS = {"gyro": "rad/s", "accel": "m/s^2"}
+DEG = math.pi / 180.0
+G = units.STANDARD_GRAVITY
+BOTH: tuple[Sensor, ...] = ("gyro", "accel")
+IMU: tuple[Sensor, ...] = ("imu",)
+GNSS: tuple[Sensor, ...] = ("gnss",)
+
+
+class Stage(IntEnum):
+    """Where in the chain of a sensor an effect acts: the order of injection, and backwards that of compensation."""
+
+    MODEL = 0
+    MOUNTING = 1
+    RESPONSE = 2
+    LAW = 3
+    NOISE = 4
+    FILTER = 5
+    CLIP = 6
+    ROUND = 7
+    CLOCK = 8
+    STAMP = 9
+    LOSS = 10
 
 
 @dataclass(frozen=True)
@@ -49,6 +103,12 @@ class EffectParameter:
         In words.
     positive : bool
         Whether negative values are refused.
+    join : str
+        How two finds add up, see :data:`Join`.
+    nothing : float
+        The value that does nothing.
+    most : float or None
+        Largest magnitude that is plausible, SI; a larger one is refused.
     """
 
     name: str
@@ -58,22 +118,23 @@ class EffectParameter:
     default: float | None
     meaning: str
     positive: bool = False
+    join: Join = ""
+    nothing: float = 0.0
+    most: float | None = None
+
+    def labels(self, axes: Sequence[str]) -> tuple[str, ...]:
+        """Names of its numbers, as findings have them: ``value_x``, ``value_xy``, ``tau``; ``axes`` are the effect's."""
+        names = {3: tuple(axes), 6: CROSS, 9: CELLS}.get(self.size, ())
+        return tuple(f"{self.name}_{a}" for a in names) or (self.name,)
 
 
-@dataclass(frozen=True)
 class Effect:
-    """What can be wrong.
+    """What can be wrong. A subclass is an effect; :data:`insemu.effects.EFFECTS` holds one object of each.
 
-    Parameters
+    Attributes
     ----------
-    id : str
-        Stable key.
-    name : str
-        The field's words.
-    family : str
-        stochastic, deterministic, timing, gnss or model.
-    sensors : tuple of str
-        Which sensors can have it.
+    id, name, family, sensors : str
+        Stable key; the field's words; kind of effect; which sensors can have it.
     formula : str
         What it does to the signal.
     parameters : tuple of EffectParameter
@@ -81,16 +142,38 @@ class Effect:
         What a recording needs to show it.
     in_filter : str
         How a filter carries or compensates it.
+    axes : tuple of str
+        What the numbers of a parameter with three numbers belong to.
+    traits : frozenset of str
+        See :data:`Trait`.
+    size : str
+        The parameter that makes the whole effect larger or smaller; empty where no single one does.
+    process : type, optional
+        The process of the noise algebra that holds it.
+    stage : Stage, optional
+        Where in the chain of the IMU it acts; None for effects of the fixes.
+    needs_temperature : bool
+    absent : mapping of aspect to str
+        What the program does not do with it, and why; the test of completeness takes no other excuse.
     """
 
-    id: str
-    name: str
-    family: Family
-    sensors: tuple[Sensor, ...]
-    formula: str
-    parameters: tuple[EffectParameter, ...]
-    excitation: str
-    in_filter: str
+    id: ClassVar[str]
+    name: ClassVar[str]
+    family: ClassVar[Family]
+    sensors: ClassVar[tuple[Sensor, ...]]
+    formula: ClassVar[str]
+    parameters: ClassVar[tuple[EffectParameter, ...]]
+    excitation: ClassVar[str]
+    in_filter: ClassVar[str]
+    axes: ClassVar[tuple[str, ...]] = XYZ
+    traits: ClassVar[frozenset[Trait]] = frozenset()
+    size: ClassVar[str] = ""
+    process: ClassVar[type[Process] | None] = None
+    stage: ClassVar[Stage | None] = None
+    needs_temperature: ClassVar[bool] = False
+    absent: ClassVar[Mapping[Aspect, str]] = {}
+
+    # -- what it is ----------------------------------------------------------------------------------------------------------------
 
     def parameter(self, name: str) -> EffectParameter:
         """Parameter by name; ``InputError`` with the nearest name where there is none."""
@@ -98,7 +181,7 @@ class Effect:
             if p.name == name:
                 return p
         raise InputError(
-            f"effect '{self.id}' has no parameter '{name}'" + nearest(name, [p.name for p in self.parameters])
+            f"effect '{self.id}' has no parameter '{name}'" + nearest(str(name), [p.name for p in self.parameters])
         )
 
     def unit(self, parameter: str, sensor: str) -> str:
@@ -110,278 +193,117 @@ class Effect:
         scales = self.parameter(parameter).scale
         return scales[-1] if sensor == "accel" else scales[0]
 
+    @property
+    def compensable(self) -> bool:
+        """Whether its numbers can be taken off the data."""
+        return any(self.does(name) for name in INVERSES)
 
-#: Units of the signals of the inertial sensors.
-SIGNAL_UNITS = {"gyro": "rad/s", "accel": "m/s^2"}
+    @property
+    def needs_trajectory(self) -> bool:
+        """Whether taking it off needs to know where the vehicle is and how it stands."""
+        return self.does("omitted")
 
-_DEG = math.pi / 180.0
-_G = units.STANDARD_GRAVITY
-_BOTH: tuple[Sensor, ...] = ("gyro", "accel")
-_P = EffectParameter
-_PROFILE = _P("rest_factor", "", 1, (1.0,), 1.0, "share of the noise that remains at standstill (0 to 1)", True)
+    # -- emulate: what the emulator does ---------------------------------------------------------------------------------------------
 
-_TABLE = (
-    # -- stochastic
-    # -----------------------------------------------------------------------------------------------------------
-    Effect(
-        "white_noise", "white noise", "stochastic", _BOTH, "e_k ~ N(0, N^2 / dt)",
-        (_P("N", "{s}/sqrt(Hz)", 3, (0.01 * _DEG, 1e-4 * _G), None, "root of the two-sided PSD", True),),
-        "any recording", "noise level of the mechanization",
-    ),
-    Effect(
-        "random_walk", "random walk", "stochastic", _BOTH, "e' = K w",
-        (_P("K", "{s}*sqrt(Hz)", 3, (1e-4 * _DEG, 1e-6 * _G), None, "root of the driving PSD", True),),
-        "minutes to hours", "one state per axis",
-    ),
-    Effect(
-        "gauss_markov", "Gauss-Markov process (bias instability)", "stochastic", _BOTH, "e' = -beta e + sigma sqrt(2 beta) w",
-        (
-            _P("sigma", "{s}", 3, (0.01 * _DEG, 1e-4 * _G), None, "stationary standard deviation", True),
-            _P("beta", "1/s", 3, (0.01,), None, "inverse correlation time", True),
-        ),
-        "several correlation times", "one state per axis",
-    ),
-    Effect(
-        "quantization", "quantization", "stochastic", _BOTH, "y = LSB round(s / LSB); error variance LSB^2 / 12",
-        (_P("lsb", "{s}", 3, (0.05 * _DEG, 3e-3 * _G), None, "least significant bit of the output", True),),
-        "any recording; steps are visible at rest", "white noise of variance LSB^2 / 12 where the noise exceeds the LSB",
-    ),
-    Effect(
-        "flicker", "flicker noise (1/f)", "stochastic", _BOTH, "two-sided PSD B^2 / (2 pi |f|); Allan floor B sqrt(2 ln 2 / pi)",
-        (_P("B", "{s}", 3, (0.005 * _DEG, 5e-5 * _G), None, "bias instability coefficient", True),),
-        "minutes to hours", "a few Gauss-Markov states with a stated error",
-    ),
-    Effect(
-        "ramp", "ramp (drift)", "stochastic", _BOTH, "e(t) = R (t - t_0)",
-        (_P("R", "{s}/s", 3, (1e-5 * _DEG, 1e-7 * _G), None, "slope"),),
-        "tens of minutes", "a constant-slope state pair per axis",
-    ),
-    Effect(
-        "vibration_line", "vibration line", "stochastic", _BOTH, "e(t) = p(v) A sin(2 pi f t + phase), p from rest_factor to 1 with speed",
-        (
-            _P("amplitude", "{s}", 3, (0.2 * _DEG, 0.02 * _G), None, "amplitude", True),
-            _P("frequency", "Hz", 1, (20.0,), None, "frequency", True),
-            _P("phase", "rad", 1, (1.0,), 0.0, "phase at the start of the record"),
-            _PROFILE,
-        ),
-        "rate above twice the frequency, else an alias", "white noise of the same power, or a filter in front",
-    ),
-    Effect(
-        "vibration_band", "coloured vibration", "stochastic", _BOTH, "p(v) times white noise through a two-pole resonance",
-        (
-            _P("rms", "{s}", 3, (0.2 * _DEG, 0.02 * _G), None, "standard deviation in motion", True),
-            _P("frequency", "Hz", 1, (20.0,), None, "centre of the band", True),
-            _P("bandwidth", "Hz", 1, (5.0,), None, "width of the band (full width at half power)", True),
-            _PROFILE,
-        ),
-        "motion", "white noise of the same low-frequency power",
-    ),
-    Effect(
-        "decimation_filter", "bandwidth and decimation filter", "stochastic", _BOTH,
-        "y = h * s: moving average over `taps` samples, or Butterworth low-pass of `order` at `cutoff`; delay (taps - 1) dt / 2",
-        (
-            _P("cutoff", "Hz", 1, (30.0,), 0.0, "-3 dB frequency; zero: moving average instead", True),
-            _P("order", "", 1, (2.0,), 2.0, "order of the low-pass", True),
-            _P("taps", "", 1, (4.0,), 1.0, "length of the moving average in samples", True),
-        ),
-        "any recording (colour of the noise); fast motion (delay)", "coloured noise; the delay as a time offset",
-    ),
-    Effect(
-        "outliers", "outliers (heavy tails)", "stochastic", _BOTH, "with probability p: e_k ~ N(0, sigma^2), else 0",
-        (
-            _P("probability", "", 1, (0.001,), None, "share of samples", True),
-            _P("sigma", "{s}", 3, (1.0 * _DEG, 0.05 * _G), None, "standard deviation of an outlier", True),
-        ),
-        "any recording", "robust update, or a check on the samples",
-    ),
-    Effect(
-        "telegraph", "telegraph noise (popcorn)", "stochastic", _BOTH, "e = +-amplitude, switching at Poisson times of mean rate `rate`",
-        (
-            _P("amplitude", "{s}", 3, (0.01 * _DEG, 2e-4 * _G), None, "half of the distance between the levels", True),
-            _P("rate", "1/s", 1, (0.02,), None, "switches per second", True),
-        ),
-        "many switches at rest", "a Gauss-Markov state with beta = 2 rate and the same variance",
-    ),
-    Effect(
-        "motion_noise", "noise that grows with motion", "stochastic", _BOTH, "e_k ~ N(0, (N v / v_0)^2 / dt), v speed, v_0 = 10 m/s",
-        (_P("N", "{s}/sqrt(Hz)", 3, (0.05 * _DEG, 5e-4 * _G), None, "density at 10 m/s", True),),
-        "changing speed", "noise level scheduled with speed",
-    ),
-    Effect(
-        "temperature_noise", "noise that grows with temperature", "stochastic", _BOTH,
-        "e_k ~ N(0, (N max(0, T - T_0))^2 / dt)",
-        (
-            _P("N", "{s}/sqrt(Hz)", 3, (0.001 * _DEG, 1e-5 * _G), None, "density per kelvin", True),
-            _P("T0", "degC", 1, (25.0,), 25.0, "temperature where it starts"),
-        ),
-        "a temperature sweep", "noise level scheduled with temperature",
-    ),
-    # -- deterministic
-    # --------------------------------------------------------------------------------------------------------
-    Effect(
-        "turn_on_bias", "turn-on bias", "deterministic", _BOTH, "e = b",
-        (_P("value", "{s}", 3, (0.1 * _DEG, 2e-3 * _G), None, "bias"),),
-        "fixes, or rest", "random constant per axis",
-    ),
-    Effect(
-        "scale_factor", "scale factor", "deterministic", _BOTH, "e_i = S_i s_i",
-        (_P("value", "", 3, (1e-3,), None, "relative error"),),
-        "turns (gyro), accelerations (accelerometer)", "random constant per axis times s_i",
-    ),
-    Effect(
-        "scale_asymmetry", "scale-factor asymmetry", "deterministic", _BOTH, "e_i = A_i |s_i|",
-        (_P("value", "", 3, (1e-3,), None, "half of the difference of the scale factors of either sign"),),
-        "both signs of s_i", "random constant per axis times |s_i|",
-    ),
-    Effect(
-        "scale_nonlinearity", "scale-factor non-linearity", "deterministic", _BOTH, "e_i = K2_i s_i^2 + K3_i s_i^3",
-        (
-            _P("K2", "1/({s})", 3, (1e-3, 1e-4), 0.0, "quadratic coefficient"),
-            _P("K3", "1/({s})^2", 3, (1e-3, 1e-5), 0.0, "cubic coefficient"),
-        ),
-        "a wide range of s_i", "random constants times s_i^2, s_i^3",
-    ),
-    Effect(
-        "misalignment", "misalignment and non-orthogonality", "deterministic", _BOTH, "e_i = sum over j != i of M_ij s_j",
-        (_P("value", "rad", 6, (1e-3,), None, "M_xy, M_xz, M_yx, M_yz, M_zx, M_zy"),),
-        "rates or accelerations about the other axes", "random constants times s_j",
-    ),
-    Effect(
-        "mounting", "mounting angles", "deterministic", ("imu",), "s_imu = C(rpy)^T s_body, both sensors",
-        (_P("rpy", "rad", 3, (0.5 * _DEG,), None, "roll, pitch, yaw of the IMU in the body axes that are assumed"),),
-        "motion, and a filter that ties velocity to the body axes", "two or three attitude constants",
-    ),
-    Effect(
-        "g_sensitivity", "g-sensitivity of gyros", "deterministic", ("gyro",), "e = G f",
-        (_P("value", "rad/s/(m/s^2)", 9, (0.02 * _DEG / _G,), None, "matrix row by row, or its diagonal"),),
-        "changing specific force (turns, tilts)", "random constants times f",
-    ),
-    Effect(
-        "temperature", "temperature-dependent bias", "deterministic", _BOTH,
-        "e = c1 d + c2 d^2 + c3 d^3, d = T_lag - T0, lag_s T_lag' = T - T_lag",
-        (
-            _P("c1", "{s}/K", 3, (0.005 * _DEG, 1e-4 * _G), 0.0, "linear coefficient"),
-            _P("c2", "{s}/K^2", 3, (1e-4 * _DEG, 2e-6 * _G), 0.0, "quadratic coefficient"),
-            _P("c3", "{s}/K^3", 3, (2e-6 * _DEG, 4e-8 * _G), 0.0, "cubic coefficient"),
-            _P("T0", "degC", 1, (25.0,), 25.0, "reference temperature"),
-            _P("lag", "s", 1, (60.0,), 0.0, "time constant of the sensing element behind the temperature that is recorded", True),
-        ),
-        "a temperature sweep", "compensation by the recorded temperature",
-    ),
-    Effect(
-        "saturation", "saturation", "deterministic", _BOTH, "y = clip(s, -limit, limit)",
-        (_P("limit", "{s}", 3, (250.0 * _DEG, 4.0 * _G), None, "full scale", True),),
-        "motion beyond the full scale", "epochs flagged",
-    ),
-    Effect(
-        "dropped_samples", "dropped samples", "deterministic", ("imu",), "samples vanish in bursts of `burst` with probability p each",
-        (
-            _P("probability", "", 1, (0.001,), None, "share of samples that start a burst", True),
-            _P("burst", "", 1, (1.0,), 1.0, "samples per burst", True),
-        ),
-        "motion", "bridging by the time stamps",
-    ),
-    # -- timing
-    # ---------------------------------------------------------------------------------------------------------------
-    Effect(
-        "imu_gnss_time_offset", "time offset between IMU and GNSS", "timing", ("imu",), "IMU stamp = true time + offset",
-        (_P("offset", "s", 1, (0.005,), None, "positive: IMU stamps are late (or GNSS fixes early)"),),
-        "accelerations and turns", "one constant; signature v (position), a (velocity)",
-    ),
-    Effect(
-        "clock_drift", "clock drift", "timing", ("imu",), "IMU stamp = t_0 + (1 + drift) (t - t_0)",
-        (_P("drift", "", 1, (2e-5,), None, "relative rate error of the IMU's clock"),),
-        "a long drive with accelerations", "one constant, growing time offset",
-    ),
-    Effect(
-        "time_jitter", "time-stamp jitter", "timing", ("imu",), "IMU stamp = true time + N(0, sigma^2)",
-        (_P("sigma", "s", 1, (2e-4,), None, "standard deviation", True),),
-        "fast motion", "constant-rate stamps by regression",
-    ),
-    # -- GNSS
-    # -----------------------------------------------------------------------------------------------------------------
-    Effect(
-        "gnss_noise_level", "GNSS position noise level", "gnss", ("gnss",), "true sigma = factor x stated sigma",
-        (_P("factor", "", 3, (2.0,), None, "north, east, down", True),),
-        "fixes", "R",
-    ),
-    Effect(
-        "gnss_correlated_noise", "correlated GNSS noise", "gnss", ("gnss",), "position error has a Gauss-Markov part (sigma, tau)",
-        (
-            _P("sigma", "m", 3, (0.05,), None, "stationary standard deviation north, east, down", True),
-            _P("tau", "s", 1, (30.0,), None, "correlation time", True),
-        ),
-        "fixes over several correlation times", "three states",
-    ),
-    Effect(
-        "gnss_velocity_noise", "GNSS velocity noise level", "gnss", ("gnss",),
-        "true velocity sigma = factor x stated sigma, plus a Gauss-Markov part",
-        (
-            _P("factor", "", 3, (2.0,), 1.0, "north, east, down", True),
-            _P("sigma", "m/s", 3, (0.05,), 0.0, "Gauss-Markov part", True),
-            _P("tau", "s", 1, (10.0,), 10.0, "its correlation time", True),
-        ),
-        "velocity fixes", "R",
-    ),
-    Effect(
-        "lever_arm", "lever-arm error", "gnss", ("gnss",), "p_ant = p + C_nb (l + value)",
-        (_P("value", "m", 3, (0.05,), None, "true minus assumed lever arm, body axes"),),
-        "turns", "three constants",
-    ),
-    Effect(
-        "gnss_multipath_step", "multipath step", "gnss", ("gnss",), "position error = value for start < t <= start + duration",
-        (
-            _P("value", "m", 3, (1.0,), None, "north, east, down"),
-            _P("start", "s", 1, (300.0,), None, "start"),
-            _P("duration", "s", 1, (60.0,), None, "duration", True),
-        ),
-        "fixes", "gating, or a step state",
-    ),
-    Effect(
-        "gnss_outliers", "GNSS outliers", "gnss", ("gnss",), "with probability p: error ~ N(0, sigma^2) added",
-        (
-            _P("probability", "", 1, (0.01,), None, "share of fixes", True),
-            _P("sigma", "m", 3, (5.0,), None, "standard deviation of an outlier", True),
-        ),
-        "fixes", "gating",
-    ),
-    Effect(
-        "gnss_quality", "quality-dependent GNSS noise", "gnss", ("gnss",),
-        "a two-state Markov chain: in the poor state sigma is `factor` times larger, stated or not",
-        (
-            _P("factor", "", 1, (10.0,), None, "ratio of the standard deviations", True),
-            _P("good", "s", 1, (120.0,), 120.0, "mean duration of the good state", True),
-            _P("poor", "s", 1, (20.0,), 20.0, "mean duration of the poor state", True),
-            _P("stated", "", 1, (1.0,), 1.0, "1: the receiver states the larger sigma, 0: it does not", True),
-        ),
-        "fixes", "R from the receiver",
-    ),
-    Effect(
-        "gnss_latency", "GNSS latency", "gnss", ("gnss",), "a fix stamped t is valid at t - latency",
-        (_P("latency", "s", 1, (0.02,), None, "age of the fix at its stamp"),),
-        "motion", "as imu_gnss_time_offset: without a third clock the two are one effect",
-    ),
-    # -- models
-    # ---------------------------------------------------------------------------------------------------------------
-    Effect(
-        "earth_rate", "Earth rate omitted", "model", ("imu",), "w misses fraction x C_bn w_ie",
-        (_P("fraction", "", 1, (1.0,), 1.0, "1: all of it"),),
-        "minutes", "mechanization",
-    ),
-    Effect(
-        "gravity", "gravity model", "model", ("imu",), "f contains -C_bn (0, 0, offset) more",
-        (_P("offset", "m/s^2", 1, (1e-3,), None, "true minus modelled gravity"),),
-        "fixes", "mechanization",
-    ),
-    Effect(
-        "transport_rate", "transport rate omitted", "model", ("imu",), "w misses fraction x C_bn w_en",
-        (_P("fraction", "", 1, (1.0,), 1.0, "1: all of it"),),
-        "long or fast travel", "mechanization",
-    ),
-)  # fmt: skip
+    def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
+        """Do to the signals of the IMU what a use says; for effects of the IMU."""
+        raise NotImplementedError(self.id)
 
-#: Effect by id.
-EFFECTS: Mapping[str, Effect] = {e.id: e for e in _TABLE}
+    def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:
+        """Do to the errors of the fixes what a use says; for effects of the fixes."""
+        raise NotImplementedError(self.id)
+
+    # -- compensate: what a filter that knows it does to its data; at most a few of these ---------------------------------------------
+
+    def added(self, use: EffectUse, t: Array, temperature: Array | None) -> Array:
+        """What it adds whatever the signal, (n, 3) or (3,); times (n,) in s, temperature (n,) in degC."""
+        raise NotImplementedError(self.id)
+
+    def matrix(self, use: EffectUse) -> Array:
+        """Error (6, 6) per rate and specific force, of rate and specific force."""
+        raise NotImplementedError(self.id)
+
+    def bent(self, use: EffectUse, signal: Array, temperature: Array | None) -> Array:
+        """Error (n, 6) as a function of the true rate and specific force (n, 6), where that is not linear or not constant."""
+        raise NotImplementedError(self.id)
+
+    def turn(self, use: EffectUse) -> Array:
+        """The turn (3, 3) from the axes of the IMU to those of the body that is assumed."""
+        raise NotImplementedError(self.id)
+
+    def true_time(self, use: EffectUse, t: Array) -> Array:
+        """True times (n,) of stamps (n,)."""
+        raise NotImplementedError(self.id)
+
+    def omitted(
+        self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64]
+    ) -> tuple[Array | None, Array | None]:
+        """What the rate and the specific force lack, (n, 3) in body axes each or None, at rows (n,) of a trajectory."""
+        raise NotImplementedError(self.id)
+
+    def corrected_fixes(self, use: EffectUse, gnss: GnssRecord) -> GnssRecord:
+        """The fixes put right."""
+        raise NotImplementedError(self.id)
+
+    def arm(self, use: EffectUse) -> Array:
+        """What the assumed lever arm lacks, (3,) m in body axes."""
+        raise NotImplementedError(self.id)
+
+    # -- signature: what it does to the innovations, by analysis; nothing here may come from the emulator's functions -------------------
+
+    def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
+        """Unit columns along an estimated motion, for effects whose shape is known."""
+        raise NotImplementedError(self.id)
+
+    # -- refine: how two finds become one -----------------------------------------------------------------------------------------------
+
+    @property
+    def adds(self) -> bool:
+        """Whether it is an error of one sensor whose values add up."""
+        return bool(
+            self.stage in (Stage.RESPONSE, Stage.LAW) and all(p.join in ("sum", "equal") for p in self.parameters)
+        )
+
+    def merged(self, old: EffectUse, new: EffectUse) -> EffectUse | None:
+        """One use for a known one and what was found beyond it; None where they stay two entries."""
+        values = {}
+        for p in self.parameters:
+            a, b = np.array(old[p.name]), np.array(new[p.name])
+            if not p.join or (p.join == "equal" and not np.array_equal(a, b)):
+                return None
+            values[p.name] = tuple(float(x) for x in _JOINED[p.join](a, b))
+        return EffectUse(self.id, old.sensor, values)
+
+    # -- trial: how it is hidden ---------------------------------------------------------------------------------------------------------
+
+    def hidden(self, lot: DriveLot) -> Hidden:
+        """How it is hidden in a drive or flight: axes and numbers from a lot, at its datasheet's scale."""
+        raise NotImplementedError(self.id)
+
+    def hidden_at_rest(self, lot: RestLot, strength: float) -> dict[str, Any]:
+        """How it is hidden in a log at rest: its numbers at a strength, 1 near what an hour can show."""
+        raise NotImplementedError(self.id)
+
+    def does(self, what: str) -> bool:
+        """Whether this effect has a function of its own, such as ``columns`` or ``hidden``."""
+        return getattr(type(self), what) is not getattr(Effect, what)
+
+
+#: The functions by which an effect is taken off.
+INVERSES = ("added", "matrix", "bent", "turn", "true_time", "omitted", "corrected_fixes", "arm")
+_JOINED: Mapping[Join, Any] = {
+    "sum": np.add,
+    "product": np.multiply,
+    "root_sum_square": np.hypot,
+    "larger": np.maximum,
+    "smaller": np.minimum,
+    "later": lambda old, new: new,
+    "equal": lambda old, new: old,
+}
+
+
+#: Effect by id; the files of this package fill it when the package is imported.
+EFFECTS: dict[str, Effect] = {}
 
 
 @dataclass(frozen=True)
@@ -400,7 +322,7 @@ class EffectUse:
     Raises
     ------
     InputError
-        An unknown effect, sensor or parameter, a missing or negative value, a wrong count.
+        An unknown effect, sensor or parameter, a missing, negative or implausible value, a wrong count.
     """
 
     id: str
@@ -409,35 +331,12 @@ class EffectUse:
 
     def __post_init__(self) -> None:
         effect = effect_of(self.id)
-        if self.sensor not in effect.sensors:
-            raise InputError(
-                f"effect '{self.id}' has the sensor '{self.sensor}', expected {' or '.join(repr(s) for s in effect.sensors)}"
-            )
-        full: dict[str, tuple[float, ...]] = {}
+        _check_sensor(effect, self.sensor)
         for name in self.values:
             effect.parameter(name)
-        for p in effect.parameters:
-            given = self.values.get(p.name)
-            if given is None:
-                if p.default is None:
-                    raise InputError(f"effect '{self.id}' misses its parameter '{p.name}' ({p.meaning})")
-                given = (p.default,)
-            numbers = tuple(float(x) for x in ((given,) if isinstance(given, int | float) else given))
-            if len(numbers) == 1 and p.size in (3, 9):
-                numbers *= 3
-            if len(numbers) == 3 and p.size == 9:
-                a, b, c = numbers
-                numbers = (a, 0.0, 0.0, 0.0, b, 0.0, 0.0, 0.0, c)
-            if len(numbers) != p.size:
-                raise InputError(
-                    f"effect '{self.id}', '{p.name}': found {len(numbers)} value(s), expected {_count(p.size)}"
-                )
-            if not all(math.isfinite(x) for x in numbers):
-                raise InputError(f"effect '{self.id}', '{p.name}': found a value that is not finite")
-            if p.positive and min(numbers) < 0:
-                raise InputError(f"effect '{self.id}', '{p.name}': found {min(numbers):g}, expected zero or more")
-            full[p.name] = numbers
-        object.__setattr__(self, "values", full)
+        object.__setattr__(
+            self, "values", {p.name: _numbers(effect, p, self.values.get(p.name)) for p in effect.parameters}
+        )
 
     @property
     def effect(self) -> Effect:
@@ -459,37 +358,33 @@ class EffectUse:
         ``sensor`` may be left out where the effect has only one; ``axes`` (``x``, ``[x, z]``) puts single numbers on
         those axes and zero on the others.
         """
+        if not isinstance(mapping, Mapping):
+            raise InputError(
+                f"found {_shown(mapping)}, expected an effect as a mapping such as {{effect: scale_factor, ...}}"
+            )
         given = dict(mapping)
         if "effect" not in given:
-            raise InputError("an effect needs the key 'effect'" + nearest("effect", given))
-        effect = effect_of(str(given.pop("effect")))
+            raise InputError("an effect needs the key 'effect'" + nearest("effect", [str(k) for k in given]))
+        effect = effect_of(given.pop("effect"))
         sensor = given.pop("sensor", None)
         if sensor is None:
             if len(effect.sensors) > 1:
                 raise InputError(f"effect '{effect.id}' needs the key 'sensor': {' or '.join(effect.sensors)}")
             sensor = effect.sensors[0]
-        if sensor not in effect.sensors:
-            raise InputError(
-                f"effect '{effect.id}' has the sensor '{sensor}', expected {' or '.join(repr(s) for s in effect.sensors)}"
-            )
+        _check_sensor(effect, sensor)
         axes = given.pop("axes", None)
         values: dict[str, tuple[float, ...]] = {}
         for name, quantity in given.items():
             p = effect.parameter(name)
-            unit = effect.unit(name, str(sensor))
-            items: Sequence[Any] = quantity if isinstance(quantity, list | tuple) else [quantity]
-            try:
-                numbers = tuple(units.parse(item, unit) for item in items)
-            except InputError as error:
-                raise InputError(f"effect '{effect.id}', '{name}': {error.message}") from None
+            numbers = _parsed(effect, p, quantity, sensor)
             if axes is not None and p.size == 3 and len(numbers) == 1:
-                chosen = [axes] if isinstance(axes, str) else list(axes)
+                chosen = list(axes) if isinstance(axes, list | tuple) else [axes]
                 for axis in chosen:
-                    if axis not in ("x", "y", "z"):
-                        raise InputError(f"effect '{effect.id}': unknown axis '{axis}' (expected x, y or z)")
-                numbers = tuple(numbers[0] if axis in chosen else 0.0 for axis in "xyz")
+                    if axis not in XYZ:
+                        raise InputError(f"effect '{effect.id}': unknown axis '{_shown(axis)}' (expected x, y or z)")
+                numbers = tuple(numbers[0] if axis in chosen else 0.0 for axis in XYZ)
             values[name] = numbers
-        return cls(effect.id, str(sensor), values)
+        return cls(effect.id, sensor, values)
 
     def to_mapping(self) -> dict[str, Any]:
         """Inverse of :meth:`from_mapping`, SI numbers."""
@@ -499,26 +394,76 @@ class EffectUse:
         return out
 
 
+def _shown(value: object) -> str:
+    """A value as a message shows it, cut where it is long."""
+    if isinstance(value, int) and not isinstance(value, bool) and value.bit_length() > 128:
+        return f"an integer of {value.bit_length()} bits"  # python refuses to print very long ones
+    text = str(value)
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+def _check_sensor(effect: Effect, sensor: Any) -> None:
+    if sensor not in effect.sensors:
+        raise InputError(
+            f"effect '{effect.id}' has the sensor '{_shown(sensor)}', expected {' or '.join(repr(s) for s in effect.sensors)}"
+        )
+
+
+def _parsed(effect: Effect, p: EffectParameter, quantity: Any, sensor: str) -> tuple[float, ...]:
+    """Quantities as a file has them, in SI."""
+    unit = effect.unit(p.name, sensor)
+    items: Sequence[Any] = quantity if isinstance(quantity, list | tuple) else [quantity]
+    numbers = []
+    for item in items:
+        if isinstance(item, bool) or not isinstance(item, str | int | float | np.number):
+            raise InputError(
+                f"effect '{effect.id}', '{p.name}': found {_shown(item)}, expected a quantity in {unit or 'plain numbers'}"
+            )
+        try:
+            numbers.append(units.parse(item if isinstance(item, str) else float(item), unit))
+        except InputError as error:
+            raise InputError(f"effect '{effect.id}', '{p.name}': {error.message}") from None
+        except OverflowError:
+            raise InputError(
+                f"effect '{effect.id}', '{p.name}': found {_shown(item)}, expected a finite number"
+            ) from None
+    return tuple(numbers)
+
+
+def _numbers(effect: Effect, p: EffectParameter, given: Any) -> tuple[float, ...]:
+    """All numbers of a parameter, checked."""
+    where = f"effect '{effect.id}', '{p.name}'"
+    if given is None:
+        if p.default is None:
+            raise InputError(f"effect '{effect.id}' misses its parameter '{p.name}' ({p.meaning})")
+        given = (p.default,)
+    try:
+        numbers = tuple(float(x) for x in ((given,) if isinstance(given, int | float) else given))
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{where}: found {_shown(given)}, expected {_count(p.size)} number(s)") from None
+    if len(numbers) == 1 and p.size in (3, 9):
+        numbers *= 3
+    if len(numbers) == 3 and p.size == 9:
+        a, b, c = numbers
+        numbers = (a, 0.0, 0.0, 0.0, b, 0.0, 0.0, 0.0, c)
+    if len(numbers) != p.size:
+        raise InputError(f"{where}: found {len(numbers)} value(s), expected {_count(p.size)}")
+    if not all(math.isfinite(x) for x in numbers):
+        raise InputError(f"{where}: found a value that is not finite")
+    if p.positive and min(numbers) < 0:
+        raise InputError(f"{where}: found {min(numbers):g}, expected zero or more")
+    if p.most is not None and max(abs(x) for x in numbers) > p.most:
+        raise InputError(f"{where}: found {max(numbers, key=abs):g}, expected at most {p.most:g}")
+    return numbers
+
+
 def _count(size: int) -> str:
     return {1: "one", 3: "one or three", 6: "six (xy, xz, yx, yz, zx, zy)", 9: "nine (or three, the diagonal)"}[size]
 
 
-def effect_of(effect_id: str) -> Effect:
+def effect_of(effect_id: Any) -> Effect:
     """Effect by id; ``InputError`` with the nearest id where there is none."""
-    if effect_id not in EFFECTS:
-        raise InputError(f"unknown effect '{effect_id}'" + nearest(effect_id, EFFECTS))
+    if not isinstance(effect_id, str) or effect_id not in EFFECTS:
+        shown = _shown(effect_id)
+        raise InputError(f"unknown effect '{shown}'" + nearest(shown, EFFECTS))
     return EFFECTS[effect_id]
-
-
-def markdown_table() -> str:
-    """The catalogue as the table of the documentation."""
-    lines = ["| effect | sensor | formula | parameters [SI unit] = default |", "| --- | --- | --- | --- |"]
-    for effect in EFFECTS.values():
-        shown = []
-        for p in effect.parameters:
-            named = list(dict.fromkeys(effect.unit(p.name, sensor) or "1" for sensor in effect.sensors))
-            default = "" if p.default is None else f" = {p.default:g}"
-            shown.append(f"`{p.name}` [{'; '.join(named)}]{default}")
-        formula = effect.formula.replace("|", "\\|")
-        lines.append(f"| `{effect.id}` | {', '.join(effect.sensors)} | {formula} | {', '.join(shown)} |")
-    return "\n".join(lines)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu import earth, rotation
-from insemu.effects import EffectUse
+from insemu.effects import EffectUse, FixErrors
 from insemu.errors import InputError
 from insemu.records import GnssRecord, Trajectory
 
@@ -207,18 +207,12 @@ def gnss_fixes(
     arm = _three(lever_arm, "the lever arm")
     of_position, of_velocity = rng.spawn(2)
     own = [use for use in effects if use.sensor == "gnss"]
-    latency = sum(use.scalar("latency") for use in own if use.id == "gnss_latency")
-    valid = t - latency
-    inside = (valid >= trajectory.t[0] - 1e-9) & (valid <= trajectory.t[-1] + 1e-9)
-    for use in own:
-        if use.id == "lever_arm":
-            arm = arm + np.array(use["value"])
-    llh, vel = antenna(trajectory, np.clip(valid, trajectory.t[0], trajectory.t[-1]), arm)
-    errors = _Errors(t, sigma, sigma_v, of_position, of_velocity)
+    errors = FixErrors(t, sigma, sigma_v, of_position, of_velocity)
     for use, child in zip(own, rng.spawn(len(own)), strict=True):
-        if use.id not in ("lever_arm", "gnss_latency"):
-            _EFFECTS[use.id](errors, use, child)
-    keep = inside
+        use.effect.inject_fixes(errors, use, child)
+    valid = t - errors.latency
+    keep = (valid >= trajectory.t[0] - 1e-9) & (valid <= trajectory.t[-1] + 1e-9)
+    llh, vel = antenna(trajectory, np.clip(valid, trajectory.t[0], trajectory.t[-1]), arm + errors.arm)
     for outage in outages:
         keep = keep & ~(outage.covers(t) if isinstance(outage, Outage) else outage.covers(llh))
     if not keep.any():
@@ -229,100 +223,6 @@ def gnss_fixes(
         return GnssRecord(t[keep], llh[keep], None, stated)
     vel = vel + errors.velocity()
     return GnssRecord(t[keep], llh[keep], vel[keep], stated, errors.stated_velocity()[keep])
-
-
-class _Errors:
-    """Errors of all fixes, (n, 3) in m and m/s; effects change the levels and add to the sums."""
-
-    def __init__(
-        self,
-        t: Array,
-        sigma: Array,
-        sigma_v: Array | None,
-        of_position: np.random.Generator,
-        of_velocity: np.random.Generator,
-    ) -> None:
-        n = t.size
-        self.t, self.sigma, self.sigma_v = t, sigma, sigma_v
-        self.white = of_position.standard_normal((n, 3))
-        self.white_v = of_velocity.standard_normal((n, 3))
-        self.level, self.level_v = np.ones((n, 3)), np.ones((n, 3))
-        self.said = np.ones((n, 1))
-        self.added, self.added_v = np.zeros((n, 3)), np.zeros((n, 3))
-
-    def position(self) -> Array:
-        return np.asarray(self.level * self.sigma * self.white + self.added)
-
-    def velocity(self) -> Array:
-        assert self.sigma_v is not None
-        return np.asarray(self.level_v * self.sigma_v * self.white_v + self.added_v)
-
-    def stated(self) -> Array:
-        return np.asarray(self.said * self.sigma)
-
-    def stated_velocity(self) -> Array:
-        assert self.sigma_v is not None
-        return np.asarray(self.said * self.sigma_v)
-
-
-def gauss_markov(t: Array, sigma: ArrayLike, tau: float, rng: np.random.Generator) -> Array:
-    """Stationary first-order Gauss-Markov processes (n, 3) at times (n,) that need not be regular."""
-    if not tau > 0:
-        raise InputError(f"a correlation time is {tau:g} s, expected a positive number")
-    a = np.exp(-np.diff(t) / tau)
-    white = rng.standard_normal((t.size, 3))
-    out = np.empty((t.size, 3))
-    out[0] = white[0]
-    for k in range(1, t.size):
-        out[k] = a[k - 1] * out[k - 1] + np.sqrt(1.0 - a[k - 1] ** 2) * white[k]
-    return np.asarray(out * np.asarray(sigma))
-
-
-def _noise_level(errors: _Errors, use: EffectUse, rng: np.random.Generator) -> None:
-    errors.level *= np.array(use["factor"])
-
-
-def _correlated(errors: _Errors, use: EffectUse, rng: np.random.Generator) -> None:
-    errors.added += gauss_markov(errors.t, use["sigma"], use.scalar("tau"), rng)
-
-
-def _velocity_noise(errors: _Errors, use: EffectUse, rng: np.random.Generator) -> None:
-    errors.level_v *= np.array(use["factor"])
-    errors.added_v += gauss_markov(errors.t, use["sigma"], use.scalar("tau"), rng)
-
-
-def _multipath_step(errors: _Errors, use: EffectUse, rng: np.random.Generator) -> None:
-    errors.added[Outage(use.scalar("start"), use.scalar("duration")).covers(errors.t)] += np.array(use["value"])
-
-
-def _outliers(errors: _Errors, use: EffectUse, rng: np.random.Generator) -> None:
-    hit = rng.random(errors.t.size) < use.scalar("probability")
-    errors.added += hit[:, None] * np.array(use["sigma"]) * rng.standard_normal((errors.t.size, 3))
-
-
-def _quality(errors: _Errors, use: EffectUse, rng: np.random.Generator) -> None:
-    """A two-state Markov chain at the fix epochs, started in the good state."""
-    step = np.diff(errors.t, prepend=errors.t[0])
-    leave_good, leave_poor = 1 - np.exp(-step / use.scalar("good")), 1 - np.exp(-step / use.scalar("poor"))
-    u = rng.random(errors.t.size)
-    poor = np.zeros(errors.t.size, bool)
-    for k in range(1, errors.t.size):
-        poor[k] = u[k] >= leave_poor[k] if poor[k - 1] else u[k] < leave_good[k]
-    factor = np.where(poor, use.scalar("factor"), 1.0)[:, None]
-    errors.level *= factor
-    errors.level_v *= factor
-    if use.scalar("stated"):
-        errors.said *= factor
-
-
-_EFFECTS = {
-    "gnss_noise_level": _noise_level,
-    "gnss_correlated_noise": _correlated,
-    "gnss_velocity_noise": _velocity_noise,
-    "gnss_multipath_step": _multipath_step,
-    "gnss_outliers": _outliers,
-    "gnss_quality": _quality,
-}
 
 
 def fix_times(trajectory: Trajectory, rate_hz: float) -> Array:

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import insemu
-from insemu.compensation import NEEDS_TRAJECTORY, compensated, lever_arm_of
 from insemu.denoise import denoise
+from insemu.effects import compensated, lever_arm_of
 from insemu.emulate.pieces import TrueStates
 from insemu.errors import InputError
 from insemu.evaluate.consistency import block_nees, lag_products, observability, sensor_errors, unaided_sigma
@@ -364,11 +364,11 @@ class Experiment:
     def _compensated(self, design: str, recording: Recording, start: NavState, sigma: InitialSigma) -> Recording:
         """The data less the effects that a design knows of."""
         known = self.scenario.designs[design].options.compensate
-        along = [use for use in known if use.id in NEEDS_TRAJECTORY]
+        along = [use for use in known if use.effect.needs_trajectory]
         if not along:
             return compensated(recording, known) if known else recording
         # where the vehicle was is known well enough without them
-        first = compensated(recording, [use for use in known if use.id not in NEEDS_TRAJECTORY])
+        first = compensated(recording, [use for use in known if not use.effect.needs_trajectory])
         flown = self.filter(design).run(first.imu, first.gnss, start, sigma)
         return compensated(recording, known, trajectory=trajectory_of(flown.t, flown.nav, "estimate"))
 

@@ -240,7 +240,7 @@ def update(
     nu_all: Array,
     H_all: Array,
     R_all: Array,
-    used: Array,
+    used: NDArray[np.bool_],
     thresholds: Array,
     dx: Array,
     S_out: Array,

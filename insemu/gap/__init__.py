@@ -4,18 +4,20 @@
 candidate of one's own.
 """
 
-from insemu.gap.candidates import register
-from insemu.gap.identify import find_gap
-from insemu.gap.nominal import Nominal, load_nominal
-from insemu.gap.refined import refined_nominal, write_refined
-from insemu.gap.sources import StaticLog, from_its_start, load_measured
-from insemu.gap.static_log import find_static_gap
+from insemu.gap.beliefs.nominal import Nominal, load_nominal
+from insemu.gap.beliefs.refined import refined_nominal, write_refined
+from insemu.gap.candidates.axis import register
+from insemu.gap.data.sources import StaticLog, from_its_start, load_measured
+from insemu.gap.policy import Policy
+from insemu.gap.problems.rest import find_static_gap
+from insemu.gap.session import find_gap
 from insemu.gap.verdict import GapReport, Member, Step, Value, Where
 
 __all__ = [
     "GapReport",
     "Member",
     "Nominal",
+    "Policy",
     "StaticLog",
     "Step",
     "Value",

@@ -14,14 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.gap.hypotheses import Variant, linear_gains, pooled_gains
-from insemu.gap.innovations import Block, Field
-from insemu.gap.verdict import LEAD
+from insemu.gap.candidates.shapes import Variant, linear_gains, pooled_gains
+from insemu.gap.evidence.linear import Block, Field
+from insemu.gap.policy import rules
 
 Array = NDArray[np.float64]
 
-#: In what share of the repetitions a rival must stand beside the best effect for the two to count as confusable.
-SHARE = 0.1
 DRAWS = 300
 
 
@@ -48,9 +46,9 @@ class Repetitions:
     def shares(
         self, variants: Sequence[Variant], index: NDArray[np.int64], coefficients: Array, given: Sequence[Block] = ()
     ) -> dict[tuple[str, str], float]:
-        """Share of the repetitions in which each effect and sensor is found: it comes first, or is worth anything within :data:`LEAD` of the first.
+        """Share of the repetitions in which each effect and sensor is found: it comes first, or is worth anything within the lead of the first.
 
-        Where nothing is worth :data:`LEAD` nothing is found.
+        Where nothing is worth the lead nothing is found.
 
         Parameters
         ----------
@@ -70,5 +68,5 @@ class Repetitions:
         )
         table = np.stack(list(gains.values()))
         top = table.max(axis=0)
-        near = np.mean((table > top - LEAD) & (table > 0.0) & (top > LEAD), axis=1)
+        near = np.mean((table > top - rules().lead) & (table > 0.0) & (top > rules().lead), axis=1)
         return {key: float(share) for key, share in zip(gains, near, strict=True)}

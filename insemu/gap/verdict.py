@@ -7,10 +7,8 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+from insemu.gap.policy import Policy
 from insemu.noise import NoiseModel
-
-#: Nats by which an effect must lead for its name to stand alone; whatever is nearer belongs to its class.
-LEAD = 3.0
 
 VerdictName = Literal["nothing missing", "named", "class", "unexplained"]
 
@@ -204,7 +202,7 @@ class GapReport:
     held_out: Interval
     nominal: dict[str, NoiseModel] = field(default_factory=dict)
     refined: dict[str, NoiseModel] = field(default_factory=dict)
-    threshold_nats: float = 3.0
+    threshold_nats: float = Policy.least_nats
     source: str = "recording"
     curves: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
     remainder: str = ""

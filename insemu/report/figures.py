@@ -161,16 +161,16 @@ def end_errors(results: Results) -> Figure:
                 if p["ci95"][0] is not None:
                     axes.plot([x, x], p["ci95"], color=colour, lw=3)
                 axes.plot(x, p["mean"], "o", color=colour, ms=7, label=name if k == 0 else None)
+                axes.plot(x, row["predicted_sigma_end_m"], "_", color="#1c2430", ms=13, mew=2)
+                printed = published.get(name, ())[k : k + 1]
                 axes.plot(
-                    x,
-                    row["predicted_sigma_end_m"],
-                    "_",
+                    [x for p in printed if p is not None],
+                    [p for p in printed if p is not None],
+                    "x",
                     color="#1c2430",
-                    ms=13,
-                    mew=2,
+                    ms=7,
+                    mew=1.6,
                 )
-                if k < len(published.get(name, ())) and published[name][k] is not None:
-                    axes.plot(x, published[name][k], "x", color="#1c2430", ms=7, mew=1.6)
         axes.plot([], [], "_", color="#1c2430", ms=13, mew=2, ls="none", label="stated sigma")
         if published:
             axes.plot([], [], "x", color="#1c2430", ms=7, mew=1.6, ls="none", label="published")

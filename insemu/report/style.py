@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import matplotlib
 
@@ -16,7 +17,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#4
 #: Shade of a span without GNSS.
 OUTAGE = "#E9ECEF"
 
-_SETTINGS = {
+_SETTINGS: dict[Any, Any] = {  # matplotlib types each name of its settings on its own
     "figure.constrained_layout.use": True,
     "axes.grid": True,
     "grid.color": "#E3E6EA",

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -163,6 +164,7 @@ def resolve_path(text: str, scenario_file: str | Path | None = None) -> Path:
     return path
 
 
+@cache
 def code_version() -> str:
     """Hash of the package's own source: results of other code are never taken for results of this one."""
     root = Path(insemu.__file__).parent

@@ -11,8 +11,7 @@ from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, field_va
 from pydantic_core import CoreSchema, core_schema
 
 from insemu.augment import Extras
-from insemu.compensation import COMPENSABLE
-from insemu.effects import EffectUse
+from insemu.effects import EFFECTS, EffectUse
 from insemu.emulate import AreaOutage, Mounting, Outage, TemperatureProfile
 from insemu.emulate.trajectory import TRAJECTORIES
 from insemu.errors import InputError, nearest
@@ -422,9 +421,10 @@ class DesignOptions(Section):
     @classmethod
     def _can_be_taken_off(cls, value: tuple[EffectUse, ...]) -> tuple[EffectUse, ...]:
         for use in value:
-            if use.id not in COMPENSABLE:
+            if not use.effect.compensable:
+                known = ", ".join(sorted(e.id for e in EFFECTS.values() if e.compensable))
                 raise InputError(
-                    f"the effect '{use.id}' is noise or a loss, which cannot be taken off; expected one of: {', '.join(sorted(COMPENSABLE))}"
+                    f"the effect '{use.id}' is noise or a loss, which cannot be taken off; expected one of: {known}"
                 )
         return value
 

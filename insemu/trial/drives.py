@@ -20,9 +20,9 @@ from insemu.emulate.flight import gusts, moving, place
 from insemu.emulate.motion import Command, path_of, profile
 from insemu.emulate.vehicle import VEHICLES
 from insemu.filters import FilterResult
-from insemu.gap.nominal import Nominal
-from insemu.gap.preparation import Prepared
-from insemu.gap.surrogate import Colour, Surrogate
+from insemu.gap.beliefs.nominal import Nominal
+from insemu.gap.drive.preparation import Prepared
+from insemu.gap.evidence.fixes import Colour, Surrogate
 from insemu.noise import BI, GM, RC, RW, WN, NoiseModel
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Gnss, Initial

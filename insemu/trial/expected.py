@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 
 from insemu.effects import EffectUse
-from insemu.gap import kernel
-from insemu.gap.band import Band
-from insemu.gap.candidates import AMPLITUDE_RANGE, bias_gain, mean_spread
-from insemu.gap.evidence import (
+from insemu.gap.candidates.noise import bias_gain, mean_spread
+from insemu.gap.data.log import Reduced, block_differences, block_length, spectrum_bins
+from insemu.gap.evidence import kernels
+from insemu.gap.evidence.band import Band
+from insemu.gap.evidence.model import (
     DEPTH,
     Component,
     Explanation,
@@ -31,8 +32,7 @@ from insemu.gap.evidence import (
     log_mean_exp,
     regression_evidence,
 )
-from insemu.gap.reduced import Reduced, block_differences, block_length, spectrum_bins
-from insemu.gap.singular import RARER
+from insemu.gap.policy import rules
 from insemu.noise import BI, GM, RW, WN, NoiseModel, Process
 
 Array = NDArray[np.float64]
@@ -65,7 +65,7 @@ class Expected(Likelihood):
         """Expected Gaussian log-likelihood of the block differences, regressors integrated out at their expected projections."""
         stacked = np.hstack([self.data.differences[:, None], *(r.columns for r in regressors)])
         white = np.empty_like(stacked)
-        logdet = kernel.toeplitz_whiten(gamma, stacked, white)
+        logdet = kernels.toeplitz_whiten(gamma, stacked, white)
         if not math.isfinite(logdet):
             return -math.inf
         e, G = white[:, 0], white[:, 1:]
@@ -197,7 +197,7 @@ class Log:
         without = max((fit(likelihood, e) for e in _starts(less)), key=lambda f: f.evidence)
         # the expectation of a maximum is half a nat above the maximum of the expectation for every parameter
         more = len(full.free) - len(less.free) + sum(len(r.names) for r in full.regressors if r.effect == use.id)
-        rare = RARER if use.id == "telegraph" else 0.0
+        rare = rules().telegraph_rarer if use.id == "telegraph" else 0.0
         return with_it.evidence - without.evidence + 0.5 * more - rare
 
     def leads(self, use: EffectUse, beside: Sequence[EffectUse] = ()) -> dict[str, float]:
@@ -276,7 +276,7 @@ class Log:
 def _component(process: Process, amplitude: str, effect: str, *more: Free) -> Component:
     """A process with the priors of its candidate; where the amplitude's range ends does not matter, how wide it is does."""
     top = 30.0 * process.parameters[amplitude]
-    return Component(process, (Free(amplitude, top / AMPLITUDE_RANGE, top), *more), effect)
+    return Component(process, (Free(amplitude, top / rules().amplitude_range, top), *more), effect)
 
 
 def _starts(explanation: Explanation) -> list[Explanation]:

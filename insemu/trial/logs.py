@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from insemu import earth
 from insemu.effects import EFFECTS, EffectUse
 from insemu.emulate import corrupt
-from insemu.gap.sources import static_of
+from insemu.gap.data.sources import static_of
 from insemu.noise import NoiseModel
 from insemu.records import AXES, ImuRecord, Recording, Series
 from insemu.trial.drives import Hidden

@@ -23,9 +23,10 @@ from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS, EffectUse
 from insemu.errors import InputError, nearest
-from insemu.gap.identify import find_gap
-from insemu.gap.preparation import Flown, Prepared
-from insemu.gap.static_log import NAMING_SHARE, find_static_gap
+from insemu.gap.drive.preparation import Flown, Prepared
+from insemu.gap.policy import rules
+from insemu.gap.problems.rest import find_static_gap
+from insemu.gap.session import find_gap
 from insemu.gap.verdict import GapReport
 from insemu.trial.drives import (
     DYNAMIC_EFFECTS,
@@ -243,7 +244,7 @@ def run_dynamic(
     held = math.nan
     if uses and not outside:
         start, end = float(flown.prepared.imu.t[0]), float(flown.prepared.imu.t[-1])
-        cut = start + NAMING_SHARE * (end - start)
+        cut = start + rules().naming_share * (end - start)
         whole = math.nan
         if oracle_knows(uses):
             whole, late, fixes = oracle(s, clean(), flown.prepared, uses, cut)

@@ -131,15 +131,15 @@ def model_covariance(
     Returns
     -------
     (J, J) array
-        In unit^4. Entry (m, l) is ``sum of 2 cov^2 / (M_m M_l)`` over all pairs of coefficients, of which equations (10), (15) of paper
-        000 are the limit.
+        In unit^4. Entry (m, l) is ``sum of 2 cov^2 / (M_m M_l)`` over all pairs of coefficients, of which equations (10), (15) of
+        Stebler et al. 2014 are the limit.
     """
     s1 = check_signal(level1, "level-1 autocovariance")
     n = s1.size if n_samples is None else n_samples
     if n > s1.size:
         raise InputError(f"level-1 autocovariance has {s1.size} lags, expected at least the record's {n} samples")
     count = check_levels(levels, max_levels(n), n)
-    means = 0.5 * drift_per_sample * 2.0 ** np.arange(count)
+    means = 0.5 * drift_per_sample * 2.0 ** np.arange(count, dtype=np.float64)
     out = np.empty((count, count))
     _kernel.haar_covariances(np.ascontiguousarray(s1[:n]), n, count, means, out)
     return out
@@ -160,7 +160,7 @@ def model_edof(level1: ArrayLike, value: ArrayLike, *, drift_per_sample: float =
     s1 = check_signal(level1, "level-1 autocovariance")
     v = np.asarray(value, dtype=float)
     count = check_levels(v.size, max_levels(s1.size), s1.size)
-    means = 0.5 * drift_per_sample * 2.0 ** np.arange(count)
+    means = 0.5 * drift_per_sample * 2.0 ** np.arange(count, dtype=np.float64)
     out = np.empty(count)
     _kernel.haar_variances_of_variances(s1, s1.size, count, means, out)
     return 2.0 * v**2 / out

@@ -1,0 +1,141 @@
+"""Effects run backwards: what a filter that knows them does to its data before it uses them.
+
+Each effect says how it is taken off; this module does so in the order of the signal chain, backwards. Noise has nothing that could be taken
+off and is passed over (it belongs in the noise model). A test holds the emulator against it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from insemu.effects.base import EffectUse, Stage
+from insemu.errors import InputError
+from insemu.records import ImuRecord, Recording, Trajectory
+
+Array = NDArray[np.float64]
+
+#: The signal is found from what was measured by repeated substitution; the error falls by the effects' size each time.
+SUBSTITUTIONS = 6
+
+
+def lever_arm_of(effects: Sequence[EffectUse], assumed: ArrayLike) -> Array:
+    """The assumed lever arm with what the effects say that it lacks, (3,) m in body axes."""
+    out = np.array(assumed, dtype=float)
+    for use in effects:
+        if use.effect.does("arm"):
+            out = out + use.effect.arm(use)
+    return out
+
+
+def compensated(
+    recording: Recording, effects: Sequence[EffectUse], *, trajectory: Trajectory | None = None
+) -> Recording:
+    """Take effects off a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+    effects : sequence of EffectUse
+        In any order; those of noise and the lever arm (:func:`lever_arm_of`) change nothing here.
+    trajectory : Trajectory, optional
+        Estimated motion, for Earth rate, transport rate and gravity; the attitude to a degree is enough.
+
+    Raises
+    ------
+    InputError
+        A temperature effect without a recorded temperature, or an effect of attitude without a trajectory.
+    """
+    imu, gnss = recording.imu, recording.gnss
+    inertial = [use for use in effects if use.sensor != "gnss" and use.effect.compensable]
+    if inertial:
+        imu = _imu(imu, inertial, trajectory)
+    for use in sorted((use for use in effects if use.sensor == "gnss"), key=_place):
+        if gnss is not None and use.effect.does("corrected_fixes"):
+            gnss = use.effect.corrected_fixes(use, gnss)
+    return replace(recording, imu=imu, gnss=gnss)
+
+
+def _place(use: EffectUse) -> Stage:
+    assert use.effect.stage is not None
+    return use.effect.stage
+
+
+def columns_without(values: Array, t: Array, effects: Sequence[EffectUse], temperature: Array | None) -> Array:
+    """Take effects off six columns of rates and forces, which needs no knowledge of the motion.
+
+    Parameters
+    ----------
+    values : (n, 6) array
+        rad/s and m/s^2.
+    t : (n,) array
+        s.
+    effects : sequence of EffectUse
+    temperature : (n,) array, optional
+        degC.
+    """
+    out = np.array(values, dtype=float)
+    for sensor, at in (("gyro", slice(0, 3)), ("accel", slice(3, 6))):
+        out[:, at] -= added_signal([use for use in effects if use.sensor == sensor], t, temperature)
+    return _solved(out, effects, temperature)
+
+
+def _imu(imu: ImuRecord, effects: Sequence[EffectUse], trajectory: Trajectory | None) -> ImuRecord:
+    t = imu.t
+    step = np.diff(t, prepend=2 * t[0] - t[1])[:, None] if imu.kind == "increment" else np.ones((t.size, 1))
+    out = columns_without(np.hstack([imu.gyro, imu.accel]) / step, t, effects, imu.temperature)
+    rate, force = out[:, :3], out[:, 3:]
+    for use in effects:
+        if use.effect.does("turn"):
+            C = use.effect.turn(use)
+            rate, force = rate @ C.T, force @ C.T
+    for use in sorted((use for use in effects if use.effect.does("true_time")), key=_place, reverse=True):
+        t = use.effect.true_time(use, t)
+    models = [use for use in effects if use.effect.needs_trajectory]
+    if models:
+        if trajectory is None:
+            raise InputError(f"the effect '{models[0].id}' is taken off along a trajectory, and none is given")
+        rows = np.clip(np.searchsorted(trajectory.t, t), 0, len(trajectory) - 1)
+        for use in models:
+            of_rate, of_force = use.effect.omitted(use, trajectory, rows)
+            rate = rate if of_rate is None else rate + of_rate
+            force = force if of_force is None else force + of_force
+    return replace(imu, t=t, gyro=rate * step, accel=force * step)
+
+
+def added_signal(effects: Sequence[EffectUse], t: Array, temperature: Array | None) -> Array:
+    """What the effects add whatever the signal, (n, 3).
+
+    Parameters
+    ----------
+    effects : sequence of EffectUse
+        Of one sensor.
+    t : (n,) array
+        s.
+    temperature : (n,) array, optional
+        degC.
+    """
+    out = np.zeros((t.size, 3))
+    for use in effects:
+        if use.effect.does("added"):
+            out += use.effect.added(use, t, temperature)
+    return out
+
+
+def _solved(measured: Array, effects: Sequence[EffectUse], temperature: Array | None) -> Array:
+    """The rates and forces (n, 6) of which the effects that depend on them make what was measured."""
+    linear = [use.effect.matrix(use) for use in effects if use.effect.does("matrix")]
+    bent = [use for use in effects if use.effect.does("bent")]
+    if not linear and not bent:
+        return measured
+    back = np.linalg.inv(np.eye(6) + sum(linear, np.zeros((6, 6)))).T
+    s = measured @ back
+    for _ in range(SUBSTITUTIONS if bent else 0):
+        error = np.zeros_like(s)
+        for use in bent:
+            error += use.effect.bent(use, s, temperature)
+        s = (measured - error) @ back
+    return np.asarray(s)

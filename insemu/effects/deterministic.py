@@ -1,0 +1,416 @@
+"""Errors of a sensor that are functions of the true signal, of the temperature or of nothing: bias, scale, misalignment, mounting, saturation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from insemu import earth, rotation
+from insemu.effects import passes
+from insemu.effects.base import BOTH, CELLS, CROSS, DEG, IMU, RPY, XYZ, Effect, EffectParameter, EffectUse, G, Stage
+from insemu.effects.chain import Chain
+from insemu.effects.hiding import DriveLot, Hidden, RestLot, at
+from insemu.effects.motion import Column, FixGeometry, Motion, first_axis
+from insemu.errors import InputError
+
+Array = NDArray[np.float64]
+_P = EffectParameter
+
+_SAMPLES = "seen in the samples, above the motion"
+
+
+def _sensor_rows(use: EffectUse) -> slice:
+    return slice(0, 3) if use.sensor == "gyro" else slice(3, 6)
+
+
+class _OfSensor(Effect):
+    """An error of the gyroscopes or of the accelerometers."""
+
+    family = "deterministic"
+    sensors = BOTH
+
+    def own(self, motion: Motion, shape: Any) -> list[Column]:
+        """One column per sensor and axis: a shape of that axis's signal."""
+        return [
+            Column.of(self, sensor, f"value_{a}", (a,), ((first_axis(sensor) + i, shape(motion.signal(sensor)[:, i])),))
+            for sensor in self.sensors
+            for i, a in enumerate(XYZ)
+        ]
+
+    def hidden(self, lot: DriveLot) -> Hidden:
+        """On one axis."""
+        return Hidden(lot.axis, {self.size: lot.on(lot.size(self, self.size))})
+
+
+class TurnOnBias(_OfSensor):
+    """Turn-on bias."""
+
+    id, name, formula = "turn_on_bias", "turn-on bias", "e = b"
+    parameters = (_P("value", "{s}", 3, (0.1 * DEG, 2e-3 * G), None, "bias", join="sum"),)
+    excitation, in_filter = "fixes, or rest", "random constant per axis"
+    stage, size = Stage.RESPONSE, "value"
+
+    def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
+        """Note the bias."""
+        chain.response.offset[chain.axes(use.sensor)] += use["value"]
+
+    def added(self, use: EffectUse, t: Array, temperature: Array | None) -> Array:
+        """The bias."""
+        return np.array(use["value"])
+
+    def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
+        """A constant."""
+        return self.own(motion, np.ones_like)
+
+    def hidden_at_rest(self, lot: RestLot, strength: float) -> dict[str, Any]:
+        """In units of the Earth rate, which a gyroscope at rest shows too."""
+        return {"value": lot.on(lot.sign * strength * 2.0 * earth.RATE)}
+
+
+class ScaleFactor(_OfSensor):
+    """Scale factor."""
+
+    id, name, formula = "scale_factor", "scale factor", "e_i = S_i s_i"
+    parameters = (_P("value", "", 3, (1e-3,), None, "relative error", join="sum"),)
+    excitation, in_filter = "turns (gyro), accelerations (accelerometer)", "random constant per axis times s_i"
+    stage, size = Stage.RESPONSE, "value"
+
+    def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
+        """Note it on the diagonal."""
+        s = chain.axes(use.sensor)
+        chain.response.matrix[s, s] += np.diag(use["value"])
+
+    def matrix(self, use: EffectUse) -> Array:
+        """The diagonal of the sensor's block."""
+        out = np.zeros((6, 6))
+        out[_sensor_rows(use), _sensor_rows(use)] = np.diag(use["value"])
+        return out
+
+    def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
+        """The signal itself."""
+        return self.own(motion, np.ascontiguousarray)
+
+
+class ScaleAsymmetry(_OfSensor):
+    """Scale factors of either sign differ."""
+
+    id, name, formula = "scale_asymmetry", "scale-factor asymmetry", "e_i = A_i |s_i|"
+    parameters = (
+        _P("value", "", 3, (1e-3,), None, "half of the difference of the scale factors of either sign", join="sum"),
+    )
+    excitation, in_filter = "both signs of s_i", "random constant per axis times |s_i|"
+    stage, size = Stage.RESPONSE, "value"
+
+    def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
+        """Note it."""
+        chain.response.asymmetry[chain.axes(use.sensor)] += use["value"]
+
+    def bent(self, use: EffectUse, signal: Array, temperature: Array | None) -> Array:
+        """The magnitude of every axis times its number."""
+        out = np.zeros_like(signal)
+        rows = _sensor_rows(use)
+        out[:, rows] = np.array(use["value"]) * np.abs(signal[:, rows])
+        return out
+
+    def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
+        """The magnitude of the signal."""
+        return self.own(motion, np.abs)
+
+
+class ScaleNonlinearity(_OfSensor):
+    """Quadratic and cubic scale errors."""
+
+    id, name, formula = "scale_nonlinearity", "scale-factor non-linearity", "e_i = K2_i s_i^2 + K3_i s_i^3"
+    parameters = (
+        _P("K2", "1/({s})", 3, (1e-3, 1e-4), 0.0, "quadratic coefficient", join="sum"),
+        _P("K3", "1/({s})^2", 3, (1e-3, 1e-5), 0.0, "cubic coefficient", join="sum"),
+    )
+    excitation, in_filter = "a wide range of s_i", "random constants times s_i^2, s_i^3"
+    stage = Stage.RESPONSE
+    absent = {
+        "signature": "squares are the structure outside the catalogue by which a report says 'unexplained'",
+        "candidate": "squares are the structure outside the catalogue by which a report says 'unexplained'",
+        "trial": "the trial hides it as what no catalogue holds (quadratic_accelerometer)",
+    }  # fmt: skip
+
+    def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
+        """Note it."""
+        chain.response.square[chain.axes(use.sensor)] += use["K2"]
+        chain.response.cube[chain.axes(use.sensor)] += use["K3"]
+
+    def bent(self, use: EffectUse, signal: Array, temperature: Array | None) -> Array:
+        """Square and cube of every axis."""
+        out = np.zeros_like(signal)
+        rows = _sensor_rows(use)
+        s = signal[:, rows]
+        out[:, rows] = (np.array(use["K2"]) + np.array(use["K3"]) * s) * s * s
+        return out
+
+
+class Misalignment(_OfSensor):
+    """Misalignment and non-orthogonality."""
+
+    id, name = "misalignment", "misalignment and non-orthogonality"
+    formula = "e_i = sum over j != i of M_ij s_j"
+    parameters = (_P("value", "rad", 6, (1e-3,), None, "M_xy, M_xz, M_yx, M_yz, M_zx, M_zy", join="sum"),)
+    excitation, in_filter = "rates or accelerations about the other axes", "random constants times s_j"
+    stage, size = Stage.RESPONSE, "value"
+
+    def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
+        """Note it off the diagonal."""
+        m = np.zeros((3, 3))
+        for pair, value in zip(CROSS, use["value"], strict=True):
+            m["xyz".index(pair[0]), "xyz".index(pair[1])] = value
+        s = chain.axes(use.sensor)
+        chain.response.matrix[s, s] += m
+
+    def matrix(self, use: EffectUse) -> Array:
+        """The sensor's block without its diagonal."""
+        out, first = np.zeros((6, 6)), first_axis(use.sensor)
+        for (i, j), value in zip(map(tuple, CROSS), use["value"], strict=True):
+            out[first + "xyz".index(i), first + "xyz".index(j)] = value
+        return out
+
+    def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
+        """The signal of another axis."""
+        return [
+            Column.of(
+                self, s, f"value_{i}{j}", (i,), ((first_axis(s) + XYZ.index(i), motion.signal(s)[:, XYZ.index(j)]),)
+            )
+            for s in self.sensors
+            for i, j in map(tuple, CROSS)
+        ]
+
+    def hidden(self, lot: DriveLot) -> Hidden:
+        """One of the six pairs."""
+        return Hidden((CROSS[lot.pair][0],), {"value": at(lot.pair, lot.size(self, "value"), 6)})
+
+
+class Mounting(Effect):
+    """The IMU is turned in the body."""
+
+    id, name, family, sensors = "mounting", "mounting angles", "deterministic", IMU
+    formula = "s_imu = C(rpy)^T s_body, both sensors"
+    parameters = (
+        _P(
+            "rpy",
+            "rad",
+            3,
+            (0.5 * DEG,),
+            None,
+            "roll, pitch, yaw of the IMU in the body axes that are assumed",
+            join="sum",
+        ),
+    )
+    excitation = "motion, and a filter that ties velocity to the body axes"
+    in_filter = "two or three attitude constants"
+    axes = RPY
+    stage, size = Stage.MOUNTING, "rpy"
+    absent = {"trial": "only a vehicle that cannot slip shows it; the trial's nominal models believe in none"}
+
+    def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
+        """Turn the signals."""
+        chain.response.mounting = rotation.dcm_from_rpy(use["rpy"]).T @ chain.response.mounting
+
+    def turn(self, use: EffectUse) -> Array:
+        """The turn back."""
+        return rotation.dcm_from_rpy(np.array(use["rpy"]))
+
+    def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
+        """Small turns about each axis: what a turn about one axis does to the signals of the other two."""
+        out = []
+        for k, name in enumerate(RPY):
+            axis = np.eye(3)[k]
+            turned = [-np.cross(axis, signal) for signal in (motion.rate, motion.force)]
+            inputs = tuple(
+                (3 * q + i, np.ascontiguousarray(turned[q][:, i])) for q in (0, 1) for i in range(3) if i != k
+            )
+            out.append(Column.of(self, "imu", f"rpy_{name}", (name,), inputs))
+        return out
+
+    def merged(self, old: EffectUse, new: EffectUse) -> EffectUse | None:
+        """One turn after the other."""
+        turned = rotation.dcm_from_rpy(np.array(new["rpy"])) @ rotation.dcm_from_rpy(np.array(old["rpy"]))
+        roll, pitch, yaw = (float(x) for x in rotation.rpy_from_dcm(turned))
+        return EffectUse(self.id, old.sensor, {"rpy": (roll, pitch, yaw)})
+
+
+class GSensitivity(_OfSensor):
+    """Gyroscopes that feel specific force."""
+
+    id, name, sensors, formula = "g_sensitivity", "g-sensitivity of gyros", ("gyro",), "e = G f"
+    parameters = (
+        _P("value", "rad/s/(m/s^2)", 9, (0.02 * DEG / G,), None, "matrix row by row, or its diagonal", join="sum"),
+    )
+    excitation, in_filter = "changing specific force (turns, tilts)", "random constants times f"
+    stage, size = Stage.RESPONSE, "value"
+
+    def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
+        """Note it between gyroscopes and accelerometers."""
+        chain.response.matrix[:3, 3:] += np.array(use["value"]).reshape(3, 3)
+
+    def matrix(self, use: EffectUse) -> Array:
+        """The block of the rates' errors by the specific force."""
+        out = np.zeros((6, 6))
+        out[:3, 3:] = np.array(use["value"]).reshape(3, 3)
+        return out
+
+    def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
+        """A specific force on a gyroscope axis."""
+        return [
+            Column.of(self, "gyro", f"value_{a}{b}", (a,), ((XYZ.index(a), motion.force[:, XYZ.index(b)]),))
+            for a, b in map(tuple, CELLS)
+        ]
+
+    def hidden(self, lot: DriveLot) -> Hidden:
+        """One of the nine cells."""
+        return Hidden((CELLS[lot.cell][0],), {"value": at(lot.cell, lot.size(self, "value"), 9)})
+
+
+def lagged(temperature: Array, dt: float, lag_s: float) -> Array:
+    """First-order lag of a sampled temperature, exact for straight lines between the samples; starts in equilibrium.
+
+    Parameters
+    ----------
+    temperature : (n,) array
+        degC or K.
+    dt, lag_s : float
+        Sampling interval and time constant, s; without a time constant the temperature itself.
+
+    Returns
+    -------
+    (n,) array
+    """
+    if lag_s <= 0.0:
+        return temperature
+    phi = float(np.exp(-dt / lag_s))
+    now = 1.0 - lag_s / dt * (1.0 - phi)  # exact response to a ramp over one interval
+    start = temperature[:1] * (1.0 - now)
+    return np.asarray(lfilter([now, 1.0 - phi - now], [1.0, -phi], temperature, zi=start)[0])
+
+
+#: Temperature about which the signature's powers are taken, degC: the default of T0.
+REFERENCE_DEGC = 25.0
+_T0 = _P("T0", "degC", 1, (25.0,), REFERENCE_DEGC, "reference temperature", join="equal")
+_LAG = _P(
+    "lag", "s", 1, (60.0,), 0.0, "time constant of the sensing element behind the temperature that is recorded", True, join="equal"
+)  # fmt: skip
+
+
+class Temperature(_OfSensor):
+    """A bias that follows the temperature."""
+
+    id, name = "temperature", "temperature-dependent bias"
+    formula = "e = c1 d + c2 d^2 + c3 d^3, d = T_lag - T0, lag_s T_lag' = T - T_lag"
+    parameters = (
+        _P("c1", "{s}/K", 3, (0.005 * DEG, 1e-4 * G), 0.0, "linear coefficient", join="sum"),
+        _P("c2", "{s}/K^2", 3, (1e-4 * DEG, 2e-6 * G), 0.0, "quadratic coefficient", join="sum"),
+        _P("c3", "{s}/K^3", 3, (2e-6 * DEG, 4e-8 * G), 0.0, "cubic coefficient", join="sum"),
+        _T0,
+        _LAG,
+    )
+    excitation, in_filter = "a temperature sweep", "compensation by the recorded temperature"
+    traits = frozenset({"shape"})
+    stage, size, needs_temperature = Stage.LAW, "c1", True
+
+    def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
+        """Add the cubic."""
+        d = lagged(chain.need_temperature(use), chain.dt, use.scalar("lag")) - use.scalar("T0")
+        for row, c1, c2, c3 in zip(chain.rows(use.sensor), use["c1"], use["c2"], use["c3"], strict=True):
+            passes.add_cubic(row, d, c1, c2, c3)
+
+    def added(self, use: EffectUse, t: Array, temperature: Array | None) -> Array:
+        """The cubic of the recorded temperature."""
+        d = warmed(use, t, temperature)[:, None]
+        return np.asarray(((np.array(use["c3"]) * d + np.array(use["c2"])) * d + np.array(use["c1"])) * d)
+
+    def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
+        """Powers of the temperature, without lag."""
+        if motion.warmth is None:
+            return []
+        d = motion.warmth - REFERENCE_DEGC
+        return [
+            Column.of(self, sensor, f"c{power}_{a}", (a,), ((first_axis(sensor) + i, d**power),))
+            for sensor in self.sensors
+            for i, a in enumerate(XYZ)
+            for power in (1, 2, 3)
+        ]
+
+    def hidden_at_rest(self, lot: RestLot, strength: float) -> dict[str, Any]:
+        """Linear."""
+        return {"c1": lot.on(0.6 * strength * lot.slow)}
+
+
+def warmed(use: EffectUse, t: Array, temperature: Array | None) -> Array:
+    """What the sensing element is warmer than the reference, (n,) K, at times (n,) in s, from a recorded temperature (n,) in degC."""
+    if temperature is None:
+        raise InputError(f"the effect '{use.id}' needs the temperature of the data; none was recorded")
+    return lagged(temperature, float(np.median(np.diff(t))), use.scalar("lag")) - use.scalar("T0")
+
+
+class Saturation(Effect):
+    """The output is clipped."""
+
+    id, name, family, sensors = "saturation", "saturation", "deterministic", BOTH
+    formula = "y = clip(s, -limit, limit)"
+    parameters = (_P("limit", "{s}", 3, (250.0 * DEG, 4.0 * G), None, "full scale", True, join="smaller", nothing=1e6),)
+    excitation, in_filter = "motion beyond the full scale", "epochs flagged"
+    traits = frozenset({"samples"})
+    stage = Stage.CLIP
+    absent = {"compensate": "what was clipped is lost", "signature": _SAMPLES}
+
+    def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
+        """Clip the rows."""
+        for row, limit in zip(chain.rows(use.sensor), use["limit"], strict=True):
+            np.clip(row, -limit, limit, out=row)
+
+    def hidden(self, lot: DriveLot) -> Hidden:
+        """A few samples in a thousand lie beyond the full scale of one axis."""
+        return Hidden(lot.axis, {"limit": lot.limits()}, lot.loud)
+
+    def hidden_at_rest(self, lot: RestLot, strength: float) -> dict[str, Any]:
+        """A few standard deviations; the other axes have room."""
+        limit = 3.0 * lot.sample / np.sqrt(strength)
+        return {"limit": [float(limit) if k == lot.place else 1.0 for k in range(3)]}
+
+
+class DroppedSamples(Effect):
+    """Samples that never came."""
+
+    id, name, family, sensors = "dropped_samples", "dropped samples", "deterministic", IMU
+    formula = "samples vanish in bursts of `burst` with probability p each"
+    parameters = (
+        _P("probability", "", 1, (0.001,), None, "share of samples that start a burst", True, join="larger", most=1.0),
+        _P("burst", "", 1, (1.0,), 1.0, "samples per burst", True, join="larger"),
+    )
+    excitation, in_filter = "motion", "bridging by the time stamps"
+    traits = frozenset({"samples", "drawn"})
+    stage = Stage.LOSS
+    absent = {"compensate": "what is lost is bridged by the time stamps", "signature": _SAMPLES}
+
+    def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
+        """Mark bursts as lost."""
+        n = chain.keep.size
+        length = min(max(1, round(use.scalar("burst"))), n)
+        start = np.nonzero(rng.random(n) < use.scalar("probability"))[0]
+        edges = (
+            np.bincount(start, minlength=n + length) - np.bincount(start + length, minlength=n + length)[: n + length]
+        )
+        chain.keep &= np.cumsum(edges[:n]) == 0
+
+    def hidden(self, lot: DriveLot) -> Hidden:
+        """One sample in a thousand begins a burst of one to three."""
+        return Hidden((), {"probability": 1e-3 * lot.loud, "burst": float(lot.rng.integers(1, 4))}, lot.loud)
+
+    def hidden_at_rest(self, lot: RestLot, strength: float) -> dict[str, Any]:
+        """Single samples."""
+        return {"probability": 2e-3 * strength}
+
+
+EFFECTS: tuple[Effect, ...] = (
+    TurnOnBias(), ScaleFactor(), ScaleAsymmetry(), ScaleNonlinearity(), Misalignment(), Mounting(), GSensitivity(), Temperature(),
+    Saturation(), DroppedSamples(),
+)  # fmt: skip

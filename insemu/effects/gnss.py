@@ -1,0 +1,293 @@
+"""Errors of the fixes and of the antenna's place."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from insemu import earth
+from insemu.effects.base import GNSS, NED, XYZ, Effect, EffectParameter, EffectUse, Stage
+from insemu.effects.chain import FixErrors
+from insemu.effects.hiding import DriveLot, Hidden, at
+from insemu.effects.motion import Column, FixGeometry, Motion
+from insemu.errors import InputError
+from insemu.records import GnssRecord
+
+Array = NDArray[np.float64]
+_P = EffectParameter
+#: Longest lever arm that is plausible, m: the longest ships are half as long.
+LONGEST_ARM = 1000.0
+
+_NO_MEAN = "random: it changes the covariance of the innovations, not their mean"
+
+
+class _OfFixes(Effect):
+    """An error of the fixes."""
+
+    family = "gnss"
+    sensors = GNSS
+    axes: ClassVar[tuple[str, ...]] = NED
+    stage = Stage.NOISE
+
+
+def gauss_markov(t: Array, sigma: ArrayLike, tau: float, rng: np.random.Generator) -> Array:
+    """Stationary first-order Gauss-Markov processes (n, 3) at times that need not be regular.
+
+    Parameters
+    ----------
+    t : (n,) array
+        s.
+    sigma : float or (3,)
+        Standard deviations.
+    tau : float
+        Correlation time, s.
+    rng : Generator
+    """
+    if not tau > 0:
+        raise InputError(f"a correlation time is {tau:g} s, expected a positive number")
+    a = np.exp(-np.diff(t) / tau)
+    white = rng.standard_normal((t.size, 3))
+    out = np.empty((t.size, 3))
+    out[0] = white[0]
+    for k in range(1, t.size):
+        out[k] = a[k - 1] * out[k - 1] + np.sqrt(1.0 - a[k - 1] ** 2) * white[k]
+    return np.asarray(out * np.asarray(sigma))
+
+
+class NoiseLevel(_OfFixes):
+    """The receiver's standard deviations are wrong."""
+
+    id, name = "gnss_noise_level", "GNSS position noise level"
+    formula = "true sigma = factor x stated sigma"
+    parameters = (_P("factor", "", 3, (2.0,), None, "north, east, down", True, join="product", nothing=1.0),)
+    excitation, in_filter = "fixes", "R"
+    traits = frozenset({"level"})
+    absent = {"signature": _NO_MEAN}
+
+    def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:
+        """Raise the level."""
+        fixes.level *= np.array(use["factor"])
+
+    def corrected_fixes(self, use: EffectUse, gnss: GnssRecord) -> GnssRecord:
+        """State what is true."""
+        if gnss.pos_std_ned is None:
+            return gnss
+        return replace(gnss, pos_std_ned=gnss.pos_std_ned * np.array(use["factor"]))
+
+    def hidden(self, lot: DriveLot) -> Hidden:
+        """In some directions."""
+        return Hidden(lot.group, {"factor": _raised(lot)}, lot.loud)
+
+
+def _raised(lot: DriveLot) -> tuple[float, ...]:
+    return tuple(1.0 + float(a in lot.group) * (0.4 + 0.4 * lot.loud) for a in NED)
+
+
+class CorrelatedNoise(_OfFixes):
+    """Errors of positions that last."""
+
+    id, name = "gnss_correlated_noise", "correlated GNSS noise"
+    formula = "position error has a Gauss-Markov part (sigma, tau)"
+    parameters = (
+        _P("sigma", "m", 3, (0.05,), None, "stationary standard deviation north, east, down", True),
+        _P("tau", "s", 1, (30.0,), None, "correlation time", True),
+    )
+    excitation, in_filter = "fixes over several correlation times", "three states"
+    absent = {
+        "compensate": "random: a filter without states for it widens what it believes of the fixes (gnss_noise_level)",
+        "signature": _NO_MEAN,
+    }  # fmt: skip
+
+    def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:
+        """Add it to the positions."""
+        fixes.added += gauss_markov(fixes.t, use["sigma"], use.scalar("tau"), rng)
+
+    def hidden(self, lot: DriveLot) -> Hidden:
+        """In every direction, correlation times from 10 to 100 s."""
+        tau = float(math.exp(lot.rng.uniform(math.log(10.0), math.log(100.0))))
+        return Hidden(NED, {"sigma": tuple(0.7 * lot.loud * lot.sigma), "tau": tau}, lot.loud)
+
+
+class VelocityNoise(_OfFixes):
+    """The receiver's standard deviations of the velocity are wrong."""
+
+    id, name = "gnss_velocity_noise", "GNSS velocity noise level"
+    formula = "true velocity sigma = factor x stated sigma, plus a Gauss-Markov part"
+    parameters = (
+        _P("factor", "", 3, (2.0,), 1.0, "north, east, down", True, join="product", nothing=1.0),
+        _P("sigma", "m/s", 3, (0.05,), 0.0, "Gauss-Markov part", True, join="root_sum_square"),
+        _P("tau", "s", 1, (10.0,), 10.0, "its correlation time", True, join="later"),
+    )
+    excitation, in_filter = "velocity fixes", "R"
+    traits = frozenset({"level"})
+    absent = {"signature": _NO_MEAN}
+
+    def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:
+        """Raise the level and add the part with memory."""
+        fixes.level_v *= np.array(use["factor"])
+        fixes.added_v += gauss_markov(fixes.t, use["sigma"], use.scalar("tau"), rng)
+
+    def corrected_fixes(self, use: EffectUse, gnss: GnssRecord) -> GnssRecord:
+        """State what is true."""
+        if gnss.vel_std_ned is None:
+            return gnss
+        return replace(gnss, vel_std_ned=np.hypot(gnss.vel_std_ned * np.array(use["factor"]), np.array(use["sigma"])))
+
+    def hidden(self, lot: DriveLot) -> Hidden:
+        """In some directions."""
+        return Hidden(lot.group, {"factor": _raised(lot)}, lot.loud)
+
+
+class LeverArm(_OfFixes):
+    """The antenna is not where it is believed."""
+
+    id, name, formula = "lever_arm", "lever-arm error", "p_ant = p + C_nb (l + value)"
+    parameters = (
+        _P("value", "m", 3, (0.05,), None, "true minus assumed lever arm, body axes", join="sum", most=LONGEST_ARM),
+    )
+    excitation, in_filter = "turns", "three constants"
+    axes = XYZ
+    stage, size = Stage.MODEL, "value"
+
+    def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:
+        """Move the antenna."""
+        fixes.arm = fixes.arm + np.array(use["value"])
+
+    def arm(self, use: EffectUse) -> Array:
+        """What is missing."""
+        return np.array(use["value"])
+
+    def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
+        """The fixes are ahead along each axis of the body, and swing about it."""
+        out = []
+        for name, axis in zip(XYZ, fixes.body_axes, strict=True):
+            M = np.hstack([fixes.C @ axis, np.einsum("nij,nj->ni", fixes.C, np.cross(fixes.rate, axis))])
+            out.append(Column.of(self, "gnss", f"value_{name}", (name,), fixes=M))
+        return out
+
+    def hidden(self, lot: DriveLot) -> Hidden:
+        """Along one axis."""
+        return Hidden(lot.axis, {"value": lot.on(lot.size(self, "value"))})
+
+
+class MultipathStep(_OfFixes):
+    """Positions that are off for a while."""
+
+    id, name = "gnss_multipath_step", "multipath step"
+    formula = "position error = value for start < t <= start + duration"
+    parameters = (
+        _P("value", "m", 3, (1.0,), None, "north, east, down"),
+        _P("start", "s", 1, (300.0,), None, "start"),
+        _P("duration", "s", 1, (60.0,), None, "duration", True),
+    )
+    excitation, in_filter = "fixes", "gating, or a step state"
+    size = "value"
+    absent = {"signature": "one column for every start and end: the search scans them (steps in the fixes)"}
+
+    def _inside(self, use: EffectUse, t: Array) -> NDArray[np.bool_]:
+        start = use.scalar("start")  # a microsecond of slack: fix times are sums of rounded periods
+        return np.asarray((t > start + 1e-6) & (t <= start + use.scalar("duration") + 1e-6))
+
+    def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:
+        """Add it to the positions inside."""
+        fixes.added[self._inside(use, fixes.t)] += np.array(use["value"])
+
+    def corrected_fixes(self, use: EffectUse, gnss: GnssRecord) -> GnssRecord:
+        """Move the positions inside back."""
+        inside = self._inside(use, gnss.t)[:, None]
+        return replace(gnss, llh=np.where(inside, earth.move(gnss.llh, inside * -np.array(use["value"])), gnss.llh))
+
+    def hidden(self, lot: DriveLot) -> Hidden:
+        """In one direction, 20 to 90 s long."""
+        start, duration = float(lot.rng.uniform(0.15, 0.7) * lot.span), float(lot.rng.uniform(20.0, 90.0))
+        value = at(lot.place, lot.size(self, "value"))
+        return Hidden((NED[lot.place],), {"value": value, "start": start, "duration": duration})
+
+
+class GnssOutliers(_OfFixes):
+    """Fixes that are far off."""
+
+    id, name = "gnss_outliers", "GNSS outliers"
+    formula = "with probability p: error ~ N(0, sigma^2) added"
+    parameters = (
+        _P("probability", "", 1, (0.01,), None, "share of fixes", True, most=1.0),
+        _P("sigma", "m", 3, (5.0,), None, "standard deviation of an outlier", True),
+    )
+    excitation, in_filter = "fixes", "gating"
+    absent = {"compensate": "which fixes they are is known only once they are found", "signature": _NO_MEAN}
+
+    def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:
+        """Add normal numbers at a share of the fixes."""
+        hit = rng.random(fixes.t.size) < use.scalar("probability")
+        fixes.added += hit[:, None] * np.array(use["sigma"]) * rng.standard_normal((fixes.t.size, 3))
+
+    def hidden(self, lot: DriveLot) -> Hidden:
+        """One to five fixes in a hundred."""
+        share = float(lot.rng.uniform(0.01, 0.05))
+        return Hidden(NED, {"probability": share, "sigma": tuple(5.0 * lot.loud * lot.sigma)}, lot.loud)
+
+
+class Quality(_OfFixes):
+    """Noise of two levels."""
+
+    id, name = "gnss_quality", "quality-dependent GNSS noise"
+    formula = "a two-state Markov chain: in the poor state sigma is `factor` times larger, stated or not"
+    parameters = (
+        _P("factor", "", 1, (10.0,), None, "ratio of the standard deviations", True),
+        _P("good", "s", 1, (120.0,), 120.0, "mean duration of the good state", True),
+        _P("poor", "s", 1, (20.0,), 20.0, "mean duration of the poor state", True),
+        _P("stated", "", 1, (1.0,), 1.0, "1: the receiver states the larger sigma, 0: it does not", True, most=1.0),
+    )
+    excitation, in_filter = "fixes", "R from the receiver"
+    absent = {
+        "compensate": "a receiver that states its quality has nothing that could be taken off", "signature": _NO_MEAN,
+        "candidate": "levels that change are seen as outliers or as a level; no candidate names two states yet",
+        "refine": "no candidate looks for it", "trial": "no candidate looks for it",
+    }  # fmt: skip
+
+    def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:
+        """A two-state Markov chain at the fix epochs, started in the good state."""
+        step = np.diff(fixes.t, prepend=fixes.t[0])
+        leave_good, leave_poor = 1 - np.exp(-step / use.scalar("good")), 1 - np.exp(-step / use.scalar("poor"))
+        u = rng.random(fixes.t.size)
+        poor = np.zeros(fixes.t.size, bool)
+        for k in range(1, fixes.t.size):
+            poor[k] = u[k] >= leave_poor[k] if poor[k - 1] else u[k] < leave_good[k]
+        factor = np.where(poor, use.scalar("factor"), 1.0)[:, None]
+        fixes.level *= factor
+        fixes.level_v *= factor
+        if use.scalar("stated"):
+            fixes.said *= factor
+
+
+class Latency(_OfFixes):
+    """Fixes that come late."""
+
+    id, name, formula = "gnss_latency", "GNSS latency", "a fix stamped t is valid at t - latency"
+    parameters = (_P("latency", "s", 1, (0.02,), None, "age of the fix at its stamp", join="sum"),)
+    excitation = "motion"
+    in_filter = "as imu_gnss_time_offset: without a third clock the two are one effect"
+    axes = ()
+    stage, size = Stage.STAMP, "latency"
+    absent = {
+        "signature": "that of imu_gnss_time_offset: without a third clock the two are one effect",
+        "candidate": "found as imu_gnss_time_offset", "trial": "hidden as imu_gnss_time_offset",
+        "refine": "found as imu_gnss_time_offset",
+    }  # fmt: skip
+
+    def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:
+        """Note the age."""
+        fixes.latency += use.scalar("latency")
+
+    def corrected_fixes(self, use: EffectUse, gnss: GnssRecord) -> GnssRecord:
+        """Stamp the fixes with the time at which they were valid."""
+        return replace(gnss, t=gnss.t - use.scalar("latency"))
+
+
+EFFECTS: tuple[Effect, ...] = (
+    NoiseLevel(), CorrelatedNoise(), VelocityNoise(), LeverArm(), MultipathStep(), GnssOutliers(), Quality(), Latency()
+)  # fmt: skip

@@ -1,0 +1,230 @@
+"""What signatures are made of: the motion that a filter estimated, the fixes along it, and a column per unit effect.
+
+Nothing here knows how the emulator makes an effect.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from insemu import earth, rotation
+from insemu.denoise import outstanding
+from insemu.records import ImuRecord
+
+if TYPE_CHECKING:
+    from insemu.effects.base import Effect
+
+Array = NDArray[np.float64]
+
+#: Longest time over which noise is taken out of what an error of the sensor is held to be proportional to, s.
+QUIET_S = 40.0
+#: A temperature that varies less than this shows nothing, K.
+STEADY_K = 1e-3
+
+
+@dataclass(frozen=True)
+class Column:
+    """One unit effect.
+
+    Parameters
+    ----------
+    effect, sensor : str
+    label : str
+        Parameter of the effect, with its axis: ``value_x``.
+    axes : tuple of str
+        Axes of the sensor that the column is about; empty where it has none.
+    scale : float
+        Datasheet scale of the parameter, SI.
+    unit : str
+    inputs : tuple of (axis 0..5, (n,) array)
+        Unit sensor errors.
+    fixes : (f, 6) array, optional
+        Unit errors of the fixes, measured minus true.
+    runs : bool
+        Whether the position also runs away by the velocity.
+    """
+
+    effect: str
+    sensor: str
+    label: str
+    axes: tuple[str, ...]
+    scale: float
+    unit: str
+    inputs: tuple[tuple[int, Array], ...] = ()
+    fixes: Array | None = None
+    runs: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        effect: Effect,
+        sensor: str,
+        label: str,
+        axes: tuple[str, ...],
+        inputs: tuple[tuple[int, Array], ...] = (),
+        fixes: Array | None = None,
+        runs: bool = False,
+    ) -> Column:
+        """A column of an effect's parameter, which the label begins with, at its datasheet scale; see :class:`Column`."""
+        parameter = label.partition("_")[0]
+        scale, unit = effect.scale(parameter, sensor), effect.unit(parameter, sensor)
+        return cls(effect.id, sensor, label, axes, scale, unit, inputs, fixes, runs)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The measured trajectory at the IMU's rate, as the nominal filter estimated it.
+
+    Parameters
+    ----------
+    t : (n,) array
+    C : (n, 3, 3) array
+        Attitude for each interval.
+    rate, force : (n, 3) arrays
+        Mean angular rate and specific force over each interval, sensor axes, less what is noise.
+    f_n : (n, 3) array
+        Specific force in NED.
+    vel : (n, 3), llh : (n, 3) arrays
+    temperature : (n,) array, optional
+    node : (k,) array of int
+        IMU rows of the filter's nodes.
+    summed : bool
+        Whether the record holds increments, which no stretched time stamp changes.
+    """
+
+    t: Array
+    C: Array
+    rate: Array
+    force: Array
+    f_n: Array
+    vel: Array
+    llh: Array
+    temperature: Array | None
+    node: NDArray[np.int64]
+    summed: bool = True
+
+    @classmethod
+    def of(cls, imu: ImuRecord, nav: Array, node: NDArray[np.int64]) -> Motion:
+        """From a filter's run.
+
+        Parameters
+        ----------
+        imu : ImuRecord
+        nav : (n, 10) array
+            Latitude, longitude (rad), height (m), velocity (m/s), quaternion at every row.
+        node : (k,) array of int
+            Rows of the filter's nodes.
+        """
+        t = imu.t
+        step = np.diff(t, prepend=2 * t[0] - t[1])
+        increments = imu.as_increments()
+        rate, force = increments.gyro / step[:, None], increments.accel / step[:, None]
+        C = rotation.dcm_from_quaternion(nav[:, 6:10])
+        # attitude in the middle of the interval: back by half of the turn
+        middle = C @ rotation.dcm_from_quaternion(rotation.quaternion_from_vector(-0.5 * increments.gyro))
+        f_n = np.einsum("nij,nj->ni", middle, force)
+        rate, force = _quiet(rate, imu.dt), _quiet(force, imu.dt)
+        summed = imu.kind == "increment"
+        return cls(t, middle, rate, force, f_n, nav[:, 3:6], nav[:, :3], imu.temperature, node, summed)
+
+    def signal(self, sensor: str) -> Array:
+        """Rate or specific force (n, 3)."""
+        return self.rate if sensor == "gyro" else self.force
+
+    @property
+    def warmth(self) -> Array | None:
+        """The temperature where it says something; None where it is unknown or steady."""
+        some = self.temperature is not None and float(np.std(self.temperature)) > STEADY_K
+        return self.temperature if some else None
+
+    @property
+    def acceleration(self) -> Array:
+        """Acceleration with respect to the Earth, (n, 3) in NED."""
+        return self.f_n + self.gravity
+
+    @property
+    def gravity(self) -> Array:
+        """Gravity, (n, 3) in NED."""
+        return np.array([0.0, 0.0, 1.0]) * earth.gravity(self.llh[:, 0], self.llh[:, 2])[:, None]
+
+
+def _quiet(signal: Array, dt: float) -> Array:
+    """Measured motion less what is noise.
+
+    The noise of an axis that hardly moves is its own error: a column that goes with it would explain the innovations that this noise makes, as
+    a scale factor of tens of per cent.
+    """
+    levels = max(1, math.floor(math.log2(min(QUIET_S / dt, signal.shape[0] / 16))))
+    return outstanding(signal, levels)
+
+
+def first_axis(sensor: str) -> int:
+    """Where a sensor's axes begin among six."""
+    return 3 if sensor == "accel" else 0
+
+
+def on_axes(signal: Array, first: int = 0) -> tuple[tuple[int, Array], ...]:
+    """Three columns (n, 3) as inputs of the axes from ``first`` on."""
+    return tuple((first + i, np.ascontiguousarray(signal[:, i])) for i in range(3))
+
+
+@dataclass(frozen=True)
+class FixGeometry:
+    """The fixes along a motion.
+
+    Parameters
+    ----------
+    t : (f,) array
+        s.
+    lever_arm : (3,) array
+        From the IMU to the antenna, m, in the axes of the IMU.
+    body_axes : (3, 3) array
+        Rows: the axes of the body, in those of the IMU.
+    velocity, acceleration, rate : (f, 3) arrays
+        Of the IMU with respect to the Earth: NED, NED, sensor axes.
+    C : (f, 3, 3) array
+        Attitude of the IMU.
+    """
+
+    t: Array
+    lever_arm: Array
+    body_axes: Array
+    velocity: Array
+    acceleration: Array
+    rate: Array
+    C: Array
+
+    @classmethod
+    def of(cls, motion: Motion, t: Array, lever_arm: ArrayLike, mounting: ArrayLike = (0.0, 0.0, 0.0)) -> FixGeometry:
+        """Motion at the times of the fixes, from the nearest rows.
+
+        Parameters
+        ----------
+        motion : Motion
+        t : (f,) array
+            s.
+        lever_arm : (3,) array
+            m.
+        mounting : (3,) array
+            Roll, pitch, yaw of the IMU in the body, rad.
+        """
+        k = np.clip(np.searchsorted(motion.t, t), 1, motion.t.size - 2)
+        a = motion.acceleration
+        accel = 0.5 * (a[k] + a[k + 1])
+        v = motion.vel[k] - accel * (motion.t[k] - t)[:, None]
+        w_ie = earth.earth_rate(motion.llh[k, 0])
+        omega = 0.5 * (motion.rate[k] + motion.rate[k + 1]) - np.einsum("nji,nj->ni", motion.C[k], w_ie)
+        body = rotation.dcm_from_rpy(np.asarray(mounting, dtype=float))
+        return cls(t, np.asarray(lever_arm, dtype=float), body, v, accel, omega, motion.C[k])
+
+    @property
+    def moved(self) -> Array:
+        """What a second between IMU and fixes makes of position and velocity of the antenna, (f, 6)."""
+        swing = np.einsum("nij,nj->ni", self.C, np.cross(self.rate, self.lever_arm))
+        swing_rate = np.gradient(swing, self.t, axis=0) if self.t.size > 2 else np.zeros_like(swing)
+        return np.hstack([self.velocity + swing, self.acceleration + swing_rate])

@@ -1,0 +1,406 @@
+"""The refined model: what was found, written in the form that the nominal model had, for emulator and filter alike.
+
+Noise joins the noise models; everything else becomes an entry of the table of effects (:class:`insemu.effects.EffectUse`), which the emulator
+injects and a filter takes off (:mod:`insemu.effects.compensation`).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from insemu import rotation
+from insemu.effects import CROSS, EFFECTS, EffectParameter, EffectUse
+from insemu.gap.beliefs.nominal import Nominal
+from insemu.gap.data.sources import StaticLog
+from insemu.gap.evidence.model import HALF_POWER
+from insemu.gap.verdict import GapReport, Step
+from insemu.noise import AR, BI, DR, GM, SIN, WN, NoiseModel, Process, axis_unit, save
+from insemu.records import AXES, Recording
+
+#: Names of axes, by what an effect's three numbers stand for.
+_TRIPLES = (("x", "y", "z"), ("north", "east", "down"), ("roll", "pitch", "yaw"))
+#: Points of a temperature profile that a scenario is given.
+MOST_POINTS = 200
+#: Gauss-Markov processes that stand for flicker in a filter, and the longest averaging time at which they do, s.
+FLICKER_TERMS, FLICKER_SPAN = 4, 3600.0
+#: Probability that a good fix is rejected, for a filter that has to live with outliers.
+GATE = 1e-4
+
+
+# -- from what was found to entries of the table of effects ---------------------------------------------------------------------------------
+
+
+def uses_of(step: Step, dt: float = 0.01) -> tuple[EffectUse, ...]:
+    """A step as entries of the table of effects, with its estimates.
+
+    Parameters
+    ----------
+    step : Step
+    dt : float
+        Sampling interval, s: a moving average is written in samples.
+
+    Returns
+    -------
+    tuple of EffectUse
+        Empty for an effect that the table does not have (a user's own). Where axes differ in a number that an entry has only once, one for
+        each axis.
+    """
+    effect = EFFECTS.get(step.effect)
+    if effect is not None and effect.sensors == ("imu",):
+        step = replace(step, sensor="imu")  # seen on a sensor, but the whole IMU has it
+    if effect is None or step.sensor not in effect.sensors:
+        return ()
+    given = {p.name: p.value for p in step.parameters}
+    if step.effect == "decimation_filter":
+        return _low_pass(step, given, dt)
+    # a number that an entry has once may differ from axis to axis
+    apart = any(p.size == 1 and f"{p.name}_{a}" in given for p in effect.parameters for a in step.axes)
+    out = []
+    for axes in [(a,) for a in step.axes] if apart else [step.axes]:
+        values = {}
+        for p in effect.parameters:
+            numbers = _numbers(p, given, axes)
+            if numbers is not None:
+                values[p.name] = numbers
+        if all(p.name in values or p.default is not None for p in effect.parameters):
+            out.append(EffectUse(effect.id, step.sensor, values))
+    return tuple(out)
+
+
+def _numbers(p: EffectParameter, given: Mapping[str, float], axes: Sequence[str]) -> tuple[float, ...] | None:
+    """All numbers of a parameter; axes that were not found have the value that does nothing."""
+    nothing = {"factor": 1.0, "limit": 1e6}.get(p.name, 0.0)
+    if p.size == 1:
+        value = next((given[f"{p.name}_{a}"] for a in axes if f"{p.name}_{a}" in given), given.get(p.name))
+        return None if value is None else (_in_bounds(p, value),)
+    if p.size == 3:
+        triple = next((t for t in _TRIPLES if set(axes) <= set(t)), _TRIPLES[0])
+        plain = p.name in given or any(f"{p.name}_{a}" in given for a in triple)
+        if not plain:
+            return None
+        whole = not axes or not set(axes) <= set(triple)
+        out = [
+            given.get(f"{p.name}_{a}", given.get(p.name, nothing)) if whole or a in axes else nothing for a in triple
+        ]
+        if p.name == "beta":  # the axes without the process still need a rate
+            some = next(v for v in out if v != nothing)
+            out = [v if v != nothing else some for v in out]
+        return tuple(_in_bounds(p, float(v)) for v in out)
+    labels = CROSS if p.size == 6 else tuple(a + b for a in "xyz" for b in "xyz")
+    return tuple(float(given.get(f"{p.name}_{label}", 0.0)) for label in labels)
+
+
+def _in_bounds(p: EffectParameter, value: float) -> float:
+    return max(float(value), 0.0) if p.positive else float(value)
+
+
+def _low_pass(step: Step, given: Mapping[str, float], dt: float) -> tuple[EffectUse, ...]:
+    cutoffs = [v for k, v in given.items() if k.startswith("cutoff")]
+    orders = [v for k, v in given.items() if k.startswith("order")]
+    if not cutoffs:
+        return ()
+    cutoff = float(np.median(cutoffs))
+    if step.variant in HALF_POWER:
+        length = HALF_POWER[step.variant] / cutoff
+        use = EffectUse(step.effect, step.sensor, {"taps": (float(max(1, round(length / dt))),)})
+        return (use, use) if step.variant == "triangular window" else (use,)
+    order = 1.0 if step.variant == "exponential" else float(max(1, round(float(np.median(orders))))) if orders else 2.0
+    return (EffectUse(step.effect, step.sensor, {"cutoff": (min(cutoff, 0.499 / dt),), "order": (order,)}),)
+
+
+def joined(known: Iterable[EffectUse], found: Iterable[EffectUse]) -> tuple[EffectUse, ...]:
+    """Known effects with what was found of them on top; the rest follows.
+
+    A recording is searched with the known effects taken off, so what is found is what they lack.
+    """
+    out = list(known)
+    for use in found:
+        at = next(
+            (k for k, old in enumerate(out) if (old.id, old.sensor) == (use.id, use.sensor) and _adds(old, use)), None
+        )
+        if at is None:
+            out.append(use)
+        else:
+            out[at] = _together(out[at], use)
+    return tuple(out)
+
+
+_ADDED = frozenset(
+    {
+        "turn_on_bias", "scale_factor", "scale_asymmetry", "scale_nonlinearity", "misalignment", "g_sensitivity", "mounting", "ramp",
+        "imu_gnss_time_offset", "clock_drift", "gnss_latency", "gnss_noise_level", "gnss_velocity_noise", "lever_arm", "earth_rate", "gravity",
+        "transport_rate", "quantization", "saturation", "dropped_samples",
+    }
+)  # fmt: skip
+
+
+def _adds(old: EffectUse, new: EffectUse) -> bool:
+    if old.id == "temperature":
+        return old.values["T0"] == new.values["T0"] and old.values["lag"] == new.values["lag"]
+    return old.id in _ADDED
+
+
+def _together(old: EffectUse, new: EffectUse) -> EffectUse:
+    if old.id == "mounting":
+        turned = rotation.dcm_from_rpy(np.array(new["rpy"])) @ rotation.dcm_from_rpy(np.array(old["rpy"]))
+        roll, pitch, yaw = (float(x) for x in rotation.rpy_from_dcm(turned))
+        return EffectUse(old.id, old.sensor, {"rpy": (roll, pitch, yaw)})
+    values = {}
+    for p in EFFECTS[old.id].parameters:
+        both: NDArray[np.float64]
+        a, b = np.array(old[p.name]), np.array(new[p.name])
+        if p.name == "factor":
+            both = a * b
+        elif p.name == "sigma":
+            both = np.hypot(a, b)
+        elif p.name in ("T0", "lag", "tau"):
+            both = b
+        elif p.positive:
+            both = np.maximum(a, b)
+        else:
+            both = a + b
+        values[p.name] = tuple(float(x) for x in both)
+    return EffectUse(old.id, old.sensor, values)
+
+
+# -- noise ------------------------------------------------------------------------------------------------------------------------------------
+
+#: Effects whose place is the noise model of an axis where that holds them.
+_IN_THE_NOISE: Mapping[str, type[Process]] = {"vibration_band": AR, "vibration_line": SIN}
+_NOISE = ("white_noise", "random_walk", "gauss_markov", "flicker")
+
+
+def refined_effects(nominal: Nominal, report: GapReport, dt: float = 0.01) -> tuple[EffectUse, ...]:
+    """Known effects and those found, less what the refined noise models hold."""
+    found: list[EffectUse] = []
+    for step in report.steps:
+        if step.effect in _NOISE or (step.effect == "quantization" and step.variant == "integrated"):
+            continue
+        held = _IN_THE_NOISE.get(step.effect)
+        if held is not None:
+            models = [report.refined.get(f"{step.sensor}_{a}") for a in step.axes]
+            if models and all(m is not None and any(isinstance(p, held) for p in m) for m in models):
+                continue
+        found += uses_of(step, dt)
+    return joined(nominal.effects, found)
+
+
+def true_noise(nominal: Nominal, report: GapReport) -> dict[str, NoiseModel]:
+    """The refined noise of every axis, for an emulator: without the stand-ins of what the effects hold."""
+    out = {**nominal.beliefs, **report.refined}
+    for step in report.steps:
+        given = {p.name: p.value for p in step.parameters}
+        for a in step.axes:
+            name = f"{step.sensor}_{a}"
+            if name not in out:
+                continue
+            if step.effect == "ramp":
+                out[name] = _less(out[name], lambda p: isinstance(p, DR))
+            elif step.effect == "telegraph":
+                size = given.get("amplitude", given.get(f"amplitude_{a}"))
+                out[name] = _less(out[name], lambda p, s=size: isinstance(p, GM) and p.parameters["sigma"] == s)
+    return out
+
+
+def filter_noise(nominal: Nominal, report: GapReport, dt: float) -> dict[str, NoiseModel]:
+    """The refined noise of every axis, for a filter: a ramp is compensated, and of fast vibration only its slow part matters."""
+    out = {}
+    for name, model in {**nominal.beliefs, **report.refined}.items():
+        old = set(nominal.beliefs.get(name, ()))
+        bands = [p for p in model if isinstance(p, AR) and p not in old]
+        rest = [p for p in model if not (p in bands or (isinstance(p, SIN | DR) and p not in old))]
+        density = sum(float(p.psd(np.zeros(1), dt)[0]) for p in bands)
+        if density > 0.0:
+            k = next((k for k, p in enumerate(rest) if isinstance(p, WN)), None)
+            level = float(np.sqrt(density + (rest[k].parameters["N"] ** 2 if k is not None else 0.0)))
+            rest = [WN(level), *(p for i, p in enumerate(rest) if i != k)]
+        parts: list[Process] = []
+        for p in rest:
+            parts += p.approximation(FLICKER_TERMS, 10.0 * dt, FLICKER_SPAN)[0] if isinstance(p, BI) else (p,)
+        out[name] = NoiseModel(tuple(parts))
+    return out
+
+
+def _less(model: NoiseModel, gone: Any) -> NoiseModel:
+    rest = tuple(p for p in model if not gone(p))
+    return NoiseModel(rest) if rest else model
+
+
+def refined_nominal(nominal: Nominal, report: GapReport, dt: float = 0.01) -> Nominal:
+    """The nominal model with what was found; :func:`insemu.gap.find_gap` on the same recording finds nothing more."""
+    return replace(nominal, beliefs=true_noise(nominal, report), effects=refined_effects(nominal, report, dt))
+
+
+# -- writing ----------------------------------------------------------------------------------------------------------------------------------
+
+
+def write_refined(
+    nominal: Nominal, report: GapReport, path: str | Path, measured: StaticLog | Recording | None = None
+) -> Path:
+    """Write the refined model in the form that the nominal one had.
+
+    A belief file gets the noise and the effects. A scenario gets them as its ``truth``, and a design ``refined`` beside its own, which carries the
+    refined noise and takes the effects off (or gates, or widens what it believes of the fixes): ``insemu run`` takes it as it is. A noise-model
+    file stays one as long as noise is all that was found, and becomes a belief file otherwise.
+
+    Parameters
+    ----------
+    nominal : Nominal
+    report : GapReport
+    path : path
+    measured : StaticLog or Recording, optional
+        Gives the sampling interval and, for effects of temperature, the temperature.
+    """
+    path = Path(path)
+    dt = _interval(measured)
+    effects = refined_effects(nominal, report, dt)
+    noise = true_noise(nominal, report)
+    if nominal.kind == "noise" and not effects:
+        save({**nominal.beliefs, **noise}, path)
+        return path
+    models = {a: m.to_list(axis_unit(a)) for a, m in noise.items() if a in AXES}
+    kept = {k: v for k, v in nominal.raw.items() if k not in ("belief", "truth", "effects", "variants", "axes")}
+    if nominal.kind == "noise":
+        kept = {}
+    notes = "\n".join([str(kept.pop("notes", "")), *_found(report)]).strip() + "\n"
+    if nominal.kind == "scenario":
+        document = {**kept, "notes": notes, **_scenario(nominal, report, measured, models, effects, path.parent)}
+    else:
+        document = {**kept, "notes": notes, "belief": models}
+        if effects:
+            document["effects"] = [use.to_mapping() for use in effects]
+    path.write_text(yaml.safe_dump(_plain(document), sort_keys=False, allow_unicode=True, width=140), encoding="utf-8")
+    return path
+
+
+def _found(report: GapReport) -> list[str]:
+    lines = [f"refined against {report.source}: {report.verdict}"]
+    for s in report.steps:
+        values = ", ".join(f"{v.name} {v.value:.4g} [{v.low:.4g}, {v.high:.4g}] {v.unit}".strip() for v in s.parameters)
+        lines.append(f"  {s.effect} of {s.sensor} {', '.join(s.axes)} ({s.gain_nats:.1f} nats): {values}")
+    return lines
+
+
+def _scenario(
+    nominal: Nominal,
+    report: GapReport,
+    measured: StaticLog | Recording | None,
+    models: Mapping[str, Any],
+    effects: Sequence[EffectUse],
+    folder: Path,
+) -> dict[str, Any]:
+    """The sections of a refined scenario that change."""
+    raw = {k: _moved(v, Path(nominal.source).parent, folder) for k, v in nominal.raw.items()}
+    designs = {name: _explicit(design, nominal) for name, design in raw.get("designs", {}).items()}
+    first: Any = next(iter(designs.values()), {})
+    options = dict(first.get("options", {})) if isinstance(first, Mapping) else {}
+    own = [use for use in effects if use.effect.compensable]
+    dt = _interval(measured)
+    belief = {a: m.to_list(axis_unit(a)) for a, m in filter_noise(nominal, report, dt).items() if a in AXES}
+    out: dict[str, Any] = {}
+    if "recording" in raw:
+        source = {"file": raw["recording"]} if isinstance(raw["recording"], str) else dict(raw["recording"])
+        # where a recording's section has a key of its own the effect goes there, once for every design
+        for use in list(own):
+            if use.id == "mounting":
+                source["mounting"] = list(use["rpy"])
+                own.remove(use)
+            elif use.id == "imu_gnss_time_offset":
+                source["imu_time_offset"] = use.scalar("offset")
+                own.remove(use)
+        out["recording"] = source
+    else:
+        old = raw.get("truth", {})
+        kept = {k: v for k, v in old.items() if k not in ("gyro", "accel", "effects", *AXES)}
+        truth = {**kept, **models}
+        if effects:
+            truth["effects"] = [use.to_mapping() for use in effects]
+        if any(use.id in ("temperature", "temperature_noise") for use in effects) and "temperature" not in truth:
+            profile = _temperature(measured)
+            if profile:
+                truth["temperature"] = profile
+        out["truth"] = truth
+        out["trajectory"] = raw["trajectory"]
+    if own:
+        options["compensate"] = [use.to_mapping() for use in own]
+    if any(use.id == "gnss_outliers" for use in effects):
+        options.setdefault("gate", GATE)
+    coloured = next((use for use in effects if use.id == "gnss_correlated_noise"), None)
+    if coloured is not None:
+        options["compensate"] = [*options.get("compensate", []), _as_level(nominal, coloured).to_mapping()]
+    out["designs"] = {**designs, "refined": {**belief, **({"options": options} if options else {})}}
+    if "fits" in raw:
+        out["fits"] = raw["fits"]
+    return out
+
+
+def _explicit(design: Any, nominal: Nominal) -> Any:
+    """A design that carried the truth's models still carries the nominal ones: the truth is another now."""
+    if not isinstance(design, Mapping):
+        return design
+    out: dict[str, Any] = {}
+    for key, source in design.items():
+        if key in ("gyro", "accel", *AXES) and isinstance(source, Mapping) and source.get("truth"):
+            for axis in [a for a in AXES if a == key or a.startswith(f"{key}_")]:
+                out.setdefault(axis, nominal.beliefs[axis].to_list(axis_unit(axis)))
+        else:
+            out[key] = source
+    return out
+
+
+def _as_level(nominal: Nominal, coloured: EffectUse) -> EffectUse:
+    """Coloured noise of the fixes for a filter without states for it: standard deviations as large as the whole error's."""
+    factor = np.hypot(1.0, np.array(coloured["sigma"]) / np.array(nominal.gnss.position_sigma))
+    return EffectUse("gnss_noise_level", "gnss", {"factor": tuple(float(f) for f in factor)})
+
+
+def _interval(measured: StaticLog | Recording | None) -> float:
+    if isinstance(measured, StaticLog):
+        return 1.0 / measured.axes[0].rate_hz
+    return measured.imu.dt if measured is not None else 0.01
+
+
+def _temperature(measured: StaticLog | Recording | None) -> dict[str, list[float]] | None:
+    """The recorded temperature as a scenario's profile."""
+    if measured is None:
+        return None
+    if isinstance(measured, StaticLog):
+        degc = measured.temperature
+        t = None if degc is None else np.arange(degc.size) / measured.axes[0].rate_hz
+    else:
+        degc, t = measured.imu.temperature, measured.imu.t - measured.imu.t[0]
+    if degc is None or t is None:
+        return None
+    k: NDArray[np.int64] = np.unique(np.linspace(0, degc.size - 1, min(MOST_POINTS, degc.size)).astype(np.int64))
+    return {"t": [round(float(x), 6) for x in t[k]], "degc": [round(float(x), 4) for x in degc[k]]}
+
+
+_PATHS = frozenset({"waypoints", "track", "motion", "file", "files", "recording"})
+
+
+def _moved(value: Any, old: Path, new: Path, key: str = "") -> Any:
+    """A section whose relative paths still lead to the same files from another folder."""
+    if isinstance(value, Mapping):
+        return {k: _moved(v, old, new, str(k)) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_moved(v, old, new, key) for v in value]
+    if isinstance(value, str) and key in _PATHS and not value.startswith("shared:") and not Path(value).is_absolute():
+        target = old / value
+        return os.path.relpath(target.resolve(), new.resolve()) if target.exists() else value
+    return value
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    return value.item() if isinstance(value, np.generic) else value

@@ -1,0 +1,234 @@
+"""What the fixes of a drive or flight may be wrong in: steps, levels, colour and outliers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu.effects import EFFECTS
+from insemu.gap.candidates.shapes import Hypothesis
+from insemu.gap.drive.scene import Scene
+from insemu.gap.drive.signatures import Loop
+from insemu.gap.evidence.fixes import NED, NoiseFit, gnss_noise_fits, pooled
+from insemu.gap.evidence.linear import (
+    Block,
+    Field,
+)
+from insemu.gap.evidence.model import log_mean_exp
+from insemu.gap.policy import rules
+from insemu.gap.verdict import Value
+
+Array = NDArray[np.float64]
+
+#: A level is estimated together with a colour, not beside it.
+_LEVELS = ("gnss_noise_level", "gnss_velocity_noise")
+
+
+def multipath_step(
+    scene: Scene, data: Field, rows: NDArray[np.bool_] | slice, given: Sequence[Block]
+) -> list[Hypothesis]:
+    """Scan start and duration of a step in the position fixes, on each axis; refined around the best."""
+    s = scene.starts
+    if s.size < 4:
+        return []
+    G = scene.step_columns[rows]
+    scale = EFFECTS["gnss_multipath_step"].scale("value", "gnss")
+    t_fix = scene.prepared.result.fixes.t
+    shortest = rules().shortest_step * float(np.median(np.diff(t_fix)))
+    logs, best = _scan_steps(data, G, given, s, scale, shortest)
+    gain = log_mean_exp(logs)
+    fine = None
+    top, c, i0, j0, width = best
+    if gain > -2.0:
+        # the scan is coarse: try every start and end near the best with columns of their own
+        spacing = float(s[1] - s[0])
+        near = np.concatenate([t_fix[np.abs(t_fix - x) <= spacing] for x in (s[i0], s[j0])]) + 1e-3
+        starts = np.unique(near)[:120]
+        if starts.size >= 4:
+            fine = _scan_steps(
+                data, scene.whitened(_axis_steps(scene, starts, c))[rows], given, starts, scale, shortest, axes=1
+            )
+            if fine[1][0] > top:
+                gain += fine[1][0] - top
+                _, _, i0, j0, width = fine[1]
+                s, G = starts, scene.whitened(_axis_steps(scene, starts, c))[rows]
+                column = G[:, i0] - G[:, j0]
+                return [_step_hypothesis(data, given, gain, c, column, s, i0, j0, width)]
+    column = G[:, 3 * i0 + c] - G[:, 3 * j0 + c]
+    return [_step_hypothesis(data, given, gain, c, column, s, i0, j0, width)]
+
+
+def _axis_steps(scene: Scene, starts: Array, axis: int) -> Array:
+    """Responses (f, 6, starts) of steps of one position axis."""
+    fixes = scene.loop.result.fixes
+    M = np.zeros((len(fixes), 6, starts.size))
+    M[:, axis, :] = fixes.t[:, None] > starts[None, :]
+    return scene.loop.respond(starts.size, None, M)
+
+
+_Scan = tuple[Array, tuple[float, int, int, int, float]]
+
+
+def _scan_steps(
+    data: Field, G: Array, given: Sequence[Block], s: Array, scale: float, shortest: float, axes: int = 3
+) -> _Scan:
+    y = data.y
+    cross = None
+    if given:
+        index, root, L, _ = data._solved(given)
+        base = data.G[:, index] @ root
+        half = np.linalg.solve(L, (base.T @ G) / data.variance)
+        rhs = np.linalg.solve(L, base.T @ y / data.variance)
+        cross = (half, rhs)
+    b_all = G.T @ y / data.variance
+    if cross is not None:
+        b_all = b_all - cross[0].T @ cross[1]
+    i, j = np.triu_indices(s.size, 1)
+    near = s[j] - s[i] >= shortest
+    if axes == 3:
+        near &= s[j] - s[i] <= (s[-1] - s[0]) / 2.5
+    i, j = i[near], j[near]
+    if not i.size:
+        return np.full(1, -math.inf), (-math.inf, 0, 0, 0, 1.0)
+    logs = []
+    best: tuple[float, int, int, int, float] = (-math.inf, 0, 0, 0, 1.0)
+    for c in range(axes):
+        at = axes * np.arange(s.size) + c
+        A = G[:, at].T @ G[:, at] / data.variance
+        if cross is not None:
+            A = A - cross[0][:, at].T @ cross[0][:, at]
+        d = np.diag(A)
+        aw = np.maximum(d[i] + d[j] - 2.0 * A[i, j], 1e-12)
+        bw = (b_all[at][i] - b_all[at][j]) ** 2
+        for factor in rules().prior_scales:
+            prior = (scale * factor) ** 2
+            each = 0.5 * bw / (aw + 1.0 / prior) - 0.5 * np.log1p(prior * aw)
+            logs.append(each)
+            k = int(np.argmax(each))
+            if each[k] > best[0]:
+                best = (float(each[k]), c, int(i[k]), int(j[k]), scale * factor)
+    return np.concatenate(logs), best
+
+
+def _step_hypothesis(
+    data: Field, given: Sequence[Block], gain: float, c: int, column: Array, s: Array, i0: int, j0: int, width: float
+) -> Hypothesis:
+    wide = Field(data.y, np.column_stack([data.G, column]), data.variance) if gain > -1.0 else None
+    if wide is None:
+        return Hypothesis("gnss_multipath_step", "gnss", (NED[c],), gain, ())
+    block: Block = (np.array([data.G.shape[1]]), np.array([[width]]))
+    _, mean, covariance = wide.posterior([block, *given])
+    m, sd = float(mean[0]), math.sqrt(float(covariance[0, 0]))
+    half = 0.6 * float(s[1] - s[0])
+    start, duration = float(s[i0]), float(s[j0] - s[i0])
+    values = (
+        Value("value", m, m - 1.96 * sd, m + 1.96 * sd, "m"),
+        Value("start", start, start - half, start + half, "s"),
+        Value("duration", duration, duration - 2 * half, duration + 2 * half, "s"),
+    )
+    return Hypothesis("gnss_multipath_step", "gnss", (NED[c],), gain, values, variant="step")
+
+
+def gaussian(v: Array, S: Array) -> Array:
+    """Log densities of rows of ``v`` (k, c) without the constant."""
+    L = np.linalg.cholesky(S)
+    z = np.linalg.solve(L, v[:, :, None])[:, :, 0]
+    return np.asarray(-0.5 * np.einsum("ki,ki->k", z, z) - np.sum(np.log(np.einsum("kii->ki", L)), axis=1))
+
+
+def position_innovations(scene: Scene, nu: Array, cut: float | None) -> tuple[NDArray[np.int64], Array, Array]:
+    """Fixes with a whole position, their innovations (k, 3) and covariances (k, 3, 3)."""
+    fixes = scene.prepared.result.fixes
+    there = scene.loop.use[:, :3].all(axis=1)
+    if cut is not None:
+        there = there & (fixes.t <= cut)
+    at = np.flatnonzero(there)
+    return at, nu[at][:, :3], fixes.S[at][:, :3, :3]
+
+
+def gnss_outliers(scene: Scene, nu: Array, cut: float | None) -> list[Hypothesis]:
+    """A small share of position fixes with a much larger spread."""
+    at, v, S = position_innovations(scene, nu, cut)
+    if at.size < 30:
+        return []
+    plain = gaussian(v, S)
+    sigma0 = np.sqrt(np.median(np.einsum("kii->ki", S), axis=0))
+    logs, grid = [], []
+    for ratio in np.geomspace(3.0, 300.0, 10):
+        wide = gaussian(v, S + np.diag((ratio * sigma0) ** 2))
+        for p in np.geomspace(1.0 / at.size, 0.1, 8):
+            logs.append(float(np.sum(np.logaddexp(math.log1p(-p) + plain, math.log(p) + wide) - plain)))
+            grid.append((p, ratio))
+    p, ratio = grid[int(np.argmax(logs))]
+    gain = log_mean_exp(logs)
+    count = max(1.0, p * at.size)
+    spread = 1.5 / math.sqrt(count)
+    values: tuple[Value, ...] = (
+        Value("probability", p, p * math.exp(-2.0 / math.sqrt(count)), p * math.exp(2.0 / math.sqrt(count)), "1"),
+    )
+    values += tuple(
+        Value(f"sigma_{a}", float(ratio * s), float(ratio * s) / (1.0 + spread), float(ratio * s) * (1.0 + spread), "m")
+        for a, s in zip(NED, sigma0, strict=True)
+    )
+    return [Hypothesis("gnss_outliers", "gnss", NED, gain, values)]
+
+
+def wild_fixes(scene: Scene, outliers: Hypothesis, nu: Array) -> tuple[Array, Array]:
+    """Times of the fixes that are more likely outliers than not, and the log density that each has as one."""
+    given = {v.name: v.value for v in outliers.values}
+    at, v, S = position_innovations(scene, nu, None)
+    p = given["probability"]
+    added = np.diag([given[f"sigma_{a}"] ** 2 for a in NED])
+    wide = gaussian(v, S + added)
+    odds = math.log(p / (1.0 - p)) + wide - gaussian(v, S)
+    return np.asarray(scene.prepared.result.fixes.t[at[odds > 0.0]]), math.log(p) + wide[odds > 0.0]
+
+
+def unexplained_innovations(scene: Scene, blocks: Sequence[Block]) -> Array:
+    """Innovations (f, 6) in m and m/s less what blocks explain."""
+    nu = np.where(scene.surrogate.use == 1, scene.surrogate.nu, 0.0)
+    if scene.noise is not None:
+        return nu
+    explained = scene.explained(blocks)
+    if explained is None:
+        return nu
+    return np.asarray(nu - np.einsum("kij,kj->ki", scene.loop.lower, explained))
+
+
+def covariance_hypotheses(
+    scene: Scene, given: Sequence[Block], skip: Collection[str], cut: float | None
+) -> list[Hypothesis]:
+    """Weigh levels, colour and outliers of the fixes on the innovations less what is already explained."""
+    nu = unexplained_innovations(scene, given)
+    surrogate = replace(scene.surrogate, nu=nu)
+    if cut is not None:
+        surrogate = surrogate.until(cut)
+    k = surrogate.t.size
+    loop: Loop = scene.loop
+    y = np.einsum("kij,kj->ki", loop.white[:k], surrogate.nu)
+    colour = scene.noise.colour if scene.noise is not None else None
+    base = surrogate.log_likelihood(scene.noise.factor if scene.noise is not None else None, colour)
+    fits: dict[str, list[NoiseFit]] = {}
+    for fit in gnss_noise_fits(
+        surrogate,
+        base,
+        loop.white[:k],
+        y,
+        trimmed=scene.original.factors / scene.original.levels,
+        uncertainty=rules().tolerance,
+        colour=colour,
+        skip=(*skip, *(_LEVELS if colour is not None else ())),
+    ):
+        fits.setdefault(fit.effect, []).append(fit)
+    out = []
+    for effect, tried in fits.items():
+        top = max(tried, key=lambda f: f.gain)
+        values = tuple(Value(*v) for v in top.values)
+        out.append(Hypothesis(effect, "gnss", top.axes, pooled(tried), values, noise=top))
+    if "gnss_outliers" not in skip and scene.noise is None:
+        out += gnss_outliers(scene, nu, cut)
+    return out

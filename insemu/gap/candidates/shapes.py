@@ -1,0 +1,342 @@
+"""Every effect that the innovations of a drive or flight can show, weighed in one currency beside what is explained already."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu.effects import EFFECTS, Column
+from insemu.gap.drive.scene import Scene
+from insemu.gap.evidence.fixes import NoiseFit
+from insemu.gap.evidence.linear import (
+    Block,
+    Field,
+    flicker_root,
+    gauss_markov_root,
+    log_mean_exp_columns,
+    quadratic_evidence,
+    random_walk_root,
+)
+from insemu.gap.evidence.model import log_mean_exp
+from insemu.gap.policy import rules
+from insemu.gap.verdict import Value
+
+Array = NDArray[np.float64]
+
+#: Amplitudes of slow processes that are tried.
+AMPLITUDES = 40
+#: Effects of one number that only one description can have.
+ONCE = ("imu_gnss_time_offset", "clock_drift", "gravity", "earth_rate", "transport_rate")
+PROCESSES = {"random_walk": "K", "gauss_markov": "sigma", "flicker": "B"}
+_SENSORS = (("gyro", 0), ("accel", 3))
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way in which an effect may be present: columns, unit roots of its coefficients' prior, and amplitudes of that prior.
+
+    ``process`` says that the amplitude itself is the parameter and not the coefficients.
+    """
+
+    effect: str
+    sensor: str
+    axes: tuple[str, ...]
+    label: str
+    index: NDArray[Any]
+    shapes: tuple[tuple[tuple[float, ...], Array], ...]
+    amplitudes: Array
+    process: bool = False
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """An effect, weighed.
+
+    Parameters
+    ----------
+    gain : float
+        Evidence averaged over the ways in which it may be present.
+    values : tuple of Value
+    block : Block, optional
+        How it enters the linear model of the innovations.
+    noise : NoiseFit, optional
+        How it changes the covariance of the fixes.
+    columns : tuple of int
+        Columns of the scene whose coefficients are its parameters.
+    """
+
+    effect: str
+    sensor: str
+    axes: tuple[str, ...]
+    gain: float
+    values: tuple[Value, ...]
+    block: Block | None = None
+    variant: str = ""
+    noise: NoiseFit | None = None
+    columns: tuple[int, ...] = ()
+
+
+def sizes() -> tuple[float, ...]:
+    """Sizes of shapes that are tried, in the datasheet's. What a fix can see of a slope or of structure outside the catalogue is far above it."""
+    return (*rules().prior_scales, *rules().wider_scales)
+
+
+def bank(scene: Scene) -> list[Variant]:
+    """All variants of deterministic, timing, lever-arm, model and slow effects."""
+    return _shapes(scene.columns[: scene.catalogue]) + _slow(scene)
+
+
+def _shapes(columns: Sequence[Column]) -> list[Variant]:
+    out: list[Variant] = []
+    amplitudes = np.array(sizes())
+    for key in dict.fromkeys((c.effect, c.sensor) for c in columns):
+        mine = [i for i, c in enumerate(columns) if (c.effect, c.sensor) == key]
+        sets: list[tuple[tuple[str, ...], str, list[int]]] = []
+        if key[0] == "temperature":
+            for axis in "xyz":
+                own = [i for i in mine if columns[i].axes == (axis,)]
+                sets += [((axis,), "linear", own[:1]), ((axis,), "cubic", own)]
+            sets.append((("x", "y", "z"), "linear", [i for i in mine if columns[i].label.startswith("c1")]))
+        else:
+            sets += [(columns[i].axes, "", [i]) for i in mine]
+            if len(mine) > 1:
+                if key[0] == "g_sensitivity":
+                    diagonal = [i for i in mine if columns[i].label[-1] == columns[i].label[-2]]
+                    sets.append((("x", "y", "z"), "diagonal", diagonal))
+                axes = tuple(dict.fromkeys(a for i in mine for a in columns[i].axes))
+                sets.append((axes, "all", mine))
+        for axes, label, members in sets:
+            if members:
+                unit = np.diag([columns[i].scale for i in members])
+                out.append(Variant(*key, axes, label, np.array(members), (((), unit),), amplitudes))
+    return out
+
+
+def _slow(scene: Scene) -> list[Variant]:
+    t = scene.knots
+    span, spacing = float(t[-1] - t[0]), float(t[1] - t[0])
+    roots: dict[str, list[tuple[tuple[float, ...], Array]]] = {
+        "random_walk": [((), random_walk_root(t))],
+        "gauss_markov": [
+            ((1.0 / tau,), gauss_markov_root(t, tau)) for tau in np.geomspace(1.5 * spacing, 0.6 * span, 5)
+        ],
+        "flicker": [((), flicker_root(t))],
+    }
+    out: list[Variant] = []
+    for effect, shapes in roots.items():
+        for sensor, first in _SENSORS:
+            amplitudes = EFFECTS[effect].scale(PROCESSES[effect], sensor) * np.geomspace(
+                *rules().slow_amplitudes, AMPLITUDES
+            )
+            for axis in range(3):
+                out.append(
+                    Variant(
+                        effect, sensor, ("xyz"[axis],), "", scene.slow(first + axis), tuple(shapes), amplitudes, True
+                    )
+                )
+            three = tuple((p, np.asarray(np.kron(np.eye(3), root), dtype=np.float64)) for p, root in shapes[::2])
+            out.append(
+                Variant(effect, sensor, ("x", "y", "z"), "all", scene.slow(first, 3), three, amplitudes[::2], True)
+            )
+    for sensor, first in _SENSORS:
+        unit = (t - t[0])[:, None] * EFFECTS["ramp"].scale("R", sensor)
+        for axis in range(3):
+            out.append(
+                Variant(
+                    "ramp",
+                    sensor,
+                    ("xyz"[axis],),
+                    "",
+                    scene.slow(first + axis),
+                    (((), unit),),
+                    np.array((*sizes(), *rules().widest_scales)),
+                )
+            )
+    return out
+
+
+def linear_gains(variants: Sequence[Variant], A: Array, b: Array) -> list[list[Array]]:
+    """Log Bayes factors of every variant: per variant and shape ``(a, s)``; wide sets of axes only where a single one promises something."""
+    out: list[list[Array]] = []
+    promising: dict[tuple[str, str], float] = {}
+    for v in variants:
+        key = (v.effect, v.sensor)
+        if (v.process and len(v.axes) == 3 and b.shape[1] > 1) or (
+            v.process and len(v.axes) == 3 and promising.get(key, 0.0) < 1.0
+        ):
+            out.append([])
+            continue
+        sub, rhs = A[np.ix_(v.index, v.index)], b[v.index]
+        logs = [quadratic_evidence(sub, rhs, root, v.amplitudes) for _, root in v.shapes]
+        promising[key] = max(promising.get(key, -math.inf), max(float(x[:, 0].max()) for x in logs))
+        out.append(logs)
+    return out
+
+
+def pooled_gains(variants: Sequence[Variant], logs: Sequence[Sequence[Array]]) -> dict[tuple[str, str], Array]:
+    """Evidence of every effect and sensor, averaged over its variants, shapes and amplitudes: (s,) per effect."""
+    own: dict[tuple[str, str], list[Array]] = {}
+    passed: dict[tuple[str, str], int] = {}
+    for v, x in zip(variants, logs, strict=True):
+        key = (v.effect, v.sensor)
+        if x:
+            own.setdefault(key, []).append(log_mean_exp_columns(np.concatenate(x)))
+        else:
+            passed[key] = passed.get(key, 0) + 1
+    out = {}
+    for key, rows in own.items():
+        # a variant that was passed over counts as one that explains nothing
+        share = len(rows) / (len(rows) + passed.get(key, 0))
+        out[key] = log_mean_exp_columns(np.stack(rows)) + math.log(share)
+    return out
+
+
+def linear_hypotheses(
+    scene: Scene, variants: Sequence[Variant], data: Field, given: Sequence[Block], skip: Collection[str]
+) -> list[Hypothesis]:
+    """Weigh every variant and report the best of each effect and sensor."""
+    variants = [v for v in variants if v.effect not in skip]
+    A, b = data.conditioned(given)
+    logs = linear_gains(variants, A, b)
+    gains = pooled_gains(variants, logs)
+    tried: dict[tuple[str, str], list[tuple[float, Variant, list[Array]]]] = {}
+    for v, x in zip(variants, logs, strict=True):
+        if x:
+            own = float(log_mean_exp_columns(np.concatenate(x))[0])
+            tried.setdefault((v.effect, v.sensor), []).append((own, v, x))
+    best = {}
+    for key, mine in tried.items():
+        # an axis is named where the innovations speak for it, not where they hardly see it
+        top = max(own for own, _, _ in mine)
+        best[key] = min((m for m in mine if m[0] > top - rules().keep_nats), key=lambda m: (len(m[1].axes), -m[0]))
+    return [
+        _described(scene, data, given, v, x, float(gains[key][0]))
+        for key, (_, v, x) in best.items()
+        if math.isfinite(float(gains[key][0]))
+    ]
+
+
+def _described(
+    scene: Scene, data: Field, given: Sequence[Block], v: Variant, logs: Sequence[Array], gain: float
+) -> Hypothesis:
+    """The best shape and amplitude of a variant with its parameters."""
+    table = np.stack([x[:, 0] for x in logs])
+    i, j = np.unravel_index(int(np.argmax(table)), table.shape)
+    root = v.shapes[int(i)][1] * v.amplitudes[int(j)]
+    block: Block = (v.index, root)
+    if gain < -1.0:
+        return Hypothesis(v.effect, v.sensor, v.axes, gain, (), block, v.label)
+    effect = EFFECTS[v.effect]
+    if v.process:
+        p = np.exp(table - table.max())
+        p /= p.sum()
+        grid = np.log(np.array([[(a, *shape) for a in v.amplitudes] for shape, _ in v.shapes]))
+        mean = np.einsum("ij,ijk->k", p, grid)
+        sd = np.sqrt(np.einsum("ij,ijk->k", p, (grid - mean) ** 2))
+        floor = 0.5 * math.log(v.amplitudes[1] / v.amplitudes[0])
+        values = tuple(
+            Value(
+                q.name,
+                math.exp(m),
+                math.exp(m - 1.96 * max(s, floor)),
+                math.exp(m + 1.96 * max(s, floor)),
+                effect.unit(q.name, v.sensor),
+            )
+            for q, m, s in zip(effect.parameters, mean, sd, strict=False)
+        )
+        return Hypothesis(v.effect, v.sensor, v.axes, gain, values, block, v.label)
+    _, mean, covariance = data.posterior([block, *given])
+    n = v.index.size
+    if v.effect == "ramp":
+        span = float(scene.knots[-1] - scene.knots[0])
+        m, s = float(mean[n - 1]) / span, math.sqrt(float(covariance[n - 1, n - 1])) / span
+        values = (Value("R", m, m - 1.96 * s, m + 1.96 * s, effect.unit("R", v.sensor)),)
+        return Hypothesis(v.effect, v.sensor, v.axes, gain, values, block, v.label)
+    values = shape_values(scene, v.index, mean[:n], covariance[:n, :n])
+    return Hypothesis(v.effect, v.sensor, v.axes, gain, values, block, v.label, columns=tuple(int(c) for c in v.index))
+
+
+def shape_values(scene: Scene, index: NDArray[Any], mean: Array, covariance: Array) -> tuple[Value, ...]:
+    """Coefficients of columns as values with intervals."""
+    out = []
+    for k, i in enumerate(index):
+        c, m, s = scene.columns[int(i)], float(mean[k]), math.sqrt(max(float(covariance[k, k]), 0.0))
+        out.append(Value(c.label, m, m - 1.96 * s, m + 1.96 * s, c.unit))
+    return tuple(out)
+
+
+def best_pair(variants: Sequence[Variant], A: Array, b: Array) -> tuple[float, Block, Block]:
+    """The two single columns that explain most together: log Bayes factor over a grid of prior scales, and their blocks.
+
+    Two shapes that nearly cancel are worth little one by one.
+
+    Parameters
+    ----------
+    variants : sequence of Variant
+        Of one column each.
+    A : (c, c) array
+        Normal matrix of all columns.
+    b : (c,) array
+        Right-hand side.
+    """
+    at = np.array([int(v.index[0]) for v in variants])
+    unit = np.array([float(v.shapes[0][1][0, 0]) for v in variants])
+    A, b = A[np.ix_(at, at)], b[at]
+    i, j = np.triu_indices(at.size, 1)
+    logs = []
+    grid = [(p, q) for p in rules().prior_scales for q in rules().prior_scales]
+    for p, q in grid:
+        d, e = p * unit[i], q * unit[j]
+        first, second, cross = 1.0 + d**2 * A[i, i], 1.0 + e**2 * A[j, j], d * e * A[i, j]
+        det = first * second - cross**2
+        u, v = d * b[i], e * b[j]
+        logs.append(0.5 * (u**2 * second - 2.0 * u * v * cross + v**2 * first) / det - 0.5 * np.log(det))
+    table = np.stack(logs)
+    pooled = log_mean_exp_columns(table)
+    k = int(np.argmax(pooled))
+    p, q = grid[int(np.argmax(table[:, k]))]
+    blocks = [(at[[m]], np.array([[c * unit[m]]])) for m, c in ((i[k], p), (j[k], q))]
+    return float(pooled[k]), blocks[0], blocks[1]
+
+
+def null_threshold(
+    variants: Sequence[Variant],
+    data: Field,
+    rng: np.random.Generator,
+    draws: int = 300,
+    *,
+    always: Sequence[Block] = (),
+) -> float:
+    """Evidence that the best effect exceeds in ``false_alarms`` of simulated nominal recordings: the filter's own responses, drawn innovations.
+
+    ``always`` is what is uncertain in a nominal recording too; it is drawn as well and then allowed for.
+    """
+    z = rng.standard_normal((data.y.size, draws))
+    b = data.G.T @ z / math.sqrt(data.variance)
+    for index, root in always:
+        b += data.A[:, index] @ root @ rng.standard_normal((root.shape[1], draws))
+    A, b = data.conditioned(always, b)
+    b = b[:, 1:]
+    # the first column decides what is worth a closer look, as it does for the measured innovations
+    gains = pooled_gains(variants, linear_gains(variants, A, b))
+    return float(np.quantile(np.max(np.stack(list(gains.values())), axis=0), 1.0 - rules().false_alarms))
+
+
+def library_gain(scene: Scene, data: Field, given: Sequence[Block]) -> tuple[float, str]:
+    """The best structure outside the catalogue, those of a sensor counted alike."""
+    A, b = data.conditioned(given)
+    found: dict[str, list[tuple[float, str]]] = {}
+    amplitudes = np.array((*sizes(), rules().widest_scales[0]))
+    for i, c in enumerate(scene.columns[scene.outside], start=scene.outside.start):
+        logs = quadratic_evidence(A[i : i + 1, i : i + 1], b[i : i + 1], np.array([[c.scale]]), amplitudes)
+        found.setdefault(c.sensor, []).append((log_mean_exp(logs[:, 0]), f"{c.sensor} error that goes with {c.label}"))
+    best = (-math.inf, "")
+    for group in found.values():
+        top = max(group)
+        best = max(best, (log_mean_exp([g for g, _ in group]), top[1]))
+    return best

@@ -1,0 +1,198 @@
+"""What shapes the spectrum of an axis: vibration as a band or a line, and the low-pass of the output."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu.gap.candidates.axis import (
+    LEAST_POWER,
+    AxisState,
+    Weighed,
+    amplitude,
+    best_of,
+    cleaned,
+)
+from insemu.gap.evidence.band import Band
+from insemu.gap.evidence.model import (
+    DEPTH,
+    HALF_POWER,
+    Component,
+    Free,
+    Rolloff,
+    log_mean_exp,
+)
+from insemu.gap.policy import rules
+from insemu.gap.verdict import Value
+
+Array = NDArray[np.float64]
+
+
+def vibration_band(state: AxisState) -> list[Weighed]:
+    """Vibration coloured by a resonance."""
+    data = state.data
+    if not data.f.size:
+        return []
+    nyquist = 0.5 / data.dt
+    # a moving sensor's spectrum begins where its motion ends; at rest slower than ten blocks is a slow process, and buildings sway at 0.5 Hz
+    lowest = 10.0 * data.f[0] if data.differences.size else max(1.1 * data.f[0], 0.02 * nyquist)
+    if lowest > 0.8 * nyquist:
+        return []
+    S = state.explanation.psd(data.f, data.dt)
+    free = (
+        amplitude("sigma", 30.0 * state.white / math.sqrt(data.dt)),
+        Free("f", lowest, 0.97 * nyquist),
+        Free("ratio", 0.003, rules().highest_bandwidth),  # wider is no resonance
+    )
+    # where the excess over a window as wide as the band stands out most, for each width
+    excess = state.explanation.seen(data) / S - 1.0
+    weighted = np.concatenate([[0.0], np.cumsum(data.counted * excess)])
+    total = np.concatenate([[0.0], np.cumsum(data.counted)])
+    starts = []
+    for ratio in (0.01, 0.03, 0.1, 0.35):
+        first = np.searchsorted(data.f, data.f * (1.0 - 0.5 * ratio))
+        last = np.searchsorted(data.f, data.f * (1.0 + 0.5 * ratio), side="right")
+        counted = np.maximum(total[last] - total[first], 1e-9)
+        score = (weighted[last] - weighted[first]) / np.sqrt(2.0 * counted)
+        score[(data.f < lowest) | (data.f > 0.95 * nyquist)] = -np.inf
+        for _ in range(2):
+            k = int(np.argmax(score))
+            if not score[k] > 0.0:
+                break
+            f0, height = float(data.f[k]), float((weighted[last[k]] - weighted[first[k]]) / counted[k])
+            for factor in (0.7, 1.4, 3.0):
+                sigma = math.sqrt(factor * height * float(S[k]) * ratio * f0 * math.pi)
+                band = Component(Band(sigma, f0, ratio), free, "vibration_band")
+                starts.append(state.explanation.with_component(band))
+            score[np.abs(np.log(data.f / f0)) < ratio] = -np.inf
+    return best_of(state, "vibration_band", "", starts, 3, apart=0.4)
+
+
+def decimation_filter(state: AxisState) -> list[Weighed]:
+    """A low-pass of the output that the nominal model lacks."""
+    if state.explanation.rolloff is not None or not state.data.f.size:
+        return []
+    nyquist = 0.5 / state.data.dt
+    out = []
+    order = Free("order", 0.6, rules().highest_order)
+    floor = DEPTH * state.white**2
+    for kind, highest in (
+        # no cutoff beyond what the samples show: a slope that gentle is no filter's
+        ("moving average", 0.98 / HALF_POWER["moving average"]),
+        ("triangular window", 0.98 / HALF_POWER["triangular window"]),
+        ("exponential", 0.98),
+        ("butterworth", 0.98),
+    ):
+        free = (Free("corner", 0.03 * nyquist, highest * nyquist), *((order,) if kind == "butterworth" else ()))
+        orders: tuple[tuple[float, ...], ...] = ((1.0,), (2.0,), (4.0,), (8.0,)) if kind == "butterworth" else ((),)
+        corners = nyquist * np.geomspace(0.05, 0.95 * highest, 14)
+        starts = [
+            replace(state.explanation, rolloff=Rolloff(kind, (c, *o), free, floor=floor))
+            for c in corners
+            for o in orders
+        ]
+        tried = best_of(state, "decimation_filter", kind, starts, 1)
+        out += [w for w in tried if all(v.value < nyquist if v.name == "cutoff" else v.value > 0.5 for v in w.values)]
+    return out
+
+
+#: Pieces of a moving sensor's record whose noise around a line is their own.
+LINE_PIECES = 32
+#: Ordinates of a piece on either side of a line that say what the noise is there.
+NEAR_LINE = 12
+#: Frequencies at which a line is looked for, per independent one.
+FINER = 4
+
+
+def vibration_line(state: AxisState) -> list[Weighed]:
+    """A sinusoid: full-resolution scan, complex amplitude integrated out, frequency paid for."""
+    data = state.data
+    if not data.f.size:
+        return []
+    n, dt = data.values.size, data.dt
+    y = data.values - data.values.mean()
+    m = FINER * n
+    spectrum = np.abs(np.fft.rfft(y, m)) ** 2 * (dt / n)
+    f = np.arange(spectrum.size) / (m * dt)
+    inside = (f >= data.f[0]) & (f < 0.5 / dt * (1.0 - 4.0 / n))
+    S = state.explanation.psd(f[inside], dt)
+    # beyond an output filter there is nothing but what leaks there, and no line stands out of that
+    least = LEAST_POWER * float(np.median(S))
+    ratio = np.zeros(spectrum.size)
+    ratio[inside] = spectrum[inside] / np.maximum(S, least)
+    k = int(np.argmax(ratio))
+    # a line between two frequencies of the grid is worth what it is at its own
+    peak = max(float(ratio[k]), _height(y, dt, f[k]) / max(float(state.explanation.psd(f[[k]], dt)[0]), least))
+    looked = float(inside.sum()) / FINER
+    gain = _line_gain(peak, looked)
+    if gain < 0.0:
+        return [Weighed("vibration_line", "", gain, (), state)]
+    frequency, a, b = _sinusoid(y, dt, f[k], 1.0 / (n * dt))
+    if not data.differences.size:
+        # how loud a moving sensor is changes with the motion
+        gain = min(gain, _line_gain(_steady_power(y, dt, frequency), looked))
+        if gain < 0.0:
+            return []
+    amplitude = math.hypot(a, b)
+    t = np.arange(n) * dt
+    rest = data.values - a * np.cos(2.0 * math.pi * frequency * t) - b * np.sin(2.0 * math.pi * frequency * t)
+    sigma = math.sqrt(2.0 * float(state.explanation.psd(np.array([frequency]), dt)[0]) / (n * dt))
+    df = math.sqrt(6.0) / math.pi * sigma / amplitude / (n * dt)
+    values = (
+        Value("amplitude", amplitude, amplitude - 1.96 * sigma, amplitude + 1.96 * sigma, data.unit),
+        Value("frequency", frequency, frequency - 1.96 * df, frequency + 1.96 * df, "Hz"),
+    )
+    return [Weighed("vibration_line", "", gain, values, cleaned(state, rest, "vibration_line"))]
+
+
+def _height(y: Array, dt: float, f0: float) -> float:
+    """Periodogram at the best frequency near ``f0``."""
+    _, a, b = _sinusoid(y, dt, f0, 1.0 / (y.size * dt))
+    return 0.25 * (a * a + b * b) * y.size * dt
+
+
+def _line_gain(peak: float, looked: float) -> float:
+    """Evidence of a line whose periodogram stands ``peak`` times above its surroundings, at the best of ``looked`` frequencies.
+
+    Bayes factor of one frequency with a complex Gaussian amplitude of variance rho, averaged over rho; frequencies count alike.
+    """
+    rho = np.geomspace(0.3, 1e6, 40)
+    return log_mean_exp(peak * rho / (1.0 + rho) - np.log1p(rho)) - math.log(looked)
+
+
+def _steady_power(y: Array, dt: float, f: float) -> float:
+    """Squared amplitude of a steady sinusoid over its variance, each piece of the record weighed by its own noise around the frequency.
+
+    Noise alone gives an exponential variable of mean one; what is loud in a few pieces only counts little.
+    """
+    length = y.size // LINE_PIECES
+    pieces = y[: LINE_PIECES * length].reshape(LINE_PIECES, length)
+    t = np.arange(LINE_PIECES * length).reshape(LINE_PIECES, length) * dt
+    near = [k for k in range(-NEAR_LINE, NEAR_LINE + 1) if abs(k) > 2]
+    turned = pieces * np.exp(-2j * math.pi * f * t)
+    around = np.exp(-2j * math.pi * np.outer(near, np.arange(length) / length))
+    noise = np.mean(np.abs(turned @ around.T) ** 2, axis=1) + 1e-300
+    return float(np.abs(np.sum(turned.sum(axis=1) / noise)) ** 2 / np.sum(1.0 / noise))
+
+
+def _sinusoid(y: Array, dt: float, f0: float, resolution: float) -> tuple[float, float, float]:
+    """Least-squares frequency near ``f0`` with its cosine and sine amplitudes."""
+    t = np.arange(y.size) * dt
+
+    def project(f: float) -> complex:
+        return complex(np.dot(y, np.exp(-2j * math.pi * f * t)))
+
+    h = 0.25 * resolution
+    f = f0
+    for _ in range(3):  # parabola through the periodogram's top
+        low, mid, high = (abs(project(f + d)) ** 2 for d in (-h, 0.0, h))
+        bend = low - 2.0 * mid + high
+        if bend >= 0:
+            break
+        f += float(np.clip(0.5 * h * (low - high) / bend, -h, h))
+        h *= 0.3
+    z = project(f) * 2.0 / y.size
+    return f, z.real, -z.imag

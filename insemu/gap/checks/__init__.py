@@ -1,0 +1,1 @@
+"""Where a model and a recording disagree, in calibrated p-values."""

@@ -1,0 +1,301 @@
+"""What a static log says about its noise, reduced to the statistics that the evidence reads.
+
+Below half the block rate: differences of block means (10 s as a rule), whose exact covariance follows from every process in closed form, so
+that random walks and drifts need no window and leak nowhere. Above: a sine-multitaper spectrum averaged into narrow bins, for Whittle's
+likelihood. Below the split the same multitaper likelihood would leak (Riedel and Sidorenko 1995 for the tapers and their bias).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu.gap.policy import rules
+from insemu.noise import BI, GM, QN, RW, WN, Process
+from insemu.records import Series
+
+Array = NDArray[np.float64]
+
+#: Sine tapers, bins per octave.
+TAPERS, BINS_PER_OCTAVE = 6, 32
+#: Longest shape (frequencies, samples of a taper) that is remembered: full-resolution spectra are read once.
+MOST_REMEMBERED = 8192
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """One axis of a static log, reduced.
+
+    Parameters
+    ----------
+    name, unit : str
+        Axis and its SI unit.
+    dt : float
+        Sampling interval, s.
+    values : (n,) array
+        The samples.
+    block : int
+        Samples per block.
+    differences : (blocks - 1,) array
+        Differences of consecutive block means.
+    f, power, dof : (bins,) arrays
+        Frequency (Hz), two-sided PSD (unit^2/Hz) and chi-square degrees of freedom of each bin above ``1 / (2 block dt)``.
+    weight : (bins,) array, optional
+        Share of its degrees of freedom that a bin counts where no model describes the spectrum to their precision.
+    """
+
+    name: str
+    unit: str
+    dt: float
+    values: Array
+    block: int
+    differences: Array
+    f: Array
+    power: Array
+    dof: Array
+    weight: Array | None = None
+
+    @property
+    def counted(self) -> Array:
+        """Degrees of freedom that the likelihood counts."""
+        return self.dof if self.weight is None else self.dof * self.weight
+
+    @property
+    def block_s(self) -> float:
+        """Length of a block, s."""
+        return self.block * self.dt
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the log, s."""
+        return self.values.size * self.dt
+
+
+def block_length(n: int, dt: float) -> int:
+    """Samples per block: 10 s, shorter for short logs (at least 120 blocks), longer for long ones (at most 500)."""
+    wanted = max(1, round(rules().block_s / dt))
+    return int(min(max(wanted, math.ceil(n / rules().most_blocks)), max(1, n // rules().fewest_blocks)))
+
+
+def block_differences(values: Array, block: int) -> Array:
+    """Differences of consecutive means of ``block`` samples; an incomplete last block is left out."""
+    count = values.shape[0] // block
+    means = values[: count * block].reshape(count, block, *values.shape[1:]).mean(axis=1)
+    return np.asarray(np.diff(means, axis=0))
+
+
+def reduce(series: Series, block: int | None = None) -> Reduced:
+    """Reduce one axis.
+
+    Parameters
+    ----------
+    series : Series
+        At least 240 samples.
+    block : int, optional
+        Samples per block, for a piece that is to be reduced as the whole was.
+    """
+    y = np.asarray(series.values)
+    block = block or block_length(y.size, series.dt)
+    f, power, dof = spectrum(y, series.dt, 0.5 / (block * series.dt))
+    return Reduced(series.name, series.unit, series.dt, y, block, block_differences(y, block), f, power, dof)
+
+
+def spectrum(y: Array, dt: float, lowest: float) -> tuple[Array, Array, Array]:
+    """Sine-multitaper PSD above ``lowest`` Hz in narrow bins: centres, two-sided PSD, degrees of freedom."""
+    n = y.size
+    flat = y - y.mean()
+    power = np.zeros(n // 2 + 1)
+    # the tapers of the many short pieces of a moving record are remembered, those of a long log are not
+    for taper in _tapers(n) if n <= MOST_REMEMBERED else _each_taper(n):
+        spectrum = np.fft.rfft(flat * taper)
+        power += (spectrum.real**2 + spectrum.imag**2) * (dt / TAPERS)
+    bins = _bins(n, dt, lowest)
+    if bins is None:
+        return np.zeros(0), np.zeros(0), np.zeros(0)
+    first, count, _ = bins
+    total = np.add.reduceat(power, first)[: count.size]
+    centre, dof = spectrum_bins(n, dt, lowest)
+    return centre, total / count, dof
+
+
+def _each_taper(n: int) -> Iterator[Array]:
+    t = np.arange(1, n + 1)
+    for k in range(1, TAPERS + 1):
+        yield math.sqrt(2.0 / (n + 1)) * np.sin(np.pi * k * t / (n + 1))
+
+
+@lru_cache(maxsize=8)
+def _tapers(n: int) -> tuple[Array, ...]:
+    return tuple(_each_taper(n))
+
+
+def reduce_again(data: Reduced, values: Array) -> Reduced:
+    """Reduce changed samples of an axis as the axis itself was; one without a block band stays without."""
+    if data.differences.size:
+        again = reduce(Series(values, 1.0 / data.dt, data.unit, data.name), data.block)
+        return replace(again, weight=data.weight)
+    f, power, dof = moving_spectrum(values, data.dt, float(data.f[0]))
+    return replace(data, values=values, f=f, power=power, dof=dof)
+
+
+def unheard(data: Reduced) -> Reduced:
+    """The axis without its spectrum: nothing that it shows there is to be explained."""
+    none = np.zeros(0)
+    return replace(data, f=none, power=none, dof=none)
+
+
+def moving_spectrum(y: Array, dt: float, lowest: float, pieces: int = 32) -> tuple[Array, Array, Array]:
+    """Multitaper PSD of a moving sensor: the median over pieces of the record, so that single manoeuvres do not count."""
+    length = y.size // pieces
+    parts = [spectrum(y[k * length : (k + 1) * length], dt, lowest) for k in range(pieces)]
+    f, _, dof = parts[0]
+    if not f.size:
+        return f, f, f
+    # median of a mean of chi-squares over its mean (Wilson and Hilferty), and what the median keeps of the information
+    power = np.median([p for _, p, _ in parts], axis=0) / (1.0 - 2.0 / (9.0 * np.maximum(dof, 2.0 * TAPERS))) ** 3
+    return f, power, dof * pieces * (2.0 / math.pi)
+
+
+def spectrum_bins(n: int, dt: float, lowest: float) -> tuple[Array, Array]:
+    """Centres (Hz) and degrees of freedom of the bins of :func:`spectrum`."""
+    bins = _bins(n, dt, lowest)
+    if bins is None:
+        return np.zeros(0), np.zeros(0)
+    return bins[2], 2.0 * bins[1] / overlap(n)
+
+
+@lru_cache(maxsize=32)
+def _bins(n: int, dt: float, lowest: float) -> tuple[NDArray[np.intp], Array, Array] | None:
+    """First ordinate, count and centre of each bin, from ``lowest`` (at least clear of the tapers' width) up to Nyquist, exclusive."""
+    step = 1.0 / (n * dt)
+    start = max(math.ceil(lowest / step), TAPERS)
+    stop = (n - 1) // 2 - TAPERS  # the last ordinates mirror each other through the tapers
+    if stop - start < 8:
+        return None
+    octaves = math.log2(stop / start)
+    edges = start * 2.0 ** (np.arange(0, math.ceil(octaves * BINS_PER_OCTAVE)) / BINS_PER_OCTAVE)
+    first = np.unique(np.round(edges).astype(np.intp))
+    first = first[first < stop]
+    last = np.append(first[1:], stop)
+    keep = last > first
+    first, last = first[keep], last[keep]
+    centre = 0.5 * (first + last - 1) * step
+    return np.append(first, stop), (last - first).astype(np.float64), centre
+
+
+def overlap(n: int) -> float:
+    """Ordinates that one independent ordinate is worth, for averages much wider than the tapers: n sum of squared mean weights."""
+    return _overlap(min(n, 4096))
+
+
+@lru_cache(maxsize=4)
+def _overlap(n: int) -> float:
+    t = np.arange(1, n + 1)
+    weights = np.mean([2.0 / (n + 1) * np.sin(np.pi * k * t / (n + 1)) ** 2 for k in range(1, TAPERS + 1)], axis=0)
+    return float(n * np.sum(weights**2))
+
+
+#: Processes whose density is the square of one amplitude times a shape of its own.
+_AMPLITUDE: dict[type[Process], str] = {WN: "N", QN: "Q", RW: "K", BI: "B"}
+
+
+def amplitude_of(process: Process) -> str | None:
+    """Name of the one amplitude whose square multiplies the density and the covariance of a process; ``None`` where there is no such one."""
+    return _AMPLITUDE.get(type(process))
+
+
+def density(process: Process, f: Array, dt: float) -> Array:
+    """Two-sided PSD of a process; the shape of one with a single amplitude is remembered, because a search asks for it thousands of times.
+
+    Parameters
+    ----------
+    process : Process
+    f : (k,) array
+        Hz.
+    dt : float
+        Sampling interval, s.
+
+    Returns
+    -------
+    (k,) array
+        unit^2/Hz.
+    """
+    name = amplitude_of(process)
+    if name is None or f.size > MOST_REMEMBERED:
+        return process.psd(f, dt)
+    return process.parameters[name] ** 2 * _unit_density(type(process), f.tobytes(), dt)
+
+
+@lru_cache(maxsize=64)
+def _unit_density(kind: type[Process], f: bytes, dt: float) -> Array:
+    out = kind(**{_AMPLITUDE[kind]: 1.0}).psd(np.frombuffer(f), dt)
+    out.setflags(write=False)
+    return out
+
+
+@lru_cache(maxsize=64)
+def _unit_structure(kind: str, block: int, dt: float, count: int) -> Array:
+    """Mean-square difference of block means ``h`` = 0 ... ``count`` blocks apart, for unit parameter."""
+    h = np.arange(count + 1, dtype=np.float64)
+    if kind == "WN":
+        out = np.full(count + 1, 2.0 / (block * dt))
+    elif kind == "QN":
+        out = np.full(count + 1, 4.0)
+        out[1] = 6.0
+        out /= (block * dt) ** 2
+    else:  # RW
+        out = block * dt * (h - 1.0 / 3.0 + 1.0 / (3.0 * block**2))
+    out[0] = 0.0
+    return out
+
+
+@lru_cache(maxsize=8)
+def _flicker_covariance(count: int) -> Array:
+    """Autocovariance of differences of averages of unit flicker; the same for every averaging time."""
+    lag = np.arange(-2, count + 3, dtype=np.float64)
+    size = np.abs(lag)
+    g = size**2 * np.log(np.where(size > 0, size, 1.0))
+    gamma = np.convolve(g, [1.0, -4.0, 6.0, -4.0, 1.0], mode="valid")
+    far = np.arange(gamma.size) > 1000  # the fourth difference cancels there; its leading term does not
+    gamma[far] = -2.0 / np.arange(gamma.size)[far] ** 2
+    return np.asarray(gamma[:count] / (2.0 * math.pi))
+
+
+def difference_covariance(process: Process, block: int, dt: float, count: int) -> Array:
+    """Autocovariance, at lags 0 ... ``count - 1`` blocks, of the differences of consecutive block means.
+
+    Closed for WN, QN, RW, GM and BI. A discrete process of short memory (AR, ARMA) enters with its Allan variance and no memory beyond
+    the neighbouring block; SIN, DR and RC are not random from block to block and give zero.
+
+    Returns
+    -------
+    (count,) array
+        unit^2.
+    """
+    p = process
+    if isinstance(p, BI):
+        return _flicker_covariance(count) * p.parameters["B"] ** 2
+    if isinstance(p, WN):
+        structure = _unit_structure("WN", block, dt, count) * p.parameters["N"] ** 2
+    elif isinstance(p, QN):
+        structure = _unit_structure("QN", block, dt, count) * p.parameters["Q"] ** 2
+    elif isinstance(p, RW):
+        structure = _unit_structure("RW", block, dt, count) * p.parameters["K"] ** 2
+    elif isinstance(p, GM):
+        a = p.parameters["beta"] * dt
+        first = 2.0 * float(p.allan_variance(block, dt))
+        # covariance of neighbouring means; every further block multiplies by exp(-block a)
+        near = p.parameters["sigma"] ** 2 * math.exp(-a) * (math.expm1(-block * a) / math.expm1(-a) / block) ** 2
+        h = np.arange(count + 1, dtype=np.float64)
+        structure = first - 2.0 * near * np.expm1(-np.maximum(h - 1.0, 0.0) * block * a)
+        structure[0] = 0.0
+    else:
+        structure = np.full(count + 1, 2.0 * float(p.allan_variance(block, dt)))
+        structure[0] = 0.0
+    padded = np.concatenate([structure[1:2], structure])
+    return np.asarray(0.5 * (padded[2:] + padded[:-2] - 2.0 * padded[1:-1]))

@@ -1,0 +1,331 @@
+"""What the samples of an IMU show by themselves: stamps with gaps, values that pile up at a full scale; and the record with both mended."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import log_ndtr
+
+from insemu.gap.data.counts import lattice, pile_evidence
+from insemu.gap.policy import rules
+from insemu.gap.verdict import Member, Step, Value
+from insemu.noise import WN, NoiseModel
+from insemu.records import ImuRecord
+
+Array = NDArray[np.float64]
+
+#: Samples on either side of a clipped stretch that say how the signal goes on.
+NEIGHBOURS = 12
+#: Stretches that tell how the signal changes around them, and the most whose uncertainty is carried on.
+TELLING, CARRIED = 60, 200
+_SENSORS = (("gyro", "rad/s"), ("accel", "m/s^2"))
+
+
+@dataclass(frozen=True)
+class Clipped:
+    """A stretch at the full scale that was filled in: axis (0..5), when (s), and how uncertain its integral is (rad or m/s)."""
+
+    axis: int
+    start: float
+    end: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class Mended:
+    """An IMU record after what its samples show was named and mended."""
+
+    imu: ImuRecord
+    steps: tuple[Step, ...]
+    clipped: tuple[Clipped, ...] = ()
+
+
+def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
+    """Name dropped samples and saturation and mend the record: gaps bridged, clipped stretches filled in."""
+    steps: list[Step] = []
+    stretches: list[Clipped] = []
+    counts = _counts(imu)  # of what was recorded: a bridge lies on no lattice
+    if "quantization" not in without:
+        steps += _lattices(imu, counts)
+    if "dropped_samples" not in without:
+        bridged = _bridge(imu)
+        if bridged is not None:
+            imu = bridged[0]
+            steps.append(bridged[1])
+    if "saturation" not in without:
+        for first, (sensor, unit) in zip((0, 3), _SENSORS, strict=True):
+            values = np.array(getattr(imu, sensor))
+            widths = widths_of(imu)
+            rates = values / widths
+            for k, axis in enumerate("xyz"):
+                found = clipped(rates[:, k], counts[sensor][axis])
+                if found is None:
+                    continue
+                limit, at, nats = found
+                rates[:, k], around = filled(imu.t, rates[:, k], at)
+                stretches += [Clipped(first + k, *stretch) for stretch in around]
+                value = Value("limit", limit, limit, limit, unit)
+                steps.append(_step("saturation", sensor, (axis,), (value,), nats))
+                imu = replace(imu, gyro=rates * widths) if sensor == "gyro" else replace(imu, accel=rates * widths)
+    carried = sorted(stretches, key=lambda c: -c.sigma)[:CARRIED]
+    return Mended(imu, tuple(sorted(steps, key=lambda s: -s.gain_nats)), tuple(carried))
+
+
+def _counts(imu: ImuRecord) -> dict[str, dict[str, float]]:
+    """Step of the lattice that the samples of each axis lie on, by sensor; 0 where there is none."""
+    widths = widths_of(imu)
+    # the increment over a gap is short of what was lost or holds several
+    steady = np.abs(np.diff(imu.t) / np.median(np.diff(imu.t)) - 1.0) < 0.05
+    out = {}
+    for sensor, _ in _SENSORS:
+        rates = (np.array(getattr(imu, sensor)) / widths)[1:]
+        out[sensor] = {axis: lattice(rates[steady, k]) for k, axis in enumerate("xyz")}
+    return out
+
+
+def _lattices(imu: ImuRecord, counts: dict[str, dict[str, float]]) -> list[Step]:
+    """Axes whose samples lie on a lattice of output counts."""
+    widths = widths_of(imu)
+    out = []
+    for sensor, unit in _SENSORS:
+        rates = np.array(getattr(imu, sensor)) / widths
+        steps = counts[sensor]
+        # finer than that it is the digits of a file
+        least = rules().material_lsb * np.array([_noise(rates[:, k]) for k in range(3)])
+        on = tuple(axis for axis, low in zip("xyz", least, strict=True) if steps[axis] > low)
+        if not on:
+            continue
+        names = {axis: "lsb" if len(on) == 1 else f"lsb_{axis}" for axis in on}
+        values = tuple(Value(names[a], steps[a], steps[a], steps[a], unit) for a in on)
+        # as for a log at rest: each sample is worth log(LSB / resolution of the storage)
+        top = np.max(np.abs(rates), axis=0)
+        nats = sum(
+            len(imu) * max(math.log(steps[a] / (max(top["xyz".index(a)], steps[a]) * 2.0**-24)), 0.0) for a in on
+        )
+        out.append(_step("quantization", sensor, on, values, nats))
+    return out
+
+
+def coarse(beliefs: dict[str, NoiseModel], steps: Sequence[Step], dt: float) -> set[str]:
+    """Axes whose output counts are coarse beside their white noise."""
+    out = set()
+    for s in steps:
+        if s.effect == "quantization":
+            for axis, v in zip(s.axes, s.parameters, strict=True):
+                name = f"{s.sensor}_{axis}"
+                white = sum(p.parameters["N"] ** 2 for p in beliefs[name] if isinstance(p, WN))
+                if v.value > rules().coarse_lsb * math.sqrt(white / dt):
+                    out.add(name)
+    return out
+
+
+def with_counts(beliefs: dict[str, NoiseModel], steps: Sequence[Step], dt: float) -> dict[str, NoiseModel]:
+    """Beliefs with the white noise that rounding to output counts adds, LSB^2 / 12 per sample."""
+    out = dict(beliefs)
+    for s in steps:
+        if s.effect == "quantization":
+            for axis, v in zip(s.axes, s.parameters, strict=True):
+                name = f"{s.sensor}_{axis}"
+                whites = [p for p in out[name] if isinstance(p, WN)]
+                if whites:
+                    level = math.sqrt(whites[0].parameters["N"] ** 2 + v.value**2 / 12.0 * dt)
+                    out[name] = NoiseModel(tuple(WN(level) if p is whites[0] else p for p in out[name]))
+    return out
+
+
+def advanced(imu: ImuRecord, sensor: str, by: float) -> ImuRecord:
+    """The record with the samples of one sensor set forward in time; the last ones hold."""
+    from scipy.interpolate import CubicSpline
+
+    values = getattr(imu, sensor)
+    at = np.minimum(imu.t + by, imu.t[-1])
+    if imu.kind != "increment":
+        moved = CubicSpline(imu.t, values)(at)
+    else:
+        # the same angle or velocity, gathered between later instants
+        edges = np.concatenate([[2 * imu.t[0] - imu.t[1]], imu.t])
+        total = np.concatenate([np.zeros((1, 3)), np.cumsum(values, axis=0)])
+        inside = np.minimum(edges + by, edges[-1])
+        moved = np.diff(CubicSpline(edges, total)(inside), axis=0)
+        moved[inside[1:] >= edges[-1]] = values[-1]
+    return replace(imu, gyro=moved) if sensor == "gyro" else replace(imu, accel=moved)
+
+
+def _step(effect: str, sensor: str, axes: tuple[str, ...], values: tuple[Value, ...], nats: float) -> Step:
+    return Step(effect, "samples", sensor, axes, values, 0.999, nats, (Member(effect, sensor, axes, nats),))
+
+
+def widths_of(imu: ImuRecord) -> Array:
+    """What turns rates into the record's values, (n, 1).
+
+    An IMU samples by its own clock: increments between stamps that merely jitter all span the same time, or a pile-up and a lattice would be
+    smeared and gravity would look noisy.
+    """
+    if imu.kind != "increment":
+        return np.ones((len(imu), 1))
+    step = np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1])
+    beat = float(np.median(step))
+    return np.asarray(np.where(np.abs(step / beat - 1.0) < rules().jitter, beat, step)[:, None])
+
+
+def _bridge(imu: ImuRecord) -> tuple[ImuRecord, Step] | None:
+    step = np.diff(imu.t)
+    dt = float(np.median(step))
+    steady = np.abs(step / dt - 1.0) < rules().stray
+    missing = np.round(step / dt).astype(int) - 1
+    gaps = np.flatnonzero(
+        (missing > 0) & (np.abs(step / dt - np.round(step / dt)) < rules().stray) & (step < rules().longest_gap_s)
+    )
+    if not gaps.size or steady.sum() + gaps.size < 0.98 * step.size or gaps.size > 0.1 * step.size:
+        return None
+    n = step.size + int(missing[gaps].sum())
+    burst = float(missing[gaps].mean())
+    p = gaps.size / n
+    spread = 1.96 / math.sqrt(gaps.size)
+    values = (
+        Value("probability", p, p * math.exp(-spread), p * math.exp(spread), "1"),
+        Value("burst", burst, max(1.0, burst * math.exp(-spread)), burst * math.exp(spread), "1"),
+    )
+    # a stamp that is missing is surprising by its share alone
+    nats = gaps.size * (1.0 - math.log(p))
+    new_t = np.concatenate([imu.t[k] + step[k] * np.arange(1, missing[k] + 1) / (missing[k] + 1) for k in gaps])
+    t = np.sort(np.concatenate([imu.t, new_t]))
+    where = np.searchsorted(t, imu.t)
+    columns = {}
+    for name in ("gyro", "accel"):
+        values_in = np.array(getattr(imu, name))
+        after = gaps + 1
+        if imu.kind == "increment":
+            # either the increments of the gap are lost, or the next row holds them all: whichever fits its neighbours
+            neighbours = 0.5 * (values_in[gaps] + values_in[np.minimum(after + 1, len(imu) - 1)])
+            share = (missing[gaps] + 1.0)[:, None]
+            lost = float(np.sum(np.abs(values_in[after] - neighbours)))
+            held = float(np.sum(np.abs(values_in[after] - neighbours * share)))
+            if held < lost:
+                values_in[after] = values_in[after] / share
+        columns[name] = np.column_stack([_cubic(t, where, values_in[:, c]) for c in range(3)])
+    temperature = None if imu.temperature is None else np.interp(t, imu.t, imu.temperature)
+    return ImuRecord(t, columns["gyro"], columns["accel"], imu.kind, temperature), _step(
+        "dropped_samples", "imu", (), values, nats
+    )
+
+
+def _cubic(t: Array, where: NDArray[np.intp], values: Array) -> Array:
+    from scipy.interpolate import CubicSpline
+
+    out = np.empty(t.size)
+    out[where] = values
+    gone = np.ones(t.size, dtype=bool)
+    gone[where] = False
+    out[gone] = CubicSpline(t[where], values)(t[gone])
+    return out
+
+
+def clipped(rates: Array, step: float = 0.0) -> tuple[float, NDArray[np.bool_], float] | None:
+    """Full scale at which values pile up, which samples lie there, and the evidence in nats; None where there is no pile.
+
+    Noise never repeats an extreme value exactly. On a lattice of output counts, ``step`` apart, it does; there the pile is held against the two
+    counts inside of it.
+    """
+    noise = 1.4826 * float(np.median(np.abs(np.diff(rates)))) + 1e-300
+    at = np.zeros(rates.size, dtype=bool)
+    limits, nats = [], 0.0
+    for side in (1.0, -1.0):
+        x = side * rates
+        top = float(x.max())
+        pile = x > top - 0.5 * step if step > 0.0 else x >= top - 1e-9 * abs(top)
+        count = int(pile.sum())
+        if count < rules().fewest_clipped or count >= 0.5 * rates.size or not top > 0.0:
+            continue
+        if step > 0.0:
+            evidence = pile_evidence(*(int(np.sum(np.abs(x - top + k * step) < 0.5 * step)) for k in range(3)))
+            if evidence < rules().pile_nats:
+                continue
+        else:
+            evidence = count * max(1.0, math.log(noise / (top * 2.0**-24)))
+        at |= pile
+        limits.append(top)
+        nats += evidence
+    if not limits or max(limits) > 1.2 * min(limits):
+        return None
+    return float(np.mean(limits)), at, nats
+
+
+def _noise(rates: Array) -> float:
+    """Standard deviation of the samples about whatever smooth motion they follow."""
+    return 1.4826 * float(np.median(np.abs(np.diff(rates, 3)))) / math.sqrt(20.0)
+
+
+def filled(t: Array, rates: Array, at: NDArray[np.bool_]) -> tuple[Array, list[tuple[float, float, float]]]:
+    """Clipped stretches filled in by what the samples around them say, and start (s), end (s) and uncertainty of the integral of each.
+
+    The signal's rate of change is taken for a random walk, its strength and the samples' noise for the most likely ones around all
+    stretches together (a cubic smoothing spline: Wahba 1978); that every clipped sample lies outside of the limit is held against the
+    integral of its stretch.
+
+    Parameters
+    ----------
+    t, rates : (n,) arrays
+    at : (n,) array of bool
+        Samples at the full scale.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], at, [False]]).astype(int)))
+    dt = float(np.median(np.diff(t)))
+    noise = _noise(rates) ** 2 + 1e-300
+    stretches = []
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        near = np.arange(max(0, first - NEIGHBOURS), min(rates.size, last + NEIGHBOURS))
+        known = ~at[near]
+        if min((known & (near < first)).sum(), (known & (near >= last)).sum()) >= 3:
+            x = (t[near] - t[near[0]]) / dt
+            trend = np.polynomial.Polynomial.fit(x[known], rates[near[known]], 1)(x)
+            stretches.append((first, last, near, known, x, trend))
+    if not stretches:
+        return rates, []
+
+    def covariances(x: Array, known: NDArray[np.bool_], y: Array) -> tuple[Array, Array]:
+        low, high = np.minimum(x[:, None], x[None, :]), np.maximum(x[:, None], x[None, :])
+        wide = 1e4 * max(float(np.mean(y[known] ** 2)), noise)
+        return low**2 * (high / 2.0 - low / 6.0), wide * (1.0 + (x / x[-1])[:, None] * (x / x[-1])[None, :])
+
+    prepared = [
+        (first, last, near, known, trend, rates[near] - trend, *covariances(x, known, rates[near] - trend))
+        for first, last, near, known, x, trend in stretches
+    ]
+
+    some_of = prepared[:: math.ceil(len(prepared) / TELLING)]
+
+    def log_likelihood(q: float, r: float) -> float:
+        total = 0.0
+        for _, _, _, known, _, y, bent, straight in some_of:
+            some = np.ix_(known, known)
+            L = np.linalg.cholesky(q * bent[some] + straight[some] + r * np.eye(int(known.sum())))
+            z = np.linalg.solve(L, y[known])
+            total -= 0.5 * float(z @ z) + float(np.sum(np.log(np.diag(L))))
+        return total
+
+    grid = [(noise * q, noise * r) for q in np.geomspace(1e-6, 1e4, 21) for r in (0.1, 0.3, 1.0, 3.0)]
+    q, r = max(grid, key=lambda x: log_likelihood(*x))
+    out, said = rates.copy(), []
+    for first, last, near, known, trend, y, bent, straight in prepared:
+        hidden = (near >= first) & (near < last)
+        full = q * bent + straight
+        gain = np.linalg.solve(full[np.ix_(known, known)] + r * np.eye(int(known.sum())), full[np.ix_(known, hidden)]).T
+        mean = gain @ y[known] + trend[hidden]
+        spread = full[np.ix_(hidden, hidden)] - gain @ full[np.ix_(known, hidden)]
+        side = math.copysign(1.0, rates[first])
+        beyond = float(np.sum(side * (mean - rates[first:last])))
+        weight = spread.sum(axis=1)
+        own = max(float(weight.sum()), 0.0)
+        both = own + r * (last - first)
+        # moments of a normal above zero
+        alpha = beyond / math.sqrt(both)
+        ratio = math.exp(-0.5 * alpha**2 - 0.5 * math.log(2.0 * math.pi) - float(log_ndtr(alpha)))
+        out[first:last] = mean + side * weight * ratio / math.sqrt(both)
+        own -= own**2 / both * ratio * (ratio + alpha)
+        said.append((float(t[first]) - dt, float(t[last - 1]), math.sqrt(max(own, 0.0)) * dt))
+    return out, said

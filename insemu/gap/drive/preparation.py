@@ -1,0 +1,412 @@
+"""From a recording to the nominal filter's innovations: a starting state, noise levels trimmed inside their tolerance, the stored run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from insemu import earth, rotation
+from insemu.errors import InputError
+from insemu.filters import FilterOptions, FilterResult, FixTable, InitialSigma, run_filter
+from insemu.gap.beliefs.nominal import Nominal
+from insemu.gap.data.log import Reduced, moving_spectrum
+from insemu.gap.data.samples import Clipped, widths_of
+from insemu.gap.drive.signatures import Loop
+from insemu.gap.evidence.fixes import Surrogate, level_scores
+from insemu.gap.evidence.model import Explanation, Likelihood, fit
+from insemu.gap.policy import rules
+from insemu.noise import BI, WN, NoiseModel, Process
+from insemu.records import AXES, GnssRecord, ImuRecord, Recording
+from insemu.strapdown import NavState
+
+Array = NDArray[np.float64]
+
+#: Knots of slow processes are this many seconds apart.
+NODE_S = 10.0
+#: Where the fixes have no velocities: times to either side, s, over which positions are taken for a parabola.
+TRACK_REACH = (1.0, 2.0, 4.0, 8.0)
+#: Components of the fixes that share one level: horizontal and vertical position, horizontal and vertical velocity.
+LEVEL_GROUPS = ((0, 1), (2,), (3, 4), (5,))
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """The nominal filter on a recording.
+
+    Parameters
+    ----------
+    imu, gnss : records, cut to where the filter could start; the fixes with the nominal standard deviations
+    result : FilterResult
+        With every epoch and every fix stored.
+    beliefs : mapping of axis to NoiseModel
+        Levels trimmed inside their tolerance.
+    fast : mapping of axis to Reduced
+        The part of each axis above the motion.
+    lever_arm : (3,) array
+    factors : (6,) array
+        By what the standard deviations of the fixes were trimmed: position, then velocity, north, east, down.
+    start : tuple
+        Initial state and its standard deviations.
+    nominal : Nominal
+        What is believed.
+    clipped : tuple of Clipped
+        Stretches of the IMU that were filled in.
+    levels : (6,) array
+        Levels of the fixes that were named, as ratios; the trimming stays within its tolerance of them.
+    """
+
+    imu: ImuRecord
+    gnss: GnssRecord
+    result: FilterResult
+    beliefs: dict[str, NoiseModel]
+    fast: dict[str, Reduced]
+    lever_arm: Array
+    factors: Array
+    start: tuple[NavState, InitialSigma]
+    nominal: Nominal
+    clipped: tuple[Clipped, ...] = ()
+    levels: Array = field(default_factory=lambda: np.ones(6))
+
+    def again(
+        self,
+        *,
+        imu: ImuRecord | None = None,
+        gnss: GnssRecord | None = None,
+        factors: Array | None = None,
+        beliefs: dict[str, NoiseModel] | None = None,
+    ) -> Prepared:
+        """The same filter on other data, with other standard deviations of the fixes or another belief."""
+        imu = self.imu if imu is None else imu
+        gnss = self.gnss if gnss is None else gnss
+        factors = self.factors if factors is None else factors
+        beliefs = self.beliefs if beliefs is None else beliefs
+        result = _run(imu, scaled_fixes(gnss, factors), self.start, beliefs, self.lever_arm)
+        return replace(self, imu=imu, gnss=gnss, factors=factors, beliefs=beliefs, result=result)
+
+    def on(self, recording: Recording) -> Prepared:
+        """The same filter on another recording of the same motion, started as that recording lets it."""
+        imu, gnss, initial, sigma = starting_state(recording, self.nominal)
+        return replace(self, start=(initial, sigma)).again(imu=imu, gnss=with_sigma(gnss, self.nominal))
+
+    def without_positions(self, t: Array) -> Prepared:
+        """The same filter without the positions of some fixes."""
+        llh = self.gnss.llh.copy()
+        llh[np.isin(self.gnss.t, t)] = np.nan
+        return self.again(gnss=replace(self.gnss, llh=llh))
+
+
+def _run(
+    imu: ImuRecord,
+    gnss: GnssRecord,
+    start: tuple[NavState, InitialSigma],
+    beliefs: dict[str, NoiseModel],
+    lever_arm: Array,
+) -> FilterResult:
+    span = float(imu.t[-1] - imu.t[0])
+    usable = {name: for_filter(model, imu.dt, span) for name, model in beliefs.items()}
+    options = FilterOptions(store="fixes", node_every=NODE_S)
+    return run_filter(imu, gnss, *start, usable, lever_arm=lever_arm, options=options)
+
+
+def for_filter(model: NoiseModel, dt: float, span: float) -> NoiseModel:
+    """A model that a filter can carry: flicker as a sum of Gauss-Markov processes over the times that the recording shows."""
+    parts: list[Process] = []
+    for p in model:
+        if isinstance(p, BI):
+            parts += list(p.approximation(4, 10.0 * dt, span)[0])
+        else:
+            parts.append(p)
+    return NoiseModel(tuple(parts))
+
+
+def fast_parts(recording: Recording) -> dict[str, Reduced]:
+    """What each axis shows above the motion."""
+    return {name: _fast_part(recording.imu, k, name) for k, name in enumerate(AXES)}
+
+
+def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], levels: dict[str, float]) -> Prepared:
+    """Run the nominal filter, its white noise and GNSS levels trimmed by at most the tolerance of a nominal level.
+
+    Parameters
+    ----------
+    fast : mapping of axis to Reduced
+        From :func:`fast_parts`.
+    levels : mapping of axis to float
+        White-noise densities that were named as an effect and are used as they are.
+
+    Raises
+    ------
+    InputError
+        No fixes, a missing belief, too short a recording, or no way to start.
+    """
+    assert recording.gnss is not None
+    imu, gnss, initial, sigma = starting_state(recording, nominal)
+    if imu.t[-1] - imu.t[0] < 60.0:
+        raise InputError(
+            f"the recording has {imu.t[-1] - imu.t[0]:.0f} s that can be used, expected at least 60 s",
+            where=recording.source,
+        )
+    gnss = with_sigma(gnss, nominal)
+    beliefs = {name: _trimmed(nominal.beliefs[name], fast[name], levels.get(name)) for name in AXES}
+    start = (initial, sigma)
+    lever = np.array(nominal.gnss.lever_arm)
+    result = _run(imu, gnss, start, beliefs, lever)
+    prepared = Prepared(imu, gnss, result, beliefs, fast, lever, np.ones(6), start, nominal)
+    for _ in range(2):
+        loop = Loop.of(prepared.result)
+        factors = trimmed_factors(prepared, loop, Surrogate.of(prepared.result), loop.y.reshape(-1, 6))
+        if not np.max(np.abs(np.log(factors / prepared.factors))) > 0.02:
+            break
+        prepared = prepared.again(factors=factors)
+    return prepared
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A recording with the nominal filter's run on it before anything is named: what several looks at the same recording share.
+
+    Parameters
+    ----------
+    recording : Recording
+    nominal : Nominal
+        What is believed of it.
+    fast : mapping of axis to Reduced
+    prepared : Prepared
+    """
+
+    recording: Recording
+    nominal: Nominal
+    fast: dict[str, Reduced]
+    prepared: Prepared
+
+    @classmethod
+    def of(cls, recording: Recording, nominal: Nominal) -> Flown:
+        """Run the nominal filter; see :func:`prepare`."""
+        fast = fast_parts(recording)
+        return cls(recording, nominal, fast, prepare(recording, nominal, fast, {}))
+
+
+def fixes_score(fixes: FixTable) -> float:
+    """Log score of the innovations of the accepted fixes."""
+    total = 0.0
+    for k in np.flatnonzero(fixes.accepted):
+        rows = np.isfinite(fixes.innovation[k])
+        v, S = fixes.innovation[k][rows], fixes.S[k][np.ix_(rows, rows)]
+        if v.size:
+            total -= 0.5 * (float(v @ np.linalg.solve(S, v)) + float(np.linalg.slogdet(S)[1]))
+    return total
+
+
+def trimmed_factors(prepared: Prepared, loop: Loop, surrogate: Surrogate, y: Array) -> Array:
+    """Levels of the fixes (6,) moved towards their most likely values inside the tolerance.
+
+    Parameters
+    ----------
+    y : (f, 6) array
+        Whitened innovations less what is explained.
+    """
+    groups = [list(g) for g in LEVEL_GROUPS if surrogate.use[:, list(g)].any()]
+    if not groups:
+        return prepared.factors
+    score, information = level_scores(surrogate, loop.white, y, groups)
+    # a weak pull towards the nominal level keeps a level that the innovations do not show
+    move = np.linalg.solve(information + np.eye(len(groups)), score)
+    edge = np.log(1.0 + rules().tolerance)
+    factors = prepared.factors.copy()
+    for g, m in zip(groups, move, strict=True):
+        middle = np.log(prepared.levels[g])
+        factors[g] = np.exp(np.clip(np.log(factors[g]) + np.clip(m, -0.3, 0.3), middle - edge, middle + edge))
+    return factors
+
+
+def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, GnssRecord, NavState, InitialSigma]:
+    """Where the filter starts: on the reference where there is one, else levelled, on the fixes, headed along the track.
+
+    Without a reference the recording is cut to begin where the speed over ground first tells the heading (recorded, or of a parabola through the
+    positions), and the start is as uncertain as what it comes from; a vehicle that crabs or carries an angle of attack is off by degrees.
+    """
+    imu, gnss = recording.imu, recording.gnss
+    assert gnss is not None
+    believed = nominal.initial
+    if recording.reference is not None:
+        ref = recording.reference
+        first = int(np.searchsorted(imu.t, max(imu.t[0], ref.t[0])))
+        imu = _cut(imu, first)
+        columns = np.hstack([ref.llh, ref.vel_ned, np.unwrap(ref.rpy, axis=0)])
+        at = np.array([np.interp(imu.t[0], ref.t, column) for column in columns.T])
+        sigma = InitialSigma(
+            believed.position_sigma,
+            believed.velocity_sigma,
+            (believed.tilt_sigma, believed.tilt_sigma, believed.heading_sigma),
+        )
+        return imu, gnss, NavState(at[:3], at[3:6], at[6:]), sigma
+    fixed = with_sigma(gnss, nominal)
+    inside = (gnss.t > imu.t[0] + 1.0) & (gnss.t < imu.t[-1] - 60.0) & np.isfinite(gnss.llh).all(axis=1)
+    track = _first_track(fixed, inside) if gnss.vel_ned is None else _first_velocity(fixed, gnss, inside)
+    if track is None:
+        raise InputError(
+            f"never moves faster than {rules().track_speed:g} m/s over ground, expected a stretch that tells the heading",
+            where=recording.source,
+        )
+    k = track.fix
+    first = int(np.searchsorted(imu.t, gnss.t[k]))
+    imu = _cut(imu, first)
+    span = imu.as_increments()
+    count = max(2, int(0.5 / imu.dt))
+    velocity, slope = track.velocity, track.slope
+    C = rotation.dcm_from_rpy(np.array(nominal.mounting))
+    force = C @ (span.accel[1:count].mean(axis=0) / imu.dt)
+    heading = float(np.arctan2(velocity[1], velocity[0]))
+    along = float(slope[0] * np.cos(heading) + slope[1] * np.sin(heading))
+    across = float(-slope[0] * np.sin(heading) + slope[1] * np.cos(heading))
+    g = float(earth.gravity(gnss.llh[k, 0], gnss.llh[k, 2]))
+    level = force - np.array([along, across, 0.0])
+    roll, pitch = float(np.arctan2(-level[1], -level[2])), float(np.arcsin(np.clip(level[0] / g, -1.0, 1.0)))
+    rpy = rotation.rpy_from_dcm(rotation.dcm_from_rpy(np.array([roll, pitch, heading])) @ C)
+    late = float(imu.t[0] - gnss.t[k])
+    arm = rotation.dcm_from_rpy(rpy) @ np.array(nominal.gnss.lever_arm)
+    llh = earth.move(gnss.llh[k], velocity * late - arm)
+    assert fixed.pos_std_ned is not None
+    position = np.hypot(
+        np.array(believed.position_sigma), fixed.pos_std_ned[k] + rules().start_heading * np.linalg.norm(arm)
+    )
+    # the velocity of the antenna swings about the IMU's
+    swing = float(np.linalg.norm(np.cross(span.gyro[1:count].mean(axis=0) / imu.dt, np.array(nominal.gnss.lever_arm))))
+    vel_sigma = np.sqrt(np.array(believed.velocity_sigma) ** 2 + track.velocity_sigma**2 + swing**2)
+    speed = float(np.hypot(velocity[0], velocity[1]))
+    turn = max(believed.heading_sigma, rules().start_heading, float(np.max(track.velocity_sigma[:2])) / speed)
+    tilt = max(believed.tilt_sigma, float(np.hypot(rules().start_tilt, track.slope_sigma / g)))
+    state = NavState(llh, velocity + slope * late, rpy)
+    return imu, gnss, state, InitialSigma(position, vel_sigma, (tilt, tilt, turn))
+
+
+@dataclass(frozen=True)
+class _Track:
+    """The motion of the antenna at the fix where the filter starts: velocity and its change (3,), and what they are uncertain by."""
+
+    fix: int
+    velocity: Array
+    slope: Array
+    velocity_sigma: Array
+    slope_sigma: float = 0.0
+
+
+def _first_velocity(fixed: GnssRecord, gnss: GnssRecord, inside: NDArray[np.bool_]) -> _Track | None:
+    """The first recorded velocity that tells the heading."""
+    assert gnss.vel_ned is not None
+    good = inside & np.isfinite(gnss.vel_ned).all(axis=1)
+    moving = np.flatnonzero(good & (np.hypot(gnss.vel_ned[:, 0], gnss.vel_ned[:, 1]) > rules().track_speed))
+    if not moving.size:
+        return None
+    k = int(moving[0])
+    near = np.flatnonzero(good & (np.abs(gnss.t - gnss.t[k]) < 1.1))
+    slope = np.polyfit(gnss.t[near] - gnss.t[k], gnss.vel_ned[near], 1)[0] if near.size > 1 else np.zeros(3)
+    sigma = fixed.vel_std_ned[k] if fixed.vel_std_ned is not None else np.full(3, 0.3)
+    return _Track(k, gnss.vel_ned[k], slope, sigma)
+
+
+def _first_track(fixed: GnssRecord, inside: NDArray[np.bool_]) -> _Track | None:
+    """The first parabola through positions that tells the heading: over the shortest time that does, up to 8 s to either side."""
+    assert fixed.pos_std_ned is not None
+    for k in np.flatnonzero(inside):
+        for reach in TRACK_REACH:
+            near = np.flatnonzero(inside & (np.abs(fixed.t - fixed.t[k]) <= reach))
+            d = fixed.t[near] - fixed.t[k]
+            if near.size < 5 or not d.min() < 0.0 < d.max():
+                continue
+            A = np.column_stack([np.ones(d.size), d, 0.5 * d * d])
+            path = earth.position_difference(fixed.llh[near], fixed.llh[k])
+            spread = np.linalg.inv(A.T @ A)
+            shape = spread @ A.T @ path
+            misfit = np.sqrt(np.sum((path - A @ shape) ** 2, axis=0) / max(d.size - 3, 1))
+            noise = np.maximum(misfit, fixed.pos_std_ned[k])
+            sigma, bend = noise * np.sqrt(spread[1, 1]), float(np.max(noise)) * float(np.sqrt(spread[2, 2]))
+            if float(np.hypot(*shape[1, :2])) < max(rules().track_speed, 10.0 * float(np.max(sigma[:2]))) or bend > 1.0:
+                continue
+            return _Track(int(k), shape[1], shape[2], sigma, bend)
+    return None
+
+
+def _cut(imu: ImuRecord, first: int) -> ImuRecord:
+    if first == 0:
+        return imu
+    temperature = None if imu.temperature is None else imu.temperature[first:]
+    return replace(imu, t=imu.t[first:], gyro=imu.gyro[first:], accel=imu.accel[first:], temperature=temperature)
+
+
+def with_sigma(gnss: GnssRecord, nominal: Nominal) -> GnssRecord:
+    """The fixes with the believed standard deviations where they state none; velocities that are not believed are left out."""
+    n = len(gnss)
+    out = gnss
+    if nominal.gnss.velocity_sigma is None:
+        out = replace(out, vel_ned=None, vel_std_ned=None)
+    elif out.vel_ned is not None and out.vel_std_ned is None:
+        out = replace(out, vel_std_ned=np.tile(nominal.gnss.velocity_sigma, (n, 1)))
+    if out.pos_std_ned is None:
+        out = replace(out, pos_std_ned=np.tile(nominal.gnss.position_sigma, (n, 1)))
+    return out
+
+
+def scaled_fixes(gnss: GnssRecord, factors: Array) -> GnssRecord:
+    """Fixes with other standard deviations: position, then velocity, north, east, down."""
+    assert gnss.pos_std_ned is not None
+    out = replace(gnss, pos_std_ned=gnss.pos_std_ned * factors[:3])
+    return replace(out, vel_std_ned=out.vel_std_ned * factors[3:]) if out.vel_std_ned is not None else out
+
+
+def _fast_part(imu: ImuRecord, k: int, name: str) -> Reduced:
+    values = np.hstack([imu.gyro, imu.accel])[:, k]
+    dt = imu.dt
+    if imu.kind == "increment":
+        values = values / widths_of(imu)[:, 0]
+    lowest = min(rules().motion_hz, 0.5 * 0.5 / dt)
+    values = without_motion(values[1:], dt, 0.6 * lowest)
+    f, power, dof = moving_spectrum(values, dt, lowest)
+    return Reduced(name, "rad/s" if k < 3 else "m/s^2", dt, values, 1, np.zeros(0), f, power, dof)
+
+
+#: Samples over which the scatter about the neighbours is taken.
+SCATTER_SAMPLES = 256
+
+
+def spikes(values: Array) -> Array:
+    """By how much single samples stand out from the two on either side of them, zero elsewhere.
+
+    A filter would spread them over their neighbours.
+    """
+    padded = np.pad(values, 2, mode="edge")
+    n = values.size
+    beside = np.sort(np.stack([padded[k : k + n] for k in (0, 1, 3, 4)]), axis=0)
+    away: Array = values - 0.5 * (beside[1] + beside[2])
+    pieces = [np.median(np.abs(p)) for p in np.array_split(away, max(1, n // SCATTER_SAMPLES))]
+    local = np.repeat(pieces, [p.size for p in np.array_split(away, len(pieces))])
+    return np.where(np.abs(away) > rules().alone / 0.6745 * np.maximum(local, np.median(pieces)), away, 0.0)
+
+
+def without_motion(values: Array, dt: float, corner: float) -> Array:
+    """A signal without what is slower than ``corner`` Hz, its ends left out.
+
+    Manoeuvres are a billion times stronger than the noise a few Hz above them; no taper alone keeps them out of a spectrum.
+    """
+    sections = signal.butter(6, corner, "highpass", fs=1.0 / dt, output="sos")
+    edge = min(round(6.0 / (corner * dt)), values.size // 20)
+    single = spikes(values)
+    out = signal.sosfiltfilt(sections, values - single) + single
+    return np.ascontiguousarray(out[edge : out.size - edge])
+
+
+def _trimmed(model: NoiseModel, fast: Reduced, named: float | None) -> NoiseModel:
+    """White noise at the level of the fast part, inside the tolerance."""
+    whites = [p for p in model if isinstance(p, WN)]
+    if not whites or not fast.f.size:
+        return model
+    if named is not None:
+        return NoiseModel(tuple(WN(named) if p is whites[0] else p for p in model))
+    fitted = fit(Likelihood(fast), Explanation.nominal(model)).explanation.model
+    seen = next(p for p in fitted if isinstance(p, WN)).parameters["N"]
+    n0 = whites[0].parameters["N"]
+    level = float(np.clip(seen, n0 / (1.0 + rules().tolerance), n0 * (1.0 + rules().tolerance)))
+    return NoiseModel(tuple(WN(level) if p is whites[0] else p for p in model))

@@ -1,0 +1,325 @@
+"""A prepared recording with the responses of everything that could be missing, at one set of levels, colours and corrections."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu import earth, rotation
+from insemu.effects import Column, FixGeometry, Motion, catalogue_columns
+from insemu.gap.data.samples import Clipped
+from insemu.gap.drive.preparation import Prepared, trimmed_factors
+from insemu.gap.drive.signatures import Loop, columns_response, fix_step_response, knot_response
+from insemu.gap.evidence.fixes import FixNoise, Surrogate
+from insemu.gap.evidence.linear import Block, Field, knot_times
+from insemu.gap.policy import rules
+from insemu.noise import NoiseModel
+from insemu.records import GnssRecord, ImuRecord
+
+Array = NDArray[np.float64]
+
+#: A step in the position fixes: axis (0..2), start and end in s.
+Window = tuple[int, float, float]
+
+#: Starts of steps in the fixes that are tried first.
+STARTS = 120
+
+
+@dataclass
+class Scene:
+    """A prepared recording with responses.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        The filter as it ran, on corrected data where effects were corrected.
+    original : Prepared
+        The same before any correction.
+    motion, loop, surrogate
+        What the filter says about motion, innovations and covariances.
+    columns : list of Column
+        Catalogue first, then the library of structure outside of it.
+    catalogue : int
+        Number of columns of the catalogue.
+    outside : slice
+        Columns of the library; behind them stand the clipped stretches.
+    raw : (f, 6, c) array
+        Responses of the columns, then of the knots of slow errors (axis by axis), then of the windows.
+    knots, starts : arrays
+        Times in s.
+    steps_raw : (f, 6, 3 starts) array
+    corrections : mapping of column index to number
+        What was taken out of the data before the filter ran.
+    windows : tuple of Window
+        Steps in the fixes that were found.
+    noise : FixNoise, optional
+        Colour and levels of the fixes that the whitening allows for.
+    """
+
+    prepared: Prepared
+    original: Prepared
+    motion: Motion
+    loop: Loop
+    surrogate: Surrogate
+    columns: list[Column]
+    catalogue: int
+    outside: slice
+    raw: Array
+    knots: Array
+    starts: Array
+    steps_raw: Array
+    corrections: Mapping[int, float]
+    windows: tuple[Window, ...] = ()
+    noise: FixNoise | None = None
+
+    @classmethod
+    def of(
+        cls,
+        prepared: Prepared,
+        original: Prepared | None = None,
+        corrections: Mapping[int, float] | None = None,
+        windows: tuple[Window, ...] = (),
+    ) -> Scene:
+        """Respond every column through the filter in the loop."""
+        assert prepared.result.nodes is not None
+        motion = Motion.of(prepared.imu, prepared.result.nav, prepared.result.nodes.epoch)
+        loop = Loop.of(prepared.result)
+        t_fix = prepared.result.fixes.t
+        fixes = FixGeometry.of(motion, t_fix, prepared.lever_arm, prepared.nominal.mounting)
+        columns = catalogue_columns(motion, fixes)
+        catalogue = len(columns)
+        columns += library_columns(motion, t_fix, prepared.nominal.mounting)
+        outside = slice(catalogue, len(columns))
+        columns += clipped_columns(motion, prepared.clipped)
+        G, ramp = columns_response(loop, motion, columns)
+        start, end = float(motion.t[0]), float(motion.t[-1])
+        knots = knot_times(start, end, max(rules().knot_s, (end - start) / rules().knots))
+        step = float(np.median(np.diff(t_fix))) if t_fix.size > 1 else end - start
+        starts = np.arange(start, end, max(step, (end - start) / STARTS)) + 1e-3
+        raw = np.concatenate([G, knot_response(loop, motion, ramp, knots), window_response(loop, windows)], axis=2)
+        return cls(
+            prepared,
+            original or prepared,
+            motion,
+            loop,
+            Surrogate.of(prepared.result),
+            columns,
+            catalogue,
+            outside,
+            raw,
+            knots,
+            starts,
+            fix_step_response(loop, starts),
+            dict(corrections or {}),
+            windows,
+        )
+
+    # -- places of the columns --------------------------------------------------------------------------------------------------------
+
+    def slow(self, axis: int, axes: int = 1) -> NDArray[np.int64]:
+        """Columns of the knots of an axis (0..5) and of ``axes - 1`` more."""
+        k = self.knots.size
+        return len(self.columns) + axis * k + np.arange(axes * k)
+
+    @cached_property
+    def always(self) -> tuple[Block, ...]:
+        """What is uncertain whatever the effects are: the integrals of clipped stretches."""
+        index = np.arange(self.outside.stop, len(self.columns))
+        return ((index, np.diag([self.columns[i].scale for i in index])),) if index.size else ()
+
+    # -- whitened data ----------------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def rows_t(self) -> Array:
+        """Time of every row of the field."""
+        return np.asarray(np.repeat(self.prepared.result.fixes.t, 6)[self.loop.use.ravel()])
+
+    @cached_property
+    def full_y(self) -> Array:
+        """Whitened innovations (f, 6), zero where missing, as if nothing had been corrected."""
+        if self.noise is None:
+            return self.loop.y.reshape(-1, 6).copy()
+        return np.asarray(
+            self.surrogate.whiten(self.surrogate.nu[:, :, None], self.noise.factor, self.noise.colour)[0][:, :, 0]
+        )
+
+    def whitened(self, raw: Array) -> Array:
+        """Responses (f, 6, c) to rows of the field (r, c)."""
+        if self.noise is None:
+            white = self.loop.whiten(raw)
+        else:
+            white = self.surrogate.whiten(raw, self.noise.factor, self.noise.colour)[0].reshape(-1, raw.shape[2])
+        return np.asarray(white[self.loop.use.ravel()])
+
+    @cached_property
+    def data(self) -> Field:
+        """The field of the whole recording; what was corrected is put back as its linear response about the corrected trajectory."""
+        G = self.whitened(self.raw)
+        y = self.full_y.ravel()[self.loop.use.ravel()].copy()
+        spread = float(np.clip((np.median(np.abs(y)) / 0.6745) ** 2, 0.9, 1.1))
+        for j, value in self.corrections.items():
+            y += G[:, j] * value
+        return Field(y, G, spread)
+
+    @cached_property
+    def step_columns(self) -> Array:
+        """Whitened responses of steps in the fixes, (r, 3 starts)."""
+        return self.whitened(self.steps_raw)
+
+    # -- other scenes of the same recording -------------------------------------------------------------------------------------------
+
+    def with_window(self, window: Window) -> Scene:
+        """The scene with one more column, a step in the fixes; its place is the last."""
+        return replace(
+            self,
+            windows=(*self.windows, window),
+            raw=np.concatenate([self.raw, window_response(self.loop, (window,))], axis=2),
+        )
+
+    def coloured(self, noise: FixNoise) -> Scene:
+        """The same responses whitened for other noise of the fixes."""
+        return replace(self, noise=noise)
+
+    def rebuilt(
+        self,
+        *,
+        factors: Array | None = None,
+        levels: Array | None = None,
+        gone: Array | None = None,
+        corrections: Mapping[int, float] | None = None,
+        beliefs: dict[str, NoiseModel] | None = None,
+    ) -> Scene:
+        """Run the filter again: other levels of the fixes, positions left out, effects corrected in the data, other noise of the IMU."""
+        original = self.original
+        if gone is not None and gone.size:
+            original = original.without_positions(gone)
+        if factors is not None:
+            original = replace(original, factors=factors)
+        if levels is not None:
+            original = replace(original, levels=levels)
+        if beliefs is not None:
+            original = replace(original, beliefs=beliefs)
+        values = dict(self.corrections if corrections is None else corrections)
+        imu, gnss = corrected_data(original, self.columns, values, self.prepared.result.fixes.t)
+        scene = Scene.of(
+            replace(original, result=self.prepared.result).again(imu=imu, gnss=gnss), original, values, self.windows
+        )
+        scene.noise = self.noise
+        return scene
+
+    def trimmed(self, blocks: Sequence[Block], cut: float | None = None) -> Scene:
+        """The scene with the levels of the fixes at their most likely values inside the tolerance, given what is explained."""
+        scene = self
+        for _ in range(3):
+            if scene.noise is not None:
+                break
+            y = scene.full_y
+            explained = scene.explained(blocks)
+            if explained is not None:
+                y = y - explained
+            use = scene.surrogate if cut is None else scene.surrogate.until(cut)
+            k = use.t.size
+            moved = trimmed_factors(scene.original, scene.loop.until(k), use, y[:k])
+            if not np.max(np.abs(np.log(moved / scene.original.factors))) > 0.02:
+                break
+            scene = scene.rebuilt(factors=moved)
+        return scene
+
+    def explained(self, blocks: Sequence[Block]) -> Array | None:
+        """What blocks explain of the whitened innovations as they are after corrections, (f, 6)."""
+        if not blocks and not self.corrections:
+            return None
+        total = np.zeros(self.data.y.size)
+        if blocks:
+            index, mean, _ = self.data.posterior(blocks)
+            total += self.data.G[:, index] @ mean
+        for j, value in self.corrections.items():
+            total -= self.data.G[:, j] * value
+        full = np.zeros(self.loop.use.size)
+        full[self.loop.use.ravel()] = total
+        return full.reshape(-1, 6)
+
+
+def window_response(loop: Loop, windows: Sequence[Window]) -> Array:
+    """Responses (f, 6, windows) of unit steps of one position axis between two times."""
+    fixes = loop.result.fixes
+    M = np.zeros((len(fixes), 6, len(windows)))
+    for i, (axis, start, end) in enumerate(windows):
+        M[:, axis, i] = (fixes.t > start) & (fixes.t <= end)
+    return loop.respond(len(windows), None, M) if windows else M
+
+
+def corrected_data(
+    prepared: Prepared, columns: Sequence[Column], values: Mapping[int, float], t_fix: Array
+) -> tuple[ImuRecord, GnssRecord]:
+    """The records with effects taken out, each as its column says."""
+    imu, gnss = prepared.imu, prepared.gnss
+    if not values:
+        return imu, gnss
+    width = np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1]) if imu.kind == "increment" else np.ones(len(imu))
+    signals = np.hstack([imu.gyro, imu.accel])
+    shift = np.zeros((len(gnss), 6))
+    at = np.searchsorted(gnss.t, t_fix)
+    for j, value in values.items():
+        for axis, u in columns[j].inputs:
+            signals[:, axis] -= value * u * width
+        moved = columns[j].fixes
+        if moved is not None:
+            shift[at] -= value * moved
+    llh = gnss.llh.copy()
+    there = np.isfinite(llh).all(axis=1)
+    llh[there] = earth.move(llh[there], shift[there, :3])
+    vel = None if gnss.vel_ned is None else gnss.vel_ned + shift[:, 3:]
+    return replace(imu, gyro=signals[:, :3], accel=signals[:, 3:]), replace(gnss, llh=llh, vel_ned=vel)
+
+
+def library_columns(motion: Motion, t_fix: Array, mounting: Sequence[float] = (0.0, 0.0, 0.0)) -> list[Column]:
+    """Structure outside the catalogue: squares and products of specific force and rate; GNSS error against heading and speed."""
+    out: list[Column] = []
+    axes = "xyz"
+
+    def add(sensor: str, label: str, axis: int, scale: float, signal: Array) -> None:
+        first = 3 if sensor == "accel" else 0
+        out.append(Column("library", sensor, label, (axes[axis],), scale, "", ((first + axis, signal),)))
+
+    for i in range(3):
+        add("accel", f"f_{axes[i]}^2", i, 1e-4, motion.force[:, i] ** 2)
+        add("gyro", f"w_{axes[i]}^2", i, 1e-3, motion.rate[:, i] ** 2)
+        for j in range(3):
+            if j != i:
+                add("accel", f"w_{axes[j]} f_{axes[i]}", i, 1e-3, motion.rate[:, j] * motion.force[:, i])
+    rpy = rotation.rpy_from_dcm(motion.C @ rotation.dcm_from_rpy(np.array(mounting)).T)
+    k = np.clip(np.searchsorted(motion.t, t_fix), 0, motion.t.size - 1)
+    heading, speed = rpy[k, 2], np.linalg.norm(motion.vel[k], axis=1)
+    signals: tuple[tuple[str, Array], ...] = (
+        ("cos heading", np.cos(heading)),
+        ("sin heading", np.sin(heading)),
+        ("speed", speed / 10.0),
+    )
+    for name, signal in signals:
+        for c, direction in enumerate(("north", "east", "down")):
+            M = np.zeros((t_fix.size, 6))
+            M[:, c] = signal
+            out.append(Column("library", "gnss", f"{name}, {direction}", (direction,), 0.05, "m", (), M))
+    return out
+
+
+def clipped_columns(motion: Motion, clipped: Sequence[Clipped]) -> list[Column]:
+    """What filling in each clipped stretch may have got wrong: an unknown integral over it."""
+    out = []
+    for c in clipped:
+        inside = (motion.t > c.start) & (motion.t <= c.end)
+        if inside.any():
+            signal = inside / (motion.t[1] - motion.t[0]) / float(inside.sum())
+            sensor, unit = ("gyro", "rad") if c.axis < 3 else ("accel", "m/s")
+            out.append(Column("clipped", sensor, "integral", ("xyz"[c.axis % 3],), c.sigma, unit, ((c.axis, signal),)))
+    return out
+
+
+def first_rows(data: Field, rows_t: Array, cut: float | None) -> Field:
+    """The field up to a time."""
+    return data if cut is None else data.rows(rows_t <= cut)

@@ -1,0 +1,146 @@
+"""What unit effects do to the innovations of the filter, with the filter in the loop.
+
+A unit effect (a :class:`~insemu.effects.Column`, analytic along the flown trajectory) enters as an error of a sensor, integrated through the
+error dynamics, or of the fixes; with the stored transition, gain and Jacobian of the nominal filter ``e- = Phi e+ + D``, ``g = -H e- + M``,
+``e+ = e- + K g``. Nothing here knows how the emulator makes an effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu.effects import Column, Motion
+from insemu.filters import FilterResult
+from insemu.gap.evidence import kernels
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The nominal filter as a linear machine from sensor errors to whitened innovations.
+
+    Parameters
+    ----------
+    result : FilterResult
+    lower, white : (f, 6, 6) arrays
+        Cholesky factors of the innovation covariances and their inverses, zero rows for missing components.
+    y : (6 f,) array
+        Whitened innovations, zero where missing.
+    use : (f, 6) array of bool
+    """
+
+    result: FilterResult
+    lower: Array
+    white: Array
+    y: Array
+    use: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, result: FilterResult) -> Loop:
+        """Whiten the innovations of a stored run."""
+        fixes = result.fixes
+        f = len(fixes)
+        use = np.isfinite(fixes.innovation) & fixes.accepted[:, None]
+        nu = np.where(use, np.nan_to_num(fixes.innovation), 0.0)
+        # missing components get a unit variance of their own and then no row
+        S = np.where(use[:, :, None] & use[:, None, :], np.nan_to_num(fixes.S), 0.0)
+        S[:, np.arange(6), np.arange(6)] += ~use
+        lower = np.linalg.cholesky(S) if f else np.zeros((0, 6, 6))
+        white = np.where(use[:, :, None], np.linalg.inv(lower), 0.0)
+        return cls(
+            result, np.where(use[:, :, None], lower, 0.0), white, np.einsum("kij,kj->ki", white, nu).ravel(), use
+        )
+
+    def until(self, count: int) -> Loop:
+        """The first ``count`` fixes, for what looks at innovations only."""
+        return Loop(self.result, self.lower[:count], self.white[:count], self.y[: 6 * count], self.use[:count])
+
+    def respond(self, columns: int, D: Array | None, M: Array | None) -> Array:
+        """Response of the innovations.
+
+        Parameters
+        ----------
+        columns : int
+        D : (nodes, columns, 9) array, optional
+            Navigation errors built up since the node before.
+        M : (f, 6, columns) array, optional
+            Errors of the fixes.
+
+        Returns
+        -------
+        (f, 6, columns) array
+            Zero where a component is missing.
+        """
+        nodes, fixes = self.result.nodes, self.result.fixes
+        assert nodes is not None and fixes.K is not None and fixes.H is not None
+        out, none = np.zeros((len(fixes), 6, columns)), np.zeros((0, 0, 0))
+        H = np.where(self.use[:, :, None], np.nan_to_num(fixes.H), 0.0)
+        K = np.where(self.use[:, None, :], np.nan_to_num(fixes.K), 0.0)
+        kernels.respond(
+            nodes.Phi, K, H, np.searchsorted(nodes.epoch, fixes.epoch), self.use, none if D is None else D,
+            none if M is None else M, out,
+        )  # fmt: skip
+        return out
+
+    def whiten(self, raw: Array) -> Array:
+        """Whitened responses, (6 f, columns)."""
+        return np.asarray((self.white @ raw).reshape(-1, raw.shape[2]))
+
+
+def columns_response(loop: Loop, motion: Motion, columns: Sequence[Column]) -> tuple[Array, Array]:
+    """Responses (f, 6, columns) of unit columns, and the built-up errors of constants and ramps on each axis (for slow processes)."""
+    entries = [(j, axis, u) for j, c in enumerate(columns) for axis, u in c.inputs]
+    nodes = loop.result.nodes
+    assert nodes is not None
+    D = np.zeros((nodes.epoch.size, len(columns), 9))
+    ramp = np.zeros((nodes.epoch.size, 12, 9))
+    u = np.ascontiguousarray(np.stack([e[2] for e in entries])) if entries else np.zeros((0, motion.t.size))
+    axis = np.array([e[1] for e in entries], dtype=np.int64)
+    column = np.array([e[0] for e in entries], dtype=np.int64)
+    kernels.integrate_inputs(
+        motion.t, np.ascontiguousarray(motion.C), motion.f_n, nodes.epoch, u, axis, column, D, ramp
+    )
+    for j, c in enumerate(columns):
+        if c.runs:
+            way = np.cumsum(motion.vel * np.diff(motion.t, prepend=motion.t[0])[:, None], axis=0)[nodes.epoch]
+            D[1:, j, :3] += np.diff(way, axis=0)
+    f = len(loop.result.fixes)
+    M = np.zeros((f, 6, len(columns)))
+    for j, c in enumerate(columns):
+        if c.fixes is not None:
+            M[:, :, j] = c.fixes
+    return loop.respond(len(columns), D, M), ramp
+
+
+def knot_response(loop: Loop, motion: Motion, ramp: Array, knots: Array) -> Array:
+    """Responses of slow sensor errors: linear between knots (s), one column per axis and knot, axis by axis.
+
+    Returns
+    -------
+    (f, 6, 6 knots) array
+    """
+    nodes = loop.result.nodes
+    assert nodes is not None
+    t = motion.t[nodes.epoch]
+    hats = np.stack([np.interp(t, knots, row) for row in np.eye(knots.size)], axis=1)  # (nodes, knots)
+    D = np.zeros((t.size, 6 * knots.size, 9))
+    for axis in range(6):
+        block = slice(axis * knots.size, (axis + 1) * knots.size)
+        start, rise = hats[:-1], np.diff(hats, axis=0)
+        D[1:, block] = start[:, :, None] * ramp[1:, axis, None, :] + rise[:, :, None] * ramp[1:, 6 + axis, None, :]
+    return loop.respond(D.shape[1], D, None)
+
+
+def fix_step_response(loop: Loop, starts: Array) -> Array:
+    """Responses (f, 6, 3 starts) of unit steps in the position fixes from each start time on; north, east, down for each start."""
+    fixes = loop.result.fixes
+    M = np.zeros((len(fixes), 6, 3 * starts.size))
+    for i, s in enumerate(starts):
+        for c in range(3):
+            M[fixes.t > s, c, 3 * i + c] = 1.0
+    return loop.respond(3 * starts.size, None, M)

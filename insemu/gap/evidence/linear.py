@@ -1,0 +1,191 @@
+"""Evidence on the whitened innovations of a dynamic recording: one currency for deterministic, slow, timing and GNSS effects.
+
+Under the nominal model the whitened innovations y are standard normal. An effect adds ``G theta``; with a Gaussian prior on theta its log Bayes
+factor is closed. Slow stochastic processes are the same thing with knots for theta and the process's covariance for the prior.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu.gap.evidence import kernels
+
+Array = NDArray[np.float64]
+#: Column indices and prior root: the coefficients are ``root @ z`` with z standard normal.
+Block = tuple[NDArray[Any], Array]
+
+
+@dataclass
+class Field:
+    """Everything that the evidence needs of one recording.
+
+    Parameters
+    ----------
+    y : (r,) array
+        Whitened innovations of the used components, in order of time.
+    G : (r, c) array
+        Unit responses of all columns.
+    variance : float
+        Common factor of the innovations' variance, which stands for noise levels that are a little off.
+    """
+
+    y: Array
+    G: Array
+    variance: float = 1.0
+
+    @cached_property
+    def A(self) -> Array:
+        """Normal matrix (c, c)."""
+        return np.asarray(self.G.T @ self.G / self.variance)
+
+    @cached_property
+    def b(self) -> Array:
+        """Right-hand side (c,)."""
+        return np.asarray(self.G.T @ self.y / self.variance)
+
+    def _joined(self, blocks: Sequence[Block]) -> tuple[NDArray[Any], Array]:
+        index = np.concatenate([i for i, _ in blocks])
+        root = np.zeros((index.size, sum(r.shape[1] for _, r in blocks)))
+        row = col = 0
+        for i, r in blocks:
+            root[row : row + i.size, col : col + r.shape[1]] = r
+            row, col = row + i.size, col + r.shape[1]
+        return index, root
+
+    def _solved(self, blocks: Sequence[Block]) -> tuple[NDArray[Any], Array, Array, Array]:
+        index, root = self._joined(blocks)
+        if "A" in self.__dict__:
+            A, b = self.A[np.ix_(index, index)], self.b[index]
+        else:  # the normal matrix of everything costs more than these few columns
+            G = self.G[:, index]
+            A, b = G.T @ G / self.variance, G.T @ self.y / self.variance
+        M = root.T @ A @ root
+        M[np.diag_indices_from(M)] += 1.0
+        return index, root, np.linalg.cholesky(M), root.T @ b
+
+    def log_factor(self, blocks: Sequence[Block]) -> float:
+        """Log Bayes factor of blocks together against nothing."""
+        if not blocks:
+            return 0.0
+        _, _, L, rb = self._solved(blocks)
+        z = np.linalg.solve(L, rb)
+        return 0.5 * float(z @ z) - float(np.sum(np.log(np.diag(L))))
+
+    def posterior(self, blocks: Sequence[Block]) -> tuple[NDArray[Any], Array, Array]:
+        """Indices, mean and covariance of the coefficients of all blocks together."""
+        index, root, L, rb = self._solved(blocks)
+        half = np.linalg.solve(L, root.T)
+        return index, half.T @ np.linalg.solve(L, rb), half.T @ half
+
+    def conditioned(self, blocks: Sequence[Block], draws: Array | None = None) -> tuple[Array, Array]:
+        """Normal matrix (c, c) and right-hand sides (c, 1 + draws) of what the blocks leave unexplained.
+
+        Parameters
+        ----------
+        draws : (c, s) array, optional
+            Right-hand sides of simulated innovations, appended to the measured one.
+        """
+        b = self.b[:, None] if draws is None else np.hstack([self.b[:, None], draws])
+        if not blocks:
+            return self.A, b
+        index, root, L, _ = self._solved(blocks)
+        half = np.linalg.solve(L, (self.A[:, index] @ root).T)
+        return self.A - half.T @ half, b - half.T @ np.linalg.solve(L, root.T @ b[index])
+
+    def residual(self, blocks: Sequence[Block]) -> tuple[Array, float]:
+        """Innovations whitened again in order of time under the blocks' prior, and half the log determinant that this adds.
+
+        Each is predicted from those before it only, so the residuals of a later part are its predictive errors.
+        """
+        if not blocks:
+            return self.y, 0.0
+        index, root = self._joined(blocks)
+        out = np.empty_like(self.y)
+        logs = np.empty_like(self.y)
+        kernels.recursive_residuals(self.y, np.ascontiguousarray(self.G[:, index] @ root), self.variance, out, logs)
+        return out, float(np.sum(logs))
+
+    def predictive(self, blocks: Sequence[Block], rows: NDArray[np.bool_]) -> tuple[Array, float]:
+        """The same, of some rows only: residuals and half the log determinant."""
+        if not blocks:
+            return self.y[rows], 0.0
+        index, root = self._joined(blocks)
+        out = np.empty_like(self.y)
+        logs = np.empty_like(self.y)
+        kernels.recursive_residuals(self.y, np.ascontiguousarray(self.G[:, index] @ root), 1.0, out, logs)
+        return out[rows], float(np.sum(logs[rows]))
+
+    def rows(self, keep: NDArray[np.bool_]) -> Field:
+        """The same on some of the rows."""
+        return Field(self.y[keep], np.ascontiguousarray(self.G[keep]), self.variance)
+
+
+def quadratic_evidence(A: Array, b: Array, root: Array, amplitudes: Array) -> Array:
+    """Log Bayes factors of coefficients ``amplitude root z``, z standard normal.
+
+    Parameters
+    ----------
+    A : (k, k) array
+        Normal matrix of the columns.
+    b : (k, s) array
+        Right-hand sides.
+    root : (k, j) array
+    amplitudes : (a,) array
+
+    Returns
+    -------
+    (a, s) array
+        ``1/2 b' R (I + R' A R)^-1 R' b - 1/2 log|I + R' A R|`` with ``R = amplitude root``.
+    """
+    if root.shape == (1, 1):
+        values, turned = np.array([A[0, 0] * root[0, 0] ** 2]), root[0, 0] * b
+    else:
+        values, vectors = np.linalg.eigh(root.T @ A @ root)
+        turned = vectors.T @ (root.T @ b)
+    values = np.maximum(values, 0.0)
+    square = amplitudes[:, None] ** 2
+    grown = 1.0 + square * values[None, :]
+    return np.asarray(0.5 * (square / grown) @ turned**2 - 0.5 * np.sum(np.log(grown), axis=1)[:, None])
+
+
+def log_mean_exp_columns(logs: Array) -> Array:
+    """Logarithm of the mean of exponentials of each column."""
+    top = logs.max(axis=0)
+    return np.asarray(top + np.log(np.mean(np.exp(logs - top), axis=0)))
+
+
+# -- slow processes on knots ----------------------------------------------------------------------------------------------------------
+
+
+def knot_times(start: float, end: float, spacing: float) -> Array:
+    """Knots from start to end, at most ``spacing`` apart."""
+    return np.linspace(start, end, max(4, math.ceil((end - start) / spacing - 1e-9) + 1))
+
+
+def random_walk_root(t: Array) -> Array:
+    """Root of the covariance of a unit random walk from zero at the first knot."""
+    steps = np.sqrt(np.diff(t))
+    return np.concatenate([np.zeros((1, steps.size)), np.tril(np.ones((steps.size, steps.size))) * steps[None, :]])
+
+
+def gauss_markov_root(t: Array, tau: float) -> Array:
+    """Root of the covariance of a unit Gauss-Markov process."""
+    C = np.exp(-np.abs(t[:, None] - t[None, :]) / tau)
+    return np.asarray(np.linalg.cholesky(C + 1e-9 * np.eye(t.size)), dtype=np.float64)
+
+
+def flicker_root(t: Array) -> Array:
+    """Root of the covariance of unit flicker between the knots' spacing and their span: Gauss-Markov processes per factor of 2 in time."""
+    times = np.geomspace(
+        np.diff(t).min(), 3.0 * (t[-1] - t[0]), 1 + math.ceil(math.log2(3.0 * (t[-1] - t[0]) / np.diff(t).min()))
+    )
+    step = math.log(times[1] / times[0])
+    C = np.asarray(sum(np.exp(-np.abs(t[:, None] - t[None, :]) / tau) for tau in times)) * step / math.pi
+    return np.asarray(np.linalg.cholesky(C + 1e-9 * C[0, 0] * np.eye(t.size)), dtype=np.float64)

@@ -1,0 +1,470 @@
+"""One currency: nats of log-evidence of an explanation of a static log, its free parameters paid for.
+
+An :class:`Explanation` is what an axis is thought to consist of: processes with free parameters, an optional roll-off of the output filter,
+regressors with Gaussian priors. Its evidence is the posterior's mass by Laplace's approximation at the refined optimum; a parameter that
+the data leave undetermined is never worth more than its prior's width.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+from insemu.gap.data.log import Reduced, amplitude_of, density, difference_covariance
+from insemu.gap.evidence import kernels
+from insemu.gap.policy import rules
+from insemu.noise import NoiseModel, Process
+
+Array = NDArray[np.float64]
+
+#: Step of the differences that give the curvature at a mode, in log.
+CURVATURE_STEP = 5e-3
+
+
+@dataclass(frozen=True)
+class Free:
+    """A positive free parameter: flat prior in its logarithm between two bounds, with Gaussian edges of width ``edge``.
+
+    Parameters
+    ----------
+    name : str
+        Parameter of the process.
+    low, high : float
+        Bounds, in the parameter's own unit.
+    edge : float
+        Softness of the bounds, in log.
+    """
+
+    name: str
+    low: float
+    high: float
+    edge: float = field(default_factory=lambda: rules().edge)
+
+    @property
+    def width(self) -> float:
+        """Mass-equivalent width of the prior, in log."""
+        return math.log(self.high / self.low) + self.edge * math.sqrt(2.0 * math.pi)
+
+    def log_density(self, x: float) -> float:
+        """Log prior density of the logarithm ``x``."""
+        outside = max(math.log(self.low) - x, x - math.log(self.high), 0.0)
+        return -math.log(self.width) - 0.5 * (outside / self.edge) ** 2
+
+    def admits(self, x: float) -> bool:
+        """Whether the logarithm ``x`` is inside the bounds or no more than six edges outside."""
+        return math.log(self.low) - 6.0 * self.edge <= x <= math.log(self.high) + 6.0 * self.edge
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of the prior, in log: the most that an estimate can be uncertain."""
+        return self.width / math.sqrt(12.0)
+
+
+def level(name: str, value: float, uncertainty: float | None = None) -> Free:
+    """A nominal level that may be wrong by ``uncertainty`` (relative); as much as the policy says where it is not given."""
+    uncertainty = rules().tolerance if uncertainty is None else uncertainty
+    return Free(name, value / (1.0 + uncertainty), value * (1.0 + uncertainty), rules().tolerance_edge)
+
+
+@dataclass(frozen=True)
+class Component:
+    """A process of an explanation: its parameters, which of them are free, and the effect that brought it in."""
+
+    process: Process
+    free: tuple[Free, ...]
+    effect: str = "nominal"
+
+
+#: Depth below the white noise to which a filtered spectrum is compared. Deeper, a bin is not even, and tapers and rounding are seen.
+DEPTH = 1e-5
+
+#: Frequency at which a window halves the power, times its length (two of them for the triangular one).
+HALF_POWER = {"moving average": 0.44295, "triangular window": 0.31894}
+
+
+@dataclass(frozen=True)
+class Rolloff:
+    """A low-pass of the output: ``butterworth`` (corner and order), ``moving average`` (of length ``1 / corner``), ``exponential``.
+
+    ``floor`` (a two-sided PSD) is added to measured and modelled spectrum alike, so that neither is compared where next to nothing is left.
+    """
+
+    kind: str
+    values: tuple[float, ...]
+    free: tuple[Free, ...]
+    effect: str = "decimation_filter"
+    floor: float = 0.0
+
+    def gain(self, f: Array, dt: float) -> Array:
+        """Power gain at frequencies ``f`` of samples at interval ``dt``."""
+        corner = self.values[0]
+        if self.kind == "moving average":
+            return np.asarray(np.sinc(f / corner) ** 2)
+        if self.kind == "triangular window":
+            return np.asarray(np.sinc(f / corner) ** 4)
+        if self.kind == "exponential":
+            phi = math.exp(-2.0 * math.pi * corner * dt)
+            return np.asarray((1.0 - phi) ** 2 / ((1.0 - phi) ** 2 + 4.0 * phi * np.sin(np.pi * f * dt) ** 2))
+        # a digital Butterworth (bilinear): the corner is where the power is halved
+        edge = math.tan(math.pi * min(corner * dt, 0.499))
+        ratio = np.tan(np.pi * np.minimum(f * dt, 0.4999)) / edge
+        exponent = np.minimum(2.0 * self.values[1] * np.log(ratio), 300.0)
+        return np.asarray(1.0 / (1.0 + np.exp(exponent)))
+
+    def delay(self, dt: float) -> float:
+        """By how much a causal filter of this gain is late for slow signals, s."""
+        corner = self.values[0]
+        if self.kind == "moving average":
+            return max(0.5 * (1.0 / corner - dt), 0.0)
+        if self.kind == "triangular window":
+            return max(1.0 / corner - dt, 0.0)
+        if self.kind == "exponential":
+            phi = math.exp(-2.0 * math.pi * corner * dt)
+            return dt * phi / (1.0 - phi)
+        edge = 2.0 / dt * math.tan(math.pi * min(corner * dt, 0.499))
+        return 1.0 / (edge * math.sin(0.5 * math.pi / max(self.values[1], 1.0)))
+
+
+@dataclass(frozen=True)
+class Regressors:
+    """Signals of known shape in the data: block-mean differences as columns, prior scale of each coefficient."""
+
+    effect: str
+    names: tuple[str, ...]
+    columns: Array
+    scales: Array
+    rebuild: Callable[[Reduced, Array | None], Array] | None = (
+        None  # the same columns for other data, given its temperature
+    )
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What an axis is thought to consist of; immutable, so that adding and dropping effects is cheap and safe."""
+
+    components: tuple[Component, ...]
+    rolloff: Rolloff | None = None
+    regressors: tuple[Regressors, ...] = ()
+
+    @classmethod
+    def nominal(cls, model: NoiseModel) -> Explanation:
+        """The belief, with every level free by 20 %."""
+        out = []
+        for p in model:
+            name = p.parameters_meta()[0].name
+            value = abs(p.parameters[name])
+            out.append(Component(p, (level(name, value),) if value > 0 and name in _LEVELS else ()))
+        return cls(tuple(out))
+
+    @property
+    def free(self) -> tuple[Free, ...]:
+        """All free parameters, component by component, the roll-off last."""
+        own = tuple(f for c in self.components for f in c.free)
+        return own + (self.rolloff.free if self.rolloff else ())
+
+    def start(self) -> Array:
+        """Logarithms of the current parameters, in the order of :attr:`free`."""
+        values = [math.log(getattr(c.process, f.name)) for c in self.components for f in c.free]
+        return np.array(values + ([math.log(v) for v in self.rolloff.values] if self.rolloff else []))
+
+    def at(self, x: Array) -> Explanation:
+        """The explanation with the parameters whose logarithms are ``x``."""
+        components, k = [], 0
+        for c in self.components:
+            values = {f.name: math.exp(x[k + i]) for i, f in enumerate(c.free)}
+            k += len(c.free)
+            components.append(replace(c, process=c.process.with_parameters(values)) if values else c)
+        rolloff = replace(self.rolloff, values=tuple(math.exp(v) for v in x[k:])) if self.rolloff else None
+        return replace(self, components=tuple(components), rolloff=rolloff)
+
+    def with_component(self, component: Component) -> Explanation:
+        """The explanation with a process added."""
+        return replace(self, components=(*self.components, component))
+
+    @property
+    def model(self) -> NoiseModel:
+        """The processes as a noise model."""
+        return NoiseModel(tuple(c.process for c in self.components))
+
+    def psd(self, f: Array, dt: float) -> Array:
+        """Two-sided PSD of the samples."""
+        total = np.zeros_like(f)
+        for c in self.components:
+            total += density(c.process, f, dt)
+        return total * self.rolloff.gain(f, dt) + self.rolloff.floor if self.rolloff else total
+
+    def seen(self, data: Reduced) -> Array:
+        """Measured PSD of the bins as it is compared with :meth:`psd`."""
+        return data.power + self.rolloff.floor if self.rolloff else data.power
+
+    def covariance(self, block: int, dt: float, count: int) -> Array:
+        """Autocovariance of the block-mean differences."""
+        total = np.zeros(count)
+        for c in self.components:
+            total += difference_covariance(c.process, block, dt, count)
+        return total
+
+
+_LEVELS = ("N", "K", "sigma", "Q", "B", "sigma2")
+
+
+@dataclass
+class Likelihood:
+    """Log-likelihood of one reduced axis; remembers the low band, which most candidates leave alone."""
+
+    data: Reduced
+    _memory: dict[bytes, float] = field(default_factory=dict, repr=False)
+
+    def low(self, explanation: Explanation) -> float:
+        """Gaussian log-likelihood of the block differences, regressors integrated out."""
+        data = self.data
+        if not data.differences.size:
+            return 0.0
+        return self.low_of(explanation.covariance(data.block, data.dt, data.differences.size), explanation.regressors)
+
+    def low_of(self, gamma: Array, regressors: Sequence[Regressors]) -> float:
+        """The same, of an autocovariance."""
+        key = gamma.tobytes() + b"".join(r.columns[:8].tobytes() + r.scales.tobytes() for r in regressors)
+        known = self._memory.get(key)
+        if known is not None:
+            return known
+        stacked = np.hstack([self.data.differences[:, None], *(r.columns for r in regressors)])
+        white = np.empty_like(stacked)
+        logdet = kernels.toeplitz_whiten(gamma, stacked, white)
+        if not math.isfinite(logdet):
+            return -math.inf
+        e, G = white[:, 0], white[:, 1:]
+        value = -0.5 * (logdet + float(e @ e))
+        if G.shape[1]:
+            scales = np.concatenate([r.scales for r in regressors])
+            value += regression_evidence(G.T @ G, G.T @ e, scales)
+        if len(self._memory) > 500:
+            self._memory.clear()
+        self._memory[key] = value
+        return value
+
+    def high(self, explanation: Explanation) -> float:
+        """Whittle's log-likelihood of the spectrum."""
+        if not self.data.f.size:
+            return 0.0
+        return self._high(explanation.psd(self.data.f, self.data.dt), explanation.seen(self.data))
+
+    def _high(self, S: Array, seen: Array) -> float:
+        if not (S > 0).all():
+            return -math.inf
+        return float(-0.5 * np.sum(self.data.counted * (np.log(S) + seen / S)))
+
+    def along(self, explanation: Explanation) -> Callable[[Array], float]:
+        """:meth:`log_posterior` as a function of the logarithms of the free parameters, inside their bounds.
+
+        What does not depend on them is worked out once: processes with nothing free, and the shapes of those whose amplitude alone is.
+        """
+        data, count = self.data, self.data.differences.size
+
+        def shape(process: Process) -> tuple[Array, Array]:
+            covariance = difference_covariance(process, data.block, data.dt, count) if count else np.zeros(0)
+            return density(process, data.f, data.dt), covariance
+
+        still_psd, still_covariance = np.zeros_like(data.f), np.zeros(count)
+        moving: list[tuple[Component, tuple[Array, Array] | None]] = []
+        for c in explanation.components:
+            amplitude = amplitude_of(c.process)
+            if not c.free:
+                psd, covariance = shape(c.process)
+                still_psd, still_covariance = still_psd + psd, still_covariance + covariance
+            elif amplitude is not None and [f.name for f in c.free] == [amplitude]:
+                moving.append((c, shape(c.process.with_parameters({amplitude: 1.0}))))
+            else:
+                moving.append((c, None))
+        rolloff, seen = explanation.rolloff, explanation.seen(data)
+        prior = [(math.log(f.low), math.log(f.high), f.edge, math.log(f.width)) for f in explanation.free]
+
+        def log_posterior(x: Array) -> float:
+            psd, covariance, k = still_psd, still_covariance, 0
+            for c, unit in moving:
+                if unit is not None:
+                    square = math.exp(2.0 * x[k])
+                    more = (square * unit[0], square * unit[1])
+                else:
+                    values = {f.name: math.exp(x[k + i]) for i, f in enumerate(c.free)}
+                    more = shape(c.process.with_parameters(values))
+                psd, covariance = psd + more[0], covariance + more[1]
+                k += len(c.free)
+            if rolloff is not None:
+                gain = replace(rolloff, values=tuple(math.exp(v) for v in x[k:])).gain(data.f, data.dt)
+                psd = psd * gain + rolloff.floor
+            total = 0.0
+            for v, (low, high, edge, width) in zip(x, prior, strict=True):
+                total -= width + 0.5 * (max(low - v, v - high, 0.0) / edge) ** 2
+            total += self._high(psd, seen) if data.f.size else 0.0
+            return total + (self.low_of(covariance, explanation.regressors) if count else 0.0)
+
+        return log_posterior
+
+    def log_posterior(self, explanation: Explanation) -> float:
+        """Log-likelihood plus log prior density of the free parameters."""
+        x = explanation.start()
+        if any(not f.admits(v) for f, v in zip(explanation.free, x, strict=True)):
+            return -math.inf
+        prior = sum(f.log_density(v) for f, v in zip(explanation.free, x, strict=True))
+        return self.low(explanation) + self.high(explanation) + prior
+
+    def coefficients(self, explanation: Explanation) -> tuple[Array, Array]:
+        """Posterior mean and covariance of the regressors' coefficients at the explanation's parameters."""
+        y = self.data.differences
+        gamma = explanation.covariance(self.data.block, self.data.dt, y.size)
+        stacked = np.hstack([y[:, None], *(r.columns for r in explanation.regressors)])
+        white = np.empty_like(stacked)
+        kernels.toeplitz_whiten(gamma, stacked, white)
+        G = white[:, 1:]
+        scales = np.concatenate([r.scales for r in explanation.regressors]) * max(rules().prior_scales)
+        covariance = np.linalg.inv(G.T @ G + np.diag(1.0 / scales**2))
+        return covariance @ (G.T @ white[:, 0]), covariance
+
+
+def regression_evidence(A: Array, b: Array, scales: Array) -> float:
+    """Log Bayes factor of a linear effect against none, averaged over prior scales.
+
+    ``1/2 b' (A + L^-1)^-1 b - 1/2 log|I + L A|`` with ``L = diag((c scales)^2)`` for c in the policy's ``prior_scales``.
+
+    Parameters
+    ----------
+    A, b : (k, k), (k,) arrays
+        Normal matrix and right-hand side of the whitened regressors.
+    scales : (k,) array
+        Datasheet scale of each coefficient.
+    """
+    factors = []
+    for c in rules().prior_scales:
+        d = c * scales
+        M = np.eye(d.size) + d[:, None] * A * d[None, :]
+        sign, logdet = np.linalg.slogdet(M)
+        if sign <= 0:
+            return -math.inf
+        factors.append(0.5 * float((d * b) @ np.linalg.solve(M, d * b)) - 0.5 * logdet)
+    return log_mean_exp(factors)
+
+
+def log_mean_exp(values: Sequence[float] | Array) -> float:
+    """Logarithm of the mean of exponentials."""
+    v = np.asarray(values, dtype=np.float64)
+    top = float(v.max())
+    if not math.isfinite(top):
+        return top
+    return top + math.log(float(np.mean(np.exp(v - top))))
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """An explanation at its refined optimum.
+
+    Parameters
+    ----------
+    explanation : Explanation
+        With the most probable parameters.
+    evidence : float
+        Log evidence, nats.
+    covariance : (k, k) array
+        Of the logarithms of the free parameters.
+    log_posterior : float
+        At the optimum.
+    """
+
+    explanation: Explanation
+    evidence: float
+    covariance: Array
+    log_posterior: float
+
+    @cached_property
+    def sigma(self) -> Array:
+        """Standard deviations of the logarithms of the free parameters."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def fit(likelihood: Likelihood, explanation: Explanation) -> Fitted:
+    """Refine an explanation from its current parameters and weigh it.
+
+    The evidence is Laplace's, with each parameter's posterior width limited to that of its prior.
+    """
+    found = laplace(likelihood.along(explanation), explanation.start(), explanation.free)
+    return Fitted(explanation.at(found.x), found.evidence, found.covariance, found.log_posterior)
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A posterior mode: logarithms of the parameters, their covariance, log posterior there, log evidence."""
+
+    x: Array
+    covariance: Array
+    log_posterior: float
+    evidence: float
+
+
+def laplace(log_posterior: Callable[[Array], float], x0: Array, free: Sequence[Free]) -> Mode:
+    """Climb to a mode and weigh it; no direction counts as wider than its prior."""
+    admitted = [(math.log(f.low) - 6.0 * f.edge, math.log(f.high) + 6.0 * f.edge) for f in free]
+
+    def cost(x: Array) -> float:
+        if any(not low <= v <= high for v, (low, high) in zip(x, admitted, strict=True)):
+            return 1e12 + float(np.sum((x - x0) ** 2))  # however strong the evidence
+        value = -log_posterior(x)
+        return value if math.isfinite(value) else 1e12
+
+    if not x0.size:
+        top = log_posterior(x0)
+        return Mode(x0, np.zeros((0, 0)), top, top)
+    x0 = np.clip(x0, [math.log(f.low) for f in free], [math.log(f.high) for f in free])
+    # curvatures differ by orders of magnitude (a million samples against a handful of blocks): climb in standardised coordinates
+    prior = np.array([1.0 / f.sigma**2 for f in free])
+    centre, step = cost(x0), 3e-3
+    bend = np.array([(cost(x0 + e) + cost(x0 - e) - 2.0 * centre) / step**2 for e in np.eye(x0.size) * step])
+    unit = 1.0 / np.sqrt(np.maximum(np.where(np.isfinite(bend), bend, 0.0), prior))
+    # so far inside the bounds that the curvature is not taken across them
+    beyond = [6.0 * f.edge - 1.1 * CURVATURE_STEP for f in free]
+    reach = [
+        ((math.log(f.low) - b - c) / u, (math.log(f.high) + b - c) / u)
+        for f, b, c, u in zip(free, beyond, x0, unit, strict=True)
+    ]
+
+    def sloped(z: Array) -> tuple[float, Array]:
+        """Cost and its forward differences, backward at the edge."""
+        here, slope = cost(x0 + unit * z), np.empty(z.size)
+        for i in range(z.size):
+            moved = z.copy()
+            moved[i] += 1e-3 if z[i] + 1e-3 <= reach[i][1] else -1e-3
+            slope[i] = (cost(x0 + unit * moved) - here) / (moved[i] - z[i])
+        return here, slope
+
+    minimize: Any = optimize.minimize
+    result = minimize(
+        sloped, np.zeros(x0.size), jac=True, method="L-BFGS-B", bounds=reach, options={"maxiter": 60, "ftol": 1e-9}
+    )
+    x, best = x0 + unit * np.asarray(result.x, dtype=np.float64), float(result.fun)
+    H = _hessian(cost, x, best)
+    scale = np.array([1.0 / f.sigma for f in free])
+    eigenvalues, vectors = np.linalg.eigh(H / scale[:, None] / scale[None, :])
+    eigenvalues = np.maximum(eigenvalues, 1.0)
+    covariance = (vectors / eigenvalues) @ vectors.T / scale[:, None] / scale[None, :]
+    logdet = float(np.sum(np.log(eigenvalues)) + 2.0 * np.sum(np.log(scale)))
+    return Mode(x, covariance, -best, -best + 0.5 * x.size * math.log(2.0 * math.pi) - 0.5 * logdet)
+
+
+def _hessian(cost: Callable[[Array], float], x: Array, centre: float) -> Array:
+    n, h = x.size, CURVATURE_STEP
+    H = np.empty((n, n))
+    steps = np.eye(n) * h
+    plus = np.array([cost(x + s) for s in steps])
+    minus = np.array([cost(x - s) for s in steps])
+    for i in range(n):
+        H[i, i] = (plus[i] + minus[i] - 2.0 * centre) / h**2
+        for j in range(i):
+            both = cost(x + steps[i] + steps[j])
+            H[i, j] = H[j, i] = (both - plus[i] - plus[j] + centre) / h**2
+    return H

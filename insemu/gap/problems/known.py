@@ -1,0 +1,204 @@
+"""What is known besides noise, before a recording is searched: taken off where it has numbers, taken out of the samples where it was drawn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu import rotation
+from insemu.effects import EffectUse, added_signal, compensated, lever_arm_of
+from insemu.gap.beliefs.nominal import Nominal
+from insemu.gap.candidates.axis import CANDIDATES, AxisState, state_of
+from insemu.gap.data.log import reduce
+from insemu.gap.data.sources import StaticLog
+from insemu.gap.evidence.band import Band
+from insemu.gap.evidence.model import DEPTH, Component, Explanation, Rolloff, level
+from insemu.noise import WN, NoiseModel
+from insemu.records import AXES, Recording, Series, Trajectory
+from insemu.strapdown import trajectory_of
+
+Array = NDArray[np.float64]
+
+#: Effects that a candidate takes out of the samples: what was drawn is nobody's to know beforehand.
+TAKEN_OUT = ("outliers", "telegraph", "dropped_samples", "vibration_line")
+
+
+def of_axis(effects: Sequence[EffectUse], name: str) -> tuple[EffectUse, ...]:
+    """The effects that act on an axis such as ``gyro_x``."""
+    sensor, _, axis = name.rpartition("_")
+    out = []
+    for use in effects:
+        if use.sensor not in (sensor, "imu") or axis not in "xyz":
+            continue
+        sizes = [v["xyz".index(axis)] for k, v in use.values.items() if len(v) == 3 and k != "beta"]
+        if not sizes or any(sizes):
+            out.append(use)
+    return tuple(out)
+
+
+def starting_explanation(model: NoiseModel, known: Sequence[EffectUse], dt: float) -> Explanation:
+    """The belief with its vibration and its low-pass, every level free as a nominal one is."""
+    explanation = Explanation.nominal(model)
+    for use in known:
+        if use.id == "vibration_band" and max(use["rms"]) > 0.0:
+            band = Band(max(use["rms"]), use.scalar("frequency"), use.scalar("bandwidth") / use.scalar("frequency"))
+            free = tuple(level(p.name, band.parameters[p.name]) for p in band.PARAMETERS)
+            explanation = explanation.with_component(Component(band, free))
+    low_pass = next((use for use in known if use.id == "decimation_filter"), None)
+    if low_pass is None:
+        return explanation
+    cutoff, taps = low_pass.scalar("cutoff"), low_pass.scalar("taps")
+    if cutoff <= 0.0 and taps < 1.5:
+        return explanation
+    kind, values = (
+        ("butterworth", (cutoff, low_pass.scalar("order")))
+        if cutoff > 0.0
+        else ("moving average", (1.0 / (taps * dt),))
+    )
+    free = tuple(level(name, value) for name, value in zip(("corner", "order"), values, strict=False))
+    whites = [p.parameters["N"] ** 2 for p in model if isinstance(p, WN)]
+    return replace(explanation, rolloff=Rolloff(kind, values, free, floor=DEPTH * sum(whites)))
+
+
+def settled(known: Sequence[EffectUse]) -> tuple[str, ...]:
+    """Effects of an axis that are not asked for again."""
+    return tuple(dict.fromkeys(use.id for use in known if use.id in ("quantization", *TAKEN_OUT)))
+
+
+def without_drawn(state: AxisState, known: Sequence[EffectUse]) -> AxisState:
+    """The axis after its known outliers, levels, lines and lost samples were taken out."""
+    for use in known:
+        if use.id not in TAKEN_OUT:
+            continue
+        tried = [w for w in CANDIDATES[use.id](state) if w.effect == use.id]
+        best = max(tried, key=lambda w: w.gain, default=None)
+        state = best.state if best is not None and best.gain > 0.0 else replace(state, named=(*state.named, use.id))
+    return state
+
+
+def static_without(log: StaticLog, nominal: Nominal) -> tuple[StaticLog, dict[str, tuple[EffectUse, ...]]]:
+    """A static log less what is known, and what is known of each axis.
+
+    Raises
+    ------
+    InputError
+        A known effect of temperature where none was recorded.
+    """
+    known: Mapping[str, tuple[EffectUse, ...]] = {s.name: of_axis(nominal.effects, s.name) for s in log.axes}
+    axes = []
+    for s in log.axes:
+        mine = known[s.name]
+        values = np.array(s.values)
+        if s.name in AXES and mine:
+            t: Array = np.arange(len(s), dtype=np.float64) * s.dt
+            sensor = s.name.partition("_")[0]
+            values -= added_signal([u for u in mine if u.sensor == sensor], t, log.temperature)[
+                :, AXES.index(s.name) % 3
+            ]
+            if any(use.id in ("temperature", "ramp") for use in mine):
+                values -= (
+                    values.mean()
+                )  # where such a law is zero is a convention, so that the constant is not known with it
+        if any(use.id in TAKEN_OUT for use in mine) and s.name in nominal.beliefs:
+            series = Series(values, s.rate_hz, s.unit, s.name)
+            state = state_of(reduce(series), starting_explanation(nominal.beliefs[s.name], mine, s.dt), log.temperature)
+            values = np.asarray(without_drawn(state, mine).data.values)
+        axes.append(Series(values, s.rate_hz, s.unit, s.name))
+    return replace(log, axes=tuple(axes)), dict(known)
+
+
+def drive_without(recording: Recording, nominal: Nominal) -> tuple[Recording, Nominal]:
+    """A drive or flight less what is known, and the nominal model as it is then: its lever arm and the noise of its fixes put right.
+
+    Raises
+    ------
+    InputError
+        See :func:`insemu.effects.compensated`.
+    """
+    effects = nominal.effects
+    g = nominal.gnss
+    changes: dict[str, object] = {"lever_arm": tuple(lever_arm_of(effects, g.lever_arm))}
+    for use in effects:
+        if use.id == "gnss_noise_level" and recording.gnss is not None and recording.gnss.pos_std_ned is None:
+            changes["position_sigma"] = tuple(np.array(g.position_sigma) * np.array(use["factor"]))
+        if (
+            use.id == "gnss_velocity_noise"
+            and recording.gnss is not None
+            and recording.gnss.vel_std_ned is None
+            and g.velocity_sigma
+        ):
+            changes["velocity_sigma"] = tuple(
+                np.hypot(np.array(g.velocity_sigma) * np.array(use["factor"]), np.array(use["sigma"]))
+            )
+    moved = replace(nominal, gnss=g.model_copy(update=changes))
+    trajectory = None
+    if any(use.effect.needs_trajectory for use in effects):
+        trajectory = recording.reference or _estimated(
+            compensated(recording, [use for use in effects if not use.effect.needs_trajectory]), moved
+        )
+    out = compensated(recording, effects, trajectory=trajectory)
+    wild = next((use for use in effects if use.id == "gnss_outliers"), None)
+    return (_without_wild(out, moved, wild) if wild is not None else out), moved
+
+
+def in_imu_axes(recording: Recording, nominal: Nominal) -> tuple[Recording, Nominal]:
+    """A recording and its nominal model from :func:`drive_without`, both in body axes, back in the axes of the IMU.
+
+    Errors of a sensor are in its own axes: there they are looked for and named, and taken off before the mounting is.
+    """
+    C = np.eye(3)
+    for use in nominal.effects:
+        if use.id == "mounting":
+            C = rotation.dcm_from_rpy(np.array(use["rpy"])) @ C
+    if np.allclose(C, np.eye(3), atol=1e-12):
+        return recording, nominal
+    imu, reference = recording.imu, recording.reference
+    imu = replace(imu, gyro=imu.gyro @ C, accel=imu.accel @ C)
+    if reference is not None:
+        reference = replace(reference, rpy=rotation.rpy_from_dcm(rotation.dcm_from_rpy(reference.rpy) @ C))
+    gnss = nominal.gnss.model_copy(update={"lever_arm": tuple(C.T @ np.array(nominal.gnss.lever_arm))})
+    roll, pitch, yaw = (float(x) for x in rotation.rpy_from_dcm(C))
+    return replace(recording, imu=imu, reference=reference), replace(nominal, gnss=gnss, mounting=(roll, pitch, yaw))
+
+
+def _estimated(recording: Recording, nominal: Nominal) -> Trajectory:
+    """Motion as the nominal filter sees it."""
+    from insemu.gap.drive.preparation import fast_parts, prepare
+
+    result = prepare(recording, nominal, fast_parts(recording), {}).result
+    return trajectory_of(result.t, result.nav, "estimate")
+
+
+def _without_wild(recording: Recording, nominal: Nominal, wild: EffectUse) -> Recording:
+    """Positions that are more likely outliers than not, taken out by the innovations of the nominal filter."""
+    from insemu.gap.drive.preparation import fast_parts, prepare
+
+    assert recording.gnss is not None
+    llh = recording.gnss.llh.copy()
+    p, spread = wild.scalar("probability"), np.diag(np.square(wild["sigma"]))
+    for _ in range(3):  # an outlier that was used pulls the filter and hides the next one
+        now = replace(recording, gnss=replace(recording.gnss, llh=llh))
+        fixes = prepare(now, nominal, fast_parts(now), {}).result.fixes
+        whole = np.flatnonzero(np.isfinite(fixes.innovation[:, :3]).all(axis=1))
+        S, nu = np.stack([fixes.S[k][:3, :3] for k in whole]), fixes.innovation[whole][:, :3]
+        odds = math.log(p / (1.0 - p)) + _log_gauss(nu, S + spread) - _log_gauss(nu, S)
+        gone = fixes.t[whole[odds > 0.0]]
+        if not gone.size:
+            break
+        llh[np.isin(recording.gnss.t, gone)] = np.nan
+    return replace(recording, gnss=replace(recording.gnss, llh=llh))
+
+
+def _log_gauss(v: Array, S: Array) -> Array:
+    solved = np.linalg.solve(S, v[:, :, None])[:, :, 0]
+    return np.asarray(-0.5 * np.einsum("ki,ki->k", v, solved) - 0.5 * np.linalg.slogdet(S)[1])
+
+
+def colour_of(effects: Sequence[EffectUse]) -> tuple[Array, float] | None:
+    """Known coloured noise of the fixes: standard deviations (6,) of position and velocity, correlation time in s."""
+    use = next((u for u in effects if u.id == "gnss_correlated_noise"), None)
+    return None if use is None else (np.concatenate([use["sigma"], np.zeros(3)]), use.scalar("tau"))

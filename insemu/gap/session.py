@@ -1,0 +1,332 @@
+"""The one door: a nominal model and what was measured, whichever kind it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from insemu.blas import on_one_thread
+from insemu.errors import InputError
+from insemu.gap.beliefs.nominal import Nominal
+from insemu.gap.beliefs.refined import joined, refined_nominal, uses_of
+from insemu.gap.candidates.mounting import Mounted, find_mounting
+from insemu.gap.candidates.timing import find_offset
+from insemu.gap.data.sources import StaticLog
+from insemu.gap.drive.preparation import Flown
+from insemu.gap.policy import Policy, rules, under
+from insemu.gap.problems.known import drive_without, in_imu_axes, static_without
+from insemu.gap.problems.rest import find_static_gap
+from insemu.gap.verdict import GapReport, Interval, Step, Value, held_out_said, judged
+from insemu.records import AXES, Recording
+
+
+@on_one_thread
+def find_gap(
+    measured: StaticLog | Recording,
+    nominal: Nominal,
+    *,
+    rng: np.random.Generator,
+    without: Collection[str] = (),
+    hold_out: bool = True,
+    pictures: bool = True,
+    progress: Callable[[str], None] | None = None,
+    flown: Flown | None = None,
+    policy: Policy | None = None,
+) -> GapReport:
+    """Find, name and add what the nominal model lacks.
+
+    What the nominal model knows besides noise is taken off first; so are a time offset too large for a linear signature and, where the nominal
+    model has a ``vehicle``, wrong mounting angles.
+
+    Parameters
+    ----------
+    measured : StaticLog or Recording
+        A log at rest, or a drive or flight with fixes.
+    nominal : Nominal
+        What is believed.
+    rng : Generator
+        For simulated nominal data.
+    without : collection of str
+        Effects taken out of the catalogue.
+    hold_out : bool
+        Whether to score on data that was not used for naming.
+    pictures : bool
+        Whether to work out what the page draws of a drive before and after.
+    progress : callable, optional
+        Told what is being done.
+    flown : Flown, optional
+        The nominal filter's run on a drive or flight, where it is there already; of a nominal model in whose ``effects`` there is nothing.
+    policy : Policy, optional
+        The constants of the search; those in force where it is not given.
+
+    Raises
+    ------
+    InputError
+        Data or beliefs that cannot be used.
+    """
+    with under(policy):
+        return _find(measured, nominal.parted(), rng, without, hold_out, pictures, progress or (lambda _: None), flown)
+
+
+def _find(
+    measured: StaticLog | Recording,
+    nominal: Nominal,
+    rng: np.random.Generator,
+    without: Collection[str],
+    hold_out: bool,
+    pictures: bool,
+    progress: Callable[[str], None],
+    flown: Flown | None,
+) -> GapReport:
+    if isinstance(measured, StaticLog):
+        log, known = static_without(measured, nominal)
+        report = find_static_gap(
+            log.axes,
+            nominal.beliefs,
+            rng=rng,
+            temperature=measured.temperature,
+            missing=measured.missing,
+            without=without,
+            hold_out=hold_out,
+            source=measured.source,
+            progress=progress,
+            known=known,
+        )
+    else:
+        report = _drive(
+            measured,
+            nominal,
+            rng,
+            without,
+            hold_out,
+            hold_out and pictures,
+            progress,
+            flown,
+        )
+    return held_out_said(report)
+
+
+def _drive(
+    measured: Recording,
+    nominal: Nominal,
+    rng: np.random.Generator,
+    without: Collection[str],
+    hold_out: bool,
+    pictures: bool,
+    say: Callable[[str], None],
+    flown: Flown | None,
+) -> GapReport:
+    from insemu.gap.problems.drive import find_dynamic_gap
+
+    check(measured, nominal)
+    now = nominal
+    early: list[Step] = []
+
+    def taken(step: Step) -> Nominal:
+        early.append(step)
+        return replace(now, effects=joined(now.effects, uses_of(step)))
+
+    say("running the nominal filter")
+    first = flown = flown or Flown.of(*drive_without(measured, now))
+    recording, moved = first.recording, first.nominal
+    late = find_offset(first, say) if "imu_gnss_time_offset" not in without else None
+    if late is not None:
+        now, flown = taken(late), None
+        recording, moved = drive_without(measured, now)
+    mounted = None
+    if now.vehicle is not None and "mounting" not in without:
+        mounted = find_mounting(recording, moved, say)
+        if mounted.step is not None:
+            now, flown = taken(mounted.step), None
+            recording, moved = drive_without(measured, now)
+    # by the innovations alone the mounting hides in the attitude
+    skip = tuple(dict.fromkeys((*without, "mounting")))
+    own_axes = in_imu_axes(recording, moved)
+    if own_axes[0] is not recording:
+        (recording, moved), flown = own_axes, None
+    report = find_dynamic_gap(recording, moved, rng=rng, without=skip, hold_out=hold_out, progress=say, flown=flown)
+    out = _together(report, early, mounted, nominal)
+    for turn in range(rules().most_passes):
+        if sum(s.gain_nats for s in out.steps if s.sensor in ("gnss", "imu")) < rules().strong_nats:
+            break
+        say(f"the refined model against the recording, {turn + 1}")
+        recording, moved = in_imu_axes(
+            *drive_without(measured, refined_nominal(nominal, out, measured.imu.dt).parted())
+        )
+        more = find_dynamic_gap(recording, moved, rng=rng, without=skip, hold_out=False, progress=say)
+        corrected = _closer(out, more, [s.effect for s in early])
+        if corrected is out:
+            break
+        out = corrected
+    return replace(out, curves={**out.curves, "drive": _pictures(measured, first, nominal, out)}) if pictures else out
+
+
+def check(measured: Recording, nominal: Nominal) -> None:
+    """Raise ``InputError`` where a belief is missing or there are no fixes."""
+    missing = [a for a in AXES if a not in nominal.beliefs]
+    if missing:
+        raise InputError(
+            f"no noise model is believed for {', '.join(missing)}; a recording with fixes needs all six axes"
+        )
+    if measured.gnss is None:
+        raise InputError(
+            "has no GNSS fixes, expected a drive or flight with fixes or a static log", where=measured.source
+        )
+
+
+def _together(report: GapReport, early: list[Step], mounted: Mounted | None, nominal: Nominal) -> GapReport:
+    """The report of the search with what was taken off before it."""
+    steps = list(report.steps)
+    for step in early:
+        steps = _added_up(steps, step)
+    steps.sort(key=lambda s: -s.gain_nats)
+    where, after, held = report.where, report.after, report.held_out
+    before_index, after_index = report.gap_before, report.gap_after
+    if mounted is not None:
+        where = tuple(sorted((*where, *mounted.where), key=lambda w: w.p_value))
+        after = tuple(sorted((*after, *mounted.after), key=lambda w: w.p_value))
+        if mounted.dof and math.isfinite(before_index.value):
+            fixes = mounted.dof / 2
+            gain, sd = mounted.gain
+            held = _sum([held, Interval(gain / fixes, (gain - 1.96 * sd) / fixes, (gain + 1.96 * sd) / fixes)])
+            # the motion across the vehicle and the innovations count alike
+            before_index = _mean(before_index, mounted.chi_square[0] / mounted.dof, mounted.dof)
+            after_index = _mean(after_index, mounted.chi_square[1] / mounted.dof, mounted.dof)
+    return replace(
+        report,
+        verdict=judged(steps, report.remainder, [s.effect for s in early]),
+        steps=tuple(steps),
+        where=where,
+        after=after,
+        gap_before=before_index,
+        gap_after=after_index,
+        held_out=held,
+        nominal=dict(nominal.beliefs),
+    )
+
+
+def _added_up(steps: list[Step], earlier: Step) -> list[Step]:
+    """The steps with what was taken off before: added to the same effect where it was found again, else as its own."""
+    known = {v.name: v.value for v in earlier.parameters}
+    for k, s in enumerate(steps):
+        if (s.effect, s.sensor) == (earlier.effect, earlier.sensor):
+            values = tuple(_shifted(v, known.get(v.name, 0.0)) for v in s.parameters)
+            both = replace(s, parameters=values, gain_nats=s.gain_nats + earlier.gain_nats)
+            return [*steps[:k], both, *steps[k + 1 :]]
+    return [*steps, earlier]
+
+
+def _closer(report: GapReport, more: GapReport, settled: Collection[str]) -> GapReport:
+    """A report with what the recording still says once its effects are known; the same object where that is nothing new."""
+    steps = list(report.steps)
+    changed = False
+    for m in more.steps:
+        k = next((k for k, s in enumerate(steps) if (s.effect, s.sensor) == (m.effect, m.sensor)), None)
+        if k is None and m.sensor not in ("gnss", "imu") and m.effect not in _ADDED:
+            continue  # what the IMU shows above its motion was searched once; more of it would only chase what changes with time
+        if k is None:
+            steps.append(m)
+        elif m.sensor in ("gnss", "imu") or m.effect in _ADDED:
+            steps[k] = _corrected(steps[k], m)
+        else:
+            continue  # more of a process that is named
+        changed = True
+    changed = changed or (bool(report.remainder) and not more.remainder)
+    if not changed:
+        return report
+    steps = sorted((s for s in map(_pruned, steps) if s is not None), key=lambda s: -s.gain_nats)
+    if not more.remainder:
+        steps = [_settled(s) for s in steps]
+    return replace(
+        report,
+        verdict=judged(steps, more.remainder, settled),
+        steps=tuple(steps),
+        after=more.after,
+        remainder=more.remainder,
+    )
+
+
+#: Deterministic effects of a sensor whose values add up.
+_ADDED = frozenset(
+    {"turn_on_bias", "scale_factor", "scale_asymmetry", "misalignment", "g_sensitivity", "temperature", "ramp"}
+)
+
+
+def _corrected(old: Step, new: Step) -> Step:
+    """A step with a later pass's correction: values add up, factors multiply, of colour the larger stands."""
+    known = {v.name: v for v in old.parameters}
+    values = {v.name: v for v in old.parameters}
+    for v in new.parameters:
+        was = known.get(v.name)
+        if was is None:
+            values[v.name] = v
+        elif v.name == "factor":
+            values[v.name] = Value(v.name, v.value * was.value, v.low * was.value, v.high * was.value, v.unit)
+        elif v.name.partition("_")[0] in ("value", "offset", "drift", "fraction", "rpy", "c1", "c2", "c3", "R"):
+            values[v.name] = _shifted(v, was.value)
+    axes = tuple(dict.fromkeys((*old.axes, *new.axes)))
+    return replace(old, axes=axes, parameters=tuple(values.values()))
+
+
+def _pruned(step: Step) -> Step | None:
+    """A step less what a correction took back: parameters whose interval holds zero, levels that are nominal."""
+    if any(v.name == "factor" and abs(math.log(v.value)) < math.log1p(rules().tolerance) for v in step.parameters):
+        return None
+    if step.effect not in _ADDED | {"lever_arm"}:
+        return step
+    kept = tuple(v for v in step.parameters if not v.low < 0.0 < v.high or v.name in ("T0", "lag"))
+    if not any(v.name not in ("T0", "lag") for v in kept):
+        return None
+    shown = {v.name.partition("_")[2][:1] for v in kept}
+    axes = tuple(a for a in step.axes if a in shown) or step.axes
+    return replace(step, parameters=kept, axes=axes)
+
+
+def _settled(step: Step) -> Step:
+    """A step's confidence once its model agrees with the recording: its share of its class."""
+    gains = [m.gain_nats for m in step.members] or [step.gain_nats]
+    own = next((m.gain_nats for m in step.members if m.effect == step.effect), gains[0])
+    weights = [math.exp(max(g - own, -50.0)) for g in gains]
+    own_share = 1.0 / (sum(weights) + math.exp(-max(own, 0.0)))
+    return replace(step, confidence=max(step.confidence, own_share), shaken=False)
+
+
+def _shifted(v: Value, by: float) -> Value:
+    return Value(v.name, v.value + by, v.low + by, v.high + by, v.unit)
+
+
+def _sum(items: list[Interval]) -> Interval:
+    some = [i for i in items if math.isfinite(i.value)]
+    if not some:
+        return items[0]
+    value = sum(i.value for i in some)
+    half = math.sqrt(sum((0.5 * (i.high - i.low)) ** 2 for i in some))
+    return Interval(value, value - half, value + half)
+
+
+def _mean(index: Interval, other: float, dof: int) -> Interval:
+    half = math.hypot(0.5 * (index.high - index.low), 1.96 * math.sqrt(2.0 / dof) * other) / 2.0
+    value = 0.5 * (index.value + other)
+    return Interval(value, value - half, value + half)
+
+
+def _pictures(measured: Recording, first: Flown, nominal: Nominal, report: GapReport) -> dict[str, Any]:
+    """Whitened innovations of the nominal and of the refined model: what the page draws before and after."""
+    from insemu.gap.candidates.mounting import Sideways
+    from insemu.gap.drive.signatures import Loop
+
+    refined = refined_nominal(nominal, report, measured.imu.dt).parted()
+    after = Flown.of(*drive_without(measured, refined)) if report.steps else first
+    out: dict[str, Any] = {}
+    for name, prepared in (("before", first.prepared), ("after", after.prepared)):
+        loop = Loop.of(prepared.result)
+        y = np.where(loop.use, loop.y.reshape(-1, 6), np.nan)
+        out[name] = {"t": prepared.result.fixes.t, "y": y}
+        if nominal.vehicle is not None:
+            s = Sideways.of(prepared)
+            out[name]["across"] = (s.t, s.u)
+    return out
