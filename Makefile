@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 WORKERS ?= 2
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-slow lint bench setup lock clean
+.PHONY: demo test test-slow scoreboard scoreboard-release lint bench setup lock clean
 
 demo: $(STAMP)
 	$(BIN)/insemu run scenarios/table3_synthetic.yaml --workers $(WORKERS) --out results/table3_synthetic
@@ -15,6 +15,13 @@ test: $(STAMP)
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow -n $(WORKERS)
+
+# Fixed blind recordings against tests/scoreboard.yaml: what moved, and failure where a score left its binomial bound.
+scoreboard: $(STAMP)
+	$(BIN)/python -m tests.scoreboard --workers $(WORKERS)
+
+scoreboard-release: $(STAMP)
+	mkdir -p results && $(BIN)/python -m tests.scoreboard --release 1000 --workers $(WORKERS) --log results/scoreboard_release.jsonl
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -33,7 +33,7 @@ from insemu.gap.verdict import Step, Value
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Gnss, Initial
-from insemu.trial.run import run_dynamic
+from insemu.trial.run import Job
 
 Array = NDArray[np.float64]
 BELIEF = {a: NoiseModel((WN(1e-4), RW(1e-6)) if a.startswith("gyro") else (WN(1e-3), RW(1e-5))) for a in AXES}
@@ -568,6 +568,6 @@ def test_a_recording_that_cannot_be_started_says_why() -> None:
 @pytest.mark.slow
 def test_a_large_quadratic_accelerometer_is_unexplained() -> None:
     # larger than any datasheet says: with a bounded prior it was called an asymmetry, alone and surely
-    trial = run_dynamic((), 60.0, 5004, 6.0, outside="quadratic_accelerometer")
+    trial = Job("dynamic", (), 60.0, 5004, "quadratic_accelerometer", minutes=6.0).run()
     assert trial.track == "aeroplane"
     assert trial.verdict == "unexplained"

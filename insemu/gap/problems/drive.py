@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.effects import EFFECTS, EffectUse
+from insemu.effects import EFFECTS, EffectUse, having
 from insemu.errors import InputError
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.candidates.axis import CANDIDATES, AxisState
@@ -48,14 +48,7 @@ from insemu.records import AXES, Recording
 Array = NDArray[np.float64]
 
 #: Candidates of the fast band; the others need a sensor at rest.
-FAST = (
-    "white_noise",
-    "quantization",
-    "vibration_band",
-    "vibration_line",
-    "decimation_filter",
-    "outliers",
-)
+FAST = having("fast") | {"outliers"}
 #: What a tone of one axis is called that changes its frequency.
 WANDERING = "a tone whose frequency wanders"
 

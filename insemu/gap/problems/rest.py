@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.blas import on_one_thread
-from insemu.effects import EffectUse
+from insemu.effects import EffectUse, having
 from insemu.errors import InputError
 from insemu.gap.candidates.axis import CANDIDATES, AxisState, Weighed, state_of
 from insemu.gap.candidates.noise import turn_on_bias
@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 VARYING = "vibration that changes with time"
 
 #: Effects whose shape in time is known.
-KNOWN_SHAPES = frozenset({"temperature", "ramp"})
+KNOWN_SHAPES = having("shape")
 #: Candidates that describe the same effect of the catalogue.
 _EFFECT_OF = {"quantization_output": "quantization"}
 _SENSORS = {"gyro": "gyro", "accel": "accel"}
@@ -251,8 +251,7 @@ def is_slow(w: Weighed, data: Reduced) -> bool:
 def _taken_out(w: Weighed) -> bool:
     if w.effect == "telegraph":
         return w.variant == "levels"
-    plain = ("vibration_line", "outliers", "dropped_samples", "saturation")
-    return w.effect in plain or w.variant == "output counts"
+    return w.effect in having("drawn", "samples") or w.variant == "output counts"
 
 
 def _without(explanation: Explanation, effect: str, occurrence: int = 0) -> Explanation | None:
@@ -539,7 +538,7 @@ def _static_gap(
 #: Tests of the fast band; all others look at block means.
 _FAST_TESTS = frozenset({"spectrum", "stationarity", "noise level over time", "tails"})
 #: Effects that are read off the samples or go with a signal that was recorded beside them: nothing unexplained can stand in for them.
-_PLAIN = frozenset({"temperature", "dropped_samples", "saturation", "turn_on_bias"})
+_PLAIN = having("evident")
 
 
 def is_shaken(step: Step, failed: Sequence[Where], outsiders: Mapping[tuple[str, str], str]) -> bool:
@@ -680,10 +679,9 @@ def _curves(result: AxisResult, nominal: Explanation, rng: np.random.Generator) 
 
 
 #: What would tell effects of a class apart.
-_SLOW = frozenset({"random_walk", "gauss_markov", "flicker", "ramp", "telegraph"})
-_FAST = frozenset({"quantization", "vibration_band", "vibration_line", "decimation_filter", "white_noise"})
+_SLOW, _FAST = having("slow"), having("fast")
 #: What disturbs single samples or pieces of a log.
-_UNTIDY = frozenset({"outliers", "telegraph", "dropped_samples", "saturation"})
+_UNTIDY = having("samples")
 
 
 def would_separate(effects: Collection[str], duration_s: float) -> str:
