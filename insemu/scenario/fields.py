@@ -62,6 +62,10 @@ class Section(BaseModel):
             name for name, field in cls.model_fields.items() if any(isinstance(m, Parsed) for m in field.metadata)
         )
 
+    def __eq__(self, other: object) -> bool:
+        """Whether both mean the same, however it was written."""
+        return type(self) is type(other) and self.__dict__ == other.__dict__
+
     @classmethod
     def spelled_out(cls, value: Any) -> Any:
         """What a short form of the section stands for."""

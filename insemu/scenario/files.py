@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,6 +16,7 @@ import insemu
 from insemu import noise, yamlfile
 from insemu.errors import InputError, nearest
 from insemu.records import AXES
+from insemu.scenario.fields import Made
 from insemu.scenario.schema import Scenario
 from insemu.yamlfile import Place
 
@@ -95,24 +96,22 @@ def variant_names(scenario: Scenario) -> list[str]:
 
 def _keys_at(place: Place, section: Any) -> list[str]:
     """Valid keys of the section at a place, for the hint."""
-    model: Any = section
     for part in place:
-        fields = model.model_fields if isinstance(model, type) and issubclass(model, BaseModel) else {}
-        known = {field.alias or name: field.annotation for name, field in fields.items()}
-        model = _inside(known[part]) if part in known else _inside(model)
-    model = _inside(model)
-    return [] if model is None else [field.alias or name for name, field in model.model_fields.items()]
+        fields = {} if section is None else {f.alias or name: f for name, f in section.model_fields.items()}
+        if part in fields:
+            section = _inside(fields[part].annotation, fields[part].metadata)
+    return [] if section is None else [field.alias or name for name, field in section.model_fields.items()]
 
 
-def _inside(annotation: Any) -> Any:
+def _inside(annotation: Any, metadata: Iterable[Any] = ()) -> Any:
     """The first section class within an annotation such as ``dict[str, Design]`` or ``Gnss | None``."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    for argument in getattr(annotation, "__args__", ()):
-        found = _inside(argument)
-        if found is not None:
-            return found
-    return None
+    for known in (*metadata, *getattr(annotation, "__metadata__", ())):
+        if isinstance(known, Made):
+            return known.keys
+    inner = (_inside(argument) for argument in getattr(annotation, "__args__", ()))
+    return next((section for section in inner if section is not None), None)
 
 
 def _named(error: ValidationError, section: type[BaseModel], document: yamlfile.Document) -> InputError:
