@@ -230,7 +230,10 @@ class Mounting(Effect):
     in_filter = "two or three attitude constants"
     axes = RPY
     stage, size = Stage.MOUNTING, "rpy"
-    absent = {"trial": "only a vehicle that cannot slip shows it; the trial's nominal models believe in none"}
+    absent = {
+        "signature": "by the innovations alone it hides in the attitude; the motion across a vehicle that cannot slip shows it",
+        "trial": "only a vehicle that cannot slip shows it; the trial's nominal models believe in none",
+    }
 
     def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
         """Turn the signals."""
@@ -239,18 +242,6 @@ class Mounting(Effect):
     def turn(self, use: EffectUse) -> Array:
         """The turn back."""
         return rotation.dcm_from_rpy(np.array(use["rpy"]))
-
-    def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
-        """Small turns about each axis: what a turn about one axis does to the signals of the other two."""
-        out = []
-        for k, name in enumerate(RPY):
-            axis = np.eye(3)[k]
-            turned = [-np.cross(axis, signal) for signal in (motion.rate, motion.force)]
-            inputs = tuple(
-                (3 * q + i, np.ascontiguousarray(turned[q][:, i])) for q in (0, 1) for i in range(3) if i != k
-            )
-            out.append(Column.of(self, "imu", f"rpy_{name}", (name,), inputs))
-        return out
 
     def merged(self, old: EffectUse, new: EffectUse) -> EffectUse | None:
         """One turn after the other."""
