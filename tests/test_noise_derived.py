@@ -154,3 +154,9 @@ def test_refusals_name_the_estimator_and_the_reason() -> None:
 
 def test_every_process_has_a_row() -> None:
     assert {p.symbol for p in ROWS.values()} >= {c.__name__ for c in PROCESSES.values()}
+
+
+def test_rates_that_differ_by_rounding_are_one() -> None:
+    assert len(AR1(0.9, 1e-6, 20.0) + AR1(0.5, 1e-6, 20.0 * (1.0 + 1e-12))) == 2
+    with pytest.raises(InputError, match="different rates"):
+        AR1(0.9, 1e-6, 20.0) + AR1(0.5, 1e-6, 20.001)
