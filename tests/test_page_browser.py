@@ -20,7 +20,6 @@ def a_page(folder: Path) -> Path:
     """A page with every kind of block, hostile text among it."""
     x = np.linspace(0.0, 20.0, 400)
     hostile = "</script><script>document.title = 'broken'</script><b>bold</b>"
-    bound = Line("two: bound", 4 + x, "#D55E00", dashed=True, of="two")
     views = [
         View(
             "rms",
