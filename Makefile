@@ -37,13 +37,13 @@ setup: $(STAMP)
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit("insemu needs Python 3.11 or newer, found " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev,cluster]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev,cluster,files]"
 	touch $@
 
 # Renew the versions that were tested: install without constraints in a fresh environment, run the tests, then write what was there.
 lock:
 	rm -rf .venv-lock && $(PYTHON) -m venv .venv-lock
-	.venv-lock/bin/python -m pip install --quiet --editable ".[dev,cluster]"
+	.venv-lock/bin/python -m pip install --quiet --editable ".[dev,cluster,files]"
 	.venv-lock/bin/python -m pip freeze --exclude-editable --exclude insemu > constraints.txt
 	rm -rf .venv-lock
 
