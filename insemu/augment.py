@@ -340,7 +340,7 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
     Raises
     ------
     InputError
-        An unknown axis, a process that has no finite state block (BI; the message names the approximation), a polynomial that is not
+        An unknown axis, a polynomial that is not
         stationary (the message offers the nearest one that is), a parameter without a value.
     """
     if not (np.isfinite(dt) and dt > 0):
