@@ -483,7 +483,7 @@ def test_sizes_are_checked_before_work_begins(tmp_path):
         emulate.gnss_fixes(ideal.reference, 1e12, rng=rng)
     with pytest.raises(InputError, match="a lever arm of 1e\\+05 m is implausible"):
         emulate.gnss_fixes(ideal.reference, lever_arm=(1e5, 0, 0), rng=rng)
-    with pytest.raises(InputError, match="lever_arm is .* implausible"):
+    with pytest.raises(InputError, match=r"lever_arm is .* implausible"):
         emulate.Mounting(lever_arm=(0, 2000.0, 0))
     with pytest.raises(InputError, match="outages per hour"):
         emulate.random_outages(0.0, 3600.0, per_hour=1e9, mean_s=1.0, rng=rng)
@@ -499,5 +499,5 @@ def test_headings_may_name_units_in_two_ways(tmp_path):
         file.write_text(f"lat,lon,{heading}\n46,7,36\n46.01,7,36\n")
         np.testing.assert_allclose(read_waypoints(file).speed, 10.0)
     file.write_text("lat,lon," + "[(" * 5000 + "\n46,7,36\n")
-    with pytest.raises(InputError, match="way.csv:1: unknown column"):
+    with pytest.raises(InputError, match=r"way.csv:1: unknown column"):
         read_waypoints(file)
