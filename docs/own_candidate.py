@@ -4,13 +4,13 @@
 import numpy as np
 
 from insemu.gap import find_static_gap, register
-from insemu.gap.candidates.axis import AxisState, Weighed, best_of
+from insemu.gap.candidates.axis import AxisHypothesis, AxisState, best_of
 from insemu.gap.evidence.model import Component, Free
 from insemu.noise import GM, WN, NoiseModel
 from insemu.records import Series
 
 
-def thermostat(state: AxisState) -> list[Weighed]:
+def thermostat(state: AxisState) -> list[AxisHypothesis]:
     """A Gauss-Markov process whose correlation time is known: only its size is free."""
     top = 100.0 * state.white
     free = (Free("sigma", 1e-5 * top, top),)

@@ -31,8 +31,9 @@ from insemu.gap.candidates.noise import turn_on_bias
 from insemu.gap.checks.rest import axis_tests, spent_on, wavelet_moments, wavelet_p_values
 from insemu.gap.data.log import reduce
 from insemu.gap.evidence.model import Explanation
+from insemu.gap.hypothesis import Found
 from insemu.gap.policy import rules
-from insemu.gap.problems.rest import Found, search, weigh_all
+from insemu.gap.problems.rest import search_axis, weigh_all
 from insemu.gap.verdict import GapReport
 from insemu.noise import SIN, WN, NoiseModel
 from insemu.records import AXES, ImuRecord, Series
@@ -81,7 +82,7 @@ def possible(effect: str, made: HiddenLog) -> bool:
     if effect in GAUSSIAN:
         return made.known.seen(made.uses[0], state.data) >= rules().least_nats
     candidate = turn_on_bias if effect == "turn_on_bias" else CANDIDATES[effect]
-    return max((w.gain for w in candidate(state)), default=0.0) >= rules().least_nats
+    return max((w.nats for w in candidate(state)), default=0.0) >= rules().least_nats
 
 
 def effects(arguments: argparse.Namespace) -> None:
@@ -291,8 +292,8 @@ def pairs(arguments: argparse.Namespace) -> None:
             classes: list[list[str]] = []
             for k in range(arguments.draws):
                 ranked = weigh_all(_again(made.uses, made.known, (*seed, 2, k)), QUICK)
-                if ranked[0].gain >= rules().least_nats:
-                    classes.append([w.effect for w in ranked if w.gain > ranked[0].gain - rules().lead])
+                if ranked[0].nats >= rules().least_nats:
+                    classes.append([w.effect for w in ranked if w.nats > ranked[0].nats - rules().lead])
             near, first = Counter(e for c in classes for e in c), Counter(c[0] for c in classes)
             for c in classes:
                 if c[0] != effect:
@@ -329,7 +330,7 @@ def _believed(s: Series, kind: str) -> float:
     return float(math.sqrt(np.exp(np.interp(0.0, np.log(curve.tau_s), np.log(curve.value)))))
 
 
-def _taken_out(found: Sequence[Found], s: Series) -> NoiseModel:
+def _taken_out(found: Sequence[Found[AxisState]], s: Series) -> NoiseModel:
     """What the search took out of the samples, as processes: lines, and outliers as the white noise that they are on average."""
     parts: list[SIN | WN] = []
     for f in found:
@@ -353,10 +354,10 @@ def real(arguments: argparse.Namespace) -> None:
         data = reduce(s)
         for kind in ("differences", "1 s"):
             nominal = Explanation.nominal(NoiseModel((WN(_believed(s, kind)),)))
-            result = search(state_of(data, nominal))
+            result = search_axis(state_of(data, nominal))
             print(f"{s.name}, believed white noise from {kind}: {result.outsider}")
             for f in result.found:
-                print(f"   {f.chosen.effect} {f.chosen.variant} {f.chosen.gain:.1f} nats, class {_class(f)}")
+                print(f"   {f.chosen.effect} {f.chosen.variant} {f.chosen.nats:.1f} nats, class {_class(f)}")
             refined = replace(result.end.explanation, regressors=())
             removed = _taken_out(result.found, s)
             first = [row[1] for row in wavelet_moments(data, nominal, np.random.default_rng(1))]
@@ -394,8 +395,8 @@ def real(arguments: argparse.Namespace) -> None:
                 )
 
 
-def _class(found: Found) -> list[str]:
-    return [w.effect for w in found.ranked if w.gain > found.ranked[0].gain - 3.0]
+def _class(found: Found[AxisState]) -> list[str]:
+    return [w.effect for w in found.ranked if w.nats > found.ranked[0].nats - 3.0]
 
 
 def thermal(_: argparse.Namespace) -> None:

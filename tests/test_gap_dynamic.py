@@ -28,7 +28,8 @@ from insemu.gap.drive.signatures import Loop, columns_response, knot_response
 from insemu.gap.evidence.fixes import Surrogate
 from insemu.gap.evidence.linear import Field, gauss_markov_root, quadratic_evidence, random_walk_root
 from insemu.gap.evidence.model import Explanation, Likelihood, Rolloff, fit
-from insemu.gap.problems.drive import fast_effects, unknown_part
+from insemu.gap.problems.band import fast_effects
+from insemu.gap.problems.findings import unknown_part
 from insemu.gap.verdict import Step, Value
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
@@ -304,7 +305,7 @@ def test_a_line_of_a_moving_sensor_is_steady_and_a_loud_stretch_is_none() -> Non
     def gain(values: Array) -> float:
         data = axis_part("gyro_x", values, dt)
         state = AxisState(data, fit(Likelihood(data), Explanation.nominal(NoiseModel((WN(math.sqrt(dt)),)))))
-        return max((w.gain for w in vibration_line(state)), default=-math.inf)
+        return max((w.nats for w in vibration_line(state)), default=-math.inf)
 
     assert gain(noise + line) > 10.0
     assert gain(noise) < 3.0

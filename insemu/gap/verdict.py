@@ -23,6 +23,24 @@ class Value:
     high: float
     unit: str
 
+    @classmethod
+    def normal(cls, name: str, mean: float, sd: float, unit: str) -> Value:
+        """A parameter whose error is normal."""
+        return cls(name, float(mean), float(mean - 1.96 * sd), float(mean + 1.96 * sd), unit)
+
+    @classmethod
+    def positive(cls, name: str, value: float, sd: float, unit: str) -> Value:
+        """A positive parameter whose logarithm has a normal error."""
+        return cls(name, float(value), float(value * math.exp(-1.96 * sd)), float(value * math.exp(1.96 * sd)), unit)
+
+    def scaled(self, factor: float) -> Value:
+        """The parameter times a positive factor."""
+        return replace(self, value=factor * self.value, low=factor * self.low, high=factor * self.high)
+
+    def shifted(self, by: float) -> Value:
+        """The parameter plus a number."""
+        return replace(self, value=self.value + by, low=self.low + by, high=self.high + by)
+
     def to_json(self) -> dict[str, Any]:
         """As plain data."""
         return {"name": self.name, "value": self.value, "low": self.low, "high": self.high, "unit": self.unit}
@@ -158,6 +176,11 @@ class Interval:
     value: float
     low: float
     high: float
+
+    @classmethod
+    def normal(cls, mean: float, sd: float) -> Interval:
+        """Of a value whose error is normal."""
+        return cls(mean, mean - 1.96 * sd, mean + 1.96 * sd)
 
     def to_json(self) -> dict[str, Any]:
         """As plain data; a value that is not finite becomes null."""

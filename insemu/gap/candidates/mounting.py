@@ -21,7 +21,7 @@ from insemu import rotation
 from insemu.effects import EFFECTS, EffectUse
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.drive.preparation import Prepared, fast_parts, prepare
-from insemu.gap.evidence.model import log_mean_exp
+from insemu.gap.evidence.linear import log_mean_exp
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Member, Step, Value, Where
 from insemu.records import Recording
@@ -237,8 +237,7 @@ def find_mounting(recording: Recording, nominal: Nominal, progress: Callable[[st
     rpy = np.asarray(rotation.rpy_from_dcm(C))
     sd = np.sqrt(np.diag(found.covariance))
     values = tuple(
-        Value(f"rpy_{name}", float(m), float(m - 1.96 * e), float(m + 1.96 * e), "rad")
-        for name, m, e in zip(("roll", "pitch", "yaw"), rpy, sd, strict=True)
+        Value.normal(f"rpy_{name}", m, e, "rad") for name, m, e in zip(("roll", "pitch", "yaw"), rpy, sd, strict=True)
     )
     member = Member("mounting", "imu", ("roll", "pitch", "yaw"), start.gain)
     step = Step(

@@ -72,6 +72,6 @@ def find_offset(start: Flown, progress: Callable[[str], None] = lambda _: None) 
     h = 0.005
     bend = -(flown(offset + h)[0] - 2.0 * flown(offset)[0] + flown(offset - h)[0]) / h**2
     sd = 1.0 / math.sqrt(bend) if bend > 0.0 else h
-    value = Value("offset", offset, offset - 1.96 * sd, offset + 1.96 * sd, "s")
+    value = Value.normal("offset", offset, sd, "s")
     member = Member("imu_gnss_time_offset", "imu", (), gain)
     return Step("imu_gnss_time_offset", "", "imu", (), (value,), 1.0 - math.exp(-min(gain, 30.0)), gain, (member,))

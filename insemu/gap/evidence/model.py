@@ -19,6 +19,7 @@ from scipy import optimize
 
 from insemu.gap.data.log import Reduced, amplitude_of, density, difference_covariance
 from insemu.gap.evidence import kernels
+from insemu.gap.evidence.linear import log_mean_exp, quadratic_evidence
 from insemu.gap.policy import rules
 from insemu.noise import NoiseModel, Process
 
@@ -341,24 +342,8 @@ def regression_evidence(A: Array, b: Array, scales: Array) -> float:
     scales : (k,) array
         Datasheet scale of each coefficient.
     """
-    factors = []
-    for c in rules().prior_scales:
-        d = c * scales
-        M = np.eye(d.size) + d[:, None] * A * d[None, :]
-        sign, logdet = np.linalg.slogdet(M)
-        if sign <= 0:
-            return -math.inf
-        factors.append(0.5 * float((d * b) @ np.linalg.solve(M, d * b)) - 0.5 * logdet)
-    return log_mean_exp(factors)
-
-
-def log_mean_exp(values: Sequence[float] | Array) -> float:
-    """Logarithm of the mean of exponentials."""
-    v = np.asarray(values, dtype=np.float64)
-    top = float(v.max())
-    if not math.isfinite(top):
-        return top
-    return top + math.log(float(np.mean(np.exp(v - top))))
+    logs = quadratic_evidence(A, b[:, None], np.diag(scales), np.array(rules().prior_scales))
+    return log_mean_exp(logs[:, 0])
 
 
 @dataclass(frozen=True)
