@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 WORKERS ?= 2
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-slow lint bench setup lock clean
+.PHONY: demo test test-slow scoreboard scoreboard-release lint bench setup lock clean
 
 demo: $(STAMP)
 	$(BIN)/insemu run scenarios/table3_synthetic.yaml --workers $(WORKERS) --out results/table3_synthetic
@@ -15,6 +15,13 @@ test: $(STAMP)
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow -n $(WORKERS)
+
+# Fixed blind recordings against tests/scoreboard.yaml: what moved, and failure where a score left its binomial bound.
+scoreboard: $(STAMP)
+	$(BIN)/python -m tests.scoreboard --workers $(WORKERS)
+
+scoreboard-release: $(STAMP)
+	mkdir -p results && $(BIN)/python -m tests.scoreboard --release 1000 --workers $(WORKERS) --log results/scoreboard_release.jsonl
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
@@ -30,13 +37,13 @@ setup: $(STAMP)
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit("insemu needs Python 3.11 or newer, found " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev,cluster]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev,cluster,files]"
 	touch $@
 
 # Renew the versions that were tested: install without constraints in a fresh environment, run the tests, then write what was there.
 lock:
 	rm -rf .venv-lock && $(PYTHON) -m venv .venv-lock
-	.venv-lock/bin/python -m pip install --quiet --editable ".[dev,cluster]"
+	.venv-lock/bin/python -m pip install --quiet --editable ".[dev,cluster,files]"
 	.venv-lock/bin/python -m pip freeze --exclude-editable --exclude insemu > constraints.txt
 	rm -rf .venv-lock
 

@@ -14,12 +14,12 @@ import yaml
 from scipy.signal import butter, lfilter
 
 from insemu import rotation
-from insemu.effects import EFFECTS, EffectUse
+from insemu.effects import EFFECTS, EffectUse, joined
 from insemu.errors import InputError
 from insemu.evaluate import Experiment, run_experiment
 from insemu.evaluate.world import World
 from insemu.gap import GapReport, StaticLog, Step, find_gap, from_its_start, load_measured, load_nominal, write_refined
-from insemu.gap.beliefs.refined import joined, refined_nominal, uses_of
+from insemu.gap.beliefs.refined import refined_nominal, uses_of
 from insemu.gap.candidates.axis import CANDIDATES
 from insemu.gap.verdict import Interval, Member, Value, held_out_said
 from insemu.noise import AR, BI, DR, GM, QN, RW, SIN, WN, NoiseModel

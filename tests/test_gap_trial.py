@@ -40,10 +40,9 @@ from insemu.trial.run import (
     Said,
     Trial,
     known_effects,
-    run_static,
     run_trial,
 )
-from insemu.trial.score import interval, score_trials
+from insemu.trial.score import confusion, held_out_ratio, interval, mean_class_size, score_trials
 
 
 def said(effect: str, axis: str = "x", members: tuple[str, ...] = (), confidence: float = 0.99) -> Said:
@@ -56,49 +55,77 @@ def trial(hidden: tuple[str, ...], *steps: Said, verdict: str, nats: float = 30.
     return Trial("static", 1, what, outside, "rest", verdict, steps, (1.0, 0.9, 1.1), 0.09, 0.1)
 
 
+def counted(trials: list[Trial]) -> dict[str, tuple[int, int]]:
+    return {name: (s.count, s.of) for name, s in score_trials(trials).items()}
+
+
 def test_scores_count_names_classes_and_false_alarms() -> None:
-    scores = score_trials(
-        [
-            trial((), verdict="nothing missing"),
-            trial((), said("ramp"), verdict="named"),
-            trial((), verdict="unexplained"),
-            trial(("flicker",), said("flicker"), verdict="named"),
-            trial(("flicker",), said("flicker", "y"), verdict="named", nats=3.0),
-            trial(("flicker",), said("ramp", members=("flicker",)), verdict="class"),
-            trial(("telegraph",), verdict="nothing missing"),
-            trial(("flicker", "ramp"), said("ramp"), said("flicker"), verdict="named"),
-            trial(("flicker", "ramp"), said("ramp"), said("flicker"), said("outliers"), verdict="named"),
-            trial((), said("flicker"), verdict="named", outside="sweep"),
-            trial((), said("flicker"), verdict="unexplained", outside="sweep"),
-        ]
-    )
-    assert scores.false_alarms == (2, 3)
-    assert scores.falsely_named == (1, 3)
-    assert scores.named_right == (1, 2)
-    assert scores.effect_right == (2, 2)
-    assert scores.in_class == (1, 1)
-    assert scores.detected == (3, 4)
-    assert scores.strong_detected == (2, 3)
-    assert scores.strong_top_two == (2, 3)
-    assert scores.both_and_only == (1, 2)
-    assert scores.beside_and_only == (1, 2)
+    trials = [
+        trial((), verdict="nothing missing"),
+        trial((), said("ramp"), verdict="named"),
+        trial((), verdict="unexplained"),
+        trial(("flicker",), said("flicker"), verdict="named"),
+        trial(("flicker",), said("flicker", "y"), verdict="named", nats=3.0),
+        trial(("flicker",), said("ramp", members=("flicker",)), verdict="class"),
+        trial(("telegraph",), verdict="nothing missing"),
+        trial(("flicker", "ramp"), said("ramp"), said("flicker"), verdict="named"),
+        trial(("flicker", "ramp"), said("ramp"), said("flicker"), said("outliers"), verdict="named"),
+        trial((), said("flicker"), verdict="named", outside="sweep"),
+        trial((), said("flicker"), verdict="unexplained", outside="sweep"),
+    ]
+    shares = counted(trials)
+    assert shares["false_alarms"] == (2, 3)
+    assert shares["falsely_named"] == (1, 3)
+    assert shares["named_right"] == (1, 2)
+    assert shares["effect_right"] == (2, 2)
+    assert shares["in_class"] == (1, 1)
+    assert shares["detected"] == (3, 4)
+    assert shares["strong_detected"] == (2, 3)
+    assert shares["strong_top_two"] == (2, 3)
+    assert shares["both_and_only"] == (1, 2)
+    assert shares["beside_and_only"] == (1, 2)
     several = trial(("flicker", "ramp"), said("ramp"), verdict="named")
     swallowed = replace(several, hidden=(several.hidden[0], replace(several.hidden[1], beside=2.0)))
     weak = replace(several, hidden=(several.hidden[0], replace(several.hidden[1], nats=2.0)))
-    counted = score_trials([several, swallowed, weak])
-    assert (counted.every_and_only, counted.both_and_only, counted.beside_and_only) == ((0, 3), (0, 2), (0, 1))
-    assert scores.misnamed_outside == (1, 2)
-    assert scores.outside_unexplained == (1, 2)
-    assert scores.confusion["flicker"] == {"flicker": 2, "ramp": 1}
-    assert scores.mean_class_size == 2.0
-    assert scores.held_out_ratio == pytest.approx(0.9)
+    three = counted([several, swallowed, weak])
+    assert [three[f"{of}_and_only"] for of in ("every", "both", "beside")] == [(0, 3), (0, 2), (0, 1)]
+    assert shares["misnamed_outside"] == (1, 2)
+    assert shares["outside_unexplained"] == (1, 2)
+    assert confusion(trials)["flicker"] == {"flicker": 2, "ramp": 1}
+    assert mean_class_size(trials) == 2.0
+    assert held_out_ratio(trials)[0] == pytest.approx(0.9)
 
 
 def test_an_unexplained_verdict_is_never_a_right_name() -> None:
-    scores = score_trials([trial(("flicker",), said("flicker"), verdict="unexplained")])
-    assert scores.named_right == (0, 0)
-    assert scores.unexplained == (1, 1)
-    assert scores.detected == (1, 1)
+    shares = counted([trial(("flicker",), said("flicker"), verdict="unexplained")])
+    assert shares["named_right"] == (0, 0)
+    assert shares["unexplained"] == (1, 1)
+    assert shares["detected"] == (1, 1)
+
+
+def test_an_interval_covers_where_the_right_effect_holds_the_true_value_of_its_axis() -> None:
+    levels = (("value", (1.0, 2.0, 3.0)), ("T0", (25.0,)))
+    hidden = Hidden("temperature", "gyro", ("y",), values=levels)
+
+    def answer(effect: str, *values: tuple[str, float, float, float]) -> Trial:
+        step = replace(said(effect, "y"), values=values)
+        return replace(trial(("temperature",), step, verdict="named"), hidden=(hidden,))
+
+    inside, below = ("value_y", 2.1, 1.9, 2.3), ("value", 2.1, 2.05, 2.3)
+    trials = [
+        answer("temperature", inside, ("T0", 24.0, 24.0, 24.0), ("mystery", 1.0, 0.0, 2.0)),
+        answer("temperature", below),
+        answer("ramp", inside),
+        replace(answer("temperature", inside), verdict="unexplained"),
+    ]
+    assert [counted([t])["covered"] for t in trials] == [(1, 1), (0, 1), (0, 0), (0, 0)]
+    assert (
+        Hidden("misalignment", "gyro", ("x",), values=(("value", tuple(map(float, range(6)))),)).true("value_zx", "x")
+        == 4.0
+    )
+    noise = Hidden("gnss_noise_level", "gnss", ("down",), values=(("factor", (1.0, 1.0, 2.5)),))
+    assert noise.true("factor", ("down",)) == 2.5
+    assert noise.true("factor", ("north", "east")) is None
 
 
 def test_intervals_of_shares_are_clopper_and_pearson() -> None:
@@ -182,9 +209,9 @@ def test_what_no_catalogue_holds_is_in_the_recording(outside: str) -> None:
 
 
 def test_a_strong_line_is_found_and_nothing_in_a_clean_log() -> None:
-    found = run_static(("vibration_line",), 60.0, 11, hours=0.3)
-    assert score_trials([found]).named_right == (1, 1)
-    assert run_static((), 0.0, 12, hours=0.3).verdict == "nothing missing"
+    found = Job("static", ("vibration_line",), 60.0, 11, hours=0.3).run()
+    assert counted([found])["named_right"] == (1, 1)
+    assert Job("static", (), 0.0, 12, hours=0.3).run().verdict == "nothing missing"
 
 
 def test_a_trial_resumes_from_its_log_and_reads_back_what_it_wrote(tmp_path, monkeypatch) -> None:

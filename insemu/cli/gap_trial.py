@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rich.console import Console
     from rich.table import Table
 
-    from insemu.trial.run import Trial
+    from insemu.trial import Trial
 
 
 def command(
@@ -83,15 +85,26 @@ def _show(finished: list[Trial], as_json: bool, console: Console) -> None:
     """Print the scores, and as JSON every recording."""
     import json
 
-    from insemu.trial.score import score_trials
+    from insemu.trial import score
 
-    scores = score_trials(finished)
-    if as_json:
-        plain = json.dumps({"scores": scores.to_json()}).replace("NaN", "null").replace("Infinity", "null")
-        typer.echo(json.dumps({**json.loads(plain), "recordings": [t.to_json() for t in finished]}, indent=1))
+    if not as_json:
+        for table in tables(finished):
+            console.print(table)
         return
-    for table in tables(finished):
-        console.print(table)
+    ratio, count = score.held_out_ratio(finished)
+    scores = {
+        "recordings": len(finished),
+        "shares": {name: s.to_json() for name, s in score.score_trials(finished).items()},
+        "mean_class_size": score.mean_class_size(finished),
+        "held_out_ratio": ratio,
+        "held_out_count": count,
+        "confusion": score.confusion(finished),
+        "calibration": score.calibration(finished),
+        "by_nats": score.power(finished),
+        "for_20_nats": score.for_20_nats(finished),
+    }
+    plain = json.loads(json.dumps(scores).replace("NaN", "null").replace("Infinity", "null"))
+    typer.echo(json.dumps({"scores": plain, "recordings": [t.to_json() for t in finished]}, indent=1))
 
 
 def tables(finished: list[Trial]) -> list[Table]:
@@ -100,67 +113,53 @@ def tables(finished: list[Trial]) -> list[Table]:
 
     from rich.table import Table
 
-    from insemu.trial.score import interval, score_trials
+    from insemu.trial import score
 
-    scores = score_trials(finished)
     out = []
-    confusion = Table("hidden", "said first, with counts", title="Confusion")
-    for hidden, row in scores.confusion.items():
-        said = sorted(row.items(), key=lambda item: -item[1])
-        confusion.add_row(hidden, ", ".join(f"{name} {count}" for name, count in said))
-    out.append(confusion)
-    summary = Table("figure", "share", "count", "95 % interval")
 
-    def add(label: str, share: tuple[int, int]) -> None:
-        k, n = share
-        if n:
-            low, high = interval(k, n)
-            summary.add_row(label, f"{k / n:.3f}", f"{k} of {n}", f"{low:.3f} to {high:.3f}")
+    def table(columns: tuple[str, ...], rows: Sequence[tuple[str, ...]], title: str = "") -> None:
+        made = Table(*columns, title=title or None)
+        for row in rows:
+            made.add_row(*row)
+        if rows:
+            out.append(made)
 
-    add("nothing hidden: flagged", scores.false_alarms)
-    add("nothing hidden: named", scores.falsely_named)
-    add("one hidden: detected", scores.detected)
-    add("named alone: right (effect and axis)", scores.named_right)
-    add("named alone: right effect", scores.effect_right)
-    add("given a class: truth inside", scores.in_class)
-    if scores.in_class[1]:
-        summary.add_row("mean size of a class", f"{scores.mean_class_size:.2f}", "", "")
-    add("one hidden: said to be unexplained", scores.unexplained)
-    add("20 expected nats or more: detected", scores.strong_detected)
-    add("20 expected nats or more: in the top two", scores.strong_top_two)
-    for where, named, classes in (
-        ("any strength", scores.every_and_only, scores.every_in_class),
-        ("each worth 20 nats", scores.both_and_only, scores.both_in_class),
-        ("each worth 20 nats beside the others", scores.beside_and_only, scores.beside_in_class),
-    ):
-        add(f"several hidden, {where}: all and only these named", named)
-        add(f"several hidden, {where}: the same, classes counted", classes)
-    add("outside the catalogue: misnamed", scores.misnamed_outside)
-    add("outside the catalogue: said to be unexplained", scores.outside_unexplained)
-    add("named right: gap index after contains 1", scores.gap_contains_one)
-    if scores.held_out_count:
-        summary.add_row(
-            "held-out gain over the oracle's, median", f"{scores.held_out_ratio:.3f}", f"{scores.held_out_count}", ""
-        )
+    def counts(row: dict[str, int]) -> str:
+        return ", ".join(f"{name} {count}" for name, count in sorted(row.items(), key=lambda item: -item[1]))
+
+    confusion = [(hidden, counts(row)) for hidden, row in score.confusion(finished).items()]
+    table(("hidden", "said first, with counts"), confusion, "Confusion")
+    rows: list[tuple[str, ...]] = []
+    for s in score.score_trials(finished).values():
+        if s.of:
+            low, high = s.interval
+            rows.append((s.label, f"{s.count / s.of:.3f}", f"{s.count} of {s.of}", f"{low:.3f} to {high:.3f}"))
+    if math.isfinite(size := score.mean_class_size(finished)):
+        rows.append(("mean size of a class", f"{size:.2f}", "", ""))
+    ratio, count = score.held_out_ratio(finished)
+    if count:
+        rows.append(("held-out gain over the oracle's, median", f"{ratio:.3f}", f"{count}", ""))
     seconds = [t.seconds for t in finished if math.isfinite(t.seconds)]
     if seconds:
-        summary.add_row(
-            "seconds of one core per identification, mean", f"{sum(seconds) / len(seconds):.1f}", f"{len(seconds)}", ""
-        )
-    out.append(summary)
-    if scores.calibration:
-        calibration = Table("stated confidence", "right", "recordings", title="Calibration of the confidence")
-        for stated, share, n in scores.calibration:
-            calibration.add_row(f"{stated:.3f}", f"{share:.3f}", str(n))
-        out.append(calibration)
-    if scores.by_nats:
-        power = Table("expected nats", "detected", "in the top two", "recordings", title="Power")
-        for low, high, spoke, top, n in scores.by_nats:
-            power.add_row(f"{low:g} to {high:g}", f"{spoke / n:.3f}", f"{top / n:.3f}", str(n))
-        out.append(power)
-    if scores.for_20_nats:
-        needed = Table("effect", "datasheet scales", "recordings", title="Strength worth 20 nats, median")
-        for name, (strength, n) in scores.for_20_nats.items():
-            needed.add_row(name, f"{strength:.3g}", str(n))
-        out.append(needed)
+        mean = sum(seconds) / len(seconds)
+        rows.append(("seconds of one core per identification, mean", f"{mean:.1f}", f"{len(seconds)}", ""))
+    table(("figure", "share", "count", "95 % interval"), rows)
+    table(
+        ("stated confidence", "right", "recordings"),
+        [(f"{stated:.3f}", f"{share:.3f}", str(n)) for stated, share, n in score.calibration(finished)],
+        "Calibration of the confidence",
+    )
+    table(
+        ("expected nats", "detected", "in the top two", "recordings"),
+        [
+            (f"{low:g} to {high:g}", f"{spoke / n:.3f}", f"{top / n:.3f}", str(n))
+            for low, high, spoke, top, n in score.power(finished)
+        ],
+        "Power",
+    )
+    table(
+        ("effect", "datasheet scales", "recordings"),
+        [(name, f"{strength:.3g}", str(n)) for name, (strength, n) in score.for_20_nats(finished).items()],
+        "Strength worth 20 nats, median",
+    )
     return out

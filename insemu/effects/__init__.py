@@ -26,6 +26,7 @@ from insemu.effects.base import (
     Effect,
     EffectParameter,
     EffectUse,
+    Join,
     Stage,
     Trait,
     effect_of,
@@ -42,6 +43,17 @@ EFFECTS.update({e.id: e for family in (stochastic, deterministic, timing, gnss, 
 def having(*traits: Trait) -> frozenset[str]:
     """Ids of the effects with at least one of these traits."""
     return frozenset(e.id for e in EFFECTS.values() if e.traits & set(traits))
+
+
+def adds(effect: str) -> bool:
+    """Whether this is an effect of one sensor whose values add up; False for what is not in the catalogue."""
+    return effect in EFFECTS and EFFECTS[effect].adds
+
+
+def join_of(effect: str, label: str) -> Join:
+    """How two finds of a number such as ``value_x`` become one; "" for what is not in the catalogue."""
+    named = EFFECTS[effect].parameters if effect in EFFECTS else ()
+    return next((p.join for p in named if p.name == label.partition("_")[0]), "")
 
 
 def joined(known: Iterable[EffectUse], found: Iterable[EffectUse]) -> tuple[EffectUse, ...]:
@@ -81,7 +93,35 @@ def markdown_table() -> str:
 
 
 __all__ = [
-    "ASPECTS", "CROSS", "EFFECTS", "NED", "RPY", "SIGNAL_UNITS", "XYZ", "Chain", "Column", "DriveLot", "Effect", "EffectParameter", "EffectUse",
-    "FixErrors", "FixGeometry", "Hidden", "Motion", "RestLot", "Stage", "added_signal", "catalogue_columns", "columns_without", "compensated",
-    "effect_of", "having", "joined", "lagged", "lever_arm_of", "markdown_table",
-]  # fmt: skip
+    "ASPECTS",
+    "CROSS",
+    "EFFECTS",
+    "NED",
+    "RPY",
+    "SIGNAL_UNITS",
+    "XYZ",
+    "Chain",
+    "Column",
+    "DriveLot",
+    "Effect",
+    "EffectParameter",
+    "EffectUse",
+    "FixErrors",
+    "FixGeometry",
+    "Hidden",
+    "Motion",
+    "RestLot",
+    "Stage",
+    "added_signal",
+    "adds",
+    "catalogue_columns",
+    "columns_without",
+    "compensated",
+    "effect_of",
+    "having",
+    "join_of",
+    "joined",
+    "lagged",
+    "lever_arm_of",
+    "markdown_table",
+]

@@ -49,7 +49,10 @@ ASPECTS: tuple[Aspect, ...] = ("emulate", "compensate", "signature", "candidate"
 #: drawn      : what was drawn is nobody's to know beforehand, and is taken out of the samples where it is found
 #: noise      : its place is the noise model of an axis
 #: level      : a level of the fixes, which is estimated together with their colour
-Trait = Literal["slow", "fast", "samples", "shape", "process", "once", "drawn", "noise", "level"]
+#: evident    : read off the samples or beside a recorded signal: nothing unexplained can stand in for it
+Trait = Literal["slow", "fast", "samples", "shape", "process", "once", "drawn", "noise", "level", "evident"]
+#: Columns that are tried together: axes, label, their places among the effect's columns.
+Subset = tuple[tuple[str, ...], str, list[int]]
 
 #: Cross-axis parameters (six): axis that errs, then axis that leaks into it.
 CROSS = ("xy", "xz", "yx", "yz", "zx", "zy")
@@ -254,6 +257,13 @@ class Effect:
     def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
         """Unit columns along an estimated motion, for effects whose shape is known."""
         raise NotImplementedError(self.id)
+
+    def subsets(self, columns: Sequence[Column]) -> list[Subset]:
+        """Which of its columns on one sensor a search tries together: each alone, and all."""
+        out: list[Subset] = [(c.axes, "", [k]) for k, c in enumerate(columns)]
+        if len(columns) > 1:
+            out.append((tuple(dict.fromkeys(a for c in columns for a in c.axes)), "all", list(range(len(columns)))))
+        return out
 
     # -- refine: how two finds become one -----------------------------------------------------------------------------------------------
 

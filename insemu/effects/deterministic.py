@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,21 @@ from scipy.signal import lfilter
 
 from insemu import earth, rotation
 from insemu.effects import passes
-from insemu.effects.base import BOTH, CELLS, CROSS, DEG, IMU, RPY, XYZ, Effect, EffectParameter, EffectUse, G, Stage
+from insemu.effects.base import (
+    BOTH,
+    CELLS,
+    CROSS,
+    DEG,
+    IMU,
+    RPY,
+    XYZ,
+    Effect,
+    EffectParameter,
+    EffectUse,
+    G,
+    Stage,
+    Subset,
+)
 from insemu.effects.chain import Chain
 from insemu.effects.hiding import DriveLot, Hidden, RestLot, at
 from insemu.effects.motion import Column, FixGeometry, Motion, first_axis
@@ -40,17 +55,22 @@ class _OfSensor(Effect):
             for i, a in enumerate(XYZ)
         ]
 
+
+class _OnOneAxis(_OfSensor):
+    """One that a trial hides on one axis."""
+
     def hidden(self, lot: DriveLot) -> Hidden:
         """On one axis."""
         return Hidden(lot.axis, {self.size: lot.on(lot.size(self, self.size))})
 
 
-class TurnOnBias(_OfSensor):
+class TurnOnBias(_OnOneAxis):
     """Turn-on bias."""
 
     id, name, formula = "turn_on_bias", "turn-on bias", "e = b"
     parameters = (_P("value", "{s}", 3, (0.1 * DEG, 2e-3 * G), None, "bias", join="sum"),)
     excitation, in_filter = "fixes, or rest", "random constant per axis"
+    traits = frozenset({"evident"})
     stage, size = Stage.RESPONSE, "value"
 
     def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
@@ -70,7 +90,7 @@ class TurnOnBias(_OfSensor):
         return {"value": lot.on(lot.sign * strength * 2.0 * earth.RATE)}
 
 
-class ScaleFactor(_OfSensor):
+class ScaleFactor(_OnOneAxis):
     """Scale factor."""
 
     id, name, formula = "scale_factor", "scale factor", "e_i = S_i s_i"
@@ -94,7 +114,7 @@ class ScaleFactor(_OfSensor):
         return self.own(motion, np.ascontiguousarray)
 
 
-class ScaleAsymmetry(_OfSensor):
+class ScaleAsymmetry(_OnOneAxis):
     """Scale factors of either sign differ."""
 
     id, name, formula = "scale_asymmetry", "scale-factor asymmetry", "e_i = A_i |s_i|"
@@ -133,6 +153,7 @@ class ScaleNonlinearity(_OfSensor):
     absent = {
         "signature": "squares are the structure outside the catalogue by which a report says 'unexplained'",
         "candidate": "squares are the structure outside the catalogue by which a report says 'unexplained'",
+        "refine": "no candidate looks for it",
         "trial": "the trial hides it as what no catalogue holds (quadratic_accelerometer)",
     }  # fmt: skip
 
@@ -209,7 +230,10 @@ class Mounting(Effect):
     in_filter = "two or three attitude constants"
     axes = RPY
     stage, size = Stage.MOUNTING, "rpy"
-    absent = {"trial": "only a vehicle that cannot slip shows it; the trial's nominal models believe in none"}
+    absent = {
+        "signature": "by the innovations alone it hides in the attitude; the motion across a vehicle that cannot slip shows it",
+        "trial": "only a vehicle that cannot slip shows it; the trial's nominal models believe in none",
+    }
 
     def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
         """Turn the signals."""
@@ -218,18 +242,6 @@ class Mounting(Effect):
     def turn(self, use: EffectUse) -> Array:
         """The turn back."""
         return rotation.dcm_from_rpy(np.array(use["rpy"]))
-
-    def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
-        """Small turns about each axis: what a turn about one axis does to the signals of the other two."""
-        out = []
-        for k, name in enumerate(RPY):
-            axis = np.eye(3)[k]
-            turned = [-np.cross(axis, signal) for signal in (motion.rate, motion.force)]
-            inputs = tuple(
-                (3 * q + i, np.ascontiguousarray(turned[q][:, i])) for q in (0, 1) for i in range(3) if i != k
-            )
-            out.append(Column.of(self, "imu", f"rpy_{name}", (name,), inputs))
-        return out
 
     def merged(self, old: EffectUse, new: EffectUse) -> EffectUse | None:
         """One turn after the other."""
@@ -264,6 +276,12 @@ class GSensitivity(_OfSensor):
             Column.of(self, "gyro", f"value_{a}{b}", (a,), ((XYZ.index(a), motion.force[:, XYZ.index(b)]),))
             for a, b in map(tuple, CELLS)
         ]
+
+    def subsets(self, columns: Sequence[Column]) -> list[Subset]:
+        """The diagonal besides."""
+        single, whole = super().subsets(columns)[:-1], super().subsets(columns)[-1]
+        diagonal = [k for k, c in enumerate(columns) if c.label[-1] == c.label[-2]]
+        return [*single, (XYZ, "diagonal", diagonal), whole]
 
     def hidden(self, lot: DriveLot) -> Hidden:
         """One of the nine cells."""
@@ -300,7 +318,7 @@ _LAG = _P(
 )  # fmt: skip
 
 
-class Temperature(_OfSensor):
+class Temperature(_OnOneAxis):
     """A bias that follows the temperature."""
 
     id, name = "temperature", "temperature-dependent bias"
@@ -313,7 +331,7 @@ class Temperature(_OfSensor):
         _LAG,
     )
     excitation, in_filter = "a temperature sweep", "compensation by the recorded temperature"
-    traits = frozenset({"shape"})
+    traits = frozenset({"shape", "evident"})
     stage, size, needs_temperature = Stage.LAW, "c1", True
 
     def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
@@ -339,6 +357,14 @@ class Temperature(_OfSensor):
             for power in (1, 2, 3)
         ]
 
+    def subsets(self, columns: Sequence[Column]) -> list[Subset]:
+        """On each axis linear or cubic, and linear on all of them."""
+        out: list[Subset] = []
+        for a in XYZ:
+            own = [k for k, c in enumerate(columns) if c.axes == (a,)]
+            out += [((a,), "linear", own[:1]), ((a,), "cubic", own)]
+        return [*out, (XYZ, "linear", [k for k, c in enumerate(columns) if c.label.startswith("c1")])]
+
     def hidden_at_rest(self, lot: RestLot, strength: float) -> dict[str, Any]:
         """Linear."""
         return {"c1": lot.on(0.6 * strength * lot.slow)}
@@ -358,7 +384,7 @@ class Saturation(Effect):
     formula = "y = clip(s, -limit, limit)"
     parameters = (_P("limit", "{s}", 3, (250.0 * DEG, 4.0 * G), None, "full scale", True, join="smaller", nothing=1e6),)
     excitation, in_filter = "motion beyond the full scale", "epochs flagged"
-    traits = frozenset({"samples"})
+    traits = frozenset({"samples", "evident"})
     stage = Stage.CLIP
     absent = {"compensate": "what was clipped is lost", "signature": _SAMPLES}
 
@@ -387,7 +413,7 @@ class DroppedSamples(Effect):
         _P("burst", "", 1, (1.0,), 1.0, "samples per burst", True, join="larger"),
     )
     excitation, in_filter = "motion", "bridging by the time stamps"
-    traits = frozenset({"samples", "drawn"})
+    traits = frozenset({"samples", "drawn", "evident"})
     stage = Stage.LOSS
     absent = {"compensate": "what is lost is bridged by the time stamps", "signature": _SAMPLES}
 

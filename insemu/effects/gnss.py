@@ -180,7 +180,7 @@ class MultipathStep(_OfFixes):
     id, name = "gnss_multipath_step", "multipath step"
     formula = "position error = value for start < t <= start + duration"
     parameters = (
-        _P("value", "m", 3, (1.0,), None, "north, east, down"),
+        _P("value", "m", 3, (1.0,), None, "north, east, down", join="sum"),
         _P("start", "s", 1, (300.0,), None, "start"),
         _P("duration", "s", 1, (60.0,), None, "duration", True),
     )

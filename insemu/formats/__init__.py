@@ -1,68 +1,116 @@
-"""The field's files, in and out: one registry behind :func:`read` and :func:`write`.
+"""The field's files, in and out: :func:`read`, :func:`write`, and :func:`open_files` for whatever others write.
 
 Static logs (sensor at rest, constant rate) become a list of :class:`~insemu.records.Series`; dynamic recordings become a
-:class:`~insemu.records.Recording`. Units are converted to SI here and nowhere else. Pickled content is never loaded.
+:class:`~insemu.records.Recording`. Units are converted to SI here and nowhere else. Pickled content is never loaded. Our own layouts are read
+strictly (anything odd is an error); foreign ones by the readers of :mod:`insemu.formats.readers`, which tell what they took and assumed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable
+from functools import lru_cache
 from pathlib import Path
+from typing import Literal
 
-from insemu.errors import InputError
+import numpy as np
+
+from insemu.errors import InputError, nearest
 from insemu.formats import recording, static
-from insemu.formats.static import AXIS_OF_COLUMN, Log, read_log
-from insemu.records import Recording, Series
+from insemu.formats.columns import guess_map, read_preset, split_header
+from insemu.formats.npz import keys_of
+from insemu.formats.opened import Opened, open_files
+from insemu.formats.static import AXIS_OF_COLUMN, Log
+from insemu.formats.table import Probe, reader_of, readers
+from insemu.records import COLUMNS, Recording, Series
 
-__all__ = ["AXIS_OF_COLUMN", "FORMATS", "Format", "Log", "read", "read_log", "read_recording", "read_static", "write"]
+__all__ = [
+    "AXIS_OF_COLUMN",
+    "Log",
+    "Opened",
+    "holds_recording",
+    "open_files",
+    "opened",
+    "read",
+    "read_log",
+    "read_recording",
+    "read_static",
+    "readers",
+    "write",
+]
 
 Data = list[Series] | Recording
+Layout = Literal["recording", "log", "foreign"]
 
 
-@dataclass(frozen=True)
-class Format:
-    """One kind of file: what it is called, whether a path is one, and how it is written.
+def layout_of(path: str | Path) -> Layout:
+    """Whether a file is in our own layout of a recording, of a static log, or in anybody else's.
 
-    Parameters
-    ----------
-    name : str
-        Shown in messages.
-    holds : type
-        ``Series`` (static logs) or ``Recording`` (dynamic).
-    recognises : callable
-        Takes an existing path and says whether it is of this kind.
-    writes : callable
-        Says whether a path that is to be written would be of this kind.
-    write : callable
-        Takes the path and the data.
+    Raises
+    ------
+    InputError
+        A kind of file that nobody reads, or a broken one.
+    FileNotFoundError
+        No such file.
     """
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(2, "No such file or directory", str(path))
+    if path.suffix == ".npz":
+        keys = keys_of(path)
+        if {"imu_t", "imu"} & keys:
+            return "recording"
+        own = {"data", "counts"} & keys or {"gyro_counts", "acc_counts"} <= keys
+        return "log" if own or reader_of(path) is None or not _has_tables(path) else "foreign"
+    if recording.is_folder_recording(path):
+        return "recording"
+    if path.suffix == ".npy":
+        return "log"
+    reader = reader_of(path)
+    if static.is_text(path) and (reader is None or reader.rank == 9) and not _foreign_table(path):
+        return "log"
+    if reader is None:
+        raise InputError(
+            f"unknown kind of file '{path.suffix}'; `insemu open --formats` lists what is read",
+            where=str(path),
+        )
+    return "foreign"
 
-    name: str
-    holds: type
-    recognises: Callable[[Path], bool]
-    writes: Callable[[Path], bool]
-    write: Callable[[Path, Data], None]
+
+def _has_tables(path: Path) -> bool:
+    """Whether a foreign archive holds columns that are known by their names."""
+    guess = guess_map([f"{k}_{a}" for k in keys_of(path) for a in "xyz"])
+    return "gyro" in guess.picks or "lat" in guess.picks or any("lat" in k.lower() for k in keys_of(path))
 
 
-def _write_static(path: Path, data: Data) -> None:
-    assert isinstance(data, list)
-    static.write_log(path, data)
+def _foreign_table(path: Path) -> bool:
+    """Whether a table of text has a map beside it, or names of a gyroscope, an accelerometer or a position that are not our own."""
+    if read_preset(path) is not None:
+        return True
+    names = [split_header(c)[0] for c in Probe(path).header()]
+    picks = guess_map(names).picks
+    if {"lat", "lon"} <= set(picks):
+        return True
+    own = {*COLUMNS, *AXIS_OF_COLUMN.values()}
+    axes = {p.column.lower() for role in ("gyro", "accel") for p in picks.get(role, ())}
+    return {"gyro", "accel"} <= set(picks) and not axes <= own
 
 
-def _write_recording(path: Path, data: Data) -> None:
-    assert isinstance(data, Recording)
-    recording.write_recording(path, data)
+def opened(path: str | Path) -> Opened:
+    """What a single foreign file or folder holds; kept until another one is read, or it changes."""
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(2, "No such file or directory", str(path))
+    inside = (
+        [p for p in path.rglob("*") if p.is_file()]
+        if path.is_dir()
+        else [path, path.with_name(path.name + ".map.yaml")]
+    )
+    return _opened(path, tuple((p, p.stat().st_mtime_ns, p.stat().st_size) for p in inside if p.exists()))
 
 
-#: In the order in which they are tried.
-FORMATS: tuple[Format, ...] = (
-    Format("recording (.npz)", Recording, recording.is_npz_recording, lambda p: p.suffix == ".npz", _write_recording),
-    Format("recording (folder)", Recording, Path.is_dir, lambda p: p.suffix == "", _write_recording),
-    Format("static log (.npz)", Series, lambda p: p.suffix == ".npz", lambda p: p.suffix == ".npz", _write_static),
-    Format("static log (.csv)", Series, static.is_text, static.is_text, _write_static),
-    Format("static log (.npy)", Series, lambda p: p.suffix == ".npy", lambda p: False, _write_static),
-)
+@lru_cache(maxsize=1)
+def _opened(path: Path, _changed: tuple[tuple[Path, int, int], ...]) -> Opened:
+    return open_files(path)
 
 
 def read(path: str | Path, *, rate_hz: float | None = None, columns: Iterable[str] | None = None) -> Data:
@@ -71,7 +119,7 @@ def read(path: str | Path, *, rate_hz: float | None = None, columns: Iterable[st
     Parameters
     ----------
     path : path
-        ``.npz``, ``.csv`` (``.csv.gz``, ``.txt``, ``.tsv``), ``.npy`` or the folder of a recording.
+        Our own ``.npz``, ``.csv`` (``.csv.gz``, ``.txt``, ``.tsv``), ``.npy`` or folder, or any file that a reader takes.
     rate_hz : float, optional
         Sampling rate of a log that does not say it.
     columns : iterable of str, optional
@@ -89,37 +137,75 @@ def read(path: str | Path, *, rate_hz: float | None = None, columns: Iterable[st
     FileNotFoundError
         The path does not exist.
     """
-    path = Path(path)
-    kind = _recognise(path)
-    if kind.holds is Recording:
+    if holds_recording(path):
         if rate_hz is not None or columns is not None:
             raise InputError(
                 "a recording has its own times and columns; rate and columns apply to static logs", where=str(path)
             )
-        return recording.read_recording(path)
+        return _recording(Path(path))
     return read_log(path, rate_hz=rate_hz, columns=columns).series()
 
 
+def _recording(path: Path) -> Recording:
+    return recording.read_recording(path) if layout_of(path) == "recording" else opened(path).recording()
+
+
 def read_recording(path: str | Path) -> Recording:
-    """Read a dynamic recording; raises :class:`~insemu.errors.InputError` where the file holds a static log."""
-    data = read(path)
-    if not isinstance(data, Recording):
+    """Read a dynamic recording; raises :class:`~insemu.errors.InputError` where the file holds a static log of our own layout."""
+    if layout_of(path) == "log":
         raise InputError("is a static log, expected a recording with imu_t, imu and gnss_t, gnss_llh", where=str(path))
-    return data
+    return _recording(Path(path))
+
+
+def read_log(path: str | Path, *, rate_hz: float | None = None, columns: Iterable[str] | None = None) -> Log:
+    """Read a static log without judging its content, from our own layouts or anybody's; see :func:`insemu.formats.static.read_log`."""
+    layout = layout_of(path)
+    if layout != "foreign":
+        return static.read_log(path, rate_hz=rate_hz, columns=columns)
+    return _log_of(opened(path), rate_hz, columns)
+
+
+def _log_of(found: Opened, rate_hz: float | None, columns: Iterable[str] | None) -> Log:
+    """The IMU of foreign files as a log: six columns in SI at their median rate."""
+    imu = found.recording().imu
+    rate = static.round_rate(1.0 / imu.dt)
+    if rate_hz is not None and abs(rate_hz / rate - 1.0) > 0.02:
+        raise InputError(
+            f"the rate is said to be {rate_hz:g} Hz, but the stamps step by {imu.dt:.6g} s", where=found.source
+        )
+    values = np.hstack([imu.gyro, imu.accel]) / (imu.dt if imu.kind == "increment" else 1.0)
+    keep = list(range(6))
+    if columns is not None:
+        columns = list(columns)
+        names = [*COLUMNS, *AXIS_OF_COLUMN.values()]
+        unknown = next((c for c in columns if c not in names), None)
+        if unknown is not None:
+            raise InputError(f"has no column '{unknown}'" + nearest(unknown, names), where=found.source)
+        keep = [k for k, c in enumerate(COLUMNS) if {c, AXIS_OF_COLUMN[c]} & set(columns)]
+    units = ["rad/s"] * 3 + ["m/s^2"] * 3
+    assumed = {role for role in ("gyro", "accel") if any(a.startswith(role) for a in found.assumed)}
+    stated = ["" if role in assumed else u for u, role in zip(units, ["gyro"] * 3 + ["accel"] * 3, strict=True)]
+    return Log(
+        found.source,
+        tuple(COLUMNS[k] for k in keep),
+        tuple(units[k] for k in keep),
+        tuple(stated[k] for k in keep),
+        tuple(np.ascontiguousarray(values[:, k]) for k in keep),
+        rate,
+        imu.t,
+    )
 
 
 def read_static(
     path: str | Path, *, rate_hz: float | None = None, columns: Iterable[str] | None = None
 ) -> list[Series]:
     """Read a static log as :func:`read`; raises :class:`~insemu.errors.InputError` where the file holds a dynamic recording."""
-    if _recognise(Path(path)).holds is Recording:
+    if holds_recording(path):
         raise InputError(
             "is a dynamic recording, expected a static log (data or counts, fs, columns, units; or CSV)",
             where=str(path),
         )
-    data = read(path, rate_hz=rate_hz, columns=columns)
-    assert isinstance(data, list)
-    return data
+    return read_log(path, rate_hz=rate_hz, columns=columns).series()
 
 
 def write(path: str | Path, data: Data) -> Path:
@@ -133,25 +219,23 @@ def write(path: str | Path, data: Data) -> Path:
         A suffix that is not known for this kind of data; series of different lengths or rates.
     """
     path = Path(path)
-    holds = Recording if isinstance(data, Recording) else Series
-    for kind in FORMATS:
-        if kind.holds is holds and kind.writes(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            kind.write(path, data)
-            return path
-    expected = ".npz or a folder" if holds is Recording else ".npz or .csv"
-    raise InputError(f"cannot write '{path.suffix}' files, expected {expected}", where=str(path))
+    if isinstance(data, Recording):
+        if path.suffix not in (".npz", ""):
+            raise InputError(f"cannot write '{path.suffix}' files, expected .npz or a folder", where=str(path))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        recording.write_recording(path, data)
+        return path
+    if path.suffix != ".npz" and not static.is_text(path):
+        raise InputError(f"cannot write '{path.suffix}' files, expected .npz or .csv", where=str(path))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    static.write_log(path, data)
+    return path
 
 
 def holds_recording(path: str | Path) -> bool:
     """Whether :func:`read` takes an existing path for a dynamic recording rather than a static log."""
-    return _recognise(Path(path)).holds is Recording
-
-
-def _recognise(path: Path) -> Format:
-    if not path.exists():
-        raise FileNotFoundError(2, "No such file or directory", str(path))
-    for kind in FORMATS:
-        if kind.recognises(path):
-            return kind
-    raise InputError(f"unknown kind of file '{path.suffix}', expected .npz, .csv, .npy or a folder", where=str(path))
+    layout = layout_of(path)
+    if layout != "foreign":
+        return layout == "recording"
+    found = opened(path)
+    return found.gnss is not None or found.reference is not None

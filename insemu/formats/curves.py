@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.errors import InputError
+from insemu.formats.decoding import decoding
 
 Array = NDArray[np.float64]
 
@@ -47,27 +48,28 @@ def read_curves(path: str | Path) -> list[NamedCurve]:
         No JSON, or no curve in it.
     """
     path = Path(path)
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, UnicodeDecodeError) as error:
-        raise InputError(f"is not JSON ({error})", where=str(path)) from None
-    out: list[NamedCurve] = []
-    if isinstance(content, dict) and isinstance(content.get("axes"), dict):
-        for name, axis in content["axes"].items():
-            curve = axis.get("wavelet_variance", {}) if isinstance(axis, dict) else {}
-            out.extend(_curve(path.stem + " " + name, _is_gyro(name), curve.get("tau_s"), curve.get("value")))
-    elif isinstance(content, dict):
-        for sensor, entry in content.items():
-            if not isinstance(entry, dict) or not isinstance(entry.get("wvar"), dict):
-                continue
-            rate = float(np.atleast_1d(entry.get("freq", [1.0]))[0])
-            for name, axis in entry["wvar"].items():
-                values = axis.get("variance") if isinstance(axis, dict) else None
-                tau = None if values is None else (2.0 ** np.arange(1, len(values) + 1) / rate).tolist()
-                out.extend(_curve(f"{sensor} {name}", _is_gyro(name), tau, values))
-    if not out:
-        raise InputError("holds no wavelet variance curve", where=str(path))
-    return out
+    with decoding(path, "variance curves"):
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+        except (ValueError, RecursionError) as error:
+            raise InputError(f"is not JSON ({error})", where=str(path)) from None
+        out: list[NamedCurve] = []
+        if isinstance(content, dict) and isinstance(content.get("axes"), dict):
+            for name, axis in content["axes"].items():
+                curve = axis.get("wavelet_variance", {}) if isinstance(axis, dict) else {}
+                out.extend(_curve(path.stem + " " + name, _is_gyro(name), curve.get("tau_s"), curve.get("value")))
+        elif isinstance(content, dict):
+            for sensor, entry in content.items():
+                if not isinstance(entry, dict) or not isinstance(entry.get("wvar"), dict):
+                    continue
+                rate = float(np.atleast_1d(entry.get("freq", [1.0]))[0])
+                for name, axis in entry["wvar"].items():
+                    values = axis.get("variance") if isinstance(axis, dict) else None
+                    tau = None if values is None else (2.0 ** np.arange(1, len(values) + 1) / rate).tolist()
+                    out.extend(_curve(f"{sensor} {name}", _is_gyro(name), tau, values))
+        if not out:
+            raise InputError("holds no wavelet variance curve", where=str(path))
+        return out
 
 
 def _curve(label: str, is_gyro: bool | None, tau: Any, value: Any) -> list[NamedCurve]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -10,39 +9,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.errors import InputError
+from insemu.formats.decoding import decoding
 
 
 def load_npz(path: Path) -> dict[str, NDArray[Any]]:
     """Return all arrays of an ``.npz``; raises :class:`~insemu.errors.InputError` for pickled or broken files."""
     arrays: dict[str, NDArray[Any]] = {}
-    try:
-        with path.open("rb") as handle, np.load(handle, allow_pickle=False) as file:
+    with decoding(path, "a NumPy archive"), path.open("rb") as handle:
+        file = np.load(handle, allow_pickle=False)
+        if not isinstance(file, np.lib.npyio.NpzFile):
+            raise InputError("is one NumPy array, expected an archive of several", where=str(path))
+        with file:
             for key in file.files:
                 try:
                     arrays[key] = file[key]
                 except ValueError as error:
                     raise InputError(_reason(error), where=f"{path}: {key}") from None
-    except (zipfile.BadZipFile, OSError, EOFError, AttributeError) as error:
-        raise InputError(f"cannot be read as a NumPy archive ({error})", where=str(path)) from None
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(_reason(error), where=str(path)) from None
     return arrays
+
+
+def keys_of(path: Path) -> frozenset[str]:
+    """Return the names of the arrays in an ``.npz`` without reading them; raises :class:`~insemu.errors.InputError` for a broken file."""
+    with decoding(path, "a NumPy archive"), path.open("rb") as handle, np.load(handle, allow_pickle=False) as file:
+        return frozenset(file.files)
 
 
 def load_npy(path: Path, *, map_file: bool = False) -> NDArray[Any]:
     """Return the array of an ``.npy`` (memory-mapped on request)."""
-    try:
-        return (
-            np.asarray(np.load(path, allow_pickle=False))
-            if not map_file
-            else np.load(path, mmap_mode="r", allow_pickle=False)
-        )
-    except (OSError, EOFError) as error:
-        raise InputError(f"cannot be read as a NumPy array ({error})", where=str(path)) from None
-    except ValueError as error:
-        raise InputError(_reason(error), where=str(path)) from None
+    with decoding(path, "a NumPy array"):
+        try:
+            if map_file:
+                return np.load(path, mmap_mode="r", allow_pickle=False)
+            return np.asarray(np.load(path, allow_pickle=False))
+        except ValueError as error:
+            raise InputError(_reason(error), where=str(path)) from None
 
 
 def _reason(error: ValueError) -> str:

@@ -9,7 +9,6 @@ Keys: ``imu_kind`` (increment, mean, sample; default sample), ``imu_t``, ``imu``
 from __future__ import annotations
 
 import logging
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
@@ -18,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.errors import InputError
-from insemu.formats.npz import load_npy, load_npz, numbers, texts
+from insemu.formats.columns import split_header
+from insemu.formats.decoding import decoding, open_text
+from insemu.formats.npz import keys_of, load_npy, load_npz, numbers, texts
 from insemu.formats.text import read_table, write_table
 from insemu.records import COLUMNS, GnssRecord, ImuKind, ImuRecord, Recording, Trajectory
 from insemu.units import parse_unit
@@ -63,13 +64,21 @@ _CSV_UNITS = {
 
 def is_npz_recording(path: Path) -> bool:
     """Whether an ``.npz`` holds a recording (``imu`` with ``imu_t``) rather than a static log."""
-    if path.suffix != ".npz" or not path.is_file():
+    return path.suffix == ".npz" and path.is_file() and bool({"imu_t", "imu"} & keys_of(path))
+
+
+def is_folder_recording(path: Path) -> bool:
+    """Whether a folder holds a recording in our own layout (``KEY.npy`` files, or ``imu.csv`` with ``gx``)."""
+    if not path.is_dir():
         return False
-    try:
-        with path.open("rb") as handle, np.load(handle, allow_pickle=False) as file:
-            return "imu_t" in file.files or "imu" in file.files
-    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
-        raise InputError(f"cannot be read as a NumPy archive ({error})", where=str(path)) from None
+    if (path / "imu_t.npy").exists() or (path / "imu.npy").exists():
+        return True
+    file = path / "imu.csv"
+    with decoding(file, "text"):
+        if not file.is_file():
+            return False
+        with open_text(file) as lines:
+            return "gx" in {split_header(c)[0].lower().removeprefix("imu_") for c in lines.readline().split(",")}
 
 
 def read_recording(path: Path) -> Recording:
@@ -235,28 +244,25 @@ def _folder(path: Path) -> dict[str, NDArray[Any]]:
             arrays.update(_group(file, group, keys))
     kind = path / "imu_kind.txt"
     if kind.exists():
-        arrays["imu_kind"] = np.array(kind.read_text(encoding="utf-8").strip())
+        with decoding(kind, "text"):
+            arrays["imu_kind"] = np.array(kind.read_text(encoding="utf-8").strip())
     if not arrays:
         raise InputError("is no recording: a folder needs imu_t.npy and imu.npy, or imu.csv", where=str(path))
     return arrays
 
 
 def _group(file: Path, group: str, keys: Mapping[str, tuple[str, ...]]) -> dict[str, NDArray[Any]]:
-    from insemu.formats.static import _HEADER
-
     header, block = read_table(file)
     if header is None:
         raise InputError("has no header; expected names of columns, with units in brackets", where=str(file))
     columns: dict[str, Array] = {}
     units: dict[str, str] = {}
     for k, cell in enumerate(header):
-        match = _HEADER.match(cell.strip())
-        assert match is not None
-        name = match["name"].strip().lower().removeprefix(f"{group}_")
+        name, unit = split_header(cell)
+        name = name.lower().removeprefix(f"{group}_")
         name = _ALIASES.get(name, name)
         if name in columns:
             raise InputError(f"column '{name}' appears more than once", where=str(file))
-        unit = (match["unit"] or "").strip()
         columns[name] = block[:, k]
         if name in COLUMNS:
             units[name] = unit

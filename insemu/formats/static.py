@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import logging
 import mmap
-import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.errors import InputError, nearest
+from insemu.formats.clocks import stamp_unit
+from insemu.formats.columns import split_header, words_of
 from insemu.formats.npz import load_npy, load_npz, numbers, scalar, texts
 from insemu.formats.text import is_text, read_table, write_table
 from insemu.records import AXES, COLUMNS, Series
@@ -140,7 +141,7 @@ def read_log(path: str | Path, *, rate_hz: float | None = None, columns: Iterabl
         _check_times(t, str(path))
         step = float(np.median(np.diff(t))) if t.size > 1 else np.nan
         if rate is None and np.isfinite(step):
-            rate = _round_rate(1.0 / step)
+            rate = round_rate(1.0 / step)
         stated = rate_hz if rate_hz is not None else rate
         if stated is not None and np.isfinite(step) and abs(stated * step - 1.0) > 0.02:
             raise InputError(
@@ -230,24 +231,31 @@ def _default_names(width: int, path: Path) -> list[str]:
     return [path.stem] if width == 1 else [f"column_{k + 1}" for k in range(width)]
 
 
-_HEADER = re.compile(r"^(?P<name>.*?)\s*(?:[\[(](?P<unit>[^\])]*(?:\([^)]*\)[^\])]*)*)[\])])?$")
-
-
 def _csv(path: Path) -> _Parts:
     header, block = read_table(path)
     if header is None:
-        names, units = _default_names(block.shape[1], path), [""] * block.shape[1]
-        return names, units, list(block.T), None, None
-    names, units = [], []
-    for cell in header:
-        match = _HEADER.match(cell.strip())
-        assert match is not None  # the pattern takes any text
-        names.append(match["name"].strip() or "column")
-        units.append((match["unit"] or "").strip())
+        at = 0 if block.shape[1] > 1 and _is_time(block[:, 0]) else None
+        width = block.shape[1] - (at is not None)
+        names, units = _default_names(width, path), [""] * width
+        if at is not None:
+            names, units = ["", *names], ["", *units]
+    else:
+        cells = [split_header(cell) for cell in header]
+        names, units = [n or "column" for n, _ in cells], [u for _, u in cells]
+        at = next((k for k, n in enumerate(names) if n.lower() in _TIME_NAMES), None)
+        if (
+            at is None
+            and set(words_of(names[0])) & {"time", "timestamp", "stamp", "tow", "sow"}
+            and _is_time(block[:, 0], even=False)
+        ):
+            at = 0
     t = None
-    at = next((k for k, n in enumerate(names) if n.lower() in _TIME_NAMES), None)
     if at is not None and len(names) > 1:
-        unit = units[at] or "s"
+        unit = units[at]
+        if not unit:
+            unit, evidence = stamp_unit(block[:, at], names[at])
+            if unit != "s":
+                _LOGGER.warning("%s: the times are taken as %s (%s)", path, unit, evidence)
         parsed = parse_unit(unit)
         if parsed.dimension != parse_unit("s").dimension:
             raise InputError(
@@ -257,6 +265,14 @@ def _csv(path: Path) -> _Parts:
         block = np.delete(block, at, axis=1)
         del names[at], units[at]
     return names, units, list(np.ascontiguousarray(block.T)), t, None
+
+
+def _is_time(x: Array, *, even: bool = True) -> bool:
+    """Whether a column rises from row to row as times do: by nearly the same step. No sensor's noise does that."""
+    step = np.diff(x)
+    if step.size < 2 or not (step > 0).all():
+        return False
+    return not even or bool(np.quantile(np.abs(step - np.median(step)), 0.9) <= 0.5 * np.median(step))
 
 
 def _check_times(t: Array, source: str) -> None:
@@ -272,7 +288,7 @@ def _check_times(t: Array, source: str) -> None:
         )
 
 
-def _round_rate(rate: float) -> float:
+def round_rate(rate: float) -> float:
     """A rate within 1e-4 of a whole number is that number: stamps are rounded."""
     whole = round(rate)
     return float(whole) if whole > 0 and abs(rate / whole - 1.0) < 1e-4 else rate

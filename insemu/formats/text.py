@@ -5,12 +5,12 @@ from __future__ import annotations
 import gzip
 import warnings
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from insemu.errors import InputError
+from insemu.formats.decoding import decoding, open_text
 
 Array = NDArray[np.float64]
 
@@ -22,12 +22,6 @@ def is_text(path: Path) -> bool:
     """Whether the path names delimited text (possibly gzipped)."""
     name = path.name.lower()
     return name.endswith(_SUFFIXES) or name.endswith(tuple(s + ".gz" for s in _SUFFIXES))
-
-
-def _open(path: Path) -> IO[str]:
-    if path.name.lower().endswith(".gz"):
-        return gzip.open(path, "rt", encoding="utf-8-sig")
-    return path.open(encoding="utf-8-sig")
 
 
 def _delimiter(line: str) -> str | None:
@@ -52,8 +46,8 @@ def read_table(path: Path) -> tuple[list[str] | None, Array]:
     InputError
         A cell that is not a number, a line with another number of cells, no data: with the line's number.
     """
-    try:
-        with _open(path) as file:
+    with decoding(path, "text"):
+        with open_text(path) as file:
             skipped = 0
             line = file.readline()
             while line and (not line.strip() or line.lstrip()[0] in "#%"):
@@ -75,12 +69,11 @@ def read_table(path: Path) -> tuple[list[str] | None, Array]:
                     block = np.loadtxt(file, delimiter=delimiter, ndmin=2, dtype=np.float64)
             except ValueError:
                 block = None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read as text ({error})", where=str(path)) from None
     if header is not None and delimiter is None and block is not None and block.size and block.shape[1] == 1:
         header = cells = [line.strip().strip('"')]  # one column: its header may hold blanks
     if block is None or block.size == 0 or block.shape[1] != len(cells):
-        block = _slow(path, delimiter, first, len(cells))
+        with decoding(path, "text"):
+            block = _slow(path, delimiter, first, len(cells))
     return header, block
 
 
@@ -93,7 +86,7 @@ def _single(line: str) -> list[str]:
 def _slow(path: Path, delimiter: str | None, first: int, width: int) -> Array:
     """Cell by cell: accepts empty cells, and finds the line that is wrong."""
     rows: list[list[float]] = []
-    with _open(path) as file:
+    with open_text(path) as file:
         for number, line in enumerate(file, start=1):
             if number <= first or not line.strip() or line.lstrip()[0] in "#%":
                 continue

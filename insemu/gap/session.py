@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from insemu.blas import on_one_thread
+from insemu.effects import adds, join_of, joined
 from insemu.errors import InputError
 from insemu.gap.beliefs.nominal import Nominal
-from insemu.gap.beliefs.refined import joined, refined_nominal, uses_of
+from insemu.gap.beliefs.refined import refined_nominal, uses_of
 from insemu.gap.candidates.mounting import Mounted, find_mounting
 from insemu.gap.candidates.timing import find_offset
 from insemu.gap.data.sources import StaticLog
@@ -226,11 +227,11 @@ def _closer(report: GapReport, more: GapReport, settled: Collection[str]) -> Gap
     changed = False
     for m in more.steps:
         k = next((k for k, s in enumerate(steps) if (s.effect, s.sensor) == (m.effect, m.sensor)), None)
-        if k is None and m.sensor not in ("gnss", "imu") and m.effect not in _ADDED:
+        if k is None and m.sensor not in ("gnss", "imu") and not adds(m.effect):
             continue  # what the IMU shows above its motion was searched once; more of it would only chase what changes with time
         if k is None:
             steps.append(m)
-        elif m.sensor in ("gnss", "imu") or m.effect in _ADDED:
+        elif m.sensor in ("gnss", "imu") or adds(m.effect):
             steps[k] = _corrected(steps[k], m)
         else:
             continue  # more of a process that is named
@@ -250,12 +251,6 @@ def _closer(report: GapReport, more: GapReport, settled: Collection[str]) -> Gap
     )
 
 
-#: Deterministic effects of a sensor whose values add up.
-_ADDED = frozenset(
-    {"turn_on_bias", "scale_factor", "scale_asymmetry", "misalignment", "g_sensitivity", "temperature", "ramp"}
-)
-
-
 def _corrected(old: Step, new: Step) -> Step:
     """A step with a later pass's correction: values add up, factors multiply, of colour the larger stands."""
     known = {v.name: v for v in old.parameters}
@@ -264,9 +259,9 @@ def _corrected(old: Step, new: Step) -> Step:
         was = known.get(v.name)
         if was is None:
             values[v.name] = v
-        elif v.name == "factor":
+        elif join_of(new.effect, v.name) == "product":
             values[v.name] = Value(v.name, v.value * was.value, v.low * was.value, v.high * was.value, v.unit)
-        elif v.name.partition("_")[0] in ("value", "offset", "drift", "fraction", "rpy", "c1", "c2", "c3", "R"):
+        elif join_of(new.effect, v.name) == "sum":
             values[v.name] = _shifted(v, was.value)
     axes = tuple(dict.fromkeys((*old.axes, *new.axes)))
     return replace(old, axes=axes, parameters=tuple(values.values()))
@@ -276,10 +271,10 @@ def _pruned(step: Step) -> Step | None:
     """A step less what a correction took back: parameters whose interval holds zero, levels that are nominal."""
     if any(v.name == "factor" and abs(math.log(v.value)) < math.log1p(rules().tolerance) for v in step.parameters):
         return None
-    if step.effect not in _ADDED | {"lever_arm"}:
+    if not adds(step.effect) and step.effect != "lever_arm":
         return step
-    kept = tuple(v for v in step.parameters if not v.low < 0.0 < v.high or v.name in ("T0", "lag"))
-    if not any(v.name not in ("T0", "lag") for v in kept):
+    kept = tuple(v for v in step.parameters if not v.low < 0.0 < v.high or join_of(step.effect, v.name) == "equal")
+    if not any(join_of(step.effect, v.name) != "equal" for v in kept):
         return None
     shown = {v.name.partition("_")[2][:1] for v in kept}
     axes = tuple(a for a in step.axes if a in shown) or step.axes

@@ -4,12 +4,13 @@ Only this room knows what was hidden and what was said; :mod:`insemu.gap` sees t
 """
 
 from insemu.trial.run import Job, Plan, Trial, catalogue_of, known_effects, run_trial
-from insemu.trial.score import Scores, interval, score_trials
+from insemu.trial.score import DEFINITIONS, Score, interval, score_trials
 
 __all__ = [
+    "DEFINITIONS",
     "Job",
     "Plan",
-    "Scores",
+    "Score",
     "Trial",
     "catalogue_of",
     "interval",

@@ -66,6 +66,8 @@ class Hidden:
     beside : float
         What it is expected to add where everything else that was hidden is known already except in its size; NaN where the trial has no
         measure of it.
+    values : tuple of (str, tuple of float)
+        True parameters as a report states them, SI: the whole level of a sensor's or a receiver's noise, where the effect raises that.
     """
 
     effect: str
@@ -75,6 +77,21 @@ class Hidden:
     nats: float = math.nan
     scales_for_20: float = math.nan
     beside: float = math.nan
+    values: tuple[tuple[str, tuple[float, ...]], ...] = ()
+
+    def true(self, name: str, axes: Sequence[str]) -> float | None:
+        """True value of a reported parameter (``value_z``, ``sigma_north``, ``factor`` on the axes of its step); None where it has none."""
+        values = dict(self.values)
+        key, _, label = name.rpartition("_")
+        if name in values:
+            key, label = name, axes[0] if len(set(axes)) == 1 else ""
+        if key not in values:
+            return None
+        given = values[key]
+        if len(given) == 1:
+            return given[0]
+        labels = {3: (*"xyz", *NED), 6: CROSS, 9: tuple(a + b for a in "xyz" for b in "xyz")}[len(given)]
+        return given[labels.index(label) % len(given)] if label in labels else None
 
 
 def paid(half_square: float) -> float:
@@ -228,6 +245,19 @@ class Stage:
     with_reference: bool
     nominal: Nominal
     stated: tuple[Array, Array]
+
+    def true_values(self, use: EffectUse) -> tuple[tuple[str, tuple[float, ...]], ...]:
+        """Parameters of an effect as a report states them: levels as a whole, relative to what is stated of the fixes."""
+        values = dict(use.values)
+        if use.id == "white_noise":
+            own = [self.truth[f"{use.sensor}_{a}"].processes[0].parameters["N"] for a in "xyz"]
+            values["N"] = tuple(math.hypot(a, b) for a, b in zip(values["N"], own, strict=True))
+        elif use.id in ("gnss_noise_level", "gnss_velocity_noise"):
+            true, stated = (
+                (self.sigma, self.stated[0]) if use.id == "gnss_noise_level" else (self.sigma_v, self.stated[1])
+            )
+            values["factor"] = tuple(float(x) for x in np.array(values["factor"]) * true / stated)
+        return tuple(values.items())
 
     def record(self, effects: Sequence[EffectUse] = (), outside: str = "", size: float = 0.0) -> Recording:
         """Emulate the recording, with effects hidden in it or with something that no catalogue holds."""
@@ -469,11 +499,24 @@ def size_effect(
         return use, replace(hidden, nats=0.0)
     wanted = target if use.id in _SIZED else 3.0 * target + 10.0
     factor = min(math.sqrt(wanted / half), LARGEST)
-    sized = EffectUse(use.id, use.sensor, {**use.values, key: tuple(v * factor for v in use.values[key])})
+    sized = scaled(use, factor)
     if use.id in _DRAWN:
         return sized, replace(hidden, strength=factor)
     # half - log(1 + 2 half) / 2 = 20 at half = 21.9
     return sized, replace(hidden, strength=factor, nats=paid(half * factor**2), scales_for_20=math.sqrt(21.9 / half))
+
+
+def is_scaled(use: EffectUse) -> bool:
+    """Whether the trial sizes this effect."""
+    return use.id in _SIZED or use.id in _DRAWN
+
+
+def scaled(use: EffectUse, factor: float) -> EffectUse:
+    """An effect that the trial sizes, so many times as large; any other as it is."""
+    if not is_scaled(use):
+        return use
+    key = _SIZED.get(use.id) or _DRAWN[use.id]
+    return EffectUse(use.id, use.sensor, {**use.values, key: tuple(v * factor for v in use.values[key])})
 
 
 def _level_nats(s: Stage, use: EffectUse) -> float:

@@ -105,6 +105,8 @@ class HiddenLog:
         Where it is hidden.
     known : Log
         What only the maker knows of that axis.
+    sizes : tuple of float
+        Strengths of ``uses``, from which the same log can be made without sizing anything.
     """
 
     log: list[Series]
@@ -115,6 +117,7 @@ class HiddenLog:
     uses: tuple[EffectUse, ...]
     axis: int
     known: Log
+    sizes: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -122,8 +125,9 @@ class Sized:
     """An effect with numbers, and the nats that it is expected to be worth alone and beside the others."""
 
     use: EffectUse
-    alone: float
-    beside: float
+    strength: float
+    alone: float = math.nan
+    beside: float = math.nan
 
 
 def together(makers: Sequence[Callable[[float], EffectUse]], log: Log, target: float) -> list[Sized]:
@@ -140,7 +144,7 @@ def together(makers: Sequence[Callable[[float], EffectUse]], log: Log, target: f
             strengths[k] *= min(max(lacking, 1.2), MOST_RAISE)
             uses[k] = makers[k](strengths[k])
         beside = [log.worth(u, [v for v in uses if v is not u]) for u in uses]
-    return [Sized(u, log.worth(u), w) for u, w in zip(uses, beside, strict=True)]
+    return [Sized(u, s, log.worth(u), w) for u, s, w in zip(uses, strengths, beside, strict=True)]
 
 
 def wrong(truth: NoiseModel, rng: np.random.Generator) -> NoiseModel:
@@ -162,6 +166,7 @@ def static_recording(
     axes: int = 3,
     sensors: Sequence[str] = SENSORS,
     outside: str = "",
+    sizes: Sequence[float] = (),
 ) -> HiddenLog:
     """Make a log of gyroscope axes at rest with hidden effects on one axis.
 
@@ -180,6 +185,8 @@ def static_recording(
         Nominal sensors to draw from.
     outside : str
         One of :data:`STATIC_OUTSIDE`, hidden besides.
+    sizes : sequence of float
+        Strengths of the effects (and of one that is hidden besides), where they are known; none: sized for ``target``.
     """
     rng = np.random.default_rng(seed)
     n, dt = int(hours * 3600.0 * rate_hz), 1.0 / rate_hz
@@ -193,7 +200,11 @@ def static_recording(
     log = Log(truth[AXES[axis]], beliefs[AXES[axis]], n, dt, axis, temperature)
     looked = [e for e in effects if e != "none"]
     wanted = looked + ([outside] if outside in EFFECTS else [])
-    made = together([shape(e, n, dt, log.white, axis, rng) for e in wanted], log, target)
+    makers = [shape(e, n, dt, log.white, axis, rng) for e in wanted]
+    if sizes:
+        made = [Sized(make(s), s) for make, s in zip(makers, sizes, strict=True)]
+    else:
+        made = together(makers, log, target)
     uses = tuple(s.use for s in made)
     # the emulator makes three axes; those that are not asked for are left out
     full = {a: truth.get(a, truth[names[0]]) for a in AXES[:3]}
@@ -214,7 +225,19 @@ def static_recording(
             () if e in ("decimation_filter", "dropped_samples") else ("xyz"[axis],),
             nats=s.alone,
             beside=s.beside if len(made) > 1 else math.nan,
+            values=_true_values(s.use, log.white),
         )
         for e, s in zip(looked, made, strict=False)
     )
-    return HiddenLog(list(seen.axes[:axes]), beliefs, seen.temperature, seen.missing, hidden, uses, axis, log)
+    strengths = tuple(s.strength for s in made)
+    return HiddenLog(
+        list(seen.axes[:axes]), beliefs, seen.temperature, seen.missing, hidden, uses, axis, log, strengths
+    )
+
+
+def _true_values(use: EffectUse, white: float) -> tuple[tuple[str, tuple[float, ...]], ...]:
+    """Parameters of an effect as a report states them: white noise as the level that it makes."""
+    values = dict(use.values)
+    if use.id == "white_noise":
+        values["N"] = tuple(math.hypot(v, white) for v in values["N"])
+    return tuple(values.items())

@@ -8,13 +8,10 @@ from __future__ import annotations
 
 import json
 import math
-import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, replace
 from functools import cache
-from multiprocessing import active_children
 from pathlib import Path
 from typing import Any, Literal
 
@@ -28,21 +25,26 @@ from insemu.gap.policy import rules
 from insemu.gap.problems.rest import find_static_gap
 from insemu.gap.session import find_gap
 from insemu.gap.verdict import GapReport
+from insemu.records import Recording
 from insemu.trial.drives import (
     DYNAMIC_EFFECTS,
     OUTSIDE,
     TARGETS,
     Hidden,
+    Stage,
     draw_use,
     drawn_outliers,
+    is_scaled,
     oracle,
     oracle_knows,
+    scaled,
     size_effect,
     stage,
     whitened_difference,
     worth_beside,
 )
 from insemu.trial.logs import STATIC_EFFECTS, STATIC_OUTSIDE, static_recording
+from insemu.work import Lines, processes, run_items
 
 Array = NDArray[np.float64]
 Kind = Literal["static", "dynamic"]
@@ -50,7 +52,7 @@ Kind = Literal["static", "dynamic"]
 
 @dataclass(frozen=True)
 class Said:
-    """A step of an answer: effect, sensor and axes, its class (each with its axes), confidence and evidence."""
+    """A step of an answer: effect, sensor and axes, its class (each with its axes), confidence, evidence, parameters with their 95 % interval."""
 
     effect: str
     sensor: str
@@ -59,6 +61,7 @@ class Said:
     gain_nats: float
     members: tuple[tuple[str, str, tuple[str, ...]], ...]
     runners_up: tuple[str, ...] = ()
+    values: tuple[tuple[str, float, float, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -81,6 +84,8 @@ class Trial:
     held_out, oracle : float
         Gain per fix on held-out data, of the answer and of the truth.
     seconds : float
+    sizes : tuple of float
+        Strengths that make the same recording without sizing anything.
     """
 
     kind: Kind
@@ -94,6 +99,7 @@ class Trial:
     held_out: float = math.nan
     oracle: float = math.nan
     seconds: float = math.nan
+    sizes: tuple[float, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """As plain data; what is not finite becomes null."""
@@ -119,6 +125,7 @@ class Trial:
                 number(h["nats"]),
                 number(h["scales_for_20"]),
                 number(h.get("beside")),
+                tuple((name, tuple(v)) for name, v in h.get("values", ())),
             )
             for h in plain["hidden"]
         )
@@ -126,13 +133,14 @@ class Trial:
             Said(
                 s["effect"], s["sensor"], tuple(s["axes"]), number(s["confidence"]), number(s["gain_nats"]),
                 tuple((m[0], m[1], tuple(m[2])) for m in s["members"]), tuple(s["runners_up"]),
+                tuple((v[0], number(v[1]), number(v[2]), number(v[3])) for v in s.get("values", ())),
             )
             for s in plain["steps"]
         )  # fmt: skip
         gap = tuple(number(x) for x in plain["gap_after"])
         return cls(
             plain["kind"], plain["seed"], hidden, plain["outside"], plain["track"], plain["verdict"], steps, (gap[0], gap[1], gap[2]),
-            number(plain["held_out"]), number(plain["oracle"]), number(plain["seconds"]),
+            number(plain["held_out"]), number(plain["oracle"]), number(plain["seconds"]), tuple(plain.get("sizes", ())),
         )  # fmt: skip
 
 
@@ -141,7 +149,7 @@ def said(report: GapReport) -> tuple[Said, ...]:
     return tuple(
         Said(
             s.effect, s.sensor, tuple(s.axes), s.confidence, s.gain_nats, tuple((m.effect, m.sensor, tuple(m.axes)) for m in s.members),
-            tuple(m.effect for m in s.runners_up),
+            tuple(m.effect for m in s.runners_up), tuple((p.name, float(p.value), float(p.low), float(p.high)) for p in s.parameters),
         )
         for s in report.steps
     )  # fmt: skip
@@ -150,99 +158,111 @@ def said(report: GapReport) -> tuple[Said, ...]:
 # -- a log at rest --------------------------------------------------------------------------------------------------------------------
 
 
-def run_static(
-    effects: Sequence[str], target: float, seed: int, hours: float = 1.0, hold_out: bool = False, outside: str = ""
-) -> Trial:
-    """Hide, look, score: one log at rest.
-
-    Parameters
-    ----------
-    effects : sequence of str
-        To be hidden together on one axis; none of them for a log in which nothing is missing.
-    target : float
-        Evidence, in nats, that each is sized for.
-    outside : str
-        Instead of effects: something that no catalogue holds.
-    """
-    made = static_recording(effects, target, seed, hours, outside=outside)
+def run_static(job: Job) -> Trial:
+    """Hide, look, score: one log at rest."""
+    made = static_recording(job.effects, job.strength, job.seed, job.hours, outside=job.outside, sizes=job.sizes)
     started = time.process_time()
     report = find_static_gap(
-        made.log, made.beliefs, rng=np.random.default_rng([seed, 1]), temperature=made.temperature, missing=made.missing,
-        hold_out=hold_out, without=(outside,) if outside in EFFECTS else (),
+        made.log, made.beliefs, rng=np.random.default_rng([job.seed, 1]), temperature=made.temperature, missing=made.missing,
+        hold_out=job.hold_out, without=(job.outside,) if job.outside in EFFECTS else (),
     )  # fmt: skip
     g = report.gap_after
     return Trial(
-        "static", seed, made.hidden, outside, "rest", report.verdict, said(report), (g.value, g.low, g.high), report.held_out.value,
-        math.nan, time.process_time() - started,
+        "static", job.seed, made.hidden, job.outside, "rest", report.verdict, said(report), (g.value, g.low, g.high), report.held_out.value,
+        math.nan, time.process_time() - started, made.sizes,
     )  # fmt: skip
 
 
 # -- a drive or flight ----------------------------------------------------------------------------------------------------------------
 
 
-def run_dynamic(
-    effects: Sequence[str],
-    target: float,
-    seed: int,
-    minutes: float = 10.0,
-    hold_out: bool = False,
-    outside: str = "",
-    rate_hz: float = 50.0,
-) -> Trial:
-    """Hide, look, score: one drive or flight.
+@dataclass(frozen=True)
+class HiddenDrive:
+    """A drive or flight with what is hidden in it.
 
     Parameters
     ----------
-    effects : sequence of str
-        To be hidden together; none of them for a recording in which nothing is missing.
-    target : float
-        Evidence, in nats, that each shaped effect is sized for.
-    outside : str
-        Instead of effects: something that no catalogue holds.
+    stage : Stage
+        What only the maker knows.
+    recording : Recording
+    uses : tuple of EffectUse
+    hidden : tuple of Hidden
+    sizes : tuple of float
+        Factors of ``uses`` and of what is outside the catalogue, from which the same recording can be made without sizing anything.
+    clean : callable
+        The nominal filter on the twin of the recording in which nothing is hidden.
     """
-    s = stage(seed, minutes, rate_hz, turn_on_bias="turn_on_bias" in effects)
-    rng = np.random.default_rng([seed, 3])
+
+    stage: Stage
+    recording: Recording
+    uses: tuple[EffectUse, ...]
+    hidden: tuple[Hidden, ...]
+    sizes: tuple[float, ...]
+    clean: Callable[[], Prepared]
+
+
+def moving_recording(job: Job) -> HiddenDrive:
+    """Make a drive or flight with something hidden in it."""
+    s = stage(job.seed, job.minutes, job.rate_hz, track=job.track or None, turn_on_bias="turn_on_bias" in job.effects)
+    rng = np.random.default_rng([job.seed, 3])
 
     @cache
     def clean() -> Prepared:
         return Flown.of(s.record(), s.nominal).prepared
 
-    uses, hidden, size = [], [], 0.0
-    for e in effects:
-        use, what = size_effect(s, clean, *draw_use(e, s, rng), target)
+    uses, hidden, sizes = [], [], []
+    for k, e in enumerate(job.effects):
+        use, what = draw_use(e, s, rng)
+        if job.sizes:
+            use, what = scaled(use, job.sizes[k]), replace(what, strength=job.sizes[k] * what.strength)
+        else:
+            use, what = size_effect(s, clean, use, what, job.strength)
         uses.append(use)
-        hidden.append(what)
-    if outside == "quadratic_accelerometer":
+        hidden.append(replace(what, values=s.true_values(use)))
+        sizes.append(what.strength if is_scaled(use) else 1.0)
+    if not job.outside:
+        return HiddenDrive(s, s.record(uses), tuple(uses), tuple(hidden), tuple(sizes), clean)
+    known = job.sizes[-1] if job.sizes else None
+    if job.outside == "quadratic_accelerometer":
         k2 = [0.0, 0.0, 0.0]
         k2[int(rng.integers(3))] = 1e-4 * float(rng.choice([-1.0, 1.0]))
-        use = EffectUse("scale_nonlinearity", "accel", {"K2": tuple(k2), "K3": (0.0,) * 3})
-        half = whitened_difference(clean().result, clean().on(s.record((use,))).result)
-        factor = min(math.sqrt(target / max(half, 1e-9)), 300.0)
-        uses.append(EffectUse(use.id, use.sensor, {"K2": tuple(v * factor for v in k2), "K3": (0.0,) * 3}))
+        size = known
+        if size is None:
+            half = whitened_difference(clean().result, clean().on(s.record((quadratic(k2),))).result)
+            size = min(math.sqrt(job.strength / max(half, 1e-9)), 300.0)
+        uses.append(quadratic([v * size for v in k2]))
         recording = s.record(uses)
-    elif outside:
-        size = 1.0
-        if outside == "heading_dependent_gnss":
-            half = whitened_difference(clean().result, clean().on(s.record((), outside, 0.1)).result)
-            size = 0.1 * math.sqrt(target / max(half, 1e-9))
-        else:
-            size = (
-                1.0
-                * s.truth["gyro_x"].processes[0].parameters["N"]
-                / math.sqrt(s.imu.dt)
-                * float(rng.choice([1.0, 2.0]))
-            )
-        recording = s.record((), outside, size)
     else:
-        recording = s.record(uses)
+        if job.outside == "heading_dependent_gnss":
+            size = known
+            if size is None:
+                half = whitened_difference(clean().result, clean().on(s.record((), job.outside, 0.1)).result)
+                size = 0.1 * math.sqrt(job.strength / max(half, 1e-9))
+        else:
+            sample = s.truth["gyro_x"].processes[0].parameters["N"] / math.sqrt(s.imu.dt)
+            size = sample * float(rng.choice([1.0, 2.0]))
+        recording = s.record((), job.outside, size)
+    return HiddenDrive(s, recording, tuple(uses), (), (*sizes, size), clean)
+
+
+def quadratic(k2: Sequence[float]) -> EffectUse:
+    """An accelerometer whose scale grows with what it measures."""
+    return EffectUse("scale_nonlinearity", "accel", {"K2": tuple(k2), "K3": (0.0,) * 3})
+
+
+def run_dynamic(job: Job) -> Trial:
+    """Hide, look, score: one drive or flight."""
+    made = moving_recording(job)
+    s, uses, clean = made.stage, made.uses, made.clean
+    hidden = list(made.hidden)
     started = time.process_time()
-    flown = Flown.of(recording, s.nominal.parted())
+    flown = Flown.of(made.recording, s.nominal.parted())
     report = find_gap(
-        recording, s.nominal, rng=np.random.default_rng([seed, 4]), hold_out=hold_out, pictures=False, flown=flown
-    )
+        made.recording, s.nominal, rng=np.random.default_rng([job.seed, 4]), hold_out=job.hold_out, pictures=False, flown=flown
+    )  # fmt: skip
     seconds = time.process_time() - started
     held = math.nan
-    if uses and not outside:
+    if uses and not job.outside and not job.sizes:
         start, end = float(flown.prepared.imu.t[0]), float(flown.prepared.imu.t[-1])
         cut = start + rules().naming_share * (end - start)
         whole = math.nan
@@ -260,8 +280,8 @@ def run_dynamic(
             hidden = [replace(h, beside=worth_beside(s, clean, uses, k)) for k, h in enumerate(hidden)]
     g = report.gap_after
     return Trial(
-        "dynamic", seed, tuple(hidden), outside, s.track, report.verdict, said(report), (g.value, g.low, g.high), report.held_out.value, held,
-        seconds,
+        "dynamic", job.seed, tuple(hidden), job.outside, s.track, report.verdict, said(report), (g.value, g.low, g.high), report.held_out.value, held,
+        seconds, made.sizes,
     )  # fmt: skip
 
 
@@ -270,7 +290,28 @@ def run_dynamic(
 
 @dataclass(frozen=True)
 class Job:
-    """One recording to be made and looked at; everything about it follows from these."""
+    """One recording to be made and looked at; everything about it follows from these.
+
+    Parameters
+    ----------
+    kind : {"static", "dynamic"}
+    effects : tuple of str
+        To be hidden together (at rest on one axis); none for a recording in which nothing is missing.
+    strength : float
+        Evidence, in nats, that each shaped effect is sized for.
+    seed : int
+    outside : str
+        Instead of effects: something that no catalogue holds.
+    hours, minutes : float
+        Length of a log at rest (h), of a drive or flight (min).
+    hold_out : bool
+    rate_hz : float
+        Of a drive or flight.
+    track : str
+        Which of the tracks; empty: drawn.
+    sizes : tuple of float
+        Strengths as an earlier run found them (:attr:`Trial.sizes`); none: worked out.
+    """
 
     kind: Kind
     effects: tuple[str, ...]
@@ -280,12 +321,18 @@ class Job:
     hours: float = 1.0
     minutes: float = 10.0
     hold_out: bool = False
+    rate_hz: float = 50.0
+    track: str = ""
+    sizes: tuple[float, ...] = ()
+
+    @property
+    def key(self) -> str:
+        """Under which a finished recording is kept."""
+        return json.dumps(asdict(self), sort_keys=True)
 
     def run(self) -> Trial:
         """Do it."""
-        if self.kind == "static":
-            return run_static(self.effects, self.strength, self.seed, self.hours, self.hold_out, self.outside)
-        return run_dynamic(self.effects, self.strength, self.seed, self.minutes, self.hold_out, self.outside)
+        return run_static(self) if self.kind == "static" else run_dynamic(self)
 
 
 @dataclass(frozen=True)
@@ -368,7 +415,11 @@ def known_effects(names: Sequence[str], kinds: Sequence[str] = ("static", "dynam
 
 
 def run_trial(
-    plan: Plan, *, workers: int = 1, done: Callable[[Trial], None] | None = None, log: Path | None = None
+    plan: Plan | Sequence[Job],
+    *,
+    workers: int = 1,
+    done: Callable[[Trial], None] | None = None,
+    log: Path | None = None,
 ) -> list[Trial]:
     """Run the trial.
 
@@ -388,79 +439,11 @@ def run_trial(
     InputError
         A log that is no log of a trial.
     """
-    out: list[Trial] = []
-    known = _read_log(log) if log is not None else {}
-    if log is not None and log.exists():
-        _without_remnant(log)
-    todo: list[tuple[int, Job]] = []
-
-    def keep(trial: Trial) -> None:
-        out.append(trial)
-        if done:
-            done(trial)
-
-    for k, job in enumerate(plan.jobs()):
-        if (key := _key(job)) in known:
-            keep(known[key])
-        else:
-            todo.append((k, job))
-
-    def finish(job: Job, trial: Trial) -> None:
-        if log is not None:
-            with log.open("a", encoding="utf-8") as file:
-                file.write(json.dumps({"job": _key(job), **trial.to_json()}) + "\n")
-        keep(trial)
-
-    if workers <= 1:
-        for _, job in todo:
-            finish(job, job.run())
-        return out
-    others = set(active_children())
-    with ProcessPoolExecutor(workers, initializer=_without_interrupts) as pool:
-        futures = {pool.submit(_run, job): job for _, job in todo}
-        try:
-            for future in as_completed(futures):
-                finish(futures[future], future.result())
-        except KeyboardInterrupt:
-            # what they are at is lost in any case, and may take ten seconds yet
-            for child in set(active_children()) - others:
-                child.terminate()
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
-    return sorted(out, key=lambda t: (t.kind, t.seed))
+    jobs = {job.key: job for job in (plan.jobs() if isinstance(plan, Plan) else plan)}
+    store = Lines(log, Trial.to_json, Trial.from_json, "a blind trial") if log is not None else None
+    with processes(workers) as pool:
+        return list(run_items(jobs, _run, pool=pool, store=store, done=done).values())
 
 
 def _run(job: Job) -> Trial:
     return job.run()
-
-
-def _without_interrupts() -> None:
-    """Ctrl-C reaches every process of a terminal; only the first one answers it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _key(job: Job) -> str:
-    return json.dumps(asdict(job), sort_keys=True)
-
-
-def _read_log(path: Path) -> dict[str, Trial]:
-    if not path.exists():
-        return {}
-    out = {}
-    lines = path.read_text(encoding="utf-8").splitlines()
-    for number, line in enumerate(lines, start=1):
-        try:
-            plain = json.loads(line)
-            out[plain["job"]] = Trial.from_json(plain)
-        except (ValueError, KeyError, TypeError):
-            if number == len(lines):
-                break  # cut off while it was written
-            raise InputError("expected a line of JSON of a blind trial", where=f"{path}:{number}") from None
-    return out
-
-
-def _without_remnant(path: Path) -> None:
-    """Cut off a last line that was interrupted while it was written, so that the next one begins a line."""
-    text = path.read_bytes()
-    if text and not text.endswith(b"\n"):
-        path.write_bytes(text[: text.rfind(b"\n") + 1])

@@ -7,7 +7,7 @@ injects and a filter takes off (:mod:`insemu.effects.compensation`).
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from insemu import rotation
-from insemu.effects import CROSS, EFFECTS, EffectParameter, EffectUse
+from insemu.effects import EFFECTS, Effect, EffectParameter, EffectUse, Stage, having, joined
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.data.sources import StaticLog
 from insemu.gap.evidence.model import HALF_POWER
@@ -25,8 +24,6 @@ from insemu.gap.verdict import GapReport, Step
 from insemu.noise import AR, BI, DR, GM, SIN, WN, NoiseModel, Process, axis_unit, save
 from insemu.records import AXES, Recording
 
-#: Names of axes, by what an effect's three numbers stand for.
-_TRIPLES = (("x", "y", "z"), ("north", "east", "down"), ("roll", "pitch", "yaw"))
 #: Points of a temperature profile that a scenario is given.
 MOST_POINTS = 200
 #: Gauss-Markov processes that stand for flicker in a filter, and the longest averaging time at which they do, s.
@@ -67,7 +64,7 @@ def uses_of(step: Step, dt: float = 0.01) -> tuple[EffectUse, ...]:
     for axes in [(a,) for a in step.axes] if apart else [step.axes]:
         values = {}
         for p in effect.parameters:
-            numbers = _numbers(p, given, axes)
+            numbers = _numbers(effect, p, given, axes)
             if numbers is not None:
                 values[p.name] = numbers
         if all(p.name in values or p.default is not None for p in effect.parameters):
@@ -75,27 +72,26 @@ def uses_of(step: Step, dt: float = 0.01) -> tuple[EffectUse, ...]:
     return tuple(out)
 
 
-def _numbers(p: EffectParameter, given: Mapping[str, float], axes: Sequence[str]) -> tuple[float, ...] | None:
+def _numbers(
+    effect: Effect, p: EffectParameter, given: Mapping[str, float], axes: Sequence[str]
+) -> tuple[float, ...] | None:
     """All numbers of a parameter; axes that were not found have the value that does nothing."""
-    nothing = {"factor": 1.0, "limit": 1e6}.get(p.name, 0.0)
     if p.size == 1:
         value = next((given[f"{p.name}_{a}"] for a in axes if f"{p.name}_{a}" in given), given.get(p.name))
         return None if value is None else (_in_bounds(p, value),)
-    if p.size == 3:
-        triple = next((t for t in _TRIPLES if set(axes) <= set(t)), _TRIPLES[0])
-        plain = p.name in given or any(f"{p.name}_{a}" in given for a in triple)
-        if not plain:
-            return None
-        whole = not axes or not set(axes) <= set(triple)
-        out = [
-            given.get(f"{p.name}_{a}", given.get(p.name, nothing)) if whole or a in axes else nothing for a in triple
-        ]
-        if p.name == "beta":  # the axes without the process still need a rate
-            some = next(v for v in out if v != nothing)
-            out = [v if v != nothing else some for v in out]
-        return tuple(_in_bounds(p, float(v)) for v in out)
-    labels = CROSS if p.size == 6 else tuple(a + b for a in "xyz" for b in "xyz")
-    return tuple(float(given.get(f"{p.name}_{label}", 0.0)) for label in labels)
+    if p.size > 3:
+        return tuple(float(given.get(label, 0.0)) for label in p.labels(effect.axes))
+    if not any(name in given for name in (p.name, *p.labels(effect.axes))):
+        return None
+    whole = not axes or not set(axes) <= set(effect.axes)
+    out = [
+        given.get(f"{p.name}_{a}", given.get(p.name, p.nothing)) if whole or a in axes else p.nothing
+        for a in effect.axes
+    ]
+    if p.name == "beta":  # the axes without the process still need a rate
+        some = next(v for v in out if v != p.nothing)
+        out = [v if v != p.nothing else some for v in out]
+    return tuple(_in_bounds(p, float(v)) for v in out)
 
 
 def _in_bounds(p: EffectParameter, value: float) -> float:
@@ -116,75 +112,17 @@ def _low_pass(step: Step, given: Mapping[str, float], dt: float) -> tuple[Effect
     return (EffectUse(step.effect, step.sensor, {"cutoff": (min(cutoff, 0.499 / dt),), "order": (order,)}),)
 
 
-def joined(known: Iterable[EffectUse], found: Iterable[EffectUse]) -> tuple[EffectUse, ...]:
-    """Known effects with what was found of them on top; the rest follows.
-
-    A recording is searched with the known effects taken off, so what is found is what they lack.
-    """
-    out = list(known)
-    for use in found:
-        at = next(
-            (k for k, old in enumerate(out) if (old.id, old.sensor) == (use.id, use.sensor) and _adds(old, use)), None
-        )
-        if at is None:
-            out.append(use)
-        else:
-            out[at] = _together(out[at], use)
-    return tuple(out)
-
-
-_ADDED = frozenset(
-    {
-        "turn_on_bias", "scale_factor", "scale_asymmetry", "scale_nonlinearity", "misalignment", "g_sensitivity", "mounting", "ramp",
-        "imu_gnss_time_offset", "clock_drift", "gnss_latency", "gnss_noise_level", "gnss_velocity_noise", "lever_arm", "earth_rate", "gravity",
-        "transport_rate", "quantization", "saturation", "dropped_samples",
-    }
-)  # fmt: skip
-
-
-def _adds(old: EffectUse, new: EffectUse) -> bool:
-    if old.id == "temperature":
-        return old.values["T0"] == new.values["T0"] and old.values["lag"] == new.values["lag"]
-    return old.id in _ADDED
-
-
-def _together(old: EffectUse, new: EffectUse) -> EffectUse:
-    if old.id == "mounting":
-        turned = rotation.dcm_from_rpy(np.array(new["rpy"])) @ rotation.dcm_from_rpy(np.array(old["rpy"]))
-        roll, pitch, yaw = (float(x) for x in rotation.rpy_from_dcm(turned))
-        return EffectUse(old.id, old.sensor, {"rpy": (roll, pitch, yaw)})
-    values = {}
-    for p in EFFECTS[old.id].parameters:
-        both: NDArray[np.float64]
-        a, b = np.array(old[p.name]), np.array(new[p.name])
-        if p.name == "factor":
-            both = a * b
-        elif p.name == "sigma":
-            both = np.hypot(a, b)
-        elif p.name in ("T0", "lag", "tau"):
-            both = b
-        elif p.positive:
-            both = np.maximum(a, b)
-        else:
-            both = a + b
-        values[p.name] = tuple(float(x) for x in both)
-    return EffectUse(old.id, old.sensor, values)
-
-
 # -- noise ------------------------------------------------------------------------------------------------------------------------------------
-
-#: Effects whose place is the noise model of an axis where that holds them.
-_IN_THE_NOISE: Mapping[str, type[Process]] = {"vibration_band": AR, "vibration_line": SIN}
-_NOISE = ("white_noise", "random_walk", "gauss_markov", "flicker")
 
 
 def refined_effects(nominal: Nominal, report: GapReport, dt: float = 0.01) -> tuple[EffectUse, ...]:
     """Known effects and those found, less what the refined noise models hold."""
     found: list[EffectUse] = []
     for step in report.steps:
-        if step.effect in _NOISE or (step.effect == "quantization" and step.variant == "integrated"):
+        if step.effect in having("noise") or (step.effect == "quantization" and step.variant == "integrated"):
             continue
-        held = _IN_THE_NOISE.get(step.effect)
+        effect = EFFECTS.get(step.effect)
+        held = effect.process if effect is not None and effect.stage is Stage.NOISE else None
         if held is not None:
             models = [report.refined.get(f"{step.sensor}_{a}") for a in step.axes]
             if models and all(m is not None and any(isinstance(p, held) for p in m) for m in models):
@@ -323,7 +261,7 @@ def _scenario(
         truth = {**kept, **models}
         if effects:
             truth["effects"] = [use.to_mapping() for use in effects]
-        if any(use.id in ("temperature", "temperature_noise") for use in effects) and "temperature" not in truth:
+        if any(use.effect.needs_temperature for use in effects) and "temperature" not in truth:
             profile = _temperature(measured)
             if profile:
                 truth["temperature"] = profile

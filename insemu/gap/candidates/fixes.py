@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.effects import EFFECTS
+from insemu.effects import EFFECTS, having
 from insemu.gap.candidates.shapes import Change, DriveHypothesis
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop
@@ -27,7 +27,7 @@ from insemu.gap.verdict import Value
 Array = NDArray[np.float64]
 
 #: A level is estimated together with a colour, not beside it.
-_LEVELS = ("gnss_noise_level", "gnss_velocity_noise")
+_LEVELS = having("level")
 
 
 def multipath_step(

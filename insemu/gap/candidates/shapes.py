@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.effects import EFFECTS, Column
+from insemu.effects import EFFECTS, Column, having
 from insemu.gap.drive.scene import Scene, Window
 from insemu.gap.evidence.fixes import NoiseFit
 from insemu.gap.evidence.linear import (
@@ -32,8 +32,9 @@ Array = NDArray[np.float64]
 #: Amplitudes of slow processes that are tried.
 AMPLITUDES = 40
 #: Effects of one number that only one description can have.
-ONCE = ("imu_gnss_time_offset", "clock_drift", "gravity", "earth_rate", "transport_rate")
-PROCESSES = {"random_walk": "K", "gauss_markov": "sigma", "flicker": "B"}
+ONCE = having("once")
+#: Slow random processes, and the parameter that is their size.
+PROCESSES = {e.id: e.size for e in EFFECTS.values() if "process" in e.traits}
 _SENSORS = (("gyro", 0), ("accel", 3))
 
 
@@ -94,24 +95,11 @@ def _shapes(columns: Sequence[Column]) -> list[Variant]:
     amplitudes = np.array(sizes())
     for key in dict.fromkeys((c.effect, c.sensor) for c in columns):
         mine = [i for i, c in enumerate(columns) if (c.effect, c.sensor) == key]
-        sets: list[tuple[tuple[str, ...], str, list[int]]] = []
-        if key[0] == "temperature":
-            for axis in "xyz":
-                own = [i for i in mine if columns[i].axes == (axis,)]
-                sets += [((axis,), "linear", own[:1]), ((axis,), "cubic", own)]
-            sets.append((("x", "y", "z"), "linear", [i for i in mine if columns[i].label.startswith("c1")]))
-        else:
-            sets += [(columns[i].axes, "", [i]) for i in mine]
-            if len(mine) > 1:
-                if key[0] == "g_sensitivity":
-                    diagonal = [i for i in mine if columns[i].label[-1] == columns[i].label[-2]]
-                    sets.append((("x", "y", "z"), "diagonal", diagonal))
-                axes = tuple(dict.fromkeys(a for i in mine for a in columns[i].axes))
-                sets.append((axes, "all", mine))
-        for axes, label, members in sets:
+        for axes, label, members in EFFECTS[key[0]].subsets([columns[i] for i in mine]):
             if members:
-                unit = np.diag([columns[i].scale for i in members])
-                out.append(Variant(*key, axes, label, np.array(members), (((), unit),), amplitudes))
+                index = np.array(mine)[members]
+                unit = np.diag([columns[i].scale for i in index])
+                out.append(Variant(*key, axes, label, index, (((), unit),), amplitudes))
     return out
 
 

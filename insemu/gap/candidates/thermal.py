@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu.effects import lagged
 from insemu.errors import InputError
 from insemu.gap.candidates.axis import (
     AxisHypothesis,
@@ -84,7 +85,7 @@ def temperature(state: AxisState) -> list[AxisHypothesis]:
             if temperature_c is None:
                 raise InputError("the temperature effect needs the temperature of the data that it is to predict")
             d = temperature_c - centre
-            seen = lowpass(d, where.dt, lag) if lag > 0.0 else d
+            seen = lagged(d, where.dt, lag)
             return block_differences(np.stack([_power(seen, k + 1) for k in which], axis=1), where.block)
 
         return columns
@@ -96,7 +97,7 @@ def temperature(state: AxisState) -> list[AxisHypothesis]:
             [units[k] for k in which],
         )[0]  # fmt: skip
         d = T - centre
-        seen = lowpass(d, data.dt, lag) if lag > 0.0 else d
+        seen = lagged(d, data.dt, lag)
         signal = sum((v.value * _power(seen, k + 1) for v, k in zip(w.values, which, strict=True)), np.zeros(T.size))
         w = _less(w, state, signal)
         return replace(w, values=(*w.values, reference))
@@ -144,11 +145,3 @@ def _less(w: AxisHypothesis, state: AxisState, signal: Array) -> AxisHypothesis:
     data = replace(apart, differences=state.data.differences)  # the block band keeps the regressors
     fitted = fit(Likelihood(data), explanation)
     return replace(w, nats=w.nats + after - before, change=replace(w.change, data=data, fitted=fitted))
-
-
-def lowpass(x: Array, dt: float, lag: float) -> Array:
-    """A first-order lag that starts settled."""
-    from scipy.signal import lfilter
-
-    phi = math.exp(-dt / lag)
-    return np.asarray(x[0] + lfilter([1.0 - phi], [1.0, -phi], x - x[0]))

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from insemu.effects import having
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.candidates.axis import CANDIDATES, state_of
 from insemu.gap.candidates.outliers import evident_outliers
@@ -26,14 +27,7 @@ from insemu.noise import WN, NoiseModel
 from insemu.records import Recording
 
 #: Candidates of the fast band; the others need a sensor at rest.
-FAST = (
-    "white_noise",
-    "quantization",
-    "vibration_band",
-    "vibration_line",
-    "decimation_filter",
-    "outliers",
-)
+FAST = having("fast") | {"outliers"}
 
 #: What a tone of one axis is called that changes its frequency.
 WANDERING = "a tone whose frequency wanders"

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.effects import EFFECTS, EffectUse
+from insemu.effects import EFFECTS, EffectUse, having
 from insemu.gap.candidates.axis import AxisState
 from insemu.gap.candidates.shapes import PROCESSES
 from insemu.gap.evidence.band import Band
@@ -21,15 +21,14 @@ from insemu.noise import BI, DR, GM, QN, RW, SIN, WN, NoiseModel, Process
 
 VARYING = "vibration that changes with time"
 #: Effects whose shape in time is known.
-KNOWN_SHAPES = frozenset({"temperature", "ramp"})
-SLOW = frozenset({"random_walk", "gauss_markov", "flicker", "ramp", "telegraph"})
-FAST = frozenset({"quantization", "vibration_band", "vibration_line", "decimation_filter", "white_noise"})
+KNOWN_SHAPES = having("shape")
+SLOW, FAST = having("slow"), having("fast")
 #: What disturbs single samples or pieces of a log.
-UNTIDY = frozenset({"outliers", "telegraph", "dropped_samples", "saturation"})
+UNTIDY = having("samples")
 #: Tests of the fast band; all others look at block means.
 _FAST_TESTS = frozenset({"spectrum", "stationarity", "noise level over time", "tails"})
 #: Effects that are read off the samples or go with a signal that was recorded beside them: nothing unexplained can stand in for them.
-_PLAIN = frozenset({"temperature", "dropped_samples", "saturation", "turn_on_bias"})
+_PLAIN = having("evident")
 _SENSORS = ("gyro", "accel")
 
 
@@ -37,7 +36,7 @@ def taken_out(w: Hypothesis[AxisState]) -> bool:
     """Whether an effect was taken out of the samples rather than added to the explanation."""
     if w.effect == "telegraph":
         return w.variant == "levels"
-    return w.effect in ("vibration_line", "outliers", "dropped_samples", "saturation") or w.variant == "output counts"
+    return w.effect in having("drawn", "samples") or w.variant == "output counts"
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import rotation
-from insemu.effects import EffectUse, added_signal, compensated, lever_arm_of
+from insemu.effects import EffectUse, added_signal, compensated, having, lever_arm_of
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.candidates.axis import CANDIDATES, AxisState, state_of
 from insemu.gap.data.log import reduce
@@ -25,7 +25,7 @@ from insemu.strapdown import trajectory_of
 Array = NDArray[np.float64]
 
 #: Effects that a candidate takes out of the samples: what was drawn is nobody's to know beforehand.
-TAKEN_OUT = ("outliers", "telegraph", "dropped_samples", "vibration_line")
+TAKEN_OUT = having("drawn")
 
 
 def of_axis(effects: Sequence[EffectUse], name: str) -> tuple[EffectUse, ...]:
@@ -100,7 +100,7 @@ def static_without(log: StaticLog, nominal: Nominal) -> tuple[StaticLog, dict[st
             values -= added_signal([u for u in mine if u.sensor == sensor], t, log.temperature)[
                 :, AXES.index(s.name) % 3
             ]
-            if any(use.id in ("temperature", "ramp") for use in mine):
+            if any("shape" in use.effect.traits for use in mine):
                 values -= (
                     values.mean()
                 )  # where such a law is zero is a convention, so that the constant is not known with it

@@ -1,0 +1,558 @@
+"""From mapped tables to records: units to SI, axes to forward-right-down, clocks to one, and a note of everything that was taken."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu import rotation
+from insemu.errors import InputError
+from insemu.formats import clocks
+from insemu.formats.columns import (
+    ROLES,
+    ColumnMap,
+    guessed_line,
+    resolve,
+)
+from insemu.formats.table import Table
+from insemu.records import GnssRecord, ImuKind, ImuRecord, Trajectory
+from insemu.units import parse, parse_unit, scaled_unit
+
+Array = NDArray[np.float64]
+
+#: Unit that a column without one is taken to have where it is not SI.
+_USUAL = {"lat": "deg", "lon": "deg", "course": "deg", "rpy": "deg", "roll": "deg", "pitch": "deg", "heading": "deg"}
+#: Standard deviation (horizontal, m) that a quality of fix stands for where the receiver states none.
+QUALITY_SIGMA = {1: 5.0, 2: 1.0, 3: 5.0, 4: 0.02, 5: 0.5, 9: 1.0}
+
+
+@dataclass
+class Story:
+    """What was taken, assumed and done on the way; the card prints it."""
+
+    taken: list[str] = field(default_factory=list)
+    assumed: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    repeated: int = 0
+    backwards: int = 0
+    missing: int = 0
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Values of a table's roles in SI, rows without a time left out.
+
+    Parameters
+    ----------
+    table : Table
+    t : (n,) array
+        s.
+    values : mapping of str to (n,) or (n, k) arrays
+        By role, SI.
+    kind : str
+        Of the IMU's rows.
+    settings : mapping of str to str
+    """
+
+    table: Table
+    t: Array
+    values: Mapping[str, Array]
+    kind: ImuKind
+    settings: Mapping[str, str]
+
+
+def columns_of(table: Table, user: ColumnMap, story: Story) -> Columns | None:
+    """Take the roles of a table; None where it has none.
+
+    Raises
+    ------
+    InputError
+        A column or unit that does not fit; no stamps and no rate.
+    """
+    used = _given(table, user).over(table.map)
+    names = list(table.columns)
+    where = table.name
+    roles = [r for r in used.picks if r not in ("time", "nanoseconds", "week")]
+    if not roles:
+        return None
+    values: dict[str, Array] = {}
+    integrals = []
+    for role in roles:
+        data, units, found = [], [], []
+        for k, pick in resolve(role, used.picks[role], names, where):
+            unit = pick.unit if pick.unit is not None else table.units.get(names[k], "")
+            factor, integral = _factor(role, unit, f"{where}: {names[k]}")
+            integrals.append((role, integral))
+            data.append(np.asarray(table.columns[names[k]], dtype=np.float64) * (factor * pick.sign))
+            units.append(unit)
+            found.append(("-" if pick.sign < 0 else "") + names[k])
+        values[role] = data[0] if len(data) == 1 else np.column_stack(data)
+        _say(role, found, units, story, table)
+    kind = _kind(used.settings, integrals, where)
+    rows = next(iter(values.values())).shape[0]
+    t = _times(table, used, names, rows, "gyro" in values or "accel" in values, story)
+    if t.size and 0.0 <= np.nanmin(t) and np.nanmax(t) <= clocks.WEEK + 1.0:
+        t, ended = clocks.unwrapped_weeks(t)
+        if ended:
+            story.notes.append(f"the GPS week ended {ended} time(s) in {where}: 604800 s were added from there")
+    good = np.isfinite(t)
+    if not good.all():
+        story.missing += int((~good).sum())
+        t, values = t[good], {r: v[good] for r, v in values.items()}
+    return Columns(table, t, values, kind, used.settings)
+
+
+def _given(table: Table, user: ColumnMap) -> ColumnMap:
+    """Roles of the user's map whose columns this table has (of several tables each takes its own); settings always."""
+    names = list(table.columns)
+    kept = {}
+    for role, picks in user.picks.items():
+        try:
+            resolve(role, picks, names, table.name)
+        except InputError:
+            continue
+        kept[role] = picks
+    return ColumnMap(kept, user.settings)
+
+
+def _factor(role: str, unit: str, where: str) -> tuple[float, bool]:
+    """Factor to SI, and whether the unit is that of an increment."""
+    si = ROLES[role][1]
+    if role in ("week", "quality", "quaternion", "quaternion_xyzw"):
+        return 1.0, False
+    if role == "temperature":
+        return 1.0, False
+    if not unit.strip() or unit.lower() in ("counts", "raw", "-"):
+        return parse_unit(_USUAL.get(role, si)).factor, False
+    try:
+        found = scaled_unit(unit)
+    except InputError as error:
+        raise InputError(error.message, where=where) from None
+    if found.dimension == parse_unit(si).dimension:
+        return found.factor, False
+    if role in ("gyro", "accel") and found.dimension == parse_unit({"gyro": "rad", "accel": "m/s"}[role]).dimension:
+        return found.factor, True
+    raise InputError(f"has the unit '{unit}', expected one of the dimension of {si} for {role}", where=where)
+
+
+def _say(role: str, found: Sequence[str], units: Sequence[str], story: Story, table: Table) -> None:
+    picks = " ".join(found)
+    shown = picks if len(picks) < 60 else picks[:57] + "..."
+    unit = units[0]
+    if unit.strip() or ROLES[role][1] == "" or role == "temperature":
+        story.taken.append(f"{role} from {shown} ({unit or 'plain'}) of {table.name}")
+        return
+    usual = _USUAL.get(role, ROLES[role][1])
+    story.taken.append(f"{role} from {shown} of {table.name}")
+    if role in ("gyro", "accel", "lat") or "vel" in role:
+        story.assumed.append(f"{role} in {usual}: {table.name} states no unit")
+
+
+def _kind(settings: Mapping[str, str], integrals: Sequence[tuple[str, bool]], where: str) -> ImuKind:
+    imu = {integral for role, integral in integrals if role in ("gyro", "accel")}
+    if len(imu) == 2:
+        raise InputError("some axes have units of rates and others of increments", where=where)
+    stated = settings.get("kind", "")
+    if stated and stated not in get_args(ImuKind):
+        raise InputError(f"is '{stated}', expected one of: {', '.join(get_args(ImuKind))}", where=f"{where}: kind")
+    if imu == {True} and stated in ("sample", "mean"):
+        raise InputError(f"units of increments, but kind is '{stated}'", where=where)
+    return "increment" if imu == {True} else (stated or "sample")  # type: ignore[return-value]
+
+
+def _times(table: Table, used: ColumnMap, names: list[str], rows: int, imu: bool, story: Story) -> Array:
+    settings = used.settings
+    if "time" not in used.picks:
+        if "rate" not in settings:
+            raise InputError(
+                f"has no column of times; say which (--map 'time=...') or the rate (--map 'rate=100 Hz'). Columns: {', '.join(names[:12])}",
+                where=table.name,
+            )
+        rate = parse(settings["rate"], "Hz")
+        if not rate > 0:
+            raise InputError(f"rate is {settings['rate']}, expected a positive one", where=table.name)
+        return np.asarray(np.arange(rows) / rate)
+    ((at, pick),) = resolve("time", used.picks["time"], names, table.name)
+    stamps = np.asarray(table.columns[names[at]])
+    unit = pick.unit if pick.unit is not None else table.units.get(names[at], "")
+    if unit:
+        factor = scaled_unit(unit)
+        if factor.dimension != parse_unit("s").dimension:
+            raise InputError(
+                f"the times have the unit '{unit}', expected s, ms, us or ns", where=f"{table.name}: {names[at]}"
+            )
+        scale = factor.factor
+    else:
+        finite = stamps[np.isfinite(stamps)] if stamps.dtype.kind == "f" else stamps
+        unit, evidence = clocks.stamp_unit(finite, names[at], 5.0 if imu else np.inf)
+        scale = parse_unit(unit).factor
+        if unit != "s":
+            story.assumed.append(f"stamps in {unit}: {evidence}")
+    t = _seconds(stamps, scale)
+    if "nanoseconds" in used.picks:
+        ((part, _),) = resolve("nanoseconds", used.picks["nanoseconds"], names, table.name)
+        t = t + 1e-9 * np.asarray(table.columns[names[part]], dtype=np.float64)
+    if "week" in used.picks:
+        ((week, _),) = resolve("week", used.picks["week"], names, table.name)
+        t = t + clocks.WEEK * np.asarray(table.columns[names[week]], dtype=np.float64)
+    return t
+
+
+def _seconds(stamps: NDArray[Any], scale: float) -> Array:
+    """Stamps as seconds; whole ones of a small unit without the rounding of a float's 53 bits."""
+    if stamps.dtype.kind in "iu" and scale < 1.0:
+        per = round(1.0 / scale)
+        return np.asarray(stamps // per + (stamps % per) * scale, dtype=np.float64)
+    return np.asarray(stamps, dtype=np.float64) * scale
+
+
+def clock_of(columns: Columns, story: Story) -> str:
+    """Clock of a table: stated by the map, the format, the columns' names, or guessed from the size of its times."""
+    stated = columns.settings.get("clock") or columns.table.clock
+    if stated:
+        if stated not in clocks.CLOCKS:
+            raise InputError(f"is '{stated}', expected gps, sow or unix", where=f"{columns.table.name}: clock")
+        return stated
+    if not columns.t.size:
+        return ""
+    first = float(columns.t[0])
+    if "week" in columns.table.map.picks:
+        return "gps"
+    names = " ".join(columns.table.columns).lower()
+    if 0 <= first < 2 * clocks.WEEK and ("tow" in names or "sow" in names):
+        return "sow"
+    if 8.0e8 < first < 4.2e9:
+        clock = "gps" if "gps" in names and "utc" not in names and first < 1.6e9 else "unix"
+        story.assumed.append(
+            f"the clock of {columns.table.name} is {clocks.CLOCKS[clock]}: its first stamp is {first:.0f} s"
+        )
+        return clock
+    return ""
+
+
+# ------------------------------------------------------------------------------------------------------------------- records
+
+
+def _ordered(t: Array, story: Story, what: str) -> NDArray[np.intp]:
+    """Rows in rising order of time: repeated stamps and steps back are left out and counted."""
+    if t.size < 2:
+        return np.arange(t.size)
+    best = np.maximum.accumulate(t)
+    fresh = np.concatenate([[True], t[1:] > best[:-1]])
+    repeated = int((t[1:] == best[:-1]).sum())
+    backwards = int((t[1:] < best[:-1]).sum())
+    story.repeated += repeated
+    story.backwards += backwards
+    if repeated or backwards:
+        story.notes.append(
+            f"{what}: {repeated} row(s) repeat a stamp and {backwards} go back in time; they were left out"
+        )
+    if fresh.sum() < 0.5 * t.size:
+        raise InputError(
+            f"only {int(fresh.sum())} of {t.size} stamps rise; is another column the time (--map 'time=...')?"
+        )
+    return np.flatnonzero(fresh)
+
+
+_LETTERS = {"F": (0, 1.0), "B": (0, -1.0), "R": (1, 1.0), "L": (1, -1.0), "D": (2, 1.0), "U": (2, -1.0)}
+_NAMED = {"ENU": "RFU", "NED": "FRD", "NWU": "FLU", "SELF": "FRD"}
+
+
+def axes_matrix(letters: str) -> Array:
+    """Matrix that takes vectors of axes such as ``FLU`` to forward-right-down.
+
+    Raises
+    ------
+    InputError
+        Not three letters of three directions, or a left-handed set.
+
+    Examples
+    --------
+    >>> axes_matrix("FLU").tolist()
+    [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]
+    """
+    text = _NAMED.get(letters.upper(), letters.upper())
+    if len(text) != 3 or any(c not in _LETTERS for c in text) or len({_LETTERS[c][0] for c in text}) != 3:
+        raise InputError(f"axes are '{letters[:20]}', expected three letters such as FRD, FLU or RFU")
+    matrix = np.zeros((3, 3))
+    for column, letter in enumerate(text):
+        row, sign = _LETTERS[letter]
+        matrix[row, column] = sign
+    if np.linalg.det(matrix) < 0:
+        raise InputError(f"axes '{letters}' are left-handed; turn a column round instead (--map 'gyro=gx gy -gz')")
+    return matrix
+
+
+def _mounting(settings: Mapping[str, str], where: str) -> Array | None:
+    """Matrix from the file's IMU axes to vehicle axes, from ``axes`` and ``mount``."""
+    matrix = axes_matrix(settings["axes"]) if settings.get("axes") else None
+    if settings.get("mount"):
+        turn = rotation.dcm_from_rpy(np.deg2rad(numbers_of(settings["mount"], 3, f"{where}: mount")))
+        matrix = turn if matrix is None else turn @ matrix
+    return matrix
+
+
+def numbers_of(text: str, count: int, where: str) -> Array:
+    """Several numbers in a setting."""
+    try:
+        out = np.array([float(w) for w in text.removesuffix("deg").split()])
+    except ValueError:
+        out = np.array([])
+    if out.size != count or not np.isfinite(out).all():
+        raise InputError(f"is '{text[:60]}', expected {count} numbers", where=where)
+    return out
+
+
+def imu_of(parts: Sequence[Columns], story: Story) -> ImuRecord:
+    """One record of the tables that hold gyroscope and accelerometer, together or apart (phones).
+
+    Raises
+    ------
+    InputError
+        A sensor is missing; fewer than three rows; rows that are not finite.
+    """
+    both = next((p for p in parts if "gyro" in p.values and "accel" in p.values), None)
+    if both is not None:
+        first, accel = both, both.values["accel"]
+    else:
+        gyro, other = (next((p for p in parts if r in p.values), None) for r in ("gyro", "accel"))
+        if gyro is None or other is None:
+            have, lacks = ("accel", "gyro") if gyro is None else ("gyro", "accel")
+            names = [n for p in parts for n in p.table.columns]
+            raise InputError(
+                f"has columns of {have} and none of {lacks}; say which (--map '{lacks}=...'). Columns: {', '.join(names[:16])}",
+                where=parts[0].table.name,
+            )
+        gyro, other = _only(gyro, "gyro", story), _only(other, "accel", story)
+        span = (gyro.t >= other.t[0]) & (gyro.t <= other.t[-1])
+        if span.sum() < 3:
+            raise InputError(f"and {other.table.name} share less than 3 stamps", where=gyro.table.name)
+        first = _rows(gyro, np.flatnonzero(span))
+        accel = np.column_stack([np.interp(first.t, other.t, other.values["accel"][:, k]) for k in range(3)])
+        if first.t.size != other.t.size or not np.array_equal(first.t, other.t):
+            story.notes.append("the accelerometer has stamps of its own; it was interpolated to the gyroscope's")
+    gyro_values = first.values["gyro"]
+    temperature = first.values.get("temperature")
+    rows = np.flatnonzero(np.isfinite(gyro_values).all(axis=1) & np.isfinite(accel).all(axis=1))
+    story.missing += first.t.size - rows.size
+    if first.t.size - rows.size:
+        story.notes.append(f"IMU: {first.t.size - rows.size} of {first.t.size} rows hold no number; they were left out")
+    rows = rows[_ordered(first.t[rows], story, "IMU")] if rows.size else rows
+    if rows.size < 3:
+        raise InputError(f"has {rows.size} usable row(s) of IMU data, expected at least 3", where=first.table.name)
+    t, gyro_values, accel = first.t[rows], gyro_values[rows], accel[rows]
+    turn = _mounting(first.settings, first.table.name)
+    if turn is not None:
+        gyro_values, accel = gyro_values @ turn.T, accel @ turn.T
+        said = ", ".join(f"{k}={first.settings[k]}" for k in ("axes", "mount") if first.settings.get(k))
+        story.taken.append(f"axes turned into forward-right-down ({said})")
+    if temperature is not None:
+        temperature = temperature[rows]
+        temperature = temperature if np.isfinite(temperature).all() else None
+    if "shift" in first.settings:
+        t = t + parse(first.settings["shift"], "s")
+    return ImuRecord(t, gyro_values, accel, first.kind, temperature)
+
+
+def _rows(part: Columns, rows: NDArray[np.intp]) -> Columns:
+    return replace(part, t=part.t[rows], values={r: v[rows] for r, v in part.values.items()})
+
+
+def _only(part: Columns, role: str, story: Story) -> Columns:
+    good = _rows(part, np.flatnonzero(np.isfinite(part.values[role]).all(axis=1)))
+    rows = _rows(good, _ordered(good.t, story, part.table.name))
+    if not rows.t.size:
+        raise InputError("holds no row of numbers", where=part.table.name)
+    return rows
+
+
+def positions(part: Columns, story: Story) -> Array | None:
+    """Latitude, longitude (rad) and height (m) of a table, from any of its forms."""
+    v = part.values
+    if "lat" in v and "lon" in v:
+        height = v.get("height")
+        if height is None:
+            story.assumed.append(f"height 0 m: {part.table.name} has none")
+            height = np.zeros(part.t.size)
+        llh = np.column_stack([v["lat"], v["lon"], height])
+        _check_latitude(llh, part)
+        return llh
+    if "ecef" in v:
+        import pymap3d
+
+        rows = np.full_like(v["ecef"], np.nan)
+        good = np.isfinite(v["ecef"]).all(axis=1) & (np.linalg.norm(np.nan_to_num(v["ecef"]), axis=1) > 1.0)
+        if good.any():
+            rows[good] = np.column_stack(pymap3d.ecef2geodetic(*v["ecef"][good].T, deg=False))
+        return rows
+    local = v["ned"] if "ned" in v else v["enu"][:, [1, 0, 2]] * [1.0, 1.0, -1.0] if "enu" in v else None
+    if local is None:
+        return None
+    from insemu import earth
+
+    if "origin" in part.settings:
+        given = numbers_of(part.settings["origin"], 3, f"{part.table.name}: origin")
+    else:
+        given = np.zeros(3)
+        story.assumed.append(
+            f"the local coordinates of {part.table.name} begin at 0 deg N, 0 deg E, 0 m (--map 'origin=48.1 11.5 500' says where)"
+        )
+    return np.asarray(earth.ned_to_llh(local, given * [np.pi / 180, np.pi / 180, 1.0]))
+
+
+def _check_latitude(llh: Array, part: Columns) -> None:
+    largest = np.nanmax(np.abs(llh[:, 0]), initial=0.0)
+    if largest <= np.pi / 2 + 1e-12:
+        return
+    lon = np.nanmax(np.abs(llh[:, 1]), initial=0.0)
+    degrees = np.rad2deg(largest)
+    picks = {r: str(part.table.map.picks[r][0]) if r in part.table.map.picks else r for r in ("lat", "lon")}
+    if np.deg2rad(degrees) > 2 * np.pi and np.rad2deg(lon) > 720.0:
+        hint = f"the unit is degrees, not rad: --map 'lat={picks['lat']}[deg], lon={picks['lon']}[deg]'"
+    elif degrees > 1e4:
+        hint = f"is it in 1e-7 deg? --map 'lat={picks['lat']}[1e-7 deg], lon={picks['lon']}[1e-7 deg]'"
+    else:
+        hint = f"latitude and longitude are swapped: --map 'lat={picks['lon']}, lon={picks['lat']}'"
+    raise InputError(f"a latitude of {degrees:.6g} deg is beyond 90; {hint}", where=part.table.name)
+
+
+def _velocity(part: Columns) -> Array | None:
+    v = part.values
+    if "vel_ned" in v:
+        return v["vel_ned"]
+    if "vel_enu" in v:
+        return v["vel_enu"][:, [1, 0, 2]] * [1.0, 1.0, -1.0]
+    if "vel_neu" in v:
+        return v["vel_neu"] * [1.0, 1.0, -1.0]
+    return None
+
+
+def _sigmas(part: Columns, story: Story) -> tuple[Array | None, Array | None]:
+    v = part.values
+    position = v.get("pos_std_ned", v["pos_std_enu"][:, [1, 0, 2]] if "pos_std_enu" in v else None)
+    if position is None and "pos_std_h" in v:
+        h = v["pos_std_h"]
+        position = np.column_stack([h / np.sqrt(2.0), h / np.sqrt(2.0), v.get("pos_std_v", 1.5 * h)])
+    if position is None and "quality" in v:
+        horizontal = np.array([QUALITY_SIGMA.get(int(q), np.nan) if np.isfinite(q) else np.nan for q in v["quality"]])
+        position = np.column_stack([horizontal, horizontal, 1.5 * horizontal])
+        story.assumed.append("standard deviations from the quality of each fix: single 5 m, float 0.5 m, fixed 0.02 m")
+    if position is not None:
+        position = np.abs(position)
+    velocity = v.get("vel_std_ned", v["vel_std_enu"][:, [1, 0, 2]] if "vel_std_enu" in v else None)
+    if velocity is None and "vel_std_h" in v:
+        velocity = np.tile(v["vel_std_h"][:, None], (1, 3))
+    return position, None if velocity is None else np.abs(velocity)
+
+
+def gnss_of(part: Columns, story: Story) -> GnssRecord:
+    """Fixes of a table; rows that repeat the position before (of a log at the IMU's rate) are left out."""
+    llh = positions(part, story)
+    assert llh is not None
+    velocity = _velocity(part)
+    if velocity is None and "speed" in part.values:
+        story.notes.append("speed and course over ground are no velocity in three axes: they are not kept")
+    position_std, velocity_std = _sigmas(part, story)
+    known = np.isfinite(llh).all(axis=1) & ~((llh[:, 0] == 0.0) & (llh[:, 1] == 0.0))
+    if "gyro" in part.values or "accel" in part.values:
+        changed = np.concatenate([[True], (np.diff(llh, axis=0) != 0).any(axis=1)])
+        known &= changed
+    rows = np.flatnonzero(known)
+    if not rows.size:
+        raise InputError("holds no position", where=part.table.name)
+    if part.t.size - rows.size and "gyro" not in part.values:
+        story.notes.append(
+            f"fixes: {part.t.size - rows.size} of {part.t.size} rows hold no position; they were left out"
+        )
+    rows = rows[_ordered(part.t[rows], story, "fixes")]
+
+    def cut(values: Array | None) -> Array | None:
+        return None if values is None or not np.isfinite(values[rows]).any() else values[rows]
+
+    t = part.t[rows]
+    if "gnss_shift" in part.settings:
+        t = t + parse(part.settings["gnss_shift"], "s")
+    return GnssRecord(t, llh[rows], cut(velocity), cut(position_std), cut(velocity_std))
+
+
+def attitude(part: Columns) -> Array | None:
+    """Roll, pitch and heading in rad, from angles or a quaternion; None where there is neither."""
+    v = part.values
+    if "rpy" in v:
+        return v["rpy"]
+    if {"roll", "pitch", "heading"} <= set(v):
+        return np.column_stack([v["roll"], v["pitch"], v["heading"]])
+    q = (
+        v["quaternion"]
+        if "quaternion" in v
+        else v["quaternion_xyzw"][:, [3, 0, 1, 2]]
+        if "quaternion_xyzw" in v
+        else None
+    )
+    if q is None:
+        return None
+    size = np.linalg.norm(q, axis=1)
+    good = np.isfinite(size) & (size > 0.5)
+    q = np.where(good[:, None], q / np.where(good, size, 1.0)[:, None], [1.0, 0.0, 0.0, 0.0])
+    C = rotation.dcm_from_quaternion(q)
+    if part.settings.get("attitude", "enu" if "enu" in v else "ned") == "enu":  # body axes to FRD, local axes to NED
+        body = axes_matrix(part.settings.get("axes") or "FLU")
+        C = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]) @ C @ body.T
+    rpy = np.array(rotation.rpy_from_dcm(C))
+    rpy[~good] = np.nan
+    return rpy
+
+
+def reference_of(part: Columns, story: Story) -> Trajectory:
+    """The truth of a table: position and attitude, and velocity (from the positions where there is none).
+
+    Raises
+    ------
+    InputError
+        No attitude, or no usable row.
+    """
+    llh, rpy, velocity = positions(part, story), attitude(part), _velocity(part)
+    if llh is None or rpy is None:
+        raise InputError(
+            "has no position and attitude, which a truth needs; give fixes with --gnss. "
+            f"Columns: {', '.join(list(part.table.columns)[:12])}",
+            where=part.table.name,
+        )
+    good = np.isfinite(llh).all(axis=1) & np.isfinite(rpy).all(axis=1)
+    if velocity is not None:
+        good &= np.isfinite(velocity).all(axis=1)
+    rows = np.flatnonzero(good)
+    rows = rows[_ordered(part.t[rows], story, "reference")]
+    if rows.size < 2:
+        raise InputError(f"has {rows.size} usable row(s) of truth, expected at least 2", where=part.table.name)
+    t, llh = part.t[rows], llh[rows]
+    if velocity is None:
+        from insemu import earth
+
+        offset = earth.position_difference(llh, np.tile(llh[0], (t.size, 1)))
+        velocity = np.gradient(offset, t, axis=0)
+        story.notes.append("velocities of the truth are differences of its positions")
+    else:
+        velocity = velocity[rows]
+    return Trajectory(t, llh, velocity, rpy[rows], "reference")
+
+
+def has_position(part: Columns) -> bool:
+    """Whether a table holds positions."""
+    return bool({"lat", "ecef", "ned", "enu"} & set(part.values))
+
+
+def unknown(table: Table, path: Path | str) -> InputError:
+    """What to say of a table in which nothing was recognised: its columns and the map that would be guessed."""
+    names = list(table.columns)
+    line = guessed_line(names, list(table.columns.values())) if names else ""
+    return InputError(
+        f"holds columns {', '.join(names[:16])}{', ...' if len(names) > 16 else ''}, of which none is known as a gyroscope, an "
+        f"accelerometer or a position; say what they are, for example --map '{line}'",
+        where=str(path),
+    )

@@ -1,0 +1,163 @@
+"""Clocks of the field: GPS time, seconds of the week, UTC, and stamps whose unit nobody wrote down."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu.errors import InputError
+
+Array = NDArray[np.float64]
+
+#: GPS time began at 1980-01-06 00:00 UTC; s since 1970.
+GPS_EPOCH = 315_964_800.0
+WEEK = 604_800.0
+#: First days (UTC) from which GPS time is so many seconds ahead of UTC (IERS Bulletin C).
+_LEAPS = (
+    "1981-07", "1982-07", "1983-07", "1985-07", "1988-01", "1990-01", "1991-01", "1992-07", "1993-07", "1994-07",
+    "1996-01", "1997-07", "1999-01", "2006-01", "2009-01", "2012-07", "2015-07", "2017-01",
+)  # fmt: skip
+_LEAP_STARTS = np.array([datetime.strptime(d, "%Y-%m").replace(tzinfo=UTC).timestamp() for d in _LEAPS])
+
+#: Clocks that are known by name; "" is a clock of the device's own.
+CLOCKS: Mapping[str, str] = {
+    "": "the device's own clock",
+    "gps": "GPS time (s since 1980-01-06)",
+    "sow": "GPS seconds of the week",
+    "unix": "UTC (s since 1970)",
+}
+
+
+def leap_seconds(unix: float) -> int:
+    """How many seconds GPS time is ahead of UTC.
+
+    >>> leap_seconds(1_700_000_000.0)
+    18
+    """
+    return int(np.searchsorted(_LEAP_STARTS, unix, side="right"))
+
+
+def unwrapped_weeks(t: Array) -> tuple[Array, int]:
+    """Seconds of the week made continuous over the week's end, and how often it ended."""
+    step = np.diff(t)
+    ends = step < -0.5 * WEEK
+    if not ends.any():
+        return t, 0
+    return t + WEEK * np.concatenate([[0.0], np.cumsum(ends)]), int(ends.sum())
+
+
+def converted(t: Array, given: str, wanted: str, near: float) -> tuple[Array, str]:
+    """Turn times of one clock into another's.
+
+    Parameters
+    ----------
+    t : (n,) array
+        s.
+    given, wanted : str
+        Keys of :data:`CLOCKS`.
+    near : float
+        A time of the wanted clock near the first of ``t``: it tells the week.
+
+    Returns
+    -------
+    (n,) array, str
+        Times in s; what was done, "" where nothing was.
+
+    Raises
+    ------
+    InputError
+        An unknown clock.
+    """
+    for name in (given, wanted):
+        if name not in CLOCKS:
+            raise InputError(f"unknown clock '{name}', expected one of: gps, sow, unix")
+    if given == wanted == "sow" and t.size:
+        weeks = np.round((near - float(t[0])) / WEEK)
+        return t + weeks * WEEK, f"{int(weeks)} GPS week(s) added: the week ended in between" if weeks else ""
+    if given == wanted or not given or not wanted or not t.size:
+        return t, ""
+    done = []
+    if given == "unix":
+        leap = leap_seconds(float(t[0]))
+        t, given = t - GPS_EPOCH + leap, "gps"
+        done.append(f"UTC turned into GPS time with {leap} leap seconds")
+    if wanted == "unix":
+        if given == "sow":
+            week = np.round((near - GPS_EPOCH - float(t[0])) / WEEK)
+            t = t + week * WEEK
+        leap = leap_seconds(float(t[0]) + GPS_EPOCH)
+        return t + GPS_EPOCH - leap, f"GPS time turned into UTC with {leap} leap seconds"
+    if given == "gps" and wanted == "sow":
+        week = np.round((float(t[0]) - near) / WEEK)
+        t = t - week * WEEK
+        done.append(f"GPS week {int(week)} taken off")
+    elif given == "sow" and wanted == "gps":
+        week = np.round((near - float(t[0])) / WEEK)
+        t = t + week * WEEK
+        done.append(f"GPS week {int(week)} added")
+    return t, "; ".join(done)
+
+
+#: Units of stamps, by s; tried in this order where nobody says.
+_STAMP_UNITS = (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
+#: Rates that an IMU or a receiver has, Hz.
+_RATES = (0.05, 2.0e4)
+
+
+def stamp_unit(t: NDArray[np.float64] | NDArray[np.int64], name: str = "", fastest: float = 5.0) -> tuple[str, str]:
+    """Unit of stamps from their size and step, and the evidence.
+
+    Parameters
+    ----------
+    t : (n,) array
+        Stamps in an unknown unit.
+    name : str
+        Of the column; ``time_us`` and the like decide.
+    fastest : float
+        A step of 2 and more is one of the smallest unit that makes a rate above this, Hz; infinite for fixes, which may be slow.
+
+    Returns
+    -------
+    str, str
+        Unit and evidence. Seconds where nothing tells.
+
+    >>> stamp_unit(np.arange(100) * 10_000_000)[0]
+    'ns'
+    """
+    low = name.lower().rstrip("]) ")
+    for unit, _ in _STAMP_UNITS[1:]:
+        if low.endswith(("_" + unit, "[" + unit, "(" + unit)) or low == unit:
+            return unit, f"the column is called '{name}'"
+    for word, unit in (
+        ("nano", "ns"),
+        ("micro", "us"),
+        ("milli", "ms"),
+        ("nsec", "ns"),
+        ("usec", "us"),
+        ("msec", "ms"),
+    ):
+        if word in low:
+            return unit, f"the column is called '{name}'"
+    size = float(np.abs(t[0])) if t.size else 0.0
+    for unit, factor in _STAMP_UNITS:
+        if unit != "s" and 6.0e8 < size * factor < 4.2e9:
+            return unit, f"the first stamp, {size:.6g}, is a date in {unit}"
+    step = float(np.median(np.diff(t.astype(np.float64)))) if t.size > 1 else 0.0
+    if step <= 0.0:
+        return "s", "nothing tells"
+    if size and 6.0e8 < size < 4.2e9:
+        return "s", f"the first stamp, {size:.6g}, is a date in s"
+    likely = [(u, 1.0 / (step * f)) for u, f in _STAMP_UNITS if _RATES[0] <= 1.0 / (step * f) <= _RATES[1]]
+    if step < 1.0 and likely and likely[0][0] == "s":
+        return "s", f"a step of {step:.6g} s is {1.0 / step:.6g} Hz"
+    fast = [(u, r) for u, r in likely if r >= fastest]
+    if step >= 2.0 and fast:
+        unit, rate = fast[0]
+        return unit, f"a step of {step:.6g} is {rate:.6g} Hz in {unit}"
+    if step > 1.0 / _RATES[0] and likely:
+        unit, rate = likely[0]
+        return unit, f"a step of {step:.6g} is {rate:.6g} Hz in {unit}"
+    return "s", f"a step of {step:.6g} s"

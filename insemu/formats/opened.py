@@ -1,0 +1,284 @@
+"""Open anything: one file, a folder, or several files that make one recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu.errors import InputError
+from insemu.formats import clocks
+from insemu.formats.assemble import (
+    Columns,
+    Story,
+    attitude,
+    clock_of,
+    columns_of,
+    gnss_of,
+    has_position,
+    imu_of,
+    reference_of,
+    unknown,
+)
+from insemu.formats.columns import ColumnMap, read_preset
+from insemu.formats.decoding import decoding
+from insemu.formats.table import Reader, Table, reader_of
+from insemu.records import GnssRecord, ImuRecord, Recording, Trajectory
+from insemu.units import parse
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Opened:
+    """What was found in one or several files.
+
+    Parameters
+    ----------
+    source : str
+        The files.
+    kind : str
+        What they were taken for.
+    imu, gnss, reference : records, optional
+        What they hold.
+    taken : tuple of str
+        Which columns became what.
+    assumed : tuple of str
+        What nobody said and was taken for granted.
+    notes : tuple of str
+        What was done on the way.
+    repeated, backwards, missing : int
+        Rows that were left out: repeated stamps, stamps that go back, no number.
+    """
+
+    source: str
+    kind: str
+    imu: ImuRecord | None = None
+    gnss: GnssRecord | None = None
+    reference: Trajectory | None = None
+    taken: tuple[str, ...] = ()
+    assumed: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    repeated: int = 0
+    backwards: int = 0
+    missing: int = 0
+
+    def recording(self) -> Recording:
+        """The canonical recording; raises :class:`~insemu.errors.InputError` where there is no IMU."""
+        if self.imu is None:
+            raise InputError(
+                "holds no IMU data; name the file that does, and these fixes with --gnss", where=self.source
+            )
+        return Recording(self.imu, self.gnss, self.reference, self.source)
+
+
+@dataclass(frozen=True)
+class _File:
+    """One file as it was read: columns by table."""
+
+    path: Path
+    reader: Reader
+    parts: list[Columns]
+
+
+def open_files(
+    path: str | Path,
+    *,
+    gnss: str | Path | None = None,
+    truth: str | Path | None = None,
+    maps: tuple[str | ColumnMap, str | ColumnMap, str | ColumnMap] = ("", "", ""),
+) -> Opened:
+    """Read foreign files into one set of records on one clock.
+
+    Parameters
+    ----------
+    path : path
+        The file or folder with the IMU (and all else that it holds).
+    gnss, truth : path, optional
+        Files with the fixes and the reference, where they are apart.
+    maps : three maps or their lines
+        Column maps of the three files, over the preset beside each (``NAME.map.yaml``) and what the format says.
+
+    Returns
+    -------
+    Opened
+
+    Raises
+    ------
+    InputError
+        A file that no reader takes, or that cannot be read; nothing known in it (the message prints the map that would be guessed).
+    FileNotFoundError
+        No such file.
+    """
+    story = Story()
+    files = [
+        _read(Path(p), m, story) if p is not None else None for p, m in zip((path, gnss, truth), maps, strict=True)
+    ]
+    main, fixes, reference = files
+    assert main is not None
+    clock, near = "", 0.0
+    imu = None
+    inertial = [p for p in main.parts if {"gyro", "accel"} & set(p.values)]
+    if inertial:
+        clock = clock_of(inertial[0], story)
+        with decoding(main.path, main.reader.name):
+            imu = imu_of(inertial, story)
+        near = float(imu.t[0])
+    if (
+        main.parts
+        and main.parts[0].settings.get("rate")
+        and imu is not None
+        and "time" not in main.parts[0].table.map.picks
+    ):
+        story.assumed.append(f"stamps from the rate of {main.parts[0].settings['rate']}")
+    gnss_part = _positions(fixes or main, apart=fixes is not None)
+    truth_part = _truth(reference or main, gnss_part, apart=reference is not None)
+    gnss_record = None
+    if gnss_part is not None and gnss_part is not truth_part:
+        with decoding((fixes or main).path, (fixes or main).reader.name):
+            gnss_record = gnss_of(_on_clock(gnss_part, clock, near, story), story)
+    truth_record = None
+    if truth_part is not None:
+        with decoding((reference or main).path, (reference or main).reader.name):
+            truth_record = reference_of(_on_clock(truth_part, clock, near, story), story)
+    if imu is None and gnss_record is None and truth_record is None:
+        raise unknown(max((p.table for p in main.parts), key=len), path)
+    settings = main.parts[0].settings if main.parts else {}
+    imu, gnss_record, truth_record = _span(settings, imu, gnss_record, truth_record, str(path))
+    given = [f for f in files if f is not None]
+    return Opened(
+        ", ".join(str(f.path) for f in given),
+        ", ".join(dict.fromkeys(f.reader.name for f in given)),
+        imu,
+        gnss_record,
+        truth_record,
+        tuple(dict.fromkeys(story.taken)),
+        tuple(dict.fromkeys(story.assumed)),
+        tuple(dict.fromkeys(story.notes)),
+        story.repeated,
+        story.backwards,
+        story.missing,
+    )
+
+
+def _read(path: Path, given: str | ColumnMap, story: Story) -> _File:
+    from insemu.formats.columns import parse_map
+
+    if not path.exists():
+        raise FileNotFoundError(2, "No such file or directory", str(path))
+    user = given if isinstance(given, ColumnMap) else parse_map(given)
+    preset = read_preset(path)
+    if preset is not None:
+        user = user.over(preset)
+        story.notes.append(f"the column map beside {path.name} was used")
+    reader = reader_of(path)
+    if reader is None:
+        raise InputError(
+            "no reader knows this file; `insemu open --formats` lists what is read. A table can be given as CSV with a column map (--map)",
+            where=str(path),
+        )
+    with decoding(path, reader.name):
+        tables = reader.read(path, user.settings)
+        parts = [p for t in tables if (p := columns_of(t, user, story)) is not None]
+        for table in tables:
+            story.assumed.extend(table.assumed)
+            story.notes.extend(table.notes)
+    _all_used(user, tables, path)
+    if not parts:
+        if not tables:
+            raise InputError("holds no table", where=str(path))
+        raise unknown(max(tables, key=lambda t: (len(t.columns), len(t))), path)
+    return _File(path, reader, parts)
+
+
+def _all_used(user: ColumnMap, tables: list[Table], path: Path) -> None:
+    """Every role of the user's map must have found its columns somewhere: otherwise the reason from the likeliest table is raised."""
+    from insemu.formats.columns import resolve
+
+    for role, picks in user.picks.items():
+        first = None
+        for table in sorted(tables, key=lambda t: -len(t.columns)):
+            try:
+                resolve(role, picks, list(table.columns), table.name)
+                break
+            except InputError as error:
+                first = first or error
+        else:
+            raise first or InputError(f"holds no table for '{role}'", where=str(path))
+
+
+def _positions(file: _File, *, apart: bool) -> Columns | None:
+    found = [p for p in file.parts if has_position(p)]
+    plain = [p for p in found if not ({"rpy", "roll", "quaternion", "quaternion_xyzw"} & set(p.values)) or apart]
+    if apart and not found:
+        raise unknown(max((p.table for p in file.parts), key=len), file.path)
+    # an IMU's own file with attitudes in it: the fixes are in it too
+    if plain:
+        return plain[0]
+    return found[0] if found and "gyro" in found[0].values else None
+
+
+def _truth(file: _File, fixes: Columns | None, *, apart: bool) -> Columns | None:
+    for part in file.parts:
+        if has_position(part) and (
+            apart or (part is not fixes and {"rpy", "quaternion", "quaternion_xyzw"} & set(part.values))
+        ):
+            if apart and attitude(part) is None:
+                continue
+            return part
+    if apart:
+        raise InputError(
+            "has no position and attitude, which a truth needs; fixes are given with --gnss", where=str(file.path)
+        )
+    return None
+
+
+def _on_clock(part: Columns, clock: str, near: float, story: Story) -> Columns:
+    """Times of a table on the clock of the IMU."""
+    own = clock_of(part, story)
+    t = part.t
+    t, done = clocks.converted(t, own, clock, near)
+    if done:
+        story.notes.append(f"{part.table.name}: {done}")
+    return replace(part, t=t)
+
+
+def _span(
+    settings: object, imu: ImuRecord | None, gnss: GnssRecord | None, truth: Trajectory | None, where: str
+) -> tuple[ImuRecord | None, GnssRecord | None, Trajectory | None]:
+    """Only what lies between ``from`` and ``to``."""
+    assert hasattr(settings, "get")
+    first, last = settings.get("from"), settings.get("to")
+    if first is None and last is None:
+        return imu, gnss, truth
+    low = parse(first, "s") if first is not None else -np.inf
+    high = parse(last, "s") if last is not None else np.inf
+
+    def keep(record: ImuRecord | GnssRecord | Trajectory | None) -> NDArray[np.bool_] | None:
+        if record is None:
+            return None
+        inside = (record.t >= low) & (record.t <= high)
+        if not inside.any():
+            raise InputError(f"nothing lies between {first or 'the start'} and {last or 'the end'}", where=where)
+        return np.asarray(inside)
+
+    def cut(values: Array | None, rows: NDArray[np.bool_]) -> Array | None:
+        return None if values is None else values[rows]
+
+    if imu is not None and (rows := keep(imu)) is not None:
+        imu = replace(
+            imu, t=imu.t[rows], gyro=imu.gyro[rows], accel=imu.accel[rows], temperature=cut(imu.temperature, rows)
+        )
+    if gnss is not None and (rows := keep(gnss)) is not None:
+        gnss = GnssRecord(
+            gnss.t[rows],
+            gnss.llh[rows],
+            cut(gnss.vel_ned, rows),
+            cut(gnss.pos_std_ned, rows),
+            cut(gnss.vel_std_ned, rows),
+        )
+    if truth is not None and (rows := keep(truth)) is not None:
+        truth = Trajectory(truth.t[rows], truth.llh[rows], truth.vel_ned[rows], truth.rpy[rows], truth.name)
+    return imu, gnss, truth

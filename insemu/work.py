@@ -1,0 +1,179 @@
+"""Independent work items, on one core, on threads, processes or a cluster: finished ones are kept, so an interrupted run goes on where it stopped."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from multiprocessing import active_children
+from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu.errors import InputError
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+class Store(Protocol[R]):
+    """Where finished items are kept."""
+
+    def get(self, key: str) -> R | None:
+        """Return a finished item, or None."""
+
+    def put(self, key: str, result: R) -> None:
+        """Keep a finished item."""
+
+
+def run_items(
+    items: Mapping[str, T],
+    work: Callable[[T], R],
+    *,
+    pool: Executor | None = None,
+    store: Store[R] | None = None,
+    done: Callable[[R], None] | None = None,
+) -> dict[str, R]:
+    """Work on every item that is not finished yet.
+
+    Parameters
+    ----------
+    items : mapping of str to item
+        The key says everything that the result depends on, or the store belongs to the rest of it.
+    work : callable
+        Item to result; with a pool of processes, a function of a module.
+    pool : Executor, optional
+        Any of ``concurrent.futures``; none: here, one after the other.
+    store : Store, optional
+        Where finished items are looked for and kept.
+    done : callable, optional
+        Told of every result, the kept ones first, as they are finished.
+
+    Returns
+    -------
+    dict of str to result
+        In the order of ``items``.
+    """
+    out: dict[str, R] = {}
+
+    def finish(key: str, result: R, *, keep: bool = True) -> None:
+        out[key] = result
+        if store is not None and keep:
+            store.put(key, result)
+        if done is not None:
+            done(result)
+
+    for key in items:
+        if store is not None and (kept := store.get(key)) is not None:
+            finish(key, kept, keep=False)
+    todo = [key for key in items if key not in out]
+    if pool is None:
+        for key in todo:
+            finish(key, work(items[key]))
+    else:
+        futures = {pool.submit(work, items[key]): key for key in todo}
+        try:
+            for future in as_completed(futures):
+                finish(futures[future], future.result())
+        finally:
+            for future in futures:
+                future.cancel()
+    return {key: out[key] for key in items}
+
+
+@contextmanager
+def processes(workers: int) -> Iterator[Executor | None]:
+    """Processes to work on items; none where one is enough. Ctrl-C ends them at once: what they are at is lost in any case."""
+    if workers <= 1:
+        yield None
+        return
+    others = set(active_children())
+    with ProcessPoolExecutor(workers, initializer=_without_interrupts) as pool:
+        try:
+            yield pool
+        except KeyboardInterrupt:
+            for child in set(active_children()) - others:
+                child.terminate()
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+def _without_interrupts() -> None:
+    """Ctrl-C reaches every process of a terminal; only the first one answers it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+class Lines(Generic[R]):
+    """Finished items in one file, a line of JSON each; a line that was cut off while it was written is done again.
+
+    Parameters
+    ----------
+    path : path
+    encode, decode : callable
+        Result to plain data and back.
+    what : str
+        What a line holds, for the message about a file that is something else.
+
+    Raises
+    ------
+    InputError
+        A line that is none of these.
+    """
+
+    def __init__(
+        self, path: Path, encode: Callable[[R], dict[str, Any]], decode: Callable[[dict[str, Any]], R], what: str
+    ) -> None:
+        self._path, self._encode = path, encode
+        self._kept: dict[str, R] = {}
+        if not path.exists():
+            return
+        text = path.read_bytes()
+        lines = text.split(b"\n")
+        for number, line in enumerate(lines[:-1], start=1):
+            try:
+                plain = json.loads(line)
+                self._kept[plain["job"]] = decode(plain)
+            except (ValueError, KeyError, TypeError):
+                raise InputError(f"expected a line of JSON of {what}", where=f"{path}:{number}") from None
+        if lines[-1]:
+            os.truncate(path, len(text) - len(lines[-1]))
+
+    def get(self, key: str) -> R | None:
+        """Return a finished item, or None."""
+        return self._kept.get(key)
+
+    def put(self, key: str, result: R) -> None:
+        """Add a line."""
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps({"job": key, **self._encode(result)}) + "\n")
+
+
+class Arrays:
+    """Finished items as a NumPy archive each, under a folder; one that is half-written counts as absent."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def get(self, key: str) -> dict[str, NDArray[Any]] | None:
+        """Return a finished item, or None."""
+        try:
+            with (self._folder / f"{key}.npz").open("rb") as handle, np.load(handle, allow_pickle=False) as data:
+                return {name: data[name] for name in data.files}
+        except (OSError, ValueError, EOFError, KeyError, BadZipFile):
+            return None
+
+    def put(self, key: str, result: Mapping[str, NDArray[Any]]) -> None:
+        """Write an archive; a reader sees a whole file or none."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        path = self._folder / f"{key}.npz"
+        partial = path.with_suffix(".tmp")
+        with partial.open("wb") as handle:
+            np.savez(handle, allow_pickle=False, **dict(result))
+        partial.replace(path)

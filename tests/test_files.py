@@ -1,0 +1,244 @@
+"""Every kind of file: the same short drive comes back from each; foreign tables, clocks and maps; what is wrong is refused with its place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from insemu import earth
+from insemu.errors import InputError
+from insemu.formats import Opened, holds_recording, layout_of, open_files, read, read_log, read_recording, write
+from insemu.formats import clocks as clock
+from insemu.formats.columns import guess_map, parse_map, split_header
+from insemu.records import COLUMNS, Recording
+from tests.file_samples import KINDS, RATE, SOW, UNIX, drive, mapped_csv
+
+
+def _opened(written) -> Opened:  # type: ignore[no-untyped-def]
+    options = dict(written.options)
+    return open_files(
+        written.path, gnss=options.get("gnss"), truth=options.get("truth"), maps=(options.get("map", ""), "", "")
+    )
+
+
+def _as_recording(written) -> Recording:  # type: ignore[no-untyped-def]
+    """What comes back of a sample, whichever door it takes."""
+    options = dict(written.options)
+    if options.keys() & {"map", "gnss", "truth"} or layout_of(written.path) == "foreign":
+        found = _opened(written)
+        return Recording(found.imu, found.gnss, found.reference) if found.imu is not None else found  # type: ignore[return-value]
+    if holds_recording(written.path):
+        return read_recording(written.path)
+    log = read_log(written.path, rate_hz=options.get("rate_hz"))
+    block = np.column_stack(log.columns)
+    t = log.t if log.t is not None else np.arange(len(log)) / log.rate_hz
+    assert log.names == COLUMNS
+    return Recording(replace(drive().imu, t=t, gyro=block[:, :3], accel=block[:, 3:], temperature=None))
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_the_same_drive_comes_back_from_every_kind_of_file(name: str, tmp_path: Path) -> None:
+    written = KINDS[name](tmp_path)
+    found, want = _as_recording(written), drive()
+    have = {k for k, v in (("imu", found.imu), ("gnss", found.gnss), ("ref", found.reference)) if v is not None}
+    assert have == written.holds
+    # stamps of 1e9 s have a resolution of 2.4e-7 s
+    near = 1e-6
+    if found.imu is not None:
+        np.testing.assert_allclose(found.imu.t - written.start, want.imu.t, atol=near)
+        per = 1.0 / RATE if found.imu.kind == "increment" else 1.0
+        np.testing.assert_allclose(found.imu.gyro / per, want.imu.gyro, atol=max(written.tolerance, 1e-6))
+        np.testing.assert_allclose(found.imu.accel / per, want.imu.accel, atol=max(written.tolerance, 1e-6))
+    if found.gnss is not None:
+        assert want.gnss is not None and want.gnss.vel_ned is not None
+        np.testing.assert_allclose(found.gnss.t - written.start, want.gnss.t, atol=near)
+        assert np.abs(earth.position_difference(found.gnss.llh, want.gnss.llh)).max() < 0.02
+        if found.gnss.vel_ned is not None:
+            np.testing.assert_allclose(found.gnss.vel_ned, want.gnss.vel_ned, atol=2e-3)
+    if found.reference is not None and len(found.reference) == len(want.reference or ()):
+        assert want.reference is not None
+        np.testing.assert_allclose(found.reference.t - written.start, want.reference.t, atol=near)
+        assert np.abs(earth.position_difference(found.reference.llh, want.reference.llh)).max() < 0.02
+        turn = np.abs((found.reference.rpy - want.reference.rpy + np.pi) % (2 * np.pi) - np.pi)
+        assert turn.max() < 1e-6
+        np.testing.assert_allclose(found.reference.vel_ned, want.reference.vel_ned, atol=max(written.tolerance, 1e-6))
+    if found.imu is not None:
+        back = read(write(tmp_path / "canonical.npz", Recording(found.imu, found.gnss, found.reference)))
+        assert isinstance(back, Recording)
+        np.testing.assert_array_equal(back.imu.accel, found.imu.accel)
+        assert (back.gnss is None) == (found.gnss is None) and (back.reference is None) == (found.reference is None)
+
+
+def test_there_are_thirty_kinds() -> None:
+    assert len(KINDS) >= 30
+
+
+def test_other_commands_read_foreign_files_by_the_same_door(tmp_path: Path) -> None:
+    data = read_recording(KINDS["MATLAB v5"](tmp_path).path)
+    assert data.gnss is not None
+    imu = KINDS["any CSV, known names"](tmp_path).path
+    assert [s.name for s in read(imu, columns=["gz", "accel_x"])] == ["gyro_z", "accel_x"]
+    assert not holds_recording(imu)
+
+
+def test_several_bags_topics_are_listed_and_chosen(tmp_path: Path) -> None:
+    path = KINDS["ROS 1 bag"](tmp_path).path
+    with pytest.raises(InputError, match=r"has no topic '/imu/dat' .did you mean '/imu/data'"):
+        open_files(path, maps=("topic=/imu/dat", "", ""))
+    assert open_files(path, maps=("topic=/imu/data, axes=FRD", "", "")).imu.accel[0, 2] > 9.0  # type: ignore[union-attr]
+
+
+# ---------------------------------------------------------------------------------------------------------------------- maps
+
+
+def test_a_map_is_written_as_it_is_read() -> None:
+    line = 'gyro=wx wy -wz[deg/s], time="my time"[ns], axes=FLU, rate=100 Hz'
+    assert str(parse_map(line)) == line
+    assert parse_map(str(parse_map(line))) == parse_map(line)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("gyros=a b c", "unknown role 'gyros' .did you mean 'gyro'"),
+        ("gyro", "expected ROLE=COLUMNS"),
+        ("gyro=", "expected ROLE=COLUMNS"),
+        ("gyro=a b c[deg/s", "do not close"),
+        ("gyro=a]b", "do not match"),
+        ('gyro="a b c', "do not close"),
+        ("gyro=a b c[furlong]", "unknown unit 'furlong'"),
+        ("gyro=a b c[m]", "none of rad/s"),
+        ("time=t[deg]", "none of s"),
+        ("x" * 5000, "expected text such as"),
+    ],
+)
+def test_a_bad_map_is_refused(line: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        parse_map(line)
+
+
+def test_a_map_that_names_no_column_says_which_there_are(tmp_path: Path) -> None:
+    path = mapped_csv(tmp_path).path
+    with pytest.raises(InputError, match=r"no column 'omega_\*'"):
+        open_files(path, maps=("gyro=omega_*[deg/s], accel=s_*[g], time=stamp", "", ""))
+    with pytest.raises(InputError, match="gyro takes 3 column"):
+        open_files(path, maps=("gyro=om_1[deg/s], accel=s_*[g], time=stamp", "", ""))
+
+
+def test_an_unknown_layout_prints_the_map_that_it_would_guess(tmp_path: Path) -> None:
+    path = mapped_csv(tmp_path).path
+    with pytest.raises(InputError) as caught:
+        open_files(path)
+    line = str(caught.value).split("--map '")[1].split("'")[0]
+    assert "gyro=om_1 om_2 om_3[rad/s]" in line
+    found = open_files(
+        path,
+        maps=(
+            line.replace("[rad/s]", "[deg/s]").replace("[m/s^2]", "[g]").replace("time=stamp[s]", "time=stamp[ns]"),
+            "",
+            "",
+        ),
+    )
+    np.testing.assert_allclose(found.imu.gyro, drive().imu.gyro, atol=1e-6)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("names", "roles"),
+    [
+        ("t gx gy gz ax ay az", {"time", "gyro", "accel"}),
+        ("%time field.angular_velocity.x field.angular_velocity.y field.angular_velocity.z", {"time", "gyro"}),
+        ("timestamp AngularRateX AngularRateY AngularRateZ AccX AccY AccZ", {"time", "gyro", "accel"}),
+        ("time imu_gyro_0 imu_gyro_1 imu_gyro_2 imu_acc_0 imu_acc_1 imu_acc_2", {"time", "gyro", "accel"}),
+        ("time mag_x mag_y mag_z gyro_bias_x gyro_bias_y gyro_bias_z", {"time"}),
+        ("utc lat lon alt", {"time", "lat", "lon", "height"}),
+        ("secs temperature", {"time", "temperature"}),
+    ],
+)
+def test_names_are_guessed(names: str, roles: set[str]) -> None:
+    assert set(guess_map(names.split()).picks) == roles
+
+
+def test_headers_with_nested_brackets_are_split_in_linear_time() -> None:
+    assert split_header("N (deg/s/sqrt(Hz))") == ("N", "deg/s/sqrt(Hz)")
+    assert split_header("gyro_rad[0]") == ("gyro_rad[0]", "")
+    split_header("a" + "(" * 200_000 + ")")
+    split_header("(" * 200_000 + ")" * 200_000)
+
+
+# --------------------------------------------------------------------------------------------------------------------- clocks
+
+
+@pytest.mark.parametrize(
+    ("unix", "leap"), [(315_964_800.0, 0), (1_483_228_799.0, 17), (1_483_228_800.0, 18), (1_700_000_000.0, 18)]
+)
+def test_leap_seconds(unix: float, leap: int) -> None:
+    assert clock.leap_seconds(unix) == leap
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted"), [("unix", "gps"), ("gps", "sow"), ("unix", "sow"), ("sow", "gps"), ("sow", "unix")]
+)
+def test_clocks_are_turned_into_each_other_and_back(given: str, wanted: str) -> None:
+    t = np.arange(5) * 0.5
+    start = {"unix": UNIX, "gps": UNIX - clock.GPS_EPOCH + 18, "sow": SOW}
+    there, said = clock.converted(t + start[given], given, wanted, start[wanted] + 3.0)
+    np.testing.assert_allclose(there, t + start[wanted], atol=1e-6)
+    assert ("leap" in said) == ("unix" in (given, wanted))
+
+
+def test_the_end_of_a_gps_week_is_crossed(tmp_path: Path) -> None:
+    imu, g = drive().imu, drive().gnss
+    assert g is not None
+    start = 604_800.0 - 30.0
+    rows = np.column_stack([(imu.t + start) % 604_800.0, imu.gyro / RATE, imu.accel / RATE])
+    np.savetxt(tmp_path / "a.txt", rows, fmt="%.12g")
+    places = np.column_stack([(g.t + start) % 604_800.0, np.rad2deg(g.llh[:, :2]), g.llh[:, 2], g.pos_std_ned])[80:]
+    np.savetxt(tmp_path / "a.pos", places, fmt="%.12g")  # begins after the week's end
+    found = open_files(tmp_path / "a.txt", gnss=tmp_path / "a.pos")
+    np.testing.assert_allclose(found.imu.t - start, imu.t, atol=1e-6)  # type: ignore[union-attr]
+    np.testing.assert_allclose(found.gnss.t - start, g.t[80:], atol=1e-6)  # type: ignore[union-attr]
+    assert any("week" in n for n in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "name", "unit"),
+    [
+        (np.arange(9) * 10_000_000, "t", "ns"), (np.arange(9) * 5000.0, "t", "us"), (np.arange(9) * 10.0, "t", "ms"),
+        (np.arange(9) * 0.01, "t", "s"), (1.7e9 + np.arange(9), "t", "s"), (1.7e12 + np.arange(9) * 10, "t", "ms"),
+        (1.7e18 + np.arange(9) * 1e7, "t", "ns"), (np.arange(9) * 1.0, "t", "s"), (np.arange(9) * 1.0, "time_us", "us"),
+    ],
+)  # fmt: skip
+def test_the_unit_of_stamps_is_told_by_their_size(stamps: np.ndarray, name: str, unit: str) -> None:
+    assert clock.stamp_unit(stamps, name)[0] == unit
+
+
+def test_a_first_column_of_times_is_no_sensor(tmp_path: Path) -> None:
+    noise = np.random.default_rng(1).standard_normal((64, 3))
+    for scale, header in ((0.005, ""), (5e6, ""), (5e6, "stamp_of_it,a,b,c")):
+        path = tmp_path / "a.csv"
+        np.savetxt(path, np.column_stack([np.arange(64) * scale, noise]), delimiter=",", header=header, comments="")
+        log = read_log(path)
+        assert log.rate_hz == 200.0 and len(log.columns) == 3
+        np.testing.assert_allclose(log.columns[0], noise[:, 0])
+
+
+# ----------------------------------------------------------------------------------------------------------- broken containers
+
+
+@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
+def test_a_truncated_file_is_read_in_part_or_refused(name: str, share: float, tmp_path: Path) -> None:
+    written = KINDS[name](tmp_path)
+    files = sorted(p for p in written.path.rglob("*") if p.is_file()) if written.path.is_dir() else [written.path]
+    victim = max(files, key=lambda p: p.stat().st_size)
+    victim.write_bytes(victim.read_bytes()[: int(share * victim.stat().st_size)])
+    try:
+        found = _as_recording(written)
+    except InputError as error:
+        assert str(tmp_path) in str(error) or victim.name in str(error)
+        return
+    for record in (found.imu, found.gnss):
+        assert record is None or (np.diff(record.t) > 0).all()
