@@ -98,14 +98,14 @@ def effects(arguments: argparse.Namespace) -> None:
                 seed = (arguments.seed, EFFECTS.index(effect), int(nats), k)
                 made = static_recording((effect,), nats, seed, arguments.hours, axes=1, sensors=WHITE)
                 report = look(made)
-                said[report.steps[0].effect if report.steps else report.verdict] += 1
-                if len(report.steps) > 1:
-                    said["and " + report.steps[1].effect] += 1
+                said[report.findings[0].effect if report.findings else report.verdict] += 1
+                if len(report.findings) > 1:
+                    said["and " + report.findings[1].effect] += 1
                 count["drawn"] += 1
                 count["possible"] += possible(effect, made)
-                if not report.steps:
+                if not report.findings:
                     continue
-                first = report.steps[0]
+                first = report.findings[0]
                 order = [m.effect for m in (*first.members, *first.runners_up)]
                 count["detected"] += 1
                 count["first"] += first.effect == effect
@@ -164,11 +164,11 @@ def sets(arguments: argparse.Namespace) -> None:
             ]
             worth = [h.beside for h in made.hidden]
             report = look(made)
-            found = sorted(s.effect for s in report.steps)
+            found = sorted(s.effect for s in report.findings)
             exact = found == sorted(names)
             # the classes of the steps hold the effects, one each and none over
-            classed = len(report.steps) == len(names) and _matches(
-                [{m.effect for m in s.members} for s in report.steps], list(names)
+            classed = len(report.findings) == len(names) and _matches(
+                [{m.effect for m in s.members} for s in report.findings], list(names)
             )
             strata = ["all"]
             if min(worth) >= BESIDE_NATS:
@@ -186,7 +186,7 @@ def sets(arguments: argparse.Namespace) -> None:
                 f"{w:.0f}" + (f"/{x:.0f}" if np.isfinite(x) else "") for w, x in zip(worth, leads, strict=True)
             )
             answer = "right" if exact else "class" if classed else "WRONG"
-            gains = " + ".join(f"{s.effect} {s.gain_nats:.0f}" for s in report.steps)
+            gains = " + ".join(f"{s.effect} {s.nats:.0f}" for s in report.findings)
             print(f"{' + '.join(names):50s} {figures:18s} {answer:6s} {gains}", flush=True)
     strata_said = {
         "all": "all",
@@ -236,7 +236,7 @@ def null(arguments: argparse.Namespace) -> None:
         named += report.verdict == "named"
         thresholds.append(report.threshold_nats)
         if report.verdict != "nothing missing":
-            gains = [(s.effect, s.axes, round(s.gain_nats, 1)) for s in report.steps] or report.remainder
+            gains = [(s.effect, s.axes, round(s.nats, 1)) for s in report.findings] or report.remainder
             print(k, report.verdict, gains, flush=True)
     n = arguments.draws
     print(
@@ -407,9 +407,9 @@ def thermal(_: argparse.Namespace) -> None:
         log.axes, beliefs, rng=np.random.default_rng(1), temperature=log.temperature, hold_out=False
     )
     print(report.verdict)
-    for s in report.steps:
+    for s in report.findings:
         print(
-            f"  {s.effect} {s.variant} on {s.sensor} {','.join(s.axes)}: {s.gain_nats:.0f} nats, class {[m.effect for m in s.members]}"
+            f"  {s.effect} {s.variant} on {s.sensor} {','.join(s.axes)}: {s.nats:.0f} nats, class {[m.effect for m in s.members]}"
         )
     print("  left over:", report.remainder)
 

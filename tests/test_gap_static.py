@@ -26,7 +26,7 @@ from insemu.gap.evidence.model import Component, Explanation, Free, Likelihood, 
 from insemu.gap.problems.findings import is_doubtful, remainder
 from insemu.gap.problems.rest import reweighted, search_axis, weigh_all
 from insemu.gap.threshold import Tail, certain, tail_of, threshold_of
-from insemu.gap.verdict import Member, Step, Where
+from insemu.gap.verdict import Finding, Member, Where
 from insemu.noise import BI, GM, QN, RC, RW, WN, NoiseModel
 from insemu.records import ImuRecord, Recording, Series
 
@@ -251,9 +251,9 @@ def test_temperature_is_named_with_its_shape_and_a_held_out_gain() -> None:
     y = WN(1e-3).simulate(N, DT, rng) + 1e-4 * (T - 25.0)
     report = find_static_gap([log_of(y)], {"gyro_x": NoiseModel((WN(1e-3),))}, rng=rng, temperature=T)
     assert report.verdict in ("named", "class")
-    assert report.steps[0].effect == "temperature"
+    assert report.findings[0].effect == "temperature"
     assert report.held_out.low > 0.0
-    c1 = next(v for v in report.steps[0].parameters if v.name == "c1")
+    c1 = next(v for v in report.findings[0].parameters if v.name == "c1")
     assert c1.low < 1e-4 < c1.high
     assert report.gap_after.low < 1.0 < report.gap_after.high
     assert report.gap_before.low > 1.0
@@ -349,8 +349,8 @@ def test_samples_that_the_stamps_skip_are_filled_and_named() -> None:
     report = find_static_gap(
         log.axes[:1], {"gyro_x": NoiseModel((WN(1e-3),))}, rng=rng, missing=log.missing, hold_out=False
     )
-    assert [(s.effect, s.sensor) for s in report.steps] == [("dropped_samples", "imu")]
-    share = report.steps[0].parameters[0]
+    assert [(s.effect, s.sensor) for s in report.findings] == [("dropped_samples", "imu")]
+    share = report.findings[0].parameters[0]
     assert share.low < 0.01 < share.high
     half = rng.random(n) > 0.4
     with pytest.raises(InputError, match="expected at most 20%"):
@@ -358,7 +358,7 @@ def test_samples_that_the_stamps_skip_are_filled_and_named() -> None:
 
 
 def test_what_remains_unexplained_is_said_and_takes_no_name_back() -> None:
-    step = Step(
+    step = Finding(
         "temperature", "cubic", "gyro", ("x",), (), 0.99, 900.0, (Member("temperature", "gyro", ("x",), 900.0),)
     )
     walk = replace(step, effect="random_walk", members=(Member("random_walk", "gyro", ("x",), 50.0),))
@@ -410,7 +410,7 @@ def test_two_axes_two_effects_and_the_json_of_the_issue() -> None:
     z = WN(1e-3).simulate(N, DT, rng) + CASES["vibration_line"](rng)
     beliefs = {a: NoiseModel((WN(1e-3),)) for a in ("gyro_x", "gyro_z")}
     report = find_static_gap([log_of(x), log_of(z, "gyro_z")], beliefs, rng=rng, hold_out=False)
-    found = {(s.effect, s.axes) for s in report.steps}
+    found = {(s.effect, s.axes) for s in report.findings}
     assert ("vibration_line", ("z",)) in found
     assert any(axes == ("x",) for _, axes in found)
     assert len(found) == 2
@@ -489,7 +489,7 @@ def test_a_weak_effect_must_beat_the_best_of_simulated_nominal_logs() -> None:
     axes = [log_of(WN(1e-3).simulate(6000, DT, rng), f"gyro_{a}") for a in "xyz"]
     beliefs = {s.name: NoiseModel((WN(1e-3),)) for s in axes}
     plain = find_static_gap(axes, beliefs, rng=rng, hold_out=False, policy=Policy(least_nats=-0.5), calibrate=False)
-    assert plain.steps  # at half a nat below nothing there is always something
+    assert plain.findings  # at half a nat below nothing there is always something
     calibrated = find_static_gap(axes, beliefs, rng=rng, hold_out=False, policy=Policy(least_nats=-0.5))
     assert calibrated.threshold_nats > 0.0
-    assert all(s.gain_nats >= calibrated.threshold_nats for s in calibrated.steps)
+    assert all(s.nats >= calibrated.threshold_nats for s in calibrated.findings)

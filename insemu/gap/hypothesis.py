@@ -78,13 +78,13 @@ def class_of(rivals: Sequence[Member], own: int) -> tuple[tuple[Member, ...], tu
     own : int
         Which of them was named; it comes first in its class.
     """
-    p = probabilities([m.gain_nats for m in rivals])
+    p = probabilities([m.nats for m in rivals])
     members, others, held = [], [], 0.0
     for k in (own, *(k for k in range(len(rivals)) if k != own)):
-        near = rivals[k].gain_nats > rivals[own].gain_nats - rules().lead and held < rules().class_share * (1.0 - p[-1])
-        if k == own or (near and rivals[k].gain_nats > 0.0):
+        near = rivals[k].nats > rivals[own].nats - rules().lead and held < rules().class_share * (1.0 - p[-1])
+        if k == own or (near and rivals[k].nats > 0.0):
             members.append(rivals[k])
-        elif rivals[k].gain_nats > 0.0:
+        elif rivals[k].nats > 0.0:
             others.append(rivals[k])
         held += float(p[k])
     return tuple(members), tuple(others[:5]), float(p[own])

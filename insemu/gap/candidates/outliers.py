@@ -92,12 +92,12 @@ def outliers(state: AxisState) -> list[AxisHypothesis]:
         return [Hypothesis("outliers", nats, values, state)]
     signed = whitened(state)
     odds = math.log(e / (1.0 - e) / k) + 0.5 * signed**2 / s**2 * (1.0 - 1.0 / k**2)
-    wild = odds > 0.0
+    outlying = odds > 0.0
     if not state.data.differences.size:
-        return _wild_in_motion(state, nats, signed, wild, s)
-    # a wild sample is shrunk to the size of its neighbours, so that the level of the rest is what is left
+        return _outliers_in_motion(state, nats, signed, outlying, s)
+    # an outlying sample is shrunk to the size of its neighbours, so that the level of the rest is what is left
     values_clean = state.data.values.copy()
-    values_clean[wild] -= (1.0 - 1.0 / k) * signed[wild] * fitted_n / math.sqrt(state.data.dt)
+    values_clean[outlying] -= (1.0 - 1.0 / k) * signed[outlying] * fitted_n / math.sqrt(state.data.dt)
     return [Hypothesis("outliers", nats, values, cleaned(state, values_clean, "outliers"))]
 
 
@@ -115,7 +115,7 @@ def evident_outliers(state: AxisState) -> AxisHypothesis | None:
     beside = -(r[at - 1] + r[at + 1]) / r[at]
     if float(np.mean(np.abs(beside - 1.0) < 0.5)) < rules().alike:
         return None
-    found = _wild_in_motion(state, 0.0, r, size > rules().beside, 1.0)
+    found = _outliers_in_motion(state, 0.0, r, size > rules().beside, 1.0)
     if not found:
         return None
     share, sigma = (v.value for v in found[0].values)
@@ -126,14 +126,16 @@ def evident_outliers(state: AxisState) -> AxisHypothesis | None:
     return replace(found[0], nats=nats)
 
 
-def _wild_in_motion(state: AxisState, nats: float, r: Array, wild: NDArray[np.bool_], s: float) -> list[AxisHypothesis]:
+def _outliers_in_motion(
+    state: AxisState, nats: float, r: Array, outlying: NDArray[np.bool_], s: float
+) -> list[AxisHypothesis]:
     """Outliers of a moving sensor, whose samples are held against their neighbours.
 
     One outlier shows in three residuals, so that only the largest of neighbours counts; share and size are those of a normal distribution of which
     only what lies beyond the least of them is seen.
     """
     size = np.abs(r)
-    top = wild.copy()
+    top = outlying.copy()
     top[1:] &= size[1:] >= size[:-1]
     top[:-1] &= size[:-1] > size[1:]
     at = np.flatnonzero(top)

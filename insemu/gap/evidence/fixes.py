@@ -129,11 +129,11 @@ def level_scores(s: Surrogate, white: Array, y: Array, groups: Sequence[Sequence
     Returns
     -------
     score (g,), information (g, g)
-        To first order in the levels; fixes that are wild in the position or the velocity are left out.
+        To first order in the levels; fixes that are outlying in the position or the velocity are left out.
     """
-    wild = (np.sum(y[:, :3] ** 2, axis=1) > 25.0) | (np.sum(y[:, 3:] ** 2, axis=1) > 25.0)
-    v = y[~wild]
-    parts = level_derivatives(s.R[~wild], white[~wild], groups)
+    outlying = (np.sum(y[:, :3] ** 2, axis=1) > 25.0) | (np.sum(y[:, 3:] ** 2, axis=1) > 25.0)
+    v = y[~outlying]
+    parts = level_derivatives(s.R[~outlying], white[~outlying], groups)
     score = np.array([0.5 * float(np.einsum("ki,kij,kj->", v, d, v) - np.einsum("kii->", d)) for d in parts])
     information = np.array([[0.5 * float(np.einsum("kij,kij->", a, b)) for b in parts] for a in parts])
     return score, information

@@ -25,7 +25,7 @@ from insemu.noise import NoiseModel, Process
 
 Array = NDArray[np.float64]
 
-#: Step of the differences that give the curvature at a mode, in log.
+#: Finding of the differences that give the curvature at a mode, in log.
 CURVATURE_STEP = 5e-3
 
 
@@ -146,6 +146,10 @@ class Regressors:
     )
 
 
+#: Frequencies up to which a spectrum is worked out at each, and the relative distance of those between which it is interpolated beyond.
+MOST_EXACT, NEARNESS = 32_768, 2e-4
+
+
 @dataclass(frozen=True)
 class Explanation:
     """What an axis is thought to consist of; immutable, so that adding and dropping effects is cheap and safe."""
@@ -195,7 +199,14 @@ class Explanation:
         return NoiseModel(tuple(c.process for c in self.components))
 
     def psd(self, f: Array, dt: float) -> Array:
-        """Two-sided PSD of the samples."""
+        """Two-sided PSD of the samples; of very many frequencies, interpolated between ones so near that no resonance falls between them."""
+        if f.size > MOST_EXACT and f[0] > 0.0:
+            grid = np.geomspace(f[0], f[-1], math.ceil(math.log(f[-1] / f[0]) / NEARNESS) + 1)
+            grid[-1] = f[-1]
+            return np.interp(f, grid, self._psd(grid, dt)) if grid.size < f.size else self._psd(f, dt)
+        return self._psd(f, dt)
+
+    def _psd(self, f: Array, dt: float) -> Array:
         total = np.zeros_like(f)
         for c in self.components:
             total += density(c.process, f, dt)

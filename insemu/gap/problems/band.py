@@ -22,7 +22,7 @@ from insemu.gap.policy import rules
 from insemu.gap.problems.findings import AxisResult, with_process
 from insemu.gap.problems.known import of_axis, settled, starting_explanation, without_drawn
 from insemu.gap.problems.rest import search_axis
-from insemu.gap.verdict import Step, Value
+from insemu.gap.verdict import Finding, Value
 from insemu.noise import WN, NoiseModel
 from insemu.records import Recording
 
@@ -108,15 +108,15 @@ def without_delay(
     return best, recording, late
 
 
-def with_delay(step: Step, delay: float) -> Step:
+def with_delay(finding: Finding, delay: float) -> Finding:
     """A low-pass with the delay in s that was taken off its sensor; as uncertain as the cutoff that it follows from."""
-    if step.effect != "decimation_filter":
-        return step
+    if finding.effect != "decimation_filter":
+        return finding
     ratios = [
-        (v.value / v.high, v.value / v.low) for v in step.parameters if v.name.startswith("cutoff") and v.low > 0.0
+        (v.value / v.high, v.value / v.low) for v in finding.parameters if v.name.startswith("cutoff") and v.low > 0.0
     ]
     low, high = (min(r[0] for r in ratios), max(r[1] for r in ratios)) if ratios else (1.0, 1.0)
-    return replace(step, parameters=(*step.parameters, Value("delay", delay, delay * low, delay * high, "s")))
+    return replace(finding, parameters=(*finding.parameters, Value("delay", delay, delay * low, delay * high, "s")))
 
 
 def again_with_processes(

@@ -60,7 +60,7 @@ from insemu.gap.problems.findings import (
 )
 from insemu.gap.problems.known import colour_of
 from insemu.gap.search import Again, search
-from insemu.gap.verdict import Confusable, GapReport, Interval, Member, Step, Value, Where, judged
+from insemu.gap.verdict import Confusable, Finding, GapReport, Interval, Member, Value, Where, judged
 from insemu.records import AXES, Recording
 
 Array = NDArray[np.float64]
@@ -377,7 +377,7 @@ class _Drive:
         As they were given.
     recording, nominal : Recording, Nominal
         Mended: gaps bridged, clipped stretches filled in, output counts believed, a low-pass's delay taken off.
-    noticed : tuple of Step
+    noticed : tuple of Finding
         What the samples showed by themselves and was not known.
     parts : mapping of axis to Reduced
         The band above the motion.
@@ -395,7 +395,7 @@ class _Drive:
     believed: Nominal
     recording: Recording
     nominal: Nominal
-    noticed: tuple[Step, ...]
+    noticed: tuple[Finding, ...]
     parts: dict[str, Reduced]
     clipped: set[str]
     fast: list[tuple[str, AxisResult]]
@@ -415,14 +415,14 @@ class _Drive:
         """Mend a recording and look at its band above the motion."""
         whole, mended = recording, mend(recording.imu, tuple(without))
         # what is known of the samples is mended, but is no finding
-        noticed = tuple(s for s in (unknown_part(s, believed.effects) for s in mended.steps) if s is not None)
-        nominal = replace(believed, beliefs=with_counts(believed.beliefs, mended.steps, recording.imu.dt))
+        noticed = tuple(s for s in (unknown_part(s, believed.effects) for s in mended.findings) if s is not None)
+        nominal = replace(believed, beliefs=with_counts(believed.beliefs, mended.findings, recording.imu.dt))
         recording = replace(recording, imu=mended.imu)
-        flown = None if mended.steps else flown
+        flown = None if mended.findings else flown
         parts = flown.fast if flown else fast_parts(recording)
-        clipped = {f"{s.sensor}_{a}" for s in mended.steps if s.effect == "saturation" for a in s.axes}
+        clipped = {f"{s.sensor}_{a}" for s in mended.findings if s.effect == "saturation" for a in s.axes}
         # rounded that coarsely, the error follows the motion and is no noise that a spectrum could tell anything from
-        rounded = coarse(believed.beliefs, mended.steps, recording.imu.dt)
+        rounded = coarse(believed.beliefs, mended.findings, recording.imu.dt)
         parts = {name: unheard(data) if name in rounded else data for name, data in parts.items()}
         fast = fast_effects(parts, nominal, rules().fast_nats, without, say, clipped=clipped)
         levels = {name: level for name, r in fast if (level := white_level(r)) is not None}
@@ -489,20 +489,20 @@ def find_dynamic_gap(
         at.fast, named.found, at.parts, at.nominal, max(threshold, rules().fast_nats), without, at.clipped
     )
     rest = corrected([*tests, *drive_map(final, residual, {name: r.end for name, r in fast}, drawn)])
-    each = with_confusable([_step(f, named) for f in named.found], named, without, repeated)
-    steps, left = _doubted(each, named, fast, at, failed)
+    each = with_confusable([_finding(f, named) for f in named.found], named, without, repeated)
+    findings, left = _doubted(each, named, fast, at, failed)
     refined = dict(nominal.beliefs)
-    for s in steps:
+    for s in findings:
         refined = with_effect(refined, s)
     return GapReport(
-        judged(steps, left), tuple(steps), where, rest, before, after, held, dict(nominal.beliefs), refined, threshold,
+        judged(findings, left), tuple(findings), where, rest, before, after, held, dict(nominal.beliefs), refined, threshold,
         recording.source, remainder=left,
     )  # fmt: skip
 
 
 def _doubted(
-    each: Sequence[Step], named: Named, fast: Sequence[tuple[str, AxisResult]], at: _Drive, failed: Sequence[Where]
-) -> tuple[list[Step], str]:
+    each: Sequence[Finding], named: Named, fast: Sequence[tuple[str, AxisResult]], at: _Drive, failed: Sequence[Where]
+) -> tuple[list[Finding], str]:
     """All findings, strongest first, those doubted where something unexplained sits in the same place; and what is left over, in words."""
     # where one axis vibrates so that no stationary process holds it, the same vibration is what changes on the others
     humming = any(r.outsider and vibrates(r) for _, r in fast)
@@ -516,10 +516,10 @@ def _doubted(
     heard = [with_delay(s, at.late.get(s.sensor, 0.0)) for s in heard]
     beyond = " and ".join(dict.fromkeys(filter(None, (named.outsider, *sorted(set(instead))))))
     left = remainder(failed, {**({("the fixes", ""): beyond} if beyond else {}), **changing})
-    return sorted([*joined(own), *heard, *at.noticed], key=lambda s: -s.gain_nats), left
+    return sorted([*joined(own), *heard, *at.noticed], key=lambda s: -s.nats), left
 
 
-def _step(f: Found[Change], named: Named) -> Step:
+def _finding(f: Found[Change], named: Named) -> Finding:
     """A finding as it is reported: values from everything together, members of its class, runners-up."""
     h, values = f.chosen, f.chosen.values
     if h.change.block is not None and (h.change.columns or h.change.window is not None):
@@ -536,19 +536,19 @@ def _step(f: Found[Change], named: Named) -> Step:
     members, others, confidence = class_of(rivals, own)
     needs = "; ".join(dict.fromkeys(EFFECTS[m.effect].excitation for m in members)) if len(members) > 1 else ""
     text = f"a recording with more of: {needs}" if needs else ""
-    return Step(h.effect, h.variant, h.sensor, h.axes, values, confidence, h.nats, members, text, others)
+    return Finding(h.effect, h.variant, h.sensor, h.axes, values, confidence, h.nats, members, text, others)
 
 
 def with_confusable(
-    steps: Sequence[Step], named: Named, without: Collection[str], rng: np.random.Generator
-) -> list[Step]:
-    """The steps of the search with what each would be confused with if the recording were repeated; those without columns as they are."""
+    findings: Sequence[Finding], named: Named, without: Collection[str], rng: np.random.Generator
+) -> list[Finding]:
+    """The findings of the search with what each would be confused with if the recording were repeated; those without columns as they are."""
     scene, out = named.scene, []
     repetitions: Repetitions | None = None
-    for step, f in zip(steps, named.found, strict=True):
+    for finding, f in zip(findings, named.found, strict=True):
         h = f.chosen
         if h.change.block is None or h.change.window is not None:
-            out.append(step)
+            out.append(finding)
             continue
         repetitions = repetitions or Repetitions.of(scene.data, rng)
         others = [g.chosen for g in named.found if g is not f]
@@ -566,5 +566,5 @@ def with_confusable(
             for key, share in shares.items()
             if share >= rules().confusable and key != (h.effect, h.sensor)
         ]
-        out.append(replace(step, confusable=tuple(sorted(rivals, key=lambda c: -c.share))))
+        out.append(replace(finding, confusable=tuple(sorted(rivals, key=lambda c: -c.share))))
     return out

@@ -16,7 +16,7 @@ from insemu.gap.evidence.band import Band
 from insemu.gap.hypothesis import Found, Hypothesis, class_of
 from insemu.gap.policy import rules
 from insemu.gap.problems.known import of_axis
-from insemu.gap.verdict import Member, Step, Value, Where
+from insemu.gap.verdict import Finding, Member, Value, Where
 from insemu.noise import BI, DR, GM, QN, RW, SIN, WN, NoiseModel, Process
 
 VARYING = "vibration that changes with time"
@@ -54,12 +54,12 @@ class AxisResult:
         return tuple(e for e in effects if e not in ("quantization", "saturation"))
 
 
-def is_doubtful(step: Step, failed: Sequence[Where], outsiders: Mapping[tuple[str, str], str]) -> bool:
-    """Whether something that no candidate explains sits where a step was named: the same axis, the same band."""
-    if step.effect in _PLAIN or step.variant in ("output counts", "levels"):
+def is_doubtful(finding: Finding, failed: Sequence[Where], outsiders: Mapping[tuple[str, str], str]) -> bool:
+    """Whether something that no candidate explains sits where a finding was named: the same axis, the same band."""
+    if finding.effect in _PLAIN or finding.variant in ("output counts", "levels"):
         return False
-    axes = {(step.sensor, a) for a in step.axes or ("",)}
-    fast = step.effect in FAST or step.effect in UNTIDY - {"telegraph"}
+    axes = {(finding.sensor, a) for a in finding.axes or ("",)}
+    fast = finding.effect in FAST or finding.effect in UNTIDY - {"telegraph"}
     if any(place in axes and (fast or what != VARYING) for place, what in outsiders.items()):
         return True
     return any(
@@ -80,8 +80,8 @@ def remainder(failed: Sequence[Where], outsiders: Mapping[tuple[str, str], str])
     return "; ".join(parts)
 
 
-def gaps_of(missing: NDArray[np.bool_]) -> tuple[Step, ...]:
-    """Samples that the stamps skip, as a step: share of samples that start a gap, mean length of a gap."""
+def gaps_of(missing: NDArray[np.bool_]) -> tuple[Finding, ...]:
+    """Samples that the stamps skip, as a finding: share of samples that start a gap, mean length of a gap."""
     lost = int(missing.sum())
     if not lost:
         return ()
@@ -95,11 +95,11 @@ def gaps_of(missing: NDArray[np.bool_]) -> tuple[Step, ...]:
     if nats < rules().least_nats:
         return ()
     own = Member("dropped_samples", "imu", (), nats)
-    return (Step("dropped_samples", "time stamps", "imu", (), values, 1.0, nats, (own,)),)
+    return (Finding("dropped_samples", "time stamps", "imu", (), values, 1.0, nats, (own,)),)
 
 
 def refined_model(result: AxisResult) -> NoiseModel:
-    """The noise model of an axis with the stochastic effects that were found; deterministic ones are in the steps."""
+    """The noise model of an axis with the stochastic effects that were found; deterministic ones are in the findings."""
     dt = result.end.data.dt
     believed = (c.process for c in result.end.explanation.components)
     processes: list[Process] = [p.autoregression(dt) if isinstance(p, Band) else p for p in believed]
@@ -151,10 +151,10 @@ def _shapes(items: Sequence[tuple[str, Found[AxisState], AxisResult]]) -> str:
     return ", ".join(f"{shape or 'plain'} ({' '.join(axes)})" for shape, axes in by_shape.items())
 
 
-def merged(results: Mapping[str, AxisResult]) -> tuple[Step, ...]:
-    """Steps of all axes; the same effect on several axes of a sensor is one step, with a parameter set per axis.
+def merged(results: Mapping[str, AxisResult]) -> tuple[Finding, ...]:
+    """Findings of all axes; the same effect on several axes of a sensor is one finding, with a parameter set per axis.
 
-    A second process of the same kind on an axis is a step of its own.
+    A second process of the same kind on an axis is a finding of its own.
     """
     groups: dict[tuple[str, str, int], list[tuple[str, Found[AxisState], AxisResult]]] = {}
     for name, r in results.items():
@@ -163,7 +163,7 @@ def merged(results: Mapping[str, AxisResult]) -> tuple[Step, ...]:
         for f in r.found:
             occurrence = seen[f.chosen.effect] = seen.get(f.chosen.effect, 0) + 1
             groups.setdefault((f.chosen.effect, sensor, occurrence), []).append((axis, f, r))
-    steps = []
+    findings = []
     for (effect, sensor, _), items in groups.items():
         axes = tuple(dict.fromkeys(a for a, _, _ in items if a))
         values = tuple(
@@ -171,7 +171,7 @@ def merged(results: Mapping[str, AxisResult]) -> tuple[Step, ...]:
             for a, f, _ in items
             for v in f.chosen.values
         )
-        # a rival explains the step only where it stands in for it on every axis; what it is worth there adds up
+        # a rival explains the finding only where it stands in for it on every axis; what it is worth there adds up
         names = set.intersection(*({w.effect for w in f.ranked} for _, f, _ in items)) - {effect}
         nats = {n: sum(w.nats for _, f, _ in items for w in f.ranked if w.effect == n) for n in names}
         nats[effect] = sum(f.chosen.nats for _, f, _ in items)
@@ -179,13 +179,13 @@ def merged(results: Mapping[str, AxisResult]) -> tuple[Step, ...]:
         own = next(k for k, m in enumerate(rivals) if m.effect == effect)
         members, others, confidence = class_of(rivals, own)
         duration = items[0][2].start.data.duration_s
-        steps.append(
-            Step(
+        findings.append(
+            Finding(
                 effect, _shapes(items), sensor, axes, values, confidence, nats[effect], members,
                 would_separate([m.effect for m in members], duration), others,
             )
         )  # fmt: skip
-    return tuple(sorted(steps, key=lambda s: -s.gain_nats))
+    return tuple(sorted(findings, key=lambda s: -s.nats))
 
 
 # -- of a drive ---------------------------------------------------------------------------------------------------------------------
@@ -198,26 +198,28 @@ def with_process(model: NoiseModel, effect: str, given: Mapping[str, float]) -> 
     return model + (GM(given["sigma"], given["beta"]) if effect == "gauss_markov" else BI(given["B"]))
 
 
-def unknown_part(step: Step, known: Sequence[EffectUse]) -> Step | None:
-    """A step that was read off the samples, less the axes of which it is known; ``None`` where it is known of all."""
-    if step.sensor not in ("gyro", "accel"):
-        return None if step.effect in {use.id for use in known} else step
+def unknown_part(finding: Finding, known: Sequence[EffectUse]) -> Finding | None:
+    """A finding that was read off the samples, less the axes of which it is known; ``None`` where it is known of all."""
+    if finding.sensor not in ("gyro", "accel"):
+        return None if finding.effect in {use.id for use in known} else finding
     new = [
         k
-        for k, a in enumerate(step.axes)
-        if step.effect not in {use.id for use in of_axis(known, f"{step.sensor}_{a}")}
+        for k, a in enumerate(finding.axes)
+        if finding.effect not in {use.id for use in of_axis(known, f"{finding.sensor}_{a}")}
     ]
     if not new:
         return None
-    if len(new) == len(step.axes):
-        return step
-    return replace(step, axes=tuple(step.axes[k] for k in new), parameters=tuple(step.parameters[k] for k in new))
+    if len(new) == len(finding.axes):
+        return finding
+    return replace(
+        finding, axes=tuple(finding.axes[k] for k in new), parameters=tuple(finding.parameters[k] for k in new)
+    )
 
 
-def joined(steps: list[Step]) -> list[Step]:
-    """Steps of one effect that share a parameter as one: their values are those of everything together already."""
-    out: list[Step] = []
-    for s in steps:
+def joined(findings: list[Finding]) -> list[Finding]:
+    """Findings of one effect that share a parameter as one: their values are those of everything together already."""
+    out: list[Finding] = []
+    for s in findings:
         names = {v.name for v in s.parameters}
         k = next(
             (
@@ -238,28 +240,28 @@ def joined(steps: list[Step]) -> list[Step]:
             first,
             axes=tuple(dict.fromkeys((*first.axes, *s.axes))),
             parameters=(*first.parameters, *(v for v in s.parameters if v.name not in known)),
-            gain_nats=first.gain_nats + s.gain_nats,
+            nats=first.nats + s.nats,
         )
     return out
 
 
-def with_effect(models: dict[str, NoiseModel], step: Step) -> dict[str, NoiseModel]:
+def with_effect(models: dict[str, NoiseModel], finding: Finding) -> dict[str, NoiseModel]:
     """The beliefs with a stochastic effect added to its axes."""
-    if step.sensor not in ("gyro", "accel"):
+    if finding.sensor not in ("gyro", "accel"):
         return models
     out = dict(models)
-    given = {v.name: v.value for v in step.parameters}
-    for axis in step.axes:
-        name = f"{step.sensor}_{axis}"
+    given = {v.name: v.value for v in finding.parameters}
+    for axis in finding.axes:
+        name = f"{finding.sensor}_{axis}"
 
         def value(key: str, axis: str = axis) -> float:
             return given[key] if key in given else given[f"{key}_{axis}"]
 
-        if step.effect in PROCESSES:
-            parameters = {p.name for p in EFFECTS[step.effect].parameters}
-            out[name] = with_process(out[name], step.effect, {key: value(key) for key in parameters})
-        elif step.effect == "quantization" and step.variant == "integrated":
+        if finding.effect in PROCESSES:
+            parameters = {p.name for p in EFFECTS[finding.effect].parameters}
+            out[name] = with_process(out[name], finding.effect, {key: value(key) for key in parameters})
+        elif finding.effect == "quantization" and finding.variant == "integrated":
             out[name] = out[name] + QN(value("Q"))
-        elif step.effect == "white_noise":
+        elif finding.effect == "white_noise":
             out[name] = NoiseModel(tuple(WN(value("N")) if isinstance(p, WN) else p for p in out[name]))
     return out

@@ -142,8 +142,8 @@ def drive_without(recording: Recording, nominal: Nominal) -> tuple[Recording, No
             compensated(recording, [use for use in effects if not use.effect.needs_trajectory]), moved
         )
     out = compensated(recording, effects, trajectory=trajectory)
-    wild = next((use for use in effects if use.id == "gnss_outliers"), None)
-    return (_without_wild(out, moved, wild) if wild is not None else out), moved
+    outliers = next((use for use in effects if use.id == "gnss_outliers"), None)
+    return (_without_outliers(out, moved, outliers) if outliers is not None else out), moved
 
 
 def in_imu_axes(recording: Recording, nominal: Nominal) -> tuple[Recording, Nominal]:
@@ -174,13 +174,13 @@ def _estimated(recording: Recording, nominal: Nominal) -> Trajectory:
     return trajectory_of(result.t, result.nav, "estimate")
 
 
-def _without_wild(recording: Recording, nominal: Nominal, wild: EffectUse) -> Recording:
+def _without_outliers(recording: Recording, nominal: Nominal, outliers: EffectUse) -> Recording:
     """Positions that are more likely outliers than not, taken out by the innovations of the nominal filter."""
     from insemu.gap.drive.preparation import fast_parts, prepare
 
     assert recording.gnss is not None
     llh = recording.gnss.llh.copy()
-    p, spread = wild.scalar("probability"), np.diag(np.square(wild["sigma"]))
+    p, spread = outliers.scalar("probability"), np.diag(np.square(outliers["sigma"]))
     for _ in range(3):  # an outlier that was used pulls the filter and hides the next one
         now = replace(recording, gnss=replace(recording.gnss, llh=llh))
         fixes = prepare(now, nominal, fast_parts(now), {}).result.fixes

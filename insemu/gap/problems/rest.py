@@ -383,7 +383,7 @@ class _Log:
         after = _map(results, rng, refined=True)
         findings = merged(results)
         if missing is not None and "dropped_samples" not in self.without:
-            findings = tuple(sorted((*findings, *gaps_of(missing)), key=lambda s: -s.gain_nats))
+            findings = tuple(sorted((*findings, *gaps_of(missing)), key=lambda s: -s.nats))
         failed = [w for w in after if w.p_value < rules().omnibus_rest]
         outsiders = {split_axis(name): r.outsider for name, r in results.items() if r.outsider}
         findings = tuple(s.doubted() if is_doubtful(s, failed, outsiders) else s for s in findings)
