@@ -16,6 +16,7 @@ COMMANDS: dict[str, str] = {
     "compare": "compare",
     "regress": "regress",
     "designs": "designs",
+    "sensor": "sensor",
     "characterise": "characterise",
     "fit": "fit",
     "select": "select",

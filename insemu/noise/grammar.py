@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 from insemu import units
 from insemu.errors import InputError, nearest
+
+#: What the field calls a process, with its parameter: the name of the process.
+ALIASES: Mapping[str, str] = {"ARW": "WN", "VRW": "WN", "RRW": "RW"}
 
 _TERM = re.compile(r"^\s*(?:(?P<count>\d+)\s*\*\s*)?(?P<name>[A-Za-z]\w*)\s*(?:\((?P<arguments>.*)\))?\s*$", re.DOTALL)
 
@@ -45,7 +48,7 @@ def terms(text: str, known: Collection[str]) -> Iterator[tuple[int, str, list[in
             raise InputError(
                 f"cannot read '{term.strip()}' in the model '{text}'; expected something like 2*GM() or WN(N=1e-3)"
             )
-        name = match["name"]
+        name = ALIASES.get(match["name"], match["name"])
         if name not in known:
             raise InputError(f"unknown process '{name}' in the model '{text}'" + nearest(name, known))
         count = int(match["count"] or 1)

@@ -9,9 +9,11 @@ import numpy as np
 import yaml
 
 from insemu.evaluate import Results, outage_table, verdicts
+from insemu.evaluate.answer import Standing, answer
 from insemu.noise import NoiseModel, axis_unit
 from insemu.report import budget, figures
-from insemu.report.page import Block, Code, Figure, Items, Section, Table, Text, render
+from insemu.report.experiment_charts import error_chart, nees_chart
+from insemu.report.page import Block, Card, Code, Figure, Folded, Items, Section, Table, Text, render
 from insemu.report.tables import (
     FIGURES,
     SMOOTHED,
@@ -163,14 +165,15 @@ def render_experiment(
     for name, picture in drawn.items():
         (folder / f"{name}.png").write_bytes(picture.png)
 
-    first: list[Block] = [Text(text["question"])] if text.get("question") else []
+    said = answer(main)
+    nees = nees_chart(main, png=drawn["consistency"].png)
     sections = [
-        Section("Answer", [*first, Items(verdicts(main)), _table(main)]),
+        Section("Every outage", [_table(main), Folded("Differences between the designs", [Items(verdicts(main))])]),
         Section("Flight", [drawn["flight"]]),
     ]
     if main.outages:
         sections += [
-            Section("Error growth", [drawn["error_growth"], drawn["end_errors"]]),
+            Section("Error growth", [error_chart(main, png=drawn["error_growth"].png), drawn["end_errors"]]),
             Section(
                 "Does the filter know its error?",
                 [
@@ -180,7 +183,7 @@ def render_experiment(
                         "the end of every outage (the smoother's in the middle), mean over realizations; NIS: over all accepted fixes."
                     ),
                     drawn["against_bounds"],
-                    drawn["consistency"],
+                    nees,
                 ],
             ),
         ]
@@ -245,5 +248,23 @@ def render_experiment(
     )
     sections.append(Section("How it was made", made))
     return render(
-        main.title, sections, folder / "index.html", lead=f"{main.realizations} realizations", footer="Made by insemu."
+        main.title,
+        sections,
+        folder / "index.html",
+        answer=said.sentence if said else "",
+        lead=" ".join(part for part in (text.get("question", ""), f"{main.realizations} realizations.") if part),
+        cards=[_card(s, main) for s in said.standings] if said else (),
+        footer=f"Made by insemu {manifest.get('insemu')}.",
     )
+
+
+def _card(s: Standing, results: Results) -> Card:
+    """The verdict on one design."""
+    notes = [f"{s.states} states; states {s.stated_m:.3g} m"]
+    budgets = results.budgets.get(s.design)
+    if budgets:
+        parts = ", ".join(f"{key} {value:.3g} m" for key, value in list(budgets[-1]["parts_rms_m"].items())[:3])
+        notes.append(f"Largest parts: {parts}")
+    value = f"{s.error_m:.3g} m" + (f" ({s.interval})" if s.interval else "")
+    verdict = s.verdict[:1].upper() + s.verdict[1:]
+    return Card(s.design, value, verdict, {"yes": "good", "optimistic": "bad", "pessimistic": "warn"}[s.knows], notes)
