@@ -31,7 +31,9 @@ def example() -> str:
     finding = report.findings[0]
     sigma = finding.parameters[0]
     others = ", ".join(m.effect for m in finding.members[1:]) or "nothing"
-    return f"{finding.effect}: sigma {sigma.value:.2e} [{sigma.low:.2e}, {sigma.high:.2e}] rad/s; {others} within 3 nats"
+    return (
+        f"{finding.effect}: sigma {sigma.value:.2e} [{sigma.low:.2e}, {sigma.high:.2e}] rad/s; {others} within 3 nats"
+    )
 
 
 if __name__ == "__main__":
