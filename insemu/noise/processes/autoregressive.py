@@ -13,13 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
 from insemu.errors import InputError, nearest
-from insemu.noise import draws
+from insemu.noise import draws, grammar
 from insemu.noise.block import StateBlock
 from insemu.noise.curves import STEP
 from insemu.noise.doubling import arma, coefficients_of
 from insemu.noise.grammar import quantity
 from insemu.noise.parameters import Parameter
-from insemu.noise.process import MarkovParts, NotStationary, Process, counts
+from insemu.noise.process import SAME_RATE, MarkovParts, NotStationary, Process, counts
 from insemu.noise.processes.gauss_markov import first_order
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 def _carried_rate(process: AR1 | ARMA, dt: float) -> None:
     if process.rate_hz is None:
         raise InputError(f"{process.symbol} is a discrete process and carries its rate; give rate_hz")
-    if abs(process.rate_hz * dt - 1.0) > 1e-9:
+    if abs(process.rate_hz * dt - 1.0) > SAME_RATE:
         raise InputError(
             f"{process.symbol} belongs to samples at {process.rate_hz:g} Hz and cannot be used at {1 / dt:g} Hz"
         )
@@ -241,9 +241,7 @@ class ARMA(Process):
         for order in ("p", "q"):
             value = given.pop(order, None)
             if value is not None:
-                if not str(value).isdigit():
-                    raise InputError(f"order {order} of {cls.__name__} is '{value}', expected a whole number")
-                orders.append(int(value))
+                orders.append(grammar.whole(str(value), f"order {order} of {cls.__name__}"))
         if given:
             return super().of_arguments(orders, given, signal_unit, text)
         wanted = len(cls.POLYNOMIALS)
@@ -264,9 +262,8 @@ class ARMA(Process):
             raise InputError(f"unknown key '{unknown[0]}'" + nearest(unknown[0], known), where=where)
         if "order" in given:
             order = given["order"] if isinstance(given["order"], list) else [given["order"]]
-            if not all(isinstance(o, int) and not isinstance(o, bool) and o >= 1 for o in order):
-                raise InputError(f"order is {given['order']!r}, expected whole numbers of at least 1", where=where)
-            return cls(**{name: (None,) * size for name, size in zip(cls.POLYNOMIALS, order, strict=False)})
+            sizes = [grammar.whole(str(o), f"order of {where}") for o in order]
+            return cls(**dict[str, Any](zip(cls.POLYNOMIALS, [(None,) * n for n in sizes], strict=False)))
 
         def coefficients(key: str) -> tuple[float, ...]:
             value = given.get(key, ())
