@@ -12,6 +12,7 @@ import typer
 
 #: Command name -> module of this package whose function ``command`` it calls, in the order of ``insemu --help``.
 COMMANDS: dict[str, str] = {
+    "init": "init",
     "run": "run",
     "compare": "compare",
     "regress": "regress",

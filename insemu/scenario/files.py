@@ -15,6 +15,7 @@ import insemu
 from insemu import yamlfile
 from insemu.errors import InputError, nearest
 from insemu.scenario.schema import Scenario
+from insemu.scenario.shipped import located
 from insemu.yamlfile import Place
 
 S = TypeVar("S", bound=BaseModel)
@@ -26,7 +27,7 @@ def load(path: str | Path, *, variant: str | None = None, overrides: Mapping[str
     Parameters
     ----------
     path : path
-        YAML file.
+        YAML file, or the name of a scenario that comes with insemu.
     variant : str, optional
         Name under ``variants`` whose keys replace those of the file.
     overrides : mapping, optional
@@ -37,7 +38,7 @@ def load(path: str | Path, *, variant: str | None = None, overrides: Mapping[str
     InputError
         Names file, line and key, what was found and what was expected; for an unknown key the nearest valid one.
     """
-    document = yamlfile.read(path)
+    document = yamlfile.read(located(path))
     if not isinstance(document.data, dict):
         expected = "expected a mapping of keys such as title, trajectory, truth, designs"
         raise InputError(f"found {type(document.data).__name__}, {expected}", where=str(path))
@@ -132,7 +133,7 @@ def resolve_path(text: str, scenario_file: str | Path | None = None) -> Path:
     InputError
         No such file.
     """
-    base = Path(scenario_file).resolve().parent if scenario_file is not None else Path.cwd()
+    base = located(scenario_file).resolve().parent if scenario_file is not None else Path.cwd()
     if text.startswith("shared:"):
         relative = text.removeprefix("shared:").lstrip("/")
         root = os.environ.get("INSEMU_SHARED")

@@ -14,6 +14,7 @@ from insemu.errors import InputError, nearest
 from insemu.noise import NoiseModel, axis_unit
 from insemu.records import AXES
 from insemu.scenario.designs import shipped_designs, spell_out
+from insemu.scenario.sensor_keys import with_sensors
 
 Vector3 = tuple[float, float, float]
 
@@ -246,6 +247,10 @@ class SensorModels(Section):
 class Truth(SensorModels):
     """What the sensors really do: a model per axis, or pieces of recorded error signals."""
 
+    sensor: str | None = Field(
+        default=None, description="a sensor that comes with insemu (insemu sensor), or the file of its card"
+    )
+    case: Literal["typical", "worst"] = Field(default="typical", description="which of the sensor's figures")
     recorded: RecordedSignal | None = Field(
         default=None, description="pieces of recorded static signals instead of models"
     )
@@ -258,6 +263,11 @@ class Truth(SensorModels):
         default=(), description="deterministic, timing and GNSS effects: {effect: id, sensor: gyro, parameter: value}"
     )
     temperature: TemperatureKeys | None = Field(default=None, description="temperature of the IMU")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_sensors(cls, value: Any) -> Any:
+        return with_sensors(value)
 
     def uses(self) -> tuple[EffectUse, ...]:
         """The effects, in SI."""

@@ -123,6 +123,10 @@ def _axis_model(sensor: Card, axis: str, case: Case, assumed: Assumptions) -> Ax
     if "turn_on_bias" in figures:
         processes.append(RC(value("turn_on_bias")))
         said.append(f"RC: turn-on bias {figures['turn_on_bias'].text} (1 sigma), constant from start to end")
+    else:
+        said.append(
+            "no turn-on bias is printed: the model starts without one (assumed calibrated at rest before the start)"
+        )
     return AxisModel(NoiseModel(tuple(processes)), tuple(said))
 
 
