@@ -232,6 +232,45 @@ class Trajectory:
 
 
 @dataclass(frozen=True)
+class AidRecord:
+    """A measurement beside IMU and fixes: a known standstill, and what :mod:`insemu.filters.aids` offers.
+
+    Parameters
+    ----------
+    kind : str
+        Which aid; its components are named in ``insemu.filters.aids.AIDS``.
+    t : (n,) array
+        Time of validity in s on the IMU's clock.
+    values, std : (n, rows) arrays
+        Measured values and their standard deviations; NaN or infinite: that component is not used.
+    settings : tuple of float
+        Constants of the aid, for example where it is mounted.
+    since : (n,) array, optional
+        Where the measurement is a mean: times from which on it was taken, s.
+    """
+
+    kind: str
+    t: Array
+    values: Array
+    std: Array
+    settings: tuple[float, ...] = ()
+    since: Array | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "t", _frozen_times(self.t, f"{self.kind} time"))
+        n = self.t.size
+        for name in ("values", "std"):
+            object.__setattr__(self, name, _frozen(getattr(self, name), f"{self.kind} {name}", (n, None), finite=False))
+        if self.std.shape != self.values.shape:
+            raise InputError(f"{self.kind} std has shape {self.std.shape}, expected {self.values.shape}")
+        if self.since is not None:
+            object.__setattr__(self, "since", _frozen(self.since, f"{self.kind} since", (n,)))
+
+    def __len__(self) -> int:
+        return self.t.size
+
+
+@dataclass(frozen=True)
 class Recording:
     """What was measured (or emulated) on one drive or flight: IMU, GNSS and, where there is one, a reference.
 
@@ -245,9 +284,12 @@ class Recording:
         Reference position, velocity and attitude of the IMU (``ref_*``), possibly at another rate.
     source : str
         File or folder it came from; appears in messages.
+    aids : tuple of AidRecord
+        Further measurements.
     """
 
     imu: ImuRecord
     gnss: GnssRecord | None = None
     reference: Trajectory | None = None
     source: str = "recording"
+    aids: tuple[AidRecord, ...] = ()

@@ -64,8 +64,8 @@ class Drive:
     imu: ImuRecord
 
 
-def drive(seconds: float, *, turn: float = 0.35, seed: int = 0) -> Drive:
-    """A vehicle that turns, speeds up and rocks, for ``seconds``."""
+def drive(seconds: float, *, turn: float = 0.35, seed: int = 0, vibration: float = 0.0) -> Drive:
+    """A vehicle that turns, speeds up and rocks, for ``seconds``; ``vibration`` is the amplitude (m/s^2) of a 17-Hz shake of all axes."""
     t = np.arange(round(seconds * RATE) + 1) * DT
     rng = np.random.default_rng(seed)
     phase = rng.uniform(0, 2 * np.pi, 6)
@@ -86,6 +86,7 @@ def drive(seconds: float, *, turn: float = 0.35, seed: int = 0) -> Drive:
         wanted = np.array([10.0 * np.sin(t[k] / 31.0), 10.0 * np.cos(t[k] / 23.0), 0.3 * np.sin(t[k] / 11.0)])
         level = np.array([-0.5 * C[2, 1], 0.5 * C[2, 0], 0.0])
         force = C.T @ (1.0 * (wanted - nav[3:6]) - np.array([0.0, 0.0, 9.81]))
+        force = force + vibration * np.sin(2 * np.pi * 17.0 * t[k] + phase[3:])
         dth[k], dv[k] = (gyro[k] + level) * DT, force * DT
         strapdown.step(nav, dth[k], dv[k], dth[max(k - 1, 1)], dv[max(k - 1, 1)], DT, DT, 0)
         out[k] = nav
@@ -132,6 +133,47 @@ def fixes(
     llh = earth.move(truth.nav[rows, :3], arm + rng.standard_normal((rows.size, 3)) * sigma[0])
     vel = truth.nav[rows, 3:6] + swing + rng.standard_normal((rows.size, 3)) * sigma[1]
     return GnssRecord(truth.t[rows], llh, vel, np.full((rows.size, 3), sigma[0]), np.full((rows.size, 3), sigma[1]))
+
+
+def late_fixes(
+    truth: Drive,
+    rng: np.random.Generator,
+    *,
+    latency: float,
+    lever_arm: tuple[float, float, float],
+    every: int = 20,
+    sigma: tuple[float, float] = (0.05, 0.03),
+) -> GnssRecord:
+    """Fixes of the antenna every ``every`` epochs, stamped ``latency`` seconds after they were valid."""
+    stamps = truth.t[2 * every :: every]
+    own = stamps - latency
+    k = np.searchsorted(truth.t, own + 1e-9) - 1
+    h = ((own - truth.t[k]) / DT)[:, None]
+    a, b = truth.nav[k], truth.nav[k + 1]
+    slope = (truth.nav[k + 1, 3:6] - truth.nav[k, 3:6]) / DT
+    # cubic through places and velocities at both ends of the step
+    moved = earth.position_difference(b[:, :3], a[:, :3])
+    ned = (3 * h**2 - 2 * h**3) * moved + DT * ((h - 2 * h**2 + h**3) * a[:, 3:6] + (h**3 - h**2) * b[:, 3:6])
+    llh, vel = earth.move(a[:, :3], ned), a[:, 3:6] + h * DT * slope
+    gyro = truth.imu.gyro
+    C = rotation.dcm_from_quaternion(a[:, 6:10]) @ rotation.dcm_from_quaternion(
+        rotation.quaternion_from_vector(h * gyro[k + 1])
+    )
+    last = len(truth.imu) - 1
+    middle = np.clip(k + 1, 1, last - 1)
+    rate = (gyro[middle] + (h - 0.5) * 0.5 * (gyro[middle + 1] - gyro[middle - 1])) / DT
+    rate = rate - np.einsum("kji,kj->ki", C, earth.earth_rate(llh[:, 0]))
+    arm = np.array(lever_arm)
+    llh = earth.move(llh, np.einsum("kij,j->ki", C, arm) + rng.standard_normal((k.size, 3)) * sigma[0])
+    vel = vel + np.einsum("kij,kj->ki", C, np.cross(rate, arm)) + rng.standard_normal((k.size, 3)) * sigma[1]
+    return GnssRecord(stamps, llh, vel, np.full((k.size, 3), sigma[0]), np.full((k.size, 3), sigma[1]))
+
+
+def later(truth: Drive, seconds: float) -> Drive:
+    """The drive without its first ``seconds``, in which it gathers speed at 1 g."""
+    k = round(seconds * RATE)
+    imu = ImuRecord(truth.t[k:] - truth.t[k], truth.imu.gyro[k:], truth.imu.accel[k:], kind="increment")
+    return Drive(imu.t, truth.nav[k:], imu)
 
 
 def start(truth: Drive, rng: np.random.Generator, sigma: InitialSigma = START_SIGMA) -> NavState:

@@ -30,8 +30,10 @@ from insemu.gap.drive.preparation import Flown
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop
 from insemu.gap.policy import rules
-from insemu.trial.drives import TRACKS, Stage, draw_use, size_effect, stage
+from insemu.trial.drives import Stage, draw_use, stage
 from insemu.trial.score import interval
+from insemu.trial.tracks import TRACKS
+from insemu.trial.worth import size_effect
 
 Array = NDArray[np.float64]
 Key = tuple[str, str]

@@ -36,10 +36,12 @@ from insemu.gap.problems.rest import Found, search, weigh_all
 from insemu.gap.verdict import GapReport
 from insemu.noise import SIN, WN, NoiseModel
 from insemu.records import AXES, ImuRecord, Series
-from insemu.trial.expected import GAUSSIAN, SLOW, Log
-from insemu.trial.logs import BESIDE_NATS, STATIC_EFFECTS, HiddenLog, static_recording, wrong
+from insemu.trial.drives import wrong
+from insemu.trial.expected import GAUSSIAN, Log
+from insemu.trial.logs import BESIDE_NATS, STATIC_EFFECTS, HiddenLog, static_recording
 from insemu.trial.score import interval
 from insemu.variance import allan_variance
+from tests.expected_leads import SLOW, leads_of, seen
 from tests.shared_data import shared
 
 #: Nominal sensor of the experiments with one axis.
@@ -79,7 +81,7 @@ def possible(effect: str, made: HiddenLog) -> bool:
         return True
     state = state_before(made)
     if effect in GAUSSIAN:
-        return made.known.seen(made.uses[0], state.data) >= rules().least_nats
+        return seen(made.known, made.uses[0], state.data) >= rules().least_nats
     candidate = turn_on_bias if effect == "turn_on_bias" else CANDIDATES[effect]
     return max((w.gain for w in candidate(state)), default=0.0) >= rules().least_nats
 
@@ -158,7 +160,7 @@ def sets(arguments: argparse.Namespace) -> None:
             seed = (arguments.seed, 900 + index, k)
             made = static_recording(names, arguments.nats, seed, arguments.hours, axes=1, sensors=WHITE)
             leads = [
-                min(made.known.leads(u, [v for v in made.uses if v is not u]).values(), default=math.inf)
+                min(leads_of(made.known, u, [v for v in made.uses if v is not u]).values(), default=math.inf)
                 for u in made.uses
             ]
             worth = [h.beside for h in made.hidden]
@@ -308,7 +310,7 @@ def pairs(arguments: argparse.Namespace) -> None:
                     inside += 1
                     beside += near[rival] - 1 >= others
                     comes_first += first[rival] - (c[0] == rival) >= others
-            leads = sorted(made.known.leads(made.uses[0]).items(), key=lambda item: item[1])
+            leads = sorted(leads_of(made.known, made.uses[0]).items(), key=lambda item: item[1])
             ahead = ", ".join(f"{e} {v:.1f}" for e, v in leads[:3])
             print(
                 f"{effect:13s} {nats:3.0f} nats, ahead of {ahead}; first {dict(first)}; within {rules().lead:.0f} nats of it {dict(near)}",

@@ -14,13 +14,14 @@ from insemu.filters import (
     InitialSigma,
     LooselyCoupledEKF,
     Standstill,
+    aids,
     expanded,
     measurements,
     run_filter,
 )
 from insemu.filters.reference import reference_run, step_matrices
 from insemu.noise import GM, RC, WN
-from insemu.records import GnssRecord, ImuRecord
+from insemu.records import AidRecord, GnssRecord, ImuRecord
 from tests import filter_cases as cases
 from tests.filter_cases import DT, MODEL_15, MODEL_24, MODEL_27, MODEL_RW, START_SIGMA
 
@@ -149,8 +150,25 @@ def test_the_jacobian_of_a_fix_is_its_derivative():
             r = rate - error[9:12]
             nu, H, R = np.empty(6), np.empty((6, 16)), np.empty((6, 6))
             z = np.concatenate([nav[:3], nav[3:6]])
+            trend = np.concatenate([acceleration, np.zeros(6)])
             measurements.fill_fix(
-                moved, before, DT, tau + error[15], r, r, lever + error[12:15], white, c, axis, 12, 15, z, nu, H, R
+                moved,
+                before,
+                DT,
+                tau + error[15],
+                r,
+                r,
+                lever + error[12:15],
+                white,
+                c,
+                axis,
+                12,
+                15,
+                trend,
+                z,
+                nu,
+                H,
+                R,
             )
             return -nu, H
 
@@ -179,8 +197,8 @@ def test_the_jacobian_of_a_standstill_is_its_derivative():
         def predicted(error, nav=nav, rate=rate):
             moved = nav.copy()
             strapdown.correct(moved, -error[:9])
-            nu, H, R = np.empty(6), np.empty((6, 12)), np.empty((6, 6))
-            measurements.fill_standstill(moved, rate - error[9:], 1, white, c, axis, nu, H, R)
+            nu, H, R = np.empty(6), np.zeros((6, 12)), np.zeros((6, 6))
+            aids.fill_standstill(moved, rate - error[9:], 1, white, c, axis, nu, H, R)
             return -nu, H
 
         H = predicted(np.zeros(12))[1]
@@ -441,6 +459,34 @@ def test_standstill_updates_find_the_gyro_bias():
     rate_part = r.fixes.innovation[:, 3:] ** 2 / np.einsum("fii->fi", r.fixes.S)[:, 3:]
     low, high = stats.chi2.ppf([1e-5, 1 - 1e-5], rate_part.size) / rate_part.size
     assert low < rate_part.mean() < high
+
+
+def test_aids_are_the_same_in_the_reference_filter(road):
+    imu, gnss, start = flown(road, MODEL_15)
+    still = Standstill([(3.0, 9.0), (30.0, 36.0)], every=0.7, velocity_sigma=20.0, rate_sigma=0.5)
+    at = FilterOptions(covariance_at=(5.0, 20.0, 40.0), standstill=still)
+    ekf = LooselyCoupledEKF(MODEL_15, DT, options=at)
+    extra = AidRecord("standstill", [2.003, 17.5], np.full((2, 6), 0.1), np.full((2, 6), 5.0), since=[1.2, 17.0])
+    a = ekf.run(imu, gnss, start, START_SIGMA, aids=(extra,))
+    b = reference_run(ekf, imu, gnss, start, START_SIGMA, aids=(extra,))
+    assert (np.array(agreement(a, b)) < BOUNDS).all()
+    np.testing.assert_allclose(a.fixes.innovation, b.fixes.innovation, atol=1e-6)
+    assert (a.fixes.kind == 1).sum() == 18 and a.fixes.accepted.all()
+    without = ekf.run(imu, gnss, start, START_SIGMA)
+    assert np.abs(without.nav - a.nav).max() > 1e-9
+
+
+def test_an_aid_that_is_not_known_or_misshapen_is_named(road):
+    imu, gnss, start = flown(road, MODEL_15)
+    ekf = LooselyCoupledEKF(MODEL_15, DT)
+    for aid, words in (
+        (AidRecord("stand still", [1.0], np.zeros((1, 6)), np.ones((1, 6))), "no aid 'stand still'"),
+        (AidRecord("standstill", [1.0], np.zeros((1, 2)), np.ones((1, 2))), "2 components, expected vel_n"),
+    ):
+        with pytest.raises(InputError, match=words):
+            ekf.run(imu, gnss, start, START_SIGMA, aids=(aid,))
+    with pytest.raises(InputError, match="standstill std has shape"):
+        AidRecord("standstill", [1.0], np.zeros((1, 6)), np.ones((1, 5)))
 
 
 # -- consistency ----------------------------------------------------------------------------------------------------------------------------

@@ -123,7 +123,7 @@ def test_what_was_found_becomes_a_scenario_that_runs_with_its_values(effect: str
     path = write_refined(nominal, report(step(effect)), tmp_path / "refined.yaml", measured())
     refined = load(path)
     assert refined.truth is not None
-    uses = [u for u in refined.truth.uses() if u.id == effect]
+    uses = [u for u in refined.truth.effects if u.id == effect]
     assert uses
     for name, value in FOUND[effect][4].items():
         np.testing.assert_allclose(uses[0][name], value)
@@ -132,7 +132,7 @@ def test_what_was_found_becomes_a_scenario_that_runs_with_its_values(effect: str
     assert np.isfinite(results.nis).all()
     # the file is itself a nominal model that knows the effect
     again = load_nominal(path)
-    assert [u.to_mapping() for u in again.effects] == [u.to_mapping() for u in refined.truth.uses()]
+    assert [u.to_mapping() for u in again.effects] == [u.to_mapping() for u in refined.truth.effects]
 
 
 @pytest.mark.parametrize("effect", NOISE)

@@ -116,7 +116,7 @@ def test_a_recorded_drive_is_smoothed_and_repeated_rows_are_told(tmp_path: Path,
     write(tmp_path / "drive.npz", replace(mounted, imu=twice))
     path = _scenario(tmp_path, smoother=True)
     r = run_experiment(Experiment(load(path), path))
-    assert r.smoothed is not None
+    assert r.smoothed
     row = summary(r)["designs"]["full"]["outages"][0]
     assert row["smoothed"]["planimetric_max_m"] < row["planimetric_max_m"]
     assert "of 10001 IMU rows (1.0%) repeat" in r.manifest["warnings"][0]

@@ -14,7 +14,7 @@ from insemu.evaluate.errors import paired_ratio
 from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.results import Results
 from insemu.evaluate.world import World
-from insemu.filters import InitialSigma, LooselyCoupledEKF
+from insemu.filters import LooselyCoupledEKF
 from insemu.scenario import Design, Scenario, shipped_designs
 from insemu.strapdown import NavState
 
@@ -129,7 +129,7 @@ def analysable(experiment: Experiment) -> tuple[list[str], str]:
     s = experiment.scenario
     if not isinstance(experiment.world, World) or s.truth is None:
         return [], "found a recording; the analysis needs an emulated world and its truth"
-    if s.truth.recorded is not None or s.truth.uses():
+    if s.truth.recorded is not None or s.truth.effects:
         return [], "found a recorded truth or deterministic effects; the analysis needs noise models only"
     able: list[str] = []
     left_out: dict[str, str] = {}
@@ -168,8 +168,6 @@ def analyse_designs(
     assert isinstance(world, World) and s.truth is not None
     fixes = world.recording(0, ideal=True).gnss
     assert fixes is not None
-    i = s.initial
-    sigma = InitialSigma(i.position_sigma, i.velocity_sigma, (i.tilt_sigma, i.tilt_sigma, i.heading_sigma))
     ends = [start + duration for start, duration in world.outage_windows]
     plain = type(fixes)(fixes.t, fixes.llh, fixes.vel_ned)  # the filter's own sigmas, not those of perfect fixes
     truth = {axis: m.at_rate(experiment.rate_hz) for axis, m in s.truth.models().items()}
@@ -180,7 +178,7 @@ def analyse_designs(
             world.imu,
             plain,
             NavState.of(world.reference),
-            sigma,
+            s.initial.sigma,
             true_gnss_sigma=(s.gnss.position_sigma, s.gnss.velocity_sigma or (0.0, 0.0, 0.0)),
             at=tuple(world.output_times),
             budget_at=ends,

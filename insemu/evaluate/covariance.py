@@ -446,7 +446,7 @@ def _gains(
         here = np.concatenate([nav[k, :3], nav[k, 3:6]])
         fill_fix(
             np.append(nav[k], zero), np.append(nav[k - 1], zero), dt,
-            events.tau[i], *rates, ekf.lever_arm, np.zeros(6), np.zeros(0), none, -1, -1, here, nu, H, R
+            events.tau[i], *rates, ekf.lever_arm, np.zeros(6), np.zeros(0), none, -1, -1, np.zeros(9), here, nu, H, R
         )  # fmt: skip
         # what the filter would predict at the truth
         z[i] = np.where(

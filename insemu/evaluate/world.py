@@ -15,10 +15,8 @@ from insemu import earth, rotation
 from insemu.effects import EFFECTS
 from insemu.emulate import (
     AreaOutage,
-    Mounting,
     Outage,
     RecordedErrors,
-    TemperatureProfile,
     corrupt,
     gnss_fixes,
     ideal_imu,
@@ -71,6 +69,8 @@ def input_files(scenario: Scenario, file: str | Path | None) -> dict[str, Path]:
     if scenario.trajectory is not None:
         source = scenario.trajectory
         names += [name for name in (source.waypoints, source.track, source.motion) if name is not None]
+    if scenario.truth is not None and scenario.truth.file is not None:
+        names.append(scenario.truth.file)
     for design in scenario.designs.values():
         names += [s.file for s in design.sources().values() if isinstance(s, AxisSource) and s.file]
     return {name: resolve_path(name, file) for name in dict.fromkeys(names)}
@@ -169,7 +169,7 @@ class World:
             mode=source.mode,
             kind=source.kind,
             gravity=source.gravity,
-            mounting=None if source.mounting is None else Mounting(source.mounting.lever_arm, source.mounting.rpy),
+            mounting=source.mounting,
             span=None if source.duration is None else (path.start, min(path.end, path.start + source.duration)),
         )
         self.reference: Trajectory = ideal.reference
@@ -200,13 +200,13 @@ class World:
         gnss = self.scenario.gnss
         start, end = float(self.reference.t[0]), float(self.reference.t[-1])
         for k, given in enumerate(gnss.outages):
-            if given.start + given.duration > end - start + 1e-9:
+            if given.end_s > end - start + 1e-9:
                 raise InputError(
-                    f"outage {k + 1} ends at {given.start + given.duration:g} s, but the trajectory ends at {end - start:g} s",
+                    f"outage {k + 1} ends at {given.end_s:g} s, but the trajectory ends at {end - start:g} s",
                     where=f"{self._name}: gnss.outages.{k}",
                 )
-        out: list[Outage | AreaOutage] = [Outage(start + o.start, o.duration) for o in gnss.outages]
-        out += [AreaOutage(a.latitude, a.longitude, a.radius) for a in gnss.areas]
+        out: list[Outage | AreaOutage] = [Outage(start + o.start_s, o.duration_s) for o in gnss.outages]
+        out += gnss.areas
         if gnss.random_outages is not None:
             drawn = gnss.random_outages
             rng = stream(self.scenario.seed, "outages")
@@ -217,7 +217,7 @@ class World:
         """Outage areas that the trajectory never enters."""
         out, way = [], self.reference.llh[:: max(1, len(self.reference) // 5000)]
         for k, area in enumerate(self.scenario.gnss.areas):
-            if AreaOutage(area.latitude, area.longitude, area.radius).covers(self.reference.llh).any():
+            if area.covers(self.reference.llh).any():
                 continue
 
             def distance(lat: float, lon: float) -> float:
@@ -283,19 +283,18 @@ class World:
             Perfect sensors instead: no errors on the IMU or the fixes, the outages kept.
         """
         s = self.scenario
-        uses = () if ideal else self.truth.uses()
+        uses = () if ideal else self.truth.effects
         imu = self.imu
         if not ideal:
             with self._lock:  # a simulated record serves many pieces; one thread draws it
                 errors = self.pieces.piece(realization)
-            temperature = self.truth.temperature
             imu = corrupt(
                 self.imu,
                 None,
                 stream(s.seed, "effects", realization),
                 effects=uses,
                 reference=self.reference,
-                temperature=None if temperature is None else TemperatureProfile(temperature.t, temperature.degc),
+                temperature=self.truth.temperature,
                 errors=errors,
             ).imu
         velocity = s.gnss.velocity_sigma
@@ -320,7 +319,7 @@ class World:
             if self.pieces.tell is None:
                 return None
             known, errors = self.pieces.tell(realization), self.pieces.piece(realization)
-        uses = [use for use in self.truth.uses() if use.sensor != "gnss"]
+        uses = [use for use in self.truth.effects if use.sensor != "gnss"]
         if not uses:
             return known
         if any(EFFECTS[use.id].family == "stochastic" for use in uses) or not np.array_equal(imu.t, self.imu.t):
@@ -362,16 +361,11 @@ class World:
 
     def start(self, realization: int, imu: ImuRecord) -> tuple[NavState, InitialSigma]:
         """The filter's start: the truth moved by a draw from the sigmas that the filter believes."""
-        i = self.scenario.initial
-        attitude = (i.tilt_sigma, i.tilt_sigma, i.heading_sigma)
-        draw = stream(self.scenario.seed, "initial", realization).standard_normal(9)
+        sigma = self.scenario.initial.sigma
+        error = stream(self.scenario.seed, "initial", realization).standard_normal(9) * sigma.to_array()
         start = NavState.of(self.reference)
-        moved = NavState(
-            earth.move(start.llh, draw[:3] * np.array(i.position_sigma)),
-            start.vel_ned + draw[3:6] * np.array(i.velocity_sigma),
-            start.rpy + draw[6:9] * np.array(attitude),
-        )
-        return moved, InitialSigma(position=i.position_sigma, velocity=i.velocity_sigma, attitude=attitude)
+        moved = NavState(earth.move(start.llh, error[:3]), start.vel_ned + error[3:6], start.rpy + error[6:9])
+        return moved, sigma
 
     def rows(self, imu: ImuRecord, every: int) -> NDArray[np.intp]:
         """Rows of a record (multiples of ``every``) nearest the output epochs."""

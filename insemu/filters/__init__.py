@@ -1,17 +1,11 @@
 """Filters: the loosely coupled, closed-loop error-state EKF in one compiled loop."""
 
 from insemu.augment import Extras
-from insemu.filters.ekf import (
-    FilterOptions,
-    FilterResult,
-    FixTable,
-    InitialSigma,
-    LooselyCoupledEKF,
-    Nodes,
-    Standstill,
-    run_filter,
-)
+from insemu.filters.aids import Standstill
+from insemu.filters.ekf import LooselyCoupledEKF, run_filter
+from insemu.filters.options import FilterOptions, InitialSigma
 from insemu.filters.protocol import FilterParts, NavigationFilter, user_filter
+from insemu.filters.results import FilterResult, FixTable, Nodes
 from insemu.filters.smoother import SmootherResult, smooth
 
 __all__ = [

@@ -1,234 +1,35 @@
-"""The loosely coupled, closed-loop error-state filter: what it is told, what it returns, and the door to the compiled loop."""
+"""The loosely coupled, closed-loop error-state filter: the door to the compiled loop."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
-from typing import Any, Literal, get_args
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
 from insemu import earth
-from insemu.augment import Augmentation, Belief, Extras, StateLayout, augment
+from insemu.augment import Augmentation, Belief, StateLayout, augment
 from insemu.errors import InputError
 from insemu.filters import expanded, kernel
-from insemu.records import GnssRecord, ImuRecord, Trajectory
-from insemu.strapdown import NavState, trajectory_of
+from insemu.filters.events import FIX_ROWS, SAME_TIME, Events, GnssSigma, aid_events, fix_events, joined
+from insemu.filters.options import FilterOptions, InitialSigma, three_sigmas
+from insemu.filters.results import FilterResult, FixTable, Nodes
+from insemu.records import AidRecord, GnssRecord, ImuRecord, Trajectory
+from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
-Store = Literal["none", "fixes"]
+
+#: The derivative of a fix by its latency is taken from means over so many seconds: those of one step are mostly noise and vibration.
+TREND_S = 0.3
 
 
-def _three(value: ArrayLike | None, name: str, *, unknown: bool = False) -> Array:
-    """Three standard deviations; where ``unknown`` is allowed, None or NaN stand for "not known"."""
-    out = np.array(np.broadcast_to(np.asarray(np.nan if value is None else value, dtype=np.float64), (3,)))
-    if not (((np.isfinite(out)) & (out >= 0)) | (np.isnan(out) & unknown)).all():
-        raise InputError(
-            f"{name} is {np.asarray(value).tolist()}, expected one or three standard deviations that are not negative"
-        )
-    return out
-
-
-@dataclass(frozen=True)
-class InitialSigma:
-    """What is believed about the initial navigation state: standard deviations, each a scalar or north, east, down.
-
-    Parameters
-    ----------
-    position : m
-    velocity : m/s
-    attitude : rad about north, east and down
-    """
-
-    position: ArrayLike = 1.0
-    velocity: ArrayLike = 0.1
-    attitude: ArrayLike = (0.01, 0.01, 0.03)
-
-    def to_array(self) -> Array:
-        """The nine standard deviations."""
-        return np.concatenate(
-            [_three(getattr(self, name), f"initial {name} sigma") for name in ("position", "velocity", "attitude")]
-        )
-
-
-@dataclass(frozen=True)
-class Standstill:
-    """Intervals in which the vehicle is known to stand still: zero velocity and zero angular rate are fed as measurements.
-
-    Parameters
-    ----------
-    intervals : sequence of (start, end)
-        s, on the IMU's clock.
-    every : float
-        Seconds between updates.
-    velocity_sigma, rate_sigma : float
-        m/s and rad/s; infinite leaves that part out.
-    """
-
-    intervals: Sequence[tuple[float, float]]
-    every: float = 1.0
-    velocity_sigma: float = 0.01
-    rate_sigma: float = 1e-4
-
-
-@dataclass(frozen=True)
-class FilterOptions:
-    """How the filter runs; what it believes is not here.
-
-    Parameters
-    ----------
-    covariance_every : int
-        Covariance propagated every n-th IMU epoch (and at every fix); 1 is full rate.
-    output_every : int
-        A row of the result every n-th IMU epoch; a multiple of ``covariance_every``.
-    gate : float, optional
-        Probability with which a good fix is rejected by the test of its normalised innovation squared; None: no gate.
-    store : {"none", "fixes"}
-        ``fixes`` keeps covariances, transition and gain at every node for the smoother and the gap room.
-    node_every : float, optional
-        With ``store="fixes"``: nodes also every so many seconds without a fix.
-    covariance_at : sequence of float
-        Times in s at which the whole covariance is kept; with ``store="fixes"`` these are nodes too.
-    extras : Extras
-        Calibration and installation states to be estimated.
-    standstill : Standstill, optional
-        Zero-velocity and zero-rate updates.
-    imposed_gnss_sigma : bool
-        Use the filter's ``gnss_sigma`` even where the record states its own.
-    """
-
-    covariance_every: int = 1
-    output_every: int = 1
-    gate: float | None = None
-    store: Store = "none"
-    node_every: float | None = None
-    covariance_at: Sequence[float] = ()
-    extras: Extras = field(default_factory=Extras)
-    standstill: Standstill | None = None
-    imposed_gnss_sigma: bool = False
-
-    def __post_init__(self) -> None:
-        for name in ("covariance_every", "output_every"):
-            value = getattr(self, name)
-            if not (isinstance(value, int) and value >= 1):
-                raise InputError(f"{name} is {value!r}, expected a whole number of at least 1")
-        if self.output_every % self.covariance_every:
-            raise InputError(
-                f"output_every is {self.output_every}, expected a multiple of covariance_every ({self.covariance_every})"
-            )
-        if self.gate is not None and not 0.0 < self.gate < 1.0:
-            raise InputError(f"gate is {self.gate!r}, expected a probability between 0 and 1, for example 1e-4")
-        if self.store not in get_args(Store):
-            raise InputError(f"store is '{self.store}', expected one of: {', '.join(get_args(Store))}")
-        if self.node_every is not None and not self.node_every > 0:
-            raise InputError(f"node_every is {self.node_every!r}, expected a positive number of seconds")
-
-
-@dataclass(frozen=True)
-class FixTable:
-    """What happened at every fix.
-
-    Parameters
-    ----------
-    t : (f,) array
-        Time of validity, s.
-    epoch : (f,) array of int
-        IMU row at which it was used.
-    kind : (f,) array of int
-        0: GNSS (components: position north, east, down, velocity); 1: standstill (velocity, angular rate x, y, z).
-    innovation : (f, 6) array
-        Measured minus predicted, m and m/s; NaN where a component is missing.
-    S : (f, 6, 6) array
-        Innovation covariance; NaN in rows and columns of missing components.
-    nis : (f,) array
-        Normalised innovation squared, chi-square with ``dof`` degrees of freedom.
-    dof : (f,) array of int
-        Components used; 0 for a fix of NaN.
-    accepted : (f,) array of bool
-    K : (f, n, 6) array, optional
-        Gain: the states move by ``K innovation``.
-    H : (f, 6, n) array, optional
-        Derivative of the predicted fix by the errors.
-    """
-
-    t: Array
-    epoch: NDArray[np.int64]
-    kind: NDArray[np.int64]
-    innovation: Array
-    S: Array
-    nis: Array
-    dof: NDArray[np.int64]
-    accepted: NDArray[np.bool_]
-    K: Array | None = None
-    H: Array | None = None
-
-    def __len__(self) -> int:
-        return self.t.size
-
-    @property
-    def rejected(self) -> NDArray[np.int64]:
-        """Indices of the fixes that the gate kept out."""
-        return np.nonzero(~self.accepted & (self.dof > 0))[0]
-
-
-@dataclass(frozen=True)
-class Nodes:
-    """The filter at fixes and at regular times between them: what a smoother needs, and what the gap room reads.
-
-    Parameters
-    ----------
-    t : (k,) array
-    epoch : (k,) array of int
-    nav : (k, 10) array
-        Navigation state after the update.
-    states : (k, n - 9) array
-        Estimates of the states behind, after the update.
-    P_before, P_after : (k, n, n) arrays
-        Covariance before and after the update.
-    Phi : (k, n, n) array
-        Transition of the errors from the previous node (for the first, from the start) to this one.
-    correction : (k, n) array
-        Estimated error that the update took off.
-    """
-
-    t: Array
-    epoch: NDArray[np.int64]
-    nav: Array
-    states: Array
-    P_before: Array
-    P_after: Array
-    Phi: Array
-    correction: Array
-
-    def __len__(self) -> int:
-        return self.t.size
-
-
-@dataclass(frozen=True)
-class FilterResult:
-    """What a filter says about one record; see ``docs/filters.md``."""
-
-    layout: StateLayout
-    t: Array
-    nav: Array
-    sigma: Array
-    imu_states: Array
-    fixes: FixTable
-    covariance_t: Array
-    covariance: Array
-    nodes: Nodes | None
-    final_covariance: Array
-    epochs: int
-    seconds: float
-
-    @cached_property
-    def trajectory(self) -> Trajectory:
-        """The estimated trajectory at the output times."""
-        return trajectory_of(self.t, self.nav, "filter")
+def trend_window(dt: float) -> int:
+    """Steps of ``dt`` seconds that the derivative of a fix by its latency is taken from."""
+    return 2 + max(3, round(TREND_S / dt))
 
 
 @dataclass(frozen=True)
@@ -296,7 +97,80 @@ def pack(aug: Augmentation, powers: int) -> Packed:
     )
 
 
-GnssSigma = tuple[ArrayLike | None, ArrayLike | None]
+@dataclass(frozen=True)
+class _Buffers:
+    """Arrays that the compiled loop fills."""
+
+    nav: Array
+    var: Array
+    x: Array
+    nu: Array
+    S: Array
+    nis: Array
+    dof: NDArray[np.int64]
+    ok: NDArray[np.int64]
+    epoch: NDArray[np.int64]
+    K: Array
+    H: Array
+    P: Array
+    node_at: NDArray[np.int64]
+    node_nav: Array
+    node_x: Array
+    node_dx: Array
+    before: Array
+    after: Array
+    phi: Array
+    last: Array
+
+    @classmethod
+    def of(cls, n: int, epochs: int, o: FilterOptions, events: Events, covariances: int, nodes: int) -> _Buffers:
+        """Arrays for ``n`` states, so many epochs, whole covariances and nodes beside those of fixes."""
+        f, w = events.z.shape
+        stored = o.store == "fixes"
+        rows = (epochs - 1) // o.output_every + 1 + ((epochs - 1) % o.output_every != 0)
+        kept, g = (nodes + f, f) if stored else (0, 1)
+        m = n - 9
+        before, after, phi = (np.empty((kept, n, n)) for _ in range(3))
+        return cls(
+            np.empty((rows, 10)), np.empty((rows, n)), np.empty((rows, m)), np.full((f, w), np.nan), np.full((f, w, w), np.nan),
+            np.full(f, np.nan), np.zeros(f, dtype=np.int64), np.zeros(f, dtype=np.int64), events.epoch.copy(), np.full((g, n, w), np.nan),
+            np.full((g, w, n), np.nan), np.empty((covariances, n, n)), np.zeros(kept, dtype=np.int64), np.empty((kept, 10)),
+            np.empty((kept, m)), np.empty((kept, n)), before, after, phi, np.empty((n, n)),
+        )  # fmt: skip
+
+    def result(
+        self,
+        layout: StateLayout,
+        t: Array,
+        o: FilterOptions,
+        events: Events,
+        cov_epoch: NDArray[np.int64],
+        nodes: int,
+        seconds: float,
+    ) -> FilterResult:
+        """What the filter returns; ``nodes`` is how many were stored."""
+        stored = o.store == "fixes"
+        K, H = (self.K, self.H) if stored else (None, None)
+        fixes = FixTable(
+            events.t, self.epoch, events.kind, self.nu, self.S, self.nis, self.dof, self.ok.astype(bool), K, H
+        )
+        at = self.node_at[:nodes]
+        kept = (v[:nodes] for v in (self.node_nav, self.node_x, self.before, self.after, self.phi, self.node_dx))
+        out_rows = np.unique(np.append(np.arange(0, t.size, o.output_every), t.size - 1))
+        return FilterResult(
+            layout=layout,
+            t=t[out_rows],
+            nav=self.nav,
+            sigma=np.sqrt(np.maximum(self.var, 0.0)),
+            imu_states=self.x,
+            fixes=fixes,
+            covariance_t=t[cov_epoch],
+            covariance=self.P,
+            nodes=Nodes(t[at], at, *kept) if stored else None,
+            final_covariance=self.last,
+            epochs=t.size - 1,
+            seconds=seconds,
+        )
 
 
 class LooselyCoupledEKF:
@@ -343,8 +217,8 @@ class LooselyCoupledEKF:
             None
             if gnss_sigma is None
             else (
-                _three(gnss_sigma[0], "gnss_sigma", unknown=True),
-                _three(gnss_sigma[1], "gnss_sigma", unknown=True),
+                three_sigmas(gnss_sigma[0], "gnss_sigma", unknown=True),
+                three_sigmas(gnss_sigma[1], "gnss_sigma", unknown=True),
             )
         )
         self._packed = pack(self.augmentation, self.options.covariance_every)
@@ -387,6 +261,7 @@ class LooselyCoupledEKF:
         initial: NavState | Trajectory,
         initial_sigma: InitialSigma | ArrayLike,
         *,
+        aids: Sequence[AidRecord] = (),
         initial_states: ArrayLike | None = None,
     ) -> FilterResult:
         """Filter one record.
@@ -397,12 +272,15 @@ class LooselyCoupledEKF:
             Of any kind; see :meth:`~insemu.records.ImuRecord.as_increments`.
         gnss : GnssRecord or None
             Fixes at their own times: each is used at the first IMU epoch at or after it, taken back to its time. Fixes before the second
-            and after the last IMU stamp are left out.
+            and after the last IMU stamp are left out. Where the latency is a state, a fix's own time is its stamp less the latency as
+            estimated by then, so that fixes that come late are used in the order in which they were valid.
         initial : NavState or Trajectory
             At ``imu.t[0]``; of a trajectory its first row.
         initial_sigma : InitialSigma or (n, n) covariance
+        aids : sequence of AidRecord
+            Further measurements, for example ``recording.aids``.
         initial_states : (n - 9,) array_like, optional
-            Initial estimates of the states behind; zero unless given.
+            Initial estimates of the states after the nine of navigation; zero unless given.
 
         Returns
         -------
@@ -414,57 +292,22 @@ class LooselyCoupledEKF:
             A record with another rate, no standard deviations for the fixes, navigation that diverges, or a covariance that is not positive
             semidefinite (the message names the state).
         """
-        if len(imu) < 2:
-            raise InputError(f"the IMU record has {len(imu)} row(s), expected at least two")
-        if abs(imu.dt / self.dt - 1.0) > 0.01:
-            raise InputError(
-                f"the IMU record is sampled at {1 / imu.dt:.6g} Hz, expected {1 / self.dt:.6g} Hz as the belief was discretised"
-            )
-        record = imu.as_increments()
-        if isinstance(initial, Trajectory):
-            initial = NavState.of(initial)
-        nav = initial.to_array()
-        if not np.isfinite(nav).all() or abs(nav[0]) > np.deg2rad(89.9):
-            raise InputError("the initial navigation state is not finite or within 0.1 deg of a pole")
-        nav = np.concatenate([nav, np.zeros(3)])
-        o, n, m = self.options, self.layout.n, self.augmentation.m
+        record, nav, x0 = self.checked(imu, initial, initial_states)
+        o, a, p, t = self.options, self.augmentation, self._packed, record.t
         P0 = self.initial_covariance(initial_sigma)
-        x0 = np.zeros(m) if initial_states is None else np.array(initial_states, dtype=np.float64)
-        if x0.shape != (m,):
-            raise InputError(f"initial_states has shape {x0.shape}, expected ({m},)")
-        t = record.t
-        events = self.events(t, gnss)
-        f = events.t.size
-        cov_epoch = np.unique(
-            np.searchsorted(t, np.asarray(o.covariance_at, dtype=np.float64) - 1e-9).clip(0, t.size - 1)
-        )
-        node_epoch = np.zeros(0, dtype=np.int64)
-        if o.store == "fixes":
-            regular = np.zeros(0, dtype=np.int64)
-            if o.node_every is not None:
-                regular = np.searchsorted(t, np.arange(t[0], t[-1], o.node_every) - 1e-9)
-            node_epoch = np.unique(np.concatenate([[0], events.epoch, regular, cov_epoch, [t.size - 1]])).astype(
-                np.int64
-            )
-        rows = (t.size - 1) // o.output_every + 1 + ((t.size - 1) % o.output_every != 0)
-        stored = o.store == "fixes"
-        kept, g = node_epoch.size, (f if stored else 1)
-        out_nav, out_var, out_x = np.empty((rows, 10)), np.empty((rows, n)), np.empty((rows, m))
-        nu, S, nis = np.full((f, 6), np.nan), np.full((f, 6, 6), np.nan), np.full(f, np.nan)
-        dof, ok = np.zeros(f, dtype=np.int64), np.zeros(f, dtype=np.int64)
-        K, H = np.full((g, n, 6), np.nan), np.full((g, 6, n), np.nan)
-        out_P = np.empty((cov_epoch.size, n, n))
-        node_nav, node_x, node_dx = np.empty((kept, 10)), np.empty((kept, m)), np.empty((kept, n))
-        before, after, phi = (np.empty((kept, n, n)) for _ in range(3))
-        P = np.empty((n, n))
+        events = self.events(t, gnss, aids)
         lever_at, latency_at = self.installation()
-        a, p = self.augmentation, self._packed
+        cov_epoch = self.covariance_epochs(t)
+        node_epoch = self._node_epochs(t, cov_epoch, events, moving=latency_at >= 0)
+        b = _Buffers.of(self.layout.n, t.size, o, events, cov_epoch.size, node_epoch.size)
         started = time.perf_counter()
         code, detail = kernel.run(
-            t, record.gyro, record.accel, nav, x0, P0, p.place, a.axis, a.c, a.driver, p.slots, p.diagonal, p.d, p.phi, p.offsets, p.mix, p.q_at, p.q,
-            a.white, self._gravity, self.lever_arm, lever_at, latency_at, self.thresholds(), o.covariance_every, o.output_every,
-            events.epoch, events.kind, events.since, events.tau, events.z, events.var, cov_epoch, node_epoch, stored,
-            out_nav, out_var, out_x, nu, S, nis, dof, ok, K, H, out_P, node_nav, node_x, before, after, phi, node_dx, P,
+            t, record.gyro, record.accel, np.concatenate([nav, np.zeros(3)]), x0, P0, p.place, a.axis, a.c, a.driver, p.slots, p.diagonal,
+            p.d, p.phi, p.offsets, p.mix, p.q_at, p.q, a.white, self._gravity, self.lever_arm, lever_at, latency_at,
+            self.thresholds(events.z.shape[1]), o.covariance_every, o.output_every, trend_window(self.dt), SAME_TIME * self.dt,
+            events.first_of, events.next_alike, events.t, events.epoch, events.kind, events.since, events.tau, events.z, events.var,
+            events.settings, cov_epoch, node_epoch, o.store == "fixes", b.nav, b.var, b.x, b.nu, b.S, b.nis, b.dof, b.ok, b.epoch, b.K, b.H,
+            b.P, b.node_at, b.node_nav, b.node_x, b.before, b.after, b.phi, b.node_dx, b.last,
         )  # fmt: skip
         seconds = time.perf_counter() - started
         if code == 1:
@@ -473,40 +316,55 @@ class LooselyCoupledEKF:
             raise InputError(f"the innovation covariance is not positive definite in component {detail}")
         if code == 3:
             raise InputError("navigation diverged (the states are not finite); is the IMU record in rad/s and m/s^2?")
-        fixes = FixTable(
-            events.t,
-            events.epoch,
-            events.kind,
-            nu,
-            S,
-            nis,
-            dof,
-            ok.astype(bool),
-            K if stored else None,
-            H if stored else None,
-        )
-        nodes = Nodes(t[node_epoch], node_epoch, node_nav, node_x, before, after, phi, node_dx) if stored else None
-        out_rows = np.unique(np.append(np.arange(0, t.size, o.output_every), t.size - 1))
-        return FilterResult(
-            self.layout,
-            t[out_rows],
-            out_nav,
-            np.sqrt(np.maximum(out_var, 0.0)),
-            out_x,
-            fixes,
-            t[cov_epoch],
-            out_P,
-            nodes,
-            P,
-            t.size - 1,
-            seconds,
-        )
+        return b.result(self.layout, t, o, events, cov_epoch, detail, seconds)
 
-    def thresholds(self) -> Array:
-        """Largest accepted normalised innovation squared by the number of components, (7,)."""
-        out = np.full(7, np.inf)
+    def checked(
+        self, imu: ImuRecord, initial: NavState | Trajectory, initial_states: ArrayLike | None
+    ) -> tuple[ImuRecord, Array, Array]:
+        """The record as increments, the initial navigation state (10,) and the initial estimates of the further states (m,).
+
+        Raises
+        ------
+        InputError
+            Too short a record, another rate than the belief was discretised at, a start that is not finite, or states of another number.
+        """
+        if len(imu) < 2:
+            raise InputError(f"the IMU record has {len(imu)} row(s), expected at least two")
+        if abs(imu.dt / self.dt - 1.0) > 0.01:
+            raise InputError(
+                f"the IMU record is sampled at {1 / imu.dt:.6g} Hz, expected {1 / self.dt:.6g} Hz as the belief was discretised"
+            )
+        nav = (NavState.of(initial) if isinstance(initial, Trajectory) else initial).to_array()
+        if not np.isfinite(nav).all() or abs(nav[0]) > np.deg2rad(89.9):
+            raise InputError("the initial navigation state is not finite or within 0.1 deg of a pole")
+        m = self.augmentation.m
+        x0 = np.zeros(m) if initial_states is None else np.array(initial_states, dtype=np.float64)
+        if x0.shape != (m,):
+            raise InputError(f"initial_states has shape {x0.shape}, expected ({m},)")
+        return imu.as_increments(), nav, x0
+
+    def covariance_epochs(self, t: Array) -> NDArray[np.int64]:
+        """Rows of ``t`` (n,) nearest after ``options.covariance_at``."""
+        asked = np.asarray(self.options.covariance_at, dtype=np.float64)
+        return np.unique(np.searchsorted(t, asked - 1e-9).clip(0, t.size - 1)).astype(np.int64)
+
+    def _node_epochs(
+        self, t: Array, cov_epoch: NDArray[np.int64], events: Events, *, moving: bool
+    ) -> NDArray[np.int64]:
+        """Rows at which nodes are stored whatever is measured; where fixes do not move with an estimated latency, theirs too."""
+        o = self.options
+        if o.store != "fixes":
+            return np.zeros(0, dtype=np.int64)
+        every = np.arange(t[0], t[-1], o.node_every) if o.node_every is not None else np.zeros(0)
+        measured = events.epoch[:0] if moving else events.epoch
+        regular = np.searchsorted(t, every - 1e-9)
+        return np.unique(np.concatenate([[0], measured, regular, cov_epoch, [t.size - 1]])).astype(np.int64)
+
+    def thresholds(self, rows: int = FIX_ROWS) -> Array:
+        """Largest accepted normalised innovation squared by the number of components, (rows + 1,)."""
+        out = np.full(rows + 1, np.inf)
         if self.options.gate is not None:
-            out[1:] = chi2.isf(self.options.gate, np.arange(1, 7))
+            out[1:] = chi2.isf(self.options.gate, np.arange(1, rows + 1))
         return out
 
     def installation(self) -> tuple[int, int]:
@@ -515,66 +373,14 @@ class LooselyCoupledEKF:
         lever, latency = (slices[name].start if name in slices else -1 for name in ("lever_arm", "latency"))
         return lever, latency
 
-    def events(self, t: Array, gnss: GnssRecord | None) -> _Events:
-        """Fixes and standstill updates in the order of the epochs at which they are used."""
-        parts: list[_Events] = []
+    def events(self, t: Array, gnss: GnssRecord | None, aids: Sequence[AidRecord] = ()) -> Events:
+        """Fixes, aids and standstill updates in the order of the epochs at which they are used."""
+        parts: list[Events] = []
         if gnss is not None:
-            tolerance = 1e-6 * self.dt
-            inside = np.nonzero((gnss.t > t[0] + tolerance) & (gnss.t <= t[-1] + tolerance))[0]
-            times = gnss.t[inside]
-            epoch = np.searchsorted(t, times - tolerance).astype(np.int64)
-            z = np.full((inside.size, 6), np.nan)
-            var = np.full((inside.size, 6), np.nan)
-            z[:, :3] = gnss.llh[inside]
-            var[:, :3] = self._variance(gnss.pos_std_ned, inside, 0)
-            if gnss.vel_ned is not None:
-                z[:, 3:] = gnss.vel_ned[inside]
-                var[:, 3:] = self._variance(gnss.vel_std_ned, inside, 1)
-            missing = np.isfinite(z) & ~(var > 0)
-            if missing.any():
-                k, i = np.argwhere(missing)[0]
-                raise InputError(
-                    f"the fix at {times[k]:g} s has no positive standard deviation for {'position' if i < 3 else 'velocity'}; expected one in "
-                    "the record or gnss_sigma"
-                )
-            tau = t[epoch] - times
-            tau[np.abs(tau) < tolerance] = 0.0
-            parts.append(_Events(times, epoch, np.zeros(inside.size, dtype=np.int64), epoch, tau, z, var))
-        if self.options.standstill is not None:
-            s = self.options.standstill
-            times = np.unique(
-                np.concatenate([np.arange(a + s.every, b, s.every) for a, b in s.intervals] or [np.zeros(0)])
-            )
-            times = times[(times > t[0]) & (times <= t[-1])]
-            epoch = np.searchsorted(t, times - 1e-6 * self.dt).astype(np.int64)
-            since = np.minimum(np.searchsorted(t, times - s.every - 1e-6 * self.dt).astype(np.int64), epoch - 1)
-            var = np.tile(np.repeat([s.velocity_sigma**2, s.rate_sigma**2], 3), (times.size, 1))
-            kind, none_late, zero = np.ones(times.size, dtype=np.int64), np.zeros(times.size), np.zeros_like(var)
-            parts.append(_Events(t[epoch], epoch, kind, since, none_late, zero, var))
-        if not parts:
-            nothing, none = np.zeros(0), np.zeros(0, dtype=np.int64)
-            return _Events(nothing, none, none, none, nothing, np.zeros((0, 6)), np.zeros((0, 6)))
-        joined = [np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Events)]
-        order = np.argsort(joined[1], kind="stable")
-        return _Events(*(np.ascontiguousarray(v[order]) for v in joined))
-
-    def _variance(self, stated: Array | None, rows: NDArray[np.int64], which: int) -> Array:
-        if stated is not None and not (self.options.imposed_gnss_sigma and self.gnss_sigma is not None):
-            return np.asarray(stated[rows] ** 2)
-        if self.gnss_sigma is not None:
-            return np.asarray(np.tile(self.gnss_sigma[which] ** 2, (rows.size, 1)))
-        return np.full((rows.size, 3), np.nan)
-
-
-@dataclass(frozen=True)
-class _Events:
-    t: Array
-    epoch: NDArray[np.int64]
-    kind: NDArray[np.int64]
-    since: NDArray[np.int64]  # epoch after which the rate of a standstill is averaged
-    tau: Array
-    z: Array
-    var: Array
+            parts.append(fix_events(t, self.dt, gnss, self.gnss_sigma, imposed=self.options.imposed_gnss_sigma))
+        still = None if self.options.standstill is None else self.options.standstill.record(t)
+        parts += [aid_events(t, self.dt, aid) for aid in (*aids, still) if aid is not None]
+        return joined(parts) if parts else Events.none()
 
 
 def run_filter(
@@ -588,10 +394,11 @@ def run_filter(
     gravity: str = "normal",
     gnss_sigma: GnssSigma | None = None,
     options: FilterOptions | None = None,
+    aids: Sequence[AidRecord] = (),
     initial_states: ArrayLike | None = None,
 ) -> FilterResult:
     """Filter one record with one belief: :class:`LooselyCoupledEKF` made and run once, at the record's own rate."""
     ekf = LooselyCoupledEKF(
         belief, imu.dt, lever_arm=lever_arm, gravity=gravity, gnss_sigma=gnss_sigma, options=options
     )
-    return ekf.run(imu, gnss, initial, initial_sigma, initial_states=initial_states)
+    return ekf.run(imu, gnss, initial, initial_sigma, aids=aids, initial_states=initial_states)

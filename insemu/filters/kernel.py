@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from insemu.filters.aids import fill_aid
 from insemu.filters.expanded import (
     FIRST,
     LD,
@@ -20,11 +21,22 @@ from insemu.filters.expanded import (
     reset_transition,
     scatter,
 )
-from insemu.filters.measurements import FIX, fill_fix, fill_standstill, first_bad_pivot, take_off, update
+from insemu.filters.measurements import (
+    FIX,
+    add_curvature,
+    fill_fix,
+    fill_trend,
+    first_bad_pivot,
+    take_off,
+    update,
+)
 from insemu.strapdown import fill_dynamics, step
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+#: Where the latency is a state, a fix is used at most so many steps after its own time.
+LATE_STEPS = 2.5
 
 
 @njit(cache=True, nogil=True)
@@ -80,12 +92,18 @@ def run(
     thresholds: Array,
     every: int,
     output_every: int,
+    window: int,
+    tolerance: float,
+    first_of: Ints,
+    event_next: Ints,
+    event_t: Array,
     event_epoch: Ints,
     event_kind: Ints,
     event_from: Ints,
     event_tau: Array,
     event_z: Array,
     event_var: Array,
+    event_settings: Array,
     cov_epoch: Ints,
     node_epoch: Ints,
     store: bool,
@@ -97,9 +115,11 @@ def run(
     fix_nis: Array,
     fix_dof: Ints,
     fix_ok: Ints,
+    fix_epoch: Ints,
     fix_K: Array,
     fix_H: Array,
     out_P: Array,
+    node_at: Ints,
     node_nav: Array,
     node_x: Array,
     node_before: Array,
@@ -110,11 +130,15 @@ def run(
 ) -> tuple[int, int]:
     """Fly the filter through a record; see :mod:`insemu.filters.ekf`, which prepares and names everything.
 
+    A fix is used at the first epoch at or after its own time. Where its latency is a state, that is the stamp less the latency as
+    estimated by then: no fix is predicted over more than a step or two, however old it is at its stamp. One whose own time has passed already
+    (the estimate has jumped by more than the time between fixes) is left out.
+
     Returns
     -------
     (code, detail)
-        0: done. 1: ``P`` not positive semidefinite at state ``detail``. 2: innovation covariance not positive definite in component
-        ``detail``. 3: the navigation state is not finite at epoch ``detail``.
+        0: done, with ``detail`` nodes. 1: ``P`` not positive semidefinite at state ``detail``. 2: innovation covariance not positive
+        definite in component ``detail``. 3: the navigation state is not finite at epoch ``detail``.
     """
     n = place.size
     m = n - 9
@@ -136,14 +160,20 @@ def run(
     C_sum = np.zeros((3, 3))
     nav_before = nav.copy()
     rate, rate1 = np.zeros(3), np.zeros(3)
-    rate_sum, rate_count = np.zeros(3), 0
+    kinds = first_of.size
+    rate_sum, rate_count = np.zeros((kinds, 3)), np.zeros(kinds, dtype=np.int64)
+    mean_rate = np.zeros(3)
+    upcoming = first_of.copy()
+    past = np.zeros((window, 6))  # acceleration and rate of the last steps
+    trend = np.zeros(9)
     white_now = np.empty(6)
     lever = lever0.copy()
     c_of = np.zeros(m)
     dx = np.zeros(n)
     node_total = np.zeros(n)
-    nu, H, R = np.zeros(6), np.zeros((6, n)), np.zeros((6, 6))
-    used = np.zeros(6, dtype=np.bool_)
+    width = event_z.shape[1]
+    nu, H, R = np.zeros(width), np.zeros((width, n)), np.zeros((width, width))
+    used = np.zeros(width, dtype=np.bool_)
     L = np.zeros((n, n))
     driven = False
     P[:, :] = P0
@@ -157,7 +187,7 @@ def run(
             c_of[s] = c0[s]
     if store:
         reset_transition(A, end)
-    event, cov, node, row, still = 0, 0, 0, 0, 0
+    cov, node, planned, row = 0, 0, 0, 0
 
     d_one, phi_one = d_of[0], phi_of[0]
     d, phi, mix, q = d_one, phi_one, mix_of[0], q_of[0]
@@ -166,16 +196,16 @@ def run(
         return 1, bad
     epochs = t.size
     for k in range(epochs):
+        measures = False
         if k > 0:
             dt = t[k] - t[k - 1]
             before = max(k - 1, 1)
-            while still < event_epoch.size and (event_kind[still] == FIX or event_epoch[still] < k):
-                still += 1
-            if still < event_epoch.size and event_from[still] == k - 1:
-                # the rate of the next standstill is averaged from here on, whatever the vehicle did before
-                for i in range(3):
-                    rate_sum[i] = 0.0
-                rate_count = 0
+            for a in range(1, kinds):
+                if upcoming[a] >= 0 and event_from[upcoming[a]] == k - 1:
+                    # the rate of the next such aid is averaged from here on, whatever the vehicle did before
+                    for i in range(3):
+                        rate_sum[a, i] = 0.0
+                    rate_count[a] = 0
             if driven:
                 for s in range(m):
                     if driver[s] >= 0:
@@ -188,8 +218,10 @@ def run(
                 dth[i] = gyro[k, i] - seen[i] * dt
                 dv[i] = accel[k, i] - seen[3 + i] * dt
                 rate[i] = dth[i] / dt
-                rate_sum[i] += rate[i]
-            rate_count += 1
+                for a in range(1, kinds):
+                    rate_sum[a, i] += rate[i]
+            for a in range(1, kinds):
+                rate_count[a] += 1
             if k == 1:
                 for i in range(3):
                     dth1[i], dv1[i], rate1[i] = dth[i], dv[i], rate[i]
@@ -206,13 +238,19 @@ def run(
                         C_sum[i, j] += mid[i, j] * dt
             else:
                 span, count = dt, 1
+            for a in range(kinds):
+                if upcoming[a] >= 0:
+                    if a == FIX and latency_at >= 0:
+                        measures = measures or event_t[upcoming[a]] - x[place[latency_at]] <= t[k] + tolerance
+                    else:
+                        measures = measures or event_epoch[upcoming[a]] == k
             due = (
-                count == every
+                measures
+                or count == every
                 or k == epochs - 1
                 or k % output_every == 0
-                or (event < event_epoch.size and event_epoch[event] == k)
                 or (cov < cov_epoch.size and cov_epoch[cov] == k)
-                or (node < node_epoch.size and node_epoch[node] == k)
+                or (planned < node_epoch.size and node_epoch[planned] == k)
             )
             if due:
                 if every > 1:
@@ -234,8 +272,13 @@ def run(
                     advance_transition(A, w, half, slots, diagonal, d, phi, c, work)
                 span, count = 0.0, 0
             step(nav, dth, dv, dth1, dv1, dt, dt if k == 1 else t[before] - t[before - 1], gravity)
+            if latency_at >= 0:
+                now = k % window
+                for i in range(3):
+                    past[now, i], past[now, 3 + i] = (nav[3 + i] - nav_before[3 + i]) / dt, rate[i]
 
-        is_node = store and node < node_epoch.size and node_epoch[node] == k
+        is_planned = planned < node_epoch.size and node_epoch[planned] == k
+        is_node = store and (is_planned or measures)
         if is_node:
             gather(E, place, P)
             for i in range(n):
@@ -243,17 +286,37 @@ def run(
                     node_before[node, i, j] = P[i, j]
                     node_phi[node, i, j] = A[place[i] * LD + place[j]]
                 node_total[i] = 0.0
-        while event < event_epoch.size and event_epoch[event] == k:
-            if k > 0:
-                for i in range(3):
-                    lever[i] = lever0[i]
-                    if lever_at >= 0:
-                        lever[i] += x[place[lever_at + i]]
-                tau = event_tau[event]
-                if latency_at >= 0:
-                    tau += x[place[latency_at]]
+        while measures:
+            event = -1
+            for a in range(kinds):
+                e = upcoming[a]
+                if e >= 0:
+                    if a == FIX and latency_at >= 0:
+                        here = event_t[e] - x[place[latency_at]] <= t[k] + tolerance
+                    else:
+                        here = event_epoch[e] == k
+                    if here and (event < 0 or e < event):
+                        event = e
+            if event < 0:
+                break
+            kind = event_kind[event]
+            upcoming[kind] = event_next[event]
+            fix_epoch[event] = k
+            tau = event_tau[event]
+            in_time = True
+            if kind == FIX and latency_at >= 0:
+                tau = t[k] - (event_t[event] - x[place[latency_at]])
+                if tau < tolerance:
+                    tau = 0.0
+                in_time = tau <= LATE_STEPS * (t[k] - t[k - 1])
+                fill_trend(past, k, (t[k] - t[0]) / k, trend)
+            if in_time:
                 dt = t[k] - t[k - 1]
-                if event_kind[event] == FIX:
+                if kind == FIX:
+                    for i in range(3):
+                        lever[i] = lever0[i]
+                        if lever_at >= 0:
+                            lever[i] += x[place[lever_at + i]]
                     fill_fix(
                         nav,
                         nav_before,
@@ -267,16 +330,36 @@ def run(
                         axis,
                         lever_at,
                         latency_at,
+                        trend,
                         event_z[event],
                         nu,
                         H,
                         R,
                     )
+                    if latency_at >= 0:
+                        at = place[latency_at]
+                        add_curvature(trend, E[at * LD + at], nu, R)
                 else:
                     for i in range(3):
-                        rate_sum[i] /= rate_count
-                    fill_standstill(nav, rate_sum, rate_count, white, c_of, axis, nu, H, R)
-                for i in range(6):
+                        mean_rate[i] = rate_sum[kind, i] / rate_count[kind]
+                    fill_aid(
+                        kind,
+                        nav,
+                        nav_before,
+                        dt,
+                        tau,
+                        mean_rate,
+                        rate_count[kind],
+                        white,
+                        c_of,
+                        axis,
+                        event_z[event],
+                        event_settings[event],
+                        nu,
+                        H,
+                        R,
+                    )
+                for i in range(width):
                     used[i] = math.isfinite(event_z[event, i]) and math.isfinite(event_var[event, i])
                     if used[i]:
                         R[i, i] += event_var[event, i]
@@ -287,7 +370,7 @@ def run(
                     return 2, -1 - dof
                 fix_nis[event], fix_dof[event], fix_ok[event] = nis, dof, 1 if ok else 0
                 if store:
-                    for i in range(6):
+                    for i in range(width):
                         for j in range(n):
                             fix_H[event, i, j] = H[i, j]
                 if ok:
@@ -300,9 +383,9 @@ def run(
                         x[place[9 + s]] -= dx[9 + s]
                     for i in range(n):
                         node_total[i] += dx[i]
-            event += 1
         if is_node:
             gather(E, place, P)
+            node_at[node] = k
             for i in range(n):
                 node_dx[node, i] = node_total[i]
                 for j in range(n):
@@ -313,6 +396,8 @@ def run(
                 node_x[node, s] = x[place[9 + s]]
             reset_transition(A, end)
             node += 1
+        if is_planned:
+            planned += 1
         if cov < cov_epoch.size and cov_epoch[cov] == k:
             gather(E, place, out_P[cov])
             cov += 1
@@ -331,4 +416,4 @@ def run(
     bad = first_bad_pivot(P, L)
     if bad >= 0:
         return 1, bad
-    return 0, 0
+    return 0, node

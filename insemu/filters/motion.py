@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from insemu import earth, rotation
 from insemu.errors import InputError
 from insemu.filters.alignment import Alignment, align_at_rest, rests
-from insemu.filters.ekf import InitialSigma
+from insemu.filters.options import InitialSigma
 from insemu.records import GnssRecord, ImuRecord
 from insemu.strapdown import NavState
 

@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError, nearest
-from insemu.filters.ekf import FilterOptions, FilterResult, InitialSigma, LooselyCoupledEKF
+from insemu.filters.ekf import LooselyCoupledEKF
+from insemu.filters.options import FilterOptions, InitialSigma
+from insemu.filters.results import FilterResult
 from insemu.noise import NoiseModel
 from insemu.records import GnssRecord, ImuRecord, Trajectory
 from insemu.strapdown import NavState

@@ -8,6 +8,8 @@ compiled loop, two orders of magnitude slower, and what a reader should look at 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
@@ -16,8 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 from insemu import earth, rotation, strapdown
 from insemu.errors import InputError
 from insemu.filters import measurements
-from insemu.filters.ekf import FilterResult, FixTable, InitialSigma, LooselyCoupledEKF
-from insemu.records import GnssRecord, ImuRecord, Trajectory
+from insemu.filters.aids import fill_aid
+from insemu.filters.ekf import LooselyCoupledEKF, trend_window
+from insemu.filters.events import FIX_ROWS, SAME_TIME, Events
+from insemu.filters.kernel import LATE_STEPS
+from insemu.filters.options import InitialSigma
+from insemu.filters.results import FilterResult, FixTable
+from insemu.records import AidRecord, GnssRecord, ImuRecord, Trajectory
 from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
@@ -59,7 +66,7 @@ def step_matrices(F: Array, C: Array, dt: float) -> tuple[Array, Array]:
 def augmented(Phi: Array, B: Array, Phi_x: Array, Q_x: Array, C_x: Array, white: Array) -> tuple[Array, Array]:
     """Transition and driving covariance of the whole filter.
 
-    The states behind move first, ``x_k = Phi_x x_(k-1) + w_k``; the axes err by ``-(C_x e_x) + v`` during the step, so w_k reaches the
+    The further states move first, ``x_k = Phi_x x_(k-1) + w_k``; the axes err by ``-(C_x e_x) + v`` during the step, so w_k reaches the
     navigation errors in the same step.
 
     Returns
@@ -77,6 +84,106 @@ def augmented(Phi: Array, B: Array, Phi_x: Array, Q_x: Array, C_x: Array, white:
     return F, Q
 
 
+@dataclass
+class _Flight:
+    """The filter between two epochs: what moves, and what the last step was."""
+
+    ekf: LooselyCoupledEKF
+    kf: KalmanFilter
+    nav: Array
+    x: Array
+    nav_before: Array = field(default_factory=lambda: np.zeros(13))
+    dt: float = 0.0
+    dt_before: float = 0.0
+    dtheta: Array = field(default_factory=lambda: np.zeros(3))
+    dvel: Array = field(default_factory=lambda: np.zeros(3))
+    rate: Array = field(default_factory=lambda: np.zeros(3))
+    rate_before: Array = field(default_factory=lambda: np.zeros(3))
+    seen: Array = field(default_factory=lambda: np.zeros(0))
+    rates: list[Array] = field(default_factory=list)
+    accelerations: list[Array] = field(default_factory=list)
+
+    def predict(self, measured: Array, dt: float) -> None:
+        """One IMU step: further states first, then the covariance, then the navigation."""
+        a, gravity = self.ekf.augmentation, earth.gravity_code(self.ekf.gravity)
+        first = not self.rates
+        C_x, self.seen = a.output(measured / dt), a.coefficients(measured / dt)
+        self.x = a.Phi @ self.x
+        corrected = measured - C_x @ self.x * dt
+        dtheta_before, dvel_before, self.rate_before = self.dtheta, self.dvel, self.rate
+        self.dtheta, self.dvel = corrected[:3].copy(), corrected[3:].copy()
+        self.rate = self.dtheta / dt
+        if first:
+            dtheta_before, dvel_before, self.rate_before = self.dtheta, self.dvel, self.rate
+        C = rotation.dcm_from_quaternion(self.nav[6:10]) @ (np.eye(3) + rotation.skew(0.5 * self.dtheta))
+        F = np.empty((9, 9))
+        strapdown.fill_dynamics(self.nav, C @ self.dvel / dt, gravity, F)
+        self.kf.F, self.kf.Q = augmented(*step_matrices(F, C, dt), a.Phi, a.Q, C_x, a.white)
+        self.kf.predict()
+        self.kf.P = 0.5 * (self.kf.P + self.kf.P.T)
+        self.nav_before = self.nav.copy()
+        strapdown.step(
+            self.nav, self.dtheta, self.dvel, dtheta_before, dvel_before, dt, dt if first else self.dt_before, gravity
+        )
+        self.dt = self.dt_before = dt
+        self.rates.append(self.rate)
+        self.accelerations.append((self.nav - self.nav_before)[3:6] / dt)
+
+    def trend(self, k: int, mean_dt: float) -> Array:
+        """How acceleration and rate go on; see :func:`insemu.filters.measurements.fill_trend`."""
+        window = trend_window(self.ekf.dt)
+        past, out = np.zeros((window, 6)), np.empty(9)
+        for j in range(max(1, k - window + 1), k + 1):
+            past[j % window] = np.concatenate([self.accelerations[j - 1], self.rates[j - 1]])
+        measurements.fill_trend(past, k, mean_dt, out)
+        return out
+
+    def measurement(self, events: Events, at: int, tau: float, k: int, mean_dt: float) -> tuple[Array, Array, Array]:
+        """Innovation, Jacobian and noise of one fix or aid, used at epoch ``k``."""
+        a, w = self.ekf.augmentation, events.z.shape[1]
+        nu, H, R = np.empty(w), np.empty((w, 9 + a.m)), np.empty((w, w))
+        if events.kind[at] == measurements.FIX:
+            lever_at, latency_at = self.ekf.installation()
+            trend = self.trend(k, mean_dt) if latency_at >= 0 else np.zeros(9)
+            lever = self.ekf.lever_arm + (self.x[lever_at - 9 : lever_at - 6] if lever_at >= 0 else 0.0)
+            measurements.fill_fix(
+                self.nav, self.nav_before, self.dt, tau, self.rate, self.rate_before, lever, a.white, self.seen, a.axis, lever_at,
+                latency_at, trend, events.z[at], nu, H, R,
+            )  # fmt: skip
+            if latency_at >= 0:
+                measurements.add_curvature(trend, self.kf.P[latency_at, latency_at], nu, R)
+        else:
+            rates = self.rates[events.since[at] : k]
+            fill_aid(
+                int(events.kind[at]), self.nav, self.nav_before, self.dt, tau, np.mean(rates, axis=0), len(rates), a.white, self.seen,
+                a.axis, events.z[at], events.settings[at], nu, H, R,
+            )  # fmt: skip
+        return nu, H, R + np.diag(np.nan_to_num(events.var[at], posinf=0.0))
+
+    def update(self, nu: Array, H: Array, R: Array) -> None:
+        """An accepted measurement; the filter's state is the error, so what is measured of it is predicted minus measured."""
+        self.kf.update(-nu, R=R, H=H)
+        self.kf.P = 0.5 * (self.kf.P + self.kf.P.T)
+        measurements.take_off(self.nav, self.kf.x)
+        self.x = self.x - self.kf.x[9:]
+        self.kf.x = np.zeros(self.kf.x.size)
+
+
+def _due(flight: _Flight, events: Events, waiting: list[int], t: Array, k: int) -> tuple[int, float] | None:
+    """The next measurement that is used at epoch ``k``, and how long ago it was valid; None where there is none."""
+    latency_at = flight.ekf.installation()[1]
+    tolerance = SAME_TIME * flight.ekf.dt
+    for at in waiting:
+        moving = events.kind[at] == measurements.FIX and latency_at >= 0
+        if moving and any(events.kind[e] == measurements.FIX and e < at for e in waiting):
+            continue  # fixes wait for each other
+        own = events.t[at] - (flight.x[latency_at - 9] if moving else 0.0)
+        if own <= t[k] + tolerance if moving else events.epoch[at] == k:
+            tau = float(t[k] - own) if moving else float(events.tau[at])
+            return at, 0.0 if moving and tau < tolerance else tau
+    return None
+
+
 def reference_run(
     ekf: LooselyCoupledEKF,
     imu: ImuRecord,
@@ -84,95 +191,61 @@ def reference_run(
     initial: NavState | Trajectory,
     initial_sigma: InitialSigma | ArrayLike,
     *,
+    aids: Sequence[AidRecord] = (),
     initial_states: ArrayLike | None = None,
 ) -> FilterResult:
     """Fly ``ekf`` through a record with filterpy; same arguments and result as :meth:`LooselyCoupledEKF.run`.
 
-    Options beyond gating, output rate and ``covariance_at`` are not carried.
+    Every epoch of the covariance is propagated, and no nodes are kept.
 
     Raises
     ------
     InputError
-        An option that only the compiled loop has.
+        As the compiled loop, and for an option that only that has.
     """
-    o, a = ekf.options, ekf.augmentation
-    if o.covariance_every != 1 or o.store != "none" or o.standstill is not None:
-        raise InputError("the reference filter runs at full covariance rate, without nodes or standstill updates")
+    o = ekf.options
+    if o.covariance_every != 1 or o.store != "none":
+        raise InputError("the reference filter runs at full covariance rate and without nodes")
     started = time.perf_counter()
-    record = imu.as_increments()
-    t = record.t
-    nav = np.concatenate(
-        [(NavState.of(initial) if isinstance(initial, Trajectory) else initial).to_array(), np.zeros(3)]
-    )
-    n, m = ekf.layout.n, a.m
-    kf = KalmanFilter(dim_x=n, dim_z=6)
-    kf.x = np.zeros(n)
-    kf.P = ekf.initial_covariance(initial_sigma)
-    x = np.zeros(m) if initial_states is None else np.array(initial_states, dtype=np.float64)
-    events = ekf.events(t, gnss)
-    thresholds = ekf.thresholds()
-    lever_at, latency_at = ekf.installation()
-    nu_all, S_all = np.full((len(events.t), 6), np.nan), np.full((len(events.t), 6, 6), np.nan)
-    nis, dof = np.full(len(events.t), np.nan), np.zeros(len(events.t), dtype=np.int64)
-    accepted = np.zeros(len(events.t), dtype=bool)
-    wanted = np.unique(np.searchsorted(t, np.asarray(o.covariance_at, dtype=np.float64) - 1e-9).clip(0, t.size - 1))
+    record, nav, x0 = ekf.checked(imu, initial, initial_states)
+    t, n = record.t, ekf.layout.n
+    kf = KalmanFilter(dim_x=n, dim_z=FIX_ROWS)
+    kf.x, kf.P = np.zeros(n), ekf.initial_covariance(initial_sigma)
+    flight = _Flight(ekf, kf, np.concatenate([nav, np.zeros(3)]), x0)
+    events = ekf.events(t, gnss, aids)
+    f, w = events.z.shape
+    thresholds = ekf.thresholds(w)
+    fixes = FixTable(
+        events.t, events.epoch.copy(), events.kind, np.full((f, w), np.nan), np.full((f, w, w), np.nan), np.full(f, np.nan),
+        np.zeros(f, dtype=np.int64), np.zeros(f, dtype=bool),
+    )  # fmt: skip
+    waiting = list(range(f))
+    wanted = ekf.covariance_epochs(t)
     kept: list[Array] = []
     rows: list[tuple[float, Array, Array, Array]] = []
-    F = np.empty((9, 9))
-    dtheta = dvel = rate = np.zeros(3)
-    dt_before = t[1] - t[0]
-    event = 0
     for k in range(t.size):
         if k > 0:
-            dt = t[k] - t[k - 1]
-            measured = np.concatenate([record.gyro[k], record.accel[k]])
-            C_x, seen = a.output(measured / dt), a.coefficients(measured / dt)
-            x = a.Phi @ x
-            corrected = measured - C_x @ x * dt
-            dtheta_before, dvel_before, rate_before = dtheta, dvel, rate
-            dtheta, dvel = corrected[:3].copy(), corrected[3:].copy()
-            rate = dtheta / dt
-            if k == 1:
-                dtheta_before, dvel_before, rate_before = dtheta, dvel, rate
-            C = rotation.dcm_from_quaternion(nav[6:10]) @ (np.eye(3) + rotation.skew(0.5 * dtheta))
-            strapdown.fill_dynamics(nav, C @ dvel / dt, earth.gravity_code(ekf.gravity), F)
-            kf.F, kf.Q = augmented(*step_matrices(F, C, dt), a.Phi, a.Q, C_x, a.white)
-            kf.predict()
-            kf.P = 0.5 * (kf.P + kf.P.T)
-            nav_before = nav.copy()
-            strapdown.step(
-                nav, dtheta, dvel, dtheta_before, dvel_before, dt, dt_before, earth.gravity_code(ekf.gravity)
-            )
-            dt_before = dt
-        while event < len(events.t) and events.epoch[event] == k:
-            lever = ekf.lever_arm + (x[lever_at - 9 : lever_at - 6] if lever_at >= 0 else 0.0)
-            tau = events.tau[event] + (x[latency_at - 9] if latency_at >= 0 else 0.0)
-            nu, H, R = np.empty(6), np.empty((6, n)), np.empty((6, 6))
-            measurements.fill_fix(
-                nav, nav_before, dt, tau, rate, rate_before, lever, a.white, seen, a.axis, lever_at, latency_at, events.z[event], nu, H, R
-            )  # fmt: skip
-            R += np.diag(events.var[event])
-            used = np.isfinite(events.z[event]) & np.isfinite(events.var[event])
-            if used.any():
-                H, R = H[used], R[np.ix_(used, used)]
-                S = H @ kf.P @ H.T + R
-                nu_all[event, used] = nu[used]
-                S_all[event][np.ix_(used, used)] = S
-                nis[event], dof[event] = nu[used] @ np.linalg.solve(S, nu[used]), used.sum()
-                accepted[event] = nis[event] <= thresholds[dof[event]]
-                if accepted[event]:
-                    # the filter's state is the error, so what is measured of it is predicted minus measured
-                    kf.update(-nu[used], R=R, H=H)
-                    kf.P = 0.5 * (kf.P + kf.P.T)
-                    measurements.take_off(nav, kf.x)
-                    x = x - kf.x[9:]
-                    kf.x = np.zeros(n)
-            event += 1
+            flight.predict(np.concatenate([record.gyro[k], record.accel[k]]), t[k] - t[k - 1])
+        while k > 0 and (due := _due(flight, events, waiting, t, k)) is not None:
+            at, tau = due
+            waiting.remove(at)
+            fixes.epoch[at] = k
+            used = np.isfinite(events.z[at]) & np.isfinite(events.var[at])
+            if not used.any() or tau > LATE_STEPS * flight.dt:
+                continue
+            nu, H, R = flight.measurement(events, at, tau, k, (t[k] - t[0]) / k)
+            nu, H, R = nu[used], H[used], R[np.ix_(used, used)]
+            S = H @ kf.P @ H.T + R
+            fixes.innovation[at, used] = nu
+            fixes.S[at][np.ix_(used, used)] = S
+            fixes.nis[at], fixes.dof[at] = nu @ np.linalg.solve(S, nu), used.sum()
+            fixes.accepted[at] = fixes.nis[at] <= thresholds[fixes.dof[at]]
+            if fixes.accepted[at]:
+                flight.update(nu, H, R)
         if k in wanted:
             kept.append(kf.P.copy())
         if k % o.output_every == 0 or k == t.size - 1:
-            rows.append((t[k], nav[:10].copy(), np.sqrt(np.maximum(np.diag(kf.P), 0.0)), x.copy()))
-    fixes = FixTable(events.t, events.epoch, events.kind, nu_all, S_all, nis, dof, accepted)
+            rows.append((t[k], flight.nav[:10].copy(), np.sqrt(np.maximum(np.diag(kf.P), 0.0)), flight.x.copy()))
     return FilterResult(
         layout=ekf.layout,
         t=np.array([r[0] for r in rows]),

@@ -15,7 +15,7 @@ from scipy import linalg
 
 from insemu.augment import StateLayout
 from insemu.errors import InputError
-from insemu.filters.ekf import FilterResult
+from insemu.filters.results import FilterResult
 from insemu.records import Trajectory
 from insemu.strapdown import correct, trajectory_of
 

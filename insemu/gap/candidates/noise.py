@@ -104,18 +104,9 @@ def quantization_noise(state: AxisState) -> list[Weighed]:
 
 def mean_spread(explanation: Explanation, white: float, duration_s: float, dt: float) -> float:
     """Standard deviation of the mean of a log from the noise of an explanation."""
-    T = duration_s
-    variance = white**2 / T
-    for c in explanation.components:
-        p = c.process.parameters
-        if isinstance(c.process, RW):
-            variance += p["K"] ** 2 * T  # it began before the log, a log's length earlier counted from its middle
-        elif isinstance(c.process, GM):
-            x = p["beta"] * T
-            variance += p["sigma"] ** 2 * 2.0 / x**2 * (x + math.expm1(-x))
-        elif isinstance(c.process, BI):
-            variance += p["B"] ** 2 * math.log(T / dt) / math.pi  # between one sample and the log
-    return math.sqrt(variance)
+    count = max(round(duration_s / dt), 1)
+    rest = (c.process for c in explanation.components if c.process.symbol != "WN")  # ``white`` holds those
+    return math.sqrt(white**2 / duration_s + sum(p.mean_variance(count, dt) for p in rest))
 
 
 def unbiased_log_density(mean: float, spread: Array) -> Array:

@@ -19,7 +19,7 @@ from insemu.gap.evidence import kernels
 from insemu.gap.evidence.model import Free, laplace
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
-from insemu.noise import BI, GM, RW, Process
+from insemu.noise import Process
 
 Array = NDArray[np.float64]
 
@@ -134,22 +134,15 @@ def _smoothed(y: Array, forward: Array, backward: Array, amplitude: float, white
 
 def _slow(state: AxisState, length: float) -> list[Process]:
     """Processes of the explanation that remember more than a few blocks."""
-    slow: list[Process] = []
-    for c in state.explanation.components:
-        p = c.process
-        if isinstance(p, RW | BI) or (isinstance(p, GM) and p.parameters["beta"] * length < rules().slow_blocks):
-            slow.append(p)
-    return slow
+
+    def slow(p: Process) -> bool:
+        time = p.correlation_time(state.data.dt)
+        return not p.single_draw and (not p.stationary or (time is not None and time > length / rules().slow_blocks))
+
+    return [c.process for c in state.explanation.components if slow(c.process)]
 
 
 def _background(state: AxisState, length: float) -> tuple[float, float]:
     """Transition and driving variance per block of a first-order background that stands for the explanation's slow processes."""
-    q = 0.0
-    for p in _slow(state, length):
-        if isinstance(p, RW):
-            q += p.parameters["K"] ** 2 * length
-        elif isinstance(p, GM):
-            q += 2.0 * p.parameters["sigma"] ** 2 * -math.expm1(-p.parameters["beta"] * length)
-        elif isinstance(p, BI):
-            q += p.parameters["B"] ** 2 * 0.9
-    return 1.0, q
+    count = max(round(length / state.data.dt), 1)
+    return 1.0, sum(p.wandering(count, state.data.dt) for p in _slow(state, length))

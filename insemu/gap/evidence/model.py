@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from insemu.gap.data.log import Reduced, amplitude_of, density, difference_covariance
+from insemu.gap.data.log import Reduced, density, difference_covariance, of_unit_level
 from insemu.gap.evidence import kernels
 from insemu.gap.policy import rules
 from insemu.noise import NoiseModel, Process
@@ -67,10 +67,23 @@ class Free:
         return self.width / math.sqrt(12.0)
 
 
-def level(name: str, value: float, uncertainty: float | None = None) -> Free:
-    """A nominal level that may be wrong by ``uncertainty`` (relative); as much as the policy says where it is not given."""
+def level(name: str, value: float, uncertainty: float | None = None, power: int = 1) -> Free:
+    """A nominal level that may be wrong by ``uncertainty`` (relative); as much as the policy says where it is not given.
+
+    Parameters
+    ----------
+    name : str
+        Parameter.
+    value : float
+        Its nominal value, in its own unit.
+    uncertainty : float, optional
+        Of the signal.
+    power : int
+        Power of the signal in the parameter: 2 for a variance.
+    """
     uncertainty = rules().tolerance if uncertainty is None else uncertainty
-    return Free(name, value / (1.0 + uncertainty), value * (1.0 + uncertainty), rules().tolerance_edge)
+    factor = (1.0 + uncertainty) ** power
+    return Free(name, value / factor, value * factor, rules().tolerance_edge * power)
 
 
 @dataclass(frozen=True)
@@ -155,12 +168,12 @@ class Explanation:
 
     @classmethod
     def nominal(cls, model: NoiseModel) -> Explanation:
-        """The belief, with every level free by 20 %."""
+        """The belief, with the level of every noise free by 20 % (a process of one draw is a signal, not a noise)."""
         out = []
         for p in model:
-            name = p.parameters_meta()[0].name
-            value = abs(p.parameters[name])
-            out.append(Component(p, (level(name, value),) if value > 0 and name in _LEVELS else ()))
+            value = abs(p.parameters[p.level.name])
+            noise = value > 0 and not p.single_draw
+            out.append(Component(p, (level(p.level.name, value, power=p.level.power),) if noise else ()))
         return cls(tuple(out))
 
     @property
@@ -210,9 +223,6 @@ class Explanation:
         for c in self.components:
             total += difference_covariance(c.process, block, dt, count)
         return total
-
-
-_LEVELS = ("N", "K", "sigma", "Q", "B", "sigma2")
 
 
 @dataclass
@@ -275,12 +285,11 @@ class Likelihood:
         still_psd, still_covariance = np.zeros_like(data.f), np.zeros(count)
         moving: list[tuple[Component, tuple[Array, Array] | None]] = []
         for c in explanation.components:
-            amplitude = amplitude_of(c.process)
             if not c.free:
                 psd, covariance = shape(c.process)
                 still_psd, still_covariance = still_psd + psd, still_covariance + covariance
-            elif amplitude is not None and [f.name for f in c.free] == [amplitude]:
-                moving.append((c, shape(c.process.with_parameters({amplitude: 1.0}))))
+            elif [f.name for f in c.free] == [c.process.level.name]:
+                moving.append((c, shape(of_unit_level(c.process))))
             else:
                 moving.append((c, None))
         rolloff, seen = explanation.rolloff, explanation.seen(data)
@@ -290,7 +299,7 @@ class Likelihood:
             psd, covariance, k = still_psd, still_covariance, 0
             for c, unit in moving:
                 if unit is not None:
-                    square = math.exp(2.0 * x[k])
+                    square = math.exp(2 // c.process.level.power * x[k])
                     more = (square * unit[0], square * unit[1])
                 else:
                     values = {f.name: math.exp(x[k + i]) for i, f in enumerate(c.free)}

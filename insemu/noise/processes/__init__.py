@@ -21,11 +21,17 @@ SIN   closed                         yes        yes         2          free
 RC    0                              no         yes         1          free
 ===== ============================== ========== =========== ========== ===============
 
-A module in this folder is read when the package is: a process that it defines is registered, and nothing else has to name it.
+A module in this folder is read when the package is: the processes that it defines are known by name from then on, and nothing else has to
+name them.
 """
 
 from importlib import import_module
 from pkgutil import iter_modules
 
-for _module in iter_modules(__path__):
-    import_module(f"{__name__}.{_module.name}")
+from insemu.noise.process import PROCESSES, Process
+
+for _found in iter_modules(__path__):
+    _module = import_module(f"{__name__}.{_found.name}")
+    for _name, _value in vars(_module).items():
+        if isinstance(_value, type) and issubclass(_value, Process) and _value.__module__ == _module.__name__:
+            PROCESSES[_name] = _value

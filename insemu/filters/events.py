@@ -1,0 +1,177 @@
+"""What the filter measures, in order: fixes and aids laid on the epochs of an IMU record."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from insemu.errors import InputError, nearest
+from insemu.filters.aids import AIDS, SETTINGS
+from insemu.filters.measurements import FIX
+from insemu.filters.options import three_sigmas
+from insemu.records import AidRecord, GnssRecord
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+GnssSigma = tuple[ArrayLike | None, ArrayLike | None]
+
+#: Components of a fix: position, then velocity. An aid with more rows makes every table wider.
+FIX_ROWS = 6
+#: Times this share of a sampling interval apart are the same.
+SAME_TIME = 1e-6
+
+
+@dataclass(frozen=True)
+class Events:
+    """Fixes and aids in the order of the epochs at which they are used, f of them with up to w components.
+
+    Parameters
+    ----------
+    t : (f,) array
+        Time of validity as stamped, s.
+    epoch : (f,) array of int
+        First IMU row at or after that time.
+    kind : (f,) array of int
+        0 for a fix, else the code of the aid.
+    since : (f,) array of int
+        IMU row after which a mean rate is taken (aids).
+    tau : (f,) array
+        Seconds from the time of validity to the epoch.
+    z, var : (f, w) arrays
+        Measured values, and their variances; NaN where there is none.
+    settings : (f, SETTINGS) array
+        Constants of the aids.
+    """
+
+    t: Array
+    epoch: Ints
+    kind: Ints
+    since: Ints
+    tau: Array
+    z: Array
+    var: Array
+    settings: Array
+
+    @classmethod
+    def none(cls) -> Events:
+        """No measurement at all."""
+        none, nothing = np.zeros(0, dtype=np.int64), np.zeros(0)
+        wide = np.zeros((0, FIX_ROWS))
+        return cls(nothing, none, none, none, nothing, wide, wide, np.zeros((0, SETTINGS)))
+
+    @property
+    def next_alike(self) -> Ints:
+        """(f,) The next event of the same kind, -1 after the last."""
+        out = np.full(self.t.size, -1, dtype=np.int64)
+        for kind in np.unique(self.kind):
+            rows = np.flatnonzero(self.kind == kind)
+            out[rows[:-1]] = rows[1:]
+        return out
+
+    @property
+    def first_of(self) -> Ints:
+        """(kinds,) The first event of every kind, -1 where there is none."""
+        out = np.full(1 + max(k.code for k in AIDS.values()), -1, dtype=np.int64)
+        for kind in np.unique(self.kind):
+            out[kind] = int(np.argmax(self.kind == kind))
+        return out
+
+
+def joined(parts: Sequence[Events]) -> Events:
+    """Several lists of events as one, in the order of their epochs; narrow ones are filled up with NaN."""
+    width = max(p.z.shape[1] for p in parts)
+
+    def wide(values: Array) -> Array:
+        return np.pad(values, ((0, 0), (0, width - values.shape[1])), constant_values=np.nan)
+
+    columns = {f.name: [getattr(p, f.name) for p in parts] for f in fields(Events)}
+    for name in ("z", "var"):
+        columns[name] = [wide(v) for v in columns[name]]
+    together = {name: np.concatenate(values) for name, values in columns.items()}
+    order = np.argsort(together["epoch"], kind="stable")
+    return Events(**{name: np.ascontiguousarray(v[order]) for name, v in together.items()})
+
+
+def _on_epochs(t: Array, dt: float, times: Array) -> tuple[Ints, Array]:
+    """First row of ``t`` at or after each time, and the seconds from one to the other."""
+    tolerance = SAME_TIME * dt
+    epoch = np.searchsorted(t, times - tolerance).astype(np.int64)
+    tau = t[epoch] - times
+    tau[np.abs(tau) < tolerance] = 0.0
+    return epoch, tau
+
+
+def fix_events(t: Array, dt: float, gnss: GnssRecord, sigma: GnssSigma | None, *, imposed: bool) -> Events:
+    """Fixes on the epochs of an IMU.
+
+    Parameters
+    ----------
+    t : (n,) array
+        Epochs, s.
+    dt : float
+        Nominal sampling interval, s.
+    gnss : GnssRecord
+    sigma : (position, velocity), optional
+        Standard deviations, m and m/s, where the record states none.
+    imposed : bool
+        Use ``sigma`` even where the record states its own.
+
+    Raises
+    ------
+    InputError
+        A fix without a standard deviation.
+    """
+    inside = np.nonzero((gnss.t > t[0] + SAME_TIME * dt) & (gnss.t <= t[-1] + SAME_TIME * dt))[0]
+    times = gnss.t[inside]
+    z, var = np.full((2, inside.size, FIX_ROWS), np.nan)
+    for at, values, stated in ((0, gnss.llh, gnss.pos_std_ned), (1, gnss.vel_ned, gnss.vel_std_ned)):
+        if values is None:
+            continue
+        columns = slice(3 * at, 3 * at + 3)
+        z[:, columns] = values[inside]
+        if stated is not None and not (imposed and sigma is not None):
+            var[:, columns] = stated[inside] ** 2
+        elif sigma is not None:
+            var[:, columns] = three_sigmas(sigma[at], "gnss_sigma", unknown=True) ** 2
+    missing = np.isfinite(z) & ~(var > 0)
+    if missing.any():
+        k, i = np.argwhere(missing)[0]
+        raise InputError(
+            f"the fix at {times[k]:g} s has no positive standard deviation for {'position' if i < 3 else 'velocity'}; expected one in "
+            "the record or gnss_sigma"
+        )
+    epoch, tau = _on_epochs(t, dt, times)
+    kind = np.full(inside.size, FIX, dtype=np.int64)
+    return Events(times, epoch, kind, epoch, tau, z, var, np.zeros((inside.size, SETTINGS)))
+
+
+def aid_events(t: Array, dt: float, aid: AidRecord) -> Events:
+    """An aid on the epochs of an IMU; see :func:`fix_events`.
+
+    Raises
+    ------
+    InputError
+        An unknown kind, another number of components than that kind has, or too many settings.
+    """
+    if aid.kind not in AIDS:
+        raise InputError(f"no aid '{aid.kind}'" + nearest(aid.kind, AIDS))
+    known = AIDS[aid.kind]
+    if aid.values.shape[1] != len(known.rows):
+        raise InputError(f"{aid.kind} has {aid.values.shape[1]} components, expected {', '.join(known.rows)}")
+    if len(aid.settings) > SETTINGS:
+        raise InputError(f"{aid.kind} has {len(aid.settings)} settings, expected at most {SETTINGS}")
+    inside = np.nonzero((aid.t > t[0] + SAME_TIME * dt) & (aid.t <= t[-1] + SAME_TIME * dt))[0]
+    times = aid.t[inside]
+    epoch, tau = _on_epochs(t, dt, times)
+    since = epoch - 1
+    if aid.since is not None:
+        # a mean begins at the earliest where the one before it ended
+        asked = np.searchsorted(t, aid.since[inside] - SAME_TIME * dt).astype(np.int64)
+        since = np.minimum(np.maximum(asked, np.concatenate([[0], epoch[:-1]])), since)
+    settings = np.zeros((inside.size, SETTINGS))
+    settings[:, : len(aid.settings)] = aid.settings
+    kind = np.full(inside.size, known.code, dtype=np.int64)
+    return Events(times, epoch, kind, since, tau, aid.values[inside], aid.std[inside] ** 2, settings)

@@ -1,0 +1,105 @@
+"""What a filter is told about how it runs, and about its initial navigation state."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from insemu.augment import Extras
+from insemu.errors import InputError
+from insemu.filters.aids import Standstill
+
+Array = NDArray[np.float64]
+Store = Literal["none", "fixes"]
+
+
+def three_sigmas(value: ArrayLike | None, name: str, *, unknown: bool = False) -> Array:
+    """Three standard deviations; where ``unknown`` is allowed, None or NaN stand for "not known"."""
+    out = np.array(np.broadcast_to(np.asarray(np.nan if value is None else value, dtype=np.float64), (3,)))
+    if not (((np.isfinite(out)) & (out >= 0)) | (np.isnan(out) & unknown)).all():
+        raise InputError(
+            f"{name} is {np.asarray(value).tolist()}, expected one or three standard deviations that are not negative"
+        )
+    return out
+
+
+@dataclass(frozen=True)
+class InitialSigma:
+    """What is believed about the initial navigation state: standard deviations, each a scalar or north, east, down.
+
+    Parameters
+    ----------
+    position : m
+    velocity : m/s
+    attitude : rad about north, east and down
+    """
+
+    position: ArrayLike = 1.0
+    velocity: ArrayLike = 0.1
+    attitude: ArrayLike = (0.01, 0.01, 0.03)
+
+    def to_array(self) -> Array:
+        """The nine standard deviations."""
+        return np.concatenate(
+            [
+                three_sigmas(getattr(self, name), f"initial {name} sigma")
+                for name in ("position", "velocity", "attitude")
+            ]
+        )
+
+
+@dataclass(frozen=True)
+class FilterOptions:
+    """How the filter runs; what it believes is not here.
+
+    Parameters
+    ----------
+    covariance_every : int
+        Covariance propagated every n-th IMU epoch (and at every fix); 1 is full rate.
+    output_every : int
+        A row of the result every n-th IMU epoch; a multiple of ``covariance_every``.
+    gate : float, optional
+        Probability with which a good fix is rejected by the test of its normalised innovation squared; None: no gate.
+    store : {"none", "fixes"}
+        ``fixes`` keeps covariances, transition and gain at every node for the smoother and the gap room.
+    node_every : float, optional
+        With ``store="fixes"``: nodes also every so many seconds without a fix.
+    covariance_at : sequence of float
+        Times in s at which the whole covariance is kept; with ``store="fixes"`` these are nodes too.
+    extras : Extras
+        Calibration and installation states to be estimated.
+    standstill : Standstill, optional
+        Zero-velocity and zero-rate updates.
+    imposed_gnss_sigma : bool
+        Use the filter's ``gnss_sigma`` even where the record states its own.
+    """
+
+    covariance_every: int = 1
+    output_every: int = 1
+    gate: float | None = None
+    store: Store = "none"
+    node_every: float | None = None
+    covariance_at: Sequence[float] = ()
+    extras: Extras = field(default_factory=Extras)
+    standstill: Standstill | None = None
+    imposed_gnss_sigma: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("covariance_every", "output_every"):
+            value = getattr(self, name)
+            if not (isinstance(value, int) and value >= 1):
+                raise InputError(f"{name} is {value!r}, expected a whole number of at least 1")
+        if self.output_every % self.covariance_every:
+            raise InputError(
+                f"output_every is {self.output_every}, expected a multiple of covariance_every ({self.covariance_every})"
+            )
+        if self.gate is not None and not 0.0 < self.gate < 1.0:
+            raise InputError(f"gate is {self.gate!r}, expected a probability between 0 and 1, for example 1e-4")
+        if self.store not in get_args(Store):
+            raise InputError(f"store is '{self.store}', expected one of: {', '.join(get_args(Store))}")
+        if self.node_every is not None and not self.node_every > 0:
+            raise InputError(f"node_every is {self.node_every!r}, expected a positive number of seconds")

@@ -1,0 +1,118 @@
+"""What a filter returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu.augment import StateLayout
+from insemu.records import Trajectory
+from insemu.strapdown import trajectory_of
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FixTable:
+    """What happened at every fix and aid, with w components: 6, unless an aid has more.
+
+    Parameters
+    ----------
+    t : (f,) array
+        Time of validity, s.
+    epoch : (f,) array of int
+        IMU row at which it was used. (With an estimated latency, one whose own time had passed already has ``dof`` 0.)
+    kind : (f,) array of int
+        0: GNSS (components: position north, east, down, velocity); else an aid, see :data:`insemu.filters.aids.AIDS`.
+    innovation : (f, w) array
+        Measured minus predicted, m and m/s; NaN where a component is missing.
+    S : (f, w, w) array
+        Innovation covariance; NaN in rows and columns of missing components.
+    nis : (f,) array
+        Normalised innovation squared, chi-square with ``dof`` degrees of freedom.
+    dof : (f,) array of int
+        Components used; 0 for a fix of NaN.
+    accepted : (f,) array of bool
+    K : (f, n, w) array, optional
+        Gain: the states move by ``K innovation``.
+    H : (f, w, n) array, optional
+        Derivative of the predicted fix by the errors.
+    """
+
+    t: Array
+    epoch: NDArray[np.int64]
+    kind: NDArray[np.int64]
+    innovation: Array
+    S: Array
+    nis: Array
+    dof: NDArray[np.int64]
+    accepted: NDArray[np.bool_]
+    K: Array | None = None
+    H: Array | None = None
+
+    def __len__(self) -> int:
+        return self.t.size
+
+    @property
+    def rejected(self) -> NDArray[np.int64]:
+        """Indices of the fixes that the gate kept out."""
+        return np.nonzero(~self.accepted & (self.dof > 0))[0]
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """The filter at fixes and at regular times between them: what a smoother needs, and what the gap room reads.
+
+    Parameters
+    ----------
+    t : (k,) array
+    epoch : (k,) array of int
+    nav : (k, 10) array
+        Navigation state after the update.
+    states : (k, n - 9) array
+        Estimates of the further states, after the update.
+    P_before, P_after : (k, n, n) arrays
+        Covariance before and after the update.
+    Phi : (k, n, n) array
+        Transition of the errors from the previous node (for the first, from the start) to this one.
+    correction : (k, n) array
+        Estimated error that the update took off.
+    """
+
+    t: Array
+    epoch: NDArray[np.int64]
+    nav: Array
+    states: Array
+    P_before: Array
+    P_after: Array
+    Phi: Array
+    correction: Array
+
+    def __len__(self) -> int:
+        return self.t.size
+
+
+@dataclass(frozen=True)
+class FilterResult:
+    """What a filter says about one record; see ``docs/filters.md``."""
+
+    layout: StateLayout
+    t: Array
+    nav: Array
+    sigma: Array
+    imu_states: Array
+    fixes: FixTable
+    covariance_t: Array
+    covariance: Array
+    nodes: Nodes | None
+    final_covariance: Array
+    epochs: int
+    seconds: float
+
+    @cached_property
+    def trajectory(self) -> Trajectory:
+        """The estimated trajectory at the output times."""
+        return trajectory_of(self.t, self.nav, "filter")
