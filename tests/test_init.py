@@ -157,6 +157,28 @@ def test_what_cannot_be_started_is_refused_and_writes_nothing(words, message, tm
     assert Path("there.yaml").read_text() == "mine"
 
 
+def test_an_own_card_is_found_beside_the_scenario(tmp_path, monkeypatch) -> None:
+    (tmp_path / "page.txt").write_text(
+        "ARW 0.2 deg/sqrt(h); VRW 0.03 m/s/sqrt(h); in-run bias stability 8 deg/h", encoding="utf-8"
+    )
+    (tmp_path / "deep").mkdir()
+    target = tmp_path / "deep" / "my.yaml"
+    monkeypatch.chdir(tmp_path)
+    target.write_text(first_scenario(target, Wish("page.txt")), encoding="utf-8")
+    assert "sensor: ../page.txt" in target.read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path / "deep")
+    scenario = load("my.yaml")
+    assert scenario.truth is not None
+    assert scenario.truth.models() == models("../page.txt")
+    resolved = scenario.model_dump(mode="json", exclude_none=True)
+    assert load_of(resolved, tmp_path / "resolved.yaml").truth == scenario.truth
+
+
+def load_of(data: object, path: Path) -> Scenario:
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    return load(path)
+
+
 # -- sensors by name --------------------------------------------------------------------------------------------------------------
 
 BASE = {

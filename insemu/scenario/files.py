@@ -18,6 +18,7 @@ from insemu.errors import InputError, nearest
 from insemu.records import AXES
 from insemu.scenario.fields import Made
 from insemu.scenario.schema import Scenario
+from insemu.scenario.sensor_keys import beside
 from insemu.scenario.shipped import located
 from insemu.yamlfile import Place
 
@@ -45,7 +46,7 @@ def load(path: str | Path, *, variant: str | None = None, overrides: Mapping[str
     if not isinstance(document.data, dict):
         expected = "expected a mapping of keys such as title, trajectory, truth, designs"
         raise InputError(f"found {type(document.data).__name__}, {expected}", where=str(path))
-    data, lines = document.data, dict(document.lines)
+    data, lines = beside(document.data, located(path).parent), dict(document.lines)
     if variant is not None:
         variants = data.get("variants")
         if not isinstance(variants, dict) or variant not in variants:

@@ -213,7 +213,7 @@ class Truth(SensorModels):
     sensor: str | None = Field(
         default=None, description="a sensor that comes with insemu (insemu sensor), or the file of its card"
     )
-    case: Literal["typical", "worst"] = Field(default="typical", description="which of the sensor's figures")
+    case: Literal["typical", "worst"] | None = Field(default=None, description="which of the sensor's figures; typical")
     file: str | None = Field(
         default=None, description="noise-model file written by insemu fit; axes that are given beside it win"
     )
@@ -289,7 +289,7 @@ class AxisSource(Section):
     sensor: str | None = Field(
         default=None, description="a sensor that comes with insemu (insemu sensor), or the file of its card"
     )
-    case: Literal["typical", "worst"] = Field(default="typical", description="which of the sensor's figures")
+    case: Literal["typical", "worst"] | None = Field(default=None, description="which of the sensor's figures; typical")
 
     @field_validator("fit", "model", "plus", mode="before")
     @classmethod
@@ -447,7 +447,7 @@ class Design(Section):
     sensor: str | None = Field(
         default=None, description="a sensor that comes with insemu (insemu sensor), or the file of its card"
     )
-    case: Literal["typical", "worst"] = Field(default="typical", description="which of the sensor's figures")
+    case: Literal["typical", "worst"] | None = Field(default=None, description="which of the sensor's figures; typical")
     filter: str | None = Field(
         default=None,
         description="a filter that an installed package offers (entry point insemu.filters); else insemu's own",

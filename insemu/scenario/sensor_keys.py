@@ -3,12 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from insemu.errors import InputError
 from insemu.noise import axis_unit
 from insemu.records import AXES
 from insemu.sensors import models
+
+
+def beside(value: Any, folder: Path) -> Any:
+    """Plain data in which every file under the key ``sensor`` is named from a folder; names of sensors and of axes stay."""
+    if isinstance(value, list):
+        return [beside(item, folder) for item in value]
+    if not isinstance(value, Mapping):
+        return value
+    out = {key: beside(item, folder) for key, item in value.items()}
+    name = out.get("sensor")
+    if isinstance(name, str) and Path(name).suffix and (folder / name).is_file():
+        out["sensor"] = str(folder / name)
+    return out
 
 
 def with_sensors(value: Any) -> Any:
@@ -31,7 +45,7 @@ def with_sensors(value: Any) -> Any:
     if value.get("sensor") is not None:
         given = {axis for axis in AXES if value.get(axis) is not None or value.get(axis.split("_")[0]) is not None}
         out |= {axis: model for axis, model in _models(value).items() if axis not in given}
-    elif "case" in value:
+    elif value.get("case") is not None:
         raise InputError("found 'case' without the key 'sensor' whose case it is")
     for key in ("gyro", "accel", *AXES):
         source = out.get(key)
@@ -45,7 +59,7 @@ def with_sensors(value: Any) -> Any:
 
 
 def _models(source: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
-    name, case = source["sensor"], source.get("case", "typical")
+    name, case = source["sensor"], source.get("case") or "typical"
     if not isinstance(name, str):
         raise InputError(f"found {name!r}, expected the name of a sensor (insemu sensor lists them)")
     return {axis: model.to_list(axis_unit(axis)) for axis, model in models(name, case).items()}
