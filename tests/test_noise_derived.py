@@ -27,6 +27,8 @@ ROWS = {
     "BI": BI(1e-3),
     "SIN": SIN(1e-3, 3.3),
     "RC": RC(1e-2),
+    "GM2 slow": PROCESSES["GM2"](2e-3, 0.05),
+    "GM2 fast": PROCESSES["GM2"](2e-3, 60.0),
 }
 BLOCKS = {name: p for name, p in ROWS.items() if name != "BI"}
 FITTED = {name: p for name, p in ROWS.items() if name != "RC"}
@@ -105,7 +107,9 @@ def test_an_estimator_sees_the_process(process: Process) -> None:
 
 
 @pytest.mark.parametrize(
-    "process", [GM(2e-3, 0.5), WN(1e-3), RW(1e-3), QN(1e-5), SIN(1e-3, 3.3)], ids=lambda p: p.symbol
+    "process",
+    [GM(2e-3, 0.5), PROCESSES["GM2"](2e-3, 0.5), WN(1e-3), RW(1e-3), QN(1e-5), SIN(1e-3, 3.3)],
+    ids=lambda p: p.symbol,
 )
 def test_a_derived_curve_is_the_compiled_one(process: Process) -> None:
     """A process without a compiled curve is searched through its block; both say the same, derivatives too."""
@@ -150,3 +154,9 @@ def test_refusals_name_the_estimator_and_the_reason() -> None:
 
 def test_every_process_has_a_row() -> None:
     assert {p.symbol for p in ROWS.values()} >= {c.__name__ for c in PROCESSES.values()}
+
+
+def test_rates_that_differ_by_rounding_are_one() -> None:
+    assert len(AR1(0.9, 1e-6, 20.0) + AR1(0.5, 1e-6, 20.0 * (1.0 + 1e-12))) == 2
+    with pytest.raises(InputError, match="different rates"):
+        AR1(0.9, 1e-6, 20.0) + AR1(0.5, 1e-6, 20.001)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from insemu.errors import InputError
 from insemu.fit import _kernel
 from insemu.noise import NoiseModel
+from insemu.noise.process import SAME_RATE
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -66,7 +67,7 @@ class Structure:
         for p in model:
             p.refuse("gmwm")
             rate = p.carried_rate_hz
-            if rate is not None and abs(rate / rate_hz - 1.0) > 1e-9:
+            if rate is not None and abs(rate / rate_hz - 1.0) > SAME_RATE:
                 raise InputError(
                     f"{p.symbol} belongs to samples at {rate:g} Hz and cannot be fitted to a signal at {rate_hz:g} Hz"
                 )

@@ -8,9 +8,9 @@ from __future__ import annotations
 import logging
 import mmap
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +20,13 @@ from insemu.formats.clocks import stamp_unit
 from insemu.formats.columns import split_header, words_of
 from insemu.formats.npz import load_npy, load_npz, numbers, scalar, texts
 from insemu.formats.text import is_text, read_table, write_table
-from insemu.records import AXES, COLUMNS, Series
+from insemu.records import AXES, COLUMNS, ImuRecord, Series
 from insemu.units import parse_unit
 
 __all__ = ["AXIS_OF_COLUMN", "Log", "is_text", "read_log", "write_log"]
 
 Array = NDArray[np.float64]
+_T = TypeVar("_T")
 _LOGGER = logging.getLogger(__name__)
 
 #: Short column name of files -> axis name everywhere else.
@@ -65,6 +66,29 @@ class Log:
     columns: tuple[NDArray[Any], ...]
     rate_hz: float
     t: Array | None = None
+
+    @classmethod
+    def of_imu(cls, imu: ImuRecord, source: str) -> Log:
+        """The signals of an IMU as a log; increments become rates."""
+        step = float(np.median(np.diff(imu.t)))
+        values = np.hstack([imu.gyro, imu.accel]) / (step if imu.kind == "increment" else 1.0)
+        units = ("rad/s",) * 3 + ("m/s^2",) * 3
+        return cls(source, AXES, units, units, tuple(np.ascontiguousarray(values.T)), round_rate(1.0 / step), imu.t)
+
+    def select(self, columns: Iterable[str] | None) -> Log:
+        """Only these columns, by their names or by the names of their axes; ``InputError`` with the nearest name for an unknown one."""
+        keep = _select(list(self.names), columns, self.source)
+
+        def kept(parts: tuple[_T, ...]) -> tuple[_T, ...]:
+            return tuple(parts[k] for k in keep)
+
+        return replace(
+            self,
+            names=kept(self.names),
+            units=kept(self.units),
+            stated_units=kept(self.stated_units),
+            columns=kept(self.columns),
+        )
 
     def __len__(self) -> int:
         return int(self.columns[0].shape[0])

@@ -27,6 +27,10 @@ Array = NDArray[np.float64]
 PROCESSES: dict[str, type[Process]] = {}
 
 
+#: Relative difference up to which two sampling rates are one: stamps and their mean interval round differently.
+SAME_RATE = 1e-9
+
+
 class NotStationary(InputError):
     """Asked for an autocovariance that does not exist, or a polynomial has a root on or outside the unit circle."""
 
@@ -315,7 +319,7 @@ class NoiseModel:
     def __post_init__(self) -> None:
         object.__setattr__(self, "processes", tuple(self.processes))
         rates = {p.carried_rate_hz for p in self.processes if p.carried_rate_hz is not None}
-        if len(rates) > 1:
+        if rates and max(rates) > min(rates) * (1.0 + SAME_RATE):
             raise InputError(
                 f"discrete processes at different rates ({', '.join(f'{r:g} Hz' for r in sorted(rates))}) cannot be added"
             )

@@ -9,10 +9,12 @@ import numpy as np
 import yaml
 
 from insemu.evaluate import Results, verdicts
+from insemu.evaluate.answer import Standing, answer
 from insemu.evaluate.folder import put
 from insemu.noise import NoiseModel, axis_unit
 from insemu.report import budget, figures
-from insemu.report.page import Block, Code, Figure, Items, Section, Table, Text, render
+from insemu.report.experiment_charts import error_chart, nees_chart
+from insemu.report.page import Block, Card, Code, Figure, Folded, Items, Section, Table, Text, render
 from insemu.report.tables import (
     FIGURES,
     SMOOTHED,
@@ -93,11 +95,9 @@ def render_experiment(
     folder.mkdir(parents=True, exist_ok=True)
     for name, picture in drawn.items():
         put(folder / f"{name}.png", picture.png)
-    question: list[Block] = [Text(text["question"])] if text.get("question") else []
-    sections = [
-        Section("Answer", [*question, Items(verdicts(main)), _table(main)]),
-        Section("Flight", [drawn["flight"]]),
-    ]
+    said = answer(main)
+    differences = Folded("Differences between the designs", [Items(verdicts(main))])
+    sections = [Section("Every outage", [_table(main), differences]), Section("Flight", [drawn["flight"]])]
     if main.outages:
         sections += _accuracy(main, drawn)
     if variants:
@@ -107,7 +107,13 @@ def render_experiment(
     sections.append(Section("What each design believes", _beliefs(main)))
     sections.append(Section("How it was made", _made(main, text.get("notes", ""))))
     return render(
-        main.title, sections, folder / "index.html", lead=f"{main.realizations} realizations", footer="Made by insemu."
+        main.title,
+        sections,
+        folder / "index.html",
+        answer=said.sentence if said else "",
+        lead=" ".join(part for part in (text.get("question", ""), f"{main.realizations} realizations.") if part),
+        cards=[_card(s, main) for s in said.standings] if said else (),
+        footer=f"Made by insemu {main.manifest.get('insemu')}.",
     )
 
 
@@ -155,9 +161,10 @@ def _accuracy(main: Results, drawn: Mapping[str, Figure]) -> list[Section]:
         "Bounds hold for all epochs (lags) of a design together at 99 %. NEES: per degree of freedom, in the middle and at the end of every "
         "outage (the smoother's in the middle), mean over realizations; NIS: over all accepted fixes."
     )
-    judged: list[Block] = [Items(consistency_lines(main)), Text(bounds), drawn["against_bounds"], drawn["consistency"]]
+    nees = nees_chart(main, png=drawn["consistency"].png)
+    judged: list[Block] = [Items(consistency_lines(main)), Text(bounds), drawn["against_bounds"], nees]
     sections = [
-        Section("Error growth", [drawn["error_growth"], drawn["end_errors"]]),
+        Section("Error growth", [error_chart(main, png=drawn["error_growth"].png), drawn["end_errors"]]),
         Section("Does the filter know its error?", judged),
     ]
     if "smoothing" in drawn:
@@ -205,3 +212,15 @@ def _made(main: Results, notes: str) -> list[Block]:
     )
     scenario = yaml.safe_dump(manifest.get("scenario", {}), sort_keys=False, allow_unicode=True)
     return [*made, Code(scenario, "The resolved scenario:")]
+
+
+def _card(s: Standing, results: Results) -> Card:
+    """The verdict on one design."""
+    notes = [f"{s.states} states; states {s.stated_m:.3g} m"]
+    budgets = results.budgets.get(s.design)
+    if budgets:
+        parts = ", ".join(f"{key} {value:.3g} m" for key, value in list(budgets[-1]["parts_rms_m"].items())[:3])
+        notes.append(f"Largest parts: {parts}")
+    value = f"{s.error_m:.3g} m" + (f" ({s.interval})" if s.interval else "")
+    verdict = s.verdict[:1].upper() + s.verdict[1:]
+    return Card(s.design, value, verdict, {"yes": "good", "optimistic": "bad", "pessimistic": "warn"}[s.knows], notes)

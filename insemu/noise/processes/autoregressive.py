@@ -19,7 +19,7 @@ from insemu.noise.curves import STEP
 from insemu.noise.doubling import arma, coefficients_of
 from insemu.noise.grammar import quantity
 from insemu.noise.parameters import Parameter
-from insemu.noise.process import MarkovParts, NotStationary, Process, counts
+from insemu.noise.process import SAME_RATE, MarkovParts, NotStationary, Process, counts
 from insemu.noise.processes.gauss_markov import first_order
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 def _carried_rate(process: AR1 | ARMA, dt: float) -> None:
     if process.rate_hz is None:
         raise InputError(f"{process.symbol} is a discrete process and carries its rate; give rate_hz")
-    if abs(process.rate_hz * dt - 1.0) > 1e-9:
+    if abs(process.rate_hz * dt - 1.0) > SAME_RATE:
         raise InputError(
             f"{process.symbol} belongs to samples at {process.rate_hz:g} Hz and cannot be used at {1 / dt:g} Hz"
         )
