@@ -450,7 +450,8 @@ class Design(Section):
     case: Literal["typical", "worst"] | None = Field(default=None, description="which of the sensor's figures; typical")
     filter: str | None = Field(
         default=None,
-        description="a filter that an installed package offers (entry point insemu.filters); else insemu's own",
+        description="reference: the same filter written to be read (filterpy, slow); or one that an installed package offers (entry point "
+        "insemu.filters); else insemu's own compiled one",
     )
     settings: dict[str, bool | int | float | str] = Field(
         default_factory=dict, description="keyword arguments of that filter"
@@ -630,6 +631,7 @@ class Scenario(Section):
     designs: dict[Name, Annotated[Design, _OrName]] = Field(
         default_factory=dict, description="what is compared; only emulation goes without"
     )
+    filter: str | None = Field(default=None, description="the filter of every design that names none")
     smoother: bool = Field(
         default=False,
         description="smooth every design's run backwards too (Rauch, Tung, Striebel), through the outages",
@@ -641,6 +643,18 @@ class Scenario(Section):
     smoke: tuple[str, ...] = Field(
         default=("run", "--realizations", "2"), description="command and options of the project's smoke run"
     )
+
+    @classmethod
+    def spelled_out(cls, value: Any) -> Any:
+        """With the scenario's filter in every design that names none."""
+        if not isinstance(value, Mapping) or value.get("filter") is None:
+            return value
+        designs = value.get("designs")
+        if not isinstance(designs, Mapping):
+            return value
+        told = {name: {"design": d} if isinstance(d, str) else d for name, d in designs.items()}
+        filled = {n: {"filter": value["filter"], **d} if isinstance(d, Mapping) else d for n, d in told.items()}
+        return {**value, "designs": filled}
 
     @model_validator(mode="after")
     def _consistent(self) -> Scenario:
