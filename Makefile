@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 WORKERS ?= 2
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-slow scoreboard scoreboard-release lint bench setup lock clean
+.PHONY: demo test test-slow scoreboard scoreboard-release lint bench docs setup lock clean
 
 demo: $(STAMP)
 	$(BIN)/insemu run scenarios/table3_synthetic.yaml --workers $(WORKERS) --out results/table3_synthetic
@@ -32,20 +32,23 @@ lint: $(STAMP)
 bench: $(STAMP)
 	for file in benchmarks/[a-z]*.py; do $(BIN)/python $$file || exit 1; done
 
+docs: $(STAMP)
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs site
+
 setup: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit("insemu needs Python 3.11 or newer, found " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev,cluster,files]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev,docs,cluster,files]"
 	touch $@
 
 # Renew the versions that were tested: install without constraints in a fresh environment, run the tests, then write what was there.
 lock:
 	rm -rf .venv-lock && $(PYTHON) -m venv .venv-lock
-	.venv-lock/bin/python -m pip install --quiet --editable ".[dev,cluster,files]"
+	.venv-lock/bin/python -m pip install --quiet --editable ".[dev,docs,cluster,files]"
 	.venv-lock/bin/python -m pip freeze --exclude-editable --exclude insemu > constraints.txt
 	rm -rf .venv-lock
 
 clean:
-	rm -rf $(VENV) .venv-ci results/table3_synthetic results/real_static
+	rm -rf $(VENV) .venv-ci site docs/reference results/table3_synthetic results/real_static

@@ -6,6 +6,8 @@
 ``sets``     two and three effects on one axis
 ``null``     logs without any effect: how many are flagged, how many named
 ``map``      p-values of the map on logs without any effect against the uniform distribution, statistic by statistic and scale by scale
+``beliefs``  logs without any effect believed as autoregressions and as a second-order Gauss-Markov process: how many are flagged; and hidden
+             effects under a Gauss-Markov belief and under the same process written as AR1, AR(2) and ARMA: how many are named right
 ``pairs``    pairs predicted indistinguishable against the confusions of repeated draws
 
 Random effects are drawn by the emulator; levels believed are wrong by up to 20 %.
@@ -31,15 +33,18 @@ from insemu.gap.candidates.noise import turn_on_bias
 from insemu.gap.checks.rest import axis_tests, spent_on, wavelet_moments, wavelet_p_values
 from insemu.gap.data.log import reduce
 from insemu.gap.evidence.model import Explanation
+from insemu.gap.hypothesis import Found
 from insemu.gap.policy import rules
-from insemu.gap.problems.rest import Found, search, weigh_all
+from insemu.gap.problems.rest import search_axis, weigh_all
 from insemu.gap.verdict import GapReport
-from insemu.noise import SIN, WN, NoiseModel
+from insemu.noise import AR, AR1, ARMA, GM, SIN, WN, NoiseModel, Process
 from insemu.records import AXES, ImuRecord, Series
-from insemu.trial.expected import GAUSSIAN, SLOW, Log
-from insemu.trial.logs import BESIDE_NATS, STATIC_EFFECTS, HiddenLog, static_recording, wrong
+from insemu.trial.drives import wrong
+from insemu.trial.expected import GAUSSIAN, Log
+from insemu.trial.logs import BESIDE_NATS, STATIC_EFFECTS, HiddenLog, static_recording
 from insemu.trial.score import interval
 from insemu.variance import allan_variance
+from tests.expected_leads import SLOW, leads_of, seen
 from tests.shared_data import shared
 
 #: Nominal sensor of the experiments with one axis.
@@ -79,9 +84,9 @@ def possible(effect: str, made: HiddenLog) -> bool:
         return True
     state = state_before(made)
     if effect in GAUSSIAN:
-        return made.known.seen(made.uses[0], state.data) >= rules().least_nats
+        return seen(made.known, made.uses[0], state.data) >= rules().least_nats
     candidate = turn_on_bias if effect == "turn_on_bias" else CANDIDATES[effect]
-    return max((w.gain for w in candidate(state)), default=0.0) >= rules().least_nats
+    return max((w.nats for w in candidate(state)), default=0.0) >= rules().least_nats
 
 
 def effects(arguments: argparse.Namespace) -> None:
@@ -97,14 +102,14 @@ def effects(arguments: argparse.Namespace) -> None:
                 seed = (arguments.seed, EFFECTS.index(effect), int(nats), k)
                 made = static_recording((effect,), nats, seed, arguments.hours, axes=1, sensors=WHITE)
                 report = look(made)
-                said[report.steps[0].effect if report.steps else report.verdict] += 1
-                if len(report.steps) > 1:
-                    said["and " + report.steps[1].effect] += 1
+                said[report.findings[0].effect if report.findings else report.verdict] += 1
+                if len(report.findings) > 1:
+                    said["and " + report.findings[1].effect] += 1
                 count["drawn"] += 1
                 count["possible"] += possible(effect, made)
-                if not report.steps:
+                if not report.findings:
                     continue
-                first = report.steps[0]
+                first = report.findings[0]
                 order = [m.effect for m in (*first.members, *first.runners_up)]
                 count["detected"] += 1
                 count["first"] += first.effect == effect
@@ -158,16 +163,16 @@ def sets(arguments: argparse.Namespace) -> None:
             seed = (arguments.seed, 900 + index, k)
             made = static_recording(names, arguments.nats, seed, arguments.hours, axes=1, sensors=WHITE)
             leads = [
-                min(made.known.leads(u, [v for v in made.uses if v is not u]).values(), default=math.inf)
+                min(leads_of(made.known, u, [v for v in made.uses if v is not u]).values(), default=math.inf)
                 for u in made.uses
             ]
             worth = [h.beside for h in made.hidden]
             report = look(made)
-            found = sorted(s.effect for s in report.steps)
+            found = sorted(s.effect for s in report.findings)
             exact = found == sorted(names)
             # the classes of the steps hold the effects, one each and none over
-            classed = len(report.steps) == len(names) and _matches(
-                [{m.effect for m in s.members} for s in report.steps], list(names)
+            classed = len(report.findings) == len(names) and _matches(
+                [{m.effect for m in s.members} for s in report.findings], list(names)
             )
             strata = ["all"]
             if min(worth) >= BESIDE_NATS:
@@ -185,7 +190,7 @@ def sets(arguments: argparse.Namespace) -> None:
                 f"{w:.0f}" + (f"/{x:.0f}" if np.isfinite(x) else "") for w, x in zip(worth, leads, strict=True)
             )
             answer = "right" if exact else "class" if classed else "WRONG"
-            gains = " + ".join(f"{s.effect} {s.gain_nats:.0f}" for s in report.steps)
+            gains = " + ".join(f"{s.effect} {s.nats:.0f}" for s in report.findings)
             print(f"{' + '.join(names):50s} {figures:18s} {answer:6s} {gains}", flush=True)
     strata_said = {
         "all": "all",
@@ -235,7 +240,7 @@ def null(arguments: argparse.Namespace) -> None:
         named += report.verdict == "named"
         thresholds.append(report.threshold_nats)
         if report.verdict != "nothing missing":
-            gains = [(s.effect, s.axes, round(s.gain_nats, 1)) for s in report.steps] or report.remainder
+            gains = [(s.effect, s.axes, round(s.nats, 1)) for s in report.findings] or report.remainder
             print(k, report.verdict, gains, flush=True)
     n = arguments.draws
     print(
@@ -243,6 +248,68 @@ def null(arguments: argparse.Namespace) -> None:
     )
     _share(f"recordings of {len(axes)} axes flagged", flagged, n)
     _share(f"recordings of {len(axes)} axes named", named, n)
+
+
+#: Sensors at 20 Hz whose processes are written in other ways than the search writes its candidates.
+_WRITTEN = {
+    "AR1": "AR1(phi=0.99875, sigma2=4e-10, rate_hz=20) + WN(N=1e-3)",
+    "AR(2)": "AR(ar=[1.97, -0.9702], sigma2=2e-10, rate_hz=20) + WN(N=1e-3)",
+    "AR(3)": "AR(ar=[2.499, -2.0385, 0.53946], sigma2=1e-10, rate_hz=20) + WN(N=1e-3)",
+    "ARMA": "ARMA(ar=[1.2, -0.21], ma=[0.4], sigma2=1e-6, rate_hz=20) + WN(N=5e-4)",
+    "GM2": "GM2(sigma=6e-4, Tc=20 s) + WN(N=1e-3)",
+}
+#: The process that hidden effects are held against, and effects of several kinds that can hide beside it.
+_TWIN = "GM(sigma=4e-4, Tc=40 s) + WN(N=1e-3)"
+_BESIDE = ("random_walk", "ramp", "white_noise", "vibration_line", "vibration_band", "telegraph")
+
+
+def _written(model: NoiseModel, how: str, rate_hz: float) -> NoiseModel:
+    """A sum with its Gauss-Markov process written as another that is the same."""
+    out: list[Process] = []
+    for p in model:
+        if isinstance(p, GM) and how != "GM":
+            phi, sigma2 = p.discrete(1.0 / rate_hz)
+            one, two = AR1(phi, sigma2, rate_hz), AR((phi, 0.0), sigma2=sigma2, rate_hz=rate_hz)
+            out.append({"AR1": one, "AR(2)": two, "ARMA": ARMA((phi,), (0.0,), sigma2, rate_hz)}[how])
+        else:
+            out.append(p)
+    return NoiseModel(tuple(out))
+
+
+def beliefs(arguments: argparse.Namespace) -> None:
+    """False alarms and names where the belief is written as other processes."""
+    n = int(arguments.hours * 3600 * arguments.rate)
+    total = 0
+    kinds = [k for k in _WRITTEN if k in (arguments.only or _WRITTEN)]
+    for i, kind in enumerate(kinds):
+        truth, flagged, said = NoiseModel.parse(_WRITTEN[kind], "rad/s"), 0, Counter[str]()
+        for k in range(arguments.draws):
+            rng = np.random.default_rng([arguments.seed, 1000 + i, k])
+            log = Series(truth.simulate(n, 1.0 / arguments.rate, rng), arguments.rate, "rad/s", "gyro_x")
+            belief = {"gyro_x": wrong(truth, rng)}
+            report = find_static_gap([log], belief, rng=np.random.default_rng(1), hold_out=False)
+            flagged += report.verdict != "nothing missing"
+            said.update(s.effect for s in report.steps)
+        total += flagged
+        _share(f"nominal, believed as {kind}: flagged {dict(said) or ''}", flagged, arguments.draws)
+    _share("nominal, all beliefs: flagged", total, arguments.draws * len(kinds))
+    ways = ("GM", "AR1", "AR(2)", "ARMA")
+    named, drawn = Counter[str](), 0
+    for effect in () if arguments.only else _BESIDE:
+        right = Counter[str]()
+        for k in range(max(arguments.draws // 10, 1)):
+            made = static_recording(
+                (effect,), 60.0, (arguments.seed, 1100, k), arguments.hours, axes=1, sensors=(_TWIN,)
+            )
+            for how in ways:
+                as_written = {a: _written(m, how, 20.0) for a, m in made.beliefs.items()}
+                report = look(replace(made, beliefs=as_written))
+                right[how] += bool(report.steps) and report.steps[0].effect == effect
+            drawn += 1
+        named += right
+        print(f"{effect:20s} named first: " + ", ".join(f"{how} {right[how]}" for how in ways), flush=True)
+    for how in ways if drawn else ():
+        _share(f"hidden effects named first, believed as {how}", named[how], drawn)
 
 
 def map_of_nothing(arguments: argparse.Namespace) -> None:
@@ -291,8 +358,8 @@ def pairs(arguments: argparse.Namespace) -> None:
             classes: list[list[str]] = []
             for k in range(arguments.draws):
                 ranked = weigh_all(_again(made.uses, made.known, (*seed, 2, k)), QUICK)
-                if ranked[0].gain >= rules().least_nats:
-                    classes.append([w.effect for w in ranked if w.gain > ranked[0].gain - rules().lead])
+                if ranked[0].nats >= rules().least_nats:
+                    classes.append([w.effect for w in ranked if w.nats > ranked[0].nats - rules().lead])
             near, first = Counter(e for c in classes for e in c), Counter(c[0] for c in classes)
             for c in classes:
                 if c[0] != effect:
@@ -308,7 +375,7 @@ def pairs(arguments: argparse.Namespace) -> None:
                     inside += 1
                     beside += near[rival] - 1 >= others
                     comes_first += first[rival] - (c[0] == rival) >= others
-            leads = sorted(made.known.leads(made.uses[0]).items(), key=lambda item: item[1])
+            leads = sorted(leads_of(made.known, made.uses[0]).items(), key=lambda item: item[1])
             ahead = ", ".join(f"{e} {v:.1f}" for e, v in leads[:3])
             print(
                 f"{effect:13s} {nats:3.0f} nats, ahead of {ahead}; first {dict(first)}; within {rules().lead:.0f} nats of it {dict(near)}",
@@ -329,7 +396,7 @@ def _believed(s: Series, kind: str) -> float:
     return float(math.sqrt(np.exp(np.interp(0.0, np.log(curve.tau_s), np.log(curve.value)))))
 
 
-def _taken_out(found: Sequence[Found], s: Series) -> NoiseModel:
+def _taken_out(found: Sequence[Found[AxisState]], s: Series) -> NoiseModel:
     """What the search took out of the samples, as processes: lines, and outliers as the white noise that they are on average."""
     parts: list[SIN | WN] = []
     for f in found:
@@ -353,10 +420,10 @@ def real(arguments: argparse.Namespace) -> None:
         data = reduce(s)
         for kind in ("differences", "1 s"):
             nominal = Explanation.nominal(NoiseModel((WN(_believed(s, kind)),)))
-            result = search(state_of(data, nominal))
+            result = search_axis(state_of(data, nominal))
             print(f"{s.name}, believed white noise from {kind}: {result.outsider}")
             for f in result.found:
-                print(f"   {f.chosen.effect} {f.chosen.variant} {f.chosen.gain:.1f} nats, class {_class(f)}")
+                print(f"   {f.chosen.effect} {f.chosen.variant} {f.chosen.nats:.1f} nats, class {_class(f)}")
             refined = replace(result.end.explanation, regressors=())
             removed = _taken_out(result.found, s)
             first = [row[1] for row in wavelet_moments(data, nominal, np.random.default_rng(1))]
@@ -394,8 +461,8 @@ def real(arguments: argparse.Namespace) -> None:
                 )
 
 
-def _class(found: Found) -> list[str]:
-    return [w.effect for w in found.ranked if w.gain > found.ranked[0].gain - 3.0]
+def _class(found: Found[AxisState]) -> list[str]:
+    return [w.effect for w in found.ranked if w.nats > found.ranked[0].nats - 3.0]
 
 
 def thermal(_: argparse.Namespace) -> None:
@@ -406,9 +473,9 @@ def thermal(_: argparse.Namespace) -> None:
         log.axes, beliefs, rng=np.random.default_rng(1), temperature=log.temperature, hold_out=False
     )
     print(report.verdict)
-    for s in report.steps:
+    for s in report.findings:
         print(
-            f"  {s.effect} {s.variant} on {s.sensor} {','.join(s.axes)}: {s.gain_nats:.0f} nats, class {[m.effect for m in s.members]}"
+            f"  {s.effect} {s.variant} on {s.sensor} {','.join(s.axes)}: {s.nats:.0f} nats, class {[m.effect for m in s.members]}"
         )
     print("  left over:", report.remainder)
 
@@ -416,7 +483,7 @@ def thermal(_: argparse.Namespace) -> None:
 def main() -> None:
     """Parse and run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("real", "thermal", "effects", "sets", "null", "map", "pairs"))
+    parser.add_argument("what", choices=("real", "thermal", "effects", "sets", "null", "map", "beliefs", "pairs"))
     parser.add_argument("only", nargs="*", help="effects, pairs: only these; sets: only these, as a+b")
     parser.add_argument("--draws", type=int, default=10)
     parser.add_argument("--hours", type=float, default=1.0)

@@ -5,7 +5,7 @@ import pytest
 
 from insemu.augment import Extras, StateLayout, augment, per_axis, true_states
 from insemu.errors import InputError
-from insemu.noise import AR, AR1, BI, DR, GM, QN, RC, RW, WN, NoiseModel
+from insemu.noise import AR, AR1, DR, GM, QN, RC, RW, WN, NoiseModel
 
 DT = 0.01
 
@@ -77,7 +77,6 @@ def test_calibration_states_are_driven_by_what_is_measured():
     [
         ({"gyro_w": WN(N=1.0)}, "unknown axis 'gyro_w'.*did you mean"),
         ({"gyro": 3.0}, "expected a noise model"),
-        ({"gyro": BI(B=1.0)}, "BI.approximation"),
         ({"accel": GM()}, "no value for sigma"),
         ({"accel": AR((2.582, -2.166, 0.585), sigma2=1e-9)}, "nearest stable polynomial"),
         ({"accel": AR1(0.9, 1.0, rate_hz=50.0)}, "50 Hz"),

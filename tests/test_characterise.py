@@ -204,7 +204,7 @@ def test_a_long_record_is_read_in_one_pass() -> None:
         (["log.npz", "--rate", "5 m"], "another dimension"),
         (["nan.csv", "--rate", "5"], "no 16 finite values"),
         (["bare.csv"], "--rate"),
-        (["flight.npz"], "dynamic recording"),
+        (["flight.npz"], "a recording that moves"),
         (["log.npz", "--beside", "log.npz"], "is not JSON"),
     ],
 )
@@ -215,10 +215,26 @@ def test_bad_input_is_one_line_and_code_two(
     formats.write(Path("log.npz"), _static(100))
     Path("nan.csv").write_text("x\n" + "nan\n1\n" * 40)
     Path("bare.csv").write_text("x\n1\n2\n3\n")
-    np.savez("flight.npz", imu_t=np.arange(5.0), imu=np.ones((5, 6)))
+    moving = np.column_stack([47.0 + 1e-4 * np.arange(5.0), np.full(5, 8.0), np.full(5, 400.0)])
+    np.savez("flight.npz", imu_t=np.arange(5.0), imu=np.ones((5, 6)), gnss_t=np.arange(5.0), gnss_llh=moving)
     code, out, err = run(arguments, capsys)
     assert code == 2 and said in err and out == ""
     assert not Path("results").exists()
+
+
+def test_a_recording_at_rest_is_a_log(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    t, rng = np.arange(2000) * 0.01, np.random.default_rng(5)
+    imu = np.column_stack([1e-3 * rng.standard_normal((2000, 3)), np.tile([0.0, 0.0, -9.8], (2000, 1))])
+    still = np.tile([47.0, 8.0, 400.0], (20, 1))
+    np.savez("rest.npz", imu_t=t, imu=imu * 0.01, imu_kind="increment", gnss_t=np.arange(20.0), gnss_llh=still)
+    code, out, _ = run(["rest.npz", "-c", "gyro_x", "--json"], capsys)
+    axis = json.loads(out)["axes"]["gyro_x"]
+    assert code == 0 and axis["rate_hz"] == 100.0
+    # white noise of variance 1e-6: half of it at the first scale, whose 1,000 coefficients give it within 4.9 sqrt(2 / 1000)
+    assert axis["wavelet_variance"]["value"][0] == pytest.approx(0.5e-6, rel=0.22)
 
 
 def test_help_imports_nothing_heavy() -> None:

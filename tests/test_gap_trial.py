@@ -22,17 +22,9 @@ from insemu.gap.data.log import reduce
 from insemu.gap.drive.preparation import Prepared, fast_parts, prepare
 from insemu.noise import BI, WN, NoiseModel
 from insemu.records import AXES, ImuRecord, Series
-from insemu.trial.drives import (
-    DYNAMIC_EFFECTS,
-    OUTSIDE,
-    TRACKS,
-    Hidden,
-    draw_use,
-    size_effect,
-    stage,
-    worth_beside,
-)
+from insemu.trial.drives import DYNAMIC_EFFECTS, OUTSIDE, draw_use, stage
 from insemu.trial.expected import Log, sized, trace_of_ratio
+from insemu.trial.hidden import Hidden
 from insemu.trial.logs import STATIC_EFFECTS, shape, static_recording
 from insemu.trial.run import (
     Job,
@@ -43,6 +35,9 @@ from insemu.trial.run import (
     run_trial,
 )
 from insemu.trial.score import confusion, held_out_ratio, interval, mean_class_size, score_trials
+from insemu.trial.tracks import TRACKS
+from insemu.trial.worth import size_effect, worth_beside
+from tests.expected_leads import seen
 
 
 def said(effect: str, axis: str = "x", members: tuple[str, ...] = (), confidence: float = 0.99) -> Said:
@@ -163,7 +158,7 @@ def test_what_an_effect_is_expected_to_be_worth_is_what_it_is_worth_on_average()
         gains = []
         for _ in range(25):
             y = corrupt(still, dict.fromkeys(AXES[:3], log.truth), rng, effects=(use,)).imu.gyro[:, 0]
-            gains.append(log.seen(use, reduce(Series(y, 1.0 / dt, "rad/s", "gyro_x"))))
+            gains.append(seen(log, use, reduce(Series(y, 1.0 / dt, "rad/s", "gyro_x"))))
         assert abs(np.mean(gains) - nats) < 4.0 * np.std(gains) / 5.0 + 1.5, effect
 
 

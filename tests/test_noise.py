@@ -141,8 +141,30 @@ def test_flicker_approximation_states_its_error() -> None:
     worst = np.max(np.abs(model.allan_variance(m, DT) / float(BI(0.3).allan_variance(1, DT)) - 1))
     assert error < 0.05
     assert worst < error + 0.01
-    with pytest.raises(InputError, match="approximation"):
-        BI(0.3).block(DT)
+
+
+def test_the_state_block_of_flicker_has_its_allan_variance_inside_the_band_and_not_far_outside() -> None:
+    """One state for every factor of 10; the error of the band is the stated 13 %, and beyond the band the floor is lost."""
+    model = BI(0.3, tau_from=2.0, tau_to=2000.0)
+    block = model.block(0.1)
+    assert block.names == ("BI.1", "BI.2", "BI.3")
+    flat = float(model.allan_variance(1, 0.1))
+    diagonals = zip(np.diag(block.Phi), np.diag(block.Q), strict=True)
+    parts = [GM.of_discrete(float(phi), float(q), 0.1) for phi, q in diagonals]
+    m = np.round(np.geomspace(2.0, 2000.0, 40) / 0.1)
+    ratio = sum(p.allan_variance(m, 0.1) for p in parts) / flat
+    assert 0.05 < np.max(np.abs(ratio - 1.0)) < 0.135
+    assert sum(float(p.allan_variance(600_000, 0.1)) for p in parts) / flat < 0.3
+    with pytest.raises(InputError, match="band from 5 to 1 s is empty"):
+        BI(0.3, tau_from=5.0, tau_to=1.0)
+
+
+def test_the_names_of_the_field_are_read_as_the_processes_that_they_are() -> None:
+    text = "ARW(N=0.34 deg/sqrt(h)) + RRW(K=3 deg/h/sqrt(h)) + BI(B=12 deg/h, tau_from=10 s, tau_to=100 s)"
+    model = NoiseModel.parse(text, "rad/s")
+    assert [p.symbol for p in model] == ["WN", "RW", "BI"]
+    assert model == NoiseModel.from_list(model.to_list("rad/s"), "rad/s")
+    assert NoiseModel.from_list([{"process": "VRW", "N": "0.06 m/s/sqrt(h)"}], "m/s^2") == NoiseModel((WN(1e-3),))
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -242,7 +264,7 @@ def test_a_polynomial_that_is_not_stationary_is_refused_and_mended() -> None:
     [
         ("2*GMM()", "did you mean 'GM'"),
         ("GM(sgma=1)", "did you mean 'sigma'"),
-        ("0*WN()", "at least once"),
+        ("0*WN()", "expected a whole number from 1 to 100"),
         ("WN(1", "cannot read"),
         ("WN(1)", "unnamed argument"),
         ("WN(N=-1)", "not negative"),

@@ -39,8 +39,8 @@ def command(
 
     from rich.console import Console
 
-    from insemu import formats, units
-    from insemu.errors import InputError
+    from insemu import units
+    from insemu.cli.logs import open_log
     from insemu.formats.curves import read_curves
 
     console = Console(stderr=as_json)
@@ -48,10 +48,8 @@ def command(
         console.width = max(console.width, 100)  # a file or a pipe has no width to keep to
     rate_hz = units.parse(_number_or_text(rate), "Hz") if rate else None
     wanted = [name.strip() for text in columns or [] for name in text.split(",") if name.strip()] or None
-    if Path(file).is_dir() or (Path(file).exists() and formats.recording.is_npz_recording(Path(file))):
-        raise InputError("is a dynamic recording; expected a static log (sensor at rest)", where=file)
     others = read_curves(beside) if beside else []
-    log = formats.read_log(file, rate_hz=rate_hz)
+    log = open_log(file, rate_hz)
     axes = characterise_log(log, wanted, from_robust=robust)
     content = {"axes": {axis.name: axis.to_json() for axis in axes}}
     folder = Path(out) if out else Path("results") / f"characterise_{Path(file).name.split('.')[0]}"

@@ -122,12 +122,11 @@ def read_static(file: str, rate: str, columns: list[str] | None, skip: str = "0 
     """The columns of a static log without its first part."""
     from dataclasses import replace
 
-    from insemu import formats, units
+    from insemu import units
+    from insemu.cli.logs import open_log
     from insemu.errors import InputError
 
-    series = formats.read(file, rate_hz=units.parse(rate, "Hz") if rate else None, columns=columns or None)
-    if not isinstance(series, list):
-        raise InputError("is a dynamic recording; expected a static log (sensor at rest)", where=file)
+    series = open_log(file, units.parse(rate, "Hz") if rate else None, columns or None).series()
     seconds = units.parse(skip, "s")
     if seconds < 0:
         raise InputError(f"--skip is {skip}, expected a duration that is not negative")

@@ -17,6 +17,7 @@ from collections.abc import Iterable
 from insemu.effects import deterministic, gnss, model, stochastic, timing
 from insemu.effects.base import (
     ASPECTS,
+    CELLS,
     CROSS,
     EFFECTS,
     NED,
@@ -94,6 +95,7 @@ def markdown_table() -> str:
 
 __all__ = [
     "ASPECTS",
+    "CELLS",
     "CROSS",
     "EFFECTS",
     "NED",

@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.errors import InputError
-from insemu.noise import ARMA, GM, RW, WN, NoiseModel, Process
+from insemu.noise import NoiseModel
 
 Array = NDArray[np.float64]
 
-#: An amplitude that starts at zero could not move; it starts from this share of the signal's short-time deviation.
-_TRACE: dict[type[Process], float] = {WN: 1e-2, RW: 1e-4, GM: 1e-2}
+#: A level that starts at zero could not move; it starts from this share of the signal's short-time deviation, as one of samples, ...
+TRACE = 1e-2
+#: ... and a process that wanders from this one.
+TRACE_OF_WALK = 1e-4
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,7 @@ class Coordinates:
     start: Array
 
     @classmethod
-    def of(cls, model: NoiseModel, begin: NoiseModel, deviation: float) -> Coordinates:
+    def of(cls, model: NoiseModel, begin: NoiseModel, deviation: float, dt: float) -> Coordinates:
         """Coordinates of the parameters of ``model`` that have no value, starting at those of ``begin``.
 
         Parameters
@@ -47,13 +49,15 @@ class Coordinates:
             Structure and specified model.
         deviation : float
             Short-time deviation of the signal, the scale of traces.
+        dt : float
+            Sampling interval, s.
 
         Raises
         ------
         InputError
             ``begin`` has another structure or is not specified.
         """
-        if [type(p) for p in begin] != [type(p) for p in model] or not begin.specified:
+        if [p.symbol for p in begin] != [p.symbol for p in model] or not begin.specified:
             raise InputError(
                 f"the starting model {begin} has another structure than {model} (or parameters without a value)"
             )
@@ -62,12 +66,14 @@ class Coordinates:
         values: list[float] = []
         for k, (asked, p) in enumerate(zip(model, begin, strict=True)):
             for meta in p.parameters_meta():
-                if _given(asked, meta.name) is not None:
+                if asked.given[meta.name] is not None:
                     continue
                 value = p.parameters[meta.name]
                 free.append((k, meta.name))
-                if meta.domain == "positive":
-                    values.append(math.log(value if value > 0 else _TRACE.get(type(p), 1e-3) * max(deviation, 1e-300)))
+                if meta.positive:
+                    share = TRACE if p.stationary else TRACE_OF_WALK
+                    trace = (share * max(deviation, 1e-150)) ** 2 * dt**meta.sample_power
+                    values.append(math.log(value if value > 0 else trace ** (0.5 * max(meta.power, 1))))
                     kinds.append("log")
                 elif meta.domain == "correlation":
                     values.append(math.atanh(min(max(value, -1 + 1e-12), 1 - 1e-12)))
@@ -97,11 +103,3 @@ class Coordinates:
             elif kind == "atanh":
                 out[i] = 1.0 - math.tanh(v) ** 2
         return out
-
-
-def _given(p: Process, name: str) -> float | None:
-    if isinstance(p, ARMA):
-        names = [f"ar_{i + 1}" for i in range(len(p.ar))] + [f"ma_{i + 1}" for i in range(len(p.ma))]
-        return dict(zip([*names, "sigma2"], [*p.ar, *p.ma, p.sigma2], strict=True))[name]
-    value: float | None = getattr(p, name)
-    return value

@@ -11,13 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.fit import _covariance_kernel
-from insemu.noise import AR1, ARMA, BI, DR, GM, QN, RW, SIN, WN, NoiseModel, Process
+from insemu.noise import NoiseModel
 from insemu.variance.covariance import level1_autocovariance
 from insemu.variance.covariance import model_covariance as covariance_over_lags
 
 Array = NDArray[np.float64]
-
-_POLY = {WN: 0, QN: 1, RW: 2, BI: 3}
 
 
 def model_covariance(model: NoiseModel, n_samples: int, scale_samples: ArrayLike, dt: float) -> Array:
@@ -41,72 +39,29 @@ def model_covariance(model: NoiseModel, n_samples: int, scale_samples: ArrayLike
 
     Notes
     -----
-    Moving averages and first-order processes with a negative coefficient take a slower way over all lags.
+    Processes that are no sum of first-order ones (:meth:`insemu.noise.Process.markov_parts`) take a slower way over all lags.
     """
     scale = np.asarray(scale_samples, dtype=np.float64)
     m = scale / 2.0
-    drift = math.sqrt(sum((p.parameters["R"] * dt) ** 2 for p in model if isinstance(p, DR)))
+    parts = [p.markov_parts(dt) for p in model]
+    known = [part for part in parts if part is not None]
+    drift = math.sqrt(sum(part.drift**2 for part in known))
     out = np.empty((m.size, m.size))
-    noise = [p for p in model if not isinstance(p, DR | SIN)]
-    if any(_needs_lags(p) for p in noise):
-        level1 = sum((_level1(p, n_samples, dt) for p in noise), start=np.zeros(n_samples))
+    if len(known) < len(parts):
+        increments = model.difference_covariance(1, dt, n_samples)
+        level1 = level1_autocovariance(n_samples, increments=lambda lag: increments[lag])
         full = covariance_over_lags(level1, levels=round(math.log2(scale[-1])), drift_per_sample=drift)
         keep = np.round(np.log2(scale)).astype(int) - 1
         out = full[np.ix_(keep, keep)]
     else:
-        poly = np.zeros(4)
-        a, c = [], []
-        for p in noise:
-            value = p.parameters
-            if isinstance(p, GM):
-                a.append(value["beta"] * dt)
-                c.append(value["sigma"] ** 2)
-            elif isinstance(p, AR1):
-                a.append(-math.log(value["phi"]))
-                c.append(p.variance)
-            else:
-                poly[_POLY[type(p)]] += _sample_variance(p, dt)
-        _covariance_kernel.covariances(m, n_samples, poly, np.array(a), np.array(c), drift, out)
-    for p in model:
-        if isinstance(p, SIN):
-            value = p.parameters
-            line = np.sqrt(p.wavelet_variance(scale, dt))  # amplitude / sqrt(2) times the gain at the line
-            density = sum(float(q.psd(np.array([value["f"]]), dt)[0]) / dt for q in noise)
-            x = math.pi * value["f"] * dt
-            gain = np.abs(np.sin(m * x) ** 2 / (m * math.sin(x)))
-            out += 4.0 * density * np.outer(line * gain, line * gain) / n_samples
+        poly = np.array([[part.white, part.quantized, part.walk, part.flicker] for part in known]).sum(axis=0)
+        decay = np.array([a for part in known for a in part.decay])
+        variance = np.array([c for part in known for c in part.variance])
+        _covariance_kernel.covariances(m, n_samples, poly, decay, variance, drift, out)
+    for p, part in zip(model, parts, strict=True):
+        if part is not None and part.line:
+            f, amplitude = part.line
+            density = sum(float(q.psd(np.array([f]), dt)[0]) / dt for q in model if not q.single_draw)
+            gain = 2.0 * p.wavelet_variance(scale, dt) / amplitude**2  # squared gain of the scales at the line
+            out += 2.0 * density * amplitude**2 * np.outer(gain, gain) / n_samples
     return out
-
-
-def _needs_lags(p: Process) -> bool:
-    return isinstance(p, ARMA) or (isinstance(p, AR1) and p.parameters["phi"] <= 0.0)
-
-
-def _sample_variance(p: Process, dt: float) -> float:
-    value = p.parameters
-    if isinstance(p, WN):
-        return value["N"] ** 2 / dt
-    if isinstance(p, QN):
-        return (value["Q"] / dt) ** 2
-    if isinstance(p, RW):
-        return value["K"] ** 2 * dt
-    return value["B"] ** 2
-
-
-def _level1(p: Process, n: int, dt: float) -> Array:
-    """Autocovariance at lags 0..n-1 of the first octave's coefficients."""
-    if isinstance(p, RW):
-        return level1_autocovariance(n, increments=lambda lag: np.where(lag == 0, _sample_variance(p, dt), 0.0))
-    if isinstance(p, BI):
-        return level1_autocovariance(n, increments=lambda lag: _flicker_increments(lag) * _sample_variance(p, dt))
-    return level1_autocovariance(n, autocovariance=lambda lag: p.autocovariance(lag, dt))
-
-
-def _flicker_increments(lag: NDArray[np.int64]) -> Array:
-    n = lag.size
-    wide = np.arange(-2.0, n + 2.0)
-    g = wide**2 * np.log(np.maximum(np.abs(wide), 1.0))
-    out = np.convolve(g, [1.0, -4.0, 6.0, -4.0, 1.0], mode="valid")
-    far = np.arange(n) > 1000  # the fourth difference cancels there; its leading term does not
-    out[far] = -2.0 / np.arange(n)[far] ** 2
-    return np.asarray(out / (2.0 * math.pi))

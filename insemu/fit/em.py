@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from insemu.errors import InputError
 from insemu.fit.gmwm import fit_curve
 from insemu.fit.result import FitResult, estimates
-from insemu.noise import AR, AR1, DR, GM, RW, WN, NoiseModel, Process, StateBlock
+from insemu.noise import DR, NoiseModel, Process, StateBlock
 from insemu.records import Series
 from insemu.statespace import log_likelihood, smooth
 from insemu.variance import wavelet_variance
@@ -229,7 +229,7 @@ def fit_em(
     """
     if ramp not in get_args(Ramp):
         raise InputError(f"ramp is '{ramp}', expected one of: {', '.join(get_args(Ramp))}")
-    bad = [p.symbol for p in model if type(p) not in (WN, RW, GM, AR1, AR, DR)]
+    bad = [p.symbol for p in model if p.moving() is None and not isinstance(p, DR)]
     if bad:
         raise InputError(
             f"{bad[0]} has no closed update here; expected a sum of WN, RW, GM, AR1, AR and DR (or use gmwm)"
@@ -258,7 +258,7 @@ def fit_em(
         else NoiseModel(tuple(p for p in start.at_rate(series.rate_hz) if not isinstance(p, DR)))
     )
     assert begin is not None
-    if [type(p) for p in begin] != [type(p) for p in noise] or not begin.specified:
+    if [p.symbol for p in begin] != [p.symbol for p in noise] or not begin.specified:
         raise InputError(
             f"the starting model {start} has another structure than {noise} (or parameters without a value)"
         )
@@ -267,8 +267,6 @@ def fit_em(
     space, places = _space(noise, begin, dt, spread, inside, start_slope=_slope_of(start))
     found = expectation_maximization(space, y, tolerance=tolerance, iterations=iterations)
     fitted = _model(noise, begin, found.space, places, dt)
-    if fitted is None:
-        fitted = begin
     notes: list[str] = []
     converged = found.stopped
     final = found.trace[-1] if found.trace.size else -math.inf
@@ -335,57 +333,46 @@ def _slope_of(start: NoiseModel | None) -> float:
 
 def _positive(p: Process, spread: float, dt: float, n: int) -> Process:
     """A part with no variance cannot grow: give it a trace."""
-    if isinstance(p, WN) and p.parameters["N"] == 0:
-        return WN.of_variance(1e-4 * spread, dt)
-    if isinstance(p, RW) and p.parameters["K"] == 0:
-        return RW(math.sqrt(1e-4 * spread / (n * dt)))
-    if isinstance(p, GM) and p.parameters["sigma"] == 0:
-        return GM(math.sqrt(1e-3 * spread), p.parameters["beta"])
-    return p
+    coefficient, shapes = p.coordinates(dt)
+    if coefficient != 0.0:
+        return p
+    trace = 1e-4 * spread / (1.0 if p.stationary else n)
+    return p.with_parameters({p.level.name: None}).of_coordinates(trace, [s for s in shapes if s is not None], dt)
 
 
 def _space(
     asked: NoiseModel, begin: NoiseModel, dt: float, spread: float, inside: bool, start_slope: float
 ) -> tuple[StateSpace, list[tuple[int, slice]]]:
     """Matrices of a model with masks: which entries are free follows from which processes are."""
-    states = NoiseModel(tuple(p for p in begin if not isinstance(p, WN)))
-    block = states.block(dt)
+    blocks = [p.block(dt) for p in begin]
+    block = StateBlock.stack(blocks, dt)
     n = block.n
     free_Phi, free_Q, free_u = np.zeros((n, n), dtype=bool), np.zeros((n, n), dtype=bool), np.zeros(n, dtype=bool)
     P0 = np.array(block.P0)
     places: list[tuple[int, slice]] = []
     lo = 0
     for k, p in enumerate(asked):
-        if isinstance(p, WN):
+        size = blocks[k].n
+        if size == 0:
             continue
-        size = begin.processes[k].block(dt).n
         at = slice(lo, lo + size)
         places.append((k, at))
-        unknown = not p.specified
-        if isinstance(p, RW):
-            free_Q[lo, lo] = unknown
+        moving = p.moving()
+        assert moving is not None
+        if not p.specified:
+            free_Phi[at, at], free_Q[at, at] = moving
+        if not p.stationary:
             P0[lo, lo] = spread
-        elif isinstance(p, GM | AR1):
-            free_Phi[lo, lo] = unknown
-            free_Q[lo, lo] = unknown
+        elif size == 1:
             P0[lo, lo] = min(P0[lo, lo], spread)
-        else:
-            free_Phi[at, lo] = unknown
-            free_Q[lo, lo] = unknown
         lo += size
-    white = [(k, p) for k, p in enumerate(asked) if isinstance(p, WN)]
-    R = sum(begin.processes[k].parameters["N"] ** 2 / dt for k, _ in white)
-    free_R = any(not p.specified for _, p in white)
-    if not white:
-        R = 1e-9 * spread  # the filter needs an innovation variance
+    white = [k for k, b in enumerate(blocks) if b.n == 0]
+    free_R = any(not asked.processes[k].specified for k in white)
+    R = block.white if white else 1e-9 * spread  # the filter needs an innovation variance
     u = np.zeros(n)
     if inside:
-        drifting = [at.start for k, at in places if isinstance(asked.processes[k], RW)]
-        if drifting:
-            free_u[drifting[0]] = True
-        else:
-            # Stebler et al. 2011, section 4.2: the input of the Markov state itself
-            free_u[0] = True
+        # Stebler et al. 2011, section 4.2: the input of the Markov state itself where no state wanders
+        free_u[next((at.start for k, at in places if not asked.processes[k].stationary), 0)] = True
         u[free_u] = start_slope * dt
     nothing = np.zeros(n, dtype=bool)
     space = StateSpace(
@@ -397,27 +384,17 @@ def _space(
 
 def _model(
     asked: NoiseModel, begin: NoiseModel, space: StateSpace, places: list[tuple[int, slice]], dt: float
-) -> NoiseModel | None:
+) -> NoiseModel:
     out = list(begin.processes)
+    where = dict(places)
     for k, p in enumerate(asked):
-        if isinstance(p, WN) and not p.specified:
-            out[k] = WN.of_variance(space.R, dt)
-    for k, at in places:
-        p = asked.processes[k]
         if p.specified:
             continue
-        q = max(float(space.Q[at.start, at.start]), 0.0)
-        phi = float(space.Phi[at.start, at.start])
-        if isinstance(p, RW):
-            out[k] = RW(math.sqrt(q / dt))
-        elif isinstance(p, GM):
-            if not 1e-12 < phi < 1.0 - 1e-12:
-                phi = min(max(phi, 1e-12), 1.0 - 1e-12)
-            out[k] = GM.of_discrete(phi, q, dt)
-        elif isinstance(p, AR1):
-            out[k] = replace(p, phi=min(max(phi, -1.0 + 1e-12), 1.0 - 1e-12), sigma2=q)
-        elif isinstance(p, AR):
-            out[k] = replace(p, ar=tuple(float(v) for v in space.Phi[at, at.start]), sigma2=q)
+        if k in where:
+            at = where[k]
+            out[k] = p.of_transition(space.Phi[at, at], np.maximum(space.Q[at, at], 0.0), dt)
+        else:
+            out[k] = p.of_coordinates(space.R, (), dt)
     return NoiseModel(tuple(out))
 
 
@@ -440,7 +417,7 @@ def _information(
         for meta in p.parameters_meta():
             value = model.processes[k].parameters[meta.name]
             free.append((k, meta.name))
-            if meta.domain == "positive":
+            if meta.positive:
                 scale.append(abs(value))
             else:
                 scale.append(max(1.0 - abs(value), 1e-6))
@@ -450,9 +427,7 @@ def _information(
         parts = list(model.processes)
         for (k, name), d, s in zip(free, move, steps, strict=True):
             old = model.processes[k].parameters[name]
-            positive = (
-                next(meta for meta in asked.processes[k].parameters_meta() if meta.name == name).domain == "positive"
-            )
+            positive = next(meta for meta in asked.processes[k].parameters_meta() if meta.name == name).positive
             parts[k] = parts[k].with_parameters({name: old * math.exp(d) if positive else old + d * s})
         try:
             return _likelihood(NoiseModel(tuple(parts)), asked, y, dt, spread)

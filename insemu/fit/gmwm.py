@@ -25,7 +25,7 @@ from insemu.fit.covariance import model_covariance
 from insemu.fit.identifiability import warnings_of
 from insemu.fit.result import FitResult, GoodnessOfFit, estimates
 from insemu.fit.structure import Structure, natural_jacobian
-from insemu.noise import ARMA, SIN, NoiseModel
+from insemu.noise import NoiseModel
 from insemu.variance import RobustWaveletVariance, WaveletVariance
 from insemu.variance.edof import eta3, interval
 
@@ -97,7 +97,7 @@ def search(
     unit = np.where(structure.fixed < 0, -1.0, structure.fixed)
     low, high = structure.bounds(n_samples)
     rank = np.empty(starts.shape[0])
-    args = (structure.kinds, structure.orders, structure.offsets, m)
+    args = (structure.curves, structure.orders, structure.offsets, m)
     chosen: list[int] = []
     if starts.shape[0] <= refined:
         chosen = list(range(starts.shape[0]))
@@ -114,13 +114,13 @@ def search(
                     chosen.append(int(i))
     found: Solution | None = None
     for i in chosen:
-        s, x = starts[i].copy(), np.zeros(structure.kinds.size)
+        s, x = starts[i].copy(), np.zeros(structure.curves.size)
         objective, iterations = _kernel.refine(*args, s, low, high, W, y, unit, x, 200)
         if found is None or objective < found.objective:
             found = Solution(x, s, objective, iterations >= 0)
     assert found is not None
     if not found.converged:
-        s, x = found.shapes.copy(), np.zeros(structure.kinds.size)
+        s, x = found.shapes.copy(), np.zeros(structure.curves.size)
         objective, iterations = _kernel.refine(*args, s, low, high, W, y, unit, x, 3000)
         found = Solution(x, s, objective, iterations >= 0)
     coefficients, shapes = structure.sort(found.coefficients, found.shapes)
@@ -332,7 +332,9 @@ def finite_record_bias(
         or not np.isfinite(error).all()
         or (at.coefficients <= 0).any()
         or (error >= 0.5 * np.abs(centre)).any()
-        or any(isinstance(p, SIN | ARMA) for p in model)
+        or any(
+            meta.domain not in ("rate", "correlation") for p in model for meta in p.parameters_meta() if not meta.power
+        )
     ):
         return nothing
     fitted = structure.columns(scale / 2.0, at.shapes)[0] @ at.coefficients

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from insemu.fit.result import process_label
 from insemu.fit.structure import Structure
-from insemu.noise import AR1, GM, RW, WN, NoiseModel
+from insemu.noise import NoiseModel
 
 Array = NDArray[np.float64]
 
@@ -48,19 +48,14 @@ def warnings_of(
     record = n_samples * structure.dt
     times: list[tuple[int, float]] = []
     for k, p in enumerate(model):
-        if k in vanished or not isinstance(p, GM | AR1):
-            continue
-        if isinstance(p, GM):
-            time = 1.0 / p.parameters["beta"]
-        elif p.parameters["phi"] > 0:
-            time = -structure.dt / math.log(p.parameters["phi"])
-        else:
+        time = p.correlation_time(structure.dt)
+        if k in vanished or time is None:
             continue
         times.append((k, time))
         if not np.isnan(structure.held[structure.offsets[k]]):
             continue
         if time > record / 2.0:
-            has_walk = any(isinstance(q, RW) for q in model)
+            has_walk = any(q.symbol == "RW" for q in model)
             instead = "leave it out, the model has an RW already" if has_walk else "use RW() instead"
             what = "longer than" if time > record else "longer than half of"
             out.append(
@@ -68,7 +63,7 @@ def warnings_of(
                 f"random walk; {instead}"
             )
         elif time < 0.7 * structure.dt:
-            white = [i for i, q in enumerate(model) if isinstance(q, WN) and i not in vanished]
+            white = [i for i, q in enumerate(model) if q.symbol == "WN" and i not in vanished]
             below = f"{labels[k]}: correlation time {time:.3g} s is below the sampling interval ({structure.dt:.3g} s)"
             if not white and time > COLOURED * structure.dt:
                 out.append(

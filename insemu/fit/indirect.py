@@ -162,7 +162,7 @@ def fit_indirect(
     else:
         curve = wavelet_variance(series.values, series.rate_hz)
     begin = fit_curve(curve, model, unit=series.unit, name=series.name)
-    coordinates = Coordinates.of(model, begin.model, math.sqrt(curve.value[0]))
+    coordinates = Coordinates.of(model, begin.model, math.sqrt(curve.value[0]), 1.0 / curve.rate_hz)
 
     def simulate(theta: Array, n: int, dt: float, child: np.random.Generator) -> Array:
         return coordinates.model(theta).simulate(n, dt, child)

@@ -24,7 +24,7 @@ from insemu.fit import _integrated_kernel
 from insemu.fit.coordinates import Coordinates
 from insemu.fit.gmwm import fit_curve
 from insemu.fit.result import FitResult, estimates
-from insemu.noise import BI, DR, GM, RC, SIN, NoiseModel, StateBlock
+from insemu.noise import NoiseModel, StateBlock
 from insemu.records import Series
 from insemu.variance import WaveletVariance, stream_wavelet_variance, wavelet_variance
 
@@ -247,15 +247,8 @@ class _About:
 
 
 def _accepted(model: NoiseModel) -> NoiseModel:
-    refused = [p.symbol for p in model if isinstance(p, BI | RC | DR | SIN)]
-    if refused:
-        why = {
-            "BI": "it has no state block",
-            "RC": "a turn-on bias is estimated along with bias=True",
-            "DR": "its slope has one draw; remove the ramp",
-            "SIN": "its phase has one draw; use gmwm",
-        }[refused[0]]
-        raise InputError(f"{refused[0]} cannot be fitted by integrated maximum likelihood ({why})")
+    for p in model:
+        p.refuse("mli")
     return model
 
 
@@ -296,7 +289,7 @@ def _maximise(
         begin = start.at_rate(about.rate_hz)
     else:
         begin = fit_curve(curve, model, weighting="asymptotic", name=about.name).model
-    coordinates = Coordinates.of(model, begin, math.sqrt(curve.value[0]))
+    coordinates = Coordinates.of(model, begin, math.sqrt(curve.value[0]), dt)
     values, model_at = coordinates.start, coordinates.model
     free = coordinates.free
 
@@ -335,9 +328,10 @@ def _maximise(
     notes = [] if converged else ["the search did not converge; treat the values as a start"]
     record = n * dt
     for k, (index, p) in enumerate(fitted.indexed()):
-        if isinstance(p, GM) and (k, "beta") in free and 1.0 / p.parameters["beta"] > record / 2.0:
+        time = p.correlation_time(dt)
+        if time is not None and time > record / 2.0 and any((k, meta.name) in free for meta in p.shape_parameters):
             notes.append(
-                f"GM{index}: correlation time {1.0 / p.parameters['beta']:.3g} s is longer than half of the record ({record:.3g} s) and "
+                f"{p.symbol}{index}: correlation time {time:.3g} s is longer than half of the record ({record:.3g} s) and "
                 "cannot be told from a random walk; use RW() instead"
             )
     for i, (k, name) in enumerate(free):

@@ -15,7 +15,7 @@ from scipy.special import ndtri
 
 from insemu import units
 from insemu.errors import InputError
-from insemu.noise import AR1, GM, RW, WN, NoiseModel, Parameter, Process
+from insemu.noise import NoiseModel, Parameter
 from insemu.variance import WaveletVariance
 
 Array = NDArray[np.float64]
@@ -231,17 +231,9 @@ def _number(value: float) -> float | None:
 
 def discrete_view(model: NoiseModel, dt: float) -> dict[str, str]:
     """The parametrisation of the GMWM literature, per sample: variances of white noise, of random-walk steps, phi and innovation variance."""
-    out = {}
-    for index, p in model.indexed():
-        if isinstance(p, WN):
-            out[f"WN{index}.N"] = f"σ² = {p.parameters['N'] ** 2 / dt:.4g}"
-        elif isinstance(p, RW):
-            out[f"RW{index}.K"] = f"γ² = {p.parameters['K'] ** 2 * dt:.4g}"
-        elif isinstance(p, GM):
-            phi, sigma2 = p.discrete(dt)
-            out[f"GM{index}.sigma"] = f"σ² = {sigma2:.4g}"
-            out[f"GM{index}.beta"] = f"φ = {phi:.6g}"
-    return out
+    return {
+        f"{p.symbol}{index}.{name}": text for index, p in model.indexed() for name, text in p.per_sample(dt).items()
+    }
 
 
 def unit_of(parameter: Parameter, signal_unit: str) -> str:
@@ -267,7 +259,7 @@ def estimates(
             error = math.sqrt(covariance[at, at]) if at is not None and covariance[at, at] >= 0 else math.nan
             low = high = math.nan
             if math.isfinite(error):
-                if meta.domain == "positive" and value > 0:
+                if meta.positive and value > 0:
                     spread = min(z * error / value, 700.0)
                     low, high = value * math.exp(-spread), value * math.exp(spread)
                 elif meta.domain == "correlation":
@@ -332,12 +324,12 @@ def kalibr(
         if not axes:
             warnings.append(f"no {sensor} axis was fitted; its two lines are missing")
             continue
-        white = [sum(_white_density(p, r.dt) for p in r.model) for r in axes.values()]
-        walk = [sum(_walk_density(p) for p in r.model) for r in axes.values()]
-        lines.append(f"{sensor}_noise_density: {math.sqrt(float(np.mean(white))):.9g}  # {unit}/sqrt(Hz)")
-        lines.append(f"{sensor}_random_walk: {math.sqrt(float(np.mean(walk))):.9g}  # {unit}*sqrt(Hz)")
+        both = [np.sum([p.as_white_and_walk(r.dt) for p in r.model], axis=0) for r in axes.values()]
+        white, walk = np.mean(both, axis=0)
+        lines.append(f"{sensor}_noise_density: {math.sqrt(float(white)):.9g}  # {unit}/sqrt(Hz)")
+        lines.append(f"{sensor}_random_walk: {math.sqrt(float(walk)):.9g}  # {unit}*sqrt(Hz)")
         for axis, r in axes.items():
-            beyond = sorted({p.symbol for p in r.model if not isinstance(p, WN | RW)})
+            beyond = sorted({p.symbol for p in r.model if p.symbol not in ("WN", "RW")})
             if beyond:
                 warnings.append(
                     f"{axis}: the format holds a noise density and a random walk only; {', '.join(beyond)} of {r.structure} "
@@ -346,33 +338,3 @@ def kalibr(
     rate = rate_hz if rate_hz is not None else next((r.rate_hz for r in results.values()), 0.0)
     lines += [f"update_rate: {rate:g}", f'rostopic: "{topic}"']
     return "\n".join(lines) + "\n", warnings
-
-
-def _is_slow(p: Process) -> bool:
-    if isinstance(p, GM):
-        return p.parameters["beta"] < 1.0
-    return (
-        isinstance(p, AR1)
-        and p.rate_hz is not None
-        and 0.0 < -math.log(max(p.parameters["phi"], 1e-300)) * p.rate_hz < 1.0
-    )
-
-
-def _white_density(p: Process, dt: float) -> float:
-    """Squared density of the white noise that a process is, or resembles at times beyond a second."""
-    if isinstance(p, WN):
-        return p.parameters["N"] ** 2
-    if isinstance(p, GM | AR1) and not _is_slow(p):
-        return float(p.psd(np.array([1e-9]), dt)[0])
-    return 0.0
-
-
-def _walk_density(p: Process) -> float:
-    """Squared density of the random walk that a process is, or resembles at times below a second."""
-    if isinstance(p, RW):
-        return p.parameters["K"] ** 2
-    if isinstance(p, GM) and _is_slow(p):
-        return 2.0 * p.parameters["beta"] * p.parameters["sigma"] ** 2
-    if isinstance(p, AR1) and p.rate_hz is not None and _is_slow(p):
-        return p.parameters["sigma2"] * p.rate_hz
-    return 0.0

@@ -323,7 +323,7 @@ def _reference_covariance(
 def _alive(structure: Structure, best: Solution, scale: NDArray[np.int64]) -> int:
     """Free parameters of the parts that have variance."""
     out = 0
-    for k in range(structure.kinds.size):
+    for k in range(structure.curves.size):
         if best.coefficients[k] > 0:
             held = structure.held[structure.offsets[k] : structure.offsets[k + 1]]
             out += int(structure.fixed[k] < 0) + int(np.isnan(held).sum())

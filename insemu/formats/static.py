@@ -8,9 +8,9 @@ from __future__ import annotations
 import logging
 import mmap
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +20,13 @@ from insemu.formats.clocks import stamp_unit
 from insemu.formats.columns import split_header, words_of
 from insemu.formats.npz import load_npy, load_npz, numbers, scalar, texts
 from insemu.formats.text import is_text, read_table, write_table
-from insemu.records import AXES, COLUMNS, Series
+from insemu.records import AXES, COLUMNS, ImuRecord, Series
 from insemu.units import parse_unit
 
 __all__ = ["AXIS_OF_COLUMN", "Log", "is_text", "read_log", "write_log"]
 
 Array = NDArray[np.float64]
+_T = TypeVar("_T")
 _LOGGER = logging.getLogger(__name__)
 
 #: Short column name of files -> axis name everywhere else.
@@ -65,6 +66,29 @@ class Log:
     columns: tuple[NDArray[Any], ...]
     rate_hz: float
     t: Array | None = None
+
+    @classmethod
+    def of_imu(cls, imu: ImuRecord, source: str) -> Log:
+        """The signals of an IMU as a log; increments become rates."""
+        step = float(np.median(np.diff(imu.t)))
+        values = np.hstack([imu.gyro, imu.accel]) / (step if imu.kind == "increment" else 1.0)
+        units = ("rad/s",) * 3 + ("m/s^2",) * 3
+        return cls(source, AXES, units, units, tuple(np.ascontiguousarray(values.T)), round_rate(1.0 / step), imu.t)
+
+    def select(self, columns: Iterable[str] | None) -> Log:
+        """Only these columns, by their names or by the names of their axes; ``InputError`` with the nearest name for an unknown one."""
+        keep = _select(list(self.names), columns, self.source)
+
+        def kept(parts: tuple[_T, ...]) -> tuple[_T, ...]:
+            return tuple(parts[k] for k in keep)
+
+        return replace(
+            self,
+            names=kept(self.names),
+            units=kept(self.units),
+            stated_units=kept(self.stated_units),
+            columns=kept(self.columns),
+        )
 
     def __len__(self) -> int:
         return int(self.columns[0].shape[0])
@@ -126,14 +150,7 @@ def read_log(path: str | Path, *, rate_hz: float | None = None, columns: Iterabl
         raise FileNotFoundError(2, "No such file or directory", str(path))
     if rate_hz is not None and not (np.isfinite(rate_hz) and rate_hz > 0):
         raise InputError(f"rate is {rate_hz} Hz, expected a positive number", where=str(path))
-    if path.suffix == ".npz":
-        names, units, data, t, rate = _npz(path)
-    elif path.suffix == ".npy":
-        names, units, data, t, rate = _npy(path)
-    elif is_text(path):
-        names, units, data, t, rate = _csv(path)
-    else:
-        raise InputError(f"unknown kind of file '{path.suffix}', expected .npz, .csv or .npy", where=str(path))
+    names, units, data, t, rate = parts(path)
     if len(set(names)) != len(names):
         twice = sorted({n for n in names if names.count(n) > 1})
         raise InputError(f"column '{twice[0]}' appears more than once", where=str(path))
@@ -170,6 +187,17 @@ def read_log(path: str | Path, *, rate_hz: float | None = None, columns: Iterabl
 
 
 _Parts = tuple[list[str], list[str], list[NDArray[Any]], Array | None, float | None]
+
+
+def parts(path: Path) -> _Parts:
+    """Return names, stated units, columns, times and rate as a log holds them, unconverted."""
+    if path.suffix == ".npz":
+        return _npz(path)
+    if path.suffix == ".npy":
+        return _npy(path)
+    if is_text(path):
+        return _csv(path)
+    raise InputError(f"unknown kind of file '{path.suffix}', expected .npz, .csv or .npy", where=str(path))
 
 
 def _npz(path: Path) -> _Parts:

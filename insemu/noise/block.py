@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
 Array = NDArray[np.float64]
@@ -81,26 +82,112 @@ class StateBlock:
             dt=dt,
         )
 
-    def accumulated_variances(self, m: int) -> Array:
-        """Allan variances for averages of 1, 2, 4, ... up to ``m`` samples of a stationary block, by doubling.
+    def accumulated(self, counts: Sequence[int]) -> tuple[Array, Array]:
+        """The state together with the sum of its samples, carried over spans of samples: ``z = (x, S)``, ``z' = F z + e``, ``cov e = V``.
 
-        Sums over adjacent spans are combined exactly: with ``T_a = I + Phi + ... + Phi^(a-1)``, the sum over a + b samples has
-        variance ``V_a + V_b + 2 c P T_a' (Phi T_b)' c'``.
+        Parameters
+        ----------
+        counts : sequence of int
+            Samples per span, at least 1.
 
         Returns
         -------
-        (log2(m) + 1,) array
-            Allan variances in unit^2; ``P0`` must be the stationary covariance.
+        F, V : (k, n + 1, n + 1) arrays
+            By repeated squaring, without the samples' own white noise.
         """
-        levels = m.bit_length()
-        out = np.empty(levels)
-        T, power = np.eye(self.n), self.Phi.copy()
-        V = float(self.c @ self.P0 @ self.c)
-        for j in range(levels):
-            count = 1 << j
-            C = float((self.c @ self.P0 @ T.T) @ (self.Phi @ T).T @ self.c)
-            out[j] = (V - C) / count**2 + self.white / count
-            V = 2.0 * V + 2.0 * C
-            T = T + power @ T
-            power = power @ power
-        return out
+        n = self.n
+        one_F, one_V = np.zeros((n + 1, n + 1)), np.zeros((n + 1, n + 1))
+        one_F[:n, :n], one_F[n, :n], one_F[n, n] = self.Phi, self.c @ self.Phi, 1.0
+        to = np.vstack([np.eye(n), self.c[None, :]])
+        one_V[:] = to @ self.Q @ to.T
+        F = np.broadcast_to(np.eye(n + 1), (len(counts), n + 1, n + 1)).copy()
+        V = np.zeros_like(F)
+        left = np.asarray(counts, dtype=np.int64)
+        while left.any():
+            odd = (left & 1).astype(bool)
+            V[odd] = one_F @ V[odd] @ one_F.T + one_V
+            F[odd] = one_F @ F[odd]
+            one_V = one_F @ one_V @ one_F.T + one_V
+            one_F = one_F @ one_F
+            left >>= 1
+        return F, V
+
+    def difference_covariance(self, m: int, count: int) -> Array:
+        """Autocovariance of the differences of successive means of ``m`` samples, at lags 0 ... ``count - 1`` means.
+
+        The initial state counts as it is; it cancels where the differences are stationary, as those of a random walk are.
+
+        Returns
+        -------
+        (count,) array
+            unit^2.
+        """
+        n = self.n
+        F, V = (a[0] for a in self.accumulated([m]))
+        step, s = F[:n, :n], F[n, :n]
+        # D_k = g x_k + u e_k + v e_(k+1): state at the start of a mean, noise within it and within the next
+        g = s @ (step - np.eye(n))
+        u, v = np.append(s, -1.0), np.append(np.zeros(n), 1.0)
+        out = np.zeros(count)
+        white = self.white * m
+        out[0] = g @ self.P0 @ g + u @ V @ u + v @ V @ v + 2.0 * white
+        if count > 1:
+            ahead = step @ self.P0 @ g + V[:n] @ u
+            out[1] = g @ ahead + v @ V @ u - white
+        if count > 2:
+            out[2:] = _powers_of_row(g, step, count - 2) @ (step @ ahead + V[:n] @ v)
+        return out / float(m) ** 2
+
+    def allan_variance(self, m: ArrayLike) -> Array:
+        """Allan variance of averages of ``m`` samples: half the mean square of the difference of successive means.
+
+        Returns
+        -------
+        array of the shape of ``m``
+            unit^2.
+        """
+        n, counts = self.n, np.asarray(m, dtype=np.int64)
+        flat = counts.ravel()
+        F, V = self.accumulated(flat.tolist())
+        s = F[:, n, :n]
+        g = np.einsum("ki,kij->kj", s, F[:, :n, :n] - np.eye(n))
+        u = np.hstack([s, -np.ones((flat.size, 1))])
+        square = np.einsum("ki,ij,kj->k", g, self.P0, g) + np.einsum("ki,kij,kj->k", u, V, u) + V[:, n, n]
+        return np.asarray(0.5 * (square + 2.0 * flat * self.white) / flat.astype(np.float64) ** 2).reshape(counts.shape)
+
+    def mean_variance(self, m: int) -> float:
+        """Variance of the mean of ``m`` samples that start at ``P0``, unit^2."""
+        F, V = (a[0] for a in self.accumulated([m]))
+        s = F[self.n, : self.n]
+        return float(s @ self.P0 @ s + V[self.n, self.n] + m * self.white) / float(m) ** 2
+
+    def autocovariance(self, lag: ArrayLike) -> Array:
+        """Autocovariance at ``lag`` samples, unit^2; ``P0`` must be the stationary covariance."""
+        lags = np.abs(np.asarray(lag, dtype=np.int64))
+        gamma = _powers_of_row(self.c, self.Phi, int(lags.max(initial=0)) + 1) @ (self.P0 @ self.c)
+        gamma[0] += self.white
+        return np.asarray(gamma[lags])
+
+    def psd(self, f: ArrayLike) -> Array:
+        """Two-sided PSD of the samples, unit^2/Hz; states without driving noise have none."""
+        turn = np.exp(-2j * np.pi * np.asarray(f, dtype=np.float64) * self.dt)
+        driven = np.flatnonzero(np.any(self.Q != 0.0, axis=0))
+        if not driven.size:
+            return np.full(turn.shape, self.white * self.dt)
+        # rows c (I - Phi z^-1)^-1, one per frequency
+        system = np.eye(self.n) - turn[..., None, None] * self.Phi.T
+        rows = np.linalg.solve(system, np.broadcast_to(self.c[:, None], (*turn.shape, self.n, 1)))[..., 0]
+        return np.asarray(self.dt * (np.einsum("...i,ij,...j->...", rows, self.Q, rows.conj()).real + self.white))
+
+
+def _powers_of_row(row: Array, step: Array, count: int) -> Array:
+    """Rows ``row step^k`` for k = 0 ... ``count - 1``, by doubling."""
+    out = np.empty((count, row.size))
+    out[:1] = row
+    done, power = 1, np.array(step)
+    while done < count:
+        more = min(done, count - done)
+        out[done : done + more] = out[:more] @ power
+        power = power @ power
+        done += more
+    return out

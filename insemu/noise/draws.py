@@ -64,3 +64,22 @@ def rational_filter(out: Array, b: Array, a: Array, memory: Array) -> None:
             memory[i] = memory[i + 1] + x * b[i + 1] - y * a[i + 1]
         memory[last] = x * b[last + 1] - y * a[last + 1]
         out[k] = y
+
+
+@njit(cache=True, nogil=True)
+def state_space(out: Array, Phi: Array, root: Array, c: Array, state: Array, rng: np.random.Generator) -> None:
+    """Add ``c x_k`` to (n,), where ``x_k = Phi x_(k-1) + root w_k``; ``state`` holds ``x_0`` and is left at the last sample."""
+    n = state.size
+    old, w = np.empty(n), np.empty(n)
+    for k in range(out.size):
+        if k > 0:
+            for i in range(n):
+                old[i] = state[i]
+                w[i] = rng.standard_normal()
+            for i in range(n):
+                total = 0.0
+                for j in range(n):
+                    total += Phi[i, j] * old[j] + root[i, j] * w[j]
+                state[i] = total
+        for i in range(n):
+            out[k] += c[i] * state[i]

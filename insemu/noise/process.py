@@ -1,55 +1,38 @@
 """What a stochastic process is, and sums of independent processes: as code, as text and as plain data for YAML.
 
-The two stand together because each makes the other: ``WN() + GM()`` is a sum, and a sum is asked what a process is asked. A process
-registers itself by being defined; the modules of :mod:`insemu.noise.processes` hold those of the package.
+The two stand together because each makes the other: ``WN() + GM()`` is a sum, and a sum is asked what a process is asked. The modules of
+:mod:`insemu.noise.processes` hold the processes of the package.
 """
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any, ClassVar, Literal, Self
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError, nearest
-from insemu.noise import grammar
+from insemu.noise import curves, draws, grammar
 from insemu.noise.block import StateBlock
+from insemu.noise.parameters import Parametrised
 
 Array = NDArray[np.float64]
-Domain = Literal["positive", "real", "correlation", "coefficient"]
 
-#: Every process by its registered name.
+#: Every process that text and YAML know, by its name.
 PROCESSES: dict[str, type[Process]] = {}
+
+
+#: Relative difference up to which two sampling rates are one: stamps and their mean interval round differently.
+SAME_RATE = 1e-9
 
 
 class NotStationary(InputError):
     """Asked for an autocovariance that does not exist, or a polynomial has a root on or outside the unit circle."""
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """What a parameter is: its name, its unit in terms of the signal's unit ``{u}``, and its domain."""
-
-    name: str
-    unit: str
-    domain: Domain
-    meaning: str
-    optional: bool = False  # not part of the fitted structure; has a default
-
-    def unit_for(self, signal_unit: str) -> str:
-        """The unit for a signal in ``signal_unit``, for example ``rad/s/sqrt(Hz)``."""
-        u = signal_unit or "1"
-        if self.unit == "({u})*s":
-            return {"rad/s": "rad", "m/s^2": "m/s"}.get(u, f"({u})*s")
-        if self.unit == "{u}/s":
-            return {"rad/s": "rad/s^2", "m/s^2": "m/s^3"}.get(u, f"{u}/s")
-        if self.unit == "({u})^2":
-            return {"rad/s": "(rad/s)^2", "m/s^2": "(m/s^2)^2"}.get(u, f"({u})^2")
-        return self.unit.format(u=u)
 
 
 def counts(m: ArrayLike) -> Array:
@@ -60,92 +43,44 @@ def counts(m: ArrayLike) -> Array:
     return whole
 
 
-@dataclass(frozen=True)
-class Process(ABC):
-    """One stochastic process; subclasses give the closed forms.
+def of_structure(structure: Array) -> Array:
+    """Autocovariance of successive differences from the mean-square difference of values 1, 2, ... ``count + 1`` apart.
 
-    Conventions: m counts samples in an average, lags count samples, ``dt`` is in s, PSDs are two-sided in unit^2/Hz.
+    Parameters
+    ----------
+    structure : (count,) array
+        Mean-square difference of values 1 ... ``count`` apart.
+
+    Returns
+    -------
+    (count,) array
+        At lags 0 ... ``count - 1``; half the second difference of the structure function, which is even and zero at zero.
+    """
+    padded = np.concatenate([structure[:1], [0.0], structure])
+    return np.asarray(0.5 * (padded[2:] + padded[:-2] - 2.0 * padded[1:-1]))
+
+
+@dataclass(frozen=True)
+class Process(Parametrised, ABC):
+    """One stochastic process. Its state block says what it is; everything else follows from that.
+
+    A subclass gives parameters and a block, and closed forms where they are better than what is derived here: exact where the block
+    cancels digits, or faster. Conventions: m counts samples in an average, lags count samples, ``dt`` is in s, PSDs are two-sided in
+    unit^2/Hz.
     """
 
-    PARAMETERS: ClassVar[tuple[Parameter, ...]] = ()
     stationary: ClassVar[bool] = True
-
-    def __init_subclass__(cls) -> None:
-        PROCESSES[cls.__name__] = cls
-
-    def __post_init__(self) -> None:
-        for p in self.PARAMETERS:
-            value = getattr(self, p.name)
-            if value is None:
-                continue
-            number = float(value)
-            object.__setattr__(self, p.name, number)
-            bad = (
-                not math.isfinite(number)
-                or (p.domain == "positive" and number < 0)
-                or (p.domain == "correlation" and not -1 < number < 1)
-                or (p.name in ("beta", "f") and number == 0)
-            )
-            if bad:
-                expected = {"positive": "a number that is not negative", "correlation": "a number between -1 and 1"}
-                if p.domain == "correlation" and abs(number) >= 1.0:
-                    expected["correlation"] += f"; the nearest stable is {math.copysign(1.0 - 1e-6, number):.6f}"
-                    expected["correlation"] += ", and at 1 it is a random walk (RW)" if number > 0 else ""
-                if p.name in ("beta", "f"):
-                    expected["positive"] = "a positive number"
-                raise InputError(
-                    f"{self.symbol}: {p.name} ({p.meaning}) is {number!r}, expected {expected.get(p.domain, 'a finite number')}"
-                )
-
-    @property
-    def symbol(self) -> str:
-        """The short registered name."""
-        return type(self).__name__
-
-    @property
-    def carried_rate_hz(self) -> float | None:
-        """The sampling rate that a discrete process carries; None where the process is free of a rate or has none yet."""
-        return getattr(self, "rate_hz", None)
-
-    @property
-    def specified(self) -> bool:
-        """Whether every parameter has a value."""
-        return all(getattr(self, p.name) is not None for p in self.parameters_meta())
-
-    def parameters_meta(self) -> tuple[Parameter, ...]:
-        """The parameters that make up the structure, in order."""
-        return tuple(p for p in self.PARAMETERS if not p.optional)
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """Names and values of the structural parameters (SI); raises where one is unknown."""
-        self._require()
-        return {p.name: getattr(self, p.name) for p in self.parameters_meta()}
-
-    def with_parameters(self, values: Mapping[str, float]) -> Self:
-        """The same structure with these parameter values."""
-        return replace(self, **dict(values))
-
-    def at_rate(self, rate_hz: float) -> Self:
-        """The process at a sampling rate: itself, except that a discrete process without a rate takes this one."""
-        return self
-
-    def scaled(self, factor: float) -> Self:
-        """The process whose signal is ``factor`` times this one's; times and coefficients stay."""
-        powers = {p.name: 2 if "^2" in p.unit_for("1") else 1 for p in self.parameters_meta() if "{u}" in p.unit}
-        if "sigma0" in {f.name for f in fields(self)}:
-            powers["sigma0"] = 1
-        known = self.parameters | {f.name: getattr(self, f.name) for f in fields(self)}
-        return self.with_parameters({name: known[name] * factor**power for name, power in powers.items()})
-
-    def _require(self) -> None:
-        missing = [p.name for p in self.parameters_meta() if getattr(self, p.name) is None]
-        if missing:
-            raise InputError(f"{self.symbol}: no value for {', '.join(missing)}; fit the model or give the parameters")
-
-    # -- what a process is ------------------------------------------------------------------------------------------------------
+    #: Without driving noise: a record holds one draw, which is a signal rather than noise.
+    single_draw: ClassVar[bool] = False
+    #: Function of :data:`insemu.noise.curves.SIGNATURE` for the process with coefficient 1; None derives it.
+    curve: ClassVar[Callable[..., None] | None] = None
 
     @abstractmethod
+    def block(self, dt: float) -> StateBlock:
+        """State block at sampling interval ``dt`` (s)."""
+
+    # -- derived from the block ---------------------------------------------------------------------------------------------------
+
     def allan_variance(self, m: ArrayLike, dt: float) -> Array:
         """Allan variance of averages of ``m`` samples.
 
@@ -161,14 +96,15 @@ class Process(ABC):
         (k,) array
             unit^2.
         """
+        return self.block(dt).allan_variance(counts(m))
 
     def wavelet_variance(self, scale: ArrayLike, dt: float) -> Array:
         """Haar wavelet variance at scales of 2^j samples: half the Allan variance at m = scale / 2."""
         return 0.5 * self.allan_variance(np.asarray(scale) // 2, dt)
 
-    @abstractmethod
     def psd(self, f: ArrayLike, dt: float) -> Array:
         """Two-sided PSD of the sampled sequence in unit^2/Hz at frequencies ``f`` (Hz), 0 < f <= 1 / (2 dt)."""
+        return self.block(dt).psd(f)
 
     def autocovariance(self, lag: ArrayLike, dt: float) -> Array:
         """Autocovariance at ``lag`` samples, unit^2.
@@ -178,15 +114,66 @@ class Process(ABC):
         NotStationary
             The process has none.
         """
-        raise NotStationary(f"{self.symbol} is not stationary and has no autocovariance")
+        if not self.stationary:
+            raise NotStationary(f"{self.symbol} is not stationary and has no autocovariance")
+        return self.block(dt).autocovariance(lag)
 
-    @abstractmethod
-    def block(self, dt: float) -> StateBlock:
-        """State block at sampling interval ``dt`` (s)."""
+    def difference_covariance(self, m: int, dt: float, count: int) -> Array:
+        """Autocovariance of the differences of successive means of ``m`` samples; ``m`` = 1 are the increments of the samples.
 
-    @abstractmethod
+        Parameters
+        ----------
+        m : int
+            Samples per mean.
+        dt : float
+            Sampling interval, s.
+        count : int
+            Lags 0 ... ``count - 1``, in means.
+
+        Returns
+        -------
+        (count,) array
+            unit^2; zero for a process of one draw, which is no noise from mean to mean.
+        """
+        return np.zeros(count) if self.single_draw else self.block(dt).difference_covariance(m, count)
+
+    def mean_variance(self, m: int, dt: float) -> float:
+        """Variance of the mean of ``m`` samples, unit^2; of a wandering process from where it was as long before their middle.
+
+        Parameters
+        ----------
+        m : int
+            Samples.
+        dt : float
+            Sampling interval, s.
+
+        Returns
+        -------
+        float
+            Zero for a process of one draw.
+        """
+        if self.single_draw:
+            return 0.0
+        if not self.stationary:
+            raise NotStationary(f"{self.symbol} is not stationary: the mean of a record has no variance")
+        return self.block(dt).mean_variance(m)
+
+    def wandering(self, m: int, dt: float) -> float:
+        """Mean-square change over ``m`` samples, unit^2: of the process where it is stationary, else of its means over them."""
+        if self.stationary and not self.single_draw:
+            near, far = self.autocovariance(np.array([0, m]), dt)
+            return float(2.0 * (near - far))
+        first, second = self.difference_covariance(m, dt, 2)
+        return float(max(first, first + 2.0 * second))
+
     def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:
         """Overwrite ``out`` (n,), contiguous float64, with samples at interval ``dt`` (s), from a stationary start where there is one."""
+        block = self.block(dt)
+        root_Q, root_P = (_root(a) for a in (block.Q, block.P0))
+        state = root_P @ rng.standard_normal(block.n)
+        draws.standard_normal(out, rng)
+        out *= math.sqrt(block.white)
+        draws.state_space(out, np.array(block.Phi), root_Q, np.array(block.c), state, rng)
 
     def simulate(self, n: int, dt: float, rng: np.random.Generator) -> Array:
         """``n`` samples at interval ``dt`` (s), from a stationary start where there is one."""
@@ -194,7 +181,70 @@ class Process(ABC):
         self.fill(out, dt, rng)
         return out
 
-    # -- sums and text ------------------------------------------------------------------------------------------------------------
+    def correlation_time(self, dt: float) -> float | None:
+        """The one time constant in s after which the process has forgotten; None where it has none, or several."""
+        rates = [self.parameters[p.name] for p in self.parameters_meta() if p.domain == "rate"]
+        return 1.0 / rates[0] if len(rates) == 1 else None
+
+    # -- for the estimators -------------------------------------------------------------------------------------------------------
+
+    @property
+    def order(self) -> int:
+        """A whole number of the structure that :attr:`curve` needs."""
+        return 0
+
+    @classmethod
+    @cache
+    def _compiled_curve(cls) -> Any:
+        return None if cls.curve is None else curves.compiled(cls.curve)
+
+    def curve_address(self, dt: float) -> tuple[int, object]:
+        """Address of the compiled wavelet variance of this structure with coefficient 1, and what must be kept while it is used."""
+        known = self._compiled_curve()
+        if known is not None:
+            return known.address, known
+        structure = self.with_parameters(dict.fromkeys(self.given))
+
+        def derived(m: Array, shapes: Array) -> Array:
+            return structure.of_coordinates(1.0, [float(v) for v in shapes], dt).wavelet_variance(2.0 * m, dt)
+
+        return curves.callback_of(derived)
+
+    def unit_wavelet_variance(self, m: ArrayLike, shapes: Sequence[float] = ()) -> Array:
+        """Haar wavelet variance with coefficient 1 at averages of ``m`` samples, which need not be whole where there is a closed form."""
+        averages, s = np.array(m, dtype=np.float64), np.array(shapes, dtype=np.float64)
+        b, db = np.empty(averages.size), np.zeros((averages.size, s.size))
+        address, _kept = self.curve_address(1.0)
+        curves.evaluate(address, averages.ravel(), s, self.order, b, db)
+        return b.reshape(averages.shape)
+
+    def markov_parts(self, dt: float) -> MarkovParts | None:
+        """The process as the sum that closed covariances of wavelet variances know; None where it is no such sum."""
+        return None
+
+    def moving(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]] | None:
+        """Which entries of the block's ``Phi`` and ``Q`` an expectation-maximization step may set freely; None where it cannot."""
+        return None
+
+    def of_transition(self, Phi: Array, Q: Array, dt: float) -> Self:
+        """The process whose block has these matrices: the inverse of :meth:`block` where :meth:`moving` is not None."""
+        raise NotImplementedError
+
+    def per_sample(self, dt: float) -> dict[str, str]:
+        """Parameters as the GMWM literature writes them per sample, as text; empty where they are written so already."""
+        return {}
+
+    def as_white_and_walk(self, dt: float) -> tuple[float, float]:
+        """Squared densities of the white noise and of the random walk that the process is, or resembles over about a second."""
+        time = self.correlation_time(dt)
+        if time is None:
+            return 0.0, 0.0
+        if time <= 1.0:
+            return float(self.psd(np.array([1e-9]), dt)[0]), 0.0
+        block = self.block(dt)
+        return 0.0, float(block.c @ block.Q @ block.c) / dt
+
+    # -- sums ---------------------------------------------------------------------------------------------------------------------
 
     def __add__(self, other: Process | NoiseModel) -> NoiseModel:
         return NoiseModel((self,)) + other
@@ -202,68 +252,44 @@ class Process(ABC):
     def __rmul__(self, count: int) -> NoiseModel:
         return count * NoiseModel((self,))
 
-    def __str__(self) -> str:
-        given = ", ".join(
-            f"{f.name}={getattr(self, f.name)!r}" for f in fields(self) if getattr(self, f.name) != f.default
-        )
-        return f"{self.symbol}({given})"
 
-    @classmethod
-    def of_arguments(cls, orders: Sequence[int], given: Mapping[str, Any], signal_unit: str, text: str) -> Self:
-        """The process that a term of a model's text describes.
+@dataclass(frozen=True)
+class MarkovParts:
+    """White, quantized, walking and flicker parts, and first-order processes, of the samples at one interval.
 
-        Parameters
-        ----------
-        orders : sequence of int
-            Arguments without a name.
-        given : mapping
-            Arguments with a name, as text or lists of text.
-        signal_unit : str
-            SI unit of the signal.
-        text : str
-            The whole model, for messages.
+    Parameters
+    ----------
+    white, quantized, walk, flicker : float
+        Variances per sample of the four, unit^2.
+    decay, variance : tuple of float
+        Decay per sample and variance of each first-order process.
+    drift : float
+        Slope per sample.
+    line : tuple of float
+        Frequency in Hz and amplitude of a sinusoid, or empty.
+    """
 
-        Raises
-        ------
-        InputError
-            An argument that the process does not have.
-        """
-        if orders:
-            inside = ", ".join([*map(str, orders), *(f"{k}={v}" for k, v in given.items())])
-            raise InputError(
-                f"found an unnamed argument in '{cls.__name__}({inside})' of the model '{text}'; expected name=quantity"
-            )
-        return cls.from_mapping(given, signal_unit)
+    white: float = 0.0
+    quantized: float = 0.0
+    walk: float = 0.0
+    flicker: float = 0.0
+    decay: tuple[float, ...] = ()
+    variance: tuple[float, ...] = ()
+    drift: float = 0.0
+    line: tuple[float, ...] = ()
 
-    @classmethod
-    def from_mapping(cls, given: Mapping[str, Any], signal_unit: str) -> Self:
-        """The process with these named quantities, numbers in SI or text with a unit; raises ``InputError``."""
-        known = {p.name: p for p in cls.PARAMETERS}
-        unknown = [k for k in given if k not in known]
-        if unknown:
-            raise InputError(f"unknown key '{unknown[0]}'" + nearest(unknown[0], known), where=cls.__name__)
-        return cls(
-            **{k: grammar.quantity(v, known[k].unit_for(signal_unit), f"{cls.__name__}.{k}") for k, v in given.items()}
-        )
 
-    def to_mapping(self, signal_unit: str) -> dict[str, Any]:
-        """The inverse of :meth:`from_mapping`, with the key ``process``; quantities as text with their SI unit."""
-        out: dict[str, Any] = {"process": self.symbol}
-        for p in self.PARAMETERS:
-            value = getattr(self, p.name)
-            if value is None or (p.optional and value == 0.0):
-                continue
-            unit = p.unit_for(signal_unit) if signal_unit else ""
-            out[p.name] = f"{value!r} {unit}" if unit not in ("", "1") else value
-        if self.carried_rate_hz is not None:
-            out["rate_hz"] = self.carried_rate_hz
-        return out
+def _root(covariance: Array) -> Array:
+    """A matrix whose square is a covariance, which may be singular."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.ascontiguousarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def process_of(item: Mapping[str, Any], signal_unit: str) -> Process:
     """The process of one mapping with the key ``process``; raises ``InputError``."""
     given = dict(item)
     name = given.pop("process", None)
+    name = grammar.ALIASES.get(name, name)
     if name not in PROCESSES:
         raise InputError(f"unknown process {name!r}" + nearest(str(name), PROCESSES), where="process")
     return PROCESSES[name].from_mapping(given, signal_unit)
@@ -293,7 +319,7 @@ class NoiseModel:
     def __post_init__(self) -> None:
         object.__setattr__(self, "processes", tuple(self.processes))
         rates = {p.carried_rate_hz for p in self.processes if p.carried_rate_hz is not None}
-        if len(rates) > 1:
+        if rates and max(rates) > min(rates) * (1.0 + SAME_RATE):
             raise InputError(
                 f"discrete processes at different rates ({', '.join(f'{r:g} Hz' for r in sorted(rates))}) cannot be added"
             )
@@ -356,6 +382,10 @@ class NoiseModel:
     def psd(self, f: ArrayLike, dt: float) -> Array:
         """Two-sided PSD of the sampled sequence, unit^2/Hz."""
         return np.asarray(sum((p.psd(f, dt) for p in self), start=np.zeros(np.shape(f))))
+
+    def difference_covariance(self, m: int, dt: float, count: int) -> Array:
+        """Autocovariance of the differences of successive means of ``m`` samples; see :meth:`Process.difference_covariance`."""
+        return np.asarray(sum((p.difference_covariance(m, dt, count) for p in self), start=np.zeros(count)))
 
     def autocovariance(self, lag: ArrayLike, dt: float) -> Array:
         """Autocovariance at ``lag`` samples, unit^2; raises ``NotStationary`` where a process has none."""

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 
 from insemu.effects import EffectUse
-from insemu.gap.candidates.noise import bias_gain, mean_spread
+from insemu.gap.candidates.noise import bias_nats, mean_spread
 from insemu.gap.data.log import Reduced, block_differences, block_length, spectrum_bins
 from insemu.gap.evidence import kernels
 from insemu.gap.evidence.band import Band
+from insemu.gap.evidence.linear import log_mean_exp
 from insemu.gap.evidence.model import (
     DEPTH,
     Component,
@@ -29,7 +30,6 @@ from insemu.gap.evidence.model import (
     Regressors,
     Rolloff,
     fit,
-    log_mean_exp,
     regression_evidence,
 )
 from insemu.gap.policy import rules
@@ -41,8 +41,6 @@ Array = NDArray[np.float64]
 GAUSSIAN = (
     "white_noise", "random_walk", "gauss_markov", "telegraph", "flicker", "ramp", "temperature", "vibration_band", "decimation_filter",
 )  # fmt: skip
-#: Effects that stand in for one another at the longest averaging times.
-SLOW = ("random_walk", "gauss_markov", "telegraph", "flicker", "ramp")
 #: Sizing stops within this share of the wanted evidence, after this many trials, or at this factor of the strength it began with.
 CLOSE, TRIALS, MOST_STRENGTH = 0.03, 14, 1e3
 
@@ -122,7 +120,7 @@ class Log:
         """The belief with its tolerances."""
         return Explanation.nominal(self.belief)
 
-    def _explained(self, uses: Sequence[EffectUse]) -> tuple[Explanation, Array]:
+    def explained(self, uses: Sequence[EffectUse]) -> tuple[Explanation, Array]:
         """The truth with the effects as an explanation at its true parameters, and block differences of what is no noise."""
         block = block_length(self.n, self.dt)
         count = self.n // block - 1
@@ -142,18 +140,18 @@ class Log:
                 level = WN(math.hypot(n0, given["N"]))
                 components[k] = Component(level, (Free("N", n0 / 30.0, n0 * 30.0),), u.id)
             elif u.id == "random_walk":
-                components.append(_component(RW(abs(given["K"])), "K", u.id))
+                components.append(component(RW(abs(given["K"])), "K", u.id))
             elif u.id == "flicker":
-                components.append(_component(BI(abs(given["B"])), "B", u.id))
+                components.append(component(BI(abs(given["B"])), "B", u.id))
             elif u.id in ("gauss_markov", "telegraph"):
                 twice = u.id == "telegraph"
                 size, beta = (given["amplitude"], 2.0 * given["rate"]) if twice else (given["sigma"], given["beta"])
                 memory = Free("beta", 2.0 / span, 0.25 / self.dt)
-                components.append(_component(GM(abs(size), beta), "sigma", u.id, memory))
+                components.append(component(GM(abs(size), beta), "sigma", u.id, memory))
             elif u.id == "vibration_band":
                 ratio = given["bandwidth"] / given["frequency"]
                 shape = (Free("f", 0.01 / self.dt, 0.485 / self.dt), Free("ratio", 0.003, 0.6))
-                components.append(_component(Band(given["rms"], given["frequency"], ratio), "sigma", u.id, *shape))
+                components.append(component(Band(given["rms"], given["frequency"], ratio), "sigma", u.id, *shape))
             elif u.id == "decimation_filter":
                 nyquist = 0.5 / self.dt
                 free = (Free("corner", 0.03 * nyquist, 0.98 * nyquist), Free("order", 0.6, 12.0))
@@ -171,7 +169,8 @@ class Log:
                 mean = mean + given["c1"] * column[:, 0]
         return Explanation(tuple(components), rolloff, tuple(regressors)), mean
 
-    def _expected(self, truth: Explanation, mean: Array) -> Expected:
+    def expected(self, truth: Explanation, mean: Array) -> Expected:
+        """The expectation of the likelihood under an explanation and block differences of what is no noise."""
         block = block_length(self.n, self.dt)
         f, dof = spectrum_bins(self.n, self.dt, 0.5 / (block * self.dt))
         power = truth.psd(f, self.dt) - (truth.rolloff.floor if truth.rolloff else 0.0)
@@ -187,11 +186,11 @@ class Log:
         if use.id == "outliers" and any(u.id == "saturation" for u in beside):
             return 0.0  # clipped away
         if use.id not in GAUSSIAN:
-            return self._of_samples(use, self._explained(others)[0])
-        full, mean = self._explained([*others, use])
-        likelihood = self._expected(full, mean)
+            return self._of_samples(use, self.explained(others)[0])
+        full, mean = self.explained([*others, use])
+        likelihood = self.expected(full, mean)
         with_it = fit(likelihood, full)
-        less, _ = self._explained(others)
+        less, _ = self.explained(others)
         if use.id == "white_noise":
             less = replace(less, components=(*self.nominal().components, *less.components[len(self.truth.processes) :]))
         without = max((fit(likelihood, e) for e in _starts(less)), key=lambda f: f.evidence)
@@ -199,64 +198,6 @@ class Log:
         more = len(full.free) - len(less.free) + sum(len(r.names) for r in full.regressors if r.effect == use.id)
         rare = rules().telegraph_rarer if use.id == "telegraph" else 0.0
         return with_it.evidence - without.evidence + 0.5 * more - rare
-
-    def leads(self, use: EffectUse, beside: Sequence[EffectUse] = ()) -> dict[str, float]:
-        """Nats by which a slow effect is expected to lead every other slow effect in its place; empty for any other effect.
-
-        Telegraph noise counts as the Gauss-Markov process of its spectrum, and is no rival.
-        """
-        if use.id not in SLOW:
-            return {}
-        others = [u for u in beside if u.id in GAUSSIAN]
-        full, mean = self._explained([*others, use])
-        likelihood = self._expected(full, mean)
-        rest, _ = self._explained(others)
-        own = fit(likelihood, full).evidence
-        best: dict[str, float] = {}
-        for name, rival in self._rivals(use, rest, full):
-            best[name] = max(best.get(name, -math.inf), fit(likelihood, rival).evidence)
-        return {name: own - value for name, value in best.items()}
-
-    def _rivals(self, use: EffectUse, rest: Explanation, full: Explanation) -> list[tuple[str, Explanation]]:
-        """The explanation with another slow effect in the place of one, from a few starts each."""
-        T, block = self.n * self.dt, block_length(self.n, self.dt)
-        own = next((c.process for c in reversed(full.components) if c.effect == use.id), None)
-        if own is not None:
-            size = math.sqrt(float(own.allan_variance(max(1, round(0.1 * self.n)), self.dt)))
-        else:
-            size = abs(use.values["R"][self.axis]) * T / 4.0
-        size = max(size, self.white / math.sqrt(T))
-        memory = Free("beta", 2.0 / T, 0.25 / self.dt)
-        processes: list[tuple[str, Process, str, tuple[Free, ...]]] = [
-            *(("random_walk", RW(size * a / math.sqrt(T)), "K", ()) for a in (1.0, 5.0)),
-            *(("flicker", BI(size * a), "B", ()) for a in (0.7, 2.0)),
-            *(
-                ("gauss_markov", GM(size * a, b / T), "sigma", (memory,))
-                for a, b in ((1.5, 4.0), (1.0, 20.0), (1.5, 100.0))
-            ),
-        ]
-        out = [(name, rest.with_component(_component(p, free, "rival", *more))) for name, p, free, more in processes]
-        sigma = self.white / math.sqrt(block * self.dt)
-        shapes: list[tuple[str, Array, Array]] = [
-            ("ramp", np.full((self.n // block - 1, 1), block * self.dt), np.array([3.0 * sigma / T]))
-        ]
-        if self.temperature is not None and not any(r.effect == "temperature" for r in rest.regressors):
-            d = self.temperature - self.temperature.mean()
-            spread = float(np.std(d)) ** np.arange(1, 4)
-            powers = block_differences(np.stack([d, d * d, d * d * d], axis=1), block)
-            scales = np.asarray(3.0 * max(sigma, 0.3 * size) / spread, dtype=np.float64)
-            shapes += [("temperature", powers[:, :k], scales[:k]) for k in (1, 3)]
-        for name, columns, scales in shapes:
-            shape = Regressors(name, tuple(f"c{k}" for k in range(columns.shape[1])), columns, scales)
-            out.append((name, replace(rest, regressors=(*rest.regressors, shape))))
-        kind = "gauss_markov" if use.id == "telegraph" else use.id
-        return [(name, e) for name, e in out if name != kind]
-
-    def seen(self, use: EffectUse, data: Reduced) -> float:
-        """Nats that a Gaussian effect is worth in one recording to somebody who knows the truth and has only its numbers to fit."""
-        likelihood = Likelihood(data)
-        full, _ = self._explained([use])
-        return fit(likelihood, full).evidence - fit(likelihood, self.nominal()).evidence
 
     def _of_samples(self, use: EffectUse, rest: Explanation) -> float:
         given = {k: v[self.axis if len(v) > 1 else 0] for k, v in use.values.items()}
@@ -269,11 +210,11 @@ class Log:
             sigma2 = float(np.mean(rest.psd(np.linspace(0.05, 0.45, 41) / self.dt, self.dt))) / self.dt
             return _outliers_worth(self.n, given["probability"], math.sqrt(1.0 + given["sigma"] ** 2 / sigma2))
         if use.id == "turn_on_bias":
-            return bias_gain(given["value"], mean_spread(rest, self.white, self.n * self.dt, self.dt))
+            return bias_nats(given["value"], mean_spread(rest, self.white, self.n * self.dt, self.dt))
         return math.inf
 
 
-def _component(process: Process, amplitude: str, effect: str, *more: Free) -> Component:
+def component(process: Process, amplitude: str, effect: str, *more: Free) -> Component:
     """A process with the priors of its candidate; where the amplitude's range ends does not matter, how wide it is does."""
     top = 30.0 * process.parameters[amplitude]
     return Component(process, (Free(amplitude, top / rules().amplitude_range, top), *more), effect)

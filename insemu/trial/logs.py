@@ -8,27 +8,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu import earth
-from insemu.effects import EFFECTS, EffectUse
+from insemu.effects import EFFECTS, EffectUse, RestLot
 from insemu.emulate import corrupt
 from insemu.gap.data.sources import static_of
 from insemu.noise import NoiseModel
 from insemu.records import AXES, ImuRecord, Recording, Series
-from insemu.trial.drives import Hidden
+from insemu.trial.drives import wrong
 from insemu.trial.expected import Log, sized
+from insemu.trial.hidden import Hidden
 
 Array = NDArray[np.float64]
 
 #: Effects that a log at rest can show.
-STATIC_EFFECTS = (
-    "none", "white_noise", "random_walk", "gauss_markov", "flicker", "ramp", "vibration_line", "vibration_band", "telegraph",
-    "outliers", "quantization", "decimation_filter", "temperature", "saturation", "dropped_samples", "turn_on_bias",
-)  # fmt: skip
+STATIC_EFFECTS = ("none", *(e.id for e in EFFECTS.values() if e.does("hidden_at_rest")))
 #: Structure that no catalogue holds, in a log at rest: telegraph noise is taken out of the catalogue.
 STATIC_OUTSIDE = ("telegraph", "sweep")
 #: Nominal sensors: text of the model of a gyroscope axis (rad/s).
@@ -47,40 +43,9 @@ def shape(
     effect: str, n: int, dt: float, white: float, axis: int, rng: np.random.Generator
 ) -> Callable[[float], EffectUse]:
     """Draw what does not scale (memory, frequency, order, sign); the effect as a function of its strength, 1 near what an hour can show."""
-    span, sample = n * dt, white / math.sqrt(dt)
-    slow = white / math.sqrt(span)  # uncertainty of the mean over the log
-    memory = float(np.exp(rng.uniform(math.log(10.0), math.log(max(span / 15.0, 20.0)))))
-    switching, sign = float(1.0 / rng.uniform(15.0, 90.0)), float(rng.choice([-1.0, 1.0]))
-    frequency, order = float(rng.uniform(0.1, 0.45) / dt), float(rng.integers(1, 4))
-    bandwidth = float(rng.uniform(0.01, 0.15)) * frequency
-
-    def x(value: float) -> list[float]:
-        out = [0.0, 0.0, 0.0]
-        out[axis] = value
-        return out
-
-    def use(s: float) -> EffectUse:
-        values: dict[str, dict[str, Any]] = {
-            "white_noise": {"N": x(white * math.sqrt((1.0 + 0.25 * s) ** 2 - 1.0))},
-            "random_walk": {"K": x(6.0 * s * slow / math.sqrt(span))},
-            "gauss_markov": {"sigma": x(8.0 * s * slow), "beta": 1.0 / memory},
-            "flicker": {"B": x(6.0 * s * slow)},
-            "ramp": {"R": x(12.0 * s * sign * slow / span)},
-            "telegraph": {"amplitude": x(9.0 * s * slow), "rate": switching},
-            "temperature": {"c1": x(0.6 * s * slow)},
-            "vibration_line": {"amplitude": x(7.0 * s * slow), "frequency": frequency},
-            "vibration_band": {"rms": x(0.1 * s * sample), "frequency": frequency, "bandwidth": bandwidth},
-            "decimation_filter": {"cutoff": 0.45 / dt / (1.0 + 0.1 * s), "order": order},
-            "outliers": {"probability": 5e-4, "sigma": x(2.5 * s * sample)},
-            "quantization": {"lsb": x(0.3 * s * sample)},
-            "saturation": {"limit": [3.0 * sample / math.sqrt(s) if k == axis else 1.0 for k in range(3)]},
-            "dropped_samples": {"probability": 2e-3 * s},
-            "turn_on_bias": {"value": x(sign * s * 2.0 * earth.RATE)},
-        }  # fmt: skip
-        sensor = "imu" if effect == "dropped_samples" else "gyro"
-        return EffectUse.from_mapping({"effect": effect, "sensor": sensor, **values[effect]})
-
-    return use
+    lot, e = RestLot.drawn(n, dt, white, axis, rng), EFFECTS[effect]
+    sensor = e.sensors[0]
+    return lambda s: EffectUse.from_mapping({"effect": effect, "sensor": sensor, **e.hidden_at_rest(lot, s)})
 
 
 @dataclass(frozen=True)
@@ -145,15 +110,6 @@ def together(makers: Sequence[Callable[[float], EffectUse]], log: Log, target: f
             uses[k] = makers[k](strengths[k])
         beside = [log.worth(u, [v for v in uses if v is not u]) for u in uses]
     return [Sized(u, s, log.worth(u), w) for u, s, w in zip(uses, strengths, beside, strict=True)]
-
-
-def wrong(truth: NoiseModel, rng: np.random.Generator) -> NoiseModel:
-    """The belief: every level off by up to 20 %."""
-    out = []
-    for p in truth:
-        name = p.parameters_meta()[0].name
-        out.append(p.with_parameters({**p.parameters, name: p.parameters[name] * float(rng.uniform(1.0 / 1.2, 1.2))}))
-    return NoiseModel(tuple(out))
 
 
 def static_recording(

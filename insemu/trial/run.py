@@ -17,6 +17,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
 from insemu.effects import EFFECTS, EffectUse
 from insemu.errors import InputError, nearest
@@ -26,24 +27,10 @@ from insemu.gap.problems.rest import find_static_gap
 from insemu.gap.session import find_gap
 from insemu.gap.verdict import GapReport
 from insemu.records import Recording
-from insemu.trial.drives import (
-    DYNAMIC_EFFECTS,
-    OUTSIDE,
-    TARGETS,
-    Hidden,
-    Stage,
-    draw_use,
-    drawn_outliers,
-    is_scaled,
-    oracle,
-    oracle_knows,
-    scaled,
-    size_effect,
-    stage,
-    whitened_difference,
-    worth_beside,
-)
+from insemu.trial.drives import DYNAMIC_EFFECTS, OUTSIDE, TARGETS, Stage, draw_use, scaled, stage
+from insemu.trial.hidden import Hidden, Number
 from insemu.trial.logs import STATIC_EFFECTS, STATIC_OUTSIDE, static_recording
+from insemu.trial.worth import drawn_outliers, oracle, oracle_knows, size_effect, whitened_difference, worth_beside
 from insemu.work import Lines, processes, run_items
 
 Array = NDArray[np.float64]
@@ -57,11 +44,11 @@ class Said:
     effect: str
     sensor: str
     axes: tuple[str, ...]
-    confidence: float
-    gain_nats: float
+    confidence: Number
+    gain_nats: Number
     members: tuple[tuple[str, str, tuple[str, ...]], ...]
     runners_up: tuple[str, ...] = ()
-    values: tuple[tuple[str, float, float, float], ...] = ()
+    values: tuple[tuple[str, Number, Number, Number], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -95,63 +82,33 @@ class Trial:
     track: str
     verdict: str
     steps: tuple[Said, ...]
-    gap_after: tuple[float, float, float] = (math.nan, math.nan, math.nan)
-    held_out: float = math.nan
-    oracle: float = math.nan
-    seconds: float = math.nan
+    gap_after: tuple[Number, Number, Number] = (math.nan, math.nan, math.nan)
+    held_out: Number = math.nan
+    oracle: Number = math.nan
+    seconds: Number = math.nan
     sizes: tuple[float, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """As plain data; what is not finite becomes null."""
-        return dict(
-            json.loads(
-                json.dumps(asdict(self)).replace("NaN", "null").replace("-Infinity", "null").replace("Infinity", "null")
-            )
-        )
+        return dict(json.loads(_PLAIN.dump_json(self)))
 
     @classmethod
     def from_json(cls, plain: dict[str, Any]) -> Trial:
         """Inverse of :meth:`to_json`."""
+        return _PLAIN.validate_python(plain)
 
-        def number(x: Any) -> float:
-            return math.nan if x is None else float(x)
 
-        hidden = tuple(
-            Hidden(
-                h["effect"],
-                h["sensor"],
-                tuple(h["axes"]),
-                number(h["strength"]),
-                number(h["nats"]),
-                number(h["scales_for_20"]),
-                number(h.get("beside")),
-                tuple((name, tuple(v)) for name, v in h.get("values", ())),
-            )
-            for h in plain["hidden"]
-        )
-        steps = tuple(
-            Said(
-                s["effect"], s["sensor"], tuple(s["axes"]), number(s["confidence"]), number(s["gain_nats"]),
-                tuple((m[0], m[1], tuple(m[2])) for m in s["members"]), tuple(s["runners_up"]),
-                tuple((v[0], number(v[1]), number(v[2]), number(v[3])) for v in s.get("values", ())),
-            )
-            for s in plain["steps"]
-        )  # fmt: skip
-        gap = tuple(number(x) for x in plain["gap_after"])
-        return cls(
-            plain["kind"], plain["seed"], hidden, plain["outside"], plain["track"], plain["verdict"], steps, (gap[0], gap[1], gap[2]),
-            number(plain["held_out"]), number(plain["oracle"]), number(plain["seconds"]), tuple(plain.get("sizes", ())),
-        )  # fmt: skip
+_PLAIN = TypeAdapter(Trial)
 
 
 def said(report: GapReport) -> tuple[Said, ...]:
     """The steps of a report as the trial scores them."""
     return tuple(
         Said(
-            s.effect, s.sensor, tuple(s.axes), s.confidence, s.gain_nats, tuple((m.effect, m.sensor, tuple(m.axes)) for m in s.members),
+            s.effect, s.sensor, tuple(s.axes), s.confidence, s.nats, tuple((m.effect, m.sensor, tuple(m.axes)) for m in s.members),
             tuple(m.effect for m in s.runners_up), tuple((p.name, float(p.value), float(p.low), float(p.high)) for p in s.parameters),
         )
-        for s in report.steps
+        for s in report.findings
     )  # fmt: skip
 
 
@@ -219,7 +176,7 @@ def moving_recording(job: Job) -> HiddenDrive:
             use, what = size_effect(s, clean, use, what, job.strength)
         uses.append(use)
         hidden.append(replace(what, values=s.true_values(use)))
-        sizes.append(what.strength if is_scaled(use) else 1.0)
+        sizes.append(what.strength if use.effect.size else 1.0)
     if not job.outside:
         return HiddenDrive(s, s.record(uses), tuple(uses), tuple(hidden), tuple(sizes), clean)
     known = job.sizes[-1] if job.sizes else None

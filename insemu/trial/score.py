@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy import stats
 
-from insemu.trial.drives import Hidden
+from insemu.trial.hidden import Hidden
 from insemu.trial.run import Said, Trial
 
 #: Edges of the bins of confidence and of expected evidence.

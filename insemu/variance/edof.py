@@ -21,6 +21,7 @@ from scipy.optimize import nnls
 from scipy.special import chdtri, ndtri
 
 from insemu.errors import InputError
+from insemu.noise import PROCESSES
 from insemu.variance import _kernel
 
 Array = NDArray[np.float64]
@@ -119,6 +120,7 @@ def eta3(scale_samples: Array, n_samples: int, filter_length: int = 2) -> Array:
 _DIFFERENCE = {2: (6.0, -4.0, 1.0), 3: (20.0, -15.0, 6.0, -1.0)}
 
 
+#: Numbers of the random components in the kernel of their autocovariances.
 _KINDS = {"QN": 0, "WN": 1, "GM": 2, "RW": 3}
 
 
@@ -128,21 +130,8 @@ def _components(n_samples: int) -> list[tuple[str, float]]:
 
 
 def component_variance(kind: str, tc: float, m: Array) -> Array:
-    """Haar wavelet variance of a unit component at averages of ``m`` samples."""
-    if kind == "QN":
-        return 1.5 / m**2
-    if kind == "DR":
-        return 0.25 * m**2
-    if kind == "WN":
-        return 0.5 / m
-    walk = (2.0 * m * m + 1.0) / (12.0 * m)
-    if kind == "RW":
-        return walk
-    phi, one_minus = np.exp(-1.0 / tc), -np.expm1(-1.0 / tc)
-    closed = 4.0 * (0.5 * (1.0 + phi) / one_minus) * m + phi / one_minus**2 * (
-        8.0 * np.expm1(-m / tc) - 2.0 * np.expm1(-2.0 * m / tc)
-    )
-    return np.asarray(np.where(m < 1e-3 * tc, -np.expm1(-2.0 / tc) * walk, closed / (4.0 * m * m)))
+    """Haar wavelet variance of a unit component at averages of ``m`` samples; ``tc`` is the time constant of a GM in samples."""
+    return PROCESSES[kind]().unit_wavelet_variance(m, (-np.log(tc),) if kind == "GM" else ())
 
 
 @lru_cache(maxsize=64)

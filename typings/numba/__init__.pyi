@@ -5,6 +5,20 @@ from typing import Any, TypeVar
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
+class _Compiled:
+    address: int
+
+def cfunc(signature: Any, *, cache: bool = ...) -> Callable[[Callable[..., None]], _Compiled]: ...
+def carray(pointer: Any, shape: int | tuple[int, ...]) -> Any: ...
+
+class types:
+    float64: Any
+    int64: Any
+    @staticmethod
+    def CPointer(kind: Any) -> Any: ...
+    @staticmethod
+    def void(*arguments: Any) -> Any: ...
+
 def njit(
     *, cache: bool = ..., nogil: bool = ..., fastmath: bool | set[str] = ..., inline: str = ...
 ) -> Callable[[_F], _F]: ...

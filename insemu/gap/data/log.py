@@ -1,6 +1,6 @@
 """What a static log says about its noise, reduced to the statistics that the evidence reads.
 
-Below half the block rate: differences of block means (10 s as a rule), whose exact covariance follows from every process in closed form, so
+Below half the block rate: differences of block means (10 s as a rule), whose exact covariance every process gives, so
 that random walks and drifts need no window and leak nowhere. Above: a sine-multitaper spectrum averaged into narrow bins, for Whittle's
 likelihood. Below the split the same multitaper likelihood would leak (Riedel and Sidorenko 1995 for the tapers and their bias).
 """
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.gap.policy import rules
-from insemu.noise import BI, GM, QN, RW, WN, Process
+from insemu.noise import Process
 from insemu.records import Series
 
 Array = NDArray[np.float64]
@@ -200,17 +200,18 @@ def _overlap(n: int) -> float:
     return float(n * np.sum(weights**2))
 
 
-#: Processes whose density is the square of one amplitude times a shape of its own.
-_AMPLITUDE: dict[type[Process], str] = {WN: "N", QN: "Q", RW: "K", BI: "B"}
+def scale_of(process: Process) -> float:
+    """What multiplies the density and the covariance of a process: the square of its level, or the level where it is a variance."""
+    return process.parameters[process.level.name] ** (2 // process.level.power)
 
 
-def amplitude_of(process: Process) -> str | None:
-    """Name of the one amplitude whose square multiplies the density and the covariance of a process; ``None`` where there is no such one."""
-    return _AMPLITUDE.get(type(process))
+def of_unit_level(process: Process) -> Process:
+    """The process with its level at one."""
+    return process.with_parameters({process.level.name: 1.0})
 
 
 def density(process: Process, f: Array, dt: float) -> Array:
-    """Two-sided PSD of a process; the shape of one with a single amplitude is remembered, because a search asks for it thousands of times.
+    """Two-sided PSD of a process; its shape is remembered, because a search asks for it thousands of times at changing levels.
 
     Parameters
     ----------
@@ -225,77 +226,46 @@ def density(process: Process, f: Array, dt: float) -> Array:
     (k,) array
         unit^2/Hz.
     """
-    name = amplitude_of(process)
-    if name is None or f.size > MOST_REMEMBERED:
+    if f.size > MOST_REMEMBERED:
         return process.psd(f, dt)
-    return process.parameters[name] ** 2 * _unit_density(type(process), f.tobytes(), dt)
-
-
-@lru_cache(maxsize=64)
-def _unit_density(kind: type[Process], f: bytes, dt: float) -> Array:
-    out = kind(**{_AMPLITUDE[kind]: 1.0}).psd(np.frombuffer(f), dt)
-    out.setflags(write=False)
-    return out
-
-
-@lru_cache(maxsize=64)
-def _unit_structure(kind: str, block: int, dt: float, count: int) -> Array:
-    """Mean-square difference of block means ``h`` = 0 ... ``count`` blocks apart, for unit parameter."""
-    h = np.arange(count + 1, dtype=np.float64)
-    if kind == "WN":
-        out = np.full(count + 1, 2.0 / (block * dt))
-    elif kind == "QN":
-        out = np.full(count + 1, 4.0)
-        out[1] = 6.0
-        out /= (block * dt) ** 2
-    else:  # RW
-        out = block * dt * (h - 1.0 / 3.0 + 1.0 / (3.0 * block**2))
-    out[0] = 0.0
-    return out
-
-
-@lru_cache(maxsize=8)
-def _flicker_covariance(count: int) -> Array:
-    """Autocovariance of differences of averages of unit flicker; the same for every averaging time."""
-    lag = np.arange(-2, count + 3, dtype=np.float64)
-    size = np.abs(lag)
-    g = size**2 * np.log(np.where(size > 0, size, 1.0))
-    gamma = np.convolve(g, [1.0, -4.0, 6.0, -4.0, 1.0], mode="valid")
-    far = np.arange(gamma.size) > 1000  # the fourth difference cancels there; its leading term does not
-    gamma[far] = -2.0 / np.arange(gamma.size)[far] ** 2
-    return np.asarray(gamma[:count] / (2.0 * math.pi))
+    remembered = _unit_density if process.shape_parameters else _lasting_density
+    return scale_of(process) * remembered(of_unit_level(process), f.tobytes(), dt)
 
 
 def difference_covariance(process: Process, block: int, dt: float, count: int) -> Array:
-    """Autocovariance, at lags 0 ... ``count - 1`` blocks, of the differences of consecutive block means.
+    """Autocovariance of the differences of consecutive block means, its shape remembered as that of :func:`density` is.
 
-    Closed for WN, QN, RW, GM and BI. A discrete process of short memory (AR, ARMA) enters with its Allan variance and no memory beyond
-    the neighbouring block; SIN, DR and RC are not random from block to block and give zero.
+    Parameters
+    ----------
+    process : Process
+    block : int
+        Samples per block.
+    dt : float
+        Sampling interval, s.
+    count : int
+        Lags 0 ... ``count - 1``, in blocks.
 
     Returns
     -------
     (count,) array
         unit^2.
     """
-    p = process
-    if isinstance(p, BI):
-        return _flicker_covariance(count) * p.parameters["B"] ** 2
-    if isinstance(p, WN):
-        structure = _unit_structure("WN", block, dt, count) * p.parameters["N"] ** 2
-    elif isinstance(p, QN):
-        structure = _unit_structure("QN", block, dt, count) * p.parameters["Q"] ** 2
-    elif isinstance(p, RW):
-        structure = _unit_structure("RW", block, dt, count) * p.parameters["K"] ** 2
-    elif isinstance(p, GM):
-        a = p.parameters["beta"] * dt
-        first = 2.0 * float(p.allan_variance(block, dt))
-        # covariance of neighbouring means; every further block multiplies by exp(-block a)
-        near = p.parameters["sigma"] ** 2 * math.exp(-a) * (math.expm1(-block * a) / math.expm1(-a) / block) ** 2
-        h = np.arange(count + 1, dtype=np.float64)
-        structure = first - 2.0 * near * np.expm1(-np.maximum(h - 1.0, 0.0) * block * a)
-        structure[0] = 0.0
-    else:
-        structure = np.full(count + 1, 2.0 * float(p.allan_variance(block, dt)))
-        structure[0] = 0.0
-    padded = np.concatenate([structure[1:2], structure])
-    return np.asarray(0.5 * (padded[2:] + padded[:-2] - 2.0 * padded[1:-1]))
+    remembered = _unit_covariance if process.shape_parameters else _lasting_covariance
+    return scale_of(process) * remembered(of_unit_level(process), block, dt, count)
+
+
+def _psd_of(unit: Process, f: bytes, dt: float) -> Array:
+    out = unit.psd(np.frombuffer(f), dt)
+    out.setflags(write=False)
+    return out
+
+
+def _covariance_of(unit: Process, block: int, dt: float, count: int) -> Array:
+    out = unit.difference_covariance(block, dt, count)
+    out.setflags(write=False)
+    return out
+
+
+# shapes that a search moves come and go; those of a level alone stay
+_lasting_density, _unit_density = lru_cache(maxsize=64)(_psd_of), lru_cache(maxsize=64)(_psd_of)
+_lasting_covariance, _unit_covariance = lru_cache(maxsize=64)(_covariance_of), lru_cache(maxsize=64)(_covariance_of)

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from insemu.noise import AR, Parameter, Process, StateBlock
+from insemu.noise import AR, WN, Parameter, Process, StateBlock
 
 Array = NDArray[np.float64]
 
@@ -48,6 +48,10 @@ class Band(Process):
     def allan_variance(self, m: ArrayLike, dt: float) -> Array:
         """By the low-frequency density: exact for averages much longer than the resonance's memory, where alone it is used."""
         return np.asarray(self.psd(0.0, dt) / (np.asarray(m, dtype=np.float64) * dt))
+
+    def difference_covariance(self, m: int, dt: float, count: int) -> Array:
+        """That of white noise of the low-frequency density, for the same reason."""
+        return WN(math.sqrt(float(self.psd(0.0, dt)))).difference_covariance(m, dt, count)
 
     def block(self, dt: float) -> StateBlock:  # noqa: D102
         return self.autoregression(dt).block(dt)

@@ -17,14 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from insemu.gap.data.log import Reduced, amplitude_of, density, difference_covariance
+from insemu.gap.data.log import Reduced, density, difference_covariance, of_unit_level
 from insemu.gap.evidence import kernels
+from insemu.gap.evidence.linear import log_mean_exp, quadratic_evidence
 from insemu.gap.policy import rules
 from insemu.noise import NoiseModel, Process
 
 Array = NDArray[np.float64]
 
-#: Step of the differences that give the curvature at a mode, in log.
+#: Finding of the differences that give the curvature at a mode, in log.
 CURVATURE_STEP = 5e-3
 
 
@@ -67,10 +68,23 @@ class Free:
         return self.width / math.sqrt(12.0)
 
 
-def level(name: str, value: float, uncertainty: float | None = None) -> Free:
-    """A nominal level that may be wrong by ``uncertainty`` (relative); as much as the policy says where it is not given."""
+def level(name: str, value: float, uncertainty: float | None = None, power: int = 1) -> Free:
+    """A nominal level that may be wrong by ``uncertainty`` (relative); as much as the policy says where it is not given.
+
+    Parameters
+    ----------
+    name : str
+        Parameter.
+    value : float
+        Its nominal value, in its own unit.
+    uncertainty : float, optional
+        Of the signal.
+    power : int
+        Power of the signal in the parameter: 2 for a variance.
+    """
     uncertainty = rules().tolerance if uncertainty is None else uncertainty
-    return Free(name, value / (1.0 + uncertainty), value * (1.0 + uncertainty), rules().tolerance_edge)
+    factor = (1.0 + uncertainty) ** power
+    return Free(name, value / factor, value * factor, rules().tolerance_edge * power)
 
 
 @dataclass(frozen=True)
@@ -145,6 +159,10 @@ class Regressors:
     )
 
 
+#: Frequencies up to which a spectrum is worked out at each, and the relative distance of those between which it is interpolated beyond.
+MOST_EXACT, NEARNESS = 32_768, 2e-4
+
+
 @dataclass(frozen=True)
 class Explanation:
     """What an axis is thought to consist of; immutable, so that adding and dropping effects is cheap and safe."""
@@ -155,12 +173,12 @@ class Explanation:
 
     @classmethod
     def nominal(cls, model: NoiseModel) -> Explanation:
-        """The belief, with every level free by 20 %."""
+        """The belief, with the level of every noise free by 20 % (a process of one draw is a signal, not a noise)."""
         out = []
         for p in model:
-            name = p.parameters_meta()[0].name
-            value = abs(p.parameters[name])
-            out.append(Component(p, (level(name, value),) if value > 0 and name in _LEVELS else ()))
+            value = abs(p.parameters[p.level.name])
+            noise = value > 0 and not p.single_draw
+            out.append(Component(p, (level(p.level.name, value, power=p.level.power),) if noise else ()))
         return cls(tuple(out))
 
     @property
@@ -194,7 +212,14 @@ class Explanation:
         return NoiseModel(tuple(c.process for c in self.components))
 
     def psd(self, f: Array, dt: float) -> Array:
-        """Two-sided PSD of the samples."""
+        """Two-sided PSD of the samples; of very many frequencies, interpolated between ones so near that no resonance falls between them."""
+        if f.size > MOST_EXACT and f[0] > 0.0:
+            grid = np.geomspace(f[0], f[-1], math.ceil(math.log(f[-1] / f[0]) / NEARNESS) + 1)
+            grid[-1] = f[-1]
+            return np.interp(f, grid, self._psd(grid, dt)) if grid.size < f.size else self._psd(f, dt)
+        return self._psd(f, dt)
+
+    def _psd(self, f: Array, dt: float) -> Array:
         total = np.zeros_like(f)
         for c in self.components:
             total += density(c.process, f, dt)
@@ -210,9 +235,6 @@ class Explanation:
         for c in self.components:
             total += difference_covariance(c.process, block, dt, count)
         return total
-
-
-_LEVELS = ("N", "K", "sigma", "Q", "B", "sigma2")
 
 
 @dataclass
@@ -275,12 +297,11 @@ class Likelihood:
         still_psd, still_covariance = np.zeros_like(data.f), np.zeros(count)
         moving: list[tuple[Component, tuple[Array, Array] | None]] = []
         for c in explanation.components:
-            amplitude = amplitude_of(c.process)
             if not c.free:
                 psd, covariance = shape(c.process)
                 still_psd, still_covariance = still_psd + psd, still_covariance + covariance
-            elif amplitude is not None and [f.name for f in c.free] == [amplitude]:
-                moving.append((c, shape(c.process.with_parameters({amplitude: 1.0}))))
+            elif [f.name for f in c.free] == [c.process.level.name]:
+                moving.append((c, shape(of_unit_level(c.process))))
             else:
                 moving.append((c, None))
         rolloff, seen = explanation.rolloff, explanation.seen(data)
@@ -290,7 +311,7 @@ class Likelihood:
             psd, covariance, k = still_psd, still_covariance, 0
             for c, unit in moving:
                 if unit is not None:
-                    square = math.exp(2.0 * x[k])
+                    square = math.exp(2 // c.process.level.power * x[k])
                     more = (square * unit[0], square * unit[1])
                 else:
                     values = {f.name: math.exp(x[k + i]) for i, f in enumerate(c.free)}
@@ -341,24 +362,8 @@ def regression_evidence(A: Array, b: Array, scales: Array) -> float:
     scales : (k,) array
         Datasheet scale of each coefficient.
     """
-    factors = []
-    for c in rules().prior_scales:
-        d = c * scales
-        M = np.eye(d.size) + d[:, None] * A * d[None, :]
-        sign, logdet = np.linalg.slogdet(M)
-        if sign <= 0:
-            return -math.inf
-        factors.append(0.5 * float((d * b) @ np.linalg.solve(M, d * b)) - 0.5 * logdet)
-    return log_mean_exp(factors)
-
-
-def log_mean_exp(values: Sequence[float] | Array) -> float:
-    """Logarithm of the mean of exponentials."""
-    v = np.asarray(values, dtype=np.float64)
-    top = float(v.max())
-    if not math.isfinite(top):
-        return top
-    return top + math.log(float(np.mean(np.exp(v - top))))
+    logs = quadratic_evidence(A, b[:, None], np.diag(scales), np.array(rules().prior_scales))
+    return log_mean_exp(logs[:, 0])
 
 
 @dataclass(frozen=True)

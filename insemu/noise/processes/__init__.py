@@ -4,28 +4,19 @@ Every process is a frozen set of parameters. A parameter left out is unknown: ``
 sampling interval ``dt``, because what a filter or an estimator sees is the sampled sequence: averages of m samples, frequencies up to
 1 / (2 dt), lags in samples.
 
-===== ============================== ========== =========== ========== ===============
-name  Allan variance of the samples  stationary state block states     rate
-===== ============================== ========== =========== ========== ===============
-WN    closed                         yes        yes         0          free
-RW    closed                         no         yes         1          free
-GM    closed                         yes        yes         1          free
-AR1   closed                         yes        yes         1          carried
-AR    by exact doubling              yes        yes         p          carried
-MA    by exact doubling              yes        yes         q + 1      carried
-ARMA  by exact doubling              yes        yes         max(p,q+1) carried
-QN    closed                         yes        yes         2          free
-DR    closed                         no         yes         2          free
-BI    closed                         no         refused     -          free
-SIN   closed                         yes        yes         2          free
-RC    0                              no         yes         1          free
-===== ============================== ========== =========== ========== ===============
+What each is stands in a table of docs/fitting.md.
 
-A module in this folder is read when the package is: a process that it defines is registered, and nothing else has to name it.
+A module in this folder is read when the package is: the processes that it defines are known by name from then on, and nothing else has to
+name them.
 """
 
 from importlib import import_module
 from pkgutil import iter_modules
 
-for _module in iter_modules(__path__):
-    import_module(f"{__name__}.{_module.name}")
+from insemu.noise.process import PROCESSES, Process
+
+for _found in iter_modules(__path__):
+    _module = import_module(f"{__name__}.{_found.name}")
+    for _name, _value in vars(_module).items():
+        if isinstance(_value, type) and issubclass(_value, Process) and _value.__module__ == _module.__name__:
+            PROCESSES[_name] = _value

@@ -8,15 +8,19 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
+from numba import carray, njit
 from numpy.typing import ArrayLike, NDArray
-from scipy import linalg, signal
+from scipy import linalg
 
 from insemu.errors import InputError, nearest
-from insemu.noise import draws
+from insemu.noise import draws, grammar
 from insemu.noise.block import StateBlock
+from insemu.noise.curves import STEP
+from insemu.noise.doubling import arma, coefficients_of
 from insemu.noise.grammar import quantity
-from insemu.noise.process import NotStationary, Parameter, Process, counts
-from insemu.noise.processes.gauss_markov import first_order_allan, first_order_allan_direct
+from insemu.noise.parameters import Parameter
+from insemu.noise.process import SAME_RATE, MarkovParts, NotStationary, Process, counts
+from insemu.noise.processes.gauss_markov import first_order
 
 Array = NDArray[np.float64]
 
@@ -24,10 +28,72 @@ Array = NDArray[np.float64]
 def _carried_rate(process: AR1 | ARMA, dt: float) -> None:
     if process.rate_hz is None:
         raise InputError(f"{process.symbol} is a discrete process and carries its rate; give rate_hz")
-    if abs(process.rate_hz * dt - 1.0) > 1e-9:
+    if abs(process.rate_hz * dt - 1.0) > SAME_RATE:
         raise InputError(
             f"{process.symbol} belongs to samples at {process.rate_hz:g} Hz and cannot be used at {1 / dt:g} Hz"
         )
+
+
+@njit(cache=True, nogil=True)
+def _autoregressive_one(m: Array, z: float, b: Array, db: Array) -> None:  # pragma: no cover - compiled
+    """The same for an AR(1) with coefficient tanh(z), and its derivative by z."""
+    phi = math.tanh(z)
+    if phi > 0.5:
+        a = math.log1p(2.0 / math.expm1(2.0 * z))  # -log tanh z
+        first_order(m, a, b, db)
+        chain = -(1.0 - phi * phi) / (phi * a)  # d log a / d z
+        if z > 8.0:
+            chain = -2.0  # a = 2 exp(-2 z)
+        for i in range(m.size):
+            db[i] *= chain
+        return
+    for i in range(m.size):
+        k = m[i]
+        power = phi**k
+        top = k * (1.0 - phi * phi) - phi * (3.0 - 4.0 * power + power * power)
+        dtop = -2.0 * k * phi - 3.0 + 4.0 * (k + 1.0) * power - (2.0 * k + 1.0) * power * power
+        low = 2.0 * (k * (1.0 - phi)) ** 2
+        b[i] = top / low
+        db[i] = (dtop / low + 2.0 * b[i] / (1.0 - phi)) * (1.0 - phi * phi)
+
+
+def _curve_of_one(
+    m_: Any, count: int, s_: Any, shapes: int, order: int, b_: Any, db_: Any
+) -> None:  # pragma: no cover - compiled
+    _autoregressive_one(carray(m_, count), s_[0], carray(b_, count), carray(db_, count))
+
+
+def _curve(
+    m_: Any, count: int, s_: Any, shapes: int, order: int, b_: Any, db_: Any
+) -> None:  # pragma: no cover - compiled
+    m, s, b, db = carray(m_, count), carray(s_, shapes), carray(b_, count), carray(db_, (count, shapes))
+    arma(m, s, order, b)
+    other = np.empty(count)
+    for k in range(shapes):
+        near = s.copy()
+        near[k] += STEP
+        arma(m, near, order, other)
+        for i in range(count):
+            db[i, k] = other[i]
+        near[k] -= 2.0 * STEP
+        arma(m, near, order, other)
+        for i in range(count):
+            db[i, k] = (db[i, k] - other[i]) / (2.0 * STEP)
+
+
+def _partial_autocorrelations(coefficients: Array) -> tuple[float, ...]:
+    """Inverse hyperbolic tangents of the partial autocorrelations: the inverse of :func:`insemu.noise.doubling.coefficients_of`."""
+    a = np.array(coefficients, dtype=np.float64)
+    out = np.zeros(a.size)
+    for k in range(a.size - 1, -1, -1):
+        r = a[k]
+        if not abs(r) < 1.0:
+            raise InputError(
+                f"coefficients {tuple(coefficients)} are not those of a stationary (or invertible) process"
+            )
+        out[k] = math.atanh(r)
+        a = (a[:k] + r * a[:k][::-1]) / (1.0 - r * r)
+    return tuple(float(v) for v in out)
 
 
 @dataclass(frozen=True)
@@ -41,6 +107,7 @@ class AR1(Process):
         Parameter("phi", "1", "correlation", "coefficient"),
         Parameter("sigma2", "({u})^2", "positive", "innovation variance"),
     )
+    curve = staticmethod(_curve_of_one)
 
     @classmethod
     def from_mapping(cls, given: Mapping[str, Any], signal_unit: str) -> Self:  # noqa: D102
@@ -60,11 +127,10 @@ class AR1(Process):
 
     def allan_variance(self, m: ArrayLike, dt: float) -> Array:  # noqa: D102
         _carried_rate(self, dt)
-        m = counts(m)
-        phi = self.parameters["phi"]
-        if phi > 0.5:
-            return first_order_allan(self.variance, -math.log(phi), m)
-        return first_order_allan_direct(self.variance, phi, m)
+        averages = np.ascontiguousarray(np.atleast_1d(counts(m)).ravel())
+        b, db = np.empty(averages.size), np.empty(averages.size)
+        _autoregressive_one(averages, math.atanh(self.parameters["phi"]), b, db)
+        return 2.0 * self.variance * b.reshape(np.shape(m))
 
     def psd(self, f: ArrayLike, dt: float) -> Array:  # noqa: D102
         _carried_rate(self, dt)
@@ -88,6 +154,42 @@ class AR1(Process):
             0.0,
             dt,
         )
+
+    def coordinates(self, dt: float) -> tuple[float | None, tuple[float | None, ...]]:
+        """The coefficient is the stationary variance, which stays of one size as ``phi`` nears 1."""
+        if self.phi is None:
+            if self.sigma2 is not None:
+                raise InputError("AR1: sigma2 is held but phi is free; hold both or none")
+            return None, (None,)
+        return (None if self.sigma2 is None else self.sigma2 / (1.0 - self.phi**2)), (math.atanh(self.phi),)
+
+    def of_coordinates(self, coefficient: float, shapes: Sequence[float], dt: float) -> Self:  # noqa: D102
+        z = float(shapes[0])
+        inverse = 4.0 * math.exp(-2.0 * abs(z)) / (1.0 + math.exp(-2.0 * abs(z))) ** 2  # 1 - tanh^2
+        phi = min(math.tanh(z), 1.0 - 1e-15) if self.phi is None else self.phi
+        return self.with_parameters(
+            {"phi": phi, "sigma2": coefficient * inverse if self.sigma2 is None else self.sigma2}
+        )
+
+    def coordinate_slopes(self, dt: float) -> dict[str, tuple[float, Array]]:  # noqa: D102
+        phi = self.parameters["phi"]
+        inverse = 1.0 / ((1.0 - phi) * (1.0 + phi))
+        return {"phi": (2.0 * phi * self.variance * inverse, np.array([inverse])), "sigma2": (inverse, np.zeros(1))}
+
+    def correlation_time(self, dt: float) -> float | None:  # noqa: D102
+        phi = self.parameters["phi"]
+        return -dt / math.log(phi) if phi > 0.0 else None
+
+    def markov_parts(self, dt: float) -> MarkovParts | None:  # noqa: D102
+        time = self.correlation_time(dt)
+        return None if time is None else MarkovParts(decay=(dt / time,), variance=(self.variance,))
+
+    def moving(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:  # noqa: D102
+        return np.ones((1, 1), dtype=bool), np.ones((1, 1), dtype=bool)
+
+    def of_transition(self, Phi: Array, Q: Array, dt: float) -> Self:  # noqa: D102
+        phi = min(max(float(Phi[0, 0]), -1.0 + 1e-12), 1.0 - 1e-12)
+        return self.with_parameters({"phi": phi, "sigma2": float(Q[0, 0])})
 
     def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
         _carried_rate(self, dt)
@@ -130,6 +232,7 @@ class ARMA(Process):
 
     #: Which of the two polynomials the class has.
     POLYNOMIALS: ClassVar[tuple[str, ...]] = ("ar", "ma")
+    curve = staticmethod(_curve)
 
     @classmethod
     def of_arguments(cls, orders: Sequence[int], given: Mapping[str, Any], signal_unit: str, text: str) -> Self:
@@ -138,9 +241,7 @@ class ARMA(Process):
         for order in ("p", "q"):
             value = given.pop(order, None)
             if value is not None:
-                if not str(value).isdigit():
-                    raise InputError(f"order {order} of {cls.__name__} is '{value}', expected a whole number")
-                orders.append(int(value))
+                orders.append(grammar.whole(str(value), f"order {order} of {cls.__name__}"))
         if given:
             return super().of_arguments(orders, given, signal_unit, text)
         wanted = len(cls.POLYNOMIALS)
@@ -161,9 +262,8 @@ class ARMA(Process):
             raise InputError(f"unknown key '{unknown[0]}'" + nearest(unknown[0], known), where=where)
         if "order" in given:
             order = given["order"] if isinstance(given["order"], list) else [given["order"]]
-            if not all(isinstance(o, int) and not isinstance(o, bool) and o >= 1 for o in order):
-                raise InputError(f"order is {given['order']!r}, expected whole numbers of at least 1", where=where)
-            return cls(**{name: (None,) * size for name, size in zip(cls.POLYNOMIALS, order, strict=False)})
+            sizes = [grammar.whole(str(o), f"order of {where}") for o in order]
+            return cls(**dict[str, Any](zip(cls.POLYNOMIALS, [(None,) * n for n in sizes], strict=False)))
 
         def coefficients(key: str) -> tuple[float, ...]:
             value = given.get(key, ())
@@ -192,27 +292,13 @@ class ARMA(Process):
         return (*ar, *ma, Parameter("sigma2", "({u})^2", "positive", "innovation variance"))
 
     @property
-    def _flat(self) -> dict[str, float | None]:
+    def given(self) -> dict[str, float | None]:  # noqa: D102
         flat: dict[str, float | None] = {f"ar_{i + 1}": v for i, v in enumerate(self.ar)}
         flat |= {f"ma_{i + 1}": v for i, v in enumerate(self.ma)}
         return flat | {"sigma2": self.sigma2}
 
-    @property
-    def specified(self) -> bool:  # noqa: D102
-        return all(v is not None for v in self._flat.values())
-
-    @property
-    def parameters(self) -> dict[str, float]:  # noqa: D102
-        self._require()
-        return {k: v for k, v in self._flat.items() if v is not None}
-
-    def _require(self) -> None:
-        missing = [k for k, v in self._flat.items() if v is None]
-        if missing:
-            raise InputError(f"{self.symbol}: no value for {', '.join(missing)}; fit the model or give the parameters")
-
-    def with_parameters(self, values: Mapping[str, float]) -> Self:  # noqa: D102
-        flat = self._flat | dict(values)
+    def with_parameters(self, values: Mapping[str, float | None]) -> Self:  # noqa: D102
+        flat = self.given | dict(values)
         ar = tuple(flat[f"ar_{i + 1}"] for i in range(len(self.ar)))
         ma = tuple(flat[f"ma_{i + 1}"] for i in range(len(self.ma)))
         return replace(self, ar=ar, ma=ma, sigma2=flat["sigma2"])
@@ -221,7 +307,7 @@ class ARMA(Process):
         return self if self.rate_hz is not None else replace(self, rate_hz=rate_hz)
 
     def _polynomials(self) -> tuple[Array, Array]:
-        self._require()
+        _ = self.parameters  # all known
         ar = np.array(self.ar, dtype=np.float64)
         return np.concatenate([[1.0], -ar]), np.concatenate([[1.0], np.array(self.ma, dtype=np.float64)])
 
@@ -272,22 +358,6 @@ class ARMA(Process):
         names = tuple(f"{self.symbol}.{i + 1}" for i in range(n))
         return StateBlock(names, Phi, Q, np.eye(n)[0], np.asarray(0.5 * (P0 + P0.T), dtype=np.float64), 0.0, dt)
 
-    def allan_variance(self, m: ArrayLike, dt: float) -> Array:  # noqa: D102
-        m = counts(m).astype(np.int64)
-        block = self.block(dt)
-        if (m & (m - 1) == 0).all():
-            return block.accumulated_variances(int(m.max()))[np.log2(m).astype(np.int64)]
-        # any m: weights of the autocovariance under a second difference of block sums
-        top = int(m.max())
-        gamma = self.autocovariance(np.arange(2 * top), dt)
-        once = np.concatenate([[0.0], np.cumsum(gamma)])
-        twice = np.concatenate([[0.0], np.cumsum(gamma * np.arange(gamma.size))])
-
-        def within(k: NDArray[np.int64]) -> Array:  # variance of a sum of k samples
-            return k * gamma[0] + 2.0 * (k * (once[k] - once[1]) - twice[k])
-
-        return np.asarray((4.0 * within(m) - within(2 * m)) / (2.0 * m.astype(np.float64) ** 2))
-
     def psd(self, f: ArrayLike, dt: float) -> Array:  # noqa: D102
         _carried_rate(self, dt)
         ar, ma = self._polynomials()
@@ -295,26 +365,46 @@ class ARMA(Process):
         ratio = np.polynomial.polynomial.polyval(z, ma) / np.polynomial.polynomial.polyval(z, ar)
         return np.asarray(self.parameters["sigma2"] * dt * np.abs(ratio) ** 2)
 
-    def autocovariance(self, lag: ArrayLike, dt: float) -> Array:  # noqa: D102
-        lags = np.abs(np.asarray(lag, dtype=np.int64))
-        block = self.block(dt)
-        first = np.empty(block.n + 1)
-        power = block.P0
-        for k in range(block.n + 1):
-            first[k] = power[0, 0]
-            power = block.Phi @ power
-        top = int(lags.max(initial=0)) + 1
-        if top > first.size:
-            # beyond the moving-average order the autocovariance obeys the autoregression
-            ar = self._polynomials()[0]
-            start = signal.lfiltic([1.0], ar, first[::-1][: len(self.ar)]) if len(self.ar) else np.zeros(0)
-            rest = (
-                signal.lfilter([1.0], ar, np.zeros(top - first.size), zi=start)[0]
-                if len(self.ar)
-                else np.zeros(top - first.size)
-            )
-            first = np.concatenate([first, rest])
-        return np.asarray(first[lags])
+    @property
+    def order(self) -> int:  # noqa: D102
+        return len(self.ar)
+
+    def coordinates(self, dt: float) -> tuple[float | None, tuple[float | None, ...]]:
+        """The coefficient is the innovation variance; shapes are those of the partial autocorrelations of both polynomials."""
+        known = [v for v in (*self.ar, *self.ma) if v is not None]
+        if len(known) < len(self.ar) + len(self.ma):
+            if known:
+                raise InputError(f"{self.symbol}: only some coefficients have values; give all (they are held) or none")
+            return self.sigma2, (None,) * (len(self.ar) + len(self.ma))
+        ar, ma = np.array(self.ar, dtype=np.float64), np.array(self.ma, dtype=np.float64)
+        return self.sigma2, (*_partial_autocorrelations(ar), *_partial_autocorrelations(-ma))
+
+    def of_coordinates(self, coefficient: float, shapes: Sequence[float], dt: float) -> Self:  # noqa: D102
+        s = np.array(shapes, dtype=np.float64)
+        values = [*coefficients_of(s[: self.order]), *(-coefficients_of(s[self.order :])), coefficient]
+        found = dict(zip(self.given, map(float, values), strict=True))
+        held = {name: v for name, v in self.given.items() if v is not None and name != "sigma2"}
+        return self.with_parameters(found | held)
+
+    def coordinate_slopes(self, dt: float) -> dict[str, tuple[float, Array]]:
+        """Shapes by central differences: they follow from the coefficients by a recursion."""
+        out = {}
+        values = self.parameters
+        for name, value in values.items():
+            if name == "sigma2":
+                out[name] = (1.0, np.zeros(len(values) - 1))
+                continue
+            h = 1e-6 * max(1.0 - abs(value), 1e-3)
+            up, down = (self.with_parameters({name: value + d}).coordinates(dt)[1] for d in (h, -h))
+            out[name] = (0.0, (np.array(up, dtype=np.float64) - np.array(down, dtype=np.float64)) / (2.0 * h))
+        return out
+
+    def shape_bounds(self, n_samples: int) -> list[tuple[float, float]]:  # noqa: D102
+        return [(-6.0, 6.0)] * (len(self.ar) + len(self.ma))
+
+    def shape_grid(self, n_samples: int, alike: int, rng: np.random.Generator) -> list[tuple[float, ...]]:  # noqa: D102
+        size = len(self.ar) + len(self.ma)
+        return [(0.0,) * size] + [tuple(float(v) for v in rng.normal(0.0, 1.0, size)) for _ in range(59)]
 
     def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
         block = self.block(dt)
@@ -351,6 +441,15 @@ class AR(ARMA):
     """Autoregression of order p: ``AR(2)`` is the structure, ``AR((1.5, -0.6), sigma2=..., rate_hz=...)`` the process."""
 
     POLYNOMIALS: ClassVar[tuple[str, ...]] = ("ar",)
+
+    def moving(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:  # noqa: D102
+        n = len(self.ar)
+        Phi, Q = np.zeros((n, n), dtype=bool), np.zeros((n, n), dtype=bool)
+        Phi[:, 0] = Q[0, 0] = True
+        return Phi, Q
+
+    def of_transition(self, Phi: Array, Q: Array, dt: float) -> Self:  # noqa: D102
+        return replace(self, ar=tuple(float(v) for v in Phi[:, 0]), sigma2=float(Q[0, 0]))
 
     def __post_init__(self) -> None:
         if isinstance(self.ar, int):

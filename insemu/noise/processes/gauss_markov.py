@@ -8,39 +8,63 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
+from numba import carray, njit
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError
 from insemu.noise import draws
 from insemu.noise.block import StateBlock
 from insemu.noise.grammar import quantity
-from insemu.noise.process import Parameter, Process, counts
+from insemu.noise.parameters import Parameter
+from insemu.noise.process import MarkovParts, Process, counts, of_structure
 
 Array = NDArray[np.float64]
 
 
-def first_order_allan(variance: float, a: float, m: Array) -> Array:
-    """Allan variance of a stationary first-order process with correlation exp(-a) between samples, a > 0.
+@njit(cache=True, nogil=True)
+def first_order(m: Array, a: float, b: Array, db: Array) -> None:  # pragma: no cover - compiled
+    """Wavelet variance at averages of ``m`` samples of a unit-variance process with correlation exp(-a), and its derivative by log a.
 
-    With u = m a it is variance (f(u) + 2 m (sinh a - a)) / (4 m^2 sinh^2(a/2)), f(u) = 2u - 3 + 4 exp(-u) - exp(-2u): every
-    term is positive, so that nothing cancels when the correlation time is millions of samples.
+    With u = m a it is (f(u) + 2 m (sinh a - a)) / (8 m^2 sinh^2(a / 2)), f(u) = 2 u - 3 + 4 exp(-u) - exp(-2 u), f' = 2 (1 - exp(-u))^2.
     """
-    if a > 1.0:
-        return first_order_allan_direct(variance, math.exp(-a), m)
-    u = m * a
-    direct = 2.0 * u + 4.0 * np.expm1(-u) - np.expm1(-2.0 * u)
-    # f(u) = sum_k (-u)^k (4 - 2^k) / k!, which starts at u^3
-    terms = [(-1.0) ** k * (4.0 - 2.0**k) / math.factorial(k) for k in range(3, 20)]
-    series = u**3 * np.polynomial.polynomial.polyval(np.minimum(u, 0.3), terms)
-    f = np.where(u < 0.3, series, direct)
-    excess = a**3 * (1 / 6 + a**2 * (1 / 120 + a**2 / 5040)) if a < 0.02 else math.sinh(a) - a
-    return np.asarray(variance * (f + 2.0 * m * excess) / (2.0 * m * math.sinh(a / 2.0)) ** 2)
+    if a > 30.0:
+        a = 30.0
+    sh = math.sinh(0.5 * a)
+    excess = a * a * a * (1.0 / 6.0 + a * a * (1.0 / 120.0 + a * a / 5040.0)) if a < 0.02 else math.sinh(a) - a
+    slope_excess = 2.0 * sh * sh  # cosh a - 1
+    ratio = a * math.cosh(0.5 * a) / sh
+    for i in range(m.size):
+        u = m[i] * a
+        if u < 0.3:
+            # sum_k (-u)^k (4 - 2^k) / k! from k = 3
+            term = -u * u * u / 6.0
+            two = 8.0
+            f = term * (4.0 - two)
+            for k in range(4, 20):
+                term *= -u / k
+                two *= 2.0
+                f += term * (4.0 - two)
+        else:
+            f = 2.0 * u + 4.0 * math.expm1(-u) - math.expm1(-2.0 * u)
+        e = math.expm1(-u)
+        d = 8.0 * m[i] * m[i] * sh * sh
+        top = f + 2.0 * m[i] * excess
+        b[i] = top / d
+        db[i] = (2.0 * u * e * e + 2.0 * m[i] * a * slope_excess) / d - b[i] * ratio
 
 
-def first_order_allan_direct(variance: float, phi: float, m: Array) -> Array:
-    """The same for any coefficient away from 1, where the plain closed form does not cancel."""
-    top = m * (1.0 - phi**2) - phi * (3.0 - 4.0 * phi**m + phi ** (2.0 * m))
-    return np.asarray(variance * top / (m * (1.0 - phi)) ** 2)
+def _curve(
+    m_: Any, count: int, s_: Any, shapes: int, order: int, b_: Any, db_: Any
+) -> None:  # pragma: no cover - compiled
+    first_order(carray(m_, count), math.exp(s_[0]), carray(b_, count), carray(db_, count))
+
+
+def first_order_wavelet(a: float, m: Array) -> Array:
+    """Haar wavelet variance at averages of ``m`` samples of a unit-variance process with correlation exp(-a) between samples, a > 0."""
+    averages = np.ascontiguousarray(np.atleast_1d(m).ravel(), dtype=np.float64)
+    b, db = np.empty(averages.size), np.empty(averages.size)
+    first_order(averages, a, b, db)
+    return b.reshape(np.shape(m))
 
 
 @dataclass(frozen=True)
@@ -55,8 +79,9 @@ class GM(Process):
     beta: float | None = None
     PARAMETERS: ClassVar = (
         Parameter("sigma", "{u}", "positive", "stationary standard deviation"),
-        Parameter("beta", "1/s", "positive", "inverse correlation time"),
+        Parameter("beta", "1/s", "rate", "inverse correlation time"),
     )
+    curve = staticmethod(_curve)
 
     @classmethod
     def of_driving_density(cls, q: float, beta: float) -> GM:
@@ -79,7 +104,7 @@ class GM(Process):
 
     def allan_variance(self, m: ArrayLike, dt: float) -> Array:  # noqa: D102
         p = self.parameters
-        return first_order_allan(p["sigma"] ** 2, p["beta"] * dt, counts(m))
+        return 2.0 * p["sigma"] ** 2 * first_order_wavelet(p["beta"] * dt, counts(m))
 
     def psd(self, f: ArrayLike, dt: float) -> Array:  # noqa: D102
         p = self.parameters
@@ -91,6 +116,13 @@ class GM(Process):
     def autocovariance(self, lag: ArrayLike, dt: float) -> Array:  # noqa: D102
         p = self.parameters
         return np.asarray(p["sigma"] ** 2 * np.exp(-p["beta"] * dt * np.abs(np.asarray(lag, dtype=np.float64))))
+
+    def difference_covariance(self, m: int, dt: float, count: int) -> Array:  # noqa: D102
+        a, variance = self.parameters["beta"] * dt, self.parameters["sigma"] ** 2
+        # covariance of neighbouring means; every further mean multiplies by exp(-m a)
+        near = variance * math.exp(-a) * (math.expm1(-m * a) / math.expm1(-a) / m) ** 2
+        structure = 2.0 * float(self.allan_variance(m, dt)) - 2.0 * near * np.expm1(-np.arange(count) * m * a)
+        return of_structure(structure)
 
     def block(self, dt: float) -> StateBlock:  # noqa: D102
         phi, q = self.discrete(dt)
@@ -104,17 +136,12 @@ class GM(Process):
 
     @classmethod
     def from_mapping(cls, given: Mapping[str, Any], signal_unit: str) -> Self:
-        """A correlation time ``Tc`` (s) may stand for ``beta``, and the density ``q`` of the driving noise for ``sigma``."""
+        """As every process with a rate; the density ``q`` of the driving noise may stand for ``sigma``."""
         given = dict(given)
-        if "Tc" in given:
-            if "beta" in given:
-                raise InputError("found both beta and Tc, expected one of them", where="GM")
-            time = quantity(given.pop("Tc"), "s", "GM.Tc")
-            if not time > 0:
-                raise InputError(f"Tc (correlation time) is {time!r}, expected a positive number", where="GM")
-            given["beta"] = 1.0 / time
         driving = given.pop("q", None)
         if driving is not None:
+            if "Tc" in given:
+                given = cls.with_rate(given)
             if "sigma" in given or "beta" not in given:
                 raise InputError("q (driving density) goes with beta or Tc and without sigma", where="GM")
             beta = quantity(given["beta"], "1/s", "GM.beta")
@@ -125,3 +152,23 @@ class GM(Process):
                 )
             given["sigma"] = GM.of_driving_density(density, beta).parameters["sigma"]
         return super().from_mapping(given, signal_unit)
+
+    def markov_parts(self, dt: float) -> MarkovParts:  # noqa: D102
+        p = self.parameters
+        return MarkovParts(decay=(p["beta"] * dt,), variance=(p["sigma"] ** 2,))
+
+    def moving(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:  # noqa: D102
+        return np.ones((1, 1), dtype=bool), np.ones((1, 1), dtype=bool)
+
+    def of_transition(self, Phi: Array, Q: Array, dt: float) -> Self:  # noqa: D102
+        phi = min(max(float(Phi[0, 0]), 1e-12), 1.0 - 1e-12)
+        return self.with_parameters(GM.of_discrete(phi, float(Q[0, 0]), dt).parameters)
+
+    def per_sample(self, dt: float) -> dict[str, str]:  # noqa: D102
+        phi, sigma2 = self.discrete(dt)
+        return {"sigma": f"σ² = {sigma2:.4g}", "beta": f"φ = {phi:.6g}"}
+
+    def as_white_and_walk(self, dt: float) -> tuple[float, float]:
+        """A slow one walks with the density of its continuous driving noise."""
+        p = self.parameters
+        return (0.0, 2.0 * p["beta"] * p["sigma"] ** 2) if p["beta"] < 1.0 else super().as_white_and_walk(dt)

@@ -3,16 +3,30 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.noise.block import StateBlock
-from insemu.noise.process import Parameter, Process, counts
+from insemu.noise.parameters import Parameter
+from insemu.noise.process import MarkovParts, Process, counts
 
 Array = NDArray[np.float64]
+
+
+def _curve(m: Any, count: int, s: Any, shapes: int, order: int, b: Any, db: Any) -> None:  # pragma: no cover - compiled
+    # the shape is the logit of 2 f dt
+    x = 0.5 * math.pi / (1.0 + math.exp(-s[0]))
+    dx = x * (1.0 - 2.0 * x / math.pi)
+    sine = math.sin(x)
+    for i in range(count):
+        top = math.sin(m[i] * x)
+        amplitude = top * top / (m[i] * sine)
+        b[i] = 0.5 * amplitude * amplitude
+        db[i] = amplitude * dx * (2.0 * top * math.cos(m[i] * x) - amplitude * math.cos(x)) / sine
 
 
 @dataclass(frozen=True)
@@ -23,8 +37,13 @@ class SIN(Process):
     f: float | None = None
     PARAMETERS: ClassVar = (
         Parameter("alpha", "{u}", "positive", "amplitude"),
-        Parameter("f", "Hz", "positive", "frequency"),
+        Parameter("f", "Hz", "frequency", "frequency"),
     )
+    REFUSED: ClassVar[Mapping[str, str]] = {
+        "mli": "its phase has one draw; use gmwm",
+    }
+    single_draw: ClassVar[bool] = True
+    curve = staticmethod(_curve)
 
     def allan_variance(self, m: ArrayLike, dt: float) -> Array:  # noqa: D102
         p, m = self.parameters, counts(m)
@@ -44,6 +63,9 @@ class SIN(Process):
         Phi = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
         P0 = np.eye(2) * 0.5 * p["alpha"] ** 2
         return StateBlock(("SIN", "SIN.quadrature"), Phi, np.zeros((2, 2)), np.array([1.0, 0.0]), P0, 0.0, dt)
+
+    def markov_parts(self, dt: float) -> MarkovParts:  # noqa: D102
+        return MarkovParts(line=(self.parameters["f"], self.parameters["alpha"]))
 
     def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
         p = self.parameters

@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.noise import draws
 from insemu.noise.block import StateBlock
-from insemu.noise.process import Parameter, Process, counts
+from insemu.noise.parameters import Parameter
+from insemu.noise.process import MarkovParts, Process, counts
 
 Array = NDArray[np.float64]
+
+
+def _walk(m: Any, count: int, s: Any, shapes: int, order: int, b: Any, db: Any) -> None:  # pragma: no cover - compiled
+    for i in range(count):
+        b[i] = (2.0 * m[i] * m[i] + 1.0) / (12.0 * m[i])
+
+
+def _ramp(m: Any, count: int, s: Any, shapes: int, order: int, b: Any, db: Any) -> None:  # pragma: no cover - compiled
+    for i in range(count):
+        b[i] = 0.25 * m[i] * m[i]
 
 
 @dataclass(frozen=True)
@@ -30,6 +42,7 @@ class RW(Process):
         Parameter("sigma0", "{u}", "positive", "initial standard deviation", optional=True),
     )
     stationary: ClassVar[bool] = False
+    curve = staticmethod(_walk)
 
     def allan_variance(self, m: ArrayLike, dt: float) -> Array:  # noqa: D102
         m = counts(m)
@@ -41,6 +54,30 @@ class RW(Process):
     def block(self, dt: float) -> StateBlock:  # noqa: D102
         q = self.parameters["K"] ** 2 * dt
         return StateBlock(("RW",), np.eye(1), np.array([[q]]), np.ones(1), np.array([[self.sigma0**2]]), 0.0, dt)
+
+    def difference_covariance(self, m: int, dt: float, count: int) -> Array:  # noqa: D102
+        step = self.parameters["K"] ** 2 * dt * m
+        out = np.zeros(count)
+        out[:2] = np.array([2.0 / 3.0 + 1.0 / (3.0 * m**2), 1.0 / 6.0 - 1.0 / (6.0 * m**2)])[:count] * step
+        return out
+
+    def mean_variance(self, m: int, dt: float) -> float:  # noqa: D102
+        return self.parameters["K"] ** 2 * m * dt
+
+    def markov_parts(self, dt: float) -> MarkovParts:  # noqa: D102
+        return MarkovParts(walk=self.parameters["K"] ** 2 * dt)
+
+    def moving(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:  # noqa: D102
+        return np.zeros((1, 1), dtype=bool), np.ones((1, 1), dtype=bool)
+
+    def of_transition(self, Phi: Array, Q: Array, dt: float) -> Self:  # noqa: D102
+        return self.with_parameters({"K": math.sqrt(float(Q[0, 0]) / dt)})
+
+    def per_sample(self, dt: float) -> dict[str, str]:  # noqa: D102
+        return {"K": f"γ² = {self.parameters['K'] ** 2 * dt:.4g}"}
+
+    def as_white_and_walk(self, dt: float) -> tuple[float, float]:  # noqa: D102
+        return 0.0, self.parameters["K"] ** 2
 
     def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
         start = rng.standard_normal() * self.sigma0
@@ -57,7 +94,10 @@ class DR(Process):
 
     R: float | None = None
     PARAMETERS: ClassVar = (Parameter("R", "{u}/s", "real", "ramp slope"),)
+    REFUSED: ClassVar[Mapping[str, str]] = {"mli": "its slope has one draw; remove the ramp"}
     stationary: ClassVar[bool] = False
+    single_draw: ClassVar[bool] = True
+    curve = staticmethod(_ramp)
 
     def allan_variance(self, m: ArrayLike, dt: float) -> Array:  # noqa: D102
         return 0.5 * (self.parameters["R"] * dt * counts(m)) ** 2
@@ -70,6 +110,9 @@ class DR(Process):
         Phi = np.array([[1.0, dt], [0.0, 1.0]])
         return StateBlock(("DR", "DR.slope"), Phi, np.zeros((2, 2)), np.array([1.0, 0.0]), np.diag([0.0, r]), 0.0, dt)
 
+    def markov_parts(self, dt: float) -> MarkovParts:  # noqa: D102
+        return MarkovParts(drift=self.parameters["R"] * dt)
+
     def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
         np.multiply(self.parameters["R"] * dt, np.arange(1.0, out.size + 1.0), out=out)
 
@@ -80,9 +123,12 @@ class RC(Process):
 
     sigma: float | None = None
     PARAMETERS: ClassVar = (Parameter("sigma", "{u}", "positive", "standard deviation"),)
-    stationary: ClassVar[bool] = (
-        False  # one draw says nothing about the ensemble; no estimator may use its autocovariance
-    )
+    REFUSED: ClassVar[Mapping[str, str]] = {
+        "gmwm": "a random constant leaves no trace in one record's wavelet variance; leave it out",
+        "mli": "a turn-on bias is estimated along with bias=True",
+    }
+    stationary: ClassVar[bool] = False  # one draw says nothing about the ensemble
+    single_draw: ClassVar[bool] = True
 
     def allan_variance(self, m: ArrayLike, dt: float) -> Array:  # noqa: D102
         return np.zeros(np.shape(counts(m)))

@@ -4,16 +4,29 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.noise import draws
 from insemu.noise.block import StateBlock
-from insemu.noise.process import Parameter, Process, counts
+from insemu.noise.parameters import Parameter
+from insemu.noise.process import MarkovParts, Process, counts
 
 Array = NDArray[np.float64]
+
+
+def _white(m: Any, count: int, s: Any, shapes: int, order: int, b: Any, db: Any) -> None:  # pragma: no cover - compiled
+    for i in range(count):
+        b[i] = 0.5 / m[i]
+
+
+def _quantized(
+    m: Any, count: int, s: Any, shapes: int, order: int, b: Any, db: Any
+) -> None:  # pragma: no cover - compiled
+    for i in range(count):
+        b[i] = 1.5 / (m[i] * m[i])
 
 
 @dataclass(frozen=True)
@@ -22,6 +35,7 @@ class WN(Process):
 
     N: float | None = None
     PARAMETERS: ClassVar = (Parameter("N", "{u}/sqrt(Hz)", "positive", "white-noise density"),)
+    curve = staticmethod(_white)
 
     @classmethod
     def of_variance(cls, variance: float, dt: float) -> WN:
@@ -40,6 +54,23 @@ class WN(Process):
     def block(self, dt: float) -> StateBlock:  # noqa: D102
         return StateBlock.empty(dt, self.parameters["N"] ** 2 / dt)
 
+    def markov_parts(self, dt: float) -> MarkovParts:  # noqa: D102
+        return MarkovParts(white=self.parameters["N"] ** 2 / dt)
+
+    def moving(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:  # noqa: D102
+        return np.zeros((0, 0), dtype=bool), np.zeros((0, 0), dtype=bool)
+
+    def per_sample(self, dt: float) -> dict[str, str]:  # noqa: D102
+        return {"N": f"σ² = {self.parameters['N'] ** 2 / dt:.4g}"}
+
+    def as_white_and_walk(self, dt: float) -> tuple[float, float]:  # noqa: D102
+        return self.parameters["N"] ** 2, 0.0
+
+    def difference_covariance(self, m: int, dt: float, count: int) -> Array:  # noqa: D102
+        out = np.zeros(count)
+        out[:2] = np.array([2.0, -1.0])[:count] * self.parameters["N"] ** 2 / (m * dt)
+        return out
+
     def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
         draws.standard_normal(out, rng)
         out *= self.parameters["N"] / math.sqrt(dt)
@@ -51,6 +82,7 @@ class QN(Process):
 
     Q: float | None = None
     PARAMETERS: ClassVar = (Parameter("Q", "({u})*s", "positive", "quantization of the integrated output"),)
+    curve = staticmethod(_quantized)
 
     def allan_variance(self, m: ArrayLike, dt: float) -> Array:  # noqa: D102
         return 3.0 * self.parameters["Q"] ** 2 / (dt * counts(m)) ** 2
@@ -75,6 +107,14 @@ class QN(Process):
             0.0,
             dt,
         )
+
+    def markov_parts(self, dt: float) -> MarkovParts:  # noqa: D102
+        return MarkovParts(quantized=(self.parameters["Q"] / dt) ** 2)
+
+    def difference_covariance(self, m: int, dt: float, count: int) -> Array:  # noqa: D102
+        out = np.zeros(count)
+        out[:3] = np.array([6.0, -4.0, 1.0])[:count] * (self.parameters["Q"] / (m * dt)) ** 2
+        return out
 
     def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
         np.multiply(np.diff(rng.standard_normal(out.size + 1)), self.parameters["Q"] / dt, out=out)

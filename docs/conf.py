@@ -1,0 +1,31 @@
+"""Configuration of the documentation site: `make docs` builds it into site/; a broken link or an unknown reference fails the build."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import insemu
+
+sys.path.insert(0, str(Path(__file__).parent))
+from reference_pages import write_reference
+
+project = "insemu"
+author = copyright = "The insemu founders"
+version = release = insemu.__version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc", "sphinx.ext.mathjax", "sphinx_copybutton"]
+exclude_patterns = ["*.py"]
+suppress_warnings = ["misc.highlighting_failure"]  # YAML fragments and terminal output are shown as they are
+myst_enable_extensions = ["attrs_inline"]
+myst_heading_anchors = 3
+numpydoc_show_class_members = False
+numpydoc_class_members_toctree = False
+autodoc_typehints = "none"  # the Parameters sections say shapes and units
+copybutton_prompt_text = "$ "
+html_theme = "furo"
+html_title = "insemu"
+html_copy_source = False
+html_show_sourcelink = False
+
+write_reference(Path(__file__).parent / "reference")

@@ -1,0 +1,172 @@
+"""``insemu sensor``: sensor cards, and noise models from figures of a datasheet."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from insemu.sensors import Assumptions, AxisModel, Card, Figure
+
+
+def command(
+    name: str = typer.Argument(
+        "",
+        metavar="[NAME|FILE|TEXT]",
+        help='Sensor, file (card or text), or figures such as "ARW 0.34 deg/sqrt(h), in-run bias stability 8 deg/h".',
+    ),
+    out: str = typer.Option("", "--out", "-o", help="Write the models as YAML that a scenario reads."),
+    case: str = typer.Option("typical", "--case", help="What to write: typical or worst."),
+    worst_factor: float = typer.Option(
+        2.0, "--worst-factor", min=1.0, help="Worst case of a figure without a printed limit, times the typical figure."
+    ),
+    band: tuple[str, str] = typer.Option(
+        ("1 s", "1000 s"), "--band", help="Averaging times over which a filter's states stand for flicker."
+    ),
+    as_json: bool = typer.Option(False, "--json", help="Print JSON on standard output instead of tables."),
+) -> None:
+    """Show sensor cards, and write noise models for truth and belief from a datasheet's figures.
+
+    Without an argument it lists the sensors that come with insemu. A scenario takes a sensor by name (truth: {sensor: ADIS16470}) or the file
+    that --out writes.
+    """
+    import json
+
+    from rich.console import Console
+
+    from insemu import units
+    from insemu.noise import axis_unit
+    from insemu.sensors import Assumptions, axis_models, save, spelled
+
+    console = Console()
+    if not name:
+        _list(console, as_json)
+        return
+    assumed = Assumptions(worst_factor, *(units.parse(text, "s") for text in band))
+    card = _card(name)
+    chosen = save(card, out, case, assumed) if out else axis_models(card, case, assumed)
+    if as_json:
+        typer.echo(json.dumps(_plain(card, chosen), indent=1))
+        return
+    _show(console, card, assumed)
+    for axes, one in _groups(chosen):
+        text = spelled(one.model, axis_unit(axes.split(",")[0]))
+        console.print(f"\n[bold]{axes}[/bold]: {text}", soft_wrap=True, highlight=False)
+        for line in one.said:
+            console.print(f"- {line}", soft_wrap=True, highlight=False, markup=False)
+    if out:
+        console.print(f"\n{case} models written to {out}", soft_wrap=True, highlight=False)
+
+
+def _card(name: str) -> Card:
+    """The card of a name, a file or a text; a text has a digit and a blank."""
+    from pathlib import Path
+
+    from insemu.errors import InputError
+    from insemu.sensors import card, of_text
+
+    try:
+        return card(name)
+    except InputError:
+        if " " in name and any(ch.isdigit() for ch in name) and not Path(name).is_file():
+            return of_text(name)
+        raise
+
+
+def _list(console: Console, as_json: bool) -> None:
+    import json
+
+    from rich.table import Table
+
+    from insemu.sensors import card, names
+
+    if as_json:
+        typer.echo(
+            json.dumps({name: {"maker": card(name).maker, "about": card(name).about} for name in names()}, indent=1)
+        )
+        return
+    cards = [card(name) for name in names()]
+    table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="underline")
+    for heading in ("sensor", "gyro white", "gyro bias", "accel white", "accel bias"):
+        table.add_column(heading, no_wrap=True)
+    for one in cards:
+        cells = [_first(one.figures.get(s, {}), k) for s in ("gyro", "accel") for k in (_WHITE, _BIAS)]
+        table.add_row(one.name, *cells)
+    _wide(console, table)
+    for one in cards:
+        console.print(f"{one.name}: {one.about} ({one.maker}).", soft_wrap=True, style="dim", highlight=False)
+
+
+_WHITE, _BIAS = ("random_walk", "noise_density"), ("bias_coefficient", "bias_sigma", "bias_stability")
+
+
+def _wide(console: Console, table: Table) -> None:
+    """Print a table wider than the terminal rather than cut."""
+    width = console.width
+    console.width = max(width, console.measure(table, options=console.options.update(width=500)).maximum)
+    console.print(table)
+    console.width = width
+
+
+def _first(figures: dict[str, Figure], kinds: tuple[str, ...]) -> str:
+    return next((figures[kind].text for kind in kinds if kind in figures), "-")
+
+
+def _show(console: Console, card: Card, assumed: Assumptions) -> None:
+    """The card: its figures with their sources."""
+    from rich.table import Table
+
+    from insemu import units
+    from insemu.sensors import KINDS
+
+    console.print(
+        f"[bold]{card.name}[/bold]" + "".join(f", {t}" for t in (card.maker, card.about) if t), soft_wrap=True
+    )
+    table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="underline")
+    for heading in ("", "figure", "printed", "typical", "worst"):
+        table.add_column(heading, no_wrap=True)
+    for section, figures in card.figures.items():
+        for k, (kind, figure) in enumerate(figures.items()):
+            unit = KINDS[kind].unit_for("accel" if section.startswith("accel") else "gyro")
+            worst = figure.worst if figure.worst is not None else assumed.worst_factor * figure.value
+            shown = [f"{v:.3g} {u}" for v, u in (units.datasheet(v, unit) for v in (figure.value, worst))]
+            if kind == "correlation_time":
+                shown[1] = shown[0]
+            mark = "" if figure.worst is not None or kind == "correlation_time" else " assumed"
+            table.add_row(section if not k else "", kind.replace("_", " "), figure.text, shown[0], shown[1] + mark)
+    _wide(console, table)
+    for label, source in card.sources.items():
+        of = [
+            f"{section} {kind.replace('_', ' ')}{figure.source.removeprefix(label)}"
+            for section, figures in card.figures.items()
+            for kind, figure in figures.items()
+            if figure.source.split(",")[0] == label
+        ]
+        parts = [source[key] for key in ("title", "revision", "url") if source.get(key)]
+        text = f"{source.get('kind', 'source').capitalize()} of {'; '.join(of)}: {', '.join(parts)}"
+        console.print(text, soft_wrap=True, highlight=False, style="dim", markup=False)
+
+
+def _groups(models: dict[str, AxisModel]) -> list[tuple[str, AxisModel]]:
+    """Axes with the same model together."""
+    out: dict[AxisModel, list[str]] = {}
+    for axis, one in models.items():
+        out.setdefault(one, []).append(axis)
+    return [(", ".join(axes), one) for one, axes in out.items()]
+
+
+def _plain(card: Card, models: dict[str, AxisModel]) -> dict[str, object]:
+    from insemu.noise import axis_unit
+
+    return {
+        "sensor": card.name,
+        "sources": {label: dict(source) for label, source in card.sources.items()},
+        "axes": {
+            axis: {"unit": axis_unit(axis), "model": one.model.to_list(axis_unit(axis)), "from": list(one.said)}
+            for axis, one in models.items()
+        },
+    }

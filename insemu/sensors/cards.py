@@ -1,0 +1,154 @@
+"""Sensor cards: one YAML file per sensor, every figure with its source."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from insemu import yamlfile
+from insemu.errors import InputError, nearest
+from insemu.records import AXES
+from insemu.sensors.figures import KINDS, SIGNAL_UNITS, Figure, Figures, quantity, read_figures
+
+_FOLDER = Path(__file__).parent / "cards"
+_KEYS = ("name", "maker", "about", "also", "sources", "gyro", "accel", *AXES)
+_SOURCE_KEYS = ("title", "revision", "url", "kind")
+
+
+@dataclass(frozen=True)
+class Card:
+    """A sensor with its figures.
+
+    Parameters
+    ----------
+    name, maker, about : str
+        Of the sensor.
+    figures : mapping
+        Section (``gyro``, ``accel`` or an axis such as ``accel_z``, which wins) to kind to :class:`Figure`.
+    sources : mapping
+        Short name to ``title``, ``revision``, ``url`` and ``kind`` (datasheet, quoted datasheet, published model).
+    also : tuple of str
+        Other names of the sensor.
+    """
+
+    name: str
+    figures: Figures
+    maker: str = ""
+    about: str = ""
+    sources: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    also: tuple[str, ...] = ()
+
+    def of_axis(self, axis: str) -> dict[str, Figure]:
+        """Figures of an axis by kind."""
+        return self.figures.get(axis.split("_")[0], {}) | self.figures.get(axis, {})
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", name.lower())
+
+
+@cache
+def _files() -> dict[str, Path]:
+    """Name to file of every card that comes with insemu."""
+    return {str(yamlfile.read(path).data["name"]): path for path in sorted(_FOLDER.glob("*.yaml"))}
+
+
+def names() -> list[str]:
+    """Names of the sensors that come with insemu, in order."""
+    return list(_files())
+
+
+@cache
+def _shipped() -> dict[str, Card]:
+    return {name: _read(yamlfile.read(path)) for name, path in _files().items()}
+
+
+def card(name: str) -> Card:
+    """The card of a sensor that comes with insemu, or of a file.
+
+    Parameters
+    ----------
+    name : str
+        Name of a sensor (``ADIS16470``; dashes and case do not matter), or a file: a card (``.yaml``), or a text with figures.
+
+    Raises
+    ------
+    InputError
+        No such sensor or file, or a file that is no card and holds no figure.
+    """
+    for found in _shipped().values():
+        if _plain(name) in {_plain(n) for n in (found.name, *found.also)}:
+            return found
+    path = Path(name)
+    if path.suffix in (".yaml", ".yml") and path.is_file():
+        return _read(yamlfile.read(path))
+    if path.is_file():
+        try:
+            text = path.read_text(encoding="utf-8-sig")
+        except (OSError, ValueError) as error:
+            raise InputError(f"cannot be read as text ({error})", where=name) from None
+        return Card(path.stem, read_figures(text, name), about=f"figures of the text {path.name}")
+    raise InputError(f"no sensor '{name}' comes with insemu and no such file exists" + nearest(name, names()))
+
+
+def of_text(text: str) -> Card:
+    """A card from a text with figures, as :func:`insemu.sensors.read_figures` reads it."""
+    return Card("text", read_figures(text), about="figures given as text")
+
+
+def _read(document: yamlfile.Document) -> Card:
+    """A card file, checked."""
+    data = document.data
+    if not isinstance(data, dict) or not isinstance(data.get("name"), str):
+        raise InputError("expected a sensor card with the key 'name'", where=document.name)
+    for key in data:
+        if key not in _KEYS:
+            raise InputError(f"unknown key '{key}'" + nearest(key, _KEYS), where=document.where((key,)))
+    sources = _mapping(document, "sources")
+    for label, source in sources.items():
+        if not isinstance(source, dict) or "title" not in source or set(source) - set(_SOURCE_KEYS):
+            expected = f"expected a source with the key 'title' (and {', '.join(_SOURCE_KEYS[1:])})"
+            raise InputError(f"found {source!r}, {expected}", where=document.where(("sources", label)))
+    figures: Figures = {}
+    for section in ("gyro", "accel", *AXES):
+        for kind, given in _mapping(document, section).items():
+            where = (section, kind)
+            if kind not in KINDS:
+                raise InputError(f"unknown figure '{kind}'" + nearest(kind, KINDS), where=document.where(where))
+            figures.setdefault(section, {})[kind] = _figure(document, where, given, sources)
+    if not figures:
+        raise InputError("holds no figure under 'gyro' or 'accel'", where=document.name)
+    about, maker, also = data.get("about", ""), data.get("maker", ""), data.get("also") or []
+    return Card(data["name"], figures, str(maker), " ".join(str(about).split()), sources, tuple(map(str, also)))
+
+
+def _mapping(document: yamlfile.Document, key: str) -> dict[str, Any]:
+    value = document.data.get(key)
+    if value is not None and not isinstance(value, dict):
+        raise InputError(f"found {value!r}, expected a mapping", where=document.where((key,)))
+    return value or {}
+
+
+def _figure(document: yamlfile.Document, at: tuple[str, str], given: Any, sources: Mapping[str, Any]) -> Figure:
+    """A figure: a quantity, or a mapping with ``typical`` or ``max``, and where it stands (``source``, ``place``)."""
+    section, kind = at
+    sensor = section.split("_")[0] if section.split("_")[0] in SIGNAL_UNITS else "gyro"
+    held = given if isinstance(given, dict) else {"typical": given}
+    unknown = set(held) - {"typical", "max", "source", "place"}
+    if unknown or not ({"typical", "max"} & set(held)):
+        raise InputError(
+            f"found {given!r}, expected a quantity or the keys typical, max, source, place", where=document.where(at)
+        )
+    source = str(held.get("source", next(iter(sources), "")))
+    if source and source not in sources:
+        raise InputError(f"unknown source '{source}'" + nearest(source, sources), where=document.where(at))
+    values = {
+        key: quantity(held[key], kind, sensor, document.where((*at, key))) for key in ("typical", "max") if key in held
+    }
+    place = ", ".join(part for part in (source, str(held.get("place", ""))) if part)
+    text = str(held["typical"]) if "typical" in held else f"at most {held['max']}"
+    return Figure(values.get("typical", values.get("max", 0.0)), text, values.get("max"), place)

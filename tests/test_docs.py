@@ -1,0 +1,56 @@
+"""The tutorials work: the files that they show are written, the commands that they show are run, in the order of the page."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from insemu.cli import main
+
+TUTORIALS = Path(__file__).resolve().parent.parent / "docs" / "tutorials"
+#: A file with its name, or commands behind ``$``.
+BLOCK = re.compile(
+    r"^```(?:\{code-block\} yaml\n:caption: (?P<name>\S+)\n\n?(?P<file>.*?)|console\n(?P<commands>.*?))^```",
+    re.S | re.M,
+)
+
+
+def steps(page: str) -> list[tuple[str, str]]:
+    """What a page asks the reader to do: ``(file name, content)`` or ``("$", command)``."""
+    out = []
+    for block in BLOCK.finditer(page):
+        if block["name"]:
+            out.append((block["name"], block["file"]))
+        else:
+            out += [("$", line[2:]) for line in block["commands"].splitlines() if line.startswith("$ ")]
+    return out
+
+
+@pytest.mark.parametrize("page", sorted(TUTORIALS.glob("*.md")), ids=lambda p: p.stem)
+def test_tutorial(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    asked = steps(page.read_text(encoding="utf-8"))
+    assert any(name == "$" for name, _ in asked)
+    for name, text in asked:
+        if name != "$":
+            Path(name).write_text(text, encoding="utf-8")
+            continue
+        program, *arguments = shlex.split(text)
+        assert program == "insemu"
+        with pytest.raises(SystemExit) as end:
+            main(arguments)
+        said = capsys.readouterr()
+        assert end.value.code in (0, None), f"{text}\n{said.out}\n{said.err}"
+        for option in ("--out", "--baseline"):
+            if option in arguments:
+                assert Path(arguments[arguments.index(option) + 1]).exists(), f"{text} wrote nothing"
+
+
+def test_steps_are_found_in_order() -> None:
+    page = "```{code-block} yaml\n:caption: a.yaml\n\nx: 1\n```\ntext\n```console\n$ insemu run a.yaml\noutput\n```\n"
+    assert steps(page) == [("a.yaml", "x: 1\n"), ("$", "insemu run a.yaml")]

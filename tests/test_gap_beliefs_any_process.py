@@ -1,0 +1,74 @@
+"""What a log is believed to be may be written in any process: the evidence asks the process and knows none."""
+
+import math
+
+import numpy as np
+import pytest
+
+from insemu.gap import find_static_gap
+from insemu.gap.data.log import reduce
+from insemu.gap.evidence.model import Explanation, Likelihood
+from insemu.gap.policy import rules
+from insemu.noise import AR, AR1, ARMA, BI, DR, GM, RC, RW, SIN, WN, NoiseModel, Process
+from insemu.records import Series
+
+RATE = 20.0
+GAUSS_MARKOV = GM(4e-4, 1.0 / 40.0)
+WHITE = WN(1e-3)
+
+
+def twins() -> dict[str, NoiseModel]:
+    """One process, three ways to write it."""
+    phi, sigma2 = GAUSS_MARKOV.discrete(1.0 / RATE)
+    return {
+        "GM": WHITE + GAUSS_MARKOV,
+        "AR1": WHITE + AR1(phi, sigma2, RATE),
+        "AR(1)": WHITE + AR((phi,), sigma2=sigma2, rate_hz=RATE),
+    }
+
+
+def a_log(seed: int, n: int = 36_000) -> Series:
+    return Series((WHITE + GAUSS_MARKOV).simulate(n, 1.0 / RATE, np.random.default_rng(seed)), RATE, "rad/s", "gyro_x")
+
+
+def test_the_evidence_of_one_process_does_not_depend_on_how_it_is_written() -> None:
+    likelihood = Likelihood(reduce(a_log(3)))
+    values = {
+        name: (likelihood.low(e), likelihood.high(e), likelihood.along(e)(e.start()))
+        for name, e in ((name, Explanation.nominal(model)) for name, model in twins().items())
+    }
+    for name, (low, high, _) in values.items():
+        assert low == pytest.approx(values["GM"][0], abs=1e-5), name
+        assert high == pytest.approx(values["GM"][1], abs=1e-5), name
+    # a variance has twice the prior width of a deviation in its logarithm
+    assert values["AR1"][2] == pytest.approx(values["GM"][2] - math.log(2.0), abs=1e-5)
+
+
+def test_a_nominal_log_believed_as_an_autoregression_misses_nothing() -> None:
+    for name, belief in twins().items():
+        report = find_static_gap([a_log(5)], {"gyro_x": belief}, rng=np.random.default_rng(1), hold_out=False)
+        assert report.verdict == "nothing missing", (name, report.steps)
+
+
+@pytest.mark.parametrize(
+    ("process", "name"),
+    [
+        (AR1(0.9, 1e-6, RATE), "sigma2"),
+        (ARMA((0.5,), (0.3,), 1e-6, RATE), "sigma2"),
+        (GAUSS_MARKOV, "sigma"),
+        (RW(1e-5), "K"),
+        (BI(1e-5), "B"),
+    ],
+    ids=lambda v: v if isinstance(v, str) else v.symbol,
+)
+def test_the_level_of_every_noise_is_free_by_as_much(process: Process, name: str) -> None:
+    (free,) = Explanation.nominal(NoiseModel((process,))).free
+    power = process.level.power
+    assert free.name == name
+    assert free.high / process.parameters[name] == pytest.approx((1.0 + rules().tolerance) ** power)
+    scaled = process.scaled(1.0 + rules().tolerance)
+    assert scaled.parameters[name] == pytest.approx(free.high)
+
+
+def test_a_signal_of_one_draw_has_no_level_to_free() -> None:
+    assert Explanation.nominal(SIN(1e-3, 2.0) + DR(1e-6) + RC(1e-3)).free == ()

@@ -1,0 +1,162 @@
+"""Closed forms of every process against what follows from its state block, and the forms that estimators use against both."""
+
+import math
+
+import numpy as np
+import pytest
+
+from insemu.errors import InputError
+from insemu.fit.structure import Structure, natural_jacobian
+from insemu.noise import AR, AR1, ARMA, BI, DR, GM, MA, PROCESSES, QN, RC, RW, SIN, WN, NoiseModel, Process
+
+DT = 0.01
+RATE = 100.0
+#: Every registered process at least once; a process without a row fails the last test of this file.
+ROWS = {
+    "WN": WN(2e-3),
+    "RW": RW(3e-4),
+    "GM slow": GM(2e-3, 0.05),
+    "GM fast": GM(2e-3, 60.0),
+    "AR1": AR1(0.97, 1e-6, RATE),
+    "AR1 negative": AR1(-0.6, 1e-6, RATE),
+    "AR": AR((1.5, -0.6), sigma2=1e-6, rate_hz=RATE),
+    "MA": MA(ma=(0.5, -0.2), sigma2=1e-6, rate_hz=RATE),
+    "ARMA": ARMA((0.9, -0.3), (0.4,), 1e-6, RATE),
+    "QN": QN(1e-5),
+    "DR": DR(1e-3),
+    "BI": BI(1e-3),
+    "SIN": SIN(1e-3, 3.3),
+    "RC": RC(1e-2),
+    "GM2 slow": PROCESSES["GM2"](2e-3, 0.05),
+    "GM2 fast": PROCESSES["GM2"](2e-3, 60.0),
+}
+BLOCKS = {name: p for name, p in ROWS.items() if name != "BI"}
+FITTED = {name: p for name, p in ROWS.items() if name != "RC"}
+each_block = pytest.mark.parametrize("process", BLOCKS.values(), ids=BLOCKS)
+each_fitted = pytest.mark.parametrize("process", FITTED.values(), ids=FITTED)
+
+
+def near(a: np.ndarray, b: np.ndarray, relative: float) -> None:
+    np.testing.assert_allclose(a, b, rtol=relative, atol=relative * np.max(np.abs(b), initial=0.0) + 1e-300)
+
+
+@each_block
+def test_closed_forms_are_those_of_the_block(process: Process) -> None:
+    block = process.block(DT)
+    m = np.array([1, 2, 3, 7, 64, 1000])
+    near(process.allan_variance(m, DT), block.allan_variance(m), 1e-9)
+    f = np.geomspace(1e-3, 50.0, 30)
+    near(process.psd(f, DT), block.psd(f), 1e-9)
+    if process.stationary:
+        near(process.autocovariance(np.arange(40), DT), block.autocovariance(np.arange(40)), 1e-9)
+    for mean in (1, 2, 50):
+        if not process.single_draw:
+            near(process.difference_covariance(mean, DT, 8), block.difference_covariance(mean, 8), 1e-8)
+            assert process.difference_covariance(mean, DT, 1).shape == (1,)
+
+
+@pytest.mark.parametrize("process", ROWS.values(), ids=ROWS)
+def test_allan_variance_is_half_the_variance_of_differences(process: Process) -> None:
+    if process.single_draw:
+        assert not process.difference_covariance(10, DT, 5).any()
+        return
+    for m in (1, 10, 100):
+        first = process.difference_covariance(m, DT, 3)[0]
+        assert 0.5 * first == pytest.approx(float(process.allan_variance(m, DT)), rel=1e-9)
+
+
+def test_differences_of_a_sum_are_sums() -> None:
+    model = WN(1e-3) + GM(1e-3, 0.3) + AR1(0.9, 1e-7, RATE) + BI(1e-4)
+    total = sum(p.difference_covariance(20, DT, 6) for p in model)
+    np.testing.assert_allclose(model.difference_covariance(20, DT, 6), total)
+    near(model.difference_covariance(20, DT, 1)[0], 2.0 * model.allan_variance(20, DT), 1e-9)
+
+
+def test_one_process_written_three_ways_is_one() -> None:
+    gm = GM(2e-3, 0.5)
+    phi, sigma2 = gm.discrete(DT)
+    one, general = AR1(phi, sigma2, RATE), AR((phi,), sigma2=sigma2, rate_hz=RATE)
+    for m in (1, 100, 1000):
+        want = gm.difference_covariance(m, DT, 30)
+        near(one.difference_covariance(m, DT, 30), want, 1e-9)
+        near(general.difference_covariance(m, DT, 30), want, 1e-9)
+
+
+@each_fitted
+def test_an_estimator_sees_the_process(process: Process) -> None:
+    """Coordinates lead back; compiled curves are the wavelet variance; derivatives are those of the parameters as written."""
+    coefficient, shapes = process.coordinates(DT)
+    assert coefficient is not None
+    free = process.with_parameters(dict.fromkeys(process.given))
+    back = free.of_coordinates(coefficient, [s for s in shapes if s is not None], DT)
+    for name, value in process.parameters.items():
+        assert back.parameters[name] == pytest.approx(abs(value), rel=1e-9) or value < 0
+        assert process.with_parameters({name: value}) == process
+    structure = Structure.of(NoiseModel((free,)), RATE)
+    model = NoiseModel((process,))
+    m = 2.0 ** np.arange(0, 12)
+    c, s = structure.internal(model)
+    near(c[0] * structure.columns(m, s)[0][:, 0], process.wavelet_variance(2 * m, DT), 1e-9)
+    D, names = natural_jacobian(model, structure, m)
+    assert [name for _, name in names] == list(process.parameters)
+    for column, (_, name) in zip(D.T, names, strict=True):
+        value = process.parameters[name]
+        h = 1e-5 * abs(value) if name != "phi" else 1e-5 * (1.0 - abs(value))
+        up, down = (process.with_parameters({name: value + d}).wavelet_variance(2 * m, DT) for d in (h, -h))
+        near(column, (up - down) / (2.0 * h), 2e-5)
+
+
+@pytest.mark.parametrize(
+    "process",
+    [GM(2e-3, 0.5), PROCESSES["GM2"](2e-3, 0.5), WN(1e-3), RW(1e-3), QN(1e-5), SIN(1e-3, 3.3)],
+    ids=lambda p: p.symbol,
+)
+def test_a_derived_curve_is_the_compiled_one(process: Process) -> None:
+    """A process without a compiled curve is searched through its block; both say the same, derivatives too."""
+    other = type(
+        f"{process.symbol}Derived", (type(process),), {"curve": None, "allan_variance": Process.allan_variance}
+    )
+    twin = other(**process.parameters)
+    m = 2.0 ** np.arange(0, 10)
+    free = [NoiseModel((p.with_parameters(dict.fromkeys(p.given)),)) for p in (process, twin)]
+    structures = [Structure.of(f, RATE) for f in free]
+    s = structures[0].internal(NoiseModel((process,)))[1]
+    (B, dB), (C, dC) = (structure.columns(m, s) for structure in structures)
+    near(C, B, 1e-8)
+    near(dC, dB, 1e-5)
+
+
+def test_a_block_is_drawn_as_it_says() -> None:
+    """Draws through the state block have its autocovariance: 400 records of 200 samples, five standard errors."""
+    process = ARMA((1.2, -0.5), (0.3,), 1.0, RATE)
+    rng = np.random.default_rng(5)
+    x = np.empty((400, 200))
+    for row in x:
+        Process.fill(process, row, DT, rng)
+    gamma = process.autocovariance(np.arange(4), DT)
+    for lag in range(4):
+        means = np.mean(x[:, : 200 - lag] * x[:, lag:], axis=1)
+        assert abs(means.mean() - gamma[lag]) < 5.0 * means.std() / math.sqrt(400)
+    first = np.mean(x[:, 0] ** 2)
+    assert abs(first - gamma[0]) < 5.0 * gamma[0] * math.sqrt(2.0 / 400)
+
+
+def test_refusals_name_the_estimator_and_the_reason() -> None:
+    for process, method, word in (
+        (RC(), "gmwm", "trace"),
+        (BI(), "mli", "block"),
+        (SIN(), "mli", "phase"),
+        (DR(), "mli", "slope"),
+    ):
+        with pytest.raises(InputError, match=f"{process.symbol} cannot be fitted by {method}.*{word}"):
+            process.refuse(method)
+
+
+def test_every_process_has_a_row() -> None:
+    assert {p.symbol for p in ROWS.values()} >= {c.__name__ for c in PROCESSES.values()}
+
+
+def test_rates_that_differ_by_rounding_are_one() -> None:
+    assert len(AR1(0.9, 1e-6, 20.0) + AR1(0.5, 1e-6, 20.0 * (1.0 + 1e-12))) == 2
+    with pytest.raises(InputError, match="different rates"):
+        AR1(0.9, 1e-6, 20.0) + AR1(0.5, 1e-6, 20.001)
