@@ -226,7 +226,6 @@ class GnssRecord:
     def __len__(self) -> int:
         return self.t.size
 
-
     def rows(self, keep: slice | NDArray[np.bool_]) -> GnssRecord:
         """Some of the fixes."""
         parts = {name: getattr(self, name) for name in ("vel_ned", "pos_std_ned", "vel_std_ned")}

@@ -67,7 +67,10 @@ def motion(kind: str, t: Array, rng: np.random.Generator) -> tuple[Array, Array]
         stop = rng.uniform(10.0, 30.0)
         speed = rng.choice([0.0, 5.0]) * np.ones(t.size)
         speed = speed + 6.0 * ramp(t, stop, 6.0) * rng.integers(2)
-        heading = heading + np.cumsum(rate * (1.0 - ramp(t, stop, 2.0)) + smooth(t, rng, 30.0, 0.1) * ramp(t, stop, 2.0)) / RATE
+        heading = (
+            heading
+            + np.cumsum(rate * (1.0 - ramp(t, stop, 2.0)) + smooth(t, rng, 30.0, 0.1) * ramp(t, stop, 2.0)) / RATE
+        )
     elif kind == "rover":
         speed = 0.5 * np.clip(smooth(t, rng, 20.0, 1.0) + 0.8, 0.0, 1.2)
         heading = heading + np.cumsum(smooth(t, rng, 25.0, 0.3)) / RATE
@@ -180,7 +183,9 @@ def on_course(s: Start) -> Alignment:
 
 
 def main(runs: int) -> None:
-    print(f"{'start':>6} {'way':>7} {'refused':>8} {'heading out':>12} {'bias out':>9} {'sigma heading deg':>18}   of {runs}, outside 99 %")
+    print(
+        f"{'start':>6} {'way':>7} {'refused':>8} {'heading out':>12} {'bias out':>9} {'sigma heading deg':>18}   of {runs}, outside 99 %"
+    )
     for kind in KINDS:
         for name, how in (("motion", in_motion), *((("course", on_course),) if kind in ("rest", "turn") else ())):
             all_of = [judged(emulate(kind, seed), how) for seed in range(runs)]

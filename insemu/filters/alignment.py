@@ -28,8 +28,6 @@ Array = NDArray[np.float64]
 TRACK_SPEED = 3.0
 #: Standard deviation of roll and pitch at rest: what a bias of the accelerometers of 9 mg does, rad.
 REST_TILT = np.deg2rad(0.5)
-#: What a start on the track is uncertain by at least, rad: levelled in motion, headed along the track.
-START_TILT, START_HEADING = 0.035, 0.09
 #: Standard deviation of a recorded velocity that states none, m/s.
 UNSTATED_VELOCITY = 0.3
 #: Where the fixes have no velocities: times to either side, s, over which positions are taken for a parabola.
@@ -62,6 +60,13 @@ class Alignment:
     gyro_bias: Array
     gyro_bias_sigma: Array
     standstill: tuple[tuple[float, float], ...]
+
+    @property
+    def known_bias(self) -> tuple[Array, Array] | None:
+        """The gyroscope bias and its covariance (3, 3), as :func:`~insemu.filters.rest.rests` takes them; None where nothing told it."""
+        if np.isnan(self.gyro_bias).any():
+            return None
+        return self.gyro_bias, np.diag(self.gyro_bias_sigma**2)
 
 
 def level(f_b: ArrayLike) -> tuple[float, float]:
@@ -246,7 +251,9 @@ class StartBelief:
     lever_arm : (3,) array_like
         IMU to antenna in the axes of the IMU, m.
     mounting : (3,) array_like
-        Roll, pitch, heading of the vehicle's axes in those of the IMU, rad.
+        Roll, pitch, heading of the rotation from the axes of the IMU to those of the vehicle, rad.
+    motion_tilt, motion_heading : float
+        Least standard deviations of a start that is levelled in motion and headed along the track, rad.
     """
 
     position_sigma: ArrayLike = 0.0
@@ -255,6 +262,8 @@ class StartBelief:
     heading_sigma: float = 0.0
     lever_arm: ArrayLike = (0.0, 0.0, 0.0)
     mounting: ArrayLike = (0.0, 0.0, 0.0)
+    motion_tilt: float = 0.035
+    motion_heading: float = 0.09
 
 
 def on_reference(
@@ -266,9 +275,7 @@ def on_reference(
     columns = np.hstack([reference.llh, reference.vel_ned, np.unwrap(reference.rpy, axis=0)])
     at = np.array([np.interp(imu.t[0], reference.t, column) for column in columns.T])
     tilt = believed.tilt_sigma
-    sigma = InitialSigma(
-        believed.position_sigma, believed.velocity_sigma, (tilt, tilt, believed.heading_sigma)
-    )
+    sigma = InitialSigma(believed.position_sigma, believed.velocity_sigma, (tilt, tilt, believed.heading_sigma))
     return imu, NavState(at[:3], at[3:6], at[6:]), sigma
 
 
@@ -314,13 +321,13 @@ def on_track(
     arm = rotation.dcm_from_rpy(rpy) @ arm_b
     llh = earth.move(gnss.llh[k], velocity * late - arm)
     own = np.asarray(believed.position_sigma, dtype=np.float64)
-    position = np.hypot(own, gnss.pos_std_ned[k] + START_HEADING * np.linalg.norm(arm))
+    position = np.hypot(own, gnss.pos_std_ned[k] + believed.motion_heading * np.linalg.norm(arm))
     # the velocity of the antenna swings about the IMU's
     swing = float(np.linalg.norm(np.cross(span.gyro[1:count].mean(axis=0) / imu.dt, arm_b)))
     own = np.asarray(believed.velocity_sigma, dtype=np.float64)
     vel_sigma = np.sqrt(own**2 + track.velocity_sigma**2 + swing**2)
-    turn = max(believed.heading_sigma, START_HEADING, float(np.max(track.velocity_sigma[:2])) / track.speed)
-    tilt = max(believed.tilt_sigma, float(np.hypot(START_TILT, track.slope_sigma / g)))
+    turn = max(believed.heading_sigma, believed.motion_heading, float(np.max(track.velocity_sigma[:2])) / track.speed)
+    tilt = max(believed.tilt_sigma, float(np.hypot(believed.motion_tilt, track.slope_sigma / g)))
     state = NavState(llh, velocity + slope * late, rpy)
     return imu, state, InitialSigma(position, vel_sigma, (tilt, tilt, turn))
 

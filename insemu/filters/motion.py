@@ -143,12 +143,14 @@ class _Integrals:
         near = angles[np.stack([k, np.minimum(k + 1, len(r) - 1)])].mean(axis=0) / step[k][:, None]
         arm = attitude @ lever_arm
         swing = np.einsum("kij,kj->ki", attitude, np.cross(near - np.einsum("kji,j->ki", attitude, turn), lever_arm))
-        return cls(attitude, there(T), there(velocity), there(place), there(v_bg), there(p_bg), there(p_ba), arm, swing, bias)
+        return cls(
+            attitude, there(T), there(velocity), there(place), there(v_bg), there(p_bg), there(p_ba), arm, swing, bias
+        )
 
 
 @dataclass(frozen=True)
 class _Fit:
-    """Least squares over one stretch: attitude at its start, (18,) place, velocity, attitude error, biases, drift of the fixes, their covariance, chi-square."""
+    """Least squares over one stretch: attitude at its start, the unknowns (:data:`SIZE`) with their covariance, and chi-square."""
 
     C: Array
     x: Array
@@ -242,7 +244,17 @@ class _Stretch:
         eye = np.broadcast_to(np.eye(3), (t.size, 3, 3))
         none = np.zeros_like(eye)
         parts = (
-            (self.place - place, self.place_sigma, eye, eye * t[:, :, None], moved, i.p_bg, i.p_ba, i.arm, eye * t[:, :, None]),
+            (
+                self.place - place,
+                self.place_sigma,
+                eye,
+                eye * t[:, :, None],
+                moved,
+                i.p_bg,
+                i.p_ba,
+                i.arm,
+                eye * t[:, :, None],
+            ),
             (self.velocity - velocity, self.velocity_sigma, none, eye, gained, i.v_bg, i.v_ba, i.swing, none),
         )
         for residual, sigma, dp, dv, turned, by_gyro, by_accel, antenna, drift in parts:
@@ -294,7 +306,9 @@ def _thinned(r: ImuRecord) -> ImuRecord:
     )
 
 
-def _stretch(r: ImuRecord, gnss: GnssRecord, start: int, stop: int, lever_arm: Array, gravity: str, noise: tuple[float, float]) -> _Stretch:
+def _stretch(
+    r: ImuRecord, gnss: GnssRecord, start: int, stop: int, lever_arm: Array, gravity: str, noise: tuple[float, float]
+) -> _Stretch:
     """Fixes ``start`` to ``stop`` (included) and the IMU from the first to the last."""
     every = max(1, (stop - start) // MOST_FIXES)
     rows = np.unique(np.append(np.arange(start, stop + 1, every), stop))
@@ -382,7 +396,9 @@ def align_in_motion(
             continue
         stretch = _stretch(_thinned(r), fixes, start, stop, arm, gravity, noise)
         fit, margin = stretch.best(prior)
-        said = f"its standard deviation after {stretch.t[-1]:.0f} s is {np.rad2deg(min(fit.heading_sigma, np.pi)):.1f} deg"
+        said = (
+            f"its standard deviation after {stretch.t[-1]:.0f} s is {np.rad2deg(min(fit.heading_sigma, np.pi)):.1f} deg"
+        )
         if fit.heading_sigma <= COARSE and margin > WORSE:
             found = _refined(fit, stretch, r, fixes, arm, gravity, noise, longest)
             if found is not None:

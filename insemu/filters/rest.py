@@ -120,7 +120,9 @@ def quiet_stretches(
     found = []
     for a, b in edges:
         if end[b - 1] - start[a] >= shortest:
-            stretch = _judged(blocks[a:b].mean(axis=1), spread[a:b].mean(axis=0) / np.sqrt(n), float(start[a]), float(end[b - 1]))
+            stretch = _judged(
+                blocks[a:b].mean(axis=1), spread[a:b].mean(axis=0) / np.sqrt(n), float(start[a]), float(end[b - 1])
+            )
             if stretch is not None:
                 found.append(stretch)
     return _told(found, gnss, bias)
@@ -137,7 +139,10 @@ def _fast(t: Array, gnss: GnssRecord | None, speed: float) -> NDArray[np.bool_]:
 
 
 def _judged(means: Array, white: Array, start: float, end: float) -> Quiet | None:
-    """A stretch from its block means (k, 6) and what white noise makes of them (6,); None where the means wander, the specific force turns, or the rate is beyond any bias."""
+    """A stretch from its block means (k, 6) and what white noise makes of them (6,).
+
+    None where the means wander, the specific force turns, or the rate is beyond any bias.
+    """
     k = len(means)
     scatter_of = means.std(axis=0)
     if (scatter_of > np.repeat(STEADY, 3) + 3.0 * white).any():
@@ -196,8 +201,26 @@ WANDER = 50.0
 STIR = (0.01, 0.1)
 
 
-def never_moves(recording: Recording) -> bool:
-    """Whether the fixes of a recording say that nothing moved from its first to its last second."""
+def never_moves(
+    recording: Recording,
+    *,
+    radius: float = REST_RADIUS,
+    speed: float = REST_SPEED,
+    wander: float = WANDER,
+    stir: tuple[float, float] = STIR,
+) -> bool:
+    """Whether the fixes of a recording say that nothing moved from its first to its last second.
+
+    Parameters
+    ----------
+    recording : Recording
+    radius, speed : float
+        Fixes that stay this close to their median, m, and this slow, m/s, or within their own noise, were made at rest.
+    wander : float
+        Fixes that wander no further than this, m, are at rest too where the IMU does not stir.
+    stir : (float, float)
+        Means over a second of an IMU that does not stir change by less than this, rad/s and m/s^2, nine times out of ten.
+    """
     gnss = recording.gnss
     if gnss is None:
         return True
@@ -206,21 +229,21 @@ def never_moves(recording: Recording) -> bool:
         return True
     middle = np.median(gnss.llh[known], axis=0)
     away = earth.position_difference(gnss.llh[known], middle)
-    if float(np.max(np.abs(away))) < WANDER and _does_not_stir(recording.imu):
+    if float(np.max(np.abs(away))) < wander and _does_not_stir(recording.imu, stir):
         return True
     noise = 0.0 if gnss.pos_std_ned is None else float(np.nanmax(gnss.pos_std_ned))
-    if float(np.max(np.abs(np.median(away[: away.shape[0] // 10 + 1], axis=0)))) > max(REST_RADIUS, noise):
+    if float(np.max(np.abs(np.median(away[: away.shape[0] // 10 + 1], axis=0)))) > max(radius, noise):
         return False
-    if float(np.max(np.abs(away))) > max(REST_RADIUS, 6.0 * noise):
+    if float(np.max(np.abs(away))) > max(radius, 6.0 * noise):
         return False
     if gnss.vel_ned is None:
         return True
     spread = 0.0 if gnss.vel_std_ned is None else float(np.nanmax(gnss.vel_std_ned))
-    speed = np.abs(gnss.vel_ned[np.isfinite(gnss.vel_ned).all(axis=1)])
-    return not speed.size or float(speed.max()) < max(REST_SPEED, 6.0 * spread)
+    speeds = np.abs(gnss.vel_ned[np.isfinite(gnss.vel_ned).all(axis=1)])
+    return not speeds.size or float(speeds.max()) < max(speed, 6.0 * spread)
 
 
-def _does_not_stir(imu: ImuRecord) -> bool:
+def _does_not_stir(imu: ImuRecord, stir: tuple[float, float]) -> bool:
     """A drift of the IMU's own is slow, a vehicle is not."""
     count = max(1, round(1.0 / imu.dt))
     rows = len(imu) // count * count
@@ -228,4 +251,4 @@ def _does_not_stir(imu: ImuRecord) -> bool:
         return False
     means = imu.rates()[:rows].reshape(-1, count, 6).mean(axis=1)
     changes = np.quantile(np.abs(np.diff(means, axis=0)), 0.9, axis=0)
-    return bool(changes[:3].max() <= STIR[0] and changes[3:].max() <= STIR[1])
+    return bool(changes[:3].max() <= stir[0] and changes[3:].max() <= stir[1])
