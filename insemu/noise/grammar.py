@@ -15,6 +15,24 @@ ALIASES: Mapping[str, str] = {"ARW": "WN", "VRW": "WN", "RRW": "RW"}
 _TERM = re.compile(r"^\s*(?:(?P<count>\d+)\s*\*\s*)?(?P<name>[A-Za-z]\w*)\s*(?:\((?P<arguments>.*)\))?\s*$", re.DOTALL)
 
 
+#: Longest text of a model, characters, and most processes and coefficients: a sum of ten processes is a large model.
+MAX_TEXT = 10_000
+MAX_COUNT = 100
+
+
+def whole(text: str, what: str) -> int:
+    """A count or an order as written, within the limits.
+
+    Raises
+    ------
+    InputError
+        Zero, more than :data:`MAX_COUNT`, or no whole number.
+    """
+    if not (text.isdecimal() and len(text) <= 6 and 1 <= int(text) <= MAX_COUNT):
+        raise InputError(f"{what} is '{text[:20]}', expected a whole number from 1 to {MAX_COUNT}")
+    return int(text)
+
+
 def _split(text: str, separator: str) -> list[str]:
     """Split at a separator outside brackets (and outside exponents such as 1e+3)."""
     parts, depth, start = [], 0, 0
@@ -42,6 +60,8 @@ def terms(text: str, known: Collection[str]) -> Iterator[tuple[int, str, list[in
     InputError
         Anything but ``[count*]NAME(arguments)``, or an unknown name.
     """
+    if len(text) > MAX_TEXT:
+        raise InputError(f"the text of the model has {len(text)} characters, expected at most {MAX_TEXT}")
     for term in _split(text, "+"):
         match = _TERM.match(term)
         if match is None:
@@ -51,9 +71,7 @@ def terms(text: str, known: Collection[str]) -> Iterator[tuple[int, str, list[in
         name = ALIASES.get(match["name"], match["name"])
         if name not in known:
             raise InputError(f"unknown process '{name}' in the model '{text}'" + nearest(name, known))
-        count = int(match["count"] or 1)
-        if count < 1:
-            raise InputError(f"found {count} times {name} in the model '{text}', expected at least once")
+        count = whole(match["count"] or "1", f"the count of {name} in the model '{text}'")
         yield count, name, *_arguments(name, match["arguments"] or "", text)
 
 
@@ -70,7 +88,7 @@ def _arguments(name: str, arguments: str, text: str) -> tuple[list[int], dict[st
                 [v.strip() for v in value.strip("([)] ").split(",") if v.strip()] if value[:1] in "([" else value
             )
         elif argument.isdigit():
-            orders.append(int(argument))
+            orders.append(whole(argument, f"an order of {name} in the model '{text}'"))
         else:
             raise InputError(
                 f"cannot read '{argument}' in '{name}({arguments})' of the model '{text}'; expected name=quantity"

@@ -42,9 +42,14 @@ def spell_out(value: Any) -> Any:
         value = {"design": value}
     if not isinstance(value, Mapping) or value.get("design") is None:
         return value
+    if not isinstance(value["design"], str):
+        raise InputError(f"found {value['design']!r}, expected the name of a design")
     own = {key: given for key, given in value.items() if given is not None}
     base = shipped(own["design"])
     for sensor in ("gyro", "accel"):
         if sensor in own:
             base = {key: given for key, given in base.items() if not (key in AXES and key.startswith(sensor))}
-    return base | own | {"options": yamlfile.merged(base.get("options", {}), own.get("options", {}))}
+    options = own.get("options", {})
+    if isinstance(options, Mapping):
+        options = yamlfile.merged(base.get("options", {}), options)
+    return base | own | {"options": options}

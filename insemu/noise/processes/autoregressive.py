@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
 from insemu.errors import InputError, nearest
-from insemu.noise import draws
+from insemu.noise import draws, grammar
 from insemu.noise.block import StateBlock
 from insemu.noise.curves import STEP
 from insemu.noise.doubling import arma, coefficients_of
@@ -241,9 +241,7 @@ class ARMA(Process):
         for order in ("p", "q"):
             value = given.pop(order, None)
             if value is not None:
-                if not str(value).isdigit():
-                    raise InputError(f"order {order} of {cls.__name__} is '{value}', expected a whole number")
-                orders.append(int(value))
+                orders.append(grammar.whole(str(value), f"order {order} of {cls.__name__}"))
         if given:
             return super().of_arguments(orders, given, signal_unit, text)
         wanted = len(cls.POLYNOMIALS)
@@ -264,9 +262,8 @@ class ARMA(Process):
             raise InputError(f"unknown key '{unknown[0]}'" + nearest(unknown[0], known), where=where)
         if "order" in given:
             order = given["order"] if isinstance(given["order"], list) else [given["order"]]
-            if not all(isinstance(o, int) and not isinstance(o, bool) and o >= 1 for o in order):
-                raise InputError(f"order is {given['order']!r}, expected whole numbers of at least 1", where=where)
-            return cls(**{name: (None,) * size for name, size in zip(cls.POLYNOMIALS, order, strict=False)})
+            sizes = [grammar.whole(str(o), f"order of {where}") for o in order]
+            return cls(**dict[str, Any](zip(cls.POLYNOMIALS, [(None,) * n for n in sizes], strict=False)))
 
         def coefficients(key: str) -> tuple[float, ...]:
             value = given.get(key, ())
