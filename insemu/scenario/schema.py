@@ -43,6 +43,7 @@ from insemu.scenario.fields import (
     computed,
     noise_model,
 )
+from insemu.scenario.sensor_keys import with_sensors
 
 #: Largest rate of an IMU, Hz, and most realizations: what would exceed memory and patience is refused before it is begun.
 MAX_RATE = 20_000.0
@@ -207,8 +208,12 @@ class SensorModels(Section):
 
 
 class Truth(SensorModels):
-    """What the sensors really do: a model per axis (of a file, too), or pieces of recorded error signals."""
+    """What the sensors really do: a model per axis (of a file or a sensor card, too), or pieces of recorded error signals."""
 
+    sensor: str | None = Field(
+        default=None, description="a sensor that comes with insemu (insemu sensor), or the file of its card"
+    )
+    case: Literal["typical", "worst"] | None = Field(default=None, description="which of the sensor's figures; typical")
     file: str | None = Field(
         default=None, description="noise-model file written by insemu fit; axes that are given beside it win"
     )
@@ -230,8 +235,8 @@ class Truth(SensorModels):
 
     @classmethod
     def spelled_out(cls, value: Any) -> Any:
-        """A name alone is a noise-model file."""
-        return {"file": value} if isinstance(value, str) else value
+        """A name alone is a noise-model file; a sensor's models are put in."""
+        return {"file": value} if isinstance(value, str) else with_sensors(value)
 
     @model_validator(mode="after")
     def _one_kind(self) -> Truth:
@@ -281,6 +286,10 @@ class AxisSource(Section):
     )
     file: str | None = Field(default=None, description="noise-model file written by insemu fit")
     truth: bool = Field(default=False, description="the model of the truth")
+    sensor: str | None = Field(
+        default=None, description="a sensor that comes with insemu (insemu sensor), or the file of its card"
+    )
+    case: Literal["typical", "worst"] | None = Field(default=None, description="which of the sensor's figures; typical")
 
     @field_validator("fit", "model", "plus", mode="before")
     @classmethod
@@ -435,6 +444,10 @@ class Design(Section):
     design: str | None = Field(
         default=None, description="a design that comes with insemu (insemu designs); the keys beside it win"
     )
+    sensor: str | None = Field(
+        default=None, description="a sensor that comes with insemu (insemu sensor), or the file of its card"
+    )
+    case: Literal["typical", "worst"] | None = Field(default=None, description="which of the sensor's figures; typical")
     filter: str | None = Field(
         default=None,
         description="reference: the same filter written to be read (filterpy, slow); or one that an installed package offers (entry point "
