@@ -215,7 +215,8 @@ def run_dynamic(job: Job) -> Trial:
     started = time.process_time()
     flown = Flown.of(made.recording, s.nominal.parted())
     report = find_gap(
-        made.recording, s.nominal, rng=np.random.default_rng([job.seed, 4]), hold_out=job.hold_out, pictures=False, flown=flown
+        made.recording, s.nominal, rng=np.random.default_rng([job.seed, 4]), hold_out=job.hold_out, pictures=False, flown=flown,
+        without=[u.id for u in uses] if job.outside else (),
     )  # fmt: skip
     seconds = time.process_time() - started
     held = math.nan
