@@ -208,10 +208,14 @@ def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
     """The tables at the end."""
     from insemu.cli.printing import print_items, print_table
     from insemu.evaluate import verdicts
+    from insemu.evaluate.answer import answer
     from insemu.report import tables
     from insemu.report.budget import budget_lines
 
-    console.print(f"\n{main.title}", soft_wrap=True, markup=False, style="bold")
+    console.print(f"\n{main.title}", soft_wrap=True, markup=False)
+    said = answer(main)
+    if said:
+        console.print(f"{said.sentence}\n", markup=False, highlight=False, style="bold")
     title = f"{tables.variant_caption(main)}: means over {main.realizations} realizations (seed {main.seed})"
     print_table(console, title, *tables.short_headline(main), fit=True)
     console.print(
