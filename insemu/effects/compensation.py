@@ -87,7 +87,7 @@ def columns_without(values: Array, t: Array, effects: Sequence[EffectUse], tempe
     out = np.array(values, dtype=float)
     for sensor, at in (("gyro", slice(0, 3)), ("accel", slice(3, 6))):
         out[:, at] -= added_signal([use for use in effects if use.sensor == sensor], t, temperature)
-    return _solved(out, effects, temperature)
+    return _solved(out, effects, temperature, t)
 
 
 def _imu(imu: ImuRecord, effects: Sequence[EffectUse], trajectory: Trajectory | None) -> ImuRecord:
@@ -132,7 +132,7 @@ def added_signal(effects: Sequence[EffectUse], t: Array, temperature: Array | No
     return out
 
 
-def _solved(measured: Array, effects: Sequence[EffectUse], temperature: Array | None) -> Array:
+def _solved(measured: Array, effects: Sequence[EffectUse], temperature: Array | None, t: Array) -> Array:
     """The rates and forces (n, 6) of which the effects that depend on them make what was measured."""
     linear = [use.effect.matrix(use) for use in effects if use.effect.does("matrix")]
     bent = [use for use in effects if use.effect.does("bent")]
@@ -143,6 +143,6 @@ def _solved(measured: Array, effects: Sequence[EffectUse], temperature: Array | 
     for _ in range(SUBSTITUTIONS if bent else 0):
         error = np.zeros_like(s)
         for use in bent:
-            error += use.effect.bent(use, s, temperature)
+            error += use.effect.bent(use, s, temperature, t)
         s = (measured - error) @ back
     return np.asarray(s)
