@@ -201,7 +201,9 @@ def together(imu: ImuRecord, gnss: GnssRecord | Trajectory, what: str) -> list[L
             else [Line("clock", "odd", f"only {100 * share:.0f} % of the {what} lie in the time of the IMU")]
         )
     apart = float(gnss.t[0] - imu.t[0])
-    spans = f"the {what} run from {gnss.t[0]:.6g} to {gnss.t[-1]:.6g} s, the IMU from {imu.t[0]:.6g} to {imu.t[-1]:.6g} s"
+    spans = (
+        f"the {what} run from {gnss.t[0]:.6g} to {gnss.t[-1]:.6g} s, the IMU from {imu.t[0]:.6g} to {imu.t[-1]:.6g} s"
+    )
     text = f"{spans}: they do not overlap, not one clock"
     weeks = apart / 604_800.0
     if abs(weeks - round(weeks)) * 604_800.0 < 3600.0 and round(weeks):
