@@ -420,6 +420,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         "packages": {name: metadata.version(name) for name in packages},
         "ideal_imu_distance_m": experiment.world.path_distance_m,
         "warnings": list(experiment.world.warnings),
+        "intake": experiment.world.card.to_json() if isinstance(experiment.world, RecordedWorld) else None,
         "beliefs": {
             name: {axis: m.to_list(axis_unit(axis)) for axis, m in b.models.items()}
             for name, b in experiment.beliefs.items()
