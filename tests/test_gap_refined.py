@@ -17,7 +17,7 @@ from insemu import rotation
 from insemu.effects import EFFECTS, EffectUse, joined
 from insemu.errors import InputError
 from insemu.evaluate import Experiment, run_experiment
-from insemu.evaluate.world import World
+from insemu.evaluate.emulated import EmulatedWorld
 from insemu.gap import (
     Finding,
     GapReport,
@@ -98,7 +98,7 @@ def report(*steps: Finding, refined: dict[str, NoiseModel] | None = None) -> Gap
 
 @functools.cache
 def measured() -> Recording:
-    r = World(load(_scenario())).recording(0)
+    r = EmulatedWorld(load(_scenario())).recording(0)
     return Recording(
         type(r.imu)(r.imu.t, r.imu.gyro, r.imu.accel, r.imu.kind, 20.0 + 0.5 * r.imu.t),
         r.gnss,
@@ -249,7 +249,7 @@ def test_a_recording_whose_fixes_never_move_is_a_static_log(tmp_path: Path) -> N
         raw["trajectory"] = {"builtin": builtin, "rate": "20 Hz", "duration": "60 s"}
         path = tmp_path / f"{name}.yaml"
         path.write_text(yaml.safe_dump(raw))
-        write(tmp_path / f"{name}.npz", World(load(path)).recording(0))
+        write(tmp_path / f"{name}.npz", EmulatedWorld(load(path)).recording(0))
     assert isinstance(load_measured(tmp_path / "rest.npz"), StaticLog)
     assert isinstance(load_measured(tmp_path / "drive.npz"), Recording)
 

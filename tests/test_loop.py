@@ -12,8 +12,8 @@ import yaml
 from insemu.errors import InputError
 from insemu.evaluate import Experiment, Results, run_experiment, summary
 from insemu.evaluate.consistency import unaided_sigma
+from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.results import consistency_words
-from insemu.evaluate.world import World
 from insemu.filters import FilterOptions, InitialSigma, LooselyCoupledEKF
 from insemu.formats import write
 from insemu.scenario import Scenario, load
@@ -121,7 +121,7 @@ def test_a_recording_starts_at_rest_and_is_aligned_finely_there(tmp_path: Path) 
     """Coarse: level from gravity, heading from the first course. Fine: the filter through the rest, fed zero velocity and rate."""
     world = {**SCENARIO, "truth": dict(MODEL), "realizations": 1, "seed": 8}
     world["designs"] = {"plain": MODEL}
-    write(tmp_path / "drive.npz", World(Scenario.model_validate(world)).recording(0))
+    write(tmp_path / "drive.npz", EmulatedWorld(Scenario.model_validate(world)).recording(0))
     scenario = {
         "title": "recorded",
         "recording": {"file": "drive.npz", "alignment": "rest"},
@@ -171,7 +171,7 @@ def test_the_true_errors_of_the_axes_are_kept_apart_from_white_noise(record: str
     }
 
     def kept(**more: Any) -> tuple[Any, np.ndarray]:
-        world = World(Scenario.model_validate({**short, "truth": {**truth, **more}}))
+        world = EmulatedWorld(Scenario.model_validate({**short, "truth": {**truth, **more}}))
         imu = world.recording(1).imu
         rows = np.searchsorted(world.reference.t, world.output_times)
         added = np.hstack([imu.gyro - world.imu.gyro, imu.accel - world.imu.accel])[rows] / imu.dt

@@ -13,7 +13,7 @@ import yaml
 from insemu import earth, rotation
 from insemu.errors import InputError
 from insemu.evaluate import Experiment, run_experiment, summary
-from insemu.evaluate.world import World
+from insemu.evaluate.emulated import EmulatedWorld
 from insemu.formats import write
 from insemu.records import Recording
 from insemu.scenario import load
@@ -45,7 +45,7 @@ def _emulated(folder: Path) -> Recording:
     with tempfile.TemporaryDirectory() as name:
         path = Path(name) / "world.yaml"
         path.write_text(yaml.safe_dump(WORLD))
-        return World(load(path), path).recording(0)
+        return EmulatedWorld(load(path), path).recording(0)
 
 
 def _mounted(recording: Recording) -> Recording:

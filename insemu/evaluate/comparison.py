@@ -10,10 +10,10 @@ import numpy as np
 
 from insemu.errors import InputError, nearest
 from insemu.evaluate.covariance import CovarianceAnalysis, analyse
+from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.errors import paired_ratio
 from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.results import Results
-from insemu.evaluate.world import World
 from insemu.filters import LooselyCoupledEKF
 from insemu.scenario import Design, Scenario, shipped_designs
 from insemu.strapdown import NavState
@@ -127,7 +127,7 @@ def compare(results: Results, base: str | None = None) -> list[ComparisonRow]:
 def analysable(experiment: Experiment) -> tuple[list[str], str]:
     """Designs of which a covariance analysis can be made; and, in words, why not of the others and what it leaves out (empty: nothing)."""
     s = experiment.scenario
-    if not isinstance(experiment.world, World) or s.truth is None:
+    if not isinstance(experiment.world, EmulatedWorld) or s.truth is None:
         return [], "found a recording; the analysis needs an emulated world and its truth"
     if s.truth.recorded is not None or s.truth.effects:
         return [], "found a recorded truth or deterministic effects; the analysis needs noise models only"
@@ -165,7 +165,7 @@ def analyse_designs(
     if not able:
         raise InputError(reason, where=str(experiment.file or "scenario"))
     s, world = experiment.scenario, experiment.world
-    assert isinstance(world, World) and s.truth is not None
+    assert isinstance(world, EmulatedWorld) and s.truth is not None
     fixes = world.recording(0, ideal=True).gnss
     assert fixes is not None
     ends = [start + duration for start, duration in world.outage_windows]

@@ -29,6 +29,7 @@ from insemu.emulate.pieces import TrueStates
 from insemu.errors import InputError
 from insemu.evaluate.consistency import block_nees, lag_products, observability, sensor_errors, unaided_sigma
 from insemu.evaluate.dataset import of_bytes, of_designs, of_realizations, to_bytes
+from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.recorded import RecordedWorld
 from insemu.evaluate.results import DesignInfo, Results
 from insemu.evaluate.world import Estimate, World, static_logs, stream
@@ -86,8 +87,8 @@ class Experiment:
         self.file = file
         if not scenario.designs:
             raise InputError("the key 'designs' is missing: there is nothing to fly", where=str(file or "scenario"))
-        self.world: World | RecordedWorld = (
-            RecordedWorld(scenario, file) if scenario.recording is not None else World(scenario, file)
+        self.world: World = (
+            RecordedWorld(scenario, file) if scenario.recording is not None else EmulatedWorld(scenario, file)
         )
         code = [file for d in scenario.designs.values() if d.filter for file in user_filter_code(d.filter).items()]
         self.digest = digest(scenario, {**self.world.files, **dict(code)})
@@ -146,7 +147,7 @@ class Experiment:
             else:
                 assert source.fit is not None
                 log = self.fit_logs[axis][0]
-                key = (source.model_dump_json(), id(log))
+                key = (source.model_dump_json(include={"fit", "method", "options"}), id(log))
                 if key not in done:
                     done[key] = self._fitted(name, log, source)
                 fits[axis] = done[key]

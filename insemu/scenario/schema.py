@@ -43,6 +43,7 @@ from insemu.scenario.fields import (
     computed,
     noise_model,
 )
+from insemu.scenario.sensor_keys import with_sensors
 
 #: Largest rate of an IMU, Hz, and most realizations: what would exceed memory and patience is refused before it is begun.
 MAX_RATE = 20_000.0
@@ -207,8 +208,12 @@ class SensorModels(Section):
 
 
 class Truth(SensorModels):
-    """What the sensors really do: a model per axis (of a file, too), or pieces of recorded error signals."""
+    """What the sensors really do: a model per axis (of a file or a sensor card, too), or pieces of recorded error signals."""
 
+    sensor: str | None = Field(
+        default=None, description="a sensor that comes with insemu (insemu sensor), or the file of its card"
+    )
+    case: Literal["typical", "worst"] | None = Field(default=None, description="which of the sensor's figures; typical")
     file: str | None = Field(
         default=None, description="noise-model file written by insemu fit; axes that are given beside it win"
     )
@@ -230,8 +235,8 @@ class Truth(SensorModels):
 
     @classmethod
     def spelled_out(cls, value: Any) -> Any:
-        """A name alone is a noise-model file."""
-        return {"file": value} if isinstance(value, str) else value
+        """A name alone is a noise-model file; a sensor's models are put in."""
+        return {"file": value} if isinstance(value, str) else with_sensors(value)
 
     @model_validator(mode="after")
     def _one_kind(self) -> Truth:
@@ -281,6 +286,10 @@ class AxisSource(Section):
     )
     file: str | None = Field(default=None, description="noise-model file written by insemu fit")
     truth: bool = Field(default=False, description="the model of the truth")
+    sensor: str | None = Field(
+        default=None, description="a sensor that comes with insemu (insemu sensor), or the file of its card"
+    )
+    case: Literal["typical", "worst"] | None = Field(default=None, description="which of the sensor's figures; typical")
 
     @field_validator("fit", "model", "plus", mode="before")
     @classmethod
@@ -435,9 +444,14 @@ class Design(Section):
     design: str | None = Field(
         default=None, description="a design that comes with insemu (insemu designs); the keys beside it win"
     )
+    sensor: str | None = Field(
+        default=None, description="a sensor that comes with insemu (insemu sensor), or the file of its card"
+    )
+    case: Literal["typical", "worst"] | None = Field(default=None, description="which of the sensor's figures; typical")
     filter: str | None = Field(
         default=None,
-        description="a filter that an installed package offers (entry point insemu.filters); else insemu's own",
+        description="reference: the same filter written to be read (filterpy, slow); or one that an installed package offers (entry point "
+        "insemu.filters); else insemu's own compiled one",
     )
     settings: dict[str, bool | int | float | str] = Field(
         default_factory=dict, description="keyword arguments of that filter"
@@ -617,6 +631,7 @@ class Scenario(Section):
     designs: dict[Name, Annotated[Design, _OrName]] = Field(
         default_factory=dict, description="what is compared; only emulation goes without"
     )
+    filter: str | None = Field(default=None, description="the filter of every design that names none")
     smoother: bool = Field(
         default=False,
         description="smooth every design's run backwards too (Rauch, Tung, Striebel), through the outages",
@@ -628,6 +643,18 @@ class Scenario(Section):
     smoke: tuple[str, ...] = Field(
         default=("run", "--realizations", "2"), description="command and options of the project's smoke run"
     )
+
+    @classmethod
+    def spelled_out(cls, value: Any) -> Any:
+        """With the scenario's filter in every design that names none."""
+        if not isinstance(value, Mapping) or value.get("filter") is None:
+            return value
+        designs = value.get("designs")
+        if not isinstance(designs, Mapping):
+            return value
+        told = {name: {"design": d} if isinstance(d, str) else d for name, d in designs.items()}
+        filled = {n: {"filter": value["filter"], **d} if isinstance(d, Mapping) else d for n, d in told.items()}
+        return {**value, "designs": filled}
 
     @model_validator(mode="after")
     def _consistent(self) -> Scenario:
