@@ -45,6 +45,7 @@ def command(
     from rich.table import Table
 
     from insemu import units
+    from insemu.cli.announce import announce
     from insemu.effects import EFFECTS
     from insemu.errors import InputError, nearest
     from insemu.gap import applied, find_gap, from_its_start, load_measured, load_nominal, write_refined
@@ -57,6 +58,7 @@ def command(
     except ValueError:
         raise InputError(f"'{apply}' is no list of numbers, expected for example '1,3'", where="--apply") from None
     console = Console(stderr=as_json)
+    announce(measured, Console(stderr=True), rate_hz=units.parse(rate, "Hz") if rate else None)
     nominal = load_nominal(scenario)
     data = load_measured(measured, rate_hz=units.parse(rate, "Hz") if rate else None)
     if "recording" not in nominal.raw:  # a scenario of a recording tells times by the recording's clock
