@@ -40,6 +40,7 @@ def command(
     from rich.console import Console
 
     from insemu import units
+    from insemu.cli.announce import announce
     from insemu.cli.logs import open_log
     from insemu.formats.curves import read_curves
 
@@ -49,6 +50,7 @@ def command(
     rate_hz = units.parse(_number_or_text(rate), "Hz") if rate else None
     wanted = [name.strip() for text in columns or [] for name in text.split(",") if name.strip()] or None
     others = read_curves(beside) if beside else []
+    announce(file, Console(stderr=True), rate_hz=rate_hz, refuse=False)
     log = open_log(file, rate_hz)
     axes = characterise_log(log, wanted, from_robust=robust)
     content = {"axes": {axis.name: axis.to_json() for axis in axes}}
