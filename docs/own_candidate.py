@@ -4,13 +4,13 @@
 import numpy as np
 
 from insemu.gap import find_static_gap, register
-from insemu.gap.candidates.axis import AxisState, Weighed, best_of
+from insemu.gap.candidates.axis import AxisHypothesis, AxisState, best_of
 from insemu.gap.evidence.model import Component, Free
 from insemu.noise import GM, WN, NoiseModel
 from insemu.records import Series
 
 
-def thermostat(state: AxisState) -> list[Weighed]:
+def thermostat(state: AxisState) -> list[AxisHypothesis]:
     """A Gauss-Markov process whose correlation time is known: only its size is free."""
     top = 100.0 * state.white
     free = (Free("sigma", 1e-5 * top, top),)
@@ -28,10 +28,12 @@ def example() -> str:
     truth = NoiseModel((WN(1e-3), GM(1e-3, 1.0 / 45.0)))
     log = Series(truth.simulate(36_000, 0.1, rng), 10.0, "rad/s", "gyro_x")
     report = find_static_gap([log], {"gyro_x": NoiseModel((WN(1e-3),))}, rng=rng, hold_out=False)
-    step = report.steps[0]
-    sigma = step.parameters[0]
-    others = ", ".join(m.effect for m in step.members[1:]) or "nothing"
-    return f"{step.effect}: sigma {sigma.value:.2e} [{sigma.low:.2e}, {sigma.high:.2e}] rad/s; {others} within 3 nats"
+    finding = report.findings[0]
+    sigma = finding.parameters[0]
+    others = ", ".join(m.effect for m in finding.members[1:]) or "nothing"
+    return (
+        f"{finding.effect}: sigma {sigma.value:.2e} [{sigma.low:.2e}, {sigma.high:.2e}] rad/s; {others} within 3 nats"
+    )
 
 
 if __name__ == "__main__":

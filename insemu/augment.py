@@ -209,12 +209,12 @@ def per_axis(belief: Belief) -> dict[str, NoiseModel]:
     for key in sorted(belief, key=len):  # triads first, so that a single axis overrides them
         value = belief[key]
         if key not in known:
-            raise InputError(f"unknown axis '{key}' in the belief" + nearest(key, known))
+            raise InputError(f"unknown axis '{key}'" + nearest(str(key), known))
         if isinstance(value, Process):
             value = NoiseModel((value,))
         if not isinstance(value, NoiseModel):
             raise InputError(
-                f"the belief of {key} is {value!r}, expected a noise model such as WN(N=1e-4) + GM(sigma=1e-4, beta=0.01)"
+                f"the model of {key} is {value!r}, expected a noise model such as WN(N=1e-4) + GM(sigma=1e-4, beta=0.01)"
             )
         for axis in AXES:
             if axis == key or axis.startswith(key + "_"):

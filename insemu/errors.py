@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
+
+#: How NumPy shows its scalars, which means nothing to a reader.
+_NUMPY = re.compile(r"np\.(?:float|int|uint|str|bool)\w*\(([^()]*)\)")
 
 
 class InputError(ValueError):
@@ -21,7 +25,7 @@ class InputError(ValueError):
 
     def __init__(self, message: str, *, where: str | None = None) -> None:
         self.where = where
-        self.message = message
+        self.message = message = _NUMPY.sub(r"\1", message)
         super().__init__(f"{where}: {message}" if where else message)
 
 

@@ -21,6 +21,9 @@ from insemu.errors import InputError, nearest
 #: Standard gravity, the ``g`` of datasheets, m/s^2.
 STANDARD_GRAVITY = 9.80665
 
+#: Longest text of a unit, characters.
+MAX_TEXT = 200
+
 Dimension = tuple[Fraction, Fraction, Fraction, Fraction]  # exponents of angle, length, time, temperature
 
 

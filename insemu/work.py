@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import signal
@@ -12,9 +13,6 @@ from multiprocessing import active_children
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 from zipfile import BadZipFile
-
-import numpy as np
-from numpy.typing import NDArray
 
 from insemu.errors import InputError
 
@@ -155,25 +153,55 @@ class Lines(Generic[R]):
             file.write(json.dumps({"job": key, **self._encode(result)}) + "\n")
 
 
-class Arrays:
-    """Finished items as a NumPy archive each, under a folder; one that is half-written counts as absent."""
+class Files(Generic[R]):
+    """Finished items in a file each, with the identity of what they belong to and a checksum; what does not match is said and done again.
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    Parameters
+    ----------
+    folder : path
+    identity : str
+        Of the whole work, for example an experiment's digest: an item of other work is never taken for one of this.
+    encode, decode : callable
+        Result to bytes and back; ``decode`` raises ``ValueError``, ``KeyError``, ``EOFError`` or ``BadZipFile`` where it cannot.
+    say : callable
+        Told in words of every file that is not taken.
+    """
 
-    def get(self, key: str) -> dict[str, NDArray[Any]] | None:
+    def __init__(
+        self,
+        folder: Path,
+        identity: str,
+        encode: Callable[[R], bytes],
+        decode: Callable[[bytes], R],
+        say: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        self._folder, self._identity, self._encode, self._decode, self._say = folder, identity, encode, decode, say
+
+    def get(self, key: str) -> R | None:
         """Return a finished item, or None."""
+        path = self._folder / key
         try:
-            with (self._folder / f"{key}.npz").open("rb") as handle, np.load(handle, allow_pickle=False) as data:
-                return {name: data[name] for name in data.files}
-        except (OSError, ValueError, EOFError, KeyError, BadZipFile):
+            head, _, content = path.read_bytes().partition(b"\n")
+            if head != self._head(key, content):
+                raise ValueError("another item's, cut off or changed")
+            return self._decode(content)
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, EOFError, KeyError, BadZipFile) as error:
+            self._say(f"{path} is damaged ({error}); it is made again")
             return None
 
-    def put(self, key: str, result: Mapping[str, NDArray[Any]]) -> None:
-        """Write an archive; a reader sees a whole file or none."""
+    def put(self, key: str, result: R) -> None:
+        """Write a file; a reader sees a whole one or none."""
+        content = self._encode(result)
         self._folder.mkdir(parents=True, exist_ok=True)
-        path = self._folder / f"{key}.npz"
-        partial = path.with_suffix(".tmp")
+        partial = self._folder / f"{key}.partial-{os.getpid()}"
         with partial.open("wb") as handle:
-            np.savez(handle, allow_pickle=False, **dict(result))
-        partial.replace(path)
+            handle.write(self._head(key, content) + b"\n" + content)
+        if (self._folder / key).is_dir():  # whatever it is, it is no item
+            (self._folder / key).rename(self._folder / f"{key}.not-an-item-{os.getpid()}")
+        partial.replace(self._folder / key)
+
+    def _head(self, key: str, content: bytes) -> bytes:
+        said = {"item": key, "of": self._identity, "sha256": hashlib.sha256(content).hexdigest()}
+        return json.dumps(said).encode()

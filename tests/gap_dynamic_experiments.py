@@ -160,7 +160,7 @@ def whole(track: str, seed: int, minutes: float, draws: int) -> NDArray[np.int64
             for k in seeds
         ]
         own = (hidden.effect, hidden.sensor)
-        first = reports[0].steps[0] if reports[0].steps else None
+        first = reports[0].findings[0] if reports[0].findings else None
         if first is None or (first.effect, first.sensor) != own:
             print(
                 f"    {track}, {' '.join(own)} of {hidden.nats:.0f} nats: not what the first recording was said to have",
@@ -168,7 +168,7 @@ def whole(track: str, seed: int, minutes: float, draws: int) -> NDArray[np.int64
             )
             continue
         said = {(c.effect, c.sensor): c.share for c in first.confusable}
-        found = Counter((m.effect, m.sensor) for r in reports[1:] if r.steps for m in r.steps[0].members)
+        found = Counter((m.effect, m.sensor) for r in reports[1:] if r.findings for m in r.findings[0].members)
         seen = {key: n / draws for key, n in found.items() if key != own and n >= rules().confusable * draws}
         counts += (len(said), len(seen), len(set(said) & set(seen)))
         words = [", ".join(f"{' '.join(k)} {v:.2f}" for k, v in table.items()) or "nothing" for table in (said, seen)]

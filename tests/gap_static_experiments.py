@@ -33,8 +33,9 @@ from insemu.gap.candidates.noise import turn_on_bias
 from insemu.gap.checks.rest import axis_tests, spent_on, wavelet_moments, wavelet_p_values
 from insemu.gap.data.log import reduce
 from insemu.gap.evidence.model import Explanation
+from insemu.gap.hypothesis import Found
 from insemu.gap.policy import rules
-from insemu.gap.problems.rest import Found, search, weigh_all
+from insemu.gap.problems.rest import search_axis, weigh_all
 from insemu.gap.verdict import GapReport
 from insemu.noise import AR, AR1, ARMA, GM, SIN, WN, NoiseModel, Process
 from insemu.records import AXES, ImuRecord, Series
@@ -85,7 +86,7 @@ def possible(effect: str, made: HiddenLog) -> bool:
     if effect in GAUSSIAN:
         return seen(made.known, made.uses[0], state.data) >= rules().least_nats
     candidate = turn_on_bias if effect == "turn_on_bias" else CANDIDATES[effect]
-    return max((w.gain for w in candidate(state)), default=0.0) >= rules().least_nats
+    return max((w.nats for w in candidate(state)), default=0.0) >= rules().least_nats
 
 
 def effects(arguments: argparse.Namespace) -> None:
@@ -101,14 +102,14 @@ def effects(arguments: argparse.Namespace) -> None:
                 seed = (arguments.seed, EFFECTS.index(effect), int(nats), k)
                 made = static_recording((effect,), nats, seed, arguments.hours, axes=1, sensors=WHITE)
                 report = look(made)
-                said[report.steps[0].effect if report.steps else report.verdict] += 1
-                if len(report.steps) > 1:
-                    said["and " + report.steps[1].effect] += 1
+                said[report.findings[0].effect if report.findings else report.verdict] += 1
+                if len(report.findings) > 1:
+                    said["and " + report.findings[1].effect] += 1
                 count["drawn"] += 1
                 count["possible"] += possible(effect, made)
-                if not report.steps:
+                if not report.findings:
                     continue
-                first = report.steps[0]
+                first = report.findings[0]
                 order = [m.effect for m in (*first.members, *first.runners_up)]
                 count["detected"] += 1
                 count["first"] += first.effect == effect
@@ -167,11 +168,11 @@ def sets(arguments: argparse.Namespace) -> None:
             ]
             worth = [h.beside for h in made.hidden]
             report = look(made)
-            found = sorted(s.effect for s in report.steps)
+            found = sorted(s.effect for s in report.findings)
             exact = found == sorted(names)
             # the classes of the steps hold the effects, one each and none over
-            classed = len(report.steps) == len(names) and _matches(
-                [{m.effect for m in s.members} for s in report.steps], list(names)
+            classed = len(report.findings) == len(names) and _matches(
+                [{m.effect for m in s.members} for s in report.findings], list(names)
             )
             strata = ["all"]
             if min(worth) >= BESIDE_NATS:
@@ -189,7 +190,7 @@ def sets(arguments: argparse.Namespace) -> None:
                 f"{w:.0f}" + (f"/{x:.0f}" if np.isfinite(x) else "") for w, x in zip(worth, leads, strict=True)
             )
             answer = "right" if exact else "class" if classed else "WRONG"
-            gains = " + ".join(f"{s.effect} {s.gain_nats:.0f}" for s in report.steps)
+            gains = " + ".join(f"{s.effect} {s.nats:.0f}" for s in report.findings)
             print(f"{' + '.join(names):50s} {figures:18s} {answer:6s} {gains}", flush=True)
     strata_said = {
         "all": "all",
@@ -239,7 +240,7 @@ def null(arguments: argparse.Namespace) -> None:
         named += report.verdict == "named"
         thresholds.append(report.threshold_nats)
         if report.verdict != "nothing missing":
-            gains = [(s.effect, s.axes, round(s.gain_nats, 1)) for s in report.steps] or report.remainder
+            gains = [(s.effect, s.axes, round(s.nats, 1)) for s in report.findings] or report.remainder
             print(k, report.verdict, gains, flush=True)
     n = arguments.draws
     print(
@@ -357,8 +358,8 @@ def pairs(arguments: argparse.Namespace) -> None:
             classes: list[list[str]] = []
             for k in range(arguments.draws):
                 ranked = weigh_all(_again(made.uses, made.known, (*seed, 2, k)), QUICK)
-                if ranked[0].gain >= rules().least_nats:
-                    classes.append([w.effect for w in ranked if w.gain > ranked[0].gain - rules().lead])
+                if ranked[0].nats >= rules().least_nats:
+                    classes.append([w.effect for w in ranked if w.nats > ranked[0].nats - rules().lead])
             near, first = Counter(e for c in classes for e in c), Counter(c[0] for c in classes)
             for c in classes:
                 if c[0] != effect:
@@ -395,7 +396,7 @@ def _believed(s: Series, kind: str) -> float:
     return float(math.sqrt(np.exp(np.interp(0.0, np.log(curve.tau_s), np.log(curve.value)))))
 
 
-def _taken_out(found: Sequence[Found], s: Series) -> NoiseModel:
+def _taken_out(found: Sequence[Found[AxisState]], s: Series) -> NoiseModel:
     """What the search took out of the samples, as processes: lines, and outliers as the white noise that they are on average."""
     parts: list[SIN | WN] = []
     for f in found:
@@ -419,10 +420,10 @@ def real(arguments: argparse.Namespace) -> None:
         data = reduce(s)
         for kind in ("differences", "1 s"):
             nominal = Explanation.nominal(NoiseModel((WN(_believed(s, kind)),)))
-            result = search(state_of(data, nominal))
+            result = search_axis(state_of(data, nominal))
             print(f"{s.name}, believed white noise from {kind}: {result.outsider}")
             for f in result.found:
-                print(f"   {f.chosen.effect} {f.chosen.variant} {f.chosen.gain:.1f} nats, class {_class(f)}")
+                print(f"   {f.chosen.effect} {f.chosen.variant} {f.chosen.nats:.1f} nats, class {_class(f)}")
             refined = replace(result.end.explanation, regressors=())
             removed = _taken_out(result.found, s)
             first = [row[1] for row in wavelet_moments(data, nominal, np.random.default_rng(1))]
@@ -460,8 +461,8 @@ def real(arguments: argparse.Namespace) -> None:
                 )
 
 
-def _class(found: Found) -> list[str]:
-    return [w.effect for w in found.ranked if w.gain > found.ranked[0].gain - 3.0]
+def _class(found: Found[AxisState]) -> list[str]:
+    return [w.effect for w in found.ranked if w.nats > found.ranked[0].nats - 3.0]
 
 
 def thermal(_: argparse.Namespace) -> None:
@@ -472,9 +473,9 @@ def thermal(_: argparse.Namespace) -> None:
         log.axes, beliefs, rng=np.random.default_rng(1), temperature=log.temperature, hold_out=False
     )
     print(report.verdict)
-    for s in report.steps:
+    for s in report.findings:
         print(
-            f"  {s.effect} {s.variant} on {s.sensor} {','.join(s.axes)}: {s.gain_nats:.0f} nats, class {[m.effect for m in s.members]}"
+            f"  {s.effect} {s.variant} on {s.sensor} {','.join(s.axes)}: {s.nats:.0f} nats, class {[m.effect for m in s.members]}"
         )
     print("  left over:", report.remainder)
 

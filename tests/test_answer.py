@@ -12,12 +12,13 @@ from tests.test_evaluate import results
 
 
 def test_the_design_that_knows_its_error_is_taken_over_one_that_lies() -> None:
-    lying = replace(
-        results(),
-        error=results().error * np.array([1.0, 0.5])[:, None, None, None],
-        sigma=results().sigma * [[[[1.0]]], [[[0.1]]]],
+    lying = results().with_data(
+        {
+            "error": results().error * np.array([1.0, 0.5])[:, None, None, None],
+            "sigma": results().sigma * [[[[1.0]]], [[[0.1]]]],
+        }
     )
-    lying = replace(lying, nees=(lying.error**2 / lying.sigma**2).sum(axis=-1))
+    lying = lying.with_data({"nees": (lying.error**2 / lying.sigma**2).sum(axis=-1)})
     said = answer(lying)
     assert said is not None and said.take == "one"
     one, two = said.standings
@@ -34,13 +35,13 @@ def test_fewer_states_are_preferred_where_the_data_show_no_difference() -> None:
     same = results(scale=1.0)
     assert answer(same).take == "one"  # type: ignore[union-attr]
     better = results(scale=0.8)
-    better = replace(better, sigma=better.sigma * [[[[1.0]]], [[[0.8]]]])
-    better = replace(better, nees=(better.error**2 / better.sigma**2).sum(axis=-1))
+    better = better.with_data({"sigma": better.sigma * [[[[1.0]]], [[[0.8]]]]})
+    better = better.with_data({"nees": (better.error**2 / better.sigma**2).sum(axis=-1)})
     assert answer(better).take == "two"  # type: ignore[union-attr]
 
 
 def test_a_pessimistic_filter_and_none_that_knows_its_error() -> None:
-    wide = replace(results(), nees=results().nees / 9.0, sigma=3.0 * results().sigma)
+    wide = results().with_data({"nees": results().nees / 9.0, "sigma": 3.0 * results().sigma})
     said = answer(wide)
     assert said is not None and {s.knows for s in said.standings} == {"pessimistic"}
     assert said.sentence.startswith("No design knows its error.")
@@ -49,9 +50,9 @@ def test_a_pessimistic_filter_and_none_that_knows_its_error() -> None:
 
 def test_an_immaterial_difference_is_none_however_many_realizations_show_it() -> None:
     slightly = results(runs=2000)
-    slightly = replace(slightly, nees=slightly.nees * 1.08**2)
+    slightly = slightly.with_data({"nees": slightly.nees * 1.08**2})
     assert {s.knows for s in standings(slightly)} == {"yes"}
-    assert {s.knows for s in standings(replace(slightly, nees=slightly.nees * 1.2))} == {"optimistic"}
+    assert {s.knows for s in standings(slightly.with_data({"nees": slightly.nees * 1.2}))} == {"optimistic"}
 
 
 def test_without_outages_there_is_no_answer() -> None:

@@ -13,14 +13,16 @@ import numpy as np
 import pytest
 import yaml
 
+from insemu import units
 from insemu.cli import main
 from insemu.errors import InputError
 from insemu.evaluate import Experiment, run_experiment, summary
 from insemu.evaluate.comparison import analyse_designs, with_designs
 from insemu.evaluate.regression import Alteration, AlteredExperiment, Baseline, assert_unchanged, check
 from insemu.filters import LooselyCoupledEKF, protocol
-from insemu.noise import AR, NoiseModel
-from insemu.scenario import Design, digest, load, shipped_designs, state_names
+from insemu.noise import AR, NoiseModel, save
+from insemu.records import AXES
+from insemu.scenario import Design, Scenario, digest, load, shipped_designs, state_names
 
 SCENARIO: dict[str, Any] = {
     "title": "small flight",
@@ -271,3 +273,109 @@ def test_the_papers_scenario_flies_the_shipped_designs():
     assert scenario.designs["18AVWD"].sources() == scenario.truth.models()
     white = {axis: model.processes[:2] for axis, model in scenario.truth.models().items()}
     assert {axis: model.processes for axis, model in scenario.designs["15AV"].sources().items()} == white
+
+
+#: White noise, walk and turn-on bias of a unit in the middle of each grade.
+UNITS = {
+    "phone": ("0.01 deg/s/sqrt(Hz)", "2e-3 deg/s*sqrt(Hz)", "1 deg/s", "200 ug/sqrt(Hz)", "200 ug*sqrt(Hz)", "50 mg"),
+    "consumer MEMS": ("0.01 deg/s/sqrt(Hz)", "6e-4 deg/s*sqrt(Hz)", "0.5 deg/s", "200 ug/sqrt(Hz)", "40 ug*sqrt(Hz)", "25 mg"),
+    "industrial MEMS": ("4e-3 deg/s/sqrt(Hz)", "1e-4 deg/s*sqrt(Hz)", "0.1 deg/s", "60 ug/sqrt(Hz)", "8 ug*sqrt(Hz)", "5 mg"),
+    "tactical grade": ("0.06 deg/sqrt(h)", "1e-5 deg/s*sqrt(Hz)", "5 deg/h", "40 ug/sqrt(Hz)", "2 ug*sqrt(Hz)", "1 mg"),
+    "navigation grade": ("0.002 deg/sqrt(h)", "5e-8 deg/s*sqrt(Hz)", "0.01 deg/h", "8 ug/sqrt(Hz)", "0.2 ug*sqrt(Hz)", "50 ug"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("times", [1 / 3, 1.0, 3.0])
+@pytest.mark.parametrize("grade", UNITS)
+def test_a_design_of_a_grade_fits_units_three_times_better_and_worse(grade, times):
+    """NIS per degree of freedom between 0.3 and 3 without tuning; one grade off it is not."""
+    gyro, accel = UNITS[grade][:3], UNITS[grade][3:]
+
+    def unit(values, unit):
+        white, walk, bias = (times * units.parse(v, u) for v, u in zip(values, unit, strict=True))
+        return f"WN(N={white!r}) + RW(K={walk!r}, sigma0={bias!r})"
+
+    scenario = Scenario.model_validate(
+        {
+            "title": grade,
+            "realizations": 1,
+            "trajectory": {"builtin": "urban_drive_1", "rate": "50 Hz", "duration": "200 s"},
+            "truth": {
+                "gyro": unit(gyro, ("rad/s/sqrt(Hz)", "rad/s*sqrt(Hz)", "rad/s")),
+                "accel": unit(accel, ("m/s^2/sqrt(Hz)", "m/s^2*sqrt(Hz)", "m/s^2")),
+            },
+            "gnss": {"position_sigma": "0.5 m", "velocity_sigma": "5 cm/s"},
+            "designs": {grade: grade},
+        }
+    )
+    nis = run_experiment(Experiment(scenario)).nis
+    assert 0.3 < float(nis[0, 0]) < 3.0
+
+
+def test_a_design_that_is_two_grades_too_good_is_seen():
+    scenario = Scenario.model_validate(
+        {
+            "title": "phone taken for tactical",
+            "realizations": 1,
+            "trajectory": {"builtin": "urban_drive_1", "rate": "50 Hz", "duration": "200 s"},
+            "truth": {
+                "gyro": "WN(N=0.01 deg/s/sqrt(Hz)) + RC(sigma=1 deg/s)",
+                "accel": "WN(N=200 ug/sqrt(Hz)) + RC(sigma=50 mg)",
+            },
+            "gnss": {"position_sigma": "0.5 m", "velocity_sigma": "5 cm/s"},
+            "designs": {"tactical grade": "tactical grade"},
+        }
+    )
+    assert float(run_experiment(Experiment(scenario)).nis[0, 0]) > 3.0
+
+
+def test_the_readable_filter_flies_as_the_compiled_one(tmp_path):
+    """Both from the same scenario; the digits that differ are those of another order of operations."""
+    short = {
+        "title": "short",
+        "realizations": 1,
+        "trajectory": {"builtin": "urban_drive_1", "rate": "50 Hz", "duration": "40 s"},
+        "truth": {"gyro": "WN(N=0.01 deg/s/sqrt(Hz)) + GM(sigma=30 deg/h, Tc=60 s)", "accel": "WN(N=200 ug/sqrt(Hz))"},
+        "gnss": {"outages": [{"start": "20 s", "duration": "10 s"}]},
+        "designs": {
+            "compiled": {"gyro": {"truth": True}, "accel": {"truth": True}},
+            "white": {"gyro": "WN(N=1e-3)", "accel": "WN(N=1e-2)"},
+        },
+    }
+    one = run_experiment(Experiment(Scenario.model_validate(short)))
+    other = Scenario.model_validate(short | {"filter": "reference"})
+    assert {d.filter for d in other.designs.values()} == {"reference"}
+    two = run_experiment(Experiment(other))
+    np.testing.assert_allclose(two.error, one.error, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(two.sigma, one.sigma, rtol=1e-5, atol=1e-9)
+    assert not np.array_equal(two.error, one.error)  # another program
+
+
+def test_a_truth_and_additions_to_a_fit_come_from_files_and_units(tmp_path):
+    """`truth: {file: ...}` reads what `fit -o` wrote; `plus` adds processes to a fitted design, a held value may carry a unit."""
+    models = {a: NoiseModel.parse("WN(N=1e-4)" if a.startswith("gyro") else "WN(N=1e-3)") for a in AXES}
+    save(models, tmp_path / "models.yaml")
+    text = {
+        "title": "t",
+        "trajectory": {"builtin": "helicopter_mapping"},
+        "truth": {"file": "models.yaml", "gyro_x": "WN(N=0.1 deg/sqrt(h))"},
+        "fits": {"simulate": "1 h"},
+        "designs": {
+            "d": {
+                "gyro": {"fit": "GM(Tc=40 s, sigma=10 deg/h) + WN()", "plus": "RC(sigma=0.5 deg/s)"},
+                "accel": {"truth": True},
+            }
+        },
+    }
+    path = tmp_path / "s.yaml"
+    path.write_text(yaml.safe_dump(text))
+    scenario = load(path)
+    assert scenario.truth.models()["accel_y"] == models["accel_y"]
+    assert scenario.truth.models()["gyro_x"].processes[0].N == pytest.approx(np.deg2rad(0.1) / 60)
+    assert "gyro_z.RC1" in state_names(scenario.designs["d"], scenario)
+    source = scenario.designs["d"].sources()["gyro_x"]
+    assert source.fit.processes[0].parameters["sigma"] == pytest.approx(np.deg2rad(10) / 3600)
+    assert digest(load(path)) == digest(scenario)
+    (tmp_path / "models.yaml").write_text("axes: {gyro_x: {unit: rad/s, model: WN(N=1)}}")
+    with pytest.raises(InputError, match="no model for gyro_y"):
+        load(path)

@@ -324,3 +324,12 @@ def test_bad_gnss_input_is_named(ideal):
 def test_axes_are_complete():
     assert len(AXES) == 6
     assert isinstance(emulate.ideal_imu(emulate.built_in("static")).reference, Trajectory)
+
+
+def test_a_sensor_stands_for_its_axes(ideal):
+    def drawn(truth):
+        return emulate.corrupt(ideal.imu, truth, np.random.default_rng(1)).errors
+
+    whole = drawn({"gyro": WN(1e-3), "accel": WN(1e-2), "gyro_y": WN(5e-3)})
+    spelled = {a: WN(1e-3 if a.startswith("gyro") else 1e-2) for a in AXES} | {"gyro_y": WN(5e-3)}
+    np.testing.assert_array_equal(whole, drawn(spelled))

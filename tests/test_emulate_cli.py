@@ -9,7 +9,7 @@ import yaml
 from insemu import emulate
 from insemu.cli import main
 from insemu.effects import EFFECTS
-from insemu.evaluate.world import World
+from insemu.evaluate.emulated import EmulatedWorld
 from insemu.formats import read_recording, write
 from insemu.records import ImuRecord, Recording, Trajectory
 from insemu.scenario import load
@@ -84,7 +84,7 @@ def test_every_effect_is_reached_from_a_scenario_with_units(tmp_path):
     document["truth"]["effects"] = []
     document["gnss"] = {"rate": "5 Hz"}
     file.write_text(yaml.safe_dump(document))
-    world = World(load(str(file)), file)
+    world = EmulatedWorld(load(str(file)), file)
     before = signals(world.recording(0))
     values = {"limit": 0.01, "start": 30.0, "cutoff": 20.0, "good": 2.0}
     gnss = {"fix", "velocity", "stated"}
@@ -132,7 +132,7 @@ def test_the_mean_of_a_span_is_taken_off(tmp_path, capsys, value, message):
     if message is not None:
         assert message in capsys.readouterr().err
         return
-    ideal = World(load(str(file)), file).recording(0, ideal=True).imu
+    ideal = EmulatedWorld(load(str(file)), file).recording(0, ideal=True).imu
     error = (read_recording(target).imu.gyro - ideal.gyro)[1:] * 100.0
     np.testing.assert_allclose(error, (log[:1000] - log[:2000].mean(axis=0))[:, :3], atol=1e-9)
 

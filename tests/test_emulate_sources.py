@@ -450,3 +450,54 @@ def test_recorded_drive_held_out_third():
     ideal = emulate.ideal_imu(path)
     error = emulate.navigation_error(ideal)
     assert np.linalg.norm(error[:, :3], axis=1).max() <= 1e-6 and np.abs(error[:, 6:]).max() <= 1e-9
+
+
+# -- limits of size
+# ----------------------------------------------------------------------------------------------------------------------
+
+START = "ini lat,lon,alt,vx,vy,vz,yaw,pitch,roll\n32,120,0,0,0,0,0,0,0\ncommand type,yaw,pitch,roll,vx,vy,vz,duration,visible\n"
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        ("1,0,0,0,1e-9,0,0,1e12,1", r"asks for 4e\+13 samples, about 6e\+07 GB"),
+        ("3,0,0,0,1e300,0,0,10,1", "a velocity beyond 10000 m/s"),
+        ("1,1e9,0,0,0,0,0,10,1", "more than 3183 revolutions"),
+    ],
+)
+def test_motion_that_no_machine_holds_is_refused_with_an_estimate(tmp_path, row, message):
+    file = tmp_path / "motion.csv"
+    file.write_text(START + row + "\n")
+    with pytest.raises(InputError, match=message):
+        load_flight(motion=file)
+
+
+def test_sizes_are_checked_before_work_begins(tmp_path):
+    flight = load_flight(builtin="static").flight
+    with pytest.raises(InputError, match=r"1200 s at 1e\+09 Hz asks for 1.2e\+12 samples"):
+        emulate.ideal_imu(flight, 1e9)
+    ideal = emulate.ideal_imu(flight, 1.0)
+    rng = np.random.default_rng(1)
+    with pytest.raises(InputError, match="fixes at 1e\\+12 Hz asks for"):
+        emulate.gnss_fixes(ideal.reference, 1e12, rng=rng)
+    with pytest.raises(InputError, match="a lever arm of 1e\\+05 m is implausible"):
+        emulate.gnss_fixes(ideal.reference, lever_arm=(1e5, 0, 0), rng=rng)
+    with pytest.raises(InputError, match=r"lever_arm is .* implausible"):
+        emulate.Mounting(lever_arm=(0, 2000.0, 0))
+    with pytest.raises(InputError, match="outages per hour"):
+        emulate.random_outages(0.0, 3600.0, per_hour=1e9, mean_s=1.0, rng=rng)
+    t = np.arange(9.0)
+    llh = np.column_stack([0.8 + 1e-7 * t, np.full(9, 0.1), np.full(9, 100.0)])
+    with pytest.raises(InputError, match="asks for"):
+        smooth_track(Track(t, llh), spacing_s=1e-12)
+
+
+def test_headings_may_name_units_in_two_ways(tmp_path):
+    for heading in ("speed [km/h]", "speed_kmh", "speed (km/h)", "SPEED_kph"):
+        file = tmp_path / "way.csv"
+        file.write_text(f"lat,lon,{heading}\n46,7,36\n46.01,7,36\n")
+        np.testing.assert_allclose(read_waypoints(file).speed, 10.0)
+    file.write_text("lat,lon," + "[(" * 5000 + "\n46,7,36\n")
+    with pytest.raises(InputError, match=r"way.csv:1: unknown column"):
+        read_waypoints(file)

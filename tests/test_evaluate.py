@@ -26,7 +26,8 @@ from insemu.evaluate import (
     within_outage,
     write,
 )
-from insemu.evaluate.results import DesignInfo, Innovations, Smoothed
+from insemu.evaluate.dataset import labelled
+from insemu.evaluate.results import DesignInfo
 from insemu.records import Trajectory
 
 
@@ -40,17 +41,20 @@ def results(scale: float = 1.0, runs: int = 40, sigma: float = 1.0) -> Results:
     t = np.arange(101.0)
     error = rng.standard_normal((2, runs, t.size, 9))
     error[1] = scale * error[0]
+    arrays = {
+        "error": error,
+        "sigma": np.full_like(error, sigma),
+        "nees": (error**2).sum(axis=-1) / sigma**2,
+        "nis": np.full((2, runs), 600.0),
+        "dof": np.full((2, runs), 600),
+        "lag_sum": np.zeros((2, runs, 5)),
+        "lag_count": np.full((2, runs, 5), 600.0),
+    }
     return Results(
         title="by hand",
         digest="d",
         seed=1,
-        t=t,
-        error=error,
-        sigma=np.full_like(error, sigma),
-        nees=(error**2).sum(axis=-1) / sigma**2,
-        innovations=Innovations(
-            np.full((2, runs), 600.0), np.full((2, runs), 600), np.zeros((2, runs, 5)), np.full((2, runs, 5), 600.0)
-        ),
+        data=labelled(arrays, ("design", "realization"), {"design": ["one", "two"], "time": t}),
         designs={"one": DesignInfo(9, ("a",), {}), "two": DesignInfo(15, ("a", "b"), {})},
         outages=[(20.0, 10.0), (50.0, 0.0)],
         truth=trajectory(t),
@@ -104,14 +108,14 @@ def test_paired_comparison_finds_a_difference_and_finds_none() -> None:
 
 def test_the_order_of_designs_is_held_against_a_published_one() -> None:
     r = results(scale=0.6)
+    arrays = {
+        "error": np.concatenate([r.error, 2.0 * r.error[:1]]),
+        "sigma": np.concatenate([r.sigma, r.sigma[:1]]),
+        "nees": np.concatenate([r.nees, r.nees[:1]]),
+    }
     three = replace(
-        r,
-        error=np.concatenate([r.error, 2.0 * r.error[:1]]),
-        sigma=np.concatenate([r.sigma, r.sigma[:1]]),
-        nees=np.concatenate([r.nees, r.nees[:1]]),
-        designs=dict(r.designs) | {"three": r.designs["one"]},
+        r.with_data(arrays, dict(r.designs) | {"three": r.designs["one"]}),
         outages=[(20.0, 10.0)],
-        innovations=replace(r.innovations, nis=np.ones((3, 40)), dof=np.ones((3, 40))),
         published={"planimetric_end_m": {"one": (5.0,), "two": (4.0,), "three": (9.0,)}},
     )
     assert rank_agreement(three) == [pytest.approx(1.0)]
@@ -125,16 +129,14 @@ def test_a_single_run_can_be_asked_for_the_order() -> None:
     r = results(runs=200)
     rng = np.random.default_rng(3)
     published = {"planimetric_end_m": {"one": (1.0,), "two": (2.0,), "three": (3.0,)}}
-    changes = {
-        "sigma": np.ones((3, *r.sigma.shape[1:])),
-        "nees": np.ones((3, *r.nees.shape[1:])),
-        "designs": dict(r.designs) | {"three": r.designs["one"]},
-        "outages": [(20.0, 10.0)],
-        "published": published,
-    }
-    same = replace(r, error=np.stack([r.error[0], 2 * r.error[0], 3 * r.error[0]]), **changes)
+
+    def with_errors(error: np.ndarray) -> Results:
+        three = r.with_data({"error": error}, dict(r.designs) | {"three": r.designs["one"]})
+        return replace(three, outages=[(20.0, 10.0)], published=published)
+
+    same = with_errors(np.stack([r.error[0], 2 * r.error[0], 3 * r.error[0]]))
     assert single_run_agreement(same).tolist() == [1.0] * 200
-    noise = replace(r, error=rng.standard_normal((3, *r.error.shape[1:])), **changes)
+    noise = with_errors(rng.standard_normal((3, *r.error.shape[1:])))
     # the variance of tau of three unrelated items is 2 (2 n + 5) / (9 n (n - 1)) = 11 / 27: mean of 200 at five sigma
     assert abs(single_run_agreement(noise).mean()) < 5 * np.sqrt(11 / 27 / 200)
     assert single_run_agreement(replace(noise, published={})).size == 0
@@ -161,8 +163,12 @@ def test_verdicts_on_consistency_say_what_is_wrong() -> None:
     assert all(v["passed"] for v in summary(good)["designs"]["one"]["consistency"])
     small = results(runs=60, sigma=0.5)
     assert "overconfident at 3 of 3 epochs" in consistency_words(small, "one")[0]  # the second outage has no length
-    smoothed = Smoothed(0.5 * good.error, 0.25 * good.sigma, 4.0 * good.nees)
-    both = replace(good, smoothed=smoothed, outages=[(20.0, 10.0)])
+    smoothed = {
+        "smoothed_error": 0.5 * good.error,
+        "smoothed_sigma": 0.25 * good.sigma,
+        "smoothed_nees": 4.0 * good.nees,
+    }
+    both = replace(good.with_data(smoothed), outages=[(20.0, 10.0)])
     words = consistency_words(both, "one")
     assert (
         words[0].endswith(": consistent")
@@ -172,7 +178,7 @@ def test_verdicts_on_consistency_say_what_is_wrong() -> None:
     row = outage_table(both)["one"][0]["smoothed"]
     assert row["middle_rms_m"] == pytest.approx(0.5 * row["filter_middle_rms_m"])
     assert row["coverage_3sigma"]["position"] < 0.9
-    coloured = replace(good, innovations=replace(good.innovations, lag_sum=good.innovations.lag_sum + 60.0))
+    coloured = good.with_data({"lag_sum": good["lag_sum"] + 60.0})
     assert "correlated at 5 of 5 lags" in consistency_words(coloured, "one")[-1]
 
 

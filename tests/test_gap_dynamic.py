@@ -28,8 +28,9 @@ from insemu.gap.drive.signatures import Loop, columns_response, knot_response
 from insemu.gap.evidence.fixes import Surrogate
 from insemu.gap.evidence.linear import Field, gauss_markov_root, quadratic_evidence, random_walk_root
 from insemu.gap.evidence.model import Explanation, Likelihood, Rolloff, fit
-from insemu.gap.problems.drive import fast_effects, unknown_part
-from insemu.gap.verdict import Step, Value
+from insemu.gap.problems.band import fast_effects
+from insemu.gap.problems.findings import unknown_part
+from insemu.gap.verdict import Finding, Value
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Gnss, Initial
@@ -224,7 +225,7 @@ def test_gaps_are_bridged_and_clipped_stretches_filled_in() -> None:
     for kind, width in (("mean", 1.0), ("increment", 0.01)):
         imu = ImuRecord(t[keep], np.clip(noisy, -1.9, 1.9)[keep] * width, noisy[keep] * width, kind)  # type: ignore[arg-type]
         mended = mend(imu)
-        named = {s.effect: s for s in mended.steps}
+        named = {s.effect: s for s in mended.findings}
         assert set(named) == {"dropped_samples", "saturation"}
         assert (named["saturation"].sensor, named["saturation"].axes) == ("gyro", ("y",))
         assert named["saturation"].parameters[0].value == pytest.approx(1.9)
@@ -233,7 +234,7 @@ def test_gaps_are_bridged_and_clipped_stretches_filled_in() -> None:
         np.testing.assert_allclose(mended.imu.accel / width, noisy, atol=6e-3)
         before = np.abs(np.clip(clean, -1.9, 1.9) - clean).max()
         assert np.abs(mended.imu.gyro / width - clean).max() < 0.4 * before
-    assert not mend(ImuRecord(t, noisy, noisy, "mean")).steps
+    assert not mend(ImuRecord(t, noisy, noisy, "mean")).findings
 
 
 def test_the_integral_of_a_clipped_stretch_is_known_as_well_as_is_said() -> None:
@@ -266,7 +267,7 @@ def test_output_counts_are_seen_beside_lost_samples() -> None:
     values[:, 1] = np.round(values[:, 1] / 0.02) * 0.02
     for kind, width in (("mean", 1.0), ("increment", dt)):
         mended = mend(ImuRecord(t[kept], values[kept] * width, values[kept, ::-1] * width, kind))  # type: ignore[arg-type]
-        found = {(s.effect, s.sensor): s for s in mended.steps}
+        found = {(s.effect, s.sensor): s for s in mended.findings}
         assert set(found) == {("dropped_samples", "imu"), ("quantization", "gyro"), ("quantization", "accel")}
         assert found["quantization", "gyro"].axes == ("y",)
         assert found["quantization", "gyro"].parameters[0].value == pytest.approx(0.02)
@@ -310,7 +311,7 @@ def test_a_line_of_a_moving_sensor_is_steady_and_a_loud_stretch_is_none() -> Non
     def gain(values: Array) -> float:
         data = axis_part("gyro_x", values, dt)
         state = AxisState(data, fit(Likelihood(data), Explanation.nominal(NoiseModel((WN(math.sqrt(dt)),)))))
-        return max((w.gain for w in vibration_line(state)), default=-math.inf)
+        return max((w.nats for w in vibration_line(state)), default=-math.inf)
 
     assert gain(noise + line) > 10.0
     assert gain(noise) < 3.0
@@ -323,10 +324,10 @@ def test_samples_are_lost_from_stamps_of_a_millisecond_too() -> None:
     signal = np.sin(t)[:, None] + 1e-3 * rng.standard_normal((t.size, 3))
     keep = rng.random(t.size) > 0.01
     keep[[0, -1]] = True
-    (step,) = mend(ImuRecord(np.round(t, 3)[keep], signal[keep], signal[keep], "sample")).steps
+    (step,) = mend(ImuRecord(np.round(t, 3)[keep], signal[keep], signal[keep], "sample")).findings
     assert step.effect == "dropped_samples"
     assert step.parameters[0].low < 0.01 < step.parameters[0].high
-    assert not mend(ImuRecord(np.round(t, 3), signal, signal, "sample")).steps
+    assert not mend(ImuRecord(np.round(t, 3), signal, signal, "sample")).findings
 
 
 def test_motion_does_not_reach_the_band_above_it() -> None:
@@ -393,14 +394,14 @@ def test_stamps_that_jitter_do_not_smear_increments() -> None:
     gyro = np.clip(signal + [1e-3, 1e-3, 0.0] * rng.standard_normal(signal.shape), -0.96, 0.96)
     accel = [0.0, 0.0, -9.8] + 1e-3 * rng.standard_normal(signal.shape)
     jittered = t + rng.uniform(-2e-5, 2e-5, t.size)
-    named = {(s.effect, s.axes) for s in mend(ImuRecord(jittered, gyro * dt, accel * dt, "increment")).steps}
+    named = {(s.effect, s.axes) for s in mend(ImuRecord(jittered, gyro * dt, accel * dt, "increment")).findings}
     assert named == {("saturation", ("x",)), ("saturation", ("y",)), ("saturation", ("z",)), ("quantization", ("z",))}
     part = fast_parts(Recording(ImuRecord(jittered, gyro * dt, accel * dt, "increment"), None, None))["accel_z"]
     assert np.std(part.values) == pytest.approx(1e-3, rel=0.1)
 
 
 def test_coarse_counts_say_nothing_about_the_noise() -> None:
-    step = Step("quantization", "samples", "gyro", ("y",), (Value("lsb", 0.01, 0.01, 0.01, "rad/s"),), 1.0, 1.0, ())
+    step = Finding("quantization", "samples", "gyro", ("y",), (Value("lsb", 0.01, 0.01, 0.01, "rad/s"),), 1.0, 1.0, ())
     beliefs = {a: NoiseModel((WN(1e-4),)) for a in AXES}  # 1 mrad/s per sample
     assert coarse(beliefs, (step,), 0.01) == {"gyro_y"}
     assert not coarse(beliefs | {"gyro_y": NoiseModel((WN(1e-3),))}, (step,), 0.01)
@@ -408,7 +409,7 @@ def test_coarse_counts_say_nothing_about_the_noise() -> None:
 
 def test_counts_of_one_sensor_say_nothing_about_those_of_another() -> None:
     lsb = tuple(Value(f"lsb_{a}", 0.01, 0.01, 0.01, "rad/s") for a in "xy")
-    step = Step("quantization", "samples", "gyro", ("x", "y"), lsb, 1.0, 1.0, ())
+    step = Finding("quantization", "samples", "gyro", ("x", "y"), lsb, 1.0, 1.0, ())
     assert unknown_part(step, (use(effect="quantization", sensor="accel", lsb=[0.01, 0.01, 0.01]),)) is step
     left = unknown_part(step, (use(effect="quantization", sensor="gyro", lsb=[0.01, 0, 0]),))
     assert left is not None
@@ -492,7 +493,7 @@ def believed(rng: np.random.Generator) -> Nominal:
 
 def test_a_nominal_flight_lacks_nothing() -> None:
     report = find_gap(recording(seed=4), believed(np.random.default_rng(4)), rng=np.random.default_rng(1))
-    assert report.verdict == "nothing missing", report.steps
+    assert report.verdict == "nothing missing", report.findings
     assert report.gap_before.low < 1.0 < report.gap_before.high
 
 
@@ -510,9 +511,9 @@ def test_a_wrong_lever_arm_is_named_and_the_gap_closes() -> None:
         believed(np.random.default_rng(5)),
         rng=np.random.default_rng(1),
     )
-    assert report.steps[0].effect == "lever_arm"
-    assert report.steps[0].sensor == "gnss"
-    x = next(p for p in report.steps[0].parameters if p.name == "value_x")
+    assert report.findings[0].effect == "lever_arm"
+    assert report.findings[0].sensor == "gnss"
+    x = next(p for p in report.findings[0].parameters if p.name == "value_x")
     assert x.low < 0.3 < x.high
     assert report.held_out.value > 0.05
     assert abs(report.gap_after.value - 1.0) < abs(report.gap_before.value - 1.0)
@@ -528,7 +529,7 @@ def test_a_steep_slope_is_no_random_walk() -> None:
         rng=np.random.default_rng(1),
         hold_out=False,
     )
-    step = report.steps[0]
+    step = report.findings[0]
     assert (step.effect, step.sensor, step.axes) == ("ramp", "accel", ("y",))
     assert step.parameters[0].value == pytest.approx(2e-4, rel=0.1)
 
@@ -555,7 +556,7 @@ def test_errors_of_a_turned_sensor_are_named_in_its_own_axes_and_the_lever_arm_i
     if not reference:
         r = replace(r, reference=None)
     report = find_gap(r, nominal, rng=np.random.default_rng(1), hold_out=False)
-    found = {(s.effect, s.sensor, s.axes): s.parameters[0].value for s in report.steps}
+    found = {(s.effect, s.sensor, s.axes): s.parameters[0].value for s in report.findings}
     assert set(found) == {("misalignment", "gyro", ("y",)), ("lever_arm", "gnss", ("y",))}
     assert found["misalignment", "gyro", ("y",)] == pytest.approx(-0.01, rel=0.15)
     assert found["lever_arm", "gnss", ("y",)] == pytest.approx(0.4, rel=0.15)

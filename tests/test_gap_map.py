@@ -15,7 +15,7 @@ from insemu.gap.drive.preparation import fast_parts, prepare
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.model import Likelihood, fit
 from insemu.gap.problems.known import starting_explanation
-from insemu.gap.verdict import Member, Step, judged
+from insemu.gap.verdict import Finding, Member, judged
 from insemu.records import Recording
 from insemu.trial.drives import stage
 
@@ -75,8 +75,10 @@ def test_what_goes_with_the_heading_is_seen_there() -> None:
 
 
 def test_names_stand_where_the_strongest_is_not_shaken() -> None:
-    sure = Step("mounting", "", "imu", (), (), 0.99, 100.0, (Member("mounting", "imu", (), 100.0),))
-    weak = Step("outliers", "", "gyro", ("x",), (), 0.99, 10.0, (Member("outliers", "gyro", ("x",), 10.0),)).doubted()
+    sure = Finding("mounting", "", "imu", (), (), 0.99, 100.0, (Member("mounting", "imu", (), 100.0),))
+    weak = Finding(
+        "outliers", "", "gyro", ("x",), (), 0.99, 10.0, (Member("outliers", "gyro", ("x",), 10.0),)
+    ).doubted()
     assert weak.confidence == 0.5
     assert judged([sure, weak], "vibration that changes with time on gyro x") == "named"
     assert judged([weak, sure], "something") == "unexplained"

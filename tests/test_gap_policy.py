@@ -75,7 +75,7 @@ def test_a_search_obeys_the_policy_that_it_is_given() -> None:
 
     def found(policy: Policy | None) -> tuple[str, ...]:
         report = find_static_gap(log, belief, rng=np.random.default_rng(1), hold_out=False, policy=policy)
-        return tuple(s.effect for s in report.steps)
+        return tuple(s.effect for s in report.findings)
 
     assert found(None)
     assert found(replace(Policy(), least_nats=1e6)) == ()

@@ -23,9 +23,10 @@ from insemu.gap.data.sources import static_of
 from insemu.gap.evidence import kernels
 from insemu.gap.evidence.band import Band
 from insemu.gap.evidence.model import Component, Explanation, Free, Likelihood, Regressors, Rolloff, regression_evidence
-from insemu.gap.problems.rest import is_shaken, remainder, search, tempered, weigh_all
+from insemu.gap.problems.findings import is_doubtful, remainder
+from insemu.gap.problems.rest import reweighted, search_axis, weigh_all
 from insemu.gap.threshold import Tail, certain, tail_of, threshold_of
-from insemu.gap.verdict import Member, Step, Where
+from insemu.gap.verdict import Finding, Member, Where
 from insemu.noise import BI, GM, QN, RC, RW, WN, NoiseModel
 from insemu.records import ImuRecord, Recording, Series
 
@@ -184,8 +185,8 @@ def test_a_strong_hidden_effect_is_named_although_the_level_is_wrong(effect: str
         reduce(log_of(y)), Explanation.nominal(NoiseModel((WN(1e-3 * 1.15 if effect != "white_noise" else 0.95e-3),)))
     )
     ranked = weigh_all(state)
-    assert ranked[0].effect == effect, [(w.effect, round(w.gain, 1)) for w in ranked[:4]]
-    assert ranked[0].gain > 10.0
+    assert ranked[0].effect == effect, [(w.effect, round(w.nats, 1)) for w in ranked[:4]]
+    assert ranked[0].nats > 10.0
 
 
 @pytest.mark.parametrize(("f", "ratio"), [(2.27, 0.08), (5.11, 0.04), (7.93, 0.02)])
@@ -194,7 +195,7 @@ def test_a_narrow_band_is_found_wherever_it_lies(f: float, ratio: float) -> None
     y = WN(1e-3).simulate(N, DT, rng) + Band(9e-4, f, ratio).simulate(N, DT, rng)
     state = state_of(reduce(log_of(y)), Explanation.nominal(NoiseModel((WN(1.1e-3),))))
     (found,) = CANDIDATES["vibration_band"](state)
-    assert found.gain > 20.0
+    assert found.nats > 20.0
     assert found.values[1].value == pytest.approx(f, abs=0.1 * ratio * f + 0.02)
 
 
@@ -217,7 +218,7 @@ def test_nominal_logs_with_wrong_levels_are_not_flagged() -> None:
             tuple(p.with_parameters({n: v * rng.uniform(0.82, 1.2) for n, v in p.parameters.items()}) for p in truth)
         )
         ranked = weigh_all(state_of(reduce(log_of(truth.simulate(N, DT, rng))), Explanation.nominal(belief)))
-        worst = max(worst, ranked[0].gain)
+        worst = max(worst, ranked[0].nats)
     assert worst < 3.0
 
 
@@ -250,9 +251,9 @@ def test_temperature_is_named_with_its_shape_and_a_held_out_gain() -> None:
     y = WN(1e-3).simulate(N, DT, rng) + 1e-4 * (T - 25.0)
     report = find_static_gap([log_of(y)], {"gyro_x": NoiseModel((WN(1e-3),))}, rng=rng, temperature=T)
     assert report.verdict in ("named", "class")
-    assert report.steps[0].effect == "temperature"
+    assert report.findings[0].effect == "temperature"
     assert report.held_out.low > 0.0
-    c1 = next(v for v in report.steps[0].parameters if v.name == "c1")
+    c1 = next(v for v in report.findings[0].parameters if v.name == "c1")
     assert c1.low < 1e-4 < c1.high
     assert report.gap_after.low < 1.0 < report.gap_after.high
     assert report.gap_before.low > 1.0
@@ -266,7 +267,7 @@ def test_temperature_is_named_before_the_random_walk_that_could_follow_it() -> N
     state = state_of(reduce(log_of(y)), Explanation.nominal(NoiseModel((WN(1e-3),))), T)
     fast = ("vibration_band", "vibration_line", "decimation_filter", "outliers", "quantization")
     assert weigh_all(state, fast)[0].effect == "random_walk"  # by evidence alone the walk comes first
-    found = [f.chosen for f in search(state, without=fast, outsiders=False).found]
+    found = [f.chosen for f in search_axis(state, without=fast, outsiders=False).found]
     assert [w.effect for w in found] == ["temperature", "random_walk"]
     assert found[0].variant == "cubic"
     c1, c2 = (next(v for v in found[0].values if v.name == n) for n in ("c1", "c2"))
@@ -280,7 +281,7 @@ def test_a_gauss_markov_process_is_not_led_by_telegraph_noise() -> None:
         rng = np.random.default_rng([31, seed])
         y = WN(1e-3).simulate(N, DT, rng) + GM(4e-4, 1 / 30).simulate(N, DT, rng)
         state = state_of(reduce(log_of(y)), Explanation.nominal(NoiseModel((WN(1.1e-3),))))
-        gains = {e: max(w.gain for w in CANDIDATES[e](state)) for e in ("gauss_markov", "telegraph")}
+        gains = {e: max(w.nats for w in CANDIDATES[e](state)) for e in ("gauss_markov", "telegraph")}
         led += gains["telegraph"] > gains["gauss_markov"]
     assert led == 0
 
@@ -294,16 +295,16 @@ def test_samples_clipped_at_the_full_scale_are_saturation_on_a_lattice_or_not() 
         counts = np.round(y / lsb) * lsb if lsb else y
         state = state_of(reduce(log_of(np.clip(counts, -0.006, 0.006))), Explanation.nominal(NoiseModel((WN(1e-3),))))
         (found,) = CANDIDATES["saturation"](state)
-        assert found.gain > 20.0
+        assert found.nats > 20.0
         assert found.values[0].value == pytest.approx(0.006, rel=1e-6)
         state = state_of(reduce(log_of(counts)), Explanation.nominal(NoiseModel((WN(1e-3),))))
-        assert all(w.gain < 3.0 for w in CANDIDATES["saturation"](state))
+        assert all(w.nats < 3.0 for w in CANDIDATES["saturation"](state))
 
 
 def test_clipped_samples_are_not_held_ones() -> None:
     y = np.minimum(WN(1e-3).simulate(N, DT, np.random.default_rng(19)), 0.01)
     state = state_of(reduce(log_of(y)), Explanation.nominal(NoiseModel((WN(1e-3),))))
-    assert CANDIDATES["saturation"](state)[0].gain > 20.0
+    assert CANDIDATES["saturation"](state)[0].nats > 20.0
     assert not CANDIDATES["dropped_samples"](state)
     y[::50] = y[1::50][: y[::50].size]  # each of them repeated by the next
     held = state_of(reduce(log_of(y)), Explanation.nominal(NoiseModel((WN(1e-3),))))
@@ -314,9 +315,9 @@ def test_turn_on_bias_is_what_the_rotation_of_the_earth_cannot_be() -> None:
     rng = np.random.default_rng(19)
     y = WN(1e-3).simulate(N, DT, rng)
     belief = Explanation.nominal(NoiseModel((WN(1e-3),)))
-    assert turn_on_bias(state_of(reduce(log_of(y + 7.2e-5)), belief))[0].gain < 0.0
+    assert turn_on_bias(state_of(reduce(log_of(y + 7.2e-5)), belief))[0].nats < 0.0
     found, walk = turn_on_bias(state_of(reduce(log_of(y + 5e-4)), belief))
-    assert found.gain > walk.gain + 3.0 > 13.0
+    assert found.nats > walk.nats + 3.0 > 13.0
     assert found.values[0].low < 5e-4 < found.values[0].high
     assert not turn_on_bias(state_of(reduce(log_of(y + 5e-4)), Explanation.nominal(NoiseModel((WN(1e-3), RC(1e-3))))))
     assert not turn_on_bias(state_of(reduce(log_of(y + 5e-4, "accel_x")), belief))
@@ -329,8 +330,8 @@ def test_a_walk_too_weak_to_be_named_is_the_rival_of_a_turn_on_bias() -> None:
         rng = np.random.default_rng([26, seed])
         y = WN(1e-3).simulate(N, DT, rng) + RW(5e-6).simulate(N, DT, rng)
         bias, walk = turn_on_bias(state_of(reduce(log_of(y)), belief))
-        alone.append(bias.gain)
-        beyond.append(bias.gain - walk.gain)
+        alone.append(bias.nats)
+        beyond.append(bias.nats - walk.nats)
     # the mean alone would often call it a bias
     assert max(alone) > 3.0
     assert max(beyond) < 3.0
@@ -348,8 +349,8 @@ def test_samples_that_the_stamps_skip_are_filled_and_named() -> None:
     report = find_static_gap(
         log.axes[:1], {"gyro_x": NoiseModel((WN(1e-3),))}, rng=rng, missing=log.missing, hold_out=False
     )
-    assert [(s.effect, s.sensor) for s in report.steps] == [("dropped_samples", "imu")]
-    share = report.steps[0].parameters[0]
+    assert [(s.effect, s.sensor) for s in report.findings] == [("dropped_samples", "imu")]
+    share = report.findings[0].parameters[0]
     assert share.low < 0.01 < share.high
     half = rng.random(n) > 0.4
     with pytest.raises(InputError, match="expected at most 20%"):
@@ -357,17 +358,17 @@ def test_samples_that_the_stamps_skip_are_filled_and_named() -> None:
 
 
 def test_what_remains_unexplained_is_said_and_takes_no_name_back() -> None:
-    step = Step(
+    step = Finding(
         "temperature", "cubic", "gyro", ("x",), (), 0.99, 900.0, (Member("temperature", "gyro", ("x",), 900.0),)
     )
     walk = replace(step, effect="random_walk", members=(Member("random_walk", "gyro", ("x",), 50.0),))
     band = replace(step, effect="vibration_band")
     left = [Where("whiteness", "gyro", "x", 10.0, 1e-9)]
-    assert not is_shaken(step, left, {})
-    assert is_shaken(walk, left, {})
-    assert not is_shaken(replace(walk, axes=("y",)), left, {})
-    assert not is_shaken(band, left, {})
-    assert is_shaken(band, [Where("stationarity", "gyro", "x", 10.0, 1e-9)], {})
+    assert not is_doubtful(step, left, {})
+    assert is_doubtful(walk, left, {})
+    assert not is_doubtful(replace(walk, axes=("y",)), left, {})
+    assert not is_doubtful(band, left, {})
+    assert is_doubtful(band, [Where("stationarity", "gyro", "x", 10.0, 1e-9)], {})
     assert remainder(left, {}) == "whiteness at 10 s on gyro x (p 1e-09)"
     assert remainder([], {}) == ""
 
@@ -377,10 +378,10 @@ def test_a_steep_output_filter_leaves_no_disagreement_behind() -> None:
     b, c = butter(2, 0.7)
     y = lfilter(b, c, WN(1e-3).simulate(N, DT, rng))
     state = state_of(reduce(log_of(y)), Explanation.nominal(NoiseModel((WN(1.1e-3),))))
-    best = max(CANDIDATES["decimation_filter"](state), key=lambda w: w.gain)
+    best = max(CANDIDATES["decimation_filter"](state), key=lambda w: w.nats)
     values = {v.name: v.value for v in best.values}
     assert values["cutoff"] == pytest.approx(7.0, rel=0.05)
-    assert min(p for _, _, p in axis_tests(best.state)) > 1e-6
+    assert min(p for _, _, p in axis_tests(best.change)) > 1e-6
 
 
 def test_bins_that_no_model_fits_do_not_bend_the_others() -> None:
@@ -390,7 +391,7 @@ def test_bins_that_no_model_fits_do_not_bend_the_others() -> None:
         data, power=np.where(data.f > 5.0, data.power * (1.5 + 0.5 * np.sin(40.0 * np.log(data.f))), data.power)
     )
     state = state_of(loud, Explanation.nominal(NoiseModel((WN(1e-3),))))
-    bent, kept = (s.explanation.components[0].process.parameters["N"] for s in (state, tempered(state)))
+    bent, kept = (s.explanation.components[0].process.parameters["N"] for s in (state, reweighted(state)))
     assert abs(kept / 1e-3 - 1.0) < 0.5 * abs(bent / 1e-3 - 1.0)
 
 
@@ -409,7 +410,7 @@ def test_two_axes_two_effects_and_the_json_of_the_issue() -> None:
     z = WN(1e-3).simulate(N, DT, rng) + CASES["vibration_line"](rng)
     beliefs = {a: NoiseModel((WN(1e-3),)) for a in ("gyro_x", "gyro_z")}
     report = find_static_gap([log_of(x), log_of(z, "gyro_z")], beliefs, rng=rng, hold_out=False)
-    found = {(s.effect, s.axes) for s in report.steps}
+    found = {(s.effect, s.axes) for s in report.findings}
     assert ("vibration_line", ("z",)) in found
     assert any(axes == ("x",) for _, axes in found)
     assert len(found) == 2
@@ -488,7 +489,7 @@ def test_a_weak_effect_must_beat_the_best_of_simulated_nominal_logs() -> None:
     axes = [log_of(WN(1e-3).simulate(6000, DT, rng), f"gyro_{a}") for a in "xyz"]
     beliefs = {s.name: NoiseModel((WN(1e-3),)) for s in axes}
     plain = find_static_gap(axes, beliefs, rng=rng, hold_out=False, policy=Policy(least_nats=-0.5), calibrate=False)
-    assert plain.steps  # at half a nat below nothing there is always something
+    assert plain.findings  # at half a nat below nothing there is always something
     calibrated = find_static_gap(axes, beliefs, rng=rng, hold_out=False, policy=Policy(least_nats=-0.5))
     assert calibrated.threshold_nats > 0.0
-    assert all(s.gain_nats >= calibrated.threshold_nats for s in calibrated.steps)
+    assert all(s.nats >= calibrated.threshold_nats for s in calibrated.findings)

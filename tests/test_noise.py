@@ -264,7 +264,7 @@ def test_a_polynomial_that_is_not_stationary_is_refused_and_mended() -> None:
     [
         ("2*GMM()", "did you mean 'GM'"),
         ("GM(sgma=1)", "did you mean 'sigma'"),
-        ("0*WN()", "at least once"),
+        ("0*WN()", "expected a whole number from 1 to 100"),
         ("WN(1", "cannot read"),
         ("WN(1)", "unnamed argument"),
         ("WN(N=-1)", "not negative"),

@@ -24,7 +24,11 @@ def a_page(folder: Path) -> Path:
         View(
             "rms",
             "error (m)",
-            [Line("one", np.exp(x / 5), "#0072B2"), Line("two", 2 + np.sin(x), "#D55E00", dashed=True)],
+            [
+                Line("one", np.exp(x / 5), "#0072B2"),
+                Line("two", 2 + np.sin(x), "#D55E00"),
+                Line("two: bound", 4 + x, "#D55E00", dashed=True, of="two"),
+            ],
             log_y=True,
         ),
         View(hostile, "error (m)", [Line("one", x, "#0072B2"), Line("two", x**2, "#D55E00")]),
@@ -99,8 +103,9 @@ def test_charts_hover_switch_and_share_what_is_off(browser: Any, tmp_path: Path)
     assert float(second.locator(".u-legend .u-value").nth(0).text_content()) == pytest.approx(
         10.0, abs=0.2
     )  # one cursor for both
-    first.locator(".u-legend th", has_text="two").click()
-    assert "u-off" in second.locator(".u-series", has_text="two").get_attribute("class")
+    first.locator(".u-legend th", has_text="two").first.click()
+    for row in second.locator(".u-series", has_text="two").all():  # the line and its bound
+        assert "u-off" in row.get_attribute("class")
     first.locator("select").select_option(index=1)
     assert "u-off" in first.locator(".u-series", has_text="two").get_attribute("class")  # stays off in the other view
     page.close()

@@ -13,7 +13,7 @@ import yaml
 from insemu import earth, rotation
 from insemu.errors import InputError
 from insemu.evaluate import Experiment, run_experiment, summary
-from insemu.evaluate.world import World
+from insemu.evaluate.emulated import EmulatedWorld
 from insemu.formats import write
 from insemu.records import Recording
 from insemu.scenario import load
@@ -45,7 +45,7 @@ def _emulated(folder: Path) -> Recording:
     with tempfile.TemporaryDirectory() as name:
         path = Path(name) / "world.yaml"
         path.write_text(yaml.safe_dump(WORLD))
-        return World(load(path), path).recording(0)
+        return EmulatedWorld(load(path), path).recording(0)
 
 
 def _mounted(recording: Recording) -> Recording:
@@ -116,7 +116,7 @@ def test_a_recorded_drive_is_smoothed_and_repeated_rows_are_told(tmp_path: Path,
     write(tmp_path / "drive.npz", replace(mounted, imu=twice))
     path = _scenario(tmp_path, smoother=True)
     r = run_experiment(Experiment(load(path), path))
-    assert r.smoothed is not None
+    assert r.smoothed
     row = summary(r)["designs"]["full"]["outages"][0]
     assert row["smoothed"]["planimetric_max_m"] < row["planimetric_max_m"]
     assert "of 10001 IMU rows (1.0%) repeat" in r.manifest["warnings"][0]

@@ -85,7 +85,7 @@ def test_noise_believed_twenty_percent_wrong_is_a_change(file, flown, alteration
 
 
 def test_a_worse_filter_is_a_change_of_accuracy_too(flown):
-    worse = replace(flown, error=flown.error * 4.0, nees=flown.nees * 16.0)
+    worse = flown.with_data({"error": flown.error * 4.0, "nees": flown.nees * 16.0})
     names = {c.figure for c in significant(worse, Baseline.of(replace(flown, seed=99)))}
     assert "log_nees" in names and not any(n.startswith("stated") for n in names)
 

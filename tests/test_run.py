@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +16,7 @@ import yaml
 from insemu.cli import main
 from insemu.errors import InputError
 from insemu.evaluate import Experiment, run_experiment
+from insemu.evaluate.folder import only_writer
 from insemu.scenario import load
 
 SCENARIO: dict[str, Any] = {
@@ -140,13 +142,13 @@ def test_a_smoother_changes_nothing_of_the_filter(tmp_path: Path) -> None:
     smoothed = write_named(tmp_path, "smoothed.yaml", variants={}, smoother=True)
     both = run_experiment(Experiment(load(smoothed), smoothed))
     np.testing.assert_allclose(plain.error, both.error, rtol=1e-9, atol=1e-12)
-    assert plain.smoothed is None and both.smoothed is not None
+    assert not plain.smoothed and both.smoothed
     # at the last epoch nothing is later: the smoother says what the filter says
-    np.testing.assert_allclose(both.smoothed.error[:, :, -1], both.error[:, :, -1], rtol=1e-6, atol=1e-9)
-    assert (both.smoothed.sigma[1] <= both.sigma[1] * (1 + 1e-6)).all()
+    np.testing.assert_allclose(both["smoothed_error"][:, :, -1], both.error[:, :, -1], rtol=1e-6, atol=1e-9)
+    assert (both["smoothed_sigma"][1] <= both.sigma[1] * (1 + 1e-6)).all()
 
 
-def test_an_interrupted_run_resumes(tmp_path: Path) -> None:
+def test_an_interrupted_run_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, cache = write(tmp_path), tmp_path / "cache"
 
     def interrupt(done: int, total: int, label: str) -> None:
@@ -156,17 +158,90 @@ def test_an_interrupted_run_resumes(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         run_experiment(Experiment(load(path), path), realizations=4, cache=cache, progress=interrupt)
     experiment = Experiment(load(path), path)
-    kept = sorted((cache / experiment.digest).glob("*.npz"))
+    kept = sorted((cache / experiment.digest).iterdir())
     assert len(kept) >= 2
-    kept[0].write_bytes(b"half-written")
-    seen: list[int] = []
-    resumed = run_experiment(
-        experiment, realizations=4, cache=cache, progress=lambda done, total, label: seen.append(done)
-    )
-    assert seen[0] == len(kept) - 1
+    one, other = kept[0].read_bytes(), kept[1].read_bytes()
+    flown: list[int] = []
+    fly = experiment.realization
+    monkeypatch.setattr(experiment, "realization", lambda index: (flown.append(index), fly(index))[1])
+    for damaged in (b"half-written", one[:-7], other, one.replace(experiment.digest.encode(), b"0" * 16)):
+        kept[0].write_bytes(damaged)
+        said: list[str] = []
+        flown.clear()
+        resumed = run_experiment(experiment, realizations=len(kept), cache=cache, say=said.append)
+        assert flown == [int(kept[0].name)]
+        assert len(said) == 1 and "is damaged" in said[0]
+    resumed = run_experiment(experiment, realizations=4, cache=cache)
     whole = run_experiment(Experiment(load(path), path), realizations=4)
     # the same to rounding: vector lanes of the platform's mathematics depend on how memory happens to be aligned
     np.testing.assert_allclose(resumed.error, whole.error, rtol=1e-9, atol=1e-12)
+
+
+def test_a_second_run_with_fewer_realizations_replaces_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    arguments = (
+        str(write(tmp_path, variants={}, fits=None, designs={"full": SCENARIO["designs"]["full"]})),
+        "--out",
+        str(out),
+    )
+    assert run(*arguments) == 0
+    marker = json.loads((out / "complete.json").read_text())
+    assert marker["realizations"] == 2 and {"summary.json", "errors.nc", "index.html"} <= set(marker["files"])
+    before = (out / "summary.json").read_bytes()
+    capsys.readouterr()
+    assert run(*arguments, "--realizations", "1") == 2
+    assert "holds 2 realizations of this scenario" in " ".join(capsys.readouterr().err.split())
+    assert (out / "summary.json").read_bytes() == before
+    assert run(*arguments, "--realizations", "1", "--overwrite") == 0
+    assert json.loads((out / "complete.json").read_text())["realizations"] == 1
+
+
+def test_one_folder_has_one_writer(tmp_path: Path) -> None:
+    code = "import sys, pathlib; from insemu.evaluate.folder import only_writer\nwith only_writer(pathlib.Path(sys.argv[1])): input()"
+    other = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdin=subprocess.PIPE, text=True)
+    try:
+        while not (tmp_path / ".lock").exists() or not (tmp_path / ".lock").read_text():
+            assert other.poll() is None
+        with pytest.raises(InputError, match=f"being written by process {other.pid}"), only_writer(tmp_path):
+            pass
+        other.kill()  # whatever ends a process gives its folder back
+        other.wait()
+        with only_writer(tmp_path):
+            assert (tmp_path / ".lock").exists()
+        assert not (tmp_path / ".lock").exists()
+    finally:
+        other.kill()
+        other.communicate()
+
+
+def test_what_fails_after_flying_loses_no_results(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: Any, **__: Any) -> None:
+        raise InputError("no budget today")
+
+    monkeypatch.setattr("insemu.evaluate.comparison.analyse_designs", fail)
+    monkeypatch.setattr("insemu.report.render_experiment", fail)
+    out = tmp_path / "out"
+    path = write(tmp_path, variants={}, realizations=1, fits=None, designs={"full": SCENARIO["designs"]["full"]})
+    assert run(str(path), "--out", str(out)) == 1
+    told = " ".join(capsys.readouterr().err.split())
+    assert "Failed: the error budget: no budget today" in told and "Failed: the page: no budget today" in told
+    assert json.loads((out / "summary.json").read_text())["realizations"] == 1
+    assert (out / "outages.csv").read_text().startswith("design,outage,start_s")
+
+
+def test_eighty_columns_show_what_decides(tmp_path: Path) -> None:
+    path = write(tmp_path, variants={}, realizations=1, fits=None, designs={"full": SCENARIO["designs"]["full"]})
+    command = [sys.executable, "-m", "insemu", "run", str(path), "--out", str(tmp_path / "out")]
+    environment = os.environ | {"COLUMNS": "80", "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert done.returncode == 0, done.stderr
+    header = next(line for line in done.stdout.splitlines() if line.startswith("design"))
+    assert header.split()[:2] == ["design", "verdict"] and "in 3 s" in header and "NEES" in header
+    assert len(header.rstrip()) <= 80 and done.stdout.isascii()
 
 
 def signals(tmp_path: Path, rows: int = 50 * 130, **changes: Any) -> Path:

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from insemu.emulate import Outage
 from insemu.errors import InputError
 from insemu.noise import NoiseModel
-from insemu.scenario import AxisSource, digest, load, resolve_path, schema
+from insemu.scenario import GyroSource, digest, load, resolve_path, schema
 
 GOOD = """\
 title: t
@@ -39,9 +40,9 @@ def write(tmp_path: Path, text: str) -> Path:
 def test_a_good_file_is_read(tmp_path: Path) -> None:
     s = load(write(tmp_path, GOOD))
     assert s.gnss.position_sigma == (0.02, 0.02, 0.03)
-    assert s.gnss.outages[0].start == 420.0
+    assert s.gnss.outages[0] == Outage(420.0, 60.0)
     assert s.truth.models()["gyro_y"].processes[0].N == pytest.approx(np.deg2rad(0.032))
-    assert s.designs["one"].sources()["gyro_z"] == AxisSource(fit="WN()")
+    assert s.designs["one"].sources()["gyro_z"] == GyroSource(fit="WN()")
     assert s.designs["two"].sources()["accel_z"] == NoiseModel.parse("WN(N=3)")
 
 

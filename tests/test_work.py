@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 
-import numpy as np
 import pytest
 
 from insemu.errors import InputError
-from insemu.work import Arrays, Lines, processes, run_items
+from insemu.work import Files, Lines, processes, run_items
 
 
 def lines(path):
@@ -64,14 +63,33 @@ def test_a_line_that_was_cut_off_is_done_again_and_another_file_is_refused(tmp_p
         lines(path)
 
 
-def test_archives_come_back_and_a_half_written_one_counts_as_absent(tmp_path) -> None:
-    store = Arrays(tmp_path / "folder")
+def test_a_kept_item_that_does_not_match_is_said_and_made_again(tmp_path) -> None:
+    said: list[str] = []
+
+    def files(identity: str = "this") -> Files[str]:
+        return Files(tmp_path / "folder", identity, str.encode, bytes.decode, said.append)
+
+    store = files()
+    assert store.get("00001") is None and not said
+    store.put("00001", "one")
+    store.put("00002", "two")
+    assert (store.get("00001"), store.get("00002")) == ("one", "two")
+    assert files("other").get("00001") is None  # of other work
+    path = tmp_path / "folder" / "00001"
+    whole = path.read_bytes()
+    for wrong in (
+        b"",
+        whole[:-1],
+        whole[:10],
+        whole[:-1] + b"x",
+        whole + b"x",
+        (tmp_path / "folder" / "00002").read_bytes(),
+    ):
+        path.write_bytes(wrong)
+        assert store.get("00001") is None
+    path.unlink()
+    path.mkdir()
     assert store.get("00001") is None
-    store.put("00001", {"a": np.arange(3.0), "names": np.array(["x", "y"])})
-    kept = store.get("00001")
-    assert kept is not None
-    np.testing.assert_array_equal(kept["a"], np.arange(3.0))
-    assert list(kept["names"]) == ["x", "y"]
-    path = tmp_path / "folder" / "00001.npz"
-    path.write_bytes(path.read_bytes()[:100])
-    assert store.get("00001") is None
+    assert len(said) == 8 and all("00001 is damaged" in text for text in said)
+    store.put("00001", "one")
+    assert store.get("00001") == "one"

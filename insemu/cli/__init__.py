@@ -1,10 +1,11 @@
 """The command line: one module per command, heavy imports inside each, so that ``insemu --help`` answers at once.
 
-Exit codes: 0 done, 1 a check failed, 2 bad input (one readable message, nothing half-written), 130 interrupted.
+Exit codes: 0 done, 1 a check failed (or nobody reads the output), 2 bad input (one readable message, nothing half-written), 130 interrupted.
 """
 
 from __future__ import annotations
 
+import io
 import sys
 from importlib import import_module
 
@@ -12,6 +13,8 @@ import typer
 
 #: Command name -> module of this package whose function ``command`` it calls, in the order of ``insemu --help``.
 COMMANDS: dict[str, str] = {
+    "init": "init",
+    "open": "open",
     "run": "run",
     "compare": "compare",
     "regress": "regress",
@@ -64,11 +67,14 @@ def main(argv: list[str] | None = None) -> None:
     from insemu.errors import InputError
 
     one_thread_by_default()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a console that has not all characters shows a question mark
+            stream.reconfigure(errors="replace")
     try:
         app(args=argv, standalone_mode=True)
     except InputError as error:
         typer.echo(f"insemu: error: {error}", err=True)
         sys.exit(2)
-    except FileNotFoundError as error:
-        typer.echo(f"insemu: error: {error.filename}: no such file", err=True)
+    except OSError as error:
+        typer.echo(f"insemu: error: {error.filename or ''}: {(error.strerror or str(error)).lower()}", err=True)
         sys.exit(2)

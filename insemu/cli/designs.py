@@ -108,7 +108,7 @@ def _besides(design: Design) -> str:
     sources = {getattr(s, "method", None) for s in design.sources().values() if getattr(s, "fit", None)}
     parts += [f"fitted by {method}" for method in sorted(map(str, sources))]
     parts += ["wavelet filter"] if options.prefilter is not None else []
-    parts += [f"state {key}" for key, value in options.states.model_dump().items() if value]
+    parts += [f"state {key}" for key, value in vars(options.states).items() if value]
     parts += [f"gate {options.gate:g}"] if options.gate is not None else []
     parts += [f"{key} x {value:g}" for key, value in options.tuning.model_dump().items() if value != 1.0]
     parts += [f"covariance every {options.covariance_every} epochs"] if options.covariance_every > 1 else []

@@ -25,7 +25,7 @@ def command(
     import json
     import math
 
-    from insemu.evaluate.world import World
+    from insemu.evaluate.emulated import EmulatedWorld
     from insemu.formats import write
     from insemu.scenario import load
 
@@ -34,7 +34,7 @@ def command(
 
         check_figure(figure)
     given = load(scenario, variant=variant, overrides={"seed": seed})
-    world = World(given, scenario)
+    world = EmulatedWorld(given, scenario)
     for warning in world.warnings:
         typer.echo(f"insemu: warning: {warning}", err=True)
     recording = world.recording(realization, ideal=ideal)

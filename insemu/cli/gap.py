@@ -74,15 +74,15 @@ def command(
         typer.echo(text)
         return
     console.print(f"[bold]{report.verdict}[/bold]: {headline(report)}")
-    if report.steps:
+    if report.findings:
         table = Table("effect", "where", "evidence, nats", "confidence", "parameters, 95 % interval")
-        for s in report.steps:
+        for s in report.findings:
             values = "\n".join(f"{v.name} {v.value:.3g} [{v.low:.3g}, {v.high:.3g}] {v.unit}" for v in s.parameters[:6])
             values += "\n..." if len(s.parameters) > 6 else ""
             table.add_row(
                 effect_name(s.effect),
                 place(s.sensor, s.axes),
-                f"{s.gain_nats:.1f}",
+                f"{s.nats:.1f}",
                 f"{s.confidence:.3f}",
                 values,
             )

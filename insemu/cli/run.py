@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
     from rich.console import Console
@@ -26,11 +27,14 @@ def command(
     out: str = typer.Option("", "--out", help="Folder for results; default results/NAME beside the current folder."),
     as_json: bool = typer.Option(False, "--json", help="Print summary.json on standard output instead of tables."),
     variants: bool = typer.Option(True, "--variants/--no-variants", help="Also run the scenario's variants."),
+    overwrite: bool = typer.Option(
+        False, "--overwrite", help="Replace results of the same scenario with more realizations."
+    ),
 ) -> None:
     """Run a scenario: emulate, inject errors, cut GNSS, filter with every design, and compare.
 
-    Writes summary.json, outages.csv, errors.nc, manifest.json, resolved.yaml, figures and index.html. An interrupted run continues
-    where it stopped.
+    Writes summary.json, outages.csv, errors.nc, manifest.json, resolved.yaml, figures, index.html and, last, complete.json. An interrupted
+    run continues where it stopped.
     """
     import json
     import os
@@ -40,44 +44,100 @@ def command(
 
     from insemu.evaluate import summary
 
-    console = Console(stderr=as_json)
+    # progress and warnings go to standard error: a closed pipe behind the tables costs no files
+    told = Console(stderr=True)
     folder = Path(out) if out else Path("results") / Path(scenario).stem
-    everything = run_with_variants(
-        scenario,
-        folder,
-        overrides={"seed": seed, "realizations": realizations},
-        workers=workers or os.cpu_count() or 1,
-        with_variants=variants,
-        console=console,
-    )
+    experiments = prepared(scenario, {"seed": seed, "realizations": realizations}, with_variants=variants, console=told)
+    results, failed = run_all(experiments, folder, workers or os.cpu_count() or 1, told, overwrite=overwrite)
+    main = results.pop("")
+    if as_json:
+        typer.echo(json.dumps(summary(main), indent=1))
+    else:
+        console = Console()
+        show(console, main, results)
+        console.print(
+            f"\nPage: {folder / 'index.html'} (summary.json, outages.csv, errors.nc beside it)", soft_wrap=True
+        )
+    if failed:
+        raise typer.Exit(1)
+
+
+def prepared(
+    scenario: str, overrides: Mapping[str, Any], *, with_variants: bool, console: Console
+) -> dict[str, Experiment]:
+    """The experiments by the name of the variant, "" first: everything is checked before anything is flown or written."""
+    from insemu.evaluate import Experiment
+    from insemu.scenario import load
+
+    base = load(scenario, overrides=overrides)
+    experiments = {"": Experiment(base, scenario)}
+    for name in base.variants if with_variants else ():
+        experiments[name] = Experiment(load(scenario, variant=name, overrides=overrides), scenario)
+    for warning in dict.fromkeys(w for e in experiments.values() for w in e.world.warnings):
+        console.print(f"Warning: {warning}.", soft_wrap=True, highlight=False, markup=False)
+    return experiments
+
+
+def run_all(
+    experiments: Mapping[str, Experiment], folder: Path, workers: int, console: Console, *, overwrite: bool = False
+) -> tuple[dict[str, Results], list[str]]:
+    """Fly, and write every result as soon as it is there; then the error budget and the page, whose failures lose nothing.
+
+    Parameters
+    ----------
+    experiments : mapping of variant to Experiment
+    folder : path
+    workers : int
+    console : Console
+        For progress, warnings and what failed.
+    overwrite : bool
+        Whether results of more realizations may be replaced.
+
+    Returns
+    -------
+    results : dict of variant to Results
+    failed : list of str
+        What could not be made, in words.
+    """
+    from insemu.evaluate import write
+    from insemu.evaluate.folder import CACHE, check_not_fewer, finish, only_writer, put, resolved
     from insemu.report import render_experiment
 
-    page = render_experiment(everything.main, everything.variants, folder, text=everything.text)
-    if as_json:
-        typer.echo(json.dumps(summary(everything.main), indent=1))
-        return
-    show(console, everything.main, everything.variants)
-    console.print(f"\nPage: [bold]{page}[/bold] (summary.json, outages.csv, errors.nc beside it)", soft_wrap=True)
+    main = experiments[""].scenario
+    if not overwrite:
+        check_not_fewer(folder, main)
+    failed: list[str] = []
+
+    def attempt(what: str, make: Any, otherwise: Any = None) -> Any:
+        try:
+            return make()
+        except Exception as error:
+            failed.append(f"{what}: {error}")
+            console.print(f"Failed: {what}: {error}", soft_wrap=True, highlight=False, markup=False, style="red")
+            return otherwise
+
+    with only_writer(folder):
+        forget_others(folder / CACHE, {e.digest for e in experiments.values()})
+        done: dict[str, Results] = {}
+        for name, experiment, results in flown(experiments, folder / CACHE, workers, console):
+            target = folder / "variants" / name if name else folder
+            write(results, target)
+            put(target / "resolved.yaml", resolved(experiment.scenario))
+            done[name] = results
+        first = done[""]
+        done[""] = attempt("the error budget", lambda: with_budgets(experiments[""], first), first)
+        if done[""].budgets:
+            write(done[""], folder)
+        others = {name: results for name, results in done.items() if name}
+        source = main.published.source if main.published else ""
+        text = {"question": main.question, "notes": main.notes, "source": source}
+        attempt("the page", lambda: render_experiment(done[""], others, folder, text=text))
+        finish(folder, main, done[""])
+    return done, failed
 
 
-class Everything:
-    """Results of a scenario and of its variants."""
-
-    def __init__(self, main: Results, variants: dict[str, Results], text: dict[str, str]) -> None:
-        self.main, self.variants, self.text = main, variants, text
-
-
-def run_with_variants(
-    scenario: str,
-    folder: Path,
-    *,
-    overrides: dict[str, Any],
-    workers: int,
-    with_variants: bool,
-    console: Console,
-) -> Everything:
-    """Check everything first, then fly; nothing is written before every variant is known to be runnable."""
-    import yaml
+def flown(experiments: Mapping[str, Experiment], cache: Path, workers: int, console: Console) -> Any:
+    """Yield (variant, experiment, results), with a bar of progress each."""
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -87,28 +147,20 @@ def run_with_variants(
         TimeRemainingColumn,
     )
 
-    from insemu.evaluate import Experiment, run_experiment, write
-    from insemu.scenario import load
+    from insemu.evaluate import run_experiment
 
-    base = load(scenario, overrides=overrides)
-    names = list(base.variants) if with_variants else []
-    experiments = {"": Experiment(base, scenario)}
-    for name in names:
-        experiments[name] = Experiment(load(scenario, variant=name, overrides=overrides), scenario)
-    for warning in dict.fromkeys(w for e in experiments.values() for w in e.world.warnings):
-        console.print(f"Warning: {warning}.", soft_wrap=True, highlight=False, markup=False)
-    forget_others(folder / "cache", {e.digest for e in experiments.values()})
-    done: dict[str, Results] = {}
-    columns = (
-        TextColumn("{task.description:<34}"),
-        BarColumn(bar_width=24),
-        MofNCompleteColumn(),
-        TextColumn("elapsed"),
-        TimeElapsedColumn(),
+    parts = (BarColumn(bar_width=24), MofNCompleteColumn(), TextColumn("elapsed"), TimeElapsedColumn())
+    with Progress(
+        TextColumn("{task.description:<34}", markup=False),
+        *parts,
         TextColumn("left"),
         TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, transient=False) as bars:
+        console=console,
+    ) as bars:
+
+        def say(text: str) -> None:
+            console.print(f"Warning: {text}.", soft_wrap=True, highlight=False, markup=False)
+
         for name, experiment in experiments.items():
             label = name or experiment.scenario.title.split(":")[0][:24]
             task = bars.add_task(label, total=experiment.scenario.realizations)
@@ -116,29 +168,14 @@ def run_with_variants(
             def step(finished: int, total: int, what: str, task: Any = task, label: str = label) -> None:
                 bars.update(task, completed=finished, total=total, description=f"{label} ({what})")
 
-            target = folder / "variants" / name if name else folder
             try:
-                results = run_experiment(experiment, workers=workers, cache=folder / "cache", progress=step)
+                results = run_experiment(experiment, workers=workers, cache=cache, progress=step, say=say)
             except KeyboardInterrupt:
                 bars.stop()
                 console.print("Interrupted. Finished realizations are kept; the same command goes on from there.")
                 raise
-            if not name:
-                bars.update(task, description=f"{label} (error budget)")
-                results = with_budgets(experiment, results)
             bars.update(task, description=label)
-            write(results, target)
-            (target / "resolved.yaml").write_text(
-                yaml.safe_dump(experiment.scenario.model_dump(mode="json", exclude_none=True), sort_keys=False),
-                encoding="utf-8",
-            )
-            done[name] = results
-    main = done.pop("")
-    return Everything(
-        main,
-        done,
-        {"question": base.question, "notes": base.notes, "source": base.published.source if base.published else ""},
-    )
+            yield name, experiment, results
 
 
 def with_budgets(experiment: Experiment, results: Results) -> Results:
@@ -159,111 +196,40 @@ def forget_others(cache: Path, digests: set[str]) -> None:
     if cache.is_dir():
         for folder in cache.iterdir():
             if folder.name not in digests:
-                shutil.rmtree(folder)
+                shutil.rmtree(folder) if folder.is_dir() else folder.unlink()
 
 
 def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
     """The tables at the end."""
-    from rich.table import Table
-
-    from insemu.evaluate import headline, outage_table, verdicts
+    from insemu.cli.printing import print_items, print_table
+    from insemu.evaluate import verdicts
+    from insemu.report import tables
     from insemu.report.budget import budget_lines
-    from insemu.report.tables import (
-        FIGURES,
-        SMOOTHED,
-        beside,
-        consistency_lines,
-        pooled_rank_line,
-        published_value,
-        rank_lines,
-        short,
-        shown_beside,
-        smoother_rows,
-        variant_caption,
-    )
 
-    console.print(f"\n[bold]{main.title}[/bold]", soft_wrap=True)
-    table = Table(
-        title=f"{variant_caption(main)}: means over {main.realizations} realizations (seed {main.seed})",
-        title_justify="left",
-        box=None,
-        padding=(0, 1),
-        pad_edge=False,
-        header_style="underline",
-    )
-    headings = ["design", "outage", "error m", "95 %", "alt. m", "stated", "in 3 s", "NEES"]
-    if main.published:
-        headings.insert(4, "paper")
-    for heading in headings:
-        table.add_column(heading, justify="left" if heading == "design" else "right", no_wrap=True)
-    for name, outages in outage_table(main).items():
-        for k, row in enumerate(outages):
-            p = row["planimetric_end_m"]
-            low, high = p["ci95"]
-            cells = [
-                f"{name} ({main.designs[name].states})" if k == 0 else "",
-                f"{row['start_s'] / 60:.3g} min",
-                f"{headline(main, row):.3g}",
-                "" if low is None or main.headline_figure != "planimetric_end_m" else f"{low:.3g}-{high:.3g}",
-                f"{row['altimetric_end_m']:.3g}",
-                f"{row['predicted_sigma_end_m']:.3g}",
-                f"{100 * row['coverage_3sigma']['position']:.1f}%",
-                short(row["nees_per_dof"]),
-            ]
-            if main.published:
-                cells.insert(4, published_value(main, name, k) or "-")
-            table.add_row(*cells)
-        table.add_row()
-    console.print(table)
+    console.print(f"\n{main.title}", soft_wrap=True, markup=False, style="bold")
+    title = f"{tables.variant_caption(main)}: means over {main.realizations} realizations (seed {main.seed})"
+    print_table(console, title, *tables.short_headline(main), fit=True)
     console.print(
-        "(states). error: planimetric. alt.: altitude at outage end. stated: the filter's own horizontal sigma there, m. in 3 s: position errors "
-        "inside 3 sigma during the outage. NEES: per degree of freedom, 1 is a filter that knows its error.\n",
+        "(states). verdict: of the NEES at outage end. error: planimetric. stated: the filter's own horizontal sigma at outage end, m. in 3 s: "
+        "position errors inside 3 sigma during the outage. NEES: per degree of freedom, 1 is a filter that knows its error. alt.: altitude at "
+        "outage end.\n",
         style="dim",
     )
-    for line in (*verdicts(main), *consistency_lines(main)):
-        console.print(f"- {line}", soft_wrap=True, highlight=False)
-    if main.smoothed is not None and main.outages:
-        print_table(console, SMOOTHED, *smoother_rows(main))
+    print_items(console, [*verdicts(main), *tables.consistency_lines(main)])
+    if main.smoothed and main.outages:
+        print_table(console, tables.SMOOTHED, *tables.smoother_rows(main))
     if main.budgets:
         console.print("\nWhere the metres come from, by covariance analysis (parts add up as squares):")
-        for line in budget_lines(main.budgets):
-            console.print(f"- {line}", soft_wrap=True, highlight=False)
+        print_items(console, budget_lines(main.budgets))
     if variants:
-        print_variants(console, main, variants)
-    for label, results in shown_beside(main, variants):
+        header, body = tables.variant_rows(main, variants)
+        shown = [
+            k for k, heading in enumerate(header) if heading not in ("95 %", "inside %")
+        ]  # the page has room for them
+        kept = [[row[k] for k in shown] for row in body]
+        print_table(console, f"Variants. {tables.variant_caption(main)}", [header[k] for k in shown], kept)
+    for label, results in tables.shown_beside(main, variants):
         for figure in results.published:
-            print_table(console, f"{label}: {FIGURES[figure]}, m", *beside(results, figure))
-        for line in rank_lines(results):
-            console.print(f"- {line}", soft_wrap=True, highlight=False)
-    for line in pooled_rank_line(main, variants):
-        console.print(f"- {line}", soft_wrap=True, highlight=False)
-
-
-def print_table(console: Console, title: str, header: list[str], body: list[list[str]]) -> None:
-    """A table of the page, on the terminal: the first two columns left, a gap before every new group."""
-    from rich.table import Table
-
-    table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="underline")
-    for k, heading in enumerate(header):
-        table.add_column(heading, justify="left" if k < 2 else "right", no_wrap=True)
-    for i, row in enumerate(body):
-        if i and row[0]:
-            table.add_row()
-        table.add_row(*row)
-    console.print(f"\n{title}", soft_wrap=True, highlight=False)
-    width = console.width
-    # wider than the terminal rather than cut
-    console.width = max(width, console.measure(table, options=console.options.update(width=500)).maximum)
-    console.print(table)
-    console.width = width
-
-
-def print_variants(console: Console, main: Results, variants: dict[str, Results]) -> None:
-    """The headline figure of each outage, every variant beside the default."""
-    from insemu.report.tables import variant_caption, variant_rows
-
-    header, body = variant_rows(main, variants)
-    # the page has room for the others
-    shown = [k for k, heading in enumerate(header) if heading not in ("95 %", "inside %")]
-    kept = [[row[k] for k in shown] for row in body]
-    print_table(console, f"Variants. {variant_caption(main)}", [header[k] for k in shown], kept)
+            print_table(console, f"{label}: {tables.FIGURES[figure]}, m", *tables.beside(results, figure))
+        print_items(console, tables.rank_lines(results))
+    print_items(console, tables.pooled_rank_line(main, variants))

@@ -288,6 +288,43 @@ class GSensitivity(_OfSensor):
         return Hidden((CELLS[lot.cell][0],), {"value": at(lot.cell, lot.size(self, "value"), 9)})
 
 
+class GSquaredSensitivity(_OnOneAxis):
+    """Gyroscopes that feel the square of the specific force along their axis."""
+
+    id, name, sensors = "g2_sensitivity", "g-squared sensitivity of gyros", ("gyro",)
+    formula = "e_i = G2_i f_i^2"
+    parameters = (
+        _P(
+            "value",
+            "rad/s/(m/s^2)^2",
+            3,
+            (0.002 * DEG / G**2,),
+            None,
+            "bias per square of the specific force along the axis",
+            join="sum",
+        ),
+    )
+    excitation, in_filter = (
+        "specific force that changes much (tilts, loops, vibration)",
+        "random constant per axis times f_i^2",
+    )
+    stage, size = Stage.RESPONSE, "value"
+
+    def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
+        """Note the products of the specific force with itself."""
+        chain.response.products += [(i, 3 + i, 3 + i, value) for i, value in enumerate(use["value"])]
+
+    def bent(self, use: EffectUse, signal: Array, temperature: Array | None) -> Array:
+        """Squares of the specific force, on the rates."""
+        out = np.zeros_like(signal)
+        out[:, :3] = np.array(use["value"]) * signal[:, 3:] ** 2
+        return out
+
+    def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
+        """The square of the specific force on a gyroscope axis."""
+        return [Column.of(self, "gyro", f"value_{a}", (a,), ((i, motion.force[:, i] ** 2),)) for i, a in enumerate(XYZ)]
+
+
 def lagged(temperature: Array, dt: float, lag_s: float) -> Array:
     """First-order lag of a sampled temperature, exact for straight lines between the samples; starts in equilibrium.
 
@@ -437,6 +474,6 @@ class DroppedSamples(Effect):
 
 
 EFFECTS: tuple[Effect, ...] = (
-    TurnOnBias(), ScaleFactor(), ScaleAsymmetry(), ScaleNonlinearity(), Misalignment(), Mounting(), GSensitivity(), Temperature(),
-    Saturation(), DroppedSamples(),
+    TurnOnBias(), ScaleFactor(), ScaleAsymmetry(), ScaleNonlinearity(), Misalignment(), Mounting(), GSensitivity(), GSquaredSensitivity(),
+    Temperature(), Saturation(), DroppedSamples(),
 )  # fmt: skip

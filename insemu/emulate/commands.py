@@ -20,7 +20,6 @@ smooth ramps, with the same total), so that the path has an acceleration everywh
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -30,10 +29,13 @@ from insemu import rotation
 from insemu.emulate.flight import Flight
 from insemu.emulate.motion import Leg, smoothstep, smoothstep_integral
 from insemu.emulate.path import KNOT_S, SmoothPath
+from insemu.emulate.table import KNOT_BYTES, check_size, number, rows_of, text_of
 from insemu.errors import InputError
 
 Array = NDArray[np.float64]
 
+#: Largest height in m, speed in m/s and turn in rad that a command may ask for: beyond them Euler angles and map coordinates mean nothing.
+HIGHEST, FASTEST, MOST_TURN = 1e8, 1e4, 2e4
 _INITIAL = ("latitude", "longitude", "altitude", "vx", "vy", "vz", "yaw", "pitch", "roll")
 _COMMAND = ("type", "yaw", "pitch", "roll", "vx", "vy", "vz", "duration", "visibility")
 
@@ -44,16 +46,7 @@ def _numbers(row: list[str], names: tuple[str, ...], where: str) -> list[float]:
         cells.pop()
     if len(cells) != len(names):
         raise InputError(f"{len(cells)} cells, expected {len(names)} ({', '.join(names)})", where=where)
-    out = []
-    for cell, name in zip(cells, names, strict=True):
-        try:
-            value = float(cell)
-        except ValueError:
-            raise InputError(f"found '{cell}' for {name}, expected a number", where=where) from None
-        if not np.isfinite(value):
-            raise InputError(f"found '{cell}' for {name}, expected a finite number", where=where)
-        out.append(value)
-    return out
+    return [number(cell, name, where) for cell, name in zip(cells, names, strict=True)]
 
 
 def read_motion(path: str | Path) -> Flight:
@@ -66,14 +59,7 @@ def read_motion(path: str | Path) -> Flight:
         commands.
     """
     path = Path(path)
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except FileNotFoundError:
-        raise InputError("no such motion file", where=str(path)) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read as text ({error})", where=str(path)) from None
-    rows = [(k + 1, row) for k, row in enumerate(csv.reader(lines)) if any(c.strip() for c in row)]
-    rows = [(k, row) for k, row in rows if not _is_header(row)]
+    rows = [(k, row) for k, row in rows_of(text_of(path, "motion"), str(path)) if not _is_header(row)]
     if len(rows) < 2:
         raise InputError("expected one row of initial values and at least one command", where=str(path))
     line, first = rows[0]
@@ -81,6 +67,10 @@ def read_motion(path: str | Path) -> Flight:
     if abs(initial[0]) > 90:
         raise InputError(
             f"an initial latitude of {initial[0]:g} deg; are latitude and longitude swapped?", where=f"{path}:{line}"
+        )
+    if abs(initial[1]) > 360 or abs(initial[2]) > HIGHEST:
+        raise InputError(
+            f"an initial longitude of {initial[1]:g} deg at {initial[2]:g} m is no place", where=f"{path}:{line}"
         )
     deg = np.pi / 180.0
     state = np.array(
@@ -108,8 +98,13 @@ def read_motion(path: str | Path) -> Flight:
             raise InputError(f"command type {kind:g}, expected 1, 2, 3, 4 or 5", where=where)
         if abs(state[1] + change[1]) > 85 * deg:
             raise InputError("a pitch beyond 85 deg, where Euler angles fail", where=where)
+        if np.abs(state[3:] + change[3:]).max() > FASTEST:
+            raise InputError(f"a velocity beyond {FASTEST:g} m/s", where=where)
+        if np.abs(change[:3]).max() > MOST_TURN:
+            raise InputError(f"a turn of more than {MOST_TURN / (2 * np.pi):.0f} revolutions", where=where)
         commands.append((change, duration, kind == 1, visible != 0))
         state = state + change
+    check_size(sum(c[1] for c in commands) / KNOT_S, KNOT_BYTES, f"{path}: the motion")
     return _fly(path.stem, initial, commands)
 
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.errors import InputError, nearest
+from insemu.augment import per_axis
+from insemu.errors import InputError
 from insemu.noise import NoiseModel, Process
 from insemu.records import AXES
 
@@ -78,7 +79,7 @@ class RecordedErrors:
 
     def count(self, n: int) -> int:
         """How many pieces of ``n`` samples there are (row 0 of an IMU record counts)."""
-        return self.values.shape[0] // n
+        return int(self.values.shape[0] // n)
 
     def piece(self, index: int, n: int) -> Array:
         """Piece (n, 6) of a realization.
@@ -115,6 +116,18 @@ def draw_errors(
     """Draw (n, 6) stochastic errors in rad/s and m/s^2 and the components per axis.
 
     Every axis has its own child of ``rng``, so a model changed on one axis leaves the others as they were.
+
+    Parameters
+    ----------
+    truth : mapping, RecordedErrors or None
+        Axes, or ``gyro`` and ``accel`` for all three of a sensor (an axis that is named besides has its own), to models; or a recorded signal.
+    n : int
+        Samples.
+    dt : float
+        s.
+    rng : Generator
+    realization : int
+        Which piece of a recorded signal is taken.
     """
     components: dict[str, Array] = {}
     children = rng.spawn(6)
@@ -127,10 +140,7 @@ def draw_errors(
                 "recorded errors are not resampled (emulate at the recorded rate)"
             )
         return truth.piece(realization, n).copy(), components
-    for axis in truth:
-        if axis not in AXES:
-            raise InputError(f"unknown axis '{axis}'" + nearest(axis, AXES))
-    models = {axis: NoiseModel((m,)) if isinstance(m, Process) else m for axis, m in truth.items()}
+    models = {axis: model for axis, model in per_axis(truth).items() if len(model)}
     # one block for everything, axis by axis: large blocks come in large pages, and a row is drawn where it stays
     block = np.empty((6 + sum(len(m) for m in models.values()), n))
     errors, used = block[:6], 6

@@ -48,13 +48,33 @@ class Flight:
 
 
 def place(lat_deg: float, lon_deg: float, height: float) -> Array:
-    """Latitude rad, longitude rad, height m of degrees."""
+    """Latitude rad, longitude rad, height m.
+
+    Parameters
+    ----------
+    lat_deg, lon_deg : float
+    height : float
+        m.
+    """
     return np.array([np.deg2rad(lat_deg), np.deg2rad(lon_deg), height])
 
 
 def gusts(t: Array, rms: float, band_hz: tuple[float, float], envelope: Array, seed: int, columns: int = 3) -> Array:
     """Smooth random disturbances (n, columns): 24 sines per column with frequencies over a band, times an envelope.
 
+    Parameters
+    ----------
+    t : (n,) array
+        s.
+    rms : float
+        Root mean square under an envelope of 1.
+    band_hz : (low, high)
+    envelope : (n,) array
+    seed : int
+    columns : int
+
+    Notes
+    -----
     The logarithm of the band is cut into strata that the columns take in turns, so no two columns share a frequency and
     the axes stay uncorrelated over minutes, as in turbulence. The seed belongs to the trajectory, not to a run: a
     built-in flight is the same flight in every realization.

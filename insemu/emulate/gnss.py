@@ -10,10 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu import earth, rotation
 from insemu.effects import EffectUse, FixErrors
+from insemu.effects.gnss import LONGEST_ARM
+from insemu.emulate.table import SAMPLE_BYTES, check_size
 from insemu.errors import InputError
 from insemu.records import GnssRecord, Trajectory
 
 Array = NDArray[np.float64]
+#: Most random outages of a flight.
+MOST_OUTAGES = 1e5
 
 
 @dataclass(frozen=True)
@@ -91,6 +95,8 @@ def random_outages(
     if not (per_hour >= 0 and mean_s > 0 and end_s > start_s and clear_s >= 0):
         raise InputError("random outages need a rate of zero or more, a positive mean duration and a span")
     span = max(0.0, end_s - start_s - clear_s)
+    if per_hour * span / 3600.0 > MOST_OUTAGES:
+        raise InputError(f"{per_hour:g} outages per hour over {span:g} s are more than {MOST_OUTAGES:g}")
     count = rng.poisson(per_hour * span / 3600.0)
     begins = np.sort(start_s + clear_s + span * rng.random(count))
     lengths = rng.exponential(mean_s, count)
@@ -140,7 +146,21 @@ def state_at(trajectory: Trajectory, t: ArrayLike) -> tuple[Array, Array, Array,
 
 
 def antenna(trajectory: Trajectory, t: ArrayLike, lever_arm: ArrayLike) -> tuple[Array, Array]:
-    """True position (n, 3) (rad, rad, m) and velocity (n, 3) (m/s) of an antenna at ``lever_arm`` (3,) m."""
+    """True motion of an antenna.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Of the IMU.
+    t : (n,) array
+        s.
+    lever_arm : (3,) array
+        From the IMU to the antenna in body axes, m.
+
+    Returns
+    -------
+    llh (n, 3) rad, rad, m and vel_ned (n, 3) m/s
+    """
     llh, vel, q, w_nb = state_at(trajectory, t)
     arm = np.asarray(lever_arm, dtype=float)
     if not arm.any():
@@ -205,6 +225,10 @@ def gnss_fixes(
         if isinstance(outage, Outage):
             check_outage(outage, trajectory)
     arm = _three(lever_arm, "the lever arm")
+    if np.linalg.norm(arm) > LONGEST_ARM:
+        raise InputError(
+            f"a lever arm of {np.linalg.norm(arm):.4g} m is implausible, expected metres, at most {LONGEST_ARM:g} m"
+        )
     of_position, of_velocity = rng.spawn(2)
     own = [use for use in effects if use.sensor == "gnss"]
     errors = FixErrors(t, sigma, sigma_v, of_position, of_velocity)
@@ -229,10 +253,11 @@ def fix_times(trajectory: Trajectory, rate_hz: float) -> Array:
     """Epochs of the fixes: ``t[0] + k / rate_hz`` for k = 1, 2, ..., up to the end."""
     if not (np.isfinite(rate_hz) and rate_hz > 0):
         raise InputError(f"the GNSS rate is {rate_hz} Hz, expected a positive number")
+    check_size((trajectory.t[-1] - trajectory.t[0]) * rate_hz, SAMPLE_BYTES, f"fixes at {rate_hz:g} Hz")
     count = int(np.floor((trajectory.t[-1] - trajectory.t[0]) * rate_hz + 1e-6))
     if count < 1:
         raise InputError(f"a trajectory of {trajectory.t[-1] - trajectory.t[0]:g} s has no fix at {rate_hz:g} Hz")
-    return np.minimum(trajectory.t[0] + np.arange(1, count + 1) / rate_hz, trajectory.t[-1])
+    return np.asarray(np.minimum(trajectory.t[0] + np.arange(1, count + 1) / rate_hz, trajectory.t[-1]))
 
 
 def check_outage(outage: Outage, trajectory: Trajectory) -> None:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from insemu import earth, rotation, strapdown
 from insemu.emulate.kernel import invert
 from insemu.emulate.path import Mounting, SmoothPath, sensor_motion
+from insemu.emulate.table import SAMPLE_BYTES, check_size
 from insemu.emulate.trajectory import Flight
 from insemu.errors import InputError, nearest
 from insemu.records import ImuKind, ImuRecord, Trajectory
@@ -57,9 +58,18 @@ class IdealImu:
 
 
 def sample_times(start: float, end: float, rate_hz: float) -> Array:
-    """Times from ``start`` to at most ``end`` at a constant rate, each rounded only once."""
+    """Times from ``start`` to at most ``end`` at a constant rate, each rounded only once.
+
+    Parameters
+    ----------
+    start, end : float
+        s.
+    rate_hz : float
+        Hz.
+    """
     if not (np.isfinite(rate_hz) and rate_hz > 0):
         raise InputError(f"the rate is {rate_hz} Hz, expected a positive number")
+    check_size((end - start) * rate_hz, SAMPLE_BYTES, f"{end - start:.6g} s at {rate_hz:g} Hz")
     count = int(np.floor((end - start) * rate_hz + 1e-6))
     if count < 1:
         raise InputError(f"{end - start:.6g} s at {rate_hz:g} Hz is less than one interval")

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.emulate.path import KNOT_S, SmoothPath
+from insemu.emulate.table import KNOT_BYTES, check_size
 from insemu.emulate.vehicle import Vehicle
 from insemu.errors import InputError
 
@@ -123,6 +124,7 @@ def profile(
     if not commands:
         raise InputError("there are no motion commands, expected at least one")
     total = sum(c.duration_s for c in commands)
+    check_size(total / knot_s, KNOT_BYTES, f"a motion of {total:.3g} s")
     n = max(int(np.ceil(total / knot_s - 1e-9)), 8)
     t = start_s + np.linspace(0.0, total, n + 1)
     columns = np.zeros((7, n + 1))

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline, PPoly, make_interp_spline
 
 from insemu import earth, rotation
+from insemu.effects.gnss import LONGEST_ARM
 from insemu.errors import InputError
 from insemu.records import Trajectory
 
@@ -67,10 +68,19 @@ class SmoothPath:
     def from_velocity(
         cls, t: ArrayLike, vel_map: ArrayLike, rpy: ArrayLike, origin: ArrayLike, name: str
     ) -> SmoothPath:
-        """Integrate velocity nodes (n, 3) (north, east, up, m/s) from the origin; attitude nodes (n, 3) in rad, not
-        wrapped.
+        """Integrate velocity nodes: quintic splines through at least six of them, so that the acceleration and three of its rates are continuous.
 
-        Quintic splines through the nodes, at least six of them: the acceleration is continuous and so are three of its rates.
+        Parameters
+        ----------
+        t : (n,) array_like
+            s.
+        vel_map : (n, 3) array_like
+            North, east, up, m/s.
+        rpy : (n, 3) array_like
+            Roll, pitch, heading, rad, not wrapped.
+        origin : (3,) array_like
+            Latitude rad, longitude rad, height m at the first node.
+        name : str
         """
         t = np.asarray(t, dtype=float)
         velocity = _through(t, np.asarray(vel_map, dtype=float), at_rest=_at_rest(vel_map))
@@ -103,7 +113,7 @@ class SmoothPath:
                 f"time {t.min() if t.min() < self.start else t.max():.6g} s is outside the path '{self.name}' "
                 f"({self.start:.6g} to {self.end:.6g} s)"
             )
-        return np.clip(t, self.start, self.end)
+        return np.asarray(np.clip(t, self.start, self.end))
 
     def llh(self, t: ArrayLike) -> Array:
         """Position (n, 3) in rad, rad, m at times (n,)."""
@@ -205,7 +215,18 @@ def _at_rest(vel: ArrayLike) -> bool:
 
 
 def euler_rates(rpy: Array, first: Array, second: Array) -> tuple[Array, Array]:
-    """Body rate with respect to NED, in body axes, and its derivative, from Euler angles; all (n, 3)."""
+    """Body rate with respect to NED, in body axes, and its derivative.
+
+    Parameters
+    ----------
+    rpy, first, second : (n, 3) arrays
+        Euler angles in rad and their first and second time derivatives.
+
+    Returns
+    -------
+    w, alpha : (n, 3) arrays
+        rad/s and rad/s^2.
+    """
     sr, cr = np.sin(rpy[:, 0]), np.cos(rpy[:, 0])
     sp, cp = np.sin(rpy[:, 1]), np.cos(rpy[:, 1])
     r1, p1, h1 = first.T
@@ -242,6 +263,10 @@ class Mounting:
             value = tuple(float(x) for x in getattr(self, name))
             if len(value) != 3 or not np.isfinite(value).all():
                 raise InputError(f"mounting {name} is {value}, expected three finite numbers")
+            if name == "lever_arm" and max(map(abs, value)) > LONGEST_ARM:
+                raise InputError(
+                    f"mounting {name} is {value} m, which is implausible, expected at most {LONGEST_ARM:g} m"
+                )
             object.__setattr__(self, name, value)
 
     @property
@@ -291,10 +316,10 @@ def sensor_motion(path: SmoothPath, t: ArrayLike, mounting: Mounting, gravity: s
     c_nv = rotation.dcm_from_rpy(k.rpy)
 
     def to_body(x: Array) -> Array:
-        return np.einsum("nji,nj->ni", c_nv, x)
+        return np.asarray(np.einsum("nji,nj->ni", c_nv, x))
 
     def to_ned(x: Array) -> Array:
-        return np.einsum("nij,nj->ni", c_nv, x)
+        return np.asarray(np.einsum("nij,nj->ni", c_nv, x))
 
     lat = k.llh[:, 0]
     w_ie = earth.earth_rate(lat)

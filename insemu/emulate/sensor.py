@@ -53,7 +53,7 @@ class TemperatureProfile:
 
     def at(self, t: ArrayLike) -> Array:
         """Temperature in degC at times in s."""
-        return np.interp(np.asarray(t, dtype=float), self.t, self.degc)
+        return np.asarray(np.interp(np.asarray(t, dtype=float), self.t, self.degc))
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def corrupt(
     imu : ImuRecord
         Ideal record of any kind at a constant rate.
     truth : mapping of axis to NoiseModel, RecordedErrors or None
-        What the sensor's noise really is; axes that are not named stay perfect.
+        What the sensor's noise really is, by axis or, as filters take it, by ``gyro`` and ``accel``; axes that are not named stay perfect.
     rng : numpy.random.Generator
         Each axis and each effect draws from its own child.
     effects : sequence of EffectUse
@@ -141,23 +141,9 @@ def corrupt(
     degc = temperature.at(imu.t) if isinstance(temperature, TemperatureProfile) else temperature
     if degc is not None and np.shape(degc) != (n,):
         raise InputError(f"temperature has shape {np.shape(degc)}, expected ({n},)")
-    children = rng.spawn(len(inertial))
     step = _intervals(imu)
     chain = Chain.of(imu, step, reference, degc)
-    order = sorted(range(len(inertial)), key=lambda k: (inertial[k].effect.stage, _PLACE[inertial[k].id]))
-    reached: int = Stage.MODEL
-    for k in [*order, None]:
-        stage: int | None = Stage.LOSS + 1 if k is None else inertial[k].effect.stage
-        assert stage is not None
-        if reached < Stage.LAW <= stage:
-            chain.leave_out()
-            chain.respond()
-        if reached < Stage.FILTER <= stage and (truth is not None or errors is not None):
-            chain.signal += drawn.T
-        reached = stage
-        if k is not None:
-            inertial[k].effect.inject(chain, inertial[k], children[k])
-    chain.keep[0] = True
+    _run(chain, inertial, rng.spawn(len(inertial)), None if truth is None and errors is None else drawn)
     kept = np.nonzero(chain.keep)[0]
     if kept.size < 2:
         raise InputError("effect 'dropped_samples' leaves no data")
@@ -166,6 +152,26 @@ def corrupt(
     if degc is not None and kept.size < n:
         degc = degc[kept]
     return Corrupted(ImuRecord(chain.stamps[kept], gyro, accel, imu.kind, degc), drawn, components, kept)
+
+
+def _run(
+    chain: Chain, inertial: Sequence[EffectUse], children: Sequence[np.random.Generator], drawn: Array | None
+) -> None:
+    """Take the signals through the chain: every effect at its stage, the drawn errors (n, 6) with the noise."""
+    order = sorted(range(len(inertial)), key=lambda k: (inertial[k].effect.stage, _PLACE[inertial[k].id]))
+    reached: int = Stage.MODEL
+    for k in [*order, None]:
+        stage: int | None = Stage.LOSS + 1 if k is None else inertial[k].effect.stage
+        assert stage is not None
+        if reached < Stage.LAW <= stage:
+            chain.leave_out()
+            chain.respond()
+        if reached < Stage.FILTER <= stage and drawn is not None:
+            chain.signal += drawn.T
+        reached = stage
+        if k is not None:
+            inertial[k].effect.inject(chain, inertial[k], children[k])
+    chain.keep[0] = True
 
 
 def _intervals(imu: ImuRecord) -> Array:

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import csv
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu import units
 from insemu.emulate.commands import read_motion
 from insemu.emulate.flight import Flight
 from insemu.emulate.motion import Leg
+from insemu.emulate.table import read_columns, text_of
 from insemu.emulate.track import SmoothedTrack, Track, smooth_track
 from insemu.emulate.trajectory import built_in
 from insemu.emulate.vehicle import odd_places
 from insemu.emulate.vehicle import vehicle as vehicle_of
 from insemu.emulate.waypoints import read_waypoints, route
-from insemu.errors import InputError, nearest
+from insemu.errors import InputError
 from insemu.formats import read_recording
 
 Array = NDArray[np.float64]
@@ -136,52 +134,14 @@ def read_track(path: str | Path) -> Track:
         if recording.reference is not None:
             return Track.of(recording.reference, path.stem)
         raise InputError("holds neither GNSS fixes nor a reference, so it has no track", where=str(path))
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except FileNotFoundError:
-        raise InputError("no such track file", where=str(path)) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read as text ({error})", where=str(path)) from None
-    rows = [(k + 1, row) for k, row in enumerate(csv.reader(lines)) if row and not row[0].startswith("#")]
-    if not rows:
-        raise InputError("empty, expected a header and fixes", where=str(path))
-    line, header = rows[0]
     names = {alias: key for key, aliases in _COLUMNS.items() for alias in aliases}
-    columns: dict[str, tuple[int, float]] = {}
-    for k, cell in enumerate(header):
-        match = re.match(r"^\s*([A-Za-z_]+?)\s*(?:[\[(]\s*(.*?)\s*[\])])?\s*$", cell)
-        name = match.group(1).lower() if match else cell.strip().lower()
-        if name not in names:
-            raise InputError(f"unknown column '{cell.strip()}'" + nearest(name, names), where=f"{path}:{line}")
-        key = names[name]
-        try:
-            factor = units.conversion((match.group(2) if match else None) or _ASSUMED[key], _UNIT[key])
-        except InputError as error:
-            raise InputError(f"column '{cell.strip()}': {error.message}", where=f"{path}:{line}") from None
-        columns[key] = (k, factor)
-    missing = [key for key in ("t", "lat", "lon", "height") if key not in columns]
-    if missing:
-        raise InputError(f"no column for {', '.join(missing)}", where=f"{path}:{line}")
-    data = {key: np.empty(len(rows) - 1) for key in columns}
-    for n, (line, row) in enumerate(rows[1:]):
-        if len(row) != len(header):
-            raise InputError(f"{len(row)} cells, expected {len(header)}", where=f"{path}:{line}")
-        for key, (k, factor) in columns.items():
-            try:
-                data[key][n] = float(row[k]) * factor
-            except ValueError:
-                raise InputError(
-                    f"found '{row[k].strip()}' for {key}, expected a number", where=f"{path}:{line}"
-                ) from None
-            if key in ("t", "lat", "lon", "height") and not np.isfinite(data[key][n]):
-                raise InputError(
-                    f"found '{row[k].strip()}' for {key}, expected a finite number", where=f"{path}:{line}"
-                )
-        if n and data["t"][n] <= data["t"][n - 1]:
-            what = "repeats" if data["t"][n] == data["t"][n - 1] else "goes back"
-            raise InputError(
-                f"the time {what} ({data['t'][n - 1]:.6g} s then {data['t'][n]:.6g} s)", where=f"{path}:{line}"
-            )
+    required = ("t", "lat", "lon", "height")
+    rest = tuple(key for key in _COLUMNS if key not in required)
+    data, lines = read_columns(text_of(path, "track"), str(path), names, _UNIT, _ASSUMED, required, rest)
+    for n in map(int, np.flatnonzero(np.diff(data["t"]) <= 0)):
+        before, after = data["t"][n : n + 2]
+        what = "repeats" if after == before else "goes back"
+        raise InputError(f"the time {what} ({before:.6g} s then {after:.6g} s)", where=f"{path}:{lines[n + 1]}")
 
     def block(keys: tuple[str, ...]) -> Array | None:
         return np.column_stack([data[key] for key in keys]) if all(key in data for key in keys) else None

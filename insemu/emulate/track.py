@@ -18,6 +18,7 @@ from scipy.linalg import solveh_banded
 
 from insemu import earth, rotation
 from insemu.emulate.path import SmoothPath, pieces_of
+from insemu.emulate.table import KNOT_BYTES, check_size
 from insemu.emulate.vehicle import STEEPEST_ROAD, Vehicle, odd_places, vehicle
 from insemu.errors import InputError
 from insemu.records import GnssRecord, Trajectory
@@ -94,7 +95,16 @@ class SmoothedTrack:
 
 
 def check_track(track: Track, max_gap_s: float, car: Vehicle) -> tuple[str, ...]:
-    """Raise ``InputError`` for a track that cannot be used; return warnings about what looks odd."""
+    """Raise ``InputError`` for a track that cannot be used; return warnings about what looks odd.
+
+    Parameters
+    ----------
+    track : Track
+    max_gap_s : float
+        Longest gap that is bridged, s.
+    car : Vehicle
+        Gives the limits of speed and climb.
+    """
     name = track.name
     t, llh = np.asarray(track.t, dtype=float), np.asarray(track.llh, dtype=float)
     if t.ndim != 1 or llh.shape != (t.size, 3):
@@ -230,6 +240,9 @@ class _Basis:
 
     @classmethod
     def over(cls, start: float, end: float, spacing: float) -> _Basis:
+        check_size(
+            (end - start) / spacing, KNOT_BYTES, f"a track of {end - start:.3g} s with a fix every {spacing:.3g} s"
+        )
         pieces = max(2, int(np.ceil((end - start) / spacing)))
         inner = np.linspace(start, end, pieces + 1)
         knots = np.concatenate([np.repeat(start, _DEGREE), inner, np.repeat(end, _DEGREE)])
@@ -411,8 +424,18 @@ def _attitude(track: Track, kind: Vehicle, position: PPoly, spacing: float) -> P
 
 
 def hold_out(track: Track, every: int = 3, seed: int = 0) -> tuple[Track, NDArray[np.bool_]]:
-    """Leave out a random ``1 / every`` of the fixes (never the first or the last): the rest and the mask of those
-    left out.
+    """Leave out a random part of the fixes, never the first or the last.
+
+    Parameters
+    ----------
+    track : Track
+    every : int
+        One in so many is left out.
+    seed : int
+
+    Returns
+    -------
+    The rest, and the mask (n,) of those left out.
     """
     rng = np.random.default_rng(seed)
     n = len(track.t)
@@ -438,7 +461,14 @@ def hold_out(track: Track, every: int = 3, seed: int = 0) -> tuple[Track, NDArra
 
 
 def held_out_distance(track: Track, vehicle_name: str = "car", *, every: int = 3, seed: int = 0) -> Array:
-    """Distances in m of held-out fixes from the path that is smoothed from the rest."""
+    """Distances in m of held-out fixes from the path that is smoothed from the rest; see :func:`hold_out`.
+
+    Parameters
+    ----------
+    track : Track
+    vehicle_name : str
+    every, seed : int
+    """
     kept, out = hold_out(track, every, seed)
     path = smooth_track(kept, vehicle_name).path
     difference = earth.position_difference(np.asarray(track.llh)[out], path.llh(np.asarray(track.t)[out]))

@@ -51,8 +51,15 @@ class Vehicle:
     def attitude(
         self, *, speed: Array, acceleration: Array, heading: Array, turn_rate: Array, climb_rate: Array
     ) -> Array:
-        """Roll, pitch, heading (n, 3) in rad of a motion given by (n,) arrays in SI.
+        """Roll, pitch, heading (n, 3) in rad of a motion.
 
+        Parameters
+        ----------
+        speed, acceleration, heading, turn_rate, climb_rate : (n,) arrays
+            m/s, m/s^2, rad, rad/s, m/s.
+
+        Notes
+        -----
         A car follows the road and leans out of the curve on its springs by 3 deg per g; a fixed wing banks in
         coordination (``tan(roll) = v w / g``) and carries 3 deg of angle of attack; a rotor craft also tilts to
         accelerate and against its drag.

@@ -7,9 +7,7 @@ or GeoJSON (longitude first).
 
 from __future__ import annotations
 
-import csv
 import json
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,14 +18,17 @@ from numpy.typing import ArrayLike, NDArray
 from insemu import earth, units
 from insemu.emulate.flight import Flight
 from insemu.emulate.motion import Command, legs_of, path_of, profile, smoothstep_integral
+from insemu.emulate.table import read_columns, text_of
 from insemu.emulate.vehicle import STEEPEST_ROAD, Vehicle, odd_places, vehicle
-from insemu.errors import InputError, nearest
+from insemu.errors import InputError
 
 Array = NDArray[np.float64]
 
 _FOOT = 0.3048
 #: Share of the vehicle's limits that a route uses.
 _COMFORT = 0.5
+#: Longest leg in s and sharpest turn in rad that are taken for meant.
+LONGEST_LEG_S, SHARPEST_TURN = 6 * 3600.0, np.deg2rad(150)
 
 
 @dataclass(frozen=True)
@@ -76,8 +77,6 @@ _NAMES = {
 }  # fmt: skip
 _UNIT = {"lat": "rad", "lon": "rad", "height": "m", "speed": "m/s"}
 _ASSUMED = {"lat": "deg", "lon": "deg", "height": "m", "speed": "m/s"}
-_HEADER = re.compile(r"^\s*([A-Za-z]+)\s*(?:[\[(_]\s*([^\])]*?)\s*[\])]?)?\s*$")
-_WRITTEN = {"kmh": "km/h", "kph": "km/h", "kts": "kn", "knots": "kn", "feet": "ft", "mps": "m/s", "ms": "m/s"}
 
 
 def read_waypoints(path: str | Path, speed: float | None = None) -> Waypoints:
@@ -97,60 +96,19 @@ def read_waypoints(path: str | Path, speed: float | None = None) -> Waypoints:
         Anything that cannot be read, with file and line.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError("no such waypoint file", where=str(path)) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read as text ({error})", where=str(path)) from None
+    text = text_of(path, "waypoint")
     if path.suffix.lower() in (".geojson", ".json"):
         return _geojson(text, str(path), speed)
     return _csv(text, str(path), speed)
 
 
 def _csv(text: str, source: str, speed: float | None) -> Waypoints:
-    rows = [(k + 1, row) for k, row in enumerate(csv.reader(text.splitlines())) if row and not row[0].startswith("#")]
-    if not rows:
-        raise InputError("empty, expected a header and waypoints", where=source)
-    line, header = rows[0]
-    columns: dict[str, tuple[int, float]] = {}
-    for k, cell in enumerate(header):
-        match = _HEADER.match(cell)
-        name = match.group(1).lower() if match else cell.strip().lower()
-        if name not in _NAMES:
-            raise InputError(f"unknown column '{cell.strip()}'" + nearest(name, _NAMES), where=f"{source}:{line}")
-        key = _NAMES[name]
-        unit = (match.group(2) if match else None) or _ASSUMED[key]
-        unit = _WRITTEN.get(unit, unit)
-        try:
-            columns[key] = (k, units.conversion(unit, _UNIT[key]))
-        except InputError as error:
-            raise InputError(f"column '{cell.strip()}': {error.message}", where=f"{source}:{line}") from None
-    for key in ("lat", "lon"):
-        if key not in columns:
-            raise InputError(f"no column '{key}' in the header", where=f"{source}:{line}")
-    values: dict[str, list[float]] = {key: [] for key in columns}
-    for line, row in rows[1:]:
-        for key, (k, factor) in columns.items():
-            try:
-                values[key].append(float(row[k]) * factor)
-            except IndexError:
-                raise InputError(f"{len(row)} cells, expected {len(header)}", where=f"{source}:{line}") from None
-            except ValueError:
-                raise InputError(
-                    f"found '{row[k].strip()}' for {key}, expected a number", where=f"{source}:{line}"
-                ) from None
-            if not np.isfinite(values[key][-1]):
-                raise InputError(
-                    f"found '{row[k].strip()}' for {key}, expected a finite number", where=f"{source}:{line}"
-                )
-    n = len(values["lat"])
-    heights = values.get("height", [0.0] * n)
-    given = values.get("speed")
-    if given is None and speed is None:
+    values, _ = read_columns(text, source, _NAMES, _UNIT, _ASSUMED, ("lat", "lon"))
+    n = values["lat"].size
+    if "speed" not in values and speed is None:
         raise InputError("no column 'speed' and no speed given for all legs", where=source)
-    llh = np.column_stack([values["lat"], values["lon"], heights]) if n else np.zeros((0, 3))
-    return Waypoints(llh, np.array(given if given is not None else [speed] * n), source)
+    llh = np.column_stack([values["lat"], values["lon"], values.get("height", np.zeros(n))])
+    return Waypoints(llh, values["speed"] if "speed" in values else np.full(n, speed), source)
 
 
 def _geojson(text: str, source: str, speed: float | None) -> Waypoints:
@@ -158,6 +116,10 @@ def _geojson(text: str, source: str, speed: float | None) -> Waypoints:
         document = json.loads(text)
     except json.JSONDecodeError as error:
         raise InputError(f"not JSON: {error.msg}", where=f"{source}:{error.lineno}") from None
+    except (RecursionError, ValueError):  # deep nesting; integers too long to read
+        raise InputError(
+            "not JSON that can be read: nested too deeply, or with endless numbers", where=source
+        ) from None
     if not isinstance(document, dict):
         raise InputError("not GeoJSON, expected an object with the key 'type'", where=source)
     features = document.get("features", [document])
@@ -182,7 +144,7 @@ def _geojson(text: str, source: str, speed: float | None) -> Waypoints:
             points.append((coordinates, own))
     rows, speeds_out = [], []
     for k, (place, own) in enumerate(points):
-        numbers = isinstance(place, list) and all(type(x) in (int, float) for x in place)
+        numbers = isinstance(place, list) and all(type(x) in (int, float) and abs(x) < 1e12 for x in place)
         if not numbers or len(place) not in (2, 3):
             raise InputError(f"point {k + 1} is {place!r:.60}, expected [longitude, latitude(, height)]", where=source)
         rows.append([np.deg2rad(place[1]), np.deg2rad(place[0]), place[2] if len(place) == 3 else 0.0])
@@ -190,8 +152,11 @@ def _geojson(text: str, source: str, speed: float | None) -> Waypoints:
         if value is None:
             raise InputError(f"point {k + 1} has no property 'speed' and no speed was given for all legs", where=source)
         try:
-            speeds_out.append(units.parse(value, "m/s"))
-        except InputError as error:
+            if not isinstance(value, str | int | float):
+                raise InputError(f"found {value!r:.40}, expected a number or a quantity")
+            speeds_out.append(units.parse(value if isinstance(value, str) else float(value), "m/s"))
+        except (InputError, OverflowError) as error:
+            error = error if isinstance(error, InputError) else InputError("expected a finite number")
             raise InputError(f"speed of point {k + 1}: {error.message}", where=source) from None
     llh = np.array(rows, dtype=float).reshape(-1, 3)
     _check_box(document.get("bbox"), llh, source)
@@ -247,6 +212,131 @@ def _turn(angle: float, speed: float, v: Vehicle) -> tuple[float, float]:
     return duration, float(along / (1.0 + np.cos(size)))
 
 
+@dataclass
+class _Legs:
+    """Straight legs between n waypoints and the speeds along them.
+
+    Parameters
+    ----------
+    length, course, climb : (n - 1,) arrays
+        m, rad, m.
+    angle : (n - 2,) array
+        Change of course at the waypoints between, rad.
+    cruise : (n - 1,) array
+        Speeds of the legs, m/s.
+    corner : (n,) array
+        Speeds at the waypoints, m/s.
+    duration : (n - 2,) array
+        Of the turns, s.
+    free, need : (n - 1,) arrays
+        Length of a leg between its turns, and what its changes of speed take of it, m.
+    """
+
+    length: Array
+    course: Array
+    climb: Array
+    angle: Array
+    cruise: Array
+    corner: Array
+    duration: Array
+    free: Array
+    need: Array
+
+    @classmethod
+    def of(cls, waypoints: Waypoints, v: Vehicle) -> _Legs:
+        """Legs of waypoints that a vehicle can follow; ``InputError`` where it cannot."""
+        source, llh, cruise = waypoints.source, waypoints.llh, waypoints.speed[:-1].copy()
+        for k, s in enumerate(cruise):
+            if not max(v.min_speed, 0.1) <= s <= v.max_speed:
+                raise InputError(
+                    f"{source}: waypoint {k + 1} asks for {s:.4g} m/s, a {v.name} does {max(v.min_speed, 0.1):g} to {v.max_speed:g} m/s"
+                )
+        rm, rn = earth.radii(llh[0, 0])
+        scale = np.array([float(rm + llh[0, 2]), float((rn + llh[0, 2]) * np.cos(llh[0, 0]))])
+        plane = np.column_stack([llh[:, 0] - llh[0, 0], np.unwrap(llh[:, 1]) - llh[0, 1]]) * scale
+        leg = np.diff(plane, axis=0)
+        length = np.hypot(leg[:, 0], leg[:, 1])
+        if (length < 1.0).any():
+            k = int(np.argmin(length))
+            raise InputError(
+                f"{source}: waypoints {k + 1} and {k + 2} are {length[k]:.3g} m apart, expected at least 1 m"
+            )
+        far = length / cruise
+        if far.max() > LONGEST_LEG_S:
+            k = int(np.argmax(far))
+            raise InputError(
+                f"{source}: the leg from waypoint {k + 1} is {length[k] / 1000:.4g} km, {far[k] / 3600:.3g} h at its speed; "
+                "are latitude and longitude swapped?"
+            )
+        course = np.unwrap(np.arctan2(leg[:, 1], leg[:, 0]))
+        angle = np.diff(course)
+        if (np.abs(angle) > SHARPEST_TURN).any():
+            k = int(np.argmax(np.abs(angle)))
+            raise InputError(
+                f"{source}: waypoint {k + 2} turns by {np.rad2deg(angle[k]):.0f} deg, expected at most 150 deg; add a waypoint beside it"
+            )
+        ends = cruise[[0, -1]] if v.min_speed > 0 else np.zeros(2)
+        corner = np.concatenate([ends[:1], np.minimum(cruise[:-1], cruise[1:]), ends[1:]])
+        none = np.zeros(0)
+        return cls(length, course, np.diff(llh[:, 2]), angle, cruise, corner, none, none, none)
+
+    def lay_out(self, v: Vehicle) -> None:
+        """Turns at the present speeds, and what they leave of every leg."""
+        turns = [
+            _turn(a, s, v) if abs(a) > 1e-3 else (0.0, 0.0) for a, s in zip(self.angle, self.corner[1:-1], strict=True)
+        ]
+        self.duration = np.array([x for x, _ in turns])
+        away = np.concatenate([[0.0], [d for _, d in turns], [0.0]])
+        self.free = self.length - away[:-1] - away[1:]
+        # two smooth changes of speed per leg
+        self.need = np.zeros(self.length.size)
+        for end in (self.corner[:-1], self.corner[1:]):
+            self.need += 0.5 * (self.cruise + end) * _change_s(self.cruise - end, v)
+
+    def slow_down(self, v: Vehicle, source: str) -> None:
+        """Lower the speeds until every leg has room for its turns and changes of speed; ``InputError`` where none has."""
+        inner = range(1, self.corner.size - 1)
+        for _ in range(60):
+            self.lay_out(v)
+            short = self.free < self.need
+            if not short.any():
+                return
+            for k in map(int, np.nonzero(short)[0]):
+                if self.free[k] > 0.0 and v.min_speed == 0.0:
+                    self.cruise[k] = max(0.9 * self.cruise[k], 0.5)
+                for j in (k, k + 1):
+                    if j in inner:
+                        self.corner[j] = max(0.85 * self.corner[j], v.min_speed, 0.3)
+                self.corner[:-1] = np.minimum(self.corner[:-1], self.cruise)
+                self.corner[1:] = np.minimum(self.corner[1:], self.cruise)
+        k = int(np.argmax(self.need - self.free))
+        raise InputError(
+            f"{source}: the leg from waypoint {k + 1} to {k + 2} of {self.length[k]:.4g} m is too short for a {v.name} to turn and "
+            f"change speed (needs {self.length[k] - self.free[k] + self.need[k]:.4g} m)"
+        )
+
+    def commands(self, v: Vehicle) -> list[Command]:
+        """Legs and turns as motion commands."""
+        out: list[Command] = []
+        for k, cruise in enumerate(self.cruise):
+            start, end = self.corner[k], self.corner[k + 1]
+            up, down = _change_s(cruise - start, v), _change_s(cruise - end, v)
+            steady = (self.free[k] - 0.5 * (cruise + start) * up - 0.5 * (cruise + end) * down) / cruise
+            total = up + steady + down
+            for seconds, speed in ((up, cruise), (steady, cruise), (down, end)):
+                if seconds > 1e-9:  # the climb of a leg is shared by time
+                    share = self.climb[k] * seconds / total
+                    out.append(Command(seconds, speed=speed, climb=share, name=f"leg {k + 1}"))
+            if k < self.duration.size and self.duration[k] > 0:
+                out.append(Command(float(self.duration[k]), turn=float(self.angle[k])))
+        return out
+
+
+def _change_s(change: Any, v: Vehicle) -> Any:
+    """Duration of a change of speed, s; a quintic's peak acceleration is 1.875 times its mean."""
+    return 1.875 * abs(change) / (_COMFORT * v.max_acceleration)
+
+
 def route(
     waypoints: Waypoints,
     vehicle_name: str = "car",
@@ -275,106 +365,21 @@ def route(
     """
     v = vehicle(vehicle_name)
     source, llh = waypoints.source, waypoints.llh
-    n = len(llh)
-    leg_speed = waypoints.speed[:-1]
-    for k, s in enumerate(leg_speed):
-        if s > v.max_speed or s < max(v.min_speed, 0.1):
-            raise InputError(
-                f"{source}: waypoint {k + 1} asks for {s:.4g} m/s, a {v.name} does {max(v.min_speed, 0.1):g} to {v.max_speed:g} m/s"
-            )
-    rm, rn = earth.radii(llh[0, 0])
-    scale = np.array([float(rm + llh[0, 2]), float((rn + llh[0, 2]) * np.cos(llh[0, 0]))])
-    plane = np.column_stack([llh[:, 0] - llh[0, 0], np.unwrap(llh[:, 1]) - llh[0, 1]]) * scale
-    leg = np.diff(plane, axis=0)
-    length = np.hypot(leg[:, 0], leg[:, 1])
-    if (length < 1.0).any():
-        k = int(np.argmin(length))
-        raise InputError(f"{source}: waypoints {k + 1} and {k + 2} are {length[k]:.3g} m apart, expected at least 1 m")
-    far = length / leg_speed
-    if far.max() > 6 * 3600.0:
-        k = int(np.argmax(far))
-        raise InputError(
-            f"{source}: the leg from waypoint {k + 1} is {length[k] / 1000:.4g} km, {far[k] / 3600:.3g} h at its speed; "
-            "are latitude and longitude swapped?"
-        )
-    course = np.unwrap(np.arctan2(leg[:, 1], leg[:, 0]))
-    angle = np.diff(course)
-    if (np.abs(angle) > np.deg2rad(150)).any():
-        k = int(np.argmax(np.abs(angle)))
-        raise InputError(
-            f"{source}: waypoint {k + 2} turns by {np.rad2deg(angle[k]):.0f} deg, expected at most 150 deg; add a waypoint beside it"
-        )
-    climb = np.diff(llh[:, 2])
-    warnings = odd_places(source, llh, v) + _check_climb(source, v, climb, length, leg_speed)
-
-    moving_ends = v.min_speed > 0
-    corner = np.empty(n)  # speed at the waypoints
-    corner[0] = leg_speed[0] if moving_ends else 0.0
-    corner[-1] = leg_speed[-1] if moving_ends else 0.0
-    corner[1:-1] = np.minimum(leg_speed[:-1], leg_speed[1:])
-    accel = _COMFORT * v.max_acceleration
-
-    def layout() -> tuple[Array, Array, Array]:
-        turns = [_turn(a, s, v) if abs(a) > 1e-3 else (0.0, 0.0) for a, s in zip(angle, corner[1:-1], strict=True)]
-        duration = np.array([x for x, _ in turns])
-        away = np.concatenate([[0.0], [d for _, d in turns], [0.0]])
-        free = length - away[:-1] - away[1:]
-        # two smooth changes of speed per leg; a quintic's peak acceleration is 1.875 times its mean
-        need = np.zeros(n - 1)
-        for k in range(n - 1):
-            for end in (corner[k], corner[k + 1]):
-                need[k] += 0.5 * (leg_speed[k] + end) * max(1.875 * abs(leg_speed[k] - end) / accel, 0.0)
-        return duration, free, need
-
-    cruise = leg_speed.copy()
-    for _ in range(60):
-        leg_speed = cruise
-        duration, free, need = layout()
-        short = free < need
-        if not short.any():
-            break
-        for k in map(int, np.nonzero(short)[0]):
-            if free[k] > 0.0 and not moving_ends:
-                cruise[k] = max(0.9 * cruise[k], 0.5)
-            for j in (k, k + 1):
-                if 0 < j < n - 1:
-                    corner[j] = max(0.85 * corner[j], v.min_speed, 0.3)
-            corner = np.minimum(corner, np.concatenate([cruise, [np.inf]]))
-            corner = np.minimum(corner, np.concatenate([[np.inf], cruise]))
-    else:
-        k = int(np.argmax(need - free))
-        raise InputError(
-            f"{source}: the leg from waypoint {k + 1} to {k + 2} of {length[k]:.4g} m is too short for a {v.name} to turn and "
-            f"change speed (needs {length[k] - free[k] + need[k]:.4g} m)"
-        )
-    if (cruise < waypoints.speed[:-1] - 1e-9).any():
-        k = int(np.argmax(waypoints.speed[:-1] - cruise))
+    legs = _Legs.of(waypoints, v)
+    warnings = odd_places(source, llh, v) + _check_climb(source, v, legs.climb, legs.length, waypoints.speed[:-1])
+    legs.slow_down(v, source)
+    lost = waypoints.speed[:-1] - legs.cruise
+    if (lost > 1e-9).any():
+        k = int(np.argmax(lost))
         warnings += (
-            f"{source}: the leg from waypoint {k + 1} is driven at {cruise[k]:.3g} m/s instead of {waypoints.speed[k]:.3g} m/s "
+            f"{source}: the leg from waypoint {k + 1} is driven at {legs.cruise[k]:.3g} m/s instead of {waypoints.speed[k]:.3g} m/s "
             "(too short to reach it)",
         )
-
-    commands: list[Command] = [] if moving_ends else [Command(rest_s, name="rest at the start")]
-    for k in range(n - 1):
-        up = 1.875 * abs(cruise[k] - corner[k]) / accel
-        down = 1.875 * abs(cruise[k] - corner[k + 1]) / accel
-        steady = (free[k] - 0.5 * (cruise[k] + corner[k]) * up - 0.5 * (cruise[k] + corner[k + 1]) * down) / cruise[k]
-        total = up + steady + down
-        pieces = [(up, cruise[k]), (steady, cruise[k]), (down, corner[k + 1])]
-        done = 0.0
-        for seconds, speed in pieces:
-            if seconds > 1e-9:
-                # height follows one quintic over the whole leg, in pieces of equal climb rate per command
-                share = climb[k] * seconds / total
-                commands.append(Command(seconds, speed=speed, climb=share, name=f"leg {k + 1}"))
-                done += seconds
-        if k < n - 2 and duration[k] > 0:
-            commands.append(Command(float(duration[k]), turn=float(angle[k])))
-    if not moving_ends:
-        commands.append(Command(rest_s, name="rest at the end"))
-    p = profile(commands, heading=float(course[0]), speed=float(corner[0]))
-    title = name or Path(source).stem
-    path = path_of(p, v, llh[0], title)
+    commands = legs.commands(v)
+    if v.min_speed == 0.0:
+        commands = [Command(rest_s, name="rest at the start"), *commands, Command(rest_s, name="rest at the end")]
+    p = profile(commands, heading=float(legs.course[0]), speed=float(legs.corner[0]))
+    path = path_of(p, v, llh[0], name or Path(source).stem)
     return Route(Flight(path, v.name, legs_of(commands)), tuple(warnings))
 
 

@@ -2,19 +2,19 @@
 
 from insemu.evaluate.errors import COMPONENTS, bootstrap_mean, navigation_error, paired_ratio, within_outage
 from insemu.evaluate.experiment import Experiment, run_experiment
+from insemu.evaluate.folder import write
 from insemu.evaluate.results import (
     Results,
     consistency_words,
     figure_of,
-    headline,
     kendall,
+    outage_rows,
     outage_table,
     published_cells,
     rank_agreement,
     single_run_agreement,
     summary,
     verdicts,
-    write,
 )
 
 __all__ = [
@@ -24,9 +24,9 @@ __all__ = [
     "bootstrap_mean",
     "consistency_words",
     "figure_of",
-    "headline",
     "kendall",
     "navigation_error",
+    "outage_rows",
     "outage_table",
     "paired_ratio",
     "published_cells",

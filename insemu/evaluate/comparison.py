@@ -10,11 +10,11 @@ import numpy as np
 
 from insemu.errors import InputError, nearest
 from insemu.evaluate.covariance import CovarianceAnalysis, analyse
+from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.errors import paired_ratio
 from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.results import Results
-from insemu.evaluate.world import World
-from insemu.filters import InitialSigma, LooselyCoupledEKF
+from insemu.filters import LooselyCoupledEKF
 from insemu.scenario import Design, Scenario, shipped_designs
 from insemu.strapdown import NavState
 
@@ -127,9 +127,9 @@ def compare(results: Results, base: str | None = None) -> list[ComparisonRow]:
 def analysable(experiment: Experiment) -> tuple[list[str], str]:
     """Designs of which a covariance analysis can be made; and, in words, why not of the others and what it leaves out (empty: nothing)."""
     s = experiment.scenario
-    if not isinstance(experiment.world, World) or s.truth is None:
+    if not isinstance(experiment.world, EmulatedWorld) or s.truth is None:
         return [], "found a recording; the analysis needs an emulated world and its truth"
-    if s.truth.recorded is not None or s.truth.uses():
+    if s.truth.recorded is not None or s.truth.effects:
         return [], "found a recorded truth or deterministic effects; the analysis needs noise models only"
     able: list[str] = []
     left_out: dict[str, str] = {}
@@ -165,11 +165,9 @@ def analyse_designs(
     if not able:
         raise InputError(reason, where=str(experiment.file or "scenario"))
     s, world = experiment.scenario, experiment.world
-    assert isinstance(world, World) and s.truth is not None
+    assert isinstance(world, EmulatedWorld) and s.truth is not None
     fixes = world.recording(0, ideal=True).gnss
     assert fixes is not None
-    i = s.initial
-    sigma = InitialSigma(i.position_sigma, i.velocity_sigma, (i.tilt_sigma, i.tilt_sigma, i.heading_sigma))
     ends = [start + duration for start, duration in world.outage_windows]
     plain = type(fixes)(fixes.t, fixes.llh, fixes.vel_ned)  # the filter's own sigmas, not those of perfect fixes
     truth = {axis: m.at_rate(experiment.rate_hz) for axis, m in s.truth.models().items()}
@@ -180,7 +178,7 @@ def analyse_designs(
             world.imu,
             plain,
             NavState.of(world.reference),
-            sigma,
+            s.initial.sigma,
             true_gnss_sigma=(s.gnss.position_sigma, s.gnss.velocity_sigma or (0.0, 0.0, 0.0)),
             at=tuple(world.output_times),
             budget_at=ends,

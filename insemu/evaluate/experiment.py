@@ -10,7 +10,7 @@ import platform
 import subprocess
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from importlib import metadata
@@ -18,19 +18,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 import insemu
+from insemu.augment import NAVIGATION
 from insemu.denoise import denoise
 from insemu.effects import compensated, lever_arm_of
 from insemu.emulate.pieces import TrueStates
 from insemu.errors import InputError
 from insemu.evaluate.consistency import block_nees, lag_products, observability, sensor_errors, unaided_sigma
+from insemu.evaluate.dataset import of_bytes, of_designs, of_realizations, to_bytes
+from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.recorded import RecordedWorld
-from insemu.evaluate.results import DesignInfo, Innovations, Results, Sensors, Smoothed
+from insemu.evaluate.results import DesignInfo, Results
 from insemu.evaluate.world import Estimate, World, static_logs, stream
 from insemu.filters import (
-    Extras,
     FilterOptions,
     FilterResult,
     InitialSigma,
@@ -46,6 +49,7 @@ from insemu.noise import ARMA, NoiseModel, NotStationary, axis_unit, load
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Series
 from insemu.scenario import AxisSource, Scenario, digest
 from insemu.strapdown import NavState, trajectory_of
+from insemu.work import Files, run_items
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
@@ -83,8 +87,8 @@ class Experiment:
         self.file = file
         if not scenario.designs:
             raise InputError("the key 'designs' is missing: there is nothing to fly", where=str(file or "scenario"))
-        self.world: World | RecordedWorld = (
-            RecordedWorld(scenario, file) if scenario.recording is not None else World(scenario, file)
+        self.world: World = (
+            RecordedWorld(scenario, file) if scenario.recording is not None else EmulatedWorld(scenario, file)
         )
         code = [file for d in scenario.designs.values() if d.filter for file in user_filter_code(d.filter).items()]
         self.digest = digest(scenario, {**self.world.files, **dict(code)})
@@ -139,15 +143,17 @@ class Experiment:
             elif source.file:
                 models[axis] = self._from_file(source.file, axis)
             elif source.model is not None:
-                models[axis] = NoiseModel.from_list(source.model, axis_unit(axis))
+                models[axis] = source.model
             else:
                 assert source.fit is not None
                 log = self.fit_logs[axis][0]
-                key = (source.model_dump_json(), id(log))
+                key = (source.model_dump_json(include={"fit", "method", "options"}), id(log))
                 if key not in done:
                     done[key] = self._fitted(name, log, source)
                 fits[axis] = done[key]
                 models[axis] = done[key].model
+            if isinstance(source, AxisSource) and source.plus is not None:
+                models[axis] = models[axis] + source.plus
             if isinstance(source, AxisSource) and source.stabilise:
                 radius = {} if source.stabilise is True else {"radius": float(source.stabilise)}
                 models[axis] = NoiseModel(
@@ -163,9 +169,9 @@ class Experiment:
         return self.scenario.truth.models() if self.scenario.truth is not None else {}
 
     def _fitted(self, design: str, log: Series, source: AxisSource) -> FitResult:
-        model = NoiseModel.parse(source.fit or "", axis_unit(log.name))
+        assert source.fit is not None
         try:
-            return fit(log, model, source.method, **dict[str, Any](source.options))  # type: ignore[arg-type]
+            return fit(log, source.fit, source.method, **dict[str, Any](source.options))  # type: ignore[arg-type]
         except TypeError as error:
             if "unexpected keyword argument" not in str(error):
                 raise
@@ -234,7 +240,7 @@ class Experiment:
         parts = FilterParts(
             belief=belief.models,
             dt=1.0 / self.rate_hz,
-            lever_arm=lever_arm_of(options.known_effects(), gnss.lever_arm),
+            lever_arm=lever_arm_of(options.compensate, gnss.lever_arm),
             gravity=self.world.gravity,
             gnss_sigma=(sigma, velocity),
             options=FilterOptions(
@@ -242,7 +248,7 @@ class Experiment:
                 output_every=output_every * options.covariance_every,
                 gate=options.gate,
                 covariance_at=() if covariance_at is None else tuple(covariance_at),
-                extras=Extras(**options.states.model_dump()),
+                extras=options.states,
                 standstill=standstill,
                 store="fixes" if self.scenario.smoother else "none",
             ),
@@ -256,73 +262,56 @@ class Experiment:
                 hint = "; to take it write {model: [...], stabilise: true}, or the largest modulus of a pole instead of true"
             raise InputError(f"{error}{hint}", where=f"{self.file or 'scenario'}: designs.{design}") from None
 
-    def realization(self, index: int) -> dict[str, Array]:
-        """Fly every design through one realization.
-
-        Returns
-        -------
-        dict of arrays
-            ``error, sigma`` (design, time, 9); ``nees`` (design, time); ``block_nees`` (design, block, time); ``axis_error, axis_sigma``
-            (design, time, 6); ``nis, dof, epochs, seconds`` (design,): ``nis`` is the sum over accepted fixes; ``lag_sum, lag_count``
-            (design, lags) of the normalised innovations. With a smoother ``smoothed_error, smoothed_sigma, smoothed_nees`` besides.
-        """
+    def realization(self, index: int) -> xr.Dataset:
+        """Fly every design through one realization; the variables are those of :data:`insemu.evaluate.dataset.VARIABLES`."""
         recording = self.world.recording(index)
         start, start_sigma = self.world.start(index, recording.imu)
-        every = max(d.options.covariance_every for d in self.scenario.designs.values())
         true = self.world.true_states(index, recording.imu)
-        out: dict[str, list[Any]] = {}
-        for name in self.beliefs:
-            known = self._compensated(name, recording, start, start_sigma)
-            assert known.gnss is not None
-            rows = self.world.rows(known.imu, every)
-            times = known.imu.t[rows]
-            ekf = self.filter(name, covariance_at=times, standstill=self._rests(name, known))
-            run = ekf.run(self._prefiltered(name, known.imu), self._believed(name, known.gnss), start, start_sigma)
-            if (users := self.scenario.designs[name].filter) is not None:
-                check_result(users, run, times, smoother=self.scenario.smoother)
-            found = asdict(self.world.score(Estimate.of_filter(run, times), times))
-            if self.scenario.smoother:
-                smoothed = self.world.score(Estimate.of_smoother(smooth(run), times), times)
-                found |= {f"smoothed_{key}": value for key, value in asdict(smoothed).items()}
-            used = run.fixes.accepted
-            # the true states are those of the data as they came: they say nothing of what is left after a compensation
-            found |= self._sensors(ekf, run, known.imu, rows, found["error"], true if known is recording else None)
-            lag_sum, lag_count = lag_products(run.fixes) if used.any() else (np.zeros(5), np.zeros(5))
-            found |= {
-                "nis": run.fixes.nis[used].sum(),
-                "dof": run.fixes.dof[used].sum(),
-                "lag_sum": lag_sum,
-                "lag_count": lag_count,
-                "epochs": run.epochs,
-                "seconds": run.seconds,
-                "rejected": len(run.fixes.rejected),
-                "fixes": np.count_nonzero(run.fixes.dof),
-                "state_names": "\n".join(run.layout.names),
-            }
-            for key, value in found.items():
-                out.setdefault(key, []).append(value)
-        widest = max(values.shape[1] for values in out["observability"])
-        out["observability"] = [
-            np.pad(values, ((0, 0), (0, widest - values.shape[1])), constant_values=np.nan)
-            for values in out["observability"]
-        ]
-        return {name: np.array(values) for name, values in out.items()}
+        flown = {name: self._flown(name, recording, start, start_sigma, true) for name in self.beliefs}
+        return of_designs(flown, self.world.output_times)
+
+    def _flown(
+        self, name: str, recording: Recording, start: NavState, start_sigma: InitialSigma, true: TrueStates | None
+    ) -> dict[str, Any]:
+        """One design through one realization."""
+        known = self._compensated(name, recording, start, start_sigma)
+        assert known.gnss is not None
+        rows = self.world.rows(known.imu, max(d.options.covariance_every for d in self.scenario.designs.values()))
+        times = known.imu.t[rows]
+        ekf = self.filter(name, covariance_at=times, standstill=self._rests(name, known))
+        run = ekf.run(self._prefiltered(name, known.imu), self._believed(name, known.gnss), start, start_sigma)
+        if (users := self.scenario.designs[name].filter) is not None:
+            check_result(users, run, times, smoother=self.scenario.smoother)
+        found = asdict(self.world.score(Estimate.of_filter(run, times), times))
+        if self.scenario.smoother:
+            smoothed = self.world.score(Estimate.of_smoother(smooth(run), times), times)
+            found |= {f"smoothed_{key}": value for key, value in asdict(smoothed).items()}
+        used = run.fixes.accepted
+        # the true states are those of the data as they came: they say nothing of what is left after a compensation
+        found |= self._sensors(ekf, run, known.imu, rows, found["error"], true if known is recording else None)
+        lag_sum, lag_count = lag_products(run.fixes) if used.any() else (np.zeros(5), np.zeros(5))
+        return found | {
+            "states": run.layout.n,
+            "state_name": run.layout.names[9:],
+            "nis": run.fixes.nis[used].sum(),
+            "dof": run.fixes.dof[used].sum(),
+            "lag_sum": lag_sum,
+            "lag_count": lag_count,
+            "epochs": run.epochs,
+            "seconds": run.seconds,
+            "rejected": len(run.fixes.rejected),
+            "fixes": np.count_nonzero(run.fixes.dof),
+        }
 
     def _rests(self, design: str, data: Recording) -> Standstill | None:
         """Zero-velocity and zero-rate updates of one design, where it has any and the data show a rest outside the outages."""
         asked = self.scenario.designs[design].options.zero_updates
         if asked is None:
             return None
-        clear = [
+        return asked.at(
             (a, b)
             for a, b in rests(data.imu, data.gnss)
             if not any(start < b and a < start + duration for start, duration in self.world.outage_windows)
-        ]
-        return Standstill(
-            clear,
-            asked.every,
-            np.inf if asked.velocity_sigma is None else asked.velocity_sigma,
-            np.inf if asked.rate_sigma is None else asked.rate_sigma,
         )
 
     def _sensors(
@@ -368,7 +357,7 @@ class Experiment:
 
     def _compensated(self, design: str, recording: Recording, start: NavState, sigma: InitialSigma) -> Recording:
         """The data less the effects that a design knows of."""
-        known = self.scenario.designs[design].options.known_effects()
+        known = self.scenario.designs[design].options.compensate
         along = [use for use in known if use.effect.needs_trajectory]
         if not along:
             return compensated(recording, known) if known else recording
@@ -447,6 +436,7 @@ def run_experiment(
     executor: Executor | None = None,
     cache: Path | None = None,
     progress: Progress = silent,
+    say: Callable[[str], None] = lambda text: None,
 ) -> Results:
     """Run every realization and collect.
 
@@ -463,6 +453,8 @@ def run_experiment(
         Folder in which finished realizations are kept and looked for.
     progress : callable
         Called with (done, total, label).
+    say : callable
+        Told in words of kept realizations that are not taken.
 
     Returns
     -------
@@ -473,93 +465,46 @@ def run_experiment(
     total = realizations if realizations is not None else s.realizations
     if s.recording is not None:
         total = 1  # what was recorded happened once
-    folder = cache / experiment.digest if cache is not None else None
-    items: dict[int, dict[str, Array]] = {}
-    for r in range(total):
-        kept = _kept(folder, r)
-        if kept is not None:
-            items[r] = kept
-    todo = [r for r in range(total) if r not in items]
-    if todo:
-        progress(len(items), total, "preparing")
-        for (
-            name
-        ) in experiment.beliefs:  # fits are made once, before the threads, and whatever is wrong with them is said
-            experiment.filter(name)
-    progress(len(items), total, "flying")
-    own = executor is None
-    pool = executor if executor is not None else ThreadPoolExecutor(max_workers=max(1, workers))
-    try:
-        futures = {pool.submit(experiment.realization, r): r for r in todo}
-        for future in as_completed(futures):
-            r = futures[future]
-            items[r] = future.result()
-            _keep(folder, r, items[r])
-            progress(len(items), total, "flying")
-    finally:
-        if own:
-            pool.shutdown(wait=True, cancel_futures=True)
-    stacked = {key: np.stack([items[r][key] for r in range(total)], axis=1) for key in items[0]}
-    smoothed = None
-    if s.smoother:
-        smoothed = Smoothed(*(stacked[f"smoothed_{key}"] for key in ("error", "sigma", "nees")))
+    store = None
+    if cache is not None:
+        store = Files(cache / experiment.digest, experiment.digest, to_bytes, of_bytes, say)
+    finished = 0
+
+    def done(_: xr.Dataset) -> None:
+        nonlocal finished
+        finished += 1
+        progress(finished, total, "flying")
+
+    progress(0, total, "preparing")
+    for name in experiment.beliefs:  # fits are made once, before the threads, and whatever is wrong with them is said
+        experiment.filter(name)
+    keys = {f"{r:05d}": r for r in range(total)}
+    if executor is None:
+        with ThreadPoolExecutor(max_workers=max(1, workers)) as threads:
+            items = run_items(keys, experiment.realization, pool=threads, store=store, done=done)
+    else:
+        items = run_items(keys, experiment.realization, pool=executor, store=store, done=done)
+    data = of_realizations(list(items.values()))
     designs = {}
-    for name, joined in zip(experiment.beliefs, items[0]["state_names"], strict=True):
-        states = tuple(str(joined).split("\n"))
-        designs[name] = DesignInfo(len(states), states, experiment.beliefs[name].models)
+    for d, (name, belief) in enumerate(experiment.beliefs.items()):
+        n = int(data["states"][d])
+        behind = [str(x) for x in data["state_name"].to_numpy()[d][: n - 9]]
+        designs[name] = DesignInfo(n, (*NAVIGATION, *behind), belief.models)
     timing = {
-        "filter_epochs": int(sum(int(items[r]["epochs"].sum()) for r in range(total))),
-        "filter_seconds": float(sum(float(items[r]["seconds"].sum()) for r in range(total))),
+        "filter_epochs": int(data["epochs"].sum()),
+        "filter_seconds": float(data["seconds"].sum()),
         "wall_seconds": time.perf_counter() - started,
     }
     return Results(
         title=s.title,
         digest=experiment.digest,
         seed=s.seed,
-        t=experiment.world.output_times,
+        data=data,
         designs=designs,
         outages=experiment.world.outage_windows,
         truth=experiment.world.truth_at_outputs,
         timing=timing,
         manifest=manifest_of(experiment) | {"timing": timing},
         published=s.published.figures if s.published else {},
-        error=stacked["error"],
-        sigma=stacked["sigma"],
-        nees=stacked["nees"],
         nees_dof=experiment.world.compared,
-        innovations=Innovations(stacked["nis"], stacked["dof"], stacked["lag_sum"], stacked["lag_count"]),
-        smoothed=smoothed,
-        sensors=Sensors(
-            stacked["block_nees"],
-            stacked["axis_error"],
-            stacked["axis_sigma"],
-            {
-                name: stacked["observability"][d].mean(axis=0)[:, : info.states - 9]
-                for d, (name, info) in enumerate(designs.items())
-            },
-        ),
-        rejected=stacked["rejected"],
-        fixes=stacked["fixes"],
     )
-
-
-def _kept(folder: Path | None, realization: int) -> dict[str, Array] | None:
-    if folder is None:
-        return None
-    path = folder / f"{realization:05d}.npz"
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            return {name: data[name] for name in data.files}
-    except (OSError, ValueError, EOFError, KeyError):
-        return None  # absent or half-written: flown again
-
-
-def _keep(folder: Path | None, realization: int, item: Mapping[str, Array]) -> None:
-    if folder is None:
-        return
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{realization:05d}.npz"
-    partial = path.with_suffix(".tmp")
-    with partial.open("wb") as handle:
-        np.savez(handle, allow_pickle=False, **item)
-    partial.replace(path)  # a reader sees a whole file or none

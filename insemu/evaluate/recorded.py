@@ -21,7 +21,7 @@ from insemu.filters.alignment import Alignment, align, cut, rests
 from insemu.filters.motion import align_in_motion
 from insemu.formats import read_recording
 from insemu.records import GnssRecord, ImuRecord, Recording, Trajectory
-from insemu.scenario import OutageWindow, Scenario
+from insemu.scenario import Scenario
 from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
@@ -139,15 +139,13 @@ class RecordedWorld:
         """Outages as (start_s, duration_s) on the recording's clock."""
         out = []
         for k, given in enumerate(self.scenario.gnss.outages):
-            assert isinstance(given, OutageWindow)
-            end = given.start + given.duration
-            if given.start < self.gnss.t[0] or end > self.gnss.t[-1]:
+            if given.start_s < self.gnss.t[0] or given.end_s > self.gnss.t[-1]:
                 raise InputError(
-                    f"outage {k + 1} from {given.start:g} to {end:g} s is not inside the fixes "
+                    f"outage {k + 1} from {given.start_s:g} to {given.end_s:g} s is not inside the fixes "
                     f"({self.gnss.t[0]:g} to {self.gnss.t[-1]:g} s)",
                     where=f"{self.file or 'scenario'}: gnss.outages.{k}",
                 )
-            out.append((given.start, given.duration))
+            out.append((given.start_s, given.duration_s))
         return sorted(out)
 
     def recording(self, realization: int) -> Recording:

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.stats import kendalltau
 
 from insemu.evaluate.consistency import BLOCKS, Verdict, nees_test, nis_verdict, whiteness_verdicts
+from insemu.evaluate.dataset import labelled
 from insemu.evaluate.errors import (
-    COMPONENT_UNITS,
-    COMPONENTS,
     GROUPS,
     PairedComparison,
     bootstrap_mean,
@@ -25,7 +22,7 @@ from insemu.evaluate.errors import (
     within_outage,
 )
 from insemu.noise import NoiseModel
-from insemu.records import AXES, Trajectory
+from insemu.records import Trajectory
 
 Array = NDArray[np.float64]
 
@@ -44,53 +41,6 @@ class DesignInfo:
 
 
 @dataclass(frozen=True)
-class Innovations:
-    """Sums over the accepted fixes of each run.
-
-    Parameters
-    ----------
-    nis, dof : (design, realization) arrays
-        Normalised innovations squared and their degrees of freedom.
-    lag_sum, lag_count : (design, realization, lags) arrays
-        Products of normalised innovations one and more fixes apart, and how many there are.
-    """
-
-    nis: Array
-    dof: Array
-    lag_sum: Array
-    lag_count: Array
-
-
-@dataclass(frozen=True)
-class Smoothed:
-    """The same as in :class:`Results` for the smoothed runs."""
-
-    error: Array
-    sigma: Array
-    nees: Array
-
-
-@dataclass(frozen=True)
-class Sensors:
-    """What filters say about their sensors, against the truth; NaN where that is not known.
-
-    Parameters
-    ----------
-    block_nees : (design, realization, block, time) array
-        NEES per degree of freedom of the blocks :data:`insemu.evaluate.consistency.BLOCKS`, those of navigation among them.
-    error, sigma : (design, realization, time, 6) arrays
-        Estimated minus true error of every axis apart from white noise, and its stated standard deviation, rad/s and m/s^2.
-    observability : mapping of design to (time, states - 9) array
-        Share of the variance of each state behind the nine that the fixes have removed, mean over realizations.
-    """
-
-    block_nees: Array
-    error: Array
-    sigma: Array
-    observability: Mapping[str, Array] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
 class Results:
     """Errors of designs in realizations of one scenario.
 
@@ -101,17 +51,8 @@ class Results:
     digest : str
         Identity of the experiment.
     seed : int
-    t : (time,) array
-        Output epochs, s.
-    error, sigma : (design, realization, time, 9) arrays
-        Navigation errors (estimate minus truth) and the filter's standard deviations; components in state order, SI.
-    nees : (design, realization, time) array
-        Normalised squared error of the nine navigation states, scaled to nine where fewer have a reference.
-    nees_dof : int
-        How many have one.
-    innovations : Innovations
-    smoothed : Smoothed, optional
-        The runs smoothed backwards.
+    data : xarray.Dataset
+        What :data:`insemu.evaluate.dataset.VARIABLES` lists, per design and realization; coordinate ``time`` holds the output epochs, s.
     designs : mapping
         Name to :class:`DesignInfo`, in the order of the first axis.
     outages : sequence of (start_s, duration_s)
@@ -125,42 +66,71 @@ class Results:
         Figure of the outage table to design to a paper's value per outage, None where it has none; the first figure is the headline.
     budgets : mapping
         Design to an error budget per outage (:func:`~insemu.evaluate.comparison.error_budgets`); empty where none was made.
-    sensors : Sensors, optional
-        What the filters say about their sensors.
-    rejected, fixes : (design, realization) arrays, optional
-        Fixes and standstill updates that the gate kept out, and how many there were.
+    nees_dof : int
+        Number of navigation states that have a reference.
     """
 
     title: str
     digest: str
     seed: int
-    t: Array
-    error: Array
-    sigma: Array
-    nees: Array
-    innovations: Innovations
+    data: xr.Dataset
     designs: Mapping[str, DesignInfo]
     outages: Sequence[tuple[float, float]]
     truth: Trajectory
     timing: Mapping[str, float]
     manifest: Mapping[str, Any] = field(default_factory=dict)
     published: Mapping[str, Mapping[str, Sequence[float | None]]] = field(default_factory=dict)
-    smoothed: Smoothed | None = None
     nees_dof: int = 9
     budgets: Mapping[str, Sequence[Mapping[str, Any]]] = field(default_factory=dict)
-    sensors: Sensors | None = None
-    rejected: Array | None = None
-    fixes: Array | None = None
+
+    def __getitem__(self, name: str) -> Array:
+        """A variable of the dataset as an array, (design, realization, ...)."""
+        return self.data[name].to_numpy()
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.data
+
+    def with_data(self, arrays: Mapping[str, ArrayLike], designs: Mapping[str, DesignInfo] | None = None) -> Results:
+        """The results with some variables in place of, or besides, their own; ``designs`` where their number changes."""
+        chosen = self.designs if designs is None else designs
+        kept = {} if designs is not None else {str(name): self.data[name] for name in self.data.data_vars}
+        given = labelled(arrays, ("design", "realization"), {"design": list(chosen), "time": self.t})
+        return replace(self, data=xr.Dataset({**kept, **given.data_vars}), designs=chosen)
+
+    @property
+    def t(self) -> Array:
+        """Output epochs, s."""
+        return self["time"]
+
+    @property
+    def error(self) -> Array:
+        """Navigation errors, (design, realization, time, 9)."""
+        return self["error"]
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviations that the filters state, (design, realization, time, 9)."""
+        return self["sigma"]
+
+    @property
+    def nees(self) -> Array:
+        """NEES of the nine navigation states, (design, realization, time)."""
+        return self["nees"]
+
+    @property
+    def smoothed(self) -> bool:
+        """Whether the runs were smoothed backwards too."""
+        return "smoothed_error" in self
 
     @property
     def realizations(self) -> int:
         """Number of realizations."""
-        return self.error.shape[1]
+        return int(self.data.sizes["realization"])
 
     @property
     def nis(self) -> Array:
         """Mean normalised innovation squared per degree of freedom over accepted fixes, (design, realization)."""
-        return np.asarray(self.innovations.nis / np.maximum(1, self.innovations.dof))
+        return np.asarray(self["nis"] / np.maximum(1, self["dof"]))
 
     @property
     def headline_figure(self) -> str:
@@ -197,60 +167,13 @@ class Results:
         return paired_ratio(self.pooled_end(one), self.pooled_end(other))
 
     def to_dataset(self) -> xr.Dataset:
-        """The labelled arrays, for NetCDF and for further work with xarray."""
-        dims = ("design", "realization", "time")
-        data = xr.Dataset(
-            {
-                "error": ((*dims, "component"), self.error, {"long_name": "navigation error, estimate minus truth"}),
-                "sigma": ((*dims, "component"), self.sigma, {"long_name": "standard deviation the filter states"}),
-                "nees": (
-                    dims,
-                    self.nees,
-                    {"long_name": "normalised squared error of the nine navigation states", "units": "1"},
-                ),
-                "reference_llh": (("time", "llh"), self.truth.llh, {"units": "rad, rad, m"}),
-            },
-            coords={
-                "design": self.names,
-                "realization": np.arange(self.realizations),
-                "time": ("time", self.t, {"units": "s"}),
-                "component": list(COMPONENTS),
-                "component_unit": ("component", list(COMPONENT_UNITS)),
-            },
-        )
-        if self.smoothed is not None:
-            data["smoothed_error"] = ((*dims, "component"), self.smoothed.error, {"long_name": "error after smoothing"})
-            data["smoothed_sigma"] = (
-                (*dims, "component"),
-                self.smoothed.sigma,
-                {"long_name": "standard deviation the smoother states"},
-            )
-            data["smoothed_nees"] = (dims, self.smoothed.nees, {"units": "1"})
-        if self.sensors is not None:
-            about = {"long_name": "of the estimated sensor error without white noise"}
-            data["block_nees"] = (
-                ("design", "realization", "block", "time"),
-                self.sensors.block_nees,
-                {"long_name": "NEES per degree of freedom", "units": "1"},
-            )
-            data["axis_error"] = ((*dims, "axis"), self.sensors.error, about)
-            data["axis_sigma"] = ((*dims, "axis"), self.sensors.sigma, about)
-            data = data.assign_coords(block=list(BLOCKS), axis=list(AXES))
-            for name, values in self.sensors.observability.items():
-                states = f"states of {name}"
-                about = {"long_name": "share of a state's variance that the fixes have removed", "units": "1"}
-                data[f"observability of {name}"] = (("time", states), values, about)
-                data = data.assign_coords({states: list(self.designs[name].state_names[9:])})
-        if self.rejected is not None and self.fixes is not None:
-            data["rejected"] = (("design", "realization"), self.rejected, {"long_name": "fixes that the gate kept out"})
-            data["fixes"] = (("design", "realization"), self.fixes, {"long_name": "fixes with any component"})
-        data.attrs = {
-            "title": self.title,
-            "digest": self.digest,
-            "seed": self.seed,
-            "manifest": json.dumps(self.manifest, default=str),
-        }
-        return data
+        """The labelled arrays with the reference, for NetCDF and for further work with xarray."""
+        reference = xr.DataArray(self.truth.llh, dims=("time", "llh"), attrs={"units": "rad, rad, m"})
+        data = self.data.assign(reference_llh=reference)
+        if "observability" in data:  # hardly differs between realizations
+            data["observability"] = data["observability"].mean("realization", keep_attrs=True)
+        manifest = json.dumps(self.manifest, default=str)
+        return data.assign_attrs(title=self.title, digest=self.digest, seed=self.seed, manifest=manifest)
 
 
 def outage_table(results: Results) -> dict[str, list[dict[str, Any]]]:
@@ -285,11 +208,40 @@ def outage_table(results: Results) -> dict[str, list[dict[str, Any]]]:
                 "coverage_3sigma": _coverage(error[:, inside], sigma[:, inside]),
                 "nees_per_dof": float(results.nees[d][:, inside].mean() / 9.0) if inside.any() else float("nan"),
             }
-            if results.smoothed is not None:
+            if results.smoothed:
                 row["smoothed"] = _smoothed_row(results, d, k)
             rows.append(row)
         table[name] = rows
     return table
+
+
+def outage_rows(results: Results) -> list[dict[str, Any]]:
+    """The rows of the headline table, one per design and outage, from which terminal, page and ``outages.csv`` are made.
+
+    Every figure of :func:`outage_table` under a name of its own, with the number of states, the verdict on the NEES at the end of the outage
+    and, under ``published``, what was published of the headline figure (None: nothing).
+    """
+    rows = []
+    for name, outages in outage_table(results).items():
+        found = {v.subject: v.word for v in consistency(results, name)}
+        for k, row in enumerate(outages):
+            flat: dict[str, Any] = {"design": name, "outage": k + 1}
+            for key, value in row.items():
+                if key == "planimetric_end_m":
+                    flat |= {key: value["mean"], f"{key}_low": value["ci95"][0], f"{key}_high": value["ci95"][1]}
+                elif key == "smoothed":
+                    flat |= {f"smoothed_{n}": v for n, v in value.items() if not isinstance(v, dict)}
+                    flat |= {f"smoothed_coverage_3sigma_{g}": v for g, v in value["coverage_3sigma"].items()}
+                elif isinstance(value, dict):
+                    flat |= {f"{key}_{g}": v for g, v in value.items()}
+                else:
+                    flat[key] = value
+            printed = results.published.get(results.headline_figure, {}).get(name, ())
+            flat["states"] = results.designs[name].states
+            flat["verdict"] = found.get(f"the filter at {results.t[results.end_index(k)]:g} s", "")
+            flat["published"] = printed[k] if k < len(printed) else None
+            rows.append(flat)
+    return rows
 
 
 def _coverage(error: Array, sigma: Array) -> dict[str, float]:
@@ -300,24 +252,23 @@ def _coverage(error: Array, sigma: Array) -> dict[str, float]:
 
 def _smoothed_row(results: Results, design: int, outage: int) -> dict[str, Any]:
     """Filter and smoother during one outage, horizontally: rms errors and stated sigma in the middle, largest errors, coverage, NEES."""
-    assert results.smoothed is not None
     inside, middle = within_outage(results.t, *results.outages[outage]), results.middle_index(outage)
 
     def rms(error: Array) -> float:
         return float(np.sqrt((error[design, :, middle, :2] ** 2).sum(axis=-1).mean()))
 
-    s = results.smoothed
-    error, sigma = s.error[design][:, inside], s.sigma[design][:, inside]
+    both = results["smoothed_error"], results["smoothed_sigma"]
+    error, sigma = (values[design][:, inside] for values in both)
     some = bool(inside.any())
     return {
         "filter_middle_rms_m": rms(results.error),
-        "middle_rms_m": rms(s.error),
-        "predicted_sigma_middle_m": rms(s.sigma),
+        "middle_rms_m": rms(both[0]),
+        "predicted_sigma_middle_m": rms(both[1]),
         "planimetric_mean_m": float(np.hypot(error[..., 0], error[..., 1]).mean()) if some else 0.0,
         "planimetric_max_m": float(np.hypot(error[..., 0], error[..., 1]).max(axis=1).mean()) if some else 0.0,
         "altimetric_max_m": float(np.abs(error[..., 2]).max(axis=1).mean()) if some else 0.0,
         "coverage_3sigma": _coverage(error, sigma),
-        "nees_per_dof": float(s.nees[design][:, inside].mean() / 9.0) if some else float("nan"),
+        "nees_per_dof": float(results["smoothed_nees"][design][:, inside].mean() / 9.0) if some else float("nan"),
     }
 
 
@@ -325,11 +276,6 @@ def figure_of(row: Mapping[str, Any], figure: str) -> float:
     """One figure of an outage row, a mean over realizations."""
     value = row[figure]
     return float(value["mean"] if isinstance(value, Mapping) else value)
-
-
-def headline(results: Results, row: Mapping[str, Any]) -> float:
-    """The figure of an outage row that stands beside what was published first (else the mean planimetric error at outage end), m."""
-    return figure_of(row, results.headline_figure)
 
 
 def published_cells(results: Results, figure: str) -> list[tuple[str, int, float, float]]:
@@ -427,22 +373,22 @@ def consistency(results: Results, design: str) -> list[Verdict]:
     if at:
         values = results.nees[d][:, at] * scale
         out += nees_test(values, results.nees_dof, subject="the filter", at=list(results.t[at]))
-    if at and results.smoothed is not None:
+    if at and results.smoothed:
         middles = sorted({results.middle_index(k) for k in range(len(results.outages))})
-        values = results.smoothed.nees[d][:, middles] * scale
+        values = results["smoothed_nees"][d][:, middles] * scale
         out += nees_test(values, results.nees_dof, subject="the smoother", at=list(results.t[middles]))
-    if at and results.sensors is not None:
+    if at and "block_nees" in results:
         for block, axes in (("gyro", slice(0, 3)), ("accel", slice(3, 6))):
-            values = results.sensors.block_nees[d][:, BLOCKS.index(block)][:, at]
-            carried = int((results.sensors.sigma[d][:, at, axes] > 0).all(axis=(0, 1)).sum())
+            values = results["block_nees"][d][:, BLOCKS.index(block)][:, at]
+            carried = int((results["axis_sigma"][d][:, at, axes] > 0).all(axis=(0, 1)).sum())
             if np.isfinite(values).all() and carried:
                 subject = f"the {SENSOR_NAMES[block]}"
                 out += nees_test(values * carried, carried, subject=subject, at=list(results.t[at]))
-    i = results.innovations
-    if i.dof[d].sum() > 0:
-        out.append(nis_verdict(float(i.nis[d].sum()), int(i.dof[d].sum())))
-    if (i.lag_count[d].sum(axis=0) > 0).all():
-        out += whiteness_verdicts(i.lag_sum[d].sum(axis=0), i.lag_count[d].sum(axis=0))
+    if results["dof"][d].sum() > 0:
+        out.append(nis_verdict(float(results["nis"][d].sum()), int(results["dof"][d].sum())))
+    products, count = (results[name][d].sum(axis=0) for name in ("lag_sum", "lag_count"))
+    if (count > 0).all():
+        out += whiteness_verdicts(products, count)
     return out
 
 
@@ -475,12 +421,10 @@ def consistency_words(results: Results, design: str) -> list[str]:
         if words and len(family) > 1:
             verdict += f" at {bad} of {len(family)} epochs"
         lines.append(f"{name} {span} ({family[0].low:.2f} to {family[0].high:.2f} expected): {verdict}")
-    if results.rejected is not None and results.fixes is not None:
-        d = results.names.index(design)
-        if results.rejected[d].any():
-            lines.append(
-                f"the gate rejected {results.rejected[d].mean():.3g} of {results.fixes[d].mean():.0f} fixes a run"
-            )
+    d = results.names.index(design)
+    if "rejected" in results and results["rejected"][d].any():
+        rejected, fixes = (results[name][d].mean() for name in ("rejected", "fixes"))
+        lines.append(f"the gate rejected {rejected:.3g} of {fixes:.0f} fixes a run")
     return lines
 
 
@@ -500,7 +444,7 @@ def summary(results: Results) -> dict[str, Any]:
             "nees_per_dof": float(results.nees[d].mean() / 9.0),
             "nees_per_dof_by_block": blocks_of(results, d),
             "nis_per_dof": float(results.nis[d].mean()),
-            "rejected_fixes": None if results.rejected is None else results.rejected[d].tolist(),
+            "rejected_fixes": results["rejected"][d].tolist() if "rejected" in results else None,
             "observability_end": observability_end(results, name),
             "consistency": [{**asdict(v), "passed": v.passed} for v in consistency(results, name)],
         }
@@ -529,19 +473,19 @@ def summary(results: Results) -> dict[str, Any]:
 
 def blocks_of(results: Results, design: int) -> dict[str, float]:
     """Mean NEES per degree of freedom of every block that could be judged, over realizations and epochs."""
-    if results.sensors is None:
+    if "block_nees" not in results:
         return {}
-    values = results.sensors.block_nees[design]
+    values = results["block_nees"][design]
     return {name: float(np.nanmean(values[:, i])) for i, name in enumerate(BLOCKS) if np.isfinite(values[:, i]).any()}
 
 
 def observability_end(results: Results, design: str) -> dict[str, float]:
     """Share of each sensor state's variance that the fixes have removed by the last epoch; over time it stands in ``errors.nc``."""
-    if results.sensors is None or design not in results.sensors.observability:
+    if "observability" not in results:
         return {}
-    last = results.sensors.observability[design][-1:]
+    last = results["observability"][results.names.index(design), :, -1].mean(axis=0)
     names = results.designs[design].state_names[9:]
-    return {name: float(v) for name, v in zip(names, last[0] if len(last) else (), strict=False) if np.isfinite(v)}
+    return {name: float(v) for name, v in zip(names, last, strict=False) if np.isfinite(v)}
 
 
 def finite(document: Any) -> Any:
@@ -566,9 +510,11 @@ def verdicts(results: Results) -> list[str]:
                 f"{name} against {first}: ratio {c.ratio:.2f}; one realization cannot say whether that is chance."
             )
         elif c.different:
-            word = "smaller" if c.ratio < 1 else "larger"
+            change = f"{abs(1 - c.ratio):.0%} {'smaller' if c.ratio < 1 else 'larger'} than {first}'s"
+            if c.ratio >= 2.0:
+                change = f"{c.ratio:.3g} times {first}'s"
             lines.append(
-                f"{name}: planimetric error at outage end {abs(1 - c.ratio):.0%} {word} than {first}'s "
+                f"{name}: planimetric error at outage end {change} "
                 f"(ratio {c.ratio:.2f}, 95 % {c.low:.2f} to {c.high:.2f}, paired bootstrap p {c.p_value:.2g})."
             )
         else:
@@ -577,31 +523,3 @@ def verdicts(results: Results) -> list[str]:
                 f"(ratio {c.ratio:.2f}, 95 % {c.low:.2f} to {c.high:.2f}, paired bootstrap p {c.p_value:.2g})."
             )
     return lines
-
-
-def write(results: Results, out: Path) -> None:
-    """Write ``summary.json``, ``outages.csv``, ``errors.nc`` and ``manifest.json`` into a folder."""
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "summary.json").write_text(json.dumps(summary(results), indent=1), encoding="utf-8")
-    (out / "manifest.json").write_text(json.dumps(results.manifest, indent=1, default=str), encoding="utf-8")
-    results.to_dataset().to_netcdf(out / "errors.nc", engine="h5netcdf")
-    with (out / "outages.csv").open("w", newline="", encoding="utf-8") as stream:
-        rows = csv.writer(stream)
-        header_written = False
-        for name, outages in outage_table(results).items():
-            for k, row in enumerate(outages):
-                flat: dict[str, Any] = {"design": name, "outage": k + 1}
-                for key, value in row.items():
-                    if key == "planimetric_end_m":
-                        flat |= {key: value["mean"], f"{key}_low": value["ci95"][0], f"{key}_high": value["ci95"][1]}
-                    elif key == "smoothed":
-                        flat |= {f"smoothed_{k}": v for k, v in value.items() if not isinstance(v, dict)}
-                        flat |= {f"smoothed_coverage_3sigma_{g}": v for g, v in value["coverage_3sigma"].items()}
-                    elif isinstance(value, dict):
-                        flat |= {f"{key}_{g}": v for g, v in value.items()}
-                    else:
-                        flat[key] = value
-                if not header_written:
-                    rows.writerow(flat)
-                    header_written = True
-                rows.writerow(flat.values())

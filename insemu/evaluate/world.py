@@ -1,35 +1,17 @@
-"""What really happens in a scenario: motion, ideal signals, true errors, fixes; and how far a filter's run is from it."""
+"""What an experiment asks of a world, emulated or recorded; streams of randomness, input files, static logs."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
-from threading import Lock
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu import earth, rotation
-from insemu.effects import EFFECTS
-from insemu.emulate import (
-    AreaOutage,
-    Mounting,
-    Outage,
-    RecordedErrors,
-    TemperatureProfile,
-    corrupt,
-    gnss_fixes,
-    ideal_imu,
-    load_flight,
-    random_outages,
-)
-from insemu.emulate.gnss import state_at
-from insemu.emulate.pieces import ErrorPieces, TrueStates, recorded_pieces, simulated_pieces
+from insemu.emulate.pieces import TrueStates
 from insemu.errors import InputError
-from insemu.evaluate.consistency import nees
-from insemu.evaluate.errors import navigation_error
 from insemu.filters import FilterResult, InitialSigma, SmootherResult, Standstill
 from insemu.formats import read_recording, read_static
 from insemu.noise import axis_unit
@@ -71,6 +53,8 @@ def input_files(scenario: Scenario, file: str | Path | None) -> dict[str, Path]:
     if scenario.trajectory is not None:
         source = scenario.trajectory
         names += [name for name in (source.waypoints, source.track, source.motion) if name is not None]
+    if scenario.truth is not None and scenario.truth.file is not None:
+        names.append(scenario.truth.file)
     for design in scenario.designs.values():
         names += [s.file for s in design.sources().values() if isinstance(s, AxisSource) and s.file]
     return {name: resolve_path(name, file) for name in dict.fromkeys(names)}
@@ -119,281 +103,76 @@ def _stretches(recording: Recording, spans: Sequence[tuple[float, float]], name:
     return out
 
 
-class World:
-    """The emulated side of a scenario.
-
-    Parameters
-    ----------
-    scenario : Scenario
-    file : path, optional
-        Where it was read from; paths in it are relative to that file, and messages name it.
+class World(Protocol):
+    """What really happens, emulated or recorded: what an experiment needs to know of it.
 
     Attributes
     ----------
-    flight : Flight
-        The requested path with its legs; ``track`` where it is a recorded one, ``warnings`` about it.
-    reference : Trajectory
-        True position, velocity and attitude of the IMU at the rows of ``imu``.
-    imu : ImuRecord
-        Ideal signals.
+    files : mapping of str to path
+        Every file that the scenario names.
+    warnings : tuple of str
     path_distance_m : float
-        Largest distance between the reference and the requested path.
-
-    Raises
-    ------
-    InputError
-        Missing or unusable input, an outage beyond the end, a signal shorter than the flight.
+        Largest distance between the reference and the requested path; 0 of a recording.
     """
 
-    def __init__(self, scenario: Scenario, file: str | Path | None = None) -> None:
-        self.scenario, self.file = scenario, file
-        self.files = input_files(scenario, file)
-        if scenario.trajectory is None or scenario.truth is None:
-            raise InputError("there is nothing to emulate: the scenario has a recording", where=str(file or "scenario"))
-        self.source, self.truth = scenario.trajectory, scenario.truth
-        source = self.source
-        loaded = load_flight(
-            builtin=source.builtin,
-            waypoints=self.files[source.waypoints] if source.waypoints else None,
-            track=self.files[source.track] if source.track else None,
-            motion=self.files[source.motion] if source.motion else None,
-            vehicle=source.vehicle,
-            speed=source.speed,
-            max_gap_s=source.max_gap,
-        )
-        self.flight, self.track, self.warnings = loaded.flight, loaded.track, loaded.warnings
-        path = self.flight.path
-        ideal = ideal_imu(
-            path,
-            source.rate,
-            mode=source.mode,
-            kind=source.kind,
-            gravity=source.gravity,
-            mounting=None if source.mounting is None else Mounting(source.mounting.lever_arm, source.mounting.rpy),
-            span=None if source.duration is None else (path.start, min(path.end, path.start + source.duration)),
-        )
-        self.reference: Trajectory = ideal.reference
-        self.imu: ImuRecord = ideal.imu
-        self.path_distance_m: float = ideal.path_distance_m
-        self.warnings += self._missed_areas()
-        self._lock = Lock()
-        count = self.pieces.count
-        if count is not None and scenario.realizations > count:
-            raise InputError(
-                f"{scenario.realizations} realizations of {self.duration_s:g} s asked for, but the recorded signals hold "
-                f"{count} non-overlapping pieces of that length",
-                where=f"{self._name}: truth.recorded",
-            )
-
-    @property
-    def _name(self) -> str:
-        return str(self.file or "scenario")
-
-    @property
-    def duration_s(self) -> float:
-        """Length of the trajectory, s."""
-        return float(self.reference.t[-1] - self.reference.t[0])
-
-    @cached_property
-    def outages(self) -> list[Outage | AreaOutage]:
-        """When and where there is no GNSS, the same in every realization."""
-        gnss = self.scenario.gnss
-        start, end = float(self.reference.t[0]), float(self.reference.t[-1])
-        for k, given in enumerate(gnss.outages):
-            if given.start + given.duration > end - start + 1e-9:
-                raise InputError(
-                    f"outage {k + 1} ends at {given.start + given.duration:g} s, but the trajectory ends at {end - start:g} s",
-                    where=f"{self._name}: gnss.outages.{k}",
-                )
-        out: list[Outage | AreaOutage] = [Outage(start + o.start, o.duration) for o in gnss.outages]
-        out += [AreaOutage(a.latitude, a.longitude, a.radius) for a in gnss.areas]
-        if gnss.random_outages is not None:
-            drawn = gnss.random_outages
-            rng = stream(self.scenario.seed, "outages")
-            out += random_outages(start, end, per_hour=drawn.per_hour, mean_s=drawn.mean, clear_s=drawn.clear, rng=rng)
-        return out
-
-    def _missed_areas(self) -> tuple[str, ...]:
-        """Outage areas that the trajectory never enters."""
-        out, way = [], self.reference.llh[:: max(1, len(self.reference) // 5000)]
-        for k, area in enumerate(self.scenario.gnss.areas):
-            if AreaOutage(area.latitude, area.longitude, area.radius).covers(self.reference.llh).any():
-                continue
-
-            def distance(lat: float, lon: float) -> float:
-                off = earth.position_difference(way, np.array([lat, lon, 0.0]))
-                return float(np.hypot(off[:, 0], off[:, 1]).min())
-
-            far, exchanged = distance(area.latitude, area.longitude), distance(area.longitude, area.latitude)
-            swapped = far > 1e5 and exchanged < 0.1 * far
-            out.append(
-                f"{self._name}: gnss.areas.{k} is never entered, its centre is {far / 1000:.4g} km away"
-                + ("; are latitude and longitude swapped?" if swapped else "")
-            )
-        return tuple(out)
-
-    @cached_property
-    def outage_windows(self) -> list[tuple[float, float]]:
-        """Every outage as (start_s, duration_s) on the trajectory's clock; an area gives one for each passage."""
-        windows: list[tuple[float, float]] = []
-        for outage in self.outages:
-            if isinstance(outage, Outage):
-                windows.append((outage.start_s, outage.duration_s))
-                continue
-            inside = np.concatenate([[0], outage.covers(self.reference.llh).astype(np.int8), [0]])
-            edges = np.flatnonzero(np.diff(inside)).reshape(-1, 2)
-            windows += [
-                (float(self.reference.t[a]), float(self.reference.t[b - 1] - self.reference.t[a])) for a, b in edges
-            ]
-        return sorted(windows)
-
-    @cached_property
-    def pieces(self) -> ErrorPieces:
-        """The source of true stochastic errors, one piece a realization."""
-        truth, n, rate = self.truth, len(self.reference), self.source.rate
-        if truth.recorded is not None:
-            records = [
-                RecordedErrors(
-                    np.stack([log[axis].values for axis in AXES], axis=1),
-                    log["gyro_x"].rate_hz,
-                    truth.recorded.remove_mean,
-                    name=name,
-                )
-                for name, log in zip(truth.recorded.files, static_logs(truth.recorded, self.files), strict=True)
-            ]
-            return recorded_pieces(records, n, rate, truth.recorded.order)
-        seed = self.scenario.seed
-        return simulated_pieces(
-            truth.models(),
-            n,
-            rate,
-            record_s=truth.record,
-            rng=lambda record, axis: stream(seed, "truth", record, axis),
-            states_at=np.searchsorted(self.reference.t, self.output_times),
-        )
-
-    def recording(self, realization: int, *, ideal: bool = False) -> Recording:
-        """What the sensors give in one realization, with the reference.
-
-        Parameters
-        ----------
-        realization : int
-            The same alone or among 1000.
-        ideal : bool
-            Perfect sensors instead: no errors on the IMU or the fixes, the outages kept.
-        """
-        s = self.scenario
-        uses = () if ideal else self.truth.uses()
-        imu = self.imu
-        if not ideal:
-            with self._lock:  # a simulated record serves many pieces; one thread draws it
-                errors = self.pieces.piece(realization)
-            temperature = self.truth.temperature
-            imu = corrupt(
-                self.imu,
-                None,
-                stream(s.seed, "effects", realization),
-                effects=uses,
-                reference=self.reference,
-                temperature=None if temperature is None else TemperatureProfile(temperature.t, temperature.degc),
-                errors=errors,
-            ).imu
-        velocity = s.gnss.velocity_sigma
-        fixes = gnss_fixes(
-            self.reference,
-            rate_hz=s.gnss.rate,
-            pos_sigma_ned=(0.0, 0.0, 0.0) if ideal else s.gnss.position_sigma,
-            vel_sigma_ned=(0.0, 0.0, 0.0) if ideal and velocity is not None else velocity,
-            lever_arm=s.gnss.lever_arm,
-            outages=self.outages,
-            rng=stream(s.seed, "gnss", realization),
-            effects=uses,
-        )
-        return Recording(imu, fixes, self.reference, f"{self.flight.name}, realization {realization}")
-
-    def true_states(self, realization: int, imu: ImuRecord) -> TrueStates | None:
-        """What the axes of the corrupted ``imu`` err by at the output epochs, apart from white noise; None where that is not known.
-
-        Deterministic effects count. It is not known for recorded errors, for effects that are noise themselves or move the samples.
-        """
-        with self._lock:
-            if self.pieces.tell is None:
-                return None
-            known, errors = self.pieces.tell(realization), self.pieces.piece(realization)
-        uses = [use for use in self.truth.uses() if use.sensor != "gnss"]
-        if not uses:
-            return known
-        if any(EFFECTS[use.id].family == "stochastic" for use in uses) or not np.array_equal(imu.t, self.imu.t):
-            return None
-        rows = np.searchsorted(self.reference.t, self.output_times)
-        step = np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1])[:, None] if imu.kind == "increment" else 1.0
-        total = np.hstack([(imu.gyro - self.imu.gyro) / step, (imu.accel - self.imu.accel) / step])[rows]
-        return TrueStates(known.axes + total - errors[rows], None, known.names)
+    files: dict[str, Path]
+    warnings: tuple[str, ...]
+    path_distance_m: float
 
     @property
     def rate_hz(self) -> float:
-        """IMU rate."""
-        return self.source.rate
-
-    @property
-    def standstill(self) -> Standstill | None:
-        """Known rests that are fed to the filters: none in an emulated flight."""
-        return None
+        """Nominal IMU rate."""
+        ...
 
     @property
     def gravity(self) -> str:
-        """Gravity model that emulator and filters share."""
-        return self.source.gravity
+        """Gravity model of the filters."""
+        ...
 
-    @cached_property
+    @property
+    def standstill(self) -> Standstill | None:
+        """Known rests that are fed to every filter."""
+        ...
+
+    @property
+    def outage_windows(self) -> list[tuple[float, float]]:
+        """Every outage as (start_s, duration_s)."""
+        ...
+
+    @property
     def output_times(self) -> Array:
-        """Epochs at which errors are evaluated: every second, and the end of every outage."""
-        t = self.reference.t
-        every = np.arange(t[0], t[-1] + 1e-9, OUTPUT_INTERVAL)
-        ends = [start + duration for start, duration in self.outage_windows]
-        return t[np.unique(np.clip(np.searchsorted(t, np.concatenate([every, ends]) - 1e-6), 0, t.size - 1))]
+        """Epochs at which errors are evaluated, s."""
+        ...
 
-    @cached_property
+    @property
     def truth_at_outputs(self) -> Trajectory:
         """The reference at the output epochs."""
-        r = self.reference
-        k = np.searchsorted(r.t, self.output_times)
-        return Trajectory(r.t[k], r.llh[k], r.vel_ned[k], r.rpy[k], r.name)
+        ...
+
+    @property
+    def compared(self) -> int:
+        """Number of navigation errors that have a reference."""
+        ...
+
+    def recording(self, realization: int) -> Recording:
+        """What the sensors give in one realization."""
+        ...
 
     def start(self, realization: int, imu: ImuRecord) -> tuple[NavState, InitialSigma]:
-        """The filter's start: the truth moved by a draw from the sigmas that the filter believes."""
-        i = self.scenario.initial
-        attitude = (i.tilt_sigma, i.tilt_sigma, i.heading_sigma)
-        draw = stream(self.scenario.seed, "initial", realization).standard_normal(9)
-        start = NavState.of(self.reference)
-        moved = NavState(
-            earth.move(start.llh, draw[:3] * np.array(i.position_sigma)),
-            start.vel_ned + draw[3:6] * np.array(i.velocity_sigma),
-            start.rpy + draw[6:9] * np.array(attitude),
-        )
-        return moved, InitialSigma(position=i.position_sigma, velocity=i.velocity_sigma, attitude=attitude)
+        """Where the filters start."""
+        ...
+
+    def true_states(self, realization: int, imu: ImuRecord) -> TrueStates | None:
+        """What the sensors really did at the output epochs; None where nobody knows."""
+        ...
 
     def rows(self, imu: ImuRecord, every: int) -> NDArray[np.intp]:
         """Rows of a record (multiples of ``every``) nearest the output epochs."""
-        return nearest_rows(imu.t, self.output_times, every)
-
-    #: Navigation errors that have a reference.
-    compared = 9
+        ...
 
     def score(self, run: Estimate, times: Array) -> Scored:
-        """Errors of a run at some of its epochs.
-
-        Time offsets, jitter and dropped samples move the stamps; the filter's estimate belongs to the stamp.
-        """
-        truth = self.truth_at_outputs
-        if not np.array_equal(times, truth.t):
-            at = np.clip(times, self.reference.t[0], self.reference.t[-1])
-            llh, vel, q, _ = state_at(self.reference, at)
-            truth = Trajectory(times, llh, vel, rotation.rpy_from_quaternion(q), self.reference.name)
-        nav = run.nav[np.searchsorted(run.t, times - 1e-9)]
-        estimate = Trajectory(times, nav[:, 0:3], nav[:, 3:6], rotation.rpy_from_quaternion(nav[:, 6:10]))
-        error = navigation_error(estimate, truth)
-        return Scored(error, _sigma(run.covariance), nees(error, run.covariance))
+        """Errors of a run at some of its epochs."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -431,7 +210,3 @@ class Estimate:
         """A smoothed run with nodes at ``times``."""
         at = np.minimum(np.searchsorted(smoothed.t, times - 1e-9), smoothed.t.size - 1)
         return cls(smoothed.t, smoothed.nav, smoothed.covariance[at, :9, :9])
-
-
-def _sigma(covariance: Array) -> Array:
-    return np.sqrt(np.maximum(np.einsum("tii->ti", covariance), 0.0))

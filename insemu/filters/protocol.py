@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 #: Group of entry points under which packages offer their filters.
 GROUP = "insemu.filters"
+#: Filters that come with insemu beside the compiled one, by the name that a scenario gives.
+OWN = {"reference": EntryPoint("reference", "insemu.filters.reference:ReferenceEKF", GROUP)}
 
 
 @runtime_checkable
@@ -84,9 +86,11 @@ class FilterParts:
 
 
 def _entry(name: str) -> EntryPoint:
-    offered = {e.name: e for e in entry_points(group=GROUP)}
+    offered = {e.name: e for e in entry_points(group=GROUP)} | OWN
     if name not in offered:
-        hint = nearest(name, offered) if offered else f" (no installed package offers any under '{GROUP}')"
+        hint = (
+            nearest(name, offered) if len(offered) > len(OWN) else f" (no installed package offers any under '{GROUP}')"
+        )
         raise InputError(f"no filter '{name}'" + hint)
     return offered[name]
 
@@ -126,6 +130,8 @@ def user_filter_code(name: str) -> dict[str, Path]:
     InputError
         See :func:`user_filter`.
     """
+    if name in OWN:
+        return {}  # the package's own code belongs to every experiment
     top = sys.modules.get(user_filter(name).__module__.split(".")[0])
     file = getattr(top, "__file__", None)
     if file is None:

@@ -20,7 +20,7 @@ from insemu.formats.columns import guess_map, read_preset, split_header
 from insemu.formats.npz import keys_of
 from insemu.formats.opened import Opened, open_files
 from insemu.formats.static import AXIS_OF_COLUMN, Log
-from insemu.formats.table import Probe, reader_of, readers
+from insemu.formats.table import Probe, known_readers, reader_of
 from insemu.records import COLUMNS, Recording, Series
 
 __all__ = [
@@ -28,13 +28,13 @@ __all__ = [
     "Log",
     "Opened",
     "holds_recording",
+    "known_readers",
     "open_files",
     "opened",
     "read",
     "read_log",
     "read_recording",
     "read_static",
-    "readers",
     "write",
 ]
 
@@ -55,6 +55,8 @@ def layout_of(path: str | Path) -> Layout:
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(2, "No such file or directory", str(path))
+    if read_preset(path) is not None:
+        return "foreign"
     if path.suffix == ".npz":
         keys = keys_of(path)
         if {"imu_t", "imu"} & keys:
@@ -83,9 +85,7 @@ def _has_tables(path: Path) -> bool:
 
 
 def _foreign_table(path: Path) -> bool:
-    """Whether a table of text has a map beside it, or names of a gyroscope, an accelerometer or a position that are not our own."""
-    if read_preset(path) is not None:
-        return True
+    """Whether a table of text has names of a gyroscope, an accelerometer or a position that are not our own."""
     names = [split_header(c)[0] for c in Probe(path).header()]
     picks = guess_map(names).picks
     if {"lat", "lon"} <= set(picks):

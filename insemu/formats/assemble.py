@@ -15,6 +15,7 @@ from insemu.errors import InputError
 from insemu.formats import clocks
 from insemu.formats.columns import (
     ROLES,
+    UNIT_SETTING,
     ColumnMap,
     guessed_line,
     resolve,
@@ -86,6 +87,7 @@ def columns_of(table: Table, user: ColumnMap, story: Story) -> Columns | None:
         data, units, found = [], [], []
         for k, pick in resolve(role, used.picks[role], names, where):
             unit = pick.unit if pick.unit is not None else table.units.get(names[k], "")
+            unit = used.settings.get(UNIT_SETTING.get(role, ""), unit)
             factor, integral = _factor(role, unit, f"{where}: {names[k]}")
             integrals.append((role, integral))
             data.append(np.asarray(table.columns[names[k]], dtype=np.float64) * (factor * pick.sign))
@@ -160,9 +162,7 @@ def _kind(settings: Mapping[str, str], integrals: Sequence[tuple[str, bool]], wh
     stated = settings.get("kind", "")
     if stated and stated not in get_args(ImuKind):
         raise InputError(f"is '{stated}', expected one of: {', '.join(get_args(ImuKind))}", where=f"{where}: kind")
-    if imu == {True} and stated in ("sample", "mean"):
-        raise InputError(f"units of increments, but kind is '{stated}'", where=where)
-    return "increment" if imu == {True} else (stated or "sample")  # type: ignore[return-value]
+    return stated or ("increment" if imu == {True} else "sample")  # type: ignore[return-value]
 
 
 def _times(table: Table, used: ColumnMap, names: list[str], rows: int, imu: bool, story: Story) -> Array:
@@ -180,6 +180,7 @@ def _times(table: Table, used: ColumnMap, names: list[str], rows: int, imu: bool
     ((at, pick),) = resolve("time", used.picks["time"], names, table.name)
     stamps = np.asarray(table.columns[names[at]])
     unit = pick.unit if pick.unit is not None else table.units.get(names[at], "")
+    unit = settings.get("time_unit", unit)
     if unit:
         factor = scaled_unit(unit)
         if factor.dimension != parse_unit("s").dimension:
@@ -379,7 +380,8 @@ def positions(part: Columns, story: Story) -> Array | None:
         if height is None:
             story.assumed.append(f"height 0 m: {part.table.name} has none")
             height = np.zeros(part.t.size)
-        llh = np.column_stack([v["lat"], v["lon"], height])
+        first, second = ("lon", "lat") if part.settings.get("latlon") == "swapped" else ("lat", "lon")
+        llh = np.column_stack([v[first], v[second], height])
         _check_latitude(llh, part)
         return llh
     if "ecef" in v:
@@ -411,25 +413,24 @@ def _check_latitude(llh: Array, part: Columns) -> None:
         return
     lon = np.nanmax(np.abs(llh[:, 1]), initial=0.0)
     degrees = np.rad2deg(largest)
-    picks = {r: str(part.table.map.picks[r][0]) if r in part.table.map.picks else r for r in ("lat", "lon")}
     if np.deg2rad(degrees) > 2 * np.pi and np.rad2deg(lon) > 720.0:
-        hint = f"the unit is degrees, not rad: --map 'lat={picks['lat']}[deg], lon={picks['lon']}[deg]'"
+        hint = 'the unit is degrees, not rad: --map "pos_unit=deg"'
     elif degrees > 1e4:
-        hint = f"is it in 1e-7 deg? --map 'lat={picks['lat']}[1e-7 deg], lon={picks['lon']}[1e-7 deg]'"
+        hint = 'is it in 1e-7 deg? --map "pos_unit=1e-7 deg"'
     else:
-        hint = f"latitude and longitude are swapped: --map 'lat={picks['lon']}, lon={picks['lat']}'"
+        hint = 'latitude and longitude are swapped: --map "latlon=swapped"'
     raise InputError(f"a latitude of {degrees:.6g} deg is beyond 90; {hint}", where=part.table.name)
 
 
 def _velocity(part: Columns) -> Array | None:
-    v = part.values
-    if "vel_ned" in v:
-        return v["vel_ned"]
-    if "vel_enu" in v:
-        return v["vel_enu"][:, [1, 0, 2]] * [1.0, 1.0, -1.0]
-    if "vel_neu" in v:
-        return v["vel_neu"] * [1.0, 1.0, -1.0]
-    return None
+    """Velocity north, east, down from any of its forms; the setting ``velocity`` says the frame against what the file states."""
+    role = next((r for r in ("vel_ned", "vel_enu", "vel_neu") if r in part.values), None)
+    if role is None:
+        return None
+    v, frame = part.values[role], part.settings.get("velocity", role.removeprefix("vel_"))
+    if frame == "enu":
+        return np.asarray(v[:, [1, 0, 2]] * [1.0, 1.0, -1.0])
+    return np.asarray(v * [1.0, 1.0, -1.0]) if frame == "neu" else v
 
 
 def _sigmas(part: Columns, story: Story) -> tuple[Array | None, Array | None]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.errors import InputError, nearest
-from insemu.units import parse_unit, scaled_unit
+from insemu.units import parse, parse_unit, scaled_unit
 
 #: Role -> number of columns and their SI unit (of rates; of increments an integral of it).
 ROLES: Mapping[str, tuple[int, str]] = {
@@ -45,6 +45,24 @@ SETTINGS: Mapping[str, str] = {
     "gnss_topic": "the topic of the fixes, where a bag has several",
     "instance": "which of several sensors of one kind, from 0",
     "attitude": "ned or enu: which frame a quaternion turns the body into",
+    "gyro_unit": "what the numbers of the gyroscope really are, such as deg/s",
+    "accel_unit": "what the numbers of the accelerometer really are, such as g",
+    "time_unit": "what the stamps really are: s, ms, us or ns",
+    "pos_unit": "what latitude and longitude really are: deg or rad",
+    "vel_unit": "what the velocities really are, such as knots",
+    "velocity": "ned, enu or neu: what the three components of the velocity really are",
+    "latlon": "swapped, where the latitude stands in the column of the longitude",
+}
+#: Role -> the setting that says its unit against what the file states.
+UNIT_SETTING: Mapping[str, str] = {
+    "time": "time_unit", "gyro": "gyro_unit", "accel": "accel_unit", "lat": "pos_unit", "lon": "pos_unit",
+    "vel_ned": "vel_unit", "vel_enu": "vel_unit", "vel_neu": "vel_unit", "speed": "vel_unit",
+}  # fmt: skip
+_CHOICES = {
+    "latlon": ("swapped", "as stated"),
+    "velocity": ("ned", "enu", "neu"),
+    "kind": ("sample", "mean", "increment"),
+    "attitude": ("ned", "enu"),
 }
 _LONGEST = 4000
 
@@ -109,12 +127,24 @@ def parse_map(text: str, where: str = "--map") -> ColumnMap:
         if not equals or not value:
             raise InputError(f"found '{part.strip()[:60]}', expected ROLE=COLUMNS[UNIT] or SETTING=VALUE", where=where)
         if key in SETTINGS:
-            settings[key] = value
+            settings[key] = _setting(key, value, where)
         elif key in ROLES:
             picks[key] = _picks(key, value, where)
         else:
             raise InputError(f"unknown role '{key[:40]}'" + nearest(key, [*ROLES, *SETTINGS]), where=where)
     return ColumnMap(picks, settings)
+
+
+def _setting(key: str, value: str, where: str) -> str:
+    """A setting's value, checked as far as it can be without the data."""
+    if key in _CHOICES and value not in _CHOICES[key]:
+        raise InputError(f"is '{value[:40]}', expected one of: {', '.join(_CHOICES[key])}", where=f"{where}: {key}")
+    role = next((r for r, k in UNIT_SETTING.items() if k == key), None)
+    if role is not None:
+        _check_unit(role, value, where)
+    if key in ("shift", "gnss_shift", "from", "to", "rate"):
+        parse(value, "Hz" if key == "rate" else "s")
+    return value
 
 
 def _split(text: str, separator: str, where: str) -> list[str]:

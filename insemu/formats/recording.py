@@ -83,7 +83,7 @@ def is_folder_recording(path: Path) -> bool:
 
 def read_recording(path: Path) -> Recording:
     """Read a recording from ``.npz`` or a folder; see :func:`insemu.formats.read`."""
-    arrays = _folder(path) if path.is_dir() else load_npz(path)
+    arrays = folder_arrays(path) if path.is_dir() else load_npz(path)
     source = str(path)
     imu = _imu(arrays, source)
     try:
@@ -234,7 +234,8 @@ def _reference(arrays: Mapping[str, NDArray[Any]], source: str) -> Trajectory | 
     return Trajectory(t, llh, velocity, rpy, "reference")
 
 
-def _folder(path: Path) -> dict[str, NDArray[Any]]:
+def folder_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a folder by key, from its ``.npy`` and CSV files."""
     arrays: dict[str, NDArray[Any]] = {}
     for file in sorted(path.glob("*.npy")):
         arrays[file.stem] = load_npy(file)

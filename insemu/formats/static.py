@@ -150,14 +150,7 @@ def read_log(path: str | Path, *, rate_hz: float | None = None, columns: Iterabl
         raise FileNotFoundError(2, "No such file or directory", str(path))
     if rate_hz is not None and not (np.isfinite(rate_hz) and rate_hz > 0):
         raise InputError(f"rate is {rate_hz} Hz, expected a positive number", where=str(path))
-    if path.suffix == ".npz":
-        names, units, data, t, rate = _npz(path)
-    elif path.suffix == ".npy":
-        names, units, data, t, rate = _npy(path)
-    elif is_text(path):
-        names, units, data, t, rate = _csv(path)
-    else:
-        raise InputError(f"unknown kind of file '{path.suffix}', expected .npz, .csv or .npy", where=str(path))
+    names, units, data, t, rate = parts(path)
     if len(set(names)) != len(names):
         twice = sorted({n for n in names if names.count(n) > 1})
         raise InputError(f"column '{twice[0]}' appears more than once", where=str(path))
@@ -194,6 +187,17 @@ def read_log(path: str | Path, *, rate_hz: float | None = None, columns: Iterabl
 
 
 _Parts = tuple[list[str], list[str], list[NDArray[Any]], Array | None, float | None]
+
+
+def parts(path: Path) -> _Parts:
+    """Return names, stated units, columns, times and rate as a log holds them, unconverted."""
+    if path.suffix == ".npz":
+        return _npz(path)
+    if path.suffix == ".npy":
+        return _npy(path)
+    if is_text(path):
+        return _csv(path)
+    raise InputError(f"unknown kind of file '{path.suffix}', expected .npz, .csv or .npy", where=str(path))
 
 
 def _npz(path: Path) -> _Parts:

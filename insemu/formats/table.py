@@ -134,7 +134,7 @@ def register(reader: Reader) -> Reader:
 
 
 @lru_cache(maxsize=1)
-def readers() -> tuple[Reader, ...]:
+def known_readers() -> tuple[Reader, ...]:
     """All readers, in the order in which they are asked."""
     package = importlib.import_module("insemu.formats.readers")
     for module in sorted(m.name for m in pkgutil.iter_modules(package.__path__)):
@@ -145,7 +145,7 @@ def readers() -> tuple[Reader, ...]:
 def reader_of(path: Path) -> Reader | None:
     """The reader of a foreign file or folder; None where there is none."""
     probe = Probe(path)
-    return next((r for r in readers() if r.sniff(probe)), None)
+    return next((r for r in known_readers() if r.sniff(probe)), None)
 
 
 # ------------------------------------------------------------------------------------------------------------ delimited text

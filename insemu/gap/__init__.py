@@ -11,15 +11,15 @@ from insemu.gap.data.sources import StaticLog, from_its_start, load_measured
 from insemu.gap.policy import Policy
 from insemu.gap.problems.rest import find_static_gap
 from insemu.gap.session import find_gap
-from insemu.gap.verdict import GapReport, Member, Step, Value, Where
+from insemu.gap.verdict import Finding, GapReport, Member, Value, Where
 
 __all__ = [
+    "Finding",
     "GapReport",
     "Member",
     "Nominal",
     "Policy",
     "StaticLog",
-    "Step",
     "Value",
     "Where",
     "find_gap",

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.gap.candidates.shapes import Variant, linear_gains, pooled_gains
+from insemu.gap.candidates.shapes import Variant, linear_evidence, pooled_evidence
 from insemu.gap.evidence.linear import Block, Field
 from insemu.gap.policy import rules
 
@@ -63,8 +63,8 @@ class Repetitions:
         """
         A, b = self.data.conditioned(given, self.noise)
         moved = A[:, index] @ coefficients
-        gains = pooled_gains(
-            variants, linear_gains(variants, A, b[:, 1:] + (moved if moved.ndim == 2 else moved[:, None]))
+        gains = pooled_evidence(
+            variants, linear_evidence(variants, A, b[:, 1:] + (moved if moved.ndim == 2 else moved[:, None]))
         )
         table = np.stack(list(gains.values()))
         top = table.max(axis=0)

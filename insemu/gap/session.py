@@ -21,7 +21,7 @@ from insemu.gap.drive.preparation import Flown
 from insemu.gap.policy import Policy, rules, under
 from insemu.gap.problems.known import drive_without, in_imu_axes, static_without
 from insemu.gap.problems.rest import find_static_gap
-from insemu.gap.verdict import GapReport, Interval, Step, Value, held_out_said, judged
+from insemu.gap.verdict import Finding, GapReport, Interval, Value, held_out_said, judged
 from insemu.records import AXES, Recording
 
 
@@ -125,11 +125,11 @@ def _drive(
 
     check(measured, nominal)
     now = nominal
-    early: list[Step] = []
+    early: list[Finding] = []
 
-    def taken(step: Step) -> Nominal:
-        early.append(step)
-        return replace(now, effects=joined(now.effects, uses_of(step)))
+    def taken(finding: Finding) -> Nominal:
+        early.append(finding)
+        return replace(now, effects=joined(now.effects, uses_of(finding)))
 
     say("running the nominal filter")
     first = flown = flown or Flown.of(*drive_without(measured, now))
@@ -141,8 +141,8 @@ def _drive(
     mounted = None
     if now.vehicle is not None and "mounting" not in without:
         mounted = find_mounting(recording, moved, say)
-        if mounted.step is not None:
-            now, flown = taken(mounted.step), None
+        if mounted.finding is not None:
+            now, flown = taken(mounted.finding), None
             recording, moved = drive_without(measured, now)
     # by the innovations alone the mounting hides in the attitude
     skip = tuple(dict.fromkeys((*without, "mounting")))
@@ -152,7 +152,7 @@ def _drive(
     report = find_dynamic_gap(recording, moved, rng=rng, without=skip, hold_out=hold_out, progress=say, flown=flown)
     out = _together(report, early, mounted, nominal)
     for turn in range(rules().most_passes):
-        if sum(s.gain_nats for s in out.steps if s.sensor in ("gnss", "imu")) < rules().strong_nats:
+        if sum(s.nats for s in out.findings if s.sensor in ("gnss", "imu")) < rules().strong_nats:
             break
         say(f"the refined model against the recording, {turn + 1}")
         recording, moved = in_imu_axes(
@@ -179,12 +179,12 @@ def check(measured: Recording, nominal: Nominal) -> None:
         )
 
 
-def _together(report: GapReport, early: list[Step], mounted: Mounted | None, nominal: Nominal) -> GapReport:
+def _together(report: GapReport, early: list[Finding], mounted: Mounted | None, nominal: Nominal) -> GapReport:
     """The report of the search with what was taken off before it."""
-    steps = list(report.steps)
-    for step in early:
-        steps = _added_up(steps, step)
-    steps.sort(key=lambda s: -s.gain_nats)
+    findings = list(report.findings)
+    for finding in early:
+        findings = _added_up(findings, finding)
+    findings.sort(key=lambda s: -s.nats)
     where, after, held = report.where, report.after, report.held_out
     before_index, after_index = report.gap_before, report.gap_after
     if mounted is not None:
@@ -199,8 +199,8 @@ def _together(report: GapReport, early: list[Step], mounted: Mounted | None, nom
             after_index = _mean(after_index, mounted.chi_square[1] / mounted.dof, mounted.dof)
     return replace(
         report,
-        verdict=judged(steps, report.remainder, [s.effect for s in early]),
-        steps=tuple(steps),
+        verdict=judged(findings, report.remainder, [s.effect for s in early]),
+        findings=tuple(findings),
         where=where,
         after=after,
         gap_before=before_index,
@@ -210,49 +210,49 @@ def _together(report: GapReport, early: list[Step], mounted: Mounted | None, nom
     )
 
 
-def _added_up(steps: list[Step], earlier: Step) -> list[Step]:
-    """The steps with what was taken off before: added to the same effect where it was found again, else as its own."""
+def _added_up(findings: list[Finding], earlier: Finding) -> list[Finding]:
+    """The findings with what was taken off before: added to the same effect where it was found again, else as its own."""
     known = {v.name: v.value for v in earlier.parameters}
-    for k, s in enumerate(steps):
+    for k, s in enumerate(findings):
         if (s.effect, s.sensor) == (earlier.effect, earlier.sensor):
             values = tuple(_shifted(v, known.get(v.name, 0.0)) for v in s.parameters)
-            both = replace(s, parameters=values, gain_nats=s.gain_nats + earlier.gain_nats)
-            return [*steps[:k], both, *steps[k + 1 :]]
-    return [*steps, earlier]
+            both = replace(s, parameters=values, nats=s.nats + earlier.nats)
+            return [*findings[:k], both, *findings[k + 1 :]]
+    return [*findings, earlier]
 
 
 def _closer(report: GapReport, more: GapReport, settled: Collection[str]) -> GapReport:
     """A report with what the recording still says once its effects are known; the same object where that is nothing new."""
-    steps = list(report.steps)
+    findings = list(report.findings)
     changed = False
-    for m in more.steps:
-        k = next((k for k, s in enumerate(steps) if (s.effect, s.sensor) == (m.effect, m.sensor)), None)
+    for m in more.findings:
+        k = next((k for k, s in enumerate(findings) if (s.effect, s.sensor) == (m.effect, m.sensor)), None)
         if k is None and m.sensor not in ("gnss", "imu") and not adds(m.effect):
             continue  # what the IMU shows above its motion was searched once; more of it would only chase what changes with time
         if k is None:
-            steps.append(m)
+            findings.append(m)
         elif m.sensor in ("gnss", "imu") or adds(m.effect):
-            steps[k] = _corrected(steps[k], m)
+            findings[k] = _corrected(findings[k], m)
         else:
             continue  # more of a process that is named
         changed = True
     changed = changed or (bool(report.remainder) and not more.remainder)
     if not changed:
         return report
-    steps = sorted((s for s in map(_pruned, steps) if s is not None), key=lambda s: -s.gain_nats)
+    findings = sorted((s for s in map(_pruned, findings) if s is not None), key=lambda s: -s.nats)
     if not more.remainder:
-        steps = [_settled(s) for s in steps]
+        findings = [_settled(s) for s in findings]
     return replace(
         report,
-        verdict=judged(steps, more.remainder, settled),
-        steps=tuple(steps),
+        verdict=judged(findings, more.remainder, settled),
+        findings=tuple(findings),
         after=more.after,
         remainder=more.remainder,
     )
 
 
-def _corrected(old: Step, new: Step) -> Step:
-    """A step with a later pass's correction: values add up, factors multiply, of colour the larger stands."""
+def _corrected(old: Finding, new: Finding) -> Finding:
+    """A finding with a later pass's correction: values add up, factors multiply, of colour the larger stands."""
     known = {v.name: v for v in old.parameters}
     values = {v.name: v for v in old.parameters}
     for v in new.parameters:
@@ -267,27 +267,29 @@ def _corrected(old: Step, new: Step) -> Step:
     return replace(old, axes=axes, parameters=tuple(values.values()))
 
 
-def _pruned(step: Step) -> Step | None:
-    """A step less what a correction took back: parameters whose interval holds zero, levels that are nominal."""
-    if any(v.name == "factor" and abs(math.log(v.value)) < math.log1p(rules().tolerance) for v in step.parameters):
+def _pruned(finding: Finding) -> Finding | None:
+    """A finding less what a correction took back: parameters whose interval holds zero, levels that are nominal."""
+    if any(v.name == "factor" and abs(math.log(v.value)) < math.log1p(rules().tolerance) for v in finding.parameters):
         return None
-    if not adds(step.effect) and step.effect != "lever_arm":
-        return step
-    kept = tuple(v for v in step.parameters if not v.low < 0.0 < v.high or join_of(step.effect, v.name) == "equal")
-    if not any(join_of(step.effect, v.name) != "equal" for v in kept):
+    if not adds(finding.effect) and finding.effect != "lever_arm":
+        return finding
+    kept = tuple(
+        v for v in finding.parameters if not v.low < 0.0 < v.high or join_of(finding.effect, v.name) == "equal"
+    )
+    if not any(join_of(finding.effect, v.name) != "equal" for v in kept):
         return None
     shown = {v.name.partition("_")[2][:1] for v in kept}
-    axes = tuple(a for a in step.axes if a in shown) or step.axes
-    return replace(step, parameters=kept, axes=axes)
+    axes = tuple(a for a in finding.axes if a in shown) or finding.axes
+    return replace(finding, parameters=kept, axes=axes)
 
 
-def _settled(step: Step) -> Step:
-    """A step's confidence once its model agrees with the recording: its share of its class."""
-    gains = [m.gain_nats for m in step.members] or [step.gain_nats]
-    own = next((m.gain_nats for m in step.members if m.effect == step.effect), gains[0])
+def _settled(finding: Finding) -> Finding:
+    """A finding's confidence once its model agrees with the recording: its share of its class."""
+    gains = [m.nats for m in finding.members] or [finding.nats]
+    own = next((m.nats for m in finding.members if m.effect == finding.effect), gains[0])
     weights = [math.exp(max(g - own, -50.0)) for g in gains]
     own_share = 1.0 / (sum(weights) + math.exp(-max(own, 0.0)))
-    return replace(step, confidence=max(step.confidence, own_share), shaken=False)
+    return replace(finding, confidence=max(finding.confidence, own_share), doubtful=False)
 
 
 def _shifted(v: Value, by: float) -> Value:
@@ -315,7 +317,7 @@ def _pictures(measured: Recording, first: Flown, nominal: Nominal, report: GapRe
     from insemu.gap.drive.signatures import Loop
 
     refined = refined_nominal(nominal, report, measured.imu.dt).parted()
-    after = Flown.of(*drive_without(measured, refined)) if report.steps else first
+    after = Flown.of(*drive_without(measured, refined)) if report.findings else first
     out: dict[str, Any] = {}
     for name, prepared in (("before", first.prepared), ("after", after.prepared)):
         loop = Loop.of(prepared.result)

@@ -15,14 +15,14 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.gap.candidates.axis import AxisState, Weighed, state_of
+from insemu.gap.candidates.axis import AxisHypothesis, AxisState, state_of
 from insemu.gap.data.log import reduce
 from insemu.gap.evidence.model import Explanation
 from insemu.gap.policy import Policy, rules
 from insemu.records import Series
 
 Array = NDArray[np.float64]
-Search = Callable[[AxisState, Collection[str]], "list[Weighed]"]
+Search = Callable[[AxisState, Collection[str]], "list[AxisHypothesis]"]
 
 #: Simulated logs per kind of axis, and the most samples of one; of a longer log one of the same length at a lower rate stands in.
 DRAWS, MOST_SAMPLES = 12, 18_000
@@ -114,5 +114,5 @@ def _simulated(
         values = nominal.at(x).model.simulate(samples, dt, rng)
         data = reduce(Series(values, 1.0 / dt, "", "simulated"))
         ranked = search(state_of(data, nominal, T), without)
-        gains.append(max((w.gain for w in ranked), default=0.0))
+        gains.append(max((w.nats for w in ranked), default=0.0))
     return tail_of(np.array(gains))

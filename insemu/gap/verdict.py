@@ -23,6 +23,24 @@ class Value:
     high: float
     unit: str
 
+    @classmethod
+    def normal(cls, name: str, mean: float, sd: float, unit: str) -> Value:
+        """A parameter whose error is normal."""
+        return cls(name, float(mean), float(mean - 1.96 * sd), float(mean + 1.96 * sd), unit)
+
+    @classmethod
+    def positive(cls, name: str, value: float, sd: float, unit: str) -> Value:
+        """A positive parameter whose logarithm has a normal error."""
+        return cls(name, float(value), float(value * math.exp(-1.96 * sd)), float(value * math.exp(1.96 * sd)), unit)
+
+    def scaled(self, factor: float) -> Value:
+        """The parameter times a positive factor."""
+        return replace(self, value=factor * self.value, low=factor * self.low, high=factor * self.high)
+
+    def shifted(self, by: float) -> Value:
+        """The parameter plus a number."""
+        return replace(self, value=self.value + by, low=self.low + by, high=self.high + by)
+
     def to_json(self) -> dict[str, Any]:
         """As plain data."""
         return {"name": self.name, "value": self.value, "low": self.low, "high": self.high, "unit": self.unit}
@@ -30,16 +48,16 @@ class Value:
 
 @dataclass(frozen=True)
 class Member:
-    """An effect that explains a step nearly as well as the named one."""
+    """An effect that explains a finding nearly as well as the named one."""
 
     effect: str
     sensor: str
     axes: tuple[str, ...]
-    gain_nats: float
+    nats: float
 
     def to_json(self) -> dict[str, Any]:
         """As plain data."""
-        return {"effect": self.effect, "sensor": self.sensor, "axes": list(self.axes), "gain_nats": self.gain_nats}
+        return {"effect": self.effect, "sensor": self.sensor, "axes": list(self.axes), "gain_nats": self.nats}
 
 
 @dataclass(frozen=True)
@@ -56,7 +74,7 @@ class Confusable:
 
 
 @dataclass(frozen=True)
-class Step:
+class Finding:
     """One effect that was found.
 
     Parameters
@@ -67,13 +85,13 @@ class Step:
         SI, with 95 % intervals.
     confidence : float
         Probability that this effect and no other of the catalogue is the reason.
-    gain_nats : float
+    nats : float
         Evidence over the explanation without it.
     members : tuple of Member
         Effects within 3 nats of the best, the best first: more than one is a class.
     would_separate : str
         The recording that would tell the class apart; empty where one effect is named.
-    shaken : bool
+    doubtful : bool
         Whether something that no candidate explains sits in the same place.
     confusable : tuple of Confusable
         Effects that would stand beside it in a tenth or more of repetitions of the recording, most often first.
@@ -85,16 +103,16 @@ class Step:
     axes: tuple[str, ...]
     parameters: tuple[Value, ...]
     confidence: float
-    gain_nats: float
+    nats: float
     members: tuple[Member, ...]
     would_separate: str = ""
     runners_up: tuple[Member, ...] = ()
-    shaken: bool = False
+    doubtful: bool = False
     confusable: tuple[Confusable, ...] = ()
 
-    def doubted(self) -> Step:
-        """The step where something unexplained sits in the same place: it is no more than as likely as not."""
-        return replace(self, confidence=min(self.confidence, 0.5), shaken=True)
+    def doubted(self) -> Finding:
+        """The finding where something unexplained sits in the same place: it is no more than as likely as not."""
+        return replace(self, confidence=min(self.confidence, 0.5), doubtful=True)
 
     @property
     def is_class(self) -> bool:
@@ -109,7 +127,7 @@ class Step:
             "axes": list(self.axes),
             "parameters": [p.to_json() for p in self.parameters],
             "confidence": self.confidence,
-            "gain_nats": self.gain_nats,
+            "gain_nats": self.nats,
             "class": [m.to_json() for m in self.members],
             "would_separate": self.would_separate,
             "variant": self.variant,
@@ -118,16 +136,16 @@ class Step:
         }
 
 
-def judged(steps: Sequence[Step], remainder: str, settled: Collection[str] = ()) -> VerdictName:
-    """The verdict: names stand where the strongest step is not shaken, whatever else is left over.
+def judged(findings: Sequence[Finding], remainder: str, settled: Collection[str] = ()) -> VerdictName:
+    """The verdict: names stand where the strongest finding is not doubtful, whatever else is left over.
 
     Effects that were ``settled`` on other data than the rest (the mounting on the motion across the vehicle) speak before all others: nats of what
     shakes a sensor do not compare with theirs.
     """
-    steps = [s for s in steps if s.effect in settled] or steps
-    if steps and not steps[0].shaken:
-        return "class" if steps[0].is_class else "named"
-    return "unexplained" if steps or remainder else "nothing missing"
+    findings = [s for s in findings if s.effect in settled] or findings
+    if findings and not findings[0].doubtful:
+        return "class" if findings[0].is_class else "named"
+    return "unexplained" if findings or remainder else "nothing missing"
 
 
 @dataclass(frozen=True)
@@ -159,6 +177,11 @@ class Interval:
     low: float
     high: float
 
+    @classmethod
+    def normal(cls, mean: float, sd: float) -> Interval:
+        """Of a value whose error is normal."""
+        return cls(mean, mean - 1.96 * sd, mean + 1.96 * sd)
+
     def to_json(self) -> dict[str, Any]:
         """As plain data; a value that is not finite becomes null."""
         return {
@@ -175,7 +198,7 @@ class GapReport:
     ----------
     verdict : str
         ``nothing missing``, ``named``, ``class`` or ``unexplained``.
-    steps : tuple of Step
+    findings : tuple of Finding
         Effects found, strongest first.
     where, after : tuple of Where
         Disagreement of the nominal and of the refined model with the recording, most significant first.
@@ -190,11 +213,11 @@ class GapReport:
     threshold_nats : float
         Evidence that an effect had to exceed.
     remainder : str
-        What is left unexplained beside the steps, in words; empty where nothing is.
+        What is left unexplained beside the findings, in words; empty where nothing is.
     """
 
     verdict: VerdictName
-    steps: tuple[Step, ...]
+    findings: tuple[Finding, ...]
     where: tuple[Where, ...]
     after: tuple[Where, ...]
     gap_before: Interval
@@ -212,7 +235,7 @@ class GapReport:
         held = self.held_out.to_json()
         return {
             "verdict": self.verdict,
-            "steps": [s.to_json() for s in self.steps],
+            "steps": [s.to_json() for s in self.findings],
             "where": [w.to_json() for w in self.where],
             "gap_index": {"before": self.gap_before.to_json(), "after": self.gap_after.to_json()},
             "held_out": {"gain_nats_per_fix": held["value"], "low": held["low"], "high": held["high"]},
@@ -227,9 +250,9 @@ def held_out_said(report: GapReport) -> GapReport:
     """The report with a refined model that does worse on data not used for naming called so in its remainder."""
     before, after, gain = report.gap_before, report.gap_after, report.held_out
     said = ""
-    if report.steps and gain.high < 0.0:
+    if report.findings and gain.high < 0.0:
         said = f"data not used for naming are predicted worse by the refined model ({gain.value:.2g} nats per fix or block)"
-    elif report.steps and _farther(before, after):
+    elif report.findings and _farther(before, after):
         said = (
             f"on data not used for naming the gap index moved away from 1 ({before.value:.2f} to {after.value:.2f}): "
             "what was named there does not hold throughout"

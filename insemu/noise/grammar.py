@@ -13,7 +13,7 @@ from insemu.errors import InputError, nearest
 ALIASES: Mapping[str, str] = {"ARW": "WN", "VRW": "WN", "RRW": "RW"}
 
 #: Processes of one model, and characters of its text, that are read.
-MOST_PROCESSES, LONGEST_TEXT = 64, 4_000
+MOST_PROCESSES, LONGEST_TEXT = 100, 4_000
 
 _TERM = re.compile(
     r"^\s*(?:(?P<count>[0-9]{1,9})\s*\*\s*)?(?P<name>[A-Za-z]\w*)\s*(?:\((?P<arguments>.*)\))?\s*$", re.DOTALL
@@ -77,8 +77,10 @@ def terms(text: str, known: Collection[str]) -> Iterator[tuple[int, str, list[in
             raise InputError(f"unknown process {shown(name)} in the model {shown(text)}" + nearest(name, known))
         count = int(match["count"] or 1)
         total += count
-        if count < 1:
-            raise InputError(f"found {count} times {name} in the model {shown(text)}, expected at least once")
+        if not 1 <= count <= MOST_PROCESSES:
+            raise InputError(
+                f"found {count} times {name} in the model {shown(text)}, expected a whole number from 1 to {MOST_PROCESSES}"
+            )
         if total > MOST_PROCESSES:
             raise InputError(f"the model {shown(text)} has more than {MOST_PROCESSES} processes")
         yield count, name, *_arguments(name, match["arguments"] or "", text)

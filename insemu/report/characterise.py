@@ -12,7 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as MplFigure
 from numpy.typing import NDArray
 
-from insemu.report.page import Figure, Items, Section, Table, Text, render
+from insemu import __version__
+from insemu.report.charts import Chart, Line, View
+from insemu.report.page import Card, Figure, Folded, Items, Section, Table, Text, render
 from insemu.report.style import COLOURS, style
 from insemu.units import conversion
 from insemu.variance.characterise import duration, grouped_findings
@@ -276,6 +278,49 @@ def covariance_check(tau: Array, theory: Array, drawn: Array, draws: int, title:
     return figure
 
 
+def allan_chart(axes: Sequence[AxisReport]) -> Chart | None:
+    """Allan deviations with their intervals, a view for each sensor; None where columns differ in rate or length."""
+    tau = axes[0].allan.tau_s
+    if any(not np.array_equal(a.allan.tau_s, tau) for a in axes):
+        return None
+    views = []
+    for title, members in _groups(axes):
+        lines: list[Line] = []
+        for k, axis in enumerate(members):
+            factor, unit = _factor(axis.unit)
+            curve, colour = axis.allan, COLOURS[k % len(COLOURS)]
+            known = (curve.value > 0) & (curve.edof >= 1.5)
+            low, high = (
+                factor * np.sqrt(np.where(known & (bound > 0), bound, np.nan)) for bound in (curve.low, curve.high)
+            )
+            at = len(lines)
+            lines += [
+                Line(axis.name, factor * np.sqrt(np.where(curve.value > 0, curve.value, np.nan)), colour),
+                Line(f"{axis.name}: 95 % low", low, colour, width=0.0, of=axis.name),
+                Line(f"{axis.name}: 95 % high", high, colour, width=0.0, fill_to=at + 1, of=axis.name),
+            ]
+        views.append(View(title, f"Allan deviation ({unit})", lines, log_y=True))
+    caption = "Allan deviation with 95 % intervals. Hover to read values; a click on a name in the legend switches it."
+    return Chart("Allan deviation", caption, tau, "averaging time (s)", views, log_x=True, group="scale")
+
+
+def _card(axis: AxisReport) -> Card:
+    """What an axis is, in one card."""
+    read = [f"{name} {r.value:.3g} {_plain(r.unit)}" for name, r in axis.readings.items() if name in ("N", "B", "K")]
+    value = read[0] if read else "No straight part to read"
+    count = len(axis.findings)
+    verdict = "Nothing wrong was found" if not count else f"{count} finding{'s' if count > 1 else ''}"
+    notes = [", ".join(read[1:]), *axis.findings[:1]]
+    absent = [name for name in axis.not_visible if name in ("N", "B", "K")]
+    if absent:
+        notes.append(f"Not visible in this record: {', '.join(absent)}")
+    return Card(axis.name, value, verdict, "warn" if count else "good", [n for n in notes if n])
+
+
+def _plain(unit: str) -> str:
+    return unit.replace("sqrt(h)", "√h").replace("sqrt(Hz)", "√Hz").replace("^2", "²").replace("h^1.5", "h^(3/2)")
+
+
 def _readings_table(axes: Sequence[AxisReport]) -> Table:
     rows = []
     for axis in axes:
@@ -356,9 +401,21 @@ def render_characterisation(
     length = duration(first.samples / first.rate_hz)
     lead = f"{source}: {len(axes)} column(s), {first.samples} samples at {first.rate_hz:g} Hz ({length})."
     findings = [f"{names}: {finding}" for names, finding in grouped_findings(axes)]
+    chart = allan_chart(varied) if varied else None
+    readings = sum(bool(axis.readings) for axis in axes)
+    answer = f"{readings} of {len(axes)} columns can be read; " if readings < len(axes) else ""
+    answer += (
+        f"{len(findings)} finding{'s' if len(findings) > 1 else ''} to look at."
+        if findings
+        else "nothing wrong was found."
+    )
     sections = [
+        *(
+            [Section("Allan deviation", [*([chart] if chart else []), _picture(figures["allan"], chart)])]
+            if varied
+            else []
+        ),
         Section("Findings", [Items(findings) if findings else Text("Nothing wrong was found.")]),
-        *([Section("Allan deviation", [figures["allan"]])] if varied else []),
         Section(
             "Readings",
             [
@@ -384,6 +441,13 @@ def render_characterisation(
         f"Characterisation of {Path(source).name}",
         sections,
         folder / "index.html",
+        answer=answer[:1].upper() + answer[1:],
         lead=lead,
-        footer="Made by insemu characterise.",
+        cards=[_card(axis) for axis in axes],
+        footer=f"Made by insemu {__version__} characterise.",
     )
+
+
+def _picture(figure: Figure, chart: Chart | None) -> Figure | Folded:
+    """The static figure, folded where a chart shows the same."""
+    return Folded("The lines that were read, axis by axis", [figure]) if chart else figure

@@ -37,6 +37,8 @@ class Line:
         Of the line, pixels.
     fill_to : int, optional
         Index of the line of the view up to which the space is filled.
+    of : str
+        Label of the line that this one belongs to, and with which it is switched: a bound of an error.
     """
 
     label: str
@@ -46,6 +48,7 @@ class Line:
     points: bool = False
     width: float = 1.6
     fill_to: int | None = None
+    of: str = ""
 
     def to_json(self) -> dict[str, Any]:
         """As the script reads it."""
@@ -57,6 +60,7 @@ class Line:
             "points": self.points,
             "width": self.width,
             "fill_to": self.fill_to,
+            "of": self.of,
         }
 
 

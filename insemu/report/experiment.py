@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from insemu.evaluate import Results, outage_table, verdicts
+from insemu.evaluate import Results, verdicts
 from insemu.evaluate.answer import Standing, answer
+from insemu.evaluate.folder import put
 from insemu.noise import NoiseModel, axis_unit
 from insemu.report import budget, figures
 from insemu.report.experiment_charts import error_chart, nees_chart
@@ -19,11 +20,10 @@ from insemu.report.tables import (
     SMOOTHED,
     beside,
     consistency_lines,
+    full_headline,
     log_distance,
     pooled_rank_line,
-    published_value,
     rank_lines,
-    short,
     shown_beside,
     smoother_rows,
     variant_caption,
@@ -33,49 +33,12 @@ from insemu.units import datasheet
 
 
 def _table(results: Results) -> Table:
-    place = {"planimetric_mean_m": 6, "planimetric_max_m": 7}.get(results.headline_figure, 5)
-    header = [
-        "design",
-        "states",
-        "outage",
-        "at end m",
-        "95 %",
-        "mean m",
-        "max m",
-        "altitude m",
-        "velocity m/s",
-        "attitude deg",
-    ]
-    header += ["stated sigma m", "cover position %", "velocity %", "attitude %", "NEES/dof"]
-    if results.published:
-        header.insert(place, "published")
-    body: list[list[str]] = []
-    for name, outages in outage_table(results).items():
-        for k, row in enumerate(outages):
-            p, c = row["planimetric_end_m"], row["coverage_3sigma"]
-            cells = [
-                name if k == 0 else "",
-                str(results.designs[name].states) if k == 0 else "",
-                f"{row['start_s'] / 60:.3g} min, {row['duration_s']:g} s",
-                f"{p['mean']:.3g}",
-                "" if p["ci95"][0] is None else f"{p['ci95'][0]:.3g} to {p['ci95'][1]:.3g}",
-                f"{row['planimetric_mean_m']:.3g}",
-                f"{row['planimetric_max_m']:.3g}",
-                f"{row['altimetric_end_m']:.3g}",
-                f"{row['velocity_end_m_s']:.3g}",
-                f"{row['attitude_end_deg']:.3g}",
-                f"{row['predicted_sigma_end_m']:.3g}",
-                *(f"{100 * c[g]:.1f}" for g in ("position", "velocity", "attitude")),
-                short(row["nees_per_dof"]),
-            ]
-            if results.published:
-                cells.insert(place, published_value(results, name, k))
-            body.append(cells)
     caption = (
         f"Planimetric errors, means over {results.realizations} realizations; intervals by bootstrap over realizations. Altitude, velocity, "
-        "attitude and stated sigma at the end of the outage; cover is the share of errors inside 3 sigma during it."
+        "attitude and stated sigma at the end of the outage; cover is the share of errors inside 3 sigma during it. Verdict: on the NEES at "
+        "the end of the outage."
     )
-    return Table(header, body, caption, left=1)
+    return Table(*full_headline(results), caption, left=1)
 
 
 def _model_rows(axis: str, model: NoiseModel) -> list[list[str]]:
@@ -128,6 +91,34 @@ def render_experiment(
         The page.
     """
     text = text or {}
+    drawn = _drawn(main)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, picture in drawn.items():
+        put(folder / f"{name}.png", picture.png)
+    said = answer(main)
+    differences = Folded("Differences between the designs", [Items(verdicts(main))])
+    sections = [Section("Every outage", [_table(main), differences]), Section("Flight", [drawn["flight"]])]
+    if main.outages:
+        sections += _accuracy(main, drawn)
+    if variants:
+        sections.append(_variants(main, variants))
+    if main.published:
+        sections.append(_published(main, variants, text.get("source", "")))
+    sections.append(Section("What each design believes", _beliefs(main)))
+    sections.append(Section("How it was made", _made(main, text.get("notes", ""))))
+    return render(
+        main.title,
+        sections,
+        folder / "index.html",
+        answer=said.sentence if said else "",
+        lead=" ".join(part for part in (text.get("question", ""), f"{main.realizations} realizations.") if part),
+        cards=[_card(s, main) for s in said.standings] if said else (),
+        footer=f"Made by insemu {main.manifest.get('insemu')}.",
+    )
+
+
+def _drawn(main: Results) -> dict[str, Figure]:
+    """The figures by name."""
     last = len(main.outages)
     pictures = {
         "flight": (
@@ -142,7 +133,8 @@ def render_experiment(
         )
         pictures["against_bounds"] = (
             figures.against_bounds(main),
-            f"Outage {last}: north errors of one realization and the 3-sigma band that its filter states; thin grey lines are all realizations.",
+            f"Outage {last}, one column per design: errors of one realization and the 3-sigma bound that its filter states; thin grey lines are "
+            "all realizations. The planimetric error is a length, its bound 3 times the root of the stated horizontal variance.",
         )
         pictures["end_errors"] = (
             figures.end_errors(main),
@@ -153,84 +145,62 @@ def render_experiment(
         figures.consistency(main),
         "Normalised squared error of the nine navigation states; 1 is a filter that knows its error.",
     )
-    if main.outages and main.smoothed is not None:
+    if main.outages and main.smoothed:
         pictures["smoothing"] = (
             figures.smoothing(main),
             "Errors north in the longest outage, filtered (left) and smoothed (right), with the 3-sigma band that each states; scales differ.",
         )
     if main.budgets:
         pictures["budget"] = (budget.budget_bars(main.budgets), budget.BARS)
-    drawn = {name: Figure.of(figure, caption) for name, (figure, caption) in pictures.items()}
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, picture in drawn.items():
-        (folder / f"{name}.png").write_bytes(picture.png)
+    return {name: Figure.of(figure, caption) for name, (figure, caption) in pictures.items()}
 
-    said = answer(main)
+
+def _accuracy(main: Results, drawn: Mapping[str, Figure]) -> list[Section]:
+    """What is said of outages: error growth, consistency, the smoother, the budget."""
+    bounds = (
+        "Bounds hold for all epochs (lags) of a design together at 99 %. NEES: per degree of freedom, in the middle and at the end of every "
+        "outage (the smoother's in the middle), mean over realizations; NIS: over all accepted fixes."
+    )
     nees = nees_chart(main, png=drawn["consistency"].png)
+    judged: list[Block] = [Items(consistency_lines(main)), Text(bounds), drawn["against_bounds"], nees]
     sections = [
-        Section("Every outage", [_table(main), Folded("Differences between the designs", [Items(verdicts(main))])]),
-        Section("Flight", [drawn["flight"]]),
+        Section("Error growth", [error_chart(main, png=drawn["error_growth"].png), drawn["end_errors"]]),
+        Section("Does the filter know its error?", judged),
     ]
-    if main.outages:
-        sections += [
-            Section("Error growth", [error_chart(main, png=drawn["error_growth"].png), drawn["end_errors"]]),
-            Section(
-                "Does the filter know its error?",
-                [
-                    Items(consistency_lines(main)),
-                    Text(
-                        "Bounds hold for all epochs (lags) of a design together at 99 %. NEES: per degree of freedom, in the middle and at "
-                        "the end of every outage (the smoother's in the middle), mean over realizations; NIS: over all accepted fixes."
-                    ),
-                    drawn["against_bounds"],
-                    nees,
-                ],
-            ),
-        ]
     if "smoothing" in drawn:
-        header, body = smoother_rows(main)
-        sections.append(Section("Smoothed", [Table(header, body, SMOOTHED, left=2), drawn["smoothing"]]))
+        sections.append(Section("Smoothed", [Table(*smoother_rows(main), SMOOTHED, left=2), drawn["smoothing"]]))
     if "budget" in drawn:
-        sections.append(
-            Section(
-                "Where the metres come from",
-                [
-                    Items(budget.budget_lines(main.budgets)),
-                    drawn["budget"],
-                    Text(
-                        "By covariance analysis of truth and belief together; nothing was drawn. Parts add up as squares. A mean removed from the "
-                        "records (truth.record) is not part of it."
-                    ),
-                ],
-            )
+        note = (
+            "By covariance analysis of truth and belief together; nothing was drawn. Parts add up as squares. A mean removed from the records "
+            "(truth.record) is not part of it."
         )
-    if variants:
-        header, body = variant_rows(main, variants)
-        blocks: list[Block] = [Table(header, body, variant_caption(main), left=2)]
-        for name, results in variants.items():
-            blocks.append(Items([f"{name}: {line}" for line in (*verdicts(results), *rank_lines(results))]))
-        sections.append(Section("Variants", blocks))
-    if main.published:
-        distance = log_distance(main)
-        sections.append(
-            Section(
-                "Beside the published table",
-                [
-                    Text(f"{text.get('source', '')} The rms of ln(ours / published) over its cells is {distance:.2f}."),
-                    *(Text(line) for line in (*rank_lines(main), *pooled_rank_line(main, variants))),
-                    *(
-                        Table(*beside(results, figure), f"{label}: {FIGURES[figure]}, m", left=2)
-                        for label, results in shown_beside(main, variants)
-                        for figure in results.published
-                    ),
-                ],
-            )
-        )
-    sections.append(Section("What each design believes", _beliefs(main)))
+        told = Items(budget.budget_lines(main.budgets))
+        sections.append(Section("Where the metres come from", [told, drawn["budget"], Text(note)]))
+    return sections
+
+
+def _variants(main: Results, variants: Mapping[str, Results]) -> Section:
+    blocks: list[Block] = [Table(*variant_rows(main, variants), variant_caption(main), left=2)]
+    for name, results in variants.items():
+        blocks.append(Items([f"{name}: {line}" for line in (*verdicts(results), *rank_lines(results))]))
+    return Section("Variants", blocks)
+
+
+def _published(main: Results, variants: Mapping[str, Results], source: str) -> Section:
+    lead = f"{source} The rms of ln(ours / published) over its cells is {log_distance(main):.2f}."
+    tables = [
+        Table(*beside(results, figure), f"{label}: {FIGURES[figure]}, m", left=2)
+        for label, results in shown_beside(main, variants)
+        for figure in results.published
+    ]
+    ranks = (*rank_lines(main), *pooled_rank_line(main, variants))
+    return Section("Beside the published table", [Text(lead), *map(Text, ranks), *tables])
+
+
+def _made(main: Results, notes: str) -> list[Block]:
+    """How the results came about."""
     manifest = main.manifest
-    made: list[Block] = []
-    if text.get("notes"):
-        made += [Text(part.strip()) for part in text["notes"].split("\n\n") if part.strip()]
+    made: list[Block] = [Text(part.strip()) for part in notes.split("\n\n") if part.strip()]
     made += [Text(f"Warning: {warning}.") for warning in manifest.get("warnings", ())]
     wall, epochs = main.timing["wall_seconds"], main.timing["filter_epochs"]
     made.append(
@@ -240,22 +210,8 @@ def render_experiment(
             f"is within {1e3 * float(manifest.get('ideal_imu_distance_m', np.nan)):.3g} mm of the requested one."
         )
     )
-    made.append(
-        Code(
-            yaml.safe_dump(manifest.get("scenario", {}), sort_keys=False, allow_unicode=True),
-            "The resolved scenario, SI units:",
-        )
-    )
-    sections.append(Section("How it was made", made))
-    return render(
-        main.title,
-        sections,
-        folder / "index.html",
-        answer=said.sentence if said else "",
-        lead=" ".join(part for part in (text.get("question", ""), f"{main.realizations} realizations.") if part),
-        cards=[_card(s, main) for s in said.standings] if said else (),
-        footer=f"Made by insemu {manifest.get('insemu')}.",
-    )
+    scenario = yaml.safe_dump(manifest.get("scenario", {}), sort_keys=False, allow_unicode=True)
+    return [*made, Code(scenario, "The resolved scenario:")]
 
 
 def _card(s: Standing, results: Results) -> Card:

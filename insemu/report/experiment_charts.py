@@ -79,7 +79,7 @@ def error_chart(results: Results, realization: int = 0, png: bytes = b"") -> Cha
                     shown, bound, word = of(error[realization]), 3.0 * of(sigma[realization]), "3 sigma"
                 lines += [
                     Line(design, _positive(shown), colour),
-                    Line(f"{design}: {word}", _positive(bound), colour, dashed=True, width=1.1),
+                    Line(f"{design}: {word}", _positive(bound), colour, dashed=True, width=1.1, of=design),
                 ]
             what = f"{name}, rms error" if together else f"{name}, one realization and its 3-sigma bound"
             views.append(View(what, f"{name} ({unit})", lines, log_y=True))

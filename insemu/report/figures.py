@@ -96,50 +96,67 @@ def error_growth(results: Results) -> Figure:
             for d, name in enumerate(results.names):
                 rms = np.sqrt(np.mean(component(results.error[d]) ** 2, axis=0))
                 axes.plot(minutes, np.maximum(rms, 1e-6), color=COLOURS[d % len(COLOURS)], label=name)
-                if results.smoothed is not None:
-                    rms = np.sqrt(np.mean(component(results.smoothed.error[d]) ** 2, axis=0))
+                if results.smoothed:
+                    rms = np.sqrt(np.mean(component(results["smoothed_error"][d]) ** 2, axis=0))
                     axes.plot(minutes, np.maximum(rms, 1e-6), color=COLOURS[d % len(COLOURS)], ls=":", lw=1.1)
             axes.set(title=title, ylabel=label, yscale="log")
         for axes in grid[1]:
-            axes.set_xlabel(
-                "time (min); grey: no GNSS" + ("; dotted: smoothed" if results.smoothed is not None else "")
-            )
+            axes.set_xlabel("time (min); grey: no GNSS" + ("; dotted: smoothed" if results.smoothed else ""))
         grid[0, 0].legend(loc="best")
         return figure
 
 
+#: Rows of the figure of errors against their bounds: title, unit, factor, components (two: their length).
+_BOUNDED: tuple[tuple[str, str, float, tuple[int, ...]], ...] = (
+    ("planimetric", "m", 1.0, (0, 1)),
+    ("down", "m", 1.0, (2,)),
+    ("velocity north", "m/s", 1.0, (3,)),
+    ("velocity east", "m/s", 1.0, (4,)),
+    ("velocity down", "m/s", 1.0, (5,)),
+    ("attitude about north", "deg", 180.0 / np.pi, (6,)),
+    ("attitude about east", "deg", 180.0 / np.pi, (7,)),
+    ("heading", "deg", 180.0 / np.pi, (8,)),
+)
+
+
+def _row_of(values: Array, components: tuple[int, ...], factor: float) -> Array:
+    chosen = values[..., list(components)]
+    return factor * (chosen[..., 0] if len(components) == 1 else np.sqrt((chosen**2).sum(axis=-1)))
+
+
 def against_bounds(results: Results, outage: int = -1, realization: int = 0) -> Figure:
-    """North position and north velocity error of every design in one outage with the 3-sigma band that the filter states."""
+    """Planimetric, down, velocity and attitude errors in one outage against the 3-sigma bounds that the filters state: a column per design."""
     start, duration = results.outages[outage]
     inside = (results.t >= start - 5.0) & (results.t <= start + duration + 5.0)
     since = results.t[inside] - start
-    rows = len(results.names)
+    known = [row for row in _BOUNDED if np.isfinite(results.error[:, :, inside][..., list(row[3])]).any()]
+    columns = len(results.names)
     number = outage % len(results.outages) + 1
     with style():
-        figure, grid = plt.subplots(rows, 2, figsize=(10.5, 2.2 * rows + 0.7), sharex=True, squeeze=False)
-        for column, (title, label, c) in enumerate(
-            (("North position error", "m", 0), ("North velocity error", "m/s", 3))
-        ):
+        figure, grid = plt.subplots(
+            len(known), columns, figsize=(1.5 + 3.2 * columns, 1.6 * len(known) + 0.7), sharex=True, squeeze=False
+        )
+        for r, (title, unit, factor, components) in enumerate(known):
             for d, name in enumerate(results.names):
-                axes, colour = grid[d, column], COLOURS[d % len(COLOURS)]
+                axes, colour = grid[r, d], COLOURS[d % len(COLOURS)]
+                error = _row_of(results.error[d][:, inside], components, factor)
+                bound = 3.0 * _row_of(results.sigma[d][:, inside], components, factor)
+                low = -bound[realization] if len(components) == 1 else 0.0
                 axes.axvspan(0, duration, color=OUTAGE, zorder=0, lw=0)
-                band = 3.0 * results.sigma[d, realization, inside, c]
-                error = results.error[d, realization, inside, c]
-                axes.fill_between(since, -band, band, color=colour, alpha=0.22, lw=0, label=r"stated $\pm 3\sigma$")
-                axes.plot(since, results.error[d, :, inside, c], color="#9AA3AD", lw=0.5, alpha=0.7)
-                axes.plot(since, error, color=colour, lw=2, label=f"realization {realization}")
-                outside = np.mean(np.abs(results.error[d][:, inside, c]) > 3.0 * results.sigma[d][:, inside, c])
-                axes.set(
-                    title=f"{name}: {title.lower()}",
-                    ylabel=f"error ({label})",
+                axes.fill_between(
+                    since, low, bound[realization], color=colour, alpha=0.22, lw=0, label=r"stated $3\sigma$"
                 )
-                axes.annotate(
-                    f"{outside:.1%} outside", (0.02, 0.06), xycoords="axes fraction", fontsize=8.5, color="#1c2430"
-                )
-                if d == 0 and column == 0:
-                    axes.legend(loc="upper left", ncols=2)
+                axes.plot(since, error.T, color="#9AA3AD", lw=0.5, alpha=0.7)
+                axes.plot(since, error[realization], color=colour, lw=1.8, label=f"realization {realization}")
+                outside = f"{np.mean(np.abs(error) > bound):.1%} outside"
+                axes.annotate(outside, (0.02, 0.06), xycoords="axes fraction", fontsize=8, color="#1c2430")
+                axes.set_title(f"{name}: {title}" if r == 0 else title)
+                if d == 0:
+                    axes.set_ylabel(unit)
+                if (r, d) == (0, 0):
+                    axes.legend(loc="upper left")
         for axes in grid[-1]:
-            axes.set_xlabel(f"time since the start of outage {number} (s); thin grey: all realizations")
+            axes.set_xlabel(f"time since outage {number} (s)")
         return figure
 
 
@@ -186,13 +203,15 @@ def end_errors(results: Results) -> Figure:
 
 def smoothing(results: Results, realization: int = 0) -> Figure:
     """North position error of every design in the longest outage, filtered and smoothed, with the 3-sigma bands that they state."""
-    assert results.smoothed is not None
     k = max(range(len(results.outages)), key=lambda i: results.outages[i][1])
     start, duration = results.outages[k]
     inside = (results.t >= start - 0.1 * duration) & (results.t <= start + 1.1 * duration)
     since = results.t[inside] - start
     rows = len(results.names)
-    both = (("filter", results.error, results.sigma), ("smoother", results.smoothed.error, results.smoothed.sigma))
+    both = (
+        ("filter", results.error, results.sigma),
+        ("smoother", results["smoothed_error"], results["smoothed_sigma"]),
+    )
     with style():
         figure, grid = plt.subplots(rows, 2, figsize=(10.5, 2.2 * rows + 0.7), sharex=True, squeeze=False)
         for column, (label, error, sigma) in enumerate(both):

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure as MplFigure
 
 from insemu.effects import EFFECTS
-from insemu.gap.verdict import GapReport, Interval, Step, Where
+from insemu.gap.verdict import Finding, GapReport, Interval, Where
 from insemu.report.page import Block, Code, Figure, Items, Section, Table, Text, render
 from insemu.report.style import COLOURS, style
 
@@ -29,10 +29,10 @@ def place(sensor: str, axes: Sequence[str]) -> str:
     return f"{SENSORS.get(sensor, sensor)} {', '.join(axes)}".strip()
 
 
-def _subject(step: Step) -> str:
-    where = place(step.sensor, step.axes)
+def _subject(finding: Finding) -> str:
+    where = place(finding.sensor, finding.axes)
     # an effect of the whole IMU or of timing needs no place
-    return effect_name(step.effect) if step.sensor == "imu" else f"{effect_name(step.effect)} of the {where}"
+    return effect_name(finding.effect) if finding.sensor == "imu" else f"{effect_name(finding.effect)} of the {where}"
 
 
 def headline(report: GapReport) -> str:
@@ -41,14 +41,14 @@ def headline(report: GapReport) -> str:
         return "Nothing is missing: the recording is what the nominal model predicts."
     if report.verdict == "unexplained":
         extra = (
-            f" What was named explains part of it: {'; '.join(_subject(s) for s in report.steps)}."
-            if report.steps
+            f" What was named explains part of it: {'; '.join(_subject(s) for s in report.findings)}."
+            if report.findings
             else ""
         )
         return "The recording holds something that no effect of the catalogue explains." + extra
-    first = report.steps[0]
-    sure = [_subject(s) for s in report.steps if not s.shaken]
-    doubted = [_subject(s) for s in report.steps if s.shaken]
+    first = report.findings[0]
+    sure = [_subject(s) for s in report.findings if not s.doubtful]
+    doubted = [_subject(s) for s in report.findings if s.doubtful]
     more = f" Beside something unexplained in the same place: {'; '.join(dict.fromkeys(doubted))}." if doubted else ""
     if first.is_class:
         names = " or ".join(effect_name(m.effect) for m in first.members)
@@ -107,9 +107,9 @@ def _looked_at(report: GapReport) -> Table:
     return Table(header, rows, "Everything that was looked at", left=2, strong=frozenset(strong))
 
 
-def _axes_with_steps(report: GapReport) -> list[str]:
+def _axes_with_findings(report: GapReport) -> list[str]:
     axes = [n for n, c in report.curves.items() if "tau_s" in c]
-    named = [f"{s.sensor}_{a}" if a else s.sensor for s in report.steps for a in (s.axes or ("",))]
+    named = [f"{s.sensor}_{a}" if a else s.sensor for s in report.findings for a in (s.axes or ("",))]
     return ([n for n in dict.fromkeys(named) if n in axes] or axes)[:4]
 
 
@@ -120,7 +120,7 @@ def _axis_words(name: str) -> str:
 
 def _pictures(report: GapReport, after: bool) -> list[Block]:
     """The figures of disagreement, with the nominal model or with the refined one."""
-    names = _axes_with_steps(report)
+    names = _axes_with_findings(report)
     model, when = ("refined", "after") if after else ("nominal", "before")
     out: list[Block] = []
     if names:
@@ -196,14 +196,14 @@ def innovation_figure(report: GapReport, when: str) -> MplFigure:
         panels[0][0].legend(markerscale=3, ncol=3, loc="upper right")
         axis = panels[0][2]
         lags = np.arange(1, 31)
-        step = float(np.median(np.diff(t)))
+        finding = float(np.median(np.diff(t)))
         axis.axhspan(-2.0 / np.sqrt(t.size), 2.0 / np.sqrt(t.size), color="#E9ECEF", zorder=0)
         for k, name in enumerate(("pos. north", "pos. east", "pos. down", "vel. north", "vel. east", "vel. down")):
             z = y[:, k]
             if np.isfinite(z).sum() < 60:
                 continue
             rho = [np.nanmean(z[j:] * z[:-j]) / np.nanmean(z * z) for j in lags]
-            axis.plot(lags * step, rho, "-" if k < 3 else "--", lw=1.1, color=COLOURS[k % 3], label=name)
+            axis.plot(lags * finding, rho, "-" if k < 3 else "--", lw=1.1, color=COLOURS[k % 3], label=name)
         axis.set_ylim(-0.5, 1.0)
         axis.set_title("autocorrelation")
         axis.set_xlabel("lag, s")
@@ -229,18 +229,18 @@ def innovation_figure(report: GapReport, when: str) -> MplFigure:
     return figure
 
 
-def evidence_figure(steps: Sequence[Step]) -> MplFigure:
-    """Nats of every rival, step by step."""
+def evidence_figure(findings: Sequence[Finding]) -> MplFigure:
+    """Nats of every rival, finding by finding."""
     with style():
-        figure, panels = plt.subplots(len(steps), 1, figsize=(7.5, 1.0 + 1.2 * len(steps)), squeeze=False)
-        for axis, step in zip(panels[:, 0], steps, strict=True):
-            rivals = [*step.members, *step.runners_up][:6]
-            inside = {m.effect for m in step.members}
+        figure, panels = plt.subplots(len(findings), 1, figsize=(7.5, 1.0 + 1.2 * len(findings)), squeeze=False)
+        for axis, finding in zip(panels[:, 0], findings, strict=True):
+            rivals = [*finding.members, *finding.runners_up][:6]
+            inside = {m.effect for m in finding.members}
             colours = [COLOURS[0] if m.effect in inside else COLOURS[6] for m in rivals]
             axis.barh(
-                [effect_name(m.effect) for m in rivals][::-1], [m.gain_nats for m in rivals][::-1], color=colours[::-1]
+                [effect_name(m.effect) for m in rivals][::-1], [m.nats for m in rivals][::-1], color=colours[::-1]
             )
-            axis.set_title(_subject(step))
+            axis.set_title(_subject(finding))
         panels[-1, 0].set_xlabel("evidence, nats (blue: within 3 of the best)")
     return figure
 
@@ -249,7 +249,7 @@ def draw_gap(report: GapReport, folder: str | Path, name: str) -> list[Path]:
     """Write the page's pictures as PNG files ``NAME_before.png``, ``NAME_evidence.png`` and ``NAME_after.png`` (``NAME_before_2.png`` ...)."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    evidence: list[Block] = [Figure.of(evidence_figure(report.steps[:6]), "")] if report.steps else []
+    evidence: list[Block] = [Figure.of(evidence_figure(report.findings[:6]), "")] if report.findings else []
     out = []
     for when, blocks in (
         ("before", _pictures(report, after=False)),
@@ -276,7 +276,7 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    names = _axes_with_steps(report)
+    names = _axes_with_findings(report)
     sections = [
         Section(
             "Where they disagree",
@@ -291,19 +291,19 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
             ],
         )
     ]
-    if report.steps:
+    if report.findings:
         rows = [
             [
                 effect_name(s.effect),
                 s.variant,
                 place(s.sensor, s.axes),
-                f"{s.gain_nats:.1f}",
+                f"{s.nats:.1f}",
                 f"{s.confidence:.3f}",
             ]
-            for s in report.steps
+            for s in report.findings
         ]
         suspects: list[Block] = [Table(("effect", "shape", "axes", "evidence, nats", "confidence"), rows, left=3)]
-        classes = [s for s in report.steps if s.is_class]
+        classes = [s for s in report.findings if s.is_class]
         if classes:
             suspects.append(Text("Effects that this recording cannot tell apart:"))
             suspects.append(
@@ -315,7 +315,7 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
                     ]
                 )
             )
-        if confusable := [s for s in report.steps if s.confusable]:
+        if confusable := [s for s in report.findings if s.confusable]:
             suspects.append(
                 Text(
                     "In a repetition of this recording with other noise, these would stand within three nats of the best:"
@@ -341,7 +341,7 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
                 f"{_number(v.low)} to {_number(v.high)}",
                 v.unit,
             ]
-            for s in report.steps
+            for s in report.findings
             for v in s.parameters
         ]
         suspects.append(
@@ -349,7 +349,7 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
         )
         sections.append(Section("The suspect", suspects))
         pictures: list[Block] = [
-            Figure.of(evidence_figure(report.steps[:6]), "Evidence of the named effects and their rivals.")
+            Figure.of(evidence_figure(report.findings[:6]), "Evidence of the named effects and their rivals.")
         ]
         if names and any(report.curves[n].get("f") for n in names):
             pictures.append(Figure.of(spectrum_figure(report, names), "Spectrum: measured, nominal, refined."))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -11,8 +12,8 @@ from insemu.evaluate import (
     Results,
     consistency_words,
     figure_of,
-    headline,
     kendall,
+    outage_rows,
     outage_table,
     published_cells,
     rank_agreement,
@@ -42,6 +43,86 @@ def published_value(results: Results, design: str, outage: int) -> str:
     values = results.published.get(results.headline_figure, {}).get(design, ())
     value = values[outage] if outage < len(values) else None
     return "" if value is None else f"{value:g}"
+
+
+Cell = Callable[[Mapping[str, Any]], str]
+
+
+def _figure(key: str) -> Cell:
+    return lambda row: f"{row[key]:.3g}"
+
+
+def _percent(group: str, sign: str = "") -> Cell:
+    return lambda row: f"{100 * row[f'coverage_3sigma_{group}']:.1f}{sign}"
+
+
+def _interval(between: str) -> Cell:
+    def cell(row: Mapping[str, Any]) -> str:
+        low, high = row["planimetric_end_m_low"], row["planimetric_end_m_high"]
+        return "" if low is None else f"{low:.3g}{between}{high:.3g}"
+
+    return cell
+
+
+def _first(text: Cell) -> Cell:
+    return lambda row: text(row) if row["outage"] == 1 else ""
+
+
+def _published(row: Mapping[str, Any]) -> str:
+    return "" if row["published"] is None else f"{row['published']:g}"
+
+
+def _nees(row: Mapping[str, Any]) -> str:
+    return short(row["nees_per_dof"])
+
+
+def short_headline(results: Results) -> Table:
+    """The headline table for a terminal: what decides stands first, so that 80 columns show it."""
+    main = results.headline_figure
+    columns: list[tuple[str, Cell]] = [
+        ("design", _first(lambda row: f"{row['design']} ({row['states']})")),
+        ("verdict", lambda row: row["verdict"]),
+        ("outage", lambda row: f"{row['start_s'] / 60:.3g} min"),
+        ("error m", _figure(main)),
+        ("stated", _figure("predicted_sigma_end_m")),
+        ("in 3 s", _percent("position", "%")),
+        ("NEES", _nees),
+        ("alt. m", _figure("altimetric_end_m")),
+    ]
+    if results.published:
+        columns.insert(4, ("paper", lambda row: _published(row) or "-"))
+    if main == "planimetric_end_m":
+        columns.append(("95 %", _interval("-")))
+    rows = outage_rows(results)
+    return [heading for heading, _ in columns], [[cell(row) for _, cell in columns] for row in rows]
+
+
+def full_headline(results: Results) -> Table:
+    """The headline table for a page: every figure."""
+    columns: list[tuple[str, Cell]] = [
+        ("design", _first(lambda row: row["design"])),
+        ("states", _first(lambda row: str(row["states"]))),
+        ("outage", lambda row: f"{row['start_s'] / 60:.3g} min, {row['duration_s']:g} s"),
+        ("verdict", lambda row: row["verdict"]),
+        ("at end m", _figure("planimetric_end_m")),
+        ("95 %", _interval(" to ")),
+        ("mean m", _figure("planimetric_mean_m")),
+        ("max m", _figure("planimetric_max_m")),
+        ("altitude m", _figure("altimetric_end_m")),
+        ("velocity m/s", _figure("velocity_end_m_s")),
+        ("attitude deg", _figure("attitude_end_deg")),
+        ("stated sigma m", _figure("predicted_sigma_end_m")),
+        ("cover position %", _percent("position")),
+        ("velocity %", _percent("velocity")),
+        ("attitude %", _percent("attitude")),
+        ("NEES/dof", _nees),
+    ]
+    if results.published:
+        after = {"planimetric_mean_m": "mean m", "planimetric_max_m": "max m"}.get(results.headline_figure, "95 %")
+        at = [heading for heading, _ in columns].index(after) + 1
+        columns.insert(at, ("published", _published))
+    rows = outage_rows(results)
+    return [heading for heading, _ in columns], [[cell(row) for _, cell in columns] for row in rows]
 
 
 def beside(results: Results, figure: str) -> Table:
@@ -189,7 +270,7 @@ def variant_rows(main: Results, variants: Mapping[str, Results]) -> Table:
             cells = [
                 label if i == 0 else "",
                 name,
-                *(f"{headline(results, r):.3g}" for r in rows),
+                *(f"{figure_of(r, results.headline_figure):.3g}" for r in rows),
                 *[""] * (columns - len(rows)),
                 *against,
                 f"{np.mean([r['altimetric_end_m'] for r in rows]):.3g}" if rows else "",

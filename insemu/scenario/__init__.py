@@ -5,23 +5,21 @@ trajectories are registered names, numbers carry units (``0.032 deg/s/sqrt(Hz)``
 """
 
 from insemu.scenario.designs import shipped_designs
+from insemu.scenario.fields import EffectList, Section
 from insemu.scenario.files import digest, load, resolve_path, schema, validated, variant_names
 from insemu.scenario.schema import (
     AxisSource,
     Design,
     DesignOptions,
-    EffectList,
     FitSource,
     Gnss,
+    GyroSource,
     Initial,
     NonHolonomic,
-    OutageArea,
-    OutageWindow,
     Published,
     RandomOutages,
     RecordedSignal,
     Scenario,
-    Section,
     SensorModels,
     TrajectorySource,
     Truth,
@@ -35,10 +33,9 @@ __all__ = [
     "EffectList",
     "FitSource",
     "Gnss",
+    "GyroSource",
     "Initial",
     "NonHolonomic",
-    "OutageArea",
-    "OutageWindow",
     "Published",
     "RandomOutages",
     "RecordedSignal",

@@ -10,6 +10,7 @@ from typing import Any
 from insemu import yamlfile
 from insemu.errors import InputError, nearest
 from insemu.records import AXES
+from insemu.scenario.sensor_keys import with_sensors
 
 
 @cache
@@ -36,15 +37,20 @@ def shipped(name: str) -> dict[str, Any]:
 def spell_out(value: Any) -> Any:
     """A design as written in a scenario, with the keys of the design that it names put in: its own keys win.
 
-    A text is the name of a design. A sensor's short form (``gyro``) replaces all three axes, and options are merged key by key.
+    A text is the name of a design, and the models of sensors that it names are put in. A sensor's short form (``gyro``) replaces all three
+    axes, and options are merged key by key.
     """
-    if isinstance(value, str):
-        value = {"design": value}
+    value = with_sensors({"design": value} if isinstance(value, str) else value)
     if not isinstance(value, Mapping) or value.get("design") is None:
         return value
+    if not isinstance(value["design"], str):
+        raise InputError(f"found {value['design']!r}, expected the name of a design")
     own = {key: given for key, given in value.items() if given is not None}
     base = shipped(own["design"])
     for sensor in ("gyro", "accel"):
         if sensor in own:
             base = {key: given for key, given in base.items() if not (key in AXES and key.startswith(sensor))}
-    return base | own | {"options": yamlfile.merged(base.get("options", {}), own.get("options", {}))}
+    options = own.get("options", {})
+    if isinstance(options, Mapping):
+        options = yamlfile.merged(base.get("options", {}), options)
+    return base | own | {"options": options}

@@ -5,16 +5,21 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
 import insemu
-from insemu import yamlfile
+from insemu import noise, yamlfile
 from insemu.errors import InputError, nearest
+from insemu.records import AXES
+from insemu.scenario.fields import Made
 from insemu.scenario.schema import Scenario
+from insemu.scenario.sensor_keys import beside
+from insemu.scenario.shipped import located
 from insemu.yamlfile import Place
 
 S = TypeVar("S", bound=BaseModel)
@@ -26,7 +31,7 @@ def load(path: str | Path, *, variant: str | None = None, overrides: Mapping[str
     Parameters
     ----------
     path : path
-        YAML file.
+        YAML file, or the name of a scenario that comes with insemu.
     variant : str, optional
         Name under ``variants`` whose keys replace those of the file.
     overrides : mapping, optional
@@ -37,11 +42,11 @@ def load(path: str | Path, *, variant: str | None = None, overrides: Mapping[str
     InputError
         Names file, line and key, what was found and what was expected; for an unknown key the nearest valid one.
     """
-    document = yamlfile.read(path)
+    document = yamlfile.read(located(path))
     if not isinstance(document.data, dict):
         expected = "expected a mapping of keys such as title, trajectory, truth, designs"
         raise InputError(f"found {type(document.data).__name__}, {expected}", where=str(path))
-    data, lines = document.data, dict(document.lines)
+    data, lines = beside(document.data, located(path).parent), dict(document.lines)
     if variant is not None:
         variants = data.get("variants")
         if not isinstance(variants, dict) or variant not in variants:
@@ -51,7 +56,20 @@ def load(path: str | Path, *, variant: str | None = None, overrides: Mapping[str
         data = yamlfile.merged(data, changes if isinstance(changes, dict) else {})
         lines |= {at[2:]: line for at, line in lines.items() if at[:2] == ("variants", variant) and len(at) > 2}
     data = data | {k: v for k, v in (overrides or {}).items() if v is not None}
-    return validated(Scenario, yamlfile.Document(document.name, data, lines))
+    scenario = validated(Scenario, yamlfile.Document(document.name, data, lines))
+    return _with_file(scenario, path)
+
+
+def _with_file(scenario: Scenario, path: str | Path) -> Scenario:
+    """The scenario with the models of the truth's file read in."""
+    truth = scenario.truth
+    if truth is None or truth.file is None:
+        return scenario
+    models = noise.load(resolve_path(truth.file, path)) | truth.models()
+    missing = [axis for axis in AXES if axis not in models]
+    if missing:
+        raise InputError(f"no model for {', '.join(missing)}; it has {', '.join(models)}", where=truth.file)
+    return scenario.model_copy(update={"truth": truth.model_copy(update={axis: models[axis] for axis in AXES})})
 
 
 def validated(section: type[S], document: yamlfile.Document) -> S:
@@ -80,24 +98,22 @@ def variant_names(scenario: Scenario) -> list[str]:
 
 def _keys_at(place: Place, section: Any) -> list[str]:
     """Valid keys of the section at a place, for the hint."""
-    model: Any = section
     for part in place:
-        fields = model.model_fields if isinstance(model, type) and issubclass(model, BaseModel) else {}
-        known = {field.alias or name: field.annotation for name, field in fields.items()}
-        model = _inside(known[part]) if part in known else _inside(model)
-    model = _inside(model)
-    return [] if model is None else [field.alias or name for name, field in model.model_fields.items()]
+        fields = {} if section is None else {f.alias or name: f for name, f in section.model_fields.items()}
+        if part in fields:
+            section = _inside(fields[part].annotation, fields[part].metadata)
+    return [] if section is None else [field.alias or name for name, field in section.model_fields.items()]
 
 
-def _inside(annotation: Any) -> Any:
+def _inside(annotation: Any, metadata: Iterable[Any] = ()) -> Any:
     """The first section class within an annotation such as ``dict[str, Design]`` or ``Gnss | None``."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    for argument in getattr(annotation, "__args__", ()):
-        found = _inside(argument)
-        if found is not None:
-            return found
-    return None
+    for known in (*metadata, *getattr(annotation, "__metadata__", ())):
+        if isinstance(known, Made):
+            return known.keys
+    inner = (_inside(argument) for argument in getattr(annotation, "__args__", ()))
+    return next((section for section in inner if section is not None), None)
 
 
 def _named(error: ValidationError, section: type[BaseModel], document: yamlfile.Document) -> InputError:
@@ -132,7 +148,7 @@ def resolve_path(text: str, scenario_file: str | Path | None = None) -> Path:
     InputError
         No such file.
     """
-    base = Path(scenario_file).resolve().parent if scenario_file is not None else Path.cwd()
+    base = located(scenario_file).resolve().parent if scenario_file is not None else Path.cwd()
     if text.startswith("shared:"):
         relative = text.removeprefix("shared:").lstrip("/")
         root = os.environ.get("INSEMU_SHARED")
@@ -149,6 +165,7 @@ def resolve_path(text: str, scenario_file: str | Path | None = None) -> Path:
     return path
 
 
+@cache
 def code_version() -> str:
     """Hash of the package's own source: results of other code are never taken for results of this one."""
     root = Path(insemu.__file__).parent

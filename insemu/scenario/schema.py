@@ -2,104 +2,57 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from itertools import pairwise
-from typing import Annotated, Any, Literal
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, field_validator, model_validator
+import numpy as np
+from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, field_validator, model_validator
+from pydantic_core import CoreSchema, core_schema
 
-from insemu import units
+from insemu.augment import Extras
 from insemu.effects import EFFECTS, EffectUse
+from insemu.emulate import AreaOutage, Mounting, Outage, TemperatureProfile
+from insemu.emulate.trajectory import TRAJECTORIES
 from insemu.errors import InputError, nearest
-from insemu.noise import NoiseModel, axis_unit
+from insemu.filters import InitialSigma, Standstill
+from insemu.noise import NoiseModel
 from insemu.records import AXES
 from insemu.scenario.designs import shipped_designs, spell_out
+from insemu.scenario.fields import (
+    MODEL_JSON,
+    AccelModel,
+    Angles,
+    EffectList,
+    GyroModel,
+    Hertz,
+    Length,
+    Made,
+    Metres,
+    MetresPerSecond,
+    Name,
+    Parsed,
+    Radians,
+    RadiansPerSecond,
+    Ratio,
+    Seconds,
+    Section,
+    Speed,
+    Structure,
+    Vector3,
+    computed,
+    noise_model,
+)
+from insemu.scenario.sensor_keys import with_sensors
 
-Vector3 = tuple[float, float, float]
-
-
-def _quantity(unit: str) -> Callable[[Any], float]:
-    return lambda value: units.parse(value, unit)
-
-
-def _vector(unit: str) -> Callable[[Any], Vector3]:
-    def read(value: Any) -> Vector3:
-        items = list(value) if isinstance(value, list | tuple) else [value] * 3
-        if len(items) != 3:
-            raise InputError(f"found {len(items)} values, expected one or three")
-        a, b, c = (units.parse(item, unit) for item in items)
-        return a, b, c
-
-    return read
-
-
-def _schema(unit: str, *, vector: bool = False) -> WithJsonSchema:
-    one = {
-        "type": ["string", "number"],
-        "description": f"a quantity with its unit, for example '1 {unit}'; a bare number is in {unit}",
-    }
-    return WithJsonSchema(
-        {"anyOf": [one, {"type": "array", "items": one, "minItems": 3, "maxItems": 3}]} if vector else one
-    )
-
-
-Seconds = Annotated[float, BeforeValidator(_quantity("s")), _schema("s")]
-Hertz = Annotated[float, BeforeValidator(_quantity("Hz")), _schema("Hz")]
-Radians = Annotated[float, BeforeValidator(_quantity("rad")), _schema("rad")]
-Speed = Annotated[float, BeforeValidator(_quantity("m/s")), _schema("m/s")]
-Length = Annotated[float, BeforeValidator(_quantity("m")), _schema("m")]
-Angles = Annotated[Vector3, BeforeValidator(_vector("rad")), _schema("rad", vector=True)]
-Metres = Annotated[Vector3, BeforeValidator(_vector("m")), _schema("m", vector=True)]
-MetresPerSecond = Annotated[Vector3, BeforeValidator(_vector("m/s")), _schema("m/s", vector=True)]
-Signal = Annotated[
-    list[dict[str, Any]] | str,
-    WithJsonSchema(
-        {
-            "description": "a noise model: text such as 'WN(N=0.03 deg/s/sqrt(Hz)) + GM(sigma=10 deg/h, Tc=40 s)' or a list of processes",
-            "anyOf": [
-                {"type": "string"},
-                {
-                    "type": "array",
-                    "items": {"type": "object", "properties": {"process": {"type": "string"}}, "required": ["process"]},
-                },
-            ],
-        }
-    ),
-]
+#: Largest rate of an IMU, Hz, and most realizations: what would exceed memory and patience is refused before it is begun.
+MAX_RATE = 20_000.0
+MAX_REALIZATIONS = 100_000
+#: Longest emulated or simulated record, s: thirty days.
+MAX_DURATION = 30 * 86400.0
 
 
-def _effects(value: Any) -> Any:
-    for item in value or ():
-        if not isinstance(item, Mapping):
-            raise InputError(f"found {item!r}, expected a mapping with the key 'effect'")
-        EffectUse.from_mapping(item)
-    return value
-
-
-EffectList = Annotated[
-    tuple[dict[str, Any], ...],
-    BeforeValidator(_effects),
-    WithJsonSchema(
-        {
-            "type": "array",
-            "items": {
-                "type": "object",
-                "properties": {
-                    "effect": {"type": "string", "enum": sorted(EFFECTS)},
-                    "sensor": {"type": "string", "enum": ["gyro", "accel", "imu", "gnss"]},
-                    "axes": {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]},
-                },
-                "required": ["effect"],
-            },
-        }
-    ),
-]
-
-
-class Section(BaseModel):
-    """A part of a scenario: frozen, unknown keys refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, allow_inf_nan=False)
+# -- sections that become objects of other rooms: the fields have the names of the arguments -----------------------------------------
 
 
 class MountingKeys(Section):
@@ -117,13 +70,34 @@ class TemperatureKeys(Section):
     t: tuple[Seconds, ...] = Field(min_length=1, description="times")
     degc: tuple[float, ...] = Field(min_length=1, description="temperatures, degC")
 
-    @model_validator(mode="after")
-    def _increasing(self) -> TemperatureKeys:
-        if len(self.t) != len(self.degc):
-            raise InputError(f"{len(self.t)} times and {len(self.degc)} temperatures, expected as many")
-        if any(b <= a for a, b in pairwise(self.t)):
-            raise InputError("times of a temperature profile must increase")
-        return self
+
+class StateKeys(Section):
+    """Further states, each a random constant of this standard deviation; 0 leaves it out."""
+
+    gyro_scale: Ratio = Field(default=0.0, ge=0)
+    accel_scale: Ratio = Field(default=0.0, ge=0)
+    gyro_misalignment: Radians = Field(default=0.0, ge=0)
+    accel_misalignment: Radians = Field(default=0.0, ge=0)
+    lever_arm: Length = Field(default=0.0, ge=0)
+    latency: Seconds = Field(default=0.0, ge=0)
+
+
+class AreaKeys(Section):
+    """A circle on the ground without GNSS."""
+
+    latitude: Radians = Field(ge=-np.pi / 2, le=np.pi / 2, description="centre, for example '46.52 deg'")
+    longitude: Radians
+    radius: Length = Field(ge=0)
+
+
+class OutageKeys(Section):
+    """A span without GNSS."""
+
+    start_s: Seconds = Field(alias="start", ge=0, description="time from the start of the trajectory")
+    duration_s: Seconds = Field(alias="duration", ge=0)
+
+
+# -- the parts of a scenario ------------------------------------------------------------------------------------------------------
 
 
 class TrajectorySource(Section):
@@ -144,9 +118,13 @@ class TrajectorySource(Section):
     gravity: Literal["normal", "free_air_first_order"] = Field(
         default="normal", description="gravity model of emulator and filters"
     )
-    mounting: MountingKeys | None = Field(default=None, description="where and how the IMU sits in the vehicle")
-    rate: Hertz = Field(default=100.0, gt=0, description="IMU rate")
-    duration: Seconds | None = Field(default=None, gt=0, description="cut the trajectory after this time")
+    mounting: Annotated[Mounting, Made(MountingKeys)] | None = Field(
+        default=None, description="where and how the IMU sits in the vehicle"
+    )
+    rate: Hertz = Field(default=100.0, gt=0, le=MAX_RATE, description="IMU rate")
+    duration: Seconds | None = Field(
+        default=None, gt=0, le=MAX_DURATION, description="cut the trajectory after this time"
+    )
     mode: Literal["exact", "continuous"] = Field(
         default="exact", description="how the ideal IMU is made (docs/emulation.md)"
     )
@@ -154,11 +132,8 @@ class TrajectorySource(Section):
     @field_validator("builtin")
     @classmethod
     def _exists(cls, value: str | None) -> str | None:
-        if value is not None:
-            from insemu.emulate.trajectory import TRAJECTORIES  # heavy: not needed to print the schema
-
-            if value not in TRAJECTORIES:
-                raise InputError(f"unknown trajectory '{value}'" + nearest(value, TRAJECTORIES))
+        if value is not None and value not in TRAJECTORIES:
+            raise InputError(f"unknown trajectory '{value}'" + nearest(value, TRAJECTORIES))
         return value
 
     @model_validator(mode="after")
@@ -204,80 +179,84 @@ class RecordedSignal(Section):
         raise InputError(f"found {value!r}, expected one of: {', '.join(known)}; or a span [from, to]")
 
 
-def _models(value: Mapping[str, Any], kind: type[Section]) -> dict[str, Any]:
-    """Spread the short forms ``gyro`` and ``accel`` over their three axes; a named axis wins."""
-    spread: dict[str, Any] = {}
-    for sensor in ("gyro", "accel"):
-        if sensor in value:
-            spread |= {axis: value[sensor] for axis in AXES if axis.startswith(sensor)}
-    return spread | {axis: value[axis] for axis in AXES if axis in value}
+def _per_axis(section: Section) -> dict[str, Any]:
+    """What a section gives per axis; the short forms ``gyro`` and ``accel`` stand for their three, a named axis wins."""
+    out = {}
+    for axis in AXES:
+        value = getattr(section, axis)
+        value = getattr(section, axis.split("_")[0]) if value is None else value
+        if value is not None:
+            out[axis] = value
+    return out
 
 
 class SensorModels(Section):
     """A noise model per axis; ``gyro`` and ``accel`` stand for their three axes, a named axis wins."""
 
-    gyro: Signal | None = None
-    accel: Signal | None = None
-    gyro_x: Signal | None = None
-    gyro_y: Signal | None = None
-    gyro_z: Signal | None = None
-    accel_x: Signal | None = None
-    accel_y: Signal | None = None
-    accel_z: Signal | None = None
-
-    @field_validator("gyro", "accel", *AXES)
-    @classmethod
-    def _readable(cls, value: Any, info: Any) -> Any:
-        if value is not None:
-            unit = axis_unit(info.field_name)
-            model = NoiseModel.from_list(value, unit)
-            if not model.specified:
-                raise InputError(f"the model '{model}' has parameters without a value")
-        return value
+    gyro: GyroModel = None
+    accel: AccelModel = None
+    gyro_x: GyroModel = None
+    gyro_y: GyroModel = None
+    gyro_z: GyroModel = None
+    accel_x: AccelModel = None
+    accel_y: AccelModel = None
+    accel_z: AccelModel = None
 
     def models(self) -> dict[str, NoiseModel]:
         """Models of the axes that have one."""
-        return {
-            axis: NoiseModel.from_list(value, axis_unit(axis))
-            for axis, value in _models(self.model_dump(exclude_none=True), SensorModels).items()
-        }
+        return dict(_per_axis(self))
 
 
 class Truth(SensorModels):
-    """What the sensors really do: a model per axis, or pieces of recorded error signals."""
+    """What the sensors really do: a model per axis (of a file or a sensor card, too), or pieces of recorded error signals."""
 
+    sensor: str | None = Field(
+        default=None, description="a sensor that comes with insemu (insemu sensor), or the file of its card"
+    )
+    case: Literal["typical", "worst"] | None = Field(default=None, description="which of the sensor's figures; typical")
+    file: str | None = Field(
+        default=None, description="noise-model file written by insemu fit; axes that are given beside it win"
+    )
     recorded: RecordedSignal | None = Field(
         default=None, description="pieces of recorded static signals instead of models"
     )
     record: Seconds | None = Field(
         default=None,
         gt=0,
+        le=MAX_DURATION,
         description="length of the simulated records that are cut into pieces, their mean removed (absent: no removal)",
     )
     effects: EffectList = Field(
         default=(), description="deterministic, timing and GNSS effects: {effect: id, sensor: gyro, parameter: value}"
     )
-    temperature: TemperatureKeys | None = Field(default=None, description="temperature of the IMU")
+    temperature: Annotated[TemperatureProfile, Made(TemperatureKeys)] | None = Field(
+        default=None, description="temperature of the IMU"
+    )
 
-    def uses(self) -> tuple[EffectUse, ...]:
-        """The effects, in SI."""
-        return tuple(EffectUse.from_mapping(e) for e in self.effects)
+    @classmethod
+    def spelled_out(cls, value: Any) -> Any:
+        """A name alone is a noise-model file; a sensor's models are put in."""
+        return {"file": value} if isinstance(value, str) else with_sensors(value)
 
     @model_validator(mode="after")
     def _one_kind(self) -> Truth:
         models = self.models()
-        if self.recorded is not None and models:
+        if self.recorded is not None and (models or self.file is not None):
             raise InputError("found both models and recorded signals, expected one of them")
-        if self.recorded is None and len(models) < 6:
+        if self.recorded is None and self.file is None and len(models) < 6:
             missing = ", ".join(axis for axis in AXES if axis not in models)
-            raise InputError(f"no error model for {missing}; expected gyro and accel (or each axis), or recorded")
+            raise InputError(
+                f"no error model for {missing}; expected gyro and accel (or each axis), a file, or recorded"
+            )
         return self
 
 
 class FitSource(Section):
     """The signals that design models are fitted to."""
 
-    simulate: Seconds | None = Field(default=None, gt=0, description="length of a static log simulated from the truth")
+    simulate: Seconds | None = Field(
+        default=None, gt=0, le=MAX_DURATION, description="length of a static log simulated from the truth"
+    )
     recorded: RecordedSignal | None = Field(default=None, description="recorded static logs")
 
     @model_validator(mode="after")
@@ -290,8 +269,15 @@ class FitSource(Section):
 class AxisSource(Section):
     """A belief about one sensor: fitted to the fit source, written out, read from a file, or the truth itself."""
 
-    fit: str | None = Field(default=None, description="structure to fit, for example '2*GM() + WN()'")
-    model: Signal | None = Field(default=None, description="a noise model, for example to be stabilised")
+    #: SI unit of the sensor's signal.
+    UNIT: ClassVar[str] = ""
+
+    fit: Structure = Field(default=None, description="structure to fit, for example '2*GM() + WN()'")
+    model: Structure = Field(default=None, description="a noise model, for example to be stabilised")
+    plus: Structure = Field(
+        default=None,
+        description="processes that are added, for example 'RC(sigma=0.5 deg/s)': a turn-on bias, which no static log shows",
+    )
     method: str = Field(default="gmwm", description="estimator: gmwm, em, mli, slopes or burg")
     options: dict[str, int | float | str | bool] = Field(default_factory=dict, description="options of the estimator")
     stabilise: bool | Annotated[float, Field(gt=0, lt=1)] = Field(
@@ -300,13 +286,15 @@ class AxisSource(Section):
     )
     file: str | None = Field(default=None, description="noise-model file written by insemu fit")
     truth: bool = Field(default=False, description="the model of the truth")
+    sensor: str | None = Field(
+        default=None, description="a sensor that comes with insemu (insemu sensor), or the file of its card"
+    )
+    case: Literal["typical", "worst"] | None = Field(default=None, description="which of the sensor's figures; typical")
 
-    @field_validator("fit")
+    @field_validator("fit", "model", "plus", mode="before")
     @classmethod
-    def _readable(cls, value: str | None) -> str | None:
-        if value is not None:
-            NoiseModel.parse(value)
-        return value
+    def _of_the_sensor(cls, value: Any, info: Any) -> Any:
+        return None if value is None else noise_model(value, cls.UNIT, specified=info.field_name == "plus")
 
     @model_validator(mode="after")
     def _one_source(self) -> AxisSource:
@@ -315,19 +303,56 @@ class AxisSource(Section):
         return self
 
 
-def _belief(value: Any, info: Any) -> Any:
-    if value is None or isinstance(value, AxisSource):
-        return value
-    unit = axis_unit(info.field_name)
-    if isinstance(value, Mapping) and "process" not in value:
-        source = AxisSource.model_validate(value)
-        if source.model is not None:
-            NoiseModel.from_list(source.model, unit)
-        return source
-    model = NoiseModel.from_list(value, unit)
-    if not model.specified:
-        raise InputError(f"the model '{model}' has parameters without a value; to fit it write {{fit: '{model}'}}")
-    return value
+class GyroSource(AxisSource):
+    """A belief about a gyroscope."""
+
+    UNIT = "rad/s"
+
+
+class AccelSource(AxisSource):
+    """A belief about an accelerometer."""
+
+    UNIT = "m/s^2"
+
+
+@dataclass(frozen=True)
+class Belief(Parsed):
+    """A field of a design: a noise model, or a section that says where one comes from."""
+
+    source: type[AxisSource]
+
+    @classmethod
+    def of(cls, source: type[AxisSource]) -> Belief:
+        """The belief about one kind of sensor."""
+
+        def read(value: Any) -> NoiseModel:
+            return noise_model(value, source.UNIT, specified=True)
+
+        return cls(read, lambda model: model.to_list(source.UNIT), {}, source)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        section = handler.generate_schema(self.source)
+
+        def read(value: Any, inner: Callable[[Any], Any]) -> Any:
+            if value is None or isinstance(value, AxisSource):
+                return value
+            if isinstance(value, Mapping) and "process" not in value:
+                return inner(value)
+            return computed(self.read, value)
+
+        def show(value: Any, inner: Callable[[Any], Any]) -> Any:
+            return inner(value) if isinstance(value, AxisSource) else None if value is None else self.show(value)
+
+        return core_schema.no_info_wrap_validator_function(
+            read, section, serialization=core_schema.wrap_serializer_function_ser_schema(show, schema=section)
+        )
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"anyOf": [MODEL_JSON, handler(schema["schema"]), {"type": "null"}]}
+
+
+GyroBelief = Annotated[GyroSource | NoiseModel | None, Belief.of(GyroSource)]
+AccelBelief = Annotated[AccelSource | NoiseModel | None, Belief.of(AccelSource)]
 
 
 class Prefilter(Section):
@@ -356,17 +381,6 @@ class Prefilter(Section):
         return [given if isinstance(given, int) else given.get(axis, 0) for axis in AXES]
 
 
-class CalibrationStates(Section):
-    """Further states, each a random constant of this standard deviation; 0 leaves it out."""
-
-    gyro_scale: Annotated[float, BeforeValidator(_quantity("1")), _schema("ppm")] = Field(default=0.0, ge=0)
-    accel_scale: Annotated[float, BeforeValidator(_quantity("1")), _schema("ppm")] = Field(default=0.0, ge=0)
-    gyro_misalignment: Radians = Field(default=0.0, ge=0)
-    accel_misalignment: Radians = Field(default=0.0, ge=0)
-    lever_arm: Length = Field(default=0.0, ge=0)
-    latency: Seconds = Field(default=0.0, ge=0)
-
-
 class Tuning(Section):
     """Factors on what is believed: noise amplitudes per sensor, standard deviations of the fixes."""
 
@@ -381,9 +395,14 @@ class ZeroUpdates(Section):
 
     every: Seconds = Field(default=1.0, gt=0, description="time between updates")
     velocity_sigma: Speed | None = Field(default=0.01, gt=0, description="standard deviation; null: no zero velocity")
-    rate_sigma: Annotated[float, BeforeValidator(_quantity("rad/s")), _schema("rad/s")] | None = Field(
+    rate_sigma: RadiansPerSecond | None = Field(
         default=1e-4, gt=0, description="standard deviation; null: no zero rate"
     )
+
+    def at(self, intervals: Iterable[tuple[float, float]]) -> Standstill:
+        """The updates in these intervals, (start, end) in s."""
+        sigmas = (np.inf if sigma is None else sigma for sigma in (self.velocity_sigma, self.rate_sigma))
+        return Standstill(list(intervals), self.every, *sigmas)
 
 
 class DesignOptions(Section):
@@ -394,7 +413,10 @@ class DesignOptions(Section):
         default=None, gt=0, lt=1, description="probability that a good fix is rejected; null: no gate"
     )
     prefilter: Prefilter | None = None
-    states: CalibrationStates = CalibrationStates()
+    states: Annotated[Extras, Made(StateKeys)] = Field(
+        default=Extras(),
+        description="further states, each a random constant of this standard deviation; 0 leaves it out",
+    )
     tuning: Tuning = Tuning()
     zero_updates: ZeroUpdates | None = Field(
         default=None, description="zero-velocity and zero-rate updates; {}: as usual"
@@ -406,19 +428,14 @@ class DesignOptions(Section):
 
     @field_validator("compensate")
     @classmethod
-    def _can_be_taken_off(cls, value: Any) -> Any:
-        for item in value:
-            use = EffectUse.from_mapping(item)
+    def _can_be_taken_off(cls, value: tuple[EffectUse, ...]) -> tuple[EffectUse, ...]:
+        for use in value:
             if not use.effect.compensable:
                 known = ", ".join(sorted(e.id for e in EFFECTS.values() if e.compensable))
                 raise InputError(
                     f"the effect '{use.id}' is noise or a loss, which cannot be taken off; expected one of: {known}"
                 )
         return value
-
-    def known_effects(self) -> tuple[EffectUse, ...]:
-        """The effects that are taken off, in SI."""
-        return tuple(EffectUse.from_mapping(e) for e in self.compensate)
 
 
 class Design(Section):
@@ -427,29 +444,32 @@ class Design(Section):
     design: str | None = Field(
         default=None, description="a design that comes with insemu (insemu designs); the keys beside it win"
     )
+    sensor: str | None = Field(
+        default=None, description="a sensor that comes with insemu (insemu sensor), or the file of its card"
+    )
+    case: Literal["typical", "worst"] | None = Field(default=None, description="which of the sensor's figures; typical")
     filter: str | None = Field(
         default=None,
-        description="a filter that an installed package offers (entry point insemu.filters); else insemu's own",
+        description="reference: the same filter written to be read (filterpy, slow); or one that an installed package offers (entry point "
+        "insemu.filters); else insemu's own compiled one",
     )
     settings: dict[str, bool | int | float | str] = Field(
         default_factory=dict, description="keyword arguments of that filter"
     )
     options: DesignOptions = DesignOptions()
 
-    gyro: AxisSource | Signal | None = None
-    accel: AxisSource | Signal | None = None
-    gyro_x: AxisSource | Signal | None = None
-    gyro_y: AxisSource | Signal | None = None
-    gyro_z: AxisSource | Signal | None = None
-    accel_x: AxisSource | Signal | None = None
-    accel_y: AxisSource | Signal | None = None
-    accel_z: AxisSource | Signal | None = None
+    gyro: GyroBelief = None
+    accel: AccelBelief = None
+    gyro_x: GyroBelief = None
+    gyro_y: GyroBelief = None
+    gyro_z: GyroBelief = None
+    accel_x: AccelBelief = None
+    accel_y: AccelBelief = None
+    accel_z: AccelBelief = None
 
-    _read = field_validator("gyro", "accel", *AXES, mode="before")(_belief)
-
-    @model_validator(mode="before")
     @classmethod
-    def _named(cls, value: Any) -> Any:
+    def spelled_out(cls, value: Any) -> Any:
+        """With the keys of the design that it names."""
         return spell_out(value)
 
     @model_validator(mode="after")
@@ -463,11 +483,7 @@ class Design(Section):
 
     def sources(self) -> dict[str, AxisSource | NoiseModel]:
         """What every axis's belief comes from."""
-        given = {name: getattr(self, name) for name in ("gyro", "accel", *AXES) if getattr(self, name) is not None}
-        return {
-            axis: value if isinstance(value, AxisSource) else NoiseModel.from_list(value, axis_unit(axis))
-            for axis, value in _models(given, Design).items()
-        }
+        return _per_axis(self)
 
 
 class _OrName:
@@ -478,29 +494,12 @@ class _OrName:
         return {"anyOf": [{"type": "string", "enum": sorted(shipped_designs())}, handler(core)]}
 
 
-class OutageArea(Section):
-    """A circle on the ground without GNSS."""
-
-    latitude: Radians = Field(
-        ge=-1.5707963267948966, le=1.5707963267948966, description="centre, for example '46.52 deg'"
-    )
-    longitude: Radians
-    radius: Length = Field(ge=0)
-
-
 class RandomOutages(Section):
     """Outages drawn from the scenario's seed: the same for every design and realization."""
 
     per_hour: float = Field(ge=0, description="mean number per hour")
     mean: Seconds = Field(gt=0, description="mean duration")
     clear: Seconds = Field(default=60.0, ge=0, description="time without outages at the start")
-
-
-class OutageWindow(Section):
-    """A span without GNSS."""
-
-    start: Seconds = Field(ge=0, description="time from the start of the trajectory")
-    duration: Seconds = Field(ge=0)
 
 
 class Gnss(Section):
@@ -512,8 +511,10 @@ class Gnss(Section):
         default=(0.02, 0.02, 0.02), description="standard deviation north, east, down; null: no velocity"
     )
     lever_arm: Metres = Field(default=(0.0, 0.0, 0.0), description="IMU to antenna, forward, right, down")
-    outages: tuple[OutageWindow, ...] = ()
-    areas: tuple[OutageArea, ...] = Field(default=(), description="places without GNSS")
+    outages: tuple[Annotated[Outage, Made(OutageKeys)], ...] = Field(
+        default=(), description="spans without GNSS, from the start of the trajectory"
+    )
+    areas: tuple[Annotated[AreaOutage, Made(AreaKeys)], ...] = Field(default=(), description="places without GNSS")
     random_outages: RandomOutages | None = None
 
     @field_validator("position_sigma", "velocity_sigma")
@@ -531,6 +532,12 @@ class Initial(Section):
     velocity_sigma: MetresPerSecond = (0.05, 0.05, 0.05)
     tilt_sigma: Radians = Field(default=0.0087266, ge=0, description="roll and pitch")
     heading_sigma: Radians = Field(default=0.0174533, ge=0)
+
+    @property
+    def sigma(self) -> InitialSigma:
+        """What a filter is told."""
+        attitude = (self.tilt_sigma, self.tilt_sigma, self.heading_sigma)
+        return InitialSigma(self.position_sigma, self.velocity_sigma, attitude)
 
 
 Cells = dict[str, tuple[float | None, ...]]
@@ -599,6 +606,11 @@ class RecordingSource(Section):
         "specific force and the fixes' velocity; or in motion where that is possible",
     )
 
+    @classmethod
+    def spelled_out(cls, value: Any) -> Any:
+        """A path alone is its file."""
+        return {"file": value} if isinstance(value, str) else value
+
 
 class Scenario(Section):
     """One question: a trajectory and a truth (or a recording), GNSS with outages, and the designs that are compared."""
@@ -607,7 +619,7 @@ class Scenario(Section):
     question: str = ""
     notes: str = ""
     seed: int = Field(default=1, ge=0)
-    realizations: int = Field(default=24, ge=1)
+    realizations: int = Field(default=24, ge=1, le=MAX_REALIZATIONS)
     trajectory: TrajectorySource | None = None
     truth: Truth | None = None
     recording: RecordingSource | None = Field(
@@ -616,25 +628,33 @@ class Scenario(Section):
     gnss: Gnss = Gnss()
     initial: Initial = Initial()
     fits: FitSource | None = Field(default=None, description="signals that models under designs are fitted to")
-    designs: dict[str, Annotated[Design, _OrName]] = Field(
+    designs: dict[Name, Annotated[Design, _OrName]] = Field(
         default_factory=dict, description="what is compared; only emulation goes without"
     )
+    filter: str | None = Field(default=None, description="the filter of every design that names none")
     smoother: bool = Field(
         default=False,
         description="smooth every design's run backwards too (Rauch, Tung, Striebel), through the outages",
     )
     published: Published | None = None
-    variants: dict[str, dict[str, Any]] = Field(
+    variants: dict[Name, dict[str, Any]] = Field(
         default_factory=dict, description="name to the keys that differ; each is run too, under variants/NAME"
     )
     smoke: tuple[str, ...] = Field(
         default=("run", "--realizations", "2"), description="command and options of the project's smoke run"
     )
 
-    @field_validator("recording", mode="before")
     @classmethod
-    def _path_alone(cls, value: Any) -> Any:
-        return {"file": value} if isinstance(value, str) else value
+    def spelled_out(cls, value: Any) -> Any:
+        """With the scenario's filter in every design that names none."""
+        if not isinstance(value, Mapping) or value.get("filter") is None:
+            return value
+        designs = value.get("designs")
+        if not isinstance(designs, Mapping):
+            return value
+        told = {name: {"design": d} if isinstance(d, str) else d for name, d in designs.items()}
+        filled = {n: {"filter": value["filter"], **d} if isinstance(d, Mapping) else d for n, d in told.items()}
+        return {**value, "designs": filled}
 
     @model_validator(mode="after")
     def _consistent(self) -> Scenario:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from insemu.augment import Extras, augment
-from insemu.noise import AR1, ARMA, NoiseModel, Process, axis_unit
+from insemu.augment import augment
+from insemu.noise import AR1, ARMA, NoiseModel, Process
 from insemu.scenario.schema import Design, Scenario
 
 
@@ -24,12 +24,10 @@ def structures(design: Design, scenario: Scenario | None = None) -> dict[str, No
     for axis, source in design.sources().items():
         if isinstance(source, NoiseModel):
             out[axis] = source
-        elif source.fit is not None:
-            out[axis] = NoiseModel.parse(source.fit, axis_unit(axis))
-        elif source.model is not None:
-            out[axis] = NoiseModel.from_list(source.model, axis_unit(axis))
-        else:
-            out[axis] = truth.get(axis) if source.truth else None
+            continue
+        given = (source.fit, source.model, truth.get(axis) if source.truth else None)
+        found = next((model for model in given if model is not None), None)
+        out[axis] = found if found is None or source.plus is None else found + source.plus
     return out
 
 
@@ -51,4 +49,4 @@ def state_names(design: Design, scenario: Scenario | None = None) -> tuple[str, 
     if design.filter is not None or any(model is None for model in models.values()):
         return None
     shapes = {axis: NoiseModel(tuple(map(_any_values, model))) for axis, model in models.items() if model is not None}
-    return augment(shapes, 0.01, Extras(**design.options.states.model_dump())).layout.names
+    return augment(shapes, 0.01, design.options.states).layout.names

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 
 from insemu.effects import EffectUse
-from insemu.gap.candidates.noise import bias_gain, mean_spread
+from insemu.gap.candidates.noise import bias_nats, mean_spread
 from insemu.gap.data.log import Reduced, block_differences, block_length, spectrum_bins
 from insemu.gap.evidence import kernels
 from insemu.gap.evidence.band import Band
+from insemu.gap.evidence.linear import log_mean_exp
 from insemu.gap.evidence.model import (
     DEPTH,
     Component,
@@ -29,7 +30,6 @@ from insemu.gap.evidence.model import (
     Regressors,
     Rolloff,
     fit,
-    log_mean_exp,
     regression_evidence,
 )
 from insemu.gap.policy import rules
@@ -210,7 +210,7 @@ class Log:
             sigma2 = float(np.mean(rest.psd(np.linspace(0.05, 0.45, 41) / self.dt, self.dt))) / self.dt
             return _outliers_worth(self.n, given["probability"], math.sqrt(1.0 + given["sigma"] ** 2 / sigma2))
         if use.id == "turn_on_bias":
-            return bias_gain(given["value"], mean_spread(rest, self.white, self.n * self.dt, self.dt))
+            return bias_nats(given["value"], mean_spread(rest, self.white, self.n * self.dt, self.dt))
         return math.inf
 
 

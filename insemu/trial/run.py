@@ -105,10 +105,10 @@ def said(report: GapReport) -> tuple[Said, ...]:
     """The steps of a report as the trial scores them."""
     return tuple(
         Said(
-            s.effect, s.sensor, tuple(s.axes), s.confidence, s.gain_nats, tuple((m.effect, m.sensor, tuple(m.axes)) for m in s.members),
+            s.effect, s.sensor, tuple(s.axes), s.confidence, s.nats, tuple((m.effect, m.sensor, tuple(m.axes)) for m in s.members),
             tuple(m.effect for m in s.runners_up), tuple((p.name, float(p.value), float(p.low), float(p.high)) for p in s.parameters),
         )
-        for s in report.steps
+        for s in report.findings
     )  # fmt: skip
 
 

@@ -110,14 +110,13 @@ def _belief_file(document: yamlfile.Document) -> Nominal:
         raise InputError(
             "'belief' names no axis; expected gyro, accel or single axes such as gyro_x", where=document.name
         )
-    effects = tuple(EffectUse.from_mapping(e) for e in held.effects)
     raw, vehicle = document.data, held.vehicle
-    return Nominal(beliefs, held.gnss, held.initial, raw, "belief", document.name, effects, vehicle)
+    return Nominal(beliefs, held.gnss, held.initial, raw, "belief", document.name, held.effects, vehicle)
 
 
 def _scenario(scenario: Scenario, raw: dict[str, Any], path: Path) -> Nominal:
     models = scenario.truth.models() if scenario.truth is not None else {}
-    effects = scenario.truth.uses() if scenario.truth is not None else ()
+    effects = scenario.truth.effects if scenario.truth is not None else ()
     vehicle = None
     if scenario.recording is not None:
         source = scenario.recording
@@ -132,7 +131,7 @@ def _scenario(scenario: Scenario, raw: dict[str, Any], path: Path) -> Nominal:
                 where=f"{path}: designs",
             )
         models, design = held[name], scenario.designs[name]
-        effects = design.options.known_effects()
+        effects = design.options.compensate
         if source.imu_time_offset:
             effects = (EffectUse("imu_gnss_time_offset", "imu", {"offset": (source.imu_time_offset,)}), *effects)
         vehicle = source.vehicle

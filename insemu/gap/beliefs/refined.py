@@ -20,7 +20,7 @@ from insemu.effects import EFFECTS, Effect, EffectParameter, EffectUse, Stage, h
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.data.sources import StaticLog
 from insemu.gap.evidence.model import HALF_POWER
-from insemu.gap.verdict import GapReport, Step
+from insemu.gap.verdict import Finding, GapReport
 from insemu.noise import AR, BI, DR, GM, SIN, WN, NoiseModel, Process, axis_unit, save
 from insemu.records import AXES, Recording
 
@@ -35,12 +35,12 @@ GATE = 1e-4
 # -- from what was found to entries of the table of effects ---------------------------------------------------------------------------------
 
 
-def uses_of(step: Step, dt: float = 0.01) -> tuple[EffectUse, ...]:
-    """A step as entries of the table of effects, with its estimates.
+def uses_of(finding: Finding, dt: float = 0.01) -> tuple[EffectUse, ...]:
+    """A finding as entries of the table of effects, with its estimates.
 
     Parameters
     ----------
-    step : Step
+    finding : Finding
     dt : float
         Sampling interval, s: a moving average is written in samples.
 
@@ -50,25 +50,25 @@ def uses_of(step: Step, dt: float = 0.01) -> tuple[EffectUse, ...]:
         Empty for an effect that the table does not have (a user's own). Where axes differ in a number that an entry has only once, one for
         each axis.
     """
-    effect = EFFECTS.get(step.effect)
+    effect = EFFECTS.get(finding.effect)
     if effect is not None and effect.sensors == ("imu",):
-        step = replace(step, sensor="imu")  # seen on a sensor, but the whole IMU has it
-    if effect is None or step.sensor not in effect.sensors:
+        finding = replace(finding, sensor="imu")  # seen on a sensor, but the whole IMU has it
+    if effect is None or finding.sensor not in effect.sensors:
         return ()
-    given = {p.name: p.value for p in step.parameters}
-    if step.effect == "decimation_filter":
-        return _low_pass(step, given, dt)
+    given = {p.name: p.value for p in finding.parameters}
+    if finding.effect == "decimation_filter":
+        return _low_pass(finding, given, dt)
     # a number that an entry has once may differ from axis to axis
-    apart = any(p.size == 1 and f"{p.name}_{a}" in given for p in effect.parameters for a in step.axes)
+    apart = any(p.size == 1 and f"{p.name}_{a}" in given for p in effect.parameters for a in finding.axes)
     out = []
-    for axes in [(a,) for a in step.axes] if apart else [step.axes]:
+    for axes in [(a,) for a in finding.axes] if apart else [finding.axes]:
         values = {}
         for p in effect.parameters:
             numbers = _numbers(effect, p, given, axes)
             if numbers is not None:
                 values[p.name] = numbers
         if all(p.name in values or p.default is not None for p in effect.parameters):
-            out.append(EffectUse(effect.id, step.sensor, values))
+            out.append(EffectUse(effect.id, finding.sensor, values))
     return tuple(out)
 
 
@@ -98,18 +98,20 @@ def _in_bounds(p: EffectParameter, value: float) -> float:
     return max(float(value), 0.0) if p.positive else float(value)
 
 
-def _low_pass(step: Step, given: Mapping[str, float], dt: float) -> tuple[EffectUse, ...]:
+def _low_pass(finding: Finding, given: Mapping[str, float], dt: float) -> tuple[EffectUse, ...]:
     cutoffs = [v for k, v in given.items() if k.startswith("cutoff")]
     orders = [v for k, v in given.items() if k.startswith("order")]
     if not cutoffs:
         return ()
     cutoff = float(np.median(cutoffs))
-    if step.variant in HALF_POWER:
-        length = HALF_POWER[step.variant] / cutoff
-        use = EffectUse(step.effect, step.sensor, {"taps": (float(max(1, round(length / dt))),)})
-        return (use, use) if step.variant == "triangular window" else (use,)
-    order = 1.0 if step.variant == "exponential" else float(max(1, round(float(np.median(orders))))) if orders else 2.0
-    return (EffectUse(step.effect, step.sensor, {"cutoff": (min(cutoff, 0.499 / dt),), "order": (order,)}),)
+    if finding.variant in HALF_POWER:
+        length = HALF_POWER[finding.variant] / cutoff
+        use = EffectUse(finding.effect, finding.sensor, {"taps": (float(max(1, round(length / dt))),)})
+        return (use, use) if finding.variant == "triangular window" else (use,)
+    order = (
+        1.0 if finding.variant == "exponential" else float(max(1, round(float(np.median(orders))))) if orders else 2.0
+    )
+    return (EffectUse(finding.effect, finding.sensor, {"cutoff": (min(cutoff, 0.499 / dt),), "order": (order,)}),)
 
 
 # -- noise ------------------------------------------------------------------------------------------------------------------------------------
@@ -118,31 +120,31 @@ def _low_pass(step: Step, given: Mapping[str, float], dt: float) -> tuple[Effect
 def refined_effects(nominal: Nominal, report: GapReport, dt: float = 0.01) -> tuple[EffectUse, ...]:
     """Known effects and those found, less what the refined noise models hold."""
     found: list[EffectUse] = []
-    for step in report.steps:
-        if step.effect in having("noise") or (step.effect == "quantization" and step.variant == "integrated"):
+    for finding in report.findings:
+        if finding.effect in having("noise") or (finding.effect == "quantization" and finding.variant == "integrated"):
             continue
-        effect = EFFECTS.get(step.effect)
+        effect = EFFECTS.get(finding.effect)
         held = effect.process if effect is not None and effect.stage is Stage.NOISE else None
         if held is not None:
-            models = [report.refined.get(f"{step.sensor}_{a}") for a in step.axes]
+            models = [report.refined.get(f"{finding.sensor}_{a}") for a in finding.axes]
             if models and all(m is not None and any(isinstance(p, held) for p in m) for m in models):
                 continue
-        found += uses_of(step, dt)
+        found += uses_of(finding, dt)
     return joined(nominal.effects, found)
 
 
 def true_noise(nominal: Nominal, report: GapReport) -> dict[str, NoiseModel]:
     """The refined noise of every axis, for an emulator: without the stand-ins of what the effects hold."""
     out = {**nominal.beliefs, **report.refined}
-    for step in report.steps:
-        given = {p.name: p.value for p in step.parameters}
-        for a in step.axes:
-            name = f"{step.sensor}_{a}"
+    for finding in report.findings:
+        given = {p.name: p.value for p in finding.parameters}
+        for a in finding.axes:
+            name = f"{finding.sensor}_{a}"
             if name not in out:
                 continue
-            if step.effect == "ramp":
+            if finding.effect == "ramp":
                 out[name] = _less(out[name], lambda p: isinstance(p, DR))
-            elif step.effect == "telegraph":
+            elif finding.effect == "telegraph":
                 size = given.get("amplitude", given.get(f"amplitude_{a}"))
                 out[name] = _less(out[name], lambda p, s=size: isinstance(p, GM) and p.parameters["sigma"] == s)
     return out
@@ -221,9 +223,9 @@ def write_refined(
 
 def _found(report: GapReport) -> list[str]:
     lines = [f"refined against {report.source}: {report.verdict}"]
-    for s in report.steps:
+    for s in report.findings:
         values = ", ".join(f"{v.name} {v.value:.4g} [{v.low:.4g}, {v.high:.4g}] {v.unit}".strip() for v in s.parameters)
-        lines.append(f"  {s.effect} of {s.sensor} {', '.join(s.axes)} ({s.gain_nats:.1f} nats): {values}")
+        lines.append(f"  {s.effect} of {s.sensor} {', '.join(s.axes)} ({s.nats:.1f} nats): {values}")
     return lines
 
 

@@ -1,6 +1,6 @@
 """What could be missing: candidates for a log at rest, shapes and processes for a drive or flight."""
 
-from insemu.gap.candidates.axis import CANDIDATES, AxisState, Weighed, best_of, register
+from insemu.gap.candidates.axis import CANDIDATES, AxisHypothesis, AxisState, best_of, register
 from insemu.gap.candidates.counts import held_samples, output_counts, saturation
 from insemu.gap.candidates.noise import flicker, gauss_markov, quantization_noise, random_walk, white_noise
 from insemu.gap.candidates.outliers import outliers
@@ -8,7 +8,7 @@ from insemu.gap.candidates.spectral import decimation_filter, vibration_band, vi
 from insemu.gap.candidates.telegraph import telegraph
 from insemu.gap.candidates.thermal import ramp, temperature
 
-__all__ = ["CANDIDATES", "AxisState", "Weighed", "best_of", "register"]
+__all__ = ["CANDIDATES", "AxisHypothesis", "AxisState", "best_of", "register"]
 
 register("white_noise", white_noise)
 register("random_walk", random_walk)

@@ -1,6 +1,6 @@
 """An axis of a log at rest as the candidates see it, and what all of them share.
 
-Each candidate is a function ``(AxisState) -> list[Weighed]``; a user's own joins through :func:`register`. Grids only find where to
+Each candidate is a function ``(AxisState) -> list[AxisHypothesis]``; a user's own joins through :func:`register`. Grids only find where to
 start: every candidate is refined before it is compared (an unrefined one names the wrong effect).
 """
 
@@ -25,6 +25,7 @@ from insemu.gap.evidence.model import (
     Likelihood,
     fit,
 )
+from insemu.gap.hypothesis import Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 from insemu.noise import WN, Process
@@ -81,30 +82,8 @@ class AxisState:
         return self.white / math.sqrt(self.data.block_s)
 
 
-@dataclass(frozen=True)
-class Weighed:
-    """A candidate after refinement.
-
-    Parameters
-    ----------
-    effect, variant : str
-        Catalogue id, and which of its shapes.
-    gain : float
-        Nats of evidence over the current explanation.
-    values : tuple of Value
-        Its parameters.
-    state : AxisState
-        The axis with the effect added.
-    """
-
-    effect: str
-    variant: str
-    gain: float
-    values: tuple[Value, ...]
-    state: AxisState
-
-
-Candidate = Callable[[AxisState], "list[Weighed]"]
+AxisHypothesis = Hypothesis[AxisState]
+Candidate = Callable[[AxisState], list[AxisHypothesis]]
 CANDIDATES: dict[str, Candidate] = {}
 
 
@@ -130,14 +109,9 @@ def spread_of(state: AxisState) -> float:
     return 10.0 * max(float(np.std(wander)), state.block_sigma())
 
 
-def log_normal(name: str, value: float, sigma: float, unit: str) -> Value:
-    """A positive parameter whose logarithm is normal with standard deviation ``sigma``."""
-    return Value(name, value, value * math.exp(-1.96 * sigma), value * math.exp(1.96 * sigma), unit)
-
-
 def best_of(
     state: AxisState, effect: str, variant: str, starts: Iterable[Explanation], refine: int = 2, apart: float = 1.5
-) -> list[Weighed]:
+) -> list[AxisHypothesis]:
     """Refine the most promising of many starting points and weigh the best."""
     likelihood = state.likelihood
     scored = sorted(((likelihood.log_posterior(e), i, e) for i, e in enumerate(starts)), key=lambda item: -item[0])
@@ -157,12 +131,12 @@ def best_of(
         return []
     best = max(fits, key=lambda f: f.evidence)
     return [
-        Weighed(
+        Hypothesis(
             effect,
-            variant,
             best.evidence - state.fitted.evidence,
             values_of(best, effect, state.data.unit),
             added(state, best, effect),
+            variant,
         )
     ]
 
@@ -187,7 +161,7 @@ def values_of(fitted: Fitted, effect: str, unit: str) -> tuple[Value, ...]:
     for c in fitted.explanation.components:
         meta = {p.name: p.unit_for(unit) for p in c.process.PARAMETERS}
         mine = [
-            log_normal(
+            Value.positive(
                 _TABLE_NAMES.get((effect, f.name), f.name),
                 getattr(c.process, f.name),
                 float(fitted.sigma[k + i]),
@@ -208,7 +182,7 @@ def values_of(fitted: Fitted, effect: str, unit: str) -> tuple[Value, ...]:
         low_pass = fitted.explanation.rolloff
         half = HALF_POWER.get(low_pass.kind, 1.0)
         out = [
-            log_normal(
+            Value.positive(
                 "cutoff" if f.name == "corner" else f.name,
                 v * half if f.name == "corner" else v,
                 float(fitted.sigma[k + i]),

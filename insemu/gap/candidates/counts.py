@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.gap.candidates.axis import (
+    AxisHypothesis,
     AxisState,
-    Weighed,
     added,
     cleaned,
 )
 from insemu.gap.data.counts import lattice, pile_evidence
 from insemu.gap.evidence.model import Component, Free, fit
+from insemu.gap.hypothesis import Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 from insemu.noise import QN, WN
@@ -23,7 +24,7 @@ from insemu.noise import QN, WN
 Array = NDArray[np.float64]
 
 
-def output_counts(state: AxisState) -> list[Weighed]:
+def output_counts(state: AxisState) -> list[AxisHypothesis]:
     """Samples that lie on a lattice: rounding to an output LSB. A continuous signal would never do so, so the evidence is the odds of that."""
     if "quantization" in state.named or not state.data.f.size:
         return []
@@ -34,16 +35,16 @@ def output_counts(state: AxisState) -> list[Weighed]:
         return []
     # each sample of a lattice of step LSB is worth log(LSB / resolution of the storage); single precision is the least there is
     resolution = max(float(np.max(np.abs(state.data.values))), step) * 2.0**-24
-    gain = state.data.values.size * max(math.log(step / resolution), 0.0)
+    nats = state.data.values.size * max(math.log(step / resolution), 0.0)
     values = (Value("lsb", step, step, step, state.data.unit),)
     # the rounding itself is white noise of variance LSB^2 / 12, less where the noise is too small to spread it evenly
     density = step * math.sqrt(state.data.dt / 12.0)
     rounding = Component(WN(density), (Free("N", density / 3.0, density * 1.2, 0.05),), "quantization")
     fitted = fit(state.likelihood, state.explanation.with_component(rounding))
-    return [Weighed("quantization", "output counts", gain, values, added(state, fitted, "quantization"))]
+    return [Hypothesis("quantization", nats, values, added(state, fitted, "quantization"), "output counts")]
 
 
-def held_samples(state: AxisState) -> list[Weighed]:
+def held_samples(state: AxisState) -> list[AxisHypothesis]:
     """Samples that repeat their predecessor exactly: dropped and filled by holding the last one."""
     if {"dropped_samples", "quantization"} & set(state.named):
         return []
@@ -58,14 +59,14 @@ def held_samples(state: AxisState) -> list[Weighed]:
     chance = min(1.0, resolution / (state.white / math.sqrt(state.data.dt)))
     if held.size < 3 or share < 10.0 * chance:
         return []
-    gain = held.size * math.log(share / chance)
+    nats = held.size * math.log(share / chance)
     sd = 1.0 / math.sqrt(held.size)
-    values = (Value("probability", share, share * math.exp(-1.96 * sd), share * math.exp(1.96 * sd), "1"),)
+    values = (Value.positive("probability", share, sd, "1"),)
     mended = np.interp(np.arange(y.size), np.delete(np.arange(y.size), held), np.delete(y, held))
-    return [Weighed("dropped_samples", "held", gain, values, cleaned(state, mended, "dropped_samples"))]
+    return [Hypothesis("dropped_samples", nats, values, cleaned(state, mended, "dropped_samples"), "held")]
 
 
-def saturation(state: AxisState) -> list[Weighed]:
+def saturation(state: AxisState) -> list[AxisHypothesis]:
     """Samples pile up at the largest or smallest value: clipped at the full scale.
 
     A continuous signal never takes its extreme value twice. On a lattice of output counts the logarithm of the frequencies is concave, which
@@ -79,7 +80,7 @@ def saturation(state: AxisState) -> list[Weighed]:
         return []  # too few levels to tell a pile from a peak
     resolution = 2.0**-24 * float(np.max(np.abs(y)))
     chance = min(1.0, resolution / (state.white / math.sqrt(state.data.dt)))
-    gain, limits = 0.0, []
+    nats, limits = 0.0, []
     for sign in (1.0, -1.0):
         x = sign * y
         top = float(np.max(x))
@@ -92,11 +93,11 @@ def saturation(state: AxisState) -> list[Weighed]:
         else:
             here = piled * math.log(piled / y.size / chance) if piled >= 3 and piled / y.size > 10.0 * chance else 0.0
         if here > 0.0:
-            gain += here
+            nats += here
             limits.append(top)
     if not limits:
         return []
     limit = float(np.mean(np.abs(limits)))
-    gain -= math.log(y.size)  # any value could have been the limit
+    nats -= math.log(y.size)  # any value could have been the limit
     values = (Value("limit", limit, limit - resolution, limit + resolution, state.data.unit),)
-    return [Weighed("saturation", "", gain, values, replace(state, named=(*state.named, "saturation"), memory={}))]
+    return [Hypothesis("saturation", nats, values, replace(state, named=(*state.named, "saturation"), memory={}))]

@@ -10,15 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS, having
-from insemu.gap.candidates.shapes import Hypothesis
+from insemu.gap.candidates.shapes import Change, DriveHypothesis
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop
 from insemu.gap.evidence.fixes import NED, NoiseFit, gnss_noise_fits, pooled
 from insemu.gap.evidence.linear import (
     Block,
     Field,
+    log_density,
+    log_mean_exp,
 )
-from insemu.gap.evidence.model import log_mean_exp
+from insemu.gap.hypothesis import Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 
@@ -30,7 +32,7 @@ _LEVELS = having("level")
 
 def multipath_step(
     scene: Scene, data: Field, rows: NDArray[np.bool_] | slice, given: Sequence[Block]
-) -> list[Hypothesis]:
+) -> list[DriveHypothesis]:
     """Scan start and duration of a step in the position fixes, on each axis; refined around the best."""
     s = scene.starts
     if s.size < 4:
@@ -40,10 +42,10 @@ def multipath_step(
     t_fix = scene.prepared.result.fixes.t
     shortest = rules().shortest_step * float(np.median(np.diff(t_fix)))
     logs, best = _scan_steps(data, G, given, s, scale, shortest)
-    gain = log_mean_exp(logs)
+    nats = log_mean_exp(logs)
     fine = None
     top, c, i0, j0, width = best
-    if gain > -2.0:
+    if nats > -2.0:
         # the scan is coarse: try every start and end near the best with columns of their own
         spacing = float(s[1] - s[0])
         near = np.concatenate([t_fix[np.abs(t_fix - x) <= spacing] for x in (s[i0], s[j0])]) + 1e-3
@@ -53,13 +55,13 @@ def multipath_step(
                 data, scene.whitened(_axis_steps(scene, starts, c))[rows], given, starts, scale, shortest, axes=1
             )
             if fine[1][0] > top:
-                gain += fine[1][0] - top
+                nats += fine[1][0] - top
                 _, _, i0, j0, width = fine[1]
                 s, G = starts, scene.whitened(_axis_steps(scene, starts, c))[rows]
                 column = G[:, i0] - G[:, j0]
-                return [_step_hypothesis(data, given, gain, c, column, s, i0, j0, width)]
+                return [_step_hypothesis(data, given, nats, c, column, s, i0, j0, width)]
     column = G[:, 3 * i0 + c] - G[:, 3 * j0 + c]
-    return [_step_hypothesis(data, given, gain, c, column, s, i0, j0, width)]
+    return [_step_hypothesis(data, given, nats, c, column, s, i0, j0, width)]
 
 
 def _axis_steps(scene: Scene, starts: Array, axis: int) -> Array:
@@ -115,29 +117,24 @@ def _scan_steps(
 
 
 def _step_hypothesis(
-    data: Field, given: Sequence[Block], gain: float, c: int, column: Array, s: Array, i0: int, j0: int, width: float
-) -> Hypothesis:
-    wide = Field(data.y, np.column_stack([data.G, column]), data.variance) if gain > -1.0 else None
+    data: Field, given: Sequence[Block], nats: float, c: int, column: Array, s: Array, i0: int, j0: int, width: float
+) -> DriveHypothesis:
+    wide = Field(data.y, np.column_stack([data.G, column]), data.variance) if nats > -1.0 else None
     if wide is None:
-        return Hypothesis("gnss_multipath_step", "gnss", (NED[c],), gain, ())
+        return Hypothesis("gnss_multipath_step", nats, (), Change(), "step", "gnss", (NED[c],))
     block: Block = (np.array([data.G.shape[1]]), np.array([[width]]))
     _, mean, covariance = wide.posterior([block, *given])
     m, sd = float(mean[0]), math.sqrt(float(covariance[0, 0]))
     half = 0.6 * float(s[1] - s[0])
     start, duration = float(s[i0]), float(s[j0] - s[i0])
     values = (
-        Value("value", m, m - 1.96 * sd, m + 1.96 * sd, "m"),
+        Value.normal("value", m, sd, "m"),
         Value("start", start, start - half, start + half, "s"),
         Value("duration", duration, duration - 2 * half, duration + 2 * half, "s"),
     )
-    return Hypothesis("gnss_multipath_step", "gnss", (NED[c],), gain, values, variant="step")
-
-
-def gaussian(v: Array, S: Array) -> Array:
-    """Log densities of rows of ``v`` (k, c) without the constant."""
-    L = np.linalg.cholesky(S)
-    z = np.linalg.solve(L, v[:, :, None])[:, :, 0]
-    return np.asarray(-0.5 * np.einsum("ki,ki->k", z, z) - np.sum(np.log(np.einsum("kii->ki", L)), axis=1))
+    return Hypothesis(
+        "gnss_multipath_step", nats, values, Change(window=(c, start, start + duration)), "step", "gnss", (NED[c],)
+    )
 
 
 def position_innovations(scene: Scene, nu: Array, cut: float | None) -> tuple[NDArray[np.int64], Array, Array]:
@@ -150,21 +147,21 @@ def position_innovations(scene: Scene, nu: Array, cut: float | None) -> tuple[ND
     return at, nu[at][:, :3], fixes.S[at][:, :3, :3]
 
 
-def gnss_outliers(scene: Scene, nu: Array, cut: float | None) -> list[Hypothesis]:
+def gnss_outliers(scene: Scene, nu: Array, cut: float | None) -> list[DriveHypothesis]:
     """A small share of position fixes with a much larger spread."""
     at, v, S = position_innovations(scene, nu, cut)
     if at.size < 30:
         return []
-    plain = gaussian(v, S)
+    plain = log_density(v, S)
     sigma0 = np.sqrt(np.median(np.einsum("kii->ki", S), axis=0))
     logs, grid = [], []
     for ratio in np.geomspace(3.0, 300.0, 10):
-        wide = gaussian(v, S + np.diag((ratio * sigma0) ** 2))
+        wide = log_density(v, S + np.diag((ratio * sigma0) ** 2))
         for p in np.geomspace(1.0 / at.size, 0.1, 8):
             logs.append(float(np.sum(np.logaddexp(math.log1p(-p) + plain, math.log(p) + wide) - plain)))
             grid.append((p, ratio))
     p, ratio = grid[int(np.argmax(logs))]
-    gain = log_mean_exp(logs)
+    nats = log_mean_exp(logs)
     count = max(1.0, p * at.size)
     spread = 1.5 / math.sqrt(count)
     values: tuple[Value, ...] = (
@@ -174,17 +171,17 @@ def gnss_outliers(scene: Scene, nu: Array, cut: float | None) -> list[Hypothesis
         Value(f"sigma_{a}", float(ratio * s), float(ratio * s) / (1.0 + spread), float(ratio * s) * (1.0 + spread), "m")
         for a, s in zip(NED, sigma0, strict=True)
     )
-    return [Hypothesis("gnss_outliers", "gnss", NED, gain, values)]
+    return [Hypothesis("gnss_outliers", nats, values, Change(), "", "gnss", NED)]
 
 
-def wild_fixes(scene: Scene, outliers: Hypothesis, nu: Array) -> tuple[Array, Array]:
+def outlying_fixes(scene: Scene, outliers: DriveHypothesis, nu: Array) -> tuple[Array, Array]:
     """Times of the fixes that are more likely outliers than not, and the log density that each has as one."""
     given = {v.name: v.value for v in outliers.values}
     at, v, S = position_innovations(scene, nu, None)
     p = given["probability"]
     added = np.diag([given[f"sigma_{a}"] ** 2 for a in NED])
-    wide = gaussian(v, S + added)
-    odds = math.log(p / (1.0 - p)) + wide - gaussian(v, S)
+    wide = log_density(v, S + added)
+    odds = math.log(p / (1.0 - p)) + wide - log_density(v, S)
     return np.asarray(scene.prepared.result.fixes.t[at[odds > 0.0]]), math.log(p) + wide[odds > 0.0]
 
 
@@ -201,7 +198,7 @@ def unexplained_innovations(scene: Scene, blocks: Sequence[Block]) -> Array:
 
 def covariance_hypotheses(
     scene: Scene, given: Sequence[Block], skip: Collection[str], cut: float | None
-) -> list[Hypothesis]:
+) -> list[DriveHypothesis]:
     """Weigh levels, colour and outliers of the fixes on the innovations less what is already explained."""
     nu = unexplained_innovations(scene, given)
     surrogate = replace(scene.surrogate, nu=nu)
@@ -219,16 +216,14 @@ def covariance_hypotheses(
         loop.white[:k],
         y,
         trimmed=scene.original.factors / scene.original.levels,
-        uncertainty=rules().tolerance,
         colour=colour,
         skip=(*skip, *(_LEVELS if colour is not None else ())),
     ):
         fits.setdefault(fit.effect, []).append(fit)
     out = []
     for effect, tried in fits.items():
-        top = max(tried, key=lambda f: f.gain)
-        values = tuple(Value(*v) for v in top.values)
-        out.append(Hypothesis(effect, "gnss", top.axes, pooled(tried), values, noise=top))
+        top = max(tried, key=lambda f: f.nats)
+        out.append(Hypothesis(effect, pooled(tried), top.values, Change(noise=top), "", "gnss", top.axes))
     if "gnss_outliers" not in skip and scene.noise is None:
         out += gnss_outliers(scene, nu, cut)
     return out

@@ -21,9 +21,9 @@ from insemu import rotation
 from insemu.effects import EFFECTS, EffectUse
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.drive.preparation import Prepared, fast_parts, prepare
-from insemu.gap.evidence.model import log_mean_exp
+from insemu.gap.evidence.linear import log_mean_exp
 from insemu.gap.policy import rules
-from insemu.gap.verdict import Member, Step, Value, Where
+from insemu.gap.verdict import Finding, Member, Value, Where
 from insemu.records import Recording
 
 Array = NDArray[np.float64]
@@ -126,7 +126,7 @@ class Turned:
 
     angles: Array
     covariance: Array
-    gain: float
+    nats: float
     colour: Colour
     axle: Array
 
@@ -184,7 +184,7 @@ class Mounted:
 
     Parameters
     ----------
-    step : Step, optional
+    finding : Finding, optional
         The finding, where it is worth the threshold.
     rpy : (3,) array
         Mounting that lacks, rad.
@@ -196,7 +196,7 @@ class Mounted:
         Log score gained there, nats, and its standard deviation.
     """
 
-    step: Step | None
+    finding: Finding | None
     rpy: Array
     where: tuple[Where, ...]
     after: tuple[Where, ...]
@@ -228,7 +228,7 @@ def find_mounting(recording: Recording, nominal: Nominal, progress: Callable[[st
         found = estimate(s, nominal)
         if first is None:
             first, start = s, found
-            if found.gain < rules().least_nats:
+            if found.nats < rules().least_nats:
                 return Mounted(None, np.zeros(3), _tests(s, found), _tests(s, found))
         C = rotation.dcm_from_rpy(found.angles) @ C
         if np.max(np.abs(found.angles)) < rules().mounting_enough:
@@ -237,15 +237,14 @@ def find_mounting(recording: Recording, nominal: Nominal, progress: Callable[[st
     rpy = np.asarray(rotation.rpy_from_dcm(C))
     sd = np.sqrt(np.diag(found.covariance))
     values = tuple(
-        Value(f"rpy_{name}", float(m), float(m - 1.96 * e), float(m + 1.96 * e), "rad")
-        for name, m, e in zip(("roll", "pitch", "yaw"), rpy, sd, strict=True)
+        Value.normal(f"rpy_{name}", m, e, "rad") for name, m, e in zip(("roll", "pitch", "yaw"), rpy, sd, strict=True)
     )
-    member = Member("mounting", "imu", ("roll", "pitch", "yaw"), start.gain)
-    step = Step(
-        "mounting", "", "imu", ("roll", "pitch", "yaw"), values, 1.0 - math.exp(-start.gain), start.gain, (member,)
+    member = Member("mounting", "imu", ("roll", "pitch", "yaw"), start.nats)
+    finding = Finding(
+        "mounting", "", "imu", ("roll", "pitch", "yaw"), values, 1.0 - math.exp(-start.nats), start.nats, (member,)
     )
     chi, dof, gain = _held_out(first, nominal)
-    return Mounted(step, rpy, _tests(first, replace(start, angles=np.zeros(3))), _tests(s, found), chi, dof, gain)
+    return Mounted(finding, rpy, _tests(first, replace(start, angles=np.zeros(3))), _tests(s, found), chi, dof, gain)
 
 
 def _held_out(s: Sideways, nominal: Nominal) -> tuple[tuple[float, float], int, tuple[float, float]]:

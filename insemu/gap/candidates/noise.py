@@ -11,17 +11,18 @@ from numpy.typing import NDArray
 from insemu import earth
 from insemu.effects import EFFECTS
 from insemu.gap.candidates.axis import (
+    AxisHypothesis,
     AxisState,
-    Weighed,
     added,
     amplitude,
     amplitudes,
     best_of,
-    log_normal,
     process_starts,
     spread_of,
 )
-from insemu.gap.evidence.model import Component, Explanation, Free, fit, log_mean_exp
+from insemu.gap.evidence.linear import log_mean_exp
+from insemu.gap.evidence.model import Component, Explanation, Free, fit
+from insemu.gap.hypothesis import Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 from insemu.noise import BI, GM, QN, RC, RW, WN
@@ -29,7 +30,7 @@ from insemu.noise import BI, GM, QN, RC, RW, WN
 Array = NDArray[np.float64]
 
 
-def white_noise(state: AxisState) -> list[Weighed]:
+def white_noise(state: AxisState) -> list[AxisHypothesis]:
     """The white noise's level is further off than a nominal level may be."""
     base = state.explanation
     index = next(
@@ -50,7 +51,7 @@ def white_noise(state: AxisState) -> list[Weighed]:
     return best_of(state, "white_noise", "level", starts, 1)
 
 
-def random_walk(state: AxisState) -> list[Weighed]:
+def random_walk(state: AxisState) -> list[AxisHypothesis]:
     """A random walk that the explanation lacks, or more of it."""
     top = spread_of(state) / math.sqrt(10.0 * state.data.block_s)
     return best_of(
@@ -61,7 +62,7 @@ def random_walk(state: AxisState) -> list[Weighed]:
     )
 
 
-def flicker(state: AxisState) -> list[Weighed]:
+def flicker(state: AxisState) -> list[AxisHypothesis]:
     """Bias instability."""
     top = spread_of(state)
     return best_of(
@@ -69,14 +70,14 @@ def flicker(state: AxisState) -> list[Weighed]:
     )
 
 
-def gauss_markov(state: AxisState) -> list[Weighed]:
+def gauss_markov(state: AxisState) -> list[AxisHypothesis]:
     """A first-order Gauss-Markov process of any correlation time between four samples and half the log."""
     if "gauss_markov" not in state.memory:
         state.memory["gauss_markov"] = _gauss_markov(state)
     return list(state.memory["gauss_markov"])
 
 
-def _gauss_markov(state: AxisState) -> list[Weighed]:
+def _gauss_markov(state: AxisState) -> list[AxisHypothesis]:
     data = state.data
     fastest, slowest = 4.0 * data.dt, 0.5 * data.duration_s
     top = max(spread_of(state), 10.0 * state.white / math.sqrt(data.dt * 4.0))
@@ -90,7 +91,7 @@ def _gauss_markov(state: AxisState) -> list[Weighed]:
     return best_of(state, "gauss_markov", "", starts, 3)
 
 
-def quantization_noise(state: AxisState) -> list[Weighed]:
+def quantization_noise(state: AxisState) -> list[AxisHypothesis]:
     """Quantization of the integrated output: a spectrum that rises with the square of the frequency."""
     top = 10.0 * state.white * math.sqrt(state.data.dt)
     return best_of(
@@ -115,7 +116,7 @@ def unbiased_log_density(mean: float, spread: Array) -> Array:
     return np.asarray(-0.5 * (beyond / spread) ** 2 - np.log(math.sqrt(2.0 * math.pi) * spread + 2.0 * earth.RATE))
 
 
-def bias_gain(mean: float, spread: float) -> float:
+def bias_nats(mean: float, spread: float) -> float:
     """Nats by which a turn-on bias explains a gyroscope's mean at rest better than noise and the rotation of the Earth do."""
     scale = EFFECTS["turn_on_bias"].scale("value", "gyro")
     wide = [math.hypot(spread, c * scale) for c in rules().prior_scales]
@@ -123,7 +124,7 @@ def bias_gain(mean: float, spread: float) -> float:
     return biased - float(unbiased_log_density(mean, np.array([spread]))[0])
 
 
-def turn_on_bias(state: AxisState) -> list[Weighed]:
+def turn_on_bias(state: AxisState) -> list[AxisHypothesis]:
     """A constant error of a gyroscope, its mean at rest more than the rotation of the Earth can be, and the random walk that is its rival.
 
     An accelerometer at rest shows gravity in an unknown attitude, so its bias is not looked for. Weighed after everything else, because how well
@@ -138,7 +139,7 @@ def turn_on_bias(state: AxisState) -> list[Weighed]:
     off = 1.96 * math.hypot(sigma, earth.RATE / math.sqrt(3.0))
     values = (Value("value", mean, mean - off, mean + off, data.unit),)
     named = replace(state, named=(*state.named, "turn_on_bias"))
-    out = [Weighed("turn_on_bias", "", bias_gain(mean, sigma), values, named)]
+    out = [Hypothesis("turn_on_bias", bias_nats(mean, sigma), values, named)]
     if any(isinstance(c.process, RW) for c in explanation.components):
         return out
     # the rival: a walk, which carries the mean away even where the block means are not enough to name it
@@ -155,6 +156,6 @@ def turn_on_bias(state: AxisState) -> list[Weighed]:
     centre = float(p @ np.log(walks))
     width = math.sqrt(float(p @ (np.log(walks) - centre) ** 2) + math.log(walks[1] / walks[0]) ** 2 / 12.0)
     meta = RW.PARAMETERS[0]
-    values = (log_normal("K", math.exp(centre), width, meta.unit_for(data.unit)),)
+    values = (Value.positive("K", math.exp(centre), width, meta.unit_for(data.unit)),)
     fitted = fit(likelihood, starts[int(np.argmax(carried))])
-    return [*out, Weighed("random_walk", "", rival, values, added(state, fitted, "random_walk"))]
+    return [*out, Hypothesis("random_walk", rival, values, added(state, fitted, "random_walk"))]

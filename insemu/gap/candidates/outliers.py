@@ -10,14 +10,15 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from insemu.gap.candidates.axis import (
+    AxisHypothesis,
     AxisState,
-    Weighed,
     cleaned,
     whitened,
 )
 from insemu.gap.candidates.noise import white_noise
 from insemu.gap.data.counts import lattice
 from insemu.gap.evidence.model import Free, laplace, level
+from insemu.gap.hypothesis import Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 from insemu.noise import WN
@@ -25,7 +26,7 @@ from insemu.noise import WN
 Array = NDArray[np.float64]
 
 
-def outliers(state: AxisState) -> list[Weighed]:
+def outliers(state: AxisState) -> list[AxisHypothesis]:
     """Heavy tails: a small share of samples with a larger spread, against a Gaussian whose level is free as a nominal one is."""
     if "outliers" in state.named or not state.data.f.size:
         return []
@@ -72,9 +73,9 @@ def outliers(state: AxisState) -> list[Weighed]:
     broad = Free("spread", spread.low / 30.0, spread.high * 30.0)
     wide = laplace(lambda x: gaussian(x) - spread.log_density(x[0]) + broad.log_density(x[0]), null.x, (broad,))
     other_level = wide.evidence - null.evidence
-    gain = best.evidence - max(wide.evidence, null.evidence)
+    nats = best.evidence - max(wide.evidence, null.evidence)
     if other_level > 0.0:
-        gain += min(other_level, max((w.gain for w in white_noise(state)), default=0.0))
+        nats += min(other_level, max((w.nats for w in white_noise(state)), default=0.0))
         if best.evidence < wide.evidence:
             return []
     s, e, k = (math.exp(v) for v in best.x)
@@ -84,23 +85,23 @@ def outliers(state: AxisState) -> list[Weighed]:
     # the spread of what was added, as the table of effects states it
     size = s * math.sqrt(max(k * k - 1.0, 0.01)) * fitted_n / math.sqrt(state.data.dt)
     values = (
-        Value("probability", e, e * math.exp(-1.96 * sd[1]), e * math.exp(1.96 * sd[1]), "1"),
-        Value("sigma", size, size * math.exp(-1.96 * sd[2]), size * math.exp(1.96 * sd[2]), state.data.unit),
+        Value.positive("probability", e, sd[1], "1"),
+        Value.positive("sigma", size, sd[2], state.data.unit),
     )
-    if gain < 0.0:
-        return [Weighed("outliers", "", gain, values, state)]
+    if nats < 0.0:
+        return [Hypothesis("outliers", nats, values, state)]
     signed = whitened(state)
     odds = math.log(e / (1.0 - e) / k) + 0.5 * signed**2 / s**2 * (1.0 - 1.0 / k**2)
-    wild = odds > 0.0
+    outlying = odds > 0.0
     if not state.data.differences.size:
-        return _wild_in_motion(state, gain, signed, wild, s)
-    # a wild sample is shrunk to the size of its neighbours, so that the level of the rest is what is left
+        return _outliers_in_motion(state, nats, signed, outlying, s)
+    # an outlying sample is shrunk to the size of its neighbours, so that the level of the rest is what is left
     values_clean = state.data.values.copy()
-    values_clean[wild] -= (1.0 - 1.0 / k) * signed[wild] * fitted_n / math.sqrt(state.data.dt)
-    return [Weighed("outliers", "", gain, values, cleaned(state, values_clean, "outliers"))]
+    values_clean[outlying] -= (1.0 - 1.0 / k) * signed[outlying] * fitted_n / math.sqrt(state.data.dt)
+    return [Hypothesis("outliers", nats, values, cleaned(state, values_clean, "outliers"))]
 
 
-def evident_outliers(state: AxisState) -> Weighed | None:
+def evident_outliers(state: AxisState) -> AxisHypothesis | None:
     """Outliers of a moving sensor so large that every other look at its spectrum would see them; ``None`` where there are no three of them.
 
     A single sample shows in the residual against its neighbours with twice the size and the opposite sign of what it leaves on either side.
@@ -114,25 +115,27 @@ def evident_outliers(state: AxisState) -> Weighed | None:
     beside = -(r[at - 1] + r[at + 1]) / r[at]
     if float(np.mean(np.abs(beside - 1.0) < 0.5)) < rules().alike:
         return None
-    found = _wild_in_motion(state, 0.0, r, size > rules().beside, 1.0)
+    found = _outliers_in_motion(state, 0.0, r, size > rules().beside, 1.0)
     if not found:
         return None
     share, sigma = (v.value for v in found[0].values)
     unit = state.data.values[1:-1] - 0.5 * (state.data.values[2:] + state.data.values[:-2])
     v = (sigma / (1.4826 * float(np.median(np.abs(unit))))) ** 2 + 1.0
     top = r[at]
-    gain = float(np.sum(0.5 * top**2 * (1.0 - 1.0 / v))) + at.size * (math.log(share) - 0.5 * math.log(v))
-    return replace(found[0], gain=gain)
+    nats = float(np.sum(0.5 * top**2 * (1.0 - 1.0 / v))) + at.size * (math.log(share) - 0.5 * math.log(v))
+    return replace(found[0], nats=nats)
 
 
-def _wild_in_motion(state: AxisState, gain: float, r: Array, wild: NDArray[np.bool_], s: float) -> list[Weighed]:
+def _outliers_in_motion(
+    state: AxisState, nats: float, r: Array, outlying: NDArray[np.bool_], s: float
+) -> list[AxisHypothesis]:
     """Outliers of a moving sensor, whose samples are held against their neighbours.
 
     One outlier shows in three residuals, so that only the largest of neighbours counts; share and size are those of a normal distribution of which
     only what lies beyond the least of them is seen.
     """
     size = np.abs(r)
-    top = wild.copy()
+    top = outlying.copy()
     top[1:] &= size[1:] >= size[:-1]
     top[:-1] &= size[:-1] > size[1:]
     at = np.flatnonzero(top)
@@ -169,4 +172,4 @@ def _wild_in_motion(state: AxisState, gain: float, r: Array, wild: NDArray[np.bo
             state.data.unit,
         ),
     )
-    return [Weighed("outliers", "", gain, given, cleaned(state, values, "outliers"))]
+    return [Hypothesis("outliers", nats, given, cleaned(state, values, "outliers"))]

@@ -11,18 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS, Column, having
-from insemu.gap.drive.scene import Scene
+from insemu.gap.drive.scene import Scene, Window
 from insemu.gap.evidence.fixes import NoiseFit
 from insemu.gap.evidence.linear import (
     Block,
     Field,
     flicker_root,
     gauss_markov_root,
+    log_mean_exp,
     log_mean_exp_columns,
     quadratic_evidence,
     random_walk_root,
 )
-from insemu.gap.evidence.model import log_mean_exp
+from insemu.gap.hypothesis import Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 
@@ -55,31 +56,28 @@ class Variant:
 
 
 @dataclass(frozen=True)
-class Hypothesis:
-    """An effect, weighed.
+class Change:
+    """How an effect changes the model of a drive or flight.
 
     Parameters
     ----------
-    gain : float
-        Evidence averaged over the ways in which it may be present.
-    values : tuple of Value
     block : Block, optional
         How it enters the linear model of the innovations.
-    noise : NoiseFit, optional
-        How it changes the covariance of the fixes.
     columns : tuple of int
         Columns of the scene whose coefficients are its parameters.
+    noise : NoiseFit, optional
+        How it changes the covariance of the fixes.
+    window : Window, optional
+        Axis, start and end of a step in the position fixes.
     """
 
-    effect: str
-    sensor: str
-    axes: tuple[str, ...]
-    gain: float
-    values: tuple[Value, ...]
     block: Block | None = None
-    variant: str = ""
-    noise: NoiseFit | None = None
     columns: tuple[int, ...] = ()
+    noise: NoiseFit | None = None
+    window: Window | None = None
+
+
+DriveHypothesis = Hypothesis[Change]
 
 
 def sizes() -> tuple[float, ...]:
@@ -148,7 +146,7 @@ def _slow(scene: Scene) -> list[Variant]:
     return out
 
 
-def linear_gains(variants: Sequence[Variant], A: Array, b: Array) -> list[list[Array]]:
+def linear_evidence(variants: Sequence[Variant], A: Array, b: Array) -> list[list[Array]]:
     """Log Bayes factors of every variant: per variant and shape ``(a, s)``; wide sets of axes only where a single one promises something."""
     out: list[list[Array]] = []
     promising: dict[tuple[str, str], float] = {}
@@ -166,7 +164,7 @@ def linear_gains(variants: Sequence[Variant], A: Array, b: Array) -> list[list[A
     return out
 
 
-def pooled_gains(variants: Sequence[Variant], logs: Sequence[Sequence[Array]]) -> dict[tuple[str, str], Array]:
+def pooled_evidence(variants: Sequence[Variant], logs: Sequence[Sequence[Array]]) -> dict[tuple[str, str], Array]:
     """Evidence of every effect and sensor, averaged over its variants, shapes and amplitudes: (s,) per effect."""
     own: dict[tuple[str, str], list[Array]] = {}
     passed: dict[tuple[str, str], int] = {}
@@ -186,12 +184,12 @@ def pooled_gains(variants: Sequence[Variant], logs: Sequence[Sequence[Array]]) -
 
 def linear_hypotheses(
     scene: Scene, variants: Sequence[Variant], data: Field, given: Sequence[Block], skip: Collection[str]
-) -> list[Hypothesis]:
+) -> list[DriveHypothesis]:
     """Weigh every variant and report the best of each effect and sensor."""
     variants = [v for v in variants if v.effect not in skip]
     A, b = data.conditioned(given)
-    logs = linear_gains(variants, A, b)
-    gains = pooled_gains(variants, logs)
+    logs = linear_evidence(variants, A, b)
+    evidence = pooled_evidence(variants, logs)
     tried: dict[tuple[str, str], list[tuple[float, Variant, list[Array]]]] = {}
     for v, x in zip(variants, logs, strict=True):
         if x:
@@ -203,22 +201,22 @@ def linear_hypotheses(
         top = max(own for own, _, _ in mine)
         best[key] = min((m for m in mine if m[0] > top - rules().keep_nats), key=lambda m: (len(m[1].axes), -m[0]))
     return [
-        _described(scene, data, given, v, x, float(gains[key][0]))
+        _described(scene, data, given, v, x, float(evidence[key][0]))
         for key, (_, v, x) in best.items()
-        if math.isfinite(float(gains[key][0]))
+        if math.isfinite(float(evidence[key][0]))
     ]
 
 
 def _described(
-    scene: Scene, data: Field, given: Sequence[Block], v: Variant, logs: Sequence[Array], gain: float
-) -> Hypothesis:
+    scene: Scene, data: Field, given: Sequence[Block], v: Variant, logs: Sequence[Array], nats: float
+) -> DriveHypothesis:
     """The best shape and amplitude of a variant with its parameters."""
     table = np.stack([x[:, 0] for x in logs])
     i, j = np.unravel_index(int(np.argmax(table)), table.shape)
     root = v.shapes[int(i)][1] * v.amplitudes[int(j)]
     block: Block = (v.index, root)
-    if gain < -1.0:
-        return Hypothesis(v.effect, v.sensor, v.axes, gain, (), block, v.label)
+    if nats < -1.0:
+        return Hypothesis(v.effect, nats, (), Change(block), v.label, v.sensor, v.axes)
     effect = EFFECTS[v.effect]
     if v.process:
         p = np.exp(table - table.max())
@@ -237,16 +235,16 @@ def _described(
             )
             for q, m, s in zip(effect.parameters, mean, sd, strict=False)
         )
-        return Hypothesis(v.effect, v.sensor, v.axes, gain, values, block, v.label)
+        return Hypothesis(v.effect, nats, values, Change(block), v.label, v.sensor, v.axes)
     _, mean, covariance = data.posterior([block, *given])
     n = v.index.size
     if v.effect == "ramp":
         span = float(scene.knots[-1] - scene.knots[0])
         m, s = float(mean[n - 1]) / span, math.sqrt(float(covariance[n - 1, n - 1])) / span
-        values = (Value("R", m, m - 1.96 * s, m + 1.96 * s, effect.unit("R", v.sensor)),)
-        return Hypothesis(v.effect, v.sensor, v.axes, gain, values, block, v.label)
+        values = (Value.normal("R", m, s, effect.unit("R", v.sensor)),)
+        return Hypothesis(v.effect, nats, values, Change(block), v.label, v.sensor, v.axes)
     values = shape_values(scene, v.index, mean[:n], covariance[:n, :n])
-    return Hypothesis(v.effect, v.sensor, v.axes, gain, values, block, v.label, columns=tuple(int(c) for c in v.index))
+    return Hypothesis(v.effect, nats, values, Change(block, tuple(int(c) for c in v.index)), v.label, v.sensor, v.axes)
 
 
 def shape_values(scene: Scene, index: NDArray[Any], mean: Array, covariance: Array) -> tuple[Value, ...]:
@@ -254,7 +252,7 @@ def shape_values(scene: Scene, index: NDArray[Any], mean: Array, covariance: Arr
     out = []
     for k, i in enumerate(index):
         c, m, s = scene.columns[int(i)], float(mean[k]), math.sqrt(max(float(covariance[k, k]), 0.0))
-        out.append(Value(c.label, m, m - 1.96 * s, m + 1.96 * s, c.unit))
+        out.append(Value.normal(c.label, m, s, c.unit))
     return tuple(out)
 
 
@@ -311,11 +309,11 @@ def null_threshold(
     A, b = data.conditioned(always, b)
     b = b[:, 1:]
     # the first column decides what is worth a closer look, as it does for the measured innovations
-    gains = pooled_gains(variants, linear_gains(variants, A, b))
-    return float(np.quantile(np.max(np.stack(list(gains.values())), axis=0), 1.0 - rules().false_alarms))
+    evidence = pooled_evidence(variants, linear_evidence(variants, A, b))
+    return float(np.quantile(np.max(np.stack(list(evidence.values())), axis=0), 1.0 - rules().false_alarms))
 
 
-def library_gain(scene: Scene, data: Field, given: Sequence[Block]) -> tuple[float, str]:
+def library_evidence(scene: Scene, data: Field, given: Sequence[Block]) -> tuple[float, str]:
     """The best structure outside the catalogue, those of a sensor counted alike."""
     A, b = data.conditioned(given)
     found: dict[str, list[tuple[float, str]]] = {}

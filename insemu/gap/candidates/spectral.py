@@ -10,28 +10,23 @@ from numpy.typing import NDArray
 
 from insemu.gap.candidates.axis import (
     LEAST_POWER,
+    AxisHypothesis,
     AxisState,
-    Weighed,
     amplitude,
     best_of,
     cleaned,
 )
 from insemu.gap.evidence.band import Band
-from insemu.gap.evidence.model import (
-    DEPTH,
-    HALF_POWER,
-    Component,
-    Free,
-    Rolloff,
-    log_mean_exp,
-)
+from insemu.gap.evidence.linear import log_mean_exp
+from insemu.gap.evidence.model import DEPTH, HALF_POWER, Component, Free, Rolloff
+from insemu.gap.hypothesis import Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 
 Array = NDArray[np.float64]
 
 
-def vibration_band(state: AxisState) -> list[Weighed]:
+def vibration_band(state: AxisState) -> list[AxisHypothesis]:
     """Vibration coloured by a resonance."""
     data = state.data
     if not data.f.size:
@@ -71,7 +66,7 @@ def vibration_band(state: AxisState) -> list[Weighed]:
     return best_of(state, "vibration_band", "", starts, 3, apart=0.4)
 
 
-def decimation_filter(state: AxisState) -> list[Weighed]:
+def decimation_filter(state: AxisState) -> list[AxisHypothesis]:
     """A low-pass of the output that the nominal model lacks."""
     if state.explanation.rolloff is not None or not state.data.f.size:
         return []
@@ -103,11 +98,13 @@ def decimation_filter(state: AxisState) -> list[Weighed]:
 LINE_PIECES = 32
 #: Ordinates of a piece on either side of a line that say what the noise is there.
 NEAR_LINE = 12
+#: Sums of the turned signal in which the frequency of a line is refined.
+SUMS = 4096
 #: Frequencies at which a line is looked for, per independent one.
 FINER = 4
 
 
-def vibration_line(state: AxisState) -> list[Weighed]:
+def vibration_line(state: AxisState) -> list[AxisHypothesis]:
     """A sinusoid: full-resolution scan, complex amplitude integrated out, frequency paid for."""
     data = state.data
     if not data.f.size:
@@ -127,14 +124,14 @@ def vibration_line(state: AxisState) -> list[Weighed]:
     # a line between two frequencies of the grid is worth what it is at its own
     peak = max(float(ratio[k]), _height(y, dt, f[k]) / max(float(state.explanation.psd(f[[k]], dt)[0]), least))
     looked = float(inside.sum()) / FINER
-    gain = _line_gain(peak, looked)
-    if gain < 0.0:
-        return [Weighed("vibration_line", "", gain, (), state)]
+    nats = _line_nats(peak, looked)
+    if nats < 0.0:
+        return [Hypothesis("vibration_line", nats, (), state)]
     frequency, a, b = _sinusoid(y, dt, f[k], 1.0 / (n * dt))
     if not data.differences.size:
         # how loud a moving sensor is changes with the motion
-        gain = min(gain, _line_gain(_steady_power(y, dt, frequency), looked))
-        if gain < 0.0:
+        nats = min(nats, _line_nats(_steady_power(y, dt, frequency), looked))
+        if nats < 0.0:
             return []
     amplitude = math.hypot(a, b)
     t = np.arange(n) * dt
@@ -142,10 +139,10 @@ def vibration_line(state: AxisState) -> list[Weighed]:
     sigma = math.sqrt(2.0 * float(state.explanation.psd(np.array([frequency]), dt)[0]) / (n * dt))
     df = math.sqrt(6.0) / math.pi * sigma / amplitude / (n * dt)
     values = (
-        Value("amplitude", amplitude, amplitude - 1.96 * sigma, amplitude + 1.96 * sigma, data.unit),
-        Value("frequency", frequency, frequency - 1.96 * df, frequency + 1.96 * df, "Hz"),
+        Value.normal("amplitude", amplitude, sigma, data.unit),
+        Value.normal("frequency", frequency, df, "Hz"),
     )
-    return [Weighed("vibration_line", "", gain, values, cleaned(state, rest, "vibration_line"))]
+    return [Hypothesis("vibration_line", nats, values, cleaned(state, rest, "vibration_line"))]
 
 
 def _height(y: Array, dt: float, f0: float) -> float:
@@ -154,7 +151,7 @@ def _height(y: Array, dt: float, f0: float) -> float:
     return 0.25 * (a * a + b * b) * y.size * dt
 
 
-def _line_gain(peak: float, looked: float) -> float:
+def _line_nats(peak: float, looked: float) -> float:
     """Evidence of a line whose periodogram stands ``peak`` times above its surroundings, at the best of ``looked`` frequencies.
 
     Bayes factor of one frequency with a complex Gaussian amplitude of variance rho, averaged over rho; frequencies count alike.
@@ -180,10 +177,13 @@ def _steady_power(y: Array, dt: float, f: float) -> float:
 
 def _sinusoid(y: Array, dt: float, f0: float, resolution: float) -> tuple[float, float, float]:
     """Least-squares frequency near ``f0`` with its cosine and sine amplitudes."""
-    t = np.arange(y.size) * dt
+    # turned back by the first guess the signal is slow: near that frequency sums of a few hundred samples say it all
+    block = max(1, y.size // SUMS)
+    turned = np.add.reduceat(y * np.exp((-2j * math.pi * f0 * dt) * np.arange(y.size)), np.arange(0, y.size, block))
+    t = np.minimum(np.arange(turned.size) * block + 0.5 * (block - 1), y.size - 1.0) * dt
 
     def project(f: float) -> complex:
-        return complex(np.dot(y, np.exp(-2j * math.pi * f * t)))
+        return complex(np.dot(turned, np.exp(-2j * math.pi * (f - f0) * t)))
 
     h = 0.25 * resolution
     f = f0

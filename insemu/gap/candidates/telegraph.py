@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.gap.candidates.axis import (
+    AxisHypothesis,
     AxisState,
-    Weighed,
     added,
     cleaned,
 )
 from insemu.gap.candidates.noise import gauss_markov
 from insemu.gap.evidence import kernels
 from insemu.gap.evidence.model import Free, laplace
+from insemu.gap.hypothesis import Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 from insemu.noise import Process
@@ -38,7 +39,7 @@ class _Switching:
     path: Array
 
 
-def telegraph(state: AxisState) -> list[Weighed]:
+def telegraph(state: AxisState) -> list[AxisHypothesis]:
     """A level that jumps between two values at random times (telegraph or burst noise).
 
     Its spectrum is that of a Gauss-Markov process of rate ``beta = 2 rate``, and second moments are all that a spectrum and a Gaussian
@@ -49,9 +50,9 @@ def telegraph(state: AxisState) -> list[Weighed]:
     if "telegraph" in state.named or state.explanation.regressors:
         return []  # levels and drifts of known shape are not told apart sample by sample
     twin = next(iter(gauss_markov(state)), None)
-    if twin is None or twin.gain < -rules().hopeless:
+    if twin is None or twin.nats < -rules().hopeless:
         return []
-    component = twin.state.explanation.components[-1]
+    component = twin.change.explanation.components[-1]
     sigma, rate = component.process.parameters["sigma"], 0.5 * component.process.parameters["beta"]
     shortest = max(data.dt, data.duration_s / MOST_SWITCHING_BLOCKS)
     lengths = {max(1, round(max(share / rate, shortest) / data.dt)) for share in SWITCHES_PER_BLOCK}
@@ -59,20 +60,20 @@ def telegraph(state: AxisState) -> list[Weighed]:
     if not found:
         return []
     best = max(found, key=lambda s: s.excess)
-    gain = twin.gain + best.excess - rules().telegraph_rarer
+    nats = twin.nats + best.excess - rules().telegraph_rarer
     a, rate = math.exp(best.x[0]), math.exp(best.x[1])
     values = tuple(
-        Value(name, v, v * math.exp(-1.96 * s), v * math.exp(1.96 * s), unit)
+        Value.positive(name, v, s, unit)
         for name, v, s, unit in zip(("amplitude", "rate"), (a, rate), best.sigma, (data.unit, "1/s"), strict=True)
     )
-    if gain < 0.0 or best.excess < rules().telegraph_resolved:
+    if nats < 0.0 or best.excess < rules().telegraph_resolved:
         # no single level stands out: the second moments are what can be taken into account
-        components = (*twin.state.explanation.components[:-1], replace(component, effect="telegraph"))
-        fitted = replace(twin.state.fitted, explanation=replace(twin.state.explanation, components=components))
-        return [Weighed("telegraph", "", gain, values, added(state, fitted, "telegraph"))]
+        components = (*twin.change.explanation.components[:-1], replace(component, effect="telegraph"))
+        fitted = replace(twin.change.fitted, explanation=replace(twin.change.explanation, components=components))
+        return [Hypothesis("telegraph", nats, values, added(state, fitted, "telegraph"))]
     levels = np.repeat(a * (2.0 * best.path - 1.0), best.block)
     levels = np.concatenate([levels, np.full(data.values.size - levels.size, levels[-1])])
-    return [Weighed("telegraph", "levels", gain, values, cleaned(state, data.values - levels, "telegraph"))]
+    return [Hypothesis("telegraph", nats, values, cleaned(state, data.values - levels, "telegraph"), "levels")]
 
 
 def _switching(state: AxisState, block: int, sigma: float, rate: float) -> _Switching | None:

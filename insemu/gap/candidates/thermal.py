@@ -12,17 +12,14 @@ from numpy.typing import NDArray
 from insemu.effects import lagged
 from insemu.errors import InputError
 from insemu.gap.candidates.axis import (
+    AxisHypothesis,
     AxisState,
-    Weighed,
     added,
 )
 from insemu.gap.data.log import Reduced, block_differences, reduce_again
-from insemu.gap.evidence.model import (
-    Likelihood,
-    Regressors,
-    fit,
-    log_mean_exp,
-)
+from insemu.gap.evidence.linear import log_mean_exp
+from insemu.gap.evidence.model import Likelihood, Regressors, fit
+from insemu.gap.hypothesis import Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 
@@ -37,7 +34,7 @@ def regression(
     rebuild: Callable[[Reduced, Array | None], Array],
     scales: Array,
     unit: Sequence[str],
-) -> list[Weighed]:
+) -> list[AxisHypothesis]:
     """Signals of known shape beside the current explanation, their coefficients integrated out."""
     regressors = Regressors(effect, tuple(names), rebuild(state.data, state.temperature), scales, rebuild)
     explanation = replace(state.explanation, regressors=(*state.explanation.regressors, regressors))
@@ -46,14 +43,11 @@ def regression(
     mean, covariance = likelihood.coefficients(fitted.explanation)
     k = len(names)
     sigma = np.sqrt(np.diag(covariance))[-k:]
-    values = tuple(
-        Value(n, float(m), float(m - 1.96 * s), float(m + 1.96 * s), u)
-        for n, m, s, u in zip(names, mean[-k:], sigma, unit, strict=True)
-    )
-    return [Weighed(effect, variant, fitted.evidence - state.fitted.evidence, values, added(state, fitted, effect))]
+    values = tuple(Value.normal(n, m, s, u) for n, m, s, u in zip(names, mean[-k:], sigma, unit, strict=True))
+    return [Hypothesis(effect, fitted.evidence - state.fitted.evidence, values, added(state, fitted, effect), variant)]
 
 
-def ramp(state: AxisState) -> list[Weighed]:
+def ramp(state: AxisState) -> list[AxisHypothesis]:
     """A drift in proportion to time."""
     data = state.data
 
@@ -70,7 +64,7 @@ THERMAL_SHAPES = ("linear", "cubic", "lagged", "cubic and lagged")
 LAGS = 10
 
 
-def temperature(state: AxisState) -> list[Weighed]:
+def temperature(state: AxisState) -> list[AxisHypothesis]:
     """A bias that follows the temperature: linearly, as a cubic, or through a thermal lag."""
     if state.temperature is None or "temperature" in state.named:
         return []
@@ -96,7 +90,7 @@ def temperature(state: AxisState) -> list[Weighed]:
 
         return columns
 
-    def weigh(variant: str, which: tuple[int, ...], lag: float = 0.0) -> Weighed:
+    def weigh(variant: str, which: tuple[int, ...], lag: float = 0.0) -> AxisHypothesis:
         chosen = list(which)
         w = regression(
             state, "temperature", variant, [names[k] for k in which], rebuilt(which, lag), scales[chosen],
@@ -129,9 +123,9 @@ def temperature(state: AxisState) -> list[Weighed]:
             top, lag = max([(top, lag), *((quick(which, lag * r), lag * r) for r in (1.0 / ratio, ratio))])
         best = weigh(shape, which, lag)
         values = (*best.values, Value("lag", lag, lag / ratio, lag * ratio, "s"))
-        out.append(replace(best, gain=best.gain - paid, values=values))
+        out.append(replace(best, nats=best.nats - paid, values=values))
     odds = dict(zip(THERMAL_SHAPES, rules().thermal_odds, strict=True))
-    return [replace(w, gain=w.gain + math.log(odds[w.variant])) for w in out]
+    return [replace(w, nats=w.nats + math.log(odds[w.variant])) for w in out]
 
 
 def _power(x: Array, k: int) -> Array:
@@ -139,15 +133,15 @@ def _power(x: Array, k: int) -> Array:
     return x if k == 1 else np.asarray(x * _power(x, k - 1))
 
 
-def _less(w: Weighed, state: AxisState, signal: Array) -> Weighed:
+def _less(w: AxisHypothesis, state: AxisState, signal: Array) -> AxisHypothesis:
     """A named signal taken out of the samples too, so that its fast part is explained as well; worth what the spectrum gains."""
     if not state.data.f.size:
         return w
     apart = reduce_again(state.data, state.data.values - signal)
-    explanation = w.state.explanation
+    explanation = w.change.explanation
     before, after = Likelihood(state.data).high(explanation), Likelihood(apart).high(explanation)
     if not after > before:
         return w
     data = replace(apart, differences=state.data.differences)  # the block band keeps the regressors
     fitted = fit(Likelihood(data), explanation)
-    return replace(w, gain=w.gain + after - before, state=replace(w.state, data=data, fitted=fitted))
+    return replace(w, nats=w.nats + after - before, change=replace(w.change, data=data, fitted=fitted))

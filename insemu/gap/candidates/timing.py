@@ -15,10 +15,10 @@ from scipy.optimize import minimize_scalar
 
 from insemu.gap.drive.preparation import Flown, prepare
 from insemu.gap.policy import rules
-from insemu.gap.verdict import Member, Step, Value
+from insemu.gap.verdict import Finding, Member, Value
 
 
-def find_offset(start: Flown, progress: Callable[[str], None] = lambda _: None) -> Step | None:
+def find_offset(start: Flown, progress: Callable[[str], None] = lambda _: None) -> Finding | None:
     """Weigh a large time offset; ``None`` where there is none."""
     recording = start.recording
     known: dict[float, tuple[float, float]] = {}
@@ -72,6 +72,6 @@ def find_offset(start: Flown, progress: Callable[[str], None] = lambda _: None) 
     h = 0.005
     bend = -(flown(offset + h)[0] - 2.0 * flown(offset)[0] + flown(offset - h)[0]) / h**2
     sd = 1.0 / math.sqrt(bend) if bend > 0.0 else h
-    value = Value("offset", offset, offset - 1.96 * sd, offset + 1.96 * sd, "s")
+    value = Value.normal("offset", offset, sd, "s")
     member = Member("imu_gnss_time_offset", "imu", (), gain)
-    return Step("imu_gnss_time_offset", "", "imu", (), (value,), 1.0 - math.exp(-min(gain, 30.0)), gain, (member,))
+    return Finding("imu_gnss_time_offset", "", "imu", (), (value,), 1.0 - math.exp(-min(gain, 30.0)), gain, (member,))

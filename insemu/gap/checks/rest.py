@@ -146,7 +146,7 @@ def followed(variance: float, half: float) -> float:
     return max(1.0 - 2.0 * float(np.trapezoid((x - half) ** 2 * density, x)) / variance, 0.0)
 
 
-#: Step of a derivative by the logarithm of a parameter.
+#: Finding of a derivative by the logarithm of a parameter.
 STEP = 1e-3
 
 

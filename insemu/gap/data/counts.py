@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 def lattice(values: Array) -> float:
-    """Step of the lattice that all values lie on, or 0 where there is none (floating-point resolution does not count)."""
+    """Finding of the lattice that all values lie on, or 0 where there is none (floating-point resolution does not count)."""
     sample = np.sort(values[: min(values.size, 200_000)])
     steps = np.diff(sample)
     steps = steps[steps > 1e-7 * max(float(np.ptp(sample)), float(np.max(np.abs(sample))))]

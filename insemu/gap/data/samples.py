@@ -12,7 +12,7 @@ from scipy.special import log_ndtr
 
 from insemu.gap.data.counts import lattice, pile_evidence
 from insemu.gap.policy import rules
-from insemu.gap.verdict import Member, Step, Value
+from insemu.gap.verdict import Finding, Member, Value
 from insemu.noise import WN, NoiseModel
 from insemu.records import ImuRecord
 
@@ -40,22 +40,22 @@ class Mended:
     """An IMU record after what its samples show was named and mended."""
 
     imu: ImuRecord
-    steps: tuple[Step, ...]
+    findings: tuple[Finding, ...]
     clipped: tuple[Clipped, ...] = ()
 
 
 def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
     """Name dropped samples and saturation and mend the record: gaps bridged, clipped stretches filled in."""
-    steps: list[Step] = []
+    findings: list[Finding] = []
     stretches: list[Clipped] = []
     counts = _counts(imu)  # of what was recorded: a bridge lies on no lattice
     if "quantization" not in without:
-        steps += _lattices(imu, counts)
+        findings += _lattices(imu, counts)
     if "dropped_samples" not in without:
         bridged = _bridge(imu)
         if bridged is not None:
             imu = bridged[0]
-            steps.append(bridged[1])
+            findings.append(bridged[1])
     if "saturation" not in without:
         for first, (sensor, unit) in zip((0, 3), _SENSORS, strict=True):
             values = np.array(getattr(imu, sensor))
@@ -69,14 +69,14 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
                 rates[:, k], around = filled(imu.t, rates[:, k], at)
                 stretches += [Clipped(first + k, *stretch) for stretch in around]
                 value = Value("limit", limit, limit, limit, unit)
-                steps.append(_step("saturation", sensor, (axis,), (value,), nats))
+                findings.append(_finding("saturation", sensor, (axis,), (value,), nats))
                 imu = replace(imu, gyro=rates * widths) if sensor == "gyro" else replace(imu, accel=rates * widths)
     carried = sorted(stretches, key=lambda c: -c.sigma)[:CARRIED]
-    return Mended(imu, tuple(sorted(steps, key=lambda s: -s.gain_nats)), tuple(carried))
+    return Mended(imu, tuple(sorted(findings, key=lambda s: -s.nats)), tuple(carried))
 
 
 def _counts(imu: ImuRecord) -> dict[str, dict[str, float]]:
-    """Step of the lattice that the samples of each axis lie on, by sensor; 0 where there is none."""
+    """Finding of the lattice that the samples of each axis lie on, by sensor; 0 where there is none."""
     widths = widths_of(imu)
     # the increment over a gap is short of what was lost or holds several
     steady = np.abs(np.diff(imu.t) / np.median(np.diff(imu.t)) - 1.0) < 0.05
@@ -87,7 +87,7 @@ def _counts(imu: ImuRecord) -> dict[str, dict[str, float]]:
     return out
 
 
-def _lattices(imu: ImuRecord, counts: dict[str, dict[str, float]]) -> list[Step]:
+def _lattices(imu: ImuRecord, counts: dict[str, dict[str, float]]) -> list[Finding]:
     """Axes whose samples lie on a lattice of output counts."""
     widths = widths_of(imu)
     out = []
@@ -106,14 +106,14 @@ def _lattices(imu: ImuRecord, counts: dict[str, dict[str, float]]) -> list[Step]
         nats = sum(
             len(imu) * max(math.log(steps[a] / (max(top["xyz".index(a)], steps[a]) * 2.0**-24)), 0.0) for a in on
         )
-        out.append(_step("quantization", sensor, on, values, nats))
+        out.append(_finding("quantization", sensor, on, values, nats))
     return out
 
 
-def coarse(beliefs: dict[str, NoiseModel], steps: Sequence[Step], dt: float) -> set[str]:
+def coarse(beliefs: dict[str, NoiseModel], findings: Sequence[Finding], dt: float) -> set[str]:
     """Axes whose output counts are coarse beside their white noise."""
     out = set()
-    for s in steps:
+    for s in findings:
         if s.effect == "quantization":
             for axis, v in zip(s.axes, s.parameters, strict=True):
                 name = f"{s.sensor}_{axis}"
@@ -123,10 +123,10 @@ def coarse(beliefs: dict[str, NoiseModel], steps: Sequence[Step], dt: float) -> 
     return out
 
 
-def with_counts(beliefs: dict[str, NoiseModel], steps: Sequence[Step], dt: float) -> dict[str, NoiseModel]:
+def with_counts(beliefs: dict[str, NoiseModel], findings: Sequence[Finding], dt: float) -> dict[str, NoiseModel]:
     """Beliefs with the white noise that rounding to output counts adds, LSB^2 / 12 per sample."""
     out = dict(beliefs)
-    for s in steps:
+    for s in findings:
         if s.effect == "quantization":
             for axis, v in zip(s.axes, s.parameters, strict=True):
                 name = f"{s.sensor}_{axis}"
@@ -155,8 +155,8 @@ def advanced(imu: ImuRecord, sensor: str, by: float) -> ImuRecord:
     return replace(imu, gyro=moved) if sensor == "gyro" else replace(imu, accel=moved)
 
 
-def _step(effect: str, sensor: str, axes: tuple[str, ...], values: tuple[Value, ...], nats: float) -> Step:
-    return Step(effect, "samples", sensor, axes, values, 0.999, nats, (Member(effect, sensor, axes, nats),))
+def _finding(effect: str, sensor: str, axes: tuple[str, ...], values: tuple[Value, ...], nats: float) -> Finding:
+    return Finding(effect, "samples", sensor, axes, values, 0.999, nats, (Member(effect, sensor, axes, nats),))
 
 
 def widths_of(imu: ImuRecord) -> Array:
@@ -172,7 +172,7 @@ def widths_of(imu: ImuRecord) -> Array:
     return np.asarray(np.where(np.abs(step / beat - 1.0) < rules().jitter, beat, step)[:, None])
 
 
-def _bridge(imu: ImuRecord) -> tuple[ImuRecord, Step] | None:
+def _bridge(imu: ImuRecord) -> tuple[ImuRecord, Finding] | None:
     step = np.diff(imu.t)
     dt = float(np.median(step))
     steady = np.abs(step / dt - 1.0) < rules().stray
@@ -209,7 +209,7 @@ def _bridge(imu: ImuRecord) -> tuple[ImuRecord, Step] | None:
                 values_in[after] = values_in[after] / share
         columns[name] = np.column_stack([_cubic(t, where, values_in[:, c]) for c in range(3)])
     temperature = None if imu.temperature is None else np.interp(t, imu.t, imu.temperature)
-    return ImuRecord(t, columns["gyro"], columns["accel"], imu.kind, temperature), _step(
+    return ImuRecord(t, columns["gyro"], columns["accel"], imu.kind, temperature), _finding(
         "dropped_samples", "imu", (), values, nats
     )
 

@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize
 
 from insemu.filters import FilterResult
 from insemu.gap.evidence import kernels
-from insemu.gap.evidence.model import log_mean_exp
+from insemu.gap.evidence.linear import log_mean_exp
+from insemu.gap.evidence.model import Free, laplace, level
 from insemu.gap.policy import rules
+from insemu.gap.verdict import Value
 
 Array = NDArray[np.float64]
 #: Standard deviations (6,) in m and m/s and correlation time in s of a Gauss-Markov part of the fixes.
@@ -128,11 +129,11 @@ def level_scores(s: Surrogate, white: Array, y: Array, groups: Sequence[Sequence
     Returns
     -------
     score (g,), information (g, g)
-        To first order in the levels; fixes that are wild in the position or the velocity are left out.
+        To first order in the levels; fixes that are outlying in the position or the velocity are left out.
     """
-    wild = (np.sum(y[:, :3] ** 2, axis=1) > 25.0) | (np.sum(y[:, 3:] ** 2, axis=1) > 25.0)
-    v = y[~wild]
-    parts = level_derivatives(s.R[~wild], white[~wild], groups)
+    outlying = (np.sum(y[:, :3] ** 2, axis=1) > 25.0) | (np.sum(y[:, 3:] ** 2, axis=1) > 25.0)
+    v = y[~outlying]
+    parts = level_derivatives(s.R[~outlying], white[~outlying], groups)
     score = np.array([0.5 * float(np.einsum("ki,kij,kj->", v, d, v) - np.einsum("kii->", d)) for d in parts])
     information = np.array([[0.5 * float(np.einsum("kij,kij->", a, b)) for b in parts] for a in parts])
     return score, information
@@ -140,12 +141,12 @@ def level_scores(s: Surrogate, white: Array, y: Array, groups: Sequence[Sequence
 
 @dataclass(frozen=True)
 class NoiseFit:
-    """Evidence of one covariance effect with its best parameters (name, value, low, high, unit) and axes."""
+    """Evidence of one covariance effect with its best parameters and axes."""
 
     effect: str
     axes: tuple[str, ...]
-    gain: float
-    values: tuple[tuple[str, float, float, float, str], ...]
+    nats: float
+    values: tuple[Value, ...]
     factor: Array
     colour: Colour | None
 
@@ -157,7 +158,6 @@ def gnss_noise_fits(
     y: Array,
     *,
     trimmed: Array,
-    uncertainty: float,
     colour: Colour | None = None,
     skip: Sequence[str] = (),
 ) -> list[NoiseFit]:
@@ -173,55 +173,39 @@ def gnss_noise_fits(
         See :func:`level_scores`: levels that the score makes hopeless are not computed.
     trimmed : (6,) array
         By what the filter's standard deviations were trimmed already: the levels that count are relative to the nominal ones.
-    uncertainty : float
-        Tolerance of a nominal level.
     colour : optional
         Of the fixes, where it was found already.
     """
     out: list[NoiseFit] = []
-    edge = math.log(1.0 + uncertainty)
+    free = Free("factor", rules().lowest_level, rules().highest_level)
     for effect, offset in (("gnss_noise_level", 0), ("gnss_velocity_noise", 3)):
         if effect in skip or not s.use[:, offset : offset + 3].any():
             continue
         for axes in GROUPS:
             rows = [offset + NED.index(a) for a in axes]
             score, information = level_scores(s, white, y, [rows])
-            promise = 0.5 * float(score[0]) ** 2 / max(float(information[0, 0]), 1e-12)
-            if promise < 1.0:
+            if 0.5 * float(score[0]) ** 2 / max(float(information[0, 0]), 1e-12) < 1.0:
                 continue
             moved = float(np.mean(np.log(trimmed[rows])))
 
-            def at(x: float, rows: list[int] = rows) -> float:
-                factor = np.ones(6)
-                factor[rows] = math.exp(x)
-                return s.log_likelihood(factor, colour)
+            def factor(x: Array, rows: list[int] = rows, moved: float = moved) -> Array:
+                out = np.ones(6)
+                out[rows] = math.exp(x[0] - moved)
+                return out
 
-            fitted = _level(at, base, moved, edge)
-            if fitted is None:
+            def log_posterior(x: Array, factor: Callable[[Array], Array] = factor) -> float:
+                return s.log_likelihood(factor(x), colour) + free.log_density(x[0])
+
+            # of the starts to either side the better one: the first step of a far level is a long one
+            starts = [np.array([moved + sign * step]) for sign in (-1.0, 1.0) for step in (0.5, 1.5)]
+            mode = laplace(log_posterior, max(starts, key=log_posterior), (free,))
+            if abs(mode.x[0]) < math.log1p(rules().tolerance):
                 continue
-            gain, x, sd = fitted
-            factor = np.ones(6)
-            factor[rows] = math.exp(x)
-            level = math.exp(x + moved)
-            values = (("factor", level, level * math.exp(-1.96 * sd), level * math.exp(1.96 * sd), "1"),)
-            out.append(NoiseFit(effect, axes, gain, values, factor, colour))
+            value = Value.positive("factor", math.exp(mode.x[0]), math.sqrt(mode.covariance[0, 0]), "1")
+            out.append(NoiseFit(effect, axes, mode.evidence - base, (value,), factor(mode.x), colour))
     if colour is None and "gnss_correlated_noise" not in skip:
         out += _colours(s, base)
     return out
-
-
-def _level(at: Callable[[float], float], base: float, moved: float, edge: float) -> tuple[float, float, float] | None:
-    """Evidence, log level and its spread of one level outside of its tolerance; None where the best level is inside."""
-    low, high = math.log(rules().lowest_level) - moved, math.log(rules().highest_level) - moved
-    found = optimize.minimize_scalar(lambda x: -at(x), bounds=(low, high), method="bounded", options={"xatol": 0.01})
-    x, top = float(found.x), -float(found.fun)
-    if abs(x + moved) < edge:
-        return None
-    h = 0.05
-    bend = -(at(x + h) + at(x - h) - 2.0 * top) / h**2
-    sd = 1.0 / math.sqrt(max(bend, 1.0))
-    width = high - low - 2.0 * edge
-    return top - base + 0.5 * math.log(2.0 * math.pi) + math.log(sd / width), x, sd
 
 
 def _colours(s: Surrogate, base: float) -> list[NoiseFit]:
@@ -231,10 +215,8 @@ def _colours(s: Surrogate, base: float) -> list[NoiseFit]:
         return []
     span = float(s.t[-1] - s.t[0])
     step = float(np.median(np.diff(s.t)))
-    taus, ratios = (2.0 * step, 0.5 * span), rules().colour_sizes
-    area = math.log(taus[1] / taus[0]) * math.log(ratios[1] / ratios[0])
+    free = (Free("ratio", *rules().colour_sizes), Free("tau", 2.0 * step, 0.5 * span))
     out: list[NoiseFit] = []
-    best_of_all = -math.inf
     for axes in GROUPS[:3]:
         rows = [NED.index(a) for a in axes]
 
@@ -243,45 +225,23 @@ def _colours(s: Surrogate, base: float) -> list[NoiseFit]:
             sigma[rows] = math.exp(x[0]) * sigma0[rows]
             return sigma, math.exp(x[1])
 
-        def cost(x: Array, colour: Callable[[Array], Colour] = colour) -> float:
-            if not (
-                math.log(ratios[0]) <= x[0] <= math.log(ratios[1]) and math.log(taus[0]) <= x[1] <= math.log(taus[1])
-            ):
-                return 1e9
-            return -s.log_likelihood(None, colour(x))
+        def log_posterior(x: Array, colour: Callable[[Array], Colour] = colour) -> float:
+            prior = sum(f.log_density(v) for f, v in zip(free, x, strict=True))
+            return s.log_likelihood(None, colour(x)) + prior
 
         grid = [np.log([r, t]) for r in (0.3, 0.8, 2.5, 8.0) for t in np.geomspace(4.0 * step, 0.25 * span, 4)]
-        logs = [-cost(x) - base for x in grid]
-        start = grid[int(np.argmax(logs))]
-        best_of_all = max(best_of_all, max(logs))
-        if max(logs) < -2.0:
-            if axes == NED and max(logs) < -30.0:
+        likely = [s.log_likelihood(None, colour(x)) - base for x in grid]
+        if max(likely) < -2.0:
+            if axes == NED and max(likely) < -30.0:
                 break  # neither part of it can be worth anything then
             continue
-        found = optimize.minimize(
-            cost, start, method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.05, "maxfev": 40}
-        )
-        x = np.asarray(found.x)
-        top = -float(found.fun)
-        h = 0.15
-        hessian = np.zeros((2, 2))
-        for i, e in enumerate(np.eye(2) * h):
-            hessian[i, i] = (cost(x + e) + cost(x - e) + 2.0 * top) / h**2
-        sd = 1.0 / np.sqrt(np.clip(np.diag(hessian), 0.25, 1e6))
-        gain = top - base + math.log(2.0 * math.pi * float(np.prod(sd)) / area)
-        sigma, tau = colour(x)
-        values = tuple(
-            (
-                f"sigma_{a}",
-                float(sigma[r]),
-                float(sigma[r] * math.exp(-1.96 * sd[0])),
-                float(sigma[r] * math.exp(1.96 * sd[0])),
-                "m",
-            )
-            for a, r in zip(axes, rows, strict=True)
-        )
-        values += (("tau", tau, tau * math.exp(-1.96 * float(sd[1])), tau * math.exp(1.96 * float(sd[1])), "s"),)
-        out.append(NoiseFit("gnss_correlated_noise", axes, gain, values, np.ones(6), (sigma, tau)))
+        mode = laplace(log_posterior, grid[int(np.argmax(likely))], free)
+        sd = np.sqrt(np.diag(mode.covariance))
+        sigma, tau = colour(mode.x)
+        values = [Value.positive(f"sigma_{a}", sigma[r], sd[0], "m") for a, r in zip(axes, rows, strict=True)]
+        values.append(Value.positive("tau", tau, sd[1], "s"))
+        nats = mode.evidence - base
+        out.append(NoiseFit("gnss_correlated_noise", axes, nats, tuple(values), np.ones(6), (sigma, tau)))
     return out
 
 
@@ -293,7 +253,7 @@ class FixNoise:
     colour: Colour
 
 
-def joint_noise(s: Surrogate, colour: Colour, factors: Array, uncertainty: float) -> FixNoise:
+def joint_noise(s: Surrogate, colour: Colour, factors: Array) -> FixNoise:
     """Most likely colour together with the levels inside their tolerance: a level that was trimmed without the colour took some of it.
 
     Parameters
@@ -305,33 +265,27 @@ def joint_noise(s: Surrogate, colour: Colour, factors: Array, uncertainty: float
     factors : (6,) array
         By what the filter's levels were moved already, as ratios to what was named or believed.
     """
-    edge = math.log(1.0 + uncertainty)
-    parts = [rows for rows in ([0, 1], [2]) if any(colour[0][r] > 0.0 for r in rows)]
-    moved = np.log(factors)
+    groups = ([0, 1], [2])
+    parts = [rows for rows in groups if any(colour[0][r] > 0.0 for r in rows)]
+    levels = [level("factor", 1.0 / float(np.exp(np.mean(np.log(factors[rows]))))) for rows in groups]
+    free = (*(Free("ratio", 0.03, 30.0) for _ in (*parts, "tau")), *levels)
 
     def unpack(x: Array) -> FixNoise:
-        sigma = colour[0].copy()
+        sigma, factor = colour[0].copy(), np.ones(6)
         for k, rows in enumerate(parts):
             sigma[rows] *= math.exp(x[k])
-        tau = colour[1] * math.exp(x[len(parts)])
-        factor = np.ones(6)
-        for k, rows in enumerate(([0, 1], [2])):
-            level = np.clip(moved[rows] + x[len(parts) + 1 + k], -edge, edge)
-            factor[rows] = np.exp(level - moved[rows])
-        return FixNoise(factor, (sigma, tau))
+        for k, rows in enumerate(groups):
+            factor[rows] = math.exp(x[len(parts) + 1 + k])
+        return FixNoise(factor, (sigma, colour[1] * math.exp(x[len(parts)])))
 
-    def cost(x: Array) -> float:
+    def log_posterior(x: Array) -> float:
         noise = unpack(x)
-        # what lies outside of the tolerance is pulled back, so that the search has a slope
-        outside = float(np.sum(np.maximum(np.abs(moved[[0, 2]] + x[len(parts) + 1 :]) - edge, 0.0) ** 2))
-        return -s.log_likelihood(noise.factor, noise.colour) + 1e3 * outside
+        prior = sum(f.log_density(v) for f, v in zip(free, x, strict=True))
+        return s.log_likelihood(noise.factor, noise.colour) + prior
 
-    start = np.zeros(len(parts) + 3)
-    simplex = np.vstack([start, np.diag(np.full(start.size, -0.2)) + start])
-    options = {"initial_simplex": simplex, "xatol": 0.01, "fatol": 0.02, "maxfev": 160}
-    return unpack(np.asarray(optimize.minimize(cost, start, method="Nelder-Mead", options=options).x))
+    return unpack(laplace(log_posterior, np.zeros(len(free)), free).x)
 
 
 def pooled(fits: Sequence[NoiseFit]) -> float:
     """Evidence of an effect over the groups of axes that it may act on."""
-    return log_mean_exp([f.gain for f in fits] + [-math.inf] * (len(GROUPS) - len(fits)))
+    return log_mean_exp([f.nats for f in fits] + [-math.inf] * (len(GROUPS) - len(fits)))

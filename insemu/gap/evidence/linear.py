@@ -155,10 +155,26 @@ def quadratic_evidence(A: Array, b: Array, root: Array, amplitudes: Array) -> Ar
     return np.asarray(0.5 * (square / grown) @ turned**2 - 0.5 * np.sum(np.log(grown), axis=1)[:, None])
 
 
+def log_mean_exp(values: Sequence[float] | Array) -> float:
+    """Logarithm of the mean of exponentials."""
+    v = np.asarray(values, dtype=np.float64)
+    top = float(v.max())
+    if not math.isfinite(top):
+        return top
+    return top + math.log(float(np.mean(np.exp(v - top))))
+
+
 def log_mean_exp_columns(logs: Array) -> Array:
     """Logarithm of the mean of exponentials of each column."""
     top = logs.max(axis=0)
     return np.asarray(top + np.log(np.mean(np.exp(logs - top), axis=0)))
+
+
+def log_density(v: Array, S: Array) -> Array:
+    """Log densities of rows of ``v`` (k, c) under normal distributions of covariances ``S`` (k, c, c), without the constant."""
+    L = np.linalg.cholesky(S)
+    z = np.linalg.solve(L, v[:, :, None])[:, :, 0]
+    return np.asarray(-0.5 * np.einsum("ki,ki->k", z, z) - np.sum(np.log(np.einsum("kii->ki", L)), axis=1))
 
 
 # -- slow processes on knots ----------------------------------------------------------------------------------------------------------

@@ -19,12 +19,13 @@ from scipy import optimize
 
 from insemu.gap.data.log import Reduced, density, difference_covariance, of_unit_level
 from insemu.gap.evidence import kernels
+from insemu.gap.evidence.linear import log_mean_exp, quadratic_evidence
 from insemu.gap.policy import rules
 from insemu.noise import NoiseModel, Process
 
 Array = NDArray[np.float64]
 
-#: Step of the differences that give the curvature at a mode, in log.
+#: Finding of the differences that give the curvature at a mode, in log.
 CURVATURE_STEP = 5e-3
 
 
@@ -158,6 +159,10 @@ class Regressors:
     )
 
 
+#: Frequencies up to which a spectrum is worked out at each, and the relative distance of those between which it is interpolated beyond.
+MOST_EXACT, NEARNESS = 32_768, 2e-4
+
+
 @dataclass(frozen=True)
 class Explanation:
     """What an axis is thought to consist of; immutable, so that adding and dropping effects is cheap and safe."""
@@ -211,7 +216,14 @@ class Explanation:
         return NoiseModel(tuple(c.process for c in self.components))
 
     def psd(self, f: Array, dt: float) -> Array:
-        """Two-sided PSD of the samples."""
+        """Two-sided PSD of the samples; of very many frequencies, interpolated between ones so near that no resonance falls between them."""
+        if f.size > MOST_EXACT and f[0] > 0.0:
+            grid = np.geomspace(f[0], f[-1], math.ceil(math.log(f[-1] / f[0]) / NEARNESS) + 1)
+            grid[-1] = f[-1]
+            return np.interp(f, grid, self._psd(grid, dt)) if grid.size < f.size else self._psd(f, dt)
+        return self._psd(f, dt)
+
+    def _psd(self, f: Array, dt: float) -> Array:
         total = np.zeros_like(f)
         for c in self.components:
             total += density(c.process, f, dt)
@@ -354,24 +366,8 @@ def regression_evidence(A: Array, b: Array, scales: Array) -> float:
     scales : (k,) array
         Datasheet scale of each coefficient.
     """
-    factors = []
-    for c in rules().prior_scales:
-        d = c * scales
-        M = np.eye(d.size) + d[:, None] * A * d[None, :]
-        sign, logdet = np.linalg.slogdet(M)
-        if sign <= 0:
-            return -math.inf
-        factors.append(0.5 * float((d * b) @ np.linalg.solve(M, d * b)) - 0.5 * logdet)
-    return log_mean_exp(factors)
-
-
-def log_mean_exp(values: Sequence[float] | Array) -> float:
-    """Logarithm of the mean of exponentials."""
-    v = np.asarray(values, dtype=np.float64)
-    top = float(v.max())
-    if not math.isfinite(top):
-        return top
-    return top + math.log(float(np.mean(np.exp(v - top))))
+    logs = quadratic_evidence(A, b[:, None], np.diag(scales), np.array(rules().prior_scales))
+    return log_mean_exp(logs[:, 0])
 
 
 @dataclass(frozen=True)

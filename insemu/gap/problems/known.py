@@ -16,6 +16,7 @@ from insemu.gap.candidates.axis import CANDIDATES, AxisState, state_of
 from insemu.gap.data.log import reduce
 from insemu.gap.data.sources import StaticLog
 from insemu.gap.evidence.band import Band
+from insemu.gap.evidence.linear import log_density
 from insemu.gap.evidence.model import DEPTH, Component, Explanation, Rolloff, level
 from insemu.noise import WN, NoiseModel
 from insemu.records import AXES, Recording, Series, Trajectory
@@ -75,8 +76,8 @@ def without_drawn(state: AxisState, known: Sequence[EffectUse]) -> AxisState:
         if use.id not in TAKEN_OUT:
             continue
         tried = [w for w in CANDIDATES[use.id](state) if w.effect == use.id]
-        best = max(tried, key=lambda w: w.gain, default=None)
-        state = best.state if best is not None and best.gain > 0.0 else replace(state, named=(*state.named, use.id))
+        best = max(tried, key=lambda w: w.nats, default=None)
+        state = best.change if best is not None and best.nats > 0.0 else replace(state, named=(*state.named, use.id))
     return state
 
 
@@ -141,8 +142,8 @@ def drive_without(recording: Recording, nominal: Nominal) -> tuple[Recording, No
             compensated(recording, [use for use in effects if not use.effect.needs_trajectory]), moved
         )
     out = compensated(recording, effects, trajectory=trajectory)
-    wild = next((use for use in effects if use.id == "gnss_outliers"), None)
-    return (_without_wild(out, moved, wild) if wild is not None else out), moved
+    outliers = next((use for use in effects if use.id == "gnss_outliers"), None)
+    return (_without_outliers(out, moved, outliers) if outliers is not None else out), moved
 
 
 def in_imu_axes(recording: Recording, nominal: Nominal) -> tuple[Recording, Nominal]:
@@ -173,29 +174,24 @@ def _estimated(recording: Recording, nominal: Nominal) -> Trajectory:
     return trajectory_of(result.t, result.nav, "estimate")
 
 
-def _without_wild(recording: Recording, nominal: Nominal, wild: EffectUse) -> Recording:
+def _without_outliers(recording: Recording, nominal: Nominal, outliers: EffectUse) -> Recording:
     """Positions that are more likely outliers than not, taken out by the innovations of the nominal filter."""
     from insemu.gap.drive.preparation import fast_parts, prepare
 
     assert recording.gnss is not None
     llh = recording.gnss.llh.copy()
-    p, spread = wild.scalar("probability"), np.diag(np.square(wild["sigma"]))
+    p, spread = outliers.scalar("probability"), np.diag(np.square(outliers["sigma"]))
     for _ in range(3):  # an outlier that was used pulls the filter and hides the next one
         now = replace(recording, gnss=replace(recording.gnss, llh=llh))
         fixes = prepare(now, nominal, fast_parts(now), {}).result.fixes
         whole = np.flatnonzero(np.isfinite(fixes.innovation[:, :3]).all(axis=1))
         S, nu = np.stack([fixes.S[k][:3, :3] for k in whole]), fixes.innovation[whole][:, :3]
-        odds = math.log(p / (1.0 - p)) + _log_gauss(nu, S + spread) - _log_gauss(nu, S)
+        odds = math.log(p / (1.0 - p)) + log_density(nu, S + spread) - log_density(nu, S)
         gone = fixes.t[whole[odds > 0.0]]
         if not gone.size:
             break
         llh[np.isin(recording.gnss.t, gone)] = np.nan
     return replace(recording, gnss=replace(recording.gnss, llh=llh))
-
-
-def _log_gauss(v: Array, S: Array) -> Array:
-    solved = np.linalg.solve(S, v[:, :, None])[:, :, 0]
-    return np.asarray(-0.5 * np.einsum("ki,ki->k", v, solved) - 0.5 * np.linalg.slogdet(S)[1])
 
 
 def colour_of(effects: Sequence[EffectUse]) -> tuple[Array, float] | None:

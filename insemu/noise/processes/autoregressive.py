@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 
 #: Coefficients of each polynomial that are read.
-MOST_ORDERS = 64
+MOST_ORDERS = 100
 
 
 def _check_rate(process: AR1 | ARMA) -> None:

@@ -29,9 +29,9 @@
     const bands = [];
     for (const s of view.series) {
       series.push({
-        label: s.label, stroke: s.colour, width: s.width, dash: s.dash ? [6, 4] : undefined, spanGaps: true,
+        label: s.label, of: s.of, stroke: s.colour, width: s.width, dash: s.dash ? [6, 4] : undefined, spanGaps: true,
         points: { show: s.points, size: 6, fill: s.colour, stroke: s.colour }, paths: s.points ? () => null : undefined,
-        value: (u, v) => digits(v), show: !groups.get(spec.group).hidden.has(s.label),
+        value: (u, v) => digits(v), show: ![s.label, s.of].some((l) => groups.get(spec.group).hidden.has(l)),
       });
       if (s.fill_to != null) bands.push({ series: [view.series.length && series.length - 1, s.fill_to + 1], fill: s.colour + "33" });
     }
@@ -54,9 +54,8 @@
     spreading = true;
     const g = groups.get(group);
     show ? g.hidden.delete(label) : g.hidden.add(label);
-    for (const u of g.charts) {
-      if (u === origin) continue;
-      u.series.forEach((s, i) => { if (i && s.label === label && s.show !== show) u.setSeries(i, { show }); });
+    for (const u of g.charts) { // what belongs to it (bounds) goes with it
+      u.series.forEach((s, i) => { if (i && (s.label === label || s.of === label) && s.show !== show) u.setSeries(i, { show }); });
     }
     spreading = false;
   }

@@ -1,0 +1,119 @@
+"""``insemu open``: what a file is, on one card, and the recording or log that the other commands take."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from rich.console import Console
+
+    from insemu.formats import Opened
+    from insemu.intake import Card
+
+
+def command(
+    file: str = typer.Argument(
+        "",
+        metavar="FILE",
+        help="Any log, recording, bag, track or folder; the one with the IMU where there are several.",
+    ),
+    gnss: str = typer.Option("", "--gnss", help="File with the fixes, where they are apart."),
+    truth: str = typer.Option("", "--truth", help="File with the reference, where it is apart."),
+    column_map: str = typer.Option(
+        "", "--map", help="Columns and settings: 'gyro=omega_*[deg/s], accel=a_*[g], time=stamp[ns], axes=FLU'."
+    ),
+    gnss_map: str = typer.Option("", "--gnss-map", help="The same for the file of --gnss."),
+    truth_map: str = typer.Option("", "--truth-map", help="The same for the file of --truth."),
+    rate: str = typer.Option("", "--rate", help="Sampling rate of a file without stamps, such as '100 Hz'."),
+    out: str = typer.Option("", "--out", "-o", help="Write what was found: .npz, .csv, or a folder."),
+    save_map: bool = typer.Option(
+        False, "--save-map", help="Write the map beside the file; every command uses it from then on."
+    ),
+    as_json: bool = typer.Option(False, "--json", help="Print the card as JSON on standard output."),
+    formats: bool = typer.Option(False, "--formats", help="List the kinds of file that are read, and end."),
+) -> None:
+    """Say what a file is: rate, gaps, units, axes, clocks, each with its evidence; write it as a recording or a log.
+
+    What contradicts physics is refused (exit code 2) with the command that mends it.
+    """
+    import json
+    from pathlib import Path
+
+    from rich.console import Console
+
+    from insemu.errors import InputError
+    from insemu.formats.columns import parse_map, write_preset
+
+    console = Console(stderr=as_json, soft_wrap=True, highlight=False)
+    if formats:
+        from insemu.formats import known_readers
+
+        for name in dict.fromkeys(r.name for r in known_readers()):
+            typer.echo(name)
+        return
+    if not file:
+        raise InputError("names no file; `insemu open --formats` lists the kinds that are read", where="insemu open")
+    line = ", ".join(part for part in (column_map, f"rate={rate}" if rate else "") if part)
+    found, card = read(Path(file), gnss, truth, (line, gnss_map, truth_map))
+    if as_json:
+        typer.echo(json.dumps(card.to_json(), indent=1))
+    else:
+        show(console, card)
+    card.check()
+    if save_map:
+        preset = write_preset(Path(file), parse_map(line))
+        console.print(f"map: {preset}", markup=False)
+    if out:
+        console.print(f"wrote: {write(found, Path(out))}", markup=False)
+
+
+def read(file: Path, gnss: str, truth: str, maps: tuple[str, str, str]) -> tuple[Opened | None, Card]:
+    """What the files hold and the card; no records of a log that is no IMU (a single axis)."""
+    from insemu import formats, intake
+
+    alone = not (gnss or truth or any(maps))
+    if alone and formats.layout_of(file) == "log":
+        log = formats.read_log(file)
+        if len(log.names) < 6:
+            return None, intake.examine(log)
+    found = formats.open_files(file, gnss=gnss or None, truth=truth or None, maps=maps)
+    return found, intake.examine(found)
+
+
+def show(console: Console, card: Card) -> None:
+    """Print the card; findings that need a look stand out."""
+    from rich.markup import escape
+
+    colours = {"ok": "", "assumed": "cyan", "odd": "yellow", "wrong": "bold red"}
+    console.print(f"[bold]{escape(card.source)}[/bold]: {escape(card.kind)}")
+    for line in card.lines:
+        text = escape(str(line))
+        console.print(f"  [{colours[line.level]}]{text}[/]" if colours[line.level] else f"  {text}")
+    if card.of("odd") or card.of("assumed"):
+        console.print("  (~ assumed, ? worth a look, ! contradicts physics)")
+
+
+def write(found: Opened | None, target: Path) -> Path:
+    """Write a recording, or a log at rest of an IMU alone at an even rate."""
+    import numpy as np
+
+    from insemu import formats
+    from insemu.errors import InputError
+    from insemu.records import AXES, Series
+
+    if found is None:
+        raise InputError("holds no IMU; there is nothing to convert", where=str(target))
+    data = found.recording()
+    imu = data.imu
+    step = np.diff(imu.t)
+    even = float(np.abs(step - imu.dt).max()) < 0.5 * imu.dt
+    if data.gnss is not None or data.reference is not None or not even:
+        return formats.write(target, data)
+    values = np.hstack([imu.gyro, imu.accel]) / (imu.dt if imu.kind == "increment" else 1.0)
+    rate = formats.static.round_rate(1.0 / imu.dt)
+    series = [Series(values[:, k], rate, "rad/s" if k < 3 else "m/s^2", name) for k, name in enumerate(AXES)]
+    return formats.write(target, series) if target.suffix else formats.write(target, data)

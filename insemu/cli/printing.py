@@ -1,0 +1,63 @@
+"""Tables on the terminal: what does not fit is left out at the right and said, rather than cut."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def print_table(
+    console: Console,
+    title: str,
+    header: Sequence[str],
+    body: Sequence[Sequence[str]],
+    *,
+    left: int = 2,
+    fit: bool = False,
+    gap: Callable[[Sequence[str]], bool] = lambda row: bool(row[0]),
+) -> None:
+    """Print a table.
+
+    Parameters
+    ----------
+    console : Console
+    title : str
+    header : sequence of str
+    body : sequence of rows
+    left : int
+        Columns that are aligned left.
+    fit : bool
+        Leave out the last columns where the terminal is too narrow for them; otherwise lines are longer than the terminal.
+    gap : callable
+        Whether an empty line stands before a row.
+    """
+    from rich.table import Table
+
+    widths = [max(len(str(row[k])) for row in (header, *body)) for k in range(len(header))]
+    shown = len(header)
+    while fit and shown > left + 1 and sum(widths[:shown]) + 2 * (shown - 1) > console.width:
+        shown -= 1
+    table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="underline")
+    for k, heading in enumerate(header[:shown]):
+        table.add_column(heading, justify="left" if k < left else "right", no_wrap=True)
+    for i, row in enumerate(body):
+        if i and gap(row):
+            table.add_row()
+        table.add_row(*row[:shown])
+    console.print(f"\n{title}", soft_wrap=True, highlight=False, markup=False)
+    width = console.width
+    console.width = max(width, sum(widths[:shown]) + 2 * shown)
+    console.print(table)
+    console.width = width
+    if shown < len(header):
+        missing = ", ".join(header[shown:])
+        console.print(f"(a wider terminal shows also: {missing})", style="dim", soft_wrap=True, highlight=False)
+
+
+def print_items(console: Console, lines: Sequence[str]) -> None:
+    """Print lines as a list."""
+    for line in lines:
+        console.print(f"- {line}", soft_wrap=True, highlight=False, markup=False)

@@ -1,0 +1,164 @@
+"""What an IMU shows above its motion: its effects axis by axis, the delay of its low-pass, and processes that reach into the band."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from insemu.effects import having
+from insemu.gap.beliefs.nominal import Nominal
+from insemu.gap.candidates.axis import CANDIDATES, state_of
+from insemu.gap.candidates.outliers import evident_outliers
+from insemu.gap.candidates.shapes import PROCESSES, Change
+from insemu.gap.candidates.tones import wandering, without_tones
+from insemu.gap.data.log import Reduced
+from insemu.gap.data.samples import advanced
+from insemu.gap.drive.preparation import Prepared, fixes_score, prepare
+from insemu.gap.evidence.model import Component, Free
+from insemu.gap.hypothesis import Found
+from insemu.gap.policy import rules
+from insemu.gap.problems.findings import AxisResult, with_process
+from insemu.gap.problems.known import of_axis, settled, starting_explanation, without_drawn
+from insemu.gap.problems.rest import search_axis
+from insemu.gap.verdict import Finding, Value
+from insemu.noise import WN, NoiseModel
+from insemu.records import Recording
+
+#: Candidates of the fast band; the others need a sensor at rest.
+FAST = having("fast") | {"outliers"}
+
+#: What a tone of one axis is called that changes its frequency.
+WANDERING = "a tone whose frequency wanders"
+
+
+def fast_effects(
+    parts: dict[str, Reduced],
+    nominal: Nominal,
+    threshold: float,
+    without: Collection[str],
+    progress: Callable[[str], None],
+    beside: Mapping[str, Sequence[Component]] | None = None,
+    clipped: Collection[str] = (),
+) -> list[tuple[str, AxisResult]]:
+    """Effects that the IMU shows above its motion, axis by axis, ``beside`` what else is known to be there.
+
+    What is left of a clipped stretch after it was filled in looks like outliers, so axes that were ``clipped`` are not asked for them.
+    """
+    out = []
+    excluded = {name for name in CANDIDATES if name not in FAST} | set(without)
+    moving = wandering(parts)
+    for name, data in parts.items():
+        if not data.f.size:
+            continue
+        given = of_axis(nominal.effects, name)
+        explanation = starting_explanation(nominal.beliefs[name], given, data.dt)
+        for component in (beside or {}).get(name, ()):
+            explanation = explanation.with_component(component)
+        if name in moving:
+            # no stationary process explains it, and what the search would name instead only chases it
+            state = state_of(data, explanation)
+            low, high = moving[name]
+            out.append((name, AxisResult(state, state, (), f"{WANDERING}, {low:.3g} to {high:.3g} Hz")))
+            continue
+        start = state_of(data, explanation)
+        left_out = (*excluded, *(("outliers",) if name in clipped else ()))
+        evident = evident_outliers(start) if "outliers" not in left_out else None
+        if evident is not None:
+            # first of all: they raise the whole spectrum, and differently from piece to piece
+            progress(f"{name}: outliers {evident.nats:.1f} nats")
+            data, left_out = evident.change.data, (*left_out, "outliers")
+        named = tuple(n for n in settled(given) if n == "quantization")
+        quiet = without_tones(data, state_of(data, explanation).explanation)
+        state = without_drawn(state_of(quiet, explanation, named=named), given)
+        result = search_axis(state, threshold=threshold, without=left_out, progress=progress, outsiders=False)
+        if evident is not None and not any(use.id == "outliers" for use in given):
+            first = Found(evident, (evident,))
+            result = replace(result, start=start, found=(first, *result.found))
+        out.append((name, result))
+    return out
+
+
+def without_delay(
+    recording: Recording,
+    nominal: Nominal,
+    parts: dict[str, Reduced],
+    levels: dict[str, float],
+    fast: Mapping[str, AxisResult],
+    prepared: Prepared | None = None,
+) -> tuple[Prepared, Recording, dict[str, float]]:
+    """The nominal filter on sensors set forward by the delay of the low-pass that the fast band shows, and that delay, s per sensor.
+
+    ``prepared`` is that filter without any, where it has run. A low-pass may be causal (it delays) or its delay may have been taken off in the
+    unit already; the innovations say which.
+    """
+    best = prepared or prepare(recording, nominal, parts, levels)
+    late: dict[str, float] = {}
+    for sensor in ("gyro", "accel"):
+        roll = [fast[f"{sensor}_{a}"].end.explanation.rolloff for a in "xyz" if f"{sensor}_{a}" in fast]
+        delays = [r.delay(recording.imu.dt) for r in roll if r is not None]
+        if not delays:
+            continue
+        delay = float(np.median(delays))
+        moved = replace(recording, imu=advanced(recording.imu, sensor, delay))
+        tried = prepare(moved, nominal, parts, levels)
+        if fixes_score(tried.result.fixes) > fixes_score(best.result.fixes):
+            best, recording, late[sensor] = tried, moved, delay
+    return best, recording, late
+
+
+def with_delay(finding: Finding, delay: float) -> Finding:
+    """A low-pass with the delay in s that was taken off its sensor; as uncertain as the cutoff that it follows from."""
+    if finding.effect != "decimation_filter":
+        return finding
+    ratios = [
+        (v.value / v.high, v.value / v.low) for v in finding.parameters if v.name.startswith("cutoff") and v.low > 0.0
+    ]
+    low, high = (min(r[0] for r in ratios), max(r[1] for r in ratios)) if ratios else (1.0, 1.0)
+    return replace(finding, parameters=(*finding.parameters, Value("delay", delay, delay * low, delay * high, "s")))
+
+
+def again_with_processes(
+    fast: list[tuple[str, AxisResult]],
+    found: Sequence[Found[Change]],
+    parts: dict[str, Reduced],
+    nominal: Nominal,
+    threshold: float,
+    without: Collection[str],
+    clipped: Collection[str],
+) -> list[tuple[str, AxisResult]]:
+    """What the band above the motion shows where a slow process that was found since reaches into it."""
+    beside: dict[str, list[Component]] = {}
+    for f in found:
+        for axis in f.chosen.axes if f.chosen.effect in PROCESSES else ():
+            process = with_process(
+                NoiseModel(()), f.chosen.effect, {v.name: v.value for v in f.chosen.values}
+            ).processes[0]
+            # knots tell the slow part; how much of it reaches above the motion is another matter
+            size = PROCESSES[f.chosen.effect]
+            value = process.parameters[size]
+            free = (Free(size, value / rules().leak, value * rules().leak),)
+            beside.setdefault(f"{f.chosen.sensor}_{axis}", []).append(Component(process, free))
+    touched = set(beside) & {name for name, r in fast if r.found}
+    if not touched:
+        return fast
+    some = {name: data for name, data in parts.items() if name in touched}
+    fresh = dict(fast_effects(some, nominal, threshold, without, lambda _: None, beside, clipped))
+    return [(name, fresh.get(name, r)) for name, r in fast]
+
+
+def white_level(result: AxisResult) -> float | None:
+    """White noise of an axis beside what its fast band was found to hold; None where the nominal model describes the band, or nothing does.
+
+    A low-pass takes from the band and a vibration adds to it, and neither says anything of the noise at the rate of the motion.
+    """
+    if not result.found or result.outsider:
+        return None
+    parts = (c for c in result.end.explanation.components if c.effect in ("nominal", "white_noise"))
+    return next((c.process.parameters["N"] for c in parts if isinstance(c.process, WN)), None)
+
+
+def vibrates(result: AxisResult) -> bool:
+    """Whether a vibration is among the effects of an axis, and not one that a later effect replaced."""
+    return any(f.chosen.effect.startswith("vibration") for f in result.found)

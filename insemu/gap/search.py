@@ -1,0 +1,85 @@
+"""The one search: name the best effect, add it, weigh the earlier ones again beside it, until nothing is worth the threshold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Generic, Protocol
+
+from insemu.gap.hypothesis import C, Found, Hypothesis
+from insemu.gap.policy import rules
+
+
+@dataclass(frozen=True)
+class Again(Generic[C]):
+    """An effect that was found, weighed again beside all the others.
+
+    Parameters
+    ----------
+    kept : Hypothesis
+        The effect as it is worth now.
+    ranked : tuple of Hypothesis
+        Everything that could stand in its place, best first.
+    rival : Hypothesis, optional
+        The best of these that may take its place.
+    idle : bool
+        Whether nothing is needed there any more.
+    rest : optional
+        The model without it, where the problem has one at hand.
+    """
+
+    kept: Hypothesis[C]
+    ranked: tuple[Hypothesis[C], ...]
+    rival: Hypothesis[C] | None
+    idle: bool
+    rest: C | None = None
+
+
+class Problem(Protocol[C]):
+    """What the search needs of a log at rest or of a drive."""
+
+    found: list[Found[C]]
+
+    def rank(self) -> list[Hypothesis[C]]:
+        """Every effect beside what was found, best first."""
+
+    def choose(self, ranked: Sequence[Hypothesis[C]]) -> Found[C] | None:
+        """What to add, or ``None`` where the search ends."""
+
+    def apply(self, new: Found[C]) -> None:
+        """Change the model as a hypothesis says, and keep it among what was found."""
+
+    def again(self, old: Found[C]) -> Again[C] | None:
+        """An earlier finding beside all the others; ``None`` where it is not asked for again."""
+
+    def put(self, old: Found[C], new: Hypothesis[C], again: Again[C]) -> None:
+        """Let a hypothesis stand in the place of a finding."""
+
+    def drop(self, old: Found[C], again: Again[C]) -> None:
+        """Take a finding back."""
+
+
+def search(problem: Problem[C], say: Callable[[str], None]) -> None:
+    """Find the effects of a problem."""
+    for _ in range(rules().most_effects):
+        new = problem.choose(problem.rank())
+        if new is None:
+            break
+        say(f"{new.chosen.effect} {new.chosen.nats:.1f} nats")
+        problem.apply(new)
+        if len(problem.found) > 1:
+            reconsider(problem)
+
+
+def reconsider(problem: Problem[C]) -> None:
+    """Drop or replace each finding now that the others are known."""
+    for old in list(problem.found):
+        again = problem.again(old)
+        if again is None:
+            continue
+        if again.idle:
+            problem.drop(old, again)
+        elif again.rival is not None and again.rival.nats > again.kept.nats + rules().swap_nats:
+            problem.put(old, again.rival, again)
+        else:
+            problem.put(old, again.kept, again)

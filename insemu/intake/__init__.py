@@ -1,0 +1,152 @@
+"""Intake: what a file was taken for and whether physics agrees, before anything is computed from it.
+
+:func:`examine` makes the card of a recording, of a log at rest or of whatever was opened; :meth:`~insemu.intake.card.Card.check` refuses what
+contradicts physics with the command that mends it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from insemu import formats
+from insemu.formats import Log, Opened
+from insemu.intake import checks
+from insemu.intake import fixes as fixed
+from insemu.intake.card import Card, Level, Line
+from insemu.records import AXES, ImuRecord, Recording
+from insemu.variance.findings import missing_values, unit_report
+
+__all__ = ["Card", "Level", "Line", "card_of", "examine"]
+
+#: Rows of a log that are looked at for its units.
+_ROWS = 1 << 20
+
+
+def examine(data: Opened | Recording | Log, kind: str = "") -> Card:
+    """Make the intake card.
+
+    Parameters
+    ----------
+    data : Opened, Recording or Log
+        What was read.
+    kind : str
+        What it was taken for; the reader's name where it is known.
+
+    Returns
+    -------
+    Card
+    """
+    if isinstance(data, Log):
+        return Card(data.source, kind or "static log", tuple(_log_lines(data)))
+    if isinstance(data, Recording):
+        data = Opened(data.source, kind or "recording", data.imu, data.gnss, data.reference)
+    lines = [Line("taken", "ok", text) for text in data.taken]
+    lines += [Line("assumed", "assumed", text) for text in data.assumed]
+    lines += [Line("done", "odd" if "left out" in text else "ok", text) for text in data.notes]
+    unstated = {role for role in ("gyro", "accel", "vel") for a in data.assumed if a.startswith(role)}
+    found = fixed.agreement(data.gnss) if data.gnss is not None else None
+    if data.imu is not None:
+        lines += _imu_lines(data, data.imu, found, unstated)
+    if data.gnss is not None:
+        lines += fixed.fixes(data.gnss, found, "vel" in unstated)
+    if data.reference is not None:
+        t = data.reference.t
+        lines.append(
+            Line(
+                "reference",
+                "ok",
+                f"{t.size} rows at {1 / np.median(np.diff(t)):.4g} Hz from {t[0]:.6g} to {t[-1]:.6g} s",
+            )
+        )
+    return Card(data.source, kind or data.kind, tuple(lines))
+
+
+def _imu_lines(data: Opened, imu: ImuRecord, found: fixed.Agreement | None, unstated: set[str]) -> list[Line]:
+    counts = {"repeated": data.repeated, "backwards": data.backwards, "missing": data.missing}
+    lines = checks.timing(imu.t, counts) + checks.repeats(imu) + checks.force(imu)
+    turn = push = None
+    gnss = data.gnss
+    if gnss is not None:
+        apart = fixed.together(imu, gnss, "fixes")
+        lines += apart
+        if not fixed.refused(apart):
+            turn, push = fixed.against_fixes(imu, gnss, found)
+            lines += fixed.offset(turn) + fixed.size_of_motion(push, gnss)
+            lines += fixed.mirrored(turn, gnss.vel_ned is not None)
+    if data.reference is not None:
+        lines += fixed.together(imu, data.reference, "reference")
+    lines += checks.rates(imu, turn, "gyro" in unstated)
+    lines += checks.axes(imu, push, turn is None or turn.correlation >= 0.0)
+    return lines
+
+
+def _log_lines(log: Log) -> list[Line]:
+    """Lines about a log at rest: rate, gaps, what is not a number, and the units by what a sensor at rest reads."""
+    seconds = len(log) / log.rate_hz
+    lines = [
+        Line(
+            "taken",
+            "ok",
+            ", ".join(f"{n} ({u or 'no unit'})" for n, u in zip(log.names, log.stated_units, strict=True)),
+        )
+    ]
+    if log.t is not None:
+        lines += checks.timing(log.t, {})
+    else:
+        lines.append(Line("rate", "ok", f"{len(log)} samples at {log.rate_hz:.6g} Hz ({seconds:.4g} s)"))
+    if log.rate_hz > checks.RATES[1]:
+        lines.append(Line("rate", "odd", f"{log.rate_hz:.6g} Hz is faster than any IMU"))
+    means, white, stated = {}, {}, {}
+    for name, unit, column in zip(log.names, log.stated_units, log.columns, strict=True):
+        axis = formats.AXIS_OF_COLUMN.get(name, name)
+        part = np.asarray(column[:_ROWS], dtype=np.float64)
+        lines += [Line("rows", "odd", f"{name}: {text}") for text in missing_values(part, log.rate_hz)]
+        part = part[np.isfinite(part)]
+        if part.size > 3:
+            means[axis], stated[axis] = float(part.mean()), unit
+            third = np.diff(part, n=3)
+            white[axis] = float(1.4826 * np.median(np.abs(third - np.median(third)))) / np.sqrt(20.0 * log.rate_hz)
+    said: dict[str, list[str]] = {}
+    for axis, texts in unit_report(means, white, stated).items():
+        for text in texts:
+            said.setdefault(text.removeprefix("units: "), []).append(axis)
+    for text, names in said.items():
+        lines.append(_unit_line(text, names, stated))
+    if not any("assumed" in t or "values" in t for t in said) and set(AXES) & set(means):
+        lines.append(
+            Line("units", "ok", "size of gravity and of the rates are those of a sensor at rest in the stated units")
+        )
+    return lines
+
+
+def _unit_line(text: str, names: list[str], stated: dict[str, str]) -> Line:
+    """A finding about units: assumed, odd, or wrong where the file stated no unit and the assumed one cannot be."""
+    of = ", ".join(names)
+    if "is assumed" in text or "raw counts" in text:
+        return Line("units", "assumed", f"{of}: {text}")
+    unit = "m/s^2" if "already" in text else next((u for u in ("deg/s", "mg", "g") if text.endswith(f"in {u}")), "")
+    sensor = "gyro" if names[0].startswith("gyro") else "accel"
+    contradicted = bool(unit) and all(stated[n].strip() in ("", "-") for n in names)
+    gravity = sensor == "accel" and unit in ("g", "mg", "m/s^2")
+    level: Level = "wrong" if contradicted or gravity else "odd"
+    return Line("units", level, f"{of}: {text}", f'--map "{sensor}_unit={unit}"' if unit else "")
+
+
+def card_of(path: str | Path, *, rate_hz: float | None = None) -> Card:
+    """Read a file by the doors of :mod:`insemu.formats` and make its card.
+
+    Raises
+    ------
+    InputError
+        As :func:`insemu.formats.read`.
+    FileNotFoundError
+        No such file.
+    """
+    layout = formats.layout_of(path)
+    if layout == "foreign":
+        return examine(formats.opened(path))
+    if layout == "recording":
+        return examine(formats.read_recording(path))
+    return examine(formats.read_log(path, rate_hz=rate_hz))

@@ -1,0 +1,349 @@
+"""The checks of the card: each looks at one thing and says what it found, with the evidence.
+
+Bounds are physical or generous: a record that is right must never be refused, so a finding is "wrong" only where one explanation fits far
+better than what was declared (a factor of 57.3, of 9.8, of the sampling interval, a mirrored turn), and "odd" where it may be on purpose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu import rotation
+from insemu.intake.card import Level, Line
+from insemu.intake.motion import Push, Turn, up_of
+from insemu.records import ImuRecord
+
+Array = NDArray[np.float64]
+
+G = 9.8
+#: A step of more than this many intervals is a gap (as in static logs).
+GAP = 1.5
+#: Slowest and fastest IMU, Hz, that anybody fuses with GNSS.
+RATES = (1.0, 2.0e4)
+#: Share by which a factor may differ from 1 before it is named, and from a known factor to be recognised.
+NEAR, KNOWN = 0.25, 0.2
+#: Slope over its standard error from which a regression is believed, and from which it refuses; fewest intervals for either.
+BELIEVED, REFUSES, FEWEST = 8.0, 12.0, 20
+#: Correlation of the turn of gravity with the gyroscope's from which their ratio is believed.
+TILTED = 0.8
+#: Departure from a right angle, deg, below which axes are named after it.
+SQUARE = 25.0
+
+
+def near(value: float, wanted: float, share: float = KNOWN) -> bool:
+    """Whether a positive value is another one within a share."""
+    return bool(wanted > 0 and abs(np.log(max(value, 1e-300) / wanted)) < np.log1p(share))
+
+
+def believed(found: Turn | Push | None, ratio: float = BELIEVED) -> bool:
+    """Whether a regression says anything."""
+    return found is not None and found.ratio > ratio and found.intervals >= FEWEST
+
+
+# --------------------------------------------------------------------------------------------------------------------- time
+
+
+def timing(t: Array, counts: Mapping[str, int]) -> list[Line]:
+    """Rate, jitter, gaps, and rows that were left out on the way in (``repeated``, ``backwards``, ``missing``)."""
+    step = np.diff(t)
+    dt = float(np.median(step))
+    rate = 1.0 / dt
+    out = []
+    text = f"{t.size} samples at {rate:.6g} Hz from {t[0]:.6g} to {t[-1]:.6g} s"
+    spread = float(np.quantile(np.abs(step - dt), 0.9)) / dt
+    text += f", steps within {100 * spread:.2g} %" if spread > 1e-3 else ", even steps"
+    if not RATES[0] <= rate <= RATES[1]:
+        unit = next((u for u, f in (("ns", 1e-9), ("us", 1e-6), ("ms", 1e-3)) if 20.0 <= rate / f <= RATES[1]), None)
+        hint = f"the stamps look like {unit}" if unit else "no IMU has that rate"
+        out.append(Line("rate", "wrong", f"{text}; {hint}", f'--map "time_unit={unit}"' if unit else ""))
+    else:
+        out.append(Line("rate", "odd" if spread > 0.5 else "ok", text))
+    gaps = np.flatnonzero(step > GAP * dt + 1e-9)
+    lost = int(np.round(step[gaps] / dt - 1.0).sum()) if gaps.size else 0
+    if gaps.size and spread <= 0.5:
+        k = int(gaps[np.argmax(step[gaps])])
+        text = f"{gaps.size} gap(s), {lost} of {t.size + lost} samples lost, the longest {step[k]:.4g} s from {t[k]:.6g} to {t[k + 1]:.6g} s"
+        long = step[k] > max(0.5, 5.0 * dt)
+        first, last = t[0], t[-1]
+        half = f'--map "from={t[k + 1]:.6f} s"' if last - t[k + 1] > t[k] - first else f'--map "to={t[k]:.6f} s"'
+        out.append(
+            Line("gaps", "odd", text + (": nothing measures what happened in it" if long else ""), half if long else "")
+        )
+    repeated, back, missing = (counts.get(k, 0) for k in ("repeated", "backwards", "missing"))
+    if repeated or back or missing:
+        out.append(
+            Line(
+                "rows",
+                "odd",
+                f"left out: {repeated} that repeat a stamp, {back} that go back in time, {missing} without a number",
+            )
+        )
+    return out
+
+
+def repeats(imu: ImuRecord) -> list[Line]:
+    """Rows that hold the same six numbers as the row before."""
+    both = np.hstack([imu.gyro, imu.accel])
+    same = int((np.diff(both, axis=0) == 0).all(axis=1).sum())
+    if same < 0.002 * len(imu):
+        return []
+    return [
+        Line(
+            "rows",
+            "odd",
+            f"{same} of {len(imu)} ({same / len(imu):.1%}) repeat the six values of the row before; others were lost",
+        )
+    ]
+
+
+# -------------------------------------------------------------------------------------------------------------------- units
+
+
+def magnitude(imu: ImuRecord) -> float:
+    """Median size of one-second means of the specific force, in the declared unit of a rate."""
+    dt = imu.dt
+    count = max(1, round(1.0 / dt))
+    rate = imu.accel / dt if imu.kind == "increment" else imu.accel
+    rows = len(imu) // count * count
+    means = rate[:rows].reshape(-1, count, 3).mean(axis=1) if rows >= count and rows else rate
+    return float(np.median(np.linalg.norm(means, axis=1)))
+
+
+#: Size of gravity where the numbers are in another unit than declared: size, unit to declare, what it is.
+_GRAVITIES = (
+    (1.0, "g", "the values are in g"),
+    (1000.0, "mg", "the values are in mg"),
+    (9806.65, "mm/s^2", "the values are in mm/s^2"),
+    (32.17, "ft/s^2", "the values are in ft/s^2"),
+    (980.665, "cm/s^2", "the values are in cm/s^2"),
+    (G * 9.80665, "m/s^2", "the values were m/s^2 already, not g"),
+    (9.80665e-3 * G, "m/s^2", "the values were m/s^2 already, not mg"),
+)
+
+
+def force(imu: ImuRecord) -> list[Line]:
+    """The size of gravity: rates or increments, and the unit of the accelerometer."""
+    size, dt = magnitude(imu), imu.dt
+    if 0.9 * G < size < 1.1 * G:
+        kind = "increments" if imu.kind == "increment" else "rates"
+        level: Level = "ok" if 0.98 * G < size < 1.02 * G else "odd"
+        return [
+            Line("specific force", level, f"|f| is {size:.4g} m/s^2 (median of 1-s means), {kind} in the declared unit")
+        ]
+    if imu.kind != "increment" and near(size, G * dt, 0.15):
+        return [
+            Line(
+                "specific force",
+                "wrong",
+                f"|f| is {size:.4g} = 9.8 x {dt:.4g} s: the rows are increments, not rates",
+                '--map "kind=increment"',
+            )
+        ]
+    if imu.kind == "increment" and near(size * dt, G, 0.15):
+        return [
+            Line(
+                "specific force",
+                "wrong",
+                f"|f| x dt is {size * dt:.4g}: the rows are rates, not increments",
+                '--map "kind=sample"',
+            )
+        ]
+    for wanted, unit, what in _GRAVITIES:
+        if near(size, wanted, 0.1):
+            return [
+                Line(
+                    "specific force",
+                    "wrong",
+                    f"|f| is {size:.4g}, expected 9.8 m/s^2; {what}",
+                    f'--map "accel_unit={unit}"',
+                )
+            ]
+    if size < 3.0:
+        return [
+            Line("specific force", "wrong", f"|f| is {size:.3g} m/s^2, expected 9.8: gravity was removed, which no navigation filter undoes",
+                 "record the accelerometer with gravity (TotalAcceleration, AccelerometerUncalibrated)")
+        ]  # fmt: skip
+    if 0.75 * G < size < 1.35 * G:
+        return [
+            Line(
+                "specific force",
+                "odd",
+                f"|f| is {size:.4g} m/s^2, expected 9.8: scale factor, or a manoeuvre all the time",
+            )
+        ]
+    scale = f"{G / size:.4g} m/s^2"
+    return [
+        Line(
+            "specific force",
+            "wrong",
+            f"|f| is {size:.4g}, expected 9.8 m/s^2; one count would be {scale}",
+            f'--map "accel_unit={scale}"',
+        )
+    ]
+
+
+def rates(imu: ImuRecord, turn: Turn | None, unstated: bool) -> list[Line]:
+    """The unit of the gyroscope, from the course of the fixes or from what no gyroscope does."""
+    dt = imu.dt
+    if not believed(turn) or turn is None or turn.turned < np.deg2rad(0.5):
+        return _rates_alone(imu, unstated)
+    ratio = 1.0 / max(abs(turn.slope), 1e-12)
+    evidence = f"it turns {ratio:.4g} times as much as the course of the fixes ({turn.intervals} intervals, correlation {turn.correlation:.2f})"
+    if near(ratio, 1.0, NEAR):
+        return [Line("angular rate", "ok", evidence)]
+    level: Level = "wrong" if turn.ratio > REFUSES else "odd"
+    if near(ratio, 180 / np.pi):
+        return [
+            Line("angular rate", level, f"{evidence}: the values are in deg/s, not rad/s", '--map "gyro_unit=deg/s"')
+        ]
+    if near(ratio, np.pi / 180):
+        return [
+            Line("angular rate", level, f"{evidence}: the values are in rad/s, not deg/s", '--map "gyro_unit=rad/s"')
+        ]
+    if imu.kind != "increment" and near(ratio, dt):
+        return [
+            Line(
+                "angular rate",
+                level,
+                f"{evidence}: the rows are increments of {dt:.4g} s, not rates",
+                '--map "kind=increment"',
+            )
+        ]
+    if imu.kind == "increment" and near(ratio, 1.0 / dt):
+        return [Line("angular rate", level, f"{evidence}: the rows are rates, not increments", '--map "kind=sample"')]
+    for factor, unit in ((1000.0, "mrad/s"), (180e3 / np.pi, "mdps"), (180 / np.pi * 3600, "deg/h")):
+        if near(ratio, factor):
+            return [Line("angular rate", level, f"{evidence}: the values are in {unit}", f'--map "gyro_unit={unit}"')]
+    return [Line("angular rate", "odd", f"{evidence}; expected 1")]
+
+
+def _rates_alone(imu: ImuRecord, unstated: bool) -> list[Line]:
+    """Without fixes that turn: rates that no vehicle and no sensor at rest has."""
+    rate = imu.gyro / imu.dt if imu.kind == "increment" else imu.gyro
+    size = float(np.sqrt(np.median((rate**2).sum(axis=1))))
+    tilt = _tilt_ratio(imu)
+    if tilt is not None and near(tilt, 180 / np.pi, 0.5):
+        text = f"gravity turns {tilt:.3g} times less in its axes than the gyroscope says: the values are in deg/s, not rad/s"
+        return [Line("angular rate", "wrong", text, '--map "gyro_unit=deg/s"')]
+    if tilt is not None and near(tilt, np.pi / 180, 0.5):
+        text = f"gravity turns {1 / tilt:.3g} times more in its axes than the gyroscope says: the values are in rad/s, not deg/s"
+        return [Line("angular rate", "wrong", text, '--map "gyro_unit=rad/s"')]
+    noise = _fast_noise(rate) * np.sqrt(imu.dt)
+    if noise * 180 / np.pi * 60 > 20.0 and np.linalg.norm(np.mean(rate, axis=0)) < 1.0:
+        text = f"white noise of {np.rad2deg(noise) * 60:.3g} deg/sqrt(h) is more than a gyroscope has: deg/s?"
+        return [Line("angular rate", "wrong" if unstated else "odd", text, '--map "gyro_unit=deg/s"')]
+    said = f"median size {size:.3g} rad/s ({np.rad2deg(size):.3g} deg/s); no turn of fixes to hold it against"
+    if tilt is not None and near(tilt, 1.0, 0.5):
+        return [Line("angular rate", "ok", f"gravity turns in its axes as the gyroscope says (ratio {tilt:.2f})")]
+    return [Line("angular rate", "assumed" if unstated else "ok", said)]
+
+
+def _fast_noise(values: Array) -> float:
+    """Standard deviation of the fastest part, of the quietest axis: third differences hold no motion."""
+    third = np.diff(values, n=3, axis=0)
+    return (
+        float(np.min(1.4826 * np.median(np.abs(third - np.median(third, axis=0)), axis=0))) / np.sqrt(20.0)
+        if len(third)
+        else 0.0
+    )
+
+
+def _tilt_ratio(imu: ImuRecord) -> float | None:
+    """How many times more the gyroscope turns than gravity does in its axes; None where the attitude hardly changes."""
+    count = max(1, round(1.0 / imu.dt))
+    n = len(imu) // count
+    if n < 10:
+        return None
+    rows = n * count
+    f = imu.accel[:rows].reshape(n, count, 3).mean(axis=1)
+    width = 1.0 if imu.kind == "increment" else imu.dt
+    angle = imu.gyro[:rows].reshape(n, count, 3).sum(axis=1) * width
+    u = f / np.maximum(np.linalg.norm(f, axis=1), 1e-12)[:, None]
+    seen = np.diff(u, axis=0)
+    said = -np.cross(0.5 * (angle[1:] + angle[:-1]), 0.5 * (u[1:] + u[:-1]))
+    moved, power = float((seen**2).sum()), float((said**2).sum())
+    if power <= 0.0 or np.sqrt(moved / len(seen)) < np.deg2rad(3.0):
+        return None
+    correlation = float((seen * said).sum()) / np.sqrt(moved * power)
+    return float(power / (seen * said).sum()) if correlation > TILTED else None
+
+
+# ---------------------------------------------------------------------------------------------------------------------- axes
+
+
+_NAMES = {(0.0, 0.0, 0.0): "FRD", (180.0, 0.0, 0.0): "FLU", (180.0, 0.0, 90.0): "RFU"}
+
+
+def axes(imu: ImuRecord, push: Push | None, turned: bool) -> list[Line]:
+    """Where the sensor's axes point: up from gravity, forward from speeding up and turning.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+    push : Push or None
+        What the fixes say.
+    turned : bool
+        Whether the turn of the fixes has the sign of the gyroscope's.
+    """
+    up, steady = up_of(imu)
+    if steady < 0.9:
+        return [
+            Line(
+                "axes",
+                "ok",
+                f"gravity wanders over the axes (mean direction {steady:.2f}): hand-held or flying, no mounting is guessed",
+            )
+        ]
+    k = int(np.argmax(np.abs(up)))
+    axis = ("-" if up[k] < 0 else "") + "xyz"[k]
+    tilt = float(np.rad2deg(np.arccos(min(1.0, abs(up[k])))))
+    z_down = k == 2 and up[2] < 0
+    said = f"gravity says that {axis} points up ({tilt:.1f} deg off)"
+    known = believed(push)
+    if not known:
+        if z_down:
+            return [Line("axes", "ok", f"{said}: z down, as forward-right-down; nothing says where x points")]
+        mend = '--map "axes=FLU"' if k == 2 else '--map "mount=ROLL PITCH YAW"'
+        what = "z up: forward-left-up, east-north-up, or mounted upside down" if k == 2 else "mounted on its side"
+        return [Line("axes", "odd", f"{said}, {what}; forward-right-down is expected", mend)]
+    assert push is not None
+    roll, pitch, yaw = mounting(up, push.yaw)
+    ahead = f"x points {np.rad2deg(push.yaw):.0f} deg right of forward (correlation {push.correlation:.2f})"
+    evidence = f"{said}; speeding up and turning say that {ahead}"
+    square = tuple(float(90 * round(v / 90)) % 360 for v in (roll, pitch, yaw))
+    off = max(abs((v - s + 180) % 360 - 180) for v, s in zip((roll, pitch, yaw), square, strict=True))
+    if z_down and abs(np.rad2deg(push.yaw)) < SQUARE:
+        return [Line("axes", "ok", f"{evidence}: forward-right-down")]
+    square = tuple((v + 180) % 360 - 180 for v in square)
+    name = _name_of(up, push.yaw) if off < SQUARE else ""
+    text = f"{evidence}: roll {roll:.0f}, pitch {pitch:.0f}, yaw {yaw:.0f} deg from the IMU to the vehicle" + (
+        f" ({name})" if name else ""
+    )
+    mend = f'--map "axes={name}"' if name and off < 10.0 else f'--map "mount={roll:.1f} {pitch:.1f} {yaw:.1f}"'
+    return [Line("axes", "odd", text, mend)]
+
+
+def mounting(up: Array, yaw: float) -> tuple[float, float, float]:
+    """Roll, pitch and yaw (deg) from IMU to vehicle axes of an up direction and the direction of x."""
+    forward = np.array([1.0, 0.0, 0.0]) - up[0] * up
+    if abs(up[0]) >= 0.9:
+        forward = np.cross(up, [0.0, 1.0, 0.0])
+    forward = forward / np.linalg.norm(forward)
+    level = np.stack([forward, np.cross(-up, forward), -up])
+    c, s = np.cos(yaw), np.sin(yaw)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    rpy = np.rad2deg(rotation.rpy_from_dcm(turn @ level))
+    return float(rpy[0]), float(rpy[1]), float(rpy[2])
+
+
+def _name_of(up: Array, yaw: float) -> str:
+    """Letters of axes that are nearly square to the vehicle's: where x, y and z point."""
+    C = rotation.dcm_from_rpy(np.deg2rad(mounting(up, yaw)))
+    letters = ""
+    for column in C.T:
+        k = int(np.argmax(np.abs(column)))
+        letters += ("FRD" if column[k] > 0 else "BLU")[k]
+    return letters if len({"FRDBLU".index(c) % 3 for c in letters}) == 3 else ""

@@ -1,0 +1,287 @@
+"""The checks of fixes, alone and against the IMU."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu import earth
+from insemu.intake.card import Level, Line
+from insemu.intake.checks import NEAR, REFUSES, believed, near
+from insemu.intake.motion import Push, Track, Turn, positions_track, push_of, scatter, thinned, turn_of, velocity_track
+from insemu.records import GnssRecord, ImuRecord, Trajectory
+
+Array = NDArray[np.float64]
+
+#: Shortest time offset that is named, s, and the log-likelihood that it must gain.
+OFFSET, OFFSET_NATS = 0.15, 25.0
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How velocities fit the motion of the positions: the best reading of both, and whether it is not the declared one."""
+
+    scale: float
+    residual: float
+    best: str
+    best_scale: float
+    best_residual: float
+
+
+_READINGS = {
+    "as declared": lambda v: v,
+    "velocity=enu": lambda v: v[:, [1, 0, 2]] * [1.0, 1.0, -1.0],
+    "velocity=neu": lambda v: v * [1.0, 1.0, -1.0],
+}
+
+
+def agreement(gnss: GnssRecord) -> Agreement | None:
+    """Hold the receiver's velocities against the motion of its positions; None where they hardly move."""
+    own = velocity_track(gnss)
+    if own is None:
+        return None
+    moved, swapped = positions_track(gnss), _swapped_track(gnss)
+    floor = 3.0 * float(scatter(gnss)[:2].max()) / moved.step
+    out: dict[str, tuple[float, float]] = {}
+    for name, read in _READINGS.items():
+        out[name] = _fit(moved, own, read(own.velocity), vertical=name == "velocity=neu", floor=floor)
+    if swapped is not None:
+        out["latlon=swapped"] = _fit(swapped, own, own.velocity, vertical=False, floor=floor)
+    if not out or not np.isfinite(out["as declared"][1]):
+        return None
+    # the vertical sign counts only where there is vertical motion
+    best = min((n for n in out if n != "velocity=neu"), key=lambda n: out[n][1])
+    if (
+        best == "as declared"
+        and out["velocity=neu"][1] < 0.3
+        and _fit(moved, own, own.velocity, vertical=True, floor=floor)[1] > 1.5
+    ):
+        best = "velocity=neu"
+    declared = out["as declared"]
+    return Agreement(declared[0], declared[1], best, *out[best])
+
+
+def _fit(moved: Track, own: Track, velocity: Array, *, vertical: bool, floor: float = 0.0) -> tuple[float, float]:
+    """Scale of the positions' motion on velocities, and the share of it that is left; of the vertical where asked for."""
+    if moved.t.size < 8:
+        return 1.0, np.nan
+    v = np.column_stack([np.interp(moved.t, own.t, velocity[:, k]) for k in range(3)])
+    a, b = (moved.velocity[:, 2:], v[:, 2:]) if vertical else (moved.velocity[:, :2], v[:, :2])
+    if vertical:
+        a, b = a - a.mean(), b - b.mean()
+    power, have = float((a**2).sum()), float((b**2).sum())
+    noise = max(1.0 if not vertical else 0.3, floor)  # m/s: slower than that, noise is compared with noise
+    if power < noise**2 * len(a) or have <= 0.0:
+        return 1.0, np.nan
+    scale = float((a * b).sum()) / have
+    keep = np.abs(a - scale * b).max(axis=1)
+    keep = keep <= max(float(np.quantile(keep, 0.95)), 1e-9)
+    scale = float((a * b)[keep].sum()) / max(float((b**2)[keep].sum()), 1e-300)
+    return scale, float(((a - scale * b)[keep] ** 2).sum() / max(float((a**2)[keep].sum()), 1e-300))
+
+
+def _swapped_track(gnss: GnssRecord) -> Track | None:
+    if not (np.abs(gnss.llh[:, 1][np.isfinite(gnss.llh[:, 1])]) <= np.pi / 2).all():
+        return None
+    return positions_track(GnssRecord(gnss.t, gnss.llh[:, [1, 0, 2]]))
+
+
+_MEANT = {
+    "velocity=enu": "the velocities are east, north, up",
+    "velocity=neu": "the third component is up",
+    "latlon=swapped": "latitude and longitude are swapped",
+}
+_SPEEDS = (
+    (1852.0 / 3600.0, "knots"),
+    (1.0 / 3.6, "km/h"),
+    (0.44704, "mph"),
+    (0.3048, "ft/s"),
+    (1e-3, "mm/s"),
+    (1e-2, "cm/s"),
+)
+
+
+def fixes(gnss: GnssRecord, found: Agreement | None, unstated: bool) -> list[Line]:
+    """Place, rate, order and unit of the positions; frame and unit of the velocities; standard deviations."""
+    good = np.isfinite(gnss.llh).all(axis=1)
+    llh = gnss.llh[good] * [180 / np.pi, 180 / np.pi, 1.0]
+    if not len(llh):
+        return [Line("fixes", "wrong", "no row holds a position")]
+    lat, lon, h = np.median(llh, axis=0)
+    dt = float(np.median(np.diff(gnss.t))) if len(gnss) > 1 else np.nan
+    longest = float(np.diff(gnss.t).max()) if len(gnss) > 1 else 0.0
+    text = f"{len(llh)} at {1 / dt:.3g} Hz about {abs(lat):.4f} {'NS'[int(lat < 0)]}, {abs(lon):.4f} {'EW'[int(lon < 0)]}, {h:.0f} m"
+    text += f", the longest pause {longest:.3g} s" if longest > 3 * dt else ""
+    out = [Line("fixes", "ok", text)]
+    extent = np.abs(earth.position_difference(gnss.llh[good], np.median(gnss.llh[good], axis=0)))[:, :2].max()
+    if abs(lat) < 1.58 and abs(lon) < 3.15 and (abs(lat) > 1e-3 or abs(lon) > 1e-3):
+        if found is not None and near(found.scale, np.pi / 180, 0.1) and found.residual < 0.2:
+            out.append(_radians(f"their motion is {1 / found.scale:.1f} times slower than their velocities"))
+        else:
+            where = f"all within {abs(lat):.2f}, {abs(lon):.2f} deg: radians read as degrees, or really off Ghana"
+            out.append(Line("fixes", "odd", where, '--map "pos_unit=rad"'))
+    elif not -500.0 < h < 2.0e4:
+        out.append(Line("fixes", "odd", f"a height of {h:.4g} m; is it in mm or km?"))
+    moved = positions_track(gnss)
+    jumps = int((np.linalg.norm(moved.velocity[:, :2], axis=1) > 1000.0).sum())
+    if jumps:
+        out.append(Line("fixes", "odd", f"{jumps} step(s) faster than 1000 m/s over {extent / 1e3:.4g} km"))
+    out.extend(_velocities(gnss, found, unstated))
+    out.extend(_spreads(gnss))
+    return out
+
+
+def _radians(evidence: str) -> Line:
+    return Line("fixes", "wrong", f"{evidence}: latitude and longitude are in rad, not deg", '--map "pos_unit=rad"')
+
+
+def _velocities(gnss: GnssRecord, found: Agreement | None, unstated: bool) -> list[Line]:
+    if gnss.vel_ned is None:
+        return [Line("velocity", "ok", "the fixes have positions only")]
+    if found is None:
+        return [
+            Line(
+                "velocity",
+                "assumed" if unstated else "ok",
+                "north, east, down; too little motion to hold it against the positions",
+            )
+        ]
+    left = f"{100 * np.sqrt(found.residual):.0f} % of the motion of the positions is left"
+    if found.best != "as declared" and found.best_residual < 0.3 * found.residual and found.residual > 0.1:
+        what = _MEANT[found.best]
+        if found.best == "velocity=neu" or near(abs(found.best_scale), 1.0, NEAR):
+            text = f"{left} by the declared velocities, {100 * np.sqrt(found.best_residual):.0f} % if {what}"
+            return [Line("velocity", "wrong", text, f'--map "{found.best}"')]
+    if found.residual < 0.2 and not near(found.scale, 1.0, NEAR):
+        for factor, unit in _SPEEDS:
+            if near(found.scale, factor, 0.08):
+                text = f"the positions move {found.scale:.4g} times the velocities: they are in {unit}"
+                return [Line("velocity", "wrong", text, f'--map "vel_unit={unit}"')]
+        return [Line("velocity", "odd", f"the positions move {found.scale:.4g} times the velocities")]
+    level: Level = "ok" if found.residual < 0.3 else "odd"
+    return [Line("velocity", level, f"it agrees with the motion of the positions: {left}")]
+
+
+def _spreads(gnss: GnssRecord) -> list[Line]:
+    if gnss.pos_std_ned is None:
+        spread = scatter(gnss)
+        if not spread.any():
+            said = "the fixes state no standard deviations; the scenario's gnss.position_sigma is taken"
+            return [Line("sigma", "assumed", said)]
+        return [
+            Line("sigma", "assumed",
+                 f"the fixes state no standard deviations; from one to the next they scatter by {spread[:2].max():.2g} m level and "
+                 f"{spread[2]:.2g} m in height, and slow errors come on top: give gnss.position_sigma, no less than that")
+        ]  # fmt: skip
+    spread = np.nanmedian(gnss.pos_std_ned, axis=0)
+    level: Level = "odd" if spread.max() > 200.0 or spread.min() < 5e-4 else "ok"
+    return [
+        Line(
+            "sigma",
+            level,
+            f"stated standard deviations of {spread[:2].max():.3g} m level, {spread[2]:.3g} m in height (median)",
+        )
+    ]
+
+
+# --------------------------------------------------------------------------------------------------------- IMU against fixes
+
+
+def together(imu: ImuRecord, gnss: GnssRecord | Trajectory, what: str) -> list[Line]:
+    """Whether the fixes lie in the time of the IMU."""
+    inside = (gnss.t >= imu.t[0]) & (gnss.t <= imu.t[-1])
+    if inside.any():
+        share = float(inside.mean())
+        return (
+            []
+            if share > 0.5
+            else [Line("clock", "odd", f"only {100 * share:.0f} % of the {what} lie in the time of the IMU")]
+        )
+    apart = float(gnss.t[0] - imu.t[0])
+    text = f"the {what} run from {gnss.t[0]:.6g} to {gnss.t[-1]:.6g} s, the IMU from {imu.t[0]:.6g} to {imu.t[-1]:.6g} s: not one clock"
+    weeks = apart / 604_800.0
+    if abs(weeks - round(weeks)) * 604_800.0 < 3600.0 and round(weeks):
+        return [
+            Line(
+                "clock",
+                "wrong",
+                f"{text}, {round(weeks)} GPS week(s) apart",
+                f'--map "gnss_shift={-round(weeks) * 604800} s"',
+            )
+        ]
+    return [
+        Line(
+            "clock",
+            "wrong",
+            text,
+            f'--map "gnss_shift={-apart:.6f} s" where both begin together, or clock=gps, sow or unix of either',
+        )
+    ]
+
+
+def offset(turn: Turn | None) -> list[Line]:
+    """Time offset between fixes and IMU, from the turns that both see."""
+    if turn is None or not believed(turn):
+        return [Line("clock", "assumed", "IMU and fixes share one clock: too little turning to see an offset")]
+    if abs(turn.shift) < OFFSET or turn.gain_nats < OFFSET_NATS:
+        return [
+            Line(
+                "clock",
+                "ok",
+                f"turns of fixes and gyroscope coincide (offset {turn.shift:+.2f} s, correlation {turn.correlation:.2f})",
+            )
+        ]
+    leap = ", as many as the leap seconds of UTC" if abs(abs(turn.shift) - 18.0) < 0.6 else ""
+    late = "late" if turn.shift < 0 else "early"
+    evidence = f"turns; correlation {turn.correlation:.2f}, {turn.gain_nats:.0f} nats"
+    text = f"the fixes are {abs(turn.shift):.2f} s {late} against the IMU{leap} ({evidence})"
+    return [Line("clock", "odd", text, f'--map "gnss_shift={turn.shift:+.2f} s"')]
+
+
+def mirrored(turn: Turn | None, has_velocity: bool) -> list[Line]:
+    """A turn of the wrong sign: latitude and longitude swapped, or left-handed axes."""
+    if turn is None or not believed(turn) or turn.correlation > 0.0:
+        return []
+    level: Level = "wrong" if turn.ratio > REFUSES else "odd"
+    text = f"the fixes turn the other way than the gyroscope (correlation {turn.correlation:.2f}): "
+    if has_velocity:
+        text += "an axis of the gyroscope has the wrong sign, or the accelerometer the sign of gravity instead of specific force"
+        return [Line("axes", level, text, '--map "gyro=gx gy -gz" with the columns of the file')]
+    text += "latitude and longitude are swapped, or an axis of the gyroscope has the wrong sign"
+    return [Line("axes", level, text, '--map "latlon=swapped"')]
+
+
+def size_of_motion(push: Push | None, gnss: GnssRecord) -> list[Line]:
+    """Positions in radians that were read as degrees, where no velocity says so: the accelerometer does."""
+    if push is None or not believed(push) or gnss.vel_ned is not None:
+        return []
+    if near(push.gain, np.pi / 180, 0.5):
+        return [_radians(f"their motion is {1 / push.gain:.0f} times smaller than the accelerometer says")]
+    return []
+
+
+def best_track(gnss: GnssRecord, found: Agreement | None) -> Track:
+    """The velocities that the checks of the IMU are made with: the receiver's where they fit its positions."""
+    own = velocity_track(gnss)
+    fits = found is None or found.best == "latlon=swapped" or (found.residual < 0.3 and near(found.scale, 1.0, NEAR))
+    if own is not None and fits:
+        return own
+    return positions_track(gnss)
+
+
+def against_fixes(imu: ImuRecord, gnss: GnssRecord, found: Agreement | None) -> tuple[Turn | None, Push | None]:
+    """Turn and push of the fixes on the IMU, at the best time offset."""
+    track = best_track(gnss, found)
+    if thinned(track).t.size < 10:
+        return None, None
+    turn = turn_of(imu, track)
+    shift = turn.shift if turn is not None and believed(turn) else 0.0
+    return turn, push_of(imu, track, shift)
+
+
+def refused(lines: Sequence[Line]) -> bool:
+    """Whether any line is wrong."""
+    return any(line.level == "wrong" for line in lines)

@@ -1,0 +1,193 @@
+"""Recordings that are right, and recordings that are declared wrongly on purpose, each with what the card must say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from insemu import emulate, rotation
+from insemu.formats import Opened
+from insemu.records import GnssRecord, ImuRecord
+
+
+@lru_cache(maxsize=16)
+def flown(
+    which: str = "urban_drive_1", start: float = 0.0, seconds: float = 240.0, rate: float = 50.0, fixes: float = 1.0,
+    sigma: float = 0.5, velocity: bool = True, grade: float = 1.0, kind: str = "mean", seed: int = 1,
+) -> Opened:  # fmt: skip
+    """A stretch of a built-in drive or flight with an IMU of a grade (1: consumer MEMS) and a receiver."""
+    rng = np.random.default_rng(seed)
+    path = emulate.built_in(which)
+    ideal = emulate.ideal_imu(path, rate, kind="mean", span=(start, start + seconds))
+    imu, n = ideal.imu, ideal.imu.t.size
+    gyro = imu.gyro + grade * (
+        np.deg2rad(0.01) * np.sqrt(rate) * rng.standard_normal((n, 3)) + np.deg2rad(0.3) * rng.standard_normal(3)
+    )
+    accel = imu.accel + grade * (2e-3 * np.sqrt(rate) * rng.standard_normal((n, 3)) + 0.05 * rng.standard_normal(3))
+    if kind == "increment":
+        gyro, accel = gyro / rate, accel / rate
+    gnss = emulate.gnss_fixes(
+        ideal.reference, fixes, (sigma, sigma, 1.5 * sigma), (0.1, 0.1, 0.15) if velocity else None, rng=rng
+    )
+    return Opened("a.npz", "recording", ImuRecord(imu.t, gyro, accel, kind), gnss)  # type: ignore[arg-type]
+
+
+Spoil = Callable[[Opened], Opened]
+
+
+@dataclass(frozen=True)
+class Wrong:
+    """One way to declare a recording wrongly.
+
+    Parameters
+    ----------
+    name : str
+    base : dict
+        Options of :func:`flown`.
+    spoil : callable
+    says : str
+        Part of the mending command that the card must give, or of its text.
+    """
+
+    name: str
+    base: dict[str, object]
+    spoil: Spoil
+    says: str
+
+
+def _imu(change: Callable[[ImuRecord], ImuRecord]) -> Spoil:
+    return lambda o: replace(o, imu=change(o.imu))  # type: ignore[arg-type]
+
+
+def _gnss(change: Callable[[GnssRecord], GnssRecord]) -> Spoil:
+    return lambda o: replace(o, gnss=change(o.gnss))  # type: ignore[arg-type]
+
+
+def scaled(gyro: float = 1.0, accel: float = 1.0) -> Spoil:
+    return _imu(lambda i: replace(i, gyro=i.gyro * gyro, accel=i.accel * accel))
+
+
+def as_increments() -> Spoil:
+    return _imu(lambda i: replace(i, gyro=i.gyro * i.dt, accel=i.accel * i.dt))
+
+
+def as_rates() -> Spoil:
+    return _imu(lambda i: replace(i, gyro=i.gyro / i.dt, accel=i.accel / i.dt))
+
+
+def mounted(*rpy: float) -> Spoil:
+    C = rotation.dcm_from_rpy(np.deg2rad(rpy))  # IMU to vehicle
+    return _imu(lambda i: replace(i, gyro=i.gyro @ C, accel=i.accel @ C))
+
+
+def late(seconds: float) -> Spoil:
+    return _gnss(lambda g: replace(g, t=g.t + seconds))
+
+
+def swapped() -> Spoil:
+    return _gnss(lambda g: replace(g, llh=g.llh[:, [1, 0, 2]]))
+
+
+def in_radians() -> Spoil:
+    return _gnss(lambda g: replace(g, llh=g.llh * [np.pi / 180, np.pi / 180, 1.0]))
+
+
+def velocities(columns: tuple[int, int, int], signs: tuple[float, float, float], scale: float = 1.0) -> Spoil:
+    def change(g: GnssRecord) -> GnssRecord:
+        assert g.vel_ned is not None
+        return replace(g, vel_ned=g.vel_ned[:, list(columns)] * np.array(signs) * scale)
+
+    return _gnss(change)
+
+
+def gap(seconds: float) -> Spoil:
+    def change(i: ImuRecord) -> ImuRecord:
+        middle = 0.5 * (i.t[0] + i.t[-1])
+        keep = (i.t < middle) | (i.t >= middle + seconds)
+        return replace(i, t=i.t[keep], gyro=i.gyro[keep], accel=i.accel[keep], temperature=None)
+
+    return _imu(change)
+
+
+def mirror(axis: int) -> Spoil:
+    signs = np.where(np.arange(3) == axis, -1.0, 1.0)
+    return _imu(lambda i: replace(i, gyro=i.gyro * signs))
+
+
+def stamps(factor: float) -> Spoil:
+    return _imu(lambda i: replace(i, t=i.t * factor))
+
+
+POSITIONS = {"velocity": False}
+PHONE = {"velocity": False, "sigma": 2.0, "grade": 3.0}
+WRONG: tuple[Wrong, ...] = (
+    Wrong("gyro in deg/s", {}, scaled(gyro=180 / np.pi), "gyro_unit=deg/s"),
+    Wrong("gyro in deg/s, positions only", POSITIONS, scaled(gyro=180 / np.pi), "gyro_unit=deg/s"),
+    Wrong("gyro in deg/s, phone", PHONE, scaled(gyro=180 / np.pi), "gyro_unit=deg/s"),
+    Wrong(
+        "gyro in deg/s, drone", {"which": "turbulent_uav", "start": 60.0}, scaled(gyro=180 / np.pi), "gyro_unit=deg/s"
+    ),
+    Wrong("gyro converted twice", {}, scaled(gyro=np.pi / 180), "gyro_unit=rad/s"),
+    Wrong("gyro in mrad/s", {}, scaled(gyro=1000.0), "gyro_unit=mrad/s"),
+    Wrong("accelerometer in g", {}, scaled(accel=1 / 9.80665), "accel_unit=g"),
+    Wrong("accelerometer in mg", POSITIONS, scaled(accel=1000 / 9.80665), "accel_unit=mg"),
+    Wrong("accelerometer in mm/s^2", {}, scaled(accel=1000.0), "accel_unit=mm/s^2"),
+    Wrong("accelerometer converted twice", {}, scaled(accel=9.80665), "accel_unit=m/s^2"),
+    Wrong("accelerometer in counts", {}, scaled(accel=4096 / 9.80665), "accel_unit="),
+    Wrong("both sensors converted", {}, scaled(180 / np.pi, 1 / 9.80665), "gyro_unit=deg/s"),
+    Wrong("increments as rates", {}, as_increments(), "kind=increment"),
+    Wrong("increments as rates, 200 Hz", {"rate": 200.0, "seconds": 120.0}, as_increments(), "kind=increment"),
+    Wrong("rates as increments", {"kind": "increment"}, as_rates(), "kind=sample"),
+    Wrong("increments as rates, positions only", POSITIONS, as_increments(), "kind=increment"),
+    Wrong("forward-left-up", {}, mounted(180, 0, 0), "axes=FLU"),
+    Wrong("right-forward-up", {}, mounted(180, 0, 90), "axes=RFU"),
+    Wrong("yaw 90", {}, mounted(0, 0, 90), "mount=0.|axes=RBD"),
+    Wrong("yaw 180", {}, mounted(0, 0, 180), "axes=BLD"),
+    Wrong("yaw -90, positions only", POSITIONS, mounted(0, 0, -90), "axes=LFD"),
+    Wrong("yaw 180, phone", PHONE, mounted(0, 0, 180), "axes=BLD"),
+    Wrong("roll 90", {}, mounted(90, 0, 0), "axes="),
+    Wrong("roll -90", {}, mounted(-90, 0, 0), "axes="),
+    Wrong("pitch 90", {}, mounted(0, 90, 0), "mount=|axes="),
+    Wrong("pitch 180", {}, mounted(0, 180, 0), "axes="),
+    Wrong("upside down, flight", {"which": "turbulent_uav", "start": 60.0}, mounted(180, 0, 0), "axes="),
+    Wrong("gyro z the wrong way", {}, mirror(2), "gyro=gx gy -gz"),
+    Wrong("latitude and longitude swapped", {}, swapped(), "latlon=swapped"),
+    Wrong("latitude and longitude swapped, positions only", POSITIONS, swapped(), "latlon=swapped"),
+    Wrong("latitude in radians", {}, in_radians(), "pos_unit=rad"),
+    Wrong("latitude in radians, positions only", POSITIONS, in_radians(), "pos_unit=rad"),
+    Wrong("velocities east, north, up", {}, velocities((1, 0, 2), (1, 1, -1)), "velocity=enu"),
+    Wrong("velocities in knots", {}, velocities((0, 1, 2), (1, 1, 1), 3600 / 1852), "vel_unit=knots"),
+    Wrong("fixes late by 0.6 s", {}, late(0.6), "gnss_shift=-0."),
+    Wrong("fixes late by 2 s, positions only", POSITIONS, late(2.0), "gnss_shift=-"),
+    Wrong("fixes early by 18 s (leap seconds)", {}, late(-18.0), "gnss_shift=+1"),
+    Wrong("fixes on another clock", {}, late(1.4e9), "not one clock"),
+    Wrong("a gap of 3 s in the IMU", {}, gap(3.0), "3."),
+    Wrong("stamps in ms taken as s", {}, stamps(1000.0), "time_unit=ms"),
+)
+
+
+def right() -> dict[str, Opened]:
+    """Forty recordings that are right: vehicles, rates, receivers, grades, mountings that are on purpose."""
+    out: dict[str, Opened] = {}
+    ways = (
+        "urban_drive_1",
+        "urban_drive_2",
+        "urban_motorway",
+        "turbulent_uav",
+        "helicopter_mapping",
+        "survey",
+        "lemniscate",
+        "static",
+    )
+    for which in ways:
+        out[which] = flown(which, seconds=150.0)
+        out[f"{which}, positions only"] = flown(which, seconds=150.0, sigma=2.0, velocity=False, grade=3.0, seed=2)
+        out[f"{which}, increments, later"] = flown(
+            which, start=100.0, seconds=120.0, rate=100.0, fixes=4.0, sigma=0.02, grade=0.1, kind="increment", seed=3
+        )
+        out[f"{which}, 20 Hz"] = flown(which, seconds=150.0, rate=20.0, fixes=0.5, sigma=5.0, grade=2.0, seed=4)
+        out[f"{which}, no fixes"] = replace(flown(which, seconds=150.0), gnss=None)
+    return out
