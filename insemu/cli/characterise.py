@@ -45,6 +45,7 @@ def command(
     from rich.console import Console
 
     from insemu import units
+    from insemu.cli.announce import announce
     from insemu.cli.logs import column_names, open_log
     from insemu.formats.curves import read_curves
 
@@ -54,6 +55,7 @@ def command(
     rate_hz = units.parse(_number_or_text(rate), "Hz") if rate else None
     wanted = column_names(columns)
     others = read_curves(beside) if beside else []
+    announce(file, Console(stderr=True), rate_hz=rate_hz, refuse=False)
     log = open_log(file, rate_hz)
     axes = characterise_log(log, wanted, from_robust=robust, wavelet=wavelet)
     content = {"axes": {axis.name: axis.to_json() for axis in axes}}

@@ -76,6 +76,10 @@ def command(
     import numpy as np
     from rich.console import Console
 
+    from insemu import units
+    from insemu.cli.announce import announce
+
+    announce(file, Console(stderr=True), rate_hz=units.parse(rate, "Hz") if rate else None)
     streamed = (
         None
         if page or method != "mli" or pattern != "uniform"

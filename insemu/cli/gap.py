@@ -39,6 +39,7 @@ def command(
     from rich.table import Table
 
     from insemu import units
+    from insemu.cli.announce import announce
     from insemu.effects import EFFECTS
     from insemu.errors import InputError, nearest
     from insemu.gap import find_gap, from_its_start, load_measured, load_nominal, write_refined
@@ -47,6 +48,7 @@ def command(
         if effect not in EFFECTS:
             raise InputError(f"unknown effect '{effect}'" + nearest(effect, EFFECTS), where="--without")
     console = Console(stderr=as_json)
+    announce(measured, Console(stderr=True), rate_hz=units.parse(rate, "Hz") if rate else None)
     nominal = load_nominal(scenario)
     data = load_measured(measured, rate_hz=units.parse(rate, "Hz") if rate else None)
     if "recording" not in nominal.raw:  # a scenario of a recording tells times by the recording's clock

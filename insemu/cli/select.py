@@ -52,10 +52,13 @@ def command(
     import numpy as np
     from rich.console import Console
 
+    from insemu import units
+    from insemu.cli.announce import announce
     from insemu.cli.fit import read_static, write
     from insemu.fit.selection import select_axes
     from insemu.noise import NoiseModel
 
+    announce(file, Console(stderr=True), rate_hz=units.parse(rate, "Hz") if rate else None)
     series = read_static(file, rate, columns, skip)
     given = [NoiseModel.parse(c) for c in candidates] if candidates else None
     rankings = select_axes(

@@ -20,6 +20,7 @@ from insemu.filters import InitialSigma, Standstill
 from insemu.filters.alignment import Alignment, align, cut, rests
 from insemu.filters.motion import align_in_motion
 from insemu.formats import read_recording
+from insemu.intake import Card, examine
 from insemu.records import GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Scenario
 from insemu.strapdown import NavState
@@ -92,6 +93,11 @@ class RecordedWorld:
         if velocity is None and gnss.vel_ned is not None and g.velocity_sigma is not None:
             velocity = np.tile(g.velocity_sigma, (n, 1))
         return replace(gnss, pos_std_ned=position, vel_std_ned=velocity)
+
+    @cached_property
+    def card(self) -> Card:
+        """What the recording was taken for, in vehicle axes and on the scenario's clock."""
+        return examine(Recording(self.vehicle_imu, self.gnss, self.reference, self.source.file))
 
     @cached_property
     def alignment(self) -> Alignment:
