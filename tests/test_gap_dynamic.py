@@ -86,7 +86,7 @@ def nominal_run(kind: str = "increment") -> tuple[FilterResult, Motion, Loop]:
 
 
 #: The number that this flight shows best, where that is not the last.
-SHOWN = {"misalignment": "value_yx"}
+SHOWN = {"misalignment": "value_yx", "temperature_misalignment": "value_yx"}
 #: One number of every effect with columns, on every sensor: effect, sensor, label.
 SIGNATURES = [
     (e.id, sensor, label)

@@ -66,6 +66,7 @@ def prepared(
     scenario: str, overrides: Mapping[str, Any], *, with_variants: bool, console: Console
 ) -> dict[str, Experiment]:
     """The experiments by the name of the variant, "" first: everything is checked before anything is flown or written."""
+    from insemu.cli.announce import show_brief
     from insemu.evaluate import Experiment
     from insemu.scenario import load
 
@@ -73,6 +74,10 @@ def prepared(
     experiments = {"": Experiment(base, scenario)}
     for name in base.variants if with_variants else ():
         experiments[name] = Experiment(load(scenario, variant=name, overrides=overrides), scenario)
+    card = getattr(experiments[""].world, "card", None)
+    if card is not None:
+        show_brief(card, console)
+        card.check()
     for warning in dict.fromkeys(w for e in experiments.values() for w in e.world.warnings):
         console.print(f"Warning: {warning}.", soft_wrap=True, highlight=False, markup=False)
     return experiments
@@ -203,10 +208,14 @@ def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
     """The tables at the end."""
     from insemu.cli.printing import print_items, print_table
     from insemu.evaluate import verdicts
+    from insemu.evaluate.answer import answer
     from insemu.report import tables
     from insemu.report.budget import budget_lines
 
-    console.print(f"\n{main.title}", soft_wrap=True, markup=False, style="bold")
+    console.print(f"\n{main.title}", soft_wrap=True, markup=False)
+    said = answer(main)
+    if said:
+        console.print(f"{said.sentence}\n", markup=False, highlight=False, style="bold")
     title = f"{tables.variant_caption(main)}: means over {main.realizations} realizations (seed {main.seed})"
     print_table(console, title, *tables.short_headline(main), fit=True)
     console.print(

@@ -226,8 +226,19 @@ class Effect:
         """Error (6, 6) per rate and specific force, of rate and specific force."""
         raise NotImplementedError(self.id)
 
-    def bent(self, use: EffectUse, signal: Array, temperature: Array | None) -> Array:
-        """Error (n, 6) as a function of the true rate and specific force (n, 6), where that is not linear or not constant."""
+    def bent(self, use: EffectUse, signal: Array, temperature: Array | None, t: Array) -> Array:
+        """Error (n, 6) as a function of the true signal, where that is not linear or not constant.
+
+        Parameters
+        ----------
+        use : EffectUse
+        signal : (n, 6) array
+            True rate, rad/s, and specific force, m/s^2.
+        temperature : (n,) array or None
+            degC.
+        t : (n,) array
+            s.
+        """
         raise NotImplementedError(self.id)
 
     def turn(self, use: EffectUse) -> Array:

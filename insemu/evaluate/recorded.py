@@ -19,6 +19,7 @@ from insemu.evaluate.world import Estimate, Scored, input_files, nearest_rows
 from insemu.filters import Alignment, InitialSigma, Standstill, cut, rests, sigma_of_fixes
 from insemu.filters import start as start_of
 from insemu.formats import read_recording
+from insemu.intake import Card, examine
 from insemu.records import GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Scenario
 from insemu.strapdown import NavState
@@ -94,6 +95,11 @@ class RecordedWorld:
                     f"assumed from their scatter (gnss.{key} states them)",
                 )
         return guessed
+
+    @cached_property
+    def card(self) -> Card:
+        """What the recording was taken for, in vehicle axes and on the scenario's clock."""
+        return examine(Recording(self.vehicle_imu, self.gnss, self.reference, self.source.file))
 
     @cached_property
     def alignment(self) -> Alignment:
