@@ -166,10 +166,9 @@ def test_an_own_card_is_found_beside_the_scenario(tmp_path, monkeypatch) -> None
     monkeypatch.chdir(tmp_path)
     target.write_text(first_scenario(target, Wish("page.txt")), encoding="utf-8")
     assert "sensor: ../page.txt" in target.read_text(encoding="utf-8")
-    monkeypatch.chdir(tmp_path / "deep")
-    scenario = load("my.yaml")
+    scenario = load("deep/my.yaml")
     assert scenario.truth is not None
-    assert scenario.truth.models() == models("../page.txt")
+    assert scenario.truth.models() == models("page.txt")
     resolved = scenario.model_dump(mode="json", exclude_none=True)
     assert load_of(resolved, tmp_path / "resolved.yaml").truth == scenario.truth
 
@@ -245,3 +244,15 @@ def test_the_package_has_the_scenarios_where_it_looks() -> None:
     text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     assert '"scenarios" = "insemu/scenarios"' in text
     assert Path(shipped._PACKAGE, "scenarios") in shipped._FOLDERS
+
+
+# -- shell completion -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [("insemu in", ["init"]), ("insemu g", ["gap", "gap-trial"]), ("insemu init --tr", ["--track"])],
+)
+def test_the_shell_completes_commands_and_options(words: str, found: list[str]) -> None:
+    env = {"_INSEMU_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)}
+    assert CliRunner().invoke(app, [], prog_name="insemu", env=env).output.split() == found
