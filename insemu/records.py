@@ -164,11 +164,11 @@ class ImuRecord:
         """What turns rates into the record's values, (n, 1): 1, or for increments the interval in s.
 
         An IMU samples by its own clock: increments between stamps that merely jitter, by less than this share of the sampling interval, all
-        span the same time.
+        span the same time. Without ``jitter`` (0) every one spans what its stamps say, as in emulated data.
         """
         if self.kind != "increment":
             return np.ones((len(self), 1))
-        step = np.diff(self.t, prepend=2 * self.t[0] - self.t[1])
+        step = np.diff(self.t, prepend=2 * self.t[0] - self.t[min(1, len(self) - 1)])
         beat = float(np.median(step))
         return np.asarray(np.where(np.abs(step / beat - 1.0) < jitter, beat, step)[:, None])
 
