@@ -3,6 +3,7 @@
 from insemu.augment import Extras
 from insemu.filters.aids import Standstill
 from insemu.filters.ekf import LooselyCoupledEKF, run_filter
+from insemu.filters.joint import JointSystem, error_maps, ideal_fixes
 from insemu.filters.options import FilterOptions, InitialSigma
 from insemu.filters.protocol import FilterParts, NavigationFilter, user_filter
 from insemu.filters.results import FilterResult, FixTable, Nodes
@@ -15,11 +16,14 @@ __all__ = [
     "FilterResult",
     "FixTable",
     "InitialSigma",
+    "JointSystem",
     "LooselyCoupledEKF",
     "NavigationFilter",
     "Nodes",
     "SmootherResult",
     "Standstill",
+    "error_maps",
+    "ideal_fixes",
     "run_filter",
     "smooth",
     "user_filter",
