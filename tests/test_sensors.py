@@ -131,7 +131,7 @@ def test_the_worst_case_is_the_printed_limit_or_a_stated_multiple() -> None:
     assert ratios == pytest.approx([3.0, 1.0])
     assert "worst case of the random walk: assumed 3 times the typical figure" in worst.said
     with pytest.raises(InputError, match="unknown case 'best'"):
-        models("ADIS16470", "best")  # type: ignore[arg-type]
+        models("ADIS16470", "best")
 
 
 @pytest.mark.parametrize("name", names())

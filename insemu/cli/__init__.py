@@ -13,6 +13,7 @@ import typer
 
 #: Command name -> module of this package whose function ``command`` it calls, in the order of ``insemu --help``.
 COMMANDS: dict[str, str] = {
+    "init": "init",
     "open": "open",
     "run": "run",
     "compare": "compare",

@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from insemu.sensors import Assumptions, AxisModel, Card, Figure
-    from insemu.sensors.models import Case
 
 
 def command(
@@ -49,12 +48,11 @@ def command(
         return
     assumed = Assumptions(worst_factor, *(units.parse(text, "s") for text in band))
     card = _card(name)
-    found = {c: axis_models(card, c, assumed) for c in ("typical", "worst")}
-    chosen = save(card, out, _case(case), assumed) if out else found[_case(case)]
+    chosen = save(card, out, case, assumed) if out else axis_models(card, case, assumed)
     if as_json:
         typer.echo(json.dumps(_plain(card, chosen), indent=1))
         return
-    _show(console, card, found["typical"], assumed)
+    _show(console, card, assumed)
     for axes, one in _groups(chosen):
         text = spelled(one.model, axis_unit(axes.split(",")[0]))
         console.print(f"\n[bold]{axes}[/bold]: {text}", soft_wrap=True, highlight=False)
@@ -62,16 +60,6 @@ def command(
             console.print(f"- {line}", soft_wrap=True, highlight=False, markup=False)
     if out:
         console.print(f"\n{case} models written to {out}", soft_wrap=True, highlight=False)
-
-
-def _case(text: str) -> Case:
-    from insemu.errors import InputError
-    from insemu.sensors.models import CASES
-
-    for known in CASES:
-        if text == known:
-            return known
-    raise InputError(f"unknown case '{text}' (expected one of: {', '.join(CASES)})", where="--case")
 
 
 def _card(name: str) -> Card:
@@ -128,7 +116,7 @@ def _first(figures: dict[str, Figure], kinds: tuple[str, ...]) -> str:
     return next((figures[kind].text for kind in kinds if kind in figures), "-")
 
 
-def _show(console: Console, card: Card, typical: dict[str, AxisModel], assumed: Assumptions) -> None:
+def _show(console: Console, card: Card, assumed: Assumptions) -> None:
     """The card: its figures with their sources."""
     from rich.table import Table
 

@@ -67,6 +67,10 @@ class AxisSource(Section):
     )
     file: str | None = Field(default=None, description="noise-model file written by insemu fit")
     truth: bool = Field(default=False, description="the model of the truth")
+    sensor: str | None = Field(
+        default=None, description="a sensor that comes with insemu (insemu sensor), or the file of its card"
+    )
+    case: Literal["typical", "worst"] | None = Field(default=None, description="which of the sensor's figures; typical")
 
     @field_validator("fit", "model", "plus", mode="before")
     @classmethod
@@ -229,6 +233,10 @@ class Design(Section):
     settings: dict[str, bool | int | float | str] = Field(
         default_factory=dict, description="keyword arguments of that filter"
     )
+    sensor: str | None = Field(
+        default=None, description="a sensor that comes with insemu (insemu sensor), or the file of its card"
+    )
+    case: Literal["typical", "worst"] | None = Field(default=None, description="which of the sensor's figures; typical")
     options: DesignOptions = DesignOptions()
 
     gyro: GyroBelief = None

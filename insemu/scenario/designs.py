@@ -10,6 +10,7 @@ from typing import Any
 from insemu import yamlfile
 from insemu.errors import InputError, nearest
 from insemu.records import AXES
+from insemu.scenario.sensor_keys import with_sensors
 
 
 @cache
@@ -36,10 +37,10 @@ def shipped(name: str) -> dict[str, Any]:
 def spell_out(value: Any) -> Any:
     """A design as written in a scenario, with the keys of the design that it names put in: its own keys win.
 
-    A text is the name of a design. A sensor's short form (``gyro``) replaces all three axes, and options are merged key by key.
+    A text is the name of a design, and the models of sensors that it names are put in. A sensor's short form (``gyro``) replaces all three
+    axes, and options are merged key by key.
     """
-    if isinstance(value, str):
-        value = {"design": value}
+    value = with_sensors({"design": value} if isinstance(value, str) else value)
     if not isinstance(value, Mapping) or value.get("design") is None:
         return value
     if not isinstance(value["design"], str):

@@ -18,6 +18,8 @@ from insemu.errors import InputError, nearest
 from insemu.records import AXES
 from insemu.scenario.fields import Made
 from insemu.scenario.schema import Scenario
+from insemu.scenario.sensor_keys import beside
+from insemu.scenario.shipped import located
 from insemu.yamlfile import Place
 
 S = TypeVar("S", bound=BaseModel)
@@ -29,7 +31,7 @@ def load(path: str | Path, *, variant: str | None = None, overrides: Mapping[str
     Parameters
     ----------
     path : path
-        YAML file.
+        YAML file, or the name of a scenario that comes with insemu.
     variant : str, optional
         Name under ``variants`` whose keys replace those of the file.
     overrides : mapping, optional
@@ -40,11 +42,11 @@ def load(path: str | Path, *, variant: str | None = None, overrides: Mapping[str
     InputError
         Names file, line and key, what was found and what was expected; for an unknown key the nearest valid one.
     """
-    document = yamlfile.read(path)
+    document = yamlfile.read(located(path))
     if not isinstance(document.data, dict):
         expected = "expected a mapping of keys such as title, trajectory, truth, designs"
         raise InputError(f"found {type(document.data).__name__}, {expected}", where=str(path))
-    data, lines = document.data, dict(document.lines)
+    data, lines = beside(document.data, located(path).parent), dict(document.lines)
     if variant is not None:
         variants = data.get("variants")
         if not isinstance(variants, dict) or variant not in variants:
@@ -146,7 +148,7 @@ def resolve_path(text: str, scenario_file: str | Path | None = None) -> Path:
     InputError
         No such file.
     """
-    base = Path(scenario_file).resolve().parent if scenario_file is not None else Path.cwd()
+    base = located(scenario_file).resolve().parent if scenario_file is not None else Path.cwd()
     if text.startswith("shared:"):
         relative = text.removeprefix("shared:").lstrip("/")
         root = os.environ.get("INSEMU_SHARED")

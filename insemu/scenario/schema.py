@@ -33,6 +33,7 @@ from insemu.scenario.fields import (
     Vector3,
     per_axis,
 )
+from insemu.scenario.sensor_keys import with_sensors
 
 #: Largest rate of an IMU, Hz, and most realizations: what would exceed memory and patience is refused before it is begun.
 MAX_RATE = 20_000.0
@@ -175,8 +176,12 @@ class SensorModels(Section):
 
 
 class Truth(SensorModels):
-    """What the sensors really do: a model per axis (of a file, too), or pieces of recorded error signals."""
+    """What the sensors really do: a model per axis (of a file or a sensor card, too), or pieces of recorded error signals."""
 
+    sensor: str | None = Field(
+        default=None, description="a sensor that comes with insemu (insemu sensor), or the file of its card"
+    )
+    case: Literal["typical", "worst"] | None = Field(default=None, description="which of the sensor's figures; typical")
     file: str | None = Field(
         default=None, description="noise-model file written by insemu fit; axes that are given beside it win"
     )
@@ -198,8 +203,8 @@ class Truth(SensorModels):
 
     @classmethod
     def spelled_out(cls, value: Any) -> Any:
-        """A name alone is a noise-model file."""
-        return {"file": value} if isinstance(value, str) else value
+        """A name alone is a noise-model file; a sensor's models are put in."""
+        return {"file": value} if isinstance(value, str) else with_sensors(value)
 
     @model_validator(mode="after")
     def _one_kind(self) -> Truth:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import yaml
 
@@ -17,8 +17,8 @@ from insemu.sensors.cards import Card, card
 from insemu.sensors.figures import SENSORS, Figure
 from insemu.units import datasheet
 
-Case = Literal["typical", "worst"]
-CASES: tuple[Case, ...] = ("typical", "worst")
+#: Printed typical figures, and printed limits (or a multiple of the typical ones).
+CASES = ("typical", "worst")
 
 #: Lowest point of the Allan deviation of flicker over its coefficient B, sqrt(2 ln 2 / pi) (IEEE Std 952-1997, C.1.3).
 FLICKER_FLOOR = math.sqrt(2.0 * math.log(2.0) / math.pi)
@@ -53,7 +53,7 @@ class AxisModel:
     said: tuple[str, ...]
 
 
-def models(name: str, case: Case = "typical", assumptions: Assumptions | None = None) -> dict[str, NoiseModel]:
+def models(name: str, case: str = "typical", assumptions: Assumptions | None = None) -> dict[str, NoiseModel]:
     """Noise models of a sensor, for a truth and for a belief.
 
     Parameters
@@ -77,7 +77,7 @@ def models(name: str, case: Case = "typical", assumptions: Assumptions | None = 
     return {axis: found.model for axis, found in axis_models(card(name), case, assumptions).items()}
 
 
-def axis_models(sensor: Card, case: Case = "typical", assumptions: Assumptions | None = None) -> dict[str, AxisModel]:
+def axis_models(sensor: Card, case: str = "typical", assumptions: Assumptions | None = None) -> dict[str, AxisModel]:
     """The models of a card's axes with what was made of each figure; raises as :func:`models`."""
     if case not in CASES:
         raise InputError(f"unknown case '{case}' (expected one of: {', '.join(CASES)})")
@@ -85,7 +85,7 @@ def axis_models(sensor: Card, case: Case = "typical", assumptions: Assumptions |
     return {axis: _axis_model(sensor, axis, case, assumed) for axis in AXES if sensor.of_axis(axis)}
 
 
-def _axis_model(sensor: Card, axis: str, case: Case, assumed: Assumptions) -> AxisModel:
+def _axis_model(sensor: Card, axis: str, case: str, assumed: Assumptions) -> AxisModel:
     figures, unit = sensor.of_axis(axis), axis_unit(axis)
     said: list[str] = []
 
@@ -123,6 +123,10 @@ def _axis_model(sensor: Card, axis: str, case: Case, assumed: Assumptions) -> Ax
     if "turn_on_bias" in figures:
         processes.append(RC(value("turn_on_bias")))
         said.append(f"RC: turn-on bias {figures['turn_on_bias'].text} (1 sigma), constant from start to end")
+    else:
+        said.append(
+            "no turn-on bias is printed: the model starts without one (assumed calibrated at rest before the start)"
+        )
     return AxisModel(NoiseModel(tuple(processes)), tuple(said))
 
 
@@ -187,7 +191,7 @@ def spelled(model: NoiseModel, unit: str) -> str:
 
 
 def save(
-    sensor: Card, path: str | Path, case: Case = "typical", assumptions: Assumptions | None = None
+    sensor: Card, path: str | Path, case: str = "typical", assumptions: Assumptions | None = None
 ) -> dict[str, AxisModel]:
     """Write a card's models as YAML that :func:`insemu.noise.load` and a scenario read, and return them.
 

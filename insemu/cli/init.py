@@ -1,0 +1,81 @@
+"""``insemu init``: a first scenario that runs."""
+
+from __future__ import annotations
+
+import typer
+
+
+def command(
+    file: str = typer.Argument(
+        "", metavar="[FILE]", help="Scenario to write; default scenario.yaml, or NAME.yaml with --like."
+    ),
+    sensor: str = typer.Option(
+        "", "--sensor", help="Sensor of the truth: a name (insemu sensor) or the file of a card."
+    ),
+    track: str = typer.Option(
+        "", "--track", help="Own motion: a track (recording, GPX, CSV with times) or waypoints (CSV, GeoJSON)."
+    ),
+    vehicle: str = typer.Option("car", "--vehicle", help="car, multirotor, helicopter or fixed_wing, for --track."),
+    like: str = typer.Option(
+        "", "--like", help="Copy this scenario that comes with insemu, with the files that it needs."
+    ),
+    listed: bool = typer.Option(False, "--list", help="List the scenarios that come with insemu with their questions."),
+    force: bool = typer.Option(False, "--force", help="Replace files that exist."),
+    as_json: bool = typer.Option(False, "--json", help="Print JSON on standard output instead of text."),
+) -> None:
+    """Write a commented scenario that runs, or copy one that comes with insemu."""
+    import json
+    from pathlib import Path
+
+    from insemu.errors import InputError
+
+    if listed:
+        _list(as_json)
+        return
+    target = Path(file or (f"{like}.yaml" if like else "scenario.yaml"))
+    if target.suffix not in (".yaml", ".yml"):
+        raise InputError("a scenario's name ends with .yaml", where=str(target))
+    if not target.parent.is_dir():
+        raise InputError("no such folder", where=str(target.parent))
+    if like:
+        from insemu.scenario.starting import copy_shipped
+
+        if sensor or track:
+            raise InputError("--like copies a scenario as it is; expected it without --sensor and --track")
+        written = copy_shipped(like, target, overwrite=force)
+    else:
+        from insemu.scenario.starting import SENSOR, Wish, first_scenario
+
+        if target.exists() and not force:
+            raise InputError("exists already; --force replaces it", where=str(target))
+        text = first_scenario(target, Wish(sensor or SENSOR, track, vehicle))
+        target.write_text(text, encoding="utf-8")
+        written = [target]
+    if as_json:
+        typer.echo(json.dumps([str(path) for path in written]))
+        return
+    for path in written:
+        typer.echo(f"wrote {path}")
+    typer.echo(f"now: insemu run {target}")
+
+
+def _list(as_json: bool) -> None:
+    import json
+
+    from rich.console import Console
+
+    from insemu.scenario.shipped import shipped_scenarios
+
+    known = shipped_scenarios()
+    if as_json:
+        rows = {
+            name: {"question": one.question, "shared_data": one.shared, "files": one.files}
+            for name, one in known.items()
+        }
+        typer.echo(json.dumps(rows, indent=1))
+        return
+    console = Console()
+    for name, one in known.items():
+        note = " (needs the shared data folder)" if one.shared else ""
+        console.print(f"[bold]{name}[/bold]{note}: {one.question}", soft_wrap=True, highlight=False)
+    console.print("\ninsemu run NAME flies one; insemu init --like NAME copies it.", style="dim")

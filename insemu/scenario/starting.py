@@ -1,0 +1,224 @@
+"""A first scenario: a commented file that runs, for a sensor and a motion of one's own, or a copy of one that comes with insemu."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import textwrap
+from dataclasses import dataclass
+from pathlib import Path
+
+from insemu.emulate import load_flight
+from insemu.emulate.sources import read_track
+from insemu.emulate.vehicle import vehicle as vehicle_of
+from insemu.errors import InputError
+from insemu.scenario.shipped import shipped_scenario
+from insemu.sensors import axis_models, card, spelled
+
+#: The sensor where none is named: industrial MEMS, every figure from its datasheet.
+SENSOR = "ADIS16470"
+#: Speed of waypoint legs whose file gives none, m/s: a car in town.
+SPEED = 10.0
+#: An outage lasts a minute, or a sixth of a flight that is too short for that; the first comes after a third of the flight, so that the
+#: filter has learnt the biases, the second after two thirds.
+OUTAGE_S, OUTAGE_SHARE = 60.0, 1.0 / 6.0
+
+_TEMPLATE = """\
+# One file is one question. Quantities carry the units of datasheets; `insemu schema` prints every key for an editor.
+#   insemu run {name}          flies it: tables here, figures and a page in results/{stem}/
+#   insemu compare {name}      says which design is better, and where its metres come from
+title: "{title}"
+question: How far does each filter drift in a GNSS outage, and does it know its own error?
+seed: 1                        # of all random draws: the same seed gives the same numbers
+realizations: {realizations}                # flights with other noise; more of them narrow the intervals of the means
+
+# The motion.
+trajectory:
+{motion}
+  rate: 100 Hz                 # of the IMU
+
+# What the sensors really do. {about}
+{said}
+truth:
+  sensor: {sensor}{pad}# `insemu sensor` lists the names; a file of `insemu fit -o` goes by {{file: models.yaml}}
+
+# GNSS: what a receiver gives, and the spans without it.
+gnss:
+  rate: 1 Hz
+  position_sigma: [1 m, 1 m, 2 m]       # north, east, down, 1 sigma, white; RTK: 2 cm
+  velocity_sigma: [5 cm/s, 5 cm/s, 10 cm/s]
+  lever_arm: [0 m, 0 m, 0 m]            # IMU to antenna: forward, right, down
+  outages:                              # the error is read at the end of each
+{outages}
+
+# What the filter knows at the start, 1 sigma.
+initial:
+  position_sigma: [1 m, 1 m, 2 m]
+  velocity_sigma: 0.1 m/s
+  tilt_sigma: 0.5 deg
+  heading_sigma: 2 deg
+
+# What each filter believes of the sensors. More designs: `insemu designs`.
+designs:
+  complete:                             # the model of the truth
+    gyro: {{truth: true}}
+    accel: {{truth: true}}
+{second}
+"""
+
+_WHITE = """\
+  white noise:                          # nine states: no bias that changes in flight
+    gyro: {gyro}
+    accel: {accel}"""
+_WORST = """\
+  worst case:                           # the same sensor, its figures at their limits
+    gyro: {{sensor: {sensor}, case: worst}}
+    accel: {{sensor: {sensor}, case: worst}}"""
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What a first scenario is made from.
+
+    Parameters
+    ----------
+    sensor : str
+        Name or file of a sensor card.
+    track : str
+        File of a track or of waypoints; empty: a built-in drive.
+    vehicle : str
+        For a track or waypoints.
+    realizations : int
+    """
+
+    sensor: str = SENSOR
+    track: str = ""
+    vehicle: str = "car"
+    realizations: int = 8
+
+
+def first_scenario(path: str | Path, wish: Wish) -> str:
+    """Text of a commented scenario that runs.
+
+    Parameters
+    ----------
+    path : path
+        Where it will stand; files are named relative to its folder.
+    wish : Wish
+
+    Raises
+    ------
+    InputError
+        An unknown sensor or vehicle, or a track that cannot be read or flown.
+    """
+    path = Path(path)
+    vehicle_of(wish.vehicle)
+    sensor = card(wish.sensor)
+    found = axis_models(sensor)
+    white = {}
+    for kind, unit in (("gyro", "rad/s"), ("accel", "m/s^2")):
+        axes = [one for axis, one in found.items() if axis.startswith(kind)]
+        if not axes:
+            raise InputError(f"{sensor.name} has no figures of the {kind}; a truth needs gyroscopes and accelerometers")
+        worst = max(axes, key=lambda one: one.model.processes[0].parameters["N"])
+        white[kind] = spelled(type(worst.model)(worst.model.processes[:1]), unit)
+    said = dict.fromkeys(f"{axis.split('_')[0]}: {line}" for axis, one in found.items() for line in one.said)
+    wrapped = [textwrap.fill(line, 110, initial_indent="#   ", subsequent_indent="#     ") for line in said]
+    # a model that is white noise alone has nothing to leave out
+    alone = all(len(one.model) == 1 for one in found.values())
+    motion, duration = _motion(path, wish)
+    named = wish.sensor if Path(wish.sensor).suffix == "" else os.path.relpath(wish.sensor, path.parent)
+    return _TEMPLATE.format(
+        name=path.name,
+        stem=path.stem,
+        title=f"{sensor.name} through GNSS outages",
+        realizations=wish.realizations,
+        motion=motion,
+        about=f"{sensor.name}: {', '.join(part for part in (sensor.maker, sensor.about) if part)}.",
+        said="\n".join(wrapped),
+        sensor=named,
+        pad=" " * max(2, 20 - len(named)),
+        outages="\n".join(_outages(duration)),
+        second=(_WORST if alone else _WHITE).format(sensor=named, **white),
+    )
+
+
+def _outages(duration: float) -> list[str]:
+    length = max(1, round(min(OUTAGE_S, OUTAGE_SHARE * duration)))
+    return [f"    - {{start: {round(share * duration)} s, duration: {length} s}}" for share in (1.0 / 3.0, 2.0 / 3.0)]
+
+
+def _motion(path: Path, wish: Wish) -> tuple[str, float]:
+    """Lines of the trajectory, and how long it lasts in s."""
+    if not wish.track:
+        lines = [
+            "  builtin: urban_drive_1       # or a track, waypoints, or a file of motion commands",
+            "  duration: 9 min",
+        ]
+        return "\n".join(lines), 540.0
+    relative = os.path.relpath(wish.track, path.parent)
+    try:
+        read_track(wish.track)
+    except InputError:
+        if not _is_waypoints(wish.track):
+            raise
+        flight = load_flight(waypoints=wish.track, vehicle=wish.vehicle, speed=SPEED).flight
+        lines = [
+            f"  waypoints: {relative}",
+            f"  vehicle: {wish.vehicle}                  # its limits: speed, acceleration, turns, climbs",
+            f"  speed: {SPEED:g} m/s                # of legs whose file gives none",
+        ]
+        return "\n".join(lines), float(flight.path.end - flight.path.start)
+    flight = load_flight(track=wish.track, vehicle=wish.vehicle).flight
+    lines = [
+        f"  track: {relative}",
+        f"  vehicle: {wish.vehicle}                  # how much it may jerk, and how it holds its attitude",
+        "  max_gap: 10 s                # longest gap of the track that is bridged",
+    ]
+    return "\n".join(lines), float(flight.path.end - flight.path.start)
+
+
+def _is_waypoints(file: str) -> bool:
+    """Whether a file is GeoJSON, or a table without times."""
+    path = Path(file)
+    if path.suffix.lower() in (".geojson", ".json"):
+        return True
+    if path.suffix.lower() != ".csv" or not path.is_file():
+        return False
+    lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    header = next((line for line in lines if line.strip() and not line.startswith("#")), "")
+    return not any(cell.strip().lower().split("[")[0].strip() in ("t", "time") for cell in header.split(","))
+
+
+def copy_shipped(name: str, path: str | Path, *, overwrite: bool = False) -> list[Path]:
+    """Copy a scenario that comes with insemu, with the files that it names.
+
+    Parameters
+    ----------
+    name : str
+        Of the scenario.
+    path : path
+        File to write; what it names goes beside it, in the same folders.
+    overwrite : bool
+        Whether files that exist may be replaced.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+
+    Raises
+    ------
+    InputError
+        No such scenario, or a file that exists.
+    """
+    found = shipped_scenario(name)
+    path = Path(path)
+    pairs = [(found.path, path), *((found.path.parent / f, path.parent / f) for f in found.files)]
+    for _, target in pairs:
+        if target.exists() and not overwrite:
+            raise InputError("exists already; --force replaces it", where=str(target))
+    for source, target in pairs:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(source, target)
+    return [target for _, target in pairs]
