@@ -17,7 +17,7 @@ def command(
     """
     import json
 
-    from insemu.emulate.reckon import dead_reckon
+    from insemu.emulate import dead_reckon
     from insemu.formats import read_recording
 
     result = dead_reckon(read_recording(recording), gravity=gravity)

@@ -93,12 +93,12 @@ class CovarianceAnalysis:
     @property
     def rms(self) -> Array:
         """True rms errors, (o, 9)."""
-        return np.sqrt(np.einsum("tii->ti", self.actual))
+        return np.asarray(np.sqrt(np.einsum("tii->ti", self.actual)))
 
     @property
     def sigma(self) -> Array:
         """What the filter says, (o, 9)."""
-        return np.sqrt(np.einsum("tii->ti", self.believed))
+        return np.asarray(np.sqrt(np.einsum("tii->ti", self.believed)))
 
 
 def _joint(belief: Augmentation, truth: Augmentation) -> Augmentation:

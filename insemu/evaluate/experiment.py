@@ -25,7 +25,7 @@ import insemu
 from insemu.augment import NAVIGATION
 from insemu.denoise import denoise
 from insemu.effects import compensated, lever_arm_of
-from insemu.emulate.pieces import TrueStates
+from insemu.emulate import TrueStates
 from insemu.errors import InputError
 from insemu.evaluate.consistency import block_nees, lag_products, observability, sensor_errors, unaided_sigma
 from insemu.evaluate.dataset import of_bytes, of_designs, of_realizations, to_bytes
@@ -35,15 +35,17 @@ from insemu.evaluate.results import DesignInfo, Results
 from insemu.evaluate.world import Estimate, World, static_logs, stream
 from insemu.filters import (
     FilterOptions,
+    FilterParts,
     FilterResult,
     InitialSigma,
     LooselyCoupledEKF,
     NavigationFilter,
     Standstill,
+    check_result,
+    rests,
     smooth,
+    user_filter_code,
 )
-from insemu.filters.alignment import rests
-from insemu.filters.protocol import FilterParts, check_result, user_filter_code
 from insemu.fit import FitResult, fit
 from insemu.noise import ARMA, NoiseModel, NotStationary, axis_unit, load
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Series
@@ -56,7 +58,15 @@ Progress = Callable[[int, int, str], None]
 
 
 def silent(done: int, total: int, label: str) -> None:
-    """Progress that says nothing."""
+    """Progress that says nothing.
+
+    Parameters
+    ----------
+    done, total : int
+        Realizations.
+    label : str
+        What is being done.
+    """
 
 
 @dataclass(frozen=True)
@@ -194,7 +204,18 @@ class Experiment:
         covariance_at: Array | None = None,
         standstill: Standstill | None = None,
     ) -> LooselyCoupledEKF | NavigationFilter:
-        """The filter of one design: insemu's own, or the one that an installed package offers under the name that the design gives."""
+        """The filter of one design: insemu's own, or the one that an installed package offers under the name that the design gives.
+
+        Parameters
+        ----------
+        design : str
+        output_every : int
+            A row of the result every so many epochs of the covariance.
+        covariance_at : (k,) array, optional
+            Times at which the whole covariance is kept, s.
+        standstill : Standstill, optional
+            Updates at rest; those of the world unless given.
+        """
         return self._made(
             design,
             self.beliefs[design],

@@ -10,15 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import earth, rotation
-from insemu.emulate import Outage
-from insemu.emulate.gnss import antenna, state_at
+from insemu.emulate import Outage, antenna, state_at
 from insemu.errors import InputError
 from insemu.evaluate.consistency import nees
 from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.world import Estimate, Scored, input_files, nearest_rows
-from insemu.filters import InitialSigma, Standstill
-from insemu.filters.alignment import Alignment, align, cut, rests
-from insemu.filters.motion import align_in_motion
+from insemu.filters import Alignment, InitialSigma, Standstill, align, align_in_motion, cut, rests
 from insemu.formats import read_recording
 from insemu.records import GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Scenario
@@ -174,7 +171,7 @@ class RecordedWorld:
         t = self.reference.t
         t = t[(t > self.alignment.t) & (t <= self.vehicle_imu.t[-1])]
         step = max(1, round(0.25 / float(np.median(np.diff(t)))))
-        return t[::step]
+        return np.asarray(t[::step])
 
     @cached_property
     def truth_at_outputs(self) -> Trajectory:

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.emulate.pieces import TrueStates
+from insemu.emulate import TrueStates
 from insemu.errors import InputError
 from insemu.filters import FilterResult, InitialSigma, SmootherResult, Standstill
 from insemu.formats import read_recording, read_static
@@ -185,7 +185,18 @@ class Scored:
 
 
 def nearest_rows(t: Array, want: Array, every: int) -> NDArray[np.intp]:
-    """Rows of ``t``, multiples of ``every``, nearest to the times ``want``."""
+    """Rows of ``t``, multiples of ``every``, nearest to some times.
+
+    Parameters
+    ----------
+    t, want : (n,), (k,) arrays
+        Times of the rows and wanted times, s.
+    every : int
+
+    Returns
+    -------
+    (k,) array of int
+    """
     right = np.clip(np.searchsorted(t, want), 1, t.size - 1)
     rows = np.where(np.abs(t[right - 1] - want) < np.abs(t[right] - want), right - 1, right)
     return np.minimum(np.round(rows / every).astype(np.intp) * every, (t.size - 1) // every * every)

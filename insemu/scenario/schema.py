@@ -8,8 +8,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from insemu.emulate import AreaOutage, Mounting, Outage, TemperatureProfile
-from insemu.emulate.trajectory import TRAJECTORIES
+from insemu.emulate import TRAJECTORIES, AreaOutage, Mounting, Outage, TemperatureProfile
 from insemu.errors import InputError, nearest
 from insemu.filters import InitialSigma
 from insemu.noise import NoiseModel
