@@ -239,6 +239,11 @@ def read(path: Path = FILE) -> tuple[list[Entry], dict[str, dict[str, tuple[int,
     return [Entry.of_plain(r) for r in plain["recordings"]], scores
 
 
+def gains_moved(before: Sequence[float], now: Sequence[float]) -> bool:
+    """Whether the evidence of any step moved."""
+    return any(abs(a - b) > GAIN_NATS + GAIN_SHARE * abs(a) for a, b in zip(before, now, strict=True))
+
+
 def moved(old: Entry, new: Entry) -> list[str]:
     """What moved in a recording, as lines of a diff; empty where nothing did."""
     out = []
@@ -246,7 +251,7 @@ def moved(old: Entry, new: Entry) -> list[str]:
         out.append(f"  the recording itself is another: fingerprint {old.data:.6f} -> {new.data:.6f}")
     if old.said != new.said:
         out += [f"- {'; '.join(old.said)}", f"+ {'; '.join(new.said)}"]
-    elif any(abs(a - b) > GAIN_NATS + GAIN_SHARE * abs(a) for a, b in zip(old.gains, new.gains, strict=True)):
+    elif gains_moved(old.gains, new.gains):
         out.append(f"  gains {list(old.gains)} -> {list(new.gains)} nats")
     return [f"{old.name} (hidden: {old.job.outside or ', '.join(old.job.effects) or 'nothing'})", *out] if out else []
 

@@ -202,10 +202,12 @@ def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
     """The tables at the end."""
     from insemu import report
     from insemu.cli.printing import print_items, print_table
-    from insemu.evaluate import verdicts
-    from insemu.report import budget_lines
+    from insemu.evaluate import answer, verdicts
 
-    console.print(f"\n{main.title}", soft_wrap=True, markup=False, style="bold")
+    console.print(f"\n{main.title}", soft_wrap=True, markup=False)
+    said = answer(main)
+    if said:
+        console.print(f"{said.sentence}\n", markup=False, highlight=False, style="bold")
     title = f"{report.variant_caption(main)}: means over {main.realizations} realizations (seed {main.seed})"
     print_table(console, title, *report.short_headline(main), fit=True)
     console.print(
@@ -219,7 +221,7 @@ def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
         print_table(console, report.SMOOTHED, *report.smoother_rows(main))
     if main.budgets:
         console.print("\nWhere the metres come from, by covariance analysis (parts add up as squares):")
-        print_items(console, budget_lines(main.budgets))
+        print_items(console, report.budget_lines(main.budgets))
     if variants:
         header, body = report.variant_rows(main, variants)
         shown = [
