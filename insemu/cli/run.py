@@ -73,7 +73,7 @@ def prepared(
     experiments = {"": Experiment(base, scenario)}
     for name in base.variants if with_variants else ():
         experiments[name] = Experiment(load(scenario, variant=name, overrides=overrides), scenario)
-    for warning in dict.fromkeys(w for e in experiments.values() for w in e.world.warnings):
+    for warning in dict.fromkeys(w for e in experiments.values() for w in e.warnings):
         console.print(f"Warning: {warning}.", soft_wrap=True, highlight=False, markup=False)
     return experiments
 

@@ -32,7 +32,7 @@ from insemu.evaluate.dataset import of_bytes, of_designs, of_realizations, to_by
 from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.recorded import RecordedWorld
 from insemu.evaluate.results import DesignInfo, Results
-from insemu.evaluate.world import Estimate, World, static_logs, stream
+from insemu.evaluate.world import Estimate, World, implausible, static_logs, stream
 from insemu.filters import (
     FilterOptions,
     FilterParts,
@@ -108,6 +108,11 @@ class Experiment:
         for name, design in scenario.designs.items():
             if not any(isinstance(source, AxisSource) and source.fit for source in design.sources().values()):
                 self._made(name, self._belief(name, {}))  # nor is a belief that no filter can carry
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What looks odd in the world's data, and what is implausible in the scenario."""
+        return (*self.world.warnings, *implausible(self.scenario, str(self.file or "scenario")))
 
     @property
     def rate_hz(self) -> float:
@@ -441,7 +446,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         "python": platform.python_version(),
         "packages": {name: metadata.version(name) for name in packages},
         "ideal_imu_distance_m": experiment.world.path_distance_m,
-        "warnings": list(experiment.world.warnings),
+        "warnings": list(experiment.warnings),
         "beliefs": {
             name: {axis: m.to_list(axis_unit(axis)) for axis, m in b.models.items()}
             for name, b in experiment.beliefs.items()
