@@ -48,7 +48,7 @@ from insemu.filters import (
 )
 from insemu.fit import FitResult, fit
 from insemu.noise import ARMA, NoiseModel, NotStationary, axis_unit, load
-from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Series
+from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Series, Trajectory
 from insemu.scenario import AxisSource, Scenario, digest
 from insemu.strapdown import NavState, trajectory_of
 from insemu.work import Files, run_items
@@ -384,13 +384,12 @@ class Experiment:
     def _compensated(self, design: str, recording: Recording, start: NavState, sigma: InitialSigma) -> Recording:
         """The data less the effects that a design knows of."""
         known = self.scenario.designs[design].options.compensate
-        along = [use for use in known if use.effect.needs_trajectory]
-        if not along:
-            return compensated(recording, known) if known else recording
-        # where the vehicle was is known well enough without them
-        first = compensated(recording, [use for use in known if not use.effect.needs_trajectory])
-        flown = self.filter(design).run(first.imu, first.gnss, start, sigma)
-        return compensated(recording, known, trajectory=trajectory_of(flown.t, flown.nav, "estimate"))
+
+        def estimate(rest: Recording) -> Trajectory:
+            flown = self.filter(design).run(rest.imu, rest.gnss, start, sigma)
+            return trajectory_of(flown.t, flown.nav, "estimate")
+
+        return compensated(recording, known, trajectory=estimate) if known else recording
 
     def _prefiltered(self, design: str, imu: ImuRecord) -> ImuRecord:
         """What a design's filter is fed: the record, de-noised where the design says so."""
@@ -447,6 +446,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         "packages": {name: metadata.version(name) for name in packages},
         "ideal_imu_distance_m": experiment.world.path_distance_m,
         "warnings": list(experiment.warnings),
+        "intake": experiment.world.card.to_json() if isinstance(experiment.world, RecordedWorld) else None,
         "beliefs": {
             name: {axis: m.to_list(axis_unit(axis)) for axis, m in b.models.items()}
             for name, b in experiment.beliefs.items()

@@ -17,6 +17,7 @@ from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.world import Estimate, Scored, input_files, nearest_rows
 from insemu.filters import Alignment, InitialSigma, Standstill, align, align_in_motion, cut, rests
 from insemu.formats import read_recording
+from insemu.intake import Card, examine
 from insemu.records import GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Scenario
 from insemu.strapdown import NavState
@@ -89,6 +90,11 @@ class RecordedWorld:
         if velocity is None and gnss.vel_ned is not None and g.velocity_sigma is not None:
             velocity = np.tile(g.velocity_sigma, (n, 1))
         return replace(gnss, pos_std_ned=position, vel_std_ned=velocity)
+
+    @cached_property
+    def card(self) -> Card:
+        """What the recording was taken for, in vehicle axes and on the scenario's clock."""
+        return examine(Recording(self.vehicle_imu, self.gnss, self.reference, self.source.file))
 
     @cached_property
     def alignment(self) -> Alignment:

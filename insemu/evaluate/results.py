@@ -468,6 +468,8 @@ def summary(results: Results) -> dict[str, Any]:
         "comparisons": comparisons,
         "timing": dict(results.timing),
     }
+    if results.manifest.get("intake"):
+        document["intake"] = results.manifest["intake"]
     return dict(finite(document))
 
 
