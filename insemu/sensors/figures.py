@@ -146,11 +146,8 @@ def _clause(clause: str) -> tuple[str, str, Figure] | str | None:
                 value = float(match["value"]) * factor
                 limit = match["limit"] is not None or re.search(r"\bmax", side) is not None
                 if 0.0 < value < math.inf:
-                    return (
-                        kind,
-                        sensor,
-                        Figure(value, f"{match['value']} {unit}", value if limit else None, clause.strip()),
-                    )
+                    worst = value if limit else None
+                    return kind, sensor, Figure(value, f"{match['value']} {unit}", worst, clause.strip()[:100])
         if numbers:
             return (
                 f"'{clause.strip()[:60]}' has no unit of {meaning.meaning}; expected something like '{meaning.example}'"
