@@ -15,8 +15,7 @@ from insemu.augment import augment
 from insemu.cli import app
 from insemu.errors import InputError
 from insemu.records import AXES
-from insemu.sensors import Assumptions, axis_models, card, models, names, of_text, read_figures, save, spelled
-from insemu.sensors.models import CASES
+from insemu.sensors import CASES, Assumptions, axis_models, card, models, names, of_text, read_figures, save, spelled
 
 DEG = math.pi / 180.0
 UG = 9.80665e-6

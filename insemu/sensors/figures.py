@@ -104,7 +104,23 @@ _WORDS, _NEAR, LONGEST = 4, 200, 200_000
 
 
 def quantity(text: str, kind: str, sensor: str, where: str) -> float:
-    """A figure of a card in SI; raises ``InputError`` at ``where``."""
+    """A figure of a card in SI.
+
+    Parameters
+    ----------
+    text : str
+        Number and unit.
+    kind : str
+        Key of :data:`KINDS`.
+    sensor : {"gyro", "accel"}
+    where : str
+        File, line and key, for messages.
+
+    Raises
+    ------
+    InputError
+        A unit of another dimension, or no positive number.
+    """
     try:
         value = units.parse(text, KINDS[kind].unit_for(sensor))
     except InputError as error:
