@@ -4,16 +4,13 @@
 trajectories are registered names, numbers carry units (``0.032 deg/s/sqrt(Hz)``) and are converted here, once.
 """
 
+from insemu.scenario.design import AxisSource, Design, DesignOptions, GyroSource
 from insemu.scenario.designs import shipped_designs
 from insemu.scenario.fields import EffectList, Section
 from insemu.scenario.files import digest, load, resolve_path, schema, validated, variant_names
 from insemu.scenario.schema import (
-    AxisSource,
-    Design,
-    DesignOptions,
     FitSource,
     Gnss,
-    GyroSource,
     Initial,
     NonHolonomic,
     Published,
