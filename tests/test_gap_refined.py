@@ -56,6 +56,8 @@ FOUND: dict[str, tuple[str, tuple[str, ...], str, dict[str, float], dict[str, An
     "g2_sensitivity": ("gyro", ("y",), "", {"value_y": 1e-7}, {"value": [0, 1e-7, 0]}),
     "mounting": ("imu", ("roll", "pitch", "yaw"), "", {"rpy_roll": 0.0, "rpy_pitch": 0.01, "rpy_yaw": 0.02}, {"rpy": [0, 0.01, 0.02]}),
     "temperature": ("gyro", ("y",), "cubic", {"c1": 1e-4, "c2": 0.0, "c3": 1e-7, "T0": 28.0}, {"c1": [0, 1e-4, 0], "T0": 28.0}),
+    "temperature_scale_factor": ("gyro", ("z",), "", {"value_z": 5e-4}, {"value": [0, 0, 5e-4], "T0": 25.0}),
+    "temperature_misalignment": ("accel", ("x",), "", {"value_xz": 1e-5}, {"value": [0, 1e-5, 0, 0, 0, 0]}),
     "saturation": ("gyro", ("z",), "", {"limit": 0.3}, {"limit": [1e6, 1e6, 0.3]}),
     "dropped_samples": ("accel", ("x",), "held", {"probability": 0.01}, {"probability": 0.01}),
     "imu_gnss_time_offset": ("imu", (), "", {"offset": 0.02}, {"offset": 0.02}),

@@ -254,3 +254,30 @@ def test_nothing_is_said_of_too_little(tmp_path: Path) -> None:
         )
     )
     assert not card.of("wrong")
+
+
+@pytest.mark.parametrize("arguments", [("fit", "--model", "WN()"), ("select",), ("gap",)])
+def test_commands_refuse_what_the_card_refuses(
+    arguments: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = _rest(tmp_path / "a.csv", 180 / np.pi, 1.0, "t,gx,gy,gz,ax,ay,az")
+    model = tmp_path / "m.yaml"
+    model.write_text("gyro: WN(N=0.01 deg/s/sqrt(Hz))\naccel: WN(N=100 ug/sqrt(Hz))\n")
+    given = (str(model), "--measured", str(path)) if arguments[0] == "gap" else (str(path), *arguments[1:])
+    assert run(arguments[0], *given) == 2
+    assert '--map "gyro_unit=deg/s"' in capsys.readouterr().err
+
+
+def test_the_card_of_a_recorded_scenario_is_in_its_summary(tmp_path: Path) -> None:
+    from insemu.evaluate.recorded import RecordedWorld
+    from insemu.scenario import load
+
+    data = flown()
+    assert data.imu is not None
+    write(tmp_path / "drive.npz", Recording(data.imu, data.gnss))
+    (tmp_path / "s.yaml").write_text(
+        "title: t\nrecording: {file: drive.npz}\ngnss: {position_sigma: 1 m}\n"
+        "designs: {a: {gyro: 'WN(N=0.02 deg/s/sqrt(Hz))', accel: 'WN(N=200 ug/sqrt(Hz))'}}\n"
+    )
+    card = RecordedWorld(load(tmp_path / "s.yaml"), tmp_path / "s.yaml").card
+    assert {"rate", "axes", "clock", "angular rate"} <= {x.topic for x in card.of("ok")}

@@ -17,9 +17,13 @@ def command(
     """
     import json
 
-    from insemu.emulate.reckon import dead_reckon
+    from rich.console import Console
+
+    from insemu.cli.announce import announce
+    from insemu.emulate import dead_reckon
     from insemu.formats import read_recording
 
+    announce(recording, Console(stderr=True))
     result = dead_reckon(read_recording(recording), gravity=gravity)
     if as_json:
         typer.echo(json.dumps(result.to_dict()))

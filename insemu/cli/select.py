@@ -23,7 +23,11 @@ def command(
     ),
     robust: bool = typer.Option(False, "--robust", help="Use the wavelet variance that outliers cannot move."),
     columns: list[str] | None = typer.Option(  # noqa: B008
-        None, "--column", "-c", help="Only this column (gx or gyro_x); may be repeated."
+        None,
+        "--columns",
+        "--column",
+        "-c",
+        help="Only these columns, separated by commas (gx or gyro_x); may be repeated.",
     ),
     held_out: list[str] | None = typer.Option(  # noqa: B008
         None, "--held-out", help="Another log of the same sensor: how well the choice predicts it, scale by scale."
@@ -48,10 +52,13 @@ def command(
     import numpy as np
     from rich.console import Console
 
+    from insemu import units
+    from insemu.cli.announce import announce
     from insemu.cli.fit import read_static, write
     from insemu.fit.selection import select_axes
     from insemu.noise import NoiseModel
 
+    announce(file, Console(stderr=True), rate_hz=units.parse(rate, "Hz") if rate else None)
     series = read_static(file, rate, columns, skip)
     given = [NoiseModel.parse(c) for c in candidates] if candidates else None
     rankings = select_axes(

@@ -209,25 +209,63 @@ class Effect:
     # -- emulate: what the emulator does ---------------------------------------------------------------------------------------------
 
     def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
-        """Do to the signals of the IMU what a use says; for effects of the IMU."""
+        """Do to the signals of the IMU what a use says; for effects of the IMU.
+
+        Parameters
+        ----------
+        chain : Chain
+            Signals on their way through the sensor, changed in place.
+        use : EffectUse
+        rng : Generator
+            Of this effect alone.
+        """
         raise NotImplementedError(self.id)
 
     def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:
-        """Do to the errors of the fixes what a use says; for effects of the fixes."""
+        """Do to the errors of the fixes what a use says; for effects of the fixes.
+
+        Parameters
+        ----------
+        fixes : FixErrors
+            Changed in place.
+        use : EffectUse
+        rng : Generator
+            Of this effect alone.
+        """
         raise NotImplementedError(self.id)
 
     # -- compensate: what a filter that knows it does to its data; at most a few of these ---------------------------------------------
 
     def added(self, use: EffectUse, t: Array, temperature: Array | None) -> Array:
-        """What it adds whatever the signal, (n, 3) or (3,); times (n,) in s, temperature (n,) in degC."""
+        """What it adds whatever the signal, (n, 3) or (3,).
+
+        Parameters
+        ----------
+        use : EffectUse
+        t : (n,) array
+            s.
+        temperature : (n,) array or None
+            degC.
+        """
         raise NotImplementedError(self.id)
 
     def matrix(self, use: EffectUse) -> Array:
         """Error (6, 6) per rate and specific force, of rate and specific force."""
         raise NotImplementedError(self.id)
 
-    def bent(self, use: EffectUse, signal: Array, temperature: Array | None) -> Array:
-        """Error (n, 6) as a function of the true rate and specific force (n, 6), where that is not linear or not constant."""
+    def bent(self, use: EffectUse, signal: Array, temperature: Array | None, t: Array) -> Array:
+        """Error (n, 6) as a function of the true signal, where that is not linear or not constant.
+
+        Parameters
+        ----------
+        use : EffectUse
+        signal : (n, 6) array
+            True rate, rad/s, and specific force, m/s^2.
+        temperature : (n,) array or None
+            degC.
+        t : (n,) array
+            s.
+        """
         raise NotImplementedError(self.id)
 
     def turn(self, use: EffectUse) -> Array:
@@ -241,7 +279,15 @@ class Effect:
     def omitted(
         self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64]
     ) -> tuple[Array | None, Array | None]:
-        """What the rate and the specific force lack, (n, 3) in body axes each or None, at rows (n,) of a trajectory."""
+        """What the rate and the specific force lack, (n, 3) in body axes each, or None.
+
+        Parameters
+        ----------
+        use : EffectUse
+        trajectory : Trajectory
+        rows : (n,) array of int
+            Rows of the trajectory.
+        """
         raise NotImplementedError(self.id)
 
     def corrected_fixes(self, use: EffectUse, gnss: GnssRecord) -> GnssRecord:

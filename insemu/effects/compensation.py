@@ -6,7 +6,7 @@ off and is passed over (it belongs in the noise model). A test holds the emulato
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -32,7 +32,10 @@ def lever_arm_of(effects: Sequence[EffectUse], assumed: ArrayLike) -> Array:
 
 
 def compensated(
-    recording: Recording, effects: Sequence[EffectUse], *, trajectory: Trajectory | None = None
+    recording: Recording,
+    effects: Sequence[EffectUse],
+    *,
+    trajectory: Trajectory | Callable[[Recording], Trajectory] | None = None,
 ) -> Recording:
     """Take effects off a recording.
 
@@ -41,14 +44,18 @@ def compensated(
     recording : Recording
     effects : sequence of EffectUse
         In any order; those of noise and the lever arm (:func:`lever_arm_of`) change nothing here.
-    trajectory : Trajectory, optional
-        Estimated motion, for Earth rate, transport rate and gravity; the attitude to a degree is enough.
+    trajectory : Trajectory or callable, optional
+        Estimated motion, for Earth rate, transport rate and gravity; the attitude to a degree is enough. Or how to estimate it: a function of
+        the recording less everything else, which is called where an effect needs it.
 
     Raises
     ------
     InputError
         A temperature effect without a recorded temperature, or an effect of attitude without a trajectory.
     """
+    if callable(trajectory):
+        rest = [use for use in effects if not use.effect.needs_trajectory]
+        trajectory = trajectory(compensated(recording, rest)) if len(rest) < len(effects) else None
     imu, gnss = recording.imu, recording.gnss
     inertial = [use for use in effects if use.sensor != "gnss" and use.effect.compensable]
     if inertial:
@@ -80,7 +87,7 @@ def columns_without(values: Array, t: Array, effects: Sequence[EffectUse], tempe
     out = np.array(values, dtype=float)
     for sensor, at in (("gyro", slice(0, 3)), ("accel", slice(3, 6))):
         out[:, at] -= added_signal([use for use in effects if use.sensor == sensor], t, temperature)
-    return _solved(out, effects, temperature)
+    return _solved(out, effects, temperature, t)
 
 
 def _imu(imu: ImuRecord, effects: Sequence[EffectUse], trajectory: Trajectory | None) -> ImuRecord:
@@ -125,7 +132,7 @@ def added_signal(effects: Sequence[EffectUse], t: Array, temperature: Array | No
     return out
 
 
-def _solved(measured: Array, effects: Sequence[EffectUse], temperature: Array | None) -> Array:
+def _solved(measured: Array, effects: Sequence[EffectUse], temperature: Array | None, t: Array) -> Array:
     """The rates and forces (n, 6) of which the effects that depend on them make what was measured."""
     linear = [use.effect.matrix(use) for use in effects if use.effect.does("matrix")]
     bent = [use for use in effects if use.effect.does("bent")]
@@ -136,6 +143,6 @@ def _solved(measured: Array, effects: Sequence[EffectUse], temperature: Array | 
     for _ in range(SUBSTITUTIONS if bent else 0):
         error = np.zeros_like(s)
         for use in bent:
-            error += use.effect.bent(use, s, temperature)
+            error += use.effect.bent(use, s, temperature, t)
         s = (measured - error) @ back
     return np.asarray(s)

@@ -128,7 +128,7 @@ class ScaleAsymmetry(_OnOneAxis):
         """Note it."""
         chain.response.asymmetry[chain.axes(use.sensor)] += use["value"]
 
-    def bent(self, use: EffectUse, signal: Array, temperature: Array | None) -> Array:
+    def bent(self, use: EffectUse, signal: Array, temperature: Array | None, t: Array) -> Array:
         """The magnitude of every axis times its number."""
         out = np.zeros_like(signal)
         rows = _sensor_rows(use)
@@ -162,7 +162,7 @@ class ScaleNonlinearity(_OfSensor):
         chain.response.square[chain.axes(use.sensor)] += use["K2"]
         chain.response.cube[chain.axes(use.sensor)] += use["K3"]
 
-    def bent(self, use: EffectUse, signal: Array, temperature: Array | None) -> Array:
+    def bent(self, use: EffectUse, signal: Array, temperature: Array | None, t: Array) -> Array:
         """Square and cube of every axis."""
         out = np.zeros_like(signal)
         rows = _sensor_rows(use)
@@ -314,7 +314,7 @@ class GSquaredSensitivity(_OnOneAxis):
         """Note the products of the specific force with itself."""
         chain.response.products += [(i, 3 + i, 3 + i, value) for i, value in enumerate(use["value"])]
 
-    def bent(self, use: EffectUse, signal: Array, temperature: Array | None) -> Array:
+    def bent(self, use: EffectUse, signal: Array, temperature: Array | None, t: Array) -> Array:
         """Squares of the specific force, on the rates."""
         out = np.zeros_like(signal)
         out[:, :3] = np.array(use["value"]) * signal[:, 3:] ** 2
@@ -408,10 +408,98 @@ class Temperature(_OnOneAxis):
 
 
 def warmed(use: EffectUse, t: Array, temperature: Array | None) -> Array:
-    """What the sensing element is warmer than the reference, (n,) K, at times (n,) in s, from a recorded temperature (n,) in degC."""
+    """What the sensing element is warmer than the reference, (n,) K.
+
+    Parameters
+    ----------
+    use : EffectUse
+        With the parameters ``lag`` and ``T0``.
+    t : (n,) array
+        s.
+    temperature : (n,) array or None
+        As recorded, degC.
+    """
     if temperature is None:
         raise InputError(f"the effect '{use.id}' needs the temperature of the data; none was recorded")
     return lagged(temperature, float(np.median(np.diff(t))), use.scalar("lag")) - use.scalar("T0")
+
+
+class _Warmed(_OnOneAxis):
+    """An error that is proportional to a signal and to the temperature: of every kelvin a matrix of the sensor's three axes."""
+
+    excitation = "the signals of the effect without temperature, during a temperature sweep"
+    in_filter = "compensation by the recorded temperature"
+    stage, size, needs_temperature = Stage.RESPONSE, "value", True
+
+    def per_kelvin(self, use: EffectUse) -> Array:
+        """Matrix (3, 3) of the sensor's axes."""
+        raise NotImplementedError
+
+    def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
+        """Note the matrix with the temperature that it follows."""
+        matrix, s = np.zeros((6, 6)), chain.axes(use.sensor)
+        matrix[s, s] = self.per_kelvin(use)
+        d = lagged(chain.need_temperature(use), chain.dt, use.scalar("lag")) - use.scalar("T0")
+        chain.response.changing.append((matrix, d))
+
+    def bent(self, use: EffectUse, signal: Array, temperature: Array | None, t: Array) -> Array:
+        """The matrix at the recorded temperature."""
+        out, rows = np.zeros_like(signal), _sensor_rows(use)
+        out[:, rows] = warmed(use, t, temperature)[:, None] * (signal[:, rows] @ self.per_kelvin(use).T)
+        return out
+
+
+class ThermalScaleFactor(_Warmed):
+    """A scale factor that follows the temperature: up to 150 ppm/K of a small gyroscope (Nikolic et al. 2016, section IV-D)."""
+
+    id, name = "temperature_scale_factor", "temperature-dependent scale factor"
+    formula = "e_i = S_i d s_i, d as for temperature"
+    parameters = (_P("value", "1/K", 3, (1e-4,), None, "relative error per kelvin", join="sum"), _T0, _LAG)
+
+    def per_kelvin(self, use: EffectUse) -> Array:
+        """A diagonal."""
+        return np.diag(use["value"])
+
+    def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
+        """The signal times the temperature, without lag."""
+        if motion.warmth is None:
+            return []
+        d = motion.warmth - REFERENCE_DEGC
+        return self.own(motion, lambda s: d * s)
+
+
+class ThermalMisalignment(_Warmed):
+    """A misalignment that follows the temperature."""
+
+    id, name = "temperature_misalignment", "temperature-dependent misalignment"
+    formula = "e_i = sum over j != i of M_ij d s_j, d as for temperature"
+    parameters = (
+        _P("value", "rad/K", 6, (2e-5,), None, "M_xy, M_xz, M_yx, M_yz, M_zx, M_zy per kelvin", join="sum"), _T0, _LAG
+    )  # fmt: skip
+
+    def per_kelvin(self, use: EffectUse) -> Array:
+        """Everything but the diagonal."""
+        out = np.zeros((3, 3))
+        for (i, j), value in zip(map(tuple, CROSS), use["value"], strict=True):
+            out["xyz".index(i), "xyz".index(j)] = value
+        return out
+
+    def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
+        """The signal of another axis times the temperature, without lag."""
+        if motion.warmth is None:
+            return []
+        d = motion.warmth - REFERENCE_DEGC
+        return [
+            Column.of(
+                self, s, f"value_{i}{j}", (i,), ((first_axis(s) + XYZ.index(i), d * motion.signal(s)[:, XYZ.index(j)]),)
+            )
+            for s in self.sensors
+            for i, j in map(tuple, CROSS)
+        ]
+
+    def hidden(self, lot: DriveLot) -> Hidden:
+        """One of the six pairs."""
+        return Hidden((CROSS[lot.pair][0],), {"value": at(lot.pair, lot.size(self, "value"), 6)})
 
 
 class Saturation(Effect):
@@ -475,5 +563,5 @@ class DroppedSamples(Effect):
 
 EFFECTS: tuple[Effect, ...] = (
     TurnOnBias(), ScaleFactor(), ScaleAsymmetry(), ScaleNonlinearity(), Misalignment(), Mounting(), GSensitivity(), GSquaredSensitivity(),
-    Temperature(), Saturation(), DroppedSamples(),
+    Temperature(), ThermalScaleFactor(), ThermalMisalignment(), Saturation(), DroppedSamples(),
 )  # fmt: skip

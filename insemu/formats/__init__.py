@@ -8,13 +8,12 @@ strictly (anything odd is an error); foreign ones by the readers of :mod:`insemu
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
-from insemu.errors import InputError, nearest
+from insemu.errors import InputError
 from insemu.formats import recording, static
 from insemu.formats.columns import guess_map, read_preset, split_header
 from insemu.formats.npz import keys_of
@@ -168,32 +167,15 @@ def read_log(path: str | Path, *, rate_hz: float | None = None, columns: Iterabl
 def _log_of(found: Opened, rate_hz: float | None, columns: Iterable[str] | None) -> Log:
     """The IMU of foreign files as a log: six columns in SI at their median rate."""
     imu = found.recording().imu
-    rate = static.round_rate(1.0 / imu.dt)
-    if rate_hz is not None and abs(rate_hz / rate - 1.0) > 0.02:
+    log = Log.of_imu(imu, found.source)
+    if rate_hz is not None and abs(rate_hz / log.rate_hz - 1.0) > 0.02:
         raise InputError(
             f"the rate is said to be {rate_hz:g} Hz, but the stamps step by {imu.dt:.6g} s", where=found.source
         )
-    values = np.hstack([imu.gyro, imu.accel]) / (imu.dt if imu.kind == "increment" else 1.0)
-    keep = list(range(6))
-    if columns is not None:
-        columns = list(columns)
-        names = [*COLUMNS, *AXIS_OF_COLUMN.values()]
-        unknown = next((c for c in columns if c not in names), None)
-        if unknown is not None:
-            raise InputError(f"has no column '{unknown}'" + nearest(unknown, names), where=found.source)
-        keep = [k for k, c in enumerate(COLUMNS) if {c, AXIS_OF_COLUMN[c]} & set(columns)]
-    units = ["rad/s"] * 3 + ["m/s^2"] * 3
     assumed = {role for role in ("gyro", "accel") if any(a.startswith(role) for a in found.assumed)}
-    stated = ["" if role in assumed else u for u, role in zip(units, ["gyro"] * 3 + ["accel"] * 3, strict=True)]
-    return Log(
-        found.source,
-        tuple(COLUMNS[k] for k in keep),
-        tuple(units[k] for k in keep),
-        tuple(stated[k] for k in keep),
-        tuple(np.ascontiguousarray(values[:, k]) for k in keep),
-        rate,
-        imu.t,
-    )
+    stated = tuple("" if n.split("_")[0] in assumed else u for n, u in zip(log.names, log.units, strict=True))
+    log = replace(log, names=COLUMNS, stated_units=stated)
+    return log if columns is None else log.select(columns)
 
 
 def read_static(

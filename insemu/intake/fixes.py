@@ -201,7 +201,10 @@ def together(imu: ImuRecord, gnss: GnssRecord | Trajectory, what: str) -> list[L
             else [Line("clock", "odd", f"only {100 * share:.0f} % of the {what} lie in the time of the IMU")]
         )
     apart = float(gnss.t[0] - imu.t[0])
-    text = f"the {what} run from {gnss.t[0]:.6g} to {gnss.t[-1]:.6g} s, the IMU from {imu.t[0]:.6g} to {imu.t[-1]:.6g} s: not one clock"
+    spans = (
+        f"the {what} run from {gnss.t[0]:.6g} to {gnss.t[-1]:.6g} s, the IMU from {imu.t[0]:.6g} to {imu.t[-1]:.6g} s"
+    )
+    text = f"{spans}: they do not overlap, not one clock"
     weeks = apart / 604_800.0
     if abs(weeks - round(weeks)) * 604_800.0 < 3600.0 and round(weeks):
         return [
@@ -212,14 +215,10 @@ def together(imu: ImuRecord, gnss: GnssRecord | Trajectory, what: str) -> list[L
                 f'--map "gnss_shift={-round(weeks) * 604800} s"',
             )
         ]
-    return [
-        Line(
-            "clock",
-            "wrong",
-            text,
-            f'--map "gnss_shift={-apart:.6f} s" where both begin together, or clock=gps, sow or unix of either',
-        )
-    ]
+    if what != "fixes":
+        return [Line("clock", "wrong", text)]
+    mend = f'--map "gnss_shift={-apart:.6f} s"'
+    return [Line("clock", "wrong", f"{text} (if both begin together; else say the clock of each file)", mend)]
 
 
 def offset(turn: Turn | None) -> list[Line]:
@@ -249,7 +248,14 @@ def mirrored(turn: Turn | None, has_velocity: bool) -> list[Line]:
     text = f"the fixes turn the other way than the gyroscope (correlation {turn.correlation:.2f}): "
     if has_velocity:
         text += "an axis of the gyroscope has the wrong sign, or the accelerometer the sign of gravity instead of specific force"
-        return [Line("axes", level, text, '--map "gyro=gx gy -gz" with the columns of the file')]
+        return [
+            Line(
+                "axes",
+                level,
+                f"{text} (name the columns of the file, the wrong one with a minus)",
+                '--map "gyro=gx gy -gz"',
+            )
+        ]
     text += "latitude and longitude are swapped, or an axis of the gyroscope has the wrong sign"
     return [Line("axes", level, text, '--map "latlon=swapped"')]
 

@@ -136,12 +136,7 @@ def drive_without(recording: Recording, nominal: Nominal) -> tuple[Recording, No
                 np.hypot(np.array(g.velocity_sigma) * np.array(use["factor"]), np.array(use["sigma"]))
             )
     moved = replace(nominal, gnss=g.model_copy(update=changes))
-    trajectory = None
-    if any(use.effect.needs_trajectory for use in effects):
-        trajectory = recording.reference or _estimated(
-            compensated(recording, [use for use in effects if not use.effect.needs_trajectory]), moved
-        )
-    out = compensated(recording, effects, trajectory=trajectory)
+    out = compensated(recording, effects, trajectory=recording.reference or (lambda rest: _estimated(rest, moved)))
     outliers = next((use for use in effects if use.id == "gnss_outliers"), None)
     return (_without_outliers(out, moved, outliers) if outliers is not None else out), moved
 

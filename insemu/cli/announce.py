@@ -1,0 +1,52 @@
+"""The intake card in front of every command that reads data: what was taken, what is assumed, what is odd; what is wrong ends the command."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from rich.console import Console
+
+    from insemu.intake import Card
+
+
+def announce(file: str | Path, console: Console, *, rate_hz: float | None = None, refuse: bool = True) -> Card:
+    """Make the card of a file, print what is worth knowing, and end where physics contradicts it.
+
+    Parameters
+    ----------
+    file : path
+    console : Console
+        Where the card goes; standard error where a command prints data.
+    rate_hz : float, optional
+        Sampling rate of a log that does not say it, Hz.
+    refuse : bool
+        Whether a contradiction ends the command (it does not where saying so is the command's own work).
+
+    Returns
+    -------
+    Card
+
+    Raises
+    ------
+    InputError
+        The file cannot be read; or it contradicts physics, with the command that mends it.
+    """
+    from insemu.intake import card_of
+
+    card = card_of(file, rate_hz=rate_hz)
+    show_brief(card, console)
+    return card.check() if refuse else card
+
+
+def show_brief(card: Card, console: Console) -> None:
+    """One line of what was found right, and every finding that is assumed, odd or wrong."""
+    right = list(dict.fromkeys(x.topic for x in card.of("ok") if x.topic not in ("taken", "done")))
+    said = f"{card.source}: {card.kind}" + (f"; right: {', '.join(right)}" if right else "")
+    console.print(said, soft_wrap=True, highlight=False, markup=False, style="dim")
+    for line in card.lines:
+        if line.level != "ok":
+            style = "dim" if line.level == "assumed" else "yellow"
+            console.print(f"  {line}", soft_wrap=True, highlight=False, markup=False, style=style)
