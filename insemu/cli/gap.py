@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import typer
 
+#: Findings on the first screen.
+MOST_ROWS = 6
+
 
 def command(
     scenario: str = typer.Argument(
@@ -26,6 +29,9 @@ def command(
         None, "--without", help="Effect to take out of the catalogue; may be repeated."
     ),
     seed: int = typer.Option(1, "--seed", min=0, help="Seed of the simulated nominal data."),
+    apply: str = typer.Option(
+        "", "--apply", help="Findings that go into refined.yaml, by number, for example '1,3'; default: all of them."
+    ),
     hold_out: bool = typer.Option(
         True, "--hold-out/--no-hold-out", help="Score on data that was not used for naming (twice the time)."
     ),
@@ -42,11 +48,15 @@ def command(
     from insemu.cli.announce import announce
     from insemu.effects import EFFECTS
     from insemu.errors import InputError, nearest
-    from insemu.gap import find_gap, from_its_start, load_measured, load_nominal, write_refined
+    from insemu.gap import applied, find_gap, from_its_start, load_measured, load_nominal, write_refined
 
     for effect in without or ():
         if effect not in EFFECTS:
             raise InputError(f"unknown effect '{effect}'" + nearest(effect, EFFECTS), where="--without")
+    try:
+        numbers = [int(n) for n in apply.split(",") if n.strip()]
+    except ValueError:
+        raise InputError(f"'{apply}' is no list of numbers, expected for example '1,3'", where="--apply") from None
     console = Console(stderr=as_json)
     announce(measured, Console(stderr=True), rate_hz=units.parse(rate, "Hz") if rate else None)
     nominal = load_nominal(scenario)
@@ -60,14 +70,15 @@ def command(
             rng=np.random.default_rng(seed),
             without=tuple(without or ()),
             hold_out=hold_out,
-            progress=lambda text: status.update(text),
+            progress=status.update if console.is_terminal else lambda text: typer.echo(text, err=True),
         )
     folder = Path(out) if out else Path("results") / f"gap_{Path(measured).stem}"
     folder.mkdir(parents=True, exist_ok=True)
-    refined = write_refined(nominal, report, folder / "refined.yaml", data)
+    chosen = applied(report, numbers) if numbers else report
+    refined = write_refined(nominal, chosen, folder / "refined.yaml", data)
     text = json.dumps(report.to_json(), indent=1, allow_nan=False)
     (folder / "gap.json").write_text(text + "\n", encoding="utf-8")
-    from insemu.report.gap import draw_gap, effect_name, headline, place, render_gap
+    from insemu.report.gap import action, draw_gap, effect_name, headline, metres, place, render_gap
 
     page = render_gap(report, folder, refined.read_text(encoding="utf-8"))
     if pictures:
@@ -77,18 +88,25 @@ def command(
         return
     console.print(f"[bold]{report.verdict}[/bold]: {headline(report)}")
     if report.findings:
-        table = Table("effect", "where", "evidence, nats", "confidence", "parameters, 95 % interval")
-        for s in report.findings:
+        table = Table(
+            "", "effect", "where", "nats", "confidence", "m after 60 s", "parameters, 95 % interval", "what to do"
+        )
+        for n, s in enumerate(report.findings[:MOST_ROWS], 1):
             values = "\n".join(f"{v.name} {v.value:.3g} [{v.low:.3g}, {v.high:.3g}] {v.unit}" for v in s.parameters[:6])
             values += "\n..." if len(s.parameters) > 6 else ""
             table.add_row(
+                str(n),
                 effect_name(s.effect),
                 place(s.sensor, s.axes),
                 f"{s.nats:.1f}",
                 f"{s.confidence:.3f}",
+                metres(s),
                 values,
+                action(s),
             )
         console.print(table)
+        if len(report.findings) > MOST_ROWS:
+            console.print(f"and {len(report.findings) - MOST_ROWS} more on the page")
     if report.remainder:
         console.print(f"Left unexplained: {report.remainder}", highlight=False, markup=False)
     for label, value in (("before", report.gap_before), ("after", report.gap_after)):

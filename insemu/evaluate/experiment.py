@@ -40,9 +40,9 @@ from insemu.filters import (
     LooselyCoupledEKF,
     NavigationFilter,
     Standstill,
+    rests,
     smooth,
 )
-from insemu.filters.alignment import rests
 from insemu.filters.protocol import FilterParts, check_result, user_filter_code
 from insemu.fit import FitResult, fit
 from insemu.noise import ARMA, NoiseModel, NotStationary, axis_unit, load

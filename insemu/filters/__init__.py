@@ -1,14 +1,30 @@
 """Filters: the loosely coupled, closed-loop error-state EKF in one compiled loop."""
 
 from insemu.augment import Extras
-from insemu.filters.aids import Standstill
+from insemu.filters.aids import AIDS, Standstill
+from insemu.filters.alignment import (
+    Alignment,
+    StartBelief,
+    align,
+    align_at_rest,
+    cut,
+    first_track,
+    on_reference,
+    on_track,
+    sigma_of_fixes,
+)
 from insemu.filters.ekf import LooselyCoupledEKF, run_filter
+from insemu.filters.motion import align_in_motion
 from insemu.filters.options import FilterOptions, InitialSigma
 from insemu.filters.protocol import FilterParts, NavigationFilter, user_filter
+from insemu.filters.rest import never_moves, rests
 from insemu.filters.results import FilterResult, FixTable, Nodes
 from insemu.filters.smoother import SmootherResult, smooth
+from insemu.filters.start import start
 
 __all__ = [
+    "AIDS",
+    "Alignment",
     "Extras",
     "FilterOptions",
     "FilterParts",
@@ -20,7 +36,19 @@ __all__ = [
     "Nodes",
     "SmootherResult",
     "Standstill",
+    "StartBelief",
+    "align",
+    "align_at_rest",
+    "align_in_motion",
+    "cut",
+    "first_track",
+    "never_moves",
+    "on_reference",
+    "on_track",
+    "rests",
     "run_filter",
+    "sigma_of_fixes",
     "smooth",
+    "start",
     "user_filter",
 ]

@@ -10,7 +10,7 @@ from insemu.gap.candidates.axis import register
 from insemu.gap.data.sources import StaticLog, from_its_start, load_measured
 from insemu.gap.policy import Policy
 from insemu.gap.problems.rest import find_static_gap
-from insemu.gap.session import find_gap
+from insemu.gap.session import applied, find_gap
 from insemu.gap.verdict import Finding, GapReport, Member, Value, Where
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "StaticLog",
     "Value",
     "Where",
+    "applied",
     "find_gap",
     "find_static_gap",
     "from_its_start",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -19,6 +19,7 @@ from insemu.gap.candidates.timing import find_offset
 from insemu.gap.data.sources import StaticLog
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.policy import Policy, rules, under
+from insemu.gap.problems.findings import with_effect
 from insemu.gap.problems.known import drive_without, in_imu_axes, static_without
 from insemu.gap.problems.rest import find_static_gap
 from insemu.gap.verdict import Finding, GapReport, Interval, Value, held_out_said, judged
@@ -164,6 +165,24 @@ def _drive(
             break
         out = corrected
     return replace(out, curves={**out.curves, "drive": _pictures(measured, first, nominal, out)}) if pictures else out
+
+
+def applied(report: GapReport, which: Sequence[int]) -> GapReport:
+    """The report with some of its findings only, numbered from 1 as they stand in it: what the refined model is then written from.
+
+    Raises
+    ------
+    InputError
+        A number that is no finding's.
+    """
+    wrong = [n for n in which if not 1 <= n <= len(report.findings)]
+    if wrong:
+        raise InputError(f"there is no finding {wrong[0]}, expected 1 to {len(report.findings)}", where="--apply")
+    findings = tuple(f for n, f in enumerate(report.findings, 1) if n in which)
+    refined = dict(report.nominal)
+    for finding in findings:
+        refined = with_effect(refined, finding)
+    return replace(report, findings=findings, refined=refined)
 
 
 def check(measured: Recording, nominal: Nominal) -> None:

@@ -95,6 +95,8 @@ class Finding:
         Whether something that no candidate explains sits in the same place.
     confusable : tuple of Confusable
         Effects that would stand beside it in a tenth or more of repetitions of the recording, most often first.
+    metres : float
+        Horizontal position error that it leaves at the end of a minute without fixes, m; NaN where nobody says.
     """
 
     effect: str
@@ -109,6 +111,7 @@ class Finding:
     runners_up: tuple[Member, ...] = ()
     doubtful: bool = False
     confusable: tuple[Confusable, ...] = ()
+    metres: float = math.nan
 
     def doubted(self) -> Finding:
         """The finding where something unexplained sits in the same place: it is no more than as likely as not."""
@@ -133,6 +136,7 @@ class Finding:
             "variant": self.variant,
             "runners_up": [m.to_json() for m in self.runners_up],
             "confusable": [c.to_json() for c in self.confusable],
+            "metres_60s": self.metres if math.isfinite(self.metres) else None,
         }
 
 

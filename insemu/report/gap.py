@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -33,6 +34,50 @@ def _subject(finding: Finding) -> str:
     where = place(finding.sensor, finding.axes)
     # an effect of the whole IMU or of timing needs no place
     return effect_name(finding.effect) if finding.sensor == "imu" else f"{effect_name(finding.effect)} of the {where}"
+
+
+#: What to do about an effect; ``{}`` stands for its first parameters.
+_ACTIONS = {
+    "white_noise": "set the white noise to {}",
+    "random_walk": "add a random walk of {}",
+    "gauss_markov": "add a Gauss-Markov process of {}",
+    "flicker": "add bias instability of {}",
+    "quantization": "add quantization of {}",
+    "telegraph": "add telegraph noise of {}; no calibration takes it off",
+    "turn_on_bias": "take the bias off: {}",
+    "ramp": "take the drift off: {}",
+    "scale_factor": "correct the scale factor: {}",
+    "misalignment": "correct the misalignment: {}",
+    "temperature": "calibrate over temperature: {}",
+    "vibration_line": "damp the mount or filter: {}",
+    "vibration_band": "damp the mount or raise the white noise: {}",
+    "outliers": "reject single samples: {}",
+    "saturation": "use a wider range: {}",
+    "dropped_samples": "repair the logger: {}",
+    "decimation_filter": "model the low-pass: {}",
+    "imu_gnss_time_offset": "shift the stamps by {}",
+    "clock_drift": "correct the clock by {}",
+    "lever_arm": "correct the lever arm by {}",
+    "mounting": "turn the IMU's axes by {}",
+    "gnss_noise_level": "multiply the stated standard deviations of the positions by {}",
+    "gnss_velocity_noise": "multiply the stated standard deviations of the velocities by {}",
+    "gnss_correlated_noise": "add slow errors to the fixes: {}",
+    "gnss_outliers": "gate the fixes: {}",
+    "gnss_multipath_step": "leave these fixes out: {}",
+}
+
+
+def action(finding: Finding) -> str:
+    """What to do about a finding, in one line."""
+    values = ", ".join(
+        f"{v.name} {v.value:.3g} {v.unit if v.unit != '1' else ''}".strip() for v in finding.parameters[:3]
+    )
+    return _ACTIONS.get(finding.effect, "model or calibrate it: {}").format(values)
+
+
+def metres(finding: Finding) -> str:
+    """What a finding is worth at the end of a minute without fixes, in words; a dash where nobody says."""
+    return f"{finding.metres:.3g}" if math.isfinite(finding.metres) else "-"
 
 
 def headline(report: GapReport) -> str:
@@ -263,6 +308,73 @@ def draw_gap(report: GapReport, folder: str | Path, name: str) -> list[Path]:
     return out
 
 
+def _suspects(report: GapReport, names: Sequence[str]) -> list[Section]:
+    """What was found, how sure that is, what it is worth, and the evidence for it."""
+    rows = [
+        [
+            effect_name(s.effect),
+            s.variant,
+            place(s.sensor, s.axes),
+            f"{s.nats:.1f}",
+            f"{s.confidence:.3f}",
+            metres(s),
+            action(s),
+        ]
+        for s in report.findings
+    ]
+    heads = ("effect", "shape", "axes", "evidence, nats", "confidence", "m after 60 s without fixes", "what to do")
+    suspects: list[Block] = [Table(heads, rows, left=3)]
+    classes = [s for s in report.findings if s.is_class]
+    if classes:
+        suspects.append(Text("Effects that this recording cannot tell apart:"))
+        suspects.append(
+            Items(
+                [
+                    f"{' / '.join(effect_name(m.effect) for m in s.members)} ({place(s.sensor, s.axes)}): "
+                    f"what would separate them is {s.would_separate}."
+                    for s in classes
+                ]
+            )
+        )
+    if confusable := [s for s in report.findings if s.confusable]:
+        suspects.append(
+            Text("In a repetition of this recording with other noise, these would stand within three nats of the best:")
+        )
+        suspects.append(
+            Items(
+                [
+                    f"beside {effect_name(s.effect)} ({place(s.sensor, s.axes)}): "
+                    + ", ".join(
+                        f"{effect_name(c.effect)}, {place(c.sensor, ())} ({c.share:.0%})" for c in s.confusable[:6]
+                    )
+                    for s in confusable
+                ]
+            )
+        )
+    values = [
+        [
+            effect_name(s.effect),
+            place(s.sensor, s.axes),
+            v.name,
+            _number(v.value),
+            f"{_number(v.low)} to {_number(v.high)}",
+            v.unit,
+        ]
+        for s in report.findings
+        for v in s.parameters
+    ]
+    suspects.append(
+        Table(("effect", "axes", "parameter", "value", "95 % interval", "unit"), values, "Estimates", left=3)
+    )
+    out = [Section("The suspect", suspects)]
+    pictures: list[Block] = [
+        Figure.of(evidence_figure(report.findings[:6]), "Evidence of the named effects and their rivals.")
+    ]
+    if names and any(report.curves[n].get("f") for n in names):
+        pictures.append(Figure.of(spectrum_figure(report, names), "Spectrum: measured, nominal, refined."))
+    return [*out, Section("The evidence", pictures)]
+
+
 def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path:
     """Write ``index.html``.
 
@@ -292,68 +404,7 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
         )
     ]
     if report.findings:
-        rows = [
-            [
-                effect_name(s.effect),
-                s.variant,
-                place(s.sensor, s.axes),
-                f"{s.nats:.1f}",
-                f"{s.confidence:.3f}",
-            ]
-            for s in report.findings
-        ]
-        suspects: list[Block] = [Table(("effect", "shape", "axes", "evidence, nats", "confidence"), rows, left=3)]
-        classes = [s for s in report.findings if s.is_class]
-        if classes:
-            suspects.append(Text("Effects that this recording cannot tell apart:"))
-            suspects.append(
-                Items(
-                    [
-                        f"{' / '.join(effect_name(m.effect) for m in s.members)} ({place(s.sensor, s.axes)}): "
-                        f"what would separate them is {s.would_separate}."
-                        for s in classes
-                    ]
-                )
-            )
-        if confusable := [s for s in report.findings if s.confusable]:
-            suspects.append(
-                Text(
-                    "In a repetition of this recording with other noise, these would stand within three nats of the best:"
-                )
-            )
-            suspects.append(
-                Items(
-                    [
-                        f"beside {effect_name(s.effect)} ({place(s.sensor, s.axes)}): "
-                        + ", ".join(
-                            f"{effect_name(c.effect)}, {place(c.sensor, ())} ({c.share:.0%})" for c in s.confusable[:6]
-                        )
-                        for s in confusable
-                    ]
-                )
-            )
-        values = [
-            [
-                effect_name(s.effect),
-                place(s.sensor, s.axes),
-                v.name,
-                _number(v.value),
-                f"{_number(v.low)} to {_number(v.high)}",
-                v.unit,
-            ]
-            for s in report.findings
-            for v in s.parameters
-        ]
-        suspects.append(
-            Table(("effect", "axes", "parameter", "value", "95 % interval", "unit"), values, "Estimates", left=3)
-        )
-        sections.append(Section("The suspect", suspects))
-        pictures: list[Block] = [
-            Figure.of(evidence_figure(report.findings[:6]), "Evidence of the named effects and their rivals.")
-        ]
-        if names and any(report.curves[n].get("f") for n in names):
-            pictures.append(Figure.of(spectrum_figure(report, names), "Spectrum: measured, nominal, refined."))
-        sections.append(Section("The evidence", pictures))
+        sections += _suspects(report, names)
     if refined:
         sections.append(Section("The refined model", [Code(refined)]))
     index = Table(

@@ -107,7 +107,7 @@ class TrajectorySource(Section):
         default=None, description="name of a built-in trajectory, for example helicopter_mapping"
     )
     waypoints: str | None = Field(default=None, description="waypoint file (CSV or GeoJSON)")
-    track: str | None = Field(default=None, description="recorded track: a recording or a CSV")
+    track: str | None = Field(default=None, description="recorded track: any file that insemu open reads, or a CSV")
     motion: str | None = Field(default=None, description="motion command file (CSV)")
     vehicle: Literal["car", "multirotor", "helicopter", "fixed_wing"] = Field(
         default="car", description="limits and attitude for waypoints and tracks"

@@ -6,6 +6,7 @@ in-run bias stability is the lowest point of the Allan deviation, which is sqrt(
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -95,11 +96,11 @@ class Figure:
 Figures = dict[str, dict[str, Figure]]
 
 _NUMBER = re.compile(
-    r"(?<![\w.])[±+]?\s*(?P<limit>[<≤]|max\.?\s|maximum\s)?\s*(?P<value>\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)(?![\d-])"
+    r"(?<![\w.])(?<!(?<!\d)[-−])[±+]?\s*(?P<limit>[<≤]|max\.?\s|maximum\s)?\s*(?P<value>\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)(?![\d-])"
 )
 _CLAUSES = re.compile(r"[;\n\r|]|,(?!\d)|\.\s|\s(?:and|with)\s")
-#: Most words of a unit, and most characters of a text.
-_WORDS, LONGEST = 4, 200_000
+#: Most words of a unit, characters between a name and its number, and characters of a text.
+_WORDS, _NEAR, LONGEST = 4, 200, 200_000
 
 
 def quantity(text: str, kind: str, sensor: str, where: str) -> float:
@@ -136,7 +137,7 @@ def _clause(clause: str) -> tuple[str, str, Figure] | str | None:
         if named is None:
             continue
         # the number usually stands after the name; the features of a datasheet put it in front
-        sides = (clause[named.end() :], clause[: named.start()])
+        sides = (clause[named.end() :][:_NEAR], clause[: named.start()][-_NEAR:])
         numbers = [(m, side) for side in sides for m in _NUMBER.finditer(side)]
         for match, side in numbers:
             found = _measure(side[match.end() :].split(), kind)
@@ -144,7 +145,7 @@ def _clause(clause: str) -> tuple[str, str, Figure] | str | None:
                 sensor, unit, factor = found
                 value = float(match["value"]) * factor
                 limit = match["limit"] is not None or re.search(r"\bmax", side) is not None
-                if value > 0.0:
+                if 0.0 < value < math.inf:
                     return (
                         kind,
                         sensor,

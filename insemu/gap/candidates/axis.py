@@ -223,7 +223,7 @@ def memo(state: AxisState, key: str, make: Callable[[], Array]) -> Array:
     """What is computed once for an axis."""
     if key not in state.memory:
         state.memory[key] = make()
-    return state.memory[key]
+    return np.asarray(state.memory[key])
 
 
 def whitened(state: AxisState) -> Array:

@@ -94,6 +94,22 @@ class Loop:
 
 def columns_response(loop: Loop, motion: Motion, columns: Sequence[Column]) -> tuple[Array, Array]:
     """Responses (f, 6, columns) of unit columns, and the built-up errors of constants and ramps on each axis (for slow processes)."""
+    D, ramp, M = built_up(loop, motion, columns)
+    return loop.respond(len(columns), D, M), ramp
+
+
+def built_up(loop: Loop, motion: Motion, columns: Sequence[Column]) -> tuple[Array, Array, Array]:
+    """What unit columns do between the nodes of the filter and at its fixes.
+
+    Returns
+    -------
+    D : (nodes, columns, 9) array
+        Navigation errors built up since the node before.
+    ramp : (nodes, 12, 9) array
+        The same for constants and ramps on each axis.
+    M : (f, 6, columns) array
+        Errors of the fixes.
+    """
     entries = [(j, axis, u) for j, c in enumerate(columns) for axis, u in c.inputs]
     nodes = loop.result.nodes
     assert nodes is not None
@@ -114,7 +130,7 @@ def columns_response(loop: Loop, motion: Motion, columns: Sequence[Column]) -> t
     for j, c in enumerate(columns):
         if c.fixes is not None:
             M[:, :, j] = c.fixes
-    return loop.respond(len(columns), D, M), ramp
+    return D, ramp, M
 
 
 def knot_response(loop: Loop, motion: Motion, ramp: Array, knots: Array) -> Array:

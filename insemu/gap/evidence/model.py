@@ -159,6 +159,8 @@ class Regressors:
     )
 
 
+#: Shapes of one process that a climb remembers.
+MOST_SHAPES = 64
 #: Frequencies up to which a spectrum is worked out at each, and the relative distance of those between which it is interpolated beyond.
 MOST_EXACT, NEARNESS = 32_768, 2e-4
 
@@ -290,7 +292,7 @@ class Likelihood:
     def along(self, explanation: Explanation) -> Callable[[Array], float]:
         """:meth:`log_posterior` as a function of the logarithms of the free parameters, inside their bounds.
 
-        What does not depend on them is worked out once: processes with nothing free, and the shapes of those whose amplitude alone is.
+        What does not depend on them is worked out once, and the shape of a process again only where one of its shape parameters moves.
         """
         data, count = self.data, self.data.differences.size
 
@@ -299,29 +301,33 @@ class Likelihood:
             return density(process, data.f, data.dt), covariance
 
         still_psd, still_covariance = np.zeros_like(data.f), np.zeros(count)
-        moving: list[tuple[Component, tuple[Array, Array] | None]] = []
+        moving: list[tuple[Process, list[str], int, dict[tuple[float, ...], tuple[Array, Array]]]] = []
         for c in explanation.components:
-            if not c.free:
+            names = [f.name for f in c.free]
+            at = names.index(c.process.level.name) if c.process.level.name in names else -1
+            if names:
+                moving.append((of_unit_level(c.process) if at >= 0 else c.process, names, at, {}))
+            else:
                 psd, covariance = shape(c.process)
                 still_psd, still_covariance = still_psd + psd, still_covariance + covariance
-            elif [f.name for f in c.free] == [c.process.level.name]:
-                moving.append((c, shape(of_unit_level(c.process))))
-            else:
-                moving.append((c, None))
         rolloff, seen = explanation.rolloff, explanation.seen(data)
         prior = [(math.log(f.low), math.log(f.high), f.edge, math.log(f.width)) for f in explanation.free]
 
         def log_posterior(x: Array) -> float:
             psd, covariance, k = still_psd, still_covariance, 0
-            for c, unit in moving:
-                if unit is not None:
-                    square = math.exp(2 // c.process.level.power * x[k])
-                    more = (square * unit[0], square * unit[1])
-                else:
-                    values = {f.name: math.exp(x[k + i]) for i, f in enumerate(c.free)}
-                    more = shape(c.process.with_parameters(values))
-                psd, covariance = psd + more[0], covariance + more[1]
-                k += len(c.free)
+            for process, names, at, known in moving:
+                own = x[k : k + len(names)].tolist()
+                size = math.exp(2 // process.level.power * own.pop(at)) if at >= 0 else 1.0
+                key = tuple(own)
+                if key not in known:
+                    if len(known) > MOST_SHAPES:
+                        known.clear()
+                    others = [n for i, n in enumerate(names) if i != at]
+                    moved = process.with_parameters({n: math.exp(v) for n, v in zip(others, own, strict=True)})
+                    known[key] = shape(moved if own else process)
+                unit = known[key]
+                psd, covariance = psd + size * unit[0], covariance + size * unit[1]
+                k += len(names)
             if rolloff is not None:
                 gain = replace(rolloff, values=tuple(math.exp(v) for v in x[k:])).gain(data.f, data.dt)
                 psd = psd * gain + rolloff.floor

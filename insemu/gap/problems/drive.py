@@ -61,6 +61,7 @@ from insemu.gap.problems.findings import (
 from insemu.gap.problems.known import colour_of
 from insemu.gap.search import Again, search
 from insemu.gap.verdict import Confusable, Finding, GapReport, Interval, Member, Value, Where, judged
+from insemu.gap.worth import white_levels, worth_in_motion, worth_in_noise
 from insemu.records import AXES, Recording
 
 Array = NDArray[np.float64]
@@ -513,6 +514,8 @@ def _doubted(
     instead = [f.instead if not s.is_class else "" for s, f in zip(each, named.found, strict=True)]
     own = [s.doubted() if named.outsider or failed or i else s for s, i in zip(each, instead, strict=True)]
     heard = [s.doubted() if is_doubtful(s, (), changing) else s for s in merged(dict(fast))]
+    white = white_levels(at.believed.beliefs)
+    heard = [replace(s, metres=worth_in_noise(s, white)) for s in heard]
     heard = [with_delay(s, at.late.get(s.sensor, 0.0)) for s in heard]
     beyond = " and ".join(dict.fromkeys(filter(None, (named.outsider, *sorted(set(instead))))))
     left = remainder(failed, {**({("the fixes", ""): beyond} if beyond else {}), **changing})
@@ -521,7 +524,7 @@ def _doubted(
 
 def _finding(f: Found[Change], named: Named) -> Finding:
     """A finding as it is reported: values from everything together, members of its class, runners-up."""
-    h, values = f.chosen, f.chosen.values
+    h, values, metres = f.chosen, f.chosen.values, math.nan
     if h.change.block is not None and (h.change.columns or h.change.window is not None):
         index, mean, covariance = named.scene.data.posterior(named.blocks)
         # two blocks may share a column: what it explains is their sum
@@ -529,6 +532,7 @@ def _finding(f: Found[Change], named: Named) -> Finding:
         mean, covariance = sums @ mean, sums @ covariance @ sums.T
         if h.change.columns:
             values = shape_values(named.scene, h.change.block[0], mean, covariance)
+            metres = worth_in_motion(named.scene, h.change.columns, mean)
         else:
             values = (Value.normal("value", float(mean[0]), math.sqrt(float(covariance[0, 0])), "m"), *values[1:])
     own = next((k for k, r in enumerate(f.ranked) if (r.effect, r.sensor) == (h.effect, h.sensor)), 0)
@@ -536,7 +540,8 @@ def _finding(f: Found[Change], named: Named) -> Finding:
     members, others, confidence = class_of(rivals, own)
     needs = "; ".join(dict.fromkeys(EFFECTS[m.effect].excitation for m in members)) if len(members) > 1 else ""
     text = f"a recording with more of: {needs}" if needs else ""
-    return Finding(h.effect, h.variant, h.sensor, h.axes, values, confidence, h.nats, members, text, others)
+    found = Finding(h.effect, h.variant, h.sensor, h.axes, values, confidence, h.nats, members, text, others)
+    return replace(found, metres=metres if h.change.columns else worth_in_noise(found))
 
 
 def with_confusable(

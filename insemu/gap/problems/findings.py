@@ -241,6 +241,7 @@ def joined(findings: list[Finding]) -> list[Finding]:
             axes=tuple(dict.fromkeys((*first.axes, *s.axes))),
             parameters=(*first.parameters, *(v for v in s.parameters if v.name not in known)),
             nats=first.nats + s.nats,
+            metres=math.hypot(first.metres, s.metres),
         )
     return out
 

@@ -44,6 +44,7 @@ from insemu.gap.problems.known import settled, starting_explanation
 from insemu.gap.search import Again, search
 from insemu.gap.threshold import certain, nominal_tail, threshold_of, usual_tail
 from insemu.gap.verdict import GapReport, Interval, Where, judged
+from insemu.gap.worth import white_levels, worth_in_noise
 from insemu.noise import NoiseModel
 from insemu.records import Series
 
@@ -386,6 +387,8 @@ class _Log:
             findings = tuple(sorted((*findings, *gaps_of(missing)), key=lambda s: -s.nats))
         failed = [w for w in after if w.p_value < rules().omnibus_rest]
         outsiders = {split_axis(name): r.outsider for name, r in results.items() if r.outsider}
+        white = white_levels(self.beliefs)
+        findings = tuple(replace(s, metres=worth_in_noise(s, white)) for s in findings)
         findings = tuple(s.doubted() if is_doubtful(s, failed, outsiders) else s for s in findings)
         left = remainder(failed, outsiders)
         nothing = Interval(math.nan, math.nan, math.nan)

@@ -1,0 +1,99 @@
+"""What a finding is worth in metres: closed forms of the field, and the whole filter through an outage."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from insemu import earth
+from insemu.errors import InputError
+from insemu.gap import Finding, GapReport, Member, Value, applied
+from insemu.gap.drive.preparation import fast_parts, prepare
+from insemu.gap.drive.scene import Scene, corrected_data
+from insemu.gap.verdict import Interval
+from insemu.gap.worth import GRAVITY, worth_in_motion, worth_in_noise
+from insemu.noise import RW, WN, NoiseModel
+from insemu.records import Recording
+from insemu.report.gap import action, metres
+from insemu.trial.drives import stage
+
+T = 60.0
+
+
+def finding(effect: str, sensor: str, **values: float) -> Finding:
+    member = Member(effect, sensor, ("x",), 50.0)
+    parameters = tuple(Value(k, v, 0.9 * v, 1.1 * v, "1") for k, v in values.items())
+    return Finding(effect, "", sensor, ("x",), parameters, 0.99, 50.0, (member,))
+
+
+@pytest.mark.parametrize(
+    ("effect", "name", "accel", "gyro"),
+    [
+        ("white_noise", "N", math.sqrt(T**3 / 3.0), GRAVITY * math.sqrt(T**5 / 20.0)),
+        ("random_walk", "K", math.sqrt(T**5 / 20.0), GRAVITY * math.sqrt(T**7 / 252.0)),
+        ("turn_on_bias", "value", T**2 / 2.0, GRAVITY * T**3 / 6.0),
+        ("ramp", "R", T**3 / 6.0, GRAVITY * T**4 / 24.0),
+    ],
+)
+def test_noise_grows_as_the_textbook_says(effect: str, name: str, accel: float, gyro: float) -> None:
+    assert worth_in_noise(finding(effect, "accel", **{name: 1e-3})) == pytest.approx(1e-3 * accel, rel=5e-3)
+    assert worth_in_noise(finding(effect, "gyro", **{name: 1e-5})) == pytest.approx(1e-5 * gyro, rel=5e-3)
+
+
+def test_of_white_noise_only_what_was_not_believed_counts() -> None:
+    found = finding("white_noise", "accel", N=5e-3)
+    assert worth_in_noise(found, {"accel_x": 3e-3}) == pytest.approx(4e-3 * math.sqrt(T**3 / 3.0), rel=5e-3)
+
+
+def test_a_slow_process_is_worth_a_bias_and_what_has_no_form_is_left_open() -> None:
+    slow = worth_in_noise(finding("gauss_markov", "accel", sigma=1e-3, beta=1e-6))
+    assert slow == pytest.approx(1e-3 * T**2 / 2.0, rel=1e-3)
+    assert math.isnan(worth_in_noise(finding("vibration_line", "accel", amplitude=1.0, frequency=17.0)))
+    assert math.isnan(worth_in_noise(finding("gnss_noise_level", "gnss", factor=2.0)))
+    assert metres(finding("saturation", "gyro", limit=1.0)) == "-"
+
+
+def test_an_effect_in_a_drive_is_worth_what_the_filter_shows_through_an_outage() -> None:
+    s = stage(61, 3.0, 50.0)
+    recording = s.record()
+    assert isinstance(recording, Recording)
+    prepared = prepare(recording, s.nominal, fast_parts(recording), {})
+    at = Scene.of(prepared)
+    j = next(k for k, c in enumerate(at.columns) if (c.effect, c.sensor) == ("scale_factor", "accel"))
+    value, start = 0.2 * at.columns[j].scale, float(prepared.gnss.t[70]) + 0.01
+    inside = (prepared.gnss.t > start) & (prepared.gnss.t <= start + T)
+    ends = []
+    for imu in (prepared.imu, corrected_data(prepared, at.columns, {j: value}, prepared.result.fixes.t)[0]):
+        gnss = prepared.gnss
+        llh = np.where(inside[:, None], np.nan, gnss.llh)
+        vel = None if gnss.vel_ned is None else np.where(inside[:, None], np.nan, gnss.vel_ned)
+        result = prepared.again(imu=imu, gnss=replace(gnss, llh=llh, vel_ned=vel)).result
+        ends.append(result.nav[np.searchsorted(result.t, start + T) - 1, :3])
+    away = earth.position_difference(ends[0][None], ends[1])[0]
+    assert worth_in_motion(at, [j], [value], [start]) == pytest.approx(math.hypot(away[0], away[1]), rel=0.05)
+    # linear, and all along the drive of the same order
+    assert worth_in_motion(at, [j], [2.0 * value], [start]) == pytest.approx(
+        2.0 * worth_in_motion(at, [j], [value], [start]), rel=1e-9
+    )
+    assert 0.0 < worth_in_motion(at, [j], [value]) < math.inf
+
+
+def test_some_findings_are_applied_by_number() -> None:
+    nothing = Interval(math.nan, math.nan, math.nan)
+    found = (finding("random_walk", "gyro", K=1e-5), finding("turn_on_bias", "gyro", value=1e-3))
+    belief = {"gyro_x": NoiseModel((WN(1e-3),))}
+    both = {"gyro_x": NoiseModel((WN(1e-3), RW(1e-5)))}
+    report = GapReport("named", found, (), (), nothing, nothing, nothing, belief, both)
+    second = applied(report, [2])
+    assert [f.effect for f in second.findings] == ["turn_on_bias"] and second.refined == belief
+    assert applied(report, [1]).refined["gyro_x"] == both["gyro_x"]
+    with pytest.raises(InputError, match="no finding 3, expected 1 to 2"):
+        applied(report, [1, 3])
+
+
+def test_every_finding_says_what_to_do() -> None:
+    assert action(finding("lever_arm", "gnss", value_x=0.48)) == "correct the lever arm by value_x 0.48"
+    assert action(finding("somebody's own", "gyro", size=2.0)) == "model or calibrate it: size 2"
