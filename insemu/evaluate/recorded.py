@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import earth, rotation
-from insemu.emulate import Outage
-from insemu.emulate.gnss import antenna, state_at
+from insemu.emulate import Outage, antenna, state_at
 from insemu.errors import InputError
 from insemu.evaluate.consistency import nees
 from insemu.evaluate.errors import navigation_error
@@ -177,7 +176,7 @@ class RecordedWorld:
         t = self.reference.t
         t = t[(t > self.alignment.t) & (t <= self.vehicle_imu.t[-1])]
         step = max(1, round(0.25 / float(np.median(np.diff(t)))))
-        return t[::step]
+        return np.asarray(t[::step])
 
     @cached_property
     def truth_at_outputs(self) -> Trajectory:

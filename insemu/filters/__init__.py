@@ -14,9 +14,10 @@ from insemu.filters.alignment import (
     sigma_of_fixes,
 )
 from insemu.filters.ekf import LooselyCoupledEKF, run_filter
+from insemu.filters.joint import JointSystem, error_maps, ideal_fixes
 from insemu.filters.motion import align_in_motion
 from insemu.filters.options import FilterOptions, InitialSigma
-from insemu.filters.protocol import FilterParts, NavigationFilter, user_filter
+from insemu.filters.protocol import FilterParts, NavigationFilter, check_result, user_filter, user_filter_code
 from insemu.filters.rest import never_moves, rests
 from insemu.filters.results import FilterResult, FixTable, Nodes
 from insemu.filters.smoother import SmootherResult, smooth
@@ -31,6 +32,7 @@ __all__ = [
     "FilterResult",
     "FixTable",
     "InitialSigma",
+    "JointSystem",
     "LooselyCoupledEKF",
     "NavigationFilter",
     "Nodes",
@@ -40,8 +42,11 @@ __all__ = [
     "align",
     "align_at_rest",
     "align_in_motion",
+    "check_result",
     "cut",
+    "error_maps",
     "first_track",
+    "ideal_fixes",
     "never_moves",
     "on_reference",
     "on_track",
@@ -51,4 +56,5 @@ __all__ = [
     "smooth",
     "start",
     "user_filter",
+    "user_filter_code",
 ]
