@@ -112,7 +112,7 @@ def user_filter(name: str) -> type[NavigationFilter]:
     """
     entry = _entry(name)
     try:
-        found = entry.load()
+        found: type[NavigationFilter] = entry.load()
     except (ImportError, AttributeError) as error:
         raise InputError(f"the filter '{name}' ({entry.value}) cannot be imported: {error}") from None
     if not callable(getattr(found, "run", None)):
