@@ -219,7 +219,7 @@ def _down(arrays: Mapping[str, NDArray[Any]], key: str, rows: int, source: str, 
     if f"{key}_ned" in arrays:
         return _matrix(arrays, f"{key}_ned", rows, 3, source)
     if f"{key}_neu" in arrays:
-        return _matrix(arrays, f"{key}_neu", rows, 3, source) * np.array([1.0, 1.0, -1.0 if sign else 1.0])
+        return np.asarray(_matrix(arrays, f"{key}_neu", rows, 3, source) * np.array([1.0, 1.0, -1.0 if sign else 1.0]))
     return None
 
 
