@@ -18,10 +18,10 @@ test-slow: $(STAMP)
 
 # Fixed blind recordings against tests/scoreboard.yaml: what moved, and failure where a score left its binomial bound.
 scoreboard: $(STAMP)
-	$(BIN)/python -m tests.scoreboard --workers $(WORKERS)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.scoreboard --workers $(WORKERS)
 
 scoreboard-release: $(STAMP)
-	mkdir -p results && $(BIN)/python -m tests.scoreboard --release 1000 --workers $(WORKERS) --log results/scoreboard_release.jsonl
+	mkdir -p results && OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.scoreboard --release 1000 --workers $(WORKERS) --log results/scoreboard_release.jsonl
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -20,6 +20,8 @@ ImuKind = Literal["increment", "mean", "sample"]
 
 #: The six sensor axes in the order of every (..., 6) array.
 AXES = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
+#: Stamps that stray from an even beat by no more than this share of it are jitter of the stamps and not of the sampling.
+JITTER = 0.02
 #: Column names of the same axes in files.
 COLUMNS = ("gx", "gy", "gz", "ax", "ay", "az")
 
@@ -158,6 +160,32 @@ class ImuRecord:
 
         return replace(self, gyro=integrate(self.gyro), accel=integrate(self.accel), kind="increment")
 
+    def widths(self, jitter: float = JITTER) -> Array:
+        """What turns rates into the record's values, (n, 1): 1, or for increments the interval in s.
+
+        An IMU samples by its own clock: increments between stamps that merely jitter, by less than this share of the sampling interval, all
+        span the same time.
+        """
+        if self.kind != "increment":
+            return np.ones((len(self), 1))
+        step = np.diff(self.t, prepend=2 * self.t[0] - self.t[1])
+        beat = float(np.median(step))
+        return np.asarray(np.where(np.abs(step / beat - 1.0) < jitter, beat, step)[:, None])
+
+    def rates(self) -> Array:
+        """Angular rate and specific force whatever the kind, (n, 6) in rad/s and m/s^2."""
+        return np.asarray(np.hstack([self.gyro, self.accel]) / self.widths())
+
+    def with_rates(self, rates: ArrayLike) -> ImuRecord:
+        """The same record, of the same kind, with other rates and forces (n, 6)."""
+        values = np.asarray(rates, dtype=np.float64) * self.widths()
+        return replace(self, gyro=values[:, :3], accel=values[:, 3:])
+
+    def rows(self, keep: slice | NDArray[np.bool_]) -> ImuRecord:
+        """Some rows of the record."""
+        temperature = None if self.temperature is None else self.temperature[keep]
+        return replace(self, t=self.t[keep], gyro=self.gyro[keep], accel=self.accel[keep], temperature=temperature)
+
 
 @dataclass(frozen=True)
 class GnssRecord:
@@ -197,6 +225,26 @@ class GnssRecord:
 
     def __len__(self) -> int:
         return self.t.size
+
+    def rows(self, keep: slice | NDArray[np.bool_]) -> GnssRecord:
+        """Some of the fixes."""
+        parts = {name: getattr(self, name) for name in ("vel_ned", "pos_std_ned", "vel_std_ned")}
+        return GnssRecord(
+            self.t[keep], self.llh[keep], **{name: None if v is None else v[keep] for name, v in parts.items()}
+        )
+
+    def with_sigma(self, position: ArrayLike | None, velocity: ArrayLike | None) -> GnssRecord:
+        """The same fixes with standard deviations (m, m/s; scalar or north, east, down) where the record states none; None leaves it so."""
+        out, n = self, len(self)
+        if out.pos_std_ned is None and position is not None:
+            out = replace(out, pos_std_ned=np.array(np.broadcast_to(position, (n, 3)), dtype=np.float64))
+        if out.vel_ned is not None and out.vel_std_ned is None and velocity is not None:
+            out = replace(out, vel_std_ned=np.array(np.broadcast_to(velocity, (n, 3)), dtype=np.float64))
+        return out
+
+    def without_velocity(self) -> GnssRecord:
+        """Positions alone."""
+        return replace(self, vel_ned=None, vel_std_ned=None)
 
 
 @dataclass(frozen=True)

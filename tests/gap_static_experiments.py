@@ -289,7 +289,7 @@ def beliefs(arguments: argparse.Namespace) -> None:
             belief = {"gyro_x": wrong(truth, rng)}
             report = find_static_gap([log], belief, rng=np.random.default_rng(1), hold_out=False)
             flagged += report.verdict != "nothing missing"
-            said.update(s.effect for s in report.steps)
+            said.update(s.effect for s in report.findings)
         total += flagged
         _share(f"nominal, believed as {kind}: flagged {dict(said) or ''}", flagged, arguments.draws)
     _share("nominal, all beliefs: flagged", total, arguments.draws * len(kinds))
@@ -304,7 +304,7 @@ def beliefs(arguments: argparse.Namespace) -> None:
             for how in ways:
                 as_written = {a: _written(m, how, 20.0) for a, m in made.beliefs.items()}
                 report = look(replace(made, beliefs=as_written))
-                right[how] += bool(report.steps) and report.steps[0].effect == effect
+                right[how] += bool(report.findings) and report.findings[0].effect == effect
             drawn += 1
         named += right
         print(f"{effect:20s} named first: " + ", ".join(f"{how} {right[how]}" for how in ways), flush=True)

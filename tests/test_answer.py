@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from insemu.evaluate.answer import answer, standings
+from insemu.evaluate.standings import answer, standings
 from tests.test_evaluate import results
 
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
 from scipy.stats import binom
 
@@ -555,3 +557,56 @@ def test_datasheet_scales_differ_by_sensor():
     assert effects.EFFECTS["turn_on_bias"].scale("value", "gyro") != effects.EFFECTS["turn_on_bias"].scale(
         "value", "accel"
     )
+
+
+# -- hostile mappings
+# ----------------------------------------------------------------------------------------------------------------------
+
+ODD = st.recursive(
+    st.none() | st.booleans() | st.integers(-(10**400), 10**400) | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5) | st.integers(), inner, max_size=2),
+    max_leaves=5,
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.data())
+def test_no_mapping_reaches_the_parser_unchecked(data):
+    effect = EFFECTS[data.draw(st.sampled_from(sorted(EFFECTS)))]
+    mapping = {"effect": effect.id, "sensor": effect.sensors[0]}
+    mapping |= {p.name: p.scale[0] for p in effect.parameters}
+    place = data.draw(st.sampled_from([*mapping, "axes", "vlue", 3]))
+    mapping[place] = data.draw(ODD)
+    try:
+        made = EffectUse.from_mapping(mapping)
+    except InputError as error:
+        assert len(str(error)) < 1500
+    else:
+        assert EffectUse.from_mapping(made.to_mapping()) == made
+
+
+@pytest.mark.parametrize("mapping", [None, [], "scale_factor", 3, {"effect": ["a"]}, {"effect": {}}, {3: 4}])
+def test_what_is_no_mapping_is_said(mapping):
+    with pytest.raises(InputError):
+        EffectUse.from_mapping(mapping)
+
+
+@pytest.mark.parametrize(
+    ("mapping", "message"),
+    [
+        ({"effect": "lever_arm", "value": 1e5}, "found 100000, expected at most 1000"),
+        (
+            {"effect": "turn_on_bias", "sensor": "gyro", "value": 10**400},
+            "an integer of 1329 bits, expected a finite number",
+        ),
+        ({"effect": "gnss_outliers", "probability": 2, "sigma": 1.0}, "found 2, expected at most 1"),
+        (
+            {"effect": "turn_on_bias", "sensor": "gyro", "value": {"x": 1}},
+            "found {'x': 1}, expected a quantity in rad/s",
+        ),
+        ({"effect": "turn_on_bias", "sensor": ["gyro"], "value": 1}, r"has the sensor '\['gyro'\]'"),
+    ],
+)
+def test_implausible_and_odd_values_are_named(mapping, message):
+    with pytest.raises(InputError, match=message):
+        EffectUse.from_mapping(mapping)

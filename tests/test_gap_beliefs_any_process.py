@@ -47,7 +47,7 @@ def test_the_evidence_of_one_process_does_not_depend_on_how_it_is_written() -> N
 def test_a_nominal_log_believed_as_an_autoregression_misses_nothing() -> None:
     for name, belief in twins().items():
         report = find_static_gap([a_log(5)], {"gyro_x": belief}, rng=np.random.default_rng(1), hold_out=False)
-        assert report.verdict == "nothing missing", (name, report.steps)
+        assert report.verdict == "nothing missing", (name, report.findings)
 
 
 @pytest.mark.parametrize(
@@ -72,3 +72,11 @@ def test_the_level_of_every_noise_is_free_by_as_much(process: Process, name: str
 
 def test_a_signal_of_one_draw_has_no_level_to_free() -> None:
     assert Explanation.nominal(SIN(1e-3, 2.0) + DR(1e-6) + RC(1e-3)).free == ()
+
+
+def test_a_level_of_zero_is_no_process() -> None:
+    """A fit that found no white noise leaves ``N = 0``; the gap is looked for all the same."""
+    belief = NoiseModel.parse("WN(N=0) + GM(sigma=4e-4, Tc=40 s)", "rad/s")
+    assert len(Explanation.nominal(belief).components) == 1
+    report = find_static_gap([a_log(5)], {"gyro_x": belief}, rng=np.random.default_rng(1), hold_out=False)
+    assert [s.effect for s in report.findings] == ["white_noise"]

@@ -578,3 +578,20 @@ def test_a_large_quadratic_accelerometer_is_unexplained() -> None:
     trial = Job("dynamic", (), 60.0, 5004, "quadratic_accelerometer", minutes=6.0).run()
     assert trial.track == "aeroplane"
     assert trial.verdict == "unexplained"
+
+
+@pytest.mark.parametrize(
+    ("effect", "sensor", "axis", "value"),
+    [("temperature_scale_factor", "gyro", "z", 5e-4), ("temperature_scale_factor", "accel", "z", 5e-5)],
+)
+def test_a_scale_factor_that_follows_the_temperature_is_named(
+    effect: str, sensor: str, axis: str, value: float
+) -> None:
+    hidden = use(effect=effect, sensor=sensor, value=value, axes=axis)
+    report = find_gap(
+        recording(hidden, seed=7), believed(np.random.default_rng(7)), rng=np.random.default_rng(1), hold_out=False
+    )
+    first = report.findings[0]
+    assert (first.effect, first.sensor, first.axes) == (effect, sensor, (axis,))
+    own = next(p for p in first.parameters if p.name == f"value_{axis}")
+    assert own.low < value < own.high

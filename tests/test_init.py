@@ -15,9 +15,17 @@ from insemu import noise, yamlfile
 from insemu.cli import app
 from insemu.errors import InputError
 from insemu.records import AXES
-from insemu.scenario import Scenario, load, shipped, validated
-from insemu.scenario.shipped import located, shipped_scenarios
-from insemu.scenario.starting import Wish, copy_shipped, first_scenario
+from insemu.scenario import (
+    Scenario,
+    Wish,
+    copy_shipped,
+    first_scenario,
+    load,
+    located,
+    shipped,
+    shipped_scenarios,
+    validated,
+)
 from insemu.sensors import models
 
 ROOT = Path(insemu.__file__).parent.parent
@@ -127,6 +135,21 @@ def test_an_own_track_gives_the_motion_and_places_the_outages_in_it(tmp_path, mo
     assert load("scenario.yaml").trajectory == scenario.trajectory
 
 
+def test_a_gpx_track_of_a_phone_is_an_own_track(tmp_path) -> None:
+    lines = write_track(tmp_path / "t.csv").read_text(encoding="utf-8").splitlines()[1:]
+    points = [
+        f'<trkpt lat="{lat.strip()}" lon="{lon.strip()}"><ele>400</ele><time>2026-05-01T10:{int(t) // 60:02d}:{int(t) % 60:02d}Z</time></trkpt>'
+        for t, lat, lon, _ in (line.split(",") for line in lines)
+    ]
+    gpx = tmp_path / "ride.gpx"
+    head = '<gpx version="1.1" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>'
+    gpx.write_text(f"{head}{''.join(points)}</trkseg></trk></gpx>", encoding="utf-8")
+    target = tmp_path / "my.yaml"
+    target.write_text(first_scenario(target, Wish(track=str(gpx))), encoding="utf-8")
+    assert load(target).trajectory.track == "ride.gpx"
+    assert "start: 120 s" in target.read_text(encoding="utf-8")
+
+
 def test_waypoints_are_told_from_a_track(tmp_path) -> None:
     points = write_track(tmp_path / "points.csv", times=False)
     target = tmp_path / "my.yaml"
@@ -166,10 +189,9 @@ def test_an_own_card_is_found_beside_the_scenario(tmp_path, monkeypatch) -> None
     monkeypatch.chdir(tmp_path)
     target.write_text(first_scenario(target, Wish("page.txt")), encoding="utf-8")
     assert "sensor: ../page.txt" in target.read_text(encoding="utf-8")
-    monkeypatch.chdir(tmp_path / "deep")
-    scenario = load("my.yaml")
+    scenario = load("deep/my.yaml")
     assert scenario.truth is not None
-    assert scenario.truth.models() == models("../page.txt")
+    assert scenario.truth.models() == models("page.txt")
     resolved = scenario.model_dump(mode="json", exclude_none=True)
     assert load_of(resolved, tmp_path / "resolved.yaml").truth == scenario.truth
 
@@ -245,3 +267,15 @@ def test_the_package_has_the_scenarios_where_it_looks() -> None:
     text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     assert '"scenarios" = "insemu/scenarios"' in text
     assert Path(shipped._PACKAGE, "scenarios") in shipped._FOLDERS
+
+
+# -- shell completion -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [("insemu in", ["init"]), ("insemu g", ["gap", "gap-trial"]), ("insemu init --tr", ["--track"])],
+)
+def test_the_shell_completes_commands_and_options(words: str, found: list[str]) -> None:
+    env = {"_INSEMU_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)}
+    assert CliRunner().invoke(app, [], prog_name="insemu", env=env).output.split() == found

@@ -96,6 +96,14 @@ def test_warnings_come_before_the_flight_and_leave_json_alone(
     assert err.index("Warning: ") < err.index("elapsed")
 
 
+def test_what_can_hardly_be_meant_is_said(tmp_path: Path) -> None:
+    assert Experiment(load(path := write(tmp_path)), path).warnings == ()
+    odd = {"gnss": SCENARIO["gnss"] | {"lever_arm": "100 km"}, "initial": {"heading_sigma": "400 deg"}}
+    said = Experiment(load(path := write(tmp_path, **odd)), path).warnings
+    assert len(said) == 2 and "gnss.lever_arm is 100000 m, expected at most 100 m" in said[0]
+    assert "initial.heading_sigma is 400 deg" in said[1]
+
+
 def test_realizations_are_the_same_alone_in_parallel_and_among_more(tmp_path: Path) -> None:
     path = write(tmp_path)
     few = run_experiment(Experiment(load(path), path), realizations=2, workers=1)
@@ -222,7 +230,7 @@ def test_what_fails_after_flying_loses_no_results(
     def fail(*_: Any, **__: Any) -> None:
         raise InputError("no budget today")
 
-    monkeypatch.setattr("insemu.evaluate.comparison.analyse_designs", fail)
+    monkeypatch.setattr("insemu.evaluate.analyse_designs", fail)
     monkeypatch.setattr("insemu.report.render_experiment", fail)
     out = tmp_path / "out"
     path = write(tmp_path, variants={}, realizations=1, fits=None, designs={"full": SCENARIO["designs"]["full"]})

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import time
 
 import numpy as np
 import pytest
@@ -13,8 +15,7 @@ from insemu.augment import augment
 from insemu.cli import app
 from insemu.errors import InputError
 from insemu.records import AXES
-from insemu.sensors import Assumptions, axis_models, card, models, names, of_text, read_figures, save, spelled
-from insemu.sensors.models import CASES
+from insemu.sensors import CASES, Assumptions, axis_models, card, models, names, of_text, read_figures, save, spelled
 
 DEG = math.pi / 180.0
 UG = 9.80665e-6
@@ -61,6 +62,39 @@ def test_limits_are_worst_cases_and_a_correlation_time_belongs_to_the_figures_be
     assert (figures["gyro"]["correlation_time"].value, figures["accel"]["correlation_time"].value) == (500.0, 200.0)
 
 
+def test_any_text_gives_positive_figures_or_a_clear_error() -> None:
+    """20,000 texts of the words, numbers and signs of datasheets in any order; and long ones in a moment."""
+    rng = np.random.default_rng(5)
+    words = [
+        *"ARW VRW RRW Tc B = < max ± -3 0 0.34 8 1e400 1e-320 deg/sqrt(h) °/√hr deg/h mg ug/sqrt(Hz) m/s/√h s ( ) , ; | √ ^ / and with % Hz".split(),
+        *(
+            "noise density",
+            "bias instability",
+            "in-run bias stability",
+            "turn-on bias",
+            "\n",
+            "\0",
+            "1" * 500,
+            "(" * 30,
+        ),
+    ]
+    read = 0
+    for _ in range(20_000):
+        text = " ".join(rng.choice(words, rng.integers(1, 14)))
+        try:
+            figures = read_figures(text)
+        except InputError:
+            continue
+        read += 1
+        assert all(0.0 < one.value < math.inf for kinds in figures.values() for one in kinds.values())
+    assert read > 150
+    for text in ("ARW " + "1" * 190_000, "ARW 1 " * 30_000, "ARW 0.3 deg/sqrt(h) " * 9_000):
+        started = time.process_time()
+        with contextlib.suppress(InputError):
+            read_figures(text)
+        assert time.process_time() - started < 5.0
+
+
 def test_a_pasted_datasheet_gives_its_figures_and_nothing_else(tmp_path) -> None:
     (tmp_path / "features.txt").write_text(PASTED, encoding="utf-8")
     found = card(str(tmp_path / "features.txt"))
@@ -78,6 +112,8 @@ def test_a_pasted_datasheet_gives_its_figures_and_nothing_else(tmp_path) -> None
         ("ARW 0.34 deg/h", "'ARW 0.34 deg/h' has no unit of angular or velocity random walk"),
         ("in-run bias stability 8 deg/sqrt(h)", "no unit of lowest point of the Allan deviation"),
         ("a gyroscope of 8 deg/h", "found no figure in"),
+        ("ARW -0.3 deg/sqrt(h)", "found no figure in"),
+        ("ARW 1e400 deg/sqrt(h)", "no unit of angular"),
         ("x" * 300_000, "has 300000 characters"),
     ],
 )
@@ -174,6 +210,11 @@ def test_figures_of_the_adis16470_are_those_of_its_datasheet() -> None:
         ("name: x\ngyro: {random_walk: {source: a}}", "expected a quantity or the keys typical"),
         ("name: x\ngyro: {random_walk: {typical: 1 deg/sqrt(h), source: a}}", "unknown source 'a'"),
         ("name: x\nsources: {a: {url: b}}", "expected a source with the key 'title'"),
+        ("name: x\nsources: {a: {title: [b]}}", "expected a source with the key 'title'"),
+        (
+            "name: x\nalso: 3\ngyro: {random_walk: 1 deg/sqrt(h)}",
+            "card.yaml:2: also: found 3, expected a list of names",
+        ),
     ],
 )
 def test_a_card_that_cannot_be_read_is_refused_with_its_place(text: str, message: str, tmp_path) -> None:

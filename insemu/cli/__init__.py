@@ -34,7 +34,6 @@ app = typer.Typer(
     name="insemu",
     help="Choose and trust the noise models of INS/GNSS filters: characterise, fit, emulate, filter, evaluate, close the gap.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )

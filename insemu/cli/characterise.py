@@ -21,9 +21,14 @@ def command(
     file: str = typer.Argument(..., metavar="FILE", help="Static log: .npz, .csv or .npy (columns with units)."),
     rate: str = typer.Option("", "--rate", help="Sampling rate of a log that does not say it, such as '100 Hz'."),
     columns: list[str] | None = typer.Option(  # noqa: B008
-        None, "--columns", "-c", help="Only these columns, separated by commas (gx or gyro_x); may be repeated."
+        None,
+        "--columns",
+        "--column",
+        "-c",
+        help="Only these columns, separated by commas (gx or gyro_x); may be repeated.",
     ),
     robust: bool = typer.Option(False, "--robust", help="Read the coefficients off the robust curve."),
+    wavelet: str = typer.Option("haar", "--wavelet", help="Filter of the wavelet variance, such as d8 or la8."),
     overlay: bool = typer.Option(True, "--overlay/--no-overlay", help="Also draw the axes of a sensor in one panel."),
     beside: str = typer.Option("", "--beside", help="JSON of other sensors' wavelet variances, drawn behind ours."),
     out: str = typer.Option(
@@ -41,18 +46,18 @@ def command(
 
     from insemu import units
     from insemu.cli.announce import announce
-    from insemu.cli.logs import open_log
+    from insemu.cli.logs import column_names, open_log
     from insemu.formats.curves import read_curves
 
     console = Console(stderr=as_json)
     if not console.is_terminal:
         console.width = max(console.width, 100)  # a file or a pipe has no width to keep to
     rate_hz = units.parse(_number_or_text(rate), "Hz") if rate else None
-    wanted = [name.strip() for text in columns or [] for name in text.split(",") if name.strip()] or None
+    wanted = column_names(columns)
     others = read_curves(beside) if beside else []
     announce(file, Console(stderr=True), rate_hz=rate_hz, refuse=False)
     log = open_log(file, rate_hz)
-    axes = characterise_log(log, wanted, from_robust=robust)
+    axes = characterise_log(log, wanted, from_robust=robust, wavelet=wavelet)
     content = {"axes": {axis.name: axis.to_json() for axis in axes}}
     folder = Path(out) if out else Path("results") / f"characterise_{Path(file).name.split('.')[0]}"
     page = None
@@ -77,8 +82,20 @@ def _number_or_text(text: str) -> str | float:
         return text
 
 
-def characterise_log(log: Log, wanted: Sequence[str] | None = None, *, from_robust: bool = False) -> list[AxisReport]:
+def characterise_log(
+    log: Log, wanted: Sequence[str] | None = None, *, from_robust: bool = False, wavelet: str = "haar"
+) -> list[AxisReport]:
     """Characterise columns of a log: the longest part without NaN and gaps, with findings about the whole.
+
+    Parameters
+    ----------
+    log : Log
+    wanted : sequence of str, optional
+        Columns; all by default.
+    from_robust : bool
+        Read the coefficients off the robust curve.
+    wavelet : str
+        Filter of the wavelet variance; a log too long for memory has the Haar filter only.
 
     Raises
     ------
@@ -107,6 +124,11 @@ def characterise_log(log: Log, wanted: Sequence[str] | None = None, *, from_robu
     for k in keep:
         name, unit = log.names[k], log.units[k]
         if len(log) > LONG:
+            if wavelet != "haar":
+                raise InputError(
+                    f"has {len(log)} samples, which are read in one pass; the filter '{wavelet}' needs at most {LONG}",
+                    where=log.source,
+                )
             axes.append(characterise_stream(lambda k=k: log.chunks(k), log.rate_hz, name=name, unit=unit))  # type: ignore[misc]
             continue
         x = np.asarray(log.columns[k], dtype=np.float64)
@@ -120,7 +142,12 @@ def characterise_log(log: Log, wanted: Sequence[str] | None = None, *, from_robu
                 f"{100.0 * (1.0 - (stop - start) / len(log)):.3g} % of the record was left out"
             )
         report = characterise(
-            np.ascontiguousarray(x[start:stop]), log.rate_hz, name=name, unit=unit, from_robust=from_robust
+            np.ascontiguousarray(x[start:stop]),
+            log.rate_hz,
+            name=name,
+            unit=unit,
+            from_robust=from_robust,
+            filter=wavelet,
         )
         axes.append(replace(report, findings=notes + report.findings))
     judged = _unit_findings(log, axes)

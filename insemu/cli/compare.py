@@ -9,8 +9,7 @@ import typer
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from insemu.evaluate import Experiment
-    from insemu.evaluate.comparison import ComparisonRow
+    from insemu.evaluate import ComparisonRow, Experiment
 
 
 def command(
@@ -46,8 +45,7 @@ def command(
     from rich.console import Console
 
     from insemu.errors import InputError, nearest
-    from insemu.evaluate import Experiment, run_experiment
-    from insemu.evaluate.comparison import compare, with_designs
+    from insemu.evaluate import Experiment, compare, run_experiment, with_designs
     from insemu.scenario import load
 
     if by not in ("source", "axis", "process"):
@@ -113,8 +111,8 @@ def _show(console: Console, rows: list[ComparisonRow], realizations: int, base: 
 def _analytic(console: Console, experiment: Experiment, by: str, folder: Any) -> dict[str, Any]:
     from rich.table import Table
 
-    from insemu.evaluate.comparison import analysable, analyse_designs, outage_budgets
-    from insemu.report.budget import render_budgets
+    from insemu.evaluate import analysable, analyse_designs, outage_budgets
+    from insemu.report import render_budgets
 
     analyses = analyse_designs(experiment)
     windows = experiment.world.outage_windows

@@ -20,7 +20,7 @@ def command(
     from rich.console import Console
 
     from insemu.cli.announce import announce
-    from insemu.emulate.reckon import dead_reckon
+    from insemu.emulate import dead_reckon
     from insemu.formats import read_recording
 
     announce(recording, Console(stderr=True))

@@ -25,12 +25,12 @@ def command(
     import json
     import math
 
-    from insemu.evaluate.emulated import EmulatedWorld
+    from insemu.evaluate import EmulatedWorld
     from insemu.formats import write
     from insemu.scenario import load
 
     if figure:
-        from insemu.report.track import check_figure, draw_track
+        from insemu.report import check_figure, draw_track
 
         check_figure(figure)
     given = load(scenario, variant=variant, overrides={"seed": seed})

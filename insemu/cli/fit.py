@@ -35,12 +35,17 @@ def command(
         help="A model per axis, or one per sensor triad from the mean of its curves (gmwm).",
     ),
     columns: list[str] | None = typer.Option(  # noqa: B008
-        None, "--column", "-c", help="Fit only this column (gx or gyro_x); may be repeated."
+        None,
+        "--columns",
+        "--column",
+        "-c",
+        help="Only these columns, separated by commas (gx or gyro_x); may be repeated.",
     ),
     rate: str = typer.Option("", "--rate", help='Sampling rate of a log that does not say it, for example "100 Hz".'),
     skip: str = typer.Option(
         "0 s", "--skip", help='Leave out the start of the record, for example "40 min" of warm-up.'
     ),
+    wavelet: str = typer.Option("haar", "--wavelet", help="Filter of the wavelet variance (gmwm), such as d8 or la8."),
     weighting: str = typer.Option(
         "auto",
         "--weighting",
@@ -81,20 +86,20 @@ def command(
         else fit_streamed(file, rate, columns, skip, model, start)
     )
     series = [] if streamed else read_static(file, rate, columns, skip)
-    options: dict[str, Any] = {}
+    options: dict[str, Any] = {"wavelet": wavelet}
     if method == "gmwm":
-        options = {
+        options |= {
             "weighting": weighting,
             "rng": np.random.default_rng(seed),
             "tau_from": tau_from,
             "tau_to": tau_to or math.inf,
         }
     elif method == "indirect":
-        options = {"rng": np.random.default_rng(seed)}
+        options["rng"] = np.random.default_rng(seed)
     elif method == "burg":
-        options = {"denoise_levels": denoise}
+        options["denoise_levels"] = denoise
     elif method == "mli":
-        options = {"pattern": pattern}
+        options["pattern"] = pattern
     if streamed:
         results = streamed
     elif per_axis:
@@ -127,10 +132,10 @@ def read_static(file: str, rate: str, columns: list[str] | None, skip: str = "0 
     from dataclasses import replace
 
     from insemu import units
-    from insemu.cli.logs import open_log
+    from insemu.cli.logs import column_names, open_log
     from insemu.errors import InputError
 
-    series = open_log(file, units.parse(rate, "Hz") if rate else None, columns or None).series()
+    series = open_log(file, units.parse(rate, "Hz") if rate else None, column_names(columns)).series()
     seconds = units.parse(skip, "s")
     if seconds < 0:
         raise InputError(f"--skip is {skip}, expected a duration that is not negative")
@@ -152,13 +157,14 @@ def fit_streamed(
     from pathlib import Path
 
     from insemu import formats, units
+    from insemu.cli.logs import column_names
     from insemu.errors import InputError
     from insemu.fit.likelihood import LARGE, fit_mli_pieces
     from insemu.noise import NoiseModel
 
     if Path(file).suffix != ".npy":
         return None
-    log = formats.read_log(file, rate_hz=units.parse(rate, "Hz") if rate else None, columns=columns or None)
+    log = formats.read_log(file, rate_hz=units.parse(rate, "Hz") if rate else None, columns=column_names(columns))
     first = round(units.parse(skip, "s") * log.rate_hz)
     if len(log) <= LARGE or not 0 <= first <= len(log) - LEAST:
         return None
@@ -241,7 +247,10 @@ def fit_pooled(
     out: dict[str, FitResult] = {}
     for (unit, rate, _), members in groups.items():
         curves: list[WaveletVariance] = [
-            cleaned_curve(s.values, rate).curve if robust else wavelet_variance(s.values, rate) for s in members
+            cleaned_curve(s.values, rate).curve
+            if robust
+            else wavelet_variance(s.values, rate, filter=options["wavelet"])
+            for s in members
         ]
         count = len(curves)
         value = np.mean([c.value for c in curves], axis=0)

@@ -36,3 +36,8 @@ def open_log(file: str, rate_hz: float | None = None, columns: Sequence[str] | N
     if recording.gnss is not None and not at_rest(recording):
         raise InputError("is a recording that moves; expected a static log (sensor at rest)", where=file)
     return Log.of_imu(recording.imu, str(path)).select(columns)
+
+
+def column_names(texts: Sequence[str] | None) -> list[str] | None:
+    """Names of ``-c gx,gy -c gz`` one by one; None where no column is asked for."""
+    return [name.strip() for text in texts or [] for name in text.split(",") if name.strip()] or None

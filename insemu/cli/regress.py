@@ -9,8 +9,7 @@ import typer
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from insemu.evaluate import Experiment
-    from insemu.evaluate.regression import Baseline
+    from insemu.evaluate import Baseline, Experiment
 
 ACTIONS = ("record", "check", "sensitivity", "trial")
 
@@ -46,9 +45,7 @@ def command(
     from rich.console import Console
 
     from insemu.errors import InputError, nearest
-    from insemu.evaluate import Experiment, run_experiment
-    from insemu.evaluate.comparison import with_designs
-    from insemu.evaluate.regression import Baseline, check
+    from insemu.evaluate import Baseline, Experiment, check, run_experiment, with_designs
     from insemu.scenario import load
 
     if action not in ACTIONS:
@@ -104,7 +101,7 @@ def _sensitivity(
 ) -> None:
     import json
 
-    from insemu.evaluate.regression import smallest_detectable
+    from insemu.evaluate import smallest_detectable
 
     found = {
         d: smallest_detectable(experiment, held, d, false_alarm=false_alarm, workers=workers) for d in held.figures
@@ -125,7 +122,7 @@ def _trial(
 ) -> None:
     import json
 
-    from insemu.evaluate.regression import Alteration, trial
+    from insemu.evaluate import Alteration, trial
 
     cases = [
         None,

@@ -25,7 +25,7 @@ def command(
         None, "--workers", min=1, help="Realizations flown at a time; default the number of cores."
     ),
     out: str = typer.Option("", "--out", help="Folder for results; default results/NAME beside the current folder."),
-    as_json: bool = typer.Option(False, "--json", help="Print summary.json on standard output instead of tables."),
+    as_json: bool = typer.Option(False, "--json", help="Print summary.json on standard output instead of report."),
     variants: bool = typer.Option(True, "--variants/--no-variants", help="Also run the scenario's variants."),
     overwrite: bool = typer.Option(
         False, "--overwrite", help="Replace results of the same scenario with more realizations."
@@ -78,7 +78,7 @@ def prepared(
     if card is not None:
         show_brief(card, console)
         card.check()
-    for warning in dict.fromkeys(w for e in experiments.values() for w in e.world.warnings):
+    for warning in dict.fromkeys(w for e in experiments.values() for w in e.warnings):
         console.print(f"Warning: {warning}.", soft_wrap=True, highlight=False, markup=False)
     return experiments
 
@@ -104,8 +104,7 @@ def run_all(
     failed : list of str
         What could not be made, in words.
     """
-    from insemu.evaluate import write
-    from insemu.evaluate.folder import CACHE, check_not_fewer, finish, only_writer, put, resolved
+    from insemu.evaluate import CACHE, check_not_fewer, finish, only_writer, put, resolved, write
     from insemu.report import render_experiment
 
     main = experiments[""].scenario
@@ -187,7 +186,7 @@ def with_budgets(experiment: Experiment, results: Results) -> Results:
     """The results with an error budget of every design that allows a covariance analysis."""
     from dataclasses import replace
 
-    from insemu.evaluate.comparison import analysable, analyse_designs, outage_budgets
+    from insemu.evaluate import analysable, analyse_designs, outage_budgets
 
     if not results.outages or not analysable(experiment)[0]:
         return results
@@ -206,39 +205,37 @@ def forget_others(cache: Path, digests: set[str]) -> None:
 
 def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
     """The tables at the end."""
+    from insemu import report
     from insemu.cli.printing import print_items, print_table
-    from insemu.evaluate import verdicts
-    from insemu.evaluate.answer import answer
-    from insemu.report import tables
-    from insemu.report.budget import budget_lines
+    from insemu.evaluate import answer, verdicts
 
     console.print(f"\n{main.title}", soft_wrap=True, markup=False)
     said = answer(main)
     if said:
         console.print(f"{said.sentence}\n", markup=False, highlight=False, style="bold")
-    title = f"{tables.variant_caption(main)}: means over {main.realizations} realizations (seed {main.seed})"
-    print_table(console, title, *tables.short_headline(main), fit=True)
+    title = f"{report.variant_caption(main)}: means over {main.realizations} realizations (seed {main.seed})"
+    print_table(console, title, *report.short_headline(main), fit=True)
     console.print(
         "(states). verdict: of the NEES at outage end. error: planimetric. stated: the filter's own horizontal sigma at outage end, m. in 3 s: "
         "position errors inside 3 sigma during the outage. NEES: per degree of freedom, 1 is a filter that knows its error. alt.: altitude at "
         "outage end.\n",
         style="dim",
     )
-    print_items(console, [*verdicts(main), *tables.consistency_lines(main)])
+    print_items(console, [*verdicts(main), *report.consistency_lines(main)])
     if main.smoothed and main.outages:
-        print_table(console, tables.SMOOTHED, *tables.smoother_rows(main))
+        print_table(console, report.SMOOTHED, *report.smoother_rows(main))
     if main.budgets:
         console.print("\nWhere the metres come from, by covariance analysis (parts add up as squares):")
-        print_items(console, budget_lines(main.budgets))
+        print_items(console, report.budget_lines(main.budgets))
     if variants:
-        header, body = tables.variant_rows(main, variants)
+        header, body = report.variant_rows(main, variants)
         shown = [
             k for k, heading in enumerate(header) if heading not in ("95 %", "inside %")
         ]  # the page has room for them
         kept = [[row[k] for k in shown] for row in body]
-        print_table(console, f"Variants. {tables.variant_caption(main)}", [header[k] for k in shown], kept)
-    for label, results in tables.shown_beside(main, variants):
+        print_table(console, f"Variants. {report.variant_caption(main)}", [header[k] for k in shown], kept)
+    for label, results in report.shown_beside(main, variants):
         for figure in results.published:
-            print_table(console, f"{label}: {tables.FIGURES[figure]}, m", *tables.beside(results, figure))
-        print_items(console, tables.rank_lines(results))
-    print_items(console, tables.pooled_rank_line(main, variants))
+            print_table(console, f"{label}: {report.FIGURES[figure]}, m", *report.beside(results, figure))
+        print_items(console, report.rank_lines(results))
+    print_items(console, report.pooled_rank_line(main, variants))

@@ -23,7 +23,11 @@ def command(
     ),
     robust: bool = typer.Option(False, "--robust", help="Use the wavelet variance that outliers cannot move."),
     columns: list[str] | None = typer.Option(  # noqa: B008
-        None, "--column", "-c", help="Only this column (gx or gyro_x); may be repeated."
+        None,
+        "--columns",
+        "--column",
+        "-c",
+        help="Only these columns, separated by commas (gx or gyro_x); may be repeated.",
     ),
     held_out: list[str] | None = typer.Option(  # noqa: B008
         None, "--held-out", help="Another log of the same sensor: how well the choice predicts it, scale by scale."

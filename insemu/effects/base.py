@@ -209,17 +209,44 @@ class Effect:
     # -- emulate: what the emulator does ---------------------------------------------------------------------------------------------
 
     def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
-        """Do to the signals of the IMU what a use says; for effects of the IMU."""
+        """Do to the signals of the IMU what a use says; for effects of the IMU.
+
+        Parameters
+        ----------
+        chain : Chain
+            Signals on their way through the sensor, changed in place.
+        use : EffectUse
+        rng : Generator
+            Of this effect alone.
+        """
         raise NotImplementedError(self.id)
 
     def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:
-        """Do to the errors of the fixes what a use says; for effects of the fixes."""
+        """Do to the errors of the fixes what a use says; for effects of the fixes.
+
+        Parameters
+        ----------
+        fixes : FixErrors
+            Changed in place.
+        use : EffectUse
+        rng : Generator
+            Of this effect alone.
+        """
         raise NotImplementedError(self.id)
 
     # -- compensate: what a filter that knows it does to its data; at most a few of these ---------------------------------------------
 
     def added(self, use: EffectUse, t: Array, temperature: Array | None) -> Array:
-        """What it adds whatever the signal, (n, 3) or (3,); times (n,) in s, temperature (n,) in degC."""
+        """What it adds whatever the signal, (n, 3) or (3,).
+
+        Parameters
+        ----------
+        use : EffectUse
+        t : (n,) array
+            s.
+        temperature : (n,) array or None
+            degC.
+        """
         raise NotImplementedError(self.id)
 
     def matrix(self, use: EffectUse) -> Array:
@@ -252,7 +279,15 @@ class Effect:
     def omitted(
         self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64]
     ) -> tuple[Array | None, Array | None]:
-        """What the rate and the specific force lack, (n, 3) in body axes each or None, at rows (n,) of a trajectory."""
+        """What the rate and the specific force lack, (n, 3) in body axes each, or None.
+
+        Parameters
+        ----------
+        use : EffectUse
+        trajectory : Trajectory
+        rows : (n,) array of int
+            Rows of the trajectory.
+        """
         raise NotImplementedError(self.id)
 
     def corrected_fixes(self, use: EffectUse, gnss: GnssRecord) -> GnssRecord:

@@ -87,7 +87,18 @@ class Chain:
 
     @classmethod
     def of(cls, imu: ImuRecord, step: Array, reference: Trajectory | None, temperature: Array | None) -> Chain:
-        """A record's rates and forces; ``step`` (n,) holds the intervals of increments and is empty for the other kinds."""
+        """A record's rates and forces.
+
+        Parameters
+        ----------
+        imu : ImuRecord
+        step : (n,) array
+            Intervals of increments, s; empty for the other kinds.
+        reference : Trajectory or None
+            At the rows.
+        temperature : (n,) array or None
+            degC.
+        """
         rows = np.empty((9, len(imu)))  # one block: large ones come in large pages
         passes.load(imu.gyro, imu.accel, step, rows[:6])
         keep = np.ones(len(imu), np.bool_)
@@ -132,7 +143,18 @@ class Chain:
     def add_shaped(
         self, use: EffectUse, parameter: str, level: Array | None, draw: Callable[[], None] | None = None
     ) -> None:
-        """Add the row in work, drawn anew for every axis where a way is given, times the parameter and the level."""
+        """Add the row in work to every axis of a sensor.
+
+        Parameters
+        ----------
+        use : EffectUse
+        parameter : str
+            Whose numbers are the factors of the axes.
+        level : (n,) array or None
+            Another factor.
+        draw : callable, optional
+            Fills the row anew for every axis.
+        """
         for row, factor in zip(self.rows(use.sensor), use[parameter], strict=True):
             if draw is not None:
                 draw()

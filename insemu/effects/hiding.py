@@ -19,7 +19,16 @@ Array = NDArray[np.float64]
 
 
 def at(place: int, value: float, size: int = 3) -> tuple[float, ...]:
-    """One number among zeros."""
+    """One number among zeros.
+
+    Parameters
+    ----------
+    place : int
+        Where it stands.
+    value : float
+    size : int
+        How many there are.
+    """
     return tuple(value if k == place else 0.0 for k in range(size))
 
 

@@ -70,7 +70,17 @@ class Column:
         fixes: Array | None = None,
         runs: bool = False,
     ) -> Column:
-        """A column of an effect's parameter, which the label begins with, at its datasheet scale; see :class:`Column`."""
+        """A column at the datasheet's scale.
+
+        Parameters
+        ----------
+        effect : Effect
+        sensor : str
+        label : str
+            Begins with the name of the parameter.
+        axes, inputs, fixes, runs
+            See :class:`Column`.
+        """
         parameter = label.partition("_")[0]
         scale, unit = effect.scale(parameter, sensor), effect.unit(parameter, sensor)
         return cls(effect.id, sensor, label, axes, scale, unit, inputs, fixes, runs)

@@ -1,13 +1,14 @@
 """Emulation: from a trajectory to an ideal IMU, to a corrupted one, to GNSS fixes with outages."""
 
 from insemu.emulate.errors import RecordedErrors
-from insemu.emulate.gnss import AreaOutage, Outage, gnss_fixes, random_outages
+from insemu.emulate.gnss import AreaOutage, Outage, antenna, gnss_fixes, random_outages, state_at
 from insemu.emulate.imu import IdealImu, ideal_imu, navigation_error
 from insemu.emulate.path import Mounting, SmoothPath
+from insemu.emulate.pieces import ErrorPieces, TrueStates, recorded_pieces, simulated_pieces
 from insemu.emulate.reckon import DeadReckoning, dead_reckon
 from insemu.emulate.sensor import Corrupted, TemperatureProfile, corrupt
 from insemu.emulate.sources import Source, load_flight, read_track
-from insemu.emulate.track import SmoothedTrack, Track, smooth_track
+from insemu.emulate.track import SmoothedTrack, Track, held_out_distance, smooth_track, turn_rate
 from insemu.emulate.trajectory import TRAJECTORIES, Flight, built_in
 from insemu.emulate.waypoints import Waypoints, read_waypoints, route
 
@@ -16,6 +17,7 @@ __all__ = [
     "AreaOutage",
     "Corrupted",
     "DeadReckoning",
+    "ErrorPieces",
     "Flight",
     "IdealImu",
     "Mounting",
@@ -26,17 +28,24 @@ __all__ = [
     "Source",
     "TemperatureProfile",
     "Track",
+    "TrueStates",
     "Waypoints",
+    "antenna",
     "built_in",
     "corrupt",
     "dead_reckon",
     "gnss_fixes",
+    "held_out_distance",
     "ideal_imu",
     "load_flight",
     "navigation_error",
     "random_outages",
     "read_track",
     "read_waypoints",
+    "recorded_pieces",
     "route",
+    "simulated_pieces",
     "smooth_track",
+    "state_at",
+    "turn_rate",
 ]

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from insemu import rotation
 from insemu.emulate.flight import Flight
-from insemu.emulate.motion import Leg, smoothstep, smoothstep_integral
+from insemu.emulate.motion import Leg, smoothstep, steady
 from insemu.emulate.path import KNOT_S, SmoothPath
 from insemu.emulate.table import KNOT_BYTES, check_size, number, rows_of, text_of
 from insemu.errors import InputError
@@ -127,7 +127,7 @@ def _fly(name: str, initial: list[float], commands: list[tuple[Array, float, boo
         tau = t - begin
         if rates:
             ramp = min(1.0, duration / 4.0)
-            share = ramp * (smoothstep_integral(tau / ramp) - smoothstep_integral((tau - duration + ramp) / ramp))
+            share = steady(tau, duration, ramp)
             values += np.where(tau[:, None] > 0, share[:, None] / (duration - ramp), 0.0) * change
         else:
             values += smoothstep(tau / duration)[:, None] * change

@@ -39,6 +39,20 @@ def smoothstep_integral(u: ArrayLike) -> Array:
     return np.asarray(inside**4 * (2.5 + inside * (-3.0 + inside)) + np.maximum(u - 1.0, 0.0))
 
 
+def steady(tau: ArrayLike, duration: float, ramp: float) -> Array:
+    """Time integral of a rate of 1 between two smooth ramps: from 0 to ``duration - ramp``.
+
+    Parameters
+    ----------
+    tau : (n,) array_like
+        Since the start, s.
+    duration, ramp : float
+        Of the whole and of each ramp, s.
+    """
+    tau = np.asarray(tau, dtype=float)
+    return np.asarray(ramp * (smoothstep_integral(tau / ramp) - smoothstep_integral((tau - duration + ramp) / ramp)))
+
+
 @dataclass(frozen=True)
 class Command:
     """One stretch of motion.
@@ -143,7 +157,7 @@ def profile(
         ramp = min(4.0, c.duration_s / 3.0)
         rate = c.turn / (c.duration_s - ramp)
         up, down = tau / ramp, (tau - (c.duration_s - ramp)) / ramp
-        columns[2, rows] = heading + rate * ramp * (smoothstep_integral(up) - smoothstep_integral(down))
+        columns[2, rows] = heading + rate * steady(tau, c.duration_s, ramp)
         columns[3, rows] = rate * (smoothstep(up) - smoothstep(down))
         columns[4, rows] = level + c.climb * smoothstep(u)
         columns[5, rows] = c.climb / c.duration_s * smoothstep_slope(u)

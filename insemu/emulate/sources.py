@@ -18,7 +18,7 @@ from insemu.emulate.vehicle import odd_places
 from insemu.emulate.vehicle import vehicle as vehicle_of
 from insemu.emulate.waypoints import read_waypoints, route
 from insemu.errors import InputError
-from insemu.formats import read_recording
+from insemu.formats import layout_of, opened, read_recording
 
 Array = NDArray[np.float64]
 
@@ -117,7 +117,7 @@ def read_track(path: str | Path) -> Track:
     Parameters
     ----------
     path : path
-        A recording (``.npz`` or folder): its GNSS fixes, else its reference as a full pose. Or a ``.csv`` with a
+        Any file that ``insemu open`` reads (GPX, NMEA, a recording): its GNSS fixes, else its reference as a full pose. Or a ``.csv`` with a
         header that names ``t``, ``lat``, ``lon``, ``height`` and optionally ``vn, ve, vd`` and ``roll, pitch,
         heading``, units in brackets (``height [ft]``).
 
@@ -128,11 +128,12 @@ def read_track(path: str | Path) -> Track:
     """
     path = Path(path)
     if path.suffix.lower() != ".csv":
-        recording = read_recording(path)
-        if recording.gnss is not None:
-            return Track.of(recording.gnss, path.stem)
-        if recording.reference is not None:
-            return Track.of(recording.reference, path.stem)
+        # fixes need no IMU beside them: GPX, NMEA, a receiver's .pos
+        found = opened(path) if path.exists() and layout_of(path) == "foreign" else read_recording(path)
+        if found.gnss is not None:
+            return Track.of(found.gnss, path.stem)
+        if found.reference is not None:
+            return Track.of(found.reference, path.stem)
         raise InputError("holds neither GNSS fixes nor a reference, so it has no track", where=str(path))
     names = {alias: key for key, aliases in _COLUMNS.items() for alias in aliases}
     required = ("t", "lat", "lon", "height")

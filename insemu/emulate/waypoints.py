@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu import earth, units
 from insemu.emulate.flight import Flight
-from insemu.emulate.motion import Command, legs_of, path_of, profile, smoothstep_integral
+from insemu.emulate.motion import Command, legs_of, path_of, profile, steady
 from insemu.emulate.table import read_columns, text_of
 from insemu.emulate.vehicle import STEEPEST_ROAD, Vehicle, odd_places, vehicle
 from insemu.errors import InputError
@@ -202,12 +202,7 @@ def _turn(angle: float, speed: float, v: Vehicle) -> tuple[float, float]:
         duration = size / rate + 4.0
     ramp = min(4.0, duration / 3.0)
     t = np.linspace(0.0, duration, 201)
-    heading = (
-        size
-        / (duration - ramp)
-        * ramp
-        * (smoothstep_integral(t / ramp) - smoothstep_integral((t - duration + ramp) / ramp))
-    )
+    heading = size / (duration - ramp) * steady(t, duration, ramp)
     along = speed * np.trapezoid(np.cos(heading), t)
     return duration, float(along / (1.0 + np.cos(size)))
 
@@ -321,9 +316,9 @@ class _Legs:
         for k, cruise in enumerate(self.cruise):
             start, end = self.corner[k], self.corner[k + 1]
             up, down = _change_s(cruise - start, v), _change_s(cruise - end, v)
-            steady = (self.free[k] - 0.5 * (cruise + start) * up - 0.5 * (cruise + end) * down) / cruise
-            total = up + steady + down
-            for seconds, speed in ((up, cruise), (steady, cruise), (down, end)):
+            at_speed = (self.free[k] - 0.5 * (cruise + start) * up - 0.5 * (cruise + end) * down) / cruise
+            total = up + at_speed + down
+            for seconds, speed in ((up, cruise), (at_speed, cruise), (down, end)):
                 if seconds > 1e-9:  # the climb of a leg is shared by time
                     share = self.climb[k] * seconds / total
                     out.append(Command(seconds, speed=speed, climb=share, name=f"leg {k + 1}"))

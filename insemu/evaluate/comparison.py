@@ -193,7 +193,15 @@ def outage_budgets(
 ) -> dict[str, list[dict[str, Any]]]:
     """Error budgets as plain data: per design and outage ``start_s, duration_s, rms_m, predicted_sigma_m`` and ``parts_rms_m``.
 
-    The parts add up as squares to ``rms_m``; ``by`` is ``source``, ``axis`` or ``process``.
+    The parts add up as squares to ``rms_m``.
+
+    Parameters
+    ----------
+    analyses : mapping of design to CovarianceAnalysis
+    windows : sequence of (start_s, duration_s)
+        The outages, each with a budget at its end.
+    by : {"process", "axis", "source"}
+        What the parts are.
     """
     out: dict[str, list[dict[str, Any]]] = {}
     for name, a in analyses.items():

@@ -259,7 +259,14 @@ def nis_test(fixes: FixTable | Sequence[FixTable], *, confidence: float = 0.99) 
 
 
 def nis_verdict(total: float, dof: int, *, confidence: float = 0.99) -> Verdict:
-    """A sum of normalised innovations squared with ``dof`` degrees of freedom, judged as in :func:`nis_test`."""
+    """A sum of normalised innovations squared with ``dof`` degrees of freedom, judged as in :func:`nis_test`.
+
+    Parameters
+    ----------
+    total : float
+    dof : int
+    confidence : float
+    """
     if dof == 0:
         raise InputError("no accepted fix: there is no innovation to judge")
     tail = 0.5 * (1.0 - confidence)
@@ -284,6 +291,14 @@ def whiteness_test(fixes: FixTable | Sequence[FixTable], *, lags: int = 5, confi
     """Autocorrelation of the normalised innovations at lags 1 to ``lags`` fixes, pooled over components and runs.
 
     Products of independent standard normals have mean 0 and variance 1, so the mean of N of them lies within z / sqrt(N).
+
+    Parameters
+    ----------
+    fixes : FixTable or a sequence of them
+        One per run.
+    lags : int
+    confidence : float
+        Of all lags together.
     """
     tables = [fixes] if isinstance(fixes, FixTable) else list(fixes)
     sums, counts = (sum(part) for part in zip(*(lag_products(t, lags) for t in tables), strict=True))
@@ -298,7 +313,14 @@ def lag_products(fixes: FixTable, lags: int = 5) -> tuple[Array, Array]:
 
 
 def whiteness_verdicts(sums: ArrayLike, counts: ArrayLike, *, confidence: float = 0.99) -> list[Verdict]:
-    """Sums of :func:`lag_products`, judged as in :func:`whiteness_test`."""
+    """Sums of :func:`lag_products`, judged as in :func:`whiteness_test`.
+
+    Parameters
+    ----------
+    sums, counts : (lags,) array_like
+    confidence : float
+        Of all lags together.
+    """
     total, number = np.asarray(sums, dtype=np.float64), np.asarray(counts, dtype=np.float64)
     z = stats.norm.isf(0.5 * (1.0 - confidence) / total.size)
     out = []
@@ -353,7 +375,16 @@ def coverage_test(
 def pooled_coverage(
     errors: ArrayLike, sigma: ArrayLike, *, factor: float = 3.0, confidence: float = 0.95, rng: np.random.Generator
 ) -> tuple[float, float, float]:
-    """Share of all epochs and states inside ``factor`` sigma, with a bootstrap interval over runs: ``(share, low, high)``."""
+    """Share of all epochs and states inside ``factor`` sigma, with a bootstrap interval over runs: ``(share, low, high)``.
+
+    Parameters
+    ----------
+    errors, sigma : (runs, epochs, states) array_like
+    factor : float
+    confidence : float
+        Of the interval.
+    rng : numpy.random.Generator
+    """
     share = (np.abs(np.asarray(errors)) <= factor * np.asarray(sigma)).mean(axis=(1, 2))
     means = share[rng.integers(0, share.size, (4000, share.size))].mean(axis=1)
     low, high = np.quantile(means, [0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence])

@@ -12,196 +12,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from insemu import earth, rotation
+from insemu import rotation
 from insemu.augment import Augmentation, Belief, StateLayout, augment, per_axis
 from insemu.errors import InputError
-from insemu.filters import FilterResult, InitialSigma, LooselyCoupledEKF
-from insemu.filters.ekf import pack
-from insemu.filters.expanded import FIRST, LD, MAP_SIZE, fill_map, gather, middle, predict, scatter
-from insemu.filters.measurements import fill_fix
+from insemu.filters import FilterResult, InitialSigma, JointSystem, LooselyCoupledEKF, error_maps, ideal_fixes
 from insemu.records import AXES, GnssRecord, ImuRecord
-from insemu.strapdown import NavState, fill_dynamics, mechanize_array
+from insemu.strapdown import NavState, mechanize_array
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-
-@njit(cache=True, nogil=True)
-def _maps(t: Array, gyro: Array, accel: Array, nav: Array, gravity: int, w: Array) -> None:
-    """Maps of all steps along a reference, (n, 46)."""
-    F, C, mid, f_n = np.empty((9, 9)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
-    for k in range(1, t.size):
-        dt = t[k] - t[k - 1]
-        middle(nav[k - 1, 6:10], gyro[k], accel[k], dt, C, mid, f_n)
-        fill_dynamics(nav[k - 1], f_n, gravity, F)
-        fill_map(F, mid, dt, w[k])
-
-
-@njit(cache=True, nogil=True)
-def _forward(
-    t: Array,
-    maps: Array,
-    P0: Array,
-    place: Ints,
-    slots: int,
-    diagonal: bool,
-    d: Array,
-    phi: Array,
-    offsets: Ints,
-    mix: Array,
-    q_at: Ints,
-    q: Array,
-    c0: Array,
-    driver: Ints,
-    gyro: Array,
-    accel: Array,
-    white: Array,
-    fix_epoch: Ints,
-    M: Array,
-    R: Array,
-    out_epoch: Ints,
-    out: Array,
-) -> None:
-    """Joint covariance along the reference; at a fix ``P <- M P M' + R``. ``c0`` and ``driver`` (m,) as in an augmentation."""
-    n = place.size
-    E, T = np.zeros((FIRST + 8 * slots + 17) * LD), np.zeros(15 * LD)
-    work = np.zeros((8 * slots + 10) * LD)
-    P, B = P0.copy(), np.empty((n, n))
-    scatter(P, place, E)
-    c = np.zeros(LD)
-    for s in range(n - 9):
-        c[place[9 + s]] = c0[s]
-    fix, row = 0, 0
-    for k in range(t.size):
-        if k > 0:
-            half = 0.5 * (t[k] - t[k - 1])
-            for s in range(n - 9):
-                if driver[s] >= 0:
-                    raw = gyro[k, driver[s]] if driver[s] < 3 else accel[k, driver[s] - 3]
-                    c[place[9 + s]] = c0[s] * raw / (2.0 * half)
-            predict(E, maps[k], half, slots, diagonal, d, phi, offsets, mix, q_at, q, c, white, T, work)
-        while fix < fix_epoch.size and fix_epoch[fix] == k:
-            gather(E, place, P)
-            for i in range(n):
-                for j in range(n):
-                    x = 0.0
-                    for a in range(n):
-                        x += M[fix, i, a] * P[a, j]
-                    B[i, j] = x
-            for i in range(n):
-                for j in range(i, n):
-                    x = R[fix, i, j]
-                    for a in range(n):
-                        x += B[i, a] * M[fix, j, a]
-                    P[i, j] = x
-                    P[j, i] = x
-            scatter(P, place, E)
-            fix += 1
-        while row < out_epoch.size and out_epoch[row] == k:
-            gather(E, place, out[row])
-            row += 1
-
-
-@njit(cache=True, nogil=True)
-def _backward(
-    t: Array,
-    maps: Array,
-    last: int,
-    L: Array,
-    Phi: Array,
-    Q: Array,
-    axis: Ints,
-    c0: Array,
-    driver: Ints,
-    gyro: Array,
-    accel: Array,
-    source: Ints,
-    white: Array,
-    fix_epoch: Ints,
-    M: Array,
-    R: Array,
-    gained: Array,
-    parts: Array,
-    axes: Array,
-) -> None:
-    """Adjoint of the joint system from epoch ``last`` to the start.
-
-    ``L`` (n,) holds the functional and is overwritten by what the initial errors contribute linearly. ``parts`` (sources,) collects the
-    driving noise of the true states by source, ``axes`` (6,) the white noise of the axes, ``gained`` (f,) the noise of every fix.
-    """
-    n = L.size
-    m = n - 9
-    u, old, next_x = np.zeros(6), np.zeros(9), np.zeros(m)
-    fix = fix_epoch.size - 1
-    while fix >= 0 and fix_epoch[fix] > last:
-        fix -= 1
-    for k in range(last, -1, -1):
-        while fix >= 0 and fix_epoch[fix] == k:
-            total = 0.0
-            for i in range(n):
-                for j in range(n):
-                    total += L[i] * R[fix, i, j] * L[j]
-            gained[fix] += total
-            new = np.zeros(n)
-            for i in range(n):
-                x = L[i]
-                if x != 0.0:
-                    for j in range(n):
-                        new[j] += x * M[fix, i, j]
-            L[:] = new
-            fix -= 1
-        if k == 0:
-            break
-        w = maps[k]
-        half = 0.5 * (t[k] - t[k - 1])
-        # the map of expanded.apply_map, transposed: position, velocity, attitude in reverse
-        pn, pe, pd = L[0], L[1], L[2]
-        vn, ve, vd = L[3] + half * pn, L[4] + half * pe, L[5] + half * pd
-        fz, fy, fx = w[24], w[25], w[26]
-        sn, se, sd = -fz * ve - fy * vd, fz * vn - fx * vd, fy * vn + fx * ve
-        an, ae, ad = L[6] + sn, L[7] + se, L[8] + sd
-        old[0] = w[41] * pn + w[43] * pe + w[35] * vn + w[36] * ve + w[37] * vd + w[6] * an + w[7] * ae + w[8] * ad
-        old[1] = w[44] * pe
-        old[2] = (
-            w[42] * pn + w[45] * pe + pd + w[38] * vn + w[39] * ve + w[40] * vd + w[9] * an + w[10] * ae + w[11] * ad
-        )
-        old[3] = half * pn + w[27] * vn + w[30] * ve + w[33] * vd + w[12] * ae
-        old[4] = half * pe + w[28] * vn + w[31] * ve + w[34] * vd + w[13] * an + w[14] * ad
-        old[5] = half * pd + w[29] * vn + w[32] * ve + vd
-        old[6] = sn + an + w[2] * ae + w[4] * ad
-        old[7] = se + ae + w[0] * an + w[5] * ad
-        old[8] = sd + ad + w[1] * an + w[3] * ae
-        for j in range(3):
-            u[j] = w[15 + j] * an + w[18 + j] * ae + w[21 + j] * ad
-            u[3 + j] = w[15 + j] * vn + w[18 + j] * ve + w[21 + j] * vd
-        for a in range(6):
-            axes[a] += u[a] * u[a] * white[a]
-        for i in range(9):
-            L[i] = old[i]
-        # states behind: what they do through the axes in this step, their driving noise, their transition
-        for s in range(m):
-            if axis[s] >= 0:
-                c = c0[s]
-                if driver[s] >= 0:
-                    raw = gyro[k, driver[s]] if driver[s] < 3 else accel[k, driver[s] - 3]
-                    c *= raw / (2.0 * half)
-                L[9 + s] -= c * u[axis[s]]
-        for i in range(m):
-            for j in range(m):
-                if Q[i, j] != 0.0:
-                    parts[source[i]] += L[9 + i] * Q[i, j] * L[9 + j]
-        for j in range(m):
-            next_x[j] = 0.0
-        for i in range(m):
-            x = L[9 + i]
-            for j in range(m):
-                if Phi[i, j] != 0.0:
-                    next_x[j] += x * Phi[i, j]
-        for j in range(m):
-            L[9 + j] = next_x[j]
 
 
 @dataclass(frozen=True)
@@ -272,12 +93,12 @@ class CovarianceAnalysis:
     @property
     def rms(self) -> Array:
         """True rms errors, (o, 9)."""
-        return np.sqrt(np.einsum("tii->ti", self.actual))
+        return np.asarray(np.sqrt(np.einsum("tii->ti", self.actual)))
 
     @property
     def sigma(self) -> Array:
         """What the filter says, (o, 9)."""
-        return np.sqrt(np.einsum("tii->ti", self.believed))
+        return np.asarray(np.sqrt(np.einsum("tii->ti", self.believed)))
 
 
 def _joint(belief: Augmentation, truth: Augmentation) -> Augmentation:
@@ -366,95 +187,51 @@ def analyse(
     t = record.t
     nav = mechanize_array(record, initial, gravity=ekf.gravity)
     times = np.arange(t[0], t[-1] + 1e-9, 1.0) if at is None else np.asarray(at, dtype=np.float64)
-    out_epoch = np.searchsorted(t, times - 1e-9).clip(0, t.size - 1).astype(np.int64)
-    run = _gains(ekf, record, gnss, nav, initial, believed_sigma, times)
-    nodes, fixes = run.nodes, run.fixes
-    assert nodes is not None and fixes.H is not None and fixes.K is not None
-
-    belief_aug, true_aug = ekf.augmentation, augment(truth, ekf.dt)
-    joint = _joint(belief_aug, true_aug)
-    n, mb = 9 + joint.m, belief_aug.m
-    packed = pack(joint, 1)
+    rows = np.searchsorted(t, times - 1e-9).clip(0, t.size - 1).astype(np.int64)
+    # flown on noise-free data: the gains that it will use, linearised about the truth
+    filtered = ekf.with_options(covariance_at=tuple(times))
+    run = filtered.run(record, ideal_fixes(ekf, record, nav, gnss), initial, believed_sigma)
+    true_aug = augment(truth, ekf.dt)
+    joint = _joint(ekf.augmentation, true_aug)
+    M, R = _updates(ekf, run, record, nav, joint, ekf.augmentation.m, gnss, true_gnss_sigma)
+    system = JointSystem(joint, record, error_maps(record, nav, ekf.gravity), run.fixes.epoch, M, R)
     sigma0 = (true_sigma or believed_sigma).to_array()
-    P0 = np.zeros((n, n))
-    P0[:9, :9] = np.diag(sigma0**2)
-    P0[9:, 9:] = joint.P0
-    M, R = _updates(ekf, run, record, nav, joint, mb, gnss, true_gnss_sigma)
-    maps = np.zeros((t.size, MAP_SIZE))
-    _maps(t, record.gyro, record.accel, nav, earth.gravity_code(ekf.gravity), maps)
-    used = fixes.epoch
-    actual = np.empty((out_epoch.size, n, n))
-    order = np.argsort(out_epoch, kind="stable")
-    _forward(
-        t, maps, P0, packed.place, packed.slots, packed.diagonal, packed.d[0], packed.phi[0], packed.offsets, packed.mix[0], packed.q_at,
-        packed.q[0], joint.c, joint.driver, record.gyro, record.accel, joint.white, used, M, R, out_epoch[order], actual,
-    )  # fmt: skip
-    actual[order] = actual.copy()
-    believed = run.covariance[np.searchsorted(run.covariance_t, t[out_epoch])][:, :9, :9]
-
-    source, names = _sources(truth, true_aug, mb)
-    budgets = []
-    for when in budget_at:
-        last = int(np.searchsorted(t, when - 1e-9).clip(0, t.size - 1))
-        columns = []
-        for state in budget_states:
-            L = np.zeros(n)
-            L[ekf.layout.index(state)] = 1.0
-            if ekf.layout.index(state) >= 9:
-                raise InputError(f"'{state}' is not a navigation error; a budget is made of the nine of them")
-            parts, axes, gained = np.zeros(len(names)), np.zeros(6), np.zeros(used.size)
-            _backward(
-                t, maps, last, L, joint.Phi, joint.Q, joint.axis, joint.c, joint.driver, record.gyro, record.accel, source, joint.white, used,
-                M, R, gained, parts, axes,
-            )  # fmt: skip
-            initial_x = L[9:, None] * joint.P0 * L[None, 9:]
-            for i in range(joint.m):
-                parts[source[i]] += initial_x[i].sum()
-            start = (L[:9] * sigma0) ** 2
-            columns.append(np.concatenate([start.reshape(3, 3).sum(axis=1), axes, parts, [gained.sum()]]))
-        labels = (
-            "initial position",
-            "initial velocity",
-            "initial attitude",
-            *(f"{a} WN" for a in AXES),
-            *names,
-            "fixes",
-        )
-        table = np.stack(columns, axis=1)
-        keep = [i for i, row in enumerate(table) if row.any()]
-        budgets.append(Budget(float(t[last]), tuple(budget_states), tuple(labels[i] for i in keep), table[keep]))
-    return CovarianceAnalysis(ekf.layout, t[out_epoch], actual[:, :9, :9], believed, tuple(budgets))
+    P0 = np.zeros((9 + joint.m,) * 2)
+    P0[:9, :9], P0[9:, 9:] = np.diag(sigma0**2), joint.P0
+    actual = system.covariance(P0, rows)[:, :9, :9]
+    believed = run.covariance[np.searchsorted(run.covariance_t, t[rows])][:, :9, :9]
+    sources = _sources(truth, true_aug, ekf.augmentation.m)
+    budgets = tuple(_budget(system, when, budget_states, ekf.layout, sigma0, sources) for when in budget_at)
+    return CovarianceAnalysis(ekf.layout, t[rows], actual, believed, budgets)
 
 
-def _gains(
-    ekf: LooselyCoupledEKF,
-    imu: ImuRecord,
-    gnss: GnssRecord,
-    nav: Array,
-    initial: NavState,
-    sigma: InitialSigma,
-    times: Array,
-) -> FilterResult:
-    """The filter flown on noise-free data: the gains it will use, linearised about the truth."""
-    events = ekf.events(imu.t, gnss)
-    z = events.z.copy()
-    none, zero = np.zeros(0, dtype=np.int64), np.zeros(3)
-    nu, H, R = np.empty(6), np.empty((6, 9)), np.empty((6, 6))
-    for i, k in enumerate(events.epoch):
-        dt, before = imu.t[k] - imu.t[k - 1], max(k - 1, 1)
-        rates = imu.gyro[k] / dt, imu.gyro[before] / (imu.t[before] - imu.t[before - 1])
-        here = np.concatenate([nav[k, :3], nav[k, 3:6]])
-        fill_fix(
-            np.append(nav[k], zero), np.append(nav[k - 1], zero), dt,
-            events.tau[i], *rates, ekf.lever_arm, np.zeros(6), np.zeros(0), none, -1, -1, np.zeros(9), here, nu, H, R
-        )  # fmt: skip
-        # what the filter would predict at the truth
-        z[i] = np.where(
-            np.isfinite(z[i]), np.concatenate([earth.move(nav[k, :3], -nu[:3]), nav[k, 3:6] - nu[3:]]), np.nan
-        )
-    sd = np.sqrt(events.var)
-    ideal = GnssRecord(events.t, z[:, :3], z[:, 3:], sd[:, :3], sd[:, 3:]) if len(events.t) else None
-    return ekf.with_options(covariance_at=tuple(times)).run(imu, ideal, initial, sigma)
+def _budget(
+    system: JointSystem,
+    when: float,
+    states: Sequence[str],
+    layout: StateLayout,
+    sigma0: Array,
+    sources: tuple[Ints, list[str]],
+) -> Budget:
+    """Mean-square error of some navigation states at one epoch, part by part."""
+    source, names = sources
+    t, P0 = system.imu.t, system.states.P0
+    last = int(np.searchsorted(t, when - 1e-9).clip(0, t.size - 1))
+    columns = []
+    for state in states:
+        L = np.zeros(9 + system.states.m)
+        L[layout.index(state)] = 1.0
+        if layout.index(state) >= 9:
+            raise InputError(f"'{state}' is not a navigation error; a budget is made of the nine of them")
+        initial, parts, axes, fixes = system.adjoint(last, L, source, len(names))
+        np.add.at(parts, source, (initial[9:, None] * P0 * initial[None, 9:]).sum(axis=1))
+        start = ((initial[:9] * sigma0) ** 2).reshape(3, 3).sum(axis=1)
+        columns.append(np.concatenate([start, axes, parts, [fixes]]))
+    labels = [f"initial {what}" for what in ("position", "velocity", "attitude")]
+    labels += [*(f"{a} WN" for a in AXES), *names, "fixes"]
+    table = np.stack(columns, axis=1)
+    keep = [i for i, row in enumerate(table) if row.any()]
+    return Budget(float(t[last]), tuple(states), tuple(labels[i] for i in keep), table[keep])
 
 
 def _updates(

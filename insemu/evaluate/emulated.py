@@ -13,16 +13,19 @@ from insemu import earth, rotation
 from insemu.effects import EFFECTS
 from insemu.emulate import (
     AreaOutage,
+    ErrorPieces,
     Outage,
     RecordedErrors,
+    TrueStates,
     corrupt,
     gnss_fixes,
     ideal_imu,
     load_flight,
     random_outages,
+    recorded_pieces,
+    simulated_pieces,
+    state_at,
 )
-from insemu.emulate.gnss import state_at
-from insemu.emulate.pieces import ErrorPieces, TrueStates, recorded_pieces, simulated_pieces
 from insemu.errors import InputError
 from insemu.evaluate.consistency import nees
 from insemu.evaluate.errors import navigation_error
@@ -320,4 +323,4 @@ class EmulatedWorld:
 
 
 def _sigma(covariance: Array) -> Array:
-    return np.sqrt(np.maximum(np.einsum("tii->ti", covariance), 0.0))
+    return np.asarray(np.sqrt(np.maximum(np.einsum("tii->ti", covariance), 0.0)))

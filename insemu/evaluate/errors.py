@@ -61,7 +61,14 @@ def navigation_error(estimate: Trajectory, truth: Trajectory) -> Array:
 
 
 def within_outage(t: ArrayLike, start_s: float, duration_s: float) -> NDArray[np.bool_]:
-    """Epochs that belong to an outage: after its start, up to and including its end (whose fix is withheld)."""
+    """Epochs that belong to an outage: after its start, up to and including its end (whose fix is withheld).
+
+    Parameters
+    ----------
+    t : (n,) array_like
+        Epochs, s.
+    start_s, duration_s : float
+    """
     t = np.asarray(t, dtype=np.float64)
     return (t > start_s + 1e-9) & (t <= start_s + duration_s + 1e-9)
 
@@ -76,7 +83,14 @@ class MeanInterval:
 
 
 def bootstrap_indices(n: int, seed: int = 20140701, draws: int = 10000) -> NDArray[np.int64]:
-    """(draws, n) indices that resample n realizations; fixed seed, so that a report says the same each time."""
+    """(draws, n) indices that resample n realizations; fixed seed, so that a report says the same each time.
+
+    Parameters
+    ----------
+    n : int
+    seed : int
+    draws : int
+    """
     return np.random.default_rng(seed).integers(0, n, size=(draws, n))
 
 

@@ -25,25 +25,27 @@ import insemu
 from insemu.augment import NAVIGATION
 from insemu.denoise import denoise
 from insemu.effects import compensated, lever_arm_of
-from insemu.emulate.pieces import TrueStates
+from insemu.emulate import TrueStates
 from insemu.errors import InputError
 from insemu.evaluate.consistency import block_nees, lag_products, observability, sensor_errors, unaided_sigma
 from insemu.evaluate.dataset import of_bytes, of_designs, of_realizations, to_bytes
 from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.recorded import RecordedWorld
 from insemu.evaluate.results import DesignInfo, Results
-from insemu.evaluate.world import Estimate, World, static_logs, stream
+from insemu.evaluate.world import Estimate, World, implausible, static_logs, stream
 from insemu.filters import (
     FilterOptions,
+    FilterParts,
     FilterResult,
     InitialSigma,
     LooselyCoupledEKF,
     NavigationFilter,
     Standstill,
+    check_result,
+    rests,
     smooth,
+    user_filter_code,
 )
-from insemu.filters.alignment import rests
-from insemu.filters.protocol import FilterParts, check_result, user_filter_code
 from insemu.fit import FitResult, fit
 from insemu.noise import ARMA, NoiseModel, NotStationary, axis_unit, load
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Series, Trajectory
@@ -56,7 +58,15 @@ Progress = Callable[[int, int, str], None]
 
 
 def silent(done: int, total: int, label: str) -> None:
-    """Progress that says nothing."""
+    """Progress that says nothing.
+
+    Parameters
+    ----------
+    done, total : int
+        Realizations.
+    label : str
+        What is being done.
+    """
 
 
 @dataclass(frozen=True)
@@ -98,6 +108,11 @@ class Experiment:
         for name, design in scenario.designs.items():
             if not any(isinstance(source, AxisSource) and source.fit for source in design.sources().values()):
                 self._made(name, self._belief(name, {}))  # nor is a belief that no filter can carry
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What looks odd in the world's data, and what is implausible in the scenario."""
+        return (*self.world.warnings, *implausible(self.scenario, str(self.file or "scenario")))
 
     @property
     def rate_hz(self) -> float:
@@ -194,7 +209,18 @@ class Experiment:
         covariance_at: Array | None = None,
         standstill: Standstill | None = None,
     ) -> LooselyCoupledEKF | NavigationFilter:
-        """The filter of one design: insemu's own, or the one that an installed package offers under the name that the design gives."""
+        """The filter of one design: insemu's own, or the one that an installed package offers under the name that the design gives.
+
+        Parameters
+        ----------
+        design : str
+        output_every : int
+            A row of the result every so many epochs of the covariance.
+        covariance_at : (k,) array, optional
+            Times at which the whole covariance is kept, s.
+        standstill : Standstill, optional
+            Updates at rest; those of the world unless given.
+        """
         return self._made(
             design,
             self.beliefs[design],
@@ -419,7 +445,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         "python": platform.python_version(),
         "packages": {name: metadata.version(name) for name in packages},
         "ideal_imu_distance_m": experiment.world.path_distance_m,
-        "warnings": list(experiment.world.warnings),
+        "warnings": list(experiment.warnings),
         "intake": experiment.world.card.to_json() if isinstance(experiment.world, RecordedWorld) else None,
         "beliefs": {
             name: {axis: m.to_list(axis_unit(axis)) for axis, m in b.models.items()}

@@ -124,7 +124,15 @@ def check_not_fewer(folder: Path, scenario: Scenario) -> None:
 
 
 def finish(folder: Path, scenario: Scenario, results: Results) -> None:
-    """Write the marker: everything that is there now belongs to these results."""
+    """Write the marker: everything that is there now belongs to these results.
+
+    Parameters
+    ----------
+    folder : path
+    scenario : Scenario
+    results : Results
+        Of the scenario itself, not of a variant.
+    """
     files = sorted(p for p in folder.rglob("*") if p.is_file() and CACHE not in p.relative_to(folder).parts)
     hashes = {
         str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest()

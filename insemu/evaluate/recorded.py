@@ -10,15 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import earth, rotation
-from insemu.emulate import Outage
-from insemu.emulate.gnss import antenna, state_at
+from insemu.emulate import Outage, antenna, state_at
 from insemu.errors import InputError
 from insemu.evaluate.consistency import nees
 from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.world import Estimate, Scored, input_files, nearest_rows
-from insemu.filters import InitialSigma, Standstill
-from insemu.filters.alignment import Alignment, align, cut, rests
-from insemu.filters.motion import align_in_motion
+from insemu.filters import Alignment, InitialSigma, Standstill, cut, rests, sigma_of_fixes
+from insemu.filters import start as start_of
 from insemu.formats import read_recording
 from insemu.intake import Card, examine
 from insemu.records import GnssRecord, ImuRecord, Recording, Trajectory
@@ -69,30 +67,33 @@ class RecordedWorld:
             keep &= imu.t <= self.source.end
         if keep.sum() < 2:
             raise InputError("the span from start to end holds no IMU data", where=f"{file or 'scenario'}: recording")
-        self.vehicle_imu = replace(
-            imu,
-            t=imu.t[keep],
-            gyro=imu.gyro[keep] @ C.T,
-            accel=imu.accel[keep] @ C.T,
-            temperature=None if imu.temperature is None else imu.temperature[keep],
-        )
+        self.vehicle_imu = replace(imu, gyro=imu.gyro @ C.T, accel=imu.accel @ C.T).rows(keep)
         gnss = recording.gnss
         inside = (gnss.t >= self.vehicle_imu.t[0]) & (gnss.t <= self.vehicle_imu.t[-1])
         inside &= np.isfinite(gnss.llh).all(axis=1)
         if inside.sum() < 2:
             raise InputError("has no GNSS fixes within its IMU data", where=self.source.file)
-        self.gnss = self._with_sigmas(_rows(gnss, inside))
+        self.gnss = self._with_sigmas(gnss.rows(inside))
         self.reference = recording.reference
 
     def _with_sigmas(self, gnss: GnssRecord) -> GnssRecord:
-        """Standard deviations of the receiver where it states them, else the scenario's."""
+        """Standard deviations of the receiver where it states them, else the scenario's; what neither says is assumed, and said."""
         g = self.scenario.gnss
-        n = len(gnss)
-        position = gnss.pos_std_ned if gnss.pos_std_ned is not None else np.tile(g.position_sigma, (n, 1))
-        velocity = gnss.vel_std_ned
-        if velocity is None and gnss.vel_ned is not None and g.velocity_sigma is not None:
-            velocity = np.tile(g.velocity_sigma, (n, 1))
-        return replace(gnss, pos_std_ned=position, vel_std_ned=velocity)
+        asked = g.model_fields_set
+        gnss = gnss.with_sigma(
+            g.position_sigma if "position_sigma" in asked else None,
+            g.velocity_sigma if "velocity_sigma" in asked else None,
+        )
+        guessed = sigma_of_fixes(gnss)
+        for name, unit, key in (("pos_std_ned", "m", "position_sigma"), ("vel_std_ned", "m/s", "velocity_sigma")):
+            stated, value = getattr(gnss, name), getattr(guessed, name)
+            if stated is None and value is not None and (name == "pos_std_ned" or g.velocity_sigma is not None):
+                north, east, down = value[0]
+                self.warnings += (
+                    f"{self.source.file}: the fixes state no standard deviations; {north:.2g}, {east:.2g}, {down:.2g} {unit} north, east, down are "
+                    f"assumed from their scatter (gnss.{key} states them)",
+                )
+        return guessed
 
     @cached_property
     def card(self) -> Card:
@@ -102,21 +103,16 @@ class RecordedWorld:
     @cached_property
     def alignment(self) -> Alignment:
         """Where the filters start."""
-        how, arm = self.source.alignment, self.scenario.gnss.lever_arm
-        if how == "rest":
-            found = align(self.vehicle_imu, self.gnss, lever_arm=arm)
-            if np.isnan(found.gyro_bias).any():
-                raise InputError(
-                    "found no rest before the first motion, expected one to align at; 'motion' does without",
-                    where=f"{self.file or 'scenario'}: recording.alignment",
-                )
-            return found
-        if how == "motion":
-            return align_in_motion(self.vehicle_imu, self.gnss, lever_arm=arm, gravity=self.source.gravity)
         try:
-            return align_in_motion(self.vehicle_imu, self.gnss, lever_arm=arm, gravity=self.source.gravity)
-        except InputError:  # too little motion for vectors; the course may do
-            return align(self.vehicle_imu, self.gnss, lever_arm=arm)
+            return start_of(
+                self.vehicle_imu,
+                self.gnss,
+                how=self.source.alignment,
+                lever_arm=self.scenario.gnss.lever_arm,
+                gravity=self.source.gravity,
+            )
+        except InputError as error:
+            raise InputError(error.message, where=f"{self.file or 'scenario'}: recording.alignment") from None
 
     @property
     def rate_hz(self) -> float:
@@ -135,7 +131,7 @@ class RecordedWorld:
             return None
         clear = [
             (a, b)
-            for a, b in rests(self.vehicle_imu, self.gnss)
+            for a, b in rests(self.vehicle_imu, self.gnss, bias=self.alignment.known_bias)
             if a >= self.alignment.t and not any(s < b and a < s + d for s, d in self.outage_windows)
         ]
         return Standstill(clear) if clear else None
@@ -158,11 +154,11 @@ class RecordedWorld:
         """The IMU from the start of the filters, in vehicle axes, the bias at rest taken off; and the fixes that the outages leave."""
         gnss = self.gnss
         if self.scenario.gnss.velocity_sigma is None:  # not to be believed, for example because it is late
-            gnss = replace(gnss, vel_ned=None, vel_std_ned=None)
+            gnss = gnss.without_velocity()
         withheld = np.zeros(len(gnss), dtype=bool)
         for start, duration in self.outage_windows:
             withheld |= Outage(start, duration).covers(gnss.t)
-        kept = _rows(gnss, (gnss.t > self.alignment.t) & ~withheld)
+        kept = gnss.rows((gnss.t > self.alignment.t) & ~withheld)
         return Recording(cut(self.vehicle_imu, self.alignment), kept, self.reference, self.source.file)
 
     def true_states(self, realization: int, imu: ImuRecord) -> None:
@@ -180,7 +176,7 @@ class RecordedWorld:
         t = self.reference.t
         t = t[(t > self.alignment.t) & (t <= self.vehicle_imu.t[-1])]
         step = max(1, round(0.25 / float(np.median(np.diff(t)))))
-        return t[::step]
+        return np.asarray(t[::step])
 
     @cached_property
     def truth_at_outputs(self) -> Trajectory:
@@ -219,7 +215,7 @@ class RecordedWorld:
         if self.reference is not None:
             error = navigation_error(estimate, self.truth_at_outputs)
         else:
-            fixes = _rows(self.gnss, np.isin(self.gnss.t, t))
+            fixes = self.gnss.rows(np.isin(self.gnss.t, t))
             llh, vel = antenna(estimate, t, self.scenario.gnss.lever_arm)
             error = np.full((t.size, 9), np.nan)
             error[:, :3] = earth.position_difference(llh, fixes.llh)
@@ -244,10 +240,3 @@ def _repeated_rows(imu: ImuRecord, name: str) -> list[str]:
         f"{name}: {count} of {len(imu)} IMU rows ({count / len(imu):.1%}) repeat the row before in all six channels: the recorder and the "
         "sensor run on clocks of their own, and what falls between them is lost; vibration then becomes noise at low frequencies"
     ]
-
-
-def _rows(gnss: GnssRecord, keep: NDArray[np.bool_]) -> GnssRecord:
-    def cut(values: Array | None) -> Array | None:
-        return None if values is None else values[keep]
-
-    return GnssRecord(gnss.t[keep], gnss.llh[keep], cut(gnss.vel_ned), cut(gnss.pos_std_ned), cut(gnss.vel_std_ned))

@@ -22,7 +22,7 @@ from scipy import stats
 from insemu.errors import InputError
 from insemu.evaluate.experiment import Experiment, run_experiment
 from insemu.evaluate.results import Results
-from insemu.filters.protocol import FilterParts
+from insemu.filters import FilterParts
 from insemu.noise import NoiseModel
 
 Array = NDArray[np.float64]
@@ -257,7 +257,14 @@ class AlteredExperiment(Experiment):
 
 
 def alterations(experiment: Experiment, design: str, factor: float) -> list[Alteration]:
-    """Every parameter of a design's belief, and the GNSS sigmas, multiplied by ``factor``."""
+    """Every parameter of a design's belief, and the GNSS sigmas, multiplied by a factor.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    design : str
+    factor : float
+    """
     out: list[Alteration] = []
     models = experiment.beliefs[design].models
     for triad in ("gyro", "accel"):
@@ -287,6 +294,17 @@ def smallest_detectable(
 
     Each parameter is changed by ``step`` over two realizations; what that does to the figures is compared with what each figure can
     show, and taken as linear.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    baseline : Baseline
+    design : str
+    false_alarm : float
+        Of the check, for all figures together.
+    step : float
+        Relative change that is tried.
+    workers : int
 
     Returns
     -------
@@ -318,6 +336,13 @@ def assert_unchanged(
     scenario: str | Path, baseline: str | Path, *, false_alarm: float = 0.01, workers: int = 1
 ) -> None:
     """Fly a scenario and fail, with a readable difference, where its designs changed against a baseline; for use in pytest.
+
+    Parameters
+    ----------
+    scenario, baseline : path
+    false_alarm : float
+        Probability that an unchanged set of designs is reported at all.
+    workers : int
 
     Raises
     ------

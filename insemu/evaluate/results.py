@@ -145,7 +145,7 @@ class Results:
     def planimetric(self, design: str) -> Array:
         """Horizontal position error, (realization, time), m."""
         e = self.error[self.names.index(design)]
-        return np.hypot(e[..., 0], e[..., 1])
+        return np.asarray(np.hypot(e[..., 0], e[..., 1]))
 
     def end_index(self, outage: int) -> int:
         """Index of the last epoch of an outage."""
@@ -160,7 +160,7 @@ class Results:
     def pooled_end(self, design: str) -> Array:
         """Planimetric error at outage end averaged over the outages, one value per realization, m."""
         p = self.planimetric(design)
-        return p[:, [self.end_index(k) for k in range(len(self.outages))]].mean(axis=1)
+        return np.asarray(p[:, [self.end_index(k) for k in range(len(self.outages))]].mean(axis=1))
 
     def comparison(self, one: str, other: str) -> PairedComparison:
         """Paired comparison of the pooled planimetric errors at outage end."""
@@ -343,7 +343,7 @@ def _runs(results: Results, design: str, outage: int, figure: str) -> Array:
     error = results.error[results.names.index(design)]
     if figure == "planimetric_end_m":
         at = results.end_index(outage)
-        return np.hypot(error[:, at, 0], error[:, at, 1])
+        return np.asarray(np.hypot(error[:, at, 0], error[:, at, 1]))
     inside = error[:, within_outage(results.t, *results.outages[outage])]
     if not inside.size:
         return np.zeros(len(error))

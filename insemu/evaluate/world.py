@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.emulate.pieces import TrueStates
+from insemu.emulate import TrueStates
 from insemu.errors import InputError
 from insemu.filters import FilterResult, InitialSigma, SmootherResult, Standstill
 from insemu.formats import read_recording, read_static
@@ -58,6 +58,30 @@ def input_files(scenario: Scenario, file: str | Path | None) -> dict[str, Path]:
     for design in scenario.designs.values():
         names += [s.file for s in design.sources().values() if isinstance(s, AxisSource) and s.file]
     return {name: resolve_path(name, file) for name in dict.fromkeys(names)}
+
+
+#: Largest plausible values, by key: (value, unit, SI to unit). No vehicle carries its antenna farther off, no receiver or start is worse.
+PLAUSIBLE: Mapping[str, tuple[float, str, float]] = {
+    "gnss.lever_arm": (100.0, "m", 1.0),
+    "gnss.position_sigma": (1000.0, "m", 1.0),
+    "gnss.velocity_sigma": (100.0, "m/s", 1.0),
+    "initial.position_sigma": (10_000.0, "m", 1.0),
+    "initial.velocity_sigma": (100.0, "m/s", 1.0),
+    "initial.tilt_sigma": (np.deg2rad(30.0), "deg", 180.0 / np.pi),
+    "initial.heading_sigma": (np.deg2rad(180.0), "deg", 180.0 / np.pi),
+}
+
+
+def implausible(scenario: Scenario, where: str) -> tuple[str, ...]:
+    """What runs but can hardly be meant, in words; ``where`` names the file."""
+    out = []
+    for key, (limit, unit, factor) in PLAUSIBLE.items():
+        section, _, name = key.partition(".")
+        value = getattr(getattr(scenario, section), name)
+        largest = 0.0 if value is None else float(np.abs(value).max())
+        if largest > limit:
+            out.append(f"{where}: {key} is {factor * largest:g} {unit}, expected at most {factor * limit:g} {unit}")
+    return tuple(out)
 
 
 def static_logs(recorded: RecordedSignal, files: Mapping[str, Path]) -> list[dict[str, Series]]:
@@ -185,7 +209,18 @@ class Scored:
 
 
 def nearest_rows(t: Array, want: Array, every: int) -> NDArray[np.intp]:
-    """Rows of ``t``, multiples of ``every``, nearest to the times ``want``."""
+    """Rows of ``t``, multiples of ``every``, nearest to some times.
+
+    Parameters
+    ----------
+    t, want : (n,), (k,) arrays
+        Times of the rows and wanted times, s.
+    every : int
+
+    Returns
+    -------
+    (k,) array of int
+    """
     right = np.clip(np.searchsorted(t, want), 1, t.size - 1)
     rows = np.where(np.abs(t[right - 1] - want) < np.abs(t[right] - want), right - 1, right)
     return np.minimum(np.round(rows / every).astype(np.intp) * every, (t.size - 1) // every * every)

@@ -1,26 +1,60 @@
 """Filters: the loosely coupled, closed-loop error-state EKF in one compiled loop."""
 
 from insemu.augment import Extras
-from insemu.filters.aids import Standstill
+from insemu.filters.aids import AIDS, Standstill
+from insemu.filters.alignment import (
+    Alignment,
+    StartBelief,
+    align,
+    align_at_rest,
+    cut,
+    first_track,
+    on_reference,
+    on_track,
+    sigma_of_fixes,
+)
 from insemu.filters.ekf import LooselyCoupledEKF, run_filter
+from insemu.filters.joint import JointSystem, error_maps, ideal_fixes
+from insemu.filters.motion import align_in_motion
 from insemu.filters.options import FilterOptions, InitialSigma
-from insemu.filters.protocol import FilterParts, NavigationFilter, user_filter
+from insemu.filters.protocol import FilterParts, NavigationFilter, check_result, user_filter, user_filter_code
+from insemu.filters.rest import never_moves, rests
 from insemu.filters.results import FilterResult, FixTable, Nodes
 from insemu.filters.smoother import SmootherResult, smooth
+from insemu.filters.start import start
 
 __all__ = [
+    "AIDS",
+    "Alignment",
     "Extras",
     "FilterOptions",
     "FilterParts",
     "FilterResult",
     "FixTable",
     "InitialSigma",
+    "JointSystem",
     "LooselyCoupledEKF",
     "NavigationFilter",
     "Nodes",
     "SmootherResult",
     "Standstill",
+    "StartBelief",
+    "align",
+    "align_at_rest",
+    "align_in_motion",
+    "check_result",
+    "cut",
+    "error_maps",
+    "first_track",
+    "ideal_fixes",
+    "never_moves",
+    "on_reference",
+    "on_track",
+    "rests",
     "run_filter",
+    "sigma_of_fixes",
     "smooth",
+    "start",
     "user_filter",
+    "user_filter_code",
 ]

@@ -1,4 +1,4 @@
-"""Starting from nothing: rests found, level from gravity, heading from the Earth's rate or from the course of the first motion.
+"""Where a filter starts: on a reference, at rest, or on the track of the first motion.
 
 At rest gravity gives the level, and the Earth's rate the heading where the gyroscopes are good enough for it (gyro-compassing). A MEMS gyroscope
 does not feel the Earth's rotation: its heading comes from GNSS velocity once the vehicle moves forward, and the gyroscopes carry it back
@@ -10,7 +10,7 @@ This is the coarse alignment. The fine one is the filter itself, run through the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,13 +18,22 @@ from numpy.typing import ArrayLike, NDArray
 from insemu import earth, rotation
 from insemu.errors import InputError
 from insemu.filters.options import InitialSigma
-from insemu.records import GnssRecord, ImuRecord
+from insemu.filters.rest import Quiet, quiet_stretches
+from insemu.records import GnssRecord, ImuRecord, Trajectory
 from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
 
-#: Standard deviation of roll and pitch of a vehicle that was never seen at rest, rad.
-LEVEL_SIGMA = np.deg2rad(3.0)
+#: Below this speed a track says nothing about the heading, m/s.
+TRACK_SPEED = 3.0
+#: Standard deviation of roll and pitch at rest: what a bias of the accelerometers of 9 mg does, rad.
+REST_TILT = np.deg2rad(0.5)
+#: Standard deviation of a recorded velocity that states none, m/s.
+UNSTATED_VELOCITY = 0.3
+#: Where the fixes have no velocities: times to either side, s, over which positions are taken for a parabola.
+TRACK_REACH = (1.0, 2.0, 4.0, 8.0)
+#: A heading that is carried back from the first motion to a rest may have become uncertain by this much, rad.
+LARGEST_HEADING_SIGMA = np.deg2rad(15.0)
 
 
 @dataclass(frozen=True)
@@ -38,8 +47,8 @@ class Alignment:
     row : int
     state : NavState
     sigma : InitialSigma
-    gyro_bias : (3,) array
-        Mean angular rate at rest less the Earth's, rad/s; NaN where there was no rest.
+    gyro_bias, gyro_bias_sigma : (3,) arrays
+        What the gyroscopes show beside the Earth's rate and the vehicle's, and its standard deviation, rad/s; NaN where nothing tells it.
     standstill : tuple of (start, end)
         Intervals at rest, s.
     """
@@ -49,7 +58,15 @@ class Alignment:
     state: NavState
     sigma: InitialSigma
     gyro_bias: Array
+    gyro_bias_sigma: Array
     standstill: tuple[tuple[float, float], ...]
+
+    @property
+    def known_bias(self) -> tuple[Array, Array] | None:
+        """The gyroscope bias and its covariance (3, 3), as :func:`~insemu.filters.rest.rests` takes them; None where nothing told it."""
+        if np.isnan(self.gyro_bias).any():
+            return None
+        return self.gyro_bias, np.diag(self.gyro_bias_sigma**2)
 
 
 def level(f_b: ArrayLike) -> tuple[float, float]:
@@ -59,59 +76,36 @@ def level(f_b: ArrayLike) -> tuple[float, float]:
 
 
 def cut(imu: ImuRecord, start: Alignment) -> ImuRecord:
-    """The record from an alignment on, as increments, with the gyroscope bias at rest taken off."""
+    """The record from an alignment on, as increments, with the gyroscope bias found there taken off."""
     r = imu.as_increments()
-    step = np.diff(r.t, prepend=2 * r.t[0] - r.t[1])[start.row :, None]
-    temperature = None if r.temperature is None else r.temperature[start.row :]
-    gyro = r.gyro[start.row :] - np.nan_to_num(start.gyro_bias) * step
-    return ImuRecord(r.t[start.row :], gyro, r.accel[start.row :], "increment", temperature)
+    step = np.diff(r.t, prepend=2 * r.t[0] - r.t[1])[:, None]
+    return replace(r, gyro=r.gyro - np.nan_to_num(start.gyro_bias) * step).rows(slice(start.row, None))
 
 
-def rests(
-    imu: ImuRecord, gnss: GnssRecord | None = None, *, shortest: float = 2.0, speed: float = 0.3, factor: float = 3.0
-) -> list[tuple[float, float]]:
-    """Find when the vehicle stands still.
+#: Standard deviations that are assumed at least where the fixes state none, m and m/s: data tell the noise, not errors that last.
+LEAST_POSITION, LEAST_VELOCITY = 0.1, 0.05
 
-    Parameters
-    ----------
-    imu : ImuRecord
-    gnss : GnssRecord, optional
-        Where it has velocities, faster fixes rule rest out.
-    shortest : float
-        Shortest rest, s.
-    speed : float
-        Largest horizontal speed of a fix at rest, m/s.
-    factor : float
-        Half-second spreads of the rate and the specific force up to this multiple of the quietest tenth of the record count as rest.
 
-    Returns
-    -------
-    list of (start, end) in s
+def sigma_of_fixes(gnss: GnssRecord) -> GnssRecord:
+    """The fixes with standard deviations from their own scatter where they state none.
+
+    Third differences of positions (first of velocities' second) leave noise and the vehicle's jerk; what lasts longer than a few fixes is not
+    seen, so that no less than :data:`LEAST_POSITION` and :data:`LEAST_VELOCITY` is taken.
     """
-    r = imu.as_increments()
-    n = max(2, round(0.5 / r.dt))
-    count = len(r) // n
-    if count < 4:
-        return []
-    step = np.diff(r.t, prepend=2 * r.t[0] - r.t[1])[: count * n, None]
-    rate = np.hstack([r.gyro, r.accel])[: count * n] / step
-    spread = rate.reshape(count, n, 6).std(axis=1)
-    size = np.stack([np.linalg.norm(spread[:, :3], axis=1), np.linalg.norm(spread[:, 3:], axis=1)], axis=1)
-    start, end = r.t[: count * n : n], r.t[n - 1 : count * n : n]
-    fast = np.zeros(count, dtype=bool)
-    if gnss is not None and gnss.vel_ned is not None:
-        known = np.isfinite(gnss.vel_ned).all(axis=1)
-        if known.any():
-            v = np.interp(0.5 * (start + end), gnss.t[known], np.linalg.norm(gnss.vel_ned[known, :2], axis=1))
-            fast = v > speed
-    slow = size[~fast] if (~fast).sum() >= 4 else size
-    still = (size <= factor * np.quantile(slow, 0.1, axis=0)).all(axis=1) & ~fast
-    out = []
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]]))).reshape(-1, 2)
-    for a, b in edges:
-        if end[b - 1] - start[a] >= shortest:
-            out.append((float(start[a]), float(end[b - 1])))
-    return out
+
+    def scatter(values: Array, least: float) -> Array:
+        third = np.diff(values[np.isfinite(values).all(axis=1)], n=3, axis=0)
+        if len(third) < 5:
+            return np.full(3, 10.0 * least)
+        # 1, 3, 3, 1: variances add up to 20
+        return np.maximum(1.4826 * np.median(np.abs(third), axis=0) / np.sqrt(20.0), least)
+
+    known = np.isfinite(gnss.llh).all(axis=1)
+    place = None
+    if gnss.pos_std_ned is None and known.any():
+        place = scatter(earth.position_difference(gnss.llh, gnss.llh[known][0]), LEAST_POSITION)
+    velocity = None if gnss.vel_ned is None else scatter(np.asarray(gnss.vel_ned), LEAST_VELOCITY)
+    return gnss.with_sigma(place, velocity)
 
 
 def align_at_rest(
@@ -141,13 +135,11 @@ def align_at_rest(
         raise InputError(
             f"{int(inside.sum())} samples between {rest[0]:g} and {rest[1]:g} s, expected at least 10 at rest"
         )
-    step = np.diff(r.t, prepend=2 * r.t[0] - r.t[1])[inside, None]
-    force, rate = (v[inside] / step for v in (r.accel, r.gyro))
+    rates = r.rates()[inside]
+    rate, force = rates[:, :3], rates[:, 3:]
     roll, pitch = level(force.mean(axis=0))
-    wander = rate.reshape(-1, 3)[: len(rate) // 10 * 10].reshape(10, -1, 3).mean(axis=1).std(axis=0, ddof=1) / np.sqrt(
-        10
-    )
-    tilt_noise = force[: len(force) // 10 * 10].reshape(10, -1, 3).mean(axis=1).std(axis=0, ddof=1) / np.sqrt(10)
+    tenths = rates[: len(rates) // 10 * 10].reshape(10, -1, 6).mean(axis=1).std(axis=0, ddof=1) / np.sqrt(10)
+    wander, tilt_noise = tenths[:3], tenths[3:]
     if heading is None:
         leveled = rotation.dcm_from_rpy(np.array([roll, pitch, 0.0])) @ rate.mean(axis=0)
         heading = float(np.arctan2(-leveled[1], leveled[0]))
@@ -159,82 +151,269 @@ def align_at_rest(
     row = int(np.flatnonzero(inside)[-1])
     state = NavState(np.asarray(llh, dtype=np.float64), np.zeros(3), rpy)
     sigma = InitialSigma(1.0, 0.05, (tilt, tilt, max(heading_sigma, np.deg2rad(0.2))))
-    return Alignment(float(r.t[row]), row, state, sigma, bias, (rest,))
+    return Alignment(float(r.t[row]), row, state, sigma, bias, wander, (rest,))
+
+
+@dataclass(frozen=True)
+class Track:
+    """The motion of the antenna at one fix.
+
+    Parameters
+    ----------
+    fix : int
+        Which fix.
+    velocity, slope : (3,) arrays
+        North, east, down: m/s, and its change, m/s^2.
+    velocity_sigma : (3,) array
+    slope_sigma : float
+    """
+
+    fix: int
+    velocity: Array
+    slope: Array
+    velocity_sigma: Array
+    slope_sigma: float = 0.0
+
+    @property
+    def course(self) -> float:
+        """Direction of the horizontal velocity, rad."""
+        return float(np.arctan2(self.velocity[1], self.velocity[0]))
+
+    @property
+    def speed(self) -> float:
+        """Horizontal speed, m/s."""
+        return float(np.hypot(self.velocity[0], self.velocity[1]))
+
+
+def first_track(gnss: GnssRecord, inside: NDArray[np.bool_], min_speed: float) -> Track | None:
+    """The first fix at which the motion tells a course: of velocities where the record has them, else of a parabola through positions.
+
+    Parameters
+    ----------
+    gnss : GnssRecord
+        With standard deviations of its positions.
+    inside : (n,) array of bool
+        Fixes that may be used.
+    min_speed : float
+        m/s; of positions also ten times what the speed is uncertain by.
+    """
+    return _of_positions(gnss, inside, min_speed) if gnss.vel_ned is None else _of_velocities(gnss, inside, min_speed)
+
+
+def _of_velocities(gnss: GnssRecord, inside: NDArray[np.bool_], min_speed: float) -> Track | None:
+    assert gnss.vel_ned is not None
+    good = inside & np.isfinite(gnss.vel_ned).all(axis=1)
+    moving = np.flatnonzero(good & (np.hypot(gnss.vel_ned[:, 0], gnss.vel_ned[:, 1]) > min_speed))
+    if not moving.size:
+        return None
+    k = int(moving[0])
+    near = np.flatnonzero(good & (np.abs(gnss.t - gnss.t[k]) < 1.1))
+    slope = np.polyfit(gnss.t[near] - gnss.t[k], gnss.vel_ned[near], 1)[0] if near.size > 1 else np.zeros(3)
+    sigma = gnss.vel_std_ned[k] if gnss.vel_std_ned is not None else np.full(3, UNSTATED_VELOCITY)
+    return Track(k, gnss.vel_ned[k], slope, sigma)
+
+
+def _of_positions(gnss: GnssRecord, inside: NDArray[np.bool_], min_speed: float) -> Track | None:
+    """A parabola over the shortest time that tells the course, up to 8 s to either side."""
+    assert gnss.pos_std_ned is not None
+    for k in np.flatnonzero(inside):
+        for reach in TRACK_REACH:
+            near = np.flatnonzero(inside & (np.abs(gnss.t - gnss.t[k]) <= reach))
+            d = gnss.t[near] - gnss.t[k]
+            if near.size < 5 or not d.min() < 0.0 < d.max():
+                continue
+            A = np.column_stack([np.ones(d.size), d, 0.5 * d * d])
+            path = earth.position_difference(gnss.llh[near], gnss.llh[k])
+            spread = np.linalg.inv(A.T @ A)
+            shape = spread @ A.T @ path
+            misfit = np.sqrt(np.sum((path - A @ shape) ** 2, axis=0) / max(d.size - 3, 1))
+            noise = np.maximum(misfit, gnss.pos_std_ned[k])
+            sigma = noise * np.sqrt(spread[1, 1])
+            if near.size > 5:  # a way that is no parabola: what a cubic makes of the velocity
+                sigma = np.hypot(sigma, np.polynomial.polynomial.polyfit(d, path, 3)[1] - shape[1])
+            bend = float(np.max(noise)) * float(np.sqrt(spread[2, 2]))
+            if float(np.hypot(*shape[1, :2])) < max(min_speed, 10.0 * float(np.max(sigma[:2]))) or bend > 1.0:
+                continue
+            return Track(int(k), shape[1], shape[2], sigma, bend)
+    return None
+
+
+@dataclass(frozen=True)
+class StartBelief:
+    """What a start is uncertain by at least, and how the IMU is mounted.
+
+    Parameters
+    ----------
+    position_sigma, velocity_sigma : array_like
+        m and m/s, scalar or north, east, down.
+    tilt_sigma, heading_sigma : float
+        rad.
+    lever_arm : (3,) array_like
+        IMU to antenna in the axes of the IMU, m.
+    mounting : (3,) array_like
+        Roll, pitch, heading of the rotation from the axes of the IMU to those of the vehicle, rad.
+    motion_tilt, motion_heading : float
+        Least standard deviations of a start that is levelled in motion and headed along the track, rad.
+    """
+
+    position_sigma: ArrayLike = 0.0
+    velocity_sigma: ArrayLike = 0.0
+    tilt_sigma: float = 0.0
+    heading_sigma: float = 0.0
+    lever_arm: ArrayLike = (0.0, 0.0, 0.0)
+    mounting: ArrayLike = (0.0, 0.0, 0.0)
+    motion_tilt: float = 0.035
+    motion_heading: float = 0.09
+
+
+def on_reference(
+    imu: ImuRecord, reference: Trajectory, believed: StartBelief
+) -> tuple[ImuRecord, NavState, InitialSigma]:
+    """A start on the reference, at its first epoch or that of the IMU: the record from there on, state and standard deviations."""
+    first = int(np.searchsorted(imu.t, max(imu.t[0], reference.t[0])))
+    imu = imu.rows(slice(first, None)) if first else imu
+    columns = np.hstack([reference.llh, reference.vel_ned, np.unwrap(reference.rpy, axis=0)])
+    at = np.array([np.interp(imu.t[0], reference.t, column) for column in columns.T])
+    tilt = believed.tilt_sigma
+    sigma = InitialSigma(believed.position_sigma, believed.velocity_sigma, (tilt, tilt, believed.heading_sigma))
+    return imu, NavState(at[:3], at[3:6], at[6:]), sigma
+
+
+def on_track(
+    imu: ImuRecord, gnss: GnssRecord, track: Track, believed: StartBelief
+) -> tuple[ImuRecord, NavState, InitialSigma]:
+    """A start on the fixes, levelled by the specific force less the track's acceleration, headed along the track.
+
+    The start is as uncertain as what it comes from; a vehicle that crabs or carries an angle of attack is off by degrees.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+        In the axes of the IMU.
+    gnss : GnssRecord
+        With standard deviations of its positions.
+    track : Track
+        See :func:`first_track`.
+    believed : StartBelief
+
+    Returns
+    -------
+    (ImuRecord, NavState, InitialSigma)
+        The record from the start on, the state there, and its standard deviations.
+    """
+    assert gnss.pos_std_ned is not None
+    k = track.fix
+    first = int(np.searchsorted(imu.t, gnss.t[k]))
+    imu = imu.rows(slice(first, None)) if first else imu
+    arm_b = np.asarray(believed.lever_arm, dtype=np.float64)
+    span = imu.as_increments()
+    count = max(2, int(0.5 / imu.dt))
+    velocity, slope, heading = track.velocity, track.slope, track.course
+    C = rotation.dcm_from_rpy(np.asarray(believed.mounting, dtype=np.float64))
+    force = C @ (span.accel[1:count].mean(axis=0) / imu.dt)
+    along = float(slope[0] * np.cos(heading) + slope[1] * np.sin(heading))
+    across = float(-slope[0] * np.sin(heading) + slope[1] * np.cos(heading))
+    g = float(earth.gravity(gnss.llh[k, 0], gnss.llh[k, 2]))
+    up = force - np.array([along, across, 0.0])
+    roll, pitch = float(np.arctan2(-up[1], -up[2])), float(np.arcsin(np.clip(up[0] / g, -1.0, 1.0)))
+    rpy = rotation.rpy_from_dcm(rotation.dcm_from_rpy(np.array([roll, pitch, heading])) @ C)
+    late = float(imu.t[0] - gnss.t[k])
+    arm = rotation.dcm_from_rpy(rpy) @ arm_b
+    llh = earth.move(gnss.llh[k], velocity * late - arm)
+    own = np.asarray(believed.position_sigma, dtype=np.float64)
+    position = np.hypot(own, gnss.pos_std_ned[k] + believed.motion_heading * np.linalg.norm(arm))
+    # the velocity of the antenna swings about the IMU's
+    swing = float(np.linalg.norm(np.cross(span.gyro[1:count].mean(axis=0) / imu.dt, arm_b)))
+    own = np.asarray(believed.velocity_sigma, dtype=np.float64)
+    vel_sigma = np.sqrt(own**2 + track.velocity_sigma**2 + swing**2)
+    turn = max(believed.heading_sigma, believed.motion_heading, float(np.max(track.velocity_sigma[:2])) / track.speed)
+    tilt = max(believed.tilt_sigma, float(np.hypot(believed.motion_tilt, track.slope_sigma / g)))
+    state = NavState(llh, velocity + slope * late, rpy)
+    return imu, state, InitialSigma(position, vel_sigma, (tilt, tilt, turn))
 
 
 def align(
-    imu: ImuRecord, gnss: GnssRecord, *, lever_arm: ArrayLike = (0.0, 0.0, 0.0), min_speed: float = 3.0
+    imu: ImuRecord, gnss: GnssRecord, *, lever_arm: ArrayLike = (0.0, 0.0, 0.0), min_speed: float = TRACK_SPEED
 ) -> Alignment:
-    """Find a start for a filter from raw data.
+    """Find a start for a filter from raw data of a vehicle that drives forward.
 
-    With a rest at the start of the record it is the start of that rest: level and gyroscope bias from :func:`align_at_rest`, heading from the
-    first course above ``min_speed`` carried back by the gyroscopes. Otherwise it is the first fix above ``min_speed``, level assumed.
+    With a rest before the first motion it is the start of that rest: level and gyroscope bias from it, heading from the first course above
+    ``min_speed`` carried back by the gyroscopes. Otherwise it is the first fix above ``min_speed``; see :func:`on_track`.
 
     Parameters
     ----------
     imu : ImuRecord
         In vehicle axes.
     gnss : GnssRecord
-        With velocity.
+        With velocities, or positions alone.
     lever_arm : (3,)
         IMU to antenna in vehicle axes, m.
     min_speed : float
-        Speed from which the course is taken for the heading, m/s. The vehicle must drive forward then.
+        Speed from which the course is taken for the heading, m/s.
 
     Raises
     ------
     InputError
-        No velocity, or never as fast as that.
+        Never as fast as that, or a rest after which the heading cannot be carried back.
     """
-    if gnss.vel_ned is None:
-        raise InputError("alignment needs GNSS velocity for the heading; the record has positions only")
-    inside = (
-        (gnss.t >= imu.t[0])
-        & (gnss.t <= imu.t[-1])
-        & np.isfinite(gnss.vel_ned).all(axis=1)
-        & np.isfinite(gnss.llh).all(axis=1)
+    fixes = sigma_of_fixes(gnss)
+    inside = (fixes.t >= imu.t[0]) & (fixes.t <= imu.t[-1]) & np.isfinite(fixes.llh).all(axis=1)
+    track = first_track(fixes, inside, min_speed)
+    if track is None:
+        raise InputError(f"alignment needs a fix faster than {min_speed:g} m/s, and one that tells its course")
+    quiet = quiet_stretches(imu, gnss)
+    before = [q for q in quiet if q.start < fixes.t[track.fix]]
+    still = tuple((q.start, q.end) for q in quiet if q.still)
+    if before:
+        return _from_rest(imu, fixes, inside, track, before[0], still, np.asarray(lever_arm, dtype=np.float64))
+    cut_imu, state, sigma = on_track(
+        imu, fixes, track, StartBelief(position_sigma=0.05, velocity_sigma=0.1, lever_arm=lever_arm)
     )
-    speed = np.hypot(gnss.vel_ned[:, 0], gnss.vel_ned[:, 1])
-    fast = np.flatnonzero(inside & (speed > min_speed))
-    if not fast.size:
-        raise InputError(
-            f"alignment needs a fix faster than {min_speed:g} m/s; the fastest has {np.max(speed[inside], initial=0.0):.3g} m/s"
-        )
-    first = int(fast[0])
-    course = float(np.arctan2(gnss.vel_ned[first, 1], gnss.vel_ned[first, 0]))
-    sigma_v = 0.1 if gnss.vel_std_ned is None else float(np.max(gnss.vel_std_ned[first, :2]))
-    heading_sigma = float(np.hypot(sigma_v / speed[first], np.deg2rad(1.0)))
-    still = rests(imu, gnss)
+    row = len(imu) - len(cut_imu)
+    nothing = np.full(3, np.nan)
+    return Alignment(float(imu.t[row]), row, state, sigma, nothing, nothing, still)
+
+
+def _from_rest(
+    imu: ImuRecord,
+    gnss: GnssRecord,
+    inside: NDArray[np.bool_],
+    track: Track,
+    quiet: Quiet,
+    still: tuple[tuple[float, float], ...],
+    lever_arm: Array,
+) -> Alignment:
+    """A start at rest, its heading the first course less what the gyroscopes turned until then; arguments as in :func:`align`."""
     increments = imu.as_increments()
-    bias = np.full(3, np.nan)
-    if still and still[0][0] < gnss.t[first]:
-        coarse = align_at_rest(imu, gnss.llh[first], still[0], heading=0.0)
-        roll, pitch, _ = coarse.state.rpy
-        row = int(np.searchsorted(imu.t, max(still[0][0], float(gnss.t[inside][0]))))
-        end = int(np.searchsorted(imu.t, gnss.t[first]))
-        rate = earth.earth_rate(float(gnss.llh[first, 0]))
-        mean = coarse.gyro_bias + rotation.dcm_from_rpy(coarse.state.rpy).T @ rate
-        turned = increments.gyro[row + 1 : end + 1].sum(axis=0) - mean * (imu.t[end] - imu.t[row])
-        # rate of the heading of a nearly level vehicle: (q sin(roll) + r cos(roll)) / cos(pitch)
-        heading = course - float((turned[1] * np.sin(roll) + turned[2] * np.cos(roll)) / np.cos(pitch))
-        bias = mean - rotation.dcm_from_rpy([roll, pitch, heading]).T @ rate
-        tilt = np.deg2rad(0.5)
-        fix = int(np.flatnonzero(inside & (gnss.t >= imu.t[row] - 1e-9))[0])
-        velocity, velocity_sigma = np.zeros(3), 0.05
-    else:
-        row = int(np.searchsorted(imu.t, gnss.t[first]))
-        roll = pitch = 0.0
-        heading, tilt, fix = course, LEVEL_SIGMA, first
-        velocity, velocity_sigma = np.array(gnss.vel_ned[first]), max(0.1, sigma_v)
+    coarse = align_at_rest(imu, gnss.llh[track.fix], (quiet.start, quiet.end), heading=0.0)
+    roll, pitch, _ = coarse.state.rpy
+    row = int(np.searchsorted(imu.t, max(quiet.start, float(gnss.t[inside][0]))))
+    end = int(np.searchsorted(imu.t, gnss.t[track.fix]))
+    rate = earth.earth_rate(float(gnss.llh[track.fix, 0]))
+    mean, covariance = quiet.bias()
+    moving_s = float(imu.t[end] - max(imu.t[row], quiet.end)) if quiet.still else float(imu.t[end] - imu.t[row])
+    turned = increments.gyro[row + 1 : end + 1].sum(axis=0) - mean * (imu.t[end] - imu.t[row])
+    # rate of the heading of a nearly level vehicle: (q sin(roll) + r cos(roll)) / cos(pitch)
+    by_heading = np.array([0.0, np.sin(roll), np.cos(roll)]) / np.cos(pitch)
+    drift = float(np.sqrt(by_heading @ covariance @ by_heading)) * max(moving_s, 0.0)
+    slip = float(np.max(track.velocity_sigma[:2])) / track.speed
+    heading_sigma = float(np.sqrt(slip**2 + np.deg2rad(1.0) ** 2 + drift**2))
+    if heading_sigma > LARGEST_HEADING_SIGMA:
+        raise InputError(
+            f"between {quiet.start:g} and {quiet.end:g} s the IMU is quiet and shows {np.rad2deg(quiet.rate @ quiet.down):.2g} deg/s about the "
+            "vertical, a steady turn or a bias: the heading cannot be carried back to it (alignment 'motion' does without)"
+        )
+    heading = track.course - float(by_heading @ turned)
     rpy = np.array([roll, pitch, (heading + np.pi) % (2.0 * np.pi) - np.pi])
-    arm = rotation.dcm_from_rpy(rpy) @ np.asarray(lever_arm, dtype=np.float64)
-    llh = earth.move(gnss.llh[fix], velocity * (imu.t[row] - gnss.t[fix]) - arm)
-    position_sigma = np.full(3, 3.0) if gnss.pos_std_ned is None else np.maximum(gnss.pos_std_ned[fix], 0.05)
+    C = rotation.dcm_from_rpy(rpy)
+    fix = int(np.flatnonzero(inside & (gnss.t >= imu.t[row] - 1e-9))[0])
+    assert gnss.pos_std_ned is not None
     return Alignment(
         float(imu.t[row]),
         row,
-        NavState(llh, velocity, rpy),
-        InitialSigma(position=position_sigma, velocity=velocity_sigma, attitude=(tilt, tilt, heading_sigma)),
-        bias,
-        tuple(still),
+        NavState(earth.move(gnss.llh[fix], -C @ lever_arm), np.zeros(3), rpy),
+        InitialSigma(np.maximum(gnss.pos_std_ned[fix], 0.05), 0.05, (REST_TILT, REST_TILT, heading_sigma)),
+        mean - C.T @ rate,
+        np.sqrt(np.diag(covariance)),
+        still,
     )

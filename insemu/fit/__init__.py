@@ -31,6 +31,7 @@ def fit(
     unit: str | None = None,
     name: str | None = None,
     robust: bool = False,
+    wavelet: str = "haar",
     **options: Any,
 ) -> FitResult:
     """Fit a noise model to a signal.
@@ -38,14 +39,16 @@ def fit(
     Parameters
     ----------
     signal : Series, (n,) array or WaveletVariance
-        Signal at rest (or its Haar wavelet variance, for ``gmwm``).
+        Signal at rest (or its wavelet variance, for ``gmwm``).
     model : NoiseModel, Process or str
         Structure such as ``"2*GM() + WN()"``; parameters that have a value are held.
     method : {"gmwm", "indirect", "em", "mli", "slopes", "burg"}
         Wavelet moments, the same by simulation (needs ``rng``), constrained expectation-maximization, integrated maximum likelihood, slopes
         of the Allan variance or PSD, Burg's autoregression.
     robust : bool
-        Of ``gmwm`` and ``indirect``: use the robust wavelet variance.
+        Of ``gmwm`` and ``indirect``: use the robust wavelet variance, at the ``efficiency`` that is given.
+    wavelet : str
+        Of ``gmwm``: filter of the wavelet variance, a name of :data:`insemu.variance.filters.FILTERS`.
     rate_hz, unit, name
         Of an array; a :class:`~insemu.records.Series` carries them.
     **options
@@ -84,11 +87,17 @@ def fit(
         )
     series = as_series(signal, rate_hz, unit, name)
     asked = _model(model, series.unit)
+    if wavelet != "haar" and (method != "gmwm" or robust):
+        raise InputError(f"wavelet '{wavelet}' belongs to gmwm without robust, not to '{method}'")
     if method == "gmwm":
         if robust:
             return _fit_robust(series, asked, options)
         return fit_curve(
-            wavelet_variance(series.values, series.rate_hz), asked, unit=series.unit, name=series.name, **options
+            wavelet_variance(series.values, series.rate_hz, filter=wavelet),
+            asked,
+            unit=series.unit,
+            name=series.name,
+            **options,
         )
     if method == "indirect":
         from insemu.fit.indirect import fit_indirect
@@ -117,9 +126,10 @@ def _fit_robust(series: Series, asked: NoiseModel, options: dict[str, Any]) -> F
     from insemu.fit.gmwm import fit_curve
     from insemu.fit.robust import cleaned_curve
 
-    cleaned = cleaned_curve(series.values, series.rate_hz)
+    wanted = {"efficiency": options["efficiency"]} if "efficiency" in options else {}
+    cleaned = cleaned_curve(series.values, series.rate_hz, **wanted)
     curve = cleaned.curve
-    given = {"efficiency": curve.efficiency, **options}
+    given = options | {"efficiency": curve.efficiency}
     if (
         cleaned.outlier_variance > 0
         and options.get("widths") is None

@@ -14,6 +14,7 @@ from insemu.fit import _covariance_kernel
 from insemu.noise import NoiseModel
 from insemu.variance.covariance import level1_autocovariance
 from insemu.variance.covariance import model_covariance as covariance_over_lags
+from insemu.variance.filtered import covariance as covariance_of_filter
 
 Array = NDArray[np.float64]
 
@@ -65,3 +66,18 @@ def model_covariance(model: NoiseModel, n_samples: int, scale_samples: ArrayLike
             gain = 2.0 * p.wavelet_variance(scale, dt) / amplitude**2  # squared gain of the scales at the line
             out += 2.0 * density * amplitude**2 * np.outer(gain, gain) / n_samples
     return out
+
+
+def covariance_of_curve(model: NoiseModel, n_samples: int, scale_samples: ArrayLike, dt: float, filter: str) -> Array:
+    """:func:`model_covariance` for a curve of any filter.
+
+    Parameters
+    ----------
+    model, n_samples, scale_samples, dt
+        As there.
+    filter : str
+        Name of the filter.
+    """
+    if filter == "haar":
+        return model_covariance(model, n_samples, scale_samples, dt)
+    return covariance_of_filter(model, filter, scale_samples, n_samples, dt)

@@ -21,13 +21,15 @@ from scipy import special
 
 from insemu.errors import InputError
 from insemu.fit import _kernel
-from insemu.fit.covariance import model_covariance
+from insemu.fit.covariance import covariance_of_curve
 from insemu.fit.identifiability import warnings_of
 from insemu.fit.result import FitResult, GoodnessOfFit, estimates
 from insemu.fit.structure import Structure, natural_jacobian
 from insemu.noise import NoiseModel
 from insemu.variance import RobustWaveletVariance, WaveletVariance
 from insemu.variance.edof import eta3, interval
+from insemu.variance.filtered import expected
+from insemu.variance.filters import modwt_filters
 
 Array = NDArray[np.float64]
 Weighting = Literal["auto", "intervals", "asymptotic", "bootstrap"]
@@ -54,7 +56,8 @@ class Solution:
 
 def interval_widths(curve: WaveletVariance) -> Array:
     """Widths of the 95 % chi-square intervals with the degrees of freedom of an ideal band-pass, the customary weights of the GMWM."""
-    low, high = interval(curve.value, eta3(curve.scale_samples.astype(float), curve.n_samples), 0.95)
+    length = modwt_filters(curve.filter)[0].size
+    low, high = interval(curve.value, eta3(curve.scale_samples.astype(float), curve.n_samples, length), 0.95)
     return np.asarray(high - low)
 
 
@@ -145,12 +148,12 @@ def fit_curve(
     unit: str = "",
     name: str = "signal",
 ) -> FitResult:
-    """Fit a model to a Haar wavelet variance.
+    """Fit a model to a wavelet variance.
 
     Parameters
     ----------
     curve : WaveletVariance
-        Haar MODWT curve.
+        MODWT curve of any filter; others than Haar are integrals of the spectrum, and some hundred times slower to search.
     model : NoiseModel
         Structure; parameters that have a value are held.
     weighting : {"auto", "intervals", "asymptotic", "bootstrap"}
@@ -183,19 +186,19 @@ def fit_curve(
     Raises
     ------
     InputError
-        A curve that is not Haar, has zeros, or has fewer scales than one per free parameter; bad options.
+        A decimated curve, one that has zeros or fewer scales than one per free parameter; bad options.
 
     Notes
     -----
     Equations (20), (22)-(27) and (34) of Stebler et al. 2014. The covariance of the curve is that of the fitted model over the finite record.
     """
-    if curve.filter != "haar":
+    if curve.transform != "modwt":
         raise InputError(
-            f"the wavelet variance of filter '{curve.filter}' cannot be fitted; closed forms exist for 'haar'"
+            f"the wavelet variance of the transform '{curve.transform}' cannot be fitted: its covariance is not known; use modwt"
         )
     if weighting not in get_args(Weighting):
         raise InputError(f"weighting is '{weighting}', expected one of: {', '.join(get_args(Weighting))}")
-    structure = Structure.of(model, curve.rate_hz)
+    structure = Structure.of(model, curve.rate_hz, curve.filter)
     use = (curve.tau_s >= tau_from * (1 - 1e-9)) & (curve.tau_s <= tau_to * (1 + 1e-9))
     use &= curve.scale_samples <= curve.n_samples
     scale, value = curve.scale_samples[use], curve.value[use]
@@ -229,7 +232,7 @@ def fit_curve(
         if not automatic or (n > LONG_RECORD and not rejecting):
             second, rows = best, W
             for step in range(max(steps, 1)):
-                V = _covariance(structure, second, scale, n, weighting, bootstrap, rng) / efficiency
+                V = _covariance(structure, second, scale, n, weighting, bootstrap, rng, curve.filter) / efficiency
                 rows = root_of_inverse(V)
                 near = search(structure, scale, value, rows, n, second.shapes[None, :])
                 if step == 0 and start is None:
@@ -237,13 +240,13 @@ def fit_curve(
                     other = search(structure, scale, value, rows, n, starts, refined=3, flattened=False)
                     near = other if other.objective < near.objective else near
                 second = near
-            V = _covariance(structure, second, scale, n, "asymptotic", 0, None) / efficiency
+            V = _covariance(structure, second, scale, n, "asymptotic", 0, None, curve.filter) / efficiency
             test = goodness_of_fit(structure, second, scale, value, V, n, dt)
             if not automatic or (test is not None and test.p_value >= HOLDS):
                 best, W, used = second, rows, "asymptotic" if automatic else weighting
     fitted_model = structure.specified(best.coefficients, best.shapes)
     if used in ("intervals", "given"):
-        V = model_covariance(fitted_model, n, scale, dt) / efficiency
+        V = covariance_of_curve(fitted_model, n, scale, dt, curve.filter) / efficiency
         test = goodness_of_fit(structure, best, scale, value, V, n, dt)
     D, free = natural_jacobian(fitted_model, structure, scale / 2.0)
     spread = V if covariance is None else np.asarray(covariance, dtype=np.float64)[np.ix_(use, use)]
@@ -270,7 +273,7 @@ def fit_curve(
         parameters=estimates(fitted_model, free, covariance_of, unit, confidence),
         covariance=covariance_of,
         curve=curve,
-        fitted=fitted_model.wavelet_variance(curve.scale_samples, dt),
+        fitted=expected(fitted_model, curve.filter, curve.scale_samples, dt),
         objective=best.objective,
         converged=best.converged,
         warnings=tuple(notes),
@@ -370,13 +373,14 @@ def _covariance(
     weighting: Weighting,
     replicates: int,
     rng: np.random.Generator | None,
+    filter: str,
 ) -> Array:
     model = structure.specified(at.coefficients, at.shapes)
     if weighting != "bootstrap":
-        return model_covariance(model, n, scale, structure.dt)
+        return covariance_of_curve(model, n, scale, structure.dt, filter)
     if rng is None:
         raise InputError("weighting by bootstrap draws random numbers; give rng")
-    curves = bootstrap_curves(model, n, 1.0 / structure.dt, scale, replicates, rng)
+    curves = bootstrap_curves(model, n, 1.0 / structure.dt, scale, replicates, rng, filter)
     return np.asarray(np.cov(curves, rowvar=False)).reshape(scale.size, scale.size)
 
 
@@ -387,8 +391,30 @@ def bootstrap_curves(
     scale: NDArray[np.int64],
     replicates: int,
     rng: np.random.Generator,
+    filter: str = "haar",
 ) -> Array:
-    """Wavelet variances (replicates, J) of signals drawn from a model."""
+    """Wavelet variances of signals drawn from a model.
+
+    Parameters
+    ----------
+    model : NoiseModel
+        Specified.
+    n_samples : int
+        Length of each record.
+    rate_hz : float
+        Sampling rate.
+    scale : (J,) array of int
+        Scales 2^j in samples, ascending.
+    replicates : int
+    rng : Generator
+    filter : str
+        Wavelet filter.
+
+    Returns
+    -------
+    (replicates, J) array
+        unit^2.
+    """
     from insemu.variance import wavelet_variance
 
     levels = round(math.log2(float(scale[-1])))
@@ -396,7 +422,7 @@ def bootstrap_curves(
     out = np.empty((replicates, scale.size))
     for i, child in enumerate(rng.spawn(replicates)):
         x = model.simulate(n_samples, 1.0 / rate_hz, child)
-        out[i] = wavelet_variance(x, rate_hz, intervals="eta3", levels=levels).value[keep]
+        out[i] = wavelet_variance(x, rate_hz, filter=filter, intervals="eta3", levels=levels).value[keep]
     return out
 
 
@@ -475,7 +501,7 @@ def goodness_of_fit(
 def refit(result: FitResult, value: Array) -> FitResult:
     """The same problem and weights with another curve, from the found solution: what a bootstrap repeats."""
     assert result.curve is not None
-    structure = Structure.of(result.structure, result.rate_hz)
+    structure = Structure.of(result.structure, result.rate_hz, result.curve.filter)
     scale = result.details["scales"]
     start = structure.internal(result.model)[1][None, :]
     best = search(structure, scale, value, result.details["W"], result.n_samples, start)

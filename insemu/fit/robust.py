@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 #: Octaves whose robust estimate is taken as it is, and from which the outliers' white part is read.
 SHORT = 2
+#: Efficiency of the robust estimate where none is asked for.
+EFFICIENCY = 0.6
 #: What remains of a scale after the outliers' part is taken off counts at least this share of it.
 LEAST = 0.02
 
@@ -40,20 +42,22 @@ class CleanedCurve:
     outlier_variance: float
 
 
-def cleaned_curve(x: ArrayLike, rate_hz: float) -> CleanedCurve:
+def cleaned_curve(x: ArrayLike, rate_hz: float, efficiency: float = EFFICIENCY) -> CleanedCurve:
     """Return the wavelet variance of what remains without isolated outliers.
 
     Parameters
     ----------
     x : (n,) array
     rate_hz : float
+    efficiency : float
+        Of the robust estimate with Gaussian data, where the record has outliers; one without keeps full efficiency.
 
     Raises
     ------
     InputError
         As :func:`insemu.variance.robust_wavelet_variance`.
     """
-    robust = robust_wavelet_variance(x, rate_hz)
+    robust = robust_wavelet_variance(x, rate_hz, efficiency=efficiency)
     if not robust.contaminated or len(robust) <= SHORT:
         return CleanedCurve(robust, 0.0)
     plain = wavelet_variance(x, rate_hz, intervals="eta3", levels=len(robust))

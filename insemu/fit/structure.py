@@ -17,6 +17,7 @@ from insemu.errors import InputError
 from insemu.fit import _kernel
 from insemu.noise import NoiseModel
 from insemu.noise.process import SAME_RATE
+from insemu.variance.filtered import curve_address
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -50,8 +51,17 @@ class Structure:
     kept: tuple[object, ...] = field(default=(), repr=False, compare=False)  # what the addresses belong to
 
     @classmethod
-    def of(cls, model: NoiseModel, rate_hz: float) -> Structure:
+    def of(cls, model: NoiseModel, rate_hz: float, filter: str = "haar") -> Structure:
         """Compile a model.
+
+        Parameters
+        ----------
+        model : NoiseModel
+            Structure.
+        rate_hz : float
+            Sampling rate.
+        filter : str
+            Wavelet filter of the curve that is to be fitted.
 
         Raises
         ------
@@ -71,7 +81,7 @@ class Structure:
                 raise InputError(
                     f"{p.symbol} belongs to samples at {rate:g} Hz and cannot be fitted to a signal at {rate_hz:g} Hz"
                 )
-            found.append(p.curve_address(dt))
+            found.append(p.curve_address(dt) if filter == "haar" else curve_address(p, filter, dt))
             orders.append(p.order)
             coefficient, shapes = p.coordinates(dt)
             fixed.append(-1.0 if coefficient is None else coefficient)

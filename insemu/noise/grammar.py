@@ -12,25 +12,28 @@ from insemu.errors import InputError, nearest
 #: What the field calls a process, with its parameter: the name of the process.
 ALIASES: Mapping[str, str] = {"ARW": "WN", "VRW": "WN", "RRW": "RW"}
 
-_TERM = re.compile(r"^\s*(?:(?P<count>\d+)\s*\*\s*)?(?P<name>[A-Za-z]\w*)\s*(?:\((?P<arguments>.*)\))?\s*$", re.DOTALL)
+#: Processes of one model, and characters of its text, that are read.
+MOST_PROCESSES, LONGEST_TEXT = 100, 4_000
+
+_TERM = re.compile(
+    r"^\s*(?:(?P<count>[0-9]{1,9})\s*\*\s*)?(?P<name>[A-Za-z]\w*)\s*(?:\((?P<arguments>.*)\))?\s*$", re.DOTALL
+)
 
 
-#: Longest text of a model, characters, and most processes and coefficients: a sum of ten processes is a large model.
-MAX_TEXT = 10_000
-MAX_COUNT = 100
+#: A whole number of an order.
+_WHOLE = re.compile("[0-9]{1,9}")
 
 
-def whole(text: str, what: str) -> int:
-    """A count or an order as written, within the limits.
-
-    Raises
-    ------
-    InputError
-        Zero, more than :data:`MAX_COUNT`, or no whole number.
-    """
-    if not (text.isdecimal() and len(text) <= 6 and 1 <= int(text) <= MAX_COUNT):
-        raise InputError(f"{what} is '{text[:20]}', expected a whole number from 1 to {MAX_COUNT}")
-    return int(text)
+def shown(value: object) -> str:
+    """A value as a message shows it: never longer than a line."""
+    if isinstance(value, int) and abs(value) > 10**20:  # Python refuses to print the largest
+        return "a whole number of more than 20 digits"
+    text = (
+        repr(value)
+        if not isinstance(value, list | tuple | dict) or len(value) < 20
+        else f"{type(value).__name__} of {len(value)}"
+    )
+    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def _split(text: str, separator: str) -> list[str]:
@@ -60,18 +63,26 @@ def terms(text: str, known: Collection[str]) -> Iterator[tuple[int, str, list[in
     InputError
         Anything but ``[count*]NAME(arguments)``, or an unknown name.
     """
-    if len(text) > MAX_TEXT:
-        raise InputError(f"the text of the model has {len(text)} characters, expected at most {MAX_TEXT}")
+    if len(text) > LONGEST_TEXT:
+        raise InputError(f"the model {shown(text)} has {len(text)} characters, expected at most {LONGEST_TEXT}")
+    total = 0
     for term in _split(text, "+"):
         match = _TERM.match(term)
         if match is None:
             raise InputError(
-                f"cannot read '{term.strip()}' in the model '{text}'; expected something like 2*GM() or WN(N=1e-3)"
+                f"cannot read {shown(term.strip())} in the model {shown(text)}; expected something like 2*GM() or WN(N=1e-3)"
             )
         name = ALIASES.get(match["name"], match["name"])
         if name not in known:
-            raise InputError(f"unknown process '{name}' in the model '{text}'" + nearest(name, known))
-        count = whole(match["count"] or "1", f"the count of {name} in the model '{text}'")
+            raise InputError(f"unknown process {shown(name)} in the model {shown(text)}" + nearest(name, known))
+        count = int(match["count"] or 1)
+        total += count
+        if not 1 <= count <= MOST_PROCESSES:
+            raise InputError(
+                f"found {count} times {name} in the model {shown(text)}, expected a whole number from 1 to {MOST_PROCESSES}"
+            )
+        if total > MOST_PROCESSES:
+            raise InputError(f"the model {shown(text)} has more than {MOST_PROCESSES} processes")
         yield count, name, *_arguments(name, match["arguments"] or "", text)
 
 
@@ -84,22 +95,31 @@ def _arguments(name: str, arguments: str, text: str) -> tuple[list[int], dict[st
             continue
         if "=" in argument:
             key, value = (part.strip() for part in argument.split("=", 1))
+            if key in given:
+                raise InputError(f"found {shown(key)} twice in {name} of the model {shown(text)}")
             given[key] = (
                 [v.strip() for v in value.strip("([)] ").split(",") if v.strip()] if value[:1] in "([" else value
             )
-        elif argument.isdigit():
-            orders.append(whole(argument, f"an order of {name} in the model '{text}'"))
+        elif _WHOLE.fullmatch(argument):
+            orders.append(int(argument))
         else:
             raise InputError(
-                f"cannot read '{argument}' in '{name}({arguments})' of the model '{text}'; expected name=quantity"
+                f"cannot read {shown(argument)} in {name} of the model {shown(text)}; expected name=quantity"
             )
     return orders, given
+
+
+def whole(value: object) -> int | None:
+    """A whole number of at least 0 that is given as one or as text; None for anything else."""
+    if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 10**9:
+        return value
+    return int(value) if isinstance(value, str) and _WHOLE.fullmatch(value) else None
 
 
 def quantity(value: Any, unit: str, where: str) -> float:
     """A number in SI, or text with a unit of the dimension of ``unit``; raises ``InputError`` at ``where``."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise InputError(f"found {value!r}, expected a quantity in {unit}", where=where)
+        raise InputError(f"found {shown(value)}, expected a quantity in {unit}", where=where)
     try:
         return units.parse(value, unit)
     except InputError as error:

@@ -158,7 +158,13 @@ class Parametrised:
         for p in self.PARAMETERS:
             value = getattr(self, p.name)
             if value is not None:
-                number = float(value)
+                try:
+                    number = float(value)
+                except (TypeError, ValueError, OverflowError):
+                    found = grammar.shown(value)
+                    raise InputError(
+                        f"{self.symbol}: {p.name} ({p.meaning}) is {found}, expected a finite number"
+                    ) from None
                 object.__setattr__(self, p.name, number)
                 p.check(number, self.symbol)
 
@@ -304,9 +310,8 @@ class Parametrised:
             An argument that the process does not have.
         """
         if orders:
-            inside = ", ".join([*map(str, orders), *(f"{k}={v}" for k, v in given.items())])
             raise InputError(
-                f"found an unnamed argument in '{cls.__name__}({inside})' of the model '{text}'; expected name=quantity"
+                f"found an unnamed argument in {cls.__name__} of the model {grammar.shown(text)}; expected name=quantity"
             )
         return cls.from_mapping(given, signal_unit)
 
@@ -320,7 +325,9 @@ class Parametrised:
         given = cls.with_rate(given)
         unknown = [k for k in given if k not in known]
         if unknown:
-            raise InputError(f"unknown key '{unknown[0]}'" + nearest(unknown[0], known), where=cls.__name__)
+            raise InputError(
+                f"unknown key {grammar.shown(unknown[0])}" + nearest(str(unknown[0])[:40], known), where=cls.__name__
+            )
         return cls(
             **{k: grammar.quantity(v, known[k].unit_for(signal_unit), f"{cls.__name__}.{k}") for k, v in given.items()}
         )

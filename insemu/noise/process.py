@@ -289,9 +289,10 @@ def process_of(item: Mapping[str, Any], signal_unit: str) -> Process:
     """The process of one mapping with the key ``process``; raises ``InputError``."""
     given = dict(item)
     name = given.pop("process", None)
-    name = grammar.ALIASES.get(name, name)
+    name = grammar.ALIASES.get(name, name) if isinstance(name, str) else None
     if name not in PROCESSES:
-        raise InputError(f"unknown process {name!r}" + nearest(str(name), PROCESSES), where="process")
+        found = grammar.shown(item.get("process"))
+        raise InputError(f"unknown process {found}" + nearest(name or "", PROCESSES), where="process")
     return PROCESSES[name].from_mapping(given, signal_unit)
 
 
@@ -339,7 +340,11 @@ class NoiseModel:
 
     def __rmul__(self, count: int) -> NoiseModel:
         if not isinstance(count, int) or isinstance(count, bool) or count < 1:
-            raise InputError(f"found {count!r} times a noise model, expected a whole number of at least 1")
+            raise InputError(f"found {grammar.shown(count)} times a noise model, expected a whole number of at least 1")
+        if count * len(self.processes) > grammar.MOST_PROCESSES:
+            raise InputError(
+                f"found {grammar.shown(count)} times a noise model, expected at most {grammar.MOST_PROCESSES} processes"
+            )
         return NoiseModel(self.processes * count)
 
     # -- parameters ---------------------------------------------------------------------------------------------------------------
@@ -475,5 +480,9 @@ class NoiseModel:
         if isinstance(items, str):
             return cls.parse(items, signal_unit)
         if not isinstance(items, Sequence) or not all(isinstance(item, Mapping) for item in items):
-            raise InputError(f"found {items!r}, expected a list of processes such as [{{process: WN, N: 1e-3}}]")
+            raise InputError(
+                f"found {grammar.shown(items)}, expected a list of processes such as [{{process: WN, N: 1e-3}}]"
+            )
+        if len(items) > grammar.MOST_PROCESSES:
+            raise InputError(f"found {len(items)} processes, expected at most {grammar.MOST_PROCESSES}")
         return cls(tuple(process_of(item, signal_unit) for item in items if isinstance(item, Mapping)))

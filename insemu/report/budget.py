@@ -10,8 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure as MplFigure
 
-from insemu.evaluate.comparison import outage_budgets
-from insemu.evaluate.covariance import CovarianceAnalysis
+from insemu.evaluate import CovarianceAnalysis, outage_budgets
 from insemu.report import page
 from insemu.report.style import COLOURS, style
 
@@ -116,7 +115,18 @@ def growth(analyses: Mapping[str, CovarianceAnalysis], windows: Windows) -> MplF
 def render_budgets(
     title: str, analyses: Mapping[str, CovarianceAnalysis], windows: Windows, folder: str | Path, *, by: str = "process"
 ) -> Path:
-    """Write the page of a covariance analysis into ``folder``/index.html."""
+    """Write the page of a covariance analysis into ``folder``/index.html.
+
+    Parameters
+    ----------
+    title : str
+    analyses : mapping of design to CovarianceAnalysis
+    windows : sequence of (start_s, duration_s)
+        The outages.
+    folder : path
+    by : {"process", "axis", "source"}
+        What the parts of the budget are.
+    """
     budgets = outage_budgets(analyses, windows, by)
     figures = [
         page.Figure.of(

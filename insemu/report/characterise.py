@@ -348,12 +348,12 @@ def _comparison_table(axes: Sequence[AxisReport]) -> Table:
     for axis in axes:
         if axis.robust is None or axis.contamination is None or not axis.robust.contaminated:
             continue
-        for k, tau in enumerate(axis.wavelet.tau_s):
+        for k, tau in enumerate(axis.robust.tau_s):
             rows.append(
                 [
                     axis.name,
                     f"{tau:.4g}",
-                    f"{axis.wavelet.value[k]:.4g}",
+                    f"{axis.contamination.ratio[k] * axis.robust.value[k]:.4g}",
                     f"{axis.robust.value[k]:.4g}",
                     f"{axis.contamination.ratio[k]:.3g}",
                     "yes" if axis.contamination.significant[k] else "",

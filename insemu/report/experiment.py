@@ -8,9 +8,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from insemu.evaluate import Results, verdicts
-from insemu.evaluate.answer import Standing, answer
-from insemu.evaluate.folder import put
+from insemu.evaluate import Results, Standing, answer, put, verdicts
 from insemu.noise import NoiseModel, axis_unit
 from insemu.report import budget, figures
 from insemu.report.experiment_charts import error_chart, nees_chart

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -83,7 +83,7 @@ def flight(results: Results, realization: int = 0) -> Figure:
 def error_growth(results: Results) -> Figure:
     """Root-mean-square errors over the realizations against time: planimetric, altimetric, north velocity, roll axis."""
     minutes = results.t / 60.0
-    panels = (
+    panels: tuple[tuple[str, str, Callable[[Array], Array]], ...] = (
         ("Planimetric position", "rms (m)", lambda e: np.hypot(e[..., 0], e[..., 1])),
         ("Altitude", "rms (m)", lambda e: e[..., 2]),
         ("North velocity", "rms (m/s)", lambda e: e[..., 3]),
@@ -125,7 +125,14 @@ def _row_of(values: Array, components: tuple[int, ...], factor: float) -> Array:
 
 
 def against_bounds(results: Results, outage: int = -1, realization: int = 0) -> Figure:
-    """Planimetric, down, velocity and attitude errors in one outage against the 3-sigma bounds that the filters state: a column per design."""
+    """Planimetric, down, velocity and attitude errors in one outage against the 3-sigma bounds that the filters state: a column per design.
+
+    Parameters
+    ----------
+    results : Results
+    outage, realization : int
+        From 0; -1 is the last outage.
+    """
     start, duration = results.outages[outage]
     inside = (results.t >= start - 5.0) & (results.t <= start + duration + 5.0)
     since = results.t[inside] - start

@@ -16,6 +16,7 @@ from insemu.records import Series
 from insemu.report import page
 from insemu.report.style import COLOURS, style
 from insemu.variance import wavelet_variance
+from insemu.variance.filtered import expected
 from insemu.variance.spectrum import average_frequencies, psd
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ def decomposition(result: FitResult, rng: np.random.Generator, draws: int = DRAW
         if drawable:
             for i, child in enumerate(rng.spawn(draws)):
                 x = result.model.simulate(result.n_samples, result.dt, child)
-                drawn = wavelet_variance(x, result.rate_hz, intervals="eta3")
+                drawn = wavelet_variance(x, result.rate_hz, filter=curve.filter, intervals="eta3")
                 top.plot(
                     drawn.tau_s,
                     np.sqrt(drawn.value),
@@ -65,7 +66,7 @@ def decomposition(result: FitResult, rng: np.random.Generator, draws: int = DRAW
         for i, (index, p) in enumerate(result.model.indexed()):
             if not drawable:
                 break
-            part = p.wavelet_variance(curve.scale_samples, dt)
+            part = expected(p, curve.filter, curve.scale_samples, dt)
             if (part > 0).any():
                 name = process_label(p.symbol, index)
                 top.plot(tau, np.sqrt(part), "--", color=COLOURS[i % len(COLOURS)], lw=1.3, label=name, zorder=2)

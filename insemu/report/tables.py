@@ -38,13 +38,6 @@ def log_distance(results: Results) -> float | None:
     return float(np.sqrt(np.mean([math.log(ours / theirs) ** 2 for _, _, ours, theirs in cells]))) if cells else None
 
 
-def published_value(results: Results, design: str, outage: int) -> str:
-    """The cell of the first published figure, as text."""
-    values = results.published.get(results.headline_figure, {}).get(design, ())
-    value = values[outage] if outage < len(values) else None
-    return "" if value is None else f"{value:g}"
-
-
 Cell = Callable[[Mapping[str, Any]], str]
 
 
@@ -235,7 +228,9 @@ def variant_caption(results: Results) -> str:
 def _published_rows(results: Results, columns: int, width: int) -> list[list[str]]:
     rows = []
     for i, name in enumerate(results.published[results.headline_figure]):
-        cells = [published_value(results, name, k) for k in range(columns)]
+        printed = results.published[results.headline_figure][name]
+        cells = ["" if value is None else f"{value:g}" for value in printed[:columns]]
+        cells += [""] * (columns - len(cells))
         rows.append(["published" if i == 0 else "", name, *cells, *[""] * (width - 2 - columns)])
     return rows
 

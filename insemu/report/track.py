@@ -13,8 +13,7 @@ from insemu.errors import InputError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from insemu.emulate.flight import Flight
-    from insemu.emulate.track import SmoothedTrack
+    from insemu.emulate import Flight, SmoothedTrack
 
 _BLUE, _RED, _GREY = "#1f5fa8", "#c0392b", "#7f8c8d"
 
@@ -32,7 +31,7 @@ def track_figure(flight: Flight, track: SmoothedTrack | None = None) -> Figure:
     """
     from matplotlib.figure import Figure
 
-    from insemu.emulate.track import turn_rate
+    from insemu.emulate import turn_rate
 
     path = flight.path
     t = np.linspace(path.start, path.end, int(min(6000, max(400, path.duration * 10))))
@@ -110,7 +109,15 @@ def check_figure(file: str | Path) -> None:
 
 
 def draw_track(flight: Flight, file: str | Path, *, track: SmoothedTrack | None = None) -> Path:
-    """Write :func:`track_figure` to a PNG, PDF or SVG file, or a page with it to an HTML file."""
+    """Write :func:`track_figure` to a PNG, PDF or SVG file, or a page with it to an HTML file.
+
+    Parameters
+    ----------
+    flight : Flight
+    file : path
+    track : SmoothedTrack, optional
+        The recorded track that the path was made from.
+    """
     check_figure(file)
     path = Path(file)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -121,7 +128,7 @@ def draw_track(flight: Flight, file: str | Path, *, track: SmoothedTrack | None 
 
 
 def _page(flight: Flight, path: Path, track: SmoothedTrack | None) -> Path:
-    from insemu.emulate.track import held_out_distance, turn_rate
+    from insemu.emulate import held_out_distance, turn_rate
     from insemu.report.page import Block, Figure, Items, Section, Table, Text, render
 
     motion = flight.path

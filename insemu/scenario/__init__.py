@@ -4,16 +4,13 @@
 trajectories are registered names, numbers carry units (``0.032 deg/s/sqrt(Hz)``) and are converted here, once.
 """
 
+from insemu.scenario.design import AxisSource, Design, DesignOptions, GyroSource
 from insemu.scenario.designs import shipped_designs
 from insemu.scenario.fields import EffectList, Section
 from insemu.scenario.files import digest, load, resolve_path, schema, validated, variant_names
 from insemu.scenario.schema import (
-    AxisSource,
-    Design,
-    DesignOptions,
     FitSource,
     Gnss,
-    GyroSource,
     Initial,
     NonHolonomic,
     Published,
@@ -24,9 +21,12 @@ from insemu.scenario.schema import (
     TrajectorySource,
     Truth,
 )
+from insemu.scenario.shipped import located, shipped_scenarios
+from insemu.scenario.starting import SENSOR, Wish, copy_shipped, first_scenario
 from insemu.scenario.structure import state_names, structures
 
 __all__ = [
+    "SENSOR",
     "AxisSource",
     "Design",
     "DesignOptions",
@@ -44,11 +44,16 @@ __all__ = [
     "SensorModels",
     "TrajectorySource",
     "Truth",
+    "Wish",
+    "copy_shipped",
     "digest",
+    "first_scenario",
     "load",
+    "located",
     "resolve_path",
     "schema",
     "shipped_designs",
+    "shipped_scenarios",
     "state_names",
     "structures",
     "validated",

@@ -30,6 +30,7 @@ from insemu import units
 from insemu.effects import EFFECTS, EffectUse
 from insemu.errors import InputError
 from insemu.noise import NoiseModel
+from insemu.records import AXES
 
 Vector3 = tuple[float, float, float]
 
@@ -314,3 +315,14 @@ EffectList = Annotated[
     ),
     AfterValidator(lambda uses: uses or ()),
 ]
+
+
+def per_axis(section: Section) -> dict[str, Any]:
+    """What a section gives per axis; the short forms ``gyro`` and ``accel`` stand for their three, a named axis wins."""
+    out = {}
+    for axis in AXES:
+        value = getattr(section, axis)
+        value = getattr(section, axis.split("_")[0]) if value is None else value
+        if value is not None:
+            out[axis] = value
+    return out

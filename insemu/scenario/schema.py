@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, field_validator, model_validator
-from pydantic_core import CoreSchema, core_schema
+from pydantic import Field, field_validator, model_validator
 
-from insemu.augment import Extras
-from insemu.effects import EFFECTS, EffectUse
-from insemu.emulate import AreaOutage, Mounting, Outage, TemperatureProfile
-from insemu.emulate.trajectory import TRAJECTORIES
+from insemu.emulate import TRAJECTORIES, AreaOutage, Mounting, Outage, TemperatureProfile
 from insemu.errors import InputError, nearest
-from insemu.filters import InitialSigma, Standstill
+from insemu.filters import InitialSigma
 from insemu.noise import NoiseModel
 from insemu.records import AXES
-from insemu.scenario.designs import shipped_designs, spell_out
+from insemu.scenario.design import AxisSource, Design, OrName
 from insemu.scenario.fields import (
-    MODEL_JSON,
     AccelModel,
     Angles,
     EffectList,
@@ -31,17 +25,12 @@ from insemu.scenario.fields import (
     Metres,
     MetresPerSecond,
     Name,
-    Parsed,
     Radians,
-    RadiansPerSecond,
-    Ratio,
     Seconds,
     Section,
     Speed,
-    Structure,
     Vector3,
-    computed,
-    noise_model,
+    per_axis,
 )
 from insemu.scenario.sensor_keys import with_sensors
 
@@ -71,17 +60,6 @@ class TemperatureKeys(Section):
     degc: tuple[float, ...] = Field(min_length=1, description="temperatures, degC")
 
 
-class StateKeys(Section):
-    """Further states, each a random constant of this standard deviation; 0 leaves it out."""
-
-    gyro_scale: Ratio = Field(default=0.0, ge=0)
-    accel_scale: Ratio = Field(default=0.0, ge=0)
-    gyro_misalignment: Radians = Field(default=0.0, ge=0)
-    accel_misalignment: Radians = Field(default=0.0, ge=0)
-    lever_arm: Length = Field(default=0.0, ge=0)
-    latency: Seconds = Field(default=0.0, ge=0)
-
-
 class AreaKeys(Section):
     """A circle on the ground without GNSS."""
 
@@ -107,7 +85,7 @@ class TrajectorySource(Section):
         default=None, description="name of a built-in trajectory, for example helicopter_mapping"
     )
     waypoints: str | None = Field(default=None, description="waypoint file (CSV or GeoJSON)")
-    track: str | None = Field(default=None, description="recorded track: a recording or a CSV")
+    track: str | None = Field(default=None, description="recorded track: any file that insemu open reads, or a CSV")
     motion: str | None = Field(default=None, description="motion command file (CSV)")
     vehicle: Literal["car", "multirotor", "helicopter", "fixed_wing"] = Field(
         default="car", description="limits and attitude for waypoints and tracks"
@@ -179,17 +157,6 @@ class RecordedSignal(Section):
         raise InputError(f"found {value!r}, expected one of: {', '.join(known)}; or a span [from, to]")
 
 
-def _per_axis(section: Section) -> dict[str, Any]:
-    """What a section gives per axis; the short forms ``gyro`` and ``accel`` stand for their three, a named axis wins."""
-    out = {}
-    for axis in AXES:
-        value = getattr(section, axis)
-        value = getattr(section, axis.split("_")[0]) if value is None else value
-        if value is not None:
-            out[axis] = value
-    return out
-
-
 class SensorModels(Section):
     """A noise model per axis; ``gyro`` and ``accel`` stand for their three axes, a named axis wins."""
 
@@ -204,7 +171,7 @@ class SensorModels(Section):
 
     def models(self) -> dict[str, NoiseModel]:
         """Models of the axes that have one."""
-        return dict(_per_axis(self))
+        return dict(per_axis(self))
 
 
 class Truth(SensorModels):
@@ -264,234 +231,6 @@ class FitSource(Section):
         if (self.simulate is None) == (self.recorded is None):
             raise InputError("expected exactly one of the keys 'simulate' and 'recorded'")
         return self
-
-
-class AxisSource(Section):
-    """A belief about one sensor: fitted to the fit source, written out, read from a file, or the truth itself."""
-
-    #: SI unit of the sensor's signal.
-    UNIT: ClassVar[str] = ""
-
-    fit: Structure = Field(default=None, description="structure to fit, for example '2*GM() + WN()'")
-    model: Structure = Field(default=None, description="a noise model, for example to be stabilised")
-    plus: Structure = Field(
-        default=None,
-        description="processes that are added, for example 'RC(sigma=0.5 deg/s)': a turn-on bias, which no static log shows",
-    )
-    method: str = Field(default="gmwm", description="estimator: gmwm, em, mli, slopes or burg")
-    options: dict[str, int | float | str | bool] = Field(default_factory=dict, description="options of the estimator")
-    stabilise: bool | Annotated[float, Field(gt=0, lt=1)] = Field(
-        default=False,
-        description="move poles of a polynomial that is not stationary inside the unit circle; a number is their largest modulus",
-    )
-    file: str | None = Field(default=None, description="noise-model file written by insemu fit")
-    truth: bool = Field(default=False, description="the model of the truth")
-    sensor: str | None = Field(
-        default=None, description="a sensor that comes with insemu (insemu sensor), or the file of its card"
-    )
-    case: Literal["typical", "worst"] | None = Field(default=None, description="which of the sensor's figures; typical")
-
-    @field_validator("fit", "model", "plus", mode="before")
-    @classmethod
-    def _of_the_sensor(cls, value: Any, info: Any) -> Any:
-        return None if value is None else noise_model(value, cls.UNIT, specified=info.field_name == "plus")
-
-    @model_validator(mode="after")
-    def _one_source(self) -> AxisSource:
-        if sum((self.fit is not None, self.model is not None, self.file is not None, self.truth)) != 1:
-            raise InputError("expected exactly one of the keys 'fit', 'model', 'file' and 'truth: true'")
-        return self
-
-
-class GyroSource(AxisSource):
-    """A belief about a gyroscope."""
-
-    UNIT = "rad/s"
-
-
-class AccelSource(AxisSource):
-    """A belief about an accelerometer."""
-
-    UNIT = "m/s^2"
-
-
-@dataclass(frozen=True)
-class Belief(Parsed):
-    """A field of a design: a noise model, or a section that says where one comes from."""
-
-    source: type[AxisSource]
-
-    @classmethod
-    def of(cls, source: type[AxisSource]) -> Belief:
-        """The belief about one kind of sensor."""
-
-        def read(value: Any) -> NoiseModel:
-            return noise_model(value, source.UNIT, specified=True)
-
-        return cls(read, lambda model: model.to_list(source.UNIT), {}, source)
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        section = handler.generate_schema(self.source)
-
-        def read(value: Any, inner: Callable[[Any], Any]) -> Any:
-            if value is None or isinstance(value, AxisSource):
-                return value
-            if isinstance(value, Mapping) and "process" not in value:
-                return inner(value)
-            return computed(self.read, value)
-
-        def show(value: Any, inner: Callable[[Any], Any]) -> Any:
-            return inner(value) if isinstance(value, AxisSource) else None if value is None else self.show(value)
-
-        return core_schema.no_info_wrap_validator_function(
-            read, section, serialization=core_schema.wrap_serializer_function_ser_schema(show, schema=section)
-        )
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        return {"anyOf": [MODEL_JSON, handler(schema["schema"]), {"type": "null"}]}
-
-
-GyroBelief = Annotated[GyroSource | NoiseModel | None, Belief.of(GyroSource)]
-AccelBelief = Annotated[AccelSource | NoiseModel | None, Belief.of(AccelSource)]
-
-
-class Prefilter(Section):
-    """Wavelet de-noising of the IMU before the mechanization (Quinchia et al. 2013, sections 5.6 and 6)."""
-
-    levels: int | dict[str, int] = Field(
-        description="octaves that are shrunk, one number or one per axis (gyro_x: 7, ...)"
-    )
-    wavelet: str = "db4"
-    rule: Literal["sure", "universal"] = "sure"
-    mode: Literal["soft", "hard"] = "soft"
-
-    @field_validator("levels")
-    @classmethod
-    def _known_axes(cls, value: int | dict[str, int]) -> int | dict[str, int]:
-        for axis, levels in value.items() if isinstance(value, dict) else [("levels", value)]:
-            if isinstance(value, dict) and axis not in AXES:
-                raise InputError(f"unknown axis '{axis}'" + nearest(axis, AXES))
-            if not 0 <= levels <= 20:
-                raise InputError(f"found {levels} levels, expected 0 to 20")
-        return value
-
-    def per_axis(self) -> list[int]:
-        """Levels in the order of :data:`insemu.records.AXES`; axes that are not named stay as they are."""
-        given = self.levels
-        return [given if isinstance(given, int) else given.get(axis, 0) for axis in AXES]
-
-
-class Tuning(Section):
-    """Factors on what is believed: noise amplitudes per sensor, standard deviations of the fixes."""
-
-    gyro: float = Field(default=1.0, gt=0)
-    accel: float = Field(default=1.0, gt=0)
-    position: float = Field(default=1.0, gt=0)
-    velocity: float = Field(default=1.0, gt=0)
-
-
-class ZeroUpdates(Section):
-    """Zero velocity and zero angular rate as measurements at rest, which is found from the IMU and the fixes (never during an outage)."""
-
-    every: Seconds = Field(default=1.0, gt=0, description="time between updates")
-    velocity_sigma: Speed | None = Field(default=0.01, gt=0, description="standard deviation; null: no zero velocity")
-    rate_sigma: RadiansPerSecond | None = Field(
-        default=1e-4, gt=0, description="standard deviation; null: no zero rate"
-    )
-
-    def at(self, intervals: Iterable[tuple[float, float]]) -> Standstill:
-        """The updates in these intervals, (start, end) in s."""
-        sigmas = (np.inf if sigma is None else sigma for sigma in (self.velocity_sigma, self.rate_sigma))
-        return Standstill(list(intervals), self.every, *sigmas)
-
-
-class DesignOptions(Section):
-    """How a design's filter runs."""
-
-    covariance_every: int = Field(default=1, ge=1, description="covariance propagated every n-th IMU epoch")
-    gate: float | None = Field(
-        default=None, gt=0, lt=1, description="probability that a good fix is rejected; null: no gate"
-    )
-    prefilter: Prefilter | None = None
-    states: Annotated[Extras, Made(StateKeys)] = Field(
-        default=Extras(),
-        description="further states, each a random constant of this standard deviation; 0 leaves it out",
-    )
-    tuning: Tuning = Tuning()
-    zero_updates: ZeroUpdates | None = Field(
-        default=None, description="zero-velocity and zero-rate updates; {}: as usual"
-    )
-    compensate: EffectList = Field(
-        default=(),
-        description="effects that are taken off the data before the filter: {effect: id, sensor: gyro, parameter: value}",
-    )
-
-    @field_validator("compensate")
-    @classmethod
-    def _can_be_taken_off(cls, value: tuple[EffectUse, ...]) -> tuple[EffectUse, ...]:
-        for use in value:
-            if not use.effect.compensable:
-                known = ", ".join(sorted(e.id for e in EFFECTS.values() if e.compensable))
-                raise InputError(
-                    f"the effect '{use.id}' is noise or a loss, which cannot be taken off; expected one of: {known}"
-                )
-        return value
-
-
-class Design(Section):
-    """A filter design: what the filter believes about every axis, and how it runs; a name alone is a design that comes with insemu."""
-
-    design: str | None = Field(
-        default=None, description="a design that comes with insemu (insemu designs); the keys beside it win"
-    )
-    sensor: str | None = Field(
-        default=None, description="a sensor that comes with insemu (insemu sensor), or the file of its card"
-    )
-    case: Literal["typical", "worst"] | None = Field(default=None, description="which of the sensor's figures; typical")
-    filter: str | None = Field(
-        default=None,
-        description="reference: the same filter written to be read (filterpy, slow); or one that an installed package offers (entry point "
-        "insemu.filters); else insemu's own compiled one",
-    )
-    settings: dict[str, bool | int | float | str] = Field(
-        default_factory=dict, description="keyword arguments of that filter"
-    )
-    options: DesignOptions = DesignOptions()
-
-    gyro: GyroBelief = None
-    accel: AccelBelief = None
-    gyro_x: GyroBelief = None
-    gyro_y: GyroBelief = None
-    gyro_z: GyroBelief = None
-    accel_x: AccelBelief = None
-    accel_y: AccelBelief = None
-    accel_z: AccelBelief = None
-
-    @classmethod
-    def spelled_out(cls, value: Any) -> Any:
-        """With the keys of the design that it names."""
-        return spell_out(value)
-
-    @model_validator(mode="after")
-    def _complete(self) -> Design:
-        if self.settings and self.filter is None:
-            raise InputError("found settings without the key 'filter' whose keyword arguments they are")
-        missing = [axis for axis in AXES if axis not in self.sources()]
-        if missing and self.filter is None:
-            raise InputError(f"no belief for {', '.join(missing)}; expected gyro and accel, or each axis")
-        return self
-
-    def sources(self) -> dict[str, AxisSource | NoiseModel]:
-        """What every axis's belief comes from."""
-        return _per_axis(self)
-
-
-class _OrName:
-    """For editors: a section, or the name of a design."""
-
-    @classmethod
-    def __get_pydantic_json_schema__(cls, core: Any, handler: Any) -> dict[str, Any]:
-        return {"anyOf": [{"type": "string", "enum": sorted(shipped_designs())}, handler(core)]}
 
 
 class RandomOutages(Section):
@@ -628,7 +367,7 @@ class Scenario(Section):
     gnss: Gnss = Gnss()
     initial: Initial = Initial()
     fits: FitSource | None = Field(default=None, description="signals that models under designs are fitted to")
-    designs: dict[Name, Annotated[Design, _OrName]] = Field(
+    designs: dict[Name, Annotated[Design, OrName]] = Field(
         default_factory=dict, description="what is compared; only emulation goes without"
     )
     filter: str | None = Field(default=None, description="the filter of every design that names none")

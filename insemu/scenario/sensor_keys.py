@@ -20,7 +20,13 @@ def beside(value: Any, folder: Path) -> Any:
         return value
     out = {key: beside(item, folder) for key, item in value.items()}
     name = out.get("sensor")
-    if isinstance(name, str) and Path(name).suffix and (folder / name).is_file():
+    if (
+        isinstance(name, str)
+        and Path(name).suffix
+        and name.isprintable()
+        and len(name) < 200
+        and (folder / name).is_file()
+    ):
         out["sensor"] = str(folder / name)
     return out
 

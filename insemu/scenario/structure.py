@@ -6,7 +6,8 @@ from dataclasses import replace
 
 from insemu.augment import augment
 from insemu.noise import AR1, ARMA, NoiseModel, Process
-from insemu.scenario.schema import Design, Scenario
+from insemu.scenario.design import Design
+from insemu.scenario.schema import Scenario
 
 
 def _any_values(process: Process) -> Process:

@@ -6,6 +6,7 @@ in-run bias stability is the lowest point of the Allan deviation, which is sqrt(
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -95,15 +96,31 @@ class Figure:
 Figures = dict[str, dict[str, Figure]]
 
 _NUMBER = re.compile(
-    r"(?<![\w.])[±+]?\s*(?P<limit>[<≤]|max\.?\s|maximum\s)?\s*(?P<value>\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)(?![\d-])"
+    r"(?<![\w.])(?<!(?<!\d)[-−])[±+]?\s*(?P<limit>[<≤]|max\.?\s|maximum\s)?\s*(?P<value>\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)(?![\d-])"
 )
 _CLAUSES = re.compile(r"[;\n\r|]|,(?!\d)|\.\s|\s(?:and|with)\s")
-#: Most words of a unit, and most characters of a text.
-_WORDS, LONGEST = 4, 200_000
+#: Most words of a unit, characters between a name and its number, and characters of a text.
+_WORDS, _NEAR, LONGEST = 4, 200, 200_000
 
 
 def quantity(text: str, kind: str, sensor: str, where: str) -> float:
-    """A figure of a card in SI; raises ``InputError`` at ``where``."""
+    """A figure of a card in SI.
+
+    Parameters
+    ----------
+    text : str
+        Number and unit.
+    kind : str
+        Key of :data:`KINDS`.
+    sensor : {"gyro", "accel"}
+    where : str
+        File, line and key, for messages.
+
+    Raises
+    ------
+    InputError
+        A unit of another dimension, or no positive number.
+    """
     try:
         value = units.parse(text, KINDS[kind].unit_for(sensor))
     except InputError as error:
@@ -136,7 +153,7 @@ def _clause(clause: str) -> tuple[str, str, Figure] | str | None:
         if named is None:
             continue
         # the number usually stands after the name; the features of a datasheet put it in front
-        sides = (clause[named.end() :], clause[: named.start()])
+        sides = (clause[named.end() :][:_NEAR], clause[: named.start()][-_NEAR:])
         numbers = [(m, side) for side in sides for m in _NUMBER.finditer(side)]
         for match, side in numbers:
             found = _measure(side[match.end() :].split(), kind)
@@ -144,12 +161,9 @@ def _clause(clause: str) -> tuple[str, str, Figure] | str | None:
                 sensor, unit, factor = found
                 value = float(match["value"]) * factor
                 limit = match["limit"] is not None or re.search(r"\bmax", side) is not None
-                if value > 0.0:
-                    return (
-                        kind,
-                        sensor,
-                        Figure(value, f"{match['value']} {unit}", value if limit else None, clause.strip()),
-                    )
+                if 0.0 < value < math.inf:
+                    worst = value if limit else None
+                    return kind, sensor, Figure(value, f"{match['value']} {unit}", worst, clause.strip()[:100])
         if numbers:
             return (
                 f"'{clause.strip()[:60]}' has no unit of {meaning.meaning}; expected something like '{meaning.example}'"

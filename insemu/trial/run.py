@@ -30,7 +30,7 @@ from insemu.records import Recording
 from insemu.trial.drives import DYNAMIC_EFFECTS, OUTSIDE, TARGETS, Stage, draw_use, scaled, stage
 from insemu.trial.hidden import Hidden, Number
 from insemu.trial.logs import STATIC_EFFECTS, STATIC_OUTSIDE, static_recording
-from insemu.trial.worth import drawn_outliers, oracle, oracle_knows, size_effect, whitened_difference, worth_beside
+from insemu.trial.worth import drawn_outliers, oracle, size_effect, whitened_difference, worth_beside
 from insemu.work import Lines, processes, run_items
 
 Array = NDArray[np.float64]
@@ -215,24 +215,19 @@ def run_dynamic(job: Job) -> Trial:
     started = time.process_time()
     flown = Flown.of(made.recording, s.nominal.parted())
     report = find_gap(
-        made.recording, s.nominal, rng=np.random.default_rng([job.seed, 4]), hold_out=job.hold_out, pictures=False, flown=flown
+        made.recording, s.nominal, rng=np.random.default_rng([job.seed, 4]), hold_out=job.hold_out, pictures=False, flown=flown,
+        without=[u.id for u in uses] if job.outside else (),
     )  # fmt: skip
     seconds = time.process_time() - started
     held = math.nan
     if uses and not job.outside and not job.sizes:
         start, end = float(flown.prepared.imu.t[0]), float(flown.prepared.imu.t[-1])
-        cut = start + rules().naming_share * (end - start)
-        whole = math.nan
-        if oracle_knows(uses):
-            whole, late, fixes = oracle(s, clean(), flown.prepared, uses, cut)
-            held = late / max(fixes, 1)
+        held = oracle(s, clean(), flown.prepared, uses, start + rules().naming_share * (end - start))
         for k, (u, h) in enumerate(zip(uses, hidden, strict=True)):
-            if not math.isfinite(h.nats) and oracle_knows((u,)):
-                alone = whole if len(uses) == 1 else oracle(s, clean(), clean().on(s.record((u,))), (u,), cut)[0]
-                # an amplitude and a time constant are worth about three nats to pay for
-                hidden[k] = replace(h, nats=max(alone - 3.0, 0.0))
-            elif u.id == "outliers":
+            if u.id == "outliers":
                 hidden[k] = replace(h, nats=drawn_outliers(s, uses, k))
+            elif not math.isfinite(h.nats):
+                hidden[k] = replace(h, nats=worth_beside(s, clean, (u,), 0))
         if len(uses) > 1:
             hidden = [replace(h, beside=worth_beside(s, clean, uses, k)) for k, h in enumerate(hidden)]
     g = report.gap_after

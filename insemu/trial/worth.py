@@ -17,6 +17,7 @@ from insemu.effects import EFFECTS, EffectUse, having
 from insemu.filters import FilterResult
 from insemu.gap.drive.preparation import Prepared
 from insemu.gap.evidence.fixes import Colour, Surrogate
+from insemu.gap.policy import rules
 from insemu.noise import BI, GM, RW
 from insemu.trial.drives import Stage, scaled
 from insemu.trial.hidden import Hidden
@@ -45,17 +46,6 @@ def whitened_difference(a: FilterResult, b: FilterResult) -> float:
         d = (b.fixes.innovation[j] - a.fixes.innovation[k])[rows]
         if d.size:
             total += 0.5 * float(d @ np.linalg.solve(a.fixes.S[k][np.ix_(rows, rows)], d))
-    return total
-
-
-def log_score(result: FilterResult, after: float = -math.inf) -> float:
-    """Log score of the innovations of the fixes after a time."""
-    total = 0.0
-    for k in np.flatnonzero(result.fixes.t > after):
-        rows = np.isfinite(result.fixes.innovation[k])
-        v, S = result.fixes.innovation[k][rows], result.fixes.S[k][np.ix_(rows, rows)]
-        if v.size:
-            total -= 0.5 * (float(v @ np.linalg.solve(S, v)) + float(np.linalg.slogdet(S)[1]))
     return total
 
 
@@ -89,17 +79,17 @@ def _level_nats(s: Stage, use: EffectUse) -> float:
         span = float(s.imu.t[-1] - s.imu.t[0])
         half = span * (use["amplitude"][axis] / (2.0 * n)) ** 2
         return max(half - math.log(0.5 * len(s.imu)) - math.log1p(half), 0.0)
-    count = s.rate_hz * float(s.imu.t[-1] - s.imu.t[0])
+    count, edge = s.rate_hz * float(s.imu.t[-1] - s.imu.t[0]), 1.0 + rules().tolerance
     if use.id in ("gnss_noise_level", "gnss_velocity_noise"):
         # innovations hold more than the noise of the fixes, so this is an upper bound that a third of it stands for
         true, stated = (s.sigma, s.stated[0]) if use.id == "gnss_noise_level" else (s.sigma_v, s.stated[1])
-        r = (np.maximum(np.array(use["factor"]) * true / stated / 1.22, 1.0)) ** 2
+        r = (np.maximum(np.array(use["factor"]) * true / stated / edge, 1.0)) ** 2
         return float(np.sum(0.5 * count * (r - 1.0 - np.log(r)))) / 3.0
     if use.id == "white_noise":
         axis = int(np.argmax(use["N"]))
         n = s.truth[f"{use.sensor}_{'xyz'[axis]}"].processes[0].parameters["N"]
         believed = s.nominal.beliefs[f"{use.sensor}_{'xyz'[axis]}"].processes[0].parameters["N"]
-        ratio = max((n**2 + use["N"][axis] ** 2) / (1.22 * believed) ** 2, 1.0)
+        ratio = max((n**2 + use["N"][axis] ** 2) / (edge * believed) ** 2, 1.0)
         return float(0.25 * len(s.imu) * (ratio - 1.0 - math.log(ratio)))
     return math.nan
 
@@ -131,34 +121,25 @@ def drawn_outliers(s: Stage, uses: Sequence[EffectUse], k: int) -> float:
     return max(gain - 3.0, 0.0)
 
 
-def oracle_knows(uses: Sequence[EffectUse]) -> bool:
-    """Whether :func:`oracle` covers these effects."""
-    return bool(uses) and all(u.id in _MEASURED for u in uses)
-
-
-def oracle(
-    s: Stage, clean: Prepared, seen: Prepared, uses: Sequence[EffectUse], cut: float
-) -> tuple[float, float, int]:
-    """What knowing the truth is worth: nats over the whole recording, nats after ``cut``, fixes after ``cut``.
+def oracle(s: Stage, clean: Prepared, seen: Prepared, uses: Sequence[EffectUse], cut: float) -> float:
+    """What knowing the truth is worth after ``cut``, nats per fix; NaN for effects that this does not cover (the fast ones and outliers).
 
     Shaped effects: the twin without them. Random processes of the IMU: the filter that believes in them. Levels of the fixes: the filter with the
-    true ones. Coloured fixes: the surrogate with the true process. NaN for effects that this does not cover (the fast ones and outliers).
+    true ones. Coloured fixes: the surrogate with the true process.
+
+    Parameters
+    ----------
+    clean, seen : Prepared
+        The nominal filter on the twin in which nothing is hidden, and on the recording.
+    cut : float
+        s.
     """
-    fixes = int(np.sum(seen.result.fixes.t > cut))
-    if not oracle_knows(uses):
-        return math.nan, math.nan, fixes
-    twin = s.record([u for u in uses if u.id not in _SHAPED])
+    if not uses or any(u.id not in _MEASURED for u in uses):
+        return math.nan
     knowing, colour = _knowing(clean, uses)
-    knowing = knowing.on(twin)
-    whole = log_score(knowing.result) - log_score(seen.result)
-    late = log_score(knowing.result, cut) - log_score(seen.result, cut)
-    if colour is not None:
-        surrogate = Surrogate.of(knowing.result)
-        first = surrogate.until(cut)
-        gain = surrogate.log_likelihood(None, colour) - surrogate.log_likelihood()
-        whole += gain
-        late += gain - (first.log_likelihood(None, colour) - first.log_likelihood())
-    return whole, late, fixes
+    best = knowing.on(s.record([u for u in uses if u.id not in _SHAPED])).result
+    fixes = int(np.sum(seen.result.fixes.t > cut))
+    return (_score(best, colour, cut) - _score(seen.result, None, cut)) / max(fixes, 1)
 
 
 def _knowing(clean: Prepared, uses: Sequence[EffectUse]) -> tuple[Prepared, Colour | None]:
@@ -221,9 +202,18 @@ def worth_beside(s: Stage, clean: Callable[[], Prepared], uses: Sequence[EffectU
     return max(gain - 0.5 * float(np.sum((basis.T @ white(np.nan_to_num(nu))) ** 2)) - 3.0, 0.0)
 
 
-def _score(result: FilterResult, colour: Colour | None) -> float:
-    """Log score of a run, the colour of the fixes known."""
-    if colour is None:
-        return log_score(result)
-    surrogate = Surrogate.of(result)
-    return log_score(result) + surrogate.log_likelihood(None, colour) - surrogate.log_likelihood()
+def _score(result: FilterResult, colour: Colour | None, after: float = -math.inf) -> float:
+    """Log score of the fixes of a run after a time, their colour known."""
+    total = 0.0
+    for k in np.flatnonzero(result.fixes.t > after):
+        rows = np.isfinite(result.fixes.innovation[k])
+        v, S = result.fixes.innovation[k][rows], result.fixes.S[k][np.ix_(rows, rows)]
+        if v.size:
+            total -= 0.5 * (float(v @ np.linalg.solve(S, v)) + float(np.linalg.slogdet(S)[1]))
+    if colour is not None:
+        whole = Surrogate.of(result)
+        total += whole.log_likelihood(None, colour) - whole.log_likelihood()
+        if math.isfinite(after):
+            early = whole.until(after)
+            total -= early.log_likelihood(None, colour) - early.log_likelihood()
+    return total

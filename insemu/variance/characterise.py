@@ -135,7 +135,7 @@ def _curve(curve: WaveletVariance | AllanVariance) -> dict[str, list[float | Non
 
 
 def characterise(
-    x: Array, rate_hz: float, *, name: str = "signal", unit: str = "", from_robust: bool = False
+    x: Array, rate_hz: float, *, name: str = "signal", unit: str = "", from_robust: bool = False, filter: str = "haar"
 ) -> AxisReport:
     """Return curves, readings and findings of a signal in memory.
 
@@ -149,6 +149,8 @@ def characterise(
         Column and SI unit.
     from_robust : bool
         Read the coefficients off the robust curve.
+    filter : str
+        Wavelet filter of the curve that is reported; outliers are judged by the Haar filter.
 
     Raises
     ------
@@ -169,6 +171,7 @@ def characterise(
             f"outliers: heavy tails raise the plain wavelet variance up to {contamination.ratio[worst]:.3g} times the robust one "
             f"(at {wavelet.tau_s[worst]:.3g} s){limit}"
         )
+    reported = wavelet if filter == "haar" else wavelet_variance(x, rate_hz, filter=filter)
     spectrum = average_frequencies(psd(x, rate_hz), 12) if x.size >= 64 else None
     trend_t, trend = _trend(x, rate_hz)
     return AxisReport(
@@ -176,7 +179,7 @@ def characterise(
         unit,
         rate_hz,
         x.size,
-        wavelet,
+        reported,
         robust,
         allan,
         contamination,

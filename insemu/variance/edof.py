@@ -11,6 +11,7 @@ degrees of freedom, and only the shape matters.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal, get_args
@@ -164,17 +165,36 @@ class NoiseType:
 WHITE = NoiseType([("WN", 0.0, 1.0)], np.zeros((1, 0)))
 
 
-def noise_type(scale_samples: Scales, value: Array, n_samples: int, *, drift: bool = False) -> NoiseType:
+def noise_type(
+    scale_samples: Scales,
+    value: Array,
+    n_samples: int,
+    *,
+    drift: bool = False,
+    unit_curves: Callable[[tuple[tuple[str, float], ...]], Array] | None = None,
+) -> NoiseType:
     """Return the non-negative sum of noises that follows a wavelet variance curve.
 
-    ``drift`` allows a deterministic slope too (without it, degrees of freedom stay on the safe side).
+    Parameters
+    ----------
+    scale_samples, value : (J,) arrays
+        The curve.
+    n_samples : int
+        Length of the record.
+    drift : bool
+        Allow a deterministic slope too (without it, degrees of freedom stay on the safe side).
+    unit_curves : callable, optional
+        Curves (J, components) of unit components, where they are not those of the Haar filter.
     """
     m = np.asarray(scale_samples, dtype=float) / 2.0
     use = value > 0
     if not use.any():
         return NoiseType([], np.zeros((0, value.size)))
     names = _components(n_samples) + ([("DR", 0.0)] if drift else [])
-    basis = _basis(tuple(m[use].tolist()), n_samples, drift)
+    if unit_curves is None:
+        basis = _basis(tuple(m[use].tolist()), n_samples, drift)
+    else:
+        basis = unit_curves(tuple(names))[use]
     spread = np.sqrt(2.0 / eta3(2.0 * m[use], n_samples))
     target = value[use]
     level = target.copy()

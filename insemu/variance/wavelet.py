@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from insemu.errors import InputError
 from insemu.variance import _kernel
 from insemu.variance.edof import Intervals, Scatter, check_confidence, eta3, interval, noise_type, scatter_of_noise
+from insemu.variance.filtered import scatter_of_filter, unit_curves
 from insemu.variance.filters import modwt_filters
 
 Array = NDArray[np.float64]
@@ -210,11 +211,16 @@ def _finish(
         freedom = np.maximum(used, 1).astype(
             float
         )  # decimated coefficients are nearly uncorrelated: that is what the DWT is for
+    elif length > 2:
+        octaves = tuple(range(1, count + 1))
+        followed = noise_type(
+            scale, value, n_samples, unit_curves=lambda components: unit_curves(filter, octaves, components)
+        )
+        scatter = scatter_of_filter(followed, filter, count, n_samples)
+        freedom = scatter.edof
     else:
-        reach = (scale - 1) * (length - 1) + 1
-        # longer filters see the same noise through nearly the same band; their record is shorter by their reach
         scatter = scatter_of_noise(noise_type(scale, value, n_samples), scale, n_samples)
-        freedom = np.maximum(scatter.edof * (n_samples - reach + 1) / (n_samples - scale + 1), 1.0)
+        freedom = scatter.edof
     low, high = interval(value, freedom, confidence, intervals, scatter=scatter)
     return WaveletVariance(
         scale,

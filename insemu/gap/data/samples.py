@@ -160,16 +160,8 @@ def _finding(effect: str, sensor: str, axes: tuple[str, ...], values: tuple[Valu
 
 
 def widths_of(imu: ImuRecord) -> Array:
-    """What turns rates into the record's values, (n, 1).
-
-    An IMU samples by its own clock: increments between stamps that merely jitter all span the same time, or a pile-up and a lattice would be
-    smeared and gravity would look noisy.
-    """
-    if imu.kind != "increment":
-        return np.ones((len(imu), 1))
-    step = np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1])
-    beat = float(np.median(step))
-    return np.asarray(np.where(np.abs(step / beat - 1.0) < rules().jitter, beat, step)[:, None])
+    """What turns rates into the record's values, (n, 1); see :meth:`insemu.records.ImuRecord.widths`."""
+    return imu.widths(rules().jitter)
 
 
 def _bridge(imu: ImuRecord) -> tuple[ImuRecord, Finding] | None:

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 from scipy.signal import fftconvolve
 
-from insemu import earth, formats
+from insemu import formats
 from insemu.errors import InputError
+from insemu.filters import never_moves
 from insemu.formats.npz import load_npz
 from insemu.gap.policy import rules
-from insemu.records import AXES, ImuRecord, Recording, Series
+from insemu.records import AXES, Recording, Series
 
 Array = NDArray[np.float64]
 
@@ -79,39 +80,13 @@ def from_its_start(data: StaticLog | Recording) -> StaticLog | Recording:
 
 def at_rest(recording: Recording) -> bool:
     """Whether the fixes say that nothing moved."""
-    gnss = recording.gnss
-    assert gnss is not None
-    known = np.isfinite(gnss.llh).all(axis=1)
-    if not known.any():
-        return True
-    middle = np.median(gnss.llh[known], axis=0)
-    away = earth.position_difference(gnss.llh[known], middle)
-    if float(np.max(np.abs(away))) < rules().rest_wander and _quiet(recording.imu):
-        return True
-    noise = 0.0 if gnss.pos_std_ned is None else float(np.nanmax(gnss.pos_std_ned))
-    if float(np.max(np.abs(np.median(away[: away.shape[0] // 10 + 1], axis=0)))) > max(rules().rest_radius, noise):
-        return False
-    if float(np.max(np.abs(away))) > max(rules().rest_radius, 6.0 * noise):
-        return False
-    if gnss.vel_ned is None:
-        return True
-    spread = 0.0 if gnss.vel_std_ned is None else float(np.nanmax(gnss.vel_std_ned))
-    speed = np.abs(gnss.vel_ned[np.isfinite(gnss.vel_ned).all(axis=1)])
-    return not speed.size or float(speed.max()) < max(rules().rest_speed, 6.0 * spread)
-
-
-def _quiet(imu: ImuRecord) -> bool:
-    """Whether means over a second hardly change, nine times out of ten: a drift of the IMU is slow, a vehicle is not."""
-    count = max(1, round(1.0 / imu.dt))
-    rows = len(imu) // count * count
-    if rows < 10 * count:
-        return False
-    width = imu.dt if imu.kind == "increment" else 1.0
-    for values, limit in ((imu.gyro, rules().stir_gyro), (imu.accel, rules().stir_accel)):
-        means = values[:rows].reshape(-1, count, 3).mean(axis=1) / width
-        if np.quantile(np.abs(np.diff(means, axis=0)), 0.9, axis=0).max() > limit:
-            return False
-    return True
+    return never_moves(
+        recording,
+        radius=rules().rest_radius,
+        speed=rules().rest_speed,
+        wander=rules().rest_wander,
+        stir=(rules().stir_gyro, rules().stir_accel),
+    )
 
 
 def static_of(recording: Recording) -> StaticLog:
@@ -124,9 +99,7 @@ def static_of(recording: Recording) -> StaticLog:
     """
     imu = recording.imu
     dt = float(np.median(np.diff(imu.t)))
-    values = np.hstack([imu.gyro, imu.accel])
-    if imu.kind == "increment":
-        values = values / dt
+    values = imu.rates()
     temperature = imu.temperature
     filled_in, missing = filled(values, imu.t, dt, recording.source)
     if missing.any():

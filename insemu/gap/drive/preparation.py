@@ -8,12 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from insemu import earth, rotation
 from insemu.errors import InputError
-from insemu.filters import FilterOptions, FilterResult, FixTable, InitialSigma, run_filter
+from insemu.filters import (
+    FilterOptions,
+    FilterResult,
+    FixTable,
+    InitialSigma,
+    StartBelief,
+    first_track,
+    on_reference,
+    on_track,
+    run_filter,
+)
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.data.log import Reduced, moving_spectrum
-from insemu.gap.data.samples import Clipped, widths_of
+from insemu.gap.data.samples import Clipped
 from insemu.gap.drive.signatures import Loop
 from insemu.gap.evidence.fixes import Surrogate, level_scores
 from insemu.gap.evidence.model import Explanation, Likelihood, fit
@@ -26,8 +35,6 @@ Array = NDArray[np.float64]
 
 #: Knots of slow processes are this many seconds apart.
 NODE_S = 10.0
-#: Where the fixes have no velocities: times to either side, s, over which positions are taken for a parabola.
-TRACK_REACH = (1.0, 2.0, 4.0, 8.0)
 #: Components of the fixes that share one level: horizontal and vertical position, horizontal and vertical velocity.
 LEVEL_GROUPS = ((0, 1), (2,), (3, 4), (5,))
 
@@ -230,124 +237,37 @@ def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, G
     """
     imu, gnss = recording.imu, recording.gnss
     assert gnss is not None
-    believed = nominal.initial
+    own = nominal.initial
+    believed = StartBelief(
+        own.position_sigma,
+        own.velocity_sigma,
+        own.tilt_sigma,
+        own.heading_sigma,
+        nominal.gnss.lever_arm,
+        nominal.mounting,
+        rules().start_tilt,
+        rules().start_heading,
+    )
     if recording.reference is not None:
-        ref = recording.reference
-        first = int(np.searchsorted(imu.t, max(imu.t[0], ref.t[0])))
-        imu = _cut(imu, first)
-        columns = np.hstack([ref.llh, ref.vel_ned, np.unwrap(ref.rpy, axis=0)])
-        at = np.array([np.interp(imu.t[0], ref.t, column) for column in columns.T])
-        sigma = InitialSigma(
-            believed.position_sigma,
-            believed.velocity_sigma,
-            (believed.tilt_sigma, believed.tilt_sigma, believed.heading_sigma),
-        )
-        return imu, gnss, NavState(at[:3], at[3:6], at[6:]), sigma
-    fixed = with_sigma(gnss, nominal)
+        imu, state, sigma = on_reference(imu, recording.reference, believed)
+        return imu, gnss, state, sigma
+    # velocities that are not believed still tell the way
+    fixed = replace(with_sigma(gnss, nominal), vel_ned=gnss.vel_ned)
     inside = (gnss.t > imu.t[0] + 1.0) & (gnss.t < imu.t[-1] - 60.0) & np.isfinite(gnss.llh).all(axis=1)
-    track = _first_track(fixed, inside) if gnss.vel_ned is None else _first_velocity(fixed, gnss, inside)
+    track = first_track(fixed, inside, rules().track_speed)
     if track is None:
         raise InputError(
             f"never moves faster than {rules().track_speed:g} m/s over ground, expected a stretch that tells the heading",
             where=recording.source,
         )
-    k = track.fix
-    first = int(np.searchsorted(imu.t, gnss.t[k]))
-    imu = _cut(imu, first)
-    span = imu.as_increments()
-    count = max(2, int(0.5 / imu.dt))
-    velocity, slope = track.velocity, track.slope
-    C = rotation.dcm_from_rpy(np.array(nominal.mounting))
-    force = C @ (span.accel[1:count].mean(axis=0) / imu.dt)
-    heading = float(np.arctan2(velocity[1], velocity[0]))
-    along = float(slope[0] * np.cos(heading) + slope[1] * np.sin(heading))
-    across = float(-slope[0] * np.sin(heading) + slope[1] * np.cos(heading))
-    g = float(earth.gravity(gnss.llh[k, 0], gnss.llh[k, 2]))
-    level = force - np.array([along, across, 0.0])
-    roll, pitch = float(np.arctan2(-level[1], -level[2])), float(np.arcsin(np.clip(level[0] / g, -1.0, 1.0)))
-    rpy = rotation.rpy_from_dcm(rotation.dcm_from_rpy(np.array([roll, pitch, heading])) @ C)
-    late = float(imu.t[0] - gnss.t[k])
-    arm = rotation.dcm_from_rpy(rpy) @ np.array(nominal.gnss.lever_arm)
-    llh = earth.move(gnss.llh[k], velocity * late - arm)
-    assert fixed.pos_std_ned is not None
-    position = np.hypot(
-        np.array(believed.position_sigma), fixed.pos_std_ned[k] + rules().start_heading * np.linalg.norm(arm)
-    )
-    # the velocity of the antenna swings about the IMU's
-    swing = float(np.linalg.norm(np.cross(span.gyro[1:count].mean(axis=0) / imu.dt, np.array(nominal.gnss.lever_arm))))
-    vel_sigma = np.sqrt(np.array(believed.velocity_sigma) ** 2 + track.velocity_sigma**2 + swing**2)
-    speed = float(np.hypot(velocity[0], velocity[1]))
-    turn = max(believed.heading_sigma, rules().start_heading, float(np.max(track.velocity_sigma[:2])) / speed)
-    tilt = max(believed.tilt_sigma, float(np.hypot(rules().start_tilt, track.slope_sigma / g)))
-    state = NavState(llh, velocity + slope * late, rpy)
-    return imu, gnss, state, InitialSigma(position, vel_sigma, (tilt, tilt, turn))
-
-
-@dataclass(frozen=True)
-class _Track:
-    """The motion of the antenna at the fix where the filter starts: velocity and its change (3,), and what they are uncertain by."""
-
-    fix: int
-    velocity: Array
-    slope: Array
-    velocity_sigma: Array
-    slope_sigma: float = 0.0
-
-
-def _first_velocity(fixed: GnssRecord, gnss: GnssRecord, inside: NDArray[np.bool_]) -> _Track | None:
-    """The first recorded velocity that tells the heading."""
-    assert gnss.vel_ned is not None
-    good = inside & np.isfinite(gnss.vel_ned).all(axis=1)
-    moving = np.flatnonzero(good & (np.hypot(gnss.vel_ned[:, 0], gnss.vel_ned[:, 1]) > rules().track_speed))
-    if not moving.size:
-        return None
-    k = int(moving[0])
-    near = np.flatnonzero(good & (np.abs(gnss.t - gnss.t[k]) < 1.1))
-    slope = np.polyfit(gnss.t[near] - gnss.t[k], gnss.vel_ned[near], 1)[0] if near.size > 1 else np.zeros(3)
-    sigma = fixed.vel_std_ned[k] if fixed.vel_std_ned is not None else np.full(3, 0.3)
-    return _Track(k, gnss.vel_ned[k], slope, sigma)
-
-
-def _first_track(fixed: GnssRecord, inside: NDArray[np.bool_]) -> _Track | None:
-    """The first parabola through positions that tells the heading: over the shortest time that does, up to 8 s to either side."""
-    assert fixed.pos_std_ned is not None
-    for k in np.flatnonzero(inside):
-        for reach in TRACK_REACH:
-            near = np.flatnonzero(inside & (np.abs(fixed.t - fixed.t[k]) <= reach))
-            d = fixed.t[near] - fixed.t[k]
-            if near.size < 5 or not d.min() < 0.0 < d.max():
-                continue
-            A = np.column_stack([np.ones(d.size), d, 0.5 * d * d])
-            path = earth.position_difference(fixed.llh[near], fixed.llh[k])
-            spread = np.linalg.inv(A.T @ A)
-            shape = spread @ A.T @ path
-            misfit = np.sqrt(np.sum((path - A @ shape) ** 2, axis=0) / max(d.size - 3, 1))
-            noise = np.maximum(misfit, fixed.pos_std_ned[k])
-            sigma, bend = noise * np.sqrt(spread[1, 1]), float(np.max(noise)) * float(np.sqrt(spread[2, 2]))
-            if float(np.hypot(*shape[1, :2])) < max(rules().track_speed, 10.0 * float(np.max(sigma[:2]))) or bend > 1.0:
-                continue
-            return _Track(int(k), shape[1], shape[2], sigma, bend)
-    return None
-
-
-def _cut(imu: ImuRecord, first: int) -> ImuRecord:
-    if first == 0:
-        return imu
-    temperature = None if imu.temperature is None else imu.temperature[first:]
-    return replace(imu, t=imu.t[first:], gyro=imu.gyro[first:], accel=imu.accel[first:], temperature=temperature)
+    imu, state, sigma = on_track(imu, fixed, track, believed)
+    return imu, gnss, state, sigma
 
 
 def with_sigma(gnss: GnssRecord, nominal: Nominal) -> GnssRecord:
     """The fixes with the believed standard deviations where they state none; velocities that are not believed are left out."""
-    n = len(gnss)
-    out = gnss
-    if nominal.gnss.velocity_sigma is None:
-        out = replace(out, vel_ned=None, vel_std_ned=None)
-    elif out.vel_ned is not None and out.vel_std_ned is None:
-        out = replace(out, vel_std_ned=np.tile(nominal.gnss.velocity_sigma, (n, 1)))
-    if out.pos_std_ned is None:
-        out = replace(out, pos_std_ned=np.tile(nominal.gnss.position_sigma, (n, 1)))
-    return out
+    out = gnss.without_velocity() if nominal.gnss.velocity_sigma is None else gnss
+    return out.with_sigma(nominal.gnss.position_sigma, nominal.gnss.velocity_sigma)
 
 
 def scaled_fixes(gnss: GnssRecord, factors: Array) -> GnssRecord:
@@ -358,10 +278,7 @@ def scaled_fixes(gnss: GnssRecord, factors: Array) -> GnssRecord:
 
 
 def _fast_part(imu: ImuRecord, k: int, name: str) -> Reduced:
-    values = np.hstack([imu.gyro, imu.accel])[:, k]
-    dt = imu.dt
-    if imu.kind == "increment":
-        values = values / widths_of(imu)[:, 0]
+    values, dt = imu.rates()[:, k], imu.dt
     lowest = min(rules().motion_hz, 0.5 * 0.5 / dt)
     values = without_motion(values[1:], dt, 0.6 * lowest)
     f, power, dof = moving_spectrum(values, dt, lowest)

@@ -175,12 +175,16 @@ class Explanation:
 
     @classmethod
     def nominal(cls, model: NoiseModel) -> Explanation:
-        """The belief, with the level of every noise free by 20 % (a process of one draw is a signal, not a noise)."""
+        """The belief, with the level of every noise free by 20 %.
+
+        A process of one draw is a signal and no noise; one of level zero, as a fit leaves it that found none, is not there.
+        """
         out = []
         for p in model:
             value = abs(p.parameters[p.level.name])
-            noise = value > 0 and not p.single_draw
-            out.append(Component(p, (level(p.level.name, value, power=p.level.power),) if noise else ()))
+            if value > 0:
+                free = () if p.single_draw else (level(p.level.name, value, power=p.level.power),)
+                out.append(Component(p, free))
         return cls(tuple(out))
 
     @property

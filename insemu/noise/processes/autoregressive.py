@@ -13,16 +13,25 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
 from insemu.errors import InputError, nearest
-from insemu.noise import draws, grammar
+from insemu.noise import draws
 from insemu.noise.block import StateBlock
 from insemu.noise.curves import STEP
 from insemu.noise.doubling import arma, coefficients_of
-from insemu.noise.grammar import quantity
+from insemu.noise.grammar import quantity, shown, whole
 from insemu.noise.parameters import Parameter
 from insemu.noise.process import SAME_RATE, MarkovParts, NotStationary, Process, counts
 from insemu.noise.processes.gauss_markov import first_order
 
 Array = NDArray[np.float64]
+
+
+#: Coefficients of each polynomial that are read.
+MOST_ORDERS = 100
+
+
+def _check_rate(process: AR1 | ARMA) -> None:
+    if process.rate_hz is not None and not (math.isfinite(process.rate_hz) and process.rate_hz > 0.0):
+        raise InputError(f"{process.symbol}: rate_hz is {process.rate_hz!r}, expected a positive number")
 
 
 def _carried_rate(process: AR1 | ARMA, dt: float) -> None:
@@ -108,6 +117,10 @@ class AR1(Process):
         Parameter("sigma2", "({u})^2", "positive", "innovation variance"),
     )
     curve = staticmethod(_curve_of_one)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_rate(self)
 
     @classmethod
     def from_mapping(cls, given: Mapping[str, Any], signal_unit: str) -> Self:  # noqa: D102
@@ -220,6 +233,7 @@ class ARMA(Process):
             if any(v is not None and not math.isfinite(v) for v in given):
                 raise InputError(f"{self.symbol}: {name} is {given}, expected finite coefficients")
             object.__setattr__(self, name, given)
+        _check_rate(self)
         if self.sigma2 is not None and not (math.isfinite(self.sigma2) and self.sigma2 >= 0):
             raise InputError(
                 f"{self.symbol}: sigma2 (innovation variance) is {self.sigma2!r}, expected a number that is not negative"
@@ -241,14 +255,23 @@ class ARMA(Process):
         for order in ("p", "q"):
             value = given.pop(order, None)
             if value is not None:
-                orders.append(grammar.whole(str(value), f"order {order} of {cls.__name__}"))
+                number = whole(value)
+                if number is None:
+                    raise InputError(f"order {order} of {cls.__name__} is {shown(value)}, expected a whole number")
+                orders.append(number)
         if given:
             return super().of_arguments(orders, given, signal_unit, text)
         wanted = len(cls.POLYNOMIALS)
         if len(orders) != wanted or min(orders) < 1:
             raise InputError(
-                f"{cls.__name__} in the model '{text}' needs {wanted} order(s), for example {cls.__name__}({', '.join('2' * wanted)})"
+                f"{cls.__name__} in the model {shown(text)} needs {wanted} order(s), for example {cls.__name__}({', '.join('2' * wanted)})"
             )
+        return cls._of_orders(orders)
+
+    @classmethod
+    def _of_orders(cls, orders: Sequence[int]) -> Self:
+        if max(orders) > MOST_ORDERS:
+            raise InputError(f"{cls.__name__}: the order is {max(orders)}, expected at most {MOST_ORDERS}")
         unknown: dict[str, Any] = {n: (None,) * o for n, o in zip(cls.POLYNOMIALS, orders, strict=True)}
         return cls(**unknown)
 
@@ -259,15 +282,22 @@ class ARMA(Process):
         known = ("ar", "ma", "sigma2", "rate_hz", "order")
         unknown = [k for k in given if k not in known]
         if unknown:
-            raise InputError(f"unknown key '{unknown[0]}'" + nearest(unknown[0], known), where=where)
+            raise InputError(f"unknown key {shown(unknown[0])}" + nearest(str(unknown[0])[:40], known), where=where)
         if "order" in given:
             order = given["order"] if isinstance(given["order"], list) else [given["order"]]
-            sizes = [grammar.whole(str(o), f"order of {where}") for o in order]
-            return cls(**dict[str, Any](zip(cls.POLYNOMIALS, [(None,) * n for n in sizes], strict=False)))
+            whole_ones = [o for o in order if isinstance(o, int) and not isinstance(o, bool) and o >= 1]
+            if len(whole_ones) < len(order) or len(order) != len(cls.POLYNOMIALS):
+                raise InputError(
+                    f"order is {shown(given['order'])}, expected {len(cls.POLYNOMIALS)} whole number(s) of at least 1",
+                    where=where,
+                )
+            return cls._of_orders(whole_ones)
 
         def coefficients(key: str) -> tuple[float, ...]:
             value = given.get(key, ())
             values = value if isinstance(value, list | tuple) else [value]
+            if len(values) > MOST_ORDERS:
+                raise InputError(f"found {len(values)} coefficients, expected at most {MOST_ORDERS}", where=where)
             return tuple(quantity(v, "1", f"{where}.{key}") for v in values)
 
         square = "({u})^2".format(u=signal_unit or "1")

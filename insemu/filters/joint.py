@@ -1,0 +1,339 @@
+"""A linear system of a filter's estimates beside other states, moved by the filter's own compiled steps: covariance forward, adjoint backward.
+
+What :mod:`insemu.evaluate.covariance` is made of. The system is an :class:`~insemu.augment.Augmentation` whose states all act through the
+axes of the IMU, behind the nine navigation errors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from insemu import earth
+from insemu.augment import Augmentation
+from insemu.filters.ekf import LooselyCoupledEKF, pack
+from insemu.filters.expanded import FIRST, LD, MAP_SIZE, fill_map, gather, middle, predict, scatter
+from insemu.filters.measurements import fill_fix
+from insemu.records import GnssRecord, ImuRecord
+from insemu.strapdown import fill_dynamics
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def ideal_fixes(ekf: LooselyCoupledEKF, imu: ImuRecord, nav: Array, gnss: GnssRecord) -> GnssRecord | None:
+    """The fixes that the filter would predict at the truth, with the standard deviations that it believes.
+
+    Parameters
+    ----------
+    ekf : LooselyCoupledEKF
+    imu : ImuRecord
+        Ideal increments.
+    nav : (n, 10) array
+        The truth at every row of ``imu``: latitude, longitude, height, velocity NED, quaternion.
+    gnss : GnssRecord
+        Where and when there are fixes; their values are ignored.
+
+    Returns
+    -------
+    GnssRecord or None
+        None where there is no fix.
+    """
+    events = ekf.events(imu.t, gnss)
+    z = events.z.copy()
+    none, zero = np.zeros(0, dtype=np.int64), np.zeros(3)
+    nu, H, R = np.empty(6), np.empty((6, 9)), np.empty((6, 6))
+    for i, k in enumerate(events.epoch):
+        dt, before = imu.t[k] - imu.t[k - 1], max(k - 1, 1)
+        rates = imu.gyro[k] / dt, imu.gyro[before] / (imu.t[before] - imu.t[before - 1])
+        here = np.concatenate([nav[k, :3], nav[k, 3:6]])
+        fill_fix(
+            np.append(nav[k], zero), np.append(nav[k - 1], zero), dt,
+            events.tau[i], *rates, ekf.lever_arm, np.zeros(6), np.zeros(0), none, -1, -1, np.zeros(9), here, nu, H, R
+        )  # fmt: skip
+        predicted = np.concatenate([earth.move(nav[k, :3], -nu[:3]), nav[k, 3:6] - nu[3:]])
+        z[i] = np.where(np.isfinite(z[i]), predicted, np.nan)
+    sd = np.sqrt(events.var)
+    return GnssRecord(events.t, z[:, :3], z[:, 3:], sd[:, :3], sd[:, 3:]) if len(events.t) else None
+
+
+@dataclass(frozen=True)
+class JointSystem:
+    """A linear error system along a reference, with fixes ``z <- M z + noise``.
+
+    Parameters
+    ----------
+    states : Augmentation
+        The states behind the nine navigation errors.
+    imu : ImuRecord
+        Increments along the reference.
+    maps : (n, 46) array
+        Maps of all steps (:func:`error_maps`).
+    epoch : (f,) array of int
+        Rows of ``imu`` at which there is a fix, increasing.
+    M, R : (f, 9 + m, 9 + m) arrays
+        Update matrix and covariance of the noise of every fix.
+    """
+
+    states: Augmentation
+    imu: ImuRecord
+    maps: Array
+    epoch: Ints
+    M: Array
+    R: Array
+
+    def covariance(self, P0: Array, rows: Ints) -> Array:
+        """Covariance at some rows of the IMU.
+
+        Parameters
+        ----------
+        P0 : (9 + m, 9 + m) array
+            At the first row.
+        rows : (o,) array of int
+
+        Returns
+        -------
+        (o, 9 + m, 9 + m) array
+            After the fix of that epoch if there is one.
+        """
+        s, p, imu = self.states, pack(self.states, 1), self.imu
+        out = np.empty((rows.size, *P0.shape))
+        order = np.argsort(rows, kind="stable")
+        _forward(
+            imu.t, self.maps, P0, p.place, p.slots, p.diagonal, p.d[0], p.phi[0], p.offsets, p.mix[0], p.q_at, p.q[0], s.c, s.driver,
+            imu.gyro, imu.accel, s.white, self.epoch, self.M, self.R, rows[order], out,
+        )  # fmt: skip
+        out[order] = out.copy()
+        return out
+
+    def adjoint(self, row: int, L: Array, source: Ints, sources: int) -> tuple[Array, Array, Array, float]:
+        """What every noise and every initial error contributes to one linear functional of the errors at one epoch.
+
+        Parameters
+        ----------
+        row : int
+            Of the IMU.
+        L : (9 + m,) array
+            The functional.
+        source : (m,) array of int
+            Number of the source that each state belongs to.
+        sources : int
+            How many there are.
+
+        Returns
+        -------
+        initial : (9 + m,) array
+            The functional of the initial errors.
+        parts : (sources,) array
+            Variance from the driving noise of the states, by source.
+        axes : (6,) array
+            Variance from the white noise of the axes.
+        fixes : float
+            Variance from the noise of the fixes.
+        """
+        s, imu, initial = self.states, self.imu, L.copy()
+        parts, axes, gained = np.zeros(sources), np.zeros(6), np.zeros(self.epoch.size)
+        _backward(
+            imu.t, self.maps, row, initial, s.Phi, s.Q, s.axis, s.c, s.driver, imu.gyro, imu.accel, source, s.white, self.epoch,
+            self.M, self.R, gained, parts, axes,
+        )  # fmt: skip
+        return initial, parts, axes, float(gained.sum())
+
+
+def error_maps(imu: ImuRecord, nav: Array, gravity: str) -> Array:
+    """Maps of the errors over all steps along a reference.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+        Increments.
+    nav : (n, 10) array
+        Reference at every row.
+    gravity : str
+        Gravity model.
+
+    Returns
+    -------
+    (n, 46) array
+    """
+    maps = np.zeros((imu.t.size, MAP_SIZE))
+    _maps(imu.t, imu.gyro, imu.accel, nav, earth.gravity_code(gravity), maps)
+    return maps
+
+
+@njit(cache=True, nogil=True)
+def _maps(t: Array, gyro: Array, accel: Array, nav: Array, gravity: int, w: Array) -> None:
+    """Maps of all steps along a reference, (n, 46)."""
+    F, C, mid, f_n = np.empty((9, 9)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    for k in range(1, t.size):
+        dt = t[k] - t[k - 1]
+        middle(nav[k - 1, 6:10], gyro[k], accel[k], dt, C, mid, f_n)
+        fill_dynamics(nav[k - 1], f_n, gravity, F)
+        fill_map(F, mid, dt, w[k])
+
+
+@njit(cache=True, nogil=True)
+def _forward(
+    t: Array,
+    maps: Array,
+    P0: Array,
+    place: Ints,
+    slots: int,
+    diagonal: bool,
+    d: Array,
+    phi: Array,
+    offsets: Ints,
+    mix: Array,
+    q_at: Ints,
+    q: Array,
+    c0: Array,
+    driver: Ints,
+    gyro: Array,
+    accel: Array,
+    white: Array,
+    fix_epoch: Ints,
+    M: Array,
+    R: Array,
+    out_epoch: Ints,
+    out: Array,
+) -> None:
+    """Joint covariance along the reference; at a fix ``P <- M P M' + R``. ``c0`` and ``driver`` (m,) as in an augmentation."""
+    n = place.size
+    E, T = np.zeros((FIRST + 8 * slots + 17) * LD), np.zeros(15 * LD)
+    work = np.zeros((8 * slots + 10) * LD)
+    P, B = P0.copy(), np.empty((n, n))
+    scatter(P, place, E)
+    c = np.zeros(LD)
+    for s in range(n - 9):
+        c[place[9 + s]] = c0[s]
+    fix, row = 0, 0
+    for k in range(t.size):
+        if k > 0:
+            half = 0.5 * (t[k] - t[k - 1])
+            for s in range(n - 9):
+                if driver[s] >= 0:
+                    raw = gyro[k, driver[s]] if driver[s] < 3 else accel[k, driver[s] - 3]
+                    c[place[9 + s]] = c0[s] * raw / (2.0 * half)
+            predict(E, maps[k], half, slots, diagonal, d, phi, offsets, mix, q_at, q, c, white, T, work)
+        while fix < fix_epoch.size and fix_epoch[fix] == k:
+            gather(E, place, P)
+            for i in range(n):
+                for j in range(n):
+                    x = 0.0
+                    for a in range(n):
+                        x += M[fix, i, a] * P[a, j]
+                    B[i, j] = x
+            for i in range(n):
+                for j in range(i, n):
+                    x = R[fix, i, j]
+                    for a in range(n):
+                        x += B[i, a] * M[fix, j, a]
+                    P[i, j] = x
+                    P[j, i] = x
+            scatter(P, place, E)
+            fix += 1
+        while row < out_epoch.size and out_epoch[row] == k:
+            gather(E, place, out[row])
+            row += 1
+
+
+@njit(cache=True, nogil=True)
+def _backward(
+    t: Array,
+    maps: Array,
+    last: int,
+    L: Array,
+    Phi: Array,
+    Q: Array,
+    axis: Ints,
+    c0: Array,
+    driver: Ints,
+    gyro: Array,
+    accel: Array,
+    source: Ints,
+    white: Array,
+    fix_epoch: Ints,
+    M: Array,
+    R: Array,
+    gained: Array,
+    parts: Array,
+    axes: Array,
+) -> None:
+    """Adjoint of the joint system from epoch ``last`` to the start.
+
+    ``L`` (n,) holds the functional and is overwritten by what the initial errors contribute linearly. ``parts`` (sources,) collects the
+    driving noise of the true states by source, ``axes`` (6,) the white noise of the axes, ``gained`` (f,) the noise of every fix.
+    """
+    n = L.size
+    m = n - 9
+    u, old, next_x = np.zeros(6), np.zeros(9), np.zeros(m)
+    fix = fix_epoch.size - 1
+    while fix >= 0 and fix_epoch[fix] > last:
+        fix -= 1
+    for k in range(last, -1, -1):
+        while fix >= 0 and fix_epoch[fix] == k:
+            total = 0.0
+            for i in range(n):
+                for j in range(n):
+                    total += L[i] * R[fix, i, j] * L[j]
+            gained[fix] += total
+            new = np.zeros(n)
+            for i in range(n):
+                x = L[i]
+                if x != 0.0:
+                    for j in range(n):
+                        new[j] += x * M[fix, i, j]
+            L[:] = new
+            fix -= 1
+        if k == 0:
+            break
+        w = maps[k]
+        half = 0.5 * (t[k] - t[k - 1])
+        # the map of expanded.apply_map, transposed: position, velocity, attitude in reverse
+        pn, pe, pd = L[0], L[1], L[2]
+        vn, ve, vd = L[3] + half * pn, L[4] + half * pe, L[5] + half * pd
+        fz, fy, fx = w[24], w[25], w[26]
+        sn, se, sd = -fz * ve - fy * vd, fz * vn - fx * vd, fy * vn + fx * ve
+        an, ae, ad = L[6] + sn, L[7] + se, L[8] + sd
+        old[0] = w[41] * pn + w[43] * pe + w[35] * vn + w[36] * ve + w[37] * vd + w[6] * an + w[7] * ae + w[8] * ad
+        old[1] = w[44] * pe
+        old[2] = (
+            w[42] * pn + w[45] * pe + pd + w[38] * vn + w[39] * ve + w[40] * vd + w[9] * an + w[10] * ae + w[11] * ad
+        )
+        old[3] = half * pn + w[27] * vn + w[30] * ve + w[33] * vd + w[12] * ae
+        old[4] = half * pe + w[28] * vn + w[31] * ve + w[34] * vd + w[13] * an + w[14] * ad
+        old[5] = half * pd + w[29] * vn + w[32] * ve + vd
+        old[6] = sn + an + w[2] * ae + w[4] * ad
+        old[7] = se + ae + w[0] * an + w[5] * ad
+        old[8] = sd + ad + w[1] * an + w[3] * ae
+        for j in range(3):
+            u[j] = w[15 + j] * an + w[18 + j] * ae + w[21 + j] * ad
+            u[3 + j] = w[15 + j] * vn + w[18 + j] * ve + w[21 + j] * vd
+        for a in range(6):
+            axes[a] += u[a] * u[a] * white[a]
+        for i in range(9):
+            L[i] = old[i]
+        # states behind: what they do through the axes in this step, their driving noise, their transition
+        for s in range(m):
+            if axis[s] >= 0:
+                c = c0[s]
+                if driver[s] >= 0:
+                    raw = gyro[k, driver[s]] if driver[s] < 3 else accel[k, driver[s] - 3]
+                    c *= raw / (2.0 * half)
+                L[9 + s] -= c * u[axis[s]]
+        for i in range(m):
+            for j in range(m):
+                if Q[i, j] != 0.0:
+                    parts[source[i]] += L[9 + i] * Q[i, j] * L[9 + j]
+        for j in range(m):
+            next_x[j] = 0.0
+        for i in range(m):
+            x = L[9 + i]
+            for j in range(m):
+                if Phi[i, j] != 0.0:
+                    next_x[j] += x * Phi[i, j]
+        for j in range(m):
+            L[9 + j] = next_x[j]
