@@ -16,6 +16,7 @@ ROOMS = (
     "fit",
     "records",
     "formats",
+    "sensors",
     "effects",
     "emulate",
     "filters",

@@ -15,9 +15,17 @@ from insemu import noise, yamlfile
 from insemu.cli import app
 from insemu.errors import InputError
 from insemu.records import AXES
-from insemu.scenario import Scenario, load, shipped, validated
-from insemu.scenario.shipped import located, shipped_scenarios
-from insemu.scenario.starting import Wish, copy_shipped, first_scenario
+from insemu.scenario import (
+    Scenario,
+    Wish,
+    copy_shipped,
+    first_scenario,
+    load,
+    located,
+    shipped,
+    shipped_scenarios,
+    validated,
+)
 from insemu.sensors import models
 
 ROOT = Path(insemu.__file__).parent.parent

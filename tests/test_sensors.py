@@ -15,8 +15,7 @@ from insemu.augment import augment
 from insemu.cli import app
 from insemu.errors import InputError
 from insemu.records import AXES
-from insemu.sensors import Assumptions, axis_models, card, models, names, of_text, read_figures, save, spelled
-from insemu.sensors.models import CASES
+from insemu.sensors import CASES, Assumptions, axis_models, card, models, names, of_text, read_figures, save, spelled
 
 DEG = math.pi / 180.0
 UG = 9.80665e-6
@@ -211,6 +210,11 @@ def test_figures_of_the_adis16470_are_those_of_its_datasheet() -> None:
         ("name: x\ngyro: {random_walk: {source: a}}", "expected a quantity or the keys typical"),
         ("name: x\ngyro: {random_walk: {typical: 1 deg/sqrt(h), source: a}}", "unknown source 'a'"),
         ("name: x\nsources: {a: {url: b}}", "expected a source with the key 'title'"),
+        ("name: x\nsources: {a: {title: [b]}}", "expected a source with the key 'title'"),
+        (
+            "name: x\nalso: 3\ngyro: {random_walk: 1 deg/sqrt(h)}",
+            "card.yaml:2: also: found 3, expected a list of names",
+        ),
     ],
 )
 def test_a_card_that_cannot_be_read_is_refused_with_its_place(text: str, message: str, tmp_path) -> None:

@@ -38,13 +38,13 @@ def command(
     if not target.parent.is_dir():
         raise InputError("no such folder", where=str(target.parent))
     if like:
-        from insemu.scenario.starting import copy_shipped
+        from insemu.scenario import copy_shipped
 
         if sensor or track:
             raise InputError("--like copies a scenario as it is; expected it without --sensor and --track")
         written = copy_shipped(like, target, overwrite=force)
     else:
-        from insemu.scenario.starting import SENSOR, Wish, first_scenario
+        from insemu.scenario import SENSOR, Wish, first_scenario
 
         if target.exists() and not force:
             raise InputError("exists already; --force replaces it", where=str(target))
@@ -64,7 +64,7 @@ def _list(as_json: bool) -> None:
 
     from rich.console import Console
 
-    from insemu.scenario.shipped import shipped_scenarios
+    from insemu.scenario import shipped_scenarios
 
     known = shipped_scenarios()
     if as_json:

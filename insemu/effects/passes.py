@@ -19,7 +19,16 @@ Array = NDArray[np.float64]
 
 @njit(cache=True, nogil=True)
 def load(gyro: Array, accel: Array, step: Array, signal: Array) -> None:
-    """(n, 3) records to rows (6, n), divided by the intervals ``step`` (n,) unless that is empty."""
+    """Records to rows, divided by the intervals.
+
+    Parameters
+    ----------
+    gyro, accel : (n, 3) arrays
+    step : (n,) array
+        s; empty where nothing is divided.
+    signal : (6, n) array
+        Overwritten.
+    """
     for k in range(gyro.shape[0]):
         for i in range(3):
             signal[i, k], signal[3 + i, k] = gyro[k, i], accel[k, i]
@@ -31,7 +40,17 @@ def load(gyro: Array, accel: Array, step: Array, signal: Array) -> None:
 
 @njit(cache=True, nogil=True)
 def unload(signal: Array, step: Array, kept: NDArray[np.int64], gyro: Array, accel: Array) -> None:
-    """The samples ``kept`` (m,) of the rows back to (m, 3) records, times the intervals ``step`` (n,) unless that is empty."""
+    """Samples of the rows back to records, times the intervals.
+
+    Parameters
+    ----------
+    signal : (6, n) array
+    step : (n,) array
+        s; empty where nothing is multiplied.
+    kept : (m,) array of int
+    gyro, accel : (m, 3) arrays
+        Overwritten.
+    """
     for m in range(kept.size):
         k = kept[m]
         factor = step[k] if step.size else 1.0
@@ -136,21 +155,39 @@ def respond(
 
 @njit(cache=True, nogil=True)
 def add_scaled(row: Array, x: Array, factor: float) -> None:
-    """``row += factor x``, all (n,)."""
+    """``row += factor x``.
+
+    Parameters
+    ----------
+    row, x : (n,) arrays
+    factor : float
+    """
     for k in range(row.size):
         row[k] += factor * x[k]
 
 
 @njit(cache=True, nogil=True)
 def add_product(row: Array, x: Array, level: Array, factor: float) -> None:
-    """``row += factor level x``, all (n,)."""
+    """``row += factor level x``.
+
+    Parameters
+    ----------
+    row, x, level : (n,) arrays
+    factor : float
+    """
     for k in range(row.size):
         row[k] += factor * (level[k] * x[k])
 
 
 @njit(cache=True, nogil=True)
 def add_cubic(row: Array, d: Array, c1: float, c2: float, c3: float) -> None:
-    """``row += c1 d + c2 d^2 + c3 d^3``, all (n,)."""
+    """``row += c1 d + c2 d^2 + c3 d^3``.
+
+    Parameters
+    ----------
+    row, d : (n,) arrays
+    c1, c2, c3 : float
+    """
     for k in range(row.size):
         row[k] += ((c3 * d[k] + c2) * d[k] + c1) * d[k]
 
@@ -164,7 +201,15 @@ def speeds(vel_ned: Array, out: Array) -> None:
 
 @njit(cache=True, nogil=True)
 def motion_profile(speed: Array, rest: float, out: Array) -> None:
-    """From ``rest`` at standstill to 1 above 5 m/s, smooth in between."""
+    """From ``rest`` at standstill to 1 above 5 m/s, smooth in between.
+
+    Parameters
+    ----------
+    speed : (n,) array
+        m/s.
+    rest : float
+    out : (n,) array
+    """
     for k in range(out.size):
         u = min(speed[k] / 5.0, 1.0)
         out[k] = rest + (1.0 - rest) * u * u * (3.0 - 2.0 * u)
@@ -172,7 +217,17 @@ def motion_profile(speed: Array, rest: float, out: Array) -> None:
 
 @njit(cache=True, nogil=True)
 def half_angle(t: Array, frequency: float, phase: float, out: Array) -> None:
-    """Half of ``2 pi f (t - t_0) + phase``, rad."""
+    """Half of ``2 pi f (t - t_0) + phase``.
+
+    Parameters
+    ----------
+    t : (n,) array
+        s.
+    frequency, phase : float
+        Hz and rad.
+    out : (n,) array
+        rad.
+    """
     for k in range(out.size):
         out[k] = 0.5 * (2.0 * math.pi * frequency * (t[k] - t[0]) + phase)
 
@@ -186,7 +241,14 @@ def sines(half: Array) -> None:
 
 @njit(cache=True, nogil=True)
 def add_outliers(row: Array, probability: float, sigma: float, rng: np.random.Generator) -> None:
-    """Add normal numbers at a share of the samples: first every sample's lot, then the sizes."""
+    """Add normal numbers at a share of the samples: first every sample's lot, then the sizes.
+
+    Parameters
+    ----------
+    row : (n,) array
+    probability, sigma : float
+    rng : Generator
+    """
     hit = np.empty(row.size, np.int64)
     count = 0
     for k in range(row.size):
@@ -199,7 +261,14 @@ def add_outliers(row: Array, probability: float, sigma: float, rng: np.random.Ge
 
 @njit(cache=True, nogil=True)
 def add_telegraph(row: Array, probability: float, amplitude: float, rng: np.random.Generator) -> None:
-    """Add +-amplitude that switches with this probability before every sample: first every switch, then the sign at the start."""
+    """Add +-amplitude that switches with this probability before every sample: first every switch, then the sign at the start.
+
+    Parameters
+    ----------
+    row : (n,) array
+    probability, amplitude : float
+    rng : Generator
+    """
     switch = np.empty(row.size, np.bool_)
     for k in range(row.size):
         switch[k] = rng.random() < probability

@@ -127,23 +127,11 @@ def simulated_pieces(
             # neighbours are asked for together; an older record is drawn again if ever needed
             while len(kept) >= (2 if record_s is not None else 16):
                 kept.pop(next(iter(kept)))
-            values = np.empty((length, 6))
-            axes, states = np.zeros((places.size, 6)), []
-            for axis, model in enumerate(ready):
-                parts = model.simulate_components(length, 1.0 / rate_hz, rng(record, axis))
-                values[:, axis] = parts.sum(axis=0)
-                if at.size:
-                    for process, part in zip(model, parts, strict=True):
-                        if not isinstance(process, WN):
-                            axes[:, axis] += part[places]
-                if single:
-                    states.append(true_states(model, parts, 1.0 / rate_hz)[:, places])
-            if record_s is not None:
-                axes -= values.mean(axis=0)
-            errors = RecordedErrors(
-                values, rate_hz, "none" if record_s is None else "record", name=f"simulated record {record + 1}"
-            )
-            kept[record] = errors, axes, np.concatenate(states).T if states else np.zeros((0, 0))
+            kept[record] = _recorded(
+                ready,
+                lambda axis: ready[axis].simulate_components(length, 1.0 / rate_hz, rng(record, axis)),
+                rate_hz, places, single, record, record_s is not None,
+            )  # fmt: skip
         return kept[record]
 
     def draw(realization: int) -> Array:
@@ -157,6 +145,34 @@ def simulated_pieces(
         return TrueStates(axes[own], states[own] if single else None, names)
 
     return ErrorPieces(None, draw, tell if at.size else None)
+
+
+def _recorded(
+    models: Sequence[NoiseModel],
+    components: Callable[[int], Array],
+    rate_hz: float,
+    places: NDArray[np.intp],
+    single: bool,
+    record: int,
+    centred: bool,
+) -> tuple[RecordedErrors, Array, Array]:
+    """A simulated record, the errors of its axes without white noise at some places, and the states of its processes there."""
+    columns, states = [], []
+    axes = np.zeros((places.size, 6))
+    for axis, model in enumerate(models):
+        parts = components(axis)  # of one axis at a time: a record of hours is large
+        columns.append(parts.sum(axis=0))
+        for process, part in zip(model, parts, strict=True):
+            if places.size and not isinstance(process, WN):
+                axes[:, axis] += part[places]
+        if single:
+            states.append(true_states(model, parts, 1.0 / rate_hz)[:, places])
+    values = np.column_stack(columns)
+    if centred:
+        axes -= values.mean(axis=0)
+    name = f"simulated record {record + 1}"
+    errors = RecordedErrors(values, rate_hz, "record" if centred else "none", name=name)
+    return errors, axes, np.concatenate(states).T if states else np.zeros((0, 0))
 
 
 def recorded_pieces(

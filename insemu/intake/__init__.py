@@ -38,6 +38,11 @@ def examine(data: Opened | Recording | Log, kind: str = "") -> Card:
     -------
     Card
     """
+    with np.errstate(all="ignore"):  # absurd numbers make absurd findings, not warnings of a library
+        return _examined(data, kind)
+
+
+def _examined(data: Opened | Recording | Log, kind: str) -> Card:
     if isinstance(data, Log):
         return Card(data.source, kind or "static log", tuple(_log_lines(data)))
     if isinstance(data, Recording):
@@ -103,7 +108,7 @@ def _log_lines(log: Log) -> list[Line]:
         axis = formats.AXIS_OF_COLUMN.get(name, name)
         part = np.asarray(column[:_ROWS], dtype=np.float64)
         lines += [Line("rows", "odd", f"{name}: {text}") for text in missing_values(part, log.rate_hz)]
-        part = part[np.isfinite(part)]
+        part = part[np.abs(part) < 1e100]  # beyond that no square is a number
         if part.size > 3:
             means[axis], stated[axis] = float(part.mean()), unit
             third = np.diff(part, n=3)

@@ -21,9 +21,12 @@ from insemu.scenario.schema import (
     TrajectorySource,
     Truth,
 )
+from insemu.scenario.shipped import located, shipped_scenarios
+from insemu.scenario.starting import SENSOR, Wish, copy_shipped, first_scenario
 from insemu.scenario.structure import state_names, structures
 
 __all__ = [
+    "SENSOR",
     "AxisSource",
     "Design",
     "DesignOptions",
@@ -41,11 +44,16 @@ __all__ = [
     "SensorModels",
     "TrajectorySource",
     "Truth",
+    "Wish",
+    "copy_shipped",
     "digest",
+    "first_scenario",
     "load",
+    "located",
     "resolve_path",
     "schema",
     "shipped_designs",
+    "shipped_scenarios",
     "state_names",
     "structures",
     "validated",

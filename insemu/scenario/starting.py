@@ -8,15 +8,18 @@ import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 
-from insemu.emulate import load_flight
-from insemu.emulate.sources import read_track
-from insemu.emulate.vehicle import vehicle as vehicle_of
+from insemu import yamlfile
+from insemu.emulate import load_flight, read_track
 from insemu.errors import InputError
+from insemu.scenario.files import validated
+from insemu.scenario.schema import TrajectorySource
 from insemu.scenario.shipped import shipped_scenario
 from insemu.sensors import axis_models, card, spelled
 
 #: The sensor where none is named: industrial MEMS, every figure from its datasheet.
 SENSOR = "ADIS16470"
+#: The motion where no track is named: a drive in town.
+BUILTIN = "urban_drive_1"
 #: Speed of waypoint legs whose file gives none, m/s: a car in town.
 SPEED = 10.0
 #: An outage lasts a minute, or a sixth of a flight that is too short for that; the first comes after a third of the flight, so that the
@@ -112,7 +115,7 @@ def first_scenario(path: str | Path, wish: Wish) -> str:
         An unknown sensor or vehicle, or a track that cannot be read or flown.
     """
     path = Path(path)
-    vehicle_of(wish.vehicle)
+    validated(TrajectorySource, yamlfile.Document("--vehicle", {"builtin": BUILTIN, "vehicle": wish.vehicle}, {}))
     sensor = card(wish.sensor)
     found = axis_models(sensor)
     white = {}
@@ -152,7 +155,7 @@ def _motion(path: Path, wish: Wish) -> tuple[str, float]:
     """Lines of the trajectory, and how long it lasts in s."""
     if not wish.track:
         lines = [
-            "  builtin: urban_drive_1       # or a track, waypoints, or a file of motion commands",
+            f"  builtin: {BUILTIN}       # or a track, waypoints, or a file of motion commands",
             "  duration: 9 min",
         ]
         return "\n".join(lines), 540.0

@@ -5,10 +5,11 @@ A card (``cards/NAME.yaml``) holds what a source prints; :func:`read_figures` re
 """
 
 from insemu.sensors.cards import Card, card, names, of_text
+from insemu.sensors.conversion import CASES, Assumptions, AxisModel, axis_models, models, save, spelled
 from insemu.sensors.figures import KINDS, Figure, read_figures
-from insemu.sensors.models import Assumptions, AxisModel, axis_models, models, save, spelled
 
 __all__ = [
+    "CASES",
     "KINDS",
     "Assumptions",
     "AxisModel",

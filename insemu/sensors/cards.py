@@ -110,9 +110,11 @@ def _read(document: yamlfile.Document) -> Card:
             raise InputError(f"unknown key '{key}'" + nearest(key, _KEYS), where=document.where((key,)))
     sources = _mapping(document, "sources")
     for label, source in sources.items():
-        if not isinstance(source, dict) or "title" not in source or set(source) - set(_SOURCE_KEYS):
+        known = isinstance(source, dict) and "title" in source and not set(source) - set(_SOURCE_KEYS)
+        if not known or not all(isinstance(text, str | int | float) for text in source.values()):
             expected = f"expected a source with the key 'title' (and {', '.join(_SOURCE_KEYS[1:])})"
             raise InputError(f"found {source!r}, {expected}", where=document.where(("sources", label)))
+        sources[label] = {key: str(text) for key, text in source.items()}
     figures: Figures = {}
     for section in ("gyro", "accel", *AXES):
         for kind, given in _mapping(document, section).items():
@@ -123,6 +125,8 @@ def _read(document: yamlfile.Document) -> Card:
     if not figures:
         raise InputError("holds no figure under 'gyro' or 'accel'", where=document.name)
     about, maker, also = data.get("about", ""), data.get("maker", ""), data.get("also") or []
+    if not isinstance(also, list):
+        raise InputError(f"found {also!r}, expected a list of names", where=document.where(("also",)))
     return Card(data["name"], figures, str(maker), " ".join(str(about).split()), sources, tuple(map(str, also)))
 
 

@@ -104,7 +104,23 @@ _WORDS, _NEAR, LONGEST = 4, 200, 200_000
 
 
 def quantity(text: str, kind: str, sensor: str, where: str) -> float:
-    """A figure of a card in SI; raises ``InputError`` at ``where``."""
+    """A figure of a card in SI.
+
+    Parameters
+    ----------
+    text : str
+        Number and unit.
+    kind : str
+        Key of :data:`KINDS`.
+    sensor : {"gyro", "accel"}
+    where : str
+        File, line and key, for messages.
+
+    Raises
+    ------
+    InputError
+        A unit of another dimension, or no positive number.
+    """
     try:
         value = units.parse(text, KINDS[kind].unit_for(sensor))
     except InputError as error:
@@ -146,11 +162,8 @@ def _clause(clause: str) -> tuple[str, str, Figure] | str | None:
                 value = float(match["value"]) * factor
                 limit = match["limit"] is not None or re.search(r"\bmax", side) is not None
                 if 0.0 < value < math.inf:
-                    return (
-                        kind,
-                        sensor,
-                        Figure(value, f"{match['value']} {unit}", value if limit else None, clause.strip()),
-                    )
+                    worst = value if limit else None
+                    return kind, sensor, Figure(value, f"{match['value']} {unit}", worst, clause.strip()[:100])
         if numbers:
             return (
                 f"'{clause.strip()[:60]}' has no unit of {meaning.meaning}; expected something like '{meaning.example}'"

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +14,7 @@ from numpy.typing import NDArray
 
 from insemu.errors import InputError
 from insemu.formats.columns import ColumnMap, parse_map
+from insemu.formats.decoding import open_binary
 from insemu.formats.table import Probe, Reader, Table, read_delimited, register
 
 _IMU_TOPICS = ("sensor_combined", "vehicle_imu")
@@ -57,10 +61,37 @@ def _topic(name: str, columns: Mapping[str, NDArray[Any]]) -> Table | None:
     return Table(name, kept, {}, used, "", (), notes)
 
 
+class _Bounded:
+    """A file that ends a decoder which reads the same bytes again and again: pyulog does on some corrupt definitions."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = open_binary(path)
+        size = self._file.seek(0, 2)
+        self._file.seek(0)
+        self._left = size + 10_000  # a message is at least four bytes and two reads
+
+    def __enter__(self) -> _Bounded:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def read(self, count: int = -1) -> bytes:
+        self._left -= 1
+        if self._left < 0:
+            raise InputError("is corrupt beyond repair")
+        return self._file.read(count)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._file, name)
+
+
 def _read_ulog(path: Path, settings: Mapping[str, str]) -> list[Table]:
     from pyulog import ULog
 
-    log = ULog(str(path), [*_IMU_TOPICS, *_GNSS_TOPICS])
+    # pyulog prints what it finds corrupt, and leaves a file open that it opened itself
+    with _Bounded(path) as file, contextlib.redirect_stdout(io.StringIO()) as said:
+        log = ULog(file, [*_IMU_TOPICS, *_GNSS_TOPICS])
     wanted = int(settings.get("instance", "0") or 0)
     tables: dict[str, Table] = {}
     for data in log.data_list:
@@ -71,6 +102,10 @@ def _read_ulog(path: Path, settings: Mapping[str, str]) -> list[Table]:
             tables.setdefault("imu" if "gyro" in table.map.picks else "gnss", table)
     if not tables:
         raise InputError("holds neither sensor_combined nor a GNSS topic", where=str(path))
+    if "orrupt" in said.getvalue():
+        first = next(iter(tables))
+        note = "parts of the file are corrupt and were left out"
+        tables[first] = replace(tables[first], notes=(*tables[first].notes, note))
     return list(tables.values())
 
 

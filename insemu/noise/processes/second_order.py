@@ -45,7 +45,7 @@ def _curve(
 
 @dataclass(frozen=True)
 class GM2(Process):
-    """Second-order Gauss-Markov process: autocovariance sigma^2 (1 + beta |t|) exp(-beta |t|).
+    """Second-order Gauss-Markov process: autocovariance ``sigma^2 (1 + beta |t|) exp(-beta |t|)``.
 
     Critically damped: ``x'' + 2 beta x' + beta^2 x`` is white noise of density 2 sigma beta^(3/2) (Brown and Hwang 2012, section 4.8).
     States are the value and its rate of change over beta, which have the same variance.

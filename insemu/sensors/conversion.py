@@ -78,7 +78,24 @@ def models(name: str, case: str = "typical", assumptions: Assumptions | None = N
 
 
 def axis_models(sensor: Card, case: str = "typical", assumptions: Assumptions | None = None) -> dict[str, AxisModel]:
-    """The models of a card's axes with what was made of each figure; raises as :func:`models`."""
+    """The models of a card's axes with what was made of each figure.
+
+    Parameters
+    ----------
+    sensor : Card
+    case : {"typical", "worst"}
+    assumptions : Assumptions, optional
+
+    Returns
+    -------
+    dict
+        Axis to :class:`AxisModel`, axes without a figure left out.
+
+    Raises
+    ------
+    InputError
+        An unknown case, or figures without white noise.
+    """
     if case not in CASES:
         raise InputError(f"unknown case '{case}' (expected one of: {', '.join(CASES)})")
     assumed = assumptions or Assumptions()
