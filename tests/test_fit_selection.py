@@ -53,6 +53,20 @@ def test_weak_structure_no_candidate_has_does_not_hide_the_slow_part():
     assert "error of every candidate" in ranking.verdict
 
 
+def test_the_chosen_model_has_one_test_of_fit():
+    """Where the record has structure that no candidate has, the table allowed for it and the fit below it did not: p = 0.63 and p = 0."""
+    rng = np.random.default_rng(2)
+    n, rate = 400_000, 100.0
+    fast = AR((0.25, -0.12, 0.05), sigma2=1.0, rate_hz=rate).simulate(n, 1 / rate, rng)
+    curve = wavelet_variance(fast + GM(0.1, 0.02).simulate(n, 1 / rate, rng), rate)
+    ranking = select(curve, WN() + GM() + RW())
+    assert ranking.discrepancy > 0.003
+    assert ranking.fit.test is not None
+    in_table, below = ranking.chosen.p_value, ranking.fit.test.p_value
+    assert in_table > 0.05 and below > 0.05
+    assert ranking.fit.test.statistic == pytest.approx(ranking.chosen.objective, rel=0.5, abs=2.0)
+
+
 def test_given_candidates_are_ranked():
     ranking = rank_models(curve_of(WN(0.1) + RW(0.02)), [NoiseModel((WN(),)), NoiseModel((WN(), RW()))])
     assert ranking.chosen.structure == NoiseModel((WN(), RW()))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from rich.console import Console
@@ -100,12 +100,14 @@ def command(
         options["denoise_levels"] = denoise
     elif method == "mli":
         options["pattern"] = pattern
-    if streamed:
-        results = streamed
-    elif per_axis:
-        results = fit_axes(series, model, method, start, robust, options, workers or os.cpu_count() or 1)
-    else:
-        results = fit_pooled(series, model, method, start, robust, options)
+    with Console(stderr=True).status(f"fitting {len(series)} axes by {method}") as status:
+        if streamed:
+            results = streamed
+        elif per_axis:
+            many = workers or os.cpu_count() or 1
+            results = fit_axes(series, model, method, start, robust, options, many, progress=status.update)
+        else:
+            results = fit_pooled(series, model, method, start, robust, options)
     if bootstrap:
         from insemu.fit.indirect import bootstrap_intervals
 
@@ -183,9 +185,31 @@ def fit_streamed(
 
 
 def fit_axes(
-    series: list[Series], model: str, method: str, start: str, robust: bool, options: Mapping[str, Any], workers: int
+    series: list[Series],
+    model: str,
+    method: str,
+    start: str,
+    robust: bool,
+    options: Mapping[str, Any],
+    workers: int,
+    progress: Callable[[str], None] | None = None,
 ) -> dict[str, FitResult]:
-    """Fit every axis; the name of the axis goes in front of what is wrong with it."""
+    """Fit every axis; the name of the axis goes in front of what is wrong with it.
+
+    Parameters
+    ----------
+    series : list of Series
+    model, start : str
+        Structure, and a model to start from or nothing.
+    method : str
+    robust : bool
+    options : mapping
+        Of the method.
+    workers : int
+        Axes at a time.
+    progress : callable, optional
+        Told how many axes are finished.
+    """
     from concurrent.futures import ThreadPoolExecutor
 
     from insemu.errors import InputError
@@ -193,6 +217,7 @@ def fit_axes(
     from insemu.noise import NoiseModel
 
     asked = parsed(model, series)
+    finished: list[str] = []
     # every axis its own child, whatever the order in which threads come to it
     children = options["rng"].spawn(len(series)) if "rng" in options else [None] * len(series)
 
@@ -204,10 +229,14 @@ def fit_axes(
         try:
             if start:
                 given["start"] = NoiseModel.parse(start, s.unit)
-            return fit(s, asked[s.unit], method, robust=robust, **given)  # type: ignore[arg-type]
+            result = fit(s, asked[s.unit], method, robust=robust, **given)  # type: ignore[arg-type]
         except InputError as error:
             known = error.where or error.message.startswith(s.name)
             raise InputError(error.message, where=error.where if known else s.name) from None
+        finished.append(s.name)
+        if progress is not None:
+            progress(f"fitting by {method}: {len(finished)} of {len(series)} axes finished")
+        return result
 
     with ThreadPoolExecutor(max_workers=min(workers, len(series))) as pool:
         return {s.name: r for s, r in zip(series, pool.map(one, zip(series, children, strict=True)), strict=True)}

@@ -61,9 +61,22 @@ def command(
     announce(file, Console(stderr=True), rate_hz=units.parse(rate, "Hz") if rate else None)
     series = read_static(file, rate, columns, skip)
     given = [NoiseModel.parse(c) for c in candidates] if candidates else None
-    rankings = select_axes(
-        series, NoiseModel.parse(general), candidates=given, robust=robust, workers=workers or os.cpu_count() or 1
-    )
+    told = Console(stderr=True)
+    with told.status(f"0 of {len(series)} axes chosen") as status:
+        done: list[str] = []
+
+        def finished(name: str) -> None:
+            done.append(name)
+            status.update(f"{len(done)} of {len(series)} axes chosen")
+
+        rankings = select_axes(
+            series,
+            NoiseModel.parse(general),
+            candidates=given,
+            robust=robust,
+            workers=workers or os.cpu_count() or 1,
+            progress=finished,
+        )
     console = Console(stderr=as_json)
     checks: dict[str, dict[str, dict[str, Any]]] = {axis: {} for axis in rankings}
     for other in held_out or []:

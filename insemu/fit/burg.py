@@ -73,6 +73,30 @@ def choose_order(variance: Array, n: int) -> tuple[int, Array]:
     return int(orders[np.argmin(criterion)]), criterion
 
 
+def _notes(fitted: AR | AR1, coefficients: Array, radius: float, denoise_levels: int) -> list[str]:
+    """What to beware of in an autoregression whose outermost pole has this modulus."""
+    notes: list[str] = []
+    if radius >= 1.0:
+        assert isinstance(fitted, AR)
+        notes.append(
+            f"the polynomial is not stationary (a pole of modulus {radius:.9f}); it is refused by filters. The nearest stationary one is "
+            f"{[float(f'{v:.9g}') for v in fitted.stabilised().ar if v is not None]}"
+        )
+    digits = 3
+    while digits < 16 and _radius(np.round(coefficients, digits)) >= 1.0:
+        digits += 1
+    if digits > 3 and radius < 1.0:
+        notes.append(
+            f"printed to fewer than {digits} decimals the polynomial is not stationary (a pole of modulus {radius:.9f})"
+        )
+    if denoise_levels:
+        notes.append(
+            f"{denoise_levels} octaves were de-noised first: the process describes what is left, not the signal's white noise, and standard "
+            "errors that take it for white-driven are too small"
+        )
+    return notes
+
+
 def fit_burg(
     series: Series,
     model: NoiseModel,
@@ -120,33 +144,14 @@ def fit_burg(
     criteria = choose_order(variance, n)
     order = criteria[0] if choose else highest
     a, sigma2 = coefficients[order - 1, :order], float(variance[order])
-    notes: list[str] = []
     fitted: AR | AR1
     if isinstance(asked, AR1):
         fitted = replace(asked, phi=float(np.clip(a[0], -1 + 1e-15, 1 - 1e-15)), sigma2=sigma2)
-        radius = abs(float(a[0]))
     else:
         fitted = AR(tuple(float(v) for v in a), sigma2=sigma2, rate_hz=series.rate_hz)
-        radius = fitted.spectral_radius
+    radius = abs(float(a[0])) if isinstance(fitted, AR1) else fitted.spectral_radius
     stationary = radius < 1.0
-    if not stationary:
-        assert isinstance(fitted, AR)
-        notes.append(
-            f"the polynomial is not stationary (a pole of modulus {radius:.9f}); it is refused by filters. The nearest stationary one is "
-            f"{[float(f'{v:.9g}') for v in fitted.stabilised().ar if v is not None]}"
-        )
-    digits = 3
-    while digits < 16 and _radius(np.round(a, digits)) >= 1.0:
-        digits += 1
-    if digits > 3 and stationary:
-        notes.append(
-            f"printed to fewer than {digits} decimals the polynomial is not stationary (a pole of modulus {radius:.9f})"
-        )
-    if denoise_levels:
-        notes.append(
-            f"{denoise_levels} octaves were de-noised first: the process describes what is left, not the signal's white noise, and standard "
-            "errors that take it for white-driven are too small"
-        )
+    notes = _notes(fitted, a, radius, denoise_levels)
     structure = NoiseModel((asked if isinstance(asked, AR1) or not choose else AR.of_order(order),))
     whole = NoiseModel((fitted,))
     covariance = (

@@ -19,11 +19,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError
 from insemu.fit.gmwm import fit_curve
-from insemu.fit.result import FitResult, estimates
+from insemu.fit.result import Estimate, FitResult, estimates
 from insemu.noise import DR, NoiseModel, Process, StateBlock
 from insemu.records import Series
 from insemu.statespace import log_likelihood, smooth
-from insemu.variance import wavelet_variance
+from insemu.variance import WaveletVariance, wavelet_variance
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -244,47 +244,29 @@ def fit_em(
     level = y - offset - (slope * t if has_ramp and ramp != "none" else 0.0)
     y = y - offset - (slope * t if has_ramp and ramp == "least_squares" else 0.0)
     noise = NoiseModel(tuple(p for p in model if not isinstance(p, DR)))
-    moments: NoiseModel | None = None
     curve = wavelet_variance(level, series.rate_hz)
-    if start is None or check:
-        try:
-            moments = fit_curve(curve, noise).model
-        except InputError:
-            if start is None:
-                raise
-    begin = (
-        moments
-        if start is None
-        else NoiseModel(tuple(p for p in start.at_rate(series.rate_hz) if not isinstance(p, DR)))
-    )
-    assert begin is not None
-    if [p.symbol for p in begin] != [p.symbol for p in noise] or not begin.specified:
-        raise InputError(
-            f"the starting model {start} has another structure than {noise} (or parameters without a value)"
-        )
+    begin, moments = _begin(noise, curve, start, check)
     spread = max(float(np.var(y)), 1e-300)
     begin = NoiseModel(tuple(_positive(p, spread, dt, y.size) for p in begin))
     space, places = _space(noise, begin, dt, spread, inside, start_slope=_slope_of(start))
     found = expectation_maximization(space, y, tolerance=tolerance, iterations=iterations)
     fitted = _model(noise, begin, found.space, places, dt)
     notes: list[str] = []
-    converged = found.stopped
-    final = found.trace[-1] if found.trace.size else -math.inf
     if not found.stopped:
         notes.append(
             f"the likelihood still rose after {found.trace.size} iterations; raise `iterations` or start nearer"
         )
+    lower = 0.0
     if check and moments is not None:
         # both without the ramp, so that they are likelihoods of the same data
-        other = _likelihood(
-            NoiseModel(tuple(_positive(p, spread, dt, y.size) for p in moments)), noise, level, dt, spread
-        )
-        final = _likelihood(fitted, noise, level, dt, spread) if inside else final
+        given = NoiseModel(tuple(_positive(p, spread, dt, y.size) for p in moments))
+        reached = found.trace[-1] if found.trace.size else -math.inf
+        final = _likelihood(fitted, noise, level, dt, spread) if inside else reached
+        lower = _likelihood(given, noise, level, dt, spread) - final
         # EM may stop a little short of the top it is on; a whole unit below another estimate is another matter
-        if other > final + 2.0:
-            converged = False
+        if lower > 2.0:
             notes.append(
-                f"the estimate by wavelet moments has a higher likelihood (by {other - final:.1f}): the start led to a stop short of "
+                f"the estimate by wavelet moments has a higher likelihood (by {lower:.1f}): the start led to a stop short of "
                 "the maximum, or to another hill"
             )
     covariance, free = _information(fitted, noise, y, dt, spread)
@@ -292,15 +274,9 @@ def fit_em(
     free_of_model = [(_place(model, noise, k), name) for k, name in free]
     parameters = estimates(whole, free_of_model, covariance, series.unit, confidence)
     if has_ramp:
-        error = slope_error if ramp == "least_squares" else math.nan
-        z = 1.959963984540054
-        parameters = tuple(
-            replace(e, standard_error=error, low=e.value - z * error, high=e.value + z * error, free=True)
-            if e.process == "DR"
-            else e
-            for e in parameters
-        )
-        if ramp == "least_squares":
+        least_squares = ramp == "least_squares"
+        parameters = _with_ramp_error(parameters, slope_error if least_squares else math.nan)
+        if least_squares:
             notes.append(
                 "the ramp was removed by least squares; its standard error takes the residuals for white and is too small"
             )
@@ -317,9 +293,41 @@ def fit_em(
         curve=curve if not has_ramp else wavelet_variance(series.values, series.rate_hz),
         fitted=whole.wavelet_variance(curve.scale_samples, dt),
         objective=-float(found.trace[-1]) if found.trace.size else math.inf,
-        converged=converged,
+        converged=found.stopped and lower <= 2.0,
         warnings=tuple(notes),
         details={"trace": found.trace, "offset": offset, "space": found.space, "start": begin, "free": free_of_model},
+    )
+
+
+def _begin(
+    noise: NoiseModel, curve: WaveletVariance, start: NoiseModel | None, check: bool
+) -> tuple[NoiseModel, NoiseModel | None]:
+    """Where to begin, and the estimate by wavelet moments where it is wanted and there is one."""
+    moments: NoiseModel | None = None
+    if start is None or check:
+        try:
+            moments = fit_curve(curve, noise).model
+        except InputError:
+            if start is None:
+                raise
+    if start is None:
+        assert moments is not None
+        return moments, moments
+    begin = NoiseModel(tuple(p for p in start.at_rate(curve.rate_hz) if not isinstance(p, DR)))
+    if [p.symbol for p in begin] != [p.symbol for p in noise] or not begin.specified:
+        raise InputError(
+            f"the starting model {start} has another structure than {noise} (or parameters without a value)"
+        )
+    return begin, moments
+
+
+def _with_ramp_error(parameters: tuple[Estimate, ...], error: float) -> tuple[Estimate, ...]:
+    z = 1.959963984540054
+    return tuple(
+        replace(e, standard_error=error, low=e.value - z * error, high=e.value + z * error, free=True)
+        if e.process == "DR"
+        else e
+        for e in parameters
     )
 
 

@@ -165,7 +165,7 @@ def fit_curve(
     widths : (J,) array, optional
         Interval widths to weigh by, instead of ``weighting``.
     covariance : (J, J) array, optional
-        Covariance whose inverse weighs, instead of ``weighting``; standard errors follow from it, too.
+        Covariance whose inverse weighs, instead of ``weighting``; standard errors and the test of fit follow from it, too.
     steps : int
         How many times the covariance under the model is renewed.
     start : NoiseModel, optional
@@ -192,91 +192,54 @@ def fit_curve(
     -----
     Equations (20), (22)-(27) and (34) of Stebler et al. 2014. The covariance of the curve is that of the fitted model over the finite record.
     """
-    if curve.transform != "modwt":
-        raise InputError(
-            f"the wavelet variance of the transform '{curve.transform}' cannot be fitted: its covariance is not known; use modwt"
-        )
     if weighting not in get_args(Weighting):
         raise InputError(f"weighting is '{weighting}', expected one of: {', '.join(get_args(Weighting))}")
-    structure = Structure.of(model, curve.rate_hz, curve.filter)
-    use = (curve.tau_s >= tau_from * (1 - 1e-9)) & (curve.tau_s <= tau_to * (1 + 1e-9))
-    use &= curve.scale_samples <= curve.n_samples
-    scale, value = curve.scale_samples[use], curve.value[use]
-    if not (value > 0).all():
-        raise InputError(
-            f"{name}: the wavelet variance is zero at {curve.tau_s[use][value <= 0][0]:g} s; a constant signal has no noise to fit"
-        )
-    p = structure.free_parameters
-    if value.size < max(p, 1):
-        raise InputError(
-            f"{name}: {model} has {p} free parameters and the curve {value.size} scale(s); expected at least as many scales"
-        )
-    n, dt = curve.n_samples, 1.0 / curve.rate_hz
-
-    if covariance is not None:
-        W = root_of_inverse(np.asarray(covariance, dtype=np.float64)[np.ix_(use, use)])
-    else:
-        width = interval_widths(curve) if widths is None else np.asarray(widths, dtype=np.float64)
-        if width.shape != curve.value.shape or not (width[use] > 0).all():
-            raise InputError(
-                f"widths has shape {width.shape}, expected {curve.value.size} positive numbers, one per scale"
-            )
-        W = np.diag(1.0 / width[use])
-    starts = structure.internal(start)[1][None, :] if start is not None else structure.starts(n)
-    best = search(structure, scale, value, W, n, starts)
+    problem = _problem(curve, model, tau_from, tau_to, efficiency, name)
+    structure, scale = problem.structure, problem.scale
+    W = _given_weights(problem, widths, covariance)
+    starts = structure.internal(start)[1][None, :] if start is not None else structure.starts(problem.n)
+    best = problem.search(W, starts)
     used: str = "intervals" if widths is None and covariance is None else "given"
-    test: GoodnessOfFit | None = None
-    if weighting != "intervals" and used != "given":
-        automatic = weighting == "auto"
-        rejecting = isinstance(curve, RobustWaveletVariance) and curve.contaminated
-        if not automatic or (n > LONG_RECORD and not rejecting):
-            second, rows = best, W
-            for step in range(max(steps, 1)):
-                V = _covariance(structure, second, scale, n, weighting, bootstrap, rng, curve.filter) / efficiency
-                rows = root_of_inverse(V)
-                near = search(structure, scale, value, rows, n, second.shapes[None, :])
-                if step == 0 and start is None:
-                    # other weights may have their minimum elsewhere; once they are nearly right, it stays
-                    other = search(structure, scale, value, rows, n, starts, refined=3, flattened=False)
-                    near = other if other.objective < near.objective else near
-                second = near
-            V = _covariance(structure, second, scale, n, "asymptotic", 0, None, curve.filter) / efficiency
-            test = goodness_of_fit(structure, second, scale, value, V, n, dt)
-            if not automatic or (test is not None and test.p_value >= HOLDS):
-                best, W, used = second, rows, "asymptotic" if automatic else weighting
+    under: _Weighed | None = None
+    rejecting = isinstance(curve, RobustWaveletVariance) and curve.contaminated
+    if used != "given" and (
+        weighting in ("asymptotic", "bootstrap") or (weighting == "auto" and problem.n > LONG_RECORD and not rejecting)
+    ):
+        again = None if start is not None else starts
+        under = _weighed_by_the_model(problem, best, again, steps, bootstrap if weighting == "bootstrap" else 0, rng)
+        if weighting == "auto" and (under.test is None or under.test.p_value < HOLDS):
+            under = None
+    if under is not None:
+        best, W, V, test = under.best, under.W, under.V, under.test
+        used = "asymptotic" if weighting == "auto" else weighting
+    else:
+        # a given covariance is what the curve is known by, and what the model is tested by
+        V = problem.covariance(best) if covariance is None else problem.part(covariance)
+        test = goodness_of_fit(structure, best, scale, problem.value, V, problem.n, problem.dt)
     fitted_model = structure.specified(best.coefficients, best.shapes)
-    if used in ("intervals", "given"):
-        V = covariance_of_curve(fitted_model, n, scale, dt, curve.filter) / efficiency
-        test = goodness_of_fit(structure, best, scale, value, V, n, dt)
     D, free = natural_jacobian(fitted_model, structure, scale / 2.0)
-    spread = V if covariance is None else np.asarray(covariance, dtype=np.float64)[np.ix_(use, use)]
-    covariance_of, weak = parameter_covariance(D, W, spread)
+    covariance_of, weak = parameter_covariance(D, W, V)
     if used == "asymptotic":
-        correction = finite_record_bias(structure, best, free, covariance_of, scale, W, V, n)
+        correction = finite_record_bias(structure, best, free, covariance_of, scale, W, V, problem.n)
         if correction.any():
             fitted_model = _moved(fitted_model, free, -correction)
             coefficients, shapes = structure.internal(fitted_model)
             best = replace(best, coefficients=coefficients, shapes=shapes)
-    notes = warnings_of(structure, best.coefficients, best.shapes, fitted_model, free, covariance_of, scale, value, n)
-    if value.size == p:
-        notes.append(f"as many parameters as scales ({p}): the fit cannot be tested")
-    if not best.converged:
-        notes.append("the search did not converge; treat the values as a start")
     return FitResult(
         name=name,
         method="gmwm",
         structure=model,
         model=fitted_model,
         rate_hz=curve.rate_hz,
-        n_samples=n,
+        n_samples=problem.n,
         unit=unit,
         parameters=estimates(fitted_model, free, covariance_of, unit, confidence),
         covariance=covariance_of,
         curve=curve,
-        fitted=expected(fitted_model, curve.filter, curve.scale_samples, dt),
+        fitted=expected(fitted_model, curve.filter, curve.scale_samples, problem.dt),
         objective=best.objective,
         converged=best.converged,
-        warnings=tuple(notes),
+        warnings=_notes(problem, best, fitted_model, free, covariance_of),
         test=test,
         details={
             "weighting": used,
@@ -289,6 +252,131 @@ def fit_curve(
             "weak": weak,
         },
     )
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """The scales of a curve that are used, and the structure that is fitted to them."""
+
+    structure: Structure
+    curve: WaveletVariance
+    use: NDArray[np.bool_]
+    efficiency: float
+
+    @property
+    def scale(self) -> NDArray[np.int64]:
+        return self.curve.scale_samples[self.use]
+
+    @property
+    def value(self) -> Array:
+        return self.curve.value[self.use]
+
+    @property
+    def n(self) -> int:
+        return self.curve.n_samples
+
+    @property
+    def dt(self) -> float:
+        return self.structure.dt
+
+    def part(self, covariance: ArrayLike) -> Array:
+        """The covariance of the scales that are used."""
+        return np.asarray(covariance, dtype=np.float64)[np.ix_(self.use, self.use)]
+
+    def search(self, W: Array, starts: Array, *, refined: int = REFINED, flattened: bool = True) -> Solution:
+        return search(self.structure, self.scale, self.value, W, self.n, starts, refined=refined, flattened=flattened)
+
+    def covariance(self, at: Solution, replicates: int = 0, rng: np.random.Generator | None = None) -> Array:
+        """Covariance of the curve under a solution: closed form, or of so many draws."""
+        model = self.structure.specified(at.coefficients, at.shapes)
+        if not replicates:
+            return covariance_of_curve(model, self.n, self.scale, self.dt, self.curve.filter) / self.efficiency
+        if rng is None:
+            raise InputError("weighting by bootstrap draws random numbers; give rng")
+        drawn = bootstrap_curves(model, self.n, 1.0 / self.dt, self.scale, replicates, rng, self.curve.filter)
+        return np.asarray(np.cov(drawn, rowvar=False)).reshape(self.scale.size, self.scale.size) / self.efficiency
+
+
+def _problem(
+    curve: WaveletVariance, model: NoiseModel, tau_from: float, tau_to: float, efficiency: float, name: str
+) -> _Problem:
+    """What is fitted to what; raises ``InputError`` where a curve or a structure cannot be."""
+    if curve.transform != "modwt":
+        raise InputError(
+            f"the wavelet variance of the transform '{curve.transform}' cannot be fitted: its covariance is not known; use modwt"
+        )
+    structure = Structure.of(model, curve.rate_hz, curve.filter)
+    use = (curve.tau_s >= tau_from * (1 - 1e-9)) & (curve.tau_s <= tau_to * (1 + 1e-9))
+    use &= curve.scale_samples <= curve.n_samples
+    value, p = curve.value[use], structure.free_parameters
+    if not (value > 0).all():
+        raise InputError(
+            f"{name}: the wavelet variance is zero at {curve.tau_s[use][value <= 0][0]:g} s; a constant signal has no noise to fit"
+        )
+    if value.size < max(p, 1):
+        raise InputError(
+            f"{name}: {model} has {p} free parameters and the curve {value.size} scale(s); expected at least as many scales"
+        )
+    return _Problem(structure, curve, use, efficiency)
+
+
+def _given_weights(problem: _Problem, widths: ArrayLike | None, covariance: ArrayLike | None) -> Array:
+    """Root of the weights of the first search: of a covariance, or of interval widths."""
+    if covariance is not None:
+        return root_of_inverse(problem.part(covariance))
+    width = interval_widths(problem.curve) if widths is None else np.asarray(widths, dtype=np.float64)
+    if width.shape != problem.curve.value.shape or not (width[problem.use] > 0).all():
+        raise InputError(
+            f"widths has shape {width.shape}, expected {problem.curve.value.size} positive numbers, one per scale"
+        )
+    return np.diag(1.0 / width[problem.use])
+
+
+@dataclass(frozen=True)
+class _Weighed:
+    best: Solution
+    W: Array
+    V: Array
+    test: GoodnessOfFit | None
+
+
+def _weighed_by_the_model(
+    problem: _Problem,
+    first: Solution,
+    starts: Array | None,
+    steps: int,
+    replicates: int,
+    rng: np.random.Generator | None,
+) -> _Weighed:
+    """The minimum under the covariance that the model itself gives, renewed ``steps`` times.
+
+    ``starts`` are tried once more, because other weights may have their minimum elsewhere; once they are nearly right, it stays.
+    """
+    best, rows = first, np.zeros((0, 0))
+    for step in range(max(steps, 1)):
+        rows = root_of_inverse(problem.covariance(best, replicates, rng))
+        near = problem.search(rows, best.shapes[None, :])
+        if step == 0 and starts is not None:
+            other = problem.search(rows, starts, refined=3, flattened=False)
+            near = other if other.objective < near.objective else near
+        best = near
+    V = problem.covariance(best)
+    test = goodness_of_fit(problem.structure, best, problem.scale, problem.value, V, problem.n, problem.dt)
+    return _Weighed(best, rows, V, test)
+
+
+def _notes(
+    problem: _Problem, best: Solution, model: NoiseModel, free: list[tuple[int, str]], covariance: Array
+) -> tuple[str, ...]:
+    scale, value = problem.scale, problem.value
+    notes = warnings_of(
+        problem.structure, best.coefficients, best.shapes, model, free, covariance, scale, value, problem.n
+    )
+    if value.size == problem.structure.free_parameters:
+        notes.append(f"as many parameters as scales ({value.size}): the fit cannot be tested")
+    if not best.converged:
+        notes.append("the search did not converge; treat the values as a start")
+    return tuple(notes)
 
 
 def finite_record_bias(
@@ -363,25 +451,6 @@ def _moved(model: NoiseModel, free: list[tuple[int, str]], by: Array) -> NoiseMo
     for (k, name), d in zip(free, by, strict=True):
         parts[k] = parts[k].with_parameters({name: parts[k].parameters[name] + float(d)})
     return NoiseModel(tuple(parts))
-
-
-def _covariance(
-    structure: Structure,
-    at: Solution,
-    scale: NDArray[np.int64],
-    n: int,
-    weighting: Weighting,
-    replicates: int,
-    rng: np.random.Generator | None,
-    filter: str,
-) -> Array:
-    model = structure.specified(at.coefficients, at.shapes)
-    if weighting != "bootstrap":
-        return covariance_of_curve(model, n, scale, structure.dt, filter)
-    if rng is None:
-        raise InputError("weighting by bootstrap draws random numbers; give rng")
-    curves = bootstrap_curves(model, n, 1.0 / structure.dt, scale, replicates, rng, filter)
-    return np.asarray(np.cov(curves, rowvar=False)).reshape(scale.size, scale.size)
 
 
 def bootstrap_curves(

@@ -226,7 +226,9 @@ def bootstrap_intervals(
         raise InputError(f"bootstrap intervals belong to gmwm fits, not to '{result.method}'")
     if replicates < 20:
         raise InputError(f"replicates is {replicates}, expected at least 20")
-    curves = bootstrap_curves(result.model, result.n_samples, result.rate_hz, result.details["scales"], replicates, rng)
+    assert result.curve is not None
+    scales, filter = result.details["scales"], result.curve.filter
+    curves = bootstrap_curves(result.model, result.n_samples, result.rate_hz, scales, replicates, rng, filter)
     drawn = np.array([_values(refit(result, c).model) for c in curves])
     tail = 0.5 * (1.0 - confidence)
     out = []

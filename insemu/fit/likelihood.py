@@ -104,7 +104,7 @@ def integrate(values: Array, at: NDArray[np.int64], dt: float) -> Array:
         hi = min(lo + piece, at.size)
         x = values[starts[lo] : at[hi - 1]] - origin
         out[lo:hi] = np.add.reduceat(x, starts[lo:hi] - starts[lo])
-    return (out + origin * (at - starts)) * dt
+    return np.asarray((out + origin * (at - starts)) * dt)
 
 
 class _Problem:
@@ -290,53 +290,13 @@ def _maximise(
     else:
         begin = fit_curve(curve, model, weighting="asymptotic", name=about.name).model
     coordinates = Coordinates.of(model, begin, math.sqrt(curve.value[0]), dt)
-    values, model_at = coordinates.start, coordinates.model
     free = coordinates.free
-
-    worst = [math.inf]
-
-    def cost(move: Array) -> float:
-        try:
-            value = -problem.likelihood(model_at(move))[0]
-        except InputError:
-            value = math.inf
-        if not math.isfinite(value):
-            return worst[0] + 1e3 if math.isfinite(worst[0]) else 1e300
-        worst[0] = value if not math.isfinite(worst[0]) else max(worst[0], value)
-        return value
-
-    if len(free):
-        low, high = values - 12.0, values + 12.0
-        found = optimize.minimize(
-            cost,
-            values,
-            method="L-BFGS-B",
-            bounds=list(zip(low, high, strict=True)),
-            options={"maxiter": 200, "ftol": 1e-11, "eps": 1e-5},
-        )
-        polished = optimize.minimize(
-            cost, found.x, method="Nelder-Mead",
-            options={"maxiter": 80 * len(free), "xatol": 1e-4, "fatol": 1e-5, "initial_simplex": _simplex(found.x)},
-        )  # fmt: skip
-        move = polished.x if polished.fun <= found.fun else found.x
-        converged = bool(polished.success)
-    else:
-        move, converged = values, True
-    fitted = model_at(move)
+    cost = _cost(problem, coordinates)
+    move, converged = _lowest(cost, coordinates.start)
+    fitted = coordinates.model(move)
     final, constant = problem.likelihood(fitted)
     covariance = _covariance(cost, move, coordinates)
-    notes = [] if converged else ["the search did not converge; treat the values as a start"]
-    record = n * dt
-    for k, (index, p) in enumerate(fitted.indexed()):
-        time = p.correlation_time(dt)
-        if time is not None and time > record / 2.0 and any((k, meta.name) in free for meta in p.shape_parameters):
-            notes.append(
-                f"{p.symbol}{index}: correlation time {time:.3g} s is longer than half of the record ({record:.3g} s) and "
-                "cannot be told from a random walk; use RW() instead"
-            )
-    for i, (k, name) in enumerate(free):
-        if not math.isfinite(covariance[i, i]) or covariance[i, i] < 0:
-            notes.append(f"{fitted.processes[k].symbol}.{name}: the likelihood does not determine it")
+    notes = _notes(fitted, free, covariance, n * dt, dt, converged)
     return FitResult(
         name=about.name,
         method="mli",
@@ -361,6 +321,58 @@ def _maximise(
             "free": free,
         },
     )
+
+
+def _cost(problem: _Problem | _Direct, coordinates: Coordinates) -> Callable[[Array], float]:
+    """Minus the log-likelihood; where there is none, above everything seen so far, so that a search turns back."""
+    worst = [math.inf]
+
+    def cost(move: Array) -> float:
+        try:
+            value = -problem.likelihood(coordinates.model(move))[0]
+        except InputError:
+            value = math.inf
+        if not math.isfinite(value):
+            return worst[0] + 1e3 if math.isfinite(worst[0]) else 1e300
+        worst[0] = value if not math.isfinite(worst[0]) else max(worst[0], value)
+        return value
+
+    return cost
+
+
+def _lowest(cost: Callable[[Array], float], values: Array) -> tuple[Array, bool]:
+    """Where the cost is lowest near a start, and whether the search ended by itself: quasi-Newton, polished without derivatives."""
+    if not values.size:
+        return values, True
+    found = optimize.minimize(
+        cost,
+        values,
+        method="L-BFGS-B",
+        bounds=list(zip(values - 12.0, values + 12.0, strict=True)),
+        options={"maxiter": 200, "ftol": 1e-11, "eps": 1e-5},
+    )
+    polished = optimize.minimize(
+        cost, found.x, method="Nelder-Mead",
+        options={"maxiter": 80 * values.size, "xatol": 1e-4, "fatol": 1e-5, "initial_simplex": _simplex(found.x)},
+    )  # fmt: skip
+    return (polished.x if polished.fun <= found.fun else found.x), bool(polished.success)
+
+
+def _notes(
+    fitted: NoiseModel, free: list[tuple[int, str]], covariance: Array, record: float, dt: float, converged: bool
+) -> list[str]:
+    notes = [] if converged else ["the search did not converge; treat the values as a start"]
+    for k, (index, p) in enumerate(fitted.indexed()):
+        time = p.correlation_time(dt)
+        if time is not None and time > record / 2.0 and any((k, meta.name) in free for meta in p.shape_parameters):
+            notes.append(
+                f"{p.symbol}{index}: correlation time {time:.3g} s is longer than half of the record ({record:.3g} s) and "
+                "cannot be told from a random walk; use RW() instead"
+            )
+    for i, (k, name) in enumerate(free):
+        if not math.isfinite(covariance[i, i]) or covariance[i, i] < 0:
+            notes.append(f"{fitted.processes[k].symbol}.{name}: the likelihood does not determine it")
+    return notes
 
 
 class _Direct:

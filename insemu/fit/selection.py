@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -214,25 +215,10 @@ def rank_models(
         covariance = (V[0] + np.diag((discrepancy * V[2]) ** 2))[np.ix_(use, use)]
         alive = solve(covariance)
     W = root_of_inverse(covariance)
-    ranked = []
-    for structure, best, p in alive:
-        penalty = 2.0 * _optimism(structure, best, scale, W, covariance)
-        spare = scale.size - p
-        excess = max(best.objective - spare, 0.0)
-        error = math.sqrt(2.0 * max(spare, 0) + 4.0 * excess)
-        p_value = float(chdtrc(spare, best.objective)) if spare > 0 else math.nan
-        total = structure.free_parameters
-        ranked.append(
-            Candidate(
-                structure.model if structure.model.specified else _unrated(structure, candidates, structures),
-                p,
-                best.objective,
-                Criterion(best.objective + penalty, error, penalty),
-                p_value,
-                p < total,
-                structure.specified(best.coefficients, best.shapes),
-            )
-        )
+    ranked = [
+        _candidate(structure, best, p, scale, W, covariance, _unrated(structure, candidates, structures))
+        for structure, best, p in alive
+    ]
     ranked.sort(key=lambda c: (c.criterion.value, c.parameters))
 
     def gain_under(simple: Candidate, rich: Candidate) -> float:
@@ -250,24 +236,56 @@ def rank_models(
         return distance[0] - distance[1]
 
     chosen = _choose(ranked, gain_under, CHANCE_OF_MISFITS if discrepancy > 0 else CHANCE)
-    if discrepancy == 0:
-        result = fit_curve(curve, chosen.structure, weighting="asymptotic", unit=unit, name=name, efficiency=efficiency)
-    else:
-        # the model's own covariance and what every candidate misses, renewed once
-        at = chosen.model
-        for _ in range(2):
-            own = model_covariance(at, n, curve.scale_samples, 1.0 / curve.rate_hz) / efficiency
-            own = own + np.diag((discrepancy * V[2]) ** 2)
-            result = fit_curve(curve, chosen.structure, covariance=own, unit=unit, name=name, efficiency=efficiency)
-            at = result.model
+    result = _fit_of(chosen, curve, discrepancy * V[2], efficiency, unit, name)
     if discrepancy > 0:
         note = (
             f"the record has structure that no candidate has, about {discrepancy:.1%} of the wavelet variance per scale; standard errors "
-            "allow for it"
+            "and the test of fit allow for it"
         )
         result = replace(result, warnings=(*result.warnings, note))
     result = replace(result, criterion=chosen.criterion)
     return Ranking(name, tuple(ranked), chosen, result, discrepancy, _verdict(name, ranked, chosen, discrepancy))
+
+
+def _candidate(
+    structure: Structure,
+    best: Solution,
+    parameters: int,
+    scale: NDArray[np.int64],
+    W: Array,
+    covariance: Array,
+    unrated: NoiseModel,
+) -> Candidate:
+    """A solution with its criterion and test of fit."""
+    penalty = 2.0 * _optimism(structure, best, scale, W, covariance)
+    spare = scale.size - parameters
+    excess = max(best.objective - spare, 0.0)
+    error = math.sqrt(2.0 * max(spare, 0) + 4.0 * excess)
+    p_value = float(chdtrc(spare, best.objective)) if spare > 0 else math.nan
+    return Candidate(
+        structure.model if structure.model.specified else unrated,
+        parameters,
+        best.objective,
+        Criterion(best.objective + penalty, error, penalty),
+        p_value,
+        parameters < structure.free_parameters,
+        structure.specified(best.coefficients, best.shapes),
+    )
+
+
+def _fit_of(
+    chosen: Candidate, curve: WaveletVariance, missed: Array, efficiency: float, unit: str, name: str
+) -> FitResult:
+    """The fit of the chosen model, weighed by its own covariance and by what every candidate misses, renewed once."""
+    if not missed.any():
+        return fit_curve(curve, chosen.structure, weighting="asymptotic", unit=unit, name=name, efficiency=efficiency)
+    at = chosen.model
+    for _ in range(2):
+        own = model_covariance(at, curve.n_samples, curve.scale_samples, 1.0 / curve.rate_hz) / efficiency
+        own = own + np.diag(missed**2)
+        result = fit_curve(curve, chosen.structure, covariance=own, unit=unit, name=name, efficiency=efficiency)
+        at = result.model
+    return result
 
 
 def _discrepancy(
@@ -493,6 +511,7 @@ def select_axes(
     candidates: Sequence[NoiseModel] | None = None,
     robust: bool = False,
     workers: int = 1,
+    progress: Callable[[str], None] | None = None,
 ) -> dict[str, Ranking]:
     """Select for several axes, axes and candidates in parallel.
 
@@ -506,6 +525,8 @@ def select_axes(
         Use the robust wavelet variance.
     workers : int
         Threads; the compiled search releases the interpreter.
+    progress : callable, optional
+        Told the name of an axis that is finished.
 
     Returns
     -------
@@ -520,11 +541,14 @@ def select_axes(
         else:
             curve = wavelet_variance(series.values, series.rate_hz)
         efficiency = float(getattr(curve, "efficiency", 1.0))
+        options: dict[str, Any] = {"name": series.name, "unit": series.unit, "efficiency": efficiency}
         if candidates is None:
-            return select(curve, general, name=series.name, unit=series.unit, efficiency=efficiency, executor=executor)
-        return rank_models(
-            curve, candidates, name=series.name, unit=series.unit, efficiency=efficiency, executor=executor
-        )
+            ranking = select(curve, general, executor=executor, **options)
+        else:
+            ranking = rank_models(curve, candidates, executor=executor, **options)
+        if progress is not None:
+            progress(series.name)
+        return ranking
 
     # two pools: an axis waits for its candidates, and must not hold the place of one
     count = max(min(workers, len(signals)), 1)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from insemu.errors import InputError
 from insemu.fit.result import Estimate, FitResult, unit_of
-from insemu.noise import BI, DR, GM, QN, RW, WN, NoiseModel, Process
+from insemu.noise import GM, NoiseModel, Process
 from insemu.records import Series
 from insemu.variance import wavelet_variance
 from insemu.variance.allan import allan_variance
@@ -26,8 +26,11 @@ from insemu.variance.spectrum import average_frequencies, psd
 Array = NDArray[np.float64]
 Source = Literal["allan", "psd"]
 
-#: Process to the parameter that a slope gives.
-_READ: Mapping[type[Process], str] = {WN: "N", QN: "Q", RW: "K", DR: "R", BI: "B"}
+#: Standard error and interval of the parameters of a process.
+Errors = dict[str, tuple[float, float, float]]
+
+#: Processes whose level a slope gives; a GM is read off a flat part or hump.
+STRAIGHT = ("WN", "QN", "RW", "DR", "BI")
 
 
 def fit_slopes(series: Series, model: NoiseModel, *, source: Source = "allan") -> FitResult:
@@ -53,16 +56,14 @@ def fit_slopes(series: Series, model: NoiseModel, *, source: Source = "allan") -
     """
     if source not in get_args(Source):
         raise InputError(f"source is '{source}', expected one of: {', '.join(get_args(Source))}")
-    kinds = [type(p) for p in model]
-    for p in model:
-        if type(p) not in (*_READ, GM):
+    kinds = [p.symbol for p in model]
+    for kind in kinds:
+        if kind not in (*STRAIGHT, "GM"):
             raise InputError(
-                f"{p.symbol} has no slope of its own; expected a sum of WN, QN, RW, DR, BI and GM (or use gmwm)"
+                f"{kind} has no slope of its own; expected a sum of {', '.join(STRAIGHT)} and GM (or use gmwm)"
             )
-        if kinds.count(type(p)) > 1:
-            raise InputError(
-                f"slopes cannot tell {kinds.count(type(p))} {p.symbol} apart; expected one of each (or use gmwm)"
-            )
+        if kinds.count(kind) > 1:
+            raise InputError(f"slopes cannot tell {kinds.count(kind)} {kind} apart; expected one of each (or use gmwm)")
     read = (
         read_curve(allan_variance(series.values, series.rate_hz), series.unit)
         if source == "allan"
@@ -70,40 +71,12 @@ def fit_slopes(series: Series, model: NoiseModel, *, source: Source = "allan") -
     )
     notes: list[str] = []
     parts: list[Process] = []
-    errors: list[dict[str, tuple[float, float, float]]] = []
+    errors: list[Errors] = []
     for p in model:
-        if p.specified:
-            parts.append(p)
-            errors.append({})
-            continue
-        spread: dict[str, tuple[float, float, float]] = {}
-        if isinstance(p, GM):
-            B, Tc = read.get("B"), read.get("Tc")
-            if B is None or Tc is None:
-                notes.append("GM: no flat part or hump is visible; its variance is set to zero")
-                parts.append(GM(0.0, 1.0 / series.dt / len(series)))
-            else:
-                sigma = FLICKER * B.si_value
-                parts.append(GM(sigma, 1.0 / Tc.si_value))
-                spread["sigma"] = _relative(B, sigma)
-                beta = 1.0 / Tc.si_value
-                if Tc.low > 0 and math.isfinite(Tc.high):
-                    low, high = beta * Tc.value / Tc.high, beta * Tc.value / Tc.low
-                    spread["beta"] = ((high - low) / 3.92, low, high)
-                if Tc.note:
-                    notes.append(f"GM: its correlation time was read at the {Tc.note}")
-        else:
-            name = _READ[type(p)]
-            found = read.get(name)
-            if found is None:
-                notes.append(f"{p.symbol}: no part of the curve has its slope; its {name} is set to zero")
-                parts.append(p.with_parameters({name: 0.0}))
-            else:
-                parts.append(p.with_parameters({name: found.si_value}))
-                spread[name] = _relative(found, found.si_value)
-                if found.note:
-                    notes.append(f"{p.symbol}: {found.note}")
+        found, spread, note = (p, {}, "") if p.specified else _read_off(p, read, series)
+        parts.append(found)
         errors.append(spread)
+        notes += [note] if note else []
     fitted = NoiseModel(tuple(parts))
     curve = wavelet_variance(series.values, series.rate_hz)
     parameters = []
@@ -135,6 +108,31 @@ def fit_slopes(series: Series, model: NoiseModel, *, source: Source = "allan") -
         warnings=tuple(notes),
         details={"source": source, "readings": read},
     )
+
+
+def _read_off(p: Process, read: Mapping[str, Reading], series: Series) -> tuple[Process, Errors, str]:
+    """A process with the values that the slopes give, the errors of its parameters, and what is to be said of them."""
+    if isinstance(p, GM):
+        B, Tc = read.get("B"), read.get("Tc")
+        if B is None or Tc is None:
+            return (
+                GM(0.0, 1.0 / series.dt / len(series)),
+                {},
+                "GM: no flat part or hump is visible; its variance is set to zero",
+            )
+        sigma, beta = FLICKER * B.si_value, 1.0 / Tc.si_value
+        spread = {"sigma": _relative(B, sigma)}
+        if Tc.low > 0 and math.isfinite(Tc.high):
+            low, high = beta * Tc.value / Tc.high, beta * Tc.value / Tc.low
+            spread["beta"] = ((high - low) / 3.92, low, high)
+        return GM(sigma, beta), spread, f"GM: its correlation time was read at the {Tc.note}" if Tc.note else ""
+    name = p.level.name
+    found = read.get(name)
+    if found is None:
+        zero = p.with_parameters({name: 0.0})
+        return zero, {}, f"{p.symbol}: no part of the curve has its slope; its {name} is set to zero"
+    note = f"{p.symbol}: {found.note}" if found.note else ""
+    return p.with_parameters({name: found.si_value}), {name: _relative(found, found.si_value)}, note
 
 
 def _relative(reading: Reading, value: float) -> tuple[float, float, float]:

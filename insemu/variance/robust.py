@@ -149,6 +149,47 @@ def _heavy(w: Array, variance: float, scale: int) -> bool:
     return False
 
 
+@dataclass(frozen=True)
+class _Seen:
+    """Octaves of a record: the plain variance, coefficients that no jump touches and their share, and whether the tails are heavy."""
+
+    plain: Array
+    picked: list[Array]
+    share: Array
+    contaminated: bool
+
+
+def _see(values: Array, count: int, c: float, k: float, *, contaminated: bool) -> _Seen:
+    """Go through the octaves; ``c`` and ``k`` are the biweight's constants, ``contaminated`` takes the tails for heavy unseen."""
+    n = values.size
+    plain, share = np.empty(count), np.ones(count)
+    picked: list[Array] = []
+    strides = [max(1, (2 << j) // POSITIONS) for j in range(count)]
+    v = values - values[0]
+    seen = np.zeros(n, dtype=np.int64)
+    for j in range(count):
+        m = 1 << j
+        w, smooth = np.empty(v.size - m), np.empty(v.size - m)
+        _kernel.haar_coefficients_level(v, m, w, smooth)
+        v = smooth
+        plain[j] = float(np.dot(w, w)) / w.size
+        every = w[:: strides[j]] if strides[j] > 1 else w
+        if j == 0:
+            first = _scale(w, c, k)
+            bad = np.abs(w) > STEP_LIMIT * np.sqrt(first)
+            np.cumsum(bad, out=seen[1:])
+            contaminated = contaminated or _heavy(w, first, 2)
+            picked.append(w)
+            continue
+        if j < 6 and not contaminated:
+            contaminated = _heavy(every, _scale(every, c, k), (2 << j) // strides[j])
+        clean = np.empty(every.size)
+        kept = _kernel.untouched(w, seen, 2 << j, strides[j], clean)
+        share[j] = kept / every.size
+        picked.append(clean[:kept] if share[j] >= 0.1 else np.ascontiguousarray(every))
+    return _Seen(plain, picked, share, contaminated)
+
+
 def robust_wavelet_variance(
     x: ArrayLike,
     rate_hz: float = 1.0,
@@ -186,53 +227,23 @@ def robust_wavelet_variance(
     n = values.size
     count = check_levels(levels, max_levels(n), n)
 
-    plain, value, share = np.empty(count), np.empty(count), np.ones(count)
-    contaminated = not adaptive
-    picked: list[Array] = []
-    strides = [max(1, (2 << j) // POSITIONS) for j in range(count)]
-    v = values - values[0]
-    seen = np.zeros(n, dtype=np.int64)
-    for j in range(count):
-        m = 1 << j
-        w, smooth = np.empty(v.size - m), np.empty(v.size - m)
-        _kernel.haar_coefficients_level(v, m, w, smooth)
-        v = smooth
-        plain[j] = float(np.dot(w, w)) / w.size
-        every = w[:: strides[j]] if strides[j] > 1 else w
-        if j == 0:
-            first = _scale(w, c, k)
-            bad = np.abs(w) > STEP_LIMIT * np.sqrt(first)
-            np.cumsum(bad, out=seen[1:])
-            contaminated = contaminated or _heavy(w, first, 2)
-        elif j < 6 and not contaminated:
-            contaminated = _heavy(every, _scale(every, c, k), (2 << j) // strides[j])
-        if j == 0:
-            picked.append(w)
-            continue
-        clean = np.empty(every.size)
-        kept = _kernel.untouched(w, seen, 2 << j, strides[j], clean)
-        share[j] = kept / every.size
-        picked.append(clean[:kept] if share[j] >= 0.1 else np.ascontiguousarray(every))
+    seen = _see(values, count, c, k, contaminated=not adaptive)
     scale = 2 ** np.arange(1, count + 1, dtype=np.int64)
-    used = n - scale + 1
-    loss = np.ones(count)
+    value, loss = seen.plain, np.ones(count)
     used_efficiency, protected = 1.0, np.ones(count, dtype=bool)
-    if contaminated:
-        used_efficiency, protected = float(efficiency), share >= 0.5
-        value[:] = [_scale(w, c, k) for w in picked]
-        loss = np.where(share >= 0.1, share, 1.0)
+    if seen.contaminated:
+        used_efficiency, protected = float(efficiency), seen.share >= 0.5
+        value = np.array([_scale(w, c, k) for w in seen.picked])
+        loss = np.where(seen.share >= 0.1, seen.share, 1.0)
+        light = np.zeros(count, dtype=bool)
         if adaptive:
-            core = np.array([_core(w, s2) for w, s2 in zip(picked, value, strict=True)])
+            core = np.array([_core(w, s2) for w, s2 in zip(seen.picked, value, strict=True)])
             freedom = edof_of_noise(noise_type(scale, value, n), scale, n) * loss
             # what two estimates of efficiencies 1 and e differ by (Hausman)
             apart = np.sqrt(2.0 / np.maximum(freedom, 1.0) * (1.0 / used_efficiency - 1.0))
             light = protected & (core < value * (1.0 - 3.3 * apart))
             value[light] = core[light]
-            loss = np.where(light, loss, loss * used_efficiency)
-        else:
-            loss = loss * used_efficiency
-    else:
-        value = plain
+        loss = np.where(light, loss, loss * used_efficiency)
     scatter: Scatter | None = None
     if intervals == "eta3":
         edof = eta3(scale.astype(float), n)
@@ -248,7 +259,7 @@ def robust_wavelet_variance(
         low,
         high,
         edof,
-        used,
+        n - scale + 1,
         n,
         rate_hz,
         "haar",
@@ -256,7 +267,7 @@ def robust_wavelet_variance(
         intervals,
         confidence,
         efficiency=used_efficiency,
-        contaminated=contaminated,
+        contaminated=seen.contaminated,
         protected=protected,
     )
 

@@ -210,6 +210,8 @@ def state_of(
 
 #: Share of the median power below which a spectrum is not whitened.
 LEAST_POWER = 1e-3
+#: Variance above the block band over that of the innovations from which a sample is mostly memory of the one before.
+MEMORY = 2.0
 #: Samples at either end that the whitening of a steep spectrum spoils, because a discrete transform is periodic.
 WRAPPED = 32
 
@@ -242,7 +244,9 @@ def whitened(state: AxisState) -> Array:
         f, S = _spectral_weight(state.explanation, n, data.dt)
         # beyond an output filter there is nothing but what leaks there: it must not be blown up
         least = LEAST_POWER * float(np.median(S))
-        steep = bool((S < least).any())
+        # noise that is mostly memory jumps where the last sample meets the first, by many of its innovations
+        band = S[f >= (data.f[0] if data.f.size else 0.0)]
+        steep = bool((S < least).any() or band.mean() > MEMORY * np.exp(np.mean(np.log(np.maximum(band, 1e-300)))))
         S = np.maximum(S, least)
         gain = np.zeros(y.size)
         lowest = data.f[0] if data.f.size else 0.0
