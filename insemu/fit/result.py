@@ -248,6 +248,18 @@ def estimates(
 
     Positive parameters get intervals that are symmetric on a logarithmic scale, correlation coefficients on Fisher's; both stay where the
     parameter can be.
+
+    Parameters
+    ----------
+    model : NoiseModel
+        Specified.
+    free : list of (process number, parameter name)
+    covariance : (p, p) array
+        Of the free parameters.
+    unit : str
+        SI unit of the signal.
+    confidence : float
+        Of the intervals.
     """
     z = float(ndtri(0.5 + 0.5 * confidence))
     place = {key: i for i, key in enumerate(free)}
@@ -311,6 +323,14 @@ def kalibr(
     The format knows one noise density and one random walk per sensor triad; the axes are combined by their root mean square. A GM (or AR1)
     enters by what it resembles over a second: slower than that by the random walk it is at short times (driving density sigma
     sqrt(2 beta)), faster by the white noise it is at long times (its PSD at low frequency).
+
+    Parameters
+    ----------
+    results : mapping of axis to FitResult
+    rate_hz : float, optional
+        Update rate to write; that of the first fit by default.
+    topic : str
+        ROS topic to write.
 
     Returns
     -------
