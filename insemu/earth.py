@@ -4,6 +4,14 @@ Latitudes and longitudes are radians, heights are ellipsoidal and positive up, v
 east, down. Public functions broadcast over leading axes; the functions whose names start with ``scalar_`` are
 compiled and are what the mechanization and the filter call per epoch.
 
+What stands here and not in a library
+-------------------------------------
+Conversions between geodetic, Earth-fixed and local coordinates are pymap3d's. Own are
+
+* what compiled loops call per epoch (radii, gravity and its slopes), with array forms of the same formulas,
+* the way back from Earth-fixed coordinates (:func:`ecef_to_llh`): pymap3d loses 3 nm in height, and the emulator's truth is held to 1 nm,
+* gravity, rates and the metres of the filter's states (:func:`position_difference`, :func:`move`), which no geodesy library has.
+
 Gravity models
 --------------
 ``normal`` (default)
@@ -227,12 +235,10 @@ def dcm_en(lat: ArrayLike, lon: ArrayLike) -> Array:
 
 def llh_to_ecef(llh: ArrayLike) -> Array:
     """Earth-fixed coordinates in m of ``(..., 3)`` positions (lat rad, lon rad, height m)."""
+    import pymap3d
+
     llh = np.asarray(llh, dtype=float)
-    lat, lon, h = llh[..., 0], llh[..., 1], llh[..., 2]
-    s, c = np.sin(lat), np.cos(lat)
-    rn = A**2 / np.hypot(A * c, B * s)  # loses less to rounding than 1 - e^2 sin^2
-    p = (rn + h) * c
-    return np.stack([p * np.cos(lon), p * np.sin(lon), (rn * (B / A) ** 2 + h) * s], axis=-1)
+    return np.stack(pymap3d.geodetic2ecef(llh[..., 0], llh[..., 1], llh[..., 2], deg=False), axis=-1)
 
 
 def ecef_to_llh(ecef: ArrayLike) -> Array:
@@ -268,15 +274,18 @@ def ecef_to_llh(ecef: ArrayLike) -> Array:
 
 def ecef_to_ned(ecef: ArrayLike, origin_llh: ArrayLike) -> Array:
     """Coordinates in m in the tangent NED frame at ``origin_llh`` (3,) of Earth-fixed points (..., 3)."""
-    origin = np.asarray(origin_llh, dtype=float)
-    difference = np.asarray(ecef, dtype=float) - llh_to_ecef(origin)
-    return difference @ dcm_en(origin[0], origin[1])
+    import pymap3d
+
+    x, o = np.asarray(ecef, dtype=float), np.asarray(origin_llh, dtype=float)
+    return np.stack(pymap3d.ecef2ned(x[..., 0], x[..., 1], x[..., 2], o[0], o[1], o[2], deg=False), axis=-1)
 
 
 def ned_to_ecef(ned: ArrayLike, origin_llh: ArrayLike) -> Array:
     """Inverse of :func:`ecef_to_ned`."""
-    origin = np.asarray(origin_llh, dtype=float)
-    return np.asarray(ned, dtype=float) @ dcm_en(origin[0], origin[1]).T + llh_to_ecef(origin)
+    import pymap3d
+
+    x, o = np.asarray(ned, dtype=float), np.asarray(origin_llh, dtype=float)
+    return np.stack(pymap3d.ned2ecef(x[..., 0], x[..., 1], x[..., 2], o[0], o[1], o[2], deg=False), axis=-1)
 
 
 def llh_to_ned(llh: ArrayLike, origin_llh: ArrayLike) -> Array:

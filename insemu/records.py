@@ -164,13 +164,18 @@ class ImuRecord:
         """What turns rates into the record's values, (n, 1): 1, or for increments the interval in s.
 
         An IMU samples by its own clock: increments between stamps that merely jitter, by less than this share of the sampling interval, all
-        span the same time.
+        span the same time. Without ``jitter`` (0) every one spans what its stamps say, as in emulated data.
         """
         if self.kind != "increment":
             return np.ones((len(self), 1))
-        step = np.diff(self.t, prepend=2 * self.t[0] - self.t[1])
+        step = np.diff(self.t, prepend=2 * self.t[0] - self.t[min(1, len(self) - 1)])
         beat = float(np.median(step))
         return np.asarray(np.where(np.abs(step / beat - 1.0) < jitter, beat, step)[:, None])
+
+    def gaps(self, longer_than: float) -> list[tuple[float, float]]:
+        """Steps of more than so many seconds, as (start, length) in s."""
+        step = np.diff(self.t)
+        return [(float(self.t[k]), float(step[k])) for k in np.flatnonzero(step > longer_than)]
 
     def rates(self) -> Array:
         """Angular rate and specific force whatever the kind, (n, 6) in rad/s and m/s^2."""
@@ -280,6 +285,35 @@ class Trajectory:
 
 
 @dataclass(frozen=True)
+class InitialState:
+    """Where the IMU was at one time, known from elsewhere.
+
+    Parameters
+    ----------
+    t : float
+        s, on the IMU's clock.
+    llh, vel_ned, rpy : (3,) arrays
+        As in a :class:`Trajectory`; the attitude is that of the axes of the file.
+    sigma : (9,) array
+        Standard deviations of position (m), velocity (m/s), attitude (rad), north, east, down.
+    """
+
+    t: float
+    llh: Array
+    vel_ned: Array
+    rpy: Array
+    sigma: Array
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.t):
+            raise InputError(f"the time of the initial state is {self.t}, expected a finite number of seconds")
+        for name, size in (("llh", 3), ("vel_ned", 3), ("rpy", 3), ("sigma", 9)):
+            object.__setattr__(self, name, _frozen(getattr(self, name), f"initial {name}", (size,)))
+        if not (self.sigma >= 0).all():
+            raise InputError(f"initial sigma is {self.sigma.tolist()}, expected nine numbers that are not negative")
+
+
+@dataclass(frozen=True)
 class AidRecord:
     """A measurement beside IMU and fixes: a known standstill, and what :mod:`insemu.filters.aids` offers.
 
@@ -334,6 +368,8 @@ class Recording:
         File or folder it came from; appears in messages.
     aids : tuple of AidRecord
         Further measurements.
+    initial : InitialState, optional
+        Where a filter may start; found by alignment where it is not given.
     """
 
     imu: ImuRecord
@@ -341,3 +377,4 @@ class Recording:
     reference: Trajectory | None = None
     source: str = "recording"
     aids: tuple[AidRecord, ...] = ()
+    initial: InitialState | None = None

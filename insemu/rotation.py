@@ -98,7 +98,7 @@ def quaternion_from_dcm(c: ArrayLike) -> Array:
     best = np.argmax(np.diagonal(k, axis1=-2, axis2=-1), axis=-1)
     q = np.take_along_axis(k, best[..., None, None], axis=-2)[..., 0, :]
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    return np.where(q[..., :1] < 0, -q, q)
+    return np.asarray(np.where(q[..., :1] < 0, -q, q))
 
 
 def quaternion_product(p: ArrayLike, q: ArrayLike) -> Array:
@@ -118,7 +118,7 @@ def quaternion_product(p: ArrayLike, q: ArrayLike) -> Array:
 
 def quaternion_conjugate(q: ArrayLike) -> Array:
     """Inverse of a unit quaternion; (..., 4)."""
-    return np.asarray(q, dtype=float) * np.array([1.0, -1.0, -1.0, -1.0])
+    return np.asarray(np.asarray(q, dtype=float) * np.array([1.0, -1.0, -1.0, -1.0]))
 
 
 def quaternion_from_vector(phi: ArrayLike) -> Array:

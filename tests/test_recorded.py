@@ -14,8 +14,9 @@ from insemu import earth, rotation
 from insemu.errors import InputError
 from insemu.evaluate import Experiment, run_experiment, summary
 from insemu.evaluate.emulated import EmulatedWorld
+from insemu.evaluate.recorded import RecordedWorld
 from insemu.formats import write
-from insemu.records import Recording
+from insemu.records import InitialState, Recording
 from insemu.scenario import load
 
 WORLD: dict[str, Any] = {
@@ -154,3 +155,44 @@ def test_bad_recordings_are_named(tmp_path: Path, recording: Recording, changes:
     path = _scenario(tmp_path, **changes)
     with pytest.raises(InputError, match=message):
         Experiment(load(path), path)
+
+
+def test_what_a_recording_does_not_state_is_assumed_and_said(tmp_path: Path, recording: Recording) -> None:
+    assert recording.gnss is not None
+    silent = replace(recording, gnss=replace(recording.gnss, pos_std_ned=None, vel_std_ned=None))
+    write(tmp_path / "drive.npz", _mounted(silent))
+    path = _scenario(tmp_path, gnss={"outages": [{"start": "120 s", "duration": "20 s"}]})
+    world = RecordedWorld(load(path), path)
+    said = [w for w in world.warnings if "assumed from their scatter" in w]
+    assert len(said) == 2 and "gnss.position_sigma states them" in said[0]
+    assert world.gnss.pos_std_ned is not None and 0.05 < float(np.median(world.gnss.pos_std_ned)) < 1.0
+    path = _scenario(tmp_path)
+    assert not any("assumed" in w for w in RecordedWorld(load(path), path).warnings)
+
+
+def test_gaps_in_the_imu_are_bridged_within_a_second_and_refused_beyond(tmp_path: Path, recording: Recording) -> None:
+    imu = _mounted(recording).imu
+    for seconds, message in ((0.4, "1 gaps in the IMU data, up to 0.4"), (17.0, "no IMU data for 17 s")):
+        keep = (imu.t <= 60.0) | (imu.t >= 60.0 + seconds - 0.01)
+        write(tmp_path / "drive.npz", replace(_mounted(recording), imu=imu.rows(keep)))
+        path = _scenario(tmp_path)
+        if seconds < 1.0:
+            assert any(message in w for w in RecordedWorld(load(path), path).warnings)
+        else:
+            with pytest.raises(InputError, match=message):
+                RecordedWorld(load(path), path)
+
+
+@pytest.mark.parametrize("name", ["drive.npz", "folder"])
+def test_a_recording_starts_at_the_state_that_it_carries(tmp_path: Path, recording: Recording, name: str) -> None:
+    assert recording.reference is not None
+    ref, k = recording.reference, 40
+    C_vb = rotation.dcm_from_rpy(np.deg2rad([float(m.split()[0]) for m in MOUNTING]))
+    attitude = rotation.rpy_from_dcm(rotation.dcm_from_rpy(ref.rpy[k]) @ C_vb)
+    known = InitialState(float(ref.t[k]), ref.llh[k], ref.vel_ned[k], attitude, np.repeat([0.1, 0.05, 0.01], 3))
+    write(tmp_path / name, replace(_mounted(recording), initial=known))
+    path = _scenario(tmp_path, recording={"file": name, "mounting": MOUNTING})
+    start = RecordedWorld(load(path), path).alignment
+    assert abs(start.t - ref.t[k]) < 0.03
+    np.testing.assert_allclose(start.state.rpy, ref.rpy[k], atol=1e-6)
+    np.testing.assert_allclose(np.asarray(start.sigma.attitude), 0.01)

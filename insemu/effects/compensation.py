@@ -92,7 +92,7 @@ def columns_without(values: Array, t: Array, effects: Sequence[EffectUse], tempe
 
 def _imu(imu: ImuRecord, effects: Sequence[EffectUse], trajectory: Trajectory | None) -> ImuRecord:
     t = imu.t
-    step = np.diff(t, prepend=2 * t[0] - t[1])[:, None] if imu.kind == "increment" else np.ones((t.size, 1))
+    step = imu.widths(0.0)
     out = columns_without(np.hstack([imu.gyro, imu.accel]) / step, t, effects, imu.temperature)
     rate, force = out[:, :3], out[:, 3:]
     for use in effects:

@@ -176,10 +176,9 @@ def _run(
 
 def _intervals(imu: ImuRecord) -> Array:
     """Intervals (n,) in s by which increments are divided and multiplied; empty for the other kinds."""
-    return np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1]) if imu.kind == "increment" else np.empty(0)
+    return imu.widths(0.0)[:, 0] if imu.kind == "increment" else np.empty(0)
 
 
 def _add(imu: ImuRecord, errors: Array) -> ImuRecord:
-    if imu.kind == "increment":
-        errors = errors * _intervals(imu)[:, None]
+    errors = errors * imu.widths(0.0)
     return replace(imu, gyro=imu.gyro + errors[:, :3], accel=imu.accel + errors[:, 3:])

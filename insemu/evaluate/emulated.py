@@ -255,8 +255,7 @@ class EmulatedWorld:
         if any(EFFECTS[use.id].family == "stochastic" for use in uses) or not np.array_equal(imu.t, self.imu.t):
             return None
         rows = np.searchsorted(self.reference.t, self.output_times)
-        step = np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1])[:, None] if imu.kind == "increment" else 1.0
-        total = np.hstack([(imu.gyro - self.imu.gyro) / step, (imu.accel - self.imu.accel) / step])[rows]
+        total = (np.hstack([imu.gyro - self.imu.gyro, imu.accel - self.imu.accel]) / imu.widths(0.0))[rows]
         return TrueStates(known.axes + total - errors[rows], None, known.names)
 
     @property
@@ -300,6 +299,10 @@ class EmulatedWorld:
     def rows(self, imu: ImuRecord, every: int) -> NDArray[np.intp]:
         """Rows of a record (multiples of ``every``) nearest the output epochs."""
         return nearest_rows(imu.t, self.output_times, every)
+
+    @property
+    def card(self) -> None:
+        """Nothing was read."""
 
     @property
     def compared(self) -> int:

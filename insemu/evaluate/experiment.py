@@ -305,7 +305,8 @@ class Experiment:
         rows = self.world.rows(known.imu, max(d.options.covariance_every for d in self.scenario.designs.values()))
         times = known.imu.t[rows]
         ekf = self.filter(name, covariance_at=times, standstill=self._rests(name, known))
-        run = ekf.run(self._prefiltered(name, known.imu), self._believed(name, known.gnss), start, start_sigma)
+        aids = {"aids": recording.aids} if recording.aids else {}  # a user's filter need not know of them
+        run = ekf.run(self._prefiltered(name, known.imu), self._believed(name, known.gnss), start, start_sigma, **aids)
         if (users := self.scenario.designs[name].filter) is not None:
             check_result(users, run, times, smoother=self.scenario.smoother)
         found = asdict(self.world.score(Estimate.of_filter(run, times), times))
@@ -446,7 +447,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         "packages": {name: metadata.version(name) for name in packages},
         "ideal_imu_distance_m": experiment.world.path_distance_m,
         "warnings": list(experiment.warnings),
-        "intake": experiment.world.card.to_json() if isinstance(experiment.world, RecordedWorld) else None,
+        "intake": None if (card := experiment.world.card) is None else card.to_json(),
         "beliefs": {
             name: {axis: m.to_list(axis_unit(axis)) for axis, m in b.models.items()}
             for name, b in experiment.beliefs.items()

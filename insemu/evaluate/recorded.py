@@ -26,6 +26,8 @@ from insemu.strapdown import NavState
 Array = NDArray[np.float64]
 
 
+#: A gap in the IMU data of up to so many seconds is crossed in one step: what a vehicle does within is a mean, and no more than a second of it.
+BRIDGED_S = 1.0
 #: Share of repeated IMU rows from which a recording is warned about.
 REPEATED = 0.002
 
@@ -68,6 +70,11 @@ class RecordedWorld:
         if keep.sum() < 2:
             raise InputError("the span from start to end holds no IMU data", where=f"{file or 'scenario'}: recording")
         self.vehicle_imu = replace(imu, gyro=imu.gyro @ C.T, accel=imu.accel @ C.T).rows(keep)
+        self.warnings += tuple(_bridged(self.vehicle_imu, self.source.file))
+        self.aids, self.known = recording.aids, None
+        if recording.initial is not None:
+            attitude = rotation.dcm_from_rpy(recording.initial.rpy) @ C.T
+            self.known = replace(recording.initial, rpy=rotation.rpy_from_dcm(attitude))
         gnss = recording.gnss
         inside = (gnss.t >= self.vehicle_imu.t[0]) & (gnss.t <= self.vehicle_imu.t[-1])
         inside &= np.isfinite(gnss.llh).all(axis=1)
@@ -108,6 +115,7 @@ class RecordedWorld:
                 self.vehicle_imu,
                 self.gnss,
                 how=self.source.alignment,
+                known=self.known,
                 lever_arm=self.scenario.gnss.lever_arm,
                 gravity=self.source.gravity,
             )
@@ -159,7 +167,8 @@ class RecordedWorld:
         for start, duration in self.outage_windows:
             withheld |= Outage(start, duration).covers(gnss.t)
         kept = gnss.rows((gnss.t > self.alignment.t) & ~withheld)
-        return Recording(cut(self.vehicle_imu, self.alignment), kept, self.reference, self.source.file)
+        imu = cut(self.vehicle_imu, self.alignment)
+        return Recording(imu, kept, self.reference, self.source.file, self.aids, self.known)
 
     def true_states(self, realization: int, imu: ImuRecord) -> None:
         """Nobody knows what the sensors of a recording really did."""
@@ -228,6 +237,21 @@ class RecordedWorld:
             P[:, :used, :used] += np.eye(used) * R[:, None]
         sigma = np.sqrt(np.einsum("tii->ti", P))
         return Scored(error, sigma, nees(np.nan_to_num(error[:, :used]), P[:, :used, :used]) * 9.0 / used)
+
+
+def _bridged(imu: ImuRecord, name: str) -> list[str]:
+    """A warning where stamps skip and the step over the gap is one; refused where that is longer than :data:`BRIDGED_S`."""
+    gaps = imu.gaps(2.5 * imu.dt)
+    if not gaps:
+        return []
+    at, longest = max(gaps, key=lambda g: g[1])
+    if longest > BRIDGED_S:
+        raise InputError(
+            f"has no IMU data for {longest:.3g} s from {at:.6g} s, expected gaps of at most {BRIDGED_S:g} s; recording.start or recording.end "
+            "can leave it out",
+            where=name,
+        )
+    return [f"{name}: {len(gaps)} gaps in the IMU data, up to {longest:.2g} s, are each crossed in one step"]
 
 
 def _repeated_rows(imu: ImuRecord, name: str) -> list[str]:

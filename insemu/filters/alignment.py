@@ -98,7 +98,7 @@ def sigma_of_fixes(gnss: GnssRecord) -> GnssRecord:
         if len(third) < 5:
             return np.full(3, 10.0 * least)
         # 1, 3, 3, 1: variances add up to 20
-        return np.maximum(1.4826 * np.median(np.abs(third), axis=0) / np.sqrt(20.0), least)
+        return np.asarray(np.maximum(1.4826 * np.median(np.abs(third), axis=0) / np.sqrt(20.0), least))
 
     known = np.isfinite(gnss.llh).all(axis=1)
     place = None

@@ -36,6 +36,8 @@ class NavigationFilter(Protocol):
     ``Class(belief, dt, lever_arm=..., gravity=..., gnss_sigma=..., options=..., **settings)``, once per realization: ``belief`` maps axes to
     noise models (those that the design gives), ``options`` is :class:`~insemu.filters.ekf.FilterOptions`, ``settings`` are the design's.
 
+    Where a recording carries further measurements, ``run`` is called with ``aids=`` (:class:`~insemu.records.AidRecord`), too.
+
     The result's first nine states are position (metres north, east, down), velocity and attitude errors. It has a row of ``nav`` and a
     covariance at every time of ``options.covariance_at``, and its ``fixes`` are what consistency is judged by.
     """
@@ -112,7 +114,7 @@ def user_filter(name: str) -> type[NavigationFilter]:
     """
     entry = _entry(name)
     try:
-        found = entry.load()
+        found: type[NavigationFilter] = entry.load()
     except (ImportError, AttributeError) as error:
         raise InputError(f"the filter '{name}' ({entry.value}) cannot be imported: {error}") from None
     if not callable(getattr(found, "run", None)):

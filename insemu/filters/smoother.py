@@ -46,7 +46,7 @@ class SmootherResult:
     @property
     def sigma(self) -> Array:
         """Standard deviations of all states, (k, n)."""
-        return np.sqrt(np.maximum(np.einsum("kii->ki", self.covariance), 0.0))
+        return np.asarray(np.sqrt(np.maximum(np.einsum("kii->ki", self.covariance), 0.0)))
 
     @cached_property
     def trajectory(self) -> Trajectory:

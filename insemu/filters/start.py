@@ -7,12 +7,35 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from insemu import earth
 from insemu.errors import InputError
 from insemu.filters.alignment import Alignment, align
 from insemu.filters.motion import align_in_motion
-from insemu.records import GnssRecord, ImuRecord
+from insemu.filters.options import InitialSigma
+from insemu.records import GnssRecord, ImuRecord, InitialState
+from insemu.strapdown import NavState
 
 How = Literal["auto", "rest", "motion"]
+
+
+def at_state(imu: ImuRecord, known: InitialState) -> Alignment:
+    """A start at a state that is known, at the first epoch of ``imu`` at or after it.
+
+    Raises
+    ------
+    InputError
+        A time outside the record.
+    """
+    row = int(np.searchsorted(imu.t, known.t - 1e-6))
+    if row >= len(imu) - 1 or imu.t[row] - known.t > 1.0:
+        raise InputError(
+            f"the initial state is of {known.t:g} s, expected a time of the IMU record ({imu.t[0]:g} to {imu.t[-1]:g} s)"
+        )
+    llh = earth.move(known.llh, known.vel_ned * (imu.t[row] - known.t))
+    sigma = InitialSigma(known.sigma[:3], known.sigma[3:6], known.sigma[6:])
+    nothing = np.full(3, np.nan)
+    state = NavState(llh, np.array(known.vel_ned), np.array(known.rpy))
+    return Alignment(float(imu.t[row]), row, state, sigma, nothing, nothing, ())
 
 
 def start(
@@ -20,6 +43,7 @@ def start(
     gnss: GnssRecord,
     *,
     how: How = "auto",
+    known: InitialState | None = None,
     lever_arm: ArrayLike = (0.0, 0.0, 0.0),
     gravity: str = "normal",
 ) -> Alignment:
@@ -34,6 +58,8 @@ def start(
     how : {"auto", "rest", "motion"}
         ``rest``: level and gyroscope bias at a stop, heading from the first course. ``motion``: from the fixes while the vehicle moves, mounted
         anyhow. ``auto``: in motion where that tells the heading, else by the course.
+    known : InitialState, optional
+        Of the IMU record's axes; ``auto`` starts there.
     lever_arm : (3,)
         IMU to antenna in the axes of the record, m.
     gravity : str
@@ -44,6 +70,8 @@ def start(
     InputError
         No way to start.
     """
+    if known is not None and how == "auto":
+        return at_state(imu, known)
     if how == "rest":
         found = align(imu, gnss, lever_arm=lever_arm)
         if np.isnan(found.gyro_bias).any():

@@ -44,7 +44,7 @@ def _coefficient_covariance(
     flicker_far = outside and near > 300.0 * math.sqrt(mj * ml) and near > 4.0 * (mj + ml)
     if flicker_far:
         middle = near + mj + ml
-        total -= poly[3] / (2.0 * math.pi) * 2.0 * mj * ml / (4.0 * middle * middle)
+        total -= float(poly[3]) / (2.0 * math.pi) * 2.0 * mj * ml / (4.0 * middle * middle)
         return total
     scale = 1.0 / (4.0 * mj * ml)
     for p in range(3):

@@ -114,7 +114,7 @@ def integrate(values: Array, at: NDArray[np.int64], dt: float) -> Array:
         hi = min(lo + piece, at.size)
         x = values[starts[lo] : at[hi - 1]] - origin
         out[lo:hi] = np.add.reduceat(x, starts[lo:hi] - starts[lo])
-    return (out + origin * (at - starts)) * dt
+    return np.asarray((out + origin * (at - starts)) * dt)
 
 
 class _Problem:

@@ -39,7 +39,8 @@ def load_npy(path: Path, *, map_file: bool = False) -> NDArray[Any]:
     with decoding(path, "a NumPy array"):
         try:
             if map_file:
-                return np.load(path, mmap_mode="r", allow_pickle=False)
+                mapped: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
+                return mapped
             return np.asarray(np.load(path, allow_pickle=False))
         except ValueError as error:
             raise InputError(_reason(error), where=str(path)) from None

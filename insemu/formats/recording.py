@@ -3,7 +3,8 @@
 Keys: ``imu_kind`` (increment, mean, sample; default sample), ``imu_t``, ``imu`` (n, 6), optionally ``imu_columns``, ``imu_units`` and
 ``temperature``; ``gnss_t``, ``gnss_llh`` (deg, deg, m), optionally ``gnss_vel_ned``, ``gnss_pos_std_ned``, ``gnss_vel_std_ned``;
 ``ref_t``, ``ref_llh``, ``ref_vel_ned``, ``ref_rpy_deg`` (at ``ref_att_t`` where attitudes have their own times). A key that ends in
-``_neu`` is the same with up instead of down. Other keys are ignored.
+``_neu`` is the same with up instead of down. A state to start from may be given: ``initial_t``, ``initial_llh`` (deg, deg, m),
+``initial_vel_ned``, ``initial_rpy_deg``, ``initial_sigma`` (nine: m, m/s, deg). Other keys are ignored.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from insemu.formats.columns import split_header
 from insemu.formats.decoding import decoding, open_text
 from insemu.formats.npz import keys_of, load_npy, load_npz, numbers, texts
 from insemu.formats.text import read_table, write_table
-from insemu.records import COLUMNS, GnssRecord, ImuKind, ImuRecord, Recording, Trajectory
+from insemu.records import COLUMNS, GnssRecord, ImuKind, ImuRecord, InitialState, Recording, Trajectory
 from insemu.units import parse_unit
 
 Array = NDArray[np.float64]
@@ -91,7 +92,32 @@ def read_recording(path: Path) -> Recording:
         reference = _reference(arrays, source)
     except InputError as error:
         raise error if error.where else InputError(error.message, where=source) from None
-    return Recording(imu, gnss, reference, source)
+    return Recording(imu, gnss, reference, source, initial=_initial(arrays, source))
+
+
+_INITIAL_UNITS = np.repeat([1.0, 1.0, np.pi / 180.0], 3)
+
+
+def _initial(arrays: Mapping[str, NDArray[Any]], source: str) -> InitialState | None:
+    """The state that a recording may carry; see the module."""
+    if "initial_t" not in arrays:
+        return None
+    values = {}
+    for key, size in (("t", 1), ("llh", 3), ("vel_ned", 3), ("rpy_deg", 3), ("sigma", 9)):
+        given = numbers(_need(arrays, f"initial_{key}", source), f"{source}: initial_{key}").ravel()
+        if given.size != size:
+            raise InputError(f"has {given.size} numbers, expected {size}", where=f"{source}: initial_{key}")
+        values[key] = given
+    try:
+        return InitialState(
+            float(values["t"][0]),
+            values["llh"] * _DEGREES,
+            values["vel_ned"],
+            np.deg2rad(values["rpy_deg"]),
+            values["sigma"] * _INITIAL_UNITS,
+        )
+    except InputError as error:
+        raise InputError(error.message, where=source) from None
 
 
 def _need(arrays: Mapping[str, NDArray[Any]], key: str, source: str) -> NDArray[Any]:
@@ -193,7 +219,7 @@ def _down(arrays: Mapping[str, NDArray[Any]], key: str, rows: int, source: str, 
     if f"{key}_ned" in arrays:
         return _matrix(arrays, f"{key}_ned", rows, 3, source)
     if f"{key}_neu" in arrays:
-        return _matrix(arrays, f"{key}_neu", rows, 3, source) * np.array([1.0, 1.0, -1.0 if sign else 1.0])
+        return np.asarray(_matrix(arrays, f"{key}_neu", rows, 3, source) * np.array([1.0, 1.0, -1.0 if sign else 1.0]))
     return None
 
 
@@ -310,6 +336,14 @@ def write_recording(path: Path, data: Recording) -> None:
             "ref_vel_ned": ref.vel_ned,
             "ref_rpy_deg": np.rad2deg(ref.rpy),
         }
+    if (first := data.initial) is not None:
+        arrays |= {
+            "initial_t": np.array([first.t]),
+            "initial_llh": first.llh / _DEGREES,
+            "initial_vel_ned": first.vel_ned,
+            "initial_rpy_deg": np.rad2deg(first.rpy),
+            "initial_sigma": first.sigma / _INITIAL_UNITS,
+        }
     if path.suffix == ".npz":
         np.savez(path, **arrays)  # type: ignore[arg-type]
         return
@@ -320,6 +354,8 @@ def write_recording(path: Path, data: Recording) -> None:
         if present:
             header = [_with_unit(n, imu.kind) for names in present.values() for n in names]
             write_table(path / f"{group}.csv", header, np.column_stack([arrays[k] for k in present]))
+    for key in (k for k in arrays if k.startswith("initial_")):
+        np.save(path / f"{key}.npy", arrays[key])
 
 
 def _with_unit(name: str, kind: ImuKind) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,7 +31,7 @@ class Agreement:
     best_residual: float
 
 
-_READINGS = {
+_READINGS: dict[str, Callable[[Array], Array]] = {
     "as declared": lambda v: v,
     "velocity=enu": lambda v: v[:, [1, 0, 2]] * [1.0, 1.0, -1.0],
     "velocity=neu": lambda v: v * [1.0, 1.0, -1.0],

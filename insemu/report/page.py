@@ -138,6 +138,7 @@ ul { max-width: 46rem; padding-left: 1.2rem; overflow-wrap: anywhere; }
 .scroll { overflow-x: auto; margin: .8rem 0 1.2rem; max-width: 100%; }
 table { border-collapse: collapse; font-size: .85rem; font-variant-numeric: tabular-nums; }
 th, td { padding: .28rem .55rem; text-align: right; white-space: nowrap; border-bottom: 1px solid var(--line); }
+.scroll thead th { white-space: normal; vertical-align: bottom; }
 .scroll th { background: var(--wash); border-bottom: 2px solid var(--line); font-weight: 600; }
 .scroll tbody th { border-bottom: 1px solid var(--line); }
 .left { text-align: left; }

@@ -88,7 +88,7 @@ class Stage:
             low, high = 0.3 * nyquist, 0.8 * nyquist
             tone = size * np.sin(2.0 * math.pi * span * (low * u + 0.5 * (high - low) * u**2))
             gyro = imu.gyro.copy()
-            gyro[:, int(own.integers(3))] += tone * (self.imu.dt if imu.kind == "increment" else 1.0)
+            gyro[:, int(own.integers(3))] += tone * imu.widths()[:, 0]
             imu = replace(imu, gyro=gyro)
         n = len(fixes)
         fixes = replace(fixes, pos_std_ned=np.tile(self.stated[0], (n, 1)), vel_std_ned=np.tile(self.stated[1], (n, 1)))
@@ -186,7 +186,7 @@ def draw_use(effect: str, s: Stage, rng: np.random.Generator) -> tuple[EffectUse
 def _limits(s: Stage, sensor: str, k: int, loud: float) -> tuple[float, ...]:
     """Full scale of one axis such that ``loud`` in a thousand samples lie beyond it; the other axes have room."""
     imu = s.record().imu  # a sensor's constant shifts what it clips
-    values = np.abs((imu.gyro if sensor == "gyro" else imu.accel) / (imu.dt if imu.kind == "increment" else 1.0))
+    values = np.abs((imu.gyro if sensor == "gyro" else imu.accel) / imu.widths())
     out = 10.0 * values.max(axis=0) + 1.0
     out[k] = float(np.quantile(values[:, k], 1.0 - 1e-3 * loud))
     return tuple(float(x) for x in out)

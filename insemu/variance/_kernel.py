@@ -5,6 +5,8 @@ Scalar code over plain arrays. ``reassoc`` lets the compiler vectorise sums; NaN
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -402,8 +404,8 @@ def _kappa(
     if kind == 3:
         return -(h**5 / 240.0 - h * h * h / 48.0 + h / 60.0) if averaged else (h * h * h - h) / 12.0
     if not averaged:
-        return -(c1 * h + c2 * np.expm1(-h / tc))
-    return c1 * (h * h * h - h) / 6.0 + c2 * c3 * np.exp(-h / tc) + c2 * (0.5 + c3 * -np.expm1(-1.0 / tc)) * h
+        return -(c1 * h + c2 * math.expm1(-h / tc))
+    return c1 * (h * h * h - h) / 6.0 + c2 * c3 * math.exp(-h / tc) + c2 * (0.5 + c3 * -math.expm1(-1.0 / tc)) * h
 
 
 @njit(cache=True, nogil=True)

@@ -53,7 +53,7 @@ def wv_covariance(x: ArrayLike, *, filter: str = "haar", levels: int | None = No
     if size % 2 == 0:
         weight[-1] = 1.0
     counts = np.array([w.size for w in coefficients], dtype=float)
-    return (spectra * weight) @ spectra.T / size / np.maximum.outer(counts, counts)
+    return np.asarray((spectra * weight) @ spectra.T / size / np.maximum.outer(counts, counts))
 
 
 def level1_autocovariance(
@@ -100,7 +100,7 @@ def level1_autocovariance(
         rate_hz = check_rate(rate_hz)
         spectrum = np.asarray(psd(f * rate_hz), dtype=float) * rate_hz * np.sin(np.pi * f) ** 2
         # cosines at half-integer frequencies: the third kind of cosine transform, transposed
-        return np.asarray(fft.dct(spectrum, type=2)[:n_samples]) / (2.0 * size)
+        return np.asarray(fft.dct(spectrum, type=2)[:n_samples] / (2.0 * size))
     lags = np.arange(n_samples + 1)
     if increments is not None:
         return np.asarray(increments(lags[:-1]), dtype=float) / 4.0

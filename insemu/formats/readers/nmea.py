@@ -75,7 +75,7 @@ def _date(message: Any) -> date | None:
 
 
 def _stamp(time: Any, day: date | None) -> float:
-    seconds = time.hour * 3600.0 + time.minute * 60.0 + time.second + 1e-6 * time.microsecond
+    seconds: float = time.hour * 3600.0 + time.minute * 60.0 + time.second + 1e-6 * time.microsecond
     return seconds if day is None else seconds + datetime(day.year, day.month, day.day, tzinfo=UTC).timestamp()
 
 

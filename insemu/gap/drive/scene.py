@@ -260,7 +260,7 @@ def corrected_data(
     imu, gnss = prepared.imu, prepared.gnss
     if not values:
         return imu, gnss
-    width = np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1]) if imu.kind == "increment" else np.ones(len(imu))
+    width = imu.widths(0.0)[:, 0]
     signals = np.hstack([imu.gyro, imu.accel])
     shift = np.zeros((len(gnss), 6))
     at = np.searchsorted(gnss.t, t_fix)
