@@ -296,9 +296,9 @@ def smooth(block: StateBlock, y: ArrayLike, *, u: ArrayLike | None = None, x0: A
     block : StateBlock
     y : (n,) array
         Signal.
-    u : (n, states) array or None
-        Known input of the states.
-    x0 : (states,) array or None
+    u : (states,) array, optional
+        Known input of the states per sample.
+    x0 : (states,) array, optional
         Mean of the initial state.
 
     Raises
