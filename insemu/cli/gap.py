@@ -106,9 +106,7 @@ def _tell(report: GapReport, console: Console) -> None:
 
     console.print(f"[bold]{report.verdict}[/bold]: {headline(report)}")
     if report.findings:
-        table = Table(
-            "", "effect", "where", "nats", "confidence", "m after 60 s", "parameters, 95 % interval", "what to do"
-        )
+        table = Table("", "effect", "where", "nats", "confidence", "m after 60 s", "parameters, 95 % interval")
         for n, s in enumerate(report.findings[:MOST_ROWS], 1):
             values = "\n".join(f"{v.name} {v.value:.3g} [{v.low:.3g}, {v.high:.3g}] {v.unit}" for v in s.parameters[:6])
             values += "\n..." if len(s.parameters) > 6 else ""
@@ -120,9 +118,10 @@ def _tell(report: GapReport, console: Console) -> None:
                 f"{s.confidence:.3f}",
                 metres(s),
                 values,
-                action(s),
             )
         console.print(table)
+        for n, s in enumerate(report.findings[:MOST_ROWS], 1):
+            console.print(f"{n}. {action(s)}", highlight=False, markup=False)
         if len(report.findings) > MOST_ROWS:
             console.print(f"and {len(report.findings) - MOST_ROWS} more on the page")
     if report.remainder:
