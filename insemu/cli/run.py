@@ -74,7 +74,7 @@ def prepared(
     experiments = {"": Experiment(base, scenario)}
     for name in base.variants if with_variants else ():
         experiments[name] = Experiment(load(scenario, variant=name, overrides=overrides), scenario)
-    card = getattr(experiments[""].world, "card", None)
+    card = experiments[""].world.card
     if card is not None:
         show_brief(card, console)
         card.check()

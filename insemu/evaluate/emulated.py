@@ -301,6 +301,10 @@ class EmulatedWorld:
         return nearest_rows(imu.t, self.output_times, every)
 
     @property
+    def card(self) -> None:
+        """Nothing was read."""
+
+    @property
     def compared(self) -> int:
         """Navigation errors that have a reference: all."""
         return 9

@@ -156,6 +156,17 @@ def expectation_maximization(
 ) -> Expectation:
     """Iterate until the relative change of the log-likelihood, averaged as in section 3.5 of Stebler et al. 2011, falls below ``tolerance``.
 
+    Parameters
+    ----------
+    space : StateSpace
+        Matrices to start from, with masks of what is free.
+    y : (n,) array
+        Signal.
+    tolerance : float
+        Relative rise of the likelihood at which it stops.
+    iterations : int
+        At most.
+
     Raises
     ------
     InputError
