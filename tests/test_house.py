@@ -89,7 +89,9 @@ def undocumented() -> set[str]:
 
     A command's arguments are described by its options, and a method's by the one of the same name that it overrides or fulfils.
     """
-    described = {f.place.rsplit(":", 1)[1] for f in functions() if f.place.count(":") > 1 and "Parameters\n---" in f.doc}
+    described = {
+        f.place.rsplit(":", 1)[1] for f in functions() if f.place.count(":") > 1 and "Parameters\n---" in f.doc
+    }
     return {
         f.place
         for f in functions()

@@ -104,6 +104,7 @@ def test_digest_is_of_what_matters(tmp_path: Path) -> None:
         ("[2 cm, 2 cm, 3 cm]", "[2 cm, 0 cm, 3 cm]", "positive standard deviations"),
         ("[2 cm, 2 cm, 3 cm]", "[2 cm, 2 cm]", "one or three"),
         ("title: t", "- t", "not YAML|expected a mapping"),
+        ("title: t", '"[": t', r"s\.yaml:1: \[: unknown key '\['"),
     ],
 )
 def test_mistakes_are_named(tmp_path: Path, found: str, put: str, message: str) -> None:

@@ -15,6 +15,7 @@ import typer
 COMMANDS: dict[str, str] = {
     "init": "init",
     "open": "open",
+    "export": "export",
     "run": "run",
     "compare": "compare",
     "regress": "regress",

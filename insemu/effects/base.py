@@ -294,6 +294,18 @@ class Effect:
         """The fixes put right."""
         raise NotImplementedError(self.id)
 
+    def true_sigma(self, use: EffectUse, what: str, stated: Array) -> Array:
+        """Standard deviations of the fixes as they are.
+
+        Parameters
+        ----------
+        use : EffectUse
+        what : {"position", "velocity"}
+        stated : (..., 3) array
+            As they are stated, m or m/s.
+        """
+        raise NotImplementedError(self.id)
+
     def arm(self, use: EffectUse) -> Array:
         """What the assumed lever arm lacks, (3,) m in body axes."""
         raise NotImplementedError(self.id)

@@ -76,7 +76,11 @@ class NoiseLevel(_OfFixes):
         """State what is true."""
         if gnss.pos_std_ned is None:
             return gnss
-        return replace(gnss, pos_std_ned=gnss.pos_std_ned * np.array(use["factor"]))
+        return replace(gnss, pos_std_ned=self.true_sigma(use, "position", gnss.pos_std_ned))
+
+    def true_sigma(self, use: EffectUse, what: str, stated: Array) -> Array:
+        """The factor times what is stated of the positions."""
+        return stated * np.array(use["factor"]) if what == "position" else stated
 
     def hidden(self, lot: DriveLot) -> Hidden:
         """In some directions."""
@@ -135,7 +139,11 @@ class VelocityNoise(_OfFixes):
         """State what is true."""
         if gnss.vel_std_ned is None:
             return gnss
-        return replace(gnss, vel_std_ned=np.hypot(gnss.vel_std_ned * np.array(use["factor"]), np.array(use["sigma"])))
+        return replace(gnss, vel_std_ned=self.true_sigma(use, "velocity", gnss.vel_std_ned))
+
+    def true_sigma(self, use: EffectUse, what: str, stated: Array) -> Array:
+        """The factor times what is stated of the velocities, and the part with memory."""
+        return np.hypot(stated * np.array(use["factor"]), np.array(use["sigma"])) if what == "velocity" else stated
 
     def hidden(self, lot: DriveLot) -> Hidden:
         """In some directions."""

@@ -48,6 +48,11 @@ class Vehicle:
     max_climb: float
     jerk: float
 
+    @property
+    def hovers(self) -> bool:
+        """Whether it can stand in the air."""
+        return self.name in ("multirotor", "helicopter")
+
     def attitude(
         self, *, speed: Array, acceleration: Array, heading: Array, turn_rate: Array, climb_rate: Array
     ) -> Array:

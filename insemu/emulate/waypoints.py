@@ -1,8 +1,9 @@
 """Routes from waypoints with speeds, under the limits of a vehicle.
 
 Legs are straight, corners are rounded by turns whose lateral acceleration and turn rate stay within the vehicle's,
-speeds are reached within its acceleration. Read from CSV (``lat, lon[, height][, speed]`` with units in the header)
-or GeoJSON (longitude first).
+speeds are reached within its acceleration. An aircraft that hovers may stop, climb and yaw on the spot, turn back and fly
+with any heading. Read from CSV (``lat, lon[, height][, speed][, heading][, hover]`` with units in the header) or GeoJSON
+(longitude first).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu import earth, units
+from insemu.emulate import hover
 from insemu.emulate.flight import Flight
 from insemu.emulate.motion import Command, legs_of, path_of, profile, steady
 from insemu.emulate.table import read_columns, text_of
@@ -43,11 +45,17 @@ class Waypoints:
         Speed of the leg that starts at each waypoint, m/s (the last is not used).
     source : str
         Appears in messages.
+    heading : (n,) array, optional
+        Of an aircraft that hovers, rad; NaN: along the course.
+    hover : (n,) array, optional
+        Wait of an aircraft that hovers at each waypoint, s.
     """
 
     llh: Array
     speed: Array
     source: str = "waypoints"
+    heading: Array | None = None
+    hover: Array | None = None
 
     def __post_init__(self) -> None:
         llh = np.array(self.llh, dtype=float)
@@ -68,15 +76,18 @@ class Waypoints:
             )
         object.__setattr__(self, "llh", llh)
         object.__setattr__(self, "speed", speed)
+        if self.hover is not None and not (np.asarray(self.hover) >= 0.0).all():
+            raise InputError(f"{self.source}: a hover is {np.min(self.hover):.4g} s, expected zero or more")
 
 
 _NAMES = {
     "lat": "lat", "latitude": "lat", "lon": "lon", "lng": "lon", "long": "lon", "longitude": "lon",
     "height": "height", "alt": "height", "altitude": "height", "h": "height", "ele": "height", "elevation": "height",
     "speed": "speed", "v": "speed", "velocity": "speed",
+    "heading": "heading", "yaw": "heading", "hover": "hover", "hold": "hover", "wait": "hover",
 }  # fmt: skip
-_UNIT = {"lat": "rad", "lon": "rad", "height": "m", "speed": "m/s"}
-_ASSUMED = {"lat": "deg", "lon": "deg", "height": "m", "speed": "m/s"}
+_UNIT = {"lat": "rad", "lon": "rad", "height": "m", "speed": "m/s", "heading": "rad", "hover": "s"}
+_ASSUMED = {"lat": "deg", "lon": "deg", "height": "m", "speed": "m/s", "heading": "deg", "hover": "s"}
 
 
 def read_waypoints(path: str | Path, speed: float | None = None) -> Waypoints:
@@ -103,12 +114,13 @@ def read_waypoints(path: str | Path, speed: float | None = None) -> Waypoints:
 
 
 def _csv(text: str, source: str, speed: float | None) -> Waypoints:
-    values, _ = read_columns(text, source, _NAMES, _UNIT, _ASSUMED, ("lat", "lon"))
+    values, _ = read_columns(text, source, _NAMES, _UNIT, _ASSUMED, ("lat", "lon"), ("heading",))
     n = values["lat"].size
     if "speed" not in values and speed is None:
         raise InputError("no column 'speed' and no speed given for all legs", where=source)
     llh = np.column_stack([values["lat"], values["lon"], values.get("height", np.zeros(n))])
-    return Waypoints(llh, values["speed"] if "speed" in values else np.full(n, speed), source)
+    speeds = values["speed"] if "speed" in values else np.full(n, speed)
+    return Waypoints(llh, speeds, source, values.get("heading"), values.get("hover"))
 
 
 def _geojson(text: str, source: str, speed: float | None) -> Waypoints:
@@ -242,10 +254,7 @@ class _Legs:
         """Legs of waypoints that a vehicle can follow; ``InputError`` where it cannot."""
         source, llh, cruise = waypoints.source, waypoints.llh, waypoints.speed[:-1].copy()
         for k, s in enumerate(cruise):
-            if not max(v.min_speed, 0.1) <= s <= v.max_speed:
-                raise InputError(
-                    f"{source}: waypoint {k + 1} asks for {s:.4g} m/s, a {v.name} does {max(v.min_speed, 0.1):g} to {v.max_speed:g} m/s"
-                )
+            _check_speed(source, k, s, v)
         rm, rn = earth.radii(llh[0, 0])
         scale = np.array([float(rm + llh[0, 2]), float((rn + llh[0, 2]) * np.cos(llh[0, 0]))])
         plane = np.column_stack([llh[:, 0] - llh[0, 0], np.unwrap(llh[:, 1]) - llh[0, 1]]) * scale
@@ -352,6 +361,11 @@ def route(
     name : str, optional
         Name of the path.
 
+    Notes
+    -----
+    A multirotor or helicopter whose waypoints give a heading or a hover, lie above each other, or ask for a turn of more than 150 deg stops at
+    every waypoint.
+
     Raises
     ------
     InputError
@@ -360,6 +374,8 @@ def route(
     """
     v = vehicle(vehicle_name)
     source, llh = waypoints.source, waypoints.llh
+    if _stops(waypoints, v):
+        return _stop_and_go(waypoints, v, rest_s, name or Path(source).stem)
     legs = _Legs.of(waypoints, v)
     warnings = odd_places(source, llh, v) + _check_climb(source, v, legs.climb, legs.length, waypoints.speed[:-1])
     legs.slow_down(v, source)
@@ -376,6 +392,42 @@ def route(
     p = profile(commands, heading=float(legs.course[0]), speed=float(legs.corner[0]))
     path = path_of(p, v, llh[0], name or Path(source).stem)
     return Route(Flight(path, v.name, legs_of(commands)), tuple(warnings))
+
+
+def _check_speed(source: str, k: int, speed: float, v: Vehicle) -> None:
+    least = max(v.min_speed, 0.1)
+    if not least <= speed <= v.max_speed:
+        raise InputError(
+            f"{source}: waypoint {k + 1} asks for {speed:.4g} m/s, a {v.name} does {least:g} to {v.max_speed:g} m/s"
+        )
+
+
+def _stops(waypoints: Waypoints, v: Vehicle) -> bool:
+    """Whether an aircraft that hovers must stop at the waypoints."""
+    asked = waypoints.heading is not None or waypoints.hover is not None
+    if not v.hovers:
+        if asked:
+            raise InputError(
+                f"{waypoints.source}: heading and hover are for a multirotor or helicopter, found a {v.name}"
+            )
+        return False
+    leg = np.diff(hover.plane_of(waypoints.llh)[:, :2], axis=0)
+    course = np.arctan2(leg[:, 1], leg[:, 0])
+    turns = np.abs((np.diff(course) + np.pi) % (2.0 * np.pi) - np.pi)
+    return asked or bool((np.hypot(leg[:, 0], leg[:, 1]) < 1.0).any() or (turns > SHARPEST_TURN).any())
+
+
+def _stop_and_go(waypoints: Waypoints, v: Vehicle, rest_s: float, name: str) -> Route:
+    """The route of an aircraft that stops at every waypoint."""
+    source, llh = waypoints.source, waypoints.llh
+    for k, s in enumerate(waypoints.speed[:-1]):
+        _check_speed(source, k, s, v)
+    heading = np.full(len(llh), np.nan) if waypoints.heading is None else np.asarray(waypoints.heading, dtype=float)
+    wait = np.zeros(len(llh)) if waypoints.hover is None else np.asarray(waypoints.hover, dtype=float)
+    parts, slower = hover.stretches(hover.plane_of(llh), waypoints.speed, heading, wait, v, _COMFORT)
+    path, legs = hover.hovering_path(llh, parts, v, rest_s=rest_s, name=name)
+    warnings = (*odd_places(source, llh, v), *(f"{source}: {text}" for text in slower))
+    return Route(Flight(path, v.name, legs), warnings)
 
 
 def _check_climb(source: str, v: Vehicle, climb: Array, length: Array, speed: ArrayLike) -> tuple[str, ...]:

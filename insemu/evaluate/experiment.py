@@ -447,7 +447,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         "packages": {name: metadata.version(name) for name in packages},
         "ideal_imu_distance_m": experiment.world.path_distance_m,
         "warnings": list(experiment.warnings),
-        "intake": experiment.world.card.to_json() if isinstance(experiment.world, RecordedWorld) else None,
+        "intake": None if (card := experiment.world.card) is None else card.to_json(),
         "beliefs": {
             name: {axis: m.to_list(axis_unit(axis)) for axis, m in b.models.items()}
             for name, b in experiment.beliefs.items()

@@ -14,6 +14,7 @@ from insemu.emulate import TrueStates
 from insemu.errors import InputError
 from insemu.filters import FilterResult, InitialSigma, SmootherResult, Standstill
 from insemu.formats import read_recording, read_static
+from insemu.intake import Card
 from insemu.noise import axis_unit
 from insemu.records import AXES, ImuRecord, Recording, Series, Trajectory
 from insemu.scenario import AxisSource, RecordedSignal, Scenario, resolve_path
@@ -142,6 +143,11 @@ class World(Protocol):
     files: dict[str, Path]
     warnings: tuple[str, ...]
     path_distance_m: float
+
+    @property
+    def card(self) -> Card | None:
+        """What the recording was taken for; None of an emulated flight."""
+        ...
 
     @property
     def rate_hz(self) -> float:

@@ -15,6 +15,7 @@ from scipy.special import ndtri
 
 from insemu import units
 from insemu.errors import InputError
+from insemu.formats.programs import spell
 from insemu.noise import NoiseModel, Parameter
 from insemu.variance import WaveletVariance
 
@@ -248,6 +249,18 @@ def estimates(
 
     Positive parameters get intervals that are symmetric on a logarithmic scale, correlation coefficients on Fisher's; both stay where the
     parameter can be.
+
+    Parameters
+    ----------
+    model : NoiseModel
+        Specified.
+    free : list of (process number, parameter name)
+    covariance : (p, p) array
+        Of the free parameters.
+    unit : str
+        SI unit of the signal.
+    confidence : float
+        Of the intervals.
     """
     z = float(ndtri(0.5 + 0.5 * confidence))
     place = {key: i for i, key in enumerate(free)}
@@ -310,31 +323,37 @@ def kalibr(
 
     The format knows one noise density and one random walk per sensor triad; the axes are combined by their root mean square. A GM (or AR1)
     enters by what it resembles over a second: slower than that by the random walk it is at short times (driving density sigma
-    sqrt(2 beta)), faster by the white noise it is at long times (its PSD at low frequency).
+    sqrt(2 beta)), faster by the white noise it is at long times (its PSD at low frequency). A walk that was not found is written as the
+    largest that the record hides (:func:`insemu.formats.programs.reduce_models`), because these programs divide by it.
+
+    Parameters
+    ----------
+    results : mapping of axis to FitResult
+    rate_hz : float, optional
+        Update rate to write; that of the first fit by default.
+    topic : str
+        ROS topic to write.
 
     Returns
     -------
     text, warnings
+
+    Raises
+    ------
+    InputError
+        Neither a gyroscope nor an accelerometer was fitted.
     """
-    warnings: list[str] = []
-    lines = ["# Written by insemu fit: continuous-time noise densities, root mean square over the axes"]
-    wanted = (("accelerometer", "accel", "m/s^2"), ("gyroscope", "gyro", "rad/s"))
-    for sensor, prefix, unit in wanted:
-        axes = {a: r for a, r in results.items() if a.startswith(prefix)}
-        if not axes:
-            warnings.append(f"no {sensor} axis was fitted; its two lines are missing")
-            continue
-        both = [np.sum([p.as_white_and_walk(r.dt) for p in r.model], axis=0) for r in axes.values()]
-        white, walk = np.mean(both, axis=0)
-        lines.append(f"{sensor}_noise_density: {math.sqrt(float(white)):.9g}  # {unit}/sqrt(Hz)")
-        lines.append(f"{sensor}_random_walk: {math.sqrt(float(walk)):.9g}  # {unit}*sqrt(Hz)")
-        for axis, r in axes.items():
-            beyond = sorted({p.symbol for p in r.model if p.symbol not in ("WN", "RW")})
-            if beyond:
-                warnings.append(
-                    f"{axis}: the format holds a noise density and a random walk only; {', '.join(beyond)} of {r.structure} "
-                    + ("enters by what it resembles over a second" if beyond == ["GM"] else "cannot be said in full")
-                )
+    longest = max((r.n_samples * r.dt for r in results.values()), default=0.0)
     rate = rate_hz if rate_hz is not None else next((r.rate_hz for r in results.values()), 0.0)
-    lines += [f"update_rate: {rate:g}", f'rostopic: "{topic}"']
-    return "\n".join(lines) + "\n", warnings
+    text, warnings = spell({axis: r.model for axis, r in results.items()}, "kalibr", rate_hz=rate, record_s=longest)
+    for sensor, prefix in (("accelerometer", "accel"), ("gyroscope", "gyro")):
+        if not any(axis.startswith(prefix) for axis in results):
+            warnings.append(f"no {sensor} axis was fitted; its two lines are missing")
+    for axis, r in results.items():
+        beyond = sorted({p.symbol for p in r.model if p.symbol not in ("WN", "RW")})
+        if beyond:
+            warnings.append(
+                f"{axis}: the format holds a noise density and a random walk only; {', '.join(beyond)} of {r.structure} "
+                + ("enters by what it resembles over a second" if beyond == ["GM"] else "cannot be said in full")
+            )
+    return text.replace('"/imu0"', f'"{topic}"'), warnings

@@ -120,16 +120,18 @@ def _named(error: ValidationError, section: type[BaseModel], document: yamlfile.
     """The first problem as one message with file, line and key."""
     # a misspelled key also makes a required one missing; the misspelling is the cause
     first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
-    place: Place = tuple(
-        part for part in first["loc"] if not (isinstance(part, str) and ("[" in part or part in _UNION_TAGS))
-    )
+    place: Place = ()
+    for part in first["loc"]:
+        # pydantic names the member of a union, which stands in no file
+        tag = isinstance(part, str) and ("[" in part or part in _UNION_TAGS) and (*place, part) not in document.lines
+        place = place if tag else (*place, part)
     where = document.where(place)
     if first["type"] == "extra_forbidden":
-        hint = nearest(str(place[-1]), _keys_at(place[:-1], section))
-        return InputError(f"unknown key '{place[-1]}'" + hint, where=where)
+        name = str(first["loc"][-1])
+        return InputError(f"unknown key '{name}'" + nearest(name, _keys_at(place[:-1], section)), where=where)
     if first["type"] == "missing":
         # the line of the section that lacks it
-        return InputError(f"the key '{place[-1]}' is missing", where=document.where(place[:-1]))
+        return InputError(f"the key '{first['loc'][-1]}' is missing", where=document.where(place[:-1]))
     if first["type"] == "value_error":
         return InputError(str(first["ctx"]["error"]), where=where)
     return InputError(f"found {first['input']!r}, {first['msg'][:1].lower()}{first['msg'][1:]}", where=where)

@@ -65,6 +65,65 @@ def toeplitz_whiten(gamma: Array, columns: Array, out: Array) -> float:  # pragm
     return logdet
 
 
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def toeplitz_score(gamma: Array, y: Array, score: Array) -> float:  # pragma: no cover - compiled
+    """Log-likelihood of a stationary Gaussian vector and its derivative by the autocovariance.
+
+    The same recursion also builds ``u = C^-1 y`` and the first column ``x`` of the inverse, whose diagonals sum to
+    ``s_k = sum_i (n - k - 2 i) x_i x_(i+k) / x_0`` (Gohberg and Semencul 1972); a lag counts once on the diagonal and twice beside it.
+
+    Parameters
+    ----------
+    gamma, y : (n,) arrays
+    score : (n,) array
+        Written to.
+
+    Returns
+    -------
+    float
+        ``-1/2 log det C - 1/2 y' C^-1 y``, or NaN where the autocovariance is not positive definite.
+    """
+    n = y.size
+    phi, other, u = np.zeros(n), np.zeros(n), np.zeros(n)
+    back, past = gamma[::-1].copy(), y[::-1].copy()
+    v, value = gamma[0], 0.0
+    for t in range(n):
+        if t > 0:
+            r = gamma[t]
+            first = n - t
+            for j in range(t - 1):
+                r -= phi[j] * back[first + j]
+            kappa = r / v
+            for j in range(t - 1):
+                other[j] = phi[j] - kappa * phi[t - 2 - j]
+            for j in range(t - 1):
+                phi[j] = other[j]
+            phi[t - 1] = kappa
+            v *= (1.0 - kappa) * (1.0 + kappa)
+        if not v > 0.0:
+            return math.nan
+        e = y[t]
+        before = n - t
+        for j in range(t):
+            e -= phi[j] * past[before + j]
+        value -= 0.5 * (math.log(v) + e * e / v)
+        w = e / v
+        u[t] += w
+        for j in range(t):
+            u[t - 1 - j] -= phi[j] * w
+    x = np.empty(n)
+    x[0] = 1.0 / v
+    for j in range(n - 1):
+        x[1 + j] = -phi[j] / v
+    for k in range(n):
+        diagonals, squares = 0.0, 0.0
+        for i in range(n - k):
+            diagonals += (n - k - 2.0 * i) * x[i] * x[i + k]
+            squares += u[i] * u[i + k]
+        score[k] = (squares - diagonals * v) * (0.5 if k == 0 else 1.0)
+    return value
+
+
 @njit(cache=True, nogil=True)
 def switching_log_likelihood(
     y: Array, white: float, phi: float, q: float, p0: float, amplitude: float, stay: float, path: Array

@@ -159,8 +159,8 @@ class Regressors:
     )
 
 
-#: Shapes of one process that a climb remembers.
-MOST_SHAPES = 64
+#: Shapes of one process that a climb remembers; the step in log by which a shape parameter is moved for a derivative.
+MOST_SHAPES, SHAPE_STEP = 64, 1e-6
 #: Frequencies up to which a spectrum is worked out at each, and the relative distance of those between which it is interpolated beyond.
 MOST_EXACT, NEARNESS = 32_768, 2e-4
 
@@ -282,62 +282,17 @@ class Likelihood:
         """Whittle's log-likelihood of the spectrum."""
         if not self.data.f.size:
             return 0.0
-        return self._high(explanation.psd(self.data.f, self.data.dt), explanation.seen(self.data))
+        return self.high_of(explanation.psd(self.data.f, self.data.dt), explanation.seen(self.data))
 
-    def _high(self, S: Array, seen: Array) -> float:
+    def high_of(self, S: Array, seen: Array) -> float:
+        """The same, of a density and what is compared with it."""
         if not (S > 0).all():
             return -math.inf
         return float(-0.5 * np.sum(self.data.counted * (np.log(S) + seen / S)))
 
-    def along(self, explanation: Explanation) -> Callable[[Array], float]:
-        """:meth:`log_posterior` as a function of the logarithms of the free parameters, inside their bounds.
-
-        What does not depend on them is worked out once, and the shape of a process again only where one of its shape parameters moves.
-        """
-        data, count = self.data, self.data.differences.size
-
-        def shape(process: Process) -> tuple[Array, Array]:
-            covariance = difference_covariance(process, data.block, data.dt, count) if count else np.zeros(0)
-            return density(process, data.f, data.dt), covariance
-
-        still_psd, still_covariance = np.zeros_like(data.f), np.zeros(count)
-        moving: list[tuple[Process, list[str], int, dict[tuple[float, ...], tuple[Array, Array]]]] = []
-        for c in explanation.components:
-            names = [f.name for f in c.free]
-            at = names.index(c.process.level.name) if c.process.level.name in names else -1
-            if names:
-                moving.append((of_unit_level(c.process) if at >= 0 else c.process, names, at, {}))
-            else:
-                psd, covariance = shape(c.process)
-                still_psd, still_covariance = still_psd + psd, still_covariance + covariance
-        rolloff, seen = explanation.rolloff, explanation.seen(data)
-        prior = [(math.log(f.low), math.log(f.high), f.edge, math.log(f.width)) for f in explanation.free]
-
-        def log_posterior(x: Array) -> float:
-            psd, covariance, k = still_psd, still_covariance, 0
-            for process, names, at, known in moving:
-                own = x[k : k + len(names)].tolist()
-                size = math.exp(2 // process.level.power * own.pop(at)) if at >= 0 else 1.0
-                key = tuple(own)
-                if key not in known:
-                    if len(known) > MOST_SHAPES:
-                        known.clear()
-                    others = [n for i, n in enumerate(names) if i != at]
-                    moved = process.with_parameters({n: math.exp(v) for n, v in zip(others, own, strict=True)})
-                    known[key] = shape(moved if own else process)
-                unit = known[key]
-                psd, covariance = psd + size * unit[0], covariance + size * unit[1]
-                k += len(names)
-            if rolloff is not None:
-                gain = replace(rolloff, values=tuple(math.exp(v) for v in x[k:])).gain(data.f, data.dt)
-                psd = psd * gain + rolloff.floor
-            total = 0.0
-            for v, (low, high, edge, width) in zip(x, prior, strict=True):
-                total -= width + 0.5 * (max(low - v, v - high, 0.0) / edge) ** 2
-            total += self._high(psd, seen) if data.f.size else 0.0
-            return total + (self.low_of(covariance, explanation.regressors) if count else 0.0)
-
-        return log_posterior
+    def along(self, explanation: Explanation) -> Along:
+        """:meth:`log_posterior` as a function of the logarithms of the free parameters."""
+        return Along(self, explanation)
 
     def log_posterior(self, explanation: Explanation) -> float:
         """Log-likelihood plus log prior density of the free parameters."""
@@ -358,6 +313,118 @@ class Likelihood:
         scales = np.concatenate([r.scales for r in explanation.regressors]) * max(rules().prior_scales)
         covariance = np.linalg.inv(G.T @ G + np.diag(1.0 / scales**2))
         return covariance @ (G.T @ white[:, 0]), covariance
+
+
+class Along:
+    """The log posterior of an explanation as a function of the logarithms of its free parameters, inside their bounds.
+
+    What does not depend on them is worked out once, and the shape of a process again only where one of its shape parameters moves.
+    """
+
+    def __init__(self, likelihood: Likelihood, explanation: Explanation) -> None:
+        self.likelihood, self.explanation = likelihood, explanation
+        data = likelihood.data
+        self._psd, self._covariance = np.zeros_like(data.f), np.zeros(data.differences.size)
+        self._moving: list[tuple[Process, list[str], int, dict[tuple[float, ...], tuple[Array, Array]]]] = []
+        for c in explanation.components:
+            names = [f.name for f in c.free]
+            at = names.index(c.process.level.name) if c.process.level.name in names else -1
+            if names:
+                self._moving.append((of_unit_level(c.process) if at >= 0 else c.process, names, at, {}))
+            else:
+                psd, covariance = self._shape(c.process)
+                self._psd, self._covariance = self._psd + psd, self._covariance + covariance
+        self._seen = explanation.seen(data)
+        self._prior = [(math.log(f.low), math.log(f.high), f.edge, math.log(f.width)) for f in explanation.free]
+
+    def _shape(self, process: Process) -> tuple[Array, Array]:
+        data, count = self.likelihood.data, self._covariance.size
+        covariance = difference_covariance(process, data.block, data.dt, count) if count else np.zeros(0)
+        return density(process, data.f, data.dt), covariance
+
+    def _unit(
+        self,
+        process: Process,
+        names: Sequence[str],
+        own: Sequence[float],
+        known: dict[tuple[float, ...], tuple[Array, Array]],
+    ) -> tuple[Array, Array]:
+        """Density and covariance of a process at unit level and these logarithms of its shape parameters."""
+        key = tuple(own)
+        if key not in known:
+            if len(known) > MOST_SHAPES:
+                known.clear()
+            values = {n: math.exp(v) for n, v in zip(names, own, strict=True)}
+            known[key] = self._shape(process.with_parameters(values) if values else process)
+        return known[key]
+
+    def _sum(self, x: Array, slopes: list[tuple[Array, Array]] | None = None) -> tuple[Array, Array]:
+        """Density before the roll-off and covariance at ``x``; their derivatives by each parameter are appended to ``slopes``."""
+        psd, covariance, k = self._psd, self._covariance, 0
+        for process, names, at, known in self._moving:
+            own = x[k : k + len(names)].tolist()
+            power = 2 // process.level.power
+            size = math.exp(power * own.pop(at)) if at >= 0 else 1.0
+            others = [n for i, n in enumerate(names) if i != at]
+            unit = self._unit(process, others, own, known)
+            psd, covariance = psd + size * unit[0], covariance + size * unit[1]
+            if slopes is not None:
+                mine = []
+                for i in range(len(own)):
+                    moved = [v + SHAPE_STEP * (n == i) for n, v in enumerate(own)]
+                    more = self._unit(process, others, moved, known)
+                    mine.append(tuple(size / SHAPE_STEP * (a - b) for a, b in zip(more, unit, strict=True)))
+                if at >= 0:
+                    mine.insert(at, (power * size * unit[0], power * size * unit[1]))
+                slopes += [(a, b) for a, b in mine]
+            k += len(names)
+        return psd, covariance
+
+    def _gain(self, x: Array) -> Array | float:
+        rolloff, data = self.explanation.rolloff, self.likelihood.data
+        if rolloff is None:
+            return 1.0
+        at = x[x.size - len(rolloff.free) :]
+        return replace(rolloff, values=tuple(math.exp(v) for v in at)).gain(data.f, data.dt)
+
+    def __call__(self, x: Array) -> float:
+        """Log likelihood plus log prior density."""
+        psd, covariance = self._sum(x)
+        total = 0.0
+        for v, (low, high, edge, width) in zip(x, self._prior, strict=True):
+            total -= width + 0.5 * (max(low - v, v - high, 0.0) / edge) ** 2
+        if psd.size:
+            floor = self.explanation.rolloff.floor if self.explanation.rolloff else 0.0
+            total += self.likelihood.high_of(psd * self._gain(x) + floor, self._seen)
+        return total + (self.likelihood.low_of(covariance, self.explanation.regressors) if covariance.size else 0.0)
+
+    def slope(self, x: Array) -> tuple[float, Array] | None:
+        """The same with its derivatives; ``None`` where regressors are integrated out, or where it is not finite."""
+        if self.explanation.regressors:
+            return None
+        slopes: list[tuple[Array, Array]] = []
+        psd, covariance = self._sum(x, slopes)
+        value, out = 0.0, np.zeros(x.size)
+        for k, (v, (low, high, edge, width)) in enumerate(zip(x, self._prior, strict=True)):
+            outside = max(low - v, v - high, 0.0)
+            value -= width + 0.5 * (outside / edge) ** 2
+            out[k] = math.copysign(outside, low - v if v < low else low - high) / edge**2
+        if psd.size:
+            rolloff, gain = self.explanation.rolloff, self._gain(x)
+            S = psd * gain + (rolloff.floor if rolloff else 0.0)
+            if not (S > 0).all():
+                return None
+            value += self.likelihood.high_of(S, self._seen)
+            by_density = -0.5 * self.likelihood.data.counted * (1.0 - self._seen / S) / S
+            out[: len(slopes)] += [float(by_density @ (gain * d)) for d, _ in slopes]
+            for k in range(len(slopes), x.size):
+                moved = np.asarray(self._gain(x + SHAPE_STEP * (np.arange(x.size) == k)))
+                out[k] += float(by_density @ (psd * (moved - gain))) / SHAPE_STEP
+        if covariance.size:
+            by_lag = np.empty(covariance.size)
+            value += kernels.toeplitz_score(covariance, self.likelihood.data.differences, by_lag)
+            out[: len(slopes)] += [float(by_lag @ d) for _, d in slopes]
+        return (value, out) if math.isfinite(value) and np.isfinite(out).all() else None
 
 
 def regression_evidence(A: Array, b: Array, scales: Array) -> float:
@@ -408,7 +475,8 @@ def fit(likelihood: Likelihood, explanation: Explanation) -> Fitted:
 
     The evidence is Laplace's, with each parameter's posterior width limited to that of its prior.
     """
-    found = laplace(likelihood.along(explanation), explanation.start(), explanation.free)
+    along = likelihood.along(explanation)
+    found = laplace(along, explanation.start(), explanation.free, None if explanation.regressors else along.slope)
     return Fitted(explanation.at(found.x), found.evidence, found.covariance, found.log_posterior)
 
 
@@ -422,8 +490,24 @@ class Mode:
     evidence: float
 
 
-def laplace(log_posterior: Callable[[Array], float], x0: Array, free: Sequence[Free]) -> Mode:
-    """Climb to a mode and weigh it; no direction counts as wider than its prior."""
+def laplace(
+    log_posterior: Callable[[Array], float],
+    x0: Array,
+    free: Sequence[Free],
+    slope: Callable[[Array], tuple[float, Array] | None] | None = None,
+) -> Mode:
+    """Climb to a mode and weigh it; no direction counts as wider than its prior.
+
+    Parameters
+    ----------
+    log_posterior : callable
+        Of the logarithms of the parameters.
+    x0 : (k,) array
+        Where to start.
+    free : sequence of Free
+    slope : callable, optional
+        The log posterior with its derivatives, or ``None`` where it has none; by differences where it is not given.
+    """
     admitted = [(math.log(f.low) - 6.0 * f.edge, math.log(f.high) + 6.0 * f.edge) for f in free]
 
     def cost(x: Array) -> float:
@@ -449,20 +533,23 @@ def laplace(log_posterior: Callable[[Array], float], x0: Array, free: Sequence[F
     ]
 
     def sloped(z: Array) -> tuple[float, Array]:
-        """Cost and its forward differences, backward at the edge."""
-        here, slope = cost(x0 + unit * z), np.empty(z.size)
+        """Cost and its derivatives; by differences, they are forward ones, backward at the edge."""
+        known = slope(x0 + unit * z) if slope is not None else None
+        if known is not None:
+            return -known[0], -unit * known[1]
+        here, out = cost(x0 + unit * z), np.empty(z.size)
         for i in range(z.size):
             moved = z.copy()
             moved[i] += 1e-3 if z[i] + 1e-3 <= reach[i][1] else -1e-3
-            slope[i] = (cost(x0 + unit * moved) - here) / (moved[i] - z[i])
-        return here, slope
+            out[i] = (cost(x0 + unit * moved) - here) / (moved[i] - z[i])
+        return here, out
 
     minimize: Any = optimize.minimize
     result = minimize(
         sloped, np.zeros(x0.size), jac=True, method="L-BFGS-B", bounds=reach, options={"maxiter": 60, "ftol": 1e-9}
     )
     x, best = x0 + unit * np.asarray(result.x, dtype=np.float64), float(result.fun)
-    H = _hessian(cost, x, best)
+    H = _hessian(cost, x, best, slope)
     scale = np.array([1.0 / f.sigma for f in free])
     eigenvalues, vectors = np.linalg.eigh(H / scale[:, None] / scale[None, :])
     eigenvalues = np.maximum(eigenvalues, 1.0)
@@ -471,10 +558,21 @@ def laplace(log_posterior: Callable[[Array], float], x0: Array, free: Sequence[F
     return Mode(x, covariance, -best, -best + 0.5 * x.size * math.log(2.0 * math.pi) - 0.5 * logdet)
 
 
-def _hessian(cost: Callable[[Array], float], x: Array, centre: float) -> Array:
+def _hessian(
+    cost: Callable[[Array], float],
+    x: Array,
+    centre: float,
+    slope: Callable[[Array], tuple[float, Array] | None] | None,
+) -> Array:
+    """Second derivatives of a cost: differences of the derivatives where there are any, else of the cost itself."""
     n, h = x.size, CURVATURE_STEP
     H = np.empty((n, n))
     steps = np.eye(n) * h
+    if slope is not None:
+        sides = [(slope(x - s), slope(x + s)) for s in steps]
+        if all(a is not None and b is not None for a, b in sides):
+            H = np.stack([(a[1] - b[1]) / (2.0 * h) for a, b in sides if a is not None and b is not None])
+            return 0.5 * (H + H.T)
     plus = np.array([cost(x + s) for s in steps])
     minus = np.array([cost(x - s) for s in steps])
     for i in range(n):

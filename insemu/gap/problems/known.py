@@ -123,18 +123,18 @@ def drive_without(recording: Recording, nominal: Nominal) -> tuple[Recording, No
     effects = nominal.effects
     g = nominal.gnss
     changes: dict[str, object] = {"lever_arm": tuple(lever_arm_of(effects, g.lever_arm))}
-    for use in effects:
-        if use.id == "gnss_noise_level" and recording.gnss is not None and recording.gnss.pos_std_ned is None:
-            changes["position_sigma"] = tuple(np.array(g.position_sigma) * np.array(use["factor"]))
-        if (
-            use.id == "gnss_velocity_noise"
-            and recording.gnss is not None
-            and recording.gnss.vel_std_ned is None
-            and g.velocity_sigma
-        ):
-            changes["velocity_sigma"] = tuple(
-                np.hypot(np.array(g.velocity_sigma) * np.array(use["factor"]), np.array(use["sigma"]))
-            )
+    fixes = recording.gnss
+    sigmas = (
+        ()
+        if fixes is None
+        else (("position", fixes.pos_std_ned, g.position_sigma), ("velocity", fixes.vel_std_ned, g.velocity_sigma))
+    )
+    for what, stated, believed in sigmas:
+        if stated is None and believed is not None:
+            sigma = np.array(believed, dtype=float)
+            for use in effects:
+                sigma = use.effect.true_sigma(use, what, sigma) if use.effect.does("true_sigma") else sigma
+            changes[f"{what}_sigma"] = tuple(float(s) for s in sigma)
     moved = replace(nominal, gnss=g.model_copy(update=changes))
     out = compensated(recording, effects, trajectory=recording.reference or (lambda rest: _estimated(rest, moved)))
     outliers = next((use for use in effects if use.id == "gnss_outliers"), None)
@@ -148,8 +148,8 @@ def in_imu_axes(recording: Recording, nominal: Nominal) -> tuple[Recording, Nomi
     """
     C = np.eye(3)
     for use in nominal.effects:
-        if use.id == "mounting":
-            C = rotation.dcm_from_rpy(np.array(use["rpy"])) @ C
+        if use.effect.does("turn"):
+            C = use.effect.turn(use) @ C
     if np.allclose(C, np.eye(3), atol=1e-12):
         return recording, nominal
     imu, reference = recording.imu, recording.reference

@@ -1,0 +1,86 @@
+"""``insemu export``: noise models and tracks in the words of other programs."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def command(
+    file: str = typer.Argument(..., metavar="FILE", help="Models (YAML of `insemu fit -o`), or a recording or track."),
+    out: str = typer.Option(..., "--out", "-o", help="File to write; tracks: .tum, .kml, .gpx, .pos or .csv."),
+    to: str = typer.Option(
+        "",
+        "--to",
+        help="Of models: kalibr, openvins, vins-fusion, gazebo, rotors, px4, kf-gins, gtsam or gnss-ins-sim.",
+    ),
+    rate: str = typer.Option("100 Hz", "--rate", help="Of models: sampling rate of the sensor there."),
+    record: str = typer.Option("1 h", "--record", help="Of models: length of the record that they were fitted to."),
+    reference: bool = typer.Option(False, "--reference", help="Of recordings: the reference instead of the fixes."),
+    starts: str = typer.Option(
+        "", "--starts", help="Of recordings: date of time 0 (2024-05-01T12:00:00Z), where stamps are no dates."
+    ),
+    outage: list[str] | None = typer.Option(  # noqa: B008
+        None, "--outage", help="Of recordings: START:END in s, coloured in KML; may be repeated."
+    ),
+) -> None:
+    """Write noise models for another program, or the track of a recording as TUM, KML, GPX, RTKLIB .pos or CSV."""
+    from pathlib import Path
+
+    target = Path(out)
+    if Path(file).suffix.lower() in (".yaml", ".yml"):
+        _models(file, target, to, rate, record)
+    else:
+        _track(file, target, reference=reference, starts=starts, outage=outage or [])
+    typer.echo(f"wrote: {target}", err=True)
+
+
+def _models(file: str, target: Path, to: str, rate: str, record: str) -> None:
+    from insemu import noise, units
+    from insemu.errors import InputError
+    from insemu.formats.programs import PROGRAMS, spell
+
+    if not to:
+        raise InputError(f"says no program; expected one of: {', '.join(PROGRAMS)}", where="--to")
+    text, notes = spell(noise.load(file), to, rate_hz=units.parse(rate, "Hz"), record_s=units.parse(record, "s"))
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_text(text, encoding="utf-8")
+    for note in notes:
+        typer.echo(f"beware: {note}", err=True)
+
+
+def _track(file: str, target: Path, *, reference: bool, starts: str, outage: list[str]) -> None:
+    from dataclasses import replace
+    from datetime import UTC, datetime
+    from pathlib import Path
+
+    from insemu.errors import InputError
+    from insemu.formats import open_files
+    from insemu.formats.tracks_out import way_of, write_way
+
+    found = open_files(file)
+    data = found.reference if reference or found.gnss is None else found.gnss
+    if data is None:
+        raise InputError("has neither fixes nor a reference", where=file)
+    spans = []
+    for text in outage:
+        try:
+            first, last = (float(w) for w in text.split(":"))
+        except ValueError:
+            raise InputError(f"is '{text[:40]}', expected START:END in s", where="--outage") from None
+        spans.append((first, last))
+    way = way_of(data, Path(file).stem, spans)
+    if starts:
+        try:
+            when = datetime.fromisoformat(starts.replace("Z", "+00:00"))
+        except ValueError:
+            raise InputError(
+                f"is '{starts[:40]}', expected a date such as 2024-05-01T12:00:00Z", where="--starts"
+            ) from None
+        zero = (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
+        way = replace(way, t=way.t + zero, outages=[(a + zero, b + zero) for a, b in way.outages])
+    write_way(way, target)

@@ -1,0 +1,189 @@
+"""Trajectories as other programs take them: TUM, KML, GPX, RTKLIB ``.pos``, CSV."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from xml.sax.saxutils import escape
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu import earth, rotation
+from insemu.errors import InputError
+from insemu.formats.clocks import GPS_EPOCH, WEEK, leap_seconds
+from insemu.formats.text import write_table
+from insemu.records import GnssRecord, Trajectory
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Way:
+    """A track to be written.
+
+    Parameters
+    ----------
+    t : (n,) array
+        s since 1970 (UTC) where the formats need dates.
+    llh : (n, 3) array
+        rad, rad, m.
+    velocity, rpy, sigma : (n, 3) arrays, optional
+        North, east, down in m/s; rad; standard deviations of the position in m.
+    name : str
+    outages : sequence of (start, end)
+        In the time of ``t``; drawn in another colour where the format has colours.
+    """
+
+    t: Array
+    llh: Array
+    velocity: Array | None = None
+    rpy: Array | None = None
+    sigma: Array | None = None
+    name: str = "track"
+    outages: Sequence[tuple[float, float]] = ()
+
+
+def way_of(data: GnssRecord | Trajectory, name: str, outages: Sequence[tuple[float, float]] = ()) -> Way:
+    """The track of fixes or of a reference."""
+    if isinstance(data, Trajectory):
+        return Way(data.t, data.llh, data.vel_ned, data.rpy, None, name, outages)
+    good = np.isfinite(data.llh).all(axis=1)
+
+    def cut(values: Array | None) -> Array | None:
+        return None if values is None else values[good]
+
+    return Way(data.t[good], data.llh[good], cut(data.vel_ned), None, cut(data.pos_std_ned), name, outages)
+
+
+def _tum(way: Way, path: Path) -> None:
+    """Local east-north-up about the first position, body forward-left-up; standard deviations in ``NAME.cov.csv`` beside it."""
+    if way.rpy is None:
+        raise InputError("has no attitude, which a TUM trajectory needs", where=str(path))
+    ned = earth.llh_to_ned(way.llh, way.llh[0])
+    swap, body = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.diag([1.0, -1.0, -1.0])
+    q = rotation.quaternion_from_dcm(swap @ rotation.dcm_from_rpy(way.rpy) @ body)
+    block = np.column_stack([way.t, ned[:, [1, 0, 2]] * [1.0, 1.0, -1.0], q[:, [1, 2, 3, 0]]])
+    lat, lon, h = way.llh[0] * [180 / np.pi, 180 / np.pi, 1.0]
+    head = f"# timestamp tx ty tz qx qy qz qw; origin={lat:.12g} {lon:.12g} {h:.12g}\n"
+    path.write_text(head + "\n".join(" ".join(f"{v:.12g}" for v in row) for row in block) + "\n", encoding="utf-8")
+    if way.sigma is not None:
+        cov = way.sigma[:, [1, 0, 2]] ** 2
+        write_table(
+            path.with_suffix(".cov.csv"),
+            ["t [s]", "cov_ee [m^2]", "cov_nn [m^2]", "cov_uu [m^2]"],
+            np.column_stack([way.t, cov]),
+        )
+
+
+def _stamps(way: Way, path: Path) -> list[str]:
+    if not 1.0e8 < float(way.t[0]) < 4.2e9:
+        raise InputError(f"times begin at {way.t[0]:g} s, expected seconds since 1970 (UTC)", where=str(path))
+    return [datetime.fromtimestamp(round(float(t), 6), UTC).isoformat().replace("+00:00", "Z") for t in way.t]
+
+
+def _gpx(way: Way, path: Path) -> None:
+    degrees = way.llh * [180 / np.pi, 180 / np.pi, 1.0]
+    points = "\n".join(
+        f'<trkpt lat="{p[0]:.10f}" lon="{p[1]:.10f}"><ele>{p[2]:.4f}</ele><time>{t}</time></trkpt>'
+        for t, p in zip(_stamps(way, path), degrees, strict=True)
+    )
+    space = 'version="1.1" creator="insemu" xmlns="http://www.topografix.com/GPX/1/1"'
+    path.write_text(
+        f'<?xml version="1.0" encoding="UTF-8"?>\n<gpx {space}><trk><name>{escape(way.name)}</name><trkseg>\n{points}\n</trkseg></trk></gpx>\n',
+        encoding="utf-8",
+    )
+
+
+def _kml(way: Way, path: Path) -> None:
+    """The whole track with times, and every outage as a red line over it."""
+    degrees = way.llh * [180 / np.pi, 180 / np.pi, 1.0]
+    stamps = _stamps(way, path)
+    whens = "".join(f"<when>{t}</when>" for t in stamps)
+    coords = "".join(f"<gx:coord>{p[1]:.10f} {p[0]:.10f} {p[2]:.4f}</gx:coord>" for p in degrees)
+    absolute = "<altitudeMode>absolute</altitudeMode>"
+    track = f"<gx:Track>{absolute}{whens}{coords}</gx:Track>"
+    parts = [f"<Placemark><name>{escape(way.name)}</name><styleUrl>#way</styleUrl>{track}</Placemark>"]
+    for k, (start, end) in enumerate(way.outages, start=1):
+        inside = degrees[(way.t >= start) & (way.t <= end)]
+        places = " ".join(f"{p[1]:.10f},{p[0]:.10f},{p[2]:.4f}" for p in inside)
+        line = f"<LineString>{absolute}<coordinates>{places}</coordinates></LineString>"
+        parts.append(f"<Placemark><name>outage {k}</name><styleUrl>#outage</styleUrl>{line}</Placemark>")
+    styles = "".join(
+        f'<Style id="{name}"><LineStyle><color>{colour}</color><width>{width}</width></LineStyle></Style>'
+        for name, colour, width in (("way", "ffff7f00", 3), ("outage", "ff0000ff", 6))
+    )
+    space = 'xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2"'
+    path.write_text(
+        f'<?xml version="1.0" encoding="UTF-8"?>\n<kml {space}><Document>{styles}{"".join(parts)}</Document></kml>\n',
+        encoding="utf-8",
+    )
+
+
+def _pos(way: Way, path: Path) -> None:
+    """An RTKLIB solution in GPS week and seconds."""
+    _stamps(way, path)
+    gps = way.t - GPS_EPOCH + leap_seconds(float(way.t[0]))
+    week = np.floor(gps / WEEK)
+    sigma = way.sigma if way.sigma is not None else np.full((way.t.size, 3), np.nan)
+    degrees = way.llh * [180 / np.pi, 180 / np.pi, 1.0]
+    velocity = "" if way.velocity is None else "    vn(m/s)    ve(m/s)    vu(m/s)"
+    head = "% program   : insemu\n% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp)\n"
+    head += "%  GPST          latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)  sdne(m)  sdeu(m)  sdun(m) age(s)  ratio"
+    rows = []
+    for k in range(way.t.size):
+        cells = [
+            f"{int(week[k])}",
+            f"{gps[k] - WEEK * week[k]:.6f}",
+            f"{degrees[k, 0]:.11f}",
+            f"{degrees[k, 1]:.11f}",
+            f"{degrees[k, 2]:.4f}",
+        ]
+        cells += ["6", "0", *(f"{s:.4f}" for s in sigma[k]), "0.0", "0.0", "0.0", "0.0", "0.0"]
+        if way.velocity is not None:
+            cells += [f"{v:.5f}" for v in way.velocity[k] * [1.0, 1.0, -1.0]]
+        rows.append("  ".join(cells))
+    path.write_text("\n".join([head + velocity, *rows]) + "\n", encoding="utf-8")
+
+
+def _csv(way: Way, path: Path) -> None:
+    header = ["t [s]", "lat [deg]", "lon [deg]", "h [m]"]
+    blocks = [way.t[:, None], way.llh * [180 / np.pi, 180 / np.pi, 1.0]]
+    for values, names, factor in (
+        (way.velocity, ("vn [m/s]", "ve [m/s]", "vd [m/s]"), 1.0),
+        (way.rpy, ("roll [deg]", "pitch [deg]", "heading [deg]"), 180 / np.pi),
+        (way.sigma, ("pos_std_n [m]", "pos_std_e [m]", "pos_std_d [m]"), 1.0),
+    ):
+        if values is not None:
+            header += names
+            blocks.append(values * factor)
+    write_table(path, header, np.hstack(blocks))
+
+
+#: Suffix -> writer.
+WRITERS: Mapping[str, Callable[[Way, Path], None]] = {
+    ".tum": _tum,
+    ".txt": _tum,
+    ".kml": _kml,
+    ".gpx": _gpx,
+    ".pos": _pos,
+    ".csv": _csv,
+}
+
+
+def write_way(way: Way, path: Path) -> Path:
+    """Write a track in the format of the path's suffix.
+
+    Raises
+    ------
+    InputError
+        An unknown suffix; no attitude for TUM; times that are no UTC for formats with dates.
+    """
+    writer = WRITERS.get(path.suffix.lower())
+    if writer is None:
+        raise InputError(f"cannot write '{path.suffix}' tracks, expected {', '.join(WRITERS)}", where=str(path))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    writer(way, path)
+    return path
