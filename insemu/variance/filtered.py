@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
 from insemu.errors import InputError
-from insemu.noise import PROCESSES, NoiseModel, Process, curves
+from insemu.noise import PROCESSES, NoiseModel, Process
+from insemu.noise.compiled import callback_of
 from insemu.variance.edof import NoiseType, Scatter, octave_correlation
 from insemu.variance.filters import modwt_filters
 
@@ -212,7 +213,7 @@ def curve_address(process: Process, filter: str, dt: float) -> tuple[int, object
             known[key] = out
         return out
 
-    return curves.callback_of(derived)
+    return callback_of(derived)
 
 
 def _variance_of_mean(s: Array, at: Octave, n_samples: int) -> float:
