@@ -291,6 +291,16 @@ def log_likelihood(
 def smooth(block: StateBlock, y: ArrayLike, *, u: ArrayLike | None = None, x0: ArrayLike | None = None) -> Smoothed:
     """Smooth the states of a scalar signal; parameters as for :func:`log_likelihood`.
 
+    Parameters
+    ----------
+    block : StateBlock
+    y : (n,) array
+        Signal.
+    u : (states,) array, optional
+        Known input of the states per sample.
+    x0 : (states,) array, optional
+        Mean of the initial state.
+
     Raises
     ------
     InputError

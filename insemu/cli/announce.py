@@ -41,6 +41,13 @@ def announce(file: str | Path, console: Console, *, rate_hz: float | None = None
     return card.check() if refuse else card
 
 
+def announce_world(card: Card | None, console: Console) -> None:
+    """Print the card of a recorded world (none of an emulated one) and end where physics contradicts it."""
+    if card is not None:
+        show_brief(card, console)
+        card.check()
+
+
 def show_brief(card: Card, console: Console) -> None:
     """One line of what was found right, and every finding that is assumed, odd or wrong."""
     right = list(dict.fromkeys(x.topic for x in card.of("ok") if x.topic not in ("taken", "done")))

@@ -44,6 +44,7 @@ def command(
 
     from rich.console import Console
 
+    from insemu.cli.announce import announce_world
     from insemu.errors import InputError, nearest
     from insemu.evaluate import Experiment, compare, run_experiment, with_designs
     from insemu.scenario import load
@@ -54,6 +55,7 @@ def command(
     given = {"seed": seed, "realizations": realizations}
     names = [d.strip() for d in designs.split(",") if d.strip()]
     experiment = Experiment(with_designs(load(scenario, variant=variant, overrides=given), names), scenario)
+    announce_world(experiment.world.card, Console(stderr=True))
     if base and base not in experiment.scenario.designs:
         raise InputError(f"no design '{base}'" + nearest(base, experiment.scenario.designs), where="--base")
     if analytic:

@@ -44,6 +44,7 @@ def command(
 
     from rich.console import Console
 
+    from insemu.cli.announce import announce_world
     from insemu.errors import InputError, nearest
     from insemu.evaluate import Baseline, Experiment, check, run_experiment, with_designs
     from insemu.scenario import load
@@ -59,7 +60,10 @@ def command(
 
     def make(other_seed: int | None = None) -> Experiment:
         given = {"seed": seed if other_seed is None else other_seed, "realizations": realizations}
-        return Experiment(with_designs(load(scenario, overrides=given), wanted), scenario)
+        experiment = Experiment(with_designs(load(scenario, overrides=given), wanted), scenario)
+        if other_seed is None:
+            announce_world(experiment.world.card, Console(stderr=True))
+        return experiment
 
     if action == "record":
         results = run_experiment(make(), workers=threads)

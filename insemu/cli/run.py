@@ -66,7 +66,7 @@ def prepared(
     scenario: str, overrides: Mapping[str, Any], *, with_variants: bool, console: Console
 ) -> dict[str, Experiment]:
     """The experiments by the name of the variant, "" first: everything is checked before anything is flown or written."""
-    from insemu.cli.announce import show_brief
+    from insemu.cli.announce import announce_world
     from insemu.evaluate import Experiment
     from insemu.scenario import load
 
@@ -74,10 +74,7 @@ def prepared(
     experiments = {"": Experiment(base, scenario)}
     for name in base.variants if with_variants else ():
         experiments[name] = Experiment(load(scenario, variant=name, overrides=overrides), scenario)
-    card = experiments[""].world.card
-    if card is not None:
-        show_brief(card, console)
-        card.check()
+    announce_world(experiments[""].world.card, console)
     for warning in dict.fromkeys(w for e in experiments.values() for w in e.warnings):
         console.print(f"Warning: {warning}.", soft_wrap=True, highlight=False, markup=False)
     return experiments

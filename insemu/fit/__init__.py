@@ -148,6 +148,14 @@ def _fit_robust(series: Series, asked: NoiseModel, options: dict[str, Any]) -> F
 def as_series(signal: Series | ArrayLike, rate_hz: float | None, unit: str | None, name: str | None) -> Series:
     """A signal with its rate, unit and name.
 
+    Parameters
+    ----------
+    signal : Series or (n,) array
+    rate_hz : float, optional
+        Sampling rate; a series carries it.
+    unit, name : str, optional
+        Of the signal; a series carries them.
+
     Raises
     ------
     InputError

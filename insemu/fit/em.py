@@ -156,6 +156,17 @@ def expectation_maximization(
 ) -> Expectation:
     """Iterate until the relative change of the log-likelihood, averaged as in section 3.5 of Stebler et al. 2011, falls below ``tolerance``.
 
+    Parameters
+    ----------
+    space : StateSpace
+        Matrices to start from, with masks of what is free.
+    y : (n,) array
+        Signal.
+    tolerance : float
+        Relative rise of the likelihood at which it stops.
+    iterations : int
+        At most.
+
     Raises
     ------
     InputError
@@ -232,7 +243,7 @@ def fit_em(
     bad = [p.symbol for p in model if p.moving() is None and not isinstance(p, DR)]
     if bad:
         raise InputError(
-            f"{bad[0]} has no closed update here; expected a sum of WN, RW, GM, AR1, AR and DR (or use gmwm)"
+            f"{bad[0]} cannot be fitted by em: it has no closed update; expected a sum of WN, RW, GM, AR1, AR and DR (or use gmwm)"
         )
     model = model.at_rate(series.rate_hz)
     dt = series.dt

@@ -543,6 +543,20 @@ def goodness_of_fit(
 
     The covariance is the model's own at the estimate, and the statistic is taken at its minimum over those scales, so that its
     degrees of freedom are scales minus parameters. None where too few scales remain.
+
+    Parameters
+    ----------
+    structure : Structure
+    at : Solution
+        The estimate.
+    scale, value : (J,) arrays
+        Scales in samples, and the curve in unit^2.
+    V : (J, J) array
+        Covariance of the curve, unit^4.
+    n : int
+        Length of the record.
+    dt : float
+        Sampling interval, s.
     """
     m = scale / 2.0
     fitted = structure.columns(m, at.shapes)[0] @ at.coefficients

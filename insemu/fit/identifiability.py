@@ -31,7 +31,23 @@ def warnings_of(
     value: Array,
     n_samples: int,
 ) -> list[str]:
-    """Warnings about a solution: parts that vanish, correlation times beyond the record or below a sample, parts that coincide."""
+    """Warnings about a solution: parts that vanish, correlation times beyond the record or below a sample, parts that coincide.
+
+    Parameters
+    ----------
+    structure : Structure
+    coefficients, shapes : arrays
+        The solution.
+    model : NoiseModel
+        The same, specified.
+    free : list of (process number, parameter name)
+    covariance : (p, p) array
+        Of the free parameters.
+    scale, value : (J,) arrays
+        Scales in samples, and the curve in unit^2.
+    n_samples : int
+        Length of the record.
+    """
     out: list[str] = []
     m = scale / 2.0
     columns, _ = structure.columns(m, shapes)

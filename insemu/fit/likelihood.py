@@ -94,7 +94,17 @@ def sampling_pattern(n_samples: int, pattern: Pattern = "uniform", points: int |
 
 
 def integrate(values: Array, at: NDArray[np.int64], dt: float) -> Array:
-    """Increments of the integral (equation (20)) between the pattern's points, the first from the record's start."""
+    """Increments of the integral (equation (20)) between the pattern's points, the first from the record's start.
+
+    Parameters
+    ----------
+    values : (n,) array
+        Samples.
+    at : (k,) array of int
+        Sample counts of the pattern, ascending.
+    dt : float
+        Sampling interval, s.
+    """
     starts = np.concatenate([[0], at[:-1]])
     origin = float(values[0])  # keeps digits where an offset such as gravity dominates; put back below
     out = np.empty(at.size)

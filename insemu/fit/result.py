@@ -249,6 +249,18 @@ def estimates(
 
     Positive parameters get intervals that are symmetric on a logarithmic scale, correlation coefficients on Fisher's; both stay where the
     parameter can be.
+
+    Parameters
+    ----------
+    model : NoiseModel
+        Specified.
+    free : list of (process number, parameter name)
+    covariance : (p, p) array
+        Of the free parameters.
+    unit : str
+        SI unit of the signal.
+    confidence : float
+        Of the intervals.
     """
     z = float(ndtri(0.5 + 0.5 * confidence))
     place = {key: i for i, key in enumerate(free)}
@@ -313,6 +325,14 @@ def kalibr(
     enters by what it resembles over a second: slower than that by the random walk it is at short times (driving density sigma
     sqrt(2 beta)), faster by the white noise it is at long times (its PSD at low frequency). A walk that was not found is written as the
     largest that the record hides (:func:`insemu.formats.programs.reduce_models`), because these programs divide by it.
+
+    Parameters
+    ----------
+    results : mapping of axis to FitResult
+    rate_hz : float, optional
+        Update rate to write; that of the first fit by default.
+    topic : str
+        ROS topic to write.
 
     Returns
     -------

@@ -196,7 +196,7 @@ def parts(path: Path) -> _Parts:
     if path.suffix == ".npy":
         return _npy(path)
     if is_text(path):
-        return _csv(path)
+        return _csv_once(path)
     raise InputError(f"unknown kind of file '{path.suffix}', expected .npz, .csv or .npy", where=str(path))
 
 
@@ -257,6 +257,27 @@ def _default_names(width: int, path: Path) -> list[str]:
     if width == 6:
         return list(COLUMNS)
     return [path.stem] if width == 1 else [f"column_{k + 1}" for k in range(width)]
+
+
+#: The last text log that was read, with what it was read from: commands make its card and then compute from it.
+_LAST: dict[tuple[Path, int, int], _Parts] = {}
+#: Larger logs than this many values are read again rather than kept.
+_KEPT = 1 << 26
+
+
+def _csv_once(path: Path) -> _Parts:
+    state = path.stat()
+    key = (path.resolve(), state.st_mtime_ns, state.st_size)
+    if key not in _LAST:
+        _LAST.clear()
+        names, units, data, t, rate = _csv(path)
+        for column in data:
+            column.setflags(write=False)
+        if sum(c.size for c in data) > _KEPT:
+            return names, units, data, t, rate
+        _LAST[key] = names, units, data, t, rate
+    names, units, data, t, rate = _LAST[key]
+    return list(names), list(units), list(data), t, rate
 
 
 def _csv(path: Path) -> _Parts:

@@ -117,7 +117,17 @@ def whole(value: object) -> int | None:
 
 
 def quantity(value: Any, unit: str, where: str) -> float:
-    """A number in SI, or text with a unit of the dimension of ``unit``; raises ``InputError`` at ``where``."""
+    """A number in SI, or text with a unit of the dimension of ``unit``; raises ``InputError`` at ``where``.
+
+    Parameters
+    ----------
+    value : float or str
+        A number in SI, or a number with a unit.
+    unit : str
+        SI unit that is expected.
+    where : str
+        Key, for messages.
+    """
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise InputError(f"found {shown(value)}, expected a quantity in {unit}", where=where)
     try:

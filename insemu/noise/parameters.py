@@ -95,7 +95,17 @@ class Parameter:
     # -- the parameter as an unconstrained number, a shape ------------------------------------------------------------------------
 
     def shape(self, value: float, dt: float, symbol: str) -> float:
-        """The unconstrained number of a value; raises ``InputError`` for a frequency beyond half the sampling rate."""
+        """The unconstrained number of a value; raises ``InputError`` for a frequency beyond half the sampling rate.
+
+        Parameters
+        ----------
+        value : float
+            SI.
+        dt : float
+            Sampling interval, s.
+        symbol : str
+            Of the process, for messages.
+        """
         if self.domain == "frequency":
             x = 2.0 * value * dt
             if not 0.0 < x < 1.0:
@@ -241,7 +251,17 @@ class Parametrised:
         return coefficient, tuple(None if v is None else p.shape(v, dt, self.symbol) for p, v in known)
 
     def of_coordinates(self, coefficient: float, shapes: Sequence[float], dt: float) -> Self:
-        """The process with this coefficient and these shapes; parameters that have a value keep it."""
+        """The process with this coefficient and these shapes; parameters that have a value keep it.
+
+        Parameters
+        ----------
+        coefficient : float
+            Squared level as a variance of samples, unit^2.
+        shapes : sequence of float
+            One per parameter other than the level.
+        dt : float
+            Sampling interval, s.
+        """
         level = self.level
         found = {p.name: p.of_shape(float(s), dt) for p, s in zip(self.shape_parameters, shapes, strict=True)}
         found[level.name] = (coefficient * dt**level.sample_power) ** (0.5 * level.power)

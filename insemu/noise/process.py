@@ -167,7 +167,16 @@ class Process(Parametrised, ABC):
         return float(max(first, first + 2.0 * second))
 
     def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:
-        """Overwrite ``out`` (n,), contiguous float64, with samples at interval ``dt`` (s), from a stationary start where there is one."""
+        """Overwrite ``out`` (n,), contiguous float64, with samples at interval ``dt`` (s), from a stationary start where there is one.
+
+        Parameters
+        ----------
+        out : (n,) array
+            Overwritten, unit.
+        dt : float
+            Sampling interval, s.
+        rng : Generator
+        """
         block = self.block(dt)
         root_Q, root_P = (_root(a) for a in (block.Q, block.P0))
         state = root_P @ rng.standard_normal(block.n)
@@ -176,7 +185,16 @@ class Process(Parametrised, ABC):
         draws.state_space(out, np.array(block.Phi), root_Q, np.array(block.c), state, rng)
 
     def simulate(self, n: int, dt: float, rng: np.random.Generator) -> Array:
-        """``n`` samples at interval ``dt`` (s), from a stationary start where there is one."""
+        """``n`` samples at interval ``dt`` (s), from a stationary start where there is one.
+
+        Parameters
+        ----------
+        n : int
+            Samples.
+        dt : float
+            Sampling interval, s.
+        rng : Generator
+        """
         out = np.empty(n)
         self.fill(out, dt, rng)
         return out
@@ -227,7 +245,15 @@ class Process(Parametrised, ABC):
         return None
 
     def of_transition(self, Phi: Array, Q: Array, dt: float) -> Self:
-        """The process whose block has these matrices: the inverse of :meth:`block` where :meth:`moving` is not None."""
+        """The process whose block has these matrices: the inverse of :meth:`block` where :meth:`moving` is not None.
+
+        Parameters
+        ----------
+        Phi, Q : (k, k) arrays
+            Transition and driving covariance per sample.
+        dt : float
+            Sampling interval, s.
+        """
         raise NotImplementedError
 
     def per_sample(self, dt: float) -> dict[str, str]:
@@ -389,7 +415,17 @@ class NoiseModel:
         return np.asarray(sum((p.psd(f, dt) for p in self), start=np.zeros(np.shape(f))))
 
     def difference_covariance(self, m: int, dt: float, count: int) -> Array:
-        """Autocovariance of the differences of successive means of ``m`` samples; see :meth:`Process.difference_covariance`."""
+        """Autocovariance of the differences of successive means of ``m`` samples; see :meth:`Process.difference_covariance`.
+
+        Parameters
+        ----------
+        m : int
+            Samples per mean.
+        dt : float
+            Sampling interval, s.
+        count : int
+            Lags, in means.
+        """
         return np.asarray(sum((p.difference_covariance(m, dt, count) for p in self), start=np.zeros(count)))
 
     def autocovariance(self, lag: ArrayLike, dt: float) -> Array:
@@ -415,6 +451,16 @@ class NoiseModel:
 
         Each process draws from its own child of ``rng``, so that a process added at the end leaves the others as they were.
 
+        Parameters
+        ----------
+        n : int
+            Samples.
+        dt : float
+            Sampling interval, s.
+        rng : Generator
+        out : (processes, n) array, optional
+            Overwritten.
+
         Returns
         -------
         (processes, n) array
@@ -425,7 +471,16 @@ class NoiseModel:
         return parts
 
     def simulate(self, n: int, dt: float, rng: np.random.Generator) -> Array:
-        """Draw ``n`` samples of the sum at interval ``dt`` (s)."""
+        """Draw ``n`` samples of the sum at interval ``dt`` (s).
+
+        Parameters
+        ----------
+        n : int
+            Samples.
+        dt : float
+            Sampling interval, s.
+        rng : Generator
+        """
         return np.asarray(self.simulate_components(n, dt, rng).sum(axis=0))
 
     # -- text ---------------------------------------------------------------------------------------------------------------------

@@ -82,7 +82,17 @@ class AllanVariance:
 
 
 def averaging_grid(n_samples: int, kind: Kind = "overlapping", grid: Grid = "octave") -> NDArray[np.int64]:
-    """Return the numbers of samples to average: powers of two, 1-2-4 per decade, or all that leave at least two terms."""
+    """Return the numbers of samples to average: powers of two, 1-2-4 per decade, or all that leave at least two terms.
+
+    Parameters
+    ----------
+    n_samples : int
+        Length of the record.
+    kind : str
+        As in :func:`allan_variance`.
+    grid : str
+        ``octave``, ``decade`` or ``all``.
+    """
     most = _largest(n_samples, kind)
     if grid == "octave":
         m = 2 ** np.arange(int(np.log2(max(most, 1))) + 1, dtype=np.int64)

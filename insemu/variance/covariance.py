@@ -173,6 +173,17 @@ def model_covariance_of_filter(
 
     The same exact sum as :func:`model_covariance`, with the filters' cross-correlations by fast convolution: for records up to some
     100,000 samples.
+
+    Parameters
+    ----------
+    autocovariance : callable
+        Of whole lags in samples, unit^2.
+    n_samples : int
+        Length of the record.
+    filter : str
+        Name of the filter.
+    levels : int, optional
+        Octaves; all by default.
     """
     h, g = modwt_filters(filter)
     count = check_levels(levels, max_levels(n_samples, h.size), n_samples)

@@ -68,6 +68,15 @@ def interval(
     ``kind="normal"`` gives the asymptotic normal interval where ``edof`` exceeds 100 and NaN elsewhere; the other kinds are chi-square.
     With ``scatter``, the third cumulant and the dependence of the degrees of freedom on the estimate enter too.
 
+    Parameters
+    ----------
+    value, edof : (J,) arrays
+        Variances in unit^2 and their degrees of freedom.
+    confidence : float
+    kind : {"edof", "eta3", "normal"}
+    scatter : Scatter, optional
+        Skewness of the estimates, and how the degrees of freedom follow them.
+
     Notes
     -----
     A mean of squares of correlated Gaussian terms is a weighted sum of chi-squares, more skewed than the one chi-square that has its
@@ -109,7 +118,17 @@ def _power(edof: Array, skew: Array, upper: float) -> Array:
 
 
 def eta3(scale_samples: Array, n_samples: int, filter_length: int = 2) -> Array:
-    """Degrees of freedom of an ideal band-pass: ``max(M_j / 2^j, 1)`` (Percival & Walden's third choice, the peer's)."""
+    """Degrees of freedom of an ideal band-pass: ``max(M_j / 2^j, 1)`` (Percival & Walden's third choice, the peer's).
+
+    Parameters
+    ----------
+    scale_samples : (J,) array
+        Scales in samples.
+    n_samples : int
+        Length of the record.
+    filter_length : int
+        Taps of the filter.
+    """
     length = (scale_samples - 1.0) * (filter_length - 1.0) + 1.0
     return np.maximum((n_samples - length + 1.0) / scale_samples, 1.0)
 
@@ -131,7 +150,16 @@ def _components(n_samples: int) -> list[tuple[str, float]]:
 
 
 def component_variance(kind: str, tc: float, m: Array) -> Array:
-    """Haar wavelet variance of a unit component at averages of ``m`` samples; ``tc`` is the time constant of a GM in samples."""
+    """Haar wavelet variance of a unit component at averages of ``m`` samples; ``tc`` is the time constant of a GM in samples.
+
+    Parameters
+    ----------
+    kind : {"QN", "WN", "GM", "RW", "DR"}
+    tc : float
+        Time constant of a GM in samples.
+    m : (J,) array
+        Samples per average, not necessarily whole.
+    """
     return PROCESSES[kind]().unit_wavelet_variance(m, (-np.log(tc),) if kind == "GM" else ())
 
 
@@ -360,5 +388,11 @@ def edof_of_noise(
     averaged: bool = False,
     stride: Scales | None = None,
 ) -> Array:
-    """Equivalent degrees of freedom alone of :func:`scatter_of_noise`."""
+    """Equivalent degrees of freedom alone of :func:`scatter_of_noise`.
+
+    Parameters
+    ----------
+    noise, scale_samples, n_samples, order, averaged, stride
+        As there.
+    """
     return scatter_of_noise(noise, scale_samples, n_samples, order=order, averaged=averaged, stride=stride).edof

@@ -185,7 +185,16 @@ def _bins(filter: str, scale: int) -> tuple[Array, Array]:
 
 
 def curve_address(process: Process, filter: str, dt: float) -> tuple[int, object]:
-    """As :meth:`insemu.noise.Process.curve_address` for another filter than Haar: an address and what must be kept with it."""
+    """As :meth:`insemu.noise.Process.curve_address` for another filter than Haar: an address and what must be kept with it.
+
+    Parameters
+    ----------
+    process : Process
+    filter : str
+        Name of the filter.
+    dt : float
+        Sampling interval, s.
+    """
     refuse_signals(process, filter)
     structure = process.with_parameters(dict.fromkeys(process.given))
     known: dict[bytes, Array] = {}  # a process without shapes has one curve
@@ -227,7 +236,16 @@ def _unit(kind: str, tc: float, filter: str, j: int) -> tuple[float, Array]:
 
 @lru_cache(maxsize=64)
 def unit_curves(filter: str, octaves: tuple[int, ...], components: tuple[tuple[str, float], ...]) -> Array:
-    """Wavelet variances (octaves, components) of unit components; a ramp leaves none in filters with two vanishing moments."""
+    """Wavelet variances (octaves, components) of unit components; a ramp leaves none in filters with two vanishing moments.
+
+    Parameters
+    ----------
+    filter : str
+        Name of the filter.
+    octaves : tuple of int
+        From 1.
+    components : tuple of (kind, time constant in samples)
+    """
     return np.array(
         [[0.0 if kind == "DR" else _unit(kind, tc, filter, j)[0] for kind, tc in components] for j in octaves]
     )

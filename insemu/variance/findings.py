@@ -121,6 +121,15 @@ def stationarity(x: Array, rate_hz: float, unit: str) -> list[str]:
     Averages over adjacent windows differ by twice the Allan variance on average, for every noise with stationary increments. The
     differences of the first half are held against those of the second (warm-up), and the largest of the second half against the
     typical one (level shift), by F and t tests at a false-alarm rate of 1e-3 shared over windows.
+
+    Parameters
+    ----------
+    x : (n,) array
+        Signal.
+    rate_hz : float
+        Sampling rate.
+    unit : str
+        SI unit of the signal.
     """
     out: list[str] = []
     n = x.size

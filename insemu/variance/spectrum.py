@@ -210,6 +210,15 @@ def autocorrelation(x: ArrayLike, rate_hz: float = 1.0, *, max_lag_s: float | No
 
     Give it :func:`insemu.denoise.denoise` of a signal for the correlation that remains when white noise is reduced (Quinchia et al. 2013, 5.2).
 
+    Parameters
+    ----------
+    x : (n,) array
+        Signal.
+    rate_hz : float
+        Sampling rate.
+    max_lag_s : float, optional
+        Longest lag, s; the whole record by default.
+
     Raises
     ------
     InputError

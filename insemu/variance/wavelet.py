@@ -78,6 +78,14 @@ def check_signal(x: ArrayLike, name: str = "signal", *, finite: bool = True) -> 
     """Return a one-dimensional float64 signal, or raise :class:`~insemu.errors.InputError` saying what is wrong with it.
 
     ``finite=False`` leaves values that are not finite to be found by the caller.
+
+    Parameters
+    ----------
+    x : array_like
+    name : str
+        For messages.
+    finite : bool
+        Whether values that are not finite are refused.
     """
     values = np.asarray(x)
     if values.dtype.kind not in "fiu":
@@ -102,7 +110,17 @@ def check_rate(rate_hz: float) -> float:
 
 
 def check_levels(levels: int | None, possible: int, n_samples: int) -> int:
-    """Return the number of octaves to compute (all by default)."""
+    """Return the number of octaves to compute (all by default).
+
+    Parameters
+    ----------
+    levels : int or None
+        Octaves that are asked for.
+    possible : int
+        Octaves that the record allows.
+    n_samples : int
+        Length of the record.
+    """
     if possible < 1:
         raise InputError(f"a record of {n_samples} samples is too short for one octave of this filter")
     if levels is None:
@@ -269,6 +287,15 @@ def wavelet_coefficients(x: ArrayLike, *, filter: str = "haar", levels: int | No
     """Return the MODWT wavelet coefficients of each octave, boundary left out (equation (6) of Stebler et al. 2014).
 
     Entry ``j - 1`` has shape ``(n - L_j + 1,)`` with ``L_j = (2^j - 1)(L - 1) + 1``.
+
+    Parameters
+    ----------
+    x : (n,) array
+        Signal.
+    filter : str
+        Name of the filter.
+    levels : int, optional
+        Octaves; all by default.
 
     Raises
     ------

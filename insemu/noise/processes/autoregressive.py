@@ -496,6 +496,15 @@ class AR(ARMA):
 
         The first is the coefficient of the AR(1) of the same signal. An innovation variance is that of the AR(1) times ``1 - k^2`` of each of
         the others, which ties published fits of several orders together.
+
+        Parameters
+        ----------
+        correlations : (p,) array
+            Partial autocorrelations, each between -1 and 1.
+        sigma2 : float, optional
+            Innovation variance, unit^2.
+        rate_hz : float, optional
+            Sampling rate.
         """
         ar = np.zeros(0)
         for k in np.atleast_1d(np.asarray(correlations, dtype=np.float64)):

@@ -90,7 +90,17 @@ class GM(Process):
 
     @classmethod
     def of_discrete(cls, phi: float, sigma2: float, dt: float) -> GM:
-        """The GM process whose samples at ``dt`` are the AR(1) with coefficient ``phi`` in (0, 1) and innovation variance ``sigma2``."""
+        """The GM process whose samples at ``dt`` are the AR(1) with coefficient ``phi`` in (0, 1) and innovation variance ``sigma2``.
+
+        Parameters
+        ----------
+        phi : float
+            Coefficient, between 0 and 1.
+        sigma2 : float
+            Innovation variance, unit^2.
+        dt : float
+            Sampling interval, s.
+        """
         if not 0.0 < phi < 1.0:
             raise InputError(
                 f"phi is {phi}, expected a number between 0 and 1; an AR1 with phi <= 0 has no continuous counterpart"
