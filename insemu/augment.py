@@ -131,7 +131,7 @@ class Extras:
 
 @dataclass(frozen=True)
 class Augmentation:
-    """The discrete model of everything behind the nine navigation states.
+    """The discrete model of the augmented states, after the nine of navigation.
 
     With m states: ``x_k = Phi x_(k-1) + w_k``, cov w = Q, x_0 ~ (0, P0). The error of axis a is ``sum_s c_s d_s x_s + v`` over its own states
     s, with var v = ``white[a]`` and d_s = 1, or the measured rate or specific force of axis ``driver[s]`` where that is not -1.
@@ -163,7 +163,7 @@ class Augmentation:
 
     @property
     def m(self) -> int:
-        """Number of states behind the navigation states."""
+        """Number of augmented states."""
         return self.axis.size
 
     def coefficients(self, measured: ArrayLike | None = None) -> Array:

@@ -501,3 +501,10 @@ def test_headings_may_name_units_in_two_ways(tmp_path):
     file.write_text("lat,lon," + "[(" * 5000 + "\n46,7,36\n")
     with pytest.raises(InputError, match=r"way.csv:1: unknown column"):
         read_waypoints(file)
+
+
+def test_a_table_at_rest_lasts_as_long_as_asked_and_a_flight_that_is_shorter_is_refused() -> None:
+    assert emulate.load_flight(builtin="static", duration_s=2400.0).flight.path.duration == 2400.0
+    assert emulate.load_flight(builtin="helicopter_mapping", duration_s=1200.0).flight.path.duration == 1200.0
+    with pytest.raises(InputError, match="helicopter_mapping: the motion ends after 1200 s, but a duration of 2400 s"):
+        emulate.load_flight(builtin="helicopter_mapping", duration_s=2400.0)

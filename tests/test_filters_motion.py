@@ -98,6 +98,11 @@ def test_a_turntable_is_never_at_rest(axis):
             assert rests(at_rest_for(20.0, rate, axis=axis, noise=noise)) == [], (rate, noise)
 
 
+def test_gravity_tells_a_slow_turn_about_a_horizontal_axis_from_a_bias():
+    assert quiet_stretches(at_rest_for(2.5, 0.2, axis=(1.0, 0.0, 0.0), noise=1e-5)) == []
+    assert quiet_stretches(at_rest_for(2.5, 0.0, bias=0.2, axis=(1.0, 0.0, 0.0), noise=1e-5))
+
+
 def test_a_cheap_gyroscope_may_rest_where_something_tells_its_bias():
     assert rests(at_rest_for(20.0, 0.0))
     # about a horizontal axis gravity tells: a body that showed 2 deg/s and turned would have moved it

@@ -5,7 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from insemu.augment import augment
 from insemu.errors import InputError
+from insemu.fit import fit
 from insemu.fit.structure import Structure, natural_jacobian
 from insemu.noise import AR, AR1, ARMA, BI, DR, GM, MA, PROCESSES, QN, RC, RW, SIN, WN, NoiseModel, Process
 
@@ -150,6 +152,27 @@ def test_refusals_name_the_estimator_and_the_reason() -> None:
     ):
         with pytest.raises(InputError, match=f"{process.symbol} cannot be fitted by {method}.*{word}"):
             process.refuse(method)
+
+
+@pytest.mark.parametrize("name", ["QN", "MA", "ARMA", "SIN", "BI", "RC", "GM2"])
+def test_em_refuses_by_name(name: str) -> None:
+    free = ROWS.get(name, PROCESSES[name]())
+    structure = WN() + free.with_parameters(dict.fromkeys(free.given))
+    x = WN(1e-3).simulate(400, DT, np.random.default_rng(1))
+    with pytest.raises(InputError, match=f"{name} cannot be fitted by em: it has no closed update"):
+        fit(x, structure, "em", rate_hz=RATE)
+
+
+@pytest.mark.parametrize("name", ["GM2 slow", "AR", "QN"])
+def test_a_process_augments_a_filter(name: str) -> None:
+    """The error that a filter believes on an axis has the autocovariance of the process."""
+    found = augment({"gyro_x": WN(1e-3) + ROWS[name]}, DT)
+    own = found.axis == 0
+    state, row = found.P0[np.ix_(own, own)], found.c[own]
+    for gamma in ROWS[name].autocovariance(np.arange(5), DT):
+        near(row @ state @ row, gamma, 1e-8)
+        state = found.Phi[np.ix_(own, own)] @ state
+    assert found.white[0] == pytest.approx(1e-6 / DT)
 
 
 def test_every_process_has_a_row() -> None:

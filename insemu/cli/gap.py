@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from insemu.gap import GapReport
 
 #: Findings on the first screen.
 MOST_ROWS = 6
@@ -42,7 +49,6 @@ def command(
 
     import numpy as np
     from rich.console import Console
-    from rich.table import Table
 
     from insemu import units
     from insemu.cli.announce import announce
@@ -73,12 +79,12 @@ def command(
             progress=status.update if console.is_terminal else lambda text: typer.echo(text, err=True),
         )
     folder = Path(out) if out else Path("results") / f"gap_{Path(measured).stem}"
-    folder.mkdir(parents=True, exist_ok=True)
     chosen = applied(report, numbers) if numbers else report
+    folder.mkdir(parents=True, exist_ok=True)
     refined = write_refined(nominal, chosen, folder / "refined.yaml", data)
     text = json.dumps(report.to_json(), indent=1, allow_nan=False)
     (folder / "gap.json").write_text(text + "\n", encoding="utf-8")
-    from insemu.report.gap import action, draw_gap, effect_name, headline, metres, place, render_gap
+    from insemu.report.gap import draw_gap, render_gap
 
     page = render_gap(report, folder, refined.read_text(encoding="utf-8"))
     if pictures:
@@ -86,11 +92,21 @@ def command(
     if as_json:
         typer.echo(text)
         return
+    _tell(report, console)
+    console.print(f"Page: [bold]{page}[/bold]   (gap.json, refined.yaml beside it)")
+
+
+def _tell(report: GapReport, console: Console) -> None:
+    """The answer on the terminal: the verdict, at most six findings, what is left, the gap before and after."""
+    import math
+
+    from rich.table import Table
+
+    from insemu.report.gap import action, effect_name, headline, metres, place
+
     console.print(f"[bold]{report.verdict}[/bold]: {headline(report)}")
     if report.findings:
-        table = Table(
-            "", "effect", "where", "nats", "confidence", "m after 60 s", "parameters, 95 % interval", "what to do"
-        )
+        table = Table("", "effect", "where", "nats", "confidence", "m after 60 s", "parameters, 95 % interval")
         for n, s in enumerate(report.findings[:MOST_ROWS], 1):
             values = "\n".join(f"{v.name} {v.value:.3g} [{v.low:.3g}, {v.high:.3g}] {v.unit}" for v in s.parameters[:6])
             values += "\n..." if len(s.parameters) > 6 else ""
@@ -102,14 +118,14 @@ def command(
                 f"{s.confidence:.3f}",
                 metres(s),
                 values,
-                action(s),
             )
         console.print(table)
+        for n, s in enumerate(report.findings[:MOST_ROWS], 1):
+            console.print(f"{n}. {action(s)}", highlight=False, markup=False)
         if len(report.findings) > MOST_ROWS:
             console.print(f"and {len(report.findings) - MOST_ROWS} more on the page")
     if report.remainder:
         console.print(f"Left unexplained: {report.remainder}", highlight=False, markup=False)
     for label, value in (("before", report.gap_before), ("after", report.gap_after)):
-        if np.isfinite(value.value):
+        if math.isfinite(value.value):
             console.print(f"gap index {label}: {value.value:.3f} [{value.low:.3f}, {value.high:.3f}]")
-    console.print(f"Page: [bold]{page}[/bold]   (gap.json, refined.yaml beside it)")

@@ -38,10 +38,13 @@ class Response:
         """Apply to the rows (6, n) in place."""
         places = np.array([p[:3] for p in self.products], dtype=np.int64).reshape(-1, 3)
         factors = np.array([p[3] for p in self.products], dtype=np.float64)
-        changing = np.array([m for m, _ in self.changing]).reshape(-1, 6, 6)
+        warm = [(i, j, q, m[i, j]) for q, (m, _) in enumerate(self.changing) for i, j in np.argwhere(m)]
+        warm_places = np.array([w[:3] for w in warm], dtype=np.int64).reshape(-1, 3)
+        warm_factors = np.array([w[3] for w in warm], dtype=np.float64)
         levels = np.array([row for _, row in self.changing]).reshape(-1, signal.shape[1])
         passes.respond(
-            signal, self.mounting, self.matrix, self.asymmetry, self.square, self.cube, self.offset, places, factors, changing, levels
+            signal, self.mounting, self.matrix, self.asymmetry, self.square, self.cube, self.offset, places, factors,
+            warm_places, warm_factors, levels,
         )  # fmt: skip
 
 

@@ -113,13 +113,15 @@ def respond(
     offset: Array,
     places: NDArray[np.int64],
     factors: Array,
-    changing: Array,
+    warm_places: NDArray[np.int64],
+    warm_factors: Array,
     levels: Array,
 ) -> None:
     """Functions of the true signal, all of the same true signal.
 
     ``x = mounting s`` for the gyroscopes and the accelerometers, then ``y = x + matrix x + asymmetry |x| + square x^2 + cube x^3 + offset``,
-    plus ``factors[m] x[j] x[k]`` on axis i for every ``(i, j, k)`` in ``places``, plus ``levels[q] changing[q] x`` for every q.
+    plus ``factors[m] x[j] x[k]`` on axis i for every ``(i, j, k)`` in ``places``,
+    plus ``warm_factors[m] levels[q] x[j]`` on axis i for every ``(i, j, q)`` in ``warm_places``.
 
     Parameters
     ----------
@@ -131,8 +133,8 @@ def respond(
     asymmetry, square, cube, offset : (6,) arrays
     places, factors : (m, 3) and (m,) arrays
         Products of two signals.
-    changing, levels : (q, 6, 6) and (q, n) arrays
-        Matrices that change with time.
+    warm_places, warm_factors, levels : (m, 3), (m,) and (q, n) arrays
+        Factors that change with time.
     """
     x = np.empty(6)
     for k in range(signal.shape[1]):
@@ -147,10 +149,8 @@ def respond(
             signal[i, k] = v + total
         for m in range(factors.size):
             signal[places[m, 0], k] += factors[m] * x[places[m, 1]] * x[places[m, 2]]
-        for q in range(levels.shape[0]):
-            for i in range(6):
-                for j in range(6):
-                    signal[i, k] += levels[q, k] * changing[q, i, j] * x[j]
+        for m in range(warm_factors.size):
+            signal[warm_places[m, 0], k] += warm_factors[m] * levels[warm_places[m, 2], k] * x[warm_places[m, 1]]
 
 
 @njit(cache=True, nogil=True)

@@ -13,7 +13,7 @@ from insemu.emulate.flight import Flight
 from insemu.emulate.motion import Leg
 from insemu.emulate.table import read_columns, text_of
 from insemu.emulate.track import SmoothedTrack, Track, smooth_track
-from insemu.emulate.trajectory import built_in
+from insemu.emulate.trajectory import built_in, static
 from insemu.emulate.vehicle import odd_places
 from insemu.emulate.vehicle import vehicle as vehicle_of
 from insemu.emulate.waypoints import read_waypoints, route
@@ -51,6 +51,7 @@ def load_flight(
     vehicle: str = "car",
     speed: float | None = None,
     max_gap_s: float = 10.0,
+    duration_s: float | None = None,
 ) -> Source:
     """Load a flight from exactly one of its sources.
 
@@ -70,7 +71,35 @@ def load_flight(
         For waypoints without speeds, m/s.
     max_gap_s : float
         Longest gap of a track that is bridged.
+    duration_s : float, optional
+        How much of it is wanted, s: a table at rest is made that long, any other source must last so long.
+
+    Raises
+    ------
+    InputError
+        No source or several; a file that cannot be used; a source that ends before ``duration_s``.
     """
+    if builtin == "static" and duration_s is not None:
+        return Source(static(duration_s))
+    source = _load(builtin, waypoints, track, motion, vehicle, speed, max_gap_s)
+    length = source.flight.path.end - source.flight.path.start
+    if duration_s is not None and duration_s > length + 1e-6:
+        name = builtin or next(str(p) for p in (waypoints, track, motion) if p is not None)
+        raise InputError(
+            f"the motion ends after {length:g} s, but a duration of {duration_s:g} s is asked for", where=name
+        )
+    return source
+
+
+def _load(
+    builtin: str | None,
+    waypoints: str | Path | None,
+    track: str | Path | None,
+    motion: str | Path | None,
+    vehicle: str,
+    speed: float | None,
+    max_gap_s: float,
+) -> Source:
     given = {"builtin": builtin, "waypoints": waypoints, "track": track, "motion": motion}
     named = [name for name, value in given.items() if value is not None]
     if len(named) != 1:

@@ -279,7 +279,7 @@ def _updates(
 
 
 def _sources(truth: Belief, aug: Augmentation, mb: int) -> tuple[Ints, list[str]]:
-    """For each state behind, the number of the true process it belongs to; names of those."""
+    """For each augmented state, the number of the true process it belongs to; names of those."""
     names: list[str] = []
     source = np.zeros(mb + aug.m, dtype=np.int64)  # the filter's own estimates are driven by nothing
     for axis in per_axis(truth):

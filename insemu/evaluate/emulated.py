@@ -83,10 +83,11 @@ class EmulatedWorld:
             vehicle=source.vehicle,
             speed=source.speed,
             max_gap_s=source.max_gap,
+            duration_s=source.duration,
         )
         self.flight, self.track, self.warnings = loaded.flight, loaded.track, loaded.warnings
         path = self.flight.path
-        length = path.end - path.start if source.duration is None else min(path.end - path.start, source.duration)
+        length = path.end - path.start if source.duration is None else source.duration
         if length * source.rate > MAX_SAMPLES:
             raise InputError(
                 f"{length:g} s at {source.rate:g} Hz are {length * source.rate:.3g} samples, expected at most {MAX_SAMPLES:g}: they would take "
@@ -100,7 +101,7 @@ class EmulatedWorld:
             kind=source.kind,
             gravity=source.gravity,
             mounting=source.mounting,
-            span=None if source.duration is None else (path.start, min(path.end, path.start + source.duration)),
+            span=None if source.duration is None else (path.start, min(path.end, path.start + length)),
         )
         self.reference: Trajectory = ideal.reference
         self.imu: ImuRecord = ideal.imu

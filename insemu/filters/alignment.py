@@ -396,7 +396,9 @@ def _from_rest(
     # rate of the heading of a nearly level vehicle: (q sin(roll) + r cos(roll)) / cos(pitch)
     by_heading = np.array([0.0, np.sin(roll), np.cos(roll)]) / np.cos(pitch)
     drift = float(np.sqrt(by_heading @ covariance @ by_heading)) * max(moving_s, 0.0)
-    slip = float(np.max(track.velocity_sigma[:2])) / track.speed
+    # a course of positions is a mean over seconds in which the vehicle gathers speed and may turn
+    caution = 1.0 if gnss.vel_ned is not None else 2.0
+    slip = caution * float(np.max(track.velocity_sigma[:2])) / track.speed
     heading_sigma = float(np.sqrt(slip**2 + np.deg2rad(1.0) ** 2 + drift**2))
     if heading_sigma > LARGEST_HEADING_SIGMA:
         raise InputError(

@@ -63,7 +63,7 @@ def pack(aug: Augmentation, powers: int) -> Packed:
     if slots > expanded.MAX_SLOTS:
         raise InputError(f"an axis carries {slots} states, expected at most {expanded.MAX_SLOTS}")
     place = np.concatenate([np.arange(9), expanded.FIRST + 8 * slot + lanes]).astype(np.int64)
-    behind = place[9:]
+    extra = place[9:]
     coupled = (aug.Phi != 0) & (lanes[:, None] != lanes[None, :])
     if coupled.any():
         raise InputError("states of different axes are coupled in Phi, expected independent axes")
@@ -73,7 +73,7 @@ def pack(aug: Augmentation, powers: int) -> Packed:
     Qs = np.zeros((powers, aug.m, aug.m))
     for p in range(powers):
         Phi, Qs[p] = aug.power(p + 1)
-        d[p, behind] = np.diag(Phi)
+        d[p, extra] = np.diag(Phi)
         for i, j in zip(*np.nonzero(Phi), strict=True):
             phi[p, slot[i], slot[j], lanes[i]] = Phi[i, j]
     far = {0} | {int(a - b) for a, b in np.argwhere((phi != 0).any(axis=(0, 3)))}
@@ -92,7 +92,7 @@ def pack(aug: Augmentation, powers: int) -> Packed:
         phi,
         offsets,
         mix,
-        behind[rows] * expanded.LD + behind[columns],
+        extra[rows] * expanded.LD + extra[columns],
         np.ascontiguousarray(Qs[:, rows, columns]),
     )
 
@@ -321,7 +321,7 @@ class LooselyCoupledEKF:
     def checked(
         self, imu: ImuRecord, initial: NavState | Trajectory, initial_states: ArrayLike | None
     ) -> tuple[ImuRecord, Array, Array]:
-        """The record as increments, the initial navigation state (10,) and the initial estimates of the further states (m,).
+        """The record as increments, the initial navigation state (10,) and the initial estimates of the augmented states (m,).
 
         Raises
         ------

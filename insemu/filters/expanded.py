@@ -6,10 +6,10 @@ The expanded covariance
 column loops into vector instructions). Rows and columns are
 
 * 0..8    the navigation errors,
-* 9..14   the errors u of the six measured axes during this step (gyroscope, accelerometer), a function of the states behind,
-* 16..    the states behind, in slots of eight: slot s holds the s-th state of every axis in lanes 0..5 (lanes 6, 7 stay zero).
+* 9..14   the errors u of the six measured axes during this step (gyroscope, accelerometer), a function of the augmented states,
+* 16..    the augmented states, in slots of eight: slot s holds the s-th state of every axis in lanes 0..5 (lanes 6, 7 stay zero).
 
-A step is then three things: the states behind move (lane by lane), u follows from them (``u = -(C e_x) + v``, estimate minus truth), and
+A step is then three things: the augmented states move (lane by lane), u follows from them (``u = -(C e_x) + v``, estimate minus truth), and
 one linear map takes (navigation errors, u) to the new navigation errors. The map is applied to the columns and, after transposing the
 nine rows, to the rows. It is the trapezoid of the mechanization: attitude first, velocity with the mean attitude error, position
 with the mean velocity error, so that the second-order terms in dt that matter come without products of matrices.
@@ -32,7 +32,7 @@ Ints = NDArray[np.int64]
 
 #: Row length of the expanded covariance; bounds the number of slots.
 LD = 136
-#: First row of the axis errors and of the states behind.
+#: First row of the axis errors and of the augmented states.
 U = 9
 FIRST = 16
 MAX_SLOTS = 14
@@ -134,13 +134,13 @@ def apply_map(w: Array, half: float, E: Array, columns: int) -> None:
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def columns_of(slots: int) -> int:
-    """Columns of the states behind, filled up with zeros to whole vector iterations; a shorter rest would run one by one."""
+    """Columns of the augmented states, filled up with zeros to whole vector iterations; a shorter rest would run one by one."""
     return 16 * ((slots + 1) // 2)
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _scale_rows(E: Array, d: Array, slots: int) -> None:
-    """States behind, each with a transition of its own: rows and columns scaled."""
+    """Augmented states, each with a transition of its own: rows and columns scaled."""
     width = columns_of(slots)
     D, N = d[FIRST:], E[FIRST:]
     for j in range(width):
@@ -170,7 +170,7 @@ def _scale_rows(E: Array, d: Array, slots: int) -> None:
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _mix_rows(E: Array, phi: Array, slots: int, work: Array) -> None:
-    """States behind that mix within an axis: ``rows <- Phi rows`` for their own columns; ``phi`` is (slots, slots, 8)."""
+    """Augmented states that mix within an axis: ``rows <- Phi rows`` for their own columns; ``phi`` is (slots, slots, 8)."""
     width = columns_of(slots)
     work[: 8 * slots * LD] = E[FIRST * LD : (FIRST + 8 * slots) * LD]
     for s in range(slots):
@@ -200,7 +200,7 @@ def _mix_rows(E: Array, phi: Array, slots: int, work: Array) -> None:
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _mix_columns(E: Array, offsets: Ints, mix: Array, slots: int, work: Array) -> None:
-    """``columns <- columns Phi'`` for the navigation rows and the rows of the states behind.
+    """``columns <- columns Phi'`` for the navigation rows and the rows of the augmented states.
 
     Column j takes ``mix[i, j]`` times the old column 8 ``offsets[i]`` before it.
     """
@@ -278,7 +278,7 @@ def _mix_columns(E: Array, offsets: Ints, mix: Array, slots: int, work: Array) -
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _axis_rows(E: Array, c: Array, slots: int, work: Array) -> None:
-    """Rows of the axis errors from the rows of the states behind, for the columns of the states behind."""
+    """Rows of the axis errors from the rows of the augmented states, for the columns of the augmented states."""
     width = columns_of(slots)
     V = work  # apart from E, so that the loops vectorise
     for j in range(width):
@@ -311,7 +311,7 @@ def _axis_rows(E: Array, c: Array, slots: int, work: Array) -> None:
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _axis_columns(E: Array, c: Array, slots: int) -> None:
-    """Covariance of the navigation errors and of the axis errors with the axis errors, both halves, from columns of the states behind."""
+    """Covariance of the navigation errors and of the axis errors with the axis errors, both halves, from columns of the augmented states."""
     for a in range(6):
         n0 = n1 = n2 = n3 = n4 = n5 = n6 = n7 = n8 = 0.0
         u0 = u1 = u2 = u3 = u4 = u5 = 0.0
@@ -377,11 +377,11 @@ def predict(
     w, half : (46,) array, float
         Map of the step and half its duration.
     slots : int
-        Slots of states behind.
+        Slots of augmented states.
     diagonal : bool
-        Whether every state behind moves by itself (``d``), or lanes mix (``phi``).
+        Whether every augmented state moves by itself (``d``), or lanes mix (``phi``).
     d, phi : (LD,), (slots, slots, 8) arrays
-        Transition of the states behind.
+        Transition of the augmented states.
     offsets, mix : (k,), (k, LD) arrays
         The same by the distance of slots; distance zero first.
     q_at, q : (k,) arrays

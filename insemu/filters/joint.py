@@ -1,7 +1,7 @@
 """A linear system of a filter's estimates beside other states, moved by the filter's own compiled steps: covariance forward, adjoint backward.
 
 What :mod:`insemu.evaluate.covariance` is made of. The system is an :class:`~insemu.augment.Augmentation` whose states all act through the
-axes of the IMU, behind the nine navigation errors.
+axes of the IMU, after the nine navigation errors.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class JointSystem:
     Parameters
     ----------
     states : Augmentation
-        The states behind the nine navigation errors.
+        The augmented states after the nine navigation errors.
     imu : ImuRecord
         Increments along the reference.
     maps : (n, 46) array
@@ -316,7 +316,7 @@ def _backward(
             axes[a] += u[a] * u[a] * white[a]
         for i in range(9):
             L[i] = old[i]
-        # states behind: what they do through the axes in this step, their driving noise, their transition
+        # augmented states: what they do through the axes in this step, their driving noise, their transition
         for s in range(m):
             if axis[s] >= 0:
                 c = c0[s]

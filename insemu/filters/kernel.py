@@ -43,7 +43,7 @@ LATE_STEPS = 2.5
 def _states_ahead(
     x: Array, axis_x: Array, slots: int, diagonal: bool, d: Array, phi: Array, c: Array, work: Array
 ) -> None:
-    """Predict the estimates of the states behind, and what the axes see of them."""
+    """Predict the estimates of the augmented states, and what the axes see of them."""
     if diagonal:
         for j in range(FIRST, FIRST + 8 * slots):
             x[j] *= d[j]

@@ -84,7 +84,7 @@ def fill_fix(
     white : (6,) array
         Variances of the axes' white noise per sample.
     c_of, axis : (m,) arrays
-        What axis each state behind is seen by, and how strongly.
+        What axis each augmented state is seen by, and how strongly.
     lever_at, latency_at : int
         First lever-arm state and latency state among all states, -1 where not carried.
     trend : (9,) array

@@ -66,7 +66,7 @@ def step_matrices(F: Array, C: Array, dt: float) -> tuple[Array, Array]:
 def augmented(Phi: Array, B: Array, Phi_x: Array, Q_x: Array, C_x: Array, white: Array) -> tuple[Array, Array]:
     """Transition and driving covariance of the whole filter.
 
-    The further states move first, ``x_k = Phi_x x_(k-1) + w_k``; the axes err by ``-(C_x e_x) + v`` during the step, so w_k reaches the
+    The augmented states move first, ``x_k = Phi_x x_(k-1) + w_k``; the axes err by ``-(C_x e_x) + v`` during the step, so w_k reaches the
     navigation errors in the same step.
 
     Returns
@@ -104,7 +104,7 @@ class _Flight:
     accelerations: list[Array] = field(default_factory=list)
 
     def predict(self, measured: Array, dt: float) -> None:
-        """One IMU step: further states first, then the covariance, then the navigation."""
+        """One IMU step: augmented states first, then the covariance, then the navigation."""
         a, gravity = self.ekf.augmentation, earth.gravity_code(self.ekf.gravity)
         first = not self.rates
         C_x, self.seen = a.output(measured / dt), a.coefficients(measured / dt)

@@ -73,7 +73,7 @@ class Nodes:
     nav : (k, 10) array
         Navigation state after the update.
     states : (k, n - 9) array
-        Estimates of the further states, after the update.
+        Estimates of the augmented states, after the update.
     P_before, P_after : (k, n, n) arrays
         Covariance before and after the update.
     Phi : (k, n, n) array

@@ -243,7 +243,7 @@ def fit_em(
     bad = [p.symbol for p in model if p.moving() is None and not isinstance(p, DR)]
     if bad:
         raise InputError(
-            f"{bad[0]} has no closed update here; expected a sum of WN, RW, GM, AR1, AR and DR (or use gmwm)"
+            f"{bad[0]} cannot be fitted by em: it has no closed update; expected a sum of WN, RW, GM, AR1, AR and DR (or use gmwm)"
         )
     model = model.at_rate(series.rate_hz)
     dt = series.dt

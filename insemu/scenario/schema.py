@@ -101,7 +101,10 @@ class TrajectorySource(Section):
     )
     rate: Hertz = Field(default=100.0, gt=0, le=MAX_RATE, description="IMU rate")
     duration: Seconds | None = Field(
-        default=None, gt=0, le=MAX_DURATION, description="cut the trajectory after this time"
+        default=None,
+        gt=0,
+        le=MAX_DURATION,
+        description="cut the trajectory after this time; a table at rest (static) lasts as long",
     )
     mode: Literal["exact", "continuous"] = Field(
         default="exact", description="how the ideal IMU is made (docs/emulation.md)"
