@@ -281,3 +281,11 @@ def test_the_card_of_a_recorded_scenario_is_in_its_summary(tmp_path: Path) -> No
     )
     card = RecordedWorld(load(tmp_path / "s.yaml"), tmp_path / "s.yaml").card
     assert {"rate", "axes", "clock", "angular rate"} <= {x.topic for x in card.of("ok")}
+
+
+def test_a_stamp_far_away_does_not_hang_the_card() -> None:
+    data = flown(seconds=60.0)
+    assert data.gnss is not None
+    t = data.gnss.t.copy()
+    t[-1] = 1e15
+    assert examine(replace(data, gnss=replace(data.gnss, t=t))).lines

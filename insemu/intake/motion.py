@@ -103,12 +103,17 @@ def positions_track(gnss: GnssRecord | Trajectory) -> Track:
     moved = earth.position_difference(llh[1:], llh[:-1])
     speed = max(float(np.quantile(np.linalg.norm(moved[:, :2], axis=1) / np.diff(t), 0.7)), 0.1)
     step = float(np.clip(60.0 * scatter(gnss)[:2].max() / speed, STEP, 8.0))
-    keep = np.unique(np.searchsorted(t, np.arange(t[0], t[-1] + 1e-9, step) - 1e-6).clip(0, t.size - 1))
+    keep = _every(t, step)
     t, llh = t[keep], llh[keep]
     dt = np.diff(t)
     close = dt <= max(3.0 * step, 2.5 * float(np.median(dt)) if dt.size else 0.0)
     moved = earth.position_difference(llh[1:], llh[:-1])
     return Track((0.5 * (t[1:] + t[:-1]))[close], (moved / dt[:, None])[close], step)
+
+
+def _every(t: Array, step: float) -> NDArray[np.intp]:
+    """First row of every step of time, however long the record pauses."""
+    return np.flatnonzero(np.diff(np.floor((t - t[0] + 1e-6) / step), prepend=-1.0) > 0.0)
 
 
 def velocity_track(gnss: GnssRecord | Trajectory) -> Track | None:
@@ -161,9 +166,7 @@ def thinned(track: Track) -> Track:
     """The track at about one velocity per step."""
     if track.t.size < 2:
         return track
-    keep = np.unique(
-        np.searchsorted(track.t, np.arange(track.t[0], track.t[-1] + 1e-9, track.step) - 1e-6).clip(0, track.t.size - 1)
-    )
+    keep = _every(track.t, track.step)
     return Track(track.t[keep], track.velocity[keep], track.step)
 
 
