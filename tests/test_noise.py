@@ -25,11 +25,11 @@ from insemu.noise import (
     WN,
     NoiseModel,
     NotStationary,
-    draws,
     load,
     save,
 )
 from insemu.noise.block import StateBlock
+from insemu.noise.compiled import draws
 
 DT = 0.01
 CASES = {

@@ -13,7 +13,7 @@ from insemu.fit import fit
 from insemu.noise import DR, GM, RW, SIN, WN, NoiseModel
 from insemu.variance import wavelet_variance
 from insemu.variance.covariance import model_covariance_of_filter
-from insemu.variance.filtered import _bins, covariance, expected
+from insemu.variance.filtered import _bins, expected_variance, filter_covariance
 
 N = 20_000
 MODELS = {"WN": NoiseModel((WN(1.0),)), "GM": NoiseModel((GM(1.0, 0.02),)), "RW": NoiseModel((RW(1.0),))}
@@ -25,7 +25,7 @@ def test_the_covariance_is_the_exact_sum(name: str, filter: str) -> None:
     """Against the sum over all pairs of coefficients by convolution, which needs an autocovariance."""
     model, levels = MODELS[name], 8
     exact = model_covariance_of_filter(lambda lag: model.autocovariance(lag, 1.0), N, filter=filter, levels=levels)
-    found = covariance(model, filter, 2 ** np.arange(1, levels + 1), N)
+    found = filter_covariance(model, filter, 2 ** np.arange(1, levels + 1), N)
     sd = np.sqrt(np.diag(exact))
     np.testing.assert_allclose(np.diag(found), np.diag(exact), rtol=5e-3)
     assert np.abs((found - exact) / np.outer(sd, sd)).max() < 0.01  # correlations, in the limit of long records
@@ -42,9 +42,11 @@ def test_the_expectation_is_the_mean_of_draws(filter: str) -> None:
             for k in range(100)
         ]
     )
-    z = (values.mean(axis=0) - expected(model, filter, scale, dt)) / (values.std(axis=0) / math.sqrt(100))
+    z = (values.mean(axis=0) - expected_variance(model, filter, scale, dt)) / (values.std(axis=0) / math.sqrt(100))
     assert np.abs(z).max() < 4.0
-    assert not np.allclose(expected(model, filter, scale, dt), expected(model, "haar", scale, dt), rtol=0.02)
+    assert not np.allclose(
+        expected_variance(model, filter, scale, dt), expected_variance(model, "haar", scale, dt), rtol=0.02
+    )
 
 
 @pytest.mark.parametrize("filter", ["d8", "mb16"])
@@ -52,7 +54,7 @@ def test_the_quadrature_of_a_search_is_the_integral(filter: str) -> None:
     for model in (GM(1.0, 0.05), RW(1.0), WN(1.0)):
         for j in (1, 4, 9):
             f, weight = _bins(filter, 1 << j)
-            assert weight @ model.psd(f, 1.0) == pytest.approx(expected(model, filter, [1 << j])[0], rel=2e-3)
+            assert weight @ model.psd(f, 1.0) == pytest.approx(expected_variance(model, filter, [1 << j])[0], rel=2e-3)
 
 
 @pytest.mark.parametrize("filter", ["d8", "d16", "mb16", "fk14"])
@@ -61,7 +63,7 @@ def test_stated_degrees_of_freedom_are_the_true_ones(filter: str) -> None:
     for model in MODELS.values():
         curves = [wavelet_variance(model.simulate(N, 1.0, np.random.default_rng(k)), filter=filter) for k in range(40)]
         scale = curves[0].scale_samples
-        true = 2.0 * expected(model, filter, scale) ** 2 / np.diag(covariance(model, filter, scale, N))
+        true = 2.0 * expected_variance(model, filter, scale) ** 2 / np.diag(filter_covariance(model, filter, scale, N))
         stated = np.mean([c.edof for c in curves], axis=0)
         enough = true > 8.0
         np.testing.assert_allclose(stated[enough], true[enough], rtol=0.08)
@@ -76,8 +78,8 @@ def test_intervals_hold_the_truth(filter: str) -> None:
         for k in range(2000):
             curve = wavelet_variance(model.simulate(N, 1.0, np.random.default_rng([k, 1])), filter=filter)
             if not true.size:
-                true = expected(model, filter, curve.scale_samples)
-                dof = 2.0 * true**2 / np.diag(covariance(model, filter, curve.scale_samples, N))
+                true = expected_variance(model, filter, curve.scale_samples)
+                dof = 2.0 * true**2 / np.diag(filter_covariance(model, filter, curve.scale_samples, N))
             hits = hits + ((curve.low <= true) & (true <= curve.high))
         share = np.asarray(hits)[dof > 8.0] / 2000
         assert share.min() >= 0.93 and share.max() <= 0.97, share
@@ -92,7 +94,9 @@ def test_a_model_is_fitted_to_any_filter() -> None:
         assert result.test is not None and result.test.p_value > 1e-3
         for e, value in zip(result.parameters, (1e-3, 2e-3, 0.2), strict=True):
             assert abs(math.log(e.value / value)) < 4.0 * e.standard_error / e.value
-        np.testing.assert_allclose(result.fitted, expected(result.model, filter, result.curve.scale_samples, 0.01))
+        np.testing.assert_allclose(
+            result.fitted, expected_variance(result.model, filter, result.curve.scale_samples, 0.01)
+        )
 
 
 def test_what_cannot_be_fitted_is_refused_by_name() -> None:

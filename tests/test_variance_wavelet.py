@@ -25,7 +25,14 @@ from insemu.variance import (
     wv_covariance,
 )
 from insemu.variance.covariance import model_covariance_of_filter
-from insemu.variance.edof import OCTAVES_TOGETHER, Scatter, edof_of_noise, interval, noise_type, scatter_of_noise
+from insemu.variance.edof import (
+    OCTAVES_TOGETHER,
+    Scatter,
+    chi_square_interval,
+    edof_of_noise,
+    noise_type,
+    scatter_of_noise,
+)
 from insemu.variance.filters import FILTERS, fejer_korovkin, modwt_filters
 from tests.shared_data import shared
 
@@ -242,12 +249,12 @@ def test_ends_of_intervals_are_quantiles_of_the_weighted_sum_of_chi_squares(mode
     draws = (np.random.default_rng(16).chisquare(1, (40_000, 80)) @ large + weights[:-80].sum()) / weights.sum()
     right = scatter_of_noise(noise_type(scale, model.wavelet_variance(scale, 1.0), n), scale, n)
     still = Scatter(right.edof, right.skew, np.zeros(level))
-    low, high = interval(np.ones(level), right.edof, 0.95, scatter=still)
+    low, high = chi_square_interval(np.ones(level), right.edof, 0.95, scatter=still)
     below, above = np.mean(draws < 1.0 / high[-1]), np.mean(draws > 1.0 / low[-1])
     # 2.5 % +- 5 standard deviations of 40,000 draws
     assert abs(below - 0.025) < 0.004 and abs(above - 0.025) < 0.004
     # a chi-square of the same two moments misses the lower tail
-    low, high = interval(np.ones(level), right.edof, 0.95)
+    low, high = chi_square_interval(np.ones(level), right.edof, 0.95)
     assert np.mean(draws < 1.0 / high[-1]) < 0.0225
 
 
@@ -282,7 +289,7 @@ def test_asymptotic_covariance_against_draws() -> None:
 def test_normal_intervals_are_offered_only_where_they_hold() -> None:
     curve = wavelet_variance(np.random.default_rng(14).standard_normal(5000), intervals="normal")
     assert np.isnan(curve.low[curve.edof <= 100]).all() and np.isfinite(curve.low[curve.edof > 100]).all()
-    low, high = interval(np.ones(1), np.array([400.0]), 0.95)
+    low, high = chi_square_interval(np.ones(1), np.array([400.0]), 0.95)
     assert abs(float(low[0]) - 0.876) < 0.002 and abs(float(high[0]) - 1.153) < 0.002
 
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from insemu.formats import Log
-    from insemu.variance.characterise import AxisReport
+    from insemu.variance import AxisReport
 
 #: Longer columns are read in one pass and never held as a whole.
 LONG = 1 << 24
@@ -108,8 +108,8 @@ def characterise_log(
 
     from insemu.errors import InputError, nearest
     from insemu.formats import AXIS_OF_COLUMN
+    from insemu.variance import characterise, characterise_stream
     from insemu.variance import findings as judge
-    from insemu.variance.characterise import characterise, characterise_stream
 
     keep = list(range(len(log.names)))
     if wanted is not None:
@@ -179,7 +179,7 @@ def show(console: Console, axes: Sequence[AxisReport]) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from insemu.variance.characterise import duration, grouped_findings
+    from insemu.variance import duration, grouped_findings
 
     first = axes[0]
     console.print(

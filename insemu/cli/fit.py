@@ -109,7 +109,7 @@ def command(
         else:
             results = fit_pooled(series, model, method, start, robust, options)
     if bootstrap:
-        from insemu.fit.indirect import bootstrap_intervals
+        from insemu.fit import bootstrap_intervals
 
         children = np.random.default_rng(seed).spawn(len(results))
         results = {
@@ -161,7 +161,7 @@ def fit_streamed(
     from insemu import formats, units
     from insemu.cli.logs import column_names
     from insemu.errors import InputError
-    from insemu.fit.likelihood import LARGE, fit_mli_pieces
+    from insemu.fit import LARGE, fit_mli_pieces
     from insemu.noise import NoiseModel
 
     if Path(file).suffix != ".npy":
@@ -262,8 +262,7 @@ def fit_pooled(
     import numpy as np
 
     from insemu.errors import InputError
-    from insemu.fit import fit
-    from insemu.fit.robust import cleaned_curve
+    from insemu.fit import cleaned_curve, fit
     from insemu.noise import NoiseModel
     from insemu.variance import wavelet_variance
 

@@ -9,7 +9,7 @@ import typer
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from insemu.fit.selection import Ranking
+    from insemu.fit import Ranking
     from insemu.variance import WaveletVariance
 
 
@@ -55,7 +55,7 @@ def command(
     from insemu import units
     from insemu.cli.announce import announce
     from insemu.cli.fit import read_static, write
-    from insemu.fit.selection import select_axes
+    from insemu.fit import select_axes
     from insemu.noise import NoiseModel
 
     announce(file, Console(stderr=True), rate_hz=units.parse(rate, "Hz") if rate else None)
@@ -107,8 +107,7 @@ def prediction(ranking: Ranking, curve: WaveletVariance) -> dict[str, Any]:
     """How well the chosen model predicts another record, scale by scale."""
     import numpy as np
 
-    from insemu.fit.covariance import model_covariance
-    from insemu.fit.selection import RANK_DOF, prediction_distance
+    from insemu.fit import RANK_DOF, model_covariance, prediction_distance
 
     model = ranking.fit.model
     dt = 1.0 / curve.rate_hz

@@ -35,6 +35,7 @@ from insemu.effects.base import (
 from insemu.effects.chain import Chain, FixErrors
 from insemu.effects.compensation import added_signal, columns_without, compensated, lever_arm_of
 from insemu.effects.deterministic import lagged
+from insemu.effects.gnss import LONGEST_ARM
 from insemu.effects.hiding import DriveLot, Hidden, RestLot
 from insemu.effects.motion import Column, FixGeometry, Motion
 
@@ -98,6 +99,7 @@ __all__ = [
     "CELLS",
     "CROSS",
     "EFFECTS",
+    "LONGEST_ARM",
     "NED",
     "RPY",
     "SIGNAL_UNITS",

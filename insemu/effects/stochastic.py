@@ -14,7 +14,8 @@ from insemu.effects.base import BOTH, DEG, Effect, EffectParameter, EffectUse, G
 from insemu.effects.chain import Chain
 from insemu.effects.hiding import DriveLot, Hidden, RestLot
 from insemu.errors import InputError
-from insemu.noise import AR, BI, DR, GM, QN, RW, SIN, WN, Process, draws
+from insemu.noise import AR, BI, DR, GM, QN, RW, SIN, WN, Process
+from insemu.noise.compiled import rational_filter, standard_normal
 
 Array = NDArray[np.float64]
 _P = EffectParameter
@@ -291,8 +292,8 @@ class VibrationBand(Effect):
         def draw() -> None:
             memory = np.zeros(2)
             for part in (settle, chain.work):
-                draws.standard_normal(part, rng)
-                draws.rational_filter(part, b, a, memory)
+                standard_normal(part, rng)
+                rational_filter(part, b, a, memory)
 
         chain.add_shaped(use, "rms", chain.motion_profile(use), draw)
 
@@ -344,7 +345,7 @@ class DecimationFilter(Effect):
             return
         state = lfilter_zi(b, a)
         for row in chain.rows(use.sensor):
-            draws.rational_filter(row, b, a, state * row[0])
+            rational_filter(row, b, a, state * row[0])
 
     def hidden(self, lot: DriveLot) -> Hidden:
         """A Butterworth of second order on every axis of the sensor."""
@@ -425,7 +426,7 @@ class MotionNoise(Effect):
     def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
         """Add white noise in proportion to the speed."""
         np.divide(chain.speed(use), 10.0 * np.sqrt(chain.dt), out=chain.profile)
-        chain.add_shaped(use, "N", chain.profile, lambda: draws.standard_normal(chain.work, rng))
+        chain.add_shaped(use, "N", chain.profile, lambda: standard_normal(chain.work, rng))
 
 
 class TemperatureNoise(Effect):
@@ -449,7 +450,7 @@ class TemperatureNoise(Effect):
         np.subtract(chain.need_temperature(use), use.scalar("T0"), out=chain.profile)
         np.maximum(0.0, chain.profile, out=chain.profile)
         chain.profile /= np.sqrt(chain.dt)
-        chain.add_shaped(use, "N", chain.profile, lambda: draws.standard_normal(chain.work, rng))
+        chain.add_shaped(use, "N", chain.profile, lambda: standard_normal(chain.work, rng))
 
 
 EFFECTS: tuple[Effect, ...] = (

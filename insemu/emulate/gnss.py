@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu import earth, rotation
-from insemu.effects import EffectUse, FixErrors
-from insemu.effects.gnss import LONGEST_ARM
+from insemu.effects import LONGEST_ARM, EffectUse, FixErrors
 from insemu.emulate.table import SAMPLE_BYTES, check_size
 from insemu.errors import InputError
 from insemu.records import GnssRecord, Trajectory

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline, PPoly, make_interp_spline
 
 from insemu import earth, rotation
-from insemu.effects.gnss import LONGEST_ARM
+from insemu.effects import LONGEST_ARM
 from insemu.errors import InputError
 from insemu.records import Trajectory
 

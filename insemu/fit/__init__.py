@@ -12,14 +12,38 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from insemu.errors import InputError, nearest
-from insemu.fit.result import Criterion, Estimate, FitResult, GoodnessOfFit, kalibr, save
+from insemu.fit.covariance import model_covariance
+from insemu.fit.indirect import bootstrap_intervals
+from insemu.fit.likelihood import LARGE, fit_mli_pieces
+from insemu.fit.result import Criterion, Estimate, FitResult, GoodnessOfFit, kalibr, process_label, save
+from insemu.fit.robust import cleaned_curve
+from insemu.fit.selection import RANK_DOF, Ranking, prediction_distance, select_axes
 from insemu.noise import NoiseModel, Process
 from insemu.records import Series
 from insemu.variance import WaveletVariance, wavelet_variance
 
 Method = Literal["gmwm", "indirect", "em", "mli", "slopes", "burg"]
 
-__all__ = ["Criterion", "Estimate", "FitResult", "GoodnessOfFit", "Method", "fit", "kalibr", "save"]
+__all__ = [
+    "LARGE",
+    "RANK_DOF",
+    "Criterion",
+    "Estimate",
+    "FitResult",
+    "GoodnessOfFit",
+    "Method",
+    "Ranking",
+    "bootstrap_intervals",
+    "cleaned_curve",
+    "fit",
+    "fit_mli_pieces",
+    "kalibr",
+    "model_covariance",
+    "prediction_distance",
+    "process_label",
+    "save",
+    "select_axes",
+]
 
 
 def fit(

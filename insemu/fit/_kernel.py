@@ -13,8 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from insemu.noise.curves import call
-from insemu.noise.doubling import copy, multiply
+from insemu.noise.compiled import call, copy, multiply
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu.fit import _covariance_kernel
 from insemu.noise import NoiseModel
-from insemu.variance.covariance import level1_autocovariance
-from insemu.variance.covariance import model_covariance as covariance_over_lags
-from insemu.variance.filtered import covariance as covariance_of_filter
+from insemu.variance import filter_covariance as covariance_of_filter
+from insemu.variance import level1_autocovariance
+from insemu.variance import model_covariance as covariance_over_lags
 
 Array = NDArray[np.float64]
 

@@ -26,10 +26,14 @@ from insemu.fit.identifiability import warnings_of
 from insemu.fit.result import FitResult, GoodnessOfFit, estimates
 from insemu.fit.structure import Structure, natural_jacobian
 from insemu.noise import NoiseModel
-from insemu.variance import RobustWaveletVariance, WaveletVariance
-from insemu.variance.edof import eta3, interval
-from insemu.variance.filtered import expected
-from insemu.variance.filters import modwt_filters
+from insemu.variance import (
+    RobustWaveletVariance,
+    WaveletVariance,
+    chi_square_interval,
+    eta3,
+    expected_variance,
+    modwt_filters,
+)
 
 Array = NDArray[np.float64]
 Weighting = Literal["auto", "intervals", "asymptotic", "bootstrap"]
@@ -57,7 +61,7 @@ class Solution:
 def interval_widths(curve: WaveletVariance) -> Array:
     """Widths of the 95 % chi-square intervals with the degrees of freedom of an ideal band-pass, the customary weights of the GMWM."""
     length = modwt_filters(curve.filter)[0].size
-    low, high = interval(curve.value, eta3(curve.scale_samples.astype(float), curve.n_samples, length), 0.95)
+    low, high = chi_square_interval(curve.value, eta3(curve.scale_samples.astype(float), curve.n_samples, length), 0.95)
     return np.asarray(high - low)
 
 
@@ -236,7 +240,7 @@ def fit_curve(
         parameters=estimates(fitted_model, free, covariance_of, unit, confidence),
         covariance=covariance_of,
         curve=curve,
-        fitted=expected(fitted_model, curve.filter, curve.scale_samples, problem.dt),
+        fitted=expected_variance(fitted_model, curve.filter, curve.scale_samples, problem.dt),
         objective=best.objective,
         converged=best.converged,
         warnings=_notes(problem, best, fitted_model, free, covariance_of),

@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from insemu.variance import RobustWaveletVariance, robust_wavelet_variance, wavelet_variance
-from insemu.variance.edof import eta3, interval
+from insemu.variance import RobustWaveletVariance, chi_square_interval, eta3, robust_wavelet_variance, wavelet_variance
 
 Array = NDArray[np.float64]
 
@@ -74,5 +73,5 @@ def cleaned_curve(x: ArrayLike, rate_hz: float, efficiency: float = EFFICIENCY) 
     freedom = eta3(scale, robust.n_samples)
     long = np.arange(scale.size) >= SHORT
     freedom[long] = np.maximum(freedom[long] * (value[long] / plain.value[long]) ** 2, 1.0)
-    low, high = interval(value, freedom, robust.confidence)
+    low, high = chi_square_interval(value, freedom, robust.confidence)
     return CleanedCurve(replace(robust, value=value, low=low, high=high, edof=freedom), added)

@@ -18,10 +18,7 @@ from insemu.errors import InputError
 from insemu.fit.result import Estimate, FitResult, unit_of
 from insemu.noise import GM, NoiseModel, Process
 from insemu.records import Series
-from insemu.variance import wavelet_variance
-from insemu.variance.allan import allan_variance
-from insemu.variance.reading import FLICKER, Reading, read_curve
-from insemu.variance.spectrum import average_frequencies, psd
+from insemu.variance import FLICKER, Reading, allan_variance, average_frequencies, psd, read_curve, wavelet_variance
 
 Array = NDArray[np.float64]
 Source = Literal["allan", "psd"]

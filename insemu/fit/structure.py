@@ -17,7 +17,7 @@ from insemu.errors import InputError
 from insemu.fit import _kernel
 from insemu.noise import NoiseModel
 from insemu.noise.process import SAME_RATE
-from insemu.variance.filtered import curve_address
+from insemu.variance import curve_address
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -16,7 +16,7 @@ from insemu.intake import checks
 from insemu.intake import fixes as fixed
 from insemu.intake.card import Card, Level, Line
 from insemu.records import AXES, ImuRecord, Recording
-from insemu.variance.findings import missing_values, unit_report
+from insemu.variance import missing_values, unit_report
 
 __all__ = ["Card", "Level", "Line", "card_of", "examine"]
 

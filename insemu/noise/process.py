@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError, nearest
-from insemu.noise import curves, draws, grammar
+from insemu.noise import grammar
 from insemu.noise.block import StateBlock
+from insemu.noise.compiled import curves, draws
 from insemu.noise.parameters import Parametrised
 
 Array = NDArray[np.float64]
@@ -72,7 +73,7 @@ class Process(Parametrised, ABC):
     stationary: ClassVar[bool] = True
     #: Without driving noise: a record holds one draw, which is a signal rather than noise.
     single_draw: ClassVar[bool] = False
-    #: Function of :data:`insemu.noise.curves.SIGNATURE` for the process with coefficient 1; None derives it.
+    #: Function of :data:`insemu.noise.compiled.curves.SIGNATURE` for the process with coefficient 1; None derives it.
     curve: ClassVar[Callable[..., None] | None] = None
 
     @abstractmethod

@@ -17,12 +17,11 @@ from insemu.report.charts import Chart, Line, View
 from insemu.report.page import Card, Figure, Folded, Items, Section, Table, Text, render
 from insemu.report.style import COLOURS, style
 from insemu.units import conversion
-from insemu.variance.characterise import duration, grouped_findings
-from insemu.variance.reading import FLICKER
+from insemu.variance import FLICKER, duration, grouped_findings
 
 if TYPE_CHECKING:
     from insemu.formats.curves import NamedCurve
-    from insemu.variance.characterise import AxisReport
+    from insemu.variance import AxisReport
 
 Array = NDArray[np.float64]
 
@@ -176,7 +175,7 @@ def wavelet_overlay(axes: Sequence[AxisReport], beside: Sequence[NamedCurve] = (
 
 def spectra(axes: Sequence[AxisReport]) -> MplFigure:
     """One-sided root PSD of every column: averaged periodograms, and octave levels from the wavelet variance."""
-    from insemu.variance.spectrum import octave_psd
+    from insemu.variance import octave_psd
 
     with style():
         figure, placed = _grid(axes, 2.7)

@@ -11,16 +11,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from insemu.fit.result import FitResult, process_label
+from insemu.fit import FitResult, process_label
 from insemu.records import Series
 from insemu.report import page
 from insemu.report.style import COLOURS, style
-from insemu.variance import wavelet_variance
-from insemu.variance.filtered import expected
-from insemu.variance.spectrum import average_frequencies, psd
+from insemu.variance import average_frequencies, expected_variance, psd, wavelet_variance
 
 if TYPE_CHECKING:
-    from insemu.fit.selection import Ranking
+    from insemu.fit import Ranking
 
 #: Draws under the decomposition.
 DRAWS = 20
@@ -66,7 +64,7 @@ def decomposition(result: FitResult, rng: np.random.Generator, draws: int = DRAW
         for i, (index, p) in enumerate(result.model.indexed()):
             if not drawable:
                 break
-            part = expected(p, curve.filter, curve.scale_samples, dt)
+            part = expected_variance(p, curve.filter, curve.scale_samples, dt)
             if (part > 0).any():
                 name = process_label(p.symbol, index)
                 top.plot(tau, np.sqrt(part), "--", color=COLOURS[i % len(COLOURS)], lw=1.3, label=name, zorder=2)

@@ -1,8 +1,13 @@
 """Variances and spectra of signals, all with intervals; where a model is needed it comes as an autocovariance or spectrum."""
 
 from insemu.variance.allan import AllanVariance, allan_variance, relative_error
+from insemu.variance.characterise import AxisReport, characterise, characterise_stream, duration, grouped_findings
 from insemu.variance.covariance import level1_autocovariance, model_covariance, model_edof, wv_covariance
-from insemu.variance.reading import Reading, read_curve
+from insemu.variance.edof import chi_square_interval, eta3
+from insemu.variance.filtered import curve_address, expected_variance, filter_covariance
+from insemu.variance.filters import modwt_filters
+from insemu.variance.findings import missing_values, unit_report
+from insemu.variance.reading import FLICKER, Reading, read_curve
 from insemu.variance.robust import RobustWaveletVariance, compare_with_robust, robust_wavelet_variance
 from insemu.variance.spectrum import (
     Autocorrelation,
@@ -16,8 +21,10 @@ from insemu.variance.spectrum import (
 from insemu.variance.wavelet import WaveletVariance, stream_wavelet_variance, wavelet_coefficients, wavelet_variance
 
 __all__ = [
+    "FLICKER",
     "AllanVariance",
     "Autocorrelation",
+    "AxisReport",
     "Reading",
     "RobustWaveletVariance",
     "Spectrum",
@@ -26,16 +33,28 @@ __all__ = [
     "autocorrelation",
     "average_frequencies",
     "average_octaves",
+    "characterise",
+    "characterise_stream",
+    "chi_square_interval",
     "compare_with_robust",
+    "curve_address",
+    "duration",
+    "eta3",
+    "expected_variance",
+    "filter_covariance",
+    "grouped_findings",
     "level1_autocovariance",
+    "missing_values",
     "model_covariance",
     "model_edof",
+    "modwt_filters",
     "octave_psd",
     "psd",
     "read_curve",
     "relative_error",
     "robust_wavelet_variance",
     "stream_wavelet_variance",
+    "unit_report",
     "wavelet_coefficients",
     "wavelet_variance",
     "wv_covariance",

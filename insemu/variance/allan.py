@@ -19,7 +19,7 @@ from insemu.variance.edof import (
     NoiseType,
     Scatter,
     check_confidence,
-    interval,
+    chi_square_interval,
     noise_type,
     scatter_of_noise,
 )
@@ -186,7 +186,7 @@ def allan_variance(
         half = relative_error(n, m)
         low, high = value * np.maximum(1.0 - half, 0.0) ** 2, value * (1.0 + half) ** 2
     else:
-        low, high = interval(value, edof, confidence, intervals, scatter=scatter)
+        low, high = chi_square_interval(value, edof, confidence, intervals, scatter=scatter)
     return AllanVariance(m, m / rate_hz, value, low, high, edof, n, rate_hz, kind, confidence)
 
 

@@ -60,7 +60,7 @@ class Scatter:
     follows: Array
 
 
-def interval(
+def chi_square_interval(
     value: Array, edof: Array, confidence: float, kind: Intervals = "edof", *, scatter: Scatter | None = None
 ) -> tuple[Array, Array]:
     """Return the confidence interval of variances with ``edof`` equivalent degrees of freedom.

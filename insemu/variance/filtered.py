@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
 from insemu.errors import InputError
-from insemu.noise import PROCESSES, NoiseModel, Process, curves
+from insemu.noise import PROCESSES, NoiseModel, Process
+from insemu.noise.compiled import callback_of
 from insemu.variance.edof import NoiseType, Scatter, octave_correlation
 from insemu.variance.filters import modwt_filters
 
@@ -92,7 +93,7 @@ def _spectrum(process: Process | NoiseModel, at: Octave, dt: float = 1.0) -> Arr
     return np.asarray(process.psd(f / dt, dt) / dt, dtype=np.float64)
 
 
-def expected(model: Process | NoiseModel, filter: str, scale_samples: ArrayLike, dt: float = 1.0) -> Array:
+def expected_variance(model: Process | NoiseModel, filter: str, scale_samples: ArrayLike, dt: float = 1.0) -> Array:
     """Wavelet variance of a process at scales of a filter.
 
     Parameters
@@ -133,7 +134,9 @@ def _octaves(filter: str, scale_samples: ArrayLike) -> list[Octave]:
     return [octave(filter, round(math.log2(s))) for s in np.atleast_1d(np.asarray(scale_samples, dtype=np.float64))]
 
 
-def covariance(model: NoiseModel, filter: str, scale_samples: ArrayLike, n_samples: int, dt: float = 1.0) -> Array:
+def filter_covariance(
+    model: NoiseModel, filter: str, scale_samples: ArrayLike, n_samples: int, dt: float = 1.0
+) -> Array:
     """Covariance matrix of a filter's wavelet variances under a model over a record.
 
     On the diagonal the sum over the lags of the record; off it the limit of long records, equation (15) of Stebler et al. 2014.
@@ -212,7 +215,7 @@ def curve_address(process: Process, filter: str, dt: float) -> tuple[int, object
             known[key] = out
         return out
 
-    return curves.callback_of(derived)
+    return callback_of(derived)
 
 
 def _variance_of_mean(s: Array, at: Octave, n_samples: int) -> float:

@@ -35,9 +35,9 @@ from insemu.variance.edof import (
     Intervals,
     Scatter,
     check_confidence,
+    chi_square_interval,
     edof_of_noise,
     eta3,
-    interval,
     noise_type,
     scatter_of_noise,
 )
@@ -251,7 +251,7 @@ def robust_wavelet_variance(
         scatter = scatter_of_noise(noise_type(scale, value, n), scale, n)
         edof = scatter.edof
     edof = np.maximum(edof * loss, 1.0)
-    low, high = interval(value, edof, confidence, intervals, scatter=scatter)
+    low, high = chi_square_interval(value, edof, confidence, intervals, scatter=scatter)
     return RobustWaveletVariance(
         scale,
         scale / rate_hz,

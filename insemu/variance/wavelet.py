@@ -15,7 +15,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError
 from insemu.variance import _kernel
-from insemu.variance.edof import Intervals, Scatter, check_confidence, eta3, interval, noise_type, scatter_of_noise
+from insemu.variance.edof import (
+    Intervals,
+    Scatter,
+    check_confidence,
+    chi_square_interval,
+    eta3,
+    noise_type,
+    scatter_of_noise,
+)
 from insemu.variance.filtered import scatter_of_filter, unit_curves
 from insemu.variance.filters import modwt_filters
 
@@ -239,7 +247,7 @@ def _finish(
     else:
         scatter = scatter_of_noise(noise_type(scale, value, n_samples), scale, n_samples)
         freedom = scatter.edof
-    low, high = interval(value, freedom, confidence, intervals, scatter=scatter)
+    low, high = chi_square_interval(value, freedom, confidence, intervals, scatter=scatter)
     return WaveletVariance(
         scale,
         scale / rate_hz,

@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
 from insemu.errors import InputError, nearest
-from insemu.noise import draws
 from insemu.noise.block import StateBlock
-from insemu.noise.curves import STEP
-from insemu.noise.doubling import arma, coefficients_of
+from insemu.noise.compiled import draws
+from insemu.noise.compiled.curves import STEP
+from insemu.noise.compiled.doubling import arma, coefficients_of
 from insemu.noise.grammar import quantity, shown, whole
 from insemu.noise.parameters import Parameter
 from insemu.noise.process import SAME_RATE, MarkovParts, NotStationary, Process, counts
@@ -91,7 +91,7 @@ def _curve(
 
 
 def _partial_autocorrelations(coefficients: Array) -> tuple[float, ...]:
-    """Inverse hyperbolic tangents of the partial autocorrelations: the inverse of :func:`insemu.noise.doubling.coefficients_of`."""
+    """Inverse hyperbolic tangents of the partial autocorrelations: the inverse of :func:`insemu.noise.compiled.doubling.coefficients_of`."""
     a = np.array(coefficients, dtype=np.float64)
     out = np.zeros(a.size)
     for k in range(a.size - 1, -1, -1):

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import optimize, special
 
 from insemu.errors import InputError
-from insemu.noise import draws
 from insemu.noise.block import StateBlock
+from insemu.noise.compiled import draws
 from insemu.noise.parameters import Parameter
 from insemu.noise.process import MarkovParts, NoiseModel, Process, counts
 from insemu.noise.processes.gauss_markov import GM, first_order_wavelet

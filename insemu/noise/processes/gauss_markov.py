@@ -12,8 +12,8 @@ from numba import carray, njit
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError
-from insemu.noise import draws
 from insemu.noise.block import StateBlock
+from insemu.noise.compiled import draws
 from insemu.noise.grammar import quantity
 from insemu.noise.parameters import Parameter
 from insemu.noise.process import MarkovParts, Process, counts, of_structure

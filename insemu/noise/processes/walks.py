@@ -10,8 +10,8 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from insemu.noise import draws
 from insemu.noise.block import StateBlock
+from insemu.noise.compiled import draws
 from insemu.noise.parameters import Parameter
 from insemu.noise.process import MarkovParts, Process, counts
 
