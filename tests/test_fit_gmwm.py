@@ -12,7 +12,8 @@ from numpy.testing import assert_allclose
 from insemu.errors import InputError
 from insemu.fit import FitResult, fit, kalibr, save
 from insemu.fit.covariance import model_covariance
-from insemu.fit.gmwm import Solution, finite_record_bias, fit_curve
+from insemu.fit.gmwm import finite_record_bias, fit_curve
+from insemu.fit.minimum import Solution
 from insemu.fit.structure import Structure, natural_jacobian
 from insemu.noise import AR, AR1, BI, DR, GM, MA, QN, RW, SIN, WN, NoiseModel, load
 from insemu.records import Series

@@ -4,9 +4,7 @@ The distance is quadratic. Weights are the inverse squared widths of the curve's
 the curve's covariance under the model, in closed form or by parametric bootstrap, in further steps. By default the second where the record
 is long enough to check the model and the model passes, the first elsewhere.
 
-The model's curve is linear in one variance per process, so the search runs over correlation times and other shapes only, from every
-combination on a coarse grid ranked by the flattened distance (34) of Stebler et al. 2014 and by the weighted one; the best of both are refined. That
-is a search of the whole space at a cost of milliseconds, and why no start needs to be given.
+The minimum is searched for in :mod:`insemu.fit.minimum`; no start needs to be given.
 """
 
 from __future__ import annotations
@@ -20,9 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
 from insemu.errors import InputError
-from insemu.fit import _kernel
 from insemu.fit.covariance import covariance_of_curve
 from insemu.fit.identifiability import warnings_of
+from insemu.fit.minimum import REFINED, Solution, root_of_inverse, search
 from insemu.fit.result import FitResult, GoodnessOfFit, estimates
 from insemu.fit.structure import Structure, natural_jacobian
 from insemu.noise import NoiseModel
@@ -38,8 +36,6 @@ from insemu.variance import (
 Array = NDArray[np.float64]
 Weighting = Literal["auto", "intervals", "asymptotic", "bootstrap"]
 
-#: Refinements that the two rankings of starting points get each.
-REFINED = 8
 #: A scale enters the test of fit where its wavelet variance has at least this many degrees of freedom under the model.
 TEST_DOF = 40.0
 #: ``auto`` weighs by the covariance under the model for records of more samples than this: shorter ones hardly test a model, ...
@@ -48,90 +44,11 @@ LONG_RECORD = 1 << 16
 HOLDS = 1e-3
 
 
-@dataclass(frozen=True)
-class Solution:
-    """A minimum: coefficients, shapes, weighted squared distance, whether the search ended by itself."""
-
-    coefficients: Array
-    shapes: Array
-    objective: float
-    converged: bool
-
-
 def interval_widths(curve: WaveletVariance) -> Array:
     """Widths of the 95 % chi-square intervals with the degrees of freedom of an ideal band-pass, the customary weights of the GMWM."""
     length = modwt_filters(curve.filter)[0].size
     low, high = chi_square_interval(curve.value, eta3(curve.scale_samples.astype(float), curve.n_samples, length), 0.95)
     return np.asarray(high - low)
-
-
-def root_of_inverse(covariance: Array) -> Array:
-    """A matrix W with W' W the inverse of a covariance; directions below 1e-10 in correlation are left out."""
-    scale = np.sqrt(np.diag(covariance))
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    keep = values > 1e-10 * values[-1]
-    return np.ascontiguousarray((vectors[:, keep] / np.sqrt(values[keep])).T / scale)
-
-
-def search(
-    structure: Structure,
-    scale_samples: NDArray[np.int64],
-    value: Array,
-    W: Array,
-    n_samples: int,
-    starts: Array,
-    *,
-    refined: int = REFINED,
-    flattened: bool = True,
-) -> Solution:
-    """Minimise ``|W (value - model)|^2`` from the best of ``starts``.
-
-    Parameters
-    ----------
-    structure : Structure
-    scale_samples, value : (J,) arrays
-    W : (rows, J) array
-    n_samples : int
-    starts : (s, shapes) array
-    refined : int
-        How many of each ranking are refined.
-    flattened : bool
-        Also rank by equation (34).
-    """
-    m = scale_samples / 2.0
-    y = W @ value
-    size = float(y @ y)
-    unit = np.where(structure.fixed < 0, -1.0, structure.fixed)
-    low, high = structure.bounds(n_samples)
-    rank = np.empty(starts.shape[0])
-    args = (structure.curves, structure.orders, structure.offsets, m)
-    chosen: list[int] = []
-    if starts.shape[0] <= refined:
-        chosen = list(range(starts.shape[0]))
-    else:
-        rankings = [(W, y)]
-        if flattened:
-            rankings.append((np.diag(1.0 / value), np.ones(value.size)))
-        for rows, target in rankings:
-            _kernel.screen(*args, starts, np.ascontiguousarray(rows), target, unit, rank)
-            order = np.argsort(rank, kind="stable")
-            best = rank[order[0]]
-            for i in order[:refined]:
-                if int(i) not in chosen and rank[i] <= 1e3 * best + 1e-6 * size:
-                    chosen.append(int(i))
-    found: Solution | None = None
-    for i in chosen:
-        s, x = starts[i].copy(), np.zeros(structure.curves.size)
-        objective, iterations = _kernel.refine(*args, s, low, high, W, y, unit, x, 200)
-        if found is None or objective < found.objective:
-            found = Solution(x, s, objective, iterations >= 0)
-    assert found is not None
-    if not found.converged:
-        s, x = found.shapes.copy(), np.zeros(structure.curves.size)
-        objective, iterations = _kernel.refine(*args, s, low, high, W, y, unit, x, 3000)
-        found = Solution(x, s, objective, iterations >= 0)
-    coefficients, shapes = structure.sort(found.coefficients, found.shapes)
-    return Solution(coefficients, shapes, found.objective, found.converged)
 
 
 def fit_curve(

@@ -22,7 +22,8 @@ from scipy.special import chdtrc, chdtri
 
 from insemu.errors import InputError
 from insemu.fit.covariance import model_covariance
-from insemu.fit.gmwm import Solution, fit_curve, interval_widths, refit, root_of_inverse, search
+from insemu.fit.gmwm import fit_curve, interval_widths, refit
+from insemu.fit.minimum import Solution, root_of_inverse, search
 from insemu.fit.result import Criterion, FitResult
 from insemu.fit.robust import cleaned_curve
 from insemu.fit.structure import Structure, natural_jacobian

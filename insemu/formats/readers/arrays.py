@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +14,7 @@ from numpy.typing import NDArray
 
 from insemu.errors import InputError
 from insemu.formats.columns import ColumnMap, guess_map
+from insemu.formats.npz import load_npz
 from insemu.formats.table import Reader, Table, register
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -107,11 +111,26 @@ def _checked(arrays: Mapping[str, NDArray[Any]], path: Path) -> list[Table]:
     return tables
 
 
-def _read_mat(path: Path, settings: Mapping[str, str]) -> list[Table]:
+def mat_to_npz(source: str, target: str) -> None:
+    """Write the numbers of a MATLAB v5 file to an ``.npz``; the work of the process that :func:`_read_mat` starts."""
     from scipy.io import loadmat
 
-    content = loadmat(str(path), squeeze_me=True, struct_as_record=True)
-    return _checked(dict(_flat("", {k: v for k, v in content.items() if not k.startswith("__")})), path)
+    content = loadmat(source, squeeze_me=True, struct_as_record=True)
+    found = dict(_flat("", {k: v for k, v in content.items() if not k.startswith("__")}))
+    np.savez(target, **{f"v_{name}": values for name, values in found.items()})  # type: ignore[arg-type]
+
+
+def _read_mat(path: Path, settings: Mapping[str, str]) -> list[Table]:
+    """Read in a process of its own: SciPy's decoder of MATLAB v5 crashes the interpreter on some corrupt files."""
+    code = "import sys; from insemu.formats.readers.arrays import mat_to_npz; mat_to_npz(*sys.argv[1:])"
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "arrays.npz"
+        done = subprocess.run([sys.executable, "-c", code, str(path), str(target)], capture_output=True, text=True)
+        if done.returncode != 0 or not target.exists():
+            reason = (done.stderr.strip().splitlines() or ["the decoder crashed"])[-1][:120]
+            raise InputError(f"cannot be read as a MATLAB v5 file ({reason})", where=str(path))
+        arrays = {name.removeprefix("v_"): values for name, values in load_npz(target).items()}
+    return _checked(arrays, path)
 
 
 def _read_hdf5(path: Path, settings: Mapping[str, str]) -> list[Table]:
@@ -134,8 +153,6 @@ def _read_hdf5(path: Path, settings: Mapping[str, str]) -> list[Table]:
 
 
 def _read_npz(path: Path, settings: Mapping[str, str]) -> list[Table]:
-    from insemu.formats.npz import load_npz
-
     return _checked({k: v for k, v in load_npz(path).items() if v.dtype.kind in "fiub"}, path)
 
 
