@@ -102,7 +102,9 @@ def gap_headline(report: GapReport) -> str:
         names = " or ".join(effect_name(m.effect) for m in first.members)
         rest = (f" Besides: {'; '.join(sure[1:])}." if len(sure) > 1 else "") + more
         where = sensor_axes(first.sensor, first.axes)
-        return f"The {where} has {names}: this recording cannot tell them apart. What would: {first.would_separate}.{rest}"
+        return (
+            f"The {where} has {names}: this recording cannot tell them apart. What would: {first.would_separate}.{rest}"
+        )
     return f"Missing from the model: {'; '.join(dict.fromkeys(sure))}.{more}"
 
 
