@@ -17,7 +17,7 @@ from insemu.gap.verdict import Interval
 from insemu.gap.worth import GRAVITY, worth_in_motion, worth_in_noise
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import Recording
-from insemu.report.gap import action, metres
+from insemu.report import finding_action, finding_metres
 from insemu.trial.drives import stage
 
 T = 60.0
@@ -53,7 +53,7 @@ def test_a_slow_process_is_worth_a_bias_and_what_has_no_form_is_left_open() -> N
     assert slow == pytest.approx(1e-3 * T**2 / 2.0, rel=1e-3)
     assert math.isnan(worth_in_noise(finding("vibration_line", "accel", amplitude=1.0, frequency=17.0)))
     assert math.isnan(worth_in_noise(finding("gnss_noise_level", "gnss", factor=2.0)))
-    assert metres(finding("saturation", "gyro", limit=1.0)) == "-"
+    assert finding_metres(finding("saturation", "gyro", limit=1.0)) == "-"
 
 
 def test_an_effect_in_a_drive_is_worth_what_the_filter_shows_through_an_outage() -> None:
@@ -95,5 +95,5 @@ def test_some_findings_are_applied_by_number() -> None:
 
 
 def test_every_finding_says_what_to_do() -> None:
-    assert action(finding("lever_arm", "gnss", value_x=0.48)) == "correct the lever arm by value_x 0.48"
-    assert action(finding("somebody's own", "gyro", size=2.0)) == "model or calibrate it: size 2"
+    assert finding_action(finding("lever_arm", "gnss", value_x=0.48)) == "correct the lever arm by value_x 0.48"
+    assert finding_action(finding("somebody's own", "gyro", size=2.0)) == "model or calibrate it: size 2"

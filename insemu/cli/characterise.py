@@ -62,7 +62,7 @@ def command(
     folder = Path(out) if out else Path("results") / f"characterise_{Path(file).name.split('.')[0]}"
     page = None
     if out or not as_json:
-        from insemu.report.characterise import render_characterisation
+        from insemu.report import render_characterisation
 
         page = render_characterisation(axes, folder, source=file, beside=others, overlay=overlay)
         (folder / "characterise.json").write_text(

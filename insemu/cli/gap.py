@@ -84,7 +84,7 @@ def command(
     refined = write_refined(nominal, chosen, folder / "refined.yaml", data)
     text = json.dumps(report.to_json(), indent=1, allow_nan=False)
     (folder / "gap.json").write_text(text + "\n", encoding="utf-8")
-    from insemu.report.gap import draw_gap, render_gap
+    from insemu.report import draw_gap, render_gap
 
     page = render_gap(report, folder, refined.read_text(encoding="utf-8"))
     if pictures:
@@ -102,9 +102,9 @@ def _tell(report: GapReport, console: Console) -> None:
 
     from rich.table import Table
 
-    from insemu.report.gap import action, effect_name, headline, metres, place
+    from insemu.report import effect_name, finding_action, finding_metres, gap_headline, sensor_axes
 
-    console.print(f"[bold]{report.verdict}[/bold]: {headline(report)}")
+    console.print(f"[bold]{report.verdict}[/bold]: {gap_headline(report)}")
     if report.findings:
         table = Table("", "effect", "where", "nats", "confidence", "m after 60 s", "parameters, 95 % interval")
         for n, s in enumerate(report.findings[:MOST_ROWS], 1):
@@ -113,15 +113,15 @@ def _tell(report: GapReport, console: Console) -> None:
             table.add_row(
                 str(n),
                 effect_name(s.effect),
-                place(s.sensor, s.axes),
+                sensor_axes(s.sensor, s.axes),
                 f"{s.nats:.1f}",
                 f"{s.confidence:.3f}",
-                metres(s),
+                finding_metres(s),
                 values,
             )
         console.print(table)
         for n, s in enumerate(report.findings[:MOST_ROWS], 1):
-            console.print(f"{n}. {action(s)}", highlight=False, markup=False)
+            console.print(f"{n}. {finding_action(s)}", highlight=False, markup=False)
         if len(report.findings) > MOST_ROWS:
             console.print(f"and {len(report.findings) - MOST_ROWS} more on the page")
     if report.remainder:

@@ -44,7 +44,7 @@ def command(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from insemu.errors import InputError, nearest
-    from insemu.trial.run import Kind, Plan, catalogue_of, known_effects, run_trial
+    from insemu.trial import Kind, Plan, catalogue_of, known_effects, run_trial
 
     choices: dict[str, tuple[Kind, ...]] = {
         "dynamic": ("dynamic",),
@@ -85,23 +85,23 @@ def _show(finished: list[Trial], as_json: bool, console: Console) -> None:
     """Print the scores, and as JSON every recording."""
     import json
 
-    from insemu.trial import score
+    from insemu import trial
 
     if not as_json:
         for table in tables(finished):
             console.print(table)
         return
-    ratio, count = score.held_out_ratio(finished)
+    ratio, count = trial.held_out_ratio(finished)
     scores = {
         "recordings": len(finished),
-        "shares": {name: s.to_json() for name, s in score.score_trials(finished).items()},
-        "mean_class_size": score.mean_class_size(finished),
+        "shares": {name: s.to_json() for name, s in trial.score_trials(finished).items()},
+        "mean_class_size": trial.mean_class_size(finished),
         "held_out_ratio": ratio,
         "held_out_count": count,
-        "confusion": score.confusion(finished),
-        "calibration": score.calibration(finished),
-        "by_nats": score.power(finished),
-        "for_20_nats": score.for_20_nats(finished),
+        "confusion": trial.confusion(finished),
+        "calibration": trial.calibration(finished),
+        "by_nats": trial.power(finished),
+        "for_20_nats": trial.for_20_nats(finished),
     }
     plain = json.loads(json.dumps(scores).replace("NaN", "null").replace("Infinity", "null"))
     typer.echo(json.dumps({"scores": plain, "recordings": [t.to_json() for t in finished]}, indent=1))
@@ -113,7 +113,7 @@ def tables(finished: list[Trial]) -> list[Table]:
 
     from rich.table import Table
 
-    from insemu.trial import score
+    from insemu import trial
 
     out = []
 
@@ -127,16 +127,16 @@ def tables(finished: list[Trial]) -> list[Table]:
     def counts(row: dict[str, int]) -> str:
         return ", ".join(f"{name} {count}" for name, count in sorted(row.items(), key=lambda item: -item[1]))
 
-    confusion = [(hidden, counts(row)) for hidden, row in score.confusion(finished).items()]
+    confusion = [(hidden, counts(row)) for hidden, row in trial.confusion(finished).items()]
     table(("hidden", "said first, with counts"), confusion, "Confusion")
     rows: list[tuple[str, ...]] = []
-    for s in score.score_trials(finished).values():
+    for s in trial.score_trials(finished).values():
         if s.of:
             low, high = s.interval
             rows.append((s.label, f"{s.count / s.of:.3f}", f"{s.count} of {s.of}", f"{low:.3f} to {high:.3f}"))
-    if math.isfinite(size := score.mean_class_size(finished)):
+    if math.isfinite(size := trial.mean_class_size(finished)):
         rows.append(("mean size of a class", f"{size:.2f}", "", ""))
-    ratio, count = score.held_out_ratio(finished)
+    ratio, count = trial.held_out_ratio(finished)
     if count:
         rows.append(("held-out gain over the oracle's, median", f"{ratio:.3f}", f"{count}", ""))
     seconds = [t.seconds for t in finished if math.isfinite(t.seconds)]
@@ -146,20 +146,20 @@ def tables(finished: list[Trial]) -> list[Table]:
     table(("figure", "share", "count", "95 % interval"), rows)
     table(
         ("stated confidence", "right", "recordings"),
-        [(f"{stated:.3f}", f"{share:.3f}", str(n)) for stated, share, n in score.calibration(finished)],
+        [(f"{stated:.3f}", f"{share:.3f}", str(n)) for stated, share, n in trial.calibration(finished)],
         "Calibration of the confidence",
     )
     table(
         ("expected nats", "detected", "in the top two", "recordings"),
         [
             (f"{low:g} to {high:g}", f"{spoke / n:.3f}", f"{top / n:.3f}", str(n))
-            for low, high, spoke, top, n in score.power(finished)
+            for low, high, spoke, top, n in trial.power(finished)
         ],
         "Power",
     )
     table(
         ("effect", "datasheet scales", "recordings"),
-        [(name, f"{strength:.3g}", str(n)) for name, (strength, n) in score.for_20_nats(finished).items()],
+        [(name, f"{strength:.3g}", str(n)) for name, (strength, n) in trial.for_20_nats(finished).items()],
         "Strength worth 20 nats, median",
     )
     return out

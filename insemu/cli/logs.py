@@ -27,7 +27,7 @@ def open_log(file: str, rate_hz: float | None = None, columns: Sequence[str] | N
     """
     from insemu import formats
     from insemu.errors import InputError
-    from insemu.gap.data.sources import at_rest
+    from insemu.gap.data import at_rest
 
     path = Path(file)
     if not path.exists() or not formats.holds_recording(path):

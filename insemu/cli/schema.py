@@ -10,9 +10,9 @@ def command(out: str = typer.Option("", "--out", help="Write to this file instea
     import json
     from pathlib import Path
 
-    from insemu.scenario import schema
+    from insemu import scenario
 
-    text = json.dumps(schema(), indent=2)
+    text = json.dumps(scenario.schema(), indent=2)
     if out:
         Path(out).write_text(text + "\n", encoding="utf-8")
     else:

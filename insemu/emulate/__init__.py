@@ -1,20 +1,25 @@
 """Emulation: from a trajectory to an ideal IMU, to a corrupted one, to GNSS fixes with outages."""
 
 from insemu.emulate.errors import RecordedErrors
+from insemu.emulate.flight import Flight, gusts, moving_share, origin_at
 from insemu.emulate.gnss import AreaOutage, Outage, antenna, gnss_fixes, random_outages, state_at
 from insemu.emulate.imu import IdealImu, ideal_imu, navigation_error
+from insemu.emulate.motion import Command, path_of, profile
 from insemu.emulate.path import Mounting, SmoothPath
 from insemu.emulate.pieces import ErrorPieces, TrueStates, recorded_pieces, simulated_pieces
 from insemu.emulate.reckon import DeadReckoning, dead_reckon
 from insemu.emulate.sensor import Corrupted, TemperatureProfile, corrupt
 from insemu.emulate.sources import Source, load_flight, read_track
 from insemu.emulate.track import SmoothedTrack, Track, held_out_distance, smooth_track, turn_rate
-from insemu.emulate.trajectory import TRAJECTORIES, Flight, built_in
+from insemu.emulate.trajectory import TRAJECTORIES, built_in
+from insemu.emulate.vehicle import VEHICLES
 from insemu.emulate.waypoints import Waypoints, read_waypoints, route
 
 __all__ = [
     "TRAJECTORIES",
+    "VEHICLES",
     "AreaOutage",
+    "Command",
     "Corrupted",
     "DeadReckoning",
     "ErrorPieces",
@@ -35,10 +40,15 @@ __all__ = [
     "corrupt",
     "dead_reckon",
     "gnss_fixes",
+    "gusts",
     "held_out_distance",
     "ideal_imu",
     "load_flight",
+    "moving_share",
     "navigation_error",
+    "origin_at",
+    "path_of",
+    "profile",
     "random_outages",
     "read_track",
     "read_waypoints",

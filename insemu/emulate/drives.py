@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.emulate.flight import Flight, gusts, moving, place
+from insemu.emulate.flight import Flight, gusts, moving_share, origin_at
 from insemu.emulate.motion import Command, legs_of, path_of, profile
 from insemu.emulate.vehicle import VEHICLES
 
@@ -91,11 +91,11 @@ def _drive(
     name: str, route: _Route, heading_deg: float, lat_deg: float, lon_deg: float, height: float, seed: int
 ) -> Flight:
     p = profile(route.commands, heading=heading_deg * _DEG)
-    shake = moving(p.speed)
+    shake = moving_share(p.speed)
     # the road: 3 cm/s of heave and 0.3 deg of pitch and roll between 0.5 and 3 Hz; hardly any yaw
     heave = gusts(p.t, 0.03, (0.5, 3.0), shake, seed) * np.array([0.0, 0.0, 1.0])
     rock = gusts(p.t, 0.3 * _DEG, (0.5, 3.0), shake, seed + 1) * np.array([1.0, 1.0, 0.1])
-    path = path_of(p, VEHICLES["car"], place(lat_deg, lon_deg, height), name, gust_vel=heave, gust_rpy=rock)
+    path = path_of(p, VEHICLES["car"], origin_at(lat_deg, lon_deg, height), name, gust_vel=heave, gust_rpy=rock)
     outages = tuple((w.start_s, w.duration_s) for w in WINDOWS[name])
     return Flight(path, "car", legs_of(route.commands), outages)
 

@@ -47,7 +47,7 @@ class Flight:
         return None
 
 
-def place(lat_deg: float, lon_deg: float, height: float) -> Array:
+def origin_at(lat_deg: float, lon_deg: float, height: float) -> Array:
     """Latitude rad, longitude rad, height m.
 
     Parameters
@@ -93,7 +93,7 @@ def gusts(t: Array, rms: float, band_hz: tuple[float, float], envelope: Array, s
     return np.asarray(out * (rms * np.sqrt(2.0 / lines)) * envelope[:, None])
 
 
-def moving(speed: Array) -> Array:
+def moving_share(speed: Array) -> Array:
     """From 0 at rest to 1 above about 5 m/s, smooth, so that a vehicle at rest is at rest."""
     v2 = speed**2
     return np.asarray(v2 * v2 / (v2 * v2 + 4.0**4))

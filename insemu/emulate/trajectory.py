@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.emulate.drives import urban_drive_1, urban_drive_2, urban_motorway
-from insemu.emulate.flight import Flight, gusts, moving, place
+from insemu.emulate.flight import Flight, gusts, moving_share, origin_at
 from insemu.emulate.motion import Command, Leg, Profile, legs_of, path_of, profile, smoothstep, smoothstep_integral
 from insemu.emulate.path import KNOT_S, SmoothPath
 from insemu.emulate.vehicle import VEHICLES
@@ -50,11 +50,11 @@ def helicopter_mapping() -> Flight:
         Command(25.0, name="hover at the end"),
     ]
     p = profile(commands, heading=60.0 * deg)
-    shake = moving(p.speed)
+    shake = moving_share(p.speed)
     path = path_of(
         p,
         VEHICLES["helicopter"],
-        place(46.52, 6.57, 450.0),
+        origin_at(46.52, 6.57, 450.0),
         "helicopter_mapping",
         gust_vel=gusts(p.t, 0.1, (0.1, 1.0), shake, 7001),
         gust_rpy=gusts(p.t, 0.3 * deg, (0.1, 1.0), shake, 7002),
@@ -94,11 +94,11 @@ def turbulent_uav(strength: float = 1.0) -> Flight:
         Command(24.0, name="rest at the end"),
     ]
     p = profile(commands, heading=-60.0 * deg)
-    shake = moving(p.speed)
+    shake = moving_share(p.speed)
     path = path_of(
         p,
         VEHICLES["fixed_wing"],
-        place(46.5, -71.3, 80.0),
+        origin_at(46.5, -71.3, 80.0),
         "turbulent_uav",
         gust_vel=gusts(p.t, 0.1 * strength, (0.1, 2.0), shake, 7101),
         gust_rpy=gusts(p.t, 1.3 * strength * deg, (0.1, 2.0), shake, 7102) * np.array([1.0, 0.8, 0.4]),
@@ -134,7 +134,7 @@ def lemniscate() -> Flight:
     rpy = VEHICLES["multirotor"].attitude(
         speed=p.speed, acceleration=p.acceleration, heading=p.heading, turn_rate=p.turn_rate, climb_rate=p.climb_rate
     )
-    path = SmoothPath.from_velocity(t, vel, rpy, place(46.52, 6.57, 420.0), "lemniscate")
+    path = SmoothPath.from_velocity(t, vel, rpy, origin_at(46.52, 6.57, 420.0), "lemniscate")
     return Flight(path, "multirotor", (Leg("rest at the start", 0.0, 20.0, True),))
 
 
@@ -158,11 +158,11 @@ def survey() -> Flight:
     ]
     # two hours that nothing shakes above 0.8 Hz
     p = profile(commands, heading=10.0 * deg, knot_s=2 * KNOT_S)
-    shake = moving(p.speed)
+    shake = moving_share(p.speed)
     path = path_of(
         p,
         VEHICLES["fixed_wing"],
-        place(47.0, 8.0, 420.0),
+        origin_at(47.0, 8.0, 420.0),
         "survey",
         gust_vel=gusts(p.t, 0.3, (0.05, 0.8), shake, 7301),
         gust_rpy=gusts(p.t, 0.5 * deg, (0.05, 0.8), shake, 7302),
@@ -174,7 +174,7 @@ def static(duration_s: float = 1200.0) -> Flight:
     """A table at rest, tilted by 1 deg in roll and -2 deg in pitch, heading 40 deg."""
     t = np.linspace(0.0, duration_s, 9)
     rpy = np.tile(np.deg2rad([1.0, -2.0, 40.0]), (t.size, 1))
-    path = SmoothPath.from_velocity(t, np.zeros((t.size, 3)), rpy, place(46.52, 6.57, 400.0), "static")
+    path = SmoothPath.from_velocity(t, np.zeros((t.size, 3)), rpy, origin_at(46.52, 6.57, 400.0), "static")
     return Flight(path, "car", (Leg("rest", 0.0, duration_s, True),))
 
 

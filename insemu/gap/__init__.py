@@ -8,14 +8,15 @@ from insemu.gap.beliefs.nominal import Nominal, load_nominal
 from insemu.gap.beliefs.refined import refined_nominal, write_refined
 from insemu.gap.candidates.axis import register
 from insemu.gap.data.sources import StaticLog, from_its_start, load_measured
-from insemu.gap.policy import Policy
+from insemu.gap.policy import Policy, rules
 from insemu.gap.problems.rest import find_static_gap
 from insemu.gap.session import applied, find_gap
-from insemu.gap.verdict import Finding, GapReport, Member, Value, Where
+from insemu.gap.verdict import Finding, GapReport, Interval, Member, Value, Where
 
 __all__ = [
     "Finding",
     "GapReport",
+    "Interval",
     "Member",
     "Nominal",
     "Policy",
@@ -30,5 +31,6 @@ __all__ = [
     "load_nominal",
     "refined_nominal",
     "register",
+    "rules",
     "write_refined",
 ]

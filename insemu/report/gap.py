@@ -5,15 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure as MplFigure
 
 from insemu.effects import EFFECTS
-from insemu.gap.verdict import Finding, GapReport, Interval, Where
 from insemu.report.page import Block, Code, Figure, Items, Section, Table, Text, render
 from insemu.report.style import COLOURS, style
+
+if TYPE_CHECKING:
+    from insemu.gap import Finding, GapReport, Interval, Where
 
 
 def effect_name(effect: str) -> str:
@@ -25,13 +28,13 @@ def effect_name(effect: str) -> str:
 SENSORS = {"gyro": "gyroscope", "accel": "accelerometer", "gnss": "GNSS", "imu": "IMU"}
 
 
-def place(sensor: str, axes: Sequence[str]) -> str:
+def sensor_axes(sensor: str, axes: Sequence[str]) -> str:
     """Sensor and axes in words."""
     return f"{SENSORS.get(sensor, sensor)} {', '.join(axes)}".strip()
 
 
 def _subject(finding: Finding) -> str:
-    where = place(finding.sensor, finding.axes)
+    where = sensor_axes(finding.sensor, finding.axes)
     # an effect of the whole IMU or of timing needs no place
     return effect_name(finding.effect) if finding.sensor == "imu" else f"{effect_name(finding.effect)} of the {where}"
 
@@ -67,7 +70,7 @@ _ACTIONS = {
 }
 
 
-def action(finding: Finding) -> str:
+def finding_action(finding: Finding) -> str:
     """What to do about a finding, in one line."""
     values = ", ".join(
         f"{v.name} {v.value:.3g} {v.unit if v.unit != '1' else ''}".strip() for v in finding.parameters[:3]
@@ -75,12 +78,12 @@ def action(finding: Finding) -> str:
     return _ACTIONS.get(finding.effect, "model or calibrate it: {}").format(values)
 
 
-def metres(finding: Finding) -> str:
+def finding_metres(finding: Finding) -> str:
     """What a finding is worth at the end of a minute without fixes, in words; a dash where nobody says."""
     return f"{finding.metres:.3g}" if math.isfinite(finding.metres) else "-"
 
 
-def headline(report: GapReport) -> str:
+def gap_headline(report: GapReport) -> str:
     """The verdict in one sentence."""
     if report.verdict == "nothing missing":
         return "Nothing is missing: the recording is what the nominal model predicts."
@@ -98,7 +101,10 @@ def headline(report: GapReport) -> str:
     if first.is_class:
         names = " or ".join(effect_name(m.effect) for m in first.members)
         rest = (f" Besides: {'; '.join(sure[1:])}." if len(sure) > 1 else "") + more
-        return f"The {place(first.sensor, first.axes)} has {names}: this recording cannot tell them apart. What would: {first.would_separate}.{rest}"
+        where = sensor_axes(first.sensor, first.axes)
+        return (
+            f"The {where} has {names}: this recording cannot tell them apart. What would: {first.would_separate}.{rest}"
+        )
     return f"Missing from the model: {'; '.join(dict.fromkeys(sure))}.{more}"
 
 
@@ -314,11 +320,11 @@ def _suspects(report: GapReport, names: Sequence[str]) -> list[Section]:
         [
             effect_name(s.effect),
             s.variant,
-            place(s.sensor, s.axes),
+            sensor_axes(s.sensor, s.axes),
             f"{s.nats:.1f}",
             f"{s.confidence:.3f}",
-            metres(s),
-            action(s),
+            finding_metres(s),
+            finding_action(s),
         ]
         for s in report.findings
     ]
@@ -330,7 +336,7 @@ def _suspects(report: GapReport, names: Sequence[str]) -> list[Section]:
         suspects.append(
             Items(
                 [
-                    f"{' / '.join(effect_name(m.effect) for m in s.members)} ({place(s.sensor, s.axes)}): "
+                    f"{' / '.join(effect_name(m.effect) for m in s.members)} ({sensor_axes(s.sensor, s.axes)}): "
                     f"what would separate them is {s.would_separate}."
                     for s in classes
                 ]
@@ -343,9 +349,10 @@ def _suspects(report: GapReport, names: Sequence[str]) -> list[Section]:
         suspects.append(
             Items(
                 [
-                    f"beside {effect_name(s.effect)} ({place(s.sensor, s.axes)}): "
+                    f"beside {effect_name(s.effect)} ({sensor_axes(s.sensor, s.axes)}): "
                     + ", ".join(
-                        f"{effect_name(c.effect)}, {place(c.sensor, ())} ({c.share:.0%})" for c in s.confusable[:6]
+                        f"{effect_name(c.effect)}, {sensor_axes(c.sensor, ())} ({c.share:.0%})"
+                        for c in s.confusable[:6]
                     )
                     for s in confusable
                 ]
@@ -354,7 +361,7 @@ def _suspects(report: GapReport, names: Sequence[str]) -> list[Section]:
     values = [
         [
             effect_name(s.effect),
-            place(s.sensor, s.axes),
+            sensor_axes(s.sensor, s.axes),
             v.name,
             _number(v.value),
             f"{_number(v.low)} to {_number(v.high)}",
@@ -428,6 +435,6 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
         "The gap between simulation and measurement",
         sections,
         folder / "index.html",
-        lead=headline(report),
+        lead=gap_headline(report),
         footer=report.source,
     )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from insemu import earth
 from insemu.effects import CELLS, CROSS, EFFECTS, NED, XYZ, DriveLot, EffectUse
 from insemu.emulate import corrupt, gnss_fixes, ideal_imu
-from insemu.gap.beliefs.nominal import Nominal
+from insemu.gap import Nominal
 from insemu.noise import GM, RC, RW, WN, NoiseModel
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Gnss, Initial

@@ -16,13 +16,12 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 
 from insemu.effects import EffectUse
-from insemu.gap.candidates.noise import bias_nats, mean_spread
-from insemu.gap.data.log import Reduced, block_differences, block_length, spectrum_bins
-from insemu.gap.evidence import kernels
-from insemu.gap.evidence.band import Band
-from insemu.gap.evidence.linear import log_mean_exp
-from insemu.gap.evidence.model import (
+from insemu.gap import rules
+from insemu.gap.candidates import bias_nats, mean_spread
+from insemu.gap.data import Reduced, block_differences, block_length, spectrum_bins
+from insemu.gap.evidence import (
     DEPTH,
+    Band,
     Component,
     Explanation,
     Free,
@@ -30,9 +29,10 @@ from insemu.gap.evidence.model import (
     Regressors,
     Rolloff,
     fit,
+    log_mean_exp,
     regression_evidence,
+    toeplitz_whiten,
 )
-from insemu.gap.policy import rules
 from insemu.noise import BI, GM, RW, WN, NoiseModel, Process
 
 Array = NDArray[np.float64]
@@ -63,7 +63,7 @@ class Expected(Likelihood):
         """Expected Gaussian log-likelihood of the block differences, regressors integrated out at their expected projections."""
         stacked = np.hstack([self.data.differences[:, None], *(r.columns for r in regressors)])
         white = np.empty_like(stacked)
-        logdet = kernels.toeplitz_whiten(gamma, stacked, white)
+        logdet = toeplitz_whiten(gamma, stacked, white)
         if not math.isfinite(logdet):
             return -math.inf
         e, G = white[:, 0], white[:, 1:]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS, EffectUse, RestLot
 from insemu.emulate import corrupt
-from insemu.gap.data.sources import static_of
+from insemu.gap.data import static_of
 from insemu.noise import NoiseModel
 from insemu.records import AXES, ImuRecord, Recording, Series
 from insemu.trial.drives import wrong

@@ -21,11 +21,8 @@ from pydantic import TypeAdapter
 
 from insemu.effects import EFFECTS, EffectUse
 from insemu.errors import InputError, nearest
-from insemu.gap.drive.preparation import Flown, Prepared
-from insemu.gap.policy import rules
-from insemu.gap.problems.rest import find_static_gap
-from insemu.gap.session import find_gap
-from insemu.gap.verdict import GapReport
+from insemu.gap import GapReport, find_gap, find_static_gap, rules
+from insemu.gap.drive import Flown, Prepared
 from insemu.records import Recording
 from insemu.trial.drives import DYNAMIC_EFFECTS, OUTSIDE, TARGETS, Stage, draw_use, scaled, stage
 from insemu.trial.hidden import Hidden, Number

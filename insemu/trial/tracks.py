@@ -8,10 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.emulate import SmoothPath
-from insemu.emulate.flight import gusts, moving, place
-from insemu.emulate.motion import Command, path_of, profile
-from insemu.emulate.vehicle import VEHICLES
+from insemu.emulate import VEHICLES, Command, SmoothPath, gusts, moving_share, origin_at, path_of, profile
 
 Array = NDArray[np.float64]
 _DEG = math.pi / 180.0
@@ -22,7 +19,9 @@ TRACKS = ("car", "aerobatic", "uav", "helicopter", "aeroplane")
 
 def random_track(kind: str, seconds: float, rng: np.random.Generator) -> SmoothPath:
     """A random path of a vehicle, a little longer than ``seconds``."""
-    origin = place(float(rng.uniform(-55.0, 62.0)), float(rng.uniform(-180.0, 180.0)), float(rng.uniform(0.0, 900.0)))
+    origin = origin_at(
+        float(rng.uniform(-55.0, 62.0)), float(rng.uniform(-180.0, 180.0)), float(rng.uniform(0.0, 900.0))
+    )
     heading = float(rng.uniform(-math.pi, math.pi))
     if kind == "aerobatic":
         return _aerobatic(seconds, heading, origin, rng)
@@ -34,7 +33,7 @@ def random_track(kind: str, seconds: float, rng: np.random.Generator) -> SmoothP
     # a spline repeats what is fast about the frequency of its knots: fast motion gets closer knots
     t = np.linspace(calm.start, calm.end, int((calm.end - calm.start) / FINE_KNOT_S) + 1)
     velocity = calm.position.derivative()(t)
-    on = moving(np.hypot(velocity[:, 0], velocity[:, 1]))
+    on = moving_share(np.hypot(velocity[:, 0], velocity[:, 1]))
     seeds = rng.integers(2**31, size=2)
     wind = gusts(t, shake_v, band, on, int(seeds[0]))
     rock = gusts(t, shake_a * _DEG, band, on, int(seeds[1])) * np.array([1.0, 0.9, 0.3])

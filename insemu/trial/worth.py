@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS, EffectUse, having
 from insemu.filters import FilterResult
-from insemu.gap.drive.preparation import Prepared
-from insemu.gap.evidence.fixes import Colour, Surrogate
-from insemu.gap.policy import rules
+from insemu.gap import rules
+from insemu.gap.drive import Prepared
+from insemu.gap.evidence import Colour, Surrogate
 from insemu.noise import BI, GM, RW
 from insemu.trial.drives import Stage, scaled
 from insemu.trial.hidden import Hidden

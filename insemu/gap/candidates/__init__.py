@@ -2,13 +2,21 @@
 
 from insemu.gap.candidates.axis import CANDIDATES, AxisHypothesis, AxisState, best_of, register
 from insemu.gap.candidates.counts import held_samples, output_counts, saturation
-from insemu.gap.candidates.noise import flicker, gauss_markov, quantization_noise, random_walk, white_noise
+from insemu.gap.candidates.noise import (
+    bias_nats,
+    flicker,
+    gauss_markov,
+    mean_spread,
+    quantization_noise,
+    random_walk,
+    white_noise,
+)
 from insemu.gap.candidates.outliers import outliers
 from insemu.gap.candidates.spectral import decimation_filter, vibration_band, vibration_line
 from insemu.gap.candidates.telegraph import telegraph
 from insemu.gap.candidates.thermal import ramp, temperature
 
-__all__ = ["CANDIDATES", "AxisHypothesis", "AxisState", "best_of", "register"]
+__all__ = ["CANDIDATES", "AxisHypothesis", "AxisState", "best_of", "bias_nats", "mean_spread", "register"]
 
 register("white_noise", white_noise)
 register("random_walk", random_walk)

@@ -1,1 +1,5 @@
 """A drive or flight prepared for the search: the run of the nominal filter, signatures of effects, and their responses."""
+
+from insemu.gap.drive.preparation import Flown, Prepared
+
+__all__ = ["Flown", "Prepared"]

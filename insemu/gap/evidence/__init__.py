@@ -1,1 +1,34 @@
 """Nats of log evidence: explanations of a log at rest, linear models of innovations, noise of the fixes."""
+
+from insemu.gap.evidence.band import Band
+from insemu.gap.evidence.fixes import Colour, Surrogate
+from insemu.gap.evidence.kernels import toeplitz_whiten
+from insemu.gap.evidence.linear import log_mean_exp
+from insemu.gap.evidence.model import (
+    DEPTH,
+    Component,
+    Explanation,
+    Free,
+    Likelihood,
+    Regressors,
+    Rolloff,
+    fit,
+    regression_evidence,
+)
+
+__all__ = [
+    "DEPTH",
+    "Band",
+    "Colour",
+    "Component",
+    "Explanation",
+    "Free",
+    "Likelihood",
+    "Regressors",
+    "Rolloff",
+    "Surrogate",
+    "fit",
+    "log_mean_exp",
+    "regression_evidence",
+    "toeplitz_whiten",
+]
