@@ -125,6 +125,21 @@ def haar_push(
 
     The first sample of a record has number 1 (before it the running sum is 0), and ``start`` is the number of ``x[0]``. Every call but the
     last must end with the number before a multiple of ``CHUNK``. ``origin`` is subtracted, so that an offset such as gravity costs no digits.
+
+    Parameters
+    ----------
+    x : (k,) array
+        Samples.
+    origin : float
+        In the unit of the signal.
+    start : int
+        Number of the first of these samples.
+    ring, grids, work : arrays
+        Of :func:`haar_state`; overwritten.
+    sums : (levels,) array
+        Added to, unit^2.
+    full : int
+        Longest scale at which every sample has a coefficient; a power of two, the same as for :func:`haar_state`.
     """
     levels = sums.size
     inside = min(levels, _INSIDE)
@@ -235,7 +250,21 @@ def haar_push(
 
 
 def haar_counts(n_samples: int, levels: int, full: int) -> NDArray[np.int64]:
-    """How many coefficients :func:`haar_push` has summed of each octave."""
+    """How many coefficients :func:`haar_push` has summed of each octave.
+
+    Parameters
+    ----------
+    n_samples : int
+        Length of the record.
+    levels : int
+        Number of octaves.
+    full : int
+        Longest scale at which every sample has a coefficient; a power of two.
+
+    Returns
+    -------
+    (levels,) array of int
+    """
     scale = 1 << np.arange(1, levels + 1, dtype=np.int64)
     every = np.where(scale <= full, 1, scale // (full // 2))
     return np.asarray((n_samples - scale) // every + 1)
@@ -243,7 +272,17 @@ def haar_counts(n_samples: int, levels: int, full: int) -> NDArray[np.int64]:
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
 def haar_coefficients_level(a: Array, m: int, w: Array, v: Array) -> None:  # pragma: no cover - compiled
-    """One octave of a whole record without boundary: differences to ``w`` and averages to ``v``, both ``a.size - m`` long."""
+    """One octave of a whole record without boundary: differences to ``w`` and averages to ``v``, both ``a.size - m`` long.
+
+    Parameters
+    ----------
+    a : (n,) array
+        Averages of the octave before; of the first octave the signal.
+    m : int
+        Samples per average.
+    w, v : (n - m,) arrays
+        Overwritten.
+    """
     for i in range(a.size - m):
         w[i] = 0.5 * (a[i + m] - a[i])
         v[i] = 0.5 * (a[i + m] + a[i])
@@ -256,6 +295,19 @@ def haar_covariances(s1: Array, n: int, levels: int, means: Array, out: Array) -
     ``s1`` is the autocovariance of the level-1 coefficients at lags 0..n-1. A coefficient of the next octave is
     (1 + B^m)^2 / 2 of this one's, so every covariance sequence follows from ``s1`` by positive weights: nothing cancels, also for
     integrated processes. ``means`` are the means of the coefficients (drift).
+
+    Parameters
+    ----------
+    s1 : (n,) array
+        unit^2.
+    n : int
+        Length of the record.
+    levels : int
+        Number of octaves.
+    means : (levels,) array
+        In the unit of the signal.
+    out : (levels, levels) array
+        Overwritten, unit^4.
     """
     lags = n - 1
     own = s1.copy()
@@ -292,7 +344,15 @@ def haar_covariances(s1: Array, n: int, levels: int, means: Array, out: Array) -
 def haar_variances_of_variances(
     s1: Array, n: int, levels: int, means: Array, out: Array
 ) -> None:  # pragma: no cover - compiled
-    """The diagonal of :func:`haar_covariances` alone, in time proportional to ``n * levels``."""
+    """The diagonal of :func:`haar_covariances` alone, in time proportional to ``n * levels``.
+
+    Parameters
+    ----------
+    s1, n, levels, means
+        As there.
+    out : (levels,) array
+        Overwritten, unit^4.
+    """
     own = s1.copy()
     for j in range(levels):
         mj = 1 << j
@@ -333,6 +393,19 @@ def untouched(
     """Copy every ``stride``-th coefficient whose ``scale`` samples hold no flagged step; returns how many.
 
     ``seen[k]`` counts flagged steps before sample k (a step k joins samples k and k + 1).
+
+    Parameters
+    ----------
+    w : (n,) array
+        Coefficients.
+    seen : (n + scale - 1,) array of int
+        One number per sample of the record.
+    scale : int
+        Samples that a coefficient reaches over.
+    stride : int
+        Coefficients from one to the next.
+    out : array
+        Overwritten; as long as ``w[::stride]``.
     """
     kept = 0
     for i in range(0, w.size, stride):
@@ -344,7 +417,22 @@ def untouched(
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
 def second_differences(s: Array, m: int, stride: int) -> float:  # pragma: no cover - compiled
-    """Sum of squares of s[k + 2m] - 2 s[k + m] + s[k]."""
+    """Sum of squares of s[k + 2m] - 2 s[k + m] + s[k].
+
+    Parameters
+    ----------
+    s : (n,) array
+        Running sum of the signal.
+    m : int
+        Step of the differences, samples.
+    stride : int
+        Samples from one difference to the next.
+
+    Returns
+    -------
+    float
+        In the unit of ``s`` squared.
+    """
     total = 0.0
     for k in range(0, s.size - 2 * m, stride):
         d = s[k + 2 * m] - 2.0 * s[k + m] + s[k]
@@ -354,7 +442,22 @@ def second_differences(s: Array, m: int, stride: int) -> float:  # pragma: no co
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
 def third_differences(s: Array, m: int, stride: int) -> float:  # pragma: no cover - compiled
-    """Sum of squares of s[k + 3m] - 3 s[k + 2m] + 3 s[k + m] - s[k]."""
+    """Sum of squares of s[k + 3m] - 3 s[k + 2m] + 3 s[k + m] - s[k].
+
+    Parameters
+    ----------
+    s : (n,) array
+        Running sum of the signal.
+    m : int
+        Step of the differences, samples.
+    stride : int
+        Samples from one difference to the next.
+
+    Returns
+    -------
+    float
+        In the unit of ``s`` squared.
+    """
     total = 0.0
     for k in range(0, s.size - 3 * m, stride):
         d = s[k + 3 * m] - 3.0 * (s[k + 2 * m] - s[k + m]) - s[k]
@@ -423,6 +526,25 @@ def unit_covariances(
 
     Those of step ``steps[j]`` are asked for at ``lags[ends[j]:ends[j + 1]]``. ``filter`` is the autocorrelation of the difference filter from
     lag 0. Without the single lags at which quantization noise (not averaged) contributes.
+
+    Parameters
+    ----------
+    kind : int
+        0 quantization noise, 1 white noise, 2 first-order Gauss-Markov, 3 random walk.
+    tc : float
+        Time constant of kind 2, samples.
+    steps : (J,) array of int
+        Steps m of the differences, samples.
+    lags : (L,) array
+        Samples.
+    ends : (J + 1,) array of int
+        Places in ``lags``.
+    filter : (order + 1,) array
+        Order 2 or 3.
+    averaged : bool
+        Whether the running sum is averaged over m samples before (modified Allan variance).
+    out : (L,) array
+        Overwritten.
     """
     order = filter.size - 1
     out[:] = 0.0
@@ -475,6 +597,31 @@ def scatter_of_means(
     The difference step is ``steps[j]`` and successive terms are ``strides[j]`` apart. ``lags[ends[2 j]:ends[2 j + 1]]`` are nodes between
     which autocovariances are linear, ``lags[ends[2 j + 1]:ends[2 j + 2]]`` an even grid for the third cumulant (or none); ``units``
     has the autocovariance of every component there. ``quantization`` is the weight of component ``quantized``, which contributes at single lags.
+
+    Parameters
+    ----------
+    units : (components, L) array
+        Autocovariances of the differences of each unit component, of :func:`unit_covariances`.
+    weights : (components,) array
+        Variances per sample of the components, unit^2.
+    quantization : float
+        unit^2; zero where there is none.
+    quantized : int
+        -1 where there is none.
+    steps, strides : (J,) arrays of int
+        Samples.
+    n : int
+        Length of the record.
+    lags : (L,) array
+        Samples.
+    ends : (2 J + 1,) array of int
+        Places in ``lags``.
+    filter : (order + 1,) array
+        Autocorrelation of the difference filter from lag 0; order 2 or 3.
+    edof, skew : (J,) arrays
+        Overwritten.
+    slopes : (J, components) array
+        Overwritten.
     """
     order = filter.size - 1
     parts = weights.size
