@@ -34,7 +34,7 @@ def columns(
     m : (J,) array
         Samples per average, half the scales.
     s : (shapes,) array
-        Shapes, unconstrained.
+        Shapes, in the coordinates of the search.
     B : (J, processes) array
         Overwritten: wavelet variances of the processes with coefficient one.
     dB : (J, shapes) array

@@ -48,11 +48,11 @@ def running_sum(out: Array, start: float, scale: float) -> None:
     Parameters
     ----------
     out : (n,) array
-        White numbers of unit variance, overwritten.
+        Numbers that are summed, overwritten.
     start : float
-        Added to every sample.
+        Added to every sum.
     scale : float
-        Standard deviation of a step.
+        Factor of the sums: of white numbers of unit variance the standard deviation of a step.
     """
     total = 0.0
     for k in range(out.size):
