@@ -96,7 +96,17 @@ def scalar_radii(sin_lat: float) -> tuple[float, float]:
 
 @njit(cache=True, nogil=True)
 def scalar_gravity(sin_lat: float, h: float, code: int) -> float:
-    """Gravity (down) in m/s^2 at a height in m; ``code`` is one of :data:`GRAVITY_CODES`."""
+    """Gravity (down) in m/s^2 at a height in m; ``code`` is one of :data:`GRAVITY_CODES`.
+
+    Parameters
+    ----------
+    sin_lat : float
+        Sine of the geodetic latitude.
+    h : float
+        Ellipsoidal height, m.
+    code : int
+        One of :data:`GRAVITY_CODES`.
+    """
     s2 = sin_lat * sin_lat
     gamma = GAMMA_EQUATOR * (1.0 + _K * s2) / math.sqrt(1.0 - E2 * s2)
     if code == 1:
@@ -106,7 +116,17 @@ def scalar_gravity(sin_lat: float, h: float, code: int) -> float:
 
 @njit(cache=True, nogil=True)
 def scalar_gravity_slopes(sin_lat: float, cos_lat: float, h: float, code: int) -> tuple[float, float]:
-    """Derivatives of :func:`scalar_gravity` with respect to latitude (m/s^2 per rad) and height (1/s^2)."""
+    """Derivatives of :func:`scalar_gravity` with respect to latitude (m/s^2 per rad) and height (1/s^2).
+
+    Parameters
+    ----------
+    sin_lat, cos_lat : float
+        Sine and cosine of the geodetic latitude.
+    h : float
+        Ellipsoidal height, m.
+    code : int
+        One of :data:`GRAVITY_CODES`.
+    """
     s2 = sin_lat * sin_lat
     x = 1.0 - E2 * s2
     gamma = GAMMA_EQUATOR * (1.0 + _K * s2) / math.sqrt(x)

@@ -32,6 +32,27 @@ def kalman(
     """Filter forwards; returns the log-likelihood and the index from which covariances are constant.
 
     ``xf`` (N, n) gets the filtered means; ``Pf``, ``Pp`` (N or 1, n, n) filtered and predicted covariances up to that index.
+
+    Parameters
+    ----------
+    Phi, Q : (n, n) arrays
+        Transition and driving covariance per sample.
+    c : (n,) array
+        What a sample sees of the state.
+    R : float
+        Variance of the sample's own white noise, unit^2.
+    u : (n,) array
+        Constant input per sample.
+    x0, P0 : (n,), (n, n) arrays
+        Mean and covariance of the state before the first sample.
+    y : (N,) array
+        Signal.
+    xf : (N, n) array
+        Overwritten with the filtered means.
+    Pf, Pp : (N, n, n) arrays
+        Overwritten, up to the returned index, with the filtered and predicted covariances.
+    keep : bool
+        Without it ``xf``, ``Pf`` and ``Pp`` are left alone and may have any size.
     """
     n = c.size
     x, xp = x0.copy(), np.empty(n)
@@ -105,6 +126,25 @@ def smooth_sums(
     """Smooth backwards after :func:`kalman`; fills the smoothed means and the sums of second moments of the covariances.
 
     ``now`` = sum over t = 1..N-1 of P_t, ``cross`` of P_(t,t-1), ``before`` of P_(t-1); ``first`` = P_0; ``Ps`` (N, n) the diagonals.
+
+    Parameters
+    ----------
+    Phi : (n, n) array
+        Transition per sample.
+    u : (n,) array
+        Constant input per sample.
+    c : (n,) array
+        What a sample sees of the state.
+    y : (N,) array
+        Signal.
+    xf, Pf, Pp : (N, n), (N, n, n), (N, n, n) arrays
+        Of :func:`kalman`.
+    settled : int
+        Index from which the covariances are constant, of :func:`kalman`.
+    xs, Ps : (N, n) arrays
+        Overwritten: smoothed means, and variances of the smoothed states.
+    now, cross, before, first : (n, n) arrays
+        Overwritten as above.
     """
     N, n = xf.shape
     now[:, :] = 0.0

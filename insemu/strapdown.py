@@ -302,7 +302,17 @@ def fill_dynamics(nav: Array, f_n: Array, gravity: int, f: Array) -> None:
 
 @njit(cache=True, nogil=True)
 def fill_transition(f: Array, dt: float, phi: Array) -> None:
-    """Write ``I + F dt + (F dt)^2 / 2`` into ``phi`` (9, 9) (compiled): the transition of the errors over one step."""
+    """Write ``I + F dt + (F dt)^2 / 2`` into ``phi`` (9, 9) (compiled): the transition of the errors over one step.
+
+    Parameters
+    ----------
+    f : (n, n) array
+        Continuous dynamics, of :func:`fill_dynamics` with n = 9.
+    dt : float
+        Duration of the step, s.
+    phi : (n, n) array
+        Overwritten.
+    """
     n = f.shape[0]
     for i in range(n):
         for j in range(n):
@@ -364,7 +374,29 @@ def mechanize_array(
     gravity: str = "normal",
     vertical: Literal["free", "held"] = "free",
 ) -> Array:
-    """Navigate an IMU record; as :func:`mechanize`, but return the (n, 10) navigation states."""
+    """Navigate an IMU record; as :func:`mechanize`, but return the (n, 10) navigation states.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+        Of any kind.
+    initial : NavState, Trajectory or (10,) array_like
+        State at ``imu.t[0]``: of a trajectory its first row, of an array in the layout of this module.
+    gravity : {"normal", "free_air_first_order"}
+        See :mod:`insemu.earth`.
+    vertical : {"free", "held"}
+        As :func:`mechanize`.
+
+    Returns
+    -------
+    (n, 10) array
+        One row per IMU row, in the layout of this module.
+
+    Raises
+    ------
+    InputError
+        As :func:`mechanize`; an initial state of another shape.
+    """
     if len(imu) < 2:
         raise InputError(f"the IMU record has {len(imu)} row(s), expected at least two")
     if vertical not in ("free", "held"):
@@ -387,7 +419,17 @@ def mechanize_array(
 
 
 def trajectory_of(t: ArrayLike, nav: Array, name: str = "navigation") -> Trajectory:
-    """Turn (n, 10) navigation states into a :class:`~insemu.records.Trajectory`."""
+    """Turn (n, 10) navigation states into a :class:`~insemu.records.Trajectory`.
+
+    Parameters
+    ----------
+    t : (n,) array_like
+        Times, s.
+    nav : (n, 10) array
+        Navigation states in the layout of this module.
+    name : str
+        Of the trajectory.
+    """
     return Trajectory(
         np.asarray(t, dtype=float), nav[:, 0:3], nav[:, 3:6], rotation.rpy_from_quaternion(nav[:, 6:10]), name
     )

@@ -269,7 +269,24 @@ class StartBelief:
 def on_reference(
     imu: ImuRecord, reference: Trajectory, believed: StartBelief
 ) -> tuple[ImuRecord, NavState, InitialSigma]:
-    """A start on the reference, at its first epoch or that of the IMU: the record from there on, state and standard deviations."""
+    """A start on the reference, at its first epoch or that of the IMU: the record from there on, state and standard deviations.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+    reference : Trajectory
+        Interpolated at the first epoch of the record that it covers.
+    believed : StartBelief
+        Standard deviations of position, velocity, tilt and heading.
+
+    Returns
+    -------
+    imu : ImuRecord
+        From the start on.
+    state : NavState
+        At its first epoch.
+    sigma : InitialSigma
+    """
     first = int(np.searchsorted(imu.t, max(imu.t[0], reference.t[0])))
     imu = imu.rows(slice(first, None)) if first else imu
     columns = np.hstack([reference.llh, reference.vel_ned, np.unwrap(reference.rpy, axis=0)])

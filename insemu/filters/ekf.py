@@ -323,6 +323,15 @@ class LooselyCoupledEKF:
     ) -> tuple[ImuRecord, Array, Array]:
         """The record as increments, the initial navigation state (10,) and the initial estimates of the augmented states (m,).
 
+        Parameters
+        ----------
+        imu : ImuRecord
+            Of any kind.
+        initial : NavState or Trajectory
+            At ``imu.t[0]``; of a trajectory its first row.
+        initial_states : (m,) array_like, optional
+            Initial estimates of the augmented states; zero unless given.
+
         Raises
         ------
         InputError
@@ -374,7 +383,22 @@ class LooselyCoupledEKF:
         return lever, latency
 
     def events(self, t: Array, gnss: GnssRecord | None, aids: Sequence[AidRecord] = ()) -> Events:
-        """Fixes, aids and standstill updates in the order of the epochs at which they are used."""
+        """Fixes, aids and standstill updates in the order of the epochs at which they are used.
+
+        Parameters
+        ----------
+        t : (n,) array
+            Epochs of the IMU, s.
+        gnss : GnssRecord or None
+            Fixes at their own times.
+        aids : sequence of AidRecord
+            Further measurements.
+
+        Raises
+        ------
+        InputError
+            A fix without a standard deviation, or an aid that :func:`~insemu.filters.events.aid_events` refuses.
+        """
         parts: list[Events] = []
         if gnss is not None:
             parts.append(fix_events(t, self.dt, gnss, self.gnss_sigma, imposed=self.options.imposed_gnss_sigma))
@@ -397,7 +421,33 @@ def run_filter(
     aids: Sequence[AidRecord] = (),
     initial_states: ArrayLike | None = None,
 ) -> FilterResult:
-    """Filter one record with one belief: :class:`LooselyCoupledEKF` made and run once, at the record's own rate."""
+    """Filter one record with one belief: :class:`LooselyCoupledEKF` made and run once, at the record's own rate.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+    gnss : GnssRecord or None
+    initial : NavState or Trajectory
+        At ``imu.t[0]``; of a trajectory its first row.
+    initial_sigma : InitialSigma or (n, n) covariance
+    belief : mapping of axis to NoiseModel
+        See :func:`insemu.augment.augment`.
+    lever_arm : (3,) array_like
+        From IMU to antenna, m, body axes.
+    gravity : {"normal", "free_air_first_order"}
+    gnss_sigma : (position, velocity), optional
+        Standard deviations, m and m/s, used where the record carries none.
+    options : FilterOptions, optional
+    aids : sequence of AidRecord
+        Further measurements.
+    initial_states : (n - 9,) array_like, optional
+        Initial estimates of the augmented states; zero unless given.
+
+    Raises
+    ------
+    InputError
+        As :class:`LooselyCoupledEKF` and :meth:`LooselyCoupledEKF.run`.
+    """
     ekf = LooselyCoupledEKF(
         belief, imu.dt, lever_arm=lever_arm, gravity=gravity, gnss_sigma=gnss_sigma, options=options
     )

@@ -151,6 +151,15 @@ def fix_events(t: Array, dt: float, gnss: GnssRecord, sigma: GnssSigma | None, *
 def aid_events(t: Array, dt: float, aid: AidRecord) -> Events:
     """An aid on the epochs of an IMU; see :func:`fix_events`.
 
+    Parameters
+    ----------
+    t : (n,) array
+        Epochs, s.
+    dt : float
+        Nominal sampling interval, s.
+    aid : AidRecord
+        Measurements outside the epochs are left out.
+
     Raises
     ------
     InputError

@@ -103,7 +103,19 @@ def fill_map(f: Array, cdt: Array, dt: float, w: Array) -> None:
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def apply_map(w: Array, half: float, E: Array, columns: int) -> None:
-    """Apply the map to the first fifteen rows of ``E`` (flat, rows of LD), in place, for the first ``columns`` columns."""
+    """Apply the map to the first fifteen rows of ``E`` (flat, rows of LD), in place, for the first ``columns`` columns.
+
+    Parameters
+    ----------
+    w : (46,) array
+        Map of the step, of :func:`fill_map`.
+    half : float
+        Half the duration of the step, s.
+    E : (rows * LD,) array
+        At least fifteen rows; the first nine are overwritten.
+    columns : int
+        How many columns.
+    """
     a01, a02, a10, a12, a20, a21 = w[0], w[1], w[2], w[3], w[4], w[5]
     b00, b10, b20, b02, b12, b22 = w[6], w[7], w[8], w[9], w[10], w[11]
     d10, d01, d21 = w[12], w[13], w[14]
@@ -427,7 +439,25 @@ def advance_transition(
     c: Array,
     work: Array,
 ) -> None:
-    """Multiply the transition since the last node (same layout as ``E``) by that of one step, in place."""
+    """Multiply the transition since the last node (same layout as ``E``) by that of one step, in place.
+
+    Parameters
+    ----------
+    A : (rows * LD,) array
+        Transition, overwritten.
+    w, half : (46,) array, float
+        Map of the step and half its duration, s.
+    slots : int
+        Slots of augmented states.
+    diagonal : bool
+        Whether every augmented state moves by itself (``d``), or lanes mix (``phi``).
+    d, phi : (LD,), (slots, slots, 8) arrays
+        Transition of the augmented states.
+    c : (LD,) array
+        What each axis sees of its states, at the states' places.
+    work : ((8 * slots + 10) * LD,) array
+        Working space.
+    """
     end = FIRST + columns_of(slots)
     if slots > 0:
         if diagonal:
@@ -455,7 +485,17 @@ def reset_transition(A: Array, rows: int) -> None:
 
 @njit(cache=True, nogil=True)
 def gather(E: Array, place: Ints, P: Array) -> None:
-    """Copy the filter's covariance out of the expanded one: ``P`` (n, n) in the layout's order."""
+    """Copy the filter's covariance out of the expanded one: ``P`` (n, n) in the layout's order.
+
+    Parameters
+    ----------
+    E : (rows * LD,) array
+        Expanded covariance.
+    place : (n,) array of int
+        Row of ``E`` of each state of the layout.
+    P : (n, n) array
+        Overwritten, symmetric.
+    """
     n = place.size
     for i in range(n):
         for j in range(i, n):
@@ -466,7 +506,17 @@ def gather(E: Array, place: Ints, P: Array) -> None:
 
 @njit(cache=True, nogil=True)
 def scatter(P: Array, place: Ints, E: Array) -> None:
-    """Inverse of :func:`gather`."""
+    """Inverse of :func:`gather`.
+
+    Parameters
+    ----------
+    P : (n, n) array
+        Covariance in the layout's order.
+    place : (n,) array of int
+        Row of ``E`` of each state of the layout.
+    E : (rows * LD,) array
+        Overwritten at these places, without the transposes of the navigation rows.
+    """
     n = place.size
     for i in range(n):
         for j in range(n):

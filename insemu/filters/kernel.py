@@ -134,6 +134,68 @@ def run(
     estimated by then: no fix is predicted over more than a step or two, however old it is at its stamp. One whose own time has passed already
     (the estimate has jumped by more than the time between fixes) is left out.
 
+    Parameters
+    ----------
+    t : (N,) array
+        Epochs, s.
+    gyro, accel : (N, 3) arrays
+        Increments over the interval that ends at the epoch, rad and m/s, body axes.
+    nav : (13,) array
+        Initial navigation state, as :func:`insemu.strapdown.step` takes it; overwritten by the last one.
+    x0, P0 : (m,), (n, n) arrays
+        Initial estimates of the augmented states, and the covariance of all; n = 9 + m.
+    place : (n,) array of int
+        Row of each state in the expanded covariance.
+    axis, c0, driver : (m,) arrays
+        As ``axis``, ``c``, ``driver`` of :class:`insemu.augment.Augmentation`.
+    slots, diagonal : int, bool
+        As in :func:`insemu.filters.expanded.predict`.
+    d_of, phi_of, mix_of, q_of : (every, LD), (every, slots, slots, 8), (every, k, LD), (every, l) arrays
+        ``d``, ``phi``, ``mix`` and ``q`` of :func:`insemu.filters.expanded.predict` over 1, 2, ... steps.
+    offsets, q_at : (k,), (l,) arrays of int
+        As there.
+    white : (6,) array
+        Variances of the samples' own white noise, (rad/s)^2 and (m/s^2)^2.
+    gravity : int
+        One of :data:`insemu.earth.GRAVITY_CODES`.
+    lever0 : (3,) array
+        Nominal lever arm from IMU to antenna, m, body axes.
+    lever_at, latency_at : int
+        First lever-arm state and latency state in the layout, -1 where they are not carried.
+    thresholds : (w + 1,) array
+        Largest accepted normalised innovation squared by the number of components.
+    every, output_every : int
+        Epochs from one propagation of the covariance, and from one row of the output, to the next.
+    window : int
+        Steps that the derivative of a fix by its latency is taken from.
+    tolerance : float
+        Times that are this close are the same, s.
+    first_of : (kinds,) array of int
+        First event of every kind, -1 where there is none.
+    event_next, event_t, event_epoch, event_kind, event_from, event_tau : (f,) arrays
+        ``next_alike``, ``t``, ``epoch``, ``kind``, ``since`` and ``tau`` of :class:`insemu.filters.events.Events`.
+    event_z, event_var, event_settings : (f, w), (f, w), (f, SETTINGS) arrays
+        ``z``, ``var`` and ``settings`` of the same.
+    cov_epoch, node_epoch : arrays of int
+        Epochs at which the whole covariance is kept and a node is stored, ascending.
+    store : bool
+        Whether nodes are stored: at those epochs and wherever something is measured.
+    out_nav, out_var, out_x : (rows, 10), (rows, n), (rows, m) arrays
+        Overwritten: navigation state, variances, estimates of the augmented states.
+    fix_nu, fix_S, fix_nis, fix_dof, fix_ok, fix_epoch : (f, w), (f, w, w), (f,), (f,), (f,), (f,) arrays
+        Overwritten where an event is used: innovation, its covariance, normalised innovation squared, number of components, whether it was
+        accepted, epoch.
+    fix_K, fix_H : (f, n, w), (f, w, n) arrays
+        Overwritten: gain and measurement matrix. Without ``store`` only the first gain is used, as working space.
+    out_P : (covariances, n, n) array
+        Overwritten: the whole covariance at ``cov_epoch``.
+    node_at, node_nav, node_x, node_dx : (nodes,), (nodes, 10), (nodes, m), (nodes, n) arrays
+        Overwritten: epoch, states after the measurements, and the errors that the measurements took off.
+    node_before, node_after, node_phi : (nodes, n, n) arrays
+        Overwritten: covariance before and after the measurements, transition from the node before.
+    P : (n, n) array
+        Overwritten with the covariance at the end.
+
     Returns
     -------
     (code, detail)

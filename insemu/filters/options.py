@@ -18,7 +18,26 @@ Store = Literal["none", "fixes"]
 
 
 def three_sigmas(value: ArrayLike | None, name: str, *, unknown: bool = False) -> Array:
-    """Three standard deviations; where ``unknown`` is allowed, None or NaN stand for "not known"."""
+    """Three standard deviations; where ``unknown`` is allowed, None or NaN stand for "not known".
+
+    Parameters
+    ----------
+    value : scalar or (3,) array_like, or None
+    name : str
+        What the message calls it.
+    unknown : bool
+        Whether None and NaN are allowed.
+
+    Returns
+    -------
+    (3,) array
+        NaN where it is not known.
+
+    Raises
+    ------
+    InputError
+        A negative or infinite number, or NaN where it is not allowed.
+    """
     out = np.array(np.broadcast_to(np.asarray(np.nan if value is None else value, dtype=np.float64), (3,)))
     if not (((np.isfinite(out)) & (out >= 0)) | (np.isnan(out) & unknown)).all():
         raise InputError(

@@ -69,6 +69,17 @@ def augmented(Phi: Array, B: Array, Phi_x: Array, Q_x: Array, C_x: Array, white:
     The augmented states move first, ``x_k = Phi_x x_(k-1) + w_k``; the axes err by ``-(C_x e_x) + v`` during the step, so w_k reaches the
     navigation errors in the same step.
 
+    Parameters
+    ----------
+    Phi, B : (9, 9), (9, 6) arrays
+        Of :func:`step_matrices`.
+    Phi_x, Q_x : (m, m) arrays
+        Transition and driving covariance of the augmented states.
+    C_x : (6, m) array
+        What the six axes see of them.
+    white : (6,) array
+        Variances of the axes' own white noise, (rad/s)^2 and (m/s^2)^2.
+
     Returns
     -------
     (n, n), (n, n) arrays
@@ -197,6 +208,19 @@ def reference_run(
     """Fly ``ekf`` through a record with filterpy; same arguments and result as :meth:`LooselyCoupledEKF.run`.
 
     Every epoch of the covariance is propagated, and no nodes are kept.
+
+    Parameters
+    ----------
+    ekf : LooselyCoupledEKF
+        The design.
+    imu : ImuRecord
+    gnss : GnssRecord or None
+    initial : NavState or Trajectory
+        At ``imu.t[0]``.
+    initial_sigma : InitialSigma or (n, n) covariance
+    aids : sequence of AidRecord
+    initial_states : (n - 9,) array_like, optional
+        Initial estimates of the augmented states; zero unless given.
 
     Raises
     ------

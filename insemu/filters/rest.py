@@ -189,7 +189,18 @@ def _told(found: Sequence[Quiet], gnss: GnssRecord | None, bias: tuple[Array, Ar
 def rests(
     imu: ImuRecord, gnss: GnssRecord | None = None, *, bias: tuple[Array, Array] | None = None, shortest: float = 2.0
 ) -> list[tuple[float, float]]:
-    """When the vehicle stands still, as (start, end) in s; see :func:`quiet_stretches` for the arguments."""
+    """When the vehicle stands still, as (start, end) in s; see :func:`quiet_stretches` for the arguments.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+    gnss : GnssRecord, optional
+        Where it has velocities, faster fixes rule rest out.
+    bias : (value (3,), covariance (3, 3)), optional
+        What is known of the gyroscope's bias, rad/s.
+    shortest : float
+        Shortest rest, s.
+    """
     return [(q.start, q.end) for q in quiet_stretches(imu, gnss, shortest=shortest, bias=bias) if q.still]
 
 

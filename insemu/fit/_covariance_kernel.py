@@ -87,6 +87,21 @@ def covariances(
     """Fill ``out`` with the covariance matrix of the wavelet variances at averages ``m`` (ascending) of ``n`` samples.
 
     ``drift`` is the slope per sample: coefficients then have the mean ``drift * m / 2``.
+
+    Parameters
+    ----------
+    m : (J,) array
+        Samples per average, half the scales, ascending.
+    n : int
+        Length of the record.
+    poly : (4,) array
+        Variances per sample of the white, quantized, walking and flicker parts, unit^2.
+    a, c : (g,) arrays
+        Decay per sample and variance (unit^2) of each first-order part.
+    drift : float
+        Slope per sample.
+    out : (J, J) array
+        Overwritten, unit^4.
     """
     levels = m.size
     corners = np.empty(9)

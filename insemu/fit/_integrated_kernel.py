@@ -29,7 +29,17 @@ def _product(A: Array, B: Array, out: Array, transposed: bool) -> None:  # pragm
 
 @njit(cache=True, nogil=True)
 def powers(F: Array, V: Array, counts: Ints, A: Array, W: Array) -> None:  # pragma: no cover - compiled
-    """Transition ``A[k] = F^counts[k]`` and accumulated noise ``W[k]`` of as many steps of ``x -> F x + noise(V)``."""
+    """Transition ``A[k] = F^counts[k]`` and accumulated noise ``W[k]`` of as many steps of ``x -> F x + noise(V)``.
+
+    Parameters
+    ----------
+    F, V : (n, n) arrays
+        Transition and driving covariance of one step.
+    counts : (k,) array of int
+        Numbers of steps.
+    A, W : (k, n, n) arrays
+        Overwritten.
+    """
     n = F.shape[0]
     base, noise = np.empty((n, n)), np.empty((n, n))
     T, U = np.empty((n, n)), np.empty((n, n))
@@ -65,6 +75,28 @@ def increments_likelihood(
     The last state is the integral; it starts from zero in every interval, and its value at the end is what is observed. ``which`` names the
     transition of every interval, ``extra`` the variance that is added to the increment (white noise), ``spans`` what a unit constant adds.
     With ``bias`` a constant of unknown value is estimated along (the likelihood is the one with a flat prior).
+
+    Parameters
+    ----------
+    A, W : (k, n, n) arrays
+        Transition and accumulated driving covariance of each kind of interval.
+    which : (N,) array of int
+        Kind of each interval.
+    P0 : (n, n) array
+        Covariance of the states before the first interval.
+    extra : (k,) array
+        Variance that white noise adds to what is observed, in the unit of ``y`` squared.
+    y : (N,) array
+        What is observed at the end of each interval.
+    spans : (N,) array
+        What a unit constant adds to it.
+    bias : bool
+        Whether a constant is estimated.
+
+    Returns
+    -------
+    float, float
+        Log-likelihood, minus infinity where an innovation has no variance, and the constant (zero without ``bias``).
     """
     n = P0.shape[0]
     last = n - 1

@@ -23,7 +23,23 @@ Ints = NDArray[np.int64]
 def columns(
     curves: Ints, orders: Ints, offsets: Ints, m: Array, s: Array, B: Array, dB: Array
 ) -> None:  # pragma: no cover - compiled
-    """All columns, ``B`` (scales, processes) and ``dB`` (scales, shapes), by the functions at the addresses ``curves``."""
+    """All columns, ``B`` (scales, processes) and ``dB`` (scales, shapes), by the functions at the addresses ``curves``.
+
+    Parameters
+    ----------
+    curves, orders : (processes,) arrays of int
+        Address of the wavelet variance of each process, and the whole number of its structure.
+    offsets : (processes + 1,) array of int
+        Where the shapes of each process begin and the last ones end.
+    m : (J,) array
+        Samples per average, half the scales.
+    s : (shapes,) array
+        Shapes, in the coordinates of the search.
+    B : (J, processes) array
+        Overwritten: wavelet variances of the processes with coefficient one.
+    dB : (J, shapes) array
+        Overwritten: derivatives of each process by its shapes.
+    """
     b = np.empty(m.size)
     for k in range(curves.size):
         lo, hi = offsets[k], offsets[k + 1]
@@ -87,6 +103,17 @@ def nonnegative(A: Array, y: Array, x: Array, r: Array, Q: Array) -> int:  # pra
     """Non-negative least squares (Lawson & Hanson 1974): fills ``x`` and the residual ``r = y - A x``.
 
     Returns the number of active columns; ``Q[:, :active]`` spans them.
+
+    Parameters
+    ----------
+    A : (n, p) array
+        Columns.
+    y : (n,) array
+        Target.
+    x, r : (p,), (n,) arrays
+        Overwritten.
+    Q : (n, p) array
+        Overwritten: orthonormal basis of the active columns.
     """
     n, p = A.shape
     scale = np.empty(p)
@@ -215,7 +242,27 @@ def _project(
 def screen(
     curves: Ints, orders: Ints, offsets: Ints, m: Array, starts: Array, W: Array, y: Array, fixed: Array, out: Array
 ) -> None:  # pragma: no cover - compiled
-    """Objective of every start (rows of ``starts``) with its best coefficients."""
+    """Objective of every start (rows of ``starts``) with its best coefficients.
+
+    Parameters
+    ----------
+    curves, orders : (processes,) arrays of int
+        Address of the wavelet variance of each process, and the whole number of its structure.
+    offsets : (processes + 1,) array of int
+        Where the shapes of each process begin and the last ones end.
+    m : (J,) array
+        Samples per average, half the scales.
+    starts : (starts, shapes) array
+        Shapes, one start a row.
+    W : (rows, J) array
+        Root of the weights.
+    y : (rows,) array
+        Weighted curve, ``W`` times the wavelet variances.
+    fixed : (processes,) array
+        Held coefficients, negative where free.
+    out : (starts,) array
+        Overwritten.
+    """
     n = y.size
     B, dB = np.empty((n, curves.size)), np.zeros((n, starts.shape[1]))
     x, r, Q = np.zeros(curves.size), np.empty(n), np.empty((n, curves.size))
@@ -247,6 +294,29 @@ def refine(
     """Levenberg-Marquardt over the shapes with projected coefficients, in place from ``s``.
 
     ``low == high`` holds a shape fixed. Returns the objective and the number of iterations, negative where ``most`` did not suffice.
+
+    Parameters
+    ----------
+    curves, orders : (processes,) arrays of int
+        Address of the wavelet variance of each process, and the whole number of its structure.
+    offsets : (processes + 1,) array of int
+        Where the shapes of each process begin and the last ones end.
+    m : (J,) array
+        Samples per average, half the scales.
+    s : (shapes,) array
+        Start, overwritten by the minimum.
+    low, high : (shapes,) arrays
+        Bounds of the shapes.
+    W : (rows, J) array
+        Root of the weights.
+    y : (rows,) array
+        Weighted curve, ``W`` times the wavelet variances.
+    fixed : (processes,) array
+        Held coefficients, negative where free.
+    x : (processes,) array
+        Overwritten: coefficients at the minimum, held ones included.
+    most : int
+        Largest number of iterations.
     """
     n, shapes = y.size, s.size
     B, dB = np.empty((n, curves.size)), np.zeros((n, shapes))

@@ -157,7 +157,29 @@ def read_recording(path: str | Path) -> Recording:
 
 
 def read_log(path: str | Path, *, rate_hz: float | None = None, columns: Iterable[str] | None = None) -> Log:
-    """Read a static log without judging its content, from our own layouts or anybody's; see :func:`insemu.formats.static.read_log`."""
+    """Read a static log without judging its content, from our own layouts or anybody's; see :func:`insemu.formats.static.read_log`.
+
+    Parameters
+    ----------
+    path : path
+        Of our own, or any file or folder that a reader takes.
+    rate_hz : float, optional
+        Sampling rate, Hz, of a log that does not say it; it must agree with the stamps where there are some.
+    columns : iterable of str, optional
+        Names in the file (``gx``) or of axes (``gyro_x``); all by default.
+
+    Returns
+    -------
+    Log
+        In SI; may hold NaN and gaps.
+
+    Raises
+    ------
+    InputError
+        A file that no reader takes; shapes, units, columns or times that cannot be used; no rate, or another than that of the stamps.
+    FileNotFoundError
+        No such file.
+    """
     layout = layout_of(path)
     if layout != "foreign":
         return static.read_log(path, rate_hz=rate_hz, columns=columns)
@@ -181,7 +203,29 @@ def _log_of(found: Opened, rate_hz: float | None, columns: Iterable[str] | None)
 def read_static(
     path: str | Path, *, rate_hz: float | None = None, columns: Iterable[str] | None = None
 ) -> list[Series]:
-    """Read a static log as :func:`read`; raises :class:`~insemu.errors.InputError` where the file holds a dynamic recording."""
+    """Read a static log as :func:`read`; raises :class:`~insemu.errors.InputError` where the file holds a dynamic recording.
+
+    Parameters
+    ----------
+    path : path
+        As :func:`read`.
+    rate_hz : float, optional
+        Sampling rate, Hz, of a log that does not say it.
+    columns : iterable of str, optional
+        Names in the file (``gx``) or of axes (``gyro_x``); all by default.
+
+    Returns
+    -------
+    list of Series
+        In SI, one per column.
+
+    Raises
+    ------
+    InputError
+        A dynamic recording, and as :func:`read`.
+    FileNotFoundError
+        No such file.
+    """
     if holds_recording(path):
         raise InputError(
             "is a dynamic recording, expected a static log (data or counts, fs, columns, units; or CSV)",

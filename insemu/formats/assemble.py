@@ -70,6 +70,14 @@ class Columns:
 def columns_of(table: Table, user: ColumnMap, story: Story) -> Columns | None:
     """Take the roles of a table; None where it has none.
 
+    Parameters
+    ----------
+    table : Table
+    user : ColumnMap
+        What the user says; goes before the table's own map.
+    story : Story
+        Gets what was taken, assumed and left out.
+
     Raises
     ------
     InputError
@@ -299,7 +307,27 @@ def _mounting(settings: Mapping[str, str], where: str) -> Array | None:
 
 
 def numbers_of(text: str, count: int, where: str) -> Array:
-    """Several numbers in a setting."""
+    """Several numbers in a setting.
+
+    Parameters
+    ----------
+    text : str
+        Numbers with blanks between them; a ``deg`` at the end is taken off.
+    count : int
+        How many are expected.
+    where : str
+        Setting, for the message.
+
+    Returns
+    -------
+    (count,) array
+        As written, not converted.
+
+    Raises
+    ------
+    InputError
+        Another count, or what is no finite number.
+    """
     try:
         out = np.array([float(w) for w in text.removesuffix("deg").split()])
     except ValueError:

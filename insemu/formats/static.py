@@ -122,7 +122,17 @@ class Log:
         return out
 
     def chunks(self, column: int, size: int = 1 << 20, *, first: int = 0) -> Iterator[Array]:
-        """Yield successive pieces of a column from a row on, so that a memory-mapped one is never held as a whole."""
+        """Yield successive pieces of a column from a row on, so that a memory-mapped one is never held as a whole.
+
+        Parameters
+        ----------
+        column : int
+            Place of the column.
+        size : int
+            Rows per piece.
+        first : int
+            First row.
+        """
         values = self.columns[column]
         mapped = getattr(values, "_mmap", None)
         for start in range(first, len(self), size):
@@ -137,6 +147,15 @@ def read_log(path: str | Path, *, rate_hz: float | None = None, columns: Iterabl
     NPZ: ``data`` (n, k), or ``counts`` (n, k) times ``scale`` (k,); ``fs``; ``columns`` and ``units`` (k,); optionally ``t``. Raw counts of
     an accelerometer and gyroscope triad (``acc_counts``, ``gyro_counts``) are read without units. NPY: (n,) or (n, k), rate given.
     CSV: a header of names with units in brackets (``gx [deg/s]``), optionally a time column; one column may have any header or none.
+
+    Parameters
+    ----------
+    path : path
+        ``.npz``, ``.npy``, ``.csv`` (``.csv.gz``, ``.txt``, ``.tsv``).
+    rate_hz : float, optional
+        Sampling rate, Hz; needed where the file does not say it.
+    columns : iterable of str, optional
+        Names in the file (``gx``) or of axes (``gyro_x``); all by default.
 
     Raises
     ------

@@ -113,7 +113,17 @@ def _slow(path: Path, delimiter: str | None, first: int, width: int) -> Array:
 
 
 def write_table(path: Path, header: list[str], block: Array) -> None:
-    """Write CSV; numbers are printed so that reading gives them back exactly."""
+    """Write CSV; numbers are printed so that reading gives them back exactly.
+
+    Parameters
+    ----------
+    path : Path
+        Compressed where it ends in ``.gz``.
+    header : list of str
+        Names of the k columns, with their units.
+    block : (n, k) array
+        Values in those units.
+    """
     text = "\n".join([",".join(header), *(",".join(map(repr, row)) for row in block.tolist())]) + "\n"
     if path.name.endswith(".gz"):
         with gzip.open(path, "wt", encoding="utf-8") as file:

@@ -47,7 +47,17 @@ class Way:
 
 
 def way_of(data: GnssRecord | Trajectory, name: str, outages: Sequence[tuple[float, float]] = ()) -> Way:
-    """The track of fixes or of a reference."""
+    """The track of fixes or of a reference.
+
+    Parameters
+    ----------
+    data : GnssRecord or Trajectory
+        Fixes without a position are left out.
+    name : str
+        Of the track.
+    outages : sequence of (start, end)
+        In the time of ``data``, s.
+    """
     if isinstance(data, Trajectory):
         return Way(data.t, data.llh, data.vel_ned, data.rpy, None, name, outages)
     good = np.isfinite(data.llh).all(axis=1)

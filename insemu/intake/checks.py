@@ -34,7 +34,17 @@ SQUARE = 25.0
 
 
 def near(value: float, wanted: float, share: float = KNOWN) -> bool:
-    """Whether a positive value is another one within a share."""
+    """Whether a positive value is another one within a share.
+
+    Parameters
+    ----------
+    value : float
+        Not negative.
+    wanted : float
+        In the same unit; nothing is near to one that is not positive.
+    share : float
+        Factor less one by which the two may differ either way.
+    """
     return bool(wanted > 0 and abs(np.log(max(value, 1e-300) / wanted)) < np.log1p(share))
 
 
@@ -186,7 +196,16 @@ def force(imu: ImuRecord) -> list[Line]:
 
 
 def rates(imu: ImuRecord, turn: Turn | None, unstated: bool) -> list[Line]:
-    """The unit of the gyroscope, from the course of the fixes or from what no gyroscope does."""
+    """The unit of the gyroscope, from the course of the fixes or from what no gyroscope does.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+    turn : Turn, optional
+        Course of the fixes on the turn of the gyroscope.
+    unstated : bool
+        Whether the unit of the gyroscope was assumed because nobody states it.
+    """
     dt = imu.dt
     if not believed(turn) or turn is None or turn.turned < np.deg2rad(0.5):
         return _rates_alone(imu, unstated)

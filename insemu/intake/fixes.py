@@ -105,7 +105,16 @@ _SPEEDS = (
 
 
 def fixes(gnss: GnssRecord, found: Agreement | None, unstated: bool) -> list[Line]:
-    """Place, rate, order and unit of the positions; frame and unit of the velocities; standard deviations."""
+    """Place, rate, order and unit of the positions; frame and unit of the velocities; standard deviations.
+
+    Parameters
+    ----------
+    gnss : GnssRecord
+    found : Agreement, optional
+        Of :func:`agreement`.
+    unstated : bool
+        Whether the unit or the frame of the velocities was assumed because nobody states it.
+    """
     good = np.isfinite(gnss.llh).all(axis=1)
     llh = gnss.llh[good] * [180 / np.pi, 180 / np.pi, 1.0]
     if not len(llh):
@@ -191,7 +200,20 @@ def _spreads(gnss: GnssRecord) -> list[Line]:
 
 
 def together(imu: ImuRecord, gnss: GnssRecord | Trajectory, what: str) -> list[Line]:
-    """Whether the fixes lie in the time of the IMU."""
+    """Whether the fixes lie in the time of the IMU.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+    gnss : GnssRecord or Trajectory
+    what : str
+        What it is called: "fixes" or "reference".
+
+    Returns
+    -------
+    list of Line
+        Empty where more than half of the rows lie in the time of the IMU.
+    """
     inside = (gnss.t >= imu.t[0]) & (gnss.t <= imu.t[-1])
     if inside.any():
         share = float(inside.mean())
@@ -279,7 +301,20 @@ def best_track(gnss: GnssRecord, found: Agreement | None) -> Track:
 
 
 def against_fixes(imu: ImuRecord, gnss: GnssRecord, found: Agreement | None) -> tuple[Turn | None, Push | None]:
-    """Turn and push of the fixes on the IMU, at the best time offset."""
+    """Turn and push of the fixes on the IMU, at the best time offset.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+    gnss : GnssRecord
+    found : Agreement, optional
+        Of :func:`agreement`; decides whose velocities are used, those of the receiver or those of the positions.
+
+    Returns
+    -------
+    Turn or None, Push or None
+        None where too few fixes or too little motion tells.
+    """
     track = best_track(gnss, found)
     if thinned(track).t.size < 10:
         return None, None

@@ -370,7 +370,21 @@ def render_characterisation(
     beside: Sequence[NamedCurve] = (),
     overlay: bool = True,
 ) -> Path:
-    """Write figures (PNG) and the page ``index.html`` into a folder; returns the page's path."""
+    """Write figures (PNG) and the page ``index.html`` into a folder; returns the page's path.
+
+    Parameters
+    ----------
+    axes : sequence of AxisReport
+        One per column, at least one.
+    folder : path
+        Made where it does not exist.
+    source : str
+        File that was characterised.
+    beside : sequence of NamedCurve
+        Wavelet variances of other sensors to be drawn beside.
+    overlay : bool
+        Whether the wavelet variances are drawn even without them.
+    """
     folder = Path(folder)
     (folder / "figures").mkdir(parents=True, exist_ok=True)
     varied = [

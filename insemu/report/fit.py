@@ -25,7 +25,16 @@ DRAWS = 20
 
 
 def decomposition(result: FitResult, rng: np.random.Generator, draws: int = DRAWS) -> Figure:
-    """Wavelet deviation with its intervals, the model and each of its processes, draws from the model; below, what is left per scale."""
+    """Wavelet deviation with its intervals, the model and each of its processes, draws from the model; below, what is left per scale.
+
+    Parameters
+    ----------
+    result : FitResult
+        With the curve that was fitted.
+    rng : Generator
+    draws : int
+        Signals drawn from the model.
+    """
     assert result.curve is not None
     curve = result.curve
     tau = curve.tau_s

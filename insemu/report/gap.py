@@ -187,7 +187,15 @@ def _pictures(report: GapReport, after: bool) -> list[Block]:
 
 
 def wavelet_figure(report: GapReport, names: Sequence[str], model: str) -> MplFigure:
-    """Wavelet deviation of the recording and of a model (``nominal`` or ``refined``); limits are those of both models."""
+    """Wavelet deviation of the recording and of a model (``nominal`` or ``refined``); limits are those of both models.
+
+    Parameters
+    ----------
+    report : GapReport
+    names : sequence of str
+        Axes, keys of ``report.curves``; one panel each.
+    model : {"nominal", "refined"}
+    """
     with style():
         figure, panels = plt.subplots(1, len(names), figsize=(4.2 * len(names), 3.3), squeeze=False)
         for axis, name in zip(panels[0], names, strict=True):
@@ -297,7 +305,21 @@ def evidence_figure(findings: Sequence[Finding]) -> MplFigure:
 
 
 def draw_gap(report: GapReport, folder: str | Path, name: str) -> list[Path]:
-    """Write the page's pictures as PNG files ``NAME_before.png``, ``NAME_evidence.png`` and ``NAME_after.png`` (``NAME_before_2.png`` ...)."""
+    """Write the page's pictures as PNG files ``NAME_before.png``, ``NAME_evidence.png`` and ``NAME_after.png`` (``NAME_before_2.png`` ...).
+
+    Parameters
+    ----------
+    report : GapReport
+    folder : path
+        Made where it does not exist.
+    name : str
+        What the file names begin with.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+    """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     evidence: list[Block] = [Figure.of(evidence_figure(report.findings[:6]), "")] if report.findings else []

@@ -1,11 +1,9 @@
-"""Compiled loops of this room: the Haar pyramid over chunks, and sums over covariance sequences.
+"""Compiled loops over signals of this room: the Haar pyramid over chunks, and sums of squared differences.
 
 Scalar code over plain arrays. ``reassoc`` lets the compiler vectorise sums; NaN still propagate.
 """
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 from numba import njit
@@ -125,6 +123,21 @@ def haar_push(
 
     The first sample of a record has number 1 (before it the running sum is 0), and ``start`` is the number of ``x[0]``. Every call but the
     last must end with the number before a multiple of ``CHUNK``. ``origin`` is subtracted, so that an offset such as gravity costs no digits.
+
+    Parameters
+    ----------
+    x : (k,) array
+        Samples.
+    origin : float
+        In the unit of the signal.
+    start : int
+        Number of the first of these samples.
+    ring, grids, work : arrays
+        Of :func:`haar_state`; overwritten.
+    sums : (levels,) array
+        Added to, unit^2.
+    full : int
+        Longest scale at which every sample has a coefficient; a power of two, the same as for :func:`haar_state`.
     """
     levels = sums.size
     inside = min(levels, _INSIDE)
@@ -235,7 +248,21 @@ def haar_push(
 
 
 def haar_counts(n_samples: int, levels: int, full: int) -> NDArray[np.int64]:
-    """How many coefficients :func:`haar_push` has summed of each octave."""
+    """How many coefficients :func:`haar_push` has summed of each octave.
+
+    Parameters
+    ----------
+    n_samples : int
+        Length of the record.
+    levels : int
+        Number of octaves.
+    full : int
+        Longest scale at which every sample has a coefficient; a power of two.
+
+    Returns
+    -------
+    (levels,) array of int
+    """
     scale = 1 << np.arange(1, levels + 1, dtype=np.int64)
     every = np.where(scale <= full, 1, scale // (full // 2))
     return np.asarray((n_samples - scale) // every + 1)
@@ -243,73 +270,20 @@ def haar_counts(n_samples: int, levels: int, full: int) -> NDArray[np.int64]:
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
 def haar_coefficients_level(a: Array, m: int, w: Array, v: Array) -> None:  # pragma: no cover - compiled
-    """One octave of a whole record without boundary: differences to ``w`` and averages to ``v``, both ``a.size - m`` long."""
+    """One octave of a whole record without boundary: differences to ``w`` and averages to ``v``, both ``a.size - m`` long.
+
+    Parameters
+    ----------
+    a : (n,) array
+        Averages of the octave before; of the first octave the signal.
+    m : int
+        Samples per average.
+    w, v : (n - m,) arrays
+        Overwritten.
+    """
     for i in range(a.size - m):
         w[i] = 0.5 * (a[i + m] - a[i])
         v[i] = 0.5 * (a[i + m] + a[i])
-
-
-@njit(cache=True, nogil=True)
-def haar_covariances(s1: Array, n: int, levels: int, means: Array, out: Array) -> None:  # pragma: no cover - compiled
-    """Fill ``out[j, l]`` with the covariance of the Haar wavelet variances of levels j+1 and l+1 of ``n`` samples.
-
-    ``s1`` is the autocovariance of the level-1 coefficients at lags 0..n-1. A coefficient of the next octave is
-    (1 + B^m)^2 / 2 of this one's, so every covariance sequence follows from ``s1`` by positive weights: nothing cancels, also for
-    integrated processes. ``means`` are the means of the coefficients (drift).
-    """
-    lags = n - 1
-    own = s1.copy()
-    cross = np.zeros(2 * lags + 1)  # cross[lags + i] = cov(W_j[k + i], W_l[k])
-    for j in range(levels):
-        mj = 1 << j
-        lowest = 2 * mj - n  # W_j exists at samples 2 mj - 1 .. n - 1
-        for i in range(lowest, -lowest + 1):
-            cross[lags + i] = own[abs(i)]
-        for level in range(j, levels):
-            ml = 1 << level
-            highest = n - 2 * ml
-            total = 0.0
-            for i in range(lowest, highest + 1):
-                pairs = min(n - 1, n - 1 - i) - max(2 * ml - 1, 2 * mj - 1 - i) + 1
-                c = cross[lags + i]
-                total += pairs * (2.0 * c * c + 4.0 * means[j] * means[level] * c)
-            out[j, level] = total / (float(n - 2 * mj + 1) * float(highest + 1))
-            out[level, j] = out[j, level]
-            if level + 1 < levels:
-                # W_(l+1)[k] = (W_l[k] + 2 W_l[k - ml] + W_l[k - 2 ml]) / 2: lag i takes lags i, i + ml, i + 2 ml (in place, upwards)
-                for i in range(lags + lowest, lags + n - 4 * ml + 1):
-                    cross[i] = 0.5 * (cross[i] + 2.0 * cross[i + ml] + cross[i + 2 * ml])
-        if j + 1 < levels:
-            new = np.zeros(lags + 1)
-            for i in range(n - 4 * mj + 1):
-                new[i] = 0.25 * (
-                    6.0 * own[i] + 4.0 * (own[i + mj] + own[abs(i - mj)]) + own[i + 2 * mj] + own[abs(i - 2 * mj)]
-                )
-            own = new
-
-
-@njit(cache=True, nogil=True)
-def haar_variances_of_variances(
-    s1: Array, n: int, levels: int, means: Array, out: Array
-) -> None:  # pragma: no cover - compiled
-    """The diagonal of :func:`haar_covariances` alone, in time proportional to ``n * levels``."""
-    own = s1.copy()
-    for j in range(levels):
-        mj = 1 << j
-        last = n - 2 * mj  # the longest lag at which two coefficients exist
-        count = float(last + 1)
-        total = 0.0
-        for i in range(last + 1):
-            weight = 1.0 if i == 0 else 2.0
-            total += weight * (count - i) * (2.0 * own[i] * own[i] + 4.0 * means[j] * means[j] * own[i])
-        out[j] = total / (count * count)
-        if j + 1 < levels:
-            new = np.zeros(n)
-            for i in range(n - 4 * mj + 1):
-                new[i] = 0.25 * (
-                    6.0 * own[i] + 4.0 * (own[i + mj] + own[abs(i - mj)]) + own[i + 2 * mj] + own[abs(i - 2 * mj)]
-                )
-            own = new
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
@@ -333,6 +307,19 @@ def untouched(
     """Copy every ``stride``-th coefficient whose ``scale`` samples hold no flagged step; returns how many.
 
     ``seen[k]`` counts flagged steps before sample k (a step k joins samples k and k + 1).
+
+    Parameters
+    ----------
+    w : (n,) array
+        Coefficients.
+    seen : (n + scale - 1,) array of int
+        One number per sample of the record.
+    scale : int
+        Samples that a coefficient reaches over.
+    stride : int
+        Coefficients from one to the next.
+    out : array
+        Overwritten; as long as ``w[::stride]``.
     """
     kept = 0
     for i in range(0, w.size, stride):
@@ -344,7 +331,22 @@ def untouched(
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
 def second_differences(s: Array, m: int, stride: int) -> float:  # pragma: no cover - compiled
-    """Sum of squares of s[k + 2m] - 2 s[k + m] + s[k]."""
+    """Sum of squares of s[k + 2m] - 2 s[k + m] + s[k].
+
+    Parameters
+    ----------
+    s : (n,) array
+        Running sum of the signal.
+    m : int
+        Step of the differences, samples.
+    stride : int
+        Samples from one difference to the next.
+
+    Returns
+    -------
+    float
+        In the unit of ``s`` squared.
+    """
     total = 0.0
     for k in range(0, s.size - 2 * m, stride):
         d = s[k + 2 * m] - 2.0 * s[k + m] + s[k]
@@ -354,7 +356,22 @@ def second_differences(s: Array, m: int, stride: int) -> float:  # pragma: no co
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
 def third_differences(s: Array, m: int, stride: int) -> float:  # pragma: no cover - compiled
-    """Sum of squares of s[k + 3m] - 3 s[k + 2m] + 3 s[k + m] - s[k]."""
+    """Sum of squares of s[k + 3m] - 3 s[k + 2m] + 3 s[k + m] - s[k].
+
+    Parameters
+    ----------
+    s : (n,) array
+        Running sum of the signal.
+    m : int
+        Step of the differences, samples.
+    stride : int
+        Samples from one difference to the next.
+
+    Returns
+    -------
+    float
+        In the unit of ``s`` squared.
+    """
     total = 0.0
     for k in range(0, s.size - 3 * m, stride):
         d = s[k + 3 * m] - 3.0 * (s[k + 2 * m] - s[k + m]) - s[k]
@@ -386,155 +403,3 @@ def reflected_second_differences(s: Array, m: int) -> float:  # pragma: no cover
         d = a - 2.0 * s[i] + b
         total += d * d
     return total
-
-
-@njit(cache=True, nogil=True)
-def _kappa(
-    kind: int, tc: float, c1: float, c2: float, c3: float, h: float, averaged: bool
-) -> float:  # pragma: no cover - compiled
-    """Generalized covariance at lag ``h >= 0`` of the running sum of a unit component (of its sum once more where ``averaged``).
-
-    Second differences of it give minus the covariance one summation lower: -h/2 for white noise, (h^3 - h)/12 for random walk, and so
-    on. Kinds: 0 quantization, 1 white, 2 Markov of time constant ``tc`` samples (constants of :func:`_covariance`), 3 random walk.
-    """
-    if kind == 0:
-        return -0.5 * h if averaged else 0.0
-    if kind == 1:
-        return (h * h * h - h) / 12.0 if averaged else -0.5 * h
-    if kind == 3:
-        return -(h**5 / 240.0 - h * h * h / 48.0 + h / 60.0) if averaged else (h * h * h - h) / 12.0
-    if not averaged:
-        return -(c1 * h + c2 * math.expm1(-h / tc))
-    return c1 * (h * h * h - h) / 6.0 + c2 * c3 * math.exp(-h / tc) + c2 * (0.5 + c3 * -math.expm1(-1.0 / tc)) * h
-
-
-@njit(cache=True, nogil=True)
-def unit_covariances(
-    kind: int,
-    tc: float,
-    steps: NDArray[np.int64],
-    lags: Array,
-    ends: NDArray[np.int64],
-    filter: Array,
-    averaged: bool,
-    out: Array,
-) -> None:  # pragma: no cover - compiled
-    """Autocovariances of differences of the running sum, over 4 m^2, of a unit component, for the steps m one after the other.
-
-    Those of step ``steps[j]`` are asked for at ``lags[ends[j]:ends[j + 1]]``. ``filter`` is the autocorrelation of the difference filter from
-    lag 0. Without the single lags at which quantization noise (not averaged) contributes.
-    """
-    order = filter.size - 1
-    out[:] = 0.0
-    if kind == 0 and not averaged:
-        return
-    for j in range(steps.size):
-        m = float(steps[j])
-        weight = 1.0 / (4.0 * m * m)
-        if averaged and order == 2:
-            weight = -weight
-        like = kind
-        if kind == 2 and m < 1e-3 * tc:
-            # within its correlation time a Markov noise is a random walk; the closed form would cancel
-            weight *= -np.expm1(-2.0 / tc)
-            like = 3
-        one_minus = -np.expm1(-1.0 / tc) if like == 2 else 1.0
-        phi = 1.0 - one_minus
-        c1 = 0.5 * (1.0 + phi) / one_minus
-        c2, c3 = phi / one_minus**2, phi / one_minus**2
-        for i in range(ends[j], ends[j + 1]):
-            if like != 2 and lags[i] >= order * m:
-                continue  # exactly zero
-            total = filter[0] * _kappa(like, tc, c1, c2, c3, lags[i], averaged)
-            for k in range(1, order + 1):
-                total += filter[k] * (
-                    _kappa(like, tc, c1, c2, c3, lags[i] + k * m, averaged)
-                    + _kappa(like, tc, c1, c2, c3, abs(lags[i] - k * m), averaged)
-                )
-            out[i] = weight * total
-
-
-@njit(cache=True, nogil=True)
-def scatter_of_means(
-    units: Array,
-    weights: Array,
-    quantization: float,
-    quantized: int,
-    steps: NDArray[np.int64],
-    strides: NDArray[np.int64],
-    n: int,
-    lags: Array,
-    ends: NDArray[np.int64],
-    filter: Array,
-    edof: Array,
-    skew: Array,
-    slopes: Array,
-) -> None:  # pragma: no cover - compiled
-    """Fill, for means of squared differences, degrees of freedom, squared skewness over a chi-square's, and d log(edof) / d weight.
-
-    The difference step is ``steps[j]`` and successive terms are ``strides[j]`` apart. ``lags[ends[2 j]:ends[2 j + 1]]`` are nodes between
-    which autocovariances are linear, ``lags[ends[2 j + 1]:ends[2 j + 2]]`` an even grid for the third cumulant (or none); ``units``
-    has the autocovariance of every component there. ``quantization`` is the weight of component ``quantized``, which contributes at single lags.
-    """
-    order = filter.size - 1
-    parts = weights.size
-    smooth = np.zeros(lags.size)
-    for p in range(parts):
-        for i in range(lags.size):
-            smooth[i] += weights[p] * units[p, i]
-    part = np.empty(lags.size)
-    for j in range(steps.size):
-        m, stride = steps[j], strides[j]
-        begin, end = ends[2 * j], ends[2 * j + 1]
-        reach = n - order * m  # longest lag between two terms
-        count = max(reach // stride + 1, 1)
-        delta = quantization / (4.0 * m * m)
-        # sum over lags of a function that is linear between nodes, both signs of the lag
-        total = 0.0
-        for i in range(begin, end):
-            gap = lags[min(i + 1, end - 1)] - lags[max(i - 1, begin)]
-            part[i] = (gap / stride + (1.0 if i == end - 1 else 0.0)) * (1.0 - lags[i] / (count * stride)) * smooth[i]
-            total += part[i] * smooth[i]
-        variance = smooth[begin] + filter[0] * delta
-        for p in range(parts):
-            mixed = 0.0
-            for i in range(begin, end):
-                mixed += part[i] * units[p, i]
-            slopes[j, p] = -2.0 * mixed
-        for k in range(order + 1):
-            if delta == 0.0 or k * m > (count - 1) * stride:
-                break
-            at = begin + np.searchsorted(lags[begin:end], float(k * m))
-            share = (1.0 if k == 0 else 2.0) * (1.0 - lags[at] / (count * stride))
-            d = filter[k] * delta
-            total += share * (2.0 * smooth[at] * d + d * d)
-            for p in range(parts):
-                slopes[j, p] -= 2.0 * share * d * units[p, at]
-            slopes[j, quantized] -= 2.0 * share * (smooth[at] + d) * filter[k] / (4.0 * m * m)
-        if total <= 0.0:
-            edof[j], skew[j] = 1.0, 1.0
-            slopes[j] = 0.0
-            continue
-        edof[j] = variance * variance * count / total
-        for p in range(parts):
-            slopes[j, p] = slopes[j, p] / total + 2.0 * units[p, begin] / variance
-        if delta > 0.0:
-            slopes[j, quantized] += 2.0 * filter[0] / (4.0 * m * m) / variance
-        # third cumulant: sum over triples of positions of r(i) r(k) r(i + k)
-        skew[j] = 1.0
-        r = smooth[end : ends[2 * j + 2]]
-        if r.size < 2 or r[0] <= 0.0:
-            continue
-        positions = reach // int(lags[end + 1]) + 1
-        second, third = 0.0, 0.0
-        for i in range(r.size):
-            second += (1.0 if i == 0 else 2.0) * (positions - i) * r[i] * r[i]
-            for k in range(r.size - i):
-                often = 6.0
-                if i == 0 or k == 0:
-                    often = 3.0
-                if i == 0 and k == 0:
-                    often = 1.0
-                third += often * (positions - i - k) * r[i] * r[k] * r[i + k]
-        first = positions * r[0] * variance / smooth[begin]
-        skew[j] = (third * first / (second * second)) ** 2

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import fft, signal
 
 from insemu.errors import InputError
-from insemu.variance import _kernel
+from insemu.variance import _covariance_kernel
 from insemu.variance.filters import modwt_filters
 from insemu.variance.wavelet import check_levels, check_rate, check_signal, max_levels, wavelet_coefficients
 
@@ -141,7 +141,7 @@ def model_covariance(
     count = check_levels(levels, max_levels(n), n)
     means = 0.5 * drift_per_sample * 2.0 ** np.arange(count, dtype=np.float64)
     out = np.empty((count, count))
-    _kernel.haar_covariances(np.ascontiguousarray(s1[:n]), n, count, means, out)
+    _covariance_kernel.haar_covariances(np.ascontiguousarray(s1[:n]), n, count, means, out)
     return out
 
 
@@ -162,7 +162,7 @@ def model_edof(level1: ArrayLike, value: ArrayLike, *, drift_per_sample: float =
     count = check_levels(v.size, max_levels(s1.size), s1.size)
     means = 0.5 * drift_per_sample * 2.0 ** np.arange(count, dtype=np.float64)
     out = np.empty(count)
-    _kernel.haar_variances_of_variances(s1, s1.size, count, means, out)
+    _covariance_kernel.haar_variances_of_variances(s1, s1.size, count, means, out)
     return 2.0 * v**2 / out
 
 

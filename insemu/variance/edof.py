@@ -23,7 +23,7 @@ from scipy.special import chdtri, ndtri
 
 from insemu.errors import InputError
 from insemu.noise import PROCESSES
-from insemu.variance import _kernel
+from insemu.variance import _covariance_kernel
 
 Array = NDArray[np.float64]
 Scales = NDArray[np.float64] | NDArray[np.int64]
@@ -307,7 +307,7 @@ def _unit_covariances(
     """Autocovariances of one unit component at :func:`_all_lags`."""
     lags, ends = _all_lags(steps, strides, n_samples, longest, order)
     out = np.empty(lags.size)
-    _kernel.unit_covariances(
+    _covariance_kernel.unit_covariances(
         _KINDS[kind], tc, np.array(steps), lags, ends[::2].copy(), np.array(_DIFFERENCE[order]), averaged, out
     )
     return out
@@ -354,7 +354,7 @@ def scatter_of_noise(
     quantized = next((k for k, part in enumerate(chosen) if part[0] == "QN" and not averaged), -1)
     quantization = weights[quantized] if quantized >= 0 else 0.0
     edof, skew, slopes = np.empty(count), np.empty(count), np.empty((count, len(chosen)))
-    _kernel.scatter_of_means(
+    _covariance_kernel.scatter_of_means(
         units,
         weights,
         quantization,

@@ -87,5 +87,19 @@ call: Callable[..., None] = intrinsic(_call)
 
 @njit(cache=True, nogil=True)
 def evaluate(address: int, m: Array, s: Array, order: int, b: Array, db: Array) -> None:  # pragma: no cover - compiled
-    """Call one function from Python."""
+    """Call one function from Python.
+
+    Parameters
+    ----------
+    address : int
+        Of a function of :data:`SIGNATURE`.
+    m : (J,) array
+        Samples per average.
+    s : (shapes,) array
+        Shapes of the process.
+    order : int
+        Whole number of its structure.
+    b, db : (J,), (J, shapes) arrays
+        Overwritten: wavelet variances of the unit process, and their derivatives by the shapes.
+    """
     call(address, m, s, order, b, db)

@@ -29,7 +29,14 @@ def coefficients_of(z: Array) -> Array:  # pragma: no cover - compiled
 
 @njit(cache=True, nogil=True)
 def multiply(A: Array, B: Array, out: Array) -> None:  # pragma: no cover - compiled
-    """``out = A B`` by loops: the matrices are small, and calling a library costs seconds of compilation."""
+    """``out = A B`` by loops: the matrices are small, and calling a library costs seconds of compilation.
+
+    Parameters
+    ----------
+    A, B : (n, k), (k, m) arrays
+    out : (n, m) array
+        Overwritten; neither of the two.
+    """
     for i in range(A.shape[0]):
         for j in range(B.shape[1]):
             total = 0.0
@@ -48,7 +55,19 @@ def copy(A: Array, out: Array) -> None:  # pragma: no cover - compiled
 
 @njit(cache=True, nogil=True)
 def arma(m: Array, z: Array, p: int, b: Array) -> None:  # pragma: no cover - compiled
-    """Wavelet variance of an ARMA with unit innovations by exact doubling; ``m`` are powers of two, ascending."""
+    """Wavelet variance of an ARMA with unit innovations by exact doubling; ``m`` are powers of two, ascending.
+
+    Parameters
+    ----------
+    m : (J,) array
+        Samples per average.
+    z : (p + q,) array
+        Unconstrained numbers of the autoregression, then of the moving average; see :func:`coefficients_of`.
+    p : int
+        Order of the autoregression.
+    b : (J,) array
+        Overwritten.
+    """
     q = z.size - p
     ar = coefficients_of(z[:p])
     ma = coefficients_of(z[p:])

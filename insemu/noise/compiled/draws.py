@@ -22,7 +22,17 @@ def standard_normal(out: Array, rng: np.random.Generator) -> None:
 
 @njit(cache=True, nogil=True)
 def first_order(out: Array, phi: float, first: float, rest: float) -> None:
-    """Turn white numbers (n,) into ``y_k = phi y_(k-1) + rest w_k`` with ``y_0 = first w_0``, in place."""
+    """Turn white numbers (n,) into ``y_k = phi y_(k-1) + rest w_k`` with ``y_0 = first w_0``, in place.
+
+    Parameters
+    ----------
+    out : (n,) array
+        White numbers of unit variance, overwritten.
+    phi : float
+        Coefficient of the recursion.
+    first, rest : float
+        Standard deviation of the first sample, and of the innovations after it.
+    """
     y = 0.0
     scale = first
     for k in range(out.size):
@@ -33,7 +43,17 @@ def first_order(out: Array, phi: float, first: float, rest: float) -> None:
 
 @njit(cache=True, nogil=True)
 def running_sum(out: Array, start: float, scale: float) -> None:
-    """Turn white numbers (n,) into ``start + scale (w_0 + ... + w_k)``, in place."""
+    """Turn white numbers (n,) into ``start + scale (w_0 + ... + w_k)``, in place.
+
+    Parameters
+    ----------
+    out : (n,) array
+        Numbers that are summed, overwritten.
+    start : float
+        Added to every sum.
+    scale : float
+        Factor of the sums: of white numbers of unit variance the standard deviation of a step.
+    """
     total = 0.0
     for k in range(out.size):
         total += out[k]
@@ -45,6 +65,15 @@ def rational_filter(out: Array, b: Array, a: Array, memory: Array) -> None:
     """Filter (n,) in place with numerator ``b`` and denominator ``a`` of one length m and ``a[0] = 1``.
 
     Direct form II transposed, as ``scipy.signal.lfilter``; ``memory`` (m - 1,) is its state and is left at the end of the signal.
+
+    Parameters
+    ----------
+    out : (n,) array
+        Signal, overwritten.
+    b, a : (m,) arrays
+        Numerator and denominator, m at least 2.
+    memory : (m - 1,) array
+        State before the first sample, overwritten by that after the last.
     """
     last = memory.size - 1
     if last == 1:  # two poles, the usual case, with the state in registers
@@ -68,7 +97,22 @@ def rational_filter(out: Array, b: Array, a: Array, memory: Array) -> None:
 
 @njit(cache=True, nogil=True)
 def state_space(out: Array, Phi: Array, root: Array, c: Array, state: Array, rng: np.random.Generator) -> None:
-    """Add ``c x_k`` to (n,), where ``x_k = Phi x_(k-1) + root w_k``; ``state`` holds ``x_0`` and is left at the last sample."""
+    """Add ``c x_k`` to (n,), where ``x_k = Phi x_(k-1) + root w_k``; ``state`` holds ``x_0`` and is left at the last sample.
+
+    Parameters
+    ----------
+    out : (n,) array
+        Signal that is added to.
+    Phi : (states, states) array
+        Transition per sample.
+    root : (states, states) array
+        Root of the driving covariance, ``root root' = Q``.
+    c : (states,) array
+        What a sample sees of the state.
+    state : (states,) array
+        State at the first sample, overwritten.
+    rng : Generator
+    """
     n = state.size
     old, w = np.empty(n), np.empty(n)
     for k in range(out.size):

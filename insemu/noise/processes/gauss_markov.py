@@ -26,6 +26,15 @@ def first_order(m: Array, a: float, b: Array, db: Array) -> None:  # pragma: no 
     """Wavelet variance at averages of ``m`` samples of a unit-variance process with correlation exp(-a), and its derivative by log a.
 
     With u = m a it is (f(u) + 2 m (sinh a - a)) / (8 m^2 sinh^2(a / 2)), f(u) = 2 u - 3 + 4 exp(-u) - exp(-2 u), f' = 2 (1 - exp(-u))^2.
+
+    Parameters
+    ----------
+    m : (J,) array
+        Samples per average.
+    a : float
+        Decay per sample, sampling interval over correlation time; taken as 30 at most.
+    b, db : (J,), (J,) arrays
+        Overwritten: wavelet variances and derivatives.
     """
     if a > 30.0:
         a = 30.0
