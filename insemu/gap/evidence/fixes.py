@@ -89,7 +89,7 @@ class Surrogate:
         columns : (f, 6, c) array
             Innovations or responses of them, m and m/s.
         factor : (6,) array, optional
-            Ratios of the variances of the fixes to those that the filter used.
+            Ratios of the standard deviations of the fixes to those that the filter used.
         colour : (sigma (6,), tau), optional
             Standard deviations (m, m/s) and correlation time (s) of a Gauss-Markov part of the fixes.
 
