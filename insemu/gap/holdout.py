@@ -48,7 +48,17 @@ class HeldOut:
 
 
 def score(data: Reduced, explanation: Explanation, extra: Array | None = None) -> Score:
-    """Log score and, for the block band and each octave above it, the sum of squared whitened innovations with its degrees of freedom."""
+    """Log score and, for the block band and each octave above it, the sum of squared whitened innovations with its degrees of freedom.
+
+    Parameters
+    ----------
+    data : Reduced
+        Held-out samples of the axis.
+    explanation : Explanation
+        The model; its regressors are not used.
+    extra : (blocks - 1,) array, optional
+        What known signals add to the differences of block means, unit of the axis.
+    """
     y = data.differences - (extra if extra is not None else 0.0)
     moved = replace(data, differences=np.asarray(y))
     plain = replace(explanation, regressors=())
@@ -80,7 +90,15 @@ def gap_index(scores: Sequence[Score], uncertainty: float = 0.0) -> Interval:
 
 
 def piece(data: Reduced, first: int, last: int) -> Reduced:
-    """Some samples of an axis, reduced as the whole was."""
+    """Some samples of an axis, reduced as the whole was.
+
+    Parameters
+    ----------
+    data : Reduced
+        The axis.
+    first, last : int
+        Samples ``first`` to ``last - 1``.
+    """
     return reduce(Series(data.values[first:last], 1.0 / data.dt, data.unit, data.name), data.block)
 
 

@@ -53,7 +53,17 @@ class Problem(Protocol[C]):
         """An earlier finding beside all the others; ``None`` where it is not asked for again."""
 
     def put(self, old: Found[C], new: Hypothesis[C], again: Again[C]) -> None:
-        """Let a hypothesis stand in the place of a finding."""
+        """Let a hypothesis stand in the place of a finding.
+
+        Parameters
+        ----------
+        old : Found
+            The finding.
+        new : Hypothesis
+            What stands in its place: one of ``again.ranked``.
+        again : Again
+            The finding as it was weighed again.
+        """
 
     def drop(self, old: Found[C], again: Again[C]) -> None:
         """Take a finding back."""

@@ -25,12 +25,30 @@ class Value:
 
     @classmethod
     def normal(cls, name: str, mean: float, sd: float, unit: str) -> Value:
-        """A parameter whose error is normal."""
+        """A parameter whose error is normal.
+
+        Parameters
+        ----------
+        name : str
+        mean, sd : float
+            Estimate and its standard deviation, in ``unit``.
+        unit : str
+        """
         return cls(name, float(mean), float(mean - 1.96 * sd), float(mean + 1.96 * sd), unit)
 
     @classmethod
     def positive(cls, name: str, value: float, sd: float, unit: str) -> Value:
-        """A positive parameter whose logarithm has a normal error."""
+        """A positive parameter whose logarithm has a normal error.
+
+        Parameters
+        ----------
+        name : str
+        value : float
+            Estimate, in ``unit``.
+        sd : float
+            Standard deviation of its logarithm.
+        unit : str
+        """
         return cls(name, float(value), float(value * math.exp(-1.96 * sd)), float(value * math.exp(1.96 * sd)), unit)
 
     def scaled(self, factor: float) -> Value:
@@ -145,6 +163,15 @@ def judged(findings: Sequence[Finding], remainder: str, settled: Collection[str]
 
     Effects that were ``settled`` on other data than the rest (the mounting on the motion across the vehicle) speak before all others: nats of what
     shakes a sensor do not compare with theirs.
+
+    Parameters
+    ----------
+    findings : sequence of Finding
+        The strongest first.
+    remainder : str
+        What no candidate explains, in words; empty where nothing is left.
+    settled : collection of str
+        Effects found on other data.
     """
     findings = [s for s in findings if s.effect in settled] or findings
     if findings and not findings[0].doubtful:

@@ -64,7 +64,17 @@ class Stage:
         return tuple(values.items())
 
     def record(self, effects: Sequence[EffectUse] = (), outside: str = "", size: float = 0.0) -> Recording:
-        """Emulate the recording, with effects hidden in it or with something that no catalogue holds."""
+        """Emulate the recording, with effects hidden in it or with something that no catalogue holds.
+
+        Parameters
+        ----------
+        effects : sequence of EffectUse
+            Hidden effects of the catalogue.
+        outside : str
+            ``heading_dependent_gnss``, ``sweep`` or empty; any other name adds nothing here.
+        size : float
+            Amplitude of it: m, or rad/s.
+        """
         imu_rng, gnss_rng, own = np.random.default_rng([self.seed, 7]).spawn(3)
         inertial = [u for u in effects if u.sensor != "gnss"]
         imu = corrupt(
@@ -164,7 +174,16 @@ def stage(
 
 
 def draw_use(effect: str, s: Stage, rng: np.random.Generator) -> tuple[EffectUse, Hidden]:
-    """Draw sensor, axis and numbers; an effect with one size at its datasheet scale, to be sized later."""
+    """Draw sensor, axis and numbers; an effect with one size at its datasheet scale, to be sized later.
+
+    Parameters
+    ----------
+    effect : str
+        Catalogue id.
+    s : Stage
+        The recording that it will be hidden in.
+    rng : Generator
+    """
     e = EFFECTS[effect]
     inertial: list[str] = [x for x in e.sensors if x in ("gyro", "accel")]
     sensor = str(rng.choice(inertial or [str(e.sensors[0])]))

@@ -218,7 +218,19 @@ class Log:
 
 
 def component(process: Process, amplitude: str, effect: str, *more: Free) -> Component:
-    """A process with the priors of its candidate; where the amplitude's range ends does not matter, how wide it is does."""
+    """A process with the priors of its candidate; where the amplitude's range ends does not matter, how wide it is does.
+
+    Parameters
+    ----------
+    process : Process
+        At its true parameters.
+    amplitude : str
+        Name of the parameter that is its amplitude.
+    effect : str
+        Catalogue id of the effect that brings it in.
+    more : Free
+        Other free parameters.
+    """
     top = 30.0 * process.parameters[amplitude]
     return Component(process, (Free(amplitude, top / rules().amplitude_range, top), *more), effect)
 

@@ -42,7 +42,22 @@ RAISES, MOST_RAISE = 8, 2.0
 def shape(
     effect: str, n: int, dt: float, white: float, axis: int, rng: np.random.Generator
 ) -> Callable[[float], EffectUse]:
-    """Draw what does not scale (memory, frequency, order, sign); the effect as a function of its strength, 1 near what an hour can show."""
+    """Draw what does not scale (memory, frequency, order, sign); the effect as a function of its strength, 1 near what an hour can show.
+
+    Parameters
+    ----------
+    effect : str
+        Catalogue id.
+    n : int
+        Samples of the log.
+    dt : float
+        Sampling interval, s.
+    white : float
+        White-noise density of the axis, unit/sqrt(Hz).
+    axis : int
+        0, 1 or 2.
+    rng : Generator
+    """
     lot, e = RestLot.drawn(n, dt, white, axis, rng), EFFECTS[effect]
     sensor = e.sensors[0]
     return lambda s: EffectUse.from_mapping({"effect": effect, "sensor": sensor, **e.hidden_at_rest(lot, s)})
@@ -96,7 +111,17 @@ class Sized:
 
 
 def together(makers: Sequence[Callable[[float], EffectUse]], log: Log, target: float) -> list[Sized]:
-    """Size effects that share an axis: each for ``target`` nats alone, and raised until each is worth its share beside the others."""
+    """Size effects that share an axis: each for ``target`` nats alone, and raised until each is worth its share beside the others.
+
+    Parameters
+    ----------
+    makers : sequence of callable
+        Each makes an effect of its strength; from :func:`shape`.
+    log : Log
+        The axis, as its maker knows it.
+    target : float
+        nats.
+    """
     strengths = [sized(make, log.worth, target)[0] for make in makers]
     uses = [make(s) for make, s in zip(makers, strengths, strict=True)]
     beside = [log.worth(u, [v for v in uses if v is not u]) for u in uses]

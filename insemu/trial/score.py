@@ -24,7 +24,19 @@ LEAST_ORACLE = 0.02
 
 
 def same(hidden: Hidden, effect: str, sensor: str, axes: Sequence[str], *, axis: bool = True) -> bool:
-    """Whether an answer names a hidden effect: effect, sensor and (where it has any) the axes."""
+    """Whether an answer names a hidden effect: effect, sensor and (where it has any) the axes.
+
+    Parameters
+    ----------
+    hidden : Hidden
+        What was hidden.
+    effect, sensor : str
+        What the answer names.
+    axes : sequence of str
+        Axes that the answer names.
+    axis : bool
+        Whether the axes count.
+    """
     if hidden.effect != effect or hidden.sensor != sensor:
         return False
     return not axis or not hidden.axes or set(axes) == set(hidden.axes)

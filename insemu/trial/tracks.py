@@ -18,7 +18,16 @@ TRACKS = ("car", "aerobatic", "uav", "helicopter", "aeroplane")
 
 
 def random_track(kind: str, seconds: float, rng: np.random.Generator) -> SmoothPath:
-    """A random path of a vehicle, a little longer than ``seconds``."""
+    """A random path of a vehicle, a little longer than ``seconds``.
+
+    Parameters
+    ----------
+    kind : str
+        One of :data:`TRACKS`.
+    seconds : float
+        Duration, s.
+    rng : Generator
+    """
     origin = origin_at(
         float(rng.uniform(-55.0, 62.0)), float(rng.uniform(-180.0, 180.0)), float(rng.uniform(0.0, 900.0))
     )

@@ -55,6 +55,19 @@ def size_effect(
     """Give an effect the size at which it is worth ``target`` nats in this recording, or as large as it may get.
 
     A random process is sized by its own draw, which the trial repeats; its evidence is less than its signal's, so the target is raised.
+
+    Parameters
+    ----------
+    s : Stage
+        The recording.
+    clean : callable
+        Makes the nominal filter's run on the recording with nothing hidden.
+    use : EffectUse
+        The effect at its datasheet scale.
+    hidden : Hidden
+        What will be scored.
+    target : float
+        nats.
     """
     if not use.effect.size:
         return use, replace(hidden, nats=_level_nats(s, use))
@@ -95,7 +108,17 @@ def _level_nats(s: Stage, use: EffectUse) -> float:
 
 
 def drawn_outliers(s: Stage, uses: Sequence[EffectUse], k: int) -> float:
-    """What the outliers that were drawn add to the evidence, nats, the noise of their axis and everything else known; three numbers paid for."""
+    """What the outliers that were drawn add to the evidence, nats, the noise of their axis and everything else known; three numbers paid for.
+
+    Parameters
+    ----------
+    s : Stage
+        The recording.
+    uses : sequence of EffectUse
+        Every hidden effect.
+    k : int
+        Which of them are the outliers.
+    """
     own = uses[k]
     axis = int(np.argmax(own["sigma"]))
     name, sigma = f"{own.sensor}_{'xyz'[axis]}", own["sigma"][axis]
@@ -170,6 +193,17 @@ def worth_beside(s: Stage, clean: Callable[[], Prepared], uses: Sequence[EffectU
 
     The filter knows the processes, levels and colours of the others, and how each of their shapes shifts the innovations but not how much:
     what lies in those directions counts for nothing. Effects of the samples alone are left out; they are seen there.
+
+    Parameters
+    ----------
+    s : Stage
+        The recording.
+    clean : callable
+        Makes the nominal filter's run on the recording with nothing hidden.
+    uses : sequence of EffectUse
+        Every hidden effect.
+    k : int
+        Which of them is meant.
     """
     if uses[k].id not in _MEASURED:
         return math.nan

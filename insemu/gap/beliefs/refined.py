@@ -118,7 +118,17 @@ def _low_pass(finding: Finding, given: Mapping[str, float], dt: float) -> tuple[
 
 
 def refined_effects(nominal: Nominal, report: GapReport, dt: float = 0.01) -> tuple[EffectUse, ...]:
-    """Known effects and those found, less what the refined noise models hold."""
+    """Known effects and those found, less what the refined noise models hold.
+
+    Parameters
+    ----------
+    nominal : Nominal
+        With the effects that were known before.
+    report : GapReport
+        What was found.
+    dt : float
+        Sampling interval of the IMU, s.
+    """
     found: list[EffectUse] = []
     for finding in report.findings:
         if finding.effect in having("noise") or (finding.effect == "quantization" and finding.variant == "integrated"):
@@ -151,7 +161,21 @@ def true_noise(nominal: Nominal, report: GapReport) -> dict[str, NoiseModel]:
 
 
 def filter_noise(nominal: Nominal, report: GapReport, dt: float) -> dict[str, NoiseModel]:
-    """The refined noise of every axis, for a filter: a ramp is compensated, and of fast vibration only its slow part matters."""
+    """The refined noise of every axis, for a filter: a ramp is compensated, and of fast vibration only its slow part matters.
+
+    Parameters
+    ----------
+    nominal : Nominal
+        What was believed.
+    report : GapReport
+        What was found; its ``refined`` models take the place of the believed ones.
+    dt : float
+        Sampling interval of the IMU, s.
+
+    Returns
+    -------
+    dict of axis to NoiseModel
+    """
     out = {}
     for name, model in {**nominal.beliefs, **report.refined}.items():
         old = set(nominal.beliefs.get(name, ()))
@@ -175,7 +199,17 @@ def _less(model: NoiseModel, gone: Any) -> NoiseModel:
 
 
 def refined_nominal(nominal: Nominal, report: GapReport, dt: float = 0.01) -> Nominal:
-    """The nominal model with what was found; :func:`insemu.gap.find_gap` on the same recording finds nothing more."""
+    """The nominal model with what was found; :func:`insemu.gap.find_gap` on the same recording finds nothing more.
+
+    Parameters
+    ----------
+    nominal : Nominal
+        What was believed.
+    report : GapReport
+        What :func:`insemu.gap.find_gap` found with it.
+    dt : float
+        Sampling interval of the IMU, s.
+    """
     return replace(nominal, beliefs=true_noise(nominal, report), effects=refined_effects(nominal, report, dt))
 
 

@@ -112,7 +112,26 @@ def spread_of(state: AxisState) -> float:
 def best_of(
     state: AxisState, effect: str, variant: str, starts: Iterable[Explanation], refine: int = 2, apart: float = 1.5
 ) -> list[AxisHypothesis]:
-    """Refine the most promising of many starting points and weigh the best."""
+    """Refine the most promising of many starting points and weigh the best.
+
+    Parameters
+    ----------
+    state : AxisState
+        The axis with its current explanation.
+    effect, variant : str
+        Catalogue id, and which of its shapes.
+    starts : iterable of Explanation
+        Starting points, ranked by their log posterior.
+    refine : int
+        How many of them are refined at most.
+    apart : float
+        Least distance of two of these in the logarithm of some parameter.
+
+    Returns
+    -------
+    list of AxisHypothesis
+        One, or none where there is no start.
+    """
     likelihood = state.likelihood
     scored = sorted(((likelihood.log_posterior(e), i, e) for i, e in enumerate(starts)), key=lambda item: -item[0])
     chosen: list[Explanation] = []
@@ -142,7 +161,17 @@ def best_of(
 
 
 def added(state: AxisState, fitted: Fitted, effect: str) -> AxisState:
-    """The axis with an explanation that holds one more effect."""
+    """The axis with an explanation that holds one more effect.
+
+    Parameters
+    ----------
+    state : AxisState
+        The axis before.
+    fitted : Fitted
+        The new explanation at its optimum.
+    effect : str
+        Catalogue id of the effect that it holds in addition.
+    """
     return replace(state, fitted=fitted, named=(*state.named, effect), memory={})
 
 
@@ -155,7 +184,17 @@ _TABLE_NAMES = {
 
 
 def values_of(fitted: Fitted, effect: str, unit: str) -> tuple[Value, ...]:
-    """Parameters that an effect brought in, with intervals; the last component of that effect counts."""
+    """Parameters that an effect brought in, with intervals; the last component of that effect counts.
+
+    Parameters
+    ----------
+    fitted : Fitted
+        The explanation at its optimum.
+    effect : str
+        Catalogue id of the effect.
+    unit : str
+        SI unit of the axis.
+    """
     out: list[Value] = []
     k = 0
     for c in fitted.explanation.components:
@@ -196,7 +235,21 @@ def values_of(fitted: Fitted, effect: str, unit: str) -> tuple[Value, ...]:
 def process_starts(
     state: AxisState, effect: str, make: Callable[[float], Process], free: Sequence[Free], amplitudes: Array
 ) -> list[Explanation]:
-    """The current explanation with one process more, at each of these amplitudes."""
+    """The current explanation with one process more, at each of these amplitudes.
+
+    Parameters
+    ----------
+    state : AxisState
+        The axis with its current explanation.
+    effect : str
+        Catalogue id of the effect that the process stands for.
+    make : callable
+        Makes the process of an amplitude.
+    free : sequence of Free
+        Its free parameters with their priors.
+    amplitudes : (k,) array
+        In the unit of the process's amplitude.
+    """
     base = state.explanation
     return [base.with_component(Component(make(a), tuple(free), effect)) for a in amplitudes]
 
@@ -204,7 +257,19 @@ def process_starts(
 def state_of(
     data: Reduced, explanation: Explanation, temperature_c: Array | None = None, named: tuple[str, ...] = ()
 ) -> AxisState:
-    """Fit an explanation to an axis."""
+    """Fit an explanation to an axis.
+
+    Parameters
+    ----------
+    data : Reduced
+        The reduced log of the axis.
+    explanation : Explanation
+        Start of the fit.
+    temperature_c : (n,) array, optional
+        Temperature at the samples, degC.
+    named : tuple of str
+        Effects that count as named already.
+    """
     return AxisState(data, fit(Likelihood(data), explanation), temperature_c, named)
 
 
@@ -222,7 +287,17 @@ def _spectral_weight(explanation: Explanation, n: int, dt: float) -> tuple[Array
 
 
 def memo(state: AxisState, key: str, make: Callable[[], Array]) -> Array:
-    """What is computed once for an axis."""
+    """What is computed once for an axis.
+
+    Parameters
+    ----------
+    state : AxisState
+        The axis; it remembers the answer.
+    key : str
+        Name of the answer.
+    make : callable
+        Computes it, where it is not remembered.
+    """
     if key not in state.memory:
         state.memory[key] = make()
     return np.asarray(state.memory[key])
@@ -260,7 +335,19 @@ def whitened(state: AxisState) -> Array:
 
 
 def cleaned(state: AxisState, values: Array, effect: str, explanation: Explanation | None = None) -> AxisState:
-    """The axis after something was taken out of its samples, refitted."""
+    """The axis after something was taken out of its samples, refitted.
+
+    Parameters
+    ----------
+    state : AxisState
+        The axis before.
+    values : (n,) array
+        Its samples without the effect, SI.
+    effect : str
+        Catalogue id of the effect.
+    explanation : Explanation, optional
+        Start of the fit; the current explanation where it is not given.
+    """
     data = reduce_again(state.data, values)
     fitted = fit(Likelihood(data), explanation or state.explanation)
     return replace(state, data=data, fitted=fitted, named=(*state.named, effect), memory={})

@@ -33,7 +33,24 @@ _LEVELS = having("level")
 def multipath_step(
     scene: Scene, data: Field, rows: NDArray[np.bool_] | slice, given: Sequence[Block]
 ) -> list[DriveHypothesis]:
-    """Scan start and duration of a step in the position fixes, on each axis; refined around the best."""
+    """Scan start and duration of a step in the position fixes, on each axis; refined around the best.
+
+    Parameters
+    ----------
+    scene : Scene
+        The recording with its responses.
+    data : Field
+        The innovations of the rows that are looked at.
+    rows : (r,) array of bool, or slice
+        Which rows of the recording's field these are.
+    given : sequence of Block
+        What is explained already.
+
+    Returns
+    -------
+    list of DriveHypothesis
+        One, or none where there are fewer than four times at which a step may start.
+    """
     s = scene.starts
     if s.size < 4:
         return []
@@ -138,7 +155,26 @@ def _step_hypothesis(
 
 
 def position_innovations(scene: Scene, nu: Array, cut: float | None) -> tuple[NDArray[np.int64], Array, Array]:
-    """Fixes with a whole position, their innovations (k, 3) and covariances (k, 3, 3)."""
+    """Fixes with a whole position, their innovations (k, 3) and covariances (k, 3, 3).
+
+    Parameters
+    ----------
+    scene : Scene
+        The recording with its responses.
+    nu : (f, 6) array
+        Innovations, m and m/s.
+    cut : float or None
+        Fixes after this time (s) are left out; ``None``: none is.
+
+    Returns
+    -------
+    at : (k,) array of int
+        Rows of the fixes.
+    innovations : (k, 3) array
+        NED, m.
+    S : (k, 3, 3) array
+        Their covariances under the filter, m^2.
+    """
     fixes = scene.prepared.result.fixes
     there = scene.loop.use[:, :3].all(axis=1)
     if cut is not None:
@@ -148,7 +184,22 @@ def position_innovations(scene: Scene, nu: Array, cut: float | None) -> tuple[ND
 
 
 def gnss_outliers(scene: Scene, nu: Array, cut: float | None) -> list[DriveHypothesis]:
-    """A small share of position fixes with a much larger spread."""
+    """A small share of position fixes with a much larger spread.
+
+    Parameters
+    ----------
+    scene : Scene
+        The recording with its responses.
+    nu : (f, 6) array
+        Innovations less what is explained already, m and m/s.
+    cut : float or None
+        Fixes after this time (s) are not looked at; ``None``: all are.
+
+    Returns
+    -------
+    list of DriveHypothesis
+        One, or none where fewer than 30 positions are there.
+    """
     at, v, S = position_innovations(scene, nu, cut)
     if at.size < 30:
         return []
@@ -175,7 +226,24 @@ def gnss_outliers(scene: Scene, nu: Array, cut: float | None) -> list[DriveHypot
 
 
 def outlying_fixes(scene: Scene, outliers: DriveHypothesis, nu: Array) -> tuple[Array, Array]:
-    """Times of the fixes that are more likely outliers than not, and the log density that each has as one."""
+    """Times of the fixes that are more likely outliers than not, and the log density that each has as one.
+
+    Parameters
+    ----------
+    scene : Scene
+        The recording with its responses.
+    outliers : DriveHypothesis
+        From :func:`gnss_outliers`.
+    nu : (f, 6) array
+        Innovations less what is explained, m and m/s.
+
+    Returns
+    -------
+    times : (k,) array
+        s.
+    logs : (k,) array
+        Log density of each, its probability as an outlier included.
+    """
     given = {v.name: v.value for v in outliers.values}
     at, v, S = position_innovations(scene, nu, None)
     p = given["probability"]
@@ -199,7 +267,19 @@ def unexplained_innovations(scene: Scene, blocks: Sequence[Block]) -> Array:
 def covariance_hypotheses(
     scene: Scene, given: Sequence[Block], skip: Collection[str], cut: float | None
 ) -> list[DriveHypothesis]:
-    """Weigh levels, colour and outliers of the fixes on the innovations less what is already explained."""
+    """Weigh levels, colour and outliers of the fixes on the innovations less what is already explained.
+
+    Parameters
+    ----------
+    scene : Scene
+        The recording with its responses.
+    given : sequence of Block
+        What is explained already.
+    skip : collection of str
+        Effects that are not weighed.
+    cut : float or None
+        Fixes after this time (s) are not looked at; ``None``: all are.
+    """
     nu = unexplained_innovations(scene, given)
     surrogate = replace(scene.surrogate, nu=nu)
     if cut is not None:

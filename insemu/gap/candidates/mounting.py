@@ -214,7 +214,22 @@ def turned_recording(recording: Recording, rpy: Array) -> Recording:
 
 
 def find_mounting(recording: Recording, nominal: Nominal, progress: Callable[[str], None] = lambda _: None) -> Mounted:
-    """Weigh the mounting angles of an IMU in a vehicle that moves where it points; large ones by turning and filtering again."""
+    """Weigh the mounting angles of an IMU in a vehicle that moves where it points; large ones by turning and filtering again.
+
+    Parameters
+    ----------
+    recording : Recording
+        A drive with fixes.
+    nominal : Nominal
+        What is believed.
+    progress : callable
+        Told what is being done.
+
+    Raises
+    ------
+    InputError
+        The nominal filter cannot run on the recording; see :func:`insemu.gap.drive.preparation.prepare`.
+    """
     C = np.eye(3)
     first: Sideways | None = None
     found: Turned | None = None

@@ -104,7 +104,19 @@ def quantization_noise(state: AxisState) -> list[AxisHypothesis]:
 
 
 def mean_spread(explanation: Explanation, white: float, duration_s: float, dt: float) -> float:
-    """Standard deviation of the mean of a log from the noise of an explanation."""
+    """Standard deviation of the mean of a log from the noise of an explanation.
+
+    Parameters
+    ----------
+    explanation : Explanation
+        Its white noise is left out.
+    white : float
+        Density of the white noise, unit/sqrt(Hz).
+    duration_s : float
+        Length of the log, s.
+    dt : float
+        Sampling interval, s.
+    """
     count = max(round(duration_s / dt), 1)
     rest = (c.process for c in explanation.components if c.process.symbol != "WN")  # ``white`` holds those
     return math.sqrt(white**2 / duration_s + sum(p.mean_variance(count, dt) for p in rest))

@@ -147,7 +147,22 @@ def _slow(scene: Scene) -> list[Variant]:
 
 
 def linear_evidence(variants: Sequence[Variant], A: Array, b: Array) -> list[list[Array]]:
-    """Log Bayes factors of every variant: per variant and shape ``(a, s)``; wide sets of axes only where a single one promises something."""
+    """Log Bayes factors of every variant: per variant and shape ``(a, s)``; wide sets of axes only where a single one promises something.
+
+    Parameters
+    ----------
+    variants : sequence of Variant
+        The ways in which effects may be present.
+    A : (c, c) array
+        Normal matrix of all columns.
+    b : (c, s) array
+        Right-hand sides: of the measured innovations first, then of simulated ones.
+
+    Returns
+    -------
+    list of list of (a, s) array
+        In the order of the variants, ``a`` amplitudes of the prior; empty for a variant that was not weighed.
+    """
     out: list[list[Array]] = []
     promising: dict[tuple[str, str], float] = {}
     for v in variants:
@@ -185,7 +200,21 @@ def pooled_evidence(variants: Sequence[Variant], logs: Sequence[Sequence[Array]]
 def linear_hypotheses(
     scene: Scene, variants: Sequence[Variant], data: Field, given: Sequence[Block], skip: Collection[str]
 ) -> list[DriveHypothesis]:
-    """Weigh every variant and report the best of each effect and sensor."""
+    """Weigh every variant and report the best of each effect and sensor.
+
+    Parameters
+    ----------
+    scene : Scene
+        The recording with its responses.
+    variants : sequence of Variant
+        The ways in which effects may be present.
+    data : Field
+        The innovations.
+    given : sequence of Block
+        What is explained already.
+    skip : collection of str
+        Effects that are not weighed.
+    """
     variants = [v for v in variants if v.effect not in skip]
     A, b = data.conditioned(given)
     logs = linear_evidence(variants, A, b)
@@ -248,7 +277,19 @@ def _described(
 
 
 def shape_values(scene: Scene, index: NDArray[Any], mean: Array, covariance: Array) -> tuple[Value, ...]:
-    """Coefficients of columns as values with intervals."""
+    """Coefficients of columns as values with intervals.
+
+    Parameters
+    ----------
+    scene : Scene
+        Whose columns these are; they say name and unit.
+    index : (k,) array of int
+        Columns.
+    mean : (k,) array
+        Coefficients, each in its column's unit.
+    covariance : (k, k) array
+        Of the coefficients.
+    """
     out = []
     for k, i in enumerate(index):
         c, m, s = scene.columns[int(i)], float(mean[k]), math.sqrt(max(float(covariance[k, k]), 0.0))
@@ -301,6 +342,24 @@ def null_threshold(
     """Evidence that the best effect exceeds in ``false_alarms`` of simulated nominal recordings: the filter's own responses, drawn innovations.
 
     ``always`` is what is uncertain in a nominal recording too; it is drawn as well and then allowed for.
+
+    Parameters
+    ----------
+    variants : sequence of Variant
+        The ways in which effects may be present.
+    data : Field
+        Responses and variance of the recording.
+    rng : Generator
+        Of the drawn innovations.
+    draws : int
+        Simulated recordings.
+    always : sequence of Block
+        Blocks that are drawn as well.
+
+    Returns
+    -------
+    float
+        nats.
     """
     z = rng.standard_normal((data.y.size, draws))
     b = data.G.T @ z / math.sqrt(data.variance)
@@ -314,7 +373,24 @@ def null_threshold(
 
 
 def library_evidence(scene: Scene, data: Field, given: Sequence[Block]) -> tuple[float, str]:
-    """The best structure outside the catalogue, those of a sensor counted alike."""
+    """The best structure outside the catalogue, those of a sensor counted alike.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its columns of the library are weighed.
+    data : Field
+        The innovations.
+    given : sequence of Block
+        What is explained already.
+
+    Returns
+    -------
+    nats : float
+        Log evidence of the best; minus infinity where there is no library.
+    what : str
+        Its name in words.
+    """
     A, b = data.conditioned(given)
     found: dict[str, list[tuple[float, str]]] = {}
     amplitudes = np.array((*sizes(), rules().widest_scales[0]))

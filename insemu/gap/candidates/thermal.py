@@ -35,7 +35,23 @@ def regression(
     scales: Array,
     unit: Sequence[str],
 ) -> list[AxisHypothesis]:
-    """Signals of known shape beside the current explanation, their coefficients integrated out."""
+    """Signals of known shape beside the current explanation, their coefficients integrated out.
+
+    Parameters
+    ----------
+    state : AxisState
+        The axis with its current explanation.
+    effect, variant : str
+        Catalogue id, and which of its shapes.
+    names : sequence of str
+        Names of the k coefficients.
+    rebuild : callable
+        Makes the (blocks - 1, k) columns of a reduced log and its temperature (degC): block-mean differences of the signals.
+    scales : (k,) array
+        Prior standard deviations of the coefficients.
+    unit : sequence of str
+        Units of the coefficients.
+    """
     regressors = Regressors(effect, tuple(names), rebuild(state.data, state.temperature), scales, rebuild)
     explanation = replace(state.explanation, regressors=(*state.explanation.regressors, regressors))
     likelihood = state.likelihood

@@ -32,7 +32,21 @@ BIN_HALF = 0.5 * (2.0 ** (1.0 / BINS_PER_OCTAVE) - 1.0)
 
 
 def block_innovations(data: Reduced, explanation: Explanation, extra: Array | None = None) -> Array:
-    """Whitened block differences: standard normal and independent where the explanation is right."""
+    """Whitened block differences: standard normal and independent where the explanation is right.
+
+    Parameters
+    ----------
+    data : Reduced
+        The axis.
+    explanation : Explanation
+        Its processes give the covariance of the differences.
+    extra : (blocks - 1,) array, optional
+        Taken off the differences first, unit of the axis.
+
+    Returns
+    -------
+    (blocks - 1,) array
+    """
     y = data.differences if extra is None else data.differences - extra
     out = np.empty((y.size, 1))
     kernels.toeplitz_whiten(explanation.covariance(data.block, data.dt, y.size), np.ascontiguousarray(y[:, None]), out)
@@ -43,6 +57,17 @@ def wavelet_p_values(
     data: Reduced, explanation: Explanation, rng: np.random.Generator, spent: Array | None = None
 ) -> list[tuple[float, float, float, float]]:
     """Haar wavelet variance of the log against the model's, scale by scale; see :func:`wavelet_moments`.
+
+    Parameters
+    ----------
+    data : Reduced
+        The axis.
+    explanation : Explanation
+        The model.
+    rng : Generator
+        For simulated logs, at scales above a block.
+    spent : (k, k) array, optional
+        Covariance of the logarithms of the free parameters where they were fitted to the same log.
 
     Returns
     -------
@@ -167,6 +192,17 @@ def left_over(variance: float, share: float, slope: Array, spent: Array | None) 
 
     An efficient estimate's error is uncorrelated with what is left, so the statistic's own variance falls by what the parameters'
     uncertainty makes of it (``share`` of it where the estimate is less than efficient).
+
+    Parameters
+    ----------
+    variance : float
+        Of the statistic under a model that was not fitted to these data.
+    share : float
+        Efficiency of the estimate, 1 at most.
+    slope : (k,) array
+        Derivatives of the expected statistic by the logarithms of the free parameters.
+    spent : (k, k) array, optional
+        Covariance of these logarithms; without it the variance is returned as it is.
     """
     if spent is None or not slope.size:
         return variance
@@ -186,7 +222,15 @@ def _draw(gamma: Array, count: int, rng: np.random.Generator) -> Array:
 
 
 def chi_square_p(value: float, mean: float, variance: float) -> float:
-    """Two-sided p-value of a statistic that is a chi-square of this mean and variance but for a factor."""
+    """Two-sided p-value of a statistic that is a chi-square of this mean and variance but for a factor.
+
+    Parameters
+    ----------
+    value : float
+        The statistic.
+    mean, variance : float
+        Of the statistic under the model, in its own unit.
+    """
     dof = 2.0 * mean**2 / variance
     x = value / mean * dof
     return float(min(1.0, 2.0 * min(stats.chi2.cdf(x, dof), stats.chi2.sf(x, dof))))

@@ -32,6 +32,13 @@ def pile_evidence(piled: int, one: int, two: int) -> float:
 
     The logarithm of the frequencies is concave without one: a tail falls off faster and faster; two standard deviations of what is
     extrapolated are granted.
+
+    Parameters
+    ----------
+    piled : int
+        Samples at the outermost count.
+    one, two : int
+        Samples at the next count inside of it, and at the one after that.
     """
     most = one * min(1.0, one / max(two, 1)) if one else 1.0
     most *= 1.0 + 2.0 * math.sqrt(4.0 / max(one, 1) + 1.0 / max(two, 1))

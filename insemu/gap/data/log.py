@@ -106,7 +106,22 @@ def reduce(series: Series, block: int | None = None) -> Reduced:
 
 
 def spectrum(y: Array, dt: float, lowest: float) -> tuple[Array, Array, Array]:
-    """Sine-multitaper PSD above ``lowest`` Hz in narrow bins: centres, two-sided PSD, degrees of freedom."""
+    """Sine-multitaper PSD above ``lowest`` Hz in narrow bins: centres, two-sided PSD, degrees of freedom.
+
+    Parameters
+    ----------
+    y : (n,) array
+        Samples; their mean is taken off.
+    dt : float
+        Sampling interval, s.
+    lowest : float
+        Lowest frequency, Hz.
+
+    Returns
+    -------
+    f, power, dof : (bins,) arrays
+        Hz, unit^2/Hz and chi-square degrees of freedom; empty where no bin lies above ``lowest``.
+    """
     n = y.size
     flat = y - y.mean()
     power = np.zeros(n // 2 + 1)
@@ -150,7 +165,24 @@ def unheard(data: Reduced) -> Reduced:
 
 
 def moving_spectrum(y: Array, dt: float, lowest: float, pieces: int = 32) -> tuple[Array, Array, Array]:
-    """Multitaper PSD of a moving sensor: the median over pieces of the record, so that single manoeuvres do not count."""
+    """Multitaper PSD of a moving sensor: the median over pieces of the record, so that single manoeuvres do not count.
+
+    Parameters
+    ----------
+    y : (n,) array
+        Samples.
+    dt : float
+        Sampling interval, s.
+    lowest : float
+        Lowest frequency, Hz.
+    pieces : int
+        Number of pieces of equal length.
+
+    Returns
+    -------
+    f, power, dof : (bins,) arrays
+        As those of :func:`spectrum`; empty where a piece is too short for a bin.
+    """
     length = y.size // pieces
     parts = [spectrum(y[k * length : (k + 1) * length], dt, lowest) for k in range(pieces)]
     f, _, dof = parts[0]
@@ -162,7 +194,22 @@ def moving_spectrum(y: Array, dt: float, lowest: float, pieces: int = 32) -> tup
 
 
 def spectrum_bins(n: int, dt: float, lowest: float) -> tuple[Array, Array]:
-    """Centres (Hz) and degrees of freedom of the bins of :func:`spectrum`."""
+    """Centres (Hz) and degrees of freedom of the bins of :func:`spectrum`.
+
+    Parameters
+    ----------
+    n : int
+        Number of samples.
+    dt : float
+        Sampling interval, s.
+    lowest : float
+        Lowest frequency, Hz.
+
+    Returns
+    -------
+    f, dof : (bins,) arrays
+        Empty where no bin lies above ``lowest``.
+    """
     bins = _bins(n, dt, lowest)
     if bins is None:
         return np.zeros(0), np.zeros(0)

@@ -111,7 +111,17 @@ def _lattices(imu: ImuRecord, counts: dict[str, dict[str, float]]) -> list[Findi
 
 
 def coarse(beliefs: dict[str, NoiseModel], findings: Sequence[Finding], dt: float) -> set[str]:
-    """Axes whose output counts are coarse beside their white noise."""
+    """Axes whose output counts are coarse beside their white noise.
+
+    Parameters
+    ----------
+    beliefs : mapping of axis to NoiseModel
+        Believed noise.
+    findings : sequence of Finding
+        Those of the effect ``quantization`` state the counts, SI.
+    dt : float
+        Sampling interval, s.
+    """
     out = set()
     for s in findings:
         if s.effect == "quantization":
@@ -124,7 +134,17 @@ def coarse(beliefs: dict[str, NoiseModel], findings: Sequence[Finding], dt: floa
 
 
 def with_counts(beliefs: dict[str, NoiseModel], findings: Sequence[Finding], dt: float) -> dict[str, NoiseModel]:
-    """Beliefs with the white noise that rounding to output counts adds, LSB^2 / 12 per sample."""
+    """Beliefs with the white noise that rounding to output counts adds, LSB^2 / 12 per sample.
+
+    Parameters
+    ----------
+    beliefs : mapping of axis to NoiseModel
+        Believed noise; a model without white noise stays as it is.
+    findings : sequence of Finding
+        Those of the effect ``quantization`` state the counts (LSB), SI.
+    dt : float
+        Sampling interval, s.
+    """
     out = dict(beliefs)
     for s in findings:
         if s.effect == "quantization":
@@ -138,7 +158,17 @@ def with_counts(beliefs: dict[str, NoiseModel], findings: Sequence[Finding], dt:
 
 
 def advanced(imu: ImuRecord, sensor: str, by: float) -> ImuRecord:
-    """The record with the samples of one sensor set forward in time; the last ones hold."""
+    """The record with the samples of one sensor set forward in time; the last ones hold.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+        The record.
+    sensor : str
+        ``gyro`` or ``accel``.
+    by : float
+        s.
+    """
     from scipy.interpolate import CubicSpline
 
     values = getattr(imu, sensor)

@@ -113,6 +113,17 @@ def static_of(recording: Recording) -> StaticLog:
 def filled(values: Array, t: Array, dt: float, source: str) -> tuple[Array, NDArray[np.bool_]]:
     """Samples (n, k) on every multiple of ``dt``, and which of them the stamps skip.
 
+    Parameters
+    ----------
+    values : (m, k) array
+        Samples of k signals.
+    t : (m,) array
+        Time stamps, s.
+    dt : float
+        Sampling interval, s.
+    source : str
+        Name of the log, for messages.
+
     Raises
     ------
     InputError

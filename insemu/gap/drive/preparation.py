@@ -85,7 +85,17 @@ class Prepared:
         factors: Array | None = None,
         beliefs: dict[str, NoiseModel] | None = None,
     ) -> Prepared:
-        """The same filter on other data, with other standard deviations of the fixes or another belief."""
+        """The same filter on other data, with other standard deviations of the fixes or another belief.
+
+        Parameters
+        ----------
+        imu, gnss : ImuRecord, GnssRecord, optional
+            Other data.
+        factors : (6,) array, optional
+            Ratios of the standard deviations of the fixes to the nominal ones: position, then velocity, NED.
+        beliefs : mapping of axis to NoiseModel, optional
+            Other noise of the IMU.
+        """
         imu = self.imu if imu is None else imu
         gnss = self.gnss if gnss is None else gnss
         factors = self.factors if factors is None else factors
@@ -119,7 +129,17 @@ def _run(
 
 
 def for_filter(model: NoiseModel, dt: float, span: float) -> NoiseModel:
-    """A model that a filter can carry: flicker as a sum of Gauss-Markov processes over the times that the recording shows."""
+    """A model that a filter can carry: flicker as a sum of Gauss-Markov processes over the times that the recording shows.
+
+    Parameters
+    ----------
+    model : NoiseModel
+        Noise of an axis.
+    dt : float
+        Sampling interval, s.
+    span : float
+        Duration of the recording, s.
+    """
     parts: list[Process] = []
     for p in model:
         if isinstance(p, BI):
@@ -307,6 +327,15 @@ def without_motion(values: Array, dt: float, corner: float) -> Array:
     """A signal without what is slower than ``corner`` Hz, its ends left out.
 
     Manoeuvres are a billion times stronger than the noise a few Hz above them; no taper alone keeps them out of a spectrum.
+
+    Parameters
+    ----------
+    values : (n,) array
+        Samples.
+    dt : float
+        Sampling interval, s.
+    corner : float
+        Corner of the high-pass, Hz.
     """
     sections = signal.butter(6, corner, "highpass", fs=1.0 / dt, output="sos")
     edge = min(round(6.0 / (corner * dt)), values.size // 20)

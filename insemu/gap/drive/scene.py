@@ -193,7 +193,19 @@ class Scene:
         corrections: Mapping[int, float] | None = None,
         beliefs: dict[str, NoiseModel] | None = None,
     ) -> Scene:
-        """Run the filter again: other levels of the fixes, positions left out, effects corrected in the data, other noise of the IMU."""
+        """Run the filter again: other levels of the fixes, positions left out, effects corrected in the data, other noise of the IMU.
+
+        Parameters
+        ----------
+        factors, levels : (6,) arrays, optional
+            As those of :class:`insemu.gap.drive.preparation.Prepared`.
+        gone : (k,) array, optional
+            Times of the position fixes that are left out, s.
+        corrections : mapping of int to float, optional
+            Column and its coefficient, taken out of the data; those of this scene where they are not given.
+        beliefs : mapping of axis to NoiseModel, optional
+            Other noise of the IMU.
+        """
         original = self.original
         if gone is not None and gone.size:
             original = original.without_positions(gone)
@@ -256,7 +268,19 @@ def window_response(loop: Loop, windows: Sequence[Window]) -> Array:
 def corrected_data(
     prepared: Prepared, columns: Sequence[Column], values: Mapping[int, float], t_fix: Array
 ) -> tuple[ImuRecord, GnssRecord]:
-    """The records with effects taken out, each as its column says."""
+    """The records with effects taken out, each as its column says.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        With the records as they were measured.
+    columns : sequence of Column
+        Unit errors of the sensors and of the fixes.
+    values : mapping of int to float
+        Coefficient of each column that is taken out.
+    t_fix : (f,) array
+        Times of the fixes that the columns are about, s.
+    """
     imu, gnss = prepared.imu, prepared.gnss
     if not values:
         return imu, gnss
@@ -278,7 +302,17 @@ def corrected_data(
 
 
 def library_columns(motion: Motion, t_fix: Array, mounting: Sequence[float] = (0.0, 0.0, 0.0)) -> list[Column]:
-    """Structure outside the catalogue: squares and products of specific force and rate; GNSS error against heading and speed."""
+    """Structure outside the catalogue: squares and products of specific force and rate; GNSS error against heading and speed.
+
+    Parameters
+    ----------
+    motion : Motion
+        Of the IMU, n epochs.
+    t_fix : (f,) array
+        Times of the fixes, s.
+    mounting : (3,) sequence
+        Roll, pitch and yaw of the IMU in the vehicle, rad: heading is that of the vehicle.
+    """
     out: list[Column] = []
     axes = "xyz"
 
@@ -321,5 +355,15 @@ def clipped_columns(motion: Motion, clipped: Sequence[Clipped]) -> list[Column]:
 
 
 def first_rows(data: Field, rows_t: Array, cut: float | None) -> Field:
-    """The field up to a time."""
+    """The field up to a time.
+
+    Parameters
+    ----------
+    data : Field
+        r rows.
+    rows_t : (r,) array
+        Their times, s.
+    cut : float or None
+        The time, s; ``None``: all rows.
+    """
     return data if cut is None else data.rows(rows_t <= cut)

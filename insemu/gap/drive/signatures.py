@@ -93,13 +93,39 @@ class Loop:
 
 
 def columns_response(loop: Loop, motion: Motion, columns: Sequence[Column]) -> tuple[Array, Array]:
-    """Responses (f, 6, columns) of unit columns, and the built-up errors of constants and ramps on each axis (for slow processes)."""
+    """Responses (f, 6, columns) of unit columns, and the built-up errors of constants and ramps on each axis (for slow processes).
+
+    Parameters
+    ----------
+    loop : Loop
+        The nominal filter.
+    motion : Motion
+        Of the IMU.
+    columns : sequence of Column
+        Unit errors of the sensors and of the fixes.
+
+    Returns
+    -------
+    response : (f, 6, columns) array
+        m and m/s per unit of the column; zero where a component is missing.
+    ramp : (nodes, 12, 9) array
+        As :func:`built_up` says.
+    """
     D, ramp, M = built_up(loop, motion, columns)
     return loop.respond(len(columns), D, M), ramp
 
 
 def built_up(loop: Loop, motion: Motion, columns: Sequence[Column]) -> tuple[Array, Array, Array]:
     """What unit columns do between the nodes of the filter and at its fixes.
+
+    Parameters
+    ----------
+    loop : Loop
+        With the nodes of the filter and the fixes.
+    motion : Motion
+        Of the IMU, n epochs.
+    columns : sequence of Column
+        Unit errors of the sensors and of the fixes.
 
     Returns
     -------
@@ -135,6 +161,17 @@ def built_up(loop: Loop, motion: Motion, columns: Sequence[Column]) -> tuple[Arr
 
 def knot_response(loop: Loop, motion: Motion, ramp: Array, knots: Array) -> Array:
     """Responses of slow sensor errors: linear between knots (s), one column per axis and knot, axis by axis.
+
+    Parameters
+    ----------
+    loop : Loop
+        The nominal filter.
+    motion : Motion
+        Of the IMU.
+    ramp : (nodes, 12, 9) array
+        From :func:`built_up`.
+    knots : (k,) array
+        Times, s.
 
     Returns
     -------

@@ -82,7 +82,24 @@ class Surrogate:
         return out
 
     def whiten(self, columns: Array, factor: Array | None = None, colour: Colour | None = None) -> tuple[Array, float]:
-        """Columns (f, 6, c) whitened under other levels and a Gauss-Markov part of the fixes, and the first one's log-likelihood."""
+        """Columns (f, 6, c) whitened under other levels and a Gauss-Markov part of the fixes, and the first one's log-likelihood.
+
+        Parameters
+        ----------
+        columns : (f, 6, c) array
+            Innovations or responses of them, m and m/s.
+        factor : (6,) array, optional
+            Ratios of the standard deviations of the fixes to those that the filter used.
+        colour : (sigma (6,), tau), optional
+            Standard deviations (m, m/s) and correlation time (s) of a Gauss-Markov part of the fixes.
+
+        Returns
+        -------
+        white : (f, 6, c) array
+            Zero where a component is missing.
+        log_likelihood : float
+            Of the first column; minus infinity where it is not finite.
+        """
         sigma, tau = colour if colour is not None else (np.zeros(6), 1.0)
         gap = np.diff(self.t, prepend=self.t[0])
         phi = np.exp(-gap / tau)[:, None] * np.ones(6)

@@ -181,7 +181,20 @@ def log_density(v: Array, S: Array) -> Array:
 
 
 def knot_times(start: float, end: float, spacing: float) -> Array:
-    """Knots from start to end, at most ``spacing`` apart."""
+    """Knots from start to end, at most ``spacing`` apart.
+
+    Parameters
+    ----------
+    start, end : float
+        s.
+    spacing : float
+        s.
+
+    Returns
+    -------
+    (k,) array
+        Evenly spaced, k at least 4.
+    """
     return np.linspace(start, end, max(4, math.ceil((end - start) / spacing - 1e-9) + 1))
 
 

@@ -45,6 +45,23 @@ def fast_effects(
     """Effects that the IMU shows above its motion, axis by axis, ``beside`` what else is known to be there.
 
     What is left of a clipped stretch after it was filled in looks like outliers, so axes that were ``clipped`` are not asked for them.
+
+    Parameters
+    ----------
+    parts : mapping of axis to Reduced
+        The part of each axis above the motion.
+    nominal : Nominal
+        What is believed.
+    threshold : float
+        Evidence that an effect must exceed, nats.
+    without : collection of str
+        Effects taken out of the catalogue.
+    progress : callable
+        Told what is being done.
+    beside : mapping of axis to sequence of Component, optional
+        Processes found elsewhere that reach into the band.
+    clipped : collection of str
+        Axes with clipped stretches.
     """
     out = []
     excluded = {name for name in CANDIDATES if name not in FAST} | set(without)
@@ -92,6 +109,26 @@ def without_delay(
 
     ``prepared`` is that filter without any, where it has run. A low-pass may be causal (it delays) or its delay may have been taken off in the
     unit already; the innovations say which.
+
+    Parameters
+    ----------
+    recording : Recording
+        A drive or flight.
+    nominal : Nominal
+        What is believed.
+    parts : mapping of axis to Reduced
+        The part of each axis above the motion.
+    levels : mapping of axis to float
+        White-noise densities that were named as an effect, unit/sqrt(Hz).
+    fast : mapping of axis to AxisResult
+        What the fast band shows.
+    prepared : Prepared, optional
+        The nominal filter on the recording as it is.
+
+    Raises
+    ------
+    InputError
+        The nominal filter cannot run on the recording; see :func:`insemu.gap.drive.preparation.prepare`.
     """
     best = prepared or prepare(recording, nominal, parts, levels)
     late: dict[str, float] = {}
@@ -128,7 +165,23 @@ def again_with_processes(
     without: Collection[str],
     clipped: Collection[str],
 ) -> list[tuple[str, AxisResult]]:
-    """What the band above the motion shows where a slow process that was found since reaches into it."""
+    """What the band above the motion shows where a slow process that was found since reaches into it.
+
+    Parameters
+    ----------
+    fast : list of (axis, AxisResult)
+        From :func:`fast_effects`.
+    found : sequence of Found
+        What the search of the innovations found.
+    parts : mapping of axis to Reduced
+        The part of each axis above the motion.
+    nominal : Nominal
+        What is believed.
+    threshold : float
+        Evidence that an effect must exceed, nats.
+    without, clipped : collection of str
+        Effects taken out of the catalogue; axes with clipped stretches.
+    """
     beside: dict[str, list[Component]] = {}
     for f in found:
         for axis in f.chosen.axes if f.chosen.effect in PROCESSES else ():

@@ -320,7 +320,13 @@ def _sorted(hypotheses: Sequence[DriveHypothesis]) -> list[DriveHypothesis]:
 def find_effects(
     scene: Scene, cut: float | None, threshold: float, without: Collection[str], progress: Callable[[str], None]
 ) -> Named:
-    """Search a recording, whole or up to a time."""
+    """Search a recording, whole or up to a time.
+
+    Parameters
+    ----------
+    scene, cut, threshold, without, progress
+        As :class:`DriveProblem` and :func:`insemu.gap.find_gap` say.
+    """
     problem = DriveProblem(scene, cut, threshold, without)
     search(problem, progress)
     if problem.noise_came_early():
@@ -354,7 +360,13 @@ def believing(named: Named, cut: float | None = None) -> tuple[Scene, list[Block
 
 
 def held_out(scene: Scene, named: Named, cut: float) -> tuple[Interval, Interval, Interval]:
-    """Gap index before and after and log score gained per fix after ``cut``, where nothing was named."""
+    """Gap index before and after and log score gained per fix after ``cut``, where nothing was named.
+
+    Parameters
+    ----------
+    scene, named, cut : Scene, Named, float
+        The recording before the search, what was found in its fixes up to ``cut``, and that time in s.
+    """
     final, blocks = believing(named, cut)
     outliers = next((f.chosen for f in named.found if f.chosen.effect == "gnss_outliers"), None)
     density = 0.0
@@ -387,8 +399,7 @@ class _Drive:
     fast : list of (axis, AxisResult)
     levels : mapping of axis to float
         White noise that was named there.
-    late : mapping of sensor to float
-        Delay that was taken off, s.
+    late : mapping of sensor to delay taken off, s
     prepared : Prepared
     """
 
@@ -453,9 +464,17 @@ def find_dynamic_gap(
     progress: Callable[[str], None] | None = None,
     flown: Flown | None = None,
 ) -> GapReport:
-    """Find what a drive or flight has that the nominal model lacks; see :func:`insemu.gap.find_gap`.
+    """Find what a drive or flight has that the nominal model lacks.
 
-    ``flown`` is the nominal filter's run on this recording, where there is one already.
+    Parameters
+    ----------
+    recording, nominal, rng, without, hold_out, progress, flown
+        As :func:`insemu.gap.find_gap` says; the recording has fixes.
+
+    Raises
+    ------
+    InputError
+        A missing belief, or a recording on which the nominal filter cannot run.
     """
     say = progress or (lambda _: None)
     say("running the nominal filter")
@@ -547,7 +566,13 @@ def _finding(f: Found[Change], named: Named) -> Finding:
 def with_confusable(
     findings: Sequence[Finding], named: Named, without: Collection[str], rng: np.random.Generator
 ) -> list[Finding]:
-    """The findings of the search with what each would be confused with if the recording were repeated; those without columns as they are."""
+    """The findings of the search with what each would be confused with if the recording were repeated; those without columns as they are.
+
+    Parameters
+    ----------
+    findings, named, without, rng : sequence of Finding, Named, collection of str, Generator
+        One finding for each entry of ``named.found``; what was found; effects taken out of the catalogue; for the repetitions.
+    """
     scene, out = named.scene, []
     repetitions: Repetitions | None = None
     for finding, f in zip(findings, named.found, strict=True):

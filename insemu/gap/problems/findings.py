@@ -55,7 +55,16 @@ class AxisResult:
 
 
 def is_doubtful(finding: Finding, failed: Sequence[Where], outsiders: Mapping[tuple[str, str], str]) -> bool:
-    """Whether something that no candidate explains sits where a finding was named: the same axis, the same band."""
+    """Whether something that no candidate explains sits where a finding was named: the same axis, the same band.
+
+    Parameters
+    ----------
+    finding : Finding
+    failed : sequence of Where
+        Tests that the final model fails.
+    outsiders : mapping of (sensor, axis) to str
+        Structure outside the catalogue, in words.
+    """
     if finding.effect in _PLAIN or finding.variant in ("output counts", "levels"):
         return False
     axes = {(finding.sensor, a) for a in finding.axes or ("",)}
@@ -192,7 +201,17 @@ def merged(results: Mapping[str, AxisResult]) -> tuple[Finding, ...]:
 
 
 def with_process(model: NoiseModel, effect: str, given: Mapping[str, float]) -> NoiseModel:
-    """A model with a slow process of a named effect."""
+    """A model with a slow process of a named effect.
+
+    Parameters
+    ----------
+    model : NoiseModel
+        The noise of the axis.
+    effect : str
+        ``random_walk``, ``gauss_markov`` or ``flicker``.
+    given : mapping of str to float
+        Parameters of the process, SI: ``K``; ``sigma`` and ``beta``; ``B``.
+    """
     if effect == "random_walk":
         return model + RW(given["K"])
     return model + (GM(given["sigma"], given["beta"]) if effect == "gauss_markov" else BI(given["B"]))

@@ -42,7 +42,17 @@ def of_axis(effects: Sequence[EffectUse], name: str) -> tuple[EffectUse, ...]:
 
 
 def starting_explanation(model: NoiseModel, known: Sequence[EffectUse], dt: float) -> Explanation:
-    """The belief with its vibration and its low-pass, every level free as a nominal one is."""
+    """The belief with its vibration and its low-pass, every level free as a nominal one is.
+
+    Parameters
+    ----------
+    model : NoiseModel
+        Believed noise of the axis.
+    known : sequence of EffectUse
+        Known effects of the axis; others than ``vibration_band`` and ``decimation_filter`` change nothing here.
+    dt : float
+        Sampling interval, s.
+    """
     explanation = Explanation.nominal(model)
     for use in known:
         if use.id == "vibration_band" and max(use["rms"]) > 0.0:

@@ -214,7 +214,21 @@ def search_axis(
     progress: Callable[[str], None] = lambda _: None,
     outsiders: bool = True,
 ) -> AxisResult:
-    """Find the effects of one axis; see :class:`AxisProblem`."""
+    """Find the effects of one axis; see :class:`AxisProblem`.
+
+    Parameters
+    ----------
+    start : AxisState
+        The axis with the nominal explanation.
+    threshold : float, optional
+        Evidence that an effect must exceed, nats.
+    without : collection of str
+        Effects taken out of the catalogue.
+    progress : callable
+        Told what is being done.
+    outsiders : bool
+        As :class:`AxisProblem` says.
+    """
     problem = AxisProblem(start, threshold, without, outsiders)
     search(problem, lambda text: progress(f"{start.data.name}: {text}"))
     problem.carried_mean()
