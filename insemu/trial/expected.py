@@ -73,6 +73,9 @@ class Expected(Likelihood):
             value += regression_evidence(G.T @ G, G.T @ e, scales)
         return value
 
+    def score_of(self, gamma: Array) -> None:
+        """Only values are known of an expectation: the derivatives of the likelihood of the data are not its own."""
+
 
 def trace_of_ratio(gamma: Array, true: Array) -> float:
     """Return ``tr(C^-1 C_true)`` of two symmetric Toeplitz matrices, from the sums of the diagonals of the inverse (Gohberg and Semencul)."""

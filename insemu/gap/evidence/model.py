@@ -278,6 +278,11 @@ class Likelihood:
         self._memory[key] = value
         return value
 
+    def score_of(self, gamma: Array) -> tuple[float, Array] | None:
+        """:meth:`low_of` without regressors, and its derivatives by the autocovariance; None where only values are known."""
+        by_lag = np.empty(gamma.size)
+        return kernels.toeplitz_score(gamma, self.data.differences, by_lag), by_lag
+
     def high(self, explanation: Explanation) -> float:
         """Whittle's log-likelihood of the spectrum."""
         if not self.data.f.size:
@@ -399,7 +404,7 @@ class Along:
         return total + (self.likelihood.low_of(covariance, self.explanation.regressors) if covariance.size else 0.0)
 
     def slope(self, x: Array) -> tuple[float, Array] | None:
-        """The same with its derivatives; ``None`` where regressors are integrated out, or where it is not finite."""
+        """The same with its derivatives; ``None`` where regressors are integrated out, where only values are known, or where it is not finite."""
         if self.explanation.regressors:
             return None
         slopes: list[tuple[Array, Array]] = []
@@ -421,9 +426,11 @@ class Along:
                 moved = np.asarray(self._gain(x + SHAPE_STEP * (np.arange(x.size) == k)))
                 out[k] += float(by_density @ (psd * (moved - gain))) / SHAPE_STEP
         if covariance.size:
-            by_lag = np.empty(covariance.size)
-            value += kernels.toeplitz_score(covariance, self.likelihood.data.differences, by_lag)
-            out[: len(slopes)] += [float(by_lag @ d) for _, d in slopes]
+            scored = self.likelihood.score_of(covariance)
+            if scored is None:
+                return None
+            value += scored[0]
+            out[: len(slopes)] += [float(scored[1] @ d) for _, d in slopes]
         return (value, out) if math.isfinite(value) and np.isfinite(out).all() else None
 
 
