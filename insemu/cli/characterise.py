@@ -47,7 +47,7 @@ def command(
     from insemu import units
     from insemu.cli.announce import announce
     from insemu.cli.logs import column_names, open_log
-    from insemu.formats.curves import read_curves
+    from insemu.formats import read_curves
 
     console = Console(stderr=as_json)
     if not console.is_terminal:

@@ -42,7 +42,7 @@ def command(
 def _models(file: str, target: Path, to: str, rate: str, record: str) -> None:
     from insemu import noise, units
     from insemu.errors import InputError
-    from insemu.formats.programs import PROGRAMS, spell
+    from insemu.formats import PROGRAMS, spell
 
     if not to:
         raise InputError(f"says no program; expected one of: {', '.join(PROGRAMS)}", where="--to")
@@ -59,8 +59,7 @@ def _track(file: str, target: Path, *, reference: bool, starts: str, outage: lis
     from pathlib import Path
 
     from insemu.errors import InputError
-    from insemu.formats import open_files
-    from insemu.formats.tracks_out import way_of, write_way
+    from insemu.formats import open_files, way_of, write_way
 
     found = open_files(file)
     data = found.reference if reference or found.gnss is None else found.gnss

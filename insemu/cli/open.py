@@ -46,7 +46,7 @@ def command(
     from rich.console import Console
 
     from insemu.errors import InputError
-    from insemu.formats.columns import parse_map, write_preset
+    from insemu.formats import parse_map, write_preset
 
     console = Console(stderr=as_json, soft_wrap=True, highlight=False)
     if formats:

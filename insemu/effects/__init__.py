@@ -14,7 +14,7 @@ itself, and hidden in a blind trial: ``gnss.LeverArm`` is all about a wrong leve
 
 from collections.abc import Iterable
 
-from insemu.effects import deterministic, gnss, model, stochastic, timing
+from insemu.effects import deterministic, gnss, model, passes, stochastic, timing
 from insemu.effects.base import (
     ASPECTS,
     CELLS,
@@ -128,4 +128,5 @@ __all__ = [
     "lagged",
     "lever_arm_of",
     "markdown_table",
+    "passes",
 ]

@@ -15,7 +15,7 @@ from scipy.special import ndtri
 
 from insemu import units
 from insemu.errors import InputError
-from insemu.formats.programs import spell
+from insemu.formats import spell
 from insemu.noise import NoiseModel, Parameter
 from insemu.variance import WaveletVariance
 

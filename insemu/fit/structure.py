@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from insemu.errors import InputError
 from insemu.fit import _kernel
-from insemu.noise import NoiseModel
-from insemu.noise.process import SAME_RATE
+from insemu.noise import SAME_RATE, NoiseModel
 from insemu.variance import curve_address
 
 Array = NDArray[np.float64]

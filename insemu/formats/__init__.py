@@ -15,26 +15,38 @@ from typing import Literal
 
 from insemu.errors import InputError
 from insemu.formats import recording, static
-from insemu.formats.columns import guess_map, read_preset, split_header
-from insemu.formats.npz import keys_of
+from insemu.formats.columns import guess_map, parse_map, read_preset, split_header, write_preset
+from insemu.formats.curves import NamedCurve, read_curves
+from insemu.formats.npz import keys_of, load_npz
 from insemu.formats.opened import Opened, open_files
+from insemu.formats.programs import PROGRAMS, spell
 from insemu.formats.static import AXIS_OF_COLUMN, Log
 from insemu.formats.table import Probe, known_readers, reader_of
+from insemu.formats.tracks_out import way_of, write_way
 from insemu.records import COLUMNS, Recording, Series
 
 __all__ = [
     "AXIS_OF_COLUMN",
+    "PROGRAMS",
     "Log",
+    "NamedCurve",
     "Opened",
     "holds_recording",
     "known_readers",
+    "load_npz",
     "open_files",
     "opened",
+    "parse_map",
     "read",
+    "read_curves",
     "read_log",
     "read_recording",
     "read_static",
+    "spell",
+    "way_of",
     "write",
+    "write_preset",
+    "write_way",
 ]
 
 Data = list[Series] | Recording

@@ -7,7 +7,7 @@ Sums come free: ``2*GM() + WN()``.
 from insemu.noise.block import StateBlock
 from insemu.noise.files import axis_unit, load, save
 from insemu.noise.parameters import Parameter
-from insemu.noise.process import PROCESSES, NoiseModel, NotStationary, Process
+from insemu.noise.process import PROCESSES, SAME_RATE, NoiseModel, NotStationary, Process
 from insemu.noise.processes.autoregressive import AR, AR1, ARMA, MA
 from insemu.noise.processes.flicker import BI
 from insemu.noise.processes.gauss_markov import GM
@@ -27,6 +27,7 @@ __all__ = [
     "QN",
     "RC",
     "RW",
+    "SAME_RATE",
     "SIN",
     "WN",
     "NoiseModel",

@@ -20,7 +20,7 @@ from insemu.units import conversion
 from insemu.variance import FLICKER, duration, grouped_findings
 
 if TYPE_CHECKING:
-    from insemu.formats.curves import NamedCurve
+    from insemu.formats import NamedCurve
     from insemu.variance import AxisReport
 
 Array = NDArray[np.float64]

@@ -1,5 +1,6 @@
 """Variances and spectra of signals, all with intervals; where a model is needed it comes as an autocovariance or spectrum."""
 
+from insemu.variance import findings
 from insemu.variance.allan import AllanVariance, allan_variance, relative_error
 from insemu.variance.characterise import AxisReport, characterise, characterise_stream, duration, grouped_findings
 from insemu.variance.covariance import level1_autocovariance, model_covariance, model_edof, wv_covariance
@@ -42,6 +43,7 @@ __all__ = [
     "eta3",
     "expected_variance",
     "filter_covariance",
+    "findings",
     "grouped_findings",
     "level1_autocovariance",
     "missing_values",

@@ -13,7 +13,7 @@ from scipy.signal import fftconvolve
 from insemu import formats
 from insemu.errors import InputError
 from insemu.filters import never_moves
-from insemu.formats.npz import load_npz
+from insemu.formats import load_npz
 from insemu.gap.policy import rules
 from insemu.records import AXES, Recording, Series
 
