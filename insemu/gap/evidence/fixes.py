@@ -22,6 +22,8 @@ Colour = tuple[Array, float]
 NED = ("north", "east", "down")
 #: Axes that may have a level or a colour of their own.
 GROUPS = (NED, ("north", "east"), ("down",), ("north",), ("east",))
+#: Gain of a step at which the noise of the fixes is climbed far enough, nats: a hundredth of what anybody would notice; each look is a filter run.
+CLOSE_NATS = 0.03
 
 
 @dataclass(frozen=True)
@@ -215,7 +217,7 @@ def gnss_noise_fits(
 
             # of the starts to either side the better one: the first step of a far level is a long one
             starts = [np.array([moved + sign * step]) for sign in (-1.0, 1.0) for step in (0.5, 1.5)]
-            mode = laplace(log_posterior, max(starts, key=log_posterior), (free,))
+            mode = laplace(log_posterior, max(starts, key=log_posterior), (free,), close=CLOSE_NATS)
             if abs(mode.x[0]) < math.log1p(rules().tolerance):
                 continue
             value = Value.positive("factor", math.exp(mode.x[0]), math.sqrt(mode.covariance[0, 0]), "1")
@@ -252,7 +254,7 @@ def _colours(s: Surrogate, base: float) -> list[NoiseFit]:
             if axes == NED and max(likely) < -30.0:
                 break  # neither part of it can be worth anything then
             continue
-        mode = laplace(log_posterior, grid[int(np.argmax(likely))], free)
+        mode = laplace(log_posterior, grid[int(np.argmax(likely))], free, close=CLOSE_NATS)
         sd = np.sqrt(np.diag(mode.covariance))
         sigma, tau = colour(mode.x)
         values = [Value.positive(f"sigma_{a}", sigma[r], sd[0], "m") for a, r in zip(axes, rows, strict=True)]
@@ -300,7 +302,7 @@ def joint_noise(s: Surrogate, colour: Colour, factors: Array) -> FixNoise:
         prior = sum(f.log_density(v) for f, v in zip(free, x, strict=True))
         return s.log_likelihood(noise.factor, noise.colour) + prior
 
-    return unpack(laplace(log_posterior, np.zeros(len(free)), free).x)
+    return unpack(laplace(log_posterior, np.zeros(len(free)), free, close=CLOSE_NATS).x)
 
 
 def pooled(fits: Sequence[NoiseFit]) -> float:

@@ -502,6 +502,7 @@ def laplace(
     x0: Array,
     free: Sequence[Free],
     slope: Callable[[Array], tuple[float, Array] | None] | None = None,
+    close: float = 0.0,
 ) -> Mode:
     """Climb to a mode and weigh it; no direction counts as wider than its prior.
 
@@ -514,6 +515,8 @@ def laplace(
     free : sequence of Free
     slope : callable, optional
         The log posterior with its derivatives, or ``None`` where it has none; by differences where it is not given.
+    close : float
+        The climb ends where a step gains less, nats: a likelihood that is a run of a filter is worth stopping early.
     """
     admitted = [(math.log(f.low) - 6.0 * f.edge, math.log(f.high) + 6.0 * f.edge) for f in free]
 
@@ -553,7 +556,12 @@ def laplace(
 
     minimize: Any = optimize.minimize
     result = minimize(
-        sloped, np.zeros(x0.size), jac=True, method="L-BFGS-B", bounds=reach, options={"maxiter": 60, "ftol": 1e-9}
+        sloped,
+        np.zeros(x0.size),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=reach,
+        options={"maxiter": 60, "ftol": max(1e-9, close / max(abs(centre), 1.0))},
     )
     x, best = x0 + unit * np.asarray(result.x, dtype=np.float64), float(result.fun)
     H = _hessian(cost, x, best, slope)
