@@ -46,7 +46,16 @@ def test_a_constant_is_moved_alone_and_a_share_stays_one(name: str, factor: floa
     assert [f.name for f in fields(Policy) if getattr(moved, f.name) != getattr(usual, f.name)] == [name]
     before, after = np.atleast_1d(getattr(usual, name)), np.atleast_1d(getattr(moved, name))
     assert np.all(after > before) == (factor > 1.0)
-    if name in ("class_share", "something", "naming_share", "most_values", "alike", "offset_share", "nis_left"):
+    if name in (
+        "class_share",
+        "something",
+        "naming_share",
+        "mounting_share",
+        "most_values",
+        "alike",
+        "offset_share",
+        "nis_left",
+    ):
         assert after[0] < 1.0
 
 

@@ -57,6 +57,9 @@ class Policy:
     )
     most_effects: int = _decides(12, "1", "rest-real", "Effects after which a search ends: fast effects of a real log can be many.")
     naming_share: float = _decides(2.0 / 3.0, "1", "one", "Share of a recording on which effects are named for the held-out figures.")
+    mounting_share: float = _decides(
+        0.5, "1", "real-drives", "The same for a wrong mounting: a drive whose angles are found in its first half is judged on all of the second."
+    )
     keep_nats: float = _decides(2.0, "nats", "two", "What an effect or an axis of a drive must be worth beside the others to be kept.")
     swap_nats: float = _decides(0.5, "nats", "two", "By how much a rival must beat an earlier effect, reconsidered, to take its place.")
     hopeless: float = _decides(4.0, "nats", "rest-effects", "A start that refines to so much less than nothing ends a candidate.")
@@ -190,7 +193,16 @@ class Policy:
 
 
 #: Constants that are shares of a whole.
-_SHARES = ("class_share", "something", "naming_share", "most_values", "alike", "offset_share", "nis_left")
+_SHARES = (
+    "class_share",
+    "something",
+    "naming_share",
+    "mounting_share",
+    "most_values",
+    "alike",
+    "offset_share",
+    "nis_left",
+)
 _IN_FORCE: ContextVar[Policy] = ContextVar("policy")
 _USUAL = Policy()
 

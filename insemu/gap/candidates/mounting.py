@@ -264,7 +264,7 @@ def find_mounting(recording: Recording, nominal: Nominal, progress: Callable[[st
 
 def _held_out(s: Sideways, nominal: Nominal) -> tuple[tuple[float, float], int, tuple[float, float]]:
     """Score the last part of the drive with the mounting of the first."""
-    cut = s.t[0] + rules().naming_share * (s.t[-1] - s.t[0])
+    cut = s.t[0] + rules().mounting_share * (s.t[-1] - s.t[0])
     early, late = s.part(s.t <= cut), s.part(s.t > cut)
     if min(early.t.size, late.t.size) < 30:
         return (0.0, 0.0), 0, (0.0, 0.0)
