@@ -137,7 +137,7 @@ class SensorErrors:
         Estimated minus true error of every axis apart from white noise (calibration states count at the rate and specific force
         measured then), rad/s and m/s^2, and what the filter says about it: ``C P C'``.
     states : (k, m) array
-        The states behind one by one; NaN where truth and belief do not have the same.
+        The augmented states one by one; NaN where truth and belief do not have the same.
     """
 
     axes: Array
@@ -155,7 +155,7 @@ def sensor_errors(
     true_states: Array | None,
     true_names: Sequence[str] = (),
 ) -> SensorErrors:
-    """Compare a filter's states behind with the true ones.
+    """Compare a filter's augmented states with the true ones.
 
     The total error of an axis can be compared whatever truth and belief carry; single states only where both have the same.
 
@@ -451,7 +451,7 @@ def observability(sigma: ArrayLike, prior: ArrayLike) -> Array:
 
 
 def unaided_sigma(augmentation: Augmentation, epochs: NDArray[np.intp]) -> Array:
-    """Standard deviations (k, m) that the states behind would have after so many samples without any fix; ``epochs`` (k,) increase."""
+    """Standard deviations (k, m) that the augmented states would have after so many samples without any fix; ``epochs`` (k,) increase."""
     P, out = augmentation.P0.copy(), np.empty((len(epochs), augmentation.m))
     powers: dict[int, tuple[Array, Array]] = {}
     before = 0

@@ -72,7 +72,7 @@ def of_designs(flown: Mapping[str, Mapping[str, Any]], t: NDArray[np.float64]) -
     Parameters
     ----------
     flown : mapping of design to arrays
-        The variables of each; states behind the nine may differ in number and are filled up.
+        The variables of each; augmented states may differ in number and are filled up.
     t : (time,) array
         Output epochs, s.
     """

@@ -52,7 +52,7 @@ class Log:
     stated_units : tuple of str
         Units as written in the file.
     columns : tuple of (n,) arrays
-        Values in SI. A lazy column (memory map) is kept as it is, with ``factors`` still to be applied.
+        Values in SI. A lazy column (memory map) is kept as it is.
     rate_hz : float
         Sampling rate.
     t : (n,) array, optional

@@ -22,7 +22,7 @@ Colour = tuple[Array, float]
 NED = ("north", "east", "down")
 #: Axes that may have a level or a colour of their own.
 GROUPS = (NED, ("north", "east"), ("down",), ("north",), ("east",))
-#: Gain of a step at which the noise of the fixes is climbed far enough, nats: a hundredth of what anybody would notice; each look is a filter run.
+#: Gain of a step at which a climb of the noise of the fixes ends, nats: a hundredth of the 3 nats that decide; each step costs filter runs.
 CLOSE_NATS = 0.03
 
 
