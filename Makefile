@@ -1,7 +1,7 @@
 # insemu: `make demo` sets everything up and runs the main job; `make test` sets everything up and passes the tests.
 PYTHON ?= python3
 VENV ?= .venv
-BIN := $(VENV)/bin
+BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 WORKERS ?= 2
 STAMP := $(VENV)/.installed
 
@@ -41,6 +41,7 @@ $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit("insemu needs Python 3.11 or newer, found " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev,docs,cluster,files]"
+	$(BIN)/python -m insemu.evaluate.kernels > /dev/null
 	touch $@
 
 # Renew the versions that were tested: install without constraints in a fresh environment, run the tests, then write what was there.

@@ -29,7 +29,7 @@ def main() -> None:
         Gnss(position_sigma=(0.05,) * 3, velocity_sigma=(0.05,) * 3),
         Initial(tilt_sigma=0.005, heading_sigma=0.01),
     )
-    prepared = prepare(recording, nominal, fast_parts(recording), {})  # compiles
+    prepared = prepare(recording, nominal, fast_parts(recording, nominal), {})  # compiles
     find_gap(recording, nominal, rng=rng, hold_out=False)
     filter_s = prepared.again().result.seconds
     rows = []

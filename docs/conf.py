@@ -8,6 +8,8 @@ from pathlib import Path
 import insemu
 
 sys.path.insert(0, str(Path(__file__).parent))
+from gallery_pages import write_gallery
+from pictures import write_pictures
 from reference_pages import write_reference
 
 project = "insemu"
@@ -15,7 +17,7 @@ author = copyright = "The insemu founders"
 version = release = insemu.__version__
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc", "sphinx.ext.mathjax", "sphinx_copybutton"]
-exclude_patterns = ["*.py"]
+exclude_patterns = ["*.py", "gallery/*.py", "notebooks/*"]
 suppress_warnings = ["misc.highlighting_failure"]  # YAML fragments and terminal output are shown as they are
 myst_enable_extensions = ["attrs_inline"]
 myst_heading_anchors = 3
@@ -29,3 +31,5 @@ html_copy_source = False
 html_show_sourcelink = False
 
 write_reference(Path(__file__).parent / "reference")
+write_pictures(Path(__file__).parent / "reference" / "pictures")
+write_gallery(Path(__file__).parent / "reference")

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
+import re
 from pathlib import Path
 from typing import Any
+
+import yaml
 
 import insemu
 
@@ -22,6 +26,8 @@ ROOMS = (
     "filters",
     "scenario",
     "evaluate",
+    "solve",
+    "transfer",
     "gap",
     "units",
     "errors",
@@ -70,6 +76,8 @@ def commands() -> list[str]:
 
 def _type(p: dict[str, Any]) -> str:
     """Type of a key in words, with links to the sections that it refers to."""
+    if "x-unit" in p:
+        return f"quantity in `{p['x-unit']}`"
     if "$ref" in p:
         name = p["$ref"].rsplit("/", 1)[-1]
         return f"[{name}](#{name.lower()})"
@@ -90,9 +98,82 @@ def _type(p: dict[str, Any]) -> str:
     return " or ".join(words.get(k, k) for k in ([kinds] if isinstance(kinds, str) else kinds))
 
 
+def _resolved(p: dict[str, Any], whole: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    """The sections that a key may hold: name (of a reference) and schema."""
+    if "$ref" in p:
+        name = p["$ref"].rsplit("/", 1)[-1]
+        return [(name, whole["$defs"][name])]
+    found = [("", p)] if "properties" in p or "items" in p or "additionalProperties" in p else []
+    return found + [x for key in ("anyOf", "oneOf", "allOf") for q in p.get(key, ()) for x in _resolved(q, whole)]
+
+
+def _uses(
+    data: Any, name: str, section: dict[str, Any], whole: dict[str, Any], found: dict[tuple[str, str], Any]
+) -> None:
+    """Collect the shortest use of every key of a section, and of those below, in the data of a file."""
+    if isinstance(data, list):
+        for item in data:
+            for inner, below in _resolved(section.get("items", {}), whole):
+                _uses(item, inner, below, whole, found)
+    elif isinstance(data, dict):
+        known = section.get("properties", {})
+        for key, value in data.items():
+            below = known.get(key) or section.get("additionalProperties")
+            if key in known:
+                held = found.get((name, key))
+                found[name, key] = value if held is None or len(str(value)) < len(str(held)) else held
+            for inner, next_section in _resolved(below, whole) if isinstance(below, dict) else ():
+                fits = (
+                    not isinstance(value, dict)
+                    or not next_section.get("properties")
+                    or set(value) <= set(next_section["properties"])
+                )
+                if fits:
+                    _uses(value, inner, next_section, whole, found)
+
+
+def examples(whole: dict[str, Any]) -> dict[tuple[str, str], Any]:
+    """An example of every scenario key: the shortest use in the scenarios and tutorials, all of which are run by tests; else the schema's."""
+    found: dict[tuple[str, str], Any] = {}
+    root = Path(__file__).resolve().parent.parent
+    folders = ("scenarios", "docs/scenario_examples")
+    texts = [p.read_text(encoding="utf-8") for folder in folders for p in sorted((root / folder).glob("*.yaml"))]
+    for page in sorted((root / "docs").glob("*/*.md")):
+        texts += re.findall(
+            r"^```\{code-block\} yaml\n:caption: .*?\n\n?(.*?)^```", page.read_text(encoding="utf-8"), re.S | re.M
+        )
+    for text in texts:
+        data = yaml.safe_load(text)
+        if isinstance(data, dict):
+            _uses(data, "A scenario", whole, whole, found)
+            for changes in (data.get("variants") or {}).values():
+                _uses(changes, "A scenario", whole, whole, found)
+    for name, section in sections(whole).items():
+        for key, p in section["properties"].items():
+            if (name, key) not in found and p.get("examples"):
+                found[name, key] = p["examples"][0]
+    return found
+
+
+def sections(whole: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The sections of a scenario that have keys."""
+    every = {"A scenario": whole, **dict(sorted(whole.get("$defs", {}).items()))}
+    return {name: section for name, section in every.items() if section.get("properties")}
+
+
 def _plain(default: Any) -> bool:
     """Whether a default is worth showing: sections and empty values are not."""
     return default not in (None, [], "") and not isinstance(default, dict)
+
+
+def _example(value: Any) -> str:
+    """A value as it stands in a file, in one line of moderate length."""
+    text = (
+        yaml.safe_dump(value, default_flow_style=True, sort_keys=False, allow_unicode=True, width=10_000)
+        .replace("\n...", "")
+        .strip()
+    )
+    return "" if value is None else f"`{text if len(text) <= 90 else text[:87] + '...'}`"
 
 
 def scenario() -> list[str]:
@@ -106,21 +187,22 @@ def scenario() -> list[str]:
         "Quantities are numbers with a unit, such as `20 ms` or `0.3 deg/sqrt(h)`. `insemu schema` prints the JSON schema for editors.",
         "",
     ]
-    sections = {"A scenario": whole, **dict(sorted(whole.get("$defs", {}).items()))}
-    for name, section in sections.items():
-        if not section.get("properties"):
-            continue
+    shown = examples(whole)
+    for name, section in sections(whole).items():
         lines += [
             f"## {name}",
             "",
             inspect.cleandoc(section.get("description", "") if name != "A scenario" else ""),
             "",
         ]
-        lines += ["| key | type | default | meaning |", "| --- | --- | --- | --- |"]
+        lines += ["| key | type | default | example | meaning |", "| --- | --- | --- | --- | --- |"]
         required = section.get("required", ())
         for key, p in section["properties"].items():
             default = "required" if key in required else f"`{p['default']}`" if _plain(p.get("default")) else ""
-            lines.append(f"| `{key}` | {_cell(_type(p))} | {_cell(default)} | {_cell(p.get('description', ''))} |")
+            example = _example(shown.get((name, key)))
+            lines.append(
+                f"| `{key}` | {_cell(_type(p))} | {_cell(default)} | {_cell(example)} | {_cell(p.get('description', ''))} |"
+            )
         lines.append("")
     return lines
 
@@ -186,6 +268,28 @@ def room(name: str) -> list[str]:
     return lines
 
 
+def top() -> list[str]:
+    """The names at the top."""
+    lines = [
+        "# import insemu as ins",
+        "",
+        inspect.cleandoc(importlib.import_module("insemu.api").__doc__ or ""),
+        "",
+        "Names that stand elsewhere, too: "
+        + ", ".join(
+            f"`ins.{n}` ([insemu.{r.split('.')[0]}](python_{r.split('.')[0]}.md))"
+            for n, r in sorted(insemu._TOP.items())
+            if r != "api"
+        )
+        + ".",
+        "",
+    ]
+    api = importlib.import_module("insemu.api")
+    for name in (*sorted(n for n, r in insemu._TOP.items() if r == "api"), *insemu._CALLED):
+        lines += [f"## ins.{name}", "", *_autodoc(getattr(api, name))]
+    return lines
+
+
 def python() -> list[str]:
     """The rooms of the package, each with the names that it offers."""
     lines = [
@@ -197,15 +301,93 @@ def python() -> list[str]:
     return [*lines, "```{toctree}", *(f"python_{name}" for name in ROOMS), "```"]
 
 
+def _template(node: ast.expr) -> str:
+    """Text of a message with its variable parts as ``...``."""
+    if isinstance(node, ast.Constant):
+        return str(node.value)
+    if isinstance(node, ast.JoinedStr):
+        return "".join(_template(part) for part in node.values)
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):
+        return _template(node.left) + _template(node.right)
+    return "..."
+
+
+def messages() -> list[str]:
+    """Every message of bad input, room by room."""
+    root = Path(insemu.__file__).parent
+    found: dict[str, set[str]] = {}
+    for path in sorted(root.rglob("*.py")):
+        room = path.relative_to(root).parts[0].removesuffix(".py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            named = (
+                isinstance(node, ast.Call)
+                and isinstance(node.func, ast.Name)
+                and node.func.id in ("InputError", "NotStationary")
+            )
+            if named and node.args:
+                text = re.sub(r"(\.\.\.)+", "...", _template(node.args[0])).strip()
+                found.setdefault(room, set()).update({text} - {"..."})
+    lines = [
+        "# Messages",
+        "",
+        "What insemu says of bad input, `...` standing for names and values. The usual ones with what to do: [errors](../explained/errors.md).",
+        "",
+    ]
+    for room, texts in found.items():
+        lines += [f"## {room}", "", *(f"- {_code(text)}" for text in sorted(texts)), ""]
+    return lines
+
+
+def _code(text: str) -> str:
+    """Text as it stands, whatever marks it holds."""
+    text = " ".join(text.split())
+    return f"`` {text} ``" if "`" in text else f"`{text}`"
+
+
 def conventions() -> list[str]:
     """Units, frames and signs: the docstring of the package."""
     return ["# Conventions", "", "```text", inspect.cleandoc(insemu.__doc__ or ""), "```"]
 
 
+def evidence() -> list[str]:
+    """What the figures of the pages rest on, from ``docs/claims.yaml``."""
+    import yaml
+
+    held = yaml.safe_load((Path(__file__).parent / "claims.yaml").read_text(encoding="utf-8"))
+    rows = [
+        (page, head, entry)
+        for page, entries in held.items()
+        for head, entry in entries.items()
+        if entry["evidence"] != "none"
+    ]
+    kinds = ("external", "closed form", "real data", "own simulation")
+    counts = {kind: sum(entry["evidence"] == kind for _, _, entry in rows) for kind in kinds}
+    return [
+        "# Evidence",
+        "",
+        "What the figures of every section rest on, and the command that prints them: another program or a published table (external), a "
+        "closed form, real data, or insemu's own simulation. `python -m tests.claims --run PAGE` runs the commands of a page and says which "
+        "figures they still print.",
+        "",
+        "; ".join(f"{kind}: {n} of {len(rows)} sections ({100 * n / len(rows):.0f} %)" for kind, n in counts.items())
+        + ".",
+        "",
+        "| page | section | evidence | command |",
+        "| --- | --- | --- | --- |",
+        *(
+            f"| {page} | {_cell(head)} | {entry['evidence']} | {_code(entry['command'])} |"
+            for page, head, entry in rows
+        ),
+    ]
+
+
 def write_reference(folder: Path) -> None:
     """Write every page that is made from the code; pages that did not change are left alone, so that the site is built faster."""
     folder.mkdir(exist_ok=True)
-    pages = {maker.__name__: maker() for maker in (commands, scenario, effects, processes, python, conventions)}
+    pages = {
+        maker.__name__: maker()
+        for maker in (commands, scenario, effects, processes, top, python, conventions, messages, evidence)
+    }
     for name, lines in {**pages, **{f"python_{name}": room(name) for name in ROOMS}}.items():
         text = "\n".join(lines) + "\n"
         page = folder / f"{name}.md"

@@ -31,10 +31,54 @@ Arrays
     ``numpy.random.SeedSequence``, so run 7 is the same alone, in parallel, or among 1000.
 """
 
+from importlib import import_module as _import
 from pathlib import Path as _Path
+from types import ModuleType as _Module
+from typing import Any as _Any
 
 from insemu.compiled import forget_stale_kernels as _forget_stale_kernels
 
 __version__ = "0.1.0"
 
 _forget_stale_kernels(_Path(__file__).parent)
+
+#: Names at the top -> where they are: found when they are asked for, so that ``import insemu`` takes no time.
+_TOP = {
+    **dict.fromkeys(("read", "select", "characterise", "run", "find_gap", "plot", "load"), "api"),
+    **dict.fromkeys(
+        ("WN", "RW", "GM", "GM2", "AR1", "AR", "MA", "ARMA", "QN", "DR", "BI", "SIN", "RC", "NoiseModel", "Process"),
+        "noise",
+    ),
+    **dict.fromkeys(("Series", "ImuRecord", "GnssRecord", "Trajectory", "Recording"), "records"),
+    **dict.fromkeys(("Experiment", "Results"), "evaluate"),
+    **dict.fromkeys(("corrupt", "gnss_fixes", "ideal_imu"), "emulate"),
+    **dict.fromkeys(("register_filter", "NavigationFilter"), "filters"),
+    "Scenario": "scenario",
+    "InputError": "errors",
+    "register_process": "noise.register",
+}
+#: Rooms that are functions as well: ``ins.fit(log, model)`` is :func:`insemu.api.fit`.
+_CALLED = ("fit", "emulate", "solve")
+
+__all__ = ["__version__", *_TOP, *_CALLED]
+
+
+class CalledRoom(_Module):
+    """A room that is called as the function of its name in :mod:`insemu.api`."""
+
+    def __call__(self, *arguments: _Any, **options: _Any) -> _Any:
+        """Call :mod:`insemu.api`'s function of the room's name."""
+        return getattr(_import("insemu.api"), self.__name__.rpartition(".")[2])(*arguments, **options)
+
+
+def __getattr__(name: str) -> _Any:
+    if name in _CALLED:
+        return _import(f"insemu.{name}")
+    if name not in _TOP:
+        raise AttributeError(f"module 'insemu' has no attribute '{name}'")
+    room, _, own = _TOP[name].partition(".")
+    return getattr(_import(f"insemu.{room}"), own or name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

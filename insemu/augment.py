@@ -8,6 +8,7 @@ States of the GNSS installation (lever arm, latency) come last.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -17,7 +18,7 @@ from scipy.linalg import solve_discrete_lyapunov
 from scipy.signal import lfilter
 
 from insemu.errors import InputError, nearest
-from insemu.noise import ARMA, DR, NoiseModel, Process, StateBlock
+from insemu.noise import ARMA, DR, RC, NoiseModel, Process, StateBlock, shared_processes
 from insemu.records import AXES
 
 Array = NDArray[np.float64]
@@ -26,6 +27,9 @@ Array = NDArray[np.float64]
 NAVIGATION = ("pos_n", "pos_e", "pos_d", "vel_n", "vel_e", "vel_d", "att_n", "att_e", "att_d")
 
 Belief = Mapping[str, NoiseModel | Process]
+
+#: Turn-on bias that is believed where a static model has none: a fit removes it. The largest of the MEMS cards short of the worst, rad/s, m/s^2.
+TURN_ON = {"gyro": math.radians(0.5), "accel": 0.25}
 
 
 @dataclass(frozen=True)
@@ -222,6 +226,26 @@ def per_axis(belief: Belief) -> dict[str, NoiseModel]:
     return out
 
 
+def with_turn_on(belief: Belief) -> dict[str, NoiseModel]:
+    """A belief per axis, with a turn-on bias of :data:`TURN_ON` on every axis none of whose processes begins with an unknown constant.
+
+    Parameters
+    ----------
+    belief : mapping
+        As :func:`per_axis` takes it.
+    """
+    out = per_axis(belief)
+    for axis, model in out.items():
+        if not any(_begins_anywhere(p) for p in model):
+            out[axis] = model + RC(sigma=TURN_ON[axis.partition("_")[0]])
+    return out
+
+
+def _begins_anywhere(process: Process) -> bool:
+    block = process.block(1.0)  # the spread of a start is the same at any sampling interval
+    return not process.stationary and float(block.c @ block.P0 @ block.c) > 0.0
+
+
 def _cascade(process: ARMA, dt: float) -> StateBlock:
     """An autoregression as a chain of first-order (complex poles: second-order) sections, fast poles first.
 
@@ -259,8 +283,8 @@ def _cascade(process: ARMA, dt: float) -> StateBlock:
     return StateBlock(names, Phi, Q, c, 0.5 * P0 + 0.5 * P0.T, 0.0, dt)
 
 
-def _block(model: NoiseModel, dt: float) -> StateBlock:
-    """The model's state block, autoregressions of higher order in coordinates that keep their digits."""
+def _blocks(model: NoiseModel, dt: float) -> list[StateBlock]:
+    """State blocks of a model's processes, autoregressions of higher order in coordinates that keep their digits."""
     blocks = []
     for index, process in model.indexed():
         if isinstance(process, ARMA) and len(process.ar) > 1 and not process.ma:
@@ -269,7 +293,30 @@ def _block(model: NoiseModel, dt: float) -> StateBlock:
             b = process.block(dt)
         names = tuple(name.replace(process.symbol, f"{process.symbol}{index}", 1) for name in b.names)
         blocks.append(StateBlock(names, b.Phi, b.Q, b.c, b.P0, b.white, dt))
-    return StateBlock.stack(blocks, dt)
+    return blocks
+
+
+def _share(belief: Mapping[str, NoiseModel], first: Mapping[tuple[str, int], int], whole: StateBlock) -> StateBlock:
+    """Let states of shared processes be driven and start as one: their covariance across axes follows from the levels.
+
+    Every axis keeps the states that it sees, which the compiled filter carries side by side at no cost; fully correlated, they are one process.
+    """
+    Q, P0 = whole.Q.copy(), whole.P0.copy()
+    for name, members in shared_processes(belief).items():
+        for i, one in enumerate(members):
+            for two in members[i + 1 :]:
+                if one.weight == 0.0 or two.weight == 0.0:
+                    continue
+                a, b = first[one.axis, one.place], first[two.axis, two.place]
+                n = one.process.block(whole.dt).n
+                if n == 0 or one.process.block(whole.dt).white > 0:
+                    raise InputError(
+                        f"the shared process '{name}' is {one.process}: white noise that axes share has no state to carry it; expected GM, RW, ..."
+                    )
+                for matrix in (Q, P0):
+                    matrix[a : a + n, b : b + n] = matrix[a : a + n, a : a + n] * (two.weight / one.weight)
+                    matrix[b : b + n, a : a + n] = matrix[a : a + n, b : b + n].T
+    return StateBlock(whole.names, whole.Phi, Q, whole.c, P0, whole.white, whole.dt)
 
 
 def _moving_average(process: ARMA, dt: float) -> tuple[StateBlock, Array]:
@@ -357,25 +404,30 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
         eye = np.eye(count)
         blocks.append(StateBlock(("",) * count, eye, 0 * eye, np.ones(count), sigma**2 * eye, 0.0, dt))
 
-    for a, (axis, model) in enumerate(per_axis(belief).items()):
+    models = {axis: model.at_rate(1.0 / dt) for axis, model in per_axis(belief).items()}
+    first: dict[tuple[str, int], int] = {}
+    for a, (axis, model) in enumerate(models.items()):
         start = len(names)
         try:
-            block = _block(model.at_rate(1.0 / dt), dt)
+            own = _blocks(model, dt)
+            block = StateBlock.stack(own, dt)
         except InputError as error:
             raise type(error)(str(error), where=f"belief of {axis}") from None
+        for place, before in enumerate(np.cumsum([0, *(b.n for b in own)])[:-1]):
+            first[axis, place] = start - len(NAVIGATION) + int(before)
         names += [f"{axis}.{name}" for name in block.names]
         blocks.append(block)
         axis_of += [a] * block.n
         driver += [-1] * block.n
         white[a] = block.white
-        triad, own = axis.split("_")
+        triad, letter = axis.split("_")
         if (scale := getattr(extras, f"{triad}_scale")) > 0:
             names.append(f"{axis}.scale")
             constants(1, scale)
             axis_of.append(a)
             driver.append(a)
         if (misalignment := getattr(extras, f"{triad}_misalignment")) > 0:
-            for other in (o for o in "xyz" if o != own):
+            for other in (o for o in "xyz" if o != letter):
                 names.append(f"{axis}.from_{other}")
                 axis_of.append(a)
                 driver.append(AXES.index(f"{triad}_{other}"))
@@ -390,7 +442,7 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
             axis_of += [-1] * count
             driver += [-1] * count
 
-    stacked = StateBlock.stack(blocks, dt)
+    stacked = _share(models, first, StateBlock.stack(blocks, dt))
     return Augmentation(
         layout=StateLayout(tuple(names), slices),
         dt=dt,

@@ -1,4 +1,4 @@
-"""Wavelet de-noising: details of the first octaves shrunk by a threshold, the approximation kept.
+"""Wavelet de-noising: details of the first octaves shrunk by a threshold or left out, the approximation kept.
 
 With a static signal it leaves the slow errors for an autocorrelation or an AR model to be seen in; with a dynamic one it must stop at the
 octave where the vehicle's motion begins (Quinchia et al. 2013, sections 4.5, 5.2 and 5.6; table 7 uses db4, soft, SURE, 6 or 7 levels at 100 Hz).
@@ -11,11 +11,12 @@ from typing import Literal, get_args
 import numpy as np
 import pywt
 from numpy.typing import ArrayLike, NDArray
+from scipy.signal import oaconvolve
 
 from insemu.errors import InputError, nearest
 
 Array = NDArray[np.float64]
-Rule = Literal["sure", "universal"]
+Rule = Literal["sure", "universal", "approximation"]
 Mode = Literal["soft", "hard"]
 Noise = Literal["per-level", "white"]
 
@@ -57,8 +58,8 @@ def denoise(
         Octaves whose details are shrunk; 0 returns the signal.
     wavelet : str
         A discrete wavelet of PyWavelets, such as ``"db4"``.
-    rule : {"sure", "universal"}
-        Threshold: least estimated risk per level (default), or ``sqrt(2 ln n)``.
+    rule : {"sure", "universal", "approximation"}
+        Threshold: least estimated risk per level (default), or ``sqrt(2 ln n)``; or keep the approximation only, no details.
     mode : {"soft", "hard"}
         Shrink towards zero, or keep or kill.
     noise : {"per-level", "white"}
@@ -103,15 +104,59 @@ def _denoise(signal: Array, levels: int, wavelet: str, rule: Rule, mode: Mode, n
     offset = float(signal.mean())
     approximation, *details = pywt.wavedec(signal - offset, wavelet, mode="symmetric", level=levels)
     first = _deviation(details[-1])
-    shrunk = []
-    for d in details:
-        sigma = first if noise == "white" else _deviation(d)
-        if sigma == 0.0:
-            shrunk.append(d)
-            continue
-        t = sure_threshold(d / sigma) if rule == "sure" else float(np.sqrt(2.0 * np.log(d.size)))
-        shrunk.append(pywt.threshold(d, t * sigma, mode=mode))
+    shrunk = [_shrunk(d, first if noise == "white" else _deviation(d), rule, mode) for d in details]
     return np.asarray(pywt.waverec([approximation, *shrunk], wavelet, mode="symmetric")[: signal.size]) + offset
+
+
+def _shrunk(d: Array, sigma: float, rule: Rule, mode: Mode) -> Array:
+    """The details of one octave after the rule."""
+    if rule == "approximation":
+        return np.zeros_like(d)
+    if sigma == 0.0:
+        return d
+    t = sure_threshold(d / sigma) if rule == "sure" else float(np.sqrt(2.0 * np.log(d.size)))
+    return np.asarray(pywt.threshold(d, t * sigma, mode=mode))
+
+
+def delayed_approximation(x: ArrayLike, levels: int, delay: int, *, wavelet: str = "db4") -> Array:
+    """Return the approximation of a signal as a filter in real time knows it: every sample from those up to ``delay`` later.
+
+    The rule "approximation" of :func:`denoise` is linear, so the sample ``delay`` before the end of a sliding window, continued by
+    reflection, is one finite impulse response. Without delay it is causal.
+
+    Parameters
+    ----------
+    x : (n,) array
+        Signal, taken as constant before its first sample and after its last.
+    levels : int
+        Octaves whose details are left out, 1 and more.
+    delay : int
+        Samples, 0 and more.
+    wavelet : str
+        A discrete wavelet of PyWavelets.
+
+    Raises
+    ------
+    InputError
+        Unknown wavelet, levels below 1, a delay that is negative or reaches past the filter's middle.
+    """
+    if wavelet not in pywt.wavelist(kind="discrete"):
+        raise InputError(f"unknown wavelet '{wavelet}'" + nearest(wavelet, pywt.wavelist(kind="discrete")))
+    if not 1 <= levels <= 12:
+        raise InputError(f"levels is {levels}, expected 1 to 12")
+    window = 2**levels * 2 * pywt.Wavelet(wavelet).dec_len
+    if not 0 <= delay <= window // 2:
+        raise InputError(
+            f"delay is {delay} samples, expected 0 to {window // 2} for {levels} levels of {wavelet} (longer changes nothing)"
+        )
+    # the response at one place to an impulse at every other
+    bands = pywt.wavedec(np.eye(window), wavelet, mode="symmetric", level=levels, axis=1)
+    response = pywt.waverec([bands[0], *map(np.zeros_like, bands[1:])], wavelet, mode="symmetric", axis=1)
+    taps = response[:, window - 1 - delay]
+    signal = np.asarray(x, dtype=np.float64)
+    offset = float(signal[0])
+    padded = np.pad(signal - offset, (window - 1 - delay, delay), mode="edge")
+    return np.asarray(oaconvolve(padded, taps[::-1], mode="valid")) + offset * float(taps.sum())
 
 
 def outstanding(x: Array, levels: int, *, wavelet: str = "db4") -> Array:

@@ -101,9 +101,23 @@ class Series:
     def __len__(self) -> int:
         return self.values.size
 
+    def __repr__(self) -> str:
+        return f"Series {self.name}: {len(self)} samples at {self.rate_hz:g} Hz, {self.unit or 'unit unknown'}"
 
-@dataclass(frozen=True)
-class ImuRecord:
+
+class _Timed:
+    """Prints as what it is, how much of it, and when."""
+
+    t: Array
+
+    def __repr__(self) -> str:
+        kind = getattr(self, "kind", "")
+        span = f" from {self.t[0]:g} to {self.t[-1]:g} s" if self.t.size else ""
+        return f"{type(self).__name__}: {self.t.size} {kind + ' ' if kind else ''}rows{span}"
+
+
+@dataclass(frozen=True, repr=False)
+class ImuRecord(_Timed):
     """Six axes of inertial data on one clock.
 
     Parameters
@@ -134,6 +148,8 @@ class ImuRecord:
             raise InputError(f"imu_kind is '{self.kind}', expected one of: {', '.join(get_args(ImuKind))}")
         if self.temperature is not None:
             object.__setattr__(self, "temperature", _frozen(self.temperature, "temperature", (n,)))
+        if n < 2:
+            raise InputError(f"the IMU has {n} sample(s), expected at least two")
 
     def __len__(self) -> int:
         return self.t.size
@@ -192,8 +208,8 @@ class ImuRecord:
         return replace(self, t=self.t[keep], gyro=self.gyro[keep], accel=self.accel[keep], temperature=temperature)
 
 
-@dataclass(frozen=True)
-class GnssRecord:
+@dataclass(frozen=True, repr=False)
+class GnssRecord(_Timed):
     """GNSS fixes of the antenna.
 
     Parameters
@@ -252,8 +268,8 @@ class GnssRecord:
         return replace(self, vel_ned=None, vel_std_ned=None)
 
 
-@dataclass(frozen=True)
-class Trajectory:
+@dataclass(frozen=True, repr=False)
+class Trajectory(_Timed):
     """Position, velocity and attitude nodes of the IMU.
 
     Parameters
@@ -313,14 +329,14 @@ class InitialState:
             raise InputError(f"initial sigma is {self.sigma.tolist()}, expected nine numbers that are not negative")
 
 
-@dataclass(frozen=True)
-class AidRecord:
+@dataclass(frozen=True, repr=False)
+class AidRecord(_Timed):
     """A measurement beside IMU and fixes: a known standstill, and what :mod:`insemu.filters.aids` offers.
 
     Parameters
     ----------
     kind : str
-        Which aid; its components are named in ``insemu.filters.aids.AIDS``.
+        Which aid; its components are named in ``insemu.filters.aids``.
     t : (n,) array
         Time of validity in s on the IMU's clock.
     values, std : (n, rows) arrays

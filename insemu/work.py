@@ -5,9 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import platform
 import signal
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from multiprocessing import active_children
 from pathlib import Path
@@ -30,15 +32,16 @@ class Store(Protocol[R]):
         """Keep a finished item."""
 
 
-def run_items(
+def stream_items(
     items: Mapping[str, T],
     work: Callable[[T], R],
     *,
     pool: Executor | None = None,
     store: Store[R] | None = None,
     done: Callable[[R], None] | None = None,
-) -> dict[str, R]:
-    """Work on every item that is not finished yet.
+    window: int = 64,
+) -> Iterator[tuple[str, R]]:
+    """Work on every item that is not finished yet, and yield all of them in the order of ``items``, whoever finishes first.
 
     Parameters
     ----------
@@ -51,38 +54,63 @@ def run_items(
     store : Store, optional
         Where finished items are looked for and kept.
     done : callable, optional
-        Told of every result, the kept ones first, as they are finished.
-
-    Returns
-    -------
-    dict of str to result
-        In the order of ``items``.
+        Told of every result as it is finished, or found.
+    window : int
+        Items that are under way or wait for their turn: what bounds the memory.
     """
-    out: dict[str, R] = {}
+    coming = iter(items.items())
+    order: deque[str] = deque()
+    ready: dict[str, R] = {}
+    futures: dict[Future[R], str] = {}
 
     def finish(key: str, result: R, *, keep: bool = True) -> None:
-        out[key] = result
+        ready[key] = result
         if store is not None and keep:
             store.put(key, result)
         if done is not None:
             done(result)
 
-    for key in items:
-        if store is not None and (kept := store.get(key)) is not None:
-            finish(key, kept, keep=False)
-    todo = [key for key in items if key not in out]
-    if pool is None:
-        for key in todo:
-            finish(key, work(items[key]))
-    else:
-        futures = {pool.submit(work, items[key]): key for key in todo}
-        try:
-            for future in as_completed(futures):
-                finish(futures[future], future.result())
-        finally:
-            for future in futures:
-                future.cancel()
-    return {key: out[key] for key in items}
+    try:
+        while True:
+            while len(order) < (window if pool is not None else 1) and (entry := next(coming, None)) is not None:
+                key, item = entry
+                order.append(key)
+                if store is not None and (kept := store.get(key)) is not None:
+                    finish(key, kept, keep=False)
+                elif pool is not None:
+                    futures[pool.submit(work, item)] = key
+                else:
+                    finish(key, work(item))
+            if not order:
+                return
+            while order[0] not in ready:
+                for future in wait(futures, return_when=FIRST_COMPLETED).done:
+                    finish(futures.pop(future), future.result())
+            yield order[0], ready.pop(order.popleft())
+    finally:
+        for future in futures:
+            future.cancel()
+
+
+def run_items(
+    items: Mapping[str, T],
+    work: Callable[[T], R],
+    *,
+    pool: Executor | None = None,
+    store: Store[R] | None = None,
+    done: Callable[[R], None] | None = None,
+) -> dict[str, R]:
+    """All results of :func:`stream_items` at once, in the order of ``items``.
+
+    Parameters
+    ----------
+    items : mapping of str to item
+    work : callable
+    pool : Executor, optional
+    store : Store, optional
+    done : callable, optional
+    """
+    return dict(stream_items(items, work, pool=pool, store=store, done=done, window=max(1, len(items))))
 
 
 @contextmanager
@@ -191,11 +219,16 @@ class Files(Generic[R]):
             self._say(f"{path} is damaged ({error}); it is made again")
             return None
 
+    def __contains__(self, key: str) -> bool:
+        return (self._folder / key).is_file()
+
     def put(self, key: str, result: R) -> None:
         """Write a file; a reader sees a whole one or none."""
         content = self._encode(result)
         self._folder.mkdir(parents=True, exist_ok=True)
-        partial = self._folder / f"{key}.partial-{os.getpid()}"
+        partial = (
+            self._folder / f"{key}.partial-{platform.node()}-{os.getpid()}"
+        )  # of this process, on whatever machine
         with partial.open("wb") as handle:
             handle.write(self._head(key, content) + b"\n" + content)
         if (self._folder / key).is_dir():  # whatever it is, it is no item

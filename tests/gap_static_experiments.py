@@ -281,6 +281,7 @@ def beliefs(arguments: argparse.Namespace) -> None:
     n = int(arguments.hours * 3600 * arguments.rate)
     total = 0
     kinds = [k for k in _WRITTEN if k in (arguments.only or _WRITTEN)]
+    hidden = [e for e in _BESIDE if e in (arguments.only or _BESIDE)]
     for i, kind in enumerate(kinds):
         truth, flagged, said = NoiseModel.parse(_WRITTEN[kind], "rad/s"), 0, Counter[str]()
         for k in range(arguments.draws):
@@ -292,10 +293,11 @@ def beliefs(arguments: argparse.Namespace) -> None:
             said.update(s.effect for s in report.findings)
         total += flagged
         _share(f"nominal, believed as {kind}: flagged {dict(said) or ''}", flagged, arguments.draws)
-    _share("nominal, all beliefs: flagged", total, arguments.draws * len(kinds))
+    if kinds:
+        _share("nominal, all beliefs: flagged", total, arguments.draws * len(kinds))
     ways = ("GM", "AR1", "AR(2)", "ARMA")
     named, drawn = Counter[str](), 0
-    for effect in () if arguments.only else _BESIDE:
+    for effect in hidden:
         right = Counter[str]()
         for k in range(max(arguments.draws // 10, 1)):
             made = static_recording(
@@ -484,7 +486,7 @@ def main() -> None:
     """Parse and run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("real", "thermal", "effects", "sets", "null", "map", "beliefs", "pairs"))
-    parser.add_argument("only", nargs="*", help="effects, pairs: only these; sets: only these, as a+b")
+    parser.add_argument("only", nargs="*", help="effects, pairs, beliefs: only these; sets: only these, as a+b")
     parser.add_argument("--draws", type=int, default=10)
     parser.add_argument("--hours", type=float, default=1.0)
     parser.add_argument("--rate", type=float, default=20.0, help="map: samples per second")

@@ -15,7 +15,7 @@ import pytest
 
 from insemu import formats
 from insemu.cli import main
-from insemu.cli.characterise import characterise_log
+from insemu.logs import characterise_log
 from insemu.noise import GM, RW, WN
 from insemu.records import AXES, Series
 from insemu.variance import findings as judge

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from insemu.denoise import denoise, outstanding, sure_threshold
+from insemu.denoise import delayed_approximation, denoise, outstanding, sure_threshold
 from insemu.errors import InputError
 
 
@@ -44,7 +44,7 @@ def test_sure_threshold_minimises_the_risk_by_brute_force() -> None:
     [
         ({"levels": 20}, "expected 0 to"),
         ({"levels": 2, "wavelet": "db99"}, "unknown wavelet 'db99'"),
-        ({"levels": 2, "rule": "stein"}, "expected one of: sure, universal"),
+        ({"levels": 2, "rule": "stein"}, "expected one of: sure, universal, approximation"),
     ],
 )
 def test_bad_options_are_refused(arguments: dict[str, object], said: str) -> None:
@@ -67,3 +67,32 @@ def test_what_stands_out_of_noise_is_the_motion_and_an_axis_at_rest_is_a_constan
     assert seen[0, 1] == pytest.approx(0.3, abs=1e-3)
     assert np.std(seen[:, 0] - turn) < 0.005
     assert np.max(np.abs(seen[:, 0] - turn)) < 0.02
+
+
+def test_the_approximation_alone_is_what_the_low_octaves_hold() -> None:
+    x = np.random.default_rng(6).standard_normal(4096)
+    kept = denoise(x, 5, rule="approximation")
+    # white noise of unit level: 1/32 of its power is left
+    assert np.var(kept) == pytest.approx(1 / 32, rel=0.3)
+    # a projection, but for the ends, which are continued by reflection
+    np.testing.assert_allclose(denoise(kept, 5, rule="approximation")[500:-500], kept[500:-500], atol=1e-10)
+    np.testing.assert_allclose(denoise(2.0 * x, 5, rule="approximation"), 2.0 * kept, atol=1e-12)
+
+
+@pytest.mark.parametrize("delay", [0, 3, 40])
+def test_a_delayed_approximation_is_that_of_the_window_that_has_come_in(delay: int) -> None:
+    x = 9.8 + np.cumsum(np.random.default_rng(7).standard_normal(1500)) * 0.01
+    seen = delayed_approximation(x, 3, delay)
+    window = 8 * 16
+    for k in (window, 700, 1500 - 1 - delay):
+        came = x[k + delay - window + 1 : k + delay + 1]
+        assert seen[k] == pytest.approx(denoise(came, 3, rule="approximation")[window - 1 - delay], abs=1e-12)
+    changed = x.copy()
+    changed[900:] += 5.0
+    np.testing.assert_allclose(delayed_approximation(changed, 3, delay)[: 900 - delay], seen[: 900 - delay], atol=1e-12)
+    assert abs(delayed_approximation(changed, 3, delay)[900 - delay] - seen[900 - delay]) > 1e-10
+
+
+def test_a_delay_longer_than_the_filter_is_refused() -> None:
+    with pytest.raises(InputError, match="expected 0 to 64"):
+        delayed_approximation(np.zeros(100), 3, 65)

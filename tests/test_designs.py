@@ -89,6 +89,13 @@ def test_keys_beside_a_name_win():
     assert Design.model_validate(own.model_dump(mode="json")) == own
 
 
+def test_a_delay_belongs_to_the_rule_that_is_linear():
+    with pytest.raises(ValueError, match="delay belongs to rule 'approximation', found rule 'sure'"):
+        Design.model_validate({"design": "18AVWD", "options": {"prefilter": {"delay": "1 s"}}})
+    causal = Design.model_validate({"design": "18AVWD causal"}).options.prefilter
+    assert causal is not None and causal.delay == 0.0 and causal.rule == "approximation"
+
+
 def test_printed_autoregressions_agree_with_their_table():
     """Signs and coefficients of Table 2, first partial autocorrelation from the AR(1) row."""
     for axis, printed in (("gyro_x", (2.564, -2.131, 0.567)), ("accel_z", (2.564, -2.136, 0.572))):

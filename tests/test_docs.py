@@ -1,8 +1,9 @@
-"""The tutorials work: the files that they show are written, the commands that they show are run, in the order of the page."""
+"""Tutorials and how-to pages work: the files that they show are written, the commands that they show are run, in the order of the page."""
 
 from __future__ import annotations
 
 import re
+import runpy
 import shlex
 from pathlib import Path
 
@@ -10,10 +11,11 @@ import pytest
 
 from insemu.cli import main
 
-TUTORIALS = Path(__file__).resolve().parent.parent / "docs" / "tutorials"
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+PAGES = sorted(page for folder in ("tutorials", "howto") for page in (DOCS / folder).glob("*.md"))
 #: A file with its name, or commands behind ``$``.
 BLOCK = re.compile(
-    r"^```(?:\{code-block\} yaml\n:caption: (?P<name>\S+)\n\n?(?P<file>.*?)|console\n(?P<commands>.*?))^```",
+    r"^```(?:\{code-block\} \w+\n:caption: (?P<name>\S+)\n\n?(?P<file>.*?)|console\n(?P<commands>.*?))^```",
     re.S | re.M,
 )
 
@@ -29,10 +31,8 @@ def steps(page: str) -> list[tuple[str, str]]:
     return out
 
 
-@pytest.mark.parametrize("page", sorted(TUTORIALS.glob("*.md")), ids=lambda p: p.stem)
-def test_tutorial(
-    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)
+def test_page(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(tmp_path)
     asked = steps(page.read_text(encoding="utf-8"))
     assert any(name == "$" for name, _ in asked)
@@ -41,6 +41,9 @@ def test_tutorial(
             Path(name).write_text(text, encoding="utf-8")
             continue
         program, *arguments = shlex.split(text)
+        if program == "python":
+            runpy.run_path(arguments[0], run_name="__main__")
+            continue
         assert program == "insemu"
         with pytest.raises(SystemExit) as end:
             main(arguments)

@@ -10,7 +10,7 @@ from insemu import earth, rotation
 from insemu.errors import InputError
 from insemu.filters import LooselyCoupledEKF
 from insemu.filters.alignment import align, align_at_rest, cut
-from insemu.filters.motion import align_in_motion
+from insemu.filters.motion import _moves_from, align_in_motion
 from insemu.filters.rest import BIAS_SIGMA, quiet_stretches, rests
 from insemu.noise import RC, WN
 from insemu.records import GnssRecord, ImuRecord
@@ -170,3 +170,17 @@ def test_two_hundred_starts_are_inside_their_bounds():
     allowed = stats.binom.ppf(0.999, len(told), 0.01)
     assert sum(v.heading > start_cases.K99 for v in told) <= allowed
     assert sum(v.bias > start_cases.K99 for v in told) <= stats.binom.ppf(0.999, 3 * len(told), 0.01)
+
+
+def test_later_motion_is_tried_where_the_first_tells_nothing():
+    """A vehicle that waits, goes, and goes on: the first fix that moves, and one every 40 s from there; one that never moves has a single start."""
+    t = np.arange(0.0, 200.0)
+    north = np.concatenate([np.zeros(60), 5.0 * np.arange(140.0)])
+    way = np.stack([north, np.zeros(t.size), np.zeros(t.size)], axis=1)
+    fixes = GnssRecord(
+        t, earth.move(np.tile([0.8, 0.1, 200.0], (t.size, 1)), way), pos_std_ned=np.full((t.size, 3), 0.1)
+    )
+    found = _moves_from(fixes)
+    assert found[0] == pytest.approx(51, abs=2) and list(np.diff(found)) == [40] * (len(found) - 1) and len(found) == 4
+    still = GnssRecord(t, np.tile([0.8, 0.1, 200.0], (t.size, 1)), pos_std_ned=np.full((t.size, 3), 0.1))
+    assert _moves_from(still) == [0]

@@ -169,6 +169,27 @@ def test_fit_command_shows_tables(tmp_path, arguments):
     assert "estimate" in ran.output
 
 
+def test_denoising_says_its_rule_and_differs_by_axis(tmp_path):
+    path = a_log(tmp_path, WN(0.1) + GM(0.1, 0.5), n=6000)
+    given = ["fit", str(path), "--model", "AR(1)", "--method", "burg"]
+    ran = CliRunner().invoke(app, [*given, "--denoise", "approximation:5,accel_z=3", "--json"])
+    assert ran.exit_code == 0, ran.output
+    axes = json.loads(ran.stdout)["axes"]
+    said = {name: axis["warnings"][-1] for name, axis in axes.items()}
+    assert {name: text.split(" first")[0] for name, text in said.items()} == {
+        name: f"{3 if name == 'accel_z' else 5} octaves were left out" for name in axes
+    }
+    for wrong, message in (
+        ("6", "one of: sure:6, universal:6, approximation:6"),
+        ("approximation:5,gyro_w=3", "unknown axis 'gyro_w'"),
+        ("sure:five", "expected a whole number"),
+    ):
+        ran = CliRunner().invoke(app, [*given, "--denoise", wrong])
+        assert isinstance(ran.exception, InputError) and message in str(ran.exception)
+    ran = CliRunner().invoke(app, ["fit", str(path), "--model", "WN()", "--denoise", "sure:6"])
+    assert isinstance(ran.exception, InputError) and "belongs to burg" in str(ran.exception)
+
+
 def test_select_command_and_its_page(tmp_path):
     path = a_log(tmp_path, WN(0.1) + RW(0.1), columns=("gx",))
     page = tmp_path / "page.html"
@@ -192,7 +213,7 @@ def test_select_command_and_its_page(tmp_path):
     assert sum(c["chosen"] for c in axis["candidates"]) == 1
     assert len(axis["held_out"][str(path)]["tau_s"]) == len(axis["held_out"][str(path)]["measured"])
     text = page.read_text()
-    assert "WN() + RW()" in text and "data:image/png" in text
+    assert "WN() + RW()" in text and 'class="chart' in text
 
 
 def test_bad_input_of_the_command_is_named(tmp_path):

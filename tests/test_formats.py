@@ -99,6 +99,24 @@ def test_a_column_is_found_by_its_file_name_and_by_its_axis(tmp_path: Path) -> N
     assert [s.name for s in read_static(path, columns=["az", "gyro_y"])] == ["accel_z", "gyro_y"]
 
 
+@pytest.mark.parametrize("at", [0, 6])
+@pytest.mark.parametrize("suffix", [".npy", ".npz", ".csv"])
+def test_a_time_column_without_a_name_is_no_axis(tmp_path: Path, suffix: str, at: int) -> None:
+    axes = np.random.default_rng(4).standard_normal((200, 6))
+    block = np.insert(axes, at, 300.0 + np.arange(200) * 0.01, axis=1)
+    path = tmp_path / f"log{suffix}"
+    if suffix == ".npy":
+        np.save(path, block)
+    elif suffix == ".npz":
+        np.savez(path, data=block)
+    else:
+        np.savetxt(path, block, delimiter=",")
+    series = read_static(path)
+    assert [s.name for s in series] == list(AXES)
+    assert series[0].rate_hz == 100.0
+    np.testing.assert_allclose(np.column_stack([s.values for s in series]), axes)
+
+
 def test_a_npy_column_stays_in_its_memory_map(tmp_path: Path) -> None:
     np.save(tmp_path / "long.npy", np.arange(5000, dtype=np.float32))
     log = read_log(tmp_path / "long.npy", rate_hz=400.0)

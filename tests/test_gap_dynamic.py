@@ -22,8 +22,8 @@ from insemu.gap.candidates.spectral import vibration_line
 from insemu.gap.candidates.tones import wandering, without_tones
 from insemu.gap.data.counts import lattice
 from insemu.gap.data.log import Reduced, moving_spectrum
-from insemu.gap.data.samples import advanced, coarse, filled, mend
-from insemu.gap.drive.preparation import fast_parts, starting_state, without_motion
+from insemu.gap.data.samples import advanced, coarse, filled, mend, without_motion
+from insemu.gap.drive.preparation import fast_parts, starting_state
 from insemu.gap.drive.signatures import Loop, columns_response, knot_response
 from insemu.gap.evidence.fixes import Surrogate
 from insemu.gap.evidence.linear import Field, gauss_markov_root, quadratic_evidence, random_walk_root
@@ -396,7 +396,9 @@ def test_stamps_that_jitter_do_not_smear_increments() -> None:
     jittered = t + rng.uniform(-2e-5, 2e-5, t.size)
     named = {(s.effect, s.axes) for s in mend(ImuRecord(jittered, gyro * dt, accel * dt, "increment")).findings}
     assert named == {("saturation", ("x",)), ("saturation", ("y",)), ("saturation", ("z",)), ("quantization", ("z",))}
-    part = fast_parts(Recording(ImuRecord(jittered, gyro * dt, accel * dt, "increment"), None, None))["accel_z"]
+    part = fast_parts(Recording(ImuRecord(jittered, gyro * dt, accel * dt, "increment"), None, None), Nominal({}))[
+        "accel_z"
+    ]
     assert np.std(part.values) == pytest.approx(1e-3, rel=0.1)
 
 

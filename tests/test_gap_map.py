@@ -25,7 +25,7 @@ def scene() -> tuple[Scene, dict[str, AxisState]]:
     s = stage(61, 3.0, 50.0)
     recording = s.record()
     assert isinstance(recording, Recording)
-    parts = fast_parts(recording)
+    parts = fast_parts(recording, s.nominal)
     states = {
         name: AxisState(d, fit(Likelihood(d), starting_explanation(s.nominal.beliefs[name], (), d.dt)))
         for name, d in parts.items()

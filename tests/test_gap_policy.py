@@ -11,10 +11,16 @@ import numpy as np
 import pytest
 
 import insemu.gap as gap
-from insemu.gap import Policy, find_static_gap
+from insemu.gap import Policy, find_static_gap, search, session
+from insemu.gap.candidates import axis
+from insemu.gap.data import log
+from insemu.gap.drive import scene
+from insemu.gap.evidence import model
+from insemu.gap.evidence.model import Free
 from insemu.gap.policy import RUNS, rules, under
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import Series
+from tests.scoreboard import read, sentences
 
 ROOM = Path(gap.__file__).parent
 
@@ -89,3 +95,32 @@ def test_a_search_obeys_the_policy_that_it_is_given() -> None:
     assert found(None)
     assert found(replace(Policy(), least_nats=1e6)) == ()
     assert found(None)
+
+
+# -- what sets a precision is no decision: refined, it leaves the answer -------------------------------------------------------------
+
+REST, FLIGHT = "rest-one-04", "flight-three-01"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("recording", "module", "refined"),
+    [
+        (REST, log, {"BLOCK_S": 5.0, "MOST_BLOCKS": 1000, "FEWEST_BLOCKS": 240}),
+        (REST, model, {"EDGE": 0.15, "TOLERANCE_EDGE": 0.01}),
+        (REST, axis, {"HOPELESS": 8.0}),
+        (REST, search, {"MOST_EFFECTS": 24}),
+        (FLIGHT, scene, {"KNOT_S": 5.0, "KNOTS": 120}),
+        (FLIGHT, model, {"EDGE": 0.15, "TOLERANCE_EDGE": 0.01}),
+        (FLIGHT, session, {"MOST_PASSES": 4}),
+    ],
+    ids=lambda x: x if isinstance(x, str) else "+".join(x) if isinstance(x, dict) else "",
+)
+def test_a_finer_precision_leaves_the_answer(recording, module, refined, monkeypatch) -> None:
+    entry = next(e for e in read()[0] if e.name == recording)
+    for name, value in refined.items():
+        assert getattr(module, name) != value
+        monkeypatch.setattr(module, name, value)
+    if module is model:
+        monkeypatch.setattr(Free.__init__, "__defaults__", (refined["EDGE"],))
+    assert sentences(entry.job.run()) == entry.said

@@ -274,7 +274,7 @@ def test_recordings_of_a_plan_do_not_depend_on_how_many_there_are() -> None:
 def test_what_an_effect_is_worth_beside_another_is_nothing_where_the_other_looks_the_same() -> None:
     s = stage(21, 3.0, 50.0, track="car", turn_on_bias=True)
     plain = s.record()
-    prepared = prepare(plain, s.nominal, fast_parts(plain), {})
+    prepared = prepare(plain, s.nominal, fast_parts(plain, s.nominal), {})
 
     def clean() -> Prepared:
         return prepared
@@ -328,7 +328,7 @@ def test_the_command_writes_a_report_and_a_refined_belief(tmp_path, capsys) -> N
     assert face["steps"][0]["axes"] == ["x"]
     refined = load_nominal(tmp_path / "out" / "refined.yaml")
     assert str(refined.beliefs["gyro_x"]).count("BI(") == 1
-    assert "<img" in (tmp_path / "out" / "index.html").read_text()
+    assert 'class="chart' in (tmp_path / "out" / "index.html").read_text()
     with pytest.raises(SystemExit) as stop:
         main([*arguments[:2], "--measured", str(tmp_path / "absent.npz")])
     assert stop.value.code == 2

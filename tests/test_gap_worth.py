@@ -60,7 +60,7 @@ def test_an_effect_in_a_drive_is_worth_what_the_filter_shows_through_an_outage()
     s = stage(61, 3.0, 50.0)
     recording = s.record()
     assert isinstance(recording, Recording)
-    prepared = prepare(recording, s.nominal, fast_parts(recording), {})
+    prepared = prepare(recording, s.nominal, fast_parts(recording, s.nominal), {})
     at = Scene.of(prepared)
     j = next(k for k, c in enumerate(at.columns) if (c.effect, c.sensor) == ("scale_factor", "accel"))
     value, start = 0.2 * at.columns[j].scale, float(prepared.gnss.t[70]) + 0.01

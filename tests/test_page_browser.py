@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,7 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
+from insemu.cli import main
 from insemu.report.charts import Chart, Line, View
 from insemu.report.page import Card, Code, Folded, Items, Section, Table, Text, render
 
@@ -53,6 +56,8 @@ def a_page(folder: Path) -> Path:
         "A page",
         sections,
         folder / "page.html",
+        kind="run",
+        source="scenarios/s.yaml",
         answer="Take one: 110 m.",
         lead="A question.",
         cards=cards,
@@ -85,7 +90,7 @@ def test_nothing_is_wider_than_the_window_and_the_console_is_silent(
     )
     page.goto(a_page(tmp_path).as_uri())
     assert page.evaluate("document.documentElement.scrollWidth") <= width
-    assert page.title() == "A page"
+    assert page.title().startswith("A page (s.yaml, 20")
     assert page.locator(".chart canvas").count() == 2
     assert said == []
     page.close()
@@ -122,4 +127,122 @@ def test_charts_answer_the_keyboard_and_have_names(browser: Any, tmp_path: Path)
     assert float(page.locator(".chart").first.locator(".u-legend .u-value").first.text_content()) == pytest.approx(
         3 * 20 / 399, rel=1e-3
     )
+    page.close()
+
+
+FLIGHT: dict[str, Any] = {
+    "title": "A short flight",
+    "seed": 3,
+    "realizations": 2,
+    "trajectory": {"builtin": "helicopter_mapping", "rate": "50 Hz", "duration": "120 s"},
+    "truth": {"gyro": "WN(N=0.03 deg/s/sqrt(Hz))", "accel": "WN(N=90 ug/sqrt(Hz))"},
+    "gnss": {"position_sigma": "5 cm", "velocity_sigma": "2 cm/s", "outages": [{"start": "80 s", "duration": "20 s"}]},
+    "designs": {
+        "wrong": {"gyro": "WN(N=0.3 deg/s/sqrt(Hz))", "accel": {"truth": True}},
+        "right": {"gyro": {"truth": True}, "accel": {"truth": True}},
+    },
+    "smoother": True,
+}
+REST = {
+    "title": "A sensor at rest",
+    "seed": 5,
+    "trajectory": {"builtin": "static", "rate": "50 Hz", "duration": "5 min"},
+    "truth": {"gyro": "WN(N=0.3 deg/sqrt(h))", "accel": "WN(N=60 ug/sqrt(Hz))"},
+    "designs": {"white": {"gyro": {"truth": True}, "accel": {"truth": True}}},
+}
+HUM = [{"effect": "vibration_line", "sensor": "accel", "axes": ["x"], "amplitude": "1 mg", "frequency": "17.3 Hz"}]
+#: Page -> the commands that make it, one after the other in one folder.
+KINDS = {
+    "run/index.html": ["run flight.yaml --out run --workers 1"],
+    "compare/index.html": ["compare flight.yaml --out compare --workers 1"],
+    "budget/index.html": ["compare flight.yaml --out budget --analytic"],
+    "regress.html": [
+        "regress record flight.yaml --baseline b.json --workers 1",
+        "regress check flight.yaml --baseline b.json --workers 1 --out regress.html",
+    ],
+    "track.html": ["emulate flight.yaml --out flight.npz --figure track.html"],
+    "solve/index.html": ["solve flight.npz --out solve --workers 1"],
+    "reckon.html": ["dead-reckon flight.npz --out reckon.html"],
+    "char/index.html": ["emulate hum.yaml --out rest.npz", "characterise rest.npz --out char"],
+    "fit.html": ["fit rest.npz --model WN() --page fit.html --workers 1"],
+    "select.html": ["select rest.npz --general RW()+WN() --page select.html -c gyro_x,gyro_y --workers 1"],
+    "gap/index.html": ["gap rest.yaml --measured rest.npz --out gap"],
+}
+
+
+def make_pages(folder: Path) -> None:
+    """Make every kind of page by the commands, in a folder that is the current one."""
+    written = {"flight.yaml": FLIGHT, "rest.yaml": REST, "hum.yaml": REST | {"truth": REST["truth"] | {"effects": HUM}}}
+    for name, scenario in written.items():
+        (folder / name).write_text(yaml.safe_dump(scenario, sort_keys=False), encoding="utf-8")
+    for commands in KINDS.values():
+        for command in commands:
+            with pytest.raises(SystemExit) as end:
+                main(command.split())
+            assert end.value.code in (0, None), command
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Every kind of page."""
+    if BROWSER is None:
+        pytest.skip("no Chromium is installed")
+    folder = tmp_path_factory.mktemp("pages")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        make_pages(folder)
+    return folder
+
+
+@pytest.mark.parametrize("width", [420, 768, 1280])
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_page_fits_is_silent_and_answers(browser: Any, made: Path, kind: str, width: int) -> None:
+    page = browser.new_page(viewport={"width": width, "height": 900})
+    said: list[str] = []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.goto((made / kind).as_uri())
+    for folded in page.locator("details").all():
+        folded.evaluate("e => { e.open = true; }")
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert len(page.locator(".answer").text_content()) > 20
+    about = json.loads(page.locator("#about").text_content())
+    assert about["kind"] in kind or kind.split("/")[0] in ("budget", "char", "track.html", "reckon.html")
+    assert ", insemu " in page.title() and ("yaml" in page.title() or "npz" in page.title())
+    charts = page.locator(".chart").all()
+    assert charts
+    for chart in charts:
+        assert len(chart.locator(".plot").get_attribute("aria-label")) > 20
+        chart.scroll_into_view_if_needed()
+        assert chart.locator("canvas").count() == 1
+        chart.locator(".plot").focus()
+        page.keyboard.press("ArrowRight")
+        page.keyboard.press("ArrowRight")
+        told = chart.locator(".u-value").all_text_contents() + chart.locator(".readout").all_text_contents()
+        assert any(text.strip() not in ("", "--") for text in told), chart.locator("figcaption").text_content()
+    assert said == []
+    page.close()
+
+
+def test_the_map_and_the_charts_over_time_share_the_cursor(browser: Any, made: Path) -> None:
+    page = browser.new_page(viewport={"width": 1280, "height": 1400})
+    page.goto((made / "run/index.html").as_uri())
+    growth = page.locator(".chart", has_text="Error growth.")
+    growth.scroll_into_view_if_needed()
+    box = growth.locator(".u-over").bounding_box()
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    mark = page.locator(".chart", has_text="The reference from above").locator(".mark")
+    mark.wait_for(state="visible", timeout=3000)
+    first = mark.get_attribute("style")
+    page.mouse.move(box["x"] + 0.8 * box["width"], box["y"] + box["height"] / 2)
+    page.wait_for_timeout(100)
+    assert mark.get_attribute("style") != first
+    page.close()
+
+
+def test_a_run_prints_on_at_most_five_pages(browser: Any, made: Path) -> None:
+    page = browser.new_page()
+    page.goto((made / "run/index.html").as_uri())
+    document = page.pdf(prefer_css_page_size=True)
+    assert 1 <= document.count(b"/Type /Page\n") <= 5
     page.close()

@@ -56,7 +56,7 @@ def run(*arguments: str) -> int:
 
 def test_a_run_leaves_table_page_and_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    assert run(str(write(tmp_path)), "--workers", "2", "--out", str(out), "--json") == 0
+    assert run(str(write(tmp_path)), "--workers", "2", "--variants", "--out", str(out), "--json") == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed == json.loads((out / "summary.json").read_text())
     assert list(printed) == ["scenario", "digest", "seed", "realizations", "designs", "comparisons", "timing"]
@@ -73,7 +73,8 @@ def test_a_run_leaves_table_page_and_data(tmp_path: Path, capsys: pytest.Capture
         "errors.nc",
         "manifest.json",
         "resolved.yaml",
-        "flight.png",
+        "figures/flight.png",
+        "figures/error_growth.svg",
         "variants/coarse/summary.json",
     ):
         assert (out / name).stat().st_size > 0
@@ -108,7 +109,7 @@ def test_realizations_are_the_same_alone_in_parallel_and_among_more(tmp_path: Pa
     path = write(tmp_path)
     few = run_experiment(Experiment(load(path), path), realizations=2, workers=1)
     more = run_experiment(Experiment(load(path), path), realizations=4, workers=2)
-    np.testing.assert_allclose(few.error, more.error[:, :2], rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(few.error, more.error[:, :2])
     other = run_experiment(Experiment(load(path, overrides={"seed": 4}), path), realizations=2)
     assert not np.array_equal(few.error, other.error)
 
@@ -135,7 +136,8 @@ def test_smoother_budget_and_published_figures_come_with_a_run(
     assert budget["rms_m"] == pytest.approx(row["predicted_sigma_end_m"], rel=0.02)
     page = (out / "index.html").read_text()
     assert "Smoothed" in page and "Where the metres come from" in page
-    assert (out / "smoothing.png").stat().st_size > 0 and (out / "budget.png").stat().st_size > 0
+    for name in ("smoothing.png", "budget.svg"):
+        assert (out / "figures" / name).stat().st_size > 0
     wrong = write(tmp_path, published={"source": "a paper", "planimetric_mean_m": {"wite": [1.0]}})
     assert run(str(wrong), "--out", str(tmp_path / "no")) == 2
     assert "'wite', which is no design here" in " ".join(capsys.readouterr().err.split())

@@ -239,7 +239,7 @@ def test_means_and_increments_navigate_alike():
 
 def test_bad_input_is_named():
     imu, initial = static_record(0.01)
-    with pytest.raises(InputError, match="1 row"):
+    with pytest.raises(InputError, match="1 sample"):
         strapdown.mechanize(ImuRecord([0.0], np.zeros((1, 3)), np.zeros((1, 3))), initial)
     with pytest.raises(InputError, match="vertical is 'fixed'"):
         strapdown.mechanize(imu, initial, vertical="fixed")

@@ -16,6 +16,7 @@ from insemu.variance import (
     autocorrelation,
     average_frequencies,
     average_octaves,
+    expected_variance,
     octave_psd,
     psd,
     read_curve,
@@ -147,3 +148,13 @@ def test_bad_options_are_refused() -> None:
     ):
         with pytest.raises(InputError, match=said):
             call()
+
+
+@pytest.mark.parametrize(("filter", "above"), [("haar", 0.65), ("d6", 0.09), ("la8", 0.06)])
+def test_a_level_of_an_octave_leaks_as_its_filter_does(filter: str, above: float) -> None:
+    """Level over the octave's mean density: 1 for white noise, more where the spectrum falls by f^-2."""
+    scales, rate = 2 ** np.arange(4, 9), 100.0
+    for process, expected in ((WN(0.1), 0.0), (RW(0.1), above)):
+        level = scales * expected_variance(process, filter, scales, 1.0 / rate) / rate
+        mean = [process.psd(np.linspace(rate / (2 * s), rate / s, 4001), 1.0 / rate).mean() for s in scales]
+        np.testing.assert_allclose(level / mean - 1.0, expected, atol=0.01)

@@ -15,9 +15,12 @@ import typer
 COMMANDS: dict[str, str] = {
     "init": "init",
     "open": "open",
+    "solve": "solve",
     "export": "export",
     "run": "run",
+    "merge": "merge",
     "compare": "compare",
+    "reproduce": "reproduce",
     "regress": "regress",
     "designs": "designs",
     "sensor": "sensor",
@@ -28,6 +31,8 @@ COMMANDS: dict[str, str] = {
     "dead-reckon": "dead_reckon",
     "gap": "gap",
     "gap-trial": "gap_trial",
+    "transfer": "transfer",
+    "serve": "serve",
     "schema": "schema",
 }
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from pathlib import Path
 
     from rich.console import Console
 
+    from insemu.evaluate import Experiment
     from insemu.intake import Card
 
 
@@ -46,6 +48,12 @@ def announce_world(card: Card | None, console: Console) -> None:
     if card is not None:
         show_brief(card, console)
         card.check()
+
+
+def announce_warnings(experiments: Iterable[Experiment], console: Console) -> None:
+    """Print what looks odd or implausible in experiments, once each."""
+    for warning in dict.fromkeys(w for e in experiments for w in e.warnings):
+        console.print(f"Warning: {warning}.", soft_wrap=True, highlight=False, markup=False)
 
 
 def show_brief(card: Card, console: Console) -> None:

@@ -10,11 +10,7 @@ import typer
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from insemu.formats import Log
     from insemu.variance import AxisReport
-
-#: Longer columns are read in one pass and never held as a whole.
-LONG = 1 << 24
 
 
 def command(
@@ -46,8 +42,10 @@ def command(
 
     from insemu import units
     from insemu.cli.announce import announce
-    from insemu.cli.logs import column_names, open_log
+    from insemu.cli.logs import column_names
     from insemu.formats import read_curves
+    from insemu.logs import characterise_log, open_log, related_axes
+    from insemu.whole import put
 
     console = Console(stderr=as_json)
     if not console.is_terminal:
@@ -58,20 +56,25 @@ def command(
     announce(file, Console(stderr=True), rate_hz=rate_hz, refuse=False)
     log = open_log(file, rate_hz)
     axes = characterise_log(log, wanted, from_robust=robust, wavelet=wavelet)
-    content = {"axes": {axis.name: axis.to_json() for axis in axes}}
+    together = related_axes(log, [axis.name for axis in axes])
+    content = {"axes": {axis.name: axis.to_json() for axis in axes}, "related_axes": together}
     folder = Path(out) if out else Path("results") / f"characterise_{Path(file).name.split('.')[0]}"
     page = None
     if out or not as_json:
         from insemu.report import render_characterisation
 
         page = render_characterisation(axes, folder, source=file, beside=others, overlay=overlay)
-        (folder / "characterise.json").write_text(
-            json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8"
-        )
+        put(folder / "characterise.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
     if as_json:
         typer.echo(json.dumps(content, indent=1, allow_nan=False))
         return
     show(console, axes)
+    for pair in together:
+        console.print(
+            f"Not independent: {' and '.join(pair['axes'])} (p {pair['p_value']:.2g}), correlation {pair['correlation']:.2f} "
+            f"({pair['low']:.2f} to {pair['high']:.2f}) at {pair['tau_s']:.3g} s",
+            highlight=False,
+        )
     console.print(f"\nPage: [bold]{page}[/bold] (characterise.json and figures beside it)", soft_wrap=True)
 
 
@@ -80,97 +83,6 @@ def _number_or_text(text: str) -> str | float:
         return float(text)
     except ValueError:
         return text
-
-
-def characterise_log(
-    log: Log, wanted: Sequence[str] | None = None, *, from_robust: bool = False, wavelet: str = "haar"
-) -> list[AxisReport]:
-    """Characterise columns of a log: the longest part without NaN and gaps, with findings about the whole.
-
-    Parameters
-    ----------
-    log : Log
-    wanted : sequence of str, optional
-        Columns; all by default.
-    from_robust : bool
-        Read the coefficients off the robust curve.
-    wavelet : str
-        Filter of the wavelet variance; a log too long for memory has the Haar filter only.
-
-    Raises
-    ------
-    InputError
-        An unknown column; a log with no usable part.
-    """
-    from dataclasses import replace
-
-    import numpy as np
-
-    from insemu.errors import InputError, nearest
-    from insemu.formats import AXIS_OF_COLUMN
-    from insemu.variance import characterise, characterise_stream
-    from insemu.variance import findings as judge
-
-    keep = list(range(len(log.names)))
-    if wanted is not None:
-        keep = []
-        for name in wanted:
-            found = [k for k, n in enumerate(log.names) if name in (n, AXIS_OF_COLUMN.get(n))]
-            if not found:
-                raise InputError(f"has no column '{name}'" + nearest(name, log.names), where=log.source)
-            keep.append(found[0])
-    gaps = log.gaps()
-    axes: list[AxisReport] = []
-    for k in keep:
-        name, unit = log.names[k], log.units[k]
-        if len(log) > LONG:
-            if wavelet != "haar":
-                raise InputError(
-                    f"has {len(log)} samples, which are read in one pass; the filter '{wavelet}' needs at most {LONG}",
-                    where=log.source,
-                )
-            axes.append(characterise_stream(lambda k=k: log.chunks(k), log.rate_hz, name=name, unit=unit))  # type: ignore[misc]
-            continue
-        x = np.asarray(log.columns[k], dtype=np.float64)
-        notes = judge.gap_report(gaps, log.rate_hz) + judge.missing_values(x, log.rate_hz)
-        start, stop = judge.longest_good_part([x], [row for row, _ in gaps])
-        if stop - start < 16:
-            raise InputError(f"{name} has no {16} finite values in a row", where=log.source)
-        if notes:
-            notes.append(
-                f"used: rows {start} to {stop - 1} ({(stop - start) / log.rate_hz:.6g} s), the longest part without NaN and gaps; "
-                f"{100.0 * (1.0 - (stop - start) / len(log)):.3g} % of the record was left out"
-            )
-        report = characterise(
-            np.ascontiguousarray(x[start:stop]),
-            log.rate_hz,
-            name=name,
-            unit=unit,
-            from_robust=from_robust,
-            filter=wavelet,
-        )
-        axes.append(replace(report, findings=notes + report.findings))
-    judged = _unit_findings(log, axes)
-    return [replace(a, findings=judged.get(AXIS_OF_COLUMN.get(a.name, a.name), []) + a.findings) for a in axes]
-
-
-def _unit_findings(log: Log, axes: Sequence[AxisReport]) -> dict[str, list[str]]:
-    """Judge units from all columns of the file, also those that were not asked for: gravity needs three."""
-    import numpy as np
-
-    from insemu.formats import AXIS_OF_COLUMN
-    from insemu.variance import findings as judge
-
-    means, stated, white = {}, {}, {}
-    for name, unit, column in zip(log.names, log.stated_units, log.columns, strict=True):
-        axis = AXIS_OF_COLUMN.get(name, name)
-        part = np.asarray(column[: 1 << 20], dtype=np.float64)
-        if np.isfinite(part).any():
-            means[axis], stated[axis] = float(np.nanmean(part)), unit
-    for report in axes:
-        if "N" in report.readings:
-            white[AXIS_OF_COLUMN.get(report.name, report.name)] = report.readings["N"].si_value
-    return judge.unit_report(means, white, stated)
 
 
 def show(console: Console, axes: Sequence[AxisReport]) -> None:

@@ -30,7 +30,8 @@ def command(
     workers: int | None = typer.Option(
         None, "--workers", min=1, help="Realizations flown at a time; default the cores."
     ),
-    out: str = typer.Option("", "--out", help="Folder for the page; default results/NAME-compare."),
+    cluster: str = typer.Option("", "--cluster", help="Fly on a Dask cluster: local, or tcp://HOST:PORT."),
+    out: str = typer.Option("", "--out", help="Folder for the page; with --analytic default results/NAME-compare."),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on standard output."),
 ) -> None:
     """Compare filter designs: paired ratios with intervals, effect sizes and ranks at the end of every outage.
@@ -44,9 +45,11 @@ def command(
 
     from rich.console import Console
 
-    from insemu.cli.announce import announce_world
+    from insemu.cli.announce import announce_warnings, announce_world
+    from insemu.cli.printing import flying
+    from insemu.cluster import cluster as dask_cluster
     from insemu.errors import InputError, nearest
-    from insemu.evaluate import Experiment, compare, run_experiment, with_designs
+    from insemu.evaluate import Experiment, compare, effort, run_experiment, with_designs
     from insemu.scenario import load
 
     if by not in ("source", "axis", "process"):
@@ -56,6 +59,7 @@ def command(
     names = [d.strip() for d in designs.split(",") if d.strip()]
     experiment = Experiment(with_designs(load(scenario, variant=variant, overrides=given), names), scenario)
     announce_world(experiment.world.card, Console(stderr=True))
+    announce_warnings([experiment], Console(stderr=True))
     if base and base not in experiment.scenario.designs:
         raise InputError(f"no design '{base}'" + nearest(base, experiment.scenario.designs), where="--base")
     if analytic:
@@ -63,15 +67,28 @@ def command(
             console, experiment, by, Path(out) if out else Path("results") / f"{Path(scenario).stem}-compare"
         )
     else:
-        results = run_experiment(experiment, workers=workers or os.cpu_count() or 1)
+        many = workers or os.cpu_count() or 1
+        told = Console(stderr=True)
+        told.print(f"Ahead: {effort([experiment], many)}.", soft_wrap=True, highlight=False)
+        with (
+            dask_cluster(cluster, many) as pool,
+            flying(told, "comparing", experiment.realizations) as progress,
+        ):
+            results = run_experiment(experiment, workers=many, executor=pool, progress=progress)
         rows = compare(results, base or None)
-        _show(console, rows, results.realizations, base or results.names[0])
+        against = base or results.names[0]
+        _show(console, rows, results.realizations, against)
+        if out:
+            from insemu.report import render_comparison
+
+            page = render_comparison(results, rows, against, out, source=scenario)
+            console.print(f"Page: {page}", soft_wrap=True)
         document = {
             "scenario": results.title,
             "digest": results.digest,
             "seed": results.seed,
             "realizations": results.realizations,
-            "base": base or results.names[0],
+            "base": against,
             "rows": [r.to_dict() for r in rows],
         }
     if as_json:
@@ -79,35 +96,13 @@ def command(
 
 
 def _show(console: Console, rows: list[ComparisonRow], realizations: int, base: str) -> None:
-    from rich.table import Table
+    from insemu.cli.printing import print_table
+    from insemu.report import COLUMNS, comparison_answer, comparison_rows
 
-    table = Table(
-        title=f"Planimetric error at outage end, {realizations} realizations, against {base}",
-        title_justify="left",
-        box=None,
-        header_style="underline",
-    )
-    for heading in ("outage", "design", "rank", "mean m", "ratio", "95 %", "p", "effect", "one run"):
-        table.add_column(heading, justify="left" if heading == "design" else "right", no_wrap=True)
-    for r in rows:
-        table.add_row(
-            "all" if r.outage is None else str(r.outage),
-            r.design,
-            str(r.rank),
-            f"{r.mean_m:.3g}",
-            "" if r.ratio is None else f"{r.ratio:.3f}",
-            "" if r.low is None else f"{r.low:.3f}-{r.high:.3f}",
-            "" if r.p_value is None else f"{r.p_value:.4f}",
-            "" if r.effect_size is None else f"{r.effect_size:+.2f}",
-            "" if r.one_run is None else f"±{r.one_run:.3f}",
-        )
-    console.print(table)
-    console.print(
-        "ratio: mean over the base's mean. effect: mean of the paired differences over their spread. one run: that spread over the base's mean, how "
-        "far a single run scatters.",
-        style="dim",
-        soft_wrap=True,
-    )
+    console.print(comparison_answer(rows, base), style="bold", highlight=False, markup=False)
+    title = f"Planimetric error at outage end, {realizations} realizations, against {base}"
+    print_table(console, title, *comparison_rows(rows), left=1, fit=True, gap=lambda row: False)
+    console.print(COLUMNS, style="dim", soft_wrap=True)
 
 
 def _analytic(console: Console, experiment: Experiment, by: str, folder: Any) -> dict[str, Any]:
@@ -137,7 +132,9 @@ def _analytic(console: Console, experiment: Experiment, by: str, folder: Any) ->
     reason = analysable(experiment)[1]
     if reason:
         console.print(reason[:1].upper() + reason[1:] + ".", soft_wrap=True)
-    page = render_budgets(experiment.scenario.title, analyses, windows, folder, by=by)
+    page = render_budgets(
+        experiment.scenario.title, analyses, windows, folder, by=by, source=str(experiment.file or "")
+    )
     console.print(f"Page: {page}", soft_wrap=True)
     return {
         "scenario": experiment.scenario.title,

@@ -8,6 +8,7 @@ import typer
 def command(
     recording: str = typer.Argument(..., metavar="RECORDING", help="Recording with a reference (.npz or folder)."),
     gravity: str = typer.Option("normal", "--gravity", help="Gravity model: normal or free_air_first_order."),
+    out: str = typer.Option("", "--out", help="Write a page with the errors over time (HTML)."),
     as_json: bool = typer.Option(False, "--json", help="Print the figures as JSON."),
 ) -> None:
     """Dead-reckon a recording from its own reference at the first IMU epoch.
@@ -25,6 +26,10 @@ def command(
 
     announce(recording, Console(stderr=True))
     result = dead_reckon(read_recording(recording), gravity=gravity)
+    if out:
+        from insemu.report import render_reckoning
+
+        page = render_reckoning(result, out)
     if as_json:
         typer.echo(json.dumps(result.to_dict()))
         return
@@ -40,3 +45,5 @@ def command(
     )
     for name, value, unit in rows:
         typer.echo(f"  {name:<24}{value:>14.6g} {unit}")
+    if out:
+        typer.echo(f"Page: {page}")

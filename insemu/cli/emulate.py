@@ -40,7 +40,7 @@ def command(
     recording = world.recording(realization, ideal=ideal)
     path = write(out, recording)
     if figure:
-        draw_track(world.flight, figure, track=world.track)
+        draw_track(world.flight, figure, track=world.track, source=scenario)
     gnss = recording.gnss
     start = [math.degrees(x) for x in world.reference.llh[0, :2]]
     place = f"{abs(start[0]):.5f} {'NS'[start[0] < 0]} {abs(start[1]):.5f} {'EW'[start[1] < 0]}"

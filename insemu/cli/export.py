@@ -11,7 +11,11 @@ if TYPE_CHECKING:
 
 
 def command(
-    file: str = typer.Argument(..., metavar="FILE", help="Models (YAML of `insemu fit -o`), or a recording or track."),
+    file: str = typer.Argument(
+        ...,
+        metavar="FILE",
+        help="Models (YAML of `insemu fit -o`), a recording or track, or a folder of `insemu solve`.",
+    ),
     out: str = typer.Option(..., "--out", "-o", help="File to write; tracks: .tum, .kml, .gpx, .pos or .csv."),
     to: str = typer.Option(
         "",
@@ -28,7 +32,7 @@ def command(
         None, "--outage", help="Of recordings: START:END in s, coloured in KML; may be repeated."
     ),
 ) -> None:
-    """Write noise models for another program, or the track of a recording as TUM, KML, GPX, RTKLIB .pos or CSV."""
+    """Write noise models for another program, or the track of a recording or a solution as TUM, KML, GPX, RTKLIB .pos or CSV."""
     from pathlib import Path
 
     target = Path(out)
@@ -43,12 +47,13 @@ def _models(file: str, target: Path, to: str, rate: str, record: str) -> None:
     from insemu import noise, units
     from insemu.errors import InputError
     from insemu.formats import PROGRAMS, spell
+    from insemu.whole import put
 
     if not to:
         raise InputError(f"says no program; expected one of: {', '.join(PROGRAMS)}", where="--to")
     text, notes = spell(noise.load(file), to, rate_hz=units.parse(rate, "Hz"), record_s=units.parse(record, "s"))
     target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_text(text, encoding="utf-8")
+    put(target, text)
     for note in notes:
         typer.echo(f"beware: {note}", err=True)
 
@@ -60,11 +65,8 @@ def _track(file: str, target: Path, *, reference: bool, starts: str, outage: lis
 
     from insemu.errors import InputError
     from insemu.formats import open_files, way_of, write_way
+    from insemu.solve import way_of_solution
 
-    found = open_files(file)
-    data = found.reference if reference or found.gnss is None else found.gnss
-    if data is None:
-        raise InputError("has neither fixes nor a reference", where=file)
     spans = []
     for text in outage:
         try:
@@ -72,7 +74,15 @@ def _track(file: str, target: Path, *, reference: bool, starts: str, outage: lis
         except ValueError:
             raise InputError(f"is '{text[:40]}', expected START:END in s", where="--outage") from None
         spans.append((first, last))
-    way = way_of(data, Path(file).stem, spans)
+    if (Path(file) / "solution.nc").is_file():
+        way = way_of_solution(Path(file))
+        way = replace(way, outages=spans or way.outages)
+    else:
+        found = open_files(file)
+        data = found.reference if reference or found.gnss is None else found.gnss
+        if data is None:
+            raise InputError("has neither fixes nor a reference", where=file)
+        way = way_of(data, Path(file).stem, spans)
     if starts:
         try:
             when = datetime.fromisoformat(starts.replace("Z", "+00:00"))

@@ -23,11 +23,23 @@ LEAST = 16
 
 
 def command(
-    file: str = typer.Argument(..., metavar="FILE", help="Static log: .npz, .csv or .npy (columns with units)."),
+    files: list[str] = typer.Argument(  # noqa: B008
+        ...,
+        metavar="FILE...",
+        help="Static log: .npz, .csv or .npy (columns with units). Several: runs of one sensor (gmwm).",
+    ),
     model: str = typer.Option(
         ..., "--model", "-m", help='Structure, for example "2*GM() + WN()"; given values are held.'
     ),
-    method: str = typer.Option("gmwm", "--method", help="gmwm, indirect, em, mli, slopes or burg."),
+    alternatives: list[str] | None = typer.Option(  # noqa: B008
+        None, "--or", help="Of several runs: another structure; the one that predicts runs left out best is taken."
+    ),
+    method: str = typer.Option(
+        "gmwm",
+        "--method",
+        help="gmwm, indirect, em, mli, slopes (of the Allan variance), psd-slopes, hadamard-slopes, total-slopes, "
+        "autocorrelation or burg.",
+    ),
     robust: bool = typer.Option(False, "--robust", help="Use the wavelet variance that outliers cannot move (gmwm)."),
     per_axis: bool = typer.Option(
         True,
@@ -54,13 +66,25 @@ def command(
     start: str = typer.Option("", "--start", help="Model with values to start from (gmwm, em, mli)."),
     tau_from: float = typer.Option(0.0, "--tau-from", help="Shortest scale to use, s (gmwm)."),
     tau_to: float = typer.Option(0.0, "--tau-to", help="Longest scale to use, s (gmwm); 0 takes all."),
-    denoise: int = typer.Option(0, "--denoise", min=0, help="Octaves to de-noise first (burg)."),
+    denoise: str = typer.Option(
+        "",
+        "--denoise",
+        help="Of burg and autocorrelation: rule and octaves that are de-noised first, sure:6, universal:6 or "
+        "approximation:7,accel_y=6 (axes that differ).",
+    ),
     pattern: str = typer.Option("uniform", "--pattern", help="Of mli: uniform or log."),
     workers: int | None = typer.Option(
         None, "--workers", min=1, help="Axes fitted at a time; default the number of cores."
     ),
+    cluster: str = typer.Option(
+        "", "--cluster", help="Simulate and refit for --bootstrap on a Dask cluster: local, or tcp://HOST:PORT."
+    ),
     bootstrap: int = typer.Option(
-        0, "--bootstrap", min=0, help="Intervals from so many simulated signals (gmwm); 0: closed form."
+        0,
+        "--bootstrap",
+        min=0,
+        help="Intervals and information criterion from so many simulated signals (gmwm); 0: closed form. Of several runs: draws of the test "
+        "of near-stationarity.",
     ),
     seed: int = typer.Option(0, "--seed", min=0, help="Seed of bootstrap and draws."),
     out: str = typer.Option("", "--out", "-o", help="Write the models as YAML that a scenario reads."),
@@ -78,8 +102,19 @@ def command(
 
     from insemu import units
     from insemu.cli.announce import announce
+    from insemu.fit import check_bootstrap
 
-    announce(file, Console(stderr=True), rate_hz=units.parse(rate, "Hz") if rate else None)
+    if bootstrap and len(files) == 1:
+        check_bootstrap(method, bootstrap)
+    file = files[0]
+    for name in files:
+        announce(name, Console(stderr=True), rate_hz=units.parse(rate, "Hz") if rate else None)
+    if len(files) > 1:
+        from insemu.cli.runs import fit_many
+
+        runs = [read_static(name, rate, columns, skip) for name in files]
+        fit_many(runs, [model, *(alternatives or [])], bootstrap=bootstrap, seed=seed, out=out, as_json=as_json)
+        return
     streamed = (
         None
         if page or method != "mli" or pattern != "uniform"
@@ -96,37 +131,42 @@ def command(
         }
     elif method == "indirect":
         options["rng"] = np.random.default_rng(seed)
-    elif method == "burg":
-        options["denoise_levels"] = denoise
     elif method == "mli":
         options["pattern"] = pattern
+    own = denoising(denoise, method, [s.name for s in series]) if denoise else {}
     with Console(stderr=True).status(f"fitting {len(series)} axes by {method}") as status:
         if streamed:
             results = streamed
         elif per_axis:
             many = workers or os.cpu_count() or 1
-            results = fit_axes(series, model, method, start, robust, options, many, progress=status.update)
+            results = fit_axes(series, model, method, start, robust, options, many, progress=status.update, own=own)
         else:
             results = fit_pooled(series, model, method, start, robust, options)
     if bootstrap:
-        from insemu.fit import bootstrap_intervals
+        from insemu.cluster import cluster as dask_cluster
+        from insemu.work import run_items
 
         children = np.random.default_rng(seed).spawn(len(results))
-        results = {
-            axis: bootstrap_intervals(r, bootstrap, child)
-            for (axis, r), child in zip(results.items(), children, strict=True)
-        }
+        asked = {axis: (r, bootstrap, child) for (axis, r), child in zip(results.items(), children, strict=True)}
+        with dask_cluster(cluster, min(workers or os.cpu_count() or 1, len(asked))) as pool:
+            results = run_items(asked, bootstrapped, pool=pool)
     console = Console(stderr=as_json)
     if as_json:
         typer.echo(json.dumps({"axes": {axis: r.to_json() for axis, r in results.items()}}, indent=1, allow_nan=False))
     else:
+        from insemu.report import fits_answer
+
+        console.print(fits_answer(results), highlight=False, style="bold")
         for axis, r in results.items():
             show(console, axis, r)
+        show_shared(console, results)
     write(results, out, kalibr, console)
     if page:
         from insemu.report import render_fits
 
-        console.print(f"page: {render_fits(results, page, series=series, rng=np.random.default_rng(seed))}")
+        console.print(
+            f"page: {render_fits(results, page, series=series, rng=np.random.default_rng(seed), source=file)}"
+        )
 
 
 def read_static(file: str, rate: str, columns: list[str] | None, skip: str = "0 s") -> list[Series]:
@@ -134,8 +174,9 @@ def read_static(file: str, rate: str, columns: list[str] | None, skip: str = "0 
     from dataclasses import replace
 
     from insemu import units
-    from insemu.cli.logs import column_names, open_log
+    from insemu.cli.logs import column_names
     from insemu.errors import InputError
+    from insemu.logs import open_log
 
     series = open_log(file, units.parse(rate, "Hz") if rate else None, column_names(columns)).series()
     seconds = units.parse(skip, "s")
@@ -193,6 +234,7 @@ def fit_axes(
     options: Mapping[str, Any],
     workers: int,
     progress: Callable[[str], None] | None = None,
+    own: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> dict[str, FitResult]:
     """Fit every axis; the name of the axis goes in front of what is wrong with it.
 
@@ -209,6 +251,8 @@ def fit_axes(
         Axes at a time.
     progress : callable, optional
         Told how many axes are finished.
+    own : mapping of axis to mapping, optional
+        Options of one axis.
     """
     from concurrent.futures import ThreadPoolExecutor
 
@@ -217,13 +261,15 @@ def fit_axes(
     from insemu.noise import NoiseModel
 
     asked = parsed(model, series)
+    if any(p.shared for m in asked.values() for p in m):
+        return _fit_shared(series, asked, method, start, robust, options)
     finished: list[str] = []
     # every axis its own child, whatever the order in which threads come to it
     children = options["rng"].spawn(len(series)) if "rng" in options else [None] * len(series)
 
     def one(item: tuple[Series, Any]) -> FitResult:
         s, child = item
-        given = dict(options)
+        given = {**options, **(own or {}).get(s.name, {})}
         if child is not None:
             given["rng"] = child
         try:
@@ -240,6 +286,72 @@ def fit_axes(
 
     with ThreadPoolExecutor(max_workers=min(workers, len(series))) as pool:
         return {s.name: r for s, r in zip(series, pool.map(one, zip(series, children, strict=True)), strict=True)}
+
+
+def bootstrapped(item: tuple[FitResult, int, Any]) -> FitResult:
+    """A fit with intervals and criterion from simulated signals: (fit, number of signals, generator)."""
+    from dataclasses import replace
+
+    from insemu.fit import bootstrap_intervals, wic
+
+    result, count, rng = item
+    return replace(bootstrap_intervals(result, count, rng), criterion=wic(result, bootstrap=count, rng=rng))
+
+
+def denoising(text: str, method: str, names: list[str]) -> dict[str, dict[str, Any]]:
+    """Options of Burg's method or of the autocorrelation by axis, from ``RULE:LEVELS`` and ``AXIS=LEVELS`` after commas.
+
+    Parameters
+    ----------
+    text : str
+        What ``--denoise`` was given.
+    method : str
+    names : list of str
+        Axes of the log.
+    """
+    from typing import get_args
+
+    from insemu.denoise import Rule
+    from insemu.errors import InputError, nearest
+
+    if method not in ("burg", "autocorrelation"):
+        raise InputError(f"de-noising belongs to burg and autocorrelation, not to '{method}'", where="--denoise")
+    rule, _, rest = text.partition(":")
+    first, *others = rest.split(",")
+    if rule not in get_args(Rule) or not rest:
+        expected = ", ".join(f"{r}:6" for r in get_args(Rule))
+        raise InputError(f"found '{text}', expected a rule and octaves, one of: {expected}", where="--denoise")
+    levels = dict.fromkeys(names, first)
+    for item in others:
+        axis, _, value = item.strip().partition("=")
+        if axis not in levels:
+            raise InputError(f"unknown axis '{axis}'" + nearest(axis, names), where="--denoise")
+        levels[axis] = value
+    for value in levels.values():
+        if not value.strip().isdecimal():
+            raise InputError(f"found '{value}' octaves, expected a whole number", where="--denoise")
+    return {axis: {"denoise_levels": int(value), "denoise_rule": rule} for axis, value in levels.items()}
+
+
+def _fit_shared(
+    series: list[Series],
+    asked: Mapping[str, NoiseModel],
+    method: str,
+    start: str,
+    robust: bool,
+    options: Mapping[str, Any],
+) -> dict[str, FitResult]:
+    """Axes whose model has shared processes, together."""
+    from insemu.errors import InputError
+    from insemu.fit import fit_together
+
+    if method != "gmwm" or robust or start or options["wavelet"] != "haar":
+        raise InputError(
+            "a model with shared processes is fitted by gmwm with the Haar filter, without --robust and --start",
+            where="--model",
+        )
+    scales = {key: options[key] for key in ("tau_from", "tau_to")}
+    return fit_together(series, {s.name: asked[s.unit] for s in series}, **scales)
 
 
 def parsed(model: str, series: list[Series]) -> dict[str, NoiseModel]:
@@ -310,14 +422,9 @@ def show(console: Console, axis: str, result: FitResult) -> None:
         table.add_row(*row)
     console.print(table)
     if result.test is not None:
-        verdict = (
-            "the model is compatible with the data" if result.test.p_value >= 0.05 else "the data contradict the model"
-        )
-        console.print(
-            f"test of fit: chi-square {result.test.statistic:.2f} on {result.test.dof} degrees of freedom, "
-            f"p = {result.test.p_value:.3g}: {verdict}",
-            highlight=False,
-        )
+        t = result.test
+        told = f"test of fit: chi-square {t.statistic:.2f} on {t.dof} degrees of freedom: {result.verdict}"
+        console.print(told, highlight=False, soft_wrap=True)
     if result.criterion is not None:
         console.print(
             f"criterion: {result.criterion.value:.1f} ± {result.criterion.standard_error:.1f}", highlight=False
@@ -330,11 +437,35 @@ def show(console: Console, axis: str, result: FitResult) -> None:
         console.print(f"[yellow]beware[/yellow]: {warning}", highlight=False)
 
 
+def show_shared(console: Console, results: Mapping[str, FitResult]) -> None:
+    """The mixing vector of every shared process, and the correlation of each pair of axes by scale."""
+    from rich.table import Table
+
+    from insemu.noise import shared_processes
+
+    for name, members in shared_processes({axis: r.model for axis, r in results.items()}).items():
+        said = ", ".join(f"{seen.axis} {seen.weight:.4g} {results[seen.axis].unit}" for seen in members)
+        console.print(f"shared process {name}: {members[0].process.symbol}, seen by {said}", highlight=False)
+    pairs = next(iter(results.values())).details.get("cross", {})
+    if pairs:
+        table = Table(title="correlation of the axes by scale (95 % interval)", title_justify="left")
+        for heading in ("scale, s", *(f"{a} {b}" for a, b in pairs)):
+            table.add_column(heading)
+        for k, tau in enumerate(next(iter(pairs.values())).tau_s):
+            cells = (
+                f"{c.correlation[k]:.2f} ({c.correlation_low[k]:.2f} … {c.correlation_high[k]:.2f})"
+                for c in pairs.values()
+            )
+            table.add_row(f"{tau:.4g}", *cells)
+        console.print(table)
+
+
 def write(results: Mapping[str, FitResult], out: str, kalibr_path: str, console: Console) -> None:
     """Write the model file and the Kalibr file where asked for."""
     from pathlib import Path
 
     from insemu.fit import kalibr, save
+    from insemu.whole import put
 
     if out:
         target: Path = Path(out)
@@ -345,7 +476,7 @@ def write(results: Mapping[str, FitResult], out: str, kalibr_path: str, console:
         text, warnings = kalibr(results)
         target = Path(kalibr_path)
         target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(text, encoding="utf-8")
+        put(target, text)
         for warning in warnings:
             console.print(f"[yellow]beware[/yellow]: {warning}", highlight=False)
         console.print(f"imu.yaml: {target}")

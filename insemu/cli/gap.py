@@ -55,6 +55,7 @@ def command(
     from insemu.effects import EFFECTS
     from insemu.errors import InputError, nearest
     from insemu.gap import applied, find_gap, from_its_start, load_measured, load_nominal, write_refined
+    from insemu.whole import put
 
     for effect in without or ():
         if effect not in EFFECTS:
@@ -83,7 +84,7 @@ def command(
     folder.mkdir(parents=True, exist_ok=True)
     refined = write_refined(nominal, chosen, folder / "refined.yaml", data)
     text = json.dumps(report.to_json(), indent=1, allow_nan=False)
-    (folder / "gap.json").write_text(text + "\n", encoding="utf-8")
+    put(folder / "gap.json", text + "\n")
     from insemu.report import draw_gap, render_gap
 
     page = render_gap(report, folder, refined.read_text(encoding="utf-8"))
@@ -100,32 +101,42 @@ def _tell(report: GapReport, console: Console) -> None:
     """The answer on the terminal: the verdict, at most six findings, what is left, the gap before and after."""
     import math
 
-    from rich.table import Table
-
-    from insemu.report import effect_name, finding_action, finding_metres, gap_headline, sensor_axes
+    from insemu.cli.printing import print_table
+    from insemu.report import (
+        effect_name,
+        finding_action,
+        finding_metres,
+        gap_headline,
+        is_better,
+        ranked,
+        sensor_axes,
+        shaking_said,
+    )
 
     console.print(f"[bold]{report.verdict}[/bold]: {gap_headline(report)}")
+    word, figures, _ = is_better(report)
+    console.print(f"Is the refined model better? {word}: {figures}", highlight=False, markup=False)
     if report.findings:
-        table = Table("", "effect", "where", "nats", "confidence", "m after 60 s", "parameters, 95 % interval")
-        for n, s in enumerate(report.findings[:MOST_ROWS], 1):
-            values = "\n".join(f"{v.name} {v.value:.3g} [{v.low:.3g}, {v.high:.3g}] {v.unit}" for v in s.parameters[:6])
-            values += "\n..." if len(s.parameters) > 6 else ""
-            table.add_row(
-                str(n),
-                effect_name(s.effect),
-                sensor_axes(s.sensor, s.axes),
-                f"{s.nats:.1f}",
-                f"{s.confidence:.3f}",
-                finding_metres(s),
-                values,
+        heads = ("", "effect", "m after 60 s", "nats", "sure", "where")
+        body, most = [], ranked(report)[:MOST_ROWS]
+        for n, s in most:
+            where = sensor_axes(s.sensor, s.axes)
+            body.append(
+                [str(n), effect_name(s.effect), finding_metres(s), f"{s.nats:.1f}", f"{s.confidence:.3f}", where]
             )
-        console.print(table)
-        for n, s in enumerate(report.findings[:MOST_ROWS], 1):
+        print_table(console, "What is missing, most metres first", heads, body, left=2, fit=True, gap=lambda row: False)
+        for n, s in most:
             console.print(f"{n}. {finding_action(s)}", highlight=False, markup=False)
+            for v in s.parameters[:6]:
+                console.print(
+                    f"   {v.name} {v.value:.3g} [{v.low:.3g}, {v.high:.3g}] {v.unit}", highlight=False, markup=False
+                )
         if len(report.findings) > MOST_ROWS:
             console.print(f"and {len(report.findings) - MOST_ROWS} more on the page")
     if report.remainder:
         console.print(f"Left unexplained: {report.remainder}", highlight=False, markup=False)
+    if said := shaking_said(report):
+        console.print(said, highlight=False, markup=False)
     for label, value in (("before", report.gap_before), ("after", report.gap_after)):
         if math.isfinite(value.value):
             console.print(f"gap index {label}: {value.value:.3f} [{value.low:.3f}, {value.high:.3f}]")

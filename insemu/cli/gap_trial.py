@@ -29,6 +29,9 @@ def command(
     minutes: float = typer.Option(10.0, "--minutes", min=3.0, max=60.0, help="Length of each drive or flight, min."),
     seed: int = typer.Option(1, "--seed", min=0, help="Seed of the whole trial."),
     workers: int = typer.Option(1, "--workers", min=1, help="Recordings looked at a time."),
+    cluster: str = typer.Option(
+        "", "--cluster", help="Look at recordings on a Dask cluster: local, or tcp://HOST:PORT."
+    ),
     hold_out: bool = typer.Option(
         True, "--hold-out/--no-hold-out", help="Also score on held-out data (half as much time again)."
     ),
@@ -43,6 +46,7 @@ def command(
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+    from insemu.cluster import cluster as dask_cluster
     from insemu.errors import InputError, nearest
     from insemu.trial import Kind, Plan, catalogue_of, known_effects, run_trial
 
@@ -69,7 +73,8 @@ def command(
 
         interrupted = False
         try:
-            run_trial(plan, workers=workers, done=done, log=Path(log) if log else None)
+            with dask_cluster(cluster, workers) as pool:
+                run_trial(plan, workers=workers, pool=pool, done=done, log=Path(log) if log else None)
         except KeyboardInterrupt:
             interrupted = True
     if interrupted:

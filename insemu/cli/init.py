@@ -28,6 +28,7 @@ def command(
     from pathlib import Path
 
     from insemu.errors import InputError
+    from insemu.whole import put
 
     if listed:
         _list(as_json)
@@ -49,7 +50,7 @@ def command(
         if target.exists() and not force:
             raise InputError("exists already; --force replaces it", where=str(target))
         text = first_scenario(target, Wish(sensor or SENSOR, track, vehicle))
-        target.write_text(text, encoding="utf-8")
+        put(target, text)
         written = [target]
     if as_json:
         typer.echo(json.dumps([str(path) for path in written]))

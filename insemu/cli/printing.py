@@ -1,12 +1,45 @@
-"""Tables on the terminal: what does not fit is left out at the right and said, rather than cut."""
+"""Tables and progress on the terminal: what does not fit is left out at the right and said, rather than cut."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import Progress
+
+
+def bars(console: Console) -> Progress:
+    """Bars of progress with the time that has passed and the time left."""
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    return Progress(
+        TextColumn("{task.description:<34}", markup=False),
+        BarColumn(bar_width=24),
+        MofNCompleteColumn(),
+        TextColumn("elapsed"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        console=console,
+    )
+
+
+@contextmanager
+def flying(console: Console, label: str, total: int) -> Iterator[Callable[[int, int, str], None]]:
+    """One bar for the realizations of an experiment; what it yields is the experiment's ``progress``."""
+    with bars(console) as shown:
+        task = shown.add_task(label, total=total)
+        yield lambda done, of, what: shown.update(task, completed=done, total=of, description=f"{label} ({what})")
 
 
 def print_table(

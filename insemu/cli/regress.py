@@ -9,7 +9,7 @@ import typer
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from insemu.evaluate import Baseline, Experiment
+    from insemu.evaluate import Baseline, Experiment, Results
 
 ACTIONS = ("record", "check", "sensitivity", "trial")
 
@@ -26,10 +26,14 @@ def command(
     workers: int | None = typer.Option(
         None, "--workers", min=1, help="Realizations flown at a time; default the cores."
     ),
+    cluster: str = typer.Option(
+        "", "--cluster", help="record and check: fly on a Dask cluster: local, or tcp://HOST:PORT."
+    ),
     false_alarm: float = typer.Option(
         0.01, "--false-alarm", help="Probability of reporting designs that did not change."
     ),
     trials: int = typer.Option(50, "--trials", min=1, help="Trials of each case (trial)."),
+    out: str = typer.Option("", "--out", help="Write a page with what changed (check; HTML)."),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on standard output."),
 ) -> None:
     """Record the accuracy and consistency of a scenario's designs, or check them against a record.
@@ -45,6 +49,8 @@ def command(
     from rich.console import Console
 
     from insemu.cli.announce import announce_world
+    from insemu.cli.printing import flying
+    from insemu.cluster import cluster as dask_cluster
     from insemu.errors import InputError, nearest
     from insemu.evaluate import Baseline, Experiment, check, run_experiment, with_designs
     from insemu.scenario import load
@@ -65,8 +71,14 @@ def command(
             announce_world(experiment.world.card, Console(stderr=True))
         return experiment
 
+    def fly(label: str) -> Results:
+        experiment = make()
+        shown = flying(Console(stderr=True), label, experiment.realizations)
+        with dask_cluster(cluster, threads) as pool, shown as progress:
+            return run_experiment(experiment, workers=threads, executor=pool, progress=progress)
+
     if action == "record":
-        results = run_experiment(make(), workers=threads)
+        results = fly("recording")
         Baseline.of(results).write(baseline)
         console.print(
             f"Recorded {len(results.names)} design(s), {results.realizations} realizations, seed {results.seed}: {baseline}",
@@ -75,20 +87,27 @@ def command(
         return
     assert held is not None
     if action == "check":
-        results = run_experiment(make(), workers=threads)
+        results = fly("checking")
         changes = check(results, held, false_alarm=false_alarm)
         changed = [c for c in changes if c.significant]
+        if out:
+            from insemu.report import render_regression
+
+            about = {"baseline": Path(baseline).name, "recorded with digest": held.digest, "now": results.digest}
+            console.print(
+                f"Page: {render_regression(changes, false_alarm, out, source=scenario, about=about)}", soft_wrap=True
+            )
         if as_json:
             rows = [vars(c) | {"significant": c.significant} for c in changes]
             typer.echo(json.dumps({"digest": results.digest, "changed": len(changed), "figures": rows}, indent=1))
+        from insemu.report import regression_answer
+
+        console.print(regression_answer(changes, false_alarm), style="bold", highlight=False)
         for c in changed:
             console.print(str(c), soft_wrap=True, style="red")
         if changed:
-            console.print(
-                f"{len(changed)} of {len(changes)} figures changed (an unchanged set is reported with probability {false_alarm:g})."
-            )
             raise typer.Exit(1)
-        console.print(f"No change in {len(changes)} figures. Smallest change that would have been found (80 % power):")
+        console.print("Smallest change that would have been found (80 % power):")
         for c in changes:
             part = 100 * c.detectable / abs(c.before) if c.before else float("nan")
             console.print(

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
+    from concurrent.futures import Executor
     from pathlib import Path
 
     from rich.console import Console
 
-    from insemu.evaluate import Experiment, Results
+    from insemu.evaluate import Experiment, Results, Shard
 
 
 def command(
@@ -24,9 +26,27 @@ def command(
     workers: int | None = typer.Option(
         None, "--workers", min=1, help="Realizations flown at a time; default the number of cores."
     ),
+    until: str = typer.Option(
+        "",
+        "--until",
+        metavar="GOAL",
+        help="Fly on until 'planimetric_end ratio DESIGN/DESIGN within 5 %' or '... mean DESIGN ...'.",
+    ),
+    linear: int = typer.Option(
+        0, "--linear", min=0, help="Fly nothing: a preview from so many realizations to first order, for example 10000."
+    ),
+    control: int = typer.Option(
+        0, "--control", min=0, help="Help means and quantiles with so many linear realizations, for example 10000."
+    ),
     out: str = typer.Option("", "--out", help="Folder for results; default results/NAME beside the current folder."),
+    cluster: str = typer.Option("", "--cluster", help="Fly on a Dask cluster: local, or tcp://HOST:PORT."),
+    shard: str = typer.Option(
+        "",
+        "--shard",
+        help="Fly only a part, for example 3/40, and keep it in the folder; insemu merge makes the results.",
+    ),
     as_json: bool = typer.Option(False, "--json", help="Print summary.json on standard output instead of report."),
-    variants: bool = typer.Option(True, "--variants/--no-variants", help="Also run the scenario's variants."),
+    variants: bool = typer.Option(False, "--variants/--no-variants", help="Also run the scenario's variants."),
     overwrite: bool = typer.Option(
         False, "--overwrite", help="Replace results of the same scenario with more realizations."
     ),
@@ -36,19 +56,69 @@ def command(
     Writes summary.json, outages.csv, errors.nc, manifest.json, resolved.yaml, figures, index.html and, last, complete.json. An interrupted
     run continues where it stopped.
     """
-    import json
     import os
     from pathlib import Path
 
     from rich.console import Console
 
-    from insemu.evaluate import summary
+    from insemu.cli.linear import control as controlled
+    from insemu.cli.linear import preview
+    from insemu.cluster import cluster as dask_cluster
+    from insemu.compiled import compiled_beside
+    from insemu.errors import InputError
+    from insemu.evaluate import Shard, effort
 
     # progress and warnings go to standard error: a closed pipe behind the tables costs no files
     told = Console(stderr=True)
     folder = Path(out) if out else Path("results") / Path(scenario).stem
-    experiments = prepared(scenario, {"seed": seed, "realizations": realizations}, with_variants=variants, console=told)
-    results, failed = run_all(experiments, folder, workers or os.cpu_count() or 1, told, overwrite=overwrite)
+    overrides = {"seed": seed, "realizations": realizations}
+    ways = [
+        o
+        for o, given in (("--shard", shard), ("--linear", linear), ("--until or --control", until or control))
+        if given
+    ]
+    if len(ways) > 1:
+        raise InputError(f"{' and '.join(ways)} exclude each other", where="insemu run")
+    part = Shard.parse(shard) if shard else None
+    many = workers or os.cpu_count() or 1
+    with (
+        compiled_beside("insemu.evaluate.kernels", "insemu.filters.kernel.run"),
+        dask_cluster(cluster, many) as pool,
+    ):
+        experiments = prepared(scenario, overrides, with_variants=variants, console=told)
+        if linear:
+            preview(experiments[""], linear, Console(), as_json=as_json)
+            return
+        told.print(f"Ahead: {effort(list(experiments.values()), many)}.", soft_wrap=True, highlight=False)
+        if part is not None:
+            run: dict[str, Any] = {"scenario": str(Path(scenario).resolve()) if Path(scenario).exists() else scenario}
+            run |= {"overrides": overrides, "variants": variants, "digest": experiments[""].digest}
+            fly_shard(experiments, folder, part, run, (many, pool), told)
+            return
+        if until:
+            fly_until(experiments, until, folder, (many, pool), told)
+        results, failed = run_all(experiments, folder, (many, pool), told, overwrite=overwrite)
+    if control:
+        controlled(experiments[""], results[""], control, folder, Console(stderr=as_json), as_json=as_json)
+    say_all(results, failed, folder, as_json=as_json)
+
+
+def say_all(results: dict[str, Results], failed: list[str], folder: Path, *, as_json: bool) -> None:
+    """Print tables or JSON; exit code 1 where something failed.
+
+    Parameters
+    ----------
+    results : dict of variant to Results
+    failed : list of str
+    folder : path
+    as_json : bool
+    """
+    import json
+
+    from rich.console import Console
+
+    from insemu.evaluate import summary
+
     main = results.pop("")
     if as_json:
         typer.echo(json.dumps(summary(main), indent=1))
@@ -62,11 +132,93 @@ def command(
         raise typer.Exit(1)
 
 
+def fly_until(
+    experiments: Mapping[str, Experiment],
+    text: str,
+    folder: Path,
+    means: tuple[int, Executor | None],
+    console: Console,
+) -> None:
+    """Fly until a goal is reached; the experiments then have as many realizations as that took.
+
+    Parameters
+    ----------
+    experiments : mapping of variant to Experiment
+    text : str
+        The goal.
+    folder : path
+    means : (int, Executor or None)
+        Threads, or a pool instead.
+    console : Console
+    """
+    from insemu.errors import InputError
+    from insemu.evaluate import CACHE, Goal, looks, only_writer, run_experiment
+
+    workers, pool = means
+    experiment = experiments[""]
+    goal = Goal.parse(text, list(experiment.scenario.designs))
+    if not experiment.world.outage_windows or experiment.scenario.recording is not None:
+        raise InputError("an emulated flight with an outage is needed", where="--until")
+    with only_writer(folder):
+        for number, count in enumerate(looks(), start=1):
+            with bar(console, f"look {number}", count) as (step, say):
+                results = run_experiment(
+                    experiment, realizations=count, workers=workers, executor=pool, cache=folder / CACHE, progress=step, say=say
+                )  # fmt: skip
+            seen = goal.look(results, number)
+            console.print(
+                f"{seen.realizations} realizations: {text.partition(' within ')[0]} {seen.value:.4g} ({seen.low:.4g} to {seen.high:.4g})",
+                soft_wrap=True, highlight=False, markup=False,
+            )  # fmt: skip
+            if seen.reached:
+                break
+        else:
+            console.print(f"Not reached with {count} realizations, the most there can be.", style="red")
+    for each in experiments.values():
+        each.scenario = each.scenario.model_copy(update={"realizations": count})
+
+
+def fly_shard(
+    experiments: Mapping[str, Experiment],
+    folder: Path,
+    shard: Shard,
+    run: Mapping[str, Any],
+    means: tuple[int, Executor | None],
+    console: Console,
+) -> None:
+    """Fly a part of every variant and keep it in the folder.
+
+    Parameters
+    ----------
+    experiments : mapping of variant to Experiment
+    folder : path
+    shard : Shard
+    run : mapping
+        What the part belongs to.
+    means : (int, Executor or None)
+        Threads, or a pool instead.
+    console : Console
+    """
+    from insemu.evaluate import CACHE, fly, note, only_writer
+
+    workers, pool = means
+    with only_writer(folder, shared=True):
+        for name, experiment in experiments.items():
+            mine = shard.realizations(experiment.realizations)
+            with bar(console, f"{name or 'shard'} {shard}", len(mine)) as (step, say):
+                for _ in fly(
+                    experiment, mine, workers=workers, executor=pool, cache=folder / CACHE, progress=step, say=say
+                ):
+                    pass
+        note(folder, shard, run)
+    console.print(f"Shard {shard} is in {folder}. With all of them there: insemu merge {folder}", soft_wrap=True)
+
+
 def prepared(
     scenario: str, overrides: Mapping[str, Any], *, with_variants: bool, console: Console
 ) -> dict[str, Experiment]:
     """The experiments by the name of the variant, "" first: everything is checked before anything is flown or written."""
-    from insemu.cli.announce import announce_world
+    from insemu.cli.announce import announce_warnings, announce_world
     from insemu.evaluate import Experiment
     from insemu.scenario import load
 
@@ -75,13 +227,17 @@ def prepared(
     for name in base.variants if with_variants else ():
         experiments[name] = Experiment(load(scenario, variant=name, overrides=overrides), scenario)
     announce_world(experiments[""].world.card, console)
-    for warning in dict.fromkeys(w for e in experiments.values() for w in e.warnings):
-        console.print(f"Warning: {warning}.", soft_wrap=True, highlight=False, markup=False)
+    announce_warnings(experiments.values(), console)
     return experiments
 
 
 def run_all(
-    experiments: Mapping[str, Experiment], folder: Path, workers: int, console: Console, *, overwrite: bool = False
+    experiments: Mapping[str, Experiment],
+    folder: Path,
+    means: tuple[int, Executor | None],
+    console: Console,
+    *,
+    overwrite: bool = False,
 ) -> tuple[dict[str, Results], list[str]]:
     """Fly, and write every result as soon as it is there; then the error budget and the page, whose failures lose nothing.
 
@@ -89,7 +245,8 @@ def run_all(
     ----------
     experiments : mapping of variant to Experiment
     folder : path
-    workers : int
+    means : (int, Executor or None)
+        Threads, or a pool instead.
     console : Console
         For progress, warnings and what failed.
     overwrite : bool
@@ -101,8 +258,9 @@ def run_all(
     failed : list of str
         What could not be made, in words.
     """
-    from insemu.evaluate import CACHE, check_not_fewer, finish, only_writer, put, resolved, write
+    from insemu.evaluate import CACHE, check_not_fewer, finish, only_writer, resolved, write
     from insemu.report import render_experiment
+    from insemu.whole import put
 
     main = experiments[""].scenario
     if not overwrite:
@@ -120,7 +278,7 @@ def run_all(
     with only_writer(folder):
         forget_others(folder / CACHE, {e.digest for e in experiments.values()})
         done: dict[str, Results] = {}
-        for name, experiment, results in flown(experiments, folder / CACHE, workers, console):
+        for name, experiment, results in flown(experiments, folder / CACHE, means, console):
             target = folder / "variants" / name if name else folder
             write(results, target)
             put(target / "resolved.yaml", resolved(experiment.scenario))
@@ -137,46 +295,64 @@ def run_all(
     return done, failed
 
 
-def flown(experiments: Mapping[str, Experiment], cache: Path, workers: int, console: Console) -> Any:
-    """Yield (variant, experiment, results), with a bar of progress each."""
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+@contextmanager
+def bar(console: Console, label: str, total: int) -> Iterator[tuple[Any, Any]]:
+    """A bar of progress: yields what is told of every step (done, total, what) and what is told of warnings.
 
-    from insemu.evaluate import run_experiment
+    Parameters
+    ----------
+    console : Console
+    label : str
+    total : int
+    """
+    from insemu.cli.printing import bars
 
-    parts = (BarColumn(bar_width=24), MofNCompleteColumn(), TextColumn("elapsed"), TimeElapsedColumn())
-    with Progress(
-        TextColumn("{task.description:<34}", markup=False),
-        *parts,
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        console=console,
-    ) as bars:
+    with bars(console) as shown:
+        task = shown.add_task(label, total=total)
+
+        def step(finished: int, total: int, what: str) -> None:
+            shown.update(task, completed=finished, total=total, description=f"{label} ({what})")
 
         def say(text: str) -> None:
             console.print(f"Warning: {text}.", soft_wrap=True, highlight=False, markup=False)
 
-        for name, experiment in experiments.items():
-            label = name or experiment.scenario.title.split(":")[0][:24]
-            task = bars.add_task(label, total=experiment.scenario.realizations)
+        try:
+            yield step, say
+        except KeyboardInterrupt:
+            shown.stop()
+            console.print("Interrupted. Finished realizations are kept; the same command goes on from there.")
+            raise
+        shown.update(task, description=label)
 
-            def step(finished: int, total: int, what: str, task: Any = task, label: str = label) -> None:
-                bars.update(task, completed=finished, total=total, description=f"{label} ({what})")
 
-            try:
-                results = run_experiment(experiment, workers=workers, cache=cache, progress=step, say=say)
-            except KeyboardInterrupt:
-                bars.stop()
-                console.print("Interrupted. Finished realizations are kept; the same command goes on from there.")
-                raise
-            bars.update(task, description=label)
-            yield name, experiment, results
+def flown(
+    experiments: Mapping[str, Experiment], cache: Path, means: tuple[int, Executor | None], console: Console
+) -> Iterator[tuple[str, Experiment, Results]]:
+    """Yield (variant, experiment, results), with a bar of progress each.
+
+    Parameters
+    ----------
+    experiments : mapping of variant to Experiment
+    cache : path
+    means : (int, Executor or None)
+    console : Console
+    """
+    from insemu.evaluate import answer, run_experiment
+
+    def preview(first: Results) -> None:
+        if (said := answer(first)) is not None:
+            text = f"After {first.realizations} realizations: {said.sentence}"
+            console.print(text, soft_wrap=True, highlight=False, markup=False)
+
+    workers, pool = means
+    for name, experiment in experiments.items():
+        label = name or experiment.scenario.title.split(":")[0][:24]
+        with bar(console, label, experiment.realizations) as (step, say):
+            results = run_experiment(
+                experiment, workers=workers, executor=pool, cache=cache, progress=step, say=say,
+                preview=None if name else preview,
+            )  # fmt: skip
+        yield name, experiment, results
 
 
 def with_budgets(experiment: Experiment, results: Results) -> Results:

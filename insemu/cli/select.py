@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from rich.console import Console
 
-    from insemu.fit import Ranking
+    from insemu.fit import FitResult, Ranking
     from insemu.variance import WaveletVariance
 
 
@@ -36,10 +38,12 @@ def command(
     skip: str = typer.Option(
         "0 s", "--skip", help='Leave out the start of every record, for example "40 min" of warm-up.'
     ),
-    rows: int = typer.Option(8, "--rows", min=1, help="Candidates to list per axis."),
+    detail: bool = typer.Option(False, "--detail", help="Print candidates and parameters of every axis, too."),
+    rows: int = typer.Option(8, "--rows", min=1, help="Candidates to list per axis (--detail)."),
     workers: int | None = typer.Option(
         None, "--workers", min=1, help="Work items at a time; default the number of cores."
     ),
+    cluster: str = typer.Option("", "--cluster", help="Fit candidates on a Dask cluster: local, or tcp://HOST:PORT."),
     seed: int = typer.Option(0, "--seed", min=0, help="Seed of the draws on the page."),
     out: str = typer.Option("", "--out", "-o", help="Write the chosen models as YAML that a scenario reads."),
     page: str = typer.Option("", "--page", help="Write a page with figures (HTML)."),
@@ -55,6 +59,7 @@ def command(
     from insemu import units
     from insemu.cli.announce import announce
     from insemu.cli.fit import read_static, write
+    from insemu.cluster import cluster as dask_cluster
     from insemu.fit import select_axes
     from insemu.noise import NoiseModel
 
@@ -62,7 +67,8 @@ def command(
     series = read_static(file, rate, columns, skip)
     given = [NoiseModel.parse(c) for c in candidates] if candidates else None
     told = Console(stderr=True)
-    with told.status(f"0 of {len(series)} axes chosen") as status:
+    many = workers or os.cpu_count() or 1
+    with dask_cluster(cluster, many) as pool, told.status(f"0 of {len(series)} axes chosen") as status:
         done: list[str] = []
 
         def finished(name: str) -> None:
@@ -74,7 +80,8 @@ def command(
             NoiseModel.parse(general),
             candidates=given,
             robust=robust,
-            workers=workers or os.cpu_count() or 1,
+            workers=many,
+            pool=pool,
             progress=finished,
         )
     console = Console(stderr=as_json)
@@ -85,21 +92,24 @@ def command(
                 from insemu.variance import wavelet_variance
 
                 checks[s.name][other] = prediction(rankings[s.name], wavelet_variance(s.values, s.rate_hz))
+    results = {axis: r.fit for axis, r in rankings.items()}
     if as_json:
         typer.echo(
             json.dumps({"axes": {a: as_plain(r, checks[a]) for a, r in rankings.items()}}, indent=1, allow_nan=False)
         )
     else:
+        show_axes(console, results)
         for axis, ranking in rankings.items():
-            show(console, ranking, rows)
+            if detail:
+                show(console, ranking, rows)
             for other, found in checks[axis].items():
                 show_prediction(console, axis, other, found)
-    results = {axis: r.fit for axis, r in rankings.items()}
     write(results, out, "", console)
     if page:
         from insemu.report import render_fits
 
-        written = render_fits(results, page, series=series, rankings=rankings, rng=np.random.default_rng(seed))
+        rng = np.random.default_rng(seed)
+        written = render_fits(results, page, series=series, rankings=rankings, rng=rng, source=file)
         console.print(f"page: {written}")
 
 
@@ -161,6 +171,18 @@ def show_prediction(console: Console, axis: str, other: str, found: dict[str, An
         f"(a true model has 1 ± {found['mean_square_standard_error']:.2g})",
         highlight=False,
     )
+
+
+def show_axes(console: Console, results: Mapping[str, FitResult]) -> None:
+    """The answer: a sentence, then one row per axis."""
+    from insemu.cli.printing import print_table
+    from insemu.report import fits_answer
+
+    console.print(fits_answer(results), highlight=False, style="bold")
+    body = [[axis, r.verdict, str(r.structure)] for axis, r in results.items()]
+    print_table(console, "Chosen models", ("axis", "verdict", "model"), body, left=3, gap=lambda row: False)
+    for axis, r in results.items():
+        console.print(f"{axis}: {r.words}", highlight=False, soft_wrap=True)
 
 
 def show(console: Console, ranking: Ranking, rows: int) -> None:

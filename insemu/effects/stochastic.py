@@ -126,6 +126,31 @@ class GaussMarkov(_Process):
         return {"sigma": lot.on(8.0 * strength * lot.slow), "beta": 1.0 / lot.memory}
 
 
+class SharedProcess(_Process):
+    """Gauss-Markov process that the axes of a sensor share."""
+
+    id, name = "shared_process", "process that axes share (common drift)"
+    formula = "e_a = sigma_a x, x' = -beta x + sqrt(2 beta) w, one x for all axes"
+    parameters = (
+        _P("sigma", "{s}", 3, (0.01 * DEG, 1e-4 * G), None, "level at which each axis sees it, with its sign"),
+        _P("beta", "1/s", 1, (0.01,), None, "inverse correlation time", True),
+    )
+    excitation, in_filter = "several correlation times at rest", "one state that several axes see"
+    traits = frozenset({"slow", "noise"})
+    process = GM
+    absent = {
+        "compensate": _RANDOM,
+        "signature": _NO_MEAN,
+        "trial": "a recording of the trial hides what one axis shows; tests/together_experiments.py hides this one",
+    }
+
+    def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
+        """Add one draw to every axis at its level."""
+        GM(1.0, use.scalar("beta")).fill(chain.work, chain.dt, rng)
+        for row, level in zip(chain.rows(use.sensor), use["sigma"], strict=True):
+            row += level * chain.work
+
+
 class Quantization(Effect):
     """Quantization of the output."""
 
@@ -454,6 +479,6 @@ class TemperatureNoise(Effect):
 
 
 EFFECTS: tuple[Effect, ...] = (
-    WhiteNoise(), RandomWalk(), GaussMarkov(), Quantization(), Flicker(), Ramp(), VibrationLine(), VibrationBand(), DecimationFilter(),
-    Outliers(), Telegraph(), MotionNoise(), TemperatureNoise(),
+    WhiteNoise(), RandomWalk(), GaussMarkov(), SharedProcess(), Quantization(), Flicker(), Ramp(), VibrationLine(), VibrationBand(),
+    DecimationFilter(), Outliers(), Telegraph(), MotionNoise(), TemperatureNoise(),
 )  # fmt: skip

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from insemu.augment import per_axis
 from insemu.errors import InputError
-from insemu.noise import NoiseModel, Process
+from insemu.noise import CommonDraws, NoiseModel, Process
 from insemu.records import AXES
 
 Array = NDArray[np.float64]
@@ -143,13 +143,14 @@ def draw_errors(
     models = {axis: model for axis, model in per_axis(truth).items() if len(model)}
     # one block for everything, axis by axis: large blocks come in large pages, and a row is drawn where it stays
     block = np.empty((6 + sum(len(m) for m in models.values()), n))
-    errors, used = block[:6], 6
+    errors, used, common = block[:6], 6, CommonDraws(models)
     for row, child, axis in zip(errors, children, AXES, strict=True):
         row[:] = 0.0
         model = models.get(axis)
         if model is None:
             continue
         parts = model.simulate_components(n, dt, child, out=block[used : used + len(model)])
+        common.share(axis, parts)
         used += len(model)
         components[axis] = parts
         for part in parts:

@@ -154,7 +154,8 @@ def invert(t: Array, target: Array, gravity: int, passes: int, gyro: Array, acce
         else:
             gyro_prev, accel_prev, dt_prev = gyro[k - 1], accel[k - 1], t[k - 1] - t[k - 2]
         for _ in range(passes):
-            state[:] = here
+            for i in range(state.size):  # an assignment of slices would compile three seconds of messages
+                state[i] = here[i]
             step(state, dtheta, dvel, gyro_prev, accel_prev, dt, dt_prev, gravity)
             _to_body(here, goal[3] - state[3], goal[4] - state[4], goal[5] - state[5], e)
             _solve3(m, e, u)
@@ -162,7 +163,10 @@ def invert(t: Array, target: Array, gravity: int, passes: int, gyro: Array, acce
             for i in range(3):
                 dvel[i] += u[i]
                 dtheta[i] += phi[i]
-        state[:] = here
+        for i in range(state.size):
+            state[i] = here[i]
         step(state, dtheta, dvel, gyro_prev, accel_prev, dt, dt_prev, gravity)
-        nav[k] = state
-    gyro[0], accel[0] = gyro[1], accel[1]
+        for i in range(state.size):
+            nav[k, i] = state[i]
+    for i in range(3):
+        gyro[0, i], accel[0, i] = gyro[1, i], accel[1, i]

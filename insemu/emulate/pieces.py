@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from insemu.augment import augment, true_states
 from insemu.emulate.errors import RecordedErrors
 from insemu.errors import InputError
-from insemu.noise import BI, WN, NoiseModel
+from insemu.noise import BI, WN, CommonDraws, NoiseModel
 from insemu.records import AXES
 
 Array = NDArray[np.float64]
@@ -77,7 +77,7 @@ class ErrorPieces:
 
 
 def simulated_pieces(
-    models: Mapping[str, NoiseModel],
+    models: Mapping[str, NoiseModel] | Callable[[int], Mapping[str, NoiseModel]],
     n: int,
     rate_hz: float,
     *,
@@ -89,8 +89,8 @@ def simulated_pieces(
 
     Parameters
     ----------
-    models : mapping
-        Axis to model, all six axes.
+    models : mapping or callable
+        Axis to model, all six axes; or of every record, whose sensor is another each time, one structure in all.
     n : int
         Rows of the IMU record.
     rate_hz : float
@@ -109,7 +109,12 @@ def simulated_pieces(
         A record shorter than the flight.
     """
     intervals = n - 1
-    ready = [models[axis].at_rate(rate_hz) for axis in AXES]
+
+    def ready_for(record: int) -> list[NoiseModel]:
+        own = models(record) if callable(models) else models
+        return [own[axis].at_rate(rate_hz) for axis in AXES]
+
+    ready = ready_for(0)
     length = intervals if record_s is None else round(record_s * rate_hz)
     if length < intervals:
         raise InputError(f"the record of {record_s:g} s is shorter than the flight of {intervals / rate_hz:g} s")
@@ -127,9 +132,10 @@ def simulated_pieces(
             # neighbours are asked for together; an older record is drawn again if ever needed
             while len(kept) >= (2 if record_s is not None else 16):
                 kept.pop(next(iter(kept)))
+            sensor = ready_for(record)
             kept[record] = _recorded(
-                ready,
-                lambda axis: ready[axis].simulate_components(length, 1.0 / rate_hz, rng(record, axis)),
+                sensor,
+                lambda axis: sensor[axis].simulate_components(length, 1.0 / rate_hz, rng(record, axis)),
                 rate_hz, places, single, record, record_s is not None,
             )  # fmt: skip
         return kept[record]
@@ -158,9 +164,11 @@ def _recorded(
 ) -> tuple[RecordedErrors, Array, Array]:
     """A simulated record, the errors of its axes without white noise at some places, and the states of its processes there."""
     columns, states = [], []
+    common = CommonDraws(dict(zip(AXES, models, strict=True)))
     axes = np.zeros((places.size, 6))
     for axis, model in enumerate(models):
         parts = components(axis)  # of one axis at a time: a record of hours is large
+        common.share(AXES[axis], parts)
         columns.append(parts.sum(axis=0))
         for process, part in zip(model, parts, strict=True):
             if places.size and not isinstance(process, WN):

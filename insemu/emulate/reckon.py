@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from insemu import earth, rotation, strapdown
 from insemu.emulate.gnss import state_at
 from insemu.errors import InputError
 from insemu.records import ImuRecord, Recording, Trajectory
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class DeadReckoning:
-    """Figures of a dead reckoning, SI; errors are norms of the three components, over the epochs of the reference."""
+    """Figures of a dead reckoning, SI; errors are norms of the three components, over the epochs of the reference.
+
+    ``t`` (n,) and ``errors`` (n, 3) are these errors over time: position (m), velocity (m/s), attitude (rad).
+    """
 
     max_position_error_m: float
     final_position_error_m: float
@@ -29,10 +35,12 @@ class DeadReckoning:
     kind: str
     gravity: str
     source: str
+    t: Array = field(repr=False, compare=False)
+    errors: Array = field(repr=False, compare=False)
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return asdict(self)
+        """The figures, for JSON."""
+        return {key: value for key, value in vars(self).items() if key not in ("t", "errors")}
 
 
 def dead_reckon(recording: Recording, *, gravity: str = "normal") -> DeadReckoning:
@@ -88,11 +96,12 @@ def dead_reckon(recording: Recording, *, gravity: str = "normal") -> DeadReckoni
     phi = rotation.vector_from_quaternion(
         rotation.quaternion_product(attitude, rotation.quaternion_conjugate(rotation.quaternion_from_rpy(truth.rpy)))
     )
+    errors = np.column_stack([position, np.linalg.norm(v - truth.vel_ned, axis=1), np.linalg.norm(phi, axis=1)])
     return DeadReckoning(
         max_position_error_m=float(position.max()),
         final_position_error_m=float(position[-1]),
-        max_velocity_error_m_s=float(np.linalg.norm(v - truth.vel_ned, axis=1).max()),
-        max_attitude_error_rad=float(np.linalg.norm(phi, axis=1).max()),
+        max_velocity_error_m_s=float(errors[:, 1].max()),
+        max_attitude_error_rad=float(errors[:, 2].max()),
         epochs_per_second=float((len(increments) - 1) / seconds),
         epochs=len(increments) - 1,
         start_s=float(increments.t[0]),
@@ -100,6 +109,8 @@ def dead_reckon(recording: Recording, *, gravity: str = "normal") -> DeadReckoni
         kind=imu.kind,
         gravity=gravity,
         source=recording.source,
+        t=truth.t,
+        errors=errors,
     )
 
 

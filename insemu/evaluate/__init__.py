@@ -1,5 +1,6 @@
 """Errors against the filter's own bounds, per outage and over many realizations; designs compared under common random numbers."""
 
+from insemu.evaluate.ahead import effort
 from insemu.evaluate.comparison import (
     ComparisonRow,
     analysable,
@@ -8,16 +9,21 @@ from insemu.evaluate.comparison import (
     outage_budgets,
     with_designs,
 )
+from insemu.evaluate.consistency import Verdict, lag_products, nis_test, whiteness_verdicts
+from insemu.evaluate.control import Controlled, control, planimetric
 from insemu.evaluate.covariance import CovarianceAnalysis
 from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.errors import COMPONENTS, bootstrap_mean, navigation_error, paired_ratio, within_outage
-from insemu.evaluate.experiment import Experiment, run_experiment
-from insemu.evaluate.folder import CACHE, check_not_fewer, finish, only_writer, put, resolved, write
-from insemu.evaluate.regression import Alteration, Baseline, check, smallest_detectable, trial
+from insemu.evaluate.experiment import Experiment
+from insemu.evaluate.folder import CACHE, check_not_fewer, finish, only_writer, resolved, write
+from insemu.evaluate.provenance import changed, differences, surroundings
+from insemu.evaluate.recorded import BRIDGED_S
+from insemu.evaluate.regression import Alteration, Baseline, Change, check, smallest_detectable, trial
 from insemu.evaluate.results import (
     Results,
     consistency_words,
     figure_of,
+    finite,
     kendall,
     outage_rows,
     outage_table,
@@ -27,48 +33,75 @@ from insemu.evaluate.results import (
     summary,
     verdicts,
 )
+from insemu.evaluate.running import fly, kept, run_experiment
+from insemu.evaluate.shards import Shard, check_complete, note, noted
 from insemu.evaluate.standings import Standing, answer
+from insemu.evaluate.twin import LinearTwin
+from insemu.evaluate.until import Goal, Look, looks
 from insemu.evaluate.world import World
 
 __all__ = [
+    "BRIDGED_S",
     "CACHE",
     "COMPONENTS",
     "Alteration",
     "Baseline",
+    "Change",
     "ComparisonRow",
+    "Controlled",
     "CovarianceAnalysis",
     "EmulatedWorld",
     "Experiment",
+    "Goal",
+    "LinearTwin",
+    "Look",
     "Results",
+    "Shard",
     "Standing",
+    "Verdict",
     "World",
     "analysable",
     "analyse_designs",
     "answer",
     "bootstrap_mean",
+    "changed",
     "check",
+    "check_complete",
     "check_not_fewer",
     "compare",
     "consistency_words",
+    "control",
+    "differences",
+    "effort",
     "figure_of",
     "finish",
+    "finite",
+    "fly",
     "kendall",
+    "kept",
+    "lag_products",
+    "looks",
     "navigation_error",
+    "nis_test",
+    "note",
+    "noted",
     "only_writer",
     "outage_budgets",
     "outage_rows",
     "outage_table",
     "paired_ratio",
+    "planimetric",
     "published_cells",
-    "put",
     "rank_agreement",
     "resolved",
     "run_experiment",
     "single_run_agreement",
     "smallest_detectable",
     "summary",
+    "surroundings",
     "trial",
     "verdicts",
+    "whiteness_verdicts",
     "with_designs",
     "within_outage",
     "write",

@@ -124,13 +124,22 @@ def compare(results: Results, base: str | None = None) -> list[ComparisonRow]:
     return rows
 
 
-def analysable(experiment: Experiment) -> tuple[list[str], str]:
-    """Designs of which a covariance analysis can be made; and, in words, why not of the others and what it leaves out (empty: nothing)."""
+def analysable(experiment: Experiment, *, removes_means: bool = False) -> tuple[list[str], str]:
+    """Designs of which a covariance analysis can be made; and, in words, why not of the others and what it leaves out (empty: nothing).
+
+    Parameters
+    ----------
+    experiment : Experiment
+    removes_means : bool
+        Whether the analysis takes the mean off the records as the emulator does.
+    """
     s = experiment.scenario
     if not isinstance(experiment.world, EmulatedWorld) or s.truth is None:
         return [], "found a recording; the analysis needs an emulated world and its truth"
     if s.truth.recorded is not None or s.truth.effects:
         return [], "found a recorded truth or deterministic effects; the analysis needs noise models only"
+    if s.aids:
+        return [], "found aids; the analysis knows no measurement but the fixes"
     able: list[str] = []
     left_out: dict[str, str] = {}
     for name, design in s.designs.items():
@@ -146,7 +155,9 @@ def analysable(experiment: Experiment) -> tuple[list[str], str]:
     gated = [name for name in able if s.designs[name].options.gate is not None]
     if gated:
         notes.append(f"the gate of {', '.join(gated)} plays no part: the analysis takes every fix")
-    if s.truth.record is not None:
+    if s.truth.spread:
+        notes.append("the spread between sensors (truth.spread) is no part of the analysis")
+    if s.truth.record is not None and not removes_means:
         notes.append("the mean removed from the records (truth.record) is no part of the analysis")
     return able, "; ".join(notes)
 

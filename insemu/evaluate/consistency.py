@@ -110,12 +110,25 @@ def nees(errors: ArrayLike, covariance: ArrayLike) -> Array:
         raise InputError("a covariance is singular; leave fully correlated states out of the NEES") from None
 
 
+#: Eigenvalue of a correlation matrix up to which states are one.
+SINGULAR = 1e-9
 #: Groups of states that are judged together in every experiment: :func:`block_nees`.
 BLOCKS = ("position", "velocity", "attitude", "gyro", "accel", "imu_states")
 
 
-def nees_per_dof(errors: Array, covariance: Array) -> Array:
-    """NEES (n,) per degree of freedom of errors (n, k); states without uncertainty are left out, NaN where an error is not known."""
+def nees_per_dof(errors: Array, covariance: Array, *, full: bool = False) -> Array:
+    """NEES (n,) per degree of freedom of errors (n, k); NaN where an error is not known.
+
+    States without uncertainty are left out, and what fully correlated states (of a shared process) have in common counts once; with ``full``,
+    whose caller counts every state, the value is NaN there.
+
+    Parameters
+    ----------
+    errors : (n, k) array
+    covariance : (n, k, k) array
+    full : bool
+        Whether fully correlated states are refused.
+    """
     out = np.full(len(errors), np.nan)
     variance = np.einsum("nii->ni", covariance)
     known = np.isfinite(errors).all(axis=1) & np.isfinite(variance).all(axis=1)
@@ -123,7 +136,17 @@ def nees_per_dof(errors: Array, covariance: Array) -> Array:
     for pattern in np.unique(live[known], axis=0) if known.any() else ():
         rows = known & (live == pattern).all(axis=1)
         if pattern.any():
-            out[rows] = nees(errors[rows][:, pattern], covariance[rows][:, pattern][:, :, pattern]) / pattern.sum()
+            e, P = errors[rows][:, pattern], covariance[rows][:, pattern][:, :, pattern]
+            sd = np.sqrt(np.einsum("nii->ni", P))
+            last = P[-1] / np.outer(sd[-1], sd[-1])
+            if np.linalg.eigvalsh(last)[0] > SINGULAR:
+                out[rows] = nees(e, P) / pattern.sum()
+            if full or np.linalg.eigvalsh(last)[0] > SINGULAR:
+                continue
+            values, vectors = np.linalg.eigh(P / (sd[:, :, None] * sd[:, None, :]))
+            free = values > SINGULAR
+            seen = np.einsum("nij,ni->nj", vectors, e / sd) ** 2
+            out[rows] = np.where(free, seen / np.where(free, values, 1.0), 0.0).sum(axis=1) / free.sum(axis=1)
     return out
 
 
@@ -196,7 +219,7 @@ def block_nees(errors: Array, covariance: Array, sensors: SensorErrors | None = 
     covariance : (k, n, n) array
         Of the whole filter.
     sensors : SensorErrors, optional
-        Without them the last three blocks are NaN.
+        Without them the last three blocks are NaN. So is that of a triad whose axes are fully correlated.
     """
     out = np.full((len(BLOCKS), len(errors)), np.nan)
     for i in range(3):
@@ -205,7 +228,7 @@ def block_nees(errors: Array, covariance: Array, sensors: SensorErrors | None = 
     if sensors is not None:
         for i in (0, 1):
             s = slice(3 * i, 3 * i + 3)
-            out[3 + i] = nees_per_dof(sensors.axes[:, s], sensors.axes_covariance[:, s, s])
+            out[3 + i] = nees_per_dof(sensors.axes[:, s], sensors.axes_covariance[:, s, s], full=True)
         out[5] = nees_per_dof(sensors.states, covariance[:, 9:, 9:])
     return out
 

@@ -18,6 +18,7 @@ from insemu import rotation
 from insemu.augment import Augmentation, Belief, StateLayout, augment, per_axis
 from insemu.errors import InputError
 from insemu.filters import FilterResult, InitialSigma, JointSystem, LooselyCoupledEKF, error_maps, ideal_fixes
+from insemu.noise import shared_processes
 from insemu.records import AXES, GnssRecord, ImuRecord
 from insemu.strapdown import NavState, mechanize_array
 
@@ -36,7 +37,7 @@ class Budget:
     states : tuple of str
         The states, for example ``pos_n``, ``pos_e``.
     sources : tuple of str
-        ``initial position`` ..., ``gyro_x WN``, ``gyro_x GM1``, ..., ``fixes``.
+        ``initial position`` ..., ``gyro_x WN``, ``gyro_x GM1``, ..., ``shared warmth`` (of all axes that see it), ..., ``fixes``.
     mean_square : (sources, states) array
     """
 
@@ -101,7 +102,7 @@ class CovarianceAnalysis:
         return np.asarray(np.sqrt(np.einsum("tii->ti", self.believed)))
 
 
-def _joint(belief: Augmentation, truth: Augmentation) -> Augmentation:
+def beside(belief: Augmentation, truth: Augmentation) -> Augmentation:
     """The filter's estimates (driven by nothing) beside the true states (seen with the other sign).
 
     Calibration and installation states stand among the estimates only: the truth's are zero, for its sensors have no such errors.
@@ -180,20 +181,16 @@ def analyse(
     no part: gates and standstill updates are off, and the covariance is propagated at full rate. Calibration and installation states that
     the filter estimates are carried; the truth's sensors have no such errors.
     """
-    ekf = ekf.with_options(
-        gate=None, standstill=None, store="fixes", node_every=None, output_every=1_000, covariance_every=1
-    )
     record = imu.as_increments()
     t = record.t
     nav = mechanize_array(record, initial, gravity=ekf.gravity)
     times = np.arange(t[0], t[-1] + 1e-9, 1.0) if at is None else np.asarray(at, dtype=np.float64)
     rows = np.searchsorted(t, times - 1e-9).clip(0, t.size - 1).astype(np.int64)
-    # flown on noise-free data: the gains that it will use, linearised about the truth
-    filtered = ekf.with_options(covariance_at=tuple(times))
-    run = filtered.run(record, ideal_fixes(ekf, record, nav, gnss), initial, believed_sigma)
+    ekf, run = on_ideal_data(ekf, record, nav, gnss, initial, believed_sigma, times)
     true_aug = augment(truth, ekf.dt)
-    joint = _joint(ekf.augmentation, true_aug)
-    M, R = _updates(ekf, run, record, nav, joint, ekf.augmentation.m, gnss, true_gnss_sigma)
+    joint = beside(ekf.augmentation, true_aug)
+    M, K, noise = updates(ekf, run, record, nav, joint, gnss, true_gnss_sigma)
+    R = K @ noise @ K.transpose(0, 2, 1)
     system = JointSystem(joint, record, error_maps(record, nav, ekf.gravity), run.fixes.epoch, M, R)
     sigma0 = (true_sigma or believed_sigma).to_array()
     P0 = np.zeros((9 + joint.m,) * 2)
@@ -203,6 +200,38 @@ def analyse(
     sources = _sources(truth, true_aug, ekf.augmentation.m)
     budgets = tuple(_budget(system, when, budget_states, ekf.layout, sigma0, sources) for when in budget_at)
     return CovarianceAnalysis(ekf.layout, t[rows], actual, believed, budgets)
+
+
+def on_ideal_data(
+    ekf: LooselyCoupledEKF,
+    record: ImuRecord,
+    nav: Array,
+    gnss: GnssRecord,
+    initial: NavState,
+    believed_sigma: InitialSigma,
+    times: Array,
+) -> tuple[LooselyCoupledEKF, FilterResult]:
+    """The filter without what depends on the data, and its run on noise-free data: the gains that it will use, linearised about the truth.
+
+    Parameters
+    ----------
+    ekf : LooselyCoupledEKF
+    record : ImuRecord
+        Ideal increments.
+    nav : (n, 10) array
+        The truth at its rows.
+    gnss : GnssRecord
+        Where and when there are fixes.
+    initial : NavState
+    believed_sigma : InitialSigma
+    times : (o,) array
+        At which covariances are kept, s.
+    """
+    ekf = ekf.with_options(
+        gate=None, standstill=None, store="fixes", node_every=None, output_every=1_000, covariance_every=1,
+        covariance_at=tuple(times),
+    )  # fmt: skip
+    return ekf, ekf.run(record, ideal_fixes(ekf, record, nav, gnss), initial, believed_sigma)
 
 
 def _budget(
@@ -234,20 +263,38 @@ def _budget(
     return Budget(float(t[last]), tuple(states), tuple(labels[i] for i in keep), table[keep])
 
 
-def _updates(
+def updates(
     ekf: LooselyCoupledEKF,
     run: FilterResult,
     imu: ImuRecord,
     nav: Array,
     joint: Augmentation,
-    mb: int,
     gnss: GnssRecord,
     true_sigma: tuple[ArrayLike, ArrayLike] | None,
-) -> tuple[Array, Array]:
-    """Joint update matrices and noise of every fix: ``z <- M z + noise`` with covariance R."""
+) -> tuple[Array, Array, Array]:
+    """Joint updates of every fix: ``z <- M z + K n`` with the covariance of the noise n.
+
+    Parameters
+    ----------
+    ekf, run : LooselyCoupledEKF, FilterResult
+        Of :func:`on_ideal_data`.
+    imu : ImuRecord
+        Ideal increments.
+    nav : (n, 10) array
+        The truth at its rows.
+    joint : Augmentation
+        Of :func:`beside`.
+    gnss : GnssRecord
+    true_sigma : (position, velocity) or None
+        True standard deviations of the fixes, m and m/s; None: as believed.
+
+    Returns
+    -------
+    M, K, noise : (f, 9 + m, 9 + m), (f, 9 + m, 6), (f, 6, 6) arrays
+    """
     fixes = run.fixes
     assert fixes.H is not None and fixes.K is not None
-    f, n = len(fixes), 9 + joint.m
+    f, n, mb = len(fixes), 9 + joint.m, ekf.augmentation.m
     installed = np.flatnonzero(joint.axis < 0)
     K = np.zeros((f, n, 6))
     K[:, : 9 + mb] = np.nan_to_num(fixes.K)
@@ -274,18 +321,26 @@ def _updates(
         shift = 0.5 - min(events.tau[k] / ekf.dt, 1.0)
         noise[k, 3:, 3:] += ((1 + shift) ** 2 + shift**2) * (X * joint.white[:3]) @ X.T
     Hz *= used[:, :, None]
-    M = np.eye(n) - K @ Hz
-    return M, K @ noise @ K.transpose(0, 2, 1)
+    return np.eye(n) - K @ Hz, K, noise
 
 
 def _sources(truth: Belief, aug: Augmentation, mb: int) -> tuple[Ints, list[str]]:
     """For each augmented state, the number of the true process it belongs to; names of those."""
     names: list[str] = []
     source = np.zeros(mb + aug.m, dtype=np.int64)  # the filter's own estimates are driven by nothing
-    for axis in per_axis(truth):
+    models = per_axis(truth)
+    common = {
+        (seen.axis, f"{seen.process.symbol}{index}"): f"shared {label}"
+        for label, members in shared_processes(models).items()
+        for seen in members
+        for place, (index, _) in enumerate(models[seen.axis].indexed())
+        if place == seen.place
+    }
+    for axis in models:
         part = aug.layout[axis]
         for s in range(part.start, part.stop):
-            name = f"{axis} {aug.layout.names[s].split('.')[1]}"
+            own = aug.layout.names[s].split(".")[1]
+            name = common.get((axis, own), f"{axis} {own}")
             if name not in names:
                 names.append(name)
             source[mb + s - 9] = names.index(name)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from functools import cached_property
 from pathlib import Path
 from threading import Lock
+from typing import Any
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +32,9 @@ from insemu.errors import InputError
 from insemu.evaluate.consistency import nees
 from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.world import OUTPUT_INTERVAL, Estimate, Scored, input_files, nearest_rows, static_logs, stream
-from insemu.filters import InitialSigma, Standstill
-from insemu.records import AXES, ImuRecord, Recording, Trajectory
+from insemu.filters import AidUse, InitialSigma, Standstill, TrueMotion
+from insemu.noise import NoiseModel, load_spread
+from insemu.records import AXES, AidRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Scenario
 from insemu.strapdown import NavState
 
@@ -116,6 +119,18 @@ class EmulatedWorld:
                 where=f"{self._name}: truth.recorded",
             )
 
+    def __getstate__(self) -> dict[str, Any]:
+        """For another process: simulated records are drawn there again, what was read from files travels."""
+        kept = self.__dict__.copy()
+        del kept["_lock"]
+        if self.truth.recorded is None and not self.truth.spread:
+            kept.pop("pieces", None)
+        return kept
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._lock = Lock()
+
     @property
     def _name(self) -> str:
         return str(self.file or "scenario")
@@ -193,9 +208,18 @@ class EmulatedWorld:
                 for name, log in zip(truth.recorded.files, static_logs(truth.recorded, self.files), strict=True)
             ]
             return recorded_pieces(records, n, rate, truth.recorded.order)
-        seed = self.scenario.seed
+        seed, models = self.scenario.seed, truth.models()
+        spreads = load_spread(self.files[truth.file]) if truth.spread and truth.file is not None else {}
+
+        def sensor(record: int) -> dict[str, NoiseModel]:
+            """The sensor of one switch-on."""
+            return {
+                axis: spreads[axis].drawn(model, stream(seed, "sensor", record, k)) if axis in spreads else model
+                for k, (axis, model) in enumerate(models.items())
+            }
+
         return simulated_pieces(
-            truth.models(),
+            sensor if spreads else models,
             n,
             rate,
             record_s=truth.record,
@@ -239,7 +263,18 @@ class EmulatedWorld:
             rng=stream(s.seed, "gnss", realization),
             effects=uses,
         )
-        return Recording(imu, fixes, self.reference, f"{self.flight.name}, realization {realization}")
+        aids = tuple(self._aid(use, None if ideal else realization) for use in s.aids)
+        return Recording(imu, fixes, self.reference, f"{self.flight.name}, realization {realization}", aids)
+
+    def _aid(self, use: AidUse, realization: int | None) -> AidRecord:
+        """What an aid says in one realization, by its own stream whatever other aids there are; perfect where there is none."""
+        t = use.times(self.reference.t)
+        llh, velocity, q, rate = state_at(self.reference, t)
+        motion = TrueMotion(llh, velocity, rotation.dcm_from_quaternion(q), rate)
+        name = crc32(use.aid.name.encode())
+        return use.record(
+            t, motion, None if realization is None else stream(self.scenario.seed, "aids", realization, name)
+        )
 
     def true_states(self, realization: int, imu: ImuRecord) -> TrueStates | None:
         """What the axes of the corrupted ``imu`` err by at the output epochs, apart from white noise; None where that is not known.

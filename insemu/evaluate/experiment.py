@@ -1,19 +1,14 @@
-"""Realizations x designs: every realization is one independent work item in which all designs fly the same data.
+"""A scenario made ready: its world, its beliefs, and one realization in which all designs fly the same data.
 
-Truth and belief never share a variable: the emulator gets ``scenario.truth``, the filters get what :func:`beliefs` resolved. Finished
-items are kept under the experiment's digest, so an interrupted run goes on where it stopped, whatever the number of workers.
+Truth and belief never share a variable: the emulator gets ``scenario.truth``, the filters get what :func:`beliefs` resolved.
 """
 
 from __future__ import annotations
 
 import platform
-import subprocess
-import time
-from collections.abc import Callable, Mapping
-from concurrent.futures import Executor, ThreadPoolExecutor
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -21,17 +16,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-import insemu
-from insemu.augment import NAVIGATION
-from insemu.denoise import denoise
+from insemu.denoise import delayed_approximation, denoise
 from insemu.effects import compensated, lever_arm_of
 from insemu.emulate import TrueStates
 from insemu.errors import InputError
 from insemu.evaluate.consistency import block_nees, lag_products, observability, sensor_errors, unaided_sigma
-from insemu.evaluate.dataset import of_bytes, of_designs, of_realizations, to_bytes
+from insemu.evaluate.dataset import of_designs
 from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.recorded import RecordedWorld
-from insemu.evaluate.results import DesignInfo, Results
 from insemu.evaluate.world import Estimate, World, implausible, static_logs, stream
 from insemu.filters import (
     FilterOptions,
@@ -46,27 +38,13 @@ from insemu.filters import (
     smooth,
     user_filter_code,
 )
-from insemu.fit import FitResult, fit
-from insemu.noise import ARMA, NoiseModel, NotStationary, axis_unit, load
+from insemu.fit import FitResult, fit, fit_together
+from insemu.noise import ARMA, CommonDraws, NoiseModel, NotStationary, axis_unit, load
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Series, Trajectory
-from insemu.scenario import AxisSource, Scenario, digest
+from insemu.scenario import AxisSource, Scenario, code_version, digest
 from insemu.strapdown import NavState, trajectory_of
-from insemu.work import Files, run_items
 
 Array = NDArray[np.float64]
-Progress = Callable[[int, int, str], None]
-
-
-def silent(done: int, total: int, label: str) -> None:
-    """Progress that says nothing.
-
-    Parameters
-    ----------
-    done, total : int
-        Realizations.
-    label : str
-        What is being done.
-    """
 
 
 @dataclass(frozen=True)
@@ -109,6 +87,16 @@ class Experiment:
             if not any(isinstance(source, AxisSource) and source.fit for source in design.sources().values()):
                 self._made(name, self._belief(name, {}))  # nor is a belief that no filter can carry
 
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"code": code_version()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        if state.pop("code") != code_version():
+            raise InputError(
+                "a worker has other source files of insemu than the process that asks it", where=platform.node()
+            )
+        self.__dict__.update(state)
+
     @property
     def warnings(self) -> tuple[str, ...]:
         """What looks odd in the world's data, and what is implausible in the scenario."""
@@ -118,6 +106,11 @@ class Experiment:
     def rate_hz(self) -> float:
         """IMU rate."""
         return self.world.rate_hz
+
+    @property
+    def realizations(self) -> int:
+        """How many there are: the scenario's number, of a recording one, because it happened once."""
+        return 1 if self.scenario.recording is not None else self.scenario.realizations
 
     @cached_property
     def fit_logs(self) -> dict[str, list[Series]]:
@@ -133,9 +126,16 @@ class Experiment:
         n = round(source.simulate * rate)
         out: dict[str, list[Series]] = {}
         drawn: dict[NoiseModel, Series] = {}
-        for index, (axis, model) in enumerate(self._true_models().items()):
-            if model not in drawn:  # axes with one truth share one log, as one sensor type has one calibration
-                values = model.at_rate(rate).simulate(n, 1.0 / rate, stream(self.scenario.seed, "fits", index))
+        models = {axis: model.at_rate(rate) for axis, model in self._true_models().items()}
+        common = CommonDraws(models)
+        for index, (axis, model) in enumerate(models.items()):
+            alone = not any(p.shared for p in model)
+            if (
+                model not in drawn or not alone
+            ):  # axes with one truth share one log, as one sensor type has one calibration
+                parts = model.simulate_components(n, 1.0 / rate, stream(self.scenario.seed, "fits", index))
+                common.share(axis, parts)
+                values = parts.sum(axis=0)
                 drawn[model] = Series(values - values.mean(), rate, axis_unit(axis), axis)
             out[axis] = [drawn[model]]
         return out
@@ -145,6 +145,26 @@ class Experiment:
         """What every design believes, models fitted where the scenario says so."""
         done: dict[tuple[str, int], FitResult] = {}  # a log is fitted once per structure and method
         return {name: self._belief(name, done) for name in self.scenario.designs}
+
+    def _fitted_together(self, name: str, done: dict[tuple[str, int], FitResult]) -> None:
+        """Fit the axes of a design whose models share processes, all at once."""
+        sources = self.scenario.designs[name].sources()
+        asked = {
+            axis: source
+            for axis, source in sources.items()
+            if isinstance(source, AxisSource) and source.fit is not None and any(p.shared for p in source.fit)
+        }
+        if not asked:
+            return
+        where = f"{self.file or 'scenario'}: designs.{name}"
+        if any(source.method != "gmwm" or source.options for source in asked.values()):
+            raise InputError("models with shared processes are fitted by gmwm without options", where=where)
+        logs = [replace(self.fit_logs[axis][0], name=axis) for axis in asked]
+        try:
+            found = fit_together(logs, {axis: source.fit for axis, source in asked.items() if source.fit is not None})
+        except InputError as error:
+            raise InputError(error.message, where=where) from None
+        done.update({_fit_key(source, self.fit_logs[axis][0]): found[axis] for axis, source in asked.items()})
 
     def _belief(self, name: str, done: dict[tuple[str, int], FitResult]) -> Belief:
         design = self.scenario.designs[name]
@@ -162,7 +182,9 @@ class Experiment:
             else:
                 assert source.fit is not None
                 log = self.fit_logs[axis][0]
-                key = (source.model_dump_json(include={"fit", "method", "options"}), id(log))
+                key = _fit_key(source, log)
+                if key not in done and any(p.shared for p in source.fit):
+                    self._fitted_together(name, done)
                 if key not in done:
                     done[key] = self._fitted(name, log, source)
                 fits[axis] = done[key]
@@ -397,13 +419,17 @@ class Experiment:
         prefilter = self.scenario.designs[design].options.prefilter
         if prefilter is None:
             return imu
-        columns = [*imu.gyro.T, *imu.accel.T]
-        clean = [
-            denoise(column, levels, wavelet=prefilter.wavelet, rule=prefilter.rule, mode=prefilter.mode)
-            if levels
-            else column
-            for column, levels in zip(columns, prefilter.per_axis(), strict=True)
-        ]
+
+        def clean_of(column: NDArray[np.float64], levels: int) -> NDArray[np.float64]:
+            if not levels:
+                return column
+            if prefilter.delay is not None:
+                return delayed_approximation(
+                    column, levels, round(prefilter.delay * self.rate_hz), wavelet=prefilter.wavelet
+                )
+            return denoise(column, levels, wavelet=prefilter.wavelet, rule=prefilter.rule, mode=prefilter.mode)
+
+        clean = [clean_of(*item) for item in zip([*imu.gyro.T, *imu.accel.T], prefilter.per_axis(), strict=True)]
         return replace(imu, gyro=np.stack(clean[:3], axis=1), accel=np.stack(clean[3:], axis=1))
 
     def _believed(self, design: str, fixes: GnssRecord) -> GnssRecord:
@@ -417,121 +443,6 @@ class Experiment:
         return out
 
 
-def git_revision() -> str | None:
-    """Revision of the checkout that the package runs from, or None."""
-    root = Path(insemu.__file__).resolve().parents[1]
-    try:
-        found = subprocess.run(
-            ["git", "-C", str(root), "describe", "--always", "--dirty"],
-            capture_output=True,
-            text=True,
-            timeout=10,
-            check=False,
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return found.stdout.strip() or None if found.returncode == 0 else None
-
-
-def manifest_of(experiment: Experiment) -> dict[str, Any]:
-    """What a result needs to be a result: resolved scenario, digest, seed, versions, git revision."""
-    packages = ("numpy", "scipy", "numba", "xarray", "pydantic")
-    return {
-        "scenario": experiment.scenario.model_dump(mode="json"),
-        "scenario_file": str(experiment.file) if experiment.file else None,
-        "digest": experiment.digest,
-        "seed": experiment.scenario.seed,
-        "insemu": insemu.__version__,
-        "git": git_revision(),
-        "python": platform.python_version(),
-        "packages": {name: metadata.version(name) for name in packages},
-        "ideal_imu_distance_m": experiment.world.path_distance_m,
-        "warnings": list(experiment.warnings),
-        "intake": None if (card := experiment.world.card) is None else card.to_json(),
-        "beliefs": {
-            name: {axis: m.to_list(axis_unit(axis)) for axis, m in b.models.items()}
-            for name, b in experiment.beliefs.items()
-        },
-    }
-
-
-def run_experiment(
-    experiment: Experiment,
-    *,
-    realizations: int | None = None,
-    workers: int = 1,
-    executor: Executor | None = None,
-    cache: Path | None = None,
-    progress: Progress = silent,
-    say: Callable[[str], None] = lambda text: None,
-) -> Results:
-    """Run every realization and collect.
-
-    Parameters
-    ----------
-    experiment : Experiment
-    realizations : int, optional
-        Number to run; default the scenario's.
-    workers : int
-        Threads (the compiled filter frees the GIL).
-    executor : Executor, optional
-        Any ``concurrent.futures`` executor instead, for example a cluster's; the experiment must be picklable there.
-    cache : path, optional
-        Folder in which finished realizations are kept and looked for.
-    progress : callable
-        Called with (done, total, label).
-    say : callable
-        Told in words of kept realizations that are not taken.
-
-    Returns
-    -------
-    Results
-    """
-    started = time.perf_counter()
-    s = experiment.scenario
-    total = realizations if realizations is not None else s.realizations
-    if s.recording is not None:
-        total = 1  # what was recorded happened once
-    store = None
-    if cache is not None:
-        store = Files(cache / experiment.digest, experiment.digest, to_bytes, of_bytes, say)
-    finished = 0
-
-    def done(_: xr.Dataset) -> None:
-        nonlocal finished
-        finished += 1
-        progress(finished, total, "flying")
-
-    progress(0, total, "preparing")
-    for name in experiment.beliefs:  # fits are made once, before the threads, and whatever is wrong with them is said
-        experiment.filter(name)
-    keys = {f"{r:05d}": r for r in range(total)}
-    if executor is None:
-        with ThreadPoolExecutor(max_workers=max(1, workers)) as threads:
-            items = run_items(keys, experiment.realization, pool=threads, store=store, done=done)
-    else:
-        items = run_items(keys, experiment.realization, pool=executor, store=store, done=done)
-    data = of_realizations(list(items.values()))
-    designs = {}
-    for d, (name, belief) in enumerate(experiment.beliefs.items()):
-        n = int(data["states"][d])
-        behind = [str(x) for x in data["state_name"].to_numpy()[d][: n - 9]]
-        designs[name] = DesignInfo(n, (*NAVIGATION, *behind), belief.models)
-    timing = {
-        "filter_epochs": int(data["epochs"].sum()),
-        "filter_seconds": float(data["seconds"].sum()),
-        "wall_seconds": time.perf_counter() - started,
-    }
-    return Results(
-        title=s.title,
-        digest=experiment.digest,
-        seed=s.seed,
-        data=data,
-        designs=designs,
-        outages=experiment.world.outage_windows,
-        truth=experiment.world.truth_at_outputs,
-        timing=timing,
-        manifest=manifest_of(experiment) | {"timing": timing},
-        published=s.published.figures if s.published else {},
-        nees_dof=experiment.world.compared,
-    )
+def _fit_key(source: AxisSource, log: Series) -> tuple[str, int]:
+    """What tells one fit from another: structure, method, options and the log."""
+    return source.model_dump_json(include={"fit", "method", "options"}), id(log)

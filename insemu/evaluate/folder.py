@@ -17,8 +17,10 @@ from typing import Any
 import yaml
 
 from insemu.errors import InputError
+from insemu.evaluate.provenance import CRATE, crate, sha256
 from insemu.evaluate.results import Results, outage_rows, summary
 from insemu.scenario import Scenario
+from insemu.whole import put, replacing
 
 #: Says that everything beside it is there: scenario, realizations and the sha256 of every file. Absent: the folder is not finished.
 MARKER = "complete.json"
@@ -27,8 +29,14 @@ CACHE = "cache"
 
 
 @contextmanager
-def only_writer(folder: Path) -> Iterator[None]:
+def only_writer(folder: Path, *, shared: bool = False) -> Iterator[None]:
     """Hold a folder of results; it is made where it does not exist.
+
+    Parameters
+    ----------
+    folder : path
+    shared : bool
+        Hold it together with others who add items to what is kept, but write no results.
 
     Raises
     ------
@@ -38,7 +46,11 @@ def only_writer(folder: Path) -> Iterator[None]:
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / LOCK
     with path.open("a+", encoding="utf-8") as handle:
-        if not _locked(handle.fileno()) or not path.exists() or path.stat().st_ino != os.fstat(handle.fileno()).st_ino:
+        if (
+            not _locked(handle.fileno(), shared)
+            or not path.exists()
+            or path.stat().st_ino != os.fstat(handle.fileno()).st_ino
+        ):
             handle.seek(0)
             other = handle.read().strip() or "another process"
             raise InputError(
@@ -50,28 +62,21 @@ def only_writer(folder: Path) -> Iterator[None]:
         try:
             yield
         finally:
-            path.unlink(missing_ok=True)
+            if not shared:  # others may hold it still
+                path.unlink(missing_ok=True)
 
 
-def _locked(descriptor: int) -> bool:
+def _locked(descriptor: int, shared: bool) -> bool:
     """Take the lock; a process that ends in any way gives it back."""
     try:
         import fcntl
     except ImportError:  # not a POSIX system: nothing keeps a second process out
         return True
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
     except OSError:
         return False
     return True
-
-
-def put(path: Path, content: str | bytes) -> None:
-    """Write a file; a reader sees a whole one or none."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
-    partial.replace(path)
 
 
 def resolved(scenario: Scenario) -> str:
@@ -99,9 +104,8 @@ def write(results: Results, folder: Path) -> None:
         table.writeheader()
         table.writerows(rows)
     put(folder / "outages.csv", stream.getvalue())
-    partial = folder / ".errors.nc.partial"
-    results.to_dataset().to_netcdf(partial, engine="h5netcdf")
-    partial.replace(folder / "errors.nc")
+    with replacing(folder / "errors.nc") as partial:
+        results.to_dataset().to_netcdf(partial, engine="h5netcdf")
 
 
 def _identity(scenario: Scenario) -> str:
@@ -124,7 +128,7 @@ def check_not_fewer(folder: Path, scenario: Scenario) -> None:
 
 
 def finish(folder: Path, scenario: Scenario, results: Results) -> None:
-    """Write the marker: everything that is there now belongs to these results.
+    """Write the RO-Crate and the marker: everything that is there now belongs to these results.
 
     Parameters
     ----------
@@ -134,11 +138,9 @@ def finish(folder: Path, scenario: Scenario, results: Results) -> None:
         Of the scenario itself, not of a variant.
     """
     files = sorted(p for p in folder.rglob("*") if p.is_file() and CACHE not in p.relative_to(folder).parts)
-    hashes = {
-        str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest()
-        for p in files
-        if p.name not in (MARKER, LOCK)
-    }
+    hashes = {str(p.relative_to(folder)): sha256(p) for p in files if p.name not in (MARKER, LOCK, CRATE)}
+    put(folder / CRATE, crate(results.title, results.manifest, hashes))
+    hashes[CRATE] = sha256(folder / CRATE)
     document = {
         "scenario": _identity(scenario),
         "digest": results.digest,

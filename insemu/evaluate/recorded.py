@@ -71,7 +71,11 @@ class RecordedWorld:
             raise InputError("the span from start to end holds no IMU data", where=f"{file or 'scenario'}: recording")
         self.vehicle_imu = replace(imu, gyro=imu.gyro @ C.T, accel=imu.accel @ C.T).rows(keep)
         self.warnings += tuple(_bridged(self.vehicle_imu, self.source.file))
-        self.aids, self.known = recording.aids, None
+        late = self.source.imu_time_offset  # aids are on the IMU's clock
+        self.aids = tuple(
+            replace(a, t=a.t - late, since=None if a.since is None else a.since - late) for a in recording.aids
+        )
+        self.known = None
         if recording.initial is not None:
             attitude = rotation.dcm_from_rpy(recording.initial.rpy) @ C.T
             self.known = replace(recording.initial, rpy=rotation.rpy_from_dcm(attitude))

@@ -20,10 +20,12 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from insemu.errors import InputError
-from insemu.evaluate.experiment import Experiment, run_experiment
+from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.results import Results
+from insemu.evaluate.running import run_experiment
 from insemu.filters import FilterParts
 from insemu.noise import NoiseModel
+from insemu.whole import put
 
 Array = NDArray[np.float64]
 
@@ -85,7 +87,7 @@ class Baseline:
             "seed": self.seed,
             "figures": {d: {k: v.tolist() for k, v in f.items()} for d, f in self.figures.items()},
         }
-        Path(path).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+        put(path, json.dumps(document, indent=1) + "\n")
 
     @classmethod
     def read(cls, path: str | Path) -> Baseline:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -23,6 +23,10 @@ from insemu.evaluate.errors import (
 )
 from insemu.noise import NoiseModel
 from insemu.records import Trajectory
+from insemu.shown import Shown, few
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 
@@ -40,8 +44,8 @@ class DesignInfo:
     belief: Mapping[str, NoiseModel]
 
 
-@dataclass(frozen=True)
-class Results:
+@dataclass(frozen=True, repr=False)
+class Results(Shown):
     """Errors of designs in realizations of one scenario.
 
     Parameters
@@ -82,6 +86,21 @@ class Results:
     published: Mapping[str, Mapping[str, Sequence[float | None]]] = field(default_factory=dict)
     nees_dof: int = 9
     budgets: Mapping[str, Sequence[Mapping[str, Any]]] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        head = f"{self.title}: {len(self.designs)} designs, {self.realizations} realizations, seed {self.seed}"
+        return few([head, *(f"  {line}" for line in map(_row_words, outage_rows(self)))])
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row per design and outage: the figures of ``outages.csv``."""
+        import pandas as pd
+
+        rows = pd.DataFrame(outage_rows(self))
+        return rows.set_index(["design", "outage"]) if len(rows) else rows
+
+    def to_xarray(self) -> xr.Dataset:
+        """Errors, stated deviations and NEES by design, realization and time."""
+        return self.data
 
     def __getitem__(self, name: str) -> Array:
         """A variable of the dataset as an array, (design, realization, ...)."""
@@ -190,7 +209,7 @@ def outage_table(results: Results) -> dict[str, list[dict[str, Any]]]:
             inside = within_outage(results.t, start, duration)
             end = results.end_index(k)
             error, sigma = results.error[d], results.sigma[d]
-            at_end_runs = _runs(results, name, k, "planimetric_end_m")
+            at_end_runs = runs_of(results, name, k, "planimetric_end_m")
             at_end = bootstrap_mean(at_end_runs)
             row = {
                 "start_s": start,
@@ -200,7 +219,7 @@ def outage_table(results: Results) -> dict[str, list[dict[str, Any]]]:
                     "ci95": [at_end.low, at_end.high],
                     "per_realization": at_end_runs.tolist(),
                 },
-                **{f: float(_runs(results, name, k, f).mean()) for f in DURING},
+                **{f: float(runs_of(results, name, k, f).mean()) for f in DURING},
                 "altimetric_end_m": float(np.abs(error[:, end, 2]).mean()),
                 "predicted_sigma_end_m": float(np.sqrt((sigma[:, end, :2] ** 2).sum(axis=1).mean())),
                 "velocity_end_m_s": float(np.linalg.norm(error[:, end, 3:6], axis=1).mean()),
@@ -213,6 +232,11 @@ def outage_table(results: Results) -> dict[str, list[dict[str, Any]]]:
             rows.append(row)
         table[name] = rows
     return table
+
+
+def _row_words(row: Mapping[str, Any]) -> str:
+    error, stated = row["planimetric_end_m"], row["predicted_sigma_end_m"]
+    return f"{row['design']}, outage {row['outage']}: {error:.3g} m at its end, states {stated:.3g} m: {row['verdict']}"
 
 
 def outage_rows(results: Results) -> list[dict[str, Any]]:
@@ -332,14 +356,28 @@ def single_run_agreement(results: Results, figure: str | None = None) -> Array:
         return np.zeros(0)
     taus = []
     for k in range(len(results.outages)):
-        values = np.stack([_runs(results, name, k, figure) for name in names])
+        values = np.stack([runs_of(results, name, k, figure) for name in names])
         total = values.sum(axis=1)
         taus += [kendall(list(v), list(total - v)) for v in values.T]
     return np.array([tau for tau in taus if not np.isnan(tau)])
 
 
-def _runs(results: Results, design: str, outage: int, figure: str) -> Array:
-    """A figure of one outage, run by run."""
+def runs_of(results: Results, design: str, outage: int, figure: str) -> Array:
+    """A figure of one outage, run by run.
+
+    Parameters
+    ----------
+    results : Results
+    design : str
+    outage : int
+        From 0.
+    figure : str
+        ``planimetric_end_m`` or one of :data:`DURING`.
+
+    Returns
+    -------
+    (realizations,) array
+    """
     error = results.error[results.names.index(design)]
     if figure == "planimetric_end_m":
         at = results.end_index(outage)

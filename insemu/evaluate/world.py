@@ -23,7 +23,17 @@ from insemu.strapdown import NavState
 Array = NDArray[np.float64]
 
 #: Streams of randomness; each gets children of the scenario's seed by (stream, realization or record, axis).
-_STREAMS = {"truth": 0, "gnss": 1, "initial": 2, "fits": 3, "effects": 4, "outages": 5}
+_STREAMS = {
+    "truth": 0,
+    "gnss": 1,
+    "initial": 2,
+    "fits": 3,
+    "effects": 4,
+    "outages": 5,
+    "aids": 6,
+    "sensor": 7,
+    "linear": 8,
+}
 
 
 #: Interval of the epochs at which errors are evaluated, s.
@@ -73,6 +83,10 @@ PLAUSIBLE: Mapping[str, tuple[float, str, float]] = {
 }
 
 
+#: Share of lost samples above which the bridging by time stamps makes filters overconfident.
+MOST_LOST = 0.01
+
+
 def implausible(scenario: Scenario, where: str) -> tuple[str, ...]:
     """What runs but can hardly be meant, in words; ``where`` names the file."""
     out = []
@@ -82,6 +96,12 @@ def implausible(scenario: Scenario, where: str) -> tuple[str, ...]:
         largest = 0.0 if value is None else float(np.abs(value).max())
         if largest > limit:
             out.append(f"{where}: {key} is {factor * largest:g} {unit}, expected at most {factor * limit:g} {unit}")
+    for use in scenario.truth.effects if scenario.truth is not None else ():
+        if use.id == "dropped_samples" and (lost := use.scalar("probability") * use.scalar("burst")) > MOST_LOST:
+            out.append(
+                f"{where}: truth.effects: dropped_samples loses about {100 * min(lost, 1.0):.2g} % of the samples, expected at most "
+                f"{100 * MOST_LOST:g} %: no filter knows what the vehicle does in the gaps, so no filter states its error"
+            )
     return tuple(out)
 
 

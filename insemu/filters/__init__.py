@@ -1,6 +1,7 @@
 """Filters: the loosely coupled, closed-loop error-state EKF in one compiled loop."""
 
 from insemu.augment import Extras
+from insemu.filters.aid import Aid, AidUse, TrueMotion
 from insemu.filters.aids import AIDS, Standstill
 from insemu.filters.alignment import (
     Alignment,
@@ -17,14 +18,24 @@ from insemu.filters.ekf import LooselyCoupledEKF, run_filter
 from insemu.filters.joint import JointSystem, error_maps, ideal_fixes
 from insemu.filters.motion import align_in_motion
 from insemu.filters.options import FilterOptions, InitialSigma
-from insemu.filters.protocol import FilterParts, NavigationFilter, check_result, user_filter, user_filter_code
+from insemu.filters.protocol import (
+    FilterParts,
+    NavigationFilter,
+    check_result,
+    register_filter,
+    user_filter,
+    user_filter_code,
+)
 from insemu.filters.rest import never_moves, rests
-from insemu.filters.results import FilterResult, FixTable, Nodes
+from insemu.filters.results import FilterResult, FixTable, Nodes, log_density
 from insemu.filters.smoother import SmootherResult, smooth
 from insemu.filters.start import start
+from insemu.filters.twin import LinearErrors, driven, step_matrices
 
 __all__ = [
     "AIDS",
+    "Aid",
+    "AidUse",
     "Alignment",
     "Extras",
     "FilterOptions",
@@ -33,28 +44,34 @@ __all__ = [
     "FixTable",
     "InitialSigma",
     "JointSystem",
+    "LinearErrors",
     "LooselyCoupledEKF",
     "NavigationFilter",
     "Nodes",
     "SmootherResult",
     "Standstill",
     "StartBelief",
+    "TrueMotion",
     "align",
     "align_at_rest",
     "align_in_motion",
     "check_result",
     "cut",
+    "driven",
     "error_maps",
     "first_track",
     "ideal_fixes",
+    "log_density",
     "never_moves",
     "on_reference",
     "on_track",
+    "register_filter",
     "rests",
     "run_filter",
     "sigma_of_fixes",
     "smooth",
     "start",
+    "step_matrices",
     "user_filter",
     "user_filter_code",
 ]

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError, nearest
-from insemu.filters.aids import AIDS, SETTINGS
+from insemu.filters.aid import SETTINGS
+from insemu.filters.aids import AIDS, CODES
 from insemu.filters.measurements import FIX
 from insemu.filters.options import three_sigmas
 from insemu.records import AidRecord, GnssRecord
@@ -74,7 +75,7 @@ class Events:
     @property
     def first_of(self) -> Ints:
         """(kinds,) The first event of every kind, -1 where there is none."""
-        out = np.full(1 + max(k.code for k in AIDS.values()), -1, dtype=np.int64)
+        out = np.full(1 + len(AIDS), -1, dtype=np.int64)
         for kind in np.unique(self.kind):
             out[kind] = int(np.argmax(self.kind == kind))
         return out
@@ -182,5 +183,5 @@ def aid_events(t: Array, dt: float, aid: AidRecord) -> Events:
         since = np.minimum(np.maximum(asked, np.concatenate([[0], epoch[:-1]])), since)
     settings = np.zeros((inside.size, SETTINGS))
     settings[:, : len(aid.settings)] = aid.settings
-    kind = np.full(inside.size, known.code, dtype=np.int64)
+    kind = np.full(inside.size, CODES[aid.kind], dtype=np.int64)
     return Events(times, epoch, kind, since, tau, aid.values[inside], aid.std[inside] ** 2, settings)

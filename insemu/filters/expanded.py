@@ -184,7 +184,8 @@ def _scale_rows(E: Array, d: Array, slots: int) -> None:
 def _mix_rows(E: Array, phi: Array, slots: int, work: Array) -> None:
     """Augmented states that mix within an axis: ``rows <- Phi rows`` for their own columns; ``phi`` is (slots, slots, 8)."""
     width = columns_of(slots)
-    work[: 8 * slots * LD] = E[FIRST * LD : (FIRST + 8 * slots) * LD]
+    for i in range(8 * slots * LD):
+        work[i] = E[FIRST * LD + i]
     for s in range(slots):
         R = E[(FIRST + 8 * s) * LD + FIRST :]
         p = phi[s, s]

@@ -286,7 +286,8 @@ def _backward(
                 if x != 0.0:
                     for j in range(n):
                         new[j] += x * M[fix, i, j]
-            L[:] = new
+            for i in range(n):
+                L[i] = new[i]
             fix -= 1
         if k == 0:
             break

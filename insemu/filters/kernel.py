@@ -238,7 +238,9 @@ def run(
     used = np.zeros(width, dtype=np.bool_)
     L = np.zeros((n, n))
     driven = False
-    P[:, :] = P0
+    for i in range(n):
+        for j in range(n):  # an assignment of slices would compile three seconds of messages
+            P[i, j] = P0[i, j]
     scatter(P, place, E)
     for s in range(m):
         x[place[9 + s]] = x0[s]

@@ -7,7 +7,8 @@ whether another heading would do as well. The velocity-vector form of it is Wu a
 their own noise, so that the noise of a slow vehicle's fixes never counts as motion.
 
 That holds over the seconds in which the noise of the gyroscopes does not matter. The stretch is grown until the heading is told coarsely; from
-there on the filter itself does the rest, on the fixes that follow. A record that never tells the heading is refused.
+there on the filter itself does the rest, on the fixes that follow. Where the first motion does not tell it, later motion may; a record that
+never tells the heading is refused.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ Array = NDArray[np.float64]
 
 #: Lengths of the stretch that are tried one after another, s.
 STRETCHES = (5.0, 10.0, 20.0, 40.0, 80.0)
+#: Where the first motion does not tell the heading, later ones so many seconds apart may.
+AGAIN_S = 40.0
 #: A stretch is long enough when the heading's standard deviation is below this, rad; the filter goes on to the second, or ends at the third.
 COARSE, FINE, WORST = np.deg2rad([8.0, 2.0, 5.0])
 #: Normalised innovations squared per degree of freedom from which the filter is on a wrong solution.
@@ -335,14 +338,17 @@ def _stretch(
     )
 
 
-def _moves_from(gnss: GnssRecord) -> int:
-    """The first fix from which on places change by more than their noise within ten seconds, a few seconds before it."""
+def _moves_from(gnss: GnssRecord) -> list[int]:
+    """Fixes from which on places change by more than their noise within ten seconds: the first, and further ones :data:`AGAIN_S` apart."""
     assert gnss.pos_std_ned is not None
     ahead = np.minimum(np.searchsorted(gnss.t, gnss.t + 10.0), len(gnss) - 1)
     moved = np.linalg.norm(earth.position_difference(gnss.llh[ahead], gnss.llh)[:, :2], axis=1)
     limit = np.maximum(3.0, 6.0 * np.linalg.norm(gnss.pos_std_ned[:, :2], axis=1))
-    found = np.flatnonzero(moved > limit)
-    return int(found[0]) if found.size else 0
+    out: list[int] = []
+    for k in np.flatnonzero(moved > limit):
+        if not out or gnss.t[k] - gnss.t[out[-1]] >= AGAIN_S:
+            out.append(int(k))
+    return out or [0]
 
 
 def align_in_motion(
@@ -388,24 +394,22 @@ def align_in_motion(
     prior = _bias_prior(quiet)
     noise = _white_noise(r)
     arm = np.asarray(lever_arm, dtype=np.float64)
-    start = _moves_from(fixes)
     said = "fewer than five fixes after the first motion"
-    for span in STRETCHES:
-        stop = int(np.searchsorted(fixes.t, fixes.t[start] + min(span, longest) + 1e-6)) - 1
-        if stop - start < 4:
-            continue
-        stretch = _stretch(_thinned(r), fixes, start, stop, arm, gravity, noise)
-        fit, margin = stretch.best(prior)
-        said = (
-            f"its standard deviation after {stretch.t[-1]:.0f} s is {np.rad2deg(min(fit.heading_sigma, np.pi)):.1f} deg"
-        )
-        if fit.heading_sigma <= COARSE and margin > WORSE:
-            found = _refined(fit, stretch, r, fixes, arm, gravity, noise, longest)
-            if found is not None:
-                return replace(found, standstill=tuple((q.start, q.end) for q in quiet if q.still))
-            said = "the filter does not settle on it"
-        if span >= longest or stop == len(fixes) - 1:
-            break
+    for start in _moves_from(fixes):
+        for span in STRETCHES:
+            stop = int(np.searchsorted(fixes.t, fixes.t[start] + min(span, longest) + 1e-6)) - 1
+            if stop - start < 4:
+                continue
+            stretch = _stretch(_thinned(r), fixes, start, stop, arm, gravity, noise)
+            fit, margin = stretch.best(prior)
+            said = f"its standard deviation after {stretch.t[-1]:.0f} s is {np.rad2deg(min(fit.heading_sigma, np.pi)):.1f} deg"
+            if fit.heading_sigma <= COARSE and margin > WORSE:
+                found = _refined(fit, stretch, r, fixes, arm, gravity, noise, longest)
+                if found is not None:
+                    return replace(found, standstill=tuple((q.start, q.end) for q in quiet if q.still))
+                said = "the filter does not settle on it"
+            if span >= longest or stop == len(fixes) - 1:
+                break
     raise InputError(f"the vehicle does not move enough to tell the heading ({said}); give a start, or a longer record")
 
 

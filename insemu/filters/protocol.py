@@ -53,6 +53,25 @@ class NavigationFilter(Protocol):
         ...
 
 
+#: Filters of the running program.
+REGISTERED: dict[str, type[NavigationFilter]] = {}
+
+
+def register_filter(name: str, filter: type[NavigationFilter]) -> None:
+    """Make a filter of one's own known to scenarios of this program (``filter: NAME``); an installed package offers it by an entry point.
+
+    Raises
+    ------
+    InputError
+        A name that comes with insemu, or a class without the method ``run``.
+    """
+    if name in OWN:
+        raise InputError(f"the filter '{name}' comes with insemu, expected another name")
+    if not callable(getattr(filter, "run", None)):
+        raise InputError(f"the filter '{name}' has no method run(imu, gnss, initial, initial_sigma)")
+    REGISTERED[name] = filter
+
+
 @dataclass(frozen=True)
 class FilterParts:
     """What a filter is made of: the arguments of :class:`~insemu.filters.ekf.LooselyCoupledEKF` and of a user's class."""
@@ -91,7 +110,9 @@ def _entry(name: str) -> EntryPoint:
     offered = {e.name: e for e in entry_points(group=GROUP)} | OWN
     if name not in offered:
         hint = (
-            nearest(name, offered) if len(offered) > len(OWN) else f" (no installed package offers any under '{GROUP}')"
+            nearest(name, offered | REGISTERED)
+            if len(offered | REGISTERED) > len(OWN)
+            else f" (no installed package offers any under '{GROUP}')"
         )
         raise InputError(f"no filter '{name}'" + hint)
     return offered[name]
@@ -112,6 +133,8 @@ def user_filter(name: str) -> type[NavigationFilter]:
     InputError
         No such entry point, one that cannot be imported, or a class without the method ``run``.
     """
+    if name in REGISTERED:
+        return REGISTERED[name]
     entry = _entry(name)
     try:
         found: type[NavigationFilter] = entry.load()
@@ -134,6 +157,9 @@ def user_filter_code(name: str) -> dict[str, Path]:
     """
     if name in OWN:
         return {}  # the package's own code belongs to every experiment
+    if name in REGISTERED:  # a script: its own file alone
+        own = getattr(sys.modules.get(REGISTERED[name].__module__), "__file__", None)
+        return {f"filter {name}": Path(own)} if own else {}
     top = sys.modules.get(user_filter(name).__module__.split(".")[0])
     file = getattr(top, "__file__", None)
     if file is None:

@@ -15,6 +15,13 @@ from insemu.strapdown import trajectory_of
 Array = NDArray[np.float64]
 
 
+def log_density(v: Array, S: Array) -> Array:
+    """Log densities of rows of ``v`` (k, c) under normal distributions of covariances ``S`` (k, c, c), without the constant."""
+    L = np.linalg.cholesky(S)
+    z = np.linalg.solve(L, v[:, :, None])[:, :, 0]
+    return np.asarray(-0.5 * np.einsum("ki,ki->k", z, z) - np.sum(np.log(np.einsum("kii->ki", L)), axis=1))
+
+
 @dataclass(frozen=True)
 class FixTable:
     """What happened at every fix and aid, with w components: 6, unless an aid has more.
@@ -26,7 +33,7 @@ class FixTable:
     epoch : (f,) array of int
         IMU row at which it was used. (With an estimated latency, one whose own time had passed already has ``dof`` 0.)
     kind : (f,) array of int
-        0: GNSS (components: position north, east, down, velocity); else an aid, see :data:`insemu.filters.aids.AIDS`.
+        0: GNSS (components: position north, east, down, velocity); else an aid, see :data:`insemu.filters.aids.CODES`.
     innovation : (f, w) array
         Measured minus predicted, m and m/s; NaN where a component is missing.
     S : (f, w, w) array
@@ -55,6 +62,18 @@ class FixTable:
 
     def __len__(self) -> int:
         return self.t.size
+
+    @cached_property
+    def complete(self) -> tuple[Array, Array]:
+        """Innovations (f, w) and covariances (f, w, w) in which a missing component is a certain zero, which adds nothing to a density."""
+        missing = ~np.isfinite(self.innovation)
+        S = np.where(missing[:, :, None] | missing[:, None, :], 0.0, self.S)
+        return np.where(missing, 0.0, self.innovation), S + missing[:, :, None] * np.eye(S.shape[1])
+
+    @cached_property
+    def log_densities(self) -> Array:
+        """Log density of every innovation (f,), without the constant; their sum is the log-likelihood of the belief (Schweppe 1965)."""
+        return log_density(*self.complete)
 
     @property
     def rejected(self) -> NDArray[np.int64]:

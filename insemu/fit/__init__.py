@@ -5,44 +5,65 @@ One door, :func:`fit`; every method returns a :class:`FitResult`.
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from insemu import CalledRoom
 from insemu.errors import InputError, nearest
 from insemu.fit.covariance import model_covariance
-from insemu.fit.indirect import bootstrap_intervals
+from insemu.fit.indirect import bootstrap_intervals, check_bootstrap
 from insemu.fit.likelihood import LARGE, fit_mli_pieces
-from insemu.fit.result import Criterion, Estimate, FitResult, GoodnessOfFit, kalibr, process_label, save
+from insemu.fit.result import Criterion, Estimate, FitResult, GoodnessOfFit, kalibr, save
 from insemu.fit.robust import cleaned_curve
-from insemu.fit.selection import RANK_DOF, Ranking, prediction_distance, select_axes
+from insemu.fit.runs import Choice, RunsFit, choose_model, fit_runs
+from insemu.fit.selection import RANK_DOF, Ranking, prediction_distance, select_axes, wic
+from insemu.fit.together import fit_together
 from insemu.noise import NoiseModel, Process
 from insemu.records import Series
 from insemu.variance import WaveletVariance, wavelet_variance
 
-Method = Literal["gmwm", "indirect", "em", "mli", "slopes", "burg"]
+Method = Literal[
+    "gmwm",
+    "indirect",
+    "em",
+    "mli",
+    "slopes",
+    "psd-slopes",
+    "hadamard-slopes",
+    "total-slopes",
+    "autocorrelation",
+    "burg",
+]
 
 __all__ = [
     "LARGE",
     "RANK_DOF",
+    "Choice",
     "Criterion",
     "Estimate",
     "FitResult",
     "GoodnessOfFit",
     "Method",
     "Ranking",
+    "RunsFit",
     "bootstrap_intervals",
+    "check_bootstrap",
+    "choose_model",
     "cleaned_curve",
     "fit",
     "fit_mli_pieces",
+    "fit_runs",
+    "fit_together",
     "kalibr",
     "model_covariance",
     "prediction_distance",
-    "process_label",
     "save",
     "select_axes",
+    "wic",
 ]
 
 
@@ -66,9 +87,9 @@ def fit(
         Signal at rest (or its wavelet variance, for ``gmwm``).
     model : NoiseModel, Process or str
         Structure such as ``"2*GM() + WN()"``; parameters that have a value are held.
-    method : {"gmwm", "indirect", "em", "mli", "slopes", "burg"}
+    method : {"gmwm", "indirect", "em", "mli", "slopes", "psd-slopes", "hadamard-slopes", "total-slopes", "autocorrelation", "burg"}
         Wavelet moments, the same by simulation (needs ``rng``), constrained expectation-maximization, integrated maximum likelihood, slopes
-        of the Allan variance or PSD, Burg's autoregression.
+        of the Allan variance, of the PSD, of the Hadamard and of the total variance, the autocorrelation, Burg's autoregression.
     robust : bool
         Of ``gmwm`` and ``indirect``: use the robust wavelet variance, at the ``efficiency`` that is given.
     wavelet : str
@@ -78,7 +99,8 @@ def fit(
     **options
         Of the method, see :func:`insemu.fit.gmwm.fit_curve`, :func:`insemu.fit.indirect.fit_indirect`,
         :func:`insemu.fit.em.fit_em`, :func:`insemu.fit.likelihood.fit_mli`,
-        :func:`insemu.fit.slopes.fit_slopes`, :func:`insemu.fit.burg.fit_burg`.
+        :func:`insemu.fit.slopes.fit_slopes`, :func:`insemu.fit.autocorrelation.fit_autocorrelation`,
+        :func:`insemu.fit.burg.fit_burg`.
 
     Raises
     ------
@@ -137,10 +159,15 @@ def fit(
         from insemu.fit.likelihood import fit_mli
 
         return fit_mli(series, asked, **options)
-    if method == "slopes":
+    if method.endswith("slopes"):
         from insemu.fit.slopes import fit_slopes
 
-        return fit_slopes(series, asked, **options)
+        source = method.removesuffix("slopes").removesuffix("-") or "allan"
+        return fit_slopes(series, asked, source=source, **options)  # type: ignore[arg-type]
+    if method == "autocorrelation":
+        from insemu.fit.autocorrelation import fit_autocorrelation
+
+        return fit_autocorrelation(series, asked, **options)
     from insemu.fit.burg import fit_burg
 
     return fit_burg(series, asked, **options)
@@ -198,3 +225,6 @@ def _model(model: NoiseModel | Process | str, unit: str) -> NoiseModel:
     if isinstance(model, str):
         return NoiseModel.parse(model, unit)
     return NoiseModel((model,)) if isinstance(model, Process) else model
+
+
+sys.modules[__name__].__class__ = CalledRoom

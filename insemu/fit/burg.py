@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import toeplitz
 
-from insemu.denoise import denoise
+from insemu.denoise import Rule, denoise
 from insemu.errors import InputError
 from insemu.fit.result import FitResult, estimates
 from insemu.noise import AR, AR1, NoiseModel
@@ -73,7 +73,7 @@ def choose_order(variance: Array, n: int) -> tuple[int, Array]:
     return int(orders[np.argmin(criterion)]), criterion
 
 
-def _notes(fitted: AR | AR1, coefficients: Array, radius: float, denoise_levels: int) -> list[str]:
+def _notes(fitted: AR | AR1, coefficients: Array, radius: float, denoised: str) -> list[str]:
     """What to beware of in an autoregression whose outermost pole has this modulus."""
     notes: list[str] = []
     if radius >= 1.0:
@@ -89,9 +89,9 @@ def _notes(fitted: AR | AR1, coefficients: Array, radius: float, denoise_levels:
         notes.append(
             f"printed to fewer than {digits} decimals the polynomial is not stationary (a pole of modulus {radius:.9f})"
         )
-    if denoise_levels:
+    if denoised:
         notes.append(
-            f"{denoise_levels} octaves were de-noised first: the process describes what is left, not the signal's white noise, and standard "
+            f"{denoised} first: the process describes what is left, not the signal's white noise, and standard "
             "errors that take it for white-driven are too small"
         )
     return notes
@@ -102,6 +102,7 @@ def fit_burg(
     model: NoiseModel,
     *,
     denoise_levels: int = 0,
+    denoise_rule: Rule = "sure",
     wavelet: str = "db4",
     choose: bool = False,
     confidence: float = 0.95,
@@ -114,7 +115,9 @@ def fit_burg(
     model : NoiseModel
         One ``AR(p)`` or ``AR1()``; the order is the highest one where ``choose`` is set.
     denoise_levels : int
-        Octaves that are de-noised first (6 in Quinchia et al. 2013).
+        Octaves that are de-noised first (6 and 7 in Quinchia et al. 2013).
+    denoise_rule : {"sure", "universal", "approximation"}
+        What becomes of their details, see :func:`insemu.denoise.denoise`. Table 2 of Quinchia et al. 2013 comes from ``"approximation"``.
     wavelet : str
         Of the de-noising.
     choose : bool
@@ -134,7 +137,7 @@ def fit_burg(
     x = np.array(series.values)
     x -= x.mean()
     if denoise_levels:
-        x = denoise(x, denoise_levels, wavelet=wavelet)
+        x = denoise(x, denoise_levels, wavelet=wavelet, rule=denoise_rule)
         x -= x.mean()
     if not x.any():
         raise InputError(f"{series.name} is constant; there is nothing to fit")
@@ -151,7 +154,8 @@ def fit_burg(
         fitted = AR(tuple(float(v) for v in a), sigma2=sigma2, rate_hz=series.rate_hz)
     radius = abs(float(a[0])) if isinstance(fitted, AR1) else fitted.spectral_radius
     stationary = radius < 1.0
-    notes = _notes(fitted, a, radius, denoise_levels)
+    what = "left out" if denoise_rule == "approximation" else f"de-noised by the rule '{denoise_rule}'"
+    notes = _notes(fitted, a, radius, f"{denoise_levels} octaves were {what}" if denoise_levels else "")
     structure = NoiseModel((asked if isinstance(asked, AR1) or not choose else AR.of_order(order),))
     whole = NoiseModel((fitted,))
     covariance = (

@@ -8,9 +8,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.fit.result import process_label
 from insemu.fit.structure import Structure
-from insemu.noise import NoiseModel
+from insemu.noise import NoiseModel, process_label
 
 Array = NDArray[np.float64]
 

@@ -199,6 +199,14 @@ def fit_indirect(
     )
 
 
+def check_bootstrap(method: str, replicates: int) -> None:
+    """Raise ``InputError`` where :func:`bootstrap_intervals` cannot follow a fit; to be asked before the fit."""
+    if method != "gmwm":
+        raise InputError(f"bootstrap intervals belong to gmwm fits, not to '{method}'")
+    if replicates < 20:
+        raise InputError(f"replicates is {replicates}, expected at least 20")
+
+
 def bootstrap_intervals(
     result: FitResult, replicates: int, rng: np.random.Generator, confidence: float = 0.95
 ) -> FitResult:
@@ -222,10 +230,7 @@ def bootstrap_intervals(
     """
     from insemu.fit.gmwm import bootstrap_curves
 
-    if result.method != "gmwm":
-        raise InputError(f"bootstrap intervals belong to gmwm fits, not to '{result.method}'")
-    if replicates < 20:
-        raise InputError(f"replicates is {replicates}, expected at least 20")
+    check_bootstrap(result.method, replicates)
     assert result.curve is not None
     scales, filter = result.details["scales"], result.curve.filter
     curves = bootstrap_curves(result.model, result.n_samples, result.rate_hz, scales, replicates, rng, filter)

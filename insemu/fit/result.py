@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
@@ -16,10 +16,19 @@ from scipy.special import ndtri
 from insemu import units
 from insemu.errors import InputError
 from insemu.formats import spell
-from insemu.noise import NoiseModel, Parameter
+from insemu.noise import NoiseModel, Parameter, Spread, process_label
+from insemu.shown import Shown
 from insemu.variance import WaveletVariance
+from insemu.whole import put
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
+
+
+#: A model whose test of fit has a smaller p-value is contradicted by the data.
+LEAST_P = 0.05
 
 
 @dataclass(frozen=True)
@@ -77,8 +86,8 @@ class Criterion:
     penalty: float
 
 
-@dataclass(frozen=True)
-class FitResult:
+@dataclass(frozen=True, repr=False)
+class FitResult(Shown):
     """A fitted noise model; the same type for every method.
 
     Parameters
@@ -148,6 +157,43 @@ class FitResult:
             raise InputError(f"{self.name}: a {self.method} fit without a wavelet variance has no residuals per scale")
         return np.asarray(self.curve.value / self.fitted - 1.0)
 
+    @property
+    def bears(self) -> bool:
+        """Whether nothing speaks against the model: it converged, and its test of fit, where there is one, is passed."""
+        return self.converged and (self.test is None or self.test.p_value >= LEAST_P)
+
+    @property
+    def verdict(self) -> str:
+        """Whether the data bear the model, in words."""
+        if not self.converged:
+            return "not converged"
+        if self.test is None:
+            return "not tested"
+        said = "compatible with the data" if self.bears else "contradicted by the data"
+        return f"{said} (p {self.test.p_value:.2g})"
+
+    @property
+    def words(self) -> str:
+        """The model with its values in datasheet units, in one line."""
+        return ", ".join(f"{e.label} {_familiar(e)}" for e in self.parameters)
+
+    def __str__(self) -> str:
+        head = f"{self.name}: {self.structure} by {self.method}, {self.n_samples} samples at {self.rate_hz:g} Hz: {self.verdict}"
+        rows = self.rows()
+        lines = [
+            f"  {label:<12} {value:<28} {interval}  {familiar}".rstrip()
+            for label, value, interval, familiar in rows[:8]
+        ]
+        return "\n".join([head, *lines, *([f"  and {len(rows) - 8} more (.rows())"] if len(rows) > 8 else [])])
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row per parameter: SI value, standard error, interval, and what datasheets call it."""
+        import pandas as pd
+
+        keys = ("value", "standard_error", "low", "high", "unit", "free")
+        rows = [[getattr(e, key) for key in keys] + [_familiar(e)] for e in self.parameters]
+        return pd.DataFrame(rows, index=[e.label for e in self.parameters], columns=[*keys, "datasheet"])
+
     def to_json(self) -> dict[str, Any]:
         """The stable machine-readable form of one axis; numbers that do not exist are None."""
         tau = self.curve.tau_s if self.curve is not None else np.zeros(0)
@@ -208,18 +254,18 @@ class FitResult:
                 if math.isfinite(e.low) and math.isfinite(e.high)
                 else ("held" if not e.free else "–")
             )
-            value, unit = units.datasheet(e.value, e.unit)
-            familiar = f"{value:.4g} {unit}" if unit != e.unit else ""
-            if e.name == "beta":
-                familiar = f"Tc = {1.0 / e.value:.4g} s"
+            familiar = "" if e.name != "beta" and units.datasheet(e.value, e.unit)[1] == e.unit else _familiar(e)
             extra = discrete.get(e.label)
             out.append((e.label, si.strip(), interval, ", ".join(t for t in (familiar, extra) if t)))
         return out
 
 
-def process_label(symbol: str, index: int) -> str:
-    """``GM2``; where the symbol ends in a digit, ``AR1#2``."""
-    return f"{symbol}#{index}" if symbol[-1].isdigit() else f"{symbol}{index}"
+def _familiar(e: Estimate) -> str:
+    """A value as datasheets have it."""
+    if e.name == "beta":
+        return f"Tc = {1.0 / e.value:.4g} s"
+    value, unit = units.datasheet(e.value, e.unit)
+    return f"{value:.4g} {_plain(unit)}".strip()
 
 
 def _plain(unit: str) -> str:
@@ -288,9 +334,17 @@ def estimates(
 # -- files --------------------------------------------------------------------------------------------------------------------------------
 
 
-def save(results: Mapping[str, FitResult], path: str | Path) -> None:
-    """Write fits as YAML: the models that a scenario (and :func:`insemu.noise.load`) reads, and beside them what the fit said of them."""
-    axes = {}
+def save(results: Mapping[str, FitResult], path: str | Path, spreads: Mapping[str, Spread] | None = None) -> None:
+    """Write fits as YAML: the models that a scenario (and :func:`insemu.noise.load`) reads, and beside them what the fit said of them.
+
+    Parameters
+    ----------
+    results : mapping of axis to FitResult
+    path : path
+    spreads : mapping of axis to Spread, optional
+        How the parameters change between runs.
+    """
+    axes: dict[str, dict[str, Any]] = {}
     for axis, r in results.items():
         axes[axis] = {
             "unit": r.unit,
@@ -312,8 +366,10 @@ def save(results: Mapping[str, FitResult], path: str | Path) -> None:
                 else {}
             ),
         }
+        if spreads and axis in spreads:
+            axes[axis]["spread"] = spreads[axis].to_mapping()
     document = {"insemu_noise_models": 1, "axes": axes}
-    Path(path).write_text(yaml.safe_dump(document, sort_keys=False, allow_unicode=True), encoding="utf-8")
+    put(path, yaml.safe_dump(document, sort_keys=False, allow_unicode=True))
 
 
 def kalibr(

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,11 @@ from insemu.fit.robust import cleaned_curve
 from insemu.fit.structure import Structure, natural_jacobian
 from insemu.noise import NoiseModel, Process
 from insemu.records import Series
+from insemu.shown import Shown, few
 from insemu.variance import WaveletVariance, wavelet_variance
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 
@@ -76,8 +80,8 @@ class Candidate:
     model: NoiseModel
 
 
-@dataclass(frozen=True)
-class Ranking:
+@dataclass(frozen=True, repr=False)
+class Ranking(Shown):
     """Candidates of one axis, best criterion first.
 
     Parameters
@@ -101,6 +105,22 @@ class Ranking:
     fit: FitResult
     discrepancy: float
     verdict: str
+
+    def __str__(self) -> str:
+        head = f"{self.name}: {self.chosen.structure} of {len(self.candidates)} candidates: {self.fit.verdict}"
+        listed = (f"  {c.criterion.value:10.1f}  {c.structure}" for c in self.candidates if not c.vanished)
+        return few([head, f"  {self.fit.words}", *listed])
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row per candidate, best criterion first."""
+        import pandas as pd
+
+        rows = [
+            (c.parameters, c.criterion.value, c.criterion.standard_error, c.objective, c.p_value, c is self.chosen)
+            for c in self.candidates
+        ]
+        columns = ["parameters", "criterion", "standard_error", "distance", "p_value", "chosen"]
+        return pd.DataFrame(rows, index=[str(c.structure) for c in self.candidates], columns=columns)
 
 
 def nested(general: NoiseModel) -> list[NoiseModel]:
@@ -512,6 +532,7 @@ def select_axes(
     candidates: Sequence[NoiseModel] | None = None,
     robust: bool = False,
     workers: int = 1,
+    pool: Executor | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> dict[str, Ranking]:
     """Select for several axes, axes and candidates in parallel.
@@ -526,6 +547,8 @@ def select_axes(
         Use the robust wavelet variance.
     workers : int
         Threads; the compiled search releases the interpreter.
+    pool : Executor, optional
+        For the candidates, instead of threads.
     progress : callable, optional
         Told the name of an axis that is finished.
 
@@ -554,7 +577,7 @@ def select_axes(
     # two pools: an axis waits for its candidates, and must not hold the place of one
     count = max(min(workers, len(signals)), 1)
     with ThreadPoolExecutor(max(workers, 1)) as inner, ThreadPoolExecutor(count) as outer:
-        found = list(outer.map(lambda series: one(series, inner), signals))
+        found = list(outer.map(lambda series: one(series, pool or inner), signals))
     return {series.name: ranking for series, ranking in zip(signals, found, strict=True)}
 
 

@@ -15,14 +15,15 @@ from typing import Literal
 
 from insemu.errors import InputError
 from insemu.formats import recording, static
-from insemu.formats.columns import guess_map, parse_map, read_preset, split_header, write_preset
+from insemu.formats.columns import guess_map, parse_map, preset_beside, read_preset, split_header, write_preset
 from insemu.formats.curves import NamedCurve, read_curves
 from insemu.formats.npz import keys_of, load_npz
 from insemu.formats.opened import Opened, open_files
 from insemu.formats.programs import PROGRAMS, spell
 from insemu.formats.static import AXIS_OF_COLUMN, Log
 from insemu.formats.table import Probe, known_readers, reader_of
-from insemu.formats.tracks_out import way_of, write_way
+from insemu.formats.text import write_table
+from insemu.formats.tracks_out import Way, way_of, write_way
 from insemu.records import COLUMNS, Recording, Series
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "Log",
     "NamedCurve",
     "Opened",
+    "Way",
     "holds_recording",
     "known_readers",
     "load_npz",
@@ -46,6 +48,7 @@ __all__ = [
     "way_of",
     "write",
     "write_preset",
+    "write_table",
     "write_way",
 ]
 
@@ -111,11 +114,7 @@ def opened(path: str | Path) -> Opened:
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(2, "No such file or directory", str(path))
-    inside = (
-        [p for p in path.rglob("*") if p.is_file()]
-        if path.is_dir()
-        else [path, path.with_name(path.name + ".map.yaml")]
-    )
+    inside = [p for p in path.rglob("*") if p.is_file()] if path.is_dir() else [path, preset_beside(path)]
     return _opened(path, tuple((p, p.stat().st_mtime_ns, p.stat().st_size) for p in inside if p.exists()))
 
 

@@ -15,8 +15,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu import yamlfile
 from insemu.errors import InputError, nearest
 from insemu.units import parse, parse_unit, scaled_unit
+from insemu.whole import put
 
 #: Role -> number of columns and their SI unit (of rates; of increments an integral of it).
 ROLES: Mapping[str, tuple[int, str]] = {
@@ -208,6 +210,11 @@ def allowed_units(role: str) -> tuple[str, ...]:
     return {"rad/s": (unit, "rad"), "m/s^2": (unit, "m/s")}.get(unit, (unit,)) if role in ("gyro", "accel") else (unit,)
 
 
+def preset_beside(path: Path) -> Path:
+    """Where the map of a file stands; a path without a name (``.``) has one, too."""
+    return path.parent / (path.name + ".map.yaml")
+
+
 def read_preset(path: Path) -> ColumnMap | None:
     """The map that stands beside a file as ``NAME.map.yaml`` (or in its folder as ``map.yaml``), if there is one.
 
@@ -216,15 +223,10 @@ def read_preset(path: Path) -> ColumnMap | None:
     InputError
         No YAML mapping of roles and settings to text.
     """
-    from insemu.formats.decoding import decoding
-
-    for preset in (path.with_name(path.name + ".map.yaml"), path / "map.yaml"):
+    for preset in (preset_beside(path), path / "map.yaml"):
         if not preset.is_file():
             continue
-        with decoding(preset, "YAML"):
-            import yaml
-
-            content = yaml.safe_load(preset.read_text(encoding="utf-8"))
+        content = yamlfile.read(preset).data
         if isinstance(content, str):
             return parse_map(content, str(preset))
         if not isinstance(content, dict) or not content:
@@ -237,9 +239,9 @@ def write_preset(path: Path, used: ColumnMap) -> Path:
     """Write a map beside a file (``NAME.map.yaml``), so that it needs no option any more."""
     import yaml
 
-    target = path / "map.yaml" if path.is_dir() else path.with_name(path.name + ".map.yaml")
+    target = path / "map.yaml" if path.is_dir() else preset_beside(path)
     content = {part.partition("=")[0].strip(): part.partition("=")[2].strip() for part in _split(str(used), ",", "map")}
-    target.write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), encoding="utf-8")
+    put(target, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
     return target
 
 

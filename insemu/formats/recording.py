@@ -4,7 +4,9 @@ Keys: ``imu_kind`` (increment, mean, sample; default sample), ``imu_t``, ``imu``
 ``temperature``; ``gnss_t``, ``gnss_llh`` (deg, deg, m), optionally ``gnss_vel_ned``, ``gnss_pos_std_ned``, ``gnss_vel_std_ned``;
 ``ref_t``, ``ref_llh``, ``ref_vel_ned``, ``ref_rpy_deg`` (at ``ref_att_t`` where attitudes have their own times). A key that ends in
 ``_neu`` is the same with up instead of down. A state to start from may be given: ``initial_t``, ``initial_llh`` (deg, deg, m),
-``initial_vel_ned``, ``initial_rpy_deg``, ``initial_sigma`` (nine: m, m/s, deg). Other keys are ignored.
+``initial_vel_ned``, ``initial_rpy_deg``, ``initial_sigma`` (nine: m, m/s, deg). Measurements beside the fixes, NAME of docs/filters.md,
+"Aids": ``aid_NAME_t`` (n,), ``aid_NAME`` and ``aid_NAME_std`` (n, rows), optionally ``aid_NAME_settings`` and ``aid_NAME_since`` (n,), SI.
+Other keys are ignored.
 """
 
 from __future__ import annotations
@@ -22,8 +24,9 @@ from insemu.formats.columns import split_header
 from insemu.formats.decoding import decoding, open_text
 from insemu.formats.npz import keys_of, load_npy, load_npz, numbers, texts
 from insemu.formats.text import read_table, write_table
-from insemu.records import COLUMNS, GnssRecord, ImuKind, ImuRecord, InitialState, Recording, Trajectory
+from insemu.records import COLUMNS, AidRecord, GnssRecord, ImuKind, ImuRecord, InitialState, Recording, Trajectory
 from insemu.units import parse_unit
+from insemu.whole import replacing
 
 Array = NDArray[np.float64]
 _LOGGER = logging.getLogger(__name__)
@@ -90,9 +93,24 @@ def read_recording(path: Path) -> Recording:
     try:
         gnss = _gnss(arrays, source)
         reference = _reference(arrays, source)
+        aids = _aids(arrays, source)
     except InputError as error:
         raise error if error.where else InputError(error.message, where=source) from None
-    return Recording(imu, gnss, reference, source, initial=_initial(arrays, source))
+    return Recording(imu, gnss, reference, source, aids, _initial(arrays, source))
+
+
+def _aids(arrays: Mapping[str, NDArray[Any]], source: str) -> tuple[AidRecord, ...]:
+    """Measurements beside the fixes; see the module. What kinds there are is the filter's to know."""
+    out = []
+    for name in sorted(k[4:-2] for k in arrays if k.startswith("aid_") and k.endswith("_t")):
+        known = {k: numbers(arrays[f"aid_{name}{k}"], f"{source}: aid_{name}{k}")
+                 for k in ("_t", "_settings", "_since") if f"aid_{name}{k}" in arrays}  # fmt: skip
+        values, std = (
+            numbers(_need(arrays, f"aid_{name}{k}", source), f"{source}: aid_{name}{k}") for k in ("", "_std")
+        )
+        settings = tuple(float(v) for v in known.get("_settings", np.zeros(0)).ravel())
+        out.append(AidRecord(name, known["_t"], values, std, settings, known.get("_since")))
+    return tuple(out)
 
 
 _INITIAL_UNITS = np.repeat([1.0, 1.0, np.pi / 180.0], 3)
@@ -344,8 +362,12 @@ def write_recording(path: Path, data: Recording) -> None:
             "initial_rpy_deg": np.rad2deg(first.rpy),
             "initial_sigma": first.sigma / _INITIAL_UNITS,
         }
+    for aid in data.aids:
+        parts = {"_t": aid.t, "": aid.values, "_std": aid.std, "_settings": np.array(aid.settings), "_since": aid.since}
+        arrays |= {f"aid_{aid.kind}{k}": v for k, v in parts.items() if v is not None and v.size}
     if path.suffix == ".npz":
-        np.savez(path, **arrays)  # type: ignore[arg-type]
+        with replacing(path) as partial:
+            np.savez(partial, **arrays)  # type: ignore[arg-type]
         return
     path.mkdir(parents=True, exist_ok=True)
     (path / "imu_kind.txt").write_text(imu.kind + "\n", encoding="utf-8")
@@ -354,7 +376,7 @@ def write_recording(path: Path, data: Recording) -> None:
         if present:
             header = [_with_unit(n, imu.kind) for names in present.values() for n in names]
             write_table(path / f"{group}.csv", header, np.column_stack([arrays[k] for k in present]))
-    for key in (k for k in arrays if k.startswith("initial_")):
+    for key in (k for k in arrays if k.startswith(("initial_", "aid_"))):
         np.save(path / f"{key}.npy", arrays[key])
 
 

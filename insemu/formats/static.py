@@ -22,6 +22,7 @@ from insemu.formats.npz import load_npy, load_npz, numbers, scalar, texts
 from insemu.formats.text import is_text, read_table, write_table
 from insemu.records import AXES, COLUMNS, ImuRecord, Series
 from insemu.units import parse_unit
+from insemu.whole import replacing
 
 __all__ = ["AXIS_OF_COLUMN", "Log", "is_text", "read_log", "write_log"]
 
@@ -242,6 +243,8 @@ def _npz(path: Path) -> _Parts:
         block = block[:, None]
     if block.ndim != 2:
         raise InputError(f"has shape {block.shape}, expected (n, k)", where=f"{where}: {key}")
+    if "columns" not in arrays and key == "data" and t is None and (at := _unnamed_time(block)) is not None:
+        t, block = _times(block[:, at], "", "", path), np.delete(block, at, axis=1)
     width = block.shape[1]
     names = texts(arrays["columns"], f"{where}: columns") if "columns" in arrays else _default_names(width, path)
     units = texts(arrays["units"], f"{where}: units") if "units" in arrays else [""] * width
@@ -268,8 +271,10 @@ def _npy(path: Path) -> _Parts:
         )
     if block.ndim == 1:
         return [path.stem], [""], [block], None, None
-    width = block.shape[1]
-    return _default_names(width, path), [""] * width, [block[:, k] for k in range(width)], None, None
+    at = _unnamed_time(block)
+    keep = [k for k in range(block.shape[1]) if k != at]
+    t = None if at is None else _times(block[:, at], "", "", path)
+    return _default_names(len(keep), path), [""] * len(keep), [block[:, k] for k in keep], t, None
 
 
 def _default_names(width: int, path: Path) -> list[str]:
@@ -302,11 +307,12 @@ def _csv_once(path: Path) -> _Parts:
 def _csv(path: Path) -> _Parts:
     header, block = read_table(path)
     if header is None:
-        at = 0 if block.shape[1] > 1 and _is_time(block[:, 0]) else None
+        at = _unnamed_time(block)
         width = block.shape[1] - (at is not None)
         names, units = _default_names(width, path), [""] * width
         if at is not None:
-            names, units = ["", *names], ["", *units]
+            names.insert(at, "")
+            units.insert(at, "")
     else:
         cells = [split_header(cell) for cell in header]
         names, units = [n or "column" for n, _ in cells], [u for _, u in cells]
@@ -319,20 +325,31 @@ def _csv(path: Path) -> _Parts:
             at = 0
     t = None
     if at is not None and len(names) > 1:
-        unit = units[at]
-        if not unit:
-            unit, evidence = stamp_unit(block[:, at], names[at])
-            if unit != "s":
-                _LOGGER.warning("%s: the times are taken as %s (%s)", path, unit, evidence)
-        parsed = parse_unit(unit)
-        if parsed.dimension != parse_unit("s").dimension:
-            raise InputError(
-                f"the time column has the unit '{unit}', expected s, ms or us", where=f"{path}: {names[at]}"
-            )
-        t = block[:, at] * parsed.factor
+        t = _times(block[:, at], names[at], units[at], path)
         block = np.delete(block, at, axis=1)
         del names[at], units[at]
     return names, units, list(np.ascontiguousarray(block.T)), t, None
+
+
+def _unnamed_time(block: NDArray[Any]) -> int | None:
+    """The column of a block without names that is its time: the first or the last."""
+    if block.shape[1] < 2:
+        return None
+    head = block[:100_000]
+    return next((k for k in (0, block.shape[1] - 1) if _is_time(np.asarray(head[:, k], dtype=np.float64))), None)
+
+
+def _times(stamps: NDArray[Any], name: str, unit: str, path: Path) -> Array:
+    """A time column in s."""
+    values = np.asarray(stamps, dtype=np.float64)
+    if not unit:
+        unit, evidence = stamp_unit(values, name)
+        if unit != "s":
+            _LOGGER.warning("%s: the times are taken as %s (%s)", path, unit, evidence)
+    parsed = parse_unit(unit)
+    if parsed.dimension != parse_unit("s").dimension:
+        raise InputError(f"the time column has the unit '{unit}', expected s, ms or us", where=f"{path}: {name}")
+    return values * parsed.factor
 
 
 def _is_time(x: Array, *, even: bool = True) -> bool:
@@ -406,7 +423,9 @@ def write_log(path: Path, data: list[Series]) -> None:
     block = np.column_stack([s.values for s in data])
     rate = data[0].rate_hz
     if path.suffix == ".npz":
-        np.savez(path, data=block, fs=np.float64(rate), columns=np.array(names), units=np.array([s.unit for s in data]))
+        units = np.array([s.unit for s in data])
+        with replacing(path) as partial:
+            np.savez(partial, data=block, fs=np.float64(rate), columns=np.array(names), units=units)
         return
     header = ["t [s]"] + [f"{n} [{s.unit}]" if s.unit else n for n, s in zip(names, data, strict=True)]
     write_table(path, header, np.column_stack([np.arange(len(data[0])) / rate, block]))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from insemu.errors import InputError
 from insemu.formats.decoding import decoding, open_text
+from insemu.whole import put
 
 Array = NDArray[np.float64]
 
@@ -126,7 +127,6 @@ def write_table(path: Path, header: list[str], block: Array) -> None:
     """
     text = "\n".join([",".join(header), *(",".join(map(repr, row)) for row in block.tolist())]) + "\n"
     if path.name.endswith(".gz"):
-        with gzip.open(path, "wt", encoding="utf-8") as file:
-            file.write(text)
+        put(path, gzip.compress(text.encode(), mtime=0))
     else:
-        path.write_text(text, encoding="utf-8")
+        put(path, text)

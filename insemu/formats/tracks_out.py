@@ -16,6 +16,7 @@ from insemu.errors import InputError
 from insemu.formats.clocks import GPS_EPOCH, WEEK, leap_seconds
 from insemu.formats.text import write_table
 from insemu.records import GnssRecord, Trajectory
+from insemu.whole import put
 
 Array = NDArray[np.float64]
 
@@ -78,7 +79,7 @@ def _tum(way: Way, path: Path) -> None:
     block = np.column_stack([way.t, ned[:, [1, 0, 2]] * [1.0, 1.0, -1.0], q[:, [1, 2, 3, 0]]])
     lat, lon, h = way.llh[0] * [180 / np.pi, 180 / np.pi, 1.0]
     head = f"# timestamp tx ty tz qx qy qz qw; origin={lat:.12g} {lon:.12g} {h:.12g}\n"
-    path.write_text(head + "\n".join(" ".join(f"{v:.12g}" for v in row) for row in block) + "\n", encoding="utf-8")
+    put(path, head + "\n".join(" ".join(f"{v:.12g}" for v in row) for row in block) + "\n")
     if way.sigma is not None:
         cov = way.sigma[:, [1, 0, 2]] ** 2
         write_table(
@@ -101,9 +102,9 @@ def _gpx(way: Way, path: Path) -> None:
         for t, p in zip(_stamps(way, path), degrees, strict=True)
     )
     space = 'version="1.1" creator="insemu" xmlns="http://www.topografix.com/GPX/1/1"'
-    path.write_text(
+    put(
+        path,
         f'<?xml version="1.0" encoding="UTF-8"?>\n<gpx {space}><trk><name>{escape(way.name)}</name><trkseg>\n{points}\n</trkseg></trk></gpx>\n',
-        encoding="utf-8",
     )
 
 
@@ -126,9 +127,9 @@ def _kml(way: Way, path: Path) -> None:
         for name, colour, width in (("way", "ffff7f00", 3), ("outage", "ff0000ff", 6))
     )
     space = 'xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2"'
-    path.write_text(
+    put(
+        path,
         f'<?xml version="1.0" encoding="UTF-8"?>\n<kml {space}><Document>{styles}{"".join(parts)}</Document></kml>\n',
-        encoding="utf-8",
     )
 
 
@@ -155,7 +156,7 @@ def _pos(way: Way, path: Path) -> None:
         if way.velocity is not None:
             cells += [f"{v:.5f}" for v in way.velocity[k] * [1.0, 1.0, -1.0]]
         rows.append("  ".join(cells))
-    path.write_text("\n".join([head + velocity, *rows]) + "\n", encoding="utf-8")
+    put(path, "\n".join([head + velocity, *rows]) + "\n")
 
 
 def _csv(way: Way, path: Path) -> None:

@@ -2,7 +2,7 @@
 
 ``find_gap(..., policy=Policy(lead=4.0))`` searches under another policy. Code below the door asks :func:`rules` for the one in force, which is
 a context variable: it need not be handed through every function, and two threads may search under two policies. What only sets a precision
-(draws, grid points, tapers) is no decision and stands where it is used.
+(blocks, knots, softness of a bound, draws) is no decision and stands where it is used. ``tests/policy_perturbation.yaml`` says what moves with each.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ RUNS = {
     "tests-rest": "tests/test_gap_static.py",
     "tests-drive": "tests/test_gap_dynamic.py",
     "tests-refined": "tests/test_gap_refined.py",
+    "foreign": "python -m benchmarks.foreign --kinds none --recordings 100",
     "real-drives": "the three real drives of docs/gap.md",
 }
 
@@ -55,21 +56,17 @@ class Policy:
     omnibus_drive: float = _decides(
         0.001, "1", "null", "The same in a drive: its fixes are fewer and its tests less exact, so a little more is asked."
     )
-    most_effects: int = _decides(12, "1", "rest-real", "Effects after which a search ends: fast effects of a real log can be many.")
     naming_share: float = _decides(2.0 / 3.0, "1", "one", "Share of a recording on which effects are named for the held-out figures.")
     mounting_share: float = _decides(
         0.5, "1", "real-drives", "The same for a wrong mounting: a drive whose angles are found in its first half is judged on all of the second."
     )
     keep_nats: float = _decides(2.0, "nats", "two", "What an effect or an axis of a drive must be worth beside the others to be kept.")
     swap_nats: float = _decides(0.5, "nats", "two", "By how much a rival must beat an earlier effect, reconsidered, to take its place.")
-    hopeless: float = _decides(4.0, "nats", "rest-effects", "A start that refines to so much less than nothing ends a candidate.")
     confusable: float = _decides(
         0.1, "1", "drive-repeated", "Share of repeated recordings in which a rival stands beside an effect to be told as confusable."
     )
     # -- tolerances and priors ------------------------------------------------------------------------------------------------------
     tolerance: float = _decides(0.22, "1", "null", "Relative error of a nominal noise level before that is an effect: 20 % and a margin.")
-    tolerance_edge: float = _decides(0.02, "log", "null", "Softness of the border of that tolerance.")
-    edge: float = _decides(0.3, "log", "rest-effects", "Softness of the bounds of every other free parameter.")
     prior_scales: tuple[float, ...] = _decides(
         (0.1, 0.3, 1.0, 3.0, 10.0), "datasheet scale", "one", "Prior standard deviations of a coefficient; evidence is averaged over them."
     )
@@ -84,9 +81,6 @@ class Policy:
         (1e-3, 3000.0), "datasheet scale", "one", "Smallest and largest prior amplitude of a slow process in a drive."
     )
     # -- a log at rest --------------------------------------------------------------------------------------------------------------
-    block_s: float = _decides(10.0, "s", "rest-effects", "Length of a block: below half its rate the likelihood is exact.")
-    fewest_blocks: int = _decides(120, "1", "rest-null", "Blocks of a short log, shorter where need be.")
-    most_blocks: int = _decides(500, "1", "rest-effects", "Blocks of a long log: the cost of the exact likelihood grows with their square.")
     slow_blocks: float = _decides(3.0, "1/block", "rest-sets", "A process whose rate times a block is less lives in the block means.")
     drifting_p: float = _decides(
         1e-6, "1", "rest-real", "p-value of a stationary spectrum below which no stationary process is looked for in the fast band."
@@ -118,16 +112,10 @@ class Policy:
         3.0, "1", "real-drives", "Output counts of more standard deviations of the noise are coarse: it does not reach from one to the next."
     )
     stray: float = _decides(0.25, "1", "tests-drive", "Share of the interval that a stamp may stray before it says nothing of lost samples.")
-    jitter: float = _decides(0.02, "1", "real-drives", "Stamps that stray from an even beat by less jitter; the sampling does not.")
     longest_gap_s: float = _decides(0.5, "s", "tests-drive", "Longest gap that is bridged; a longer one is an outage of the IMU.")
     fewest_clipped: int = _decides(4, "1", "tests-drive", "Samples at one value that make a full scale.")
     pile_nats: float = _decides(20.0, "nats", "real-drives", "What a pile on a lattice must be worth: steady manoeuvres make piles too.")
     most_lost: float = _decides(0.2, "1", "tests-rest", "Share of samples that a static log may miss.")
-    rest_radius: float = _decides(3.0, "m", "tests-refined", "Fixes that stay as close to their median were made at rest.")
-    rest_speed: float = _decides(0.5, "m/s", "tests-refined", "Recorded velocities below it are those of a thing at rest.")
-    rest_wander: float = _decides(50.0, "m", "real-drives", "Fixes may wander as far where the IMU does not stir.")
-    stir_gyro: float = _decides(0.01, "rad/s", "real-drives", "Change of means over a second of a gyroscope that does not stir.")
-    stir_accel: float = _decides(0.1, "m/s^2", "real-drives", "Change of means over a second of an accelerometer that does not stir.")
     # -- the band above the motion --------------------------------------------------------------------------------------------------
     motion_hz: float = _decides(8.0, "Hz", "one", "Lowest frequency at which a moving IMU shows its noise rather than its motion.")
     fast_nats: float = _decides(6.0, "nats", "null", "Least evidence there: manoeuvres leave some nats; nominal drives stay below 2 on every axis.")
@@ -142,6 +130,13 @@ class Policy:
     tone_way: float = _decides(8.0, "ordinates", "outside", "Least way of a wandering tone, in ordinates of a piece.")
     tone_smooth: float = _decides(0.05, "1", "outside", "Von Neumann's ratio of a smooth way; 1 for independent frequencies.")
     tone_shared: float = _decides(0.3, "1", "outside", "Share of its pieces in which no other axis may follow a tone of one axis.")
+    shaking_bin: float = _decides(5.0, "nats", "foreign", "Excess of a bin of the band over the believed noise that is beyond doubt.")
+    shaking_nats: float = _decides(30.0, "nats", "foreign", "Excess of the whole band of an axis at which it is asked whether the vehicle shakes.")
+    shaking_axes: int = _decides(4, "1", "foreign", "Axes with such an excess at once that are the vehicle: sensors do not fail together.")
+    shaking_p: float = _decides(1e-6, "1", "foreign", "Chance below which two axes go together: twice fifteen pairs are looked at.")
+    swing_nats: float = _decides(10.0, "nats", "foreign", "What it must explain of the velocities that the antenna swings as the vehicle shakes.")
+    tail_sum: float = _decides(5.0, "1", "foreign", "Sum of standardised excesses from the edge of the band on that is a tail of the motion.")
+    tail_peak: float = _decides(1.25, "1", "foreign", "A peak further above the edge of the band than this factor is no tail of the motion.")
     leak: float = _decides(10.0, "1", "two", "Factor by which a slow process may differ above the motion from what the fixes say.")
     # -- a drive or flight ----------------------------------------------------------------------------------------------------------
     correct_nats: float = _decides(
@@ -150,28 +145,21 @@ class Policy:
     strong_nats: float = _decides(
         150.0, "nats", "two", "Effects of fixes and timing worth more together bend what is seen of the rest: the search runs once more."
     )
-    most_passes: int = _decides(2, "1", "two", "How often the search runs once more at the most.")
-    knot_s: float = _decides(10.0, "s", "one", "Knots of slow processes are at least so far apart.")
-    knots: int = _decides(60, "1", "one", "About so many knots of a slow process in a long recording.")
     shortest_step: float = _decides(2.5, "fixes", "one", "A shorter step in the fixes is an outlier.")
     lowest_level: float = _decides(0.05, "1", "real-drives", "Receivers state up to 20 times the scatter from fix to fix: they mean slow errors.")
     highest_level: float = _decides(8.0, "1", "one", "Largest ratio of a level of the fixes to what is stated.")
     colour_sizes: tuple[float, float] = _decides((0.1, 30.0), "1", "one", "Slow errors of the fixes over their stated standard deviation.")
     nis_left: float = _decides(0.5, "1", "null", "Share of its variance that a NIS keeps: levels are moved in steps.")
     statistic_left: float = _decides(0.1, "1", "rest-map", "Share of its variance that any other statistic keeps of what a fit follows.")
-    track_speed: float = _decides(3.0, "m/s", "tests-drive", "Speed below which a track says nothing of the heading.")
+    heading_speed: float = _decides(3.0, "m/s", "tests-drive", "Speed below which a track or a velocity says nothing of the heading.")
     start_tilt: float = _decides(0.035, "rad", "tests-drive", "Least uncertainty of a start that is levelled in motion.")
     start_heading: float = _decides(0.09, "rad", "tests-drive", "Least uncertainty of a start headed along the track.")
     # -- settled before the search --------------------------------------------------------------------------------------------------
-    offset_first_s: float = _decides(0.06, "s", "real-drives", "Time offset that is tried first.")
     offset_largest_s: float = _decides(0.6, "s", "real-drives", "Largest time offset that is tried; loggers further off are so by seconds.")
     offset_least_s: float = _decides(0.03, "s", "tests-refined", "A smaller one is left to the search, where it is linear.")
     offset_nats: float = _decides(100.0, "nats", "tests-refined", "What it must be worth: coloured noise explains some of it.")
     offset_share: float = _decides(0.5, "1", "tests-refined", "Share of the innovations' mean square that may be left with it.")
     offset_nis: float = _decides(1.5, "1", "tests-refined", "Mean NIS below which no large offset can hide.")
-    vehicle_speed: float = _decides(3.0, "m/s", "tests-refined", "Speed below which the direction of the velocity is noise.")
-    mounting_enough: float = _decides(math.radians(0.1), "rad", "tests-refined", "Correction of the mounting below which it is done.")
-    mounting_turns: int = _decides(6, "1", "tests-refined", "Most corrections of the mounting.")
     road_roll: float = _decides(math.radians(1.5), "rad", "tests-refined", "Mean roll of a drive: roads fall to one side by 2 %, loads are uneven.")
     axle_sigma: float = _decides(3.0, "m", "tests-refined", "Way from the IMU to the axle that does not steer.")
     # fmt: on

@@ -69,9 +69,13 @@ class Problem(Protocol[C]):
         """Take a finding back."""
 
 
+#: A search ends here: fast effects of a real log can be many.
+MOST_EFFECTS = 12
+
+
 def search(problem: Problem[C], say: Callable[[str], None]) -> None:
     """Find the effects of a problem."""
-    for _ in range(rules().most_effects):
+    for _ in range(MOST_EFFECTS):
         new = problem.choose(problem.rank())
         if new is None:
             break

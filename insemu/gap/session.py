@@ -25,6 +25,9 @@ from insemu.gap.problems.rest import find_static_gap
 from insemu.gap.verdict import Finding, GapReport, Interval, Value, held_out_said, judged
 from insemu.records import AXES, Recording
 
+#: How often the search of a drive runs once more about what is strong, at the most.
+MOST_PASSES = 2
+
 
 @on_one_thread
 def find_gap(
@@ -152,7 +155,7 @@ def _drive(
         (recording, moved), flown = own_axes, None
     report = find_dynamic_gap(recording, moved, rng=rng, without=skip, hold_out=hold_out, progress=say, flown=flown)
     out = _together(report, early, mounted, nominal)
-    for turn in range(rules().most_passes):
+    for turn in range(MOST_PASSES):
         if sum(s.nats for s in out.findings if s.sensor in ("gnss", "imu")) < rules().strong_nats:
             break
         say(f"the refined model against the recording, {turn + 1}")

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from dataclasses import asdict, dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 from insemu.gap.policy import Policy
 from insemu.noise import NoiseModel
+from insemu.shown import Shown, few
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 VerdictName = Literal["nothing missing", "named", "class", "unexplained"]
 
@@ -140,6 +144,14 @@ class Finding:
         """Whether the recording leaves more than one effect standing."""
         return len(self.members) > 1
 
+    @property
+    def is_setting(self) -> bool:
+        """Whether it is a level that was believed or stated too large or too small, and nothing else could stand for it: a number to set."""
+        levels = self.effect in ("gnss_noise_level", "white_noise") or (
+            self.effect == "gnss_velocity_noise" and {v.name for v in self.parameters} == {"factor"}
+        )
+        return levels and not self.is_class and not self.doubtful
+
     def to_json(self) -> dict[str, Any]:
         """As plain data; the keys of the issue first, then ours."""
         return {
@@ -154,6 +166,7 @@ class Finding:
             "variant": self.variant,
             "runners_up": [m.to_json() for m in self.runners_up],
             "confusable": [c.to_json() for c in self.confusable],
+            "setting": self.is_setting,
             "metres_60s": self.metres if math.isfinite(self.metres) else None,
         }
 
@@ -162,7 +175,7 @@ def judged(findings: Sequence[Finding], remainder: str, settled: Collection[str]
     """The verdict: names stand where the strongest finding is not doubtful, whatever else is left over.
 
     Effects that were ``settled`` on other data than the rest (the mounting on the motion across the vehicle) speak before all others: nats of what
-    shakes a sensor do not compare with theirs.
+    shakes a sensor do not compare with theirs. Levels are settings, which lead only where nothing else was found.
 
     Parameters
     ----------
@@ -173,7 +186,7 @@ def judged(findings: Sequence[Finding], remainder: str, settled: Collection[str]
     settled : collection of str
         Effects found on other data.
     """
-    findings = [s for s in findings if s.effect in settled] or findings
+    findings = [s for s in findings if s.effect in settled] or [s for s in findings if not s.is_setting] or findings
     if findings and not findings[0].doubtful:
         return "class" if findings[0].is_class else "named"
     return "unexplained" if findings or remainder else "nothing missing"
@@ -222,7 +235,36 @@ class Interval:
 
 
 @dataclass(frozen=True)
-class GapReport:
+class InBand:
+    """What an axis shows above its motion that is the vehicle's: no finding.
+
+    Parameters
+    ----------
+    axis : str
+        ``gyro_x`` ... ``accel_z``.
+    rms : float
+        Root mean square, in ``unit``.
+    unit : str
+    low, high : float
+        Frequencies between which 90 % of its power lies, Hz.
+    shared : float
+        Share of it that goes together with another axis: squared coherence, or that of loudness over time.
+    """
+
+    axis: str
+    rms: float
+    unit: str
+    low: float
+    high: float
+    shared: float
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, repr=False)
+class GapReport(Shown):
     """The whole answer.
 
     Parameters
@@ -245,6 +287,8 @@ class GapReport:
         Evidence that an effect had to exceed.
     remainder : str
         What is left unexplained beside the findings, in words; empty where nothing is.
+    band : tuple of InBand
+        How the vehicle shakes above its motion.
     """
 
     verdict: VerdictName
@@ -260,6 +304,56 @@ class GapReport:
     source: str = "recording"
     curves: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
     remainder: str = ""
+    band: tuple[InBand, ...] = ()
+
+    def __str__(self) -> str:
+        index = f"gap index {self.gap_before.value:.3f} to {self.gap_after.value:.3f}"
+        names = (
+            f"  {s.effect} {s.sensor} {','.join(s.axes)}: {s.nats:.1f} nats, {s.metres:.3g} m" for s in self.findings
+        )
+        return few(
+            [
+                f"{self.source}: {self.verdict}; {index}",
+                *names,
+                *([f"  left: {self.remainder}"] if self.remainder else []),
+            ]
+        )
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row per parameter of every finding."""
+        import pandas as pd
+
+        rows = [
+            (
+                s.effect,
+                s.sensor,
+                ",".join(s.axes),
+                s.nats,
+                s.confidence,
+                s.metres,
+                v.name,
+                v.value,
+                v.low,
+                v.high,
+                v.unit,
+            )
+            for s in self.findings
+            for v in s.parameters
+        ]
+        columns = [
+            "effect",
+            "sensor",
+            "axes",
+            "nats",
+            "confidence",
+            "metres",
+            "parameter",
+            "value",
+            "low",
+            "high",
+            "unit",
+        ]
+        return pd.DataFrame(rows, columns=columns)
 
     def to_json(self) -> dict[str, Any]:
         """The stable machine-readable face."""
@@ -274,6 +368,7 @@ class GapReport:
             "threshold_nats": self.threshold_nats,
             "source": self.source,
             "remainder": self.remainder,
+            "band": [b.to_json() for b in self.band],
         }
 
 

@@ -7,13 +7,15 @@ Sums come free: ``2*GM() + WN()``.
 from insemu.noise.block import StateBlock
 from insemu.noise.files import axis_unit, load, save
 from insemu.noise.parameters import Parameter
-from insemu.noise.process import PROCESSES, SAME_RATE, NoiseModel, NotStationary, Process
+from insemu.noise.process import PROCESSES, SAME_RATE, NoiseModel, NotStationary, Process, register
 from insemu.noise.processes.autoregressive import AR, AR1, ARMA, MA
 from insemu.noise.processes.flicker import BI
 from insemu.noise.processes.gauss_markov import GM
 from insemu.noise.processes.sinusoid import SIN
 from insemu.noise.processes.walks import DR, RC, RW
 from insemu.noise.processes.white import QN, WN
+from insemu.noise.shared import CommonDraws, Seen, shared_processes
+from insemu.noise.spread import Spread, load_spread, process_label, with_factors
 
 __all__ = [
     "AR",
@@ -30,14 +32,22 @@ __all__ = [
     "SAME_RATE",
     "SIN",
     "WN",
+    "CommonDraws",
     "NoiseModel",
     "NotStationary",
     "Parameter",
     "Process",
+    "Seen",
+    "Spread",
     "StateBlock",
     "axis_unit",
     "load",
+    "load_spread",
+    "process_label",
+    "register",
     "save",
+    "shared_processes",
+    "with_factors",
 ]
 
 globals().update(PROCESSES)  # a process in a module of its own is found here, too

@@ -10,6 +10,7 @@ import yaml
 from insemu import yamlfile
 from insemu.errors import InputError
 from insemu.noise.process import NoiseModel
+from insemu.whole import put
 
 
 def save(models: Mapping[str, NoiseModel], path: str | Path, signal_units: Mapping[str, str] | None = None) -> None:
@@ -29,7 +30,7 @@ def save(models: Mapping[str, NoiseModel], path: str | Path, signal_units: Mappi
         "insemu_noise_models": 1,
         "axes": {a: {"unit": units_of[a], "model": m.to_list(units_of[a])} for a, m in models.items()},
     }
-    Path(path).write_text(yaml.safe_dump(document, sort_keys=False, allow_unicode=True), encoding="utf-8")
+    put(path, yaml.safe_dump(document, sort_keys=False, allow_unicode=True))
 
 
 def load(path: str | Path) -> dict[str, NoiseModel]:

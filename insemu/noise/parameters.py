@@ -55,6 +55,15 @@ class Parameter:
             return {"rad/s": "(rad/s)^2", "m/s^2": "(m/s^2)^2"}.get(u, f"({u})^2")
         return self.unit.format(u=u)
 
+    def of_text(self, text: object) -> float | None:
+        """A quantity such as ``0.34 deg/sqrt(h)`` in SI, of a gyroscope or of an accelerometer as its unit says; None where it is none."""
+        for signal_unit in ("rad/s", "m/s^2") if isinstance(text, str) else ():
+            try:
+                return grammar.quantity(text, self.unit_for(signal_unit), self.name)
+            except InputError:
+                continue
+        return None
+
     @property
     def positive(self) -> bool:
         """Whether the logarithm is the natural scale of the parameter."""
@@ -168,13 +177,17 @@ class Parametrised:
         for p in self.PARAMETERS:
             value = getattr(self, p.name)
             if value is not None:
+                number: float | None
                 try:
                     number = float(value)
                 except (TypeError, ValueError, OverflowError):
+                    number = p.of_text(value)
+                if number is None:
                     found = grammar.shown(value)
                     raise InputError(
-                        f"{self.symbol}: {p.name} ({p.meaning}) is {found}, expected a finite number"
-                    ) from None
+                        f"{self.symbol}: {p.name} ({p.meaning}) is {found}, expected a finite number, or text with a unit of a rate or of a "
+                        "specific force"
+                    )
                 object.__setattr__(self, p.name, number)
                 p.check(number, self.symbol)
 
@@ -304,10 +317,12 @@ class Parametrised:
     # -- as text ------------------------------------------------------------------------------------------------------------------
 
     def __str__(self) -> str:
-        given = ", ".join(
-            f"{f.name}={getattr(self, f.name)!r}" for f in fields(self) if getattr(self, f.name) != f.default
-        )
-        return f"{self.symbol}({given})"
+        given = [
+            f"{f.name}={value if f.name == 'shared' else repr(value)}"
+            for f in sorted(fields(self), key=lambda f: f.name == "shared")
+            if (value := getattr(self, f.name)) != f.default
+        ]
+        return f"{self.symbol}({', '.join(given)})"
 
     @classmethod
     def of_arguments(cls, orders: Sequence[int], given: Mapping[str, Any], signal_unit: str, text: str) -> Self:

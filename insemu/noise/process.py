@@ -7,9 +7,10 @@ The two stand together because each makes the other: ``WN() + GM()`` is a sum, a
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+import re
+from abc import ABCMeta, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any, ClassVar, Self
 
@@ -30,6 +31,10 @@ PROCESSES: dict[str, type[Process]] = {}
 
 #: Relative difference up to which two sampling rates are one: stamps and their mean interval round differently.
 SAME_RATE = 1e-9
+
+
+#: A name that a shared process may have, with the sign by which the axis sees it.
+_NAME = re.compile(r"-?[A-Za-z]\w{0,39}")
 
 
 class NotStationary(InputError):
@@ -61,8 +66,15 @@ def of_structure(structure: Array) -> Array:
     return np.asarray(0.5 * (padded[2:] + padded[:-2] - 2.0 * padded[1:-1]))
 
 
+class _WithTime(ABCMeta):
+    """Lets a correlation time ``Tc`` stand for a rate where a process is made, as it does in text."""
+
+    def __call__(cls, *arguments: Any, **given: Any) -> Any:
+        return super().__call__(*arguments, **(cls.with_rate(given) if "Tc" in given else given))  # type: ignore[attr-defined]
+
+
 @dataclass(frozen=True)
-class Process(Parametrised, ABC):
+class Process(Parametrised, metaclass=_WithTime):
     """One stochastic process. Its state block says what it is; everything else follows from that.
 
     A subclass gives parameters and a block, and closed forms where they are better than what is derived here: exact where the block
@@ -75,6 +87,19 @@ class Process(Parametrised, ABC):
     single_draw: ClassVar[bool] = False
     #: Function of :data:`insemu.noise.compiled.curves.SIGNATURE` for the process with coefficient 1; None derives it.
     curve: ClassVar[Callable[..., None] | None] = None
+    #: Name that the process has on every axis that sees it, behind a minus where the axis sees it with the other sign; empty: its own.
+    shared: str = field(default="", kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.check_shared()
+
+    def check_shared(self) -> None:
+        """Raise ``InputError`` where the name of a shared process is none."""
+        if self.shared and not (isinstance(self.shared, str) and _NAME.fullmatch(self.shared)):
+            raise InputError(
+                f"{self.symbol}: shared is {grammar.shown(self.shared)}, expected a name such as warmth, or -warmth for the other sign"
+            )
 
     @abstractmethod
     def block(self, dt: float) -> StateBlock:
@@ -317,10 +342,33 @@ def process_of(item: Mapping[str, Any], signal_unit: str) -> Process:
     given = dict(item)
     name = given.pop("process", None)
     name = grammar.ALIASES.get(name, name) if isinstance(name, str) else None
+    shared = given.pop("shared", "")
     if name not in PROCESSES:
         found = grammar.shown(item.get("process"))
         raise InputError(f"unknown process {found}" + nearest(name or "", PROCESSES), where="process")
-    return PROCESSES[name].from_mapping(given, signal_unit)
+    return replace(PROCESSES[name].from_mapping(given, signal_unit), shared=shared)
+
+
+def register(process: type[Process]) -> type[Process]:
+    """Make a process of one's own known by its name to text, YAML, fits and filters; also as a decorator.
+
+    An installed package offers one by an entry point of the group ``insemu.processes``.
+
+    Raises
+    ------
+    InputError
+        No subclass of :class:`Process`, one that is not whole, or a name that another process has.
+    """
+    if not (isinstance(process, type) and issubclass(process, Process)):
+        raise InputError(f"found {grammar.shown(process)}, expected a subclass of insemu.noise.Process")
+    missing = sorted(getattr(process, "__abstractmethods__", ()))
+    if missing or not process.PARAMETERS:
+        raise InputError(f"the process {process.__name__} has no {', '.join(missing) or 'PARAMETERS'}")
+    held = PROCESSES.setdefault(process.__name__, process)
+    if (held.__module__, held.__qualname__) != (process.__module__, process.__qualname__):
+        raise InputError(f"there is a process {process.__name__} already ({held.__module__})")
+    PROCESSES[process.__name__] = process  # a notebook cell that is run again
+    return process
 
 
 @dataclass(frozen=True)
@@ -504,7 +552,8 @@ class NoiseModel:
         Parameters
         ----------
         text : str
-            A sum of ``[count*]NAME(arguments)``; arguments are ``name=quantity``, and for AR, MA and ARMA the orders.
+            A sum of ``[count*]NAME(arguments)``; arguments are ``name=quantity``, for AR, MA and ARMA the orders, and ``shared=name`` for a
+            process that several axes see (:mod:`insemu.noise.shared`).
         signal_unit : str
             SI unit of the signal (``rad/s``, ``m/s^2``), needed only where arguments carry units.
 
@@ -515,12 +564,14 @@ class NoiseModel:
         """
         processes: list[Process] = []
         for count, name, orders, given in grammar.terms(text, PROCESSES):
-            processes += [PROCESSES[name].of_arguments(orders, given, signal_unit, text)] * count
+            shared = given.pop("shared", "")
+            process = PROCESSES[name].of_arguments(orders, given, signal_unit, text)
+            processes += [replace(process, shared=shared)] * count
         return cls(tuple(processes))
 
     def to_list(self, signal_unit: str = "") -> list[dict[str, Any]]:
         """The model as plain data for YAML or JSON: one mapping per process, quantities with their SI unit as text."""
-        return [p.to_mapping(signal_unit) for p in self]
+        return [p.to_mapping(signal_unit) | ({"shared": p.shared} if p.shared else {}) for p in self]
 
     @classmethod
     def from_list(cls, items: Sequence[Mapping[str, Any]] | str, signal_unit: str = "") -> NoiseModel:

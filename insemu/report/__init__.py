@@ -2,16 +2,38 @@
 
 from insemu.report.budget import budget_lines, render_budgets
 from insemu.report.characterise import render_characterisation
+from insemu.report.comparison import (
+    COLUMNS,
+    comparison_answer,
+    comparison_rows,
+    regression_answer,
+    render_comparison,
+    render_regression,
+)
 from insemu.report.experiment import render_experiment
-from insemu.report.fit import render_fits
+from insemu.report.fit import fits_answer, render_fits
 from insemu.report.gap import (
     draw_gap,
     effect_name,
     finding_action,
     finding_metres,
     gap_headline,
+    is_better,
+    ranked,
     render_gap,
     sensor_axes,
+    shaking_said,
+)
+from insemu.report.plotting import plot
+from insemu.report.serve import server
+from insemu.report.solve import (
+    calibration_lines,
+    compared_rows,
+    consistency_words_of,
+    outage_rows_of,
+    render_solution,
+    solve_answer,
+    solve_rows,
 )
 from insemu.report.tables import (
     FIGURES,
@@ -26,32 +48,52 @@ from insemu.report.tables import (
     variant_caption,
     variant_rows,
 )
-from insemu.report.track import check_figure, draw_track
+from insemu.report.track import check_figure, draw_track, render_reckoning
 
 __all__ = [
+    "COLUMNS",
     "FIGURES",
     "SMOOTHED",
     "beside",
     "budget_lines",
+    "calibration_lines",
     "check_figure",
+    "compared_rows",
+    "comparison_answer",
+    "comparison_rows",
     "consistency_lines",
+    "consistency_words_of",
     "draw_gap",
     "draw_track",
     "effect_name",
     "finding_action",
     "finding_metres",
+    "fits_answer",
     "gap_headline",
+    "is_better",
+    "outage_rows_of",
+    "plot",
     "pooled_rank_line",
     "rank_lines",
+    "ranked",
+    "regression_answer",
     "render_budgets",
     "render_characterisation",
+    "render_comparison",
     "render_experiment",
     "render_fits",
     "render_gap",
+    "render_reckoning",
+    "render_regression",
+    "render_solution",
     "sensor_axes",
+    "server",
+    "shaking_said",
     "short_headline",
     "shown_beside",
     "smoother_rows",
+    "solve_answer",
+    "solve_rows",
     "variant_caption",
     "variant_rows",
 ]

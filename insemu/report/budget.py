@@ -6,13 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.figure import Figure as MplFigure
 
 from insemu.evaluate import CovarianceAnalysis, outage_budgets
 from insemu.report import page
-from insemu.report.style import COLOURS, style
+from insemu.report.charts import Chart, Line, View, positive, strokes
+from insemu.report.style import COLOURS
 
 Windows = Sequence[tuple[float, float]]
 #: Parts below this share of every bar are drawn together.
@@ -25,51 +24,45 @@ BARS = (
 Budgets = Mapping[str, Sequence[Mapping[str, Any]]]
 
 
-def budget_bars(budgets: Budgets, by: str = "process") -> MplFigure:
-    """One stacked bar per outage and design: its height is the rms error, its parts are shares of the mean square.
+def budget_chart(budgets: Budgets, by: str = "process") -> Chart:
+    """One stacked bar per design, an outage at a time: its height is the rms error, its parts are shares of the mean square.
 
     Parameters
     ----------
     budgets : mapping
         Of :func:`insemu.evaluate.comparison.outage_budgets`.
     by : str
-        What the parts are, for the legend.
+        What the parts are.
     """
     windows = [(b["start_s"], b["duration_s"]) for b in next(iter(budgets.values()))]
     shares = {n: [{k: v * v for k, v in b["parts_rms_m"].items()} for b in per] for n, per in budgets.items()}
-    totals = {name: [sum(s.values()) for s in per] for name, per in shares.items()}
     weight: dict[str, float] = {}
-    for name, per in shares.items():
-        for s, total in zip(per, totals[name], strict=True):
-            for key, value in s.items():
-                weight[key] = max(weight.get(key, 0.0), value / total)
-    named = sorted((k for k, v in weight.items() if v >= SMALL), key=lambda k: -weight[k])[: 2 * len(COLOURS)]
-    with style():
-        figure, axes = plt.subplots(
-            1, len(windows), figsize=(3.2 + 2.2 * len(windows), 4.2), sharey=True, squeeze=False
-        )
-        for k, (ax, (start, duration)) in enumerate(zip(axes[0], windows, strict=True)):
-            for x, name in enumerate(budgets):
-                base, total = 0.0, totals[name][k]
+    for s in (s for per in shares.values() for s in per):
+        for key, value in s.items():
+            weight[key] = max(weight.get(key, 0.0), value / sum(s.values()))
+    named = sorted((k for k, v in weight.items() if v >= SMALL), key=lambda k: -weight[k])[: len(COLOURS)]
+    views = []
+    for k, (start, duration) in enumerate(windows):
+        base = dict.fromkeys(budgets, 0.0)
+        lines = []
+        for key, colour in zip((*named, "the rest"), (*COLOURS[: len(named)], "#C4CAD1"), strict=True):
+            ends, words = [], []
+            for name in budgets:
+                s = shares[name][k]
+                total = sum(s.values())
+                part = s.get(key, 0.0) if key != "the rest" else total - sum(s.get(n, 0.0) for n in named)
                 rms = float(np.sqrt(total))
-                parts = [(key, shares[name][k].get(key, 0.0)) for key in named]
-                parts.append(("the rest", total - sum(v for _, v in parts)))
-                for i, (key, value) in enumerate(parts):
-                    height = rms * value / total
-                    colour = COLOURS[i % len(COLOURS)] if key != "the rest" else "#C4CAD1"
-                    hatch = "//" if i >= len(COLOURS) and key != "the rest" else None
-                    label = key if (k, x) == (0, 0) else None
-                    ax.bar(
-                        x, height, 0.7, bottom=base, color=colour, hatch=hatch, edgecolor="white", lw=0.5, label=label
-                    )
-                    base += height
-                ax.annotate(f"{rms:.3g}", (x, rms), ha="center", va="bottom", fontsize=8.5)
-            ax.set_xticks(range(len(budgets)), list(budgets), rotation=20 if len(budgets) > 2 else 0)
-            ax.set_title(f"outage {k + 1}: {duration:g} s from {start / 60:g} min")
-            ax.grid(axis="x", visible=False)
-        axes[0, 0].set_ylabel("rms horizontal error (m)")
-        figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside right upper", title=f"by {by}")
-    return figure
+                ends.append((base[name], base[name] + rms * part / total))
+                base[name] = ends[-1][1]
+                words.append(f"{name}: {np.sqrt(max(part, 0.0)):.3g} m, {100 * part / total:.1f} % of the mean square")
+            x, y, said = strokes(range(len(budgets)), ends, words)
+            lines.append(Line(key, y, colour, x=x, text=said, width=34.0))
+        totals = [(float(x), base[name], f"{base[name]:.3g} m") for x, name in enumerate(budgets)]
+        ticks = [(float(x), name) for x, name in enumerate(budgets)]
+        title = f"Outage {k + 1}: {duration:g} s from {start / 60:.3g} min"
+        views.append(View(title, "rms horizontal error (m)", lines, ticks=ticks, labels=totals))
+    # the last outage first: the longest flight, and the one that the words are about
+    return Chart("Budget", f"{BARS} Parts by {by}.", None, "design", views[::-1], group="budget")
 
 
 def budget_table(budgets: Budgets) -> page.Table:
@@ -96,24 +89,33 @@ def budget_lines(budgets: Budgets, parts: int = 3) -> list[str]:
     return out
 
 
-def growth(analyses: Mapping[str, CovarianceAnalysis], windows: Windows) -> MplFigure:
+def growth(analyses: Mapping[str, CovarianceAnalysis], windows: Windows) -> Chart:
     """True rms and stated sigma of the horizontal error over time, through all outages."""
-    with style():
-        figure, ax = plt.subplots(figsize=(10.0, 3.6))
-        for (name, a), colour in zip(analyses.items(), COLOURS, strict=False):
-            ax.semilogy(a.t / 60, np.hypot(a.rms[:, 0], a.rms[:, 1]), color=colour, label=f"{name}: true rms")
-            ax.semilogy(
-                a.t / 60, np.hypot(a.sigma[:, 0], a.sigma[:, 1]), color=colour, ls="--", label=f"{name}: stated"
-            )
-        for start, duration in windows:
-            ax.axvspan(start / 60, (start + duration) / 60, color="#E9ECEF", zorder=0, lw=0)
-        ax.set(xlabel="time (min)", ylabel="horizontal error (m)", title="What the error is, and what the filter says")
-        ax.legend(ncols=2)
-    return figure
+    lines = []
+    for (name, a), colour in zip(analyses.items(), COLOURS, strict=False):
+        lines += [
+            Line(name, positive(np.hypot(a.rms[:, 0], a.rms[:, 1])), colour),
+            Line(f"{name}: stated", positive(np.hypot(a.sigma[:, 0], a.sigma[:, 1])), colour, dashed=True, of=name),
+        ]
+    t = next(iter(analyses.values())).t
+    return Chart(
+        "Error growth",
+        "Solid: true rms of the design under the scenario's truth. Dashed: what the filter states.",
+        t / 60.0,
+        "time (min)",
+        [View("Horizontal error", "horizontal error (m)", lines, log_y=True)],
+        [(start / 60, (start + duration) / 60) for start, duration in windows],
+    )
 
 
 def render_budgets(
-    title: str, analyses: Mapping[str, CovarianceAnalysis], windows: Windows, folder: str | Path, *, by: str = "process"
+    title: str,
+    analyses: Mapping[str, CovarianceAnalysis],
+    windows: Windows,
+    folder: str | Path,
+    *,
+    by: str = "process",
+    source: str = "",
 ) -> Path:
     """Write the page of a covariance analysis into ``folder``/index.html.
 
@@ -126,21 +128,33 @@ def render_budgets(
     folder : path
     by : {"process", "axis", "source"}
         What the parts of the budget are.
+    source : str
+        The scenario's file.
     """
     budgets = outage_budgets(analyses, windows, by)
-    figures = [
-        page.Figure.of(
-            budget_bars(budgets, by),
-            BARS,
-        ),
-        page.Figure.of(
-            growth(analyses, windows),
-            "Solid: true rms of the design under the scenario's truth. Dashed: what the filter states.",
-        ),
+    last = {name: per[-1] for name, per in budgets.items()}
+    best = min(last, key=lambda name: last[name]["rms_m"])
+    cards = [
+        page.Card(
+            name,
+            f"{b['rms_m']:.3g} m",
+            f"states {b['predicted_sigma_m']:.3g} m",
+            notes=[", ".join(f"{key} {value:.3g} m" for key, value in list(b["parts_rms_m"].items())[:3])],
+        )
+        for name, b in last.items()
     ]
+    where = page.Section(
+        "Where the error comes from",
+        [budget_chart(budgets, by), growth(analyses, windows), page.Folded("Every part", [budget_table(budgets)])],
+    )
     return page.render(
         f"Error budget: {title}",
-        [page.Section("Where the error comes from", [*figures, budget_table(budgets)])],
+        [where],
         Path(folder) / "index.html",
+        kind="compare",
+        source=source,
+        answer=f"{best} has the smallest error at the end of the last outage: {last[best]['rms_m']:.3g} m, of which it states "
+        f"{last[best]['predicted_sigma_m']:.3g}.",
         lead="Covariance analysis of truth and belief together; nothing was drawn.",
+        cards=cards,
     )

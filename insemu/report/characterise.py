@@ -12,7 +12,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as MplFigure
 from numpy.typing import NDArray
 
-from insemu import __version__
 from insemu.report.charts import Chart, Line, View
 from insemu.report.page import Card, Figure, Folded, Items, Section, Table, Text, render
 from insemu.report.style import COLOURS, style
@@ -454,10 +453,11 @@ def render_characterisation(
         f"Characterisation of {Path(source).name}",
         sections,
         folder / "index.html",
+        kind="characterise",
+        source=source,
         answer=answer[:1].upper() + answer[1:],
         lead=lead,
         cards=[_card(axis) for axis in axes],
-        footer=f"Made by insemu {__version__} characterise.",
     )
 
 

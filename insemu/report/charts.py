@@ -1,4 +1,4 @@
-"""Charts that a reader can hover, zoom and switch, drawn in the browser by uPlot from the numbers in the page."""
+"""Charts: described once, drawn by uPlot in the page (hover, zoom, switches) and by matplotlib for paper."""
 
 from __future__ import annotations
 
@@ -6,17 +6,20 @@ import base64
 import hashlib
 import json
 import math
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-#: Significant digits of the numbers in a page: a screen shows less.
-DIGITS = 4
+#: Significant digits of the numbers in a page: a screen shows less. Points in a plane need more: a map is read to the metre.
+DIGITS, PLANE_DIGITS = 4, 6
+#: Colours of what belongs to no design, and of what must be seen.
+GREY, INK, RED = "#8A94A0", "#5B6675", "#D00000"
 
 
 @dataclass(frozen=True)
@@ -28,17 +31,23 @@ class Line:
     label : str
         What the legend says; lines of one label are switched together in all charts of a group.
     y : (n,) array
-        Values, NaN where there is none.
+        Values, NaN where there is none (a gap in the line).
     colour : str
         ``#rrggbb``.
     dashed, points : bool
         Dashed instead of solid; dots instead of a line.
     width : float
-        Of the line, pixels.
+        Of the line or the dots, pixels.
     fill_to : int, optional
         Index of the line of the view up to which the space is filled.
     of : str
         Label of the line that this one belongs to, and with which it is switched: a bound of an error.
+    x : (n,) array, optional
+        Of a chart in a plane: abscissae of this line's own.
+    t : (n,) array, optional
+        Of a chart in a plane: the x of the other charts of the group, which share the cursor.
+    text : sequence of str, optional
+        Of a chart in a plane: what hovering says at each point.
     """
 
     label: str
@@ -49,12 +58,16 @@ class Line:
     width: float = 1.6
     fill_to: int | None = None
     of: str = ""
+    x: ArrayLike | None = None
+    t: ArrayLike | None = None
+    text: Sequence[str] | None = None
 
     def to_json(self) -> dict[str, Any]:
         """As the script reads it."""
-        return {
+        digits = DIGITS if self.x is None else PLANE_DIGITS
+        plain = {
             "label": self.label,
-            "y": _numbers(self.y),
+            "y": _numbers(self.y, digits),
             "colour": self.colour,
             "dash": self.dashed,
             "points": self.points,
@@ -62,11 +75,15 @@ class Line:
             "fill_to": self.fill_to,
             "of": self.of,
         }
+        for key in ("x", "t"):
+            if (values := getattr(self, key)) is not None:
+                plain[key] = _numbers(values, digits)
+        return plain if self.text is None else {**plain, "text": list(self.text)}
 
 
 @dataclass(frozen=True)
 class View:
-    """What a chart shows at a time: lines over the common x.
+    """What a chart shows at a time.
 
     Parameters
     ----------
@@ -76,26 +93,38 @@ class View:
         Quantity with its unit.
     lines : sequence of Line
     log_y : bool
+    ticks : sequence of (x, label)
+        Names on the x axis instead of numbers.
+    labels : sequence of (x, y, text)
+        Words in the chart.
+    printed : bool
+        Whether the static picture has a panel for it.
+    x : (n,) array, optional
+        Increasing, where views have abscissae of their own; default the chart's.
     """
 
     name: str
     y_label: str
     lines: Sequence[Line]
     log_y: bool = False
+    ticks: Sequence[tuple[float, str]] = ()
+    labels: Sequence[tuple[float, float, str]] = ()
+    printed: bool = True
+    x: ArrayLike | None = None
 
 
 @dataclass(frozen=True)
 class Chart:
-    """An interactive figure; readers without scripts see the picture.
+    """An interactive figure.
 
     Parameters
     ----------
     name : str
-        Of the figure.
+        Of the figure; the static pictures beside the page are called after it.
     caption : str
-        Also for readers who cannot see it.
-    x : (n,) array
-        Increasing.
+        What is seen, with the finding; also for readers who cannot see it.
+    x : (n,) array, optional
+        Increasing; none where views have their own, and for a chart in a plane, whose lines have theirs.
     x_label : str
         Quantity with its unit.
     views : sequence of View
@@ -103,40 +132,85 @@ class Chart:
     spans : sequence of (from, to)
         Shaded behind the lines: outages.
     log_x : bool
+    equal : bool
+        One metre is as long in both directions: a map.
     group : str
         Charts of one group share cursor, zoom and switched-off lines.
-    png : bytes
-        The static picture.
     """
 
     name: str
     caption: str
-    x: ArrayLike
+    x: ArrayLike | None
     x_label: str
     views: Sequence[View]
     spans: Sequence[tuple[float, float]] = ()
     log_x: bool = False
+    equal: bool = False
     group: str = "time"
-    png: bytes = field(default=b"", repr=False)
+
+    @property
+    def stem(self) -> str:
+        """Name of the static picture's file, without what says its format."""
+        return re.sub(r"[^a-z0-9]+", "_", self.name.lower()).strip("_")
+
+    def abscissae(self, view: View, line: Line) -> NDArray[np.float64]:
+        """Where the values of a line of a view stand."""
+        own = line.x if line.x is not None else view.x
+        return np.asarray(self.x if own is None else own, dtype=np.float64)
 
     def to_json(self) -> str:
         """The chart as JSON that may stand inside a page: it closes no tag and holds no NaN."""
         views = [
-            {"name": v.name, "y_label": v.y_label, "log_y": v.log_y, "series": [line.to_json() for line in v.lines]}
+            {
+                "name": v.name,
+                "y_label": v.y_label,
+                "log_y": v.log_y,
+                "x": None if (x := self.x if v.x is None else v.x) is None else _numbers(x, 7),
+                "ticks": [[float(x), text] for x, text in v.ticks],
+                "labels": [[float(x), float(y), text] for x, y, text in v.labels],
+                "series": [line.to_json() for line in v.lines],
+            }
             for v in self.views
         ]
         plain = {
             "name": self.name,
             "caption": self.caption,
-            "x": _numbers(self.x, 7),
             "x_label": self.x_label,
             "views": views,
             "spans": [[float(a), float(b)] for a, b in self.spans],
             "log_x": self.log_x,
+            "equal": self.equal,
             "group": self.group,
         }
-        text = json.dumps(plain, separators=(",", ":"), allow_nan=False)
-        return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+        return embedded(plain)
+
+
+def embedded(plain: Any) -> str:
+    """JSON that may stand inside a page."""
+    text = json.dumps(plain, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def positive(values: ArrayLike) -> NDArray[np.float64]:
+    """For a logarithmic axis: what is not positive is not shown."""
+    array = np.asarray(values, dtype=np.float64)
+    return np.where(array > 0.0, array, np.nan)
+
+
+def strokes(
+    at: Sequence[float], ends: Sequence[Sequence[float]], words: Sequence[str]
+) -> tuple[list[float], list[float], list[str]]:
+    """Upright strokes for a chart in a plane (bars, intervals): x, y and what hovering says.
+
+    Parameters
+    ----------
+    at : sequence of float
+    ends : sequence of (low, high)
+    words : sequence of str
+    """
+    x = [v for p in at for v in (p, p, math.nan)]
+    y = [v for low, high in ends for v in (low, high, math.nan)]
+    return x, y, [w for word in words for w in (word, word, "")]
 
 
 def _numbers(values: ArrayLike, digits: int = DIGITS) -> list[float | None]:
@@ -145,16 +219,16 @@ def _numbers(values: ArrayLike, digits: int = DIGITS) -> list[float | None]:
 
 
 @cache
-def script() -> str:
-    """The scripts of a page with charts."""
-    assets = files("insemu.report") / "assets"
-    return "".join((assets / name).read_text(encoding="utf-8") + "\n" for name in ("uPlot.iife.min.js", "charts.js"))
+def asset(*names: str) -> str:
+    """Text of files that come with the package."""
+    folder = files("insemu.report") / "assets"
+    return "".join((folder / name).read_text(encoding="utf-8") + "\n" for name in names)
 
 
 @cache
-def stylesheet() -> str:
-    """The style that uPlot needs."""
-    return (files("insemu.report") / "assets" / "uPlot.min.css").read_text(encoding="utf-8")
+def script() -> str:
+    """The scripts of a page."""
+    return asset("uPlot.iife.min.js", "charts.js")
 
 
 @cache

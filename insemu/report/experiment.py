@@ -8,11 +8,18 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from insemu.evaluate import Results, Standing, answer, put, verdicts
+from insemu.evaluate import Results, Standing, answer, verdicts
 from insemu.noise import NoiseModel, axis_unit
-from insemu.report import budget, figures
-from insemu.report.experiment_charts import error_chart, nees_chart
-from insemu.report.page import Block, Card, Code, Figure, Folded, Items, Section, Table, Text, render
+from insemu.report import budget
+from insemu.report.experiment_charts import (
+    bounds_chart,
+    end_chart,
+    error_chart,
+    flight_chart,
+    nees_chart,
+    smoother_chart,
+)
+from insemu.report.page import Block, Card, Code, Folded, Items, Section, Table, Text, render
 from insemu.report.tables import (
     FIGURES,
     SMOOTHED,
@@ -20,6 +27,7 @@ from insemu.report.tables import (
     consistency_lines,
     full_headline,
     log_distance,
+    page_headline,
     pooled_rank_line,
     rank_lines,
     shown_beside,
@@ -30,13 +38,14 @@ from insemu.report.tables import (
 from insemu.units import datasheet
 
 
-def _table(results: Results) -> Table:
+def _tables(results: Results) -> list[Block]:
     caption = (
-        f"Planimetric errors, means over {results.realizations} realizations; intervals by bootstrap over realizations. Altitude, velocity, "
-        "attitude and stated sigma at the end of the outage; cover is the share of errors inside 3 sigma during it. Verdict: on the NEES at "
-        "the end of the outage."
+        f"Planimetric error at outage end, mean over {results.realizations} realizations with its interval by bootstrap over them; what the "
+        "filter states there; altitude; cover: errors inside 3 sigma during the outage. Verdict: on the NEES at the end of the outage."
     )
-    return Table(*full_headline(results), caption, left=1)
+    more = "Means over the realizations; altitude, velocity and attitude at the end of the outage."
+    detail = Table(*full_headline(results), more, left=1)
+    return [Table(*page_headline(results), caption, left=1), Folded("Every figure of every outage", [detail])]
 
 
 def _model_rows(axis: str, model: NoiseModel) -> list[list[str]]:
@@ -70,7 +79,7 @@ def _beliefs(results: Results) -> list[Block]:
 def render_experiment(
     main: Results, variants: Mapping[str, Results], folder: Path, *, text: Mapping[str, str] | None = None
 ) -> Path:
-    """Write ``index.html`` and the figures as PNG files.
+    """Write ``index.html`` and its figures as PNG and SVG files.
 
     Parameters
     ----------
@@ -89,99 +98,57 @@ def render_experiment(
         The page.
     """
     text = text or {}
-    drawn = _drawn(main)
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, picture in drawn.items():
-        put(folder / f"{name}.png", picture.png)
     said = answer(main)
     differences = Folded("Differences between the designs", [Items(verdicts(main))])
-    sections = [Section("Every outage", [_table(main), differences]), Section("Flight", [drawn["flight"]])]
+    sections = [Section("Every outage", [*_tables(main), differences]), Section("Flight", [flight_chart(main)])]
     if main.outages:
-        sections += _accuracy(main, drawn)
+        sections += _accuracy(main)
     if variants:
         sections.append(_variants(main, variants))
     if main.published:
         sections.append(_published(main, variants, text.get("source", "")))
-    sections.append(Section("What each design believes", _beliefs(main)))
+    sections.append(Section("What each design believes", [Folded("Every parameter", _beliefs(main))]))
     sections.append(Section("How it was made", _made(main, text.get("notes", ""))))
     return render(
         main.title,
         sections,
         folder / "index.html",
+        kind="run",
+        source=str(main.manifest.get("scenario_file", "")),
         answer=said.sentence if said else "",
         lead=" ".join(part for part in (text.get("question", ""), f"{main.realizations} realizations.") if part),
         cards=[_card(s, main) for s in said.standings] if said else (),
-        footer=f"Made by insemu {main.manifest.get('insemu')}.",
+        pictures=True,
     )
 
 
-def _drawn(main: Results) -> dict[str, Figure]:
-    """The figures by name."""
-    last = len(main.outages)
-    pictures = {
-        "flight": (
-            figures.flight(main),
-            "Reference flight with its outages; close view of the last outage with every design's track.",
-        )
-    }
-    if main.outages:
-        pictures["error_growth"] = (
-            figures.error_growth(main),
-            "Root-mean-square error over all realizations, per design.",
-        )
-        pictures["against_bounds"] = (
-            figures.against_bounds(main),
-            f"Outage {last}, one column per design: errors of one realization and the 3-sigma bound that its filter states; thin grey lines are "
-            "all realizations. The planimetric error is a length, its bound 3 times the root of the stated horizontal variance.",
-        )
-        pictures["end_errors"] = (
-            figures.end_errors(main),
-            "Planimetric error at outage end: dots are realizations, circles their mean with its 95 % interval, bars the sigma that the "
-            "filter states, crosses what was published.",
-        )
-    pictures["consistency"] = (
-        figures.consistency(main),
-        "Normalised squared error of the nine navigation states; 1 is a filter that knows its error.",
-    )
-    if main.outages and main.smoothed:
-        pictures["smoothing"] = (
-            figures.smoothing(main),
-            "Errors north in the longest outage, filtered (left) and smoothed (right), with the 3-sigma band that each states; scales differ.",
-        )
-    if main.budgets:
-        pictures["budget"] = (budget.budget_bars(main.budgets), budget.BARS)
-    return {name: Figure.of(figure, caption) for name, (figure, caption) in pictures.items()}
-
-
-def _accuracy(main: Results, drawn: Mapping[str, Figure]) -> list[Section]:
+def _accuracy(main: Results) -> list[Section]:
     """What is said of outages: error growth, consistency, the smoother, the budget."""
     bounds = (
         "Bounds hold for all epochs (lags) of a design together at 99 %. NEES: per degree of freedom, in the middle and at the end of every "
         "outage (the smoother's in the middle), mean over realizations; NIS: over all accepted fixes."
     )
-    nees = nees_chart(main, png=drawn["consistency"].png)
-    judged: list[Block] = [Items(consistency_lines(main)), Text(bounds), drawn["against_bounds"], nees]
+    judged = Folded("NEES, NIS and their bounds in words", [Items(consistency_lines(main)), Text(bounds)])
     sections = [
-        Section("Error growth", [error_chart(main, png=drawn["error_growth"].png), drawn["end_errors"]]),
-        Section("Does the filter know its error?", judged),
+        Section("Error growth", [error_chart(main), end_chart(main)]),
+        Section("Does the filter know its error?", [bounds_chart(main), nees_chart(main), judged]),
     ]
-    if "smoothing" in drawn:
-        sections.append(Section("Smoothed", [Table(*smoother_rows(main), SMOOTHED, left=2), drawn["smoothing"]]))
-    if "budget" in drawn:
+    if main.smoothed:
+        sections.append(Section("Smoothed", [Table(*smoother_rows(main), SMOOTHED, left=2), smoother_chart(main)]))
+    if main.budgets:
         note = (
             "By covariance analysis of truth and belief together; nothing was drawn. Parts add up as squares. A mean removed from the records "
             "(truth.record) is not part of it."
         )
         told = Items(budget.budget_lines(main.budgets))
-        sections.append(Section("Where the metres come from", [told, drawn["budget"], Text(note)]))
+        sections.append(Section("Where the metres come from", [told, budget.budget_chart(main.budgets), Text(note)]))
     return sections
 
 
 def _variants(main: Results, variants: Mapping[str, Results]) -> Section:
-    blocks: list[Block] = [Table(*variant_rows(main, variants), variant_caption(main), left=2)]
-    for name, results in variants.items():
-        blocks.append(Items([f"{name}: {line}" for line in (*verdicts(results), *rank_lines(results))]))
-    return Section("Variants", blocks)
+    words = [f"{name}: {line}" for name, r in variants.items() for line in (*verdicts(r), *rank_lines(r))]
+    table = Table(*variant_rows(main, variants), variant_caption(main), left=2)
+    return Section("Variants", [Folded(f"{len(variants)} variants of the scenario", [table, Items(words)])])
 
 
 def _published(main: Results, variants: Mapping[str, Results], source: str) -> Section:
@@ -192,7 +159,7 @@ def _published(main: Results, variants: Mapping[str, Results], source: str) -> S
         for figure in results.published
     ]
     ranks = (*rank_lines(main), *pooled_rank_line(main, variants))
-    return Section("Beside the published table", [Text(lead), *map(Text, ranks), *tables])
+    return Section("Beside the published table", [Text(lead), Folded("Ours and theirs", [*map(Text, ranks), *tables])])
 
 
 def _made(main: Results, notes: str) -> list[Block]:
@@ -209,7 +176,7 @@ def _made(main: Results, notes: str) -> list[Block]:
         )
     )
     scenario = yaml.safe_dump(manifest.get("scenario", {}), sort_keys=False, allow_unicode=True)
-    return [*made, Code(scenario, "The resolved scenario:")]
+    return [*made, Folded("The resolved scenario", [Code(scenario)])]
 
 
 def _card(s: Standing, results: Results) -> Card:

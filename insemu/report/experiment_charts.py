@@ -1,23 +1,26 @@
-"""The interactive charts of an experiment: errors against what the filters state, and NEES, over time."""
+"""The charts of an experiment: flight, errors against what the filters state, errors at outage end, smoother, NEES."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from insemu.evaluate import Results
-from insemu.report.charts import Chart, Line, View
+from insemu import earth
+from insemu.evaluate import Results, outage_table, within_outage
+from insemu.report.charts import GREY, INK, RED, Chart, Line, View, positive, strokes
 from insemu.report.style import COLOURS
 
 Array = NDArray[np.float64]
 
-#: Epochs of a chart at most: about one for each pixel of a wide screen, and a page of moderate size.
-MOST_EPOCHS = 1500
-#: Colour of bounds and of what belongs to no design.
-GREY = "#8A94A0"
+#: Epochs of a chart outside outages, and in each of them, at most: a page of moderate size.
+MOST_EPOCHS, MOST_INSIDE = 400, 120
+#: Realizations that a reader can choose from.
+SHOWN_ALONE = 5
 
 _DEG = 180.0 / np.pi
 
@@ -30,81 +33,111 @@ def _component(index: int, factor: float = 1.0) -> Callable[[Array], Array]:
     return lambda e: np.abs(e[..., index]) * factor
 
 
-#: What is shown, with its unit, from errors or standard deviations (..., 9) in state order.
-QUANTITIES: dict[str, tuple[str, Callable[[Array], Array]]] = {
-    "Planimetric position": ("m", _horizontal),
-    "Height": ("m", _component(2)),
-    "North velocity": ("m/s", _component(3)),
-    "East velocity": ("m/s", _component(4)),
-    "Down velocity": ("m/s", _component(5)),
-    "Attitude about north": ("deg", _component(6, _DEG)),
-    "Attitude about east": ("deg", _component(7, _DEG)),
-    "Attitude about down": ("deg", _component(8, _DEG)),
+#: What is shown, with its unit, from errors or standard deviations (..., 9) in state order; and whether the static picture shows it.
+QUANTITIES: dict[str, tuple[str, Callable[[Array], Array], bool]] = {
+    "Planimetric position": ("m", _horizontal, True),
+    "Height": ("m", _component(2), True),
+    "North velocity": ("m/s", _component(3), True),
+    "East velocity": ("m/s", _component(4), False),
+    "Down velocity": ("m/s", _component(5), False),
+    "Attitude about north": ("deg", _component(6, _DEG), True),
+    "Attitude about east": ("deg", _component(7, _DEG), False),
+    "Attitude about down": ("deg", _component(8, _DEG), False),
 }
 
 
+def colour(number: int) -> str:
+    """Of a design, everywhere the same."""
+    return COLOURS[number % len(COLOURS)]
+
+
 def _epochs(results: Results) -> NDArray[np.intp]:
-    """Epochs to show: all of them, or every n-th together with the ends of the outages."""
-    step = -(-results.t.size // MOST_EPOCHS)
-    ends = [results.end_index(k) for k in range(len(results.outages))]
-    return np.union1d(np.arange(0, results.t.size, step), np.array(ends, dtype=np.intp))
+    """Epochs to show: few outside outages, more in and around them, always their ends."""
+    t = results.t
+    parts = [np.arange(0, t.size, -(-t.size // MOST_EPOCHS))]
+    for k, (start, duration) in enumerate(results.outages):
+        near = np.flatnonzero((t >= start - 0.1 * duration) & (t <= start + 1.5 * duration))
+        parts += [near[:: -(-near.size // MOST_INSIDE) or 1], np.array([results.end_index(k)])]
+    return np.unique(np.concatenate(parts)).astype(np.intp)
 
 
 def _spans(results: Results) -> list[tuple[float, float]]:
     return [(start / 60.0, (start + duration) / 60.0) for start, duration in results.outages]
 
 
-def error_chart(results: Results, realization: int = 0, png: bytes = b"") -> Chart:
-    """Errors of every design and what it states: rms over the realizations, or one realization against its 3-sigma bounds.
+_over_time = partial(Chart, x_label="time (min)")
 
-    Parameters
-    ----------
-    results : Results
-    realization : int
-        Which one is shown on its own.
-    png : bytes
-        The static picture for readers without scripts.
-    """
+
+def error_chart(results: Results) -> Chart:
+    """Rms errors of every design over the realizations, and what it states."""
     at = _epochs(results)
     views = []
-    for together in (True, False):
-        for name, (unit, of) in QUANTITIES.items():
-            lines = []
-            for d, design in enumerate(results.names):
-                colour = COLOURS[d % len(COLOURS)]
-                error, sigma = results.error[d][:, at], results.sigma[d][:, at]
-                if together:
-                    shown, bound, word = _rms(of(error)), _rms(of(sigma)), "stated sigma"
-                else:
-                    shown, bound, word = of(error[realization]), 3.0 * of(sigma[realization]), "3 sigma"
-                lines += [
-                    Line(design, _positive(shown), colour),
-                    Line(f"{design}: {word}", _positive(bound), colour, dashed=True, width=1.1, of=design),
-                ]
-            what = f"{name}, rms error" if together else f"{name}, one realization and its 3-sigma bound"
-            views.append(View(what, f"{name} ({unit})", lines, log_y=True))
-    return Chart(
-        "Errors and what the filters state",
-        "Errors of every design (solid) and what it states (dashed). Spans without GNSS are grey. Drag to zoom, double-click to undo; a click on "
-        "a name in the legend switches it.",
+    for name, (unit, of, printed) in QUANTITIES.items():
+        lines = []
+        for d, design in enumerate(results.names):
+            rms, stated = (_rms(of(values[d][:, at])) for values in (results.error, results.sigma))
+            lines += [
+                Line(design, positive(rms), colour(d)),
+                Line(f"{design}: stated sigma", positive(stated), colour(d), dashed=True, width=1.1, of=design),
+            ]
+            if results.smoothed:
+                smoothed = positive(_rms(of(results["smoothed_error"][d][:, at])))
+                lines.append(Line(f"{design}: smoothed", smoothed, colour(d), width=0.7, of=design))
+        if any(np.isfinite(np.asarray(line.y)).any() for line in lines):
+            views.append(View(f"{name}, rms error", f"{name} ({unit})", lines, log_y=True, printed=printed))
+    return _over_time(
+        "Error growth",
+        f"Rms error of every design over {results.realizations} realizations (solid) and the sigma it states (dashed); spans without GNSS are "
+        "grey. Drag to zoom, double-click to undo; a click on a name switches it.",
         results.t[at] / 60.0,
-        "time (min)",
-        views,
-        _spans(results),
-        png=png,
+        views=views,
+        spans=_spans(results),
     )
+
+
+def bounds_chart(results: Results) -> Chart:
+    """Errors of single realizations against the 3-sigma bounds that the filters state."""
+    at = _epochs(results)
+
+    def view(realization: int, name: str) -> View:
+        unit, of, printed = QUANTITIES[name]
+        lines = []
+        for d, design in enumerate(results.names):
+            error, bound = of(results.error[d][realization, at]), 3.0 * of(results.sigma[d][realization, at])
+            lines += [
+                Line(design, positive(error), colour(d)),
+                Line(f"{design}: 3 sigma", positive(bound), colour(d), dashed=True, width=1.1, of=design),
+            ]
+        title = f"{name}, realization {realization + 1}"
+        return View(title, f"{name} ({unit})", lines, log_y=True, printed=printed and realization == 0)
+
+    first, *others = QUANTITIES
+    shown = min(SHOWN_ALONE, results.realizations)
+    views = [view(r, first) for r in range(shown)] + [view(0, name) for name in others]
+    outside = ", ".join(f"{design} {100 * _outside(results, d):.1f} %" for d, design in enumerate(results.names))
+    told = f" In outages this share of all planimetric errors is outside: {outside}." if results.outages else ""
+    return _over_time(
+        "Against bounds",
+        "Error of one realization (solid) and three times the sigma that its filter states (dashed)." + told,
+        results.t[at] / 60.0,
+        views=[v for v in views if any(np.isfinite(np.asarray(line.y)).any() for line in v.lines)],
+        spans=_spans(results),
+    )
+
+
+def _outside(results: Results, design: int) -> float:
+    inside = np.zeros(results.t.size, dtype=bool)
+    for start, duration in results.outages:
+        inside |= within_outage(results.t, start, duration)
+    error, sigma = (_horizontal(v[design][:, inside]) for v in (results.error, results.sigma))
+    return float(np.mean(error > 3.0 * sigma))
 
 
 def _rms(values: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(values**2, axis=0)), dtype=np.float64)
 
 
-def _positive(values: Array) -> Array:
-    """For a logarithmic axis: zero is not shown."""
-    return np.where(values > 0.0, values, np.nan)
-
-
-def nees_chart(results: Results, confidence: float = 0.99, png: bytes = b"") -> Chart:
+def nees_chart(results: Results, confidence: float = 0.99) -> Chart:
     """NEES per degree of freedom of the navigation states, mean over realizations, with its chi-square bounds for a single epoch.
 
     Parameters
@@ -112,25 +145,142 @@ def nees_chart(results: Results, confidence: float = 0.99, png: bytes = b"") -> 
     results : Results
     confidence : float
         Probability that a consistent filter lies inside the bounds at one epoch.
-    png : bytes
-        The static picture for readers without scripts.
     """
     at = _epochs(results)
     dof = results.nees_dof * results.realizations
     tail = 0.5 * (1.0 - confidence)
     bounds = (stats.chi2.ppf(tail, dof) / dof, stats.chi2.isf(tail, dof) / dof)
     lines = [
-        Line(design, _positive(results.nees[d][:, at].mean(axis=0) / 9.0), COLOURS[d % len(COLOURS)])
+        Line(design, positive(results.nees[d][:, at].mean(axis=0) / 9.0), colour(d))
         for d, design in enumerate(results.names)
     ]
-    lines += [Line(f"{confidence:.0%} bounds", np.full(at.size, b), GREY, dashed=True) for b in bounds]
-    return Chart(
-        "NEES of the navigation states",
-        f"Normalised estimation error squared per degree of freedom, mean over {results.realizations} realizations; 1 is a filter that knows its "
-        "error, larger is optimistic.",
+    name = f"{confidence:.0%} bounds"
+    lines += [
+        Line(name, np.full(at.size, b), GREY, dashed=True, of=of) for b, of in zip(bounds, ("", name), strict=True)
+    ]
+    return _over_time(
+        "Consistency",
+        f"NEES (normalised estimation error squared) of the navigation states per degree of freedom, mean over {results.realizations} "
+        "realizations; 1 is a filter that knows its error, larger is optimistic.",
         results.t[at] / 60.0,
-        "time (min)",
-        [View("NEES", "NEES per degree of freedom", lines, log_y=True)],
-        _spans(results),
-        png=png,
+        views=[View("NEES", "NEES per degree of freedom", lines, log_y=True)],
+        spans=_spans(results),
+    )
+
+
+def flight_chart(results: Results) -> Chart:
+    """Map of the flight with its outages, and a close view of every outage with the designs' tracks."""
+    plan = earth.llh_to_ned(results.truth.llh, results.truth.llh[0])[:, [1, 0]]
+    at = _epochs(results)
+
+    def track(label: str, points: Array, when: NDArray[np.intp], hue: str, width: float = 1.6) -> Line:
+        return Line(label, points[when, 1], hue, x=points[when, 0], t=results.t[when] / 60.0, width=width)
+
+    lines = [track("reference", plan, at, INK, 1.2)]
+    labels = [(float(plan[0, 0]), float(plan[0, 1]), "start")]
+    views = []
+    for k, (start, duration) in enumerate(results.outages):
+        inside = np.flatnonzero(within_outage(results.t, start, duration))
+        lines.append(track(f"outage {k + 1}", plan, inside[:: max(1, inside.size // MOST_INSIDE)], RED, 3.5))
+        east, north = plan[inside[inside.size // 2]]
+        labels.append((float(east), float(north), str(k + 1)))
+        near = np.flatnonzero(within_outage(results.t, start - 10.0, duration + 10.0))
+        near = np.union1d(near[:: max(1, near.size // MOST_INSIDE)], [results.end_index(k)])
+        close = [track("reference", plan, near, INK, 3.0)]
+        close += [
+            track(name, plan + results.error[d, 0][:, [1, 0]], near, colour(d)) for d, name in enumerate(results.names)
+        ]
+        views.append(
+            View(
+                f"Outage {k + 1}, realization 1", "north of the start (m)", close, printed=k + 1 == len(results.outages)
+            )
+        )
+    whole = View("Whole flight", "north of the start (m)", lines, labels=labels)
+    return Chart(
+        "Flight",
+        "The reference from above with the spans without GNSS; the other views show every design's track in one outage. The cursor of the "
+        "charts over time is shown here, and that of the map there. Drag to zoom, double-click to undo.",
+        None,
+        "east of the start (m)",
+        [whole, *views],
+        equal=True,
+    )
+
+
+def end_chart(results: Results) -> Chart:
+    """Planimetric error at outage end: every realization, mean with its 95 % interval, what the filter states, what was published."""
+    table = outage_table(results)
+    published = results.published.get("planimetric_end_m", {})
+    lines, count = [], len(results.names)
+    stated: tuple[list[float], list[float], list[str]] = ([], [], [])
+    printed: tuple[list[float], list[float], list[str]] = ([], [], [])
+    for d, name in enumerate(results.names):
+        rows = table[name]
+        at = [k + (d - (count - 1) / 2) * 0.8 / count for k in range(len(rows))]
+        ends = [row["planimetric_end_m"] for row in rows]
+        each = [np.asarray(p["per_realization"]) for p in ends]
+        x = [p + (np.arange(v.size) / max(1, v.size - 1) - 0.5) * 0.5 / count for p, v in zip(at, each, strict=True)]
+        said = [f"{v:.3g} m, realization {r + 1}" for values in each for r, v in enumerate(values)]
+        every = Line(f"{name}: realizations", np.concatenate(each), colour(d), points=True, width=1.0, of=name)
+        every = replace(every, x=np.concatenate(x), text=said)
+        low_high = [p["ci95"] if p["ci95"][0] is not None else (np.nan, np.nan) for p in ends]
+        words = [
+            f"mean {p['mean']:.3g} m" + (f" (95 %: {a:.3g} to {b:.3g})" if np.isfinite(a) else "")
+            for p, (a, b) in zip(ends, low_high, strict=True)
+        ]
+        bars = strokes(at, low_high, words)
+        interval = Line(f"{name}: 95 % of the mean", bars[1], colour(d), x=bars[0], text=bars[2], width=4.0, of=name)
+        lines += [
+            every,
+            interval,
+            Line(name, [p["mean"] for p in ends], colour(d), points=True, x=at, text=words, width=6.0),
+        ]
+        for held, values, word in (
+            (stated, [row["predicted_sigma_end_m"] for row in rows], "states"),
+            (printed, published.get(name, ())[: len(rows)], "published"),
+        ):
+            for p, v in zip(at, values, strict=False):
+                if v is not None:
+                    held[0].append(p)
+                    held[1].append(v)
+                    held[2].append(f"{name} {word} {v:.3g} m")
+    for label, (x_all, y_all, said), hue in (("stated sigma", stated, INK), ("published", printed, RED)):
+        if y_all:
+            lines.append(Line(label, y_all, hue, points=True, x=x_all, text=said, width=3.0))
+    ticks = [(float(k), f"{s / 60:.3g} min, {w:g} s") for k, (s, w) in enumerate(results.outages)]
+    return Chart(
+        "End errors",
+        "Planimetric error at outage end: small dots are realizations, large ones their mean with its 95 % interval (bar); dark dots are the "
+        "sigma that the filter states" + (", red ones what was published." if published else "."),
+        None,
+        "outage (start, duration)",
+        [View("At outage end", "planimetric error (m)", lines, log_y=True, ticks=ticks)],
+        group="ends",
+    )
+
+
+def smoother_chart(results: Results) -> Chart:
+    """North position error of every design in the longest outage, filtered and smoothed, with the 3-sigma bands that they state."""
+    k = max(range(len(results.outages)), key=lambda i: results.outages[i][1])
+    start, duration = results.outages[k]
+    inside = (results.t >= start - 0.1 * duration) & (results.t <= start + 1.1 * duration)
+    views = []
+    for d, name in enumerate(results.names):
+        lines: list[Line] = []
+        for label, hue, of in (("filter", COLOURS[1], ""), ("smoother", COLOURS[0], "smoothed_")):
+            error, band = results[f"{of}error"][d, 0, inside, 0], 3.0 * results[f"{of}sigma"][d, 0, inside, 0]
+            lines += [
+                Line(label, error, hue),
+                Line(f"{label}: -3 sigma", -band, hue, width=0.0, of=label),
+                Line(f"{label}: +3 sigma", band, hue, width=0.0, fill_to=len(lines) + 1, of=label),
+            ]
+        views.append(View(name, "error north (m)", lines))
+    return Chart(
+        "Smoothing",
+        f"Error north in outage {k + 1}, realization 1, filtered and smoothed; bands are the 3 sigma that each states.",
+        results.t[inside] - start,
+        "time since the start of the outage (s)",
+        views,
+        [(0.0, duration)],
+        group="outage",
     )

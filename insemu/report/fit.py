@@ -1,4 +1,4 @@
-"""Figures and page of fitted noise models: the curve taken apart, what is left per scale, draws from the model, the spectrum."""
+"""The page of fitted noise models: a verdict per axis, the curve taken apart, what is left per scale, the spectrum."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 
-from insemu.fit import FitResult, process_label
+from insemu.fit import FitResult
+from insemu.noise import process_label
 from insemu.records import Series
 from insemu.report import page
-from insemu.report.style import COLOURS, style
+from insemu.report.charts import GREY, INK, RED, Chart, Line, View, positive
+from insemu.report.style import COLOURS
 from insemu.variance import average_frequencies, expected_variance, psd, wavelet_variance
 
 if TYPE_CHECKING:
@@ -24,117 +24,149 @@ if TYPE_CHECKING:
 DRAWS = 20
 
 
-def decomposition(result: FitResult, rng: np.random.Generator, draws: int = DRAWS) -> Figure:
-    """Wavelet deviation with its intervals, the model and each of its processes, draws from the model; below, what is left per scale.
+def _band(name: str, edges: tuple[ArrayLike, ArrayLike], colour: str, at: int, of: str = "") -> list[Line]:
+    """The space between two edges, of which only the name is seen; ``at`` lines stand in front of it."""
+    low, high = (positive(e) for e in edges)
+    return [
+        Line(name, low, colour, width=0.0, of=of),
+        Line(f"{name}, high", high, colour, width=0.0, fill_to=at, of=of or name),
+    ]
+
+
+def drawable(result: FitResult) -> bool:
+    """Whether there is a model to draw."""
+    return result.converged or bool(np.isfinite(result.fitted).all())
+
+
+def decomposition(results: Mapping[str, FitResult], rng: np.random.Generator, draws: int = DRAWS) -> Chart:
+    """Wavelet deviation with its intervals, the model and each of its processes, and the range of draws from the model, axis by axis.
 
     Parameters
     ----------
-    result : FitResult
-        With the curve that was fitted.
+    results : mapping of axis to FitResult
+        With the curves that were fitted.
     rng : Generator
     draws : int
-        Signals drawn from the model.
+        Signals drawn from each model.
     """
-    assert result.curve is not None
-    curve = result.curve
-    tau = curve.tau_s
-    with style():
-        figure, (top, bottom) = plt.subplots(2, 1, figsize=(8.6, 6.6), height_ratios=(3, 1), sharex=True)
-        drawable = result.converged or np.isfinite(result.fitted).all()
-        if drawable:
-            for i, child in enumerate(rng.spawn(draws)):
-                x = result.model.simulate(result.n_samples, result.dt, child)
-                drawn = wavelet_variance(x, result.rate_hz, filter=curve.filter, intervals="eta3")
-                top.plot(
-                    drawn.tau_s,
-                    np.sqrt(drawn.value),
-                    color="#B9C1CA",
-                    lw=0.6,
-                    zorder=1,
-                    label=f"{draws} draws from the model" if i == 0 else None,
-                )
-        low, high = np.sqrt(np.maximum(curve.low, 0.0)), np.sqrt(curve.high)
-        value = np.sqrt(curve.value)
-        top.errorbar(
-            tau,
-            value,
-            yerr=np.abs(np.vstack([value - low, high - value])),
-            fmt="o",
-            ms=4,
-            color="#1c2430",
-            capsize=2,
-            lw=1,
-            label=f"signal, {curve.confidence:.0%} intervals",
-            zorder=4,
-        )
-        if drawable:
-            top.plot(tau, np.sqrt(result.fitted), color="#D00000", lw=2, label="model", zorder=3)
-        dt = result.dt
-        for i, (index, p) in enumerate(result.model.indexed()):
-            if not drawable:
-                break
-            part = expected_variance(p, curve.filter, curve.scale_samples, dt)
-            if (part > 0).any():
-                name = process_label(p.symbol, index)
-                top.plot(tau, np.sqrt(part), "--", color=COLOURS[i % len(COLOURS)], lw=1.3, label=name, zorder=2)
-        bottom_of_plot = 0.3 * np.sqrt(np.min(curve.value))
-        top.set(xscale="log", yscale="log", ylabel=f"wavelet deviation ({result.unit or 'unit'})")
-        top.set_ylim(bottom_of_plot, 3.0 * float(np.max(value)))
-        top.set_title(f"{result.name}: {result.structure} by {result.method}")
-        top.legend(loc="best", ncols=2)
-        if drawable:
-            _residuals(bottom, result)
-        bottom.set(xlabel="scale (s)", ylabel="signal / model − 1")
-        return figure
+    views = []
+    for (axis, result), child in zip(results.items(), rng.spawn(len(results)), strict=True):
+        curve = result.curve
+        assert curve is not None
+        lines = [Line("signal", np.sqrt(positive(curve.value)), INK, points=True, width=4.0)]
+        interval = (np.sqrt(positive(curve.low)), np.sqrt(positive(curve.high)))
+        lines += _band(f"{curve.confidence:.0%} interval", interval, INK, 1, of="signal")
+        if drawable(result):
+            lines.append(Line("model", np.sqrt(positive(result.fitted)), RED, width=2.2))
+            for i, (index, p) in enumerate(result.model.indexed()):
+                part = expected_variance(p, curve.filter, curve.scale_samples, result.dt)
+                if (part > 0).any():
+                    name = process_label(p.symbol, index)
+                    lines.append(Line(name, np.sqrt(positive(part)), COLOURS[i % len(COLOURS)], dashed=True))
+            drawn = [
+                np.sqrt(wavelet_variance(x, result.rate_hz, filter=curve.filter, intervals="eta3").value)
+                for x in (result.model.simulate(result.n_samples, result.dt, one) for one in child.spawn(draws))
+            ]
+            edges = (np.min(drawn, axis=0), np.max(drawn, axis=0))
+            lines += _band(f"range of {draws} draws from the model", edges, GREY, len(lines))
+        title = f"{axis}: {result.structure} by {result.method}"
+        views.append(View(title, f"wavelet deviation ({result.unit or 'unit'})", lines, log_y=True, x=curve.tau_s))
+    caption = "Wavelet deviation of the signal with its interval, the model, each of its processes, and what draws from the model look like."
+    return Chart("Wavelet deviation", caption, None, "scale (s)", views, log_x=True, group="scale")
 
 
-def _residuals(axes: Axes, result: FitResult) -> None:
-    assert result.curve is not None
-    curve = result.curve
-    spread = result.details.get("curve_covariance")
-    scales = result.details.get("scales")
-    if spread is not None and scales is not None:
-        used = np.isin(curve.scale_samples, scales)
-        band = 1.96 * np.sqrt(np.diag(spread)) / result.fitted[used]
-        axes.fill_between(
-            curve.tau_s[used], -band, band, color="#D00000", alpha=0.12, lw=0, label="95 % under the model"
-        )
-        axes.legend(loc="upper left")
-    axes.axhline(0.0, color="#D00000", lw=1)
-    axes.plot(curve.tau_s, result.scale_residuals(), "o-", color="#1c2430", ms=4, lw=1)
-    inner = np.abs(result.scale_residuals()[: max(len(curve) - 2, 1)]).max()
-    axes.set_ylim(-max(1.3 * inner, 0.15), max(1.3 * inner, 0.15))
+def residuals(results: Mapping[str, FitResult]) -> Chart:
+    """What is left per scale, axis by axis."""
+    views = []
+    for axis, result in results.items():
+        curve = result.curve
+        assert curve is not None
+        lines = [Line("signal / model - 1", result.scale_residuals(), INK)]
+        spread, scales = result.details.get("curve_covariance"), result.details.get("scales")
+        if spread is not None and scales is not None:
+            used = np.isin(curve.scale_samples, scales)
+            band = np.full(len(curve), np.nan)
+            band[used] = 1.96 * np.sqrt(np.diag(spread)) / result.fitted[used]
+            lines += [Line("95 % under the model", -band, RED, width=0.0)]
+            lines += [Line("95 %, high", band, RED, width=0.0, fill_to=1, of=lines[1].label)]
+        views.append(View(axis, "signal / model - 1", lines, x=curve.tau_s))
+    caption = "What the model leaves at each scale, and where 95 % of what chance leaves would lie."
+    return Chart("Residuals", caption, None, "scale (s)", views, log_x=True, group="scale")
 
 
-def spectrum(result: FitResult, series: Series) -> Figure:
-    """PSD of the signal in bands, with intervals, and the model's over it."""
-    averaged = average_frequencies(psd(series.values, series.rate_hz))
-    with style():
-        figure, axes = plt.subplots(figsize=(8.6, 4.2))
-        axes.fill_between(
-            averaged.f_hz, np.sqrt(averaged.low), np.sqrt(averaged.high), color="#B9C1CA", alpha=0.6, lw=0
-        )
-        axes.plot(averaged.f_hz, np.sqrt(averaged.psd), color="#1c2430", lw=1, label="signal (Welch), 95 % interval")
-        if np.isfinite(result.fitted).all():
-            axes.plot(
-                averaged.f_hz, np.sqrt(result.model.psd(averaged.f_hz, result.dt)), color="#D00000", lw=2, label="model"
-            )
+def spectrum(results: Mapping[str, FitResult], series: Mapping[str, Series]) -> Chart:
+    """PSD of the signal in bands with intervals, and the model's over it, axis by axis."""
+    views = []
+    for axis, s in series.items():
+        result = results[axis]
+        averaged = average_frequencies(psd(s.values, s.rate_hz))
+        lines = [Line("signal (Welch)", np.sqrt(averaged.psd), INK)]
+        lines += _band("95 % interval", (np.sqrt(averaged.low), np.sqrt(averaged.high)), INK, 1, of="signal (Welch)")
+        if drawable(result):
+            lines.append(Line("model", np.sqrt(positive(result.model.psd(averaged.f_hz, result.dt))), RED, width=2.2))
         unit = f"{result.unit or 'unit'}/sqrt(Hz)"
-        axes.set(xscale="log", yscale="log", xlabel="frequency (Hz)", ylabel=f"root of the two-sided PSD ({unit})")
-        axes.set_title(f"{result.name}: spectrum")
-        axes.legend(loc="best")
-        return figure
+        views.append(View(axis, f"root of the two-sided PSD ({unit})", lines, log_y=True, x=averaged.f_hz))
+    caption = "Power spectral density of the signal with its interval, and of the model."
+    return Chart("Spectrum", caption, None, "frequency (Hz)", views, log_x=True, group="frequency")
 
 
-def likelihood_trace(result: FitResult) -> Figure:
+def likelihood_trace(results: Mapping[str, FitResult]) -> Chart:
     """Log-likelihood against iteration, as the distance from where the search ended."""
-    trace = np.asarray(result.details["trace"])
-    with style():
-        figure, axes = plt.subplots(figsize=(8.6, 3.2))
-        axes.plot(np.arange(1, trace.size), np.maximum(trace[-1] - trace[:-1], 1e-12), color=COLOURS[0])
-        axes.set(yscale="log", xlabel="iteration", ylabel="log-likelihood below the last")
-        axes.set_title(f"{result.name}: trace of the likelihood")
-        return figure
+    views = []
+    for axis, result in results.items():
+        trace = np.asarray(result.details["trace"])
+        lines = [Line("log-likelihood below the last", np.maximum(trace[-1] - trace[:-1], 1e-12), COLOURS[0])]
+        views.append(View(axis, "log-likelihood below the last", lines, log_y=True, x=np.arange(1, trace.size)))
+    return Chart(
+        "Likelihood",
+        "The likelihood climbs until the stopping rule is met.",
+        None,
+        "iteration",
+        views,
+        group="iteration",
+    )
+
+
+def _charts(results: Mapping[str, FitResult], series: Sequence[Series], rng: np.random.Generator) -> list[page.Block]:
+    curved = {axis: r for axis, r in results.items() if r.curve is not None}
+    traced = {axis: r for axis, r in results.items() if np.size(r.details.get("trace", ())) > 1}
+    heard = {s.name: s for s in series if s.name in results}
+    out: list[page.Block] = [decomposition(curved, rng)] if curved else []
+    fitted = {axis: r for axis, r in curved.items() if drawable(r)}
+    out += [residuals(fitted)] if fitted else []
+    out += [spectrum(results, heard)] if heard else []
+    return out + ([likelihood_trace(traced)] if traced else [])
+
+
+def _detail(axis: str, result: FitResult, ranking: Ranking | None) -> page.Folded:
+    """Everything about one axis."""
+    header = ("parameter", "estimate ± standard error", "95 % interval", "datasheet and discrete")
+    blocks: list[page.Block] = [
+        page.Table(header, result.rows(), left=4, caption=f"{result.n_samples} samples at {result.rate_hz:g} Hz")
+    ]
+    if result.test is not None:
+        blocks.append(
+            page.Text(
+                f"Test of fit: chi-square {result.test.statistic:.2f} on {result.test.dof} degrees of freedom: {result.verdict}."
+            )
+        )
+    if ranking is not None:
+        blocks += [page.Text(ranking.verdict), ranking_table(ranking)]
+    if result.warnings:
+        blocks.append(page.Items([f"Beware: {w}." for w in result.warnings]))
+    return page.Folded(f"{axis}: {result.structure}, every parameter" + (" and candidate" if ranking else ""), blocks)
+
+
+def fits_answer(results: Mapping[str, FitResult]) -> str:
+    """What the fits say together, in one sentence."""
+    bad = [axis for axis, r in results.items() if not r.bears]
+    tested = [axis for axis, r in results.items() if r.test is not None or not r.converged]
+    if not tested:
+        return f"{len(results)} model{'s' * (len(results) > 1)} fitted; this method does not test whether the data bear them."
+    if not bad:
+        return f"The data bear the model on {'every axis' if len(tested) > 1 else tested[0]}."
+    rest = f" and bear it on the other {len(tested) - len(bad)}" if len(bad) < len(tested) else ""
+    return f"The data contradict the model on {', '.join(bad)}{rest}."
 
 
 def render_fits(
@@ -144,8 +176,9 @@ def render_fits(
     series: Sequence[Series] = (),
     rankings: Mapping[str, Ranking] | None = None,
     rng: np.random.Generator,
+    source: str = "",
 ) -> Path:
-    """Write one self-contained page with a section per axis.
+    """Write one self-contained page: a card and a row per axis, charts with a switch for the axis, detail folded.
 
     Parameters
     ----------
@@ -159,60 +192,36 @@ def render_fits(
         What was chosen from.
     rng : Generator
         For the draws.
+    source : str
+        The log that was fitted.
 
     Returns
     -------
     Path
     """
-    by_name = {s.name: s for s in series}
-    sections = []
-    for axis, result in results.items():
-        blocks: list[page.Block] = []
-        if rankings is not None and axis in rankings:
-            blocks.append(page.Text(rankings[axis].verdict))
-            blocks.append(ranking_table(rankings[axis]))
-        blocks.append(
-            page.Table(
-                ("parameter", "estimate ± standard error", "95 % interval", "datasheet and discrete"),
-                result.rows(),
-                left=4,
-                caption=f"{result.n_samples} samples at {result.rate_hz:g} Hz",
-            )
+    ranked = rankings or {}
+    cards = [
+        page.Card(
+            axis, str(r.structure), r.verdict[:1].upper() + r.verdict[1:], "good" if r.bears else "bad", [r.words]
         )
-        if result.test is not None:
-            fits = (
-                "the model is compatible with the data"
-                if result.test.p_value >= 0.05
-                else "the data contradict the model"
-            )
-            blocks.append(
-                page.Text(
-                    f"Test of fit: chi-square {result.test.statistic:.2f} on {result.test.dof} degrees of freedom, "
-                    f"p = {result.test.p_value:.3g}: {fits}."
-                )
-            )
-        if result.warnings:
-            blocks.append(page.Items([f"Beware: {w}." for w in result.warnings]))
-        if result.curve is not None:
-            blocks.append(
-                page.Figure.of(
-                    decomposition(result, rng),
-                    f"{axis}: wavelet deviation of the signal, the model, its processes, and {DRAWS} signals drawn from the model; "
-                    "below, what is left per scale.",
-                )
-            )
-        if axis in by_name:
-            blocks.append(
-                page.Figure.of(spectrum(result, by_name[axis]), f"{axis}: power spectral density of signal and model.")
-            )
-        if "trace" in result.details and np.size(result.details["trace"]) > 1:
-            blocks.append(
-                page.Figure.of(
-                    likelihood_trace(result), f"{axis}: the likelihood climbs until the stopping rule is met."
-                )
-            )
-        sections.append(page.Section(axis, blocks))
-    return page.render("Fitted noise models", sections, path)
+        for axis, r in results.items()
+    ]
+    rows = [(axis, str(r.structure), r.words, r.verdict) for axis, r in results.items()]
+    sections = [
+        page.Section("Every axis", [page.Table(("axis", "model", "values", "verdict"), rows, left=4)]),
+        page.Section("Signal and model", _charts(results, series, rng)),
+        page.Section("Detail", [_detail(axis, r, ranked.get(axis)) for axis, r in results.items()]),
+    ]
+    word = "Chosen" if ranked else "Fitted"
+    return page.render(
+        f"{word} noise models" + (f" of {Path(source).name}" if source else ""),
+        sections,
+        path,
+        kind="select" if ranked else "fit",
+        source=source,
+        answer=fits_answer(results),
+        cards=cards,
+    )
 
 
 def ranking_table(ranking: Ranking, most: int = 12) -> page.Table:
@@ -227,7 +236,7 @@ def ranking_table(ranking: Ranking, most: int = 12) -> page.Table:
             str(c.parameters),
             f"{c.criterion.value:.1f} ± {c.criterion.standard_error:.1f}",
             f"{c.objective:.1f}",
-            f"{c.p_value:.2g}" if np.isfinite(c.p_value) else "–",
+            f"{c.p_value:.2g}" if np.isfinite(c.p_value) else "-",
         )
         for c in listed
     ]

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.figure import Figure as MplFigure
 
 from insemu.effects import EFFECTS
-from insemu.report.page import Block, Code, Figure, Items, Section, Table, Text, render
-from insemu.report.style import COLOURS, style
+from insemu.report.charts import Chart
+from insemu.report.gap_charts import evidence_chart, innovation_chart, spectrum_chart, wavelet_chart
+from insemu.report.page import Block, Card, Code, Folded, Items, Section, Table, Text, render
+from insemu.report.static import save
 
 if TYPE_CHECKING:
     from insemu.gap import Finding, GapReport, Interval, Where
@@ -94,18 +95,34 @@ def gap_headline(report: GapReport) -> str:
             else ""
         )
         return "The recording holds something that no effect of the catalogue explains." + extra
-    first = report.findings[0]
-    sure = [_subject(s) for s in report.findings if not s.doubtful]
-    doubted = [_subject(s) for s in report.findings if s.doubtful]
+    settings = [finding_action(s) for s in report.findings if s.is_setting]
+    # levels alone are what the model lacks; beside anything else they are said as settings, first
+    found = [s for s in report.findings if not s.is_setting] or report.findings
+    ahead = f"Set first: {'; '.join(settings)}. " if settings and len(found) < len(report.findings) else ""
+    first = found[0]
+    sure = [_subject(s) for s in found if not s.doubtful]
+    doubted = [_subject(s) for s in found if s.doubtful]
     more = f" Beside something unexplained in the same place: {'; '.join(dict.fromkeys(doubted))}." if doubted else ""
     if first.is_class:
         names = " or ".join(effect_name(m.effect) for m in first.members)
         rest = (f" Besides: {'; '.join(sure[1:])}." if len(sure) > 1 else "") + more
         where = sensor_axes(first.sensor, first.axes)
-        return (
+        return ahead + (
             f"The {where} has {names}: this recording cannot tell them apart. What would: {first.would_separate}.{rest}"
         )
-    return f"Missing from the model: {'; '.join(dict.fromkeys(sure))}.{more}"
+    return f"{ahead}Missing from the model: {'; '.join(dict.fromkeys(sure))}.{more}"
+
+
+def shaking_said(report: GapReport) -> str:
+    """How the vehicle shakes above its motion, in one sentence; empty where it does not."""
+    parts = []
+    for sensor, unit, scale in (("gyro", "deg/s", 180.0 / math.pi), ("accel", "m/s^2", 1.0)):
+        own = [b for b in report.band if b.axis.startswith(sensor)]
+        if own:
+            sizes = ", ".join(f"{b.axis[-1]} {b.rms * scale:.3g}" for b in own)
+            low, high = min(b.low for b in own), max(b.high for b in own)
+            parts.append(f"{SENSORS[sensor]} {sizes} {unit} rms between {low:.0f} and {high:.0f} Hz")
+    return f"The vehicle shakes, which is no finding: {'; '.join(parts)}." if parts else ""
 
 
 def _number(x: float) -> str:
@@ -164,148 +181,25 @@ def _axes_with_findings(report: GapReport) -> list[str]:
     return ([n for n in dict.fromkeys(named) if n in axes] or axes)[:4]
 
 
-def _axis_words(name: str) -> str:
-    sensor, _, axis = name.rpartition("_")
-    return f"{ {'gyro': 'gyroscope', 'accel': 'accelerometer'}.get(sensor, sensor) } {axis}"
+def _evidence(report: GapReport) -> list[Block]:
+    """Nats of every finding's rivals."""
+    rivals = []
+    for finding in report.findings[:6]:
+        inside = {m.effect for m in finding.members}
+        members = [*finding.members, *finding.runners_up][:6]
+        rivals.append((_subject(finding), [(effect_name(m.effect), m.nats, m.effect in inside) for m in members]))
+    return [evidence_chart(rivals)] if rivals else []
 
 
 def _pictures(report: GapReport, after: bool) -> list[Block]:
-    """The figures of disagreement, with the nominal model or with the refined one."""
+    """The charts of disagreement, with the nominal model or with the refined one."""
     names = _axes_with_findings(report)
-    model, when = ("refined", "after") if after else ("nominal", "before")
-    out: list[Block] = []
-    if names:
-        out.append(
-            Figure.of(
-                wavelet_figure(report, names, model), f"Wavelet deviation of the recording and of the {model} model."
-            )
-        )
-    if "drive" in report.curves:
-        text = f"Innovations of the filter with the {model} model. In grey what nineteen of twenty keep to where model and drive agree."
-        out.append(Figure.of(innovation_figure(report, when), text))
-    return out
-
-
-def wavelet_figure(report: GapReport, names: Sequence[str], model: str) -> MplFigure:
-    """Wavelet deviation of the recording and of a model (``nominal`` or ``refined``); limits are those of both models.
-
-    Parameters
-    ----------
-    report : GapReport
-    names : sequence of str
-        Axes, keys of ``report.curves``; one panel each.
-    model : {"nominal", "refined"}
-    """
-    with style():
-        figure, panels = plt.subplots(1, len(names), figsize=(4.2 * len(names), 3.3), squeeze=False)
-        for axis, name in zip(panels[0], names, strict=True):
-            c = report.curves[name]
-            tau = np.asarray(c["tau_s"])
-            colour = COLOURS[1] if model == "nominal" else COLOURS[0]
-            axis.loglog(tau, np.sqrt(c[model]), "-", color=colour, label=model)
-            what, label = (
-                ("measured", "measured")
-                if model == "nominal"
-                else ("measured_after", "measured, known effects taken off")
-            )
-            axis.loglog(tau, np.sqrt(c[what]), "o", ms=4, color=COLOURS[6], label=label)
-            every = np.sqrt(np.concatenate([c["measured"], c["measured_after"], c["nominal"], c["refined"]]))
-            axis.set_ylim(0.6 * every[every > 0].min(), 1.7 * every.max())
-            axis.set_title(_axis_words(name))
-            axis.set_xlabel("scale, s")
-            axis.set_ylabel(f"wavelet deviation, {c['unit']}")
-        panels[0][0].legend()
-    return figure
-
-
-def spectrum_figure(report: GapReport, names: Sequence[str]) -> MplFigure:
-    """PSD measured, nominal and refined."""
-    with style():
-        figure, panels = plt.subplots(1, len(names), figsize=(4.2 * len(names), 3.3), squeeze=False)
-        for axis, name in zip(panels[0], names, strict=True):
-            c = report.curves[name]
-            if c["f"]:
-                axis.loglog(c["f"], np.sqrt(c["power"]), color=COLOURS[6], lw=0.7, label="measured")
-                axis.loglog(c["f"], np.sqrt(c["nominal_psd"]), "--", color=COLOURS[1], label="nominal")
-                axis.loglog(c["f"], np.sqrt(c["refined_psd"]), color=COLOURS[0], label="refined")
-            axis.set_title(_axis_words(name))
-            axis.set_xlabel("frequency, Hz")
-            axis.set_ylabel(f"root of the two-sided PSD, {c['unit']}/sqrt(Hz)")
-        panels[0][0].legend()
-    return figure
-
-
-def innovation_figure(report: GapReport, when: str) -> MplFigure:
-    """Normalised innovations against time and their autocorrelation, with the ``before`` or the ``after`` model; limits are those of both."""
-    both = report.curves["drive"]
-    c = both[when]
-    across = "across" in c
-    t, y = np.asarray(c["t"]), np.asarray(c["y"])
-    limit = 1.05 * max(4.0, *(float(np.nanpercentile(np.abs(both[k]["y"]), 99.8)) for k in ("before", "after")))
-    with style():
-        figure, panels = plt.subplots(1, 4 if across else 3, figsize=(16.0 if across else 12.0, 3.2), squeeze=False)
-        for axis, first, what in ((panels[0][0], 0, "position"), (panels[0][1], 3, "velocity")):
-            axis.axhspan(-2.0, 2.0, color="#E9ECEF", zorder=0)
-            for k, name in enumerate(("north", "east", "down")):
-                axis.plot(t, y[:, first + k], ".", ms=2.5, color=COLOURS[k], label=name)
-            axis.set_ylim(-limit, limit)
-            axis.set_title(f"{what} innovations")
-            axis.set_xlabel("time, s")
-            axis.set_ylabel("innovation / its standard deviation")
-        panels[0][0].legend(markerscale=3, ncol=3, loc="upper right")
-        axis = panels[0][2]
-        lags = np.arange(1, 31)
-        finding = float(np.median(np.diff(t)))
-        axis.axhspan(-2.0 / np.sqrt(t.size), 2.0 / np.sqrt(t.size), color="#E9ECEF", zorder=0)
-        for k, name in enumerate(("pos. north", "pos. east", "pos. down", "vel. north", "vel. east", "vel. down")):
-            z = y[:, k]
-            if np.isfinite(z).sum() < 60:
-                continue
-            rho = [np.nanmean(z[j:] * z[:-j]) / np.nanmean(z * z) for j in lags]
-            axis.plot(lags * finding, rho, "-" if k < 3 else "--", lw=1.1, color=COLOURS[k % 3], label=name)
-        axis.set_ylim(-0.5, 1.0)
-        axis.set_title("autocorrelation")
-        axis.set_xlabel("lag, s")
-        axis.set_ylabel("correlation")
-        axis.legend(ncol=2)
-        if across:
-            axis = panels[0][3]
-            when_t, u = c["across"]
-            axis.axhline(0.0, color=COLOURS[6], lw=0.8)
-            for k, name in ((1, "sideways"), (2, "down")):
-                axis.plot(when_t, np.degrees(np.arctan2(u[:, k], u[:, 0])), ".", ms=2.5, color=COLOURS[k], label=name)
-            every = [
-                np.degrees(np.arctan2(b["across"][1][:, k], b["across"][1][:, 0]))
-                for b in both.values()
-                for k in (1, 2)
-            ]
-            top = 1.1 * max(3.0, *(float(np.percentile(np.abs(e), 99.0)) for e in every if e.size))
-            axis.set_ylim(-top, top)
-            axis.set_title("direction of travel in vehicle axes")
-            axis.set_xlabel("time, s")
-            axis.set_ylabel("angle to the forward axis, deg")
-            axis.legend(markerscale=3)
-    return figure
-
-
-def evidence_figure(findings: Sequence[Finding]) -> MplFigure:
-    """Nats of every rival, finding by finding."""
-    with style():
-        figure, panels = plt.subplots(len(findings), 1, figsize=(7.5, 1.0 + 1.2 * len(findings)), squeeze=False)
-        for axis, finding in zip(panels[:, 0], findings, strict=True):
-            rivals = [*finding.members, *finding.runners_up][:6]
-            inside = {m.effect for m in finding.members}
-            colours = [COLOURS[0] if m.effect in inside else COLOURS[6] for m in rivals]
-            axis.barh(
-                [effect_name(m.effect) for m in rivals][::-1], [m.nats for m in rivals][::-1], color=colours[::-1]
-            )
-            axis.set_title(_subject(finding))
-        panels[-1, 0].set_xlabel("evidence, nats (blue: within 3 of the best)")
-    return figure
+    out: list[Block] = [wavelet_chart(report, names, "refined" if after else "nominal")] if names else []
+    return out + ([innovation_chart(report, "after" if after else "before")] if "drive" in report.curves else [])
 
 
 def draw_gap(report: GapReport, folder: str | Path, name: str) -> list[Path]:
-    """Write the page's pictures as PNG files ``NAME_before.png``, ``NAME_evidence.png`` and ``NAME_after.png`` (``NAME_before_2.png`` ...).
+    """Write the page's pictures as PNG and SVG files ``NAME_before``, ``NAME_evidence`` and ``NAME_after`` (``NAME_before_2`` ...).
 
     Parameters
     ----------
@@ -320,26 +214,24 @@ def draw_gap(report: GapReport, folder: str | Path, name: str) -> list[Path]:
     list of Path
         What was written.
     """
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    evidence: list[Block] = [Figure.of(evidence_figure(report.findings[:6]), "")] if report.findings else []
-    out = []
-    for when, blocks in (
-        ("before", _pictures(report, after=False)),
-        ("evidence", evidence),
-        ("after", _pictures(report, after=True)),
-    ):
-        for k, block in enumerate(b for b in blocks if isinstance(b, Figure)):
-            path = folder / (f"{name}_{when}.png" if k == 0 else f"{name}_{when}_{k + 1}.png")
-            path.write_bytes(block.png)
-            out.append(path)
-    return out
+    groups: dict[str, Sequence[Block]] = {
+        "before": _pictures(report, False),
+        "evidence": _evidence(report),
+        "after": _pictures(report, True),
+    }
+    charts = [
+        replace(chart, name=when if k == 0 else f"{when} {k + 1}")
+        for when, members in groups.items()
+        for k, chart in enumerate(c for c in members if isinstance(c, Chart))
+    ]
+    return save(charts, Path(folder), prefix=f"{name}_")
 
 
 def _suspects(report: GapReport, names: Sequence[str]) -> list[Section]:
     """What was found, how sure that is, what it is worth, and the evidence for it."""
     rows = [
         [
+            str(number),
             effect_name(s.effect),
             s.variant,
             sensor_axes(s.sensor, s.axes),
@@ -348,10 +240,10 @@ def _suspects(report: GapReport, names: Sequence[str]) -> list[Section]:
             finding_metres(s),
             finding_action(s),
         ]
-        for s in report.findings
+        for number, s in ranked(report)
     ]
-    heads = ("effect", "shape", "axes", "evidence, nats", "confidence", "m after 60 s without fixes", "what to do")
-    suspects: list[Block] = [Table(heads, rows, left=3)]
+    heads = ("", "effect", "shape", "axes", "evidence, nats", "confidence", "m after 60 s without fixes", "what to do")
+    suspects: list[Block] = [Table(heads, rows, left=4)]
     classes = [s for s in report.findings if s.is_class]
     if classes:
         suspects.append(Text("Effects that this recording cannot tell apart:"))
@@ -396,11 +288,9 @@ def _suspects(report: GapReport, names: Sequence[str]) -> list[Section]:
         Table(("effect", "axes", "parameter", "value", "95 % interval", "unit"), values, "Estimates", left=3)
     )
     out = [Section("The suspect", suspects)]
-    pictures: list[Block] = [
-        Figure.of(evidence_figure(report.findings[:6]), "Evidence of the named effects and their rivals.")
-    ]
-    if names and any(report.curves[n].get("f") for n in names):
-        pictures.append(Figure.of(spectrum_figure(report, names), "Spectrum: measured, nominal, refined."))
+    pictures = _evidence(report)
+    if heard := [n for n in names if report.curves[n].get("f")]:
+        pictures.append(spectrum_chart(report, heard))
     return [*out, Section("The evidence", pictures)]
 
 
@@ -418,45 +308,82 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     names = _axes_with_findings(report)
-    sections = [
-        Section(
-            "Where they disagree",
-            [
-                Text(
-                    "Each statistic compares the recording with the nominal model, whose noise levels may be off by 20 %. The p-values are corrected "
-                    "for how many were looked at (Holm); below 0.01 is in bold."
-                ),
-                _where_table(report.where, "Nominal model, most significant first"),
-                *_pictures(report, after=False),
-                _looked_at(report),
-            ],
-        )
-    ]
-    if report.findings:
-        sections += _suspects(report, names)
-    if refined:
-        sections.append(Section("The refined model", [Code(refined)]))
+    looked = Folded(
+        "Everything that was looked at",
+        [
+            Text(
+                "Each statistic compares the recording with the nominal model, whose noise levels may be off by 20 %. The p-values are corrected "
+                "for how many were looked at (Holm); below 0.01 is in bold."
+            ),
+            _where_table(report.where, "Nominal model, most significant first"),
+            _where_table(report.after, "Refined model, most significant first"),
+            _looked_at(report),
+        ],
+    )
     index = Table(
         ("", "before", "after"),
         [["gap index (reduced chi-square, 1 is agreement)", _interval(report.gap_before), _interval(report.gap_after)]],
         f"On data that was not used for naming. Gain of log score: {_interval(report.held_out)} nats per fix (per block of a static log).",
     )
     left = [Text(f"Left unexplained beside what was named: {report.remainder}.")] if report.remainder else []
-    sections.append(
-        Section(
-            "Agreement",
-            [
-                index,
-                *left,
-                *_pictures(report, after=True),
-                _where_table(report.after, "Refined model, most significant first"),
-            ],
-        )
-    )
+    if said := shaking_said(report):
+        left.append(Text(said))
+    sections = [
+        *(_suspects(report, names) if report.findings else []),
+        Section("Where they disagree", [*_pictures(report, after=False), looked]),
+        Section("Agreement with the refined model", [index, *left, *_pictures(report, after=True)]),
+        *([Section("The refined model", [Folded("refined.yaml", [Code(refined)])])] if refined else []),
+    ]
     return render(
-        "The gap between simulation and measurement",
+        f"The gap between simulation and measurement: {Path(report.source).name}",
         sections,
         folder / "index.html",
-        lead=gap_headline(report),
-        footer=report.source,
+        kind="gap",
+        source=report.source,
+        answer=gap_headline(report),
+        cards=[_better(report), *(_card(n, s) for n, s in ranked(report))],
     )
+
+
+def gap_charts(report: GapReport) -> list[Chart]:
+    """The charts of disagreement with the nominal model."""
+    return [chart for chart in _pictures(report, after=False) if isinstance(chart, Chart)]
+
+
+def ranked(report: GapReport) -> list[tuple[int, Finding]]:
+    """The findings with their numbers: settings first, then what is worth most metres; those without metres keep their order behind."""
+    worth = [s.metres if math.isfinite(s.metres) else -1.0 for s in report.findings]
+    return [
+        (n + 1, report.findings[n])
+        for n in sorted(range(len(worth)), key=lambda n: (not report.findings[n].is_setting, -worth[n]))
+    ]
+
+
+def is_better(report: GapReport) -> tuple[str, str, str]:
+    """Whether the refined model is better on data that was not used for naming: the word, the figures, and ``good``, ``warn`` or ``bad``."""
+    before, after, gain = report.gap_before, report.gap_after, report.held_out
+    figures = f"gap index {before.value:.3g} to {after.value:.3g}" if math.isfinite(after.value) else "no index"
+    if not report.findings:
+        return "nothing was added", figures, "plain"
+    if not math.isfinite(gain.value):
+        return "not scored", figures, "plain"
+    figures += f"; {gain.value:+.2g} nats per fix or block [{gain.low:.2g}, {gain.high:.2g}]"
+    if gain.low > 0.0:
+        return "yes", figures, "good"
+    return ("no", figures, "bad") if gain.high < 0.0 else ("not shown", figures, "warn")
+
+
+def _better(report: GapReport) -> Card:
+    word, figures, tone = is_better(report)
+    return Card(
+        "Is the refined model better?", word[:1].upper() + word[1:], figures, tone, ["On data not used for naming."]
+    )
+
+
+def _card(number: int, finding: Finding) -> Card:
+    metres = (
+        f"{finding_metres(finding)} m after 60 s without fixes" if math.isfinite(finding.metres) else "Metres not known"
+    )
+    sure = f"{finding.nats:.1f} nats, confidence {finding.confidence:.3f}"
+    tone = "warn" if finding.is_class or finding.doubtful else "bad"
+    return Card(f"{number}. {_subject(finding)}", metres, sure, tone, [finding_action(finding)])

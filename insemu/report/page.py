@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Iterable, Sequence
+import os
+import time
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +14,9 @@ from typing import TYPE_CHECKING
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
-from insemu.report.charts import Chart, script, script_hash, stylesheet
+from insemu import __version__
+from insemu.report.charts import Chart, asset, embedded, script, script_hash
+from insemu.whole import put
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
@@ -34,13 +38,14 @@ class Items:
 
 @dataclass(frozen=True)
 class Table:
-    """A table; the first ``left`` columns are aligned left, the others right. ``strong`` rows are emphasised."""
+    """A table; the first ``left`` columns are aligned left, the others right. ``strong`` rows are emphasised; cells ``wrap`` or not."""
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
     caption: str = ""
     left: int = 1
     strong: frozenset[int] = frozenset()
+    wrap: bool = False
 
 
 @dataclass(frozen=True)
@@ -101,7 +106,16 @@ class Folded:
     blocks: Sequence[Block]
 
 
-Block = Text | Items | Table | Figure | Code | Chart | Folded
+@dataclass(frozen=True)
+class Form:
+    """Blocks with choices that a button sends to an address of the same server."""
+
+    address: str
+    button: str
+    blocks: Sequence[Block]
+
+
+Block = Form | Text | Items | Table | Figure | Code | Chart | Folded
 
 
 @dataclass(frozen=True)
@@ -112,106 +126,93 @@ class Section:
     blocks: Sequence[Block]
 
 
-_STYLE = """
-:root { color-scheme: light dark; --ink: #1c2430; --soft: #5b6675; --line: #d9dee5; --wash: #f5f7f9; --paper: #ffffff; --accent: #0b5c8a;
-  --shade: #e3e7ec; --good: #0a6b45; --warn: #8a4b00; --bad: #a8182b; }
-@media (prefers-color-scheme: dark) { :root { --ink: #e6eaf0; --soft: #a9b3c0; --line: #3a434f; --wash: #1f2630; --paper: #151a21; --accent: #7cc4ee;
-  --shade: #2b333e; --good: #63d3a3; --warn: #f0b35f; --bad: #ff9aa6; } }
-* { box-sizing: border-box; }
-body { margin: 0; background: var(--paper); color: var(--ink); font: 16px/1.55 system-ui, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
-main { max-width: 76rem; margin: 0 auto; padding: 2rem 1.25rem 4rem; }
-h1 { font-size: 1.5rem; line-height: 1.25; margin: 0 0 .4rem; overflow-wrap: anywhere; }
-h2 { font-size: 1.2rem; margin: 2.4rem 0 .6rem; padding-top: .9rem; border-top: 1px solid var(--line); }
-p { max-width: 46rem; margin: .5rem 0; overflow-wrap: anywhere; }
-.answer { font-size: 1.25rem; line-height: 1.4; font-weight: 600; max-width: 60rem; }
-.lead { color: var(--soft); }
-ul { max-width: 46rem; padding-left: 1.2rem; overflow-wrap: anywhere; }
-.cards { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(15rem, 100%), 1fr)); gap: .8rem; margin: 1rem 0; }
-.card { border: 1px solid var(--line); border-left: .35rem solid var(--soft); border-radius: 6px; background: var(--wash); padding: .7rem .9rem; }
-.card h3 { font-size: 1rem; margin: 0; overflow-wrap: anywhere; }
-.card .value { font-size: 1.35rem; font-weight: 650; font-variant-numeric: tabular-nums; }
-.card .verdict { font-weight: 600; }
-.card p { margin: .15rem 0; font-size: .9rem; }
-.good { border-left-color: var(--good); } .good .verdict { color: var(--good); }
-.warn { border-left-color: var(--warn); } .warn .verdict { color: var(--warn); }
-.bad { border-left-color: var(--bad); } .bad .verdict { color: var(--bad); }
-.scroll { overflow-x: auto; margin: .8rem 0 1.2rem; max-width: 100%; }
-table { border-collapse: collapse; font-size: .85rem; font-variant-numeric: tabular-nums; }
-th, td { padding: .28rem .55rem; text-align: right; white-space: nowrap; border-bottom: 1px solid var(--line); }
-.scroll thead th { white-space: normal; vertical-align: bottom; }
-.scroll th { background: var(--wash); border-bottom: 2px solid var(--line); font-weight: 600; }
-.scroll tbody th { border-bottom: 1px solid var(--line); }
-.left { text-align: left; }
-.scroll td:first-child.left, .scroll th:first-child.left { position: sticky; left: 0; background: var(--paper); }
-tr.strong td { font-weight: 650; }
-figure { margin: .8rem 0 1.4rem; }
-.picture { overflow-x: auto; } img { width: 100%; max-width: 68rem; min-width: 36rem; height: auto; display: block; background: #ffffff; }
-figcaption { color: var(--soft); font-size: .9rem; max-width: 50rem; margin-top: .35rem; }
-pre { background: var(--wash); border: 1px solid var(--line); border-radius: 4px; padding: .8rem 1rem; overflow-x: auto; font-size: .84rem; }
-nav { margin: 1rem 0 0; font-size: .92rem; }
-nav a { color: var(--accent); margin-right: 1.1rem; }
-details { margin: .8rem 0; } summary { cursor: pointer; color: var(--accent); }
-.bar { display: flex; flex-wrap: wrap; gap: .5rem; align-items: center; font-size: .85rem; margin-bottom: .3rem; }
-.bar button, .bar select { font: inherit; color: var(--ink); background: var(--wash); border: 1px solid var(--line); border-radius: 4px;
-  padding: .15rem .6rem; } .bar label { max-width: 100%; } .bar select { max-width: min(30rem, calc(100vw - 3rem)); }
-.plot { width: 100%; overflow: hidden; } .plot:focus-visible, button:focus-visible, select:focus-visible, summary:focus-visible, a:focus-visible
-  { outline: 2px solid var(--accent); outline-offset: 2px; }
-.u-legend { font-size: .82rem; text-align: left; } .u-legend th, .u-legend td { border: 0; padding: .05rem .3rem; }
-footer { margin-top: 3rem; color: var(--soft); font-size: .85rem; border-top: 1px solid var(--line); padding-top: .8rem; overflow-wrap: anywhere; }
-@media print { @page { size: A4; margin: 12mm; } :root { color-scheme: light; --ink: #000; --soft: #333; --line: #bbb; --wash: #fff; --paper: #fff;
-  --shade: #e3e7ec; } body { font-size: 9.5pt; } main { padding: 0; max-width: none; } nav, .bar, .no-print, details:not([open]) { display: none; }
-  h2 { break-after: avoid; margin-top: 1.2rem; } figure, .card, tr { break-inside: avoid; } .scroll, .picture { overflow: visible; }
-  img { max-height: 85mm; width: auto; min-width: 0; max-width: 100%; }
-  table { font-size: 7.5pt; } th, td { white-space: normal; padding: .15rem .3rem; } }
-"""
+@dataclass(frozen=True)
+class About:
+    """What a page is about, for its head and for the list of pages (`insemu serve`).
 
-_TEMPLATE = """<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src '{{ script_hash }}'">
-<title>{{ title }}</title>
-<style>{{ style }}{% if charts %}{{ stylesheet }}{% endif %}</style>
-</head>
-<body><main>
-<h1>{{ title }}</h1>
-{% if answer %}<p class="answer">{{ answer }}</p>{% endif %}
-{% if lead %}<p class="lead">{{ lead }}</p>{% endif %}
-{% if cards %}<div class="cards">{% for c in cards %}
-<div class="card {{ c.tone }}"><h3>{{ c.title }}</h3><p class="value">{{ c.value }}</p><p class="verdict">{{ c.verdict }}</p>
-{% for n in c.notes %}<p>{{ n }}</p>{% endfor %}</div>
-{% endfor %}</div>{% endif %}
-{% if sections|length > 2 %}<nav aria-label="Sections">
-{% for s in sections %}<a href="#s{{ loop.index }}">{{ s.title }}</a> {% endfor %}</nav>{% endif %}
-{% macro show(b) %}{% set kind = b.__class__.__name__ %}
-{% if kind == "Text" %}<p>{{ b.text }}</p>
-{% elif kind == "Items" %}<ul>{% for i in b.items %}<li>{{ i }}</li>{% endfor %}</ul>
-{% elif kind == "Table" %}{% if b.caption %}<p class="lead">{{ b.caption }}</p>{% endif %}<div class="scroll" tabindex="0"><table>
-<thead><tr>{% for h in b.header %}<th{% if loop.index0 < b.left %} class="left"{% endif %} scope="col">{{ h }}</th>{% endfor %}</tr></thead>
-<tbody>{% for r in b.rows %}<tr{% if loop.index0 in b.strong %} class="strong"{% endif %}>
-{%- for c in r %}<td{% if loop.index0 < b.left %} class="left"{% endif %}>{{ c }}</td>{% endfor %}</tr>
-{% endfor %}</tbody></table></div>
-{% elif kind == "Figure" %}<figure><div class="picture" tabindex="0"><img alt="{{ b.caption }}" src="data:image/png;base64,{{ base64(b.png) }}"></div>
-<figcaption>{{ b.caption }}</figcaption></figure>
-{% elif kind == "Chart" %}<figure class="chart"><div class="bar no-print"></div><div class="plot"></div>
-<script type="application/json">{{ safe(b.to_json()) }}</script>
-{% if b.png %}<noscript><img alt="{{ b.caption }}" src="data:image/png;base64,{{ base64(b.png) }}"></noscript>{% endif %}
-<figcaption>{{ b.caption }}</figcaption></figure>
-{% elif kind == "Code" %}{% if b.caption %}<p>{{ b.caption }}</p>{% endif %}<pre tabindex="0">{{ b.text }}</pre>
-{% elif kind == "Folded" %}<details><summary>{{ b.summary }}</summary>{% for inner in b.blocks %}{{ show(inner) }}{% endfor %}</details>
-{% endif %}{% endmacro %}
-{% for s in sections %}
-<section><h2 id="s{{ loop.index }}">{{ s.title }}</h2>
-{% for b in s.blocks %}{{ show(b) }}{% endfor %}</section>
-{% endfor %}
-<footer>{{ footer }}</footer>
-</main>{% if charts %}<script>{{ script }}</script>{% endif %}</body></html>
-"""
+    Parameters
+    ----------
+    kind : str
+        Command that made it.
+    title, answer, source : str
+        Of the page; ``source`` is the file that was asked about.
+    cards : sequence of Card
+    """
+
+    kind: str
+    title: str
+    answer: str
+    source: str
+    cards: Sequence[Card] = ()
+
+    @property
+    def line(self) -> str:
+        """File, date and version in one line."""
+        return ", ".join(x for x in (self.source and Path(self.source).name, made_on(), f"insemu {__version__}") if x)
+
+    @property
+    def json(self) -> str:
+        """As the list of pages reads it."""
+        verdicts = [[c.title, c.value, c.verdict, c.tone] for c in self.cards]
+        return embedded({"insemu": __version__, "made": made_on(), **vars(self), "cards": verdicts})
 
 
-def _has_chart(blocks: Iterable[Block]) -> bool:
-    return any(isinstance(b, Chart) or (isinstance(b, Folded) and _has_chart(b.blocks)) for b in blocks)
+def made_on() -> str:
+    """The date, UTC; ``SOURCE_DATE_EPOCH`` stands for now where it is set."""
+    given = os.environ.get("SOURCE_DATE_EPOCH", "")
+    return time.strftime("%Y-%m-%d", time.gmtime(int(given) if given.isdigit() else None))
+
+
+def charts_of(sections: Iterable[Section]) -> list[Chart]:
+    """Every chart of a page."""
+
+    def inside(blocks: Iterable[Block]) -> Iterator[Chart]:
+        for b in blocks:
+            if isinstance(b, Chart):
+                yield b
+            elif isinstance(b, Folded):
+                yield from inside(b.blocks)
+
+    return [chart for s in sections for chart in inside(s.blocks)]
+
+
+def document(
+    title: str,
+    sections: Sequence[Section],
+    *,
+    kind: str,
+    source: str = "",
+    answer: str = "",
+    lead: str = "",
+    cards: Sequence[Card] = (),
+    footer: str = "",
+    forms: bool = False,
+) -> str:
+    """The page as HTML.
+
+    Parameters
+    ----------
+    title, sections, kind, source, answer, lead, cards, footer
+        See :func:`render`.
+    forms : bool
+        Whether the page may send what a :class:`Form` holds to the server that it came from.
+    """
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    return environment.from_string(asset("page.html")).render(
+        title=title,
+        about=About(kind, title, answer, source, cards),
+        answer=answer,
+        lead=lead,
+        cards=cards,
+        footer=footer,
+        sections=sections,
+        style=Markup(asset("page.css", "uPlot.min.css")),
+        script=Markup(script()),
+        script_hash=script_hash(),
+        forms=Markup("'self'" if forms else "'none'"),
+        safe=Markup,  # JSON of a chart escapes what could close a tag
+        base64=lambda data: base64.b64encode(data).decode("ascii"),
+    )
 
 
 def render(
@@ -219,10 +220,13 @@ def render(
     sections: Sequence[Section],
     path: str | Path,
     *,
+    kind: str,
+    source: str = "",
     answer: str = "",
     lead: str = "",
     cards: Sequence[Card] = (),
     footer: str = "",
+    pictures: bool = False,
 ) -> Path:
     """Write the page.
 
@@ -233,33 +237,23 @@ def render(
     sections : sequence of Section
     path : path
         File to write; its folder is made.
+    kind, source : str
+        Command that makes the page, and the file that it was asked about.
     cards : sequence of Card
         Verdicts, below the answer.
+    pictures : bool
+        Whether every chart is also written as PNG and SVG into the folder ``figures`` beside the page.
 
     Returns
     -------
     Path
         The file.
     """
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-    template = environment.from_string(_TEMPLATE)
-    charts = any(_has_chart(s.blocks) for s in sections)
-    html = template.render(
-        title=title,
-        answer=answer,
-        lead=lead,
-        cards=cards,
-        footer=footer,
-        sections=sections,
-        charts=charts,
-        style=Markup(_STYLE),
-        stylesheet=Markup(stylesheet()) if charts else "",
-        script=Markup(script()) if charts else "",
-        script_hash=script_hash() if charts else "none",
-        safe=Markup,  # JSON of a chart escapes what could close a tag
-        base64=lambda data: base64.b64encode(data).decode("ascii"),
-    )
+    html = document(title, sections, kind=kind, source=source, answer=answer, lead=lead, cards=cards, footer=footer)
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(html, encoding="utf-8")
+    if pictures and (charts := charts_of(sections)):
+        from insemu.report.static import save
+
+        save(charts, path.parent / "figures")
+    put(path, html)
     return path

@@ -37,6 +37,8 @@ _SETTINGS: dict[Any, Any] = {  # matplotlib types each name of its settings on i
     "legend.frameon": False,
     "lines.linewidth": 1.5,
     "font.family": "DejaVu Sans",
+    "svg.fonttype": "none",
+    "svg.hashsalt": "insemu",  # the same picture is the same file
     "axes.prop_cycle": cycler(color=COLOURS),
 }
 

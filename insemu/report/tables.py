@@ -90,8 +90,29 @@ def short_headline(results: Results) -> Table:
     return [heading for heading, _ in columns], [[cell(row) for _, cell in columns] for row in rows]
 
 
+def page_headline(results: Results) -> Table:
+    """The headline table for a page: what decides, as wide as a page is."""
+    main = results.headline_figure
+    columns: list[tuple[str, Cell]] = [
+        ("design", _first(lambda row: row["design"])),
+        ("outage", lambda row: f"{row['start_s'] / 60:.3g} min, {row['duration_s']:g} s"),
+        ("verdict", lambda row: row["verdict"]),
+        ("error m", _figure(main)),
+        ("stated m", _figure("predicted_sigma_end_m")),
+        ("NEES/dof", _nees),
+        ("cover %", _percent("position")),
+        ("altitude m", _figure("altimetric_end_m")),
+    ]
+    if main == "planimetric_end_m":
+        columns.insert(4, ("95 %", _interval(" to ")))
+    if results.published:
+        columns.insert(4, ("published", _published))
+    rows = outage_rows(results)
+    return [heading for heading, _ in columns], [[cell(row) for _, cell in columns] for row in rows]
+
+
 def full_headline(results: Results) -> Table:
-    """The headline table for a page: every figure."""
+    """Every figure of every outage."""
     columns: list[tuple[str, Cell]] = [
         ("design", _first(lambda row: row["design"])),
         ("states", _first(lambda row: str(row["states"]))),

@@ -1,26 +1,34 @@
-"""A figure of a flight or of a smoothed track: the way, speed, turn rate and what is left of the fixes."""
+"""The page and the picture of a flight or of a smoothed track, and of its dead reckoning."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from insemu import earth
 from insemu.errors import InputError
+from insemu.report.charts import GREY, INK, RED, Chart, Line, View
+from insemu.report.page import Block, Card, Folded, Items, Section, Table, Text, render
+from insemu.report.style import COLOURS
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from insemu.emulate import DeadReckoning, Flight, SmoothedTrack
 
-    from insemu.emulate import Flight, SmoothedTrack
+Array = NDArray[np.float64]
 
-_BLUE, _RED, _GREY = "#1f5fa8", "#c0392b", "#7f8c8d"
+#: Epochs of a path, and fixes, that a chart shows at most.
+MOST_EPOCHS = 1500
 
 
-def track_figure(flight: Flight, track: SmoothedTrack | None = None) -> Figure:
-    """Way seen from above with the outages, speed, height, turn rate with bank, and residuals of the fixes where
-    there are any.
+def _thin(n: int, most: int = MOST_EPOCHS) -> slice:
+    return slice(None, None, -(-n // most) or 1)
+
+
+def track_charts(flight: Flight, track: SmoothedTrack | None = None) -> list[Chart]:
+    """Way seen from above with the outages; speed, height and turn rate; residuals of the fixes where there are any.
 
     Parameters
     ----------
@@ -29,73 +37,60 @@ def track_figure(flight: Flight, track: SmoothedTrack | None = None) -> Figure:
     track : SmoothedTrack, optional
         The recorded track that the path was made from.
     """
-    from matplotlib.figure import Figure
-
     from insemu.emulate import turn_rate
 
     path = flight.path
-    t = np.linspace(path.start, path.end, int(min(6000, max(400, path.duration * 10))))
+    t = np.linspace(path.start, path.end, int(min(MOST_EPOCHS, max(400, path.duration * 10))))
     k = path.kinematics(t)
     ned = earth.llh_to_ned(k.llh, k.llh[0])
-    rows = 4 if track is not None else 3
-    figure = Figure(figsize=(11, 2.1 * rows + 0.8), layout="constrained")
-    grid = figure.add_gridspec(rows, 2, width_ratios=(1.1, 1.0))
-    way = figure.add_subplot(grid[:, 0])
-    if track is not None:
-        fixes = earth.llh_to_ned(track.track.llh, k.llh[0])
-        way.plot(fixes[:, 1], fixes[:, 0], ".", color=_GREY, ms=3, label="fixes")
-        far = track.weight < 1.0
-        if far.any():
-            way.plot(fixes[far, 1], fixes[far, 0], "x", color=_RED, ms=6, label="fixes with less weight")
-    way.plot(ned[:, 1], ned[:, 0], color=_BLUE, lw=1.2, label="path")
+
+    def way(label: str, at: Array, when: Array, colour: str, width: float, points: bool = False) -> Line:
+        return Line(label, at[:, 0], colour, points=points, width=width, x=at[:, 1], t=when)
+
+    lines = [way("path", ned, t, COLOURS[0], 1.4)]
     for n, (start, duration) in enumerate(flight.outages):
         inside = (t >= start) & (t <= start + duration)
-        way.plot(ned[inside, 1], ned[inside, 0], color=_RED, lw=3, label="GNSS outage" if n == 0 else None)
-    way.plot(ned[0, 1], ned[0, 0], "o", color="black", ms=5, label="start")
-    way.set_aspect("equal", adjustable="datalim")
-    way.set_xlabel("east of the start, m")
-    way.set_ylabel("north of the start, m")
-    way.set_title(f"{Path(flight.name).name}: {path.duration:.0f} s, {_length(k.vel_ned, t):.1f} km")
-    way.legend(loc="best", frameon=False)
-    way.grid(alpha=0.3)
-
-    speed = np.hypot(k.vel_ned[:, 0], k.vel_ned[:, 1])
-    panels = [
-        ("speed, m/s", [(speed, _BLUE, None)]),
-        ("height, m", [(k.llh[:, 2], _BLUE, None)]),
-        (
-            "turn rate, deg/s",
-            [(np.rad2deg(turn_rate(path, t)), _BLUE, None)],
+        lines.append(way(f"GNSS outage {n + 1}", ned[inside], t[inside], RED, 3.5))
+    if track is not None:
+        fixes, far = earth.llh_to_ned(track.track.llh, k.llh[0]), track.weight < 1.0
+        some = _thin(len(fixes))
+        lines.insert(0, way("fixes", fixes[some], track.track.t[some], GREY, 1.0, points=True))
+        if far.any():
+            lines.append(way("fixes with less weight", fixes[far], track.track.t[far], RED, 4.0, points=True))
+    view = View("Way", "north of the start (m)", lines, labels=[(0.0, 0.0, "start")])
+    spans = [(start, start + duration) for start, duration in flight.outages]
+    motion = {
+        "Speed": ("speed (m/s)", np.hypot(k.vel_ned[:, 0], k.vel_ned[:, 1])),
+        "Height": ("height (m)", k.llh[:, 2]),
+        "Turn rate": ("turn rate (deg/s)", np.rad2deg(turn_rate(path, t))),
+    }
+    views = [View(name, label, [Line(name.lower(), y, COLOURS[0])]) for name, (label, y) in motion.items()]
+    out = [
+        Chart(
+            "Way",
+            "The path seen from above; spans without GNSS in red.",
+            None,
+            "east of the start (m)",
+            [view],
+            equal=True,
+        ),
+        Chart(
+            "Motion", "Speed, height and turn rate over time; spans without GNSS are grey.", t, "time (s)", views, spans
         ),
     ]
-    axes: list[Any] = []
-    for row, (label, lines) in enumerate(panels):
-        ax = figure.add_subplot(grid[row, 1], sharex=axes[0] if axes else None)
-        for values, color, name in lines:
-            ax.plot(t, values, color=color, lw=1.0, label=name)
-        for start, duration in flight.outages:
-            ax.axvspan(start, start + duration, color=_RED, alpha=0.15, lw=0)
-        low, high = ax.get_ylim()
-        if high - low < 1.0:  # nothing happens: do not blow up rounding
-            ax.set_ylim(0.5 * (low + high) - 0.5, 0.5 * (low + high) + 0.5)
-        ax.ticklabel_format(axis="y", useOffset=False)
-        ax.set_ylabel(label)
-        ax.grid(alpha=0.3)
-        axes.append(ax)
     if track is not None:
-        ax = figure.add_subplot(grid[3, 1], sharex=axes[0])
-        for axis, (name, color) in enumerate((("north", _BLUE), ("east", _RED), ("down", _GREY))):
-            ax.plot(track.track.t, 100 * track.residual_ned[:, axis], ".", ms=2, color=color, label=name)
-        ax.set_ylabel("fix - path, cm")
-        ax.legend(loc="upper right", ncols=3, frameon=False, markerscale=3)
-        ax.grid(alpha=0.3)
-        axes.append(ax)
-    axes[-1].set_xlabel("time, s")
-    return figure
-
-
-def _length(vel: np.ndarray, t: np.ndarray) -> float:
-    return float(np.trapezoid(np.linalg.norm(vel, axis=1), t)) / 1000.0
+        some = _thin(len(track.track.t))
+        left = 100 * track.residual_ned[some]
+        dots = [
+            Line(n, left[:, a], COLOURS[a], points=True, width=1.0) for a, n in enumerate(("north", "east", "down"))
+        ]
+        caption = "Fixes minus the path."
+        out.append(
+            Chart(
+                "Residuals", caption, track.track.t[some], "time (s)", [View("Fixes", "fix - path (cm)", dots)], spans
+            )
+        )
+    return out
 
 
 _FORMATS = (".png", ".pdf", ".svg", ".html", ".htm")
@@ -108,8 +103,8 @@ def check_figure(file: str | Path) -> None:
         raise InputError(f"cannot draw '{suffix}' files, expected {', '.join(_FORMATS)}", where=str(file))
 
 
-def draw_track(flight: Flight, file: str | Path, *, track: SmoothedTrack | None = None) -> Path:
-    """Write :func:`track_figure` to a PNG, PDF or SVG file, or a page with it to an HTML file.
+def draw_track(flight: Flight, file: str | Path, *, track: SmoothedTrack | None = None, source: str = "") -> Path:
+    """Write :func:`track_charts` to a PNG, PDF or SVG file, or a page with them to an HTML file.
 
     Parameters
     ----------
@@ -117,51 +112,105 @@ def draw_track(flight: Flight, file: str | Path, *, track: SmoothedTrack | None 
     file : path
     track : SmoothedTrack, optional
         The recorded track that the path was made from.
+    source : str
+        The scenario's file.
     """
     check_figure(file)
     path = Path(file)
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix.lower() in (".html", ".htm"):
-        return _page(flight, path, track)
-    track_figure(flight, track).savefig(path, dpi=110)
+        return _page(flight, path, track, source)
+    from insemu.report.static import DPI, draw
+
+    draw(*track_charts(flight, track)).savefig(path, dpi=DPI)
     return path
 
 
-def _page(flight: Flight, path: Path, track: SmoothedTrack | None) -> Path:
+def _page(flight: Flight, path: Path, track: SmoothedTrack | None, source: str) -> Path:
     from insemu.emulate import held_out_distance, turn_rate
-    from insemu.report.page import Block, Figure, Items, Section, Table, Text, render
 
     motion = flight.path
     t = np.arange(motion.start, motion.end, 0.1)
     k = motion.kinematics(t)
     speed = np.hypot(k.vel_ned[:, 0], k.vel_ned[:, 1])
+    length = float(np.trapezoid(np.linalg.norm(k.vel_ned, axis=1), t)) / 1000.0
     rows = [
         ["duration", f"{motion.duration:.1f}", "s"],
-        ["length", f"{_length(k.vel_ned, t):.2f}", "km"],
+        ["length", f"{length:.2f}", "km"],
         ["largest speed", f"{speed.max():.1f}", "m/s"],
         ["largest turn rate", f"{np.rad2deg(np.abs(turn_rate(motion, t)).max()):.1f}", "deg/s"],
         ["largest acceleration", f"{np.linalg.norm(k.acc_ned, axis=1).max():.2f}", "m/s^2"],
         ["heights", f"{k.llh[:, 2].min():.0f} to {k.llh[:, 2].max():.0f}", "m"],
     ]
-    blocks: list[Block] = []
-    lead = f"{Path(flight.name).name}, a {flight.vehicle.replace('_', ' ')}."
+    blocks: list[Block] = [*track_charts(flight, track)]
+    vehicle = flight.vehicle.replace("_", " ")
+    outages = f"{len(flight.outages)} GNSS outage{'s' * (len(flight.outages) != 1)}"
+    fastest = f"at most {speed.max():.1f} m/s"
+    answer = f"A {vehicle} moves {length:.2f} km in {motion.duration:.0f} s, {fastest}, with {outages}."
+    cards = []
     if track is not None:
         residual = 100 * track.residual_ned
         distance = 100 * held_out_distance(track.track, flight.vehicle)
+        each = ", ".join(f"{x:.2f}" for x in np.sqrt((residual**2).mean(axis=0)))
         rows += [
             ["fixes", f"{len(residual)}", ""],
             ["fixes with less weight", f"{int((track.weight < 1).sum())}", ""],
-            [
-                "residual, rms north, east, down",
-                ", ".join(f"{x:.2f}" for x in np.sqrt((residual**2).mean(axis=0))),
-                "cm",
-            ],
+            ["residual, rms north, east, down", each, "cm"],
             ["a third left out: median distance from the path of the rest", f"{np.median(distance):.2f}", "cm"],
             ["a third left out: 95 % are within", f"{np.percentile(distance, 95):.2f}", "cm"],
         ]
-        lead += " The path is the smooth curve through its fixes that a vehicle of this kind most probably took."
+        notes = ["The path is the smooth curve through its fixes that a vehicle of this kind most probably took."]
+        odd = f"{len(track.warnings)} oddities" if track.warnings else "Nothing odd"
+        worth = f"{np.median(distance):.2f} cm"
+        cards = [Card("Fixes left out, median distance", worth, odd, "warn" if track.warnings else "good", notes)]
         if track.warnings:
             blocks += [Text("What looks odd:"), Items(track.warnings)]
-    caption = "Way seen from above, speed, height and turn rate" + (", and the fixes minus the path" if track else "")
-    blocks += [Figure.of(track_figure(flight, track), caption), Table(["", "value", "unit"], rows)]
-    return render(f"Track {Path(flight.name).name}", [Section("Motion", blocks)], path, lead=lead)
+    sections = [Section("Motion", [*blocks, Folded("Figures", [Table(["", "value", "unit"], rows)])])]
+    name = Path(flight.name).name
+    return render(
+        f"Track {name}", sections, path, kind="emulate", source=source or flight.name, answer=answer, cards=cards
+    )
+
+
+def render_reckoning(result: DeadReckoning, path: str | Path) -> Path:
+    """Write the page of a dead reckoning.
+
+    Parameters
+    ----------
+    result : DeadReckoning
+    path : path
+        HTML file.
+    """
+    some = _thin(len(result.t))
+    labels = (("Position", "position error (m)", 1.0), ("Velocity", "velocity error (m/s)", 1.0))
+    views = []
+    for k, (name, label, factor) in enumerate((*labels, ("Attitude", "attitude error (deg)", 180.0 / np.pi))):
+        values = np.maximum(factor * result.errors[some, k], 1e-12)
+        views.append(View(name, label, [Line(name.lower(), values, INK)], log_y=True))
+    caption = "Errors of the IMU navigated alone, against the reference (norms of the three components)."
+    chart = Chart("Dead reckoning", caption, result.t[some], "time (s)", views)
+    seconds = result.end_s - result.start_s
+    rows = [
+        [key.replace("_", " "), f"{v:.6g}" if isinstance(v, float) else str(v)] for key, v in result.to_dict().items()
+    ]
+    return render(
+        f"Dead reckoning of {Path(result.source).name}",
+        [Section("Error growth", [chart, Folded("Figures", [Table(("figure", "value"), rows)])])],
+        path,
+        kind="dead-reckon",
+        source=result.source,
+        answer=f"Without any fix the position is {result.final_position_error_m:.3g} m off after {seconds:.4g} s.",
+        cards=[
+            Card(
+                "Largest position error",
+                f"{result.max_position_error_m:.3g} m",
+                f"{result.final_position_error_m:.3g} m at the end",
+            ),
+            Card("Largest velocity error", f"{result.max_velocity_error_m_s:.3g} m/s", f"{result.epochs} epochs"),
+            Card(
+                "Largest attitude error",
+                f"{np.rad2deg(result.max_attitude_error_rad):.3g} deg",
+                f"gravity {result.gravity}",
+            ),
+        ],
+    )

@@ -7,8 +7,9 @@ trajectories are registered names, numbers carry units (``0.032 deg/s/sqrt(Hz)``
 from insemu.scenario.design import AxisSource, Design, DesignOptions, GyroSource
 from insemu.scenario.designs import shipped_designs
 from insemu.scenario.fields import EffectList, Section
-from insemu.scenario.files import digest, load, resolve_path, schema, validated, variant_names
+from insemu.scenario.files import code_version, digest, load, resolve_path, schema, validated, variant_names
 from insemu.scenario.schema import (
+    MAX_REALIZATIONS,
     FitSource,
     Gnss,
     Initial,
@@ -26,6 +27,7 @@ from insemu.scenario.starting import SENSOR, Wish, copy_shipped, first_scenario
 from insemu.scenario.structure import state_names, structures
 
 __all__ = [
+    "MAX_REALIZATIONS",
     "SENSOR",
     "AxisSource",
     "Design",
@@ -45,6 +47,7 @@ __all__ = [
     "TrajectorySource",
     "Truth",
     "Wish",
+    "code_version",
     "copy_shipped",
     "digest",
     "first_scenario",

@@ -30,6 +30,7 @@ from insemu.scenario.fields import (
     Section,
     Speed,
     Structure,
+    an_axis,
     computed,
     noise_model,
     per_axis,
@@ -39,12 +40,12 @@ from insemu.scenario.fields import (
 class StateKeys(Section):
     """Further states, each a random constant of this standard deviation; 0 leaves it out."""
 
-    gyro_scale: Ratio = Field(default=0.0, ge=0)
-    accel_scale: Ratio = Field(default=0.0, ge=0)
-    gyro_misalignment: Radians = Field(default=0.0, ge=0)
-    accel_misalignment: Radians = Field(default=0.0, ge=0)
-    lever_arm: Length = Field(default=0.0, ge=0)
-    latency: Seconds = Field(default=0.0, ge=0)
+    gyro_scale: Ratio = Field(default=0.0, ge=0, description="scale factors of the gyroscopes, for example 300 ppm")
+    accel_scale: Ratio = Field(default=0.0, ge=0, description="scale factors of the accelerometers")
+    gyro_misalignment: Radians = Field(default=0.0, ge=0, description="angles between the gyroscopes' axes")
+    accel_misalignment: Radians = Field(default=0.0, ge=0, description="angles between the accelerometers' axes")
+    lever_arm: Length = Field(default=0.0, ge=0, description="each component of the way from IMU to antenna")
+    latency: Seconds = Field(default=0.0, ge=0, description="time by which the fixes come late")
 
 
 class AxisSource(Section):
@@ -59,7 +60,7 @@ class AxisSource(Section):
         default=None,
         description="processes that are added, for example 'RC(sigma=0.5 deg/s)': a turn-on bias, which no static log shows",
     )
-    method: str = Field(default="gmwm", description="estimator: gmwm, em, mli, slopes or burg")
+    method: str = Field(default="gmwm", description="estimator, as of insemu fit --method")
     options: dict[str, int | float | str | bool] = Field(default_factory=dict, description="options of the estimator")
     stabilise: bool | Annotated[float, Field(gt=0, lt=1)] = Field(
         default=False,
@@ -142,9 +143,18 @@ class Prefilter(Section):
     levels: int | dict[str, int] = Field(
         description="octaves that are shrunk, one number or one per axis (gyro_x: 7, ...)"
     )
-    wavelet: str = "db4"
-    rule: Literal["sure", "universal"] = "sure"
-    mode: Literal["soft", "hard"] = "soft"
+    wavelet: str = Field(default="db4", description="name of an orthogonal wavelet of PyWavelets")
+    rule: Literal["sure", "universal", "approximation"] = Field(
+        default="sure",
+        description="how the threshold of an octave is found; approximation: the octaves are dropped whole",
+    )
+    mode: Literal["soft", "hard"] = Field(default="soft", description="coefficients are shrunk, or kept and dropped")
+    delay: Seconds | None = Field(
+        default=None,
+        ge=0,
+        examples=["0 s"],
+        description="rule approximation in real time: every sample from those up to so much later, 0 s is causal; null: from the whole record",
+    )
 
     @field_validator("levels")
     @classmethod
@@ -156,6 +166,12 @@ class Prefilter(Section):
                 raise InputError(f"found {levels} levels, expected 0 to 20")
         return value
 
+    @model_validator(mode="after")
+    def _delay_of_the_linear_rule(self) -> Prefilter:
+        if self.delay is not None and self.rule != "approximation":
+            raise InputError(f"delay belongs to rule 'approximation', found rule '{self.rule}'")
+        return self
+
     def per_axis(self) -> list[int]:
         """Levels in the order of :data:`insemu.records.AXES`; axes that are not named stay as they are."""
         given = self.levels
@@ -165,10 +181,10 @@ class Prefilter(Section):
 class Tuning(Section):
     """Factors on what is believed: noise amplitudes per sensor, standard deviations of the fixes."""
 
-    gyro: float = Field(default=1.0, gt=0)
-    accel: float = Field(default=1.0, gt=0)
-    position: float = Field(default=1.0, gt=0)
-    velocity: float = Field(default=1.0, gt=0)
+    gyro: float = Field(default=1.0, gt=0, description="on the noise amplitudes of the gyroscopes")
+    accel: float = Field(default=1.0, gt=0, description="on the noise amplitudes of the accelerometers")
+    position: float = Field(default=1.0, gt=0, description="on the standard deviations of the positions")
+    velocity: float = Field(default=1.0, gt=0, description="on the standard deviations of the velocities")
 
 
 class ZeroUpdates(Section):
@@ -193,12 +209,12 @@ class DesignOptions(Section):
     gate: float | None = Field(
         default=None, gt=0, lt=1, description="probability that a good fix is rejected; null: no gate"
     )
-    prefilter: Prefilter | None = None
+    prefilter: Prefilter | None = Field(default=None, description="wavelet de-noising of the IMU; absent: none")
     states: Annotated[Extras, Made(StateKeys)] = Field(
         default=Extras(),
         description="further states, each a random constant of this standard deviation; 0 leaves it out",
     )
-    tuning: Tuning = Tuning()
+    tuning: Tuning = Field(default=Tuning(), description="factors on what is believed")
     zero_updates: ZeroUpdates | None = Field(
         default=None, description="zero-velocity and zero-rate updates; {}: as usual"
     )
@@ -237,16 +253,16 @@ class Design(Section):
         default=None, description="a sensor that comes with insemu (insemu sensor), or the file of its card"
     )
     case: Literal["typical", "worst"] | None = Field(default=None, description="which of the sensor's figures; typical")
-    options: DesignOptions = DesignOptions()
+    options: DesignOptions = Field(default=DesignOptions(), description="how the filter runs")
 
-    gyro: GyroBelief = None
-    accel: AccelBelief = None
-    gyro_x: GyroBelief = None
-    gyro_y: GyroBelief = None
-    gyro_z: GyroBelief = None
-    accel_x: AccelBelief = None
-    accel_y: AccelBelief = None
-    accel_z: AccelBelief = None
+    gyro: GyroBelief = an_axis("the three gyroscopes")
+    accel: AccelBelief = an_axis("the three accelerometers")
+    gyro_x: GyroBelief = an_axis("gyroscope x, instead of what stands at gyro")
+    gyro_y: GyroBelief = an_axis("gyroscope y, instead of what stands at gyro")
+    gyro_z: GyroBelief = an_axis("gyroscope z, instead of what stands at gyro")
+    accel_x: AccelBelief = an_axis("accelerometer x, instead of what stands at accel")
+    accel_y: AccelBelief = an_axis("accelerometer y, instead of what stands at accel")
+    accel_z: AccelBelief = an_axis("accelerometer z, instead of what stands at accel")
 
     @classmethod
     def spelled_out(cls, value: Any) -> Any:

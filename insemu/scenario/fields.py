@@ -15,6 +15,7 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    Field,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
     ModelWrapValidatorHandler,
@@ -28,7 +29,8 @@ from pydantic_core import CoreSchema, core_schema
 
 from insemu import units
 from insemu.effects import EFFECTS, EffectUse
-from insemu.errors import InputError
+from insemu.errors import InputError, nearest
+from insemu.filters import AIDS, AidUse
 from insemu.noise import NoiseModel
 from insemu.records import AXES
 
@@ -178,9 +180,15 @@ def _vector(value: Any, unit: str) -> Vector3:
     return a, b, c
 
 
+def an_axis(what: str) -> Any:
+    """A key that need not be there, of one sensor or axis."""
+    return Field(default=None, description=what)
+
+
 def _one(unit: str) -> dict[str, Any]:
     return {
         "type": ["string", "number"],
+        "x-unit": unit,
         "description": f"a quantity with its unit, for example '1 {unit}'; a bare number is in {unit}",
     }
 
@@ -311,6 +319,32 @@ EffectList = Annotated[
                 },
                 "required": ["effect"],
             },
+        },
+    ),
+    AfterValidator(lambda uses: uses or ()),
+]
+
+
+def _aids(value: Any) -> tuple[AidUse, ...]:
+    if isinstance(value, list | tuple) and all(isinstance(item, AidUse) for item in value):
+        return tuple(value)
+    emulated = {name: aid for name, aid in AIDS.items() if aid.truth is not None}
+    if not isinstance(value, Mapping) or not all(isinstance(v, Mapping) and _plain(v) for v in value.values()):
+        raise InputError(f"found {value!r}, expected the name of an aid with its rate and sigma: {', '.join(emulated)}")
+    for name in value:
+        if name not in emulated:
+            raise InputError(f"no aid '{name}' to emulate" + nearest(str(name), emulated))
+    return tuple(computed(lambda given: AidUse.from_mapping(*given), (emulated[n], v)) for n, v in value.items())
+
+
+AidUses = Annotated[
+    tuple[AidUse, ...],
+    Parsed(
+        _aids,
+        lambda uses: {use.aid.name: use.to_mapping() for use in uses},
+        {
+            "type": "object",
+            "properties": {name: {"type": "object"} for name, aid in AIDS.items() if aid.truth is not None},
         },
     ),
     AfterValidator(lambda uses: uses or ()),

@@ -16,6 +16,7 @@ from insemu.records import AXES
 from insemu.scenario.design import AxisSource, Design, OrName
 from insemu.scenario.fields import (
     AccelModel,
+    AidUses,
     Angles,
     EffectList,
     GyroModel,
@@ -30,6 +31,7 @@ from insemu.scenario.fields import (
     Section,
     Speed,
     Vector3,
+    an_axis,
     per_axis,
 )
 from insemu.scenario.sensor_keys import with_sensors
@@ -64,15 +66,15 @@ class AreaKeys(Section):
     """A circle on the ground without GNSS."""
 
     latitude: Radians = Field(ge=-np.pi / 2, le=np.pi / 2, description="centre, for example '46.52 deg'")
-    longitude: Radians
-    radius: Length = Field(ge=0)
+    longitude: Radians = Field(description="centre, for example '6.57 deg'")
+    radius: Length = Field(ge=0, description="inside this distance from the centre there is no fix")
 
 
 class OutageKeys(Section):
     """A span without GNSS."""
 
     start_s: Seconds = Field(alias="start", ge=0, description="time from the start of the trajectory")
-    duration_s: Seconds = Field(alias="duration", ge=0)
+    duration_s: Seconds = Field(alias="duration", ge=0, description="how long; the fix at its end is withheld, too")
 
 
 # -- the parts of a scenario ------------------------------------------------------------------------------------------------------
@@ -163,14 +165,14 @@ class RecordedSignal(Section):
 class SensorModels(Section):
     """A noise model per axis; ``gyro`` and ``accel`` stand for their three axes, a named axis wins."""
 
-    gyro: GyroModel = None
-    accel: AccelModel = None
-    gyro_x: GyroModel = None
-    gyro_y: GyroModel = None
-    gyro_z: GyroModel = None
-    accel_x: AccelModel = None
-    accel_y: AccelModel = None
-    accel_z: AccelModel = None
+    gyro: GyroModel = an_axis("the three gyroscopes")
+    accel: AccelModel = an_axis("the three accelerometers")
+    gyro_x: GyroModel = an_axis("gyroscope x, instead of what stands at gyro")
+    gyro_y: GyroModel = an_axis("gyroscope y, instead of what stands at gyro")
+    gyro_z: GyroModel = an_axis("gyroscope z, instead of what stands at gyro")
+    accel_x: AccelModel = an_axis("accelerometer x, instead of what stands at accel")
+    accel_y: AccelModel = an_axis("accelerometer y, instead of what stands at accel")
+    accel_z: AccelModel = an_axis("accelerometer z, instead of what stands at accel")
 
     def models(self) -> dict[str, NoiseModel]:
         """Models of the axes that have one."""
@@ -185,7 +187,14 @@ class Truth(SensorModels):
     )
     case: Literal["typical", "worst"] | None = Field(default=None, description="which of the sensor's figures; typical")
     file: str | None = Field(
-        default=None, description="noise-model file written by insemu fit; axes that are given beside it win"
+        default=None,
+        examples=["models.yaml"],
+        description="noise-model file written by insemu fit; axes that are given beside it win",
+    )
+    spread: bool = Field(
+        default=False,
+        examples=[True],
+        description="draw each realization's sensor from the spread between runs that the file holds (insemu fit RUN1 RUN2 ...)",
     )
     recorded: RecordedSignal | None = Field(
         default=None, description="pieces of recorded static signals instead of models"
@@ -211,6 +220,8 @@ class Truth(SensorModels):
     @model_validator(mode="after")
     def _one_kind(self) -> Truth:
         models = self.models()
+        if self.spread and self.file is None:
+            raise InputError("found spread without the key 'file'; expected a noise-model file fitted to several runs")
         if self.recorded is not None and (models or self.file is not None):
             raise InputError("found both models and recorded signals, expected one of them")
         if self.recorded is None and self.file is None and len(models) < 6:
@@ -247,7 +258,7 @@ class RandomOutages(Section):
 class Gnss(Section):
     """The fixes that the filter gets, and what it believes of them."""
 
-    rate: Hertz = Field(default=1.0, gt=0)
+    rate: Hertz = Field(default=1.0, gt=0, description="of the fixes")
     position_sigma: Metres = Field(default=(0.02, 0.02, 0.02), description="standard deviation north, east, down")
     velocity_sigma: MetresPerSecond | None = Field(
         default=(0.02, 0.02, 0.02), description="standard deviation north, east, down; null: no velocity"
@@ -257,7 +268,7 @@ class Gnss(Section):
         default=(), description="spans without GNSS, from the start of the trajectory"
     )
     areas: tuple[Annotated[AreaOutage, Made(AreaKeys)], ...] = Field(default=(), description="places without GNSS")
-    random_outages: RandomOutages | None = None
+    random_outages: RandomOutages | None = Field(default=None, description="outages drawn anew in every realization")
 
     @field_validator("position_sigma", "velocity_sigma")
     @classmethod
@@ -270,10 +281,10 @@ class Gnss(Section):
 class Initial(Section):
     """Standard deviations of the initial state; the true initial errors are drawn from the same, which the filter believes."""
 
-    position_sigma: Metres = (0.1, 0.1, 0.1)
-    velocity_sigma: MetresPerSecond = (0.05, 0.05, 0.05)
+    position_sigma: Metres = Field(default=(0.1, 0.1, 0.1), description="position, one or three (north, east, down)")
+    velocity_sigma: MetresPerSecond = Field(default=(0.05, 0.05, 0.05), description="velocity, one or three")
     tilt_sigma: Radians = Field(default=0.0087266, ge=0, description="roll and pitch")
-    heading_sigma: Radians = Field(default=0.0174533, ge=0)
+    heading_sigma: Radians = Field(default=0.0174533, ge=0, description="heading")
 
     @property
     def sigma(self) -> InitialSigma:
@@ -288,7 +299,7 @@ Cells = dict[str, tuple[float | None, ...]]
 class Published(Section):
     """Figures of a paper, printed beside ours: errors per design, one value per outage (null where the paper prints none)."""
 
-    source: str
+    source: str = Field(description="the paper and its table, as it is to be cited")
     planimetric_end_m: Cells | None = Field(default=None, description="mean error at outage end")
     planimetric_mean_m: Cells | None = Field(default=None, description="mean error during the outage")
     planimetric_max_m: Cells | None = Field(default=None, description="largest error during the outage")
@@ -338,7 +349,9 @@ class RecordingSource(Section):
     vehicle: NonHolonomic | None = Field(
         default=None, description="a vehicle that moves where it points, for the gap workflow; null: no wheels"
     )
-    gravity: Literal["normal", "free_air_first_order"] = "normal"
+    gravity: Literal["normal", "free_air_first_order"] = Field(
+        default="normal", description="gravity model of the filters"
+    )
     zero_velocity_updates: bool = Field(
         default=False, description="feed every design zero velocity and rate at rest (zero_updates: one design)"
     )
@@ -357,18 +370,35 @@ class RecordingSource(Section):
 class Scenario(Section):
     """One question: a trajectory and a truth (or a recording), GNSS with outages, and the designs that are compared."""
 
-    title: str
-    question: str = ""
-    notes: str = ""
-    seed: int = Field(default=1, ge=0)
-    realizations: int = Field(default=24, ge=1, le=MAX_REALIZATIONS)
-    trajectory: TrajectorySource | None = None
-    truth: Truth | None = None
+    title: str = Field(description="what the page and the tables are called")
+    question: str = Field(default="", description="what is asked, in one sentence; the page shows it below the answer")
+    notes: str = Field(
+        default="", description="what a reader of the page should know; paragraphs are parted by empty lines"
+    )
+    seed: int = Field(
+        default=1,
+        ge=0,
+        description="of all random draws; the same seed gives the same figures, however many workers there are",
+    )
+    realizations: int = Field(
+        default=24,
+        ge=1,
+        le=MAX_REALIZATIONS,
+        description="flights with draws of their own; every design flies each of them",
+    )
+    trajectory: TrajectorySource | None = Field(
+        default=None, description="how the vehicle moves; a recording has its own"
+    )
+    truth: Truth | None = Field(default=None, description="what the sensors really do; a recording has it inside")
     recording: RecordingSource | None = Field(
         default=None, description="a recording to run the designs on (one realization)"
     )
-    gnss: Gnss = Gnss()
-    initial: Initial = Initial()
+    gnss: Gnss = Field(default=Gnss(), description="the fixes, their noise and where there are none")
+    aids: AidUses = Field(
+        default=(),
+        description="measurements beside the fixes of an emulated flight (docs/filters.md): {odometer: {rate: 10 Hz, sigma: [..]}}",
+    )
+    initial: Initial = Field(default=Initial(), description="how well the filter knows where it starts")
     fits: FitSource | None = Field(default=None, description="signals that models under designs are fitted to")
     designs: dict[Name, Annotated[Design, OrName]] = Field(
         default_factory=dict, description="what is compared; only emulation goes without"
@@ -378,7 +408,7 @@ class Scenario(Section):
         default=False,
         description="smooth every design's run backwards too (Rauch, Tung, Striebel), through the outages",
     )
-    published: Published | None = None
+    published: Published | None = Field(default=None, description="figures of a paper that are printed beside ours")
     variants: dict[Name, dict[str, Any]] = Field(
         default_factory=dict, description="name to the keys that differ; each is run too, under variants/NAME"
     )
@@ -405,6 +435,8 @@ class Scenario(Section):
             raise InputError(f"the key {missing} is missing; expected a trajectory and a truth, or a recording")
         if self.recording is not None and (self.trajectory is not None or self.truth is not None):
             raise InputError("found a recording beside a trajectory or a truth, expected one or the other")
+        if self.recording is not None and self.aids:
+            raise InputError("found aids beside a recording, which brings its own (keys aid_NAME)")
         for name, design in self.designs.items():
             self.check_design(name, design)
         if self._truth_is_recorded and self.fits is not None and self.fits.simulate is not None:

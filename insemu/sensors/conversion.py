@@ -16,6 +16,7 @@ from insemu.records import AXES
 from insemu.sensors.cards import Card, card
 from insemu.sensors.figures import SENSORS, Figure
 from insemu.units import datasheet
+from insemu.whole import put
 
 #: Printed typical figures, and printed limits (or a multiple of the typical ones).
 CASES = ("typical", "worst")
@@ -236,5 +237,5 @@ def save(
             for axis, one in found.items()
         },
     }
-    Path(path).write_text(yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=140), encoding="utf-8")
+    put(path, yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=140))
     return found

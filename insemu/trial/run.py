@@ -10,6 +10,8 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -367,6 +369,7 @@ def run_trial(
     plan: Plan | Sequence[Job],
     *,
     workers: int = 1,
+    pool: Executor | None = None,
     done: Callable[[Trial], None] | None = None,
     log: Path | None = None,
 ) -> list[Trial]:
@@ -376,6 +379,8 @@ def run_trial(
     ----------
     workers : int
         Recordings looked at a time.
+    pool : Executor, optional
+        Instead of processes of this machine.
     done : callable, optional
         Told of every recording as it is finished.
     log : path, optional
@@ -390,8 +395,8 @@ def run_trial(
     """
     jobs = {job.key: job for job in (plan.jobs() if isinstance(plan, Plan) else plan)}
     store = Lines(log, Trial.to_json, Trial.from_json, "a blind trial") if log is not None else None
-    with processes(workers) as pool:
-        return list(run_items(jobs, _run, pool=pool, store=store, done=done).values())
+    with nullcontext(pool) if pool is not None else processes(workers) as taken:
+        return list(run_items(jobs, _run, pool=taken, store=store, done=done).values())
 
 
 def _run(job: Job) -> Trial:

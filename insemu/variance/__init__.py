@@ -4,7 +4,8 @@ from insemu.variance import findings
 from insemu.variance.allan import AllanVariance, allan_variance, relative_error
 from insemu.variance.characterise import AxisReport, characterise, characterise_stream, duration, grouped_findings
 from insemu.variance.covariance import level1_autocovariance, model_covariance, model_edof, wv_covariance
-from insemu.variance.edof import chi_square_interval, eta3
+from insemu.variance.cross import WaveletCovariance, wavelet_covariance
+from insemu.variance.edof import chi_square_interval, correlated_octaves, eta3
 from insemu.variance.filtered import curve_address, expected_variance, filter_covariance
 from insemu.variance.filters import modwt_filters
 from insemu.variance.findings import missing_values, unit_report
@@ -29,6 +30,7 @@ __all__ = [
     "Reading",
     "RobustWaveletVariance",
     "Spectrum",
+    "WaveletCovariance",
     "WaveletVariance",
     "allan_variance",
     "autocorrelation",
@@ -38,6 +40,7 @@ __all__ = [
     "characterise_stream",
     "chi_square_interval",
     "compare_with_robust",
+    "correlated_octaves",
     "curve_address",
     "duration",
     "eta3",
@@ -58,6 +61,7 @@ __all__ = [
     "stream_wavelet_variance",
     "unit_report",
     "wavelet_coefficients",
+    "wavelet_covariance",
     "wavelet_variance",
     "wv_covariance",
 ]

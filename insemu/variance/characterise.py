@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from insemu.denoise import denoise
+from insemu.shown import Shown, few
 from insemu.variance import findings as judge
 from insemu.variance.allan import AllanVariance, allan_variance
 from insemu.variance.reading import Reading, read_curve
@@ -17,14 +18,17 @@ from insemu.variance.robust import Contamination, RobustWaveletVariance, compare
 from insemu.variance.spectrum import Spectrum, autocorrelation, average_frequencies, psd
 from insemu.variance.wavelet import WaveletVariance, stream_wavelet_variance, wavelet_variance
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 Array = NDArray[np.float64]
 
 #: Names of readings in the order of tables.
 READINGS = ("Q", "N", "B", "K", "R", "Tc")
 
 
-@dataclass(frozen=True)
-class AxisReport:
+@dataclass(frozen=True, repr=False)
+class AxisReport(Shown):
     """What is known about one column.
 
     Parameters
@@ -65,6 +69,21 @@ class AxisReport:
     trend_t: Array = field(default_factory=lambda: np.empty(0))
     trend: Array = field(default_factory=lambda: np.empty(0))
     correlation: dict[str, Array] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        count = f"{len(self.findings)} findings" if self.findings else "nothing wrong was found"
+        head = f"{self.name}: {self.samples} samples at {self.rate_hz:g} Hz: {count}"
+        read = (f"  {n} {r.value:.4g} ({r.low:.4g} to {r.high:.4g}) {r.unit}" for n, r in self.readings.items())
+        return few([head, *read, *(f"  {finding}" for finding in self.findings)])
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row per reading, in datasheet units, with its interval."""
+        import pandas as pd
+
+        rows = [(r.value, r.low, r.high, r.unit, r.tau_from_s, r.tau_to_s) for r in self.readings.values()]
+        return pd.DataFrame(
+            rows, index=list(self.readings), columns=["value", "low", "high", "unit", "tau_from_s", "tau_to_s"]
+        )
 
     @property
     def not_visible(self) -> list[str]:

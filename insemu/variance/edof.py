@@ -17,7 +17,7 @@ from functools import lru_cache
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import nnls
 from scipy.special import chdtri, ndtri
 
@@ -262,6 +262,23 @@ def octave_correlation(noise: NoiseType, m: Array) -> Array:
     each = OCTAVES_TOGETHER[:, np.minimum(apart, last)] * _BEYOND[:, None, None] ** np.maximum(apart - last, 0)
     # sums of independent parts: a correlation matrix again
     return np.asarray(np.einsum("ki,kij,kj->ij", shares, each, shares))
+
+
+def correlated_octaves(m: ArrayLike, value: ArrayLike, n_samples: int) -> Array:
+    """Correlation matrix of the values of an Allan-type curve at successive octaves, for the noise that the curve itself shows.
+
+    Parameters
+    ----------
+    m : (J,) array
+        Samples averaged, each twice the one before.
+    value : (J,) array
+        Variance, unit^2.
+    n_samples : int
+        Length of the record.
+    """
+    steps = np.asarray(m)
+    noise = noise_type(2 * steps, np.asarray(value) / 2.0, n_samples, drift=True)
+    return octave_correlation(noise, steps.astype(float))
 
 
 @lru_cache(maxsize=512)

@@ -168,7 +168,8 @@ def _average(spectrum: Spectrum, band: NDArray[np.int64], method: str) -> Spectr
 def octave_psd(curve: WaveletVariance) -> Spectrum:
     """Return the PSD level of each octave from a wavelet variance, ``2^j v_j / rate`` (equations (31)-(33) of Stebler et al. 2014).
 
-    The level of octave j stands for the band ``rate / 2^(j+1)`` to ``rate / 2^j`` and is given at its centre.
+    The level of octave j stands for the band ``rate / 2^(j+1)`` to ``rate / 2^j`` and is given at its centre. It is exact where the spectrum is flat,
+    as filters leak: where the spectrum falls by ``f^-2`` it is 65 % above the octave's mean with Haar, 9 % with d6, 6 % with la8.
     """
     factor = curve.scale_samples / curve.rate_hz
     f = 0.75 * curve.rate_hz / curve.scale_samples

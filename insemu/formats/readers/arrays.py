@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.errors import InputError
+from insemu.formats.apart import arrays_apart, check_size
 from insemu.formats.columns import ColumnMap, guess_map
 from insemu.formats.npz import load_npz
 from insemu.formats.table import Reader, Table, register
@@ -111,29 +109,18 @@ def _checked(arrays: Mapping[str, NDArray[Any]], path: Path) -> list[Table]:
     return tables
 
 
-def mat_to_npz(source: str, target: str) -> None:
-    """Write the numbers of a MATLAB v5 file to an ``.npz``; the work of the process that :func:`_read_mat` starts."""
-    from scipy.io import loadmat
+def mat_arrays(path: str) -> dict[str, NDArray[Any]]:
+    """The numbers of a MATLAB v5 file."""
+    from scipy.io import loadmat, whosmat
 
-    content = loadmat(source, squeeze_me=True, struct_as_record=True)
-    found = dict(_flat("", {k: v for k, v in content.items() if not k.startswith("__")}))
-    np.savez(target, **{f"v_{name}": values for name, values in found.items()})  # type: ignore[arg-type]
-
-
-def _read_mat(path: Path, settings: Mapping[str, str]) -> list[Table]:
-    """Read in a process of its own: SciPy's decoder of MATLAB v5 crashes the interpreter on some corrupt files."""
-    code = "import sys; from insemu.formats.readers.arrays import mat_to_npz; mat_to_npz(*sys.argv[1:])"
-    with tempfile.TemporaryDirectory() as folder:
-        target = Path(folder) / "arrays.npz"
-        done = subprocess.run([sys.executable, "-c", code, str(path), str(target)], capture_output=True, text=True)
-        if done.returncode != 0 or not target.exists():
-            reason = (done.stderr.strip().splitlines() or ["the decoder crashed"])[-1][:120]
-            raise InputError(f"cannot be read as a MATLAB v5 file ({reason})", where=str(path))
-        arrays = {name.removeprefix("v_"): values for name, values in load_npz(target).items()}
-    return _checked(arrays, path)
+    widest = 16  # bytes of a complex number
+    check_size(sum(widest * int(np.prod(shape, dtype=float)) for _, shape, _ in whosmat(path)), path)
+    content = loadmat(path, squeeze_me=True, struct_as_record=True)
+    return dict(_flat("", {k: v for k, v in content.items() if not k.startswith("__")}))
 
 
-def _read_hdf5(path: Path, settings: Mapping[str, str]) -> list[Table]:
+def hdf5_arrays(path: str) -> dict[str, NDArray[Any]]:
+    """The numbers of an HDF5 file, and of MATLAB v7.3."""
     import h5py
 
     arrays: dict[str, NDArray[Any]] = {}
@@ -146,27 +133,38 @@ def _read_hdf5(path: Path, settings: Mapping[str, str]) -> list[Table]:
                 and node.ndim <= 2
                 and not name.startswith("#")
             ):
+                check_size(node.nbytes + sum(a.nbytes for a in arrays.values()), path)
                 arrays[name.replace("/", ".")] = np.asarray(node[()])
 
         file.visititems(visit)
-    return _checked(arrays, path)
+    return arrays
+
+
+def parquet_arrays(path: str) -> dict[str, NDArray[Any]]:
+    """The numbers of a Parquet file, column by column."""
+    import pandas as pd
+
+    frame = pd.read_parquet(path)
+    return {str(n): frame[n].to_numpy() for n in frame.columns if frame[n].dtype.kind in "fiub"}
+
+
+def _apart(function: str) -> Callable[[Path, Mapping[str, str]], list[Table]]:
+    """A reader whose decoder is native code: SciPy's of MATLAB v5 crashes the interpreter on some corrupt files."""
+    return lambda path, settings: _checked(arrays_apart(__name__, function, path), path)
 
 
 def _read_npz(path: Path, settings: Mapping[str, str]) -> list[Table]:
     return _checked({k: v for k, v in load_npz(path).items() if v.dtype.kind in "fiub"}, path)
 
 
-def _read_parquet(path: Path, settings: Mapping[str, str]) -> list[Table]:
-    import pandas as pd
-
-    frame = pd.read_parquet(path)
-    columns = {str(n): frame[n].to_numpy() for n in frame.columns if frame[n].dtype.kind in "fiub"}
-    return [Table(path.name, columns, {}, guess_map(list(columns), list(columns.values())))]
-
-
 register(
-    Reader("MATLAB v7.3 (.mat) or HDF5 (.h5)", lambda p: _HDF5 in (p.head[:8], p.head[512:520]), _read_hdf5, rank=1)
+    Reader(
+        "MATLAB v7.3 (.mat) or HDF5 (.h5)",
+        lambda p: _HDF5 in (p.head[:8], p.head[512:520]),
+        _apart("hdf5_arrays"),
+        rank=1,
+    )
 )
-register(Reader("MATLAB v5 (.mat)", lambda p: p.suffix == ".mat", _read_mat, rank=2))
+register(Reader("MATLAB v5 (.mat)", lambda p: p.suffix == ".mat", _apart("mat_arrays"), rank=2))
 register(Reader("NumPy archive (.npz)", lambda p: p.suffix == ".npz", _read_npz, rank=6))
-register(Reader("Parquet (.parquet)", lambda p: p.head.startswith(b"PAR1"), _read_parquet, rank=1))
+register(Reader("Parquet (.parquet)", lambda p: p.head.startswith(b"PAR1"), _apart("parquet_arrays"), rank=1))

@@ -23,6 +23,7 @@ from insemu.gap.evidence.model import HALF_POWER
 from insemu.gap.verdict import Finding, GapReport
 from insemu.noise import AR, BI, DR, GM, SIN, WN, NoiseModel, Process, axis_unit, save
 from insemu.records import AXES, Recording
+from insemu.whole import put
 
 #: Points of a temperature profile that a scenario is given.
 MOST_POINTS = 200
@@ -251,7 +252,7 @@ def write_refined(
         document = {**kept, "notes": notes, "belief": models}
         if effects:
             document["effects"] = [use.to_mapping() for use in effects]
-    path.write_text(yaml.safe_dump(_plain(document), sort_keys=False, allow_unicode=True, width=140), encoding="utf-8")
+    put(path, yaml.safe_dump(_plain(document), sort_keys=False, allow_unicode=True, width=140))
     return path
 
 

@@ -31,6 +31,8 @@ from insemu.gap.verdict import Value
 from insemu.noise import WN, Process
 
 Array = NDArray[np.float64]
+#: A start that refines to so many nats less than nothing ends a candidate: the next ones are worse.
+HOPELESS = 4.0
 
 
 @dataclass(frozen=True)
@@ -144,7 +146,7 @@ def best_of(
     fits: list[Fitted] = []
     for e in chosen:
         fits.append(fit(likelihood, e))
-        if fits[0].evidence < state.fitted.evidence - rules().hopeless:
+        if fits[0].evidence < state.fitted.evidence - HOPELESS:
             break  # the most promising one leads to nothing
     if not fits:
         return []

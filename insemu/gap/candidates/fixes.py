@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS, having
+from insemu.filters import log_density
 from insemu.gap.candidates.shapes import Change, DriveHypothesis
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop
@@ -17,7 +18,6 @@ from insemu.gap.evidence.fixes import NED, NoiseFit, gnss_noise_fits, pooled
 from insemu.gap.evidence.linear import (
     Block,
     Field,
-    log_density,
     log_mean_exp,
 )
 from insemu.gap.hypothesis import Hypothesis

@@ -27,6 +27,8 @@ from insemu.gap.verdict import Finding, Member, Value, Where
 from insemu.records import Recording
 
 Array = NDArray[np.float64]
+#: Most corrections of the mounting, and the one below which it is done, rad: each is a run of the filter about the one before.
+TURNS, ENOUGH = 6, math.radians(0.1)
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ class Sideways:
         k = result.fixes.epoch[result.fixes.accepted]
         C = rotation.dcm_from_quaternion(result.nav[k, 6:10])
         u = np.einsum("nji,nj->ni", C, result.nav[k, 3:6])
-        keep = (np.linalg.norm(u, axis=1) > rules().vehicle_speed) & (u[:, 0] > 0.5 * np.linalg.norm(u, axis=1))
+        keep = (np.linalg.norm(u, axis=1) > rules().heading_speed) & (u[:, 0] > 0.5 * np.linalg.norm(u, axis=1))
         imu = prepared.imu.as_increments()
         dt = imu.dt
         width = max(1, round(0.2 / dt))
@@ -234,10 +236,10 @@ def find_mounting(recording: Recording, nominal: Nominal, progress: Callable[[st
     first: Sideways | None = None
     found: Turned | None = None
     start: Turned | None = None
-    for turn in range(rules().mounting_turns):
+    for turn in range(TURNS):
         progress(f"mounting: filter {turn + 1}")
         now = turned_recording(recording, rotation.rpy_from_dcm(C)) if turn else recording
-        s = Sideways.of(prepare(now, nominal, fast_parts(now), {}))
+        s = Sideways.of(prepare(now, nominal, fast_parts(now, nominal), {}))
         if s.t.size < 60:
             return Mounted(None, np.zeros(3), (), ())
         found = estimate(s, nominal)
@@ -246,7 +248,7 @@ def find_mounting(recording: Recording, nominal: Nominal, progress: Callable[[st
             if found.nats < rules().least_nats:
                 return Mounted(None, np.zeros(3), _tests(s, found), _tests(s, found))
         C = rotation.dcm_from_rpy(found.angles) @ C
-        if np.max(np.abs(found.angles)) < rules().mounting_enough:
+        if np.max(np.abs(found.angles)) < ENOUGH:
             break
     assert first is not None and found is not None and start is not None
     rpy = np.asarray(rotation.rpy_from_dcm(C))

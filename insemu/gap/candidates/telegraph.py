@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.gap.candidates.axis import (
+    HOPELESS,
     AxisHypothesis,
     AxisState,
     added,
@@ -50,7 +51,7 @@ def telegraph(state: AxisState) -> list[AxisHypothesis]:
     if "telegraph" in state.named or state.explanation.regressors:
         return []  # levels and drifts of known shape are not told apart sample by sample
     twin = next(iter(gauss_markov(state)), None)
-    if twin is None or twin.nats < -rules().hopeless:
+    if twin is None or twin.nats < -HOPELESS:
         return []
     component = twin.change.explanation.components[-1]
     sigma, rate = component.process.parameters["sigma"], 0.5 * component.process.parameters["beta"]

@@ -17,6 +17,9 @@ from insemu.gap.drive.preparation import Flown, prepare
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Finding, Member, Value
 
+#: Time offset that is tried first, s; it is doubled as long as that helps.
+FIRST_S = 0.06
+
 
 def find_offset(start: Flown, progress: Callable[[str], None] = lambda _: None) -> Finding | None:
     """Weigh a large time offset; ``None`` where there is none."""
@@ -44,7 +47,7 @@ def find_offset(start: Flown, progress: Callable[[str], None] = lambda _: None) 
     base, square = flown(0.0)
     if square < rules().offset_nis:
         return None
-    step = rules().offset_first_s
+    step = FIRST_S
     sides = {s: flown(s * step)[0] for s in (-1.0, 1.0)}
     side = max(sides, key=lambda s: sides[s])
     if sides[side] < base + rules().offset_nats:

@@ -53,6 +53,15 @@ def block_innovations(data: Reduced, explanation: Explanation, extra: Array | No
     return out[:, 0]
 
 
+def innovations_of(state: AxisState) -> Array:
+    """:func:`block_innovations` of an axis under its current explanation, known shapes taken off."""
+    extra = None
+    if state.explanation.regressors:
+        mean, _ = state.likelihood.coefficients(state.explanation)
+        extra = np.hstack([r.columns for r in state.explanation.regressors]) @ mean
+    return block_innovations(state.data, state.explanation, extra)
+
+
 def wavelet_p_values(
     data: Reduced, explanation: Explanation, rng: np.random.Generator, spent: Array | None = None
 ) -> list[tuple[float, float, float, float]]:
@@ -240,11 +249,7 @@ def axis_tests(state: AxisState, spent: Array | None = None) -> list[tuple[str, 
     """Tests of one axis against its current explanation: ``(statistic, scale s, p-value)``; ``spent`` as :func:`spent_on` says."""
     spent = spent_on(state) if spent is None else spent
     data, explanation = state.data, state.explanation
-    extra = None
-    if explanation.regressors:
-        mean, _ = state.likelihood.coefficients(explanation)
-        extra = np.hstack([r.columns for r in explanation.regressors]) @ mean
-    e = block_innovations(data, explanation, extra)
+    e = innovations_of(state)
     n = e.size
     out: list[tuple[str, float | None, float]] = []
     lags = np.arange(1, min(20, n // 5) + 1)

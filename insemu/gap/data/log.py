@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.gap.policy import rules
+from insemu.gap.verdict import InBand
 from insemu.noise import Process
 from insemu.records import Series
 
@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 
 #: Sine tapers, bins per octave.
 TAPERS, BINS_PER_OCTAVE = 6, 32
+#: Length of a block, s: below half its rate the likelihood is exact. A short log has at least so many blocks, a long one at most: the cost grows
+#: with their square.
+BLOCK_S, FEWEST_BLOCKS, MOST_BLOCKS = 10.0, 120, 500
 #: Longest shape (frequencies, samples of a taper) that is remembered: full-resolution spectra are read once.
 MOST_REMEMBERED = 8192
 
@@ -59,6 +62,7 @@ class Reduced:
     power: Array
     dof: Array
     weight: Array | None = None
+    shaking: InBand | None = None
 
     @property
     def counted(self) -> Array:
@@ -78,8 +82,8 @@ class Reduced:
 
 def block_length(n: int, dt: float) -> int:
     """Samples per block: 10 s, shorter for short logs (at least 120 blocks), longer for long ones (at most 500)."""
-    wanted = max(1, round(rules().block_s / dt))
-    return int(min(max(wanted, math.ceil(n / rules().most_blocks)), max(1, n // rules().fewest_blocks)))
+    wanted = max(1, round(BLOCK_S / dt))
+    return int(min(max(wanted, math.ceil(n / MOST_BLOCKS)), max(1, n // FEWEST_BLOCKS)))
 
 
 def block_differences(values: Array, block: int) -> Array:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import signal
 from scipy.special import log_ndtr
 
 from insemu.gap.data.counts import lattice, pile_evidence
@@ -59,7 +60,7 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
     if "saturation" not in without:
         for first, (sensor, unit) in zip((0, 3), _SENSORS, strict=True):
             values = np.array(getattr(imu, sensor))
-            widths = widths_of(imu)
+            widths = imu.widths()
             rates = values / widths
             for k, axis in enumerate("xyz"):
                 found = clipped(rates[:, k], counts[sensor][axis])
@@ -77,7 +78,7 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
 
 def _counts(imu: ImuRecord) -> dict[str, dict[str, float]]:
     """Finding of the lattice that the samples of each axis lie on, by sensor; 0 where there is none."""
-    widths = widths_of(imu)
+    widths = imu.widths()
     # the increment over a gap is short of what was lost or holds several
     steady = np.abs(np.diff(imu.t) / np.median(np.diff(imu.t)) - 1.0) < 0.05
     out = {}
@@ -89,7 +90,7 @@ def _counts(imu: ImuRecord) -> dict[str, dict[str, float]]:
 
 def _lattices(imu: ImuRecord, counts: dict[str, dict[str, float]]) -> list[Finding]:
     """Axes whose samples lie on a lattice of output counts."""
-    widths = widths_of(imu)
+    widths = imu.widths()
     out = []
     for sensor, unit in _SENSORS:
         rates = np.array(getattr(imu, sensor)) / widths
@@ -187,11 +188,6 @@ def advanced(imu: ImuRecord, sensor: str, by: float) -> ImuRecord:
 
 def _finding(effect: str, sensor: str, axes: tuple[str, ...], values: tuple[Value, ...], nats: float) -> Finding:
     return Finding(effect, "samples", sensor, axes, values, 0.999, nats, (Member(effect, sensor, axes, nats),))
-
-
-def widths_of(imu: ImuRecord) -> Array:
-    """What turns rates into the record's values, (n, 1); see :meth:`insemu.records.ImuRecord.widths`."""
-    return imu.widths(rules().jitter)
 
 
 def _bridge(imu: ImuRecord) -> tuple[ImuRecord, Finding] | None:
@@ -351,3 +347,44 @@ def filled(t: Array, rates: Array, at: NDArray[np.bool_]) -> tuple[Array, list[t
         own -= own**2 / both * ratio * (ratio + alpha)
         said.append((float(t[first]) - dt, float(t[last - 1]), math.sqrt(max(own, 0.0)) * dt))
     return out, said
+
+
+#: Samples over which the scatter about the neighbours is taken.
+SCATTER_SAMPLES = 256
+
+
+def spikes(values: Array) -> Array:
+    """By how much single samples stand out from the two on either side of them, zero elsewhere.
+
+    A filter would spread them over their neighbours.
+    """
+    padded = np.pad(values, 2, mode="edge")
+    n = values.size
+    beside = np.sort(np.stack([padded[k : k + n] for k in (0, 1, 3, 4)]), axis=0)
+    away: Array = values - 0.5 * (beside[1] + beside[2])
+    pieces = [np.median(np.abs(p)) for p in np.array_split(away, max(1, n // SCATTER_SAMPLES))]
+    local = np.repeat(pieces, [p.size for p in np.array_split(away, len(pieces))])
+    return np.where(np.abs(away) > rules().alone / 0.6745 * np.maximum(local, np.median(pieces)), away, 0.0)
+
+
+def without_motion(values: Array, dt: float, corner: float, whole: bool = False) -> Array:
+    """A signal without what is slower than ``corner`` Hz, its ends left out.
+
+    Manoeuvres are a billion times stronger than the noise a few Hz above them; no taper alone keeps them out of a spectrum.
+
+    Parameters
+    ----------
+    values : (n,) array
+        Samples.
+    dt : float
+        Sampling interval, s.
+    corner : float
+        Corner of the high-pass, Hz.
+    whole : bool
+        Whether the ends are kept.
+    """
+    sections = signal.butter(6, corner, "highpass", fs=1.0 / dt, output="sos")
+    edge = 0 if whole else min(round(6.0 / (corner * dt)), values.size // 20)
+    single = spikes(values)
+    out = signal.sosfiltfilt(sections, values - single) + single
+    return np.ascontiguousarray(out[edge : out.size - edge])

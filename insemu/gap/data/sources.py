@@ -80,13 +80,7 @@ def from_its_start(data: StaticLog | Recording) -> StaticLog | Recording:
 
 def at_rest(recording: Recording) -> bool:
     """Whether the fixes say that nothing moved."""
-    return never_moves(
-        recording,
-        radius=rules().rest_radius,
-        speed=rules().rest_speed,
-        wander=rules().rest_wander,
-        stir=(rules().stir_gyro, rules().stir_accel),
-    )
+    return never_moves(recording)
 
 
 def static_of(recording: Recording) -> StaticLog:

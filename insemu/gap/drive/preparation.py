@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from insemu.errors import InputError
 from insemu.filters import (
@@ -22,7 +21,8 @@ from insemu.filters import (
 )
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.data.log import Reduced, moving_spectrum
-from insemu.gap.data.samples import Clipped
+from insemu.gap.data.samples import Clipped, without_motion
+from insemu.gap.drive.shaking import steadied, without_shaking
 from insemu.gap.drive.signatures import Loop
 from insemu.gap.evidence.fixes import Surrogate, level_scores
 from insemu.gap.evidence.model import Explanation, Likelihood, fit
@@ -149,9 +149,10 @@ def for_filter(model: NoiseModel, dt: float, span: float) -> NoiseModel:
     return NoiseModel(tuple(parts))
 
 
-def fast_parts(recording: Recording) -> dict[str, Reduced]:
-    """What each axis shows above the motion."""
-    return {name: _fast_part(recording.imu, k, name) for k, name in enumerate(AXES)}
+def fast_parts(recording: Recording, nominal: Nominal) -> dict[str, Reduced]:
+    """What each axis shows above the motion, less what the vehicle does there."""
+    parts = {name: _fast_part(recording.imu, k, name) for k, name in enumerate(AXES)}
+    return without_shaking(parts, nominal.beliefs)
 
 
 def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], levels: dict[str, float]) -> Prepared:
@@ -181,6 +182,13 @@ def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], le
     start = (initial, sigma)
     lever = np.array(nominal.gnss.lever_arm)
     result = _run(imu, gnss, start, beliefs, lever)
+    recorded = gnss
+    for _ in range(3):  # a filter that trusted shaken velocities has larger innovations than they alone would give it
+        steady = steadied(imu, recorded, gnss, result, lever)
+        if steady is gnss or (gnss is not recorded and _as_sure(steady, gnss)):
+            break
+        gnss = steady
+        result = _run(imu, gnss, start, beliefs, lever)
     prepared = Prepared(imu, gnss, result, beliefs, fast, lever, np.ones(6), start, nominal)
     for _ in range(2):
         loop = Loop.of(prepared.result)
@@ -212,19 +220,13 @@ class Flown:
     @classmethod
     def of(cls, recording: Recording, nominal: Nominal) -> Flown:
         """Run the nominal filter; see :func:`prepare`."""
-        fast = fast_parts(recording)
+        fast = fast_parts(recording, nominal)
         return cls(recording, nominal, fast, prepare(recording, nominal, fast, {}))
 
 
 def fixes_score(fixes: FixTable) -> float:
     """Log score of the innovations of the accepted fixes."""
-    total = 0.0
-    for k in np.flatnonzero(fixes.accepted):
-        rows = np.isfinite(fixes.innovation[k])
-        v, S = fixes.innovation[k][rows], fixes.S[k][np.ix_(rows, rows)]
-        if v.size:
-            total -= 0.5 * (float(v @ np.linalg.solve(S, v)) + float(np.linalg.slogdet(S)[1]))
-    return total
+    return float(fixes.log_densities[fixes.accepted].sum())
 
 
 def trimmed_factors(prepared: Prepared, loop: Loop, surrogate: Surrogate, y: Array) -> Array:
@@ -274,14 +276,20 @@ def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, G
     # velocities that are not believed still tell the way
     fixed = replace(with_sigma(gnss, nominal), vel_ned=gnss.vel_ned)
     inside = (gnss.t > imu.t[0] + 1.0) & (gnss.t < imu.t[-1] - 60.0) & np.isfinite(gnss.llh).all(axis=1)
-    track = first_track(fixed, inside, rules().track_speed)
+    track = first_track(fixed, inside, rules().heading_speed)
     if track is None:
         raise InputError(
-            f"never moves faster than {rules().track_speed:g} m/s over ground, expected a stretch that tells the heading",
+            f"never moves faster than {rules().heading_speed:g} m/s over ground, expected a stretch that tells the heading",
             where=recording.source,
         )
     imu, state, sigma = on_track(imu, fixed, track, believed)
     return imu, gnss, state, sigma
+
+
+def _as_sure(one: GnssRecord, other: GnssRecord) -> bool:
+    """Whether two sets of fixes state nearly the same standard deviations of the velocity."""
+    a, b = one.vel_std_ned, other.vel_std_ned
+    return a is not None and b is not None and bool(np.nanmax(np.abs(np.log(a / b))) < 0.05)
 
 
 def with_sigma(gnss: GnssRecord, nominal: Nominal) -> GnssRecord:
@@ -303,45 +311,6 @@ def _fast_part(imu: ImuRecord, k: int, name: str) -> Reduced:
     values = without_motion(values[1:], dt, 0.6 * lowest)
     f, power, dof = moving_spectrum(values, dt, lowest)
     return Reduced(name, "rad/s" if k < 3 else "m/s^2", dt, values, 1, np.zeros(0), f, power, dof)
-
-
-#: Samples over which the scatter about the neighbours is taken.
-SCATTER_SAMPLES = 256
-
-
-def spikes(values: Array) -> Array:
-    """By how much single samples stand out from the two on either side of them, zero elsewhere.
-
-    A filter would spread them over their neighbours.
-    """
-    padded = np.pad(values, 2, mode="edge")
-    n = values.size
-    beside = np.sort(np.stack([padded[k : k + n] for k in (0, 1, 3, 4)]), axis=0)
-    away: Array = values - 0.5 * (beside[1] + beside[2])
-    pieces = [np.median(np.abs(p)) for p in np.array_split(away, max(1, n // SCATTER_SAMPLES))]
-    local = np.repeat(pieces, [p.size for p in np.array_split(away, len(pieces))])
-    return np.where(np.abs(away) > rules().alone / 0.6745 * np.maximum(local, np.median(pieces)), away, 0.0)
-
-
-def without_motion(values: Array, dt: float, corner: float) -> Array:
-    """A signal without what is slower than ``corner`` Hz, its ends left out.
-
-    Manoeuvres are a billion times stronger than the noise a few Hz above them; no taper alone keeps them out of a spectrum.
-
-    Parameters
-    ----------
-    values : (n,) array
-        Samples.
-    dt : float
-        Sampling interval, s.
-    corner : float
-        Corner of the high-pass, Hz.
-    """
-    sections = signal.butter(6, corner, "highpass", fs=1.0 / dt, output="sos")
-    edge = min(round(6.0 / (corner * dt)), values.size // 20)
-    single = spikes(values)
-    out = signal.sosfiltfilt(sections, values - single) + single
-    return np.ascontiguousarray(out[edge : out.size - edge])
 
 
 def _trimmed(model: NoiseModel, fast: Reduced, named: float | None) -> NoiseModel:

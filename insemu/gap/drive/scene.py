@@ -16,7 +16,6 @@ from insemu.gap.drive.preparation import Prepared, trimmed_factors
 from insemu.gap.drive.signatures import Loop, columns_response, fix_step_response, knot_response
 from insemu.gap.evidence.fixes import FixNoise, Surrogate
 from insemu.gap.evidence.linear import Block, Field, knot_times
-from insemu.gap.policy import rules
 from insemu.noise import NoiseModel
 from insemu.records import GnssRecord, ImuRecord
 
@@ -25,6 +24,8 @@ Array = NDArray[np.float64]
 #: A step in the position fixes: axis (0..2), start and end in s.
 Window = tuple[int, float, float]
 
+#: Knots of slow processes: at least so far apart, s, and about so many in a long recording; between them a process is a straight line.
+KNOT_S, KNOTS = 10.0, 60
 #: Starts of steps in the fixes that are tried first.
 STARTS = 120
 
@@ -97,7 +98,7 @@ class Scene:
         columns += clipped_columns(motion, prepared.clipped)
         G, ramp = columns_response(loop, motion, columns)
         start, end = float(motion.t[0]), float(motion.t[-1])
-        knots = knot_times(start, end, max(rules().knot_s, (end - start) / rules().knots))
+        knots = knot_times(start, end, max(KNOT_S, (end - start) / KNOTS))
         step = float(np.median(np.diff(t_fix))) if t_fix.size > 1 else end - start
         starts = np.arange(start, end, max(step, (end - start) / STARTS)) + 1e-3
         raw = np.concatenate([G, knot_response(loop, motion, ramp, knots), window_response(loop, windows)], axis=2)

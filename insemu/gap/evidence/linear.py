@@ -170,13 +170,6 @@ def log_mean_exp_columns(logs: Array) -> Array:
     return np.asarray(top + np.log(np.mean(np.exp(logs - top), axis=0)))
 
 
-def log_density(v: Array, S: Array) -> Array:
-    """Log densities of rows of ``v`` (k, c) under normal distributions of covariances ``S`` (k, c, c), without the constant."""
-    L = np.linalg.cholesky(S)
-    z = np.linalg.solve(L, v[:, :, None])[:, :, 0]
-    return np.asarray(-0.5 * np.einsum("ki,ki->k", z, z) - np.sum(np.log(np.einsum("kii->ki", L)), axis=1))
-
-
 # -- slow processes on knots ----------------------------------------------------------------------------------------------------------
 
 

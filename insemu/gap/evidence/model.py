@@ -25,6 +25,8 @@ from insemu.noise import NoiseModel, Process
 
 Array = NDArray[np.float64]
 
+#: Softness, in log, of the bounds of a free parameter and of the border of a nominal level's tolerance: Laplace's approximation needs a slope.
+EDGE, TOLERANCE_EDGE = 0.3, 0.02
 #: Finding of the differences that give the curvature at a mode, in log.
 CURVATURE_STEP = 5e-3
 
@@ -46,7 +48,7 @@ class Free:
     name: str
     low: float
     high: float
-    edge: float = field(default_factory=lambda: rules().edge)
+    edge: float = EDGE
 
     @property
     def width(self) -> float:
@@ -84,7 +86,7 @@ def level(name: str, value: float, uncertainty: float | None = None, power: int 
     """
     uncertainty = rules().tolerance if uncertainty is None else uncertainty
     factor = (1.0 + uncertainty) ** power
-    return Free(name, value / factor, value * factor, rules().tolerance_edge * power)
+    return Free(name, value / factor, value * factor, TOLERANCE_EDGE * power)
 
 
 @dataclass(frozen=True)

@@ -9,15 +9,15 @@ import numpy as np
 
 from insemu.effects import having
 from insemu.gap.beliefs.nominal import Nominal
-from insemu.gap.candidates.axis import CANDIDATES, state_of
+from insemu.gap.candidates.axis import CANDIDATES, AxisState, state_of, whitened
 from insemu.gap.candidates.outliers import evident_outliers
 from insemu.gap.candidates.shapes import PROCESSES, Change
 from insemu.gap.candidates.tones import wandering, without_tones
 from insemu.gap.data.log import Reduced
 from insemu.gap.data.samples import advanced
 from insemu.gap.drive.preparation import Prepared, fixes_score, prepare
-from insemu.gap.evidence.model import Component, Free
-from insemu.gap.hypothesis import Found
+from insemu.gap.evidence.model import Component, Explanation, Free
+from insemu.gap.hypothesis import Found, Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.problems.findings import AxisResult, with_process
 from insemu.gap.problems.known import of_axis, settled, starting_explanation, without_drawn
@@ -82,7 +82,9 @@ def fast_effects(
         start = state_of(data, explanation)
         left_out = (*excluded, *(("outliers",) if name in clipped else ()))
         evident = evident_outliers(start) if "outliers" not in left_out else None
-        if evident is not None:
+        if evident is not None and _struck(evident, data, parts, nominal):
+            data, left_out, evident = evident.change.data, (*left_out, "outliers"), None
+        elif evident is not None:
             # first of all: they raise the whole spectrum, and differently from piece to piece
             progress(f"{name}: outliers {evident.nats:.1f} nats")
             data, left_out = evident.change.data, (*left_out, "outliers")
@@ -95,6 +97,19 @@ def fast_effects(
             result = replace(result, start=start, found=(first, *result.found))
         out.append((name, result))
     return out
+
+
+def _struck(outliers: Hypothesis[AxisState], data: Reduced, parts: Mapping[str, Reduced], nominal: Nominal) -> bool:
+    """Whether most outliers of an axis come with a jolt on another one: the vehicle was struck, the sensor is well."""
+    at = np.flatnonzero(outliers.change.data.values != data.values) - data.values.size // 2
+    struck = np.zeros(at.size, dtype=bool)
+    for name, other in parts.items():
+        if name == data.name or not (other.f.size or other.shaking):
+            continue
+        r = np.abs(whitened(state_of(other, Explanation.nominal(nominal.beliefs[name])))) > rules().beside
+        near = np.clip(at[:, None] + other.values.size // 2 + np.arange(-2, 3), 0, r.size - 1)
+        struck |= r[near].any(axis=1)
+    return bool(struck.mean() > 0.5)
 
 
 def without_delay(

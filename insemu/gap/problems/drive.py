@@ -431,7 +431,7 @@ class _Drive:
         nominal = replace(believed, beliefs=with_counts(believed.beliefs, mended.findings, recording.imu.dt))
         recording = replace(recording, imu=mended.imu)
         flown = None if mended.findings else flown
-        parts = flown.fast if flown else fast_parts(recording)
+        parts = flown.fast if flown else fast_parts(recording, nominal)
         clipped = {f"{s.sensor}_{a}" for s in mended.findings if s.effect == "saturation" for a in s.axes}
         # rounded that coarsely, the error follows the motion and is no noise that a spectrum could tell anything from
         rounded = coarse(believed.beliefs, mended.findings, recording.imu.dt)
@@ -516,7 +516,7 @@ def find_dynamic_gap(
         refined = with_effect(refined, s)
     return GapReport(
         judged(findings, left), tuple(findings), where, rest, before, after, held, dict(nominal.beliefs), refined, threshold,
-        recording.source, remainder=left,
+        recording.source, remainder=left, band=tuple(d.shaking for d in at.parts.values() if d.shaking is not None),
     )  # fmt: skip
 
 

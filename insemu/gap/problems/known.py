@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from insemu import rotation
 from insemu.effects import EffectUse, added_signal, compensated, having, lever_arm_of
+from insemu.filters import log_density
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.candidates.axis import CANDIDATES, AxisState, state_of
 from insemu.gap.data.log import reduce
 from insemu.gap.data.sources import StaticLog
 from insemu.gap.evidence.band import Band
-from insemu.gap.evidence.linear import log_density
 from insemu.gap.evidence.model import DEPTH, Component, Explanation, Rolloff, level
 from insemu.noise import WN, NoiseModel
 from insemu.records import AXES, Recording, Series, Trajectory
@@ -175,7 +175,7 @@ def _estimated(recording: Recording, nominal: Nominal) -> Trajectory:
     """Motion as the nominal filter sees it."""
     from insemu.gap.drive.preparation import fast_parts, prepare
 
-    result = prepare(recording, nominal, fast_parts(recording), {}).result
+    result = prepare(recording, nominal, fast_parts(recording, nominal), {}).result
     return trajectory_of(result.t, result.nav, "estimate")
 
 
@@ -188,7 +188,7 @@ def _without_outliers(recording: Recording, nominal: Nominal, outliers: EffectUs
     p, spread = outliers.scalar("probability"), np.diag(np.square(outliers["sigma"]))
     for _ in range(3):  # an outlier that was used pulls the filter and hides the next one
         now = replace(recording, gnss=replace(recording.gnss, llh=llh))
-        fixes = prepare(now, nominal, fast_parts(now), {}).result.fixes
+        fixes = prepare(now, nominal, fast_parts(now, nominal), {}).result.fixes
         whole = np.flatnonzero(np.isfinite(fixes.innovation[:, :3]).all(axis=1))
         S, nu = np.stack([fixes.S[k][:3, :3] for k in whole]), fixes.innovation[whole][:, :3]
         odds = math.log(p / (1.0 - p)) + log_density(nu, S + spread) - log_density(nu, S)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from insemu.blas import on_one_thread
 from insemu.effects import EffectUse
 from insemu.errors import InputError
+from insemu.gap.candidates import shared
 from insemu.gap.candidates.axis import CANDIDATES, AxisHypothesis, AxisState, state_of
 from insemu.gap.candidates.noise import turn_on_bias
 from insemu.gap.checks import rest as checks
@@ -394,15 +395,26 @@ class _Log:
         source: str,
     ) -> GapReport:
         """All axes together: the map before and after, findings, verdict, figures."""
-        before = _map(results, rng, refined=False)
-        after = _map(results, rng, refined=True)
-        findings = merged(results)
+        ends = {name: r.end for name, r in results.items()}
+        white = {name: shared.whitened_blocks(s, checks.innovations_of(s)) for name, s in ends.items()}
+        known = shared.believed_coherence(ends, white)
+        slow = [] if shared.EFFECT in self.without else shared.common(ends, white, known)
+        groups = shared.groups_of(together := [c for c in slow if c.nats > threshold])
+        before = _map(results, rng, slow, refined=False)
+        settled_pairs = [replace(c, p_value=1.0) if c in together else c for c in slow]
+        after = _map(results, rng, settled_pairs, refined=True)
+        findings = (*merged(results), *(shared.finding_of(names, together) for names, _ in groups))
+        findings = tuple(sorted(findings, key=lambda s: -s.nats))
+        refined = {name: refined_model(r) for name, r in results.items()}
+        for k, (_, shares) in enumerate(groups):
+            data = ends[next(iter(shares))].data
+            refined = shared.with_common(refined, shares, f"common{k + 1}", data.block_s, data.dt)
         if missing is not None and "dropped_samples" not in self.without:
             findings = tuple(sorted((*findings, *gaps_of(missing)), key=lambda s: -s.nats))
         failed = [w for w in after if w.p_value < rules().omnibus_rest]
         outsiders = {split_axis(name): r.outsider for name, r in results.items() if r.outsider}
-        white = white_levels(self.beliefs)
-        findings = tuple(replace(s, metres=worth_in_noise(s, white)) for s in findings)
+        levels = white_levels(self.beliefs)
+        findings = tuple(replace(s, metres=worth_in_noise(s, levels)) for s in findings)
         findings = tuple(s.doubted() if is_doubtful(s, failed, outsiders) else s for s in findings)
         left = remainder(failed, outsiders)
         nothing = Interval(math.nan, math.nan, math.nan)
@@ -419,7 +431,7 @@ class _Log:
             if held
             else nothing,
             dict(self.beliefs),
-            {name: refined_model(r) for name, r in results.items()},
+            refined,
             threshold,
             source,
             {name: _curves(r, rng) for name, r in results.items()},
@@ -445,7 +457,9 @@ def _check(log: Sequence[Series], beliefs: Mapping[str, NoiseModel], temperature
             raise InputError(f"the temperature has shape {temperature.shape}, expected ({len(s)},) as {s.name} has")
 
 
-def _map(results: Mapping[str, AxisResult], rng: np.random.Generator, *, refined: bool) -> tuple[Where, ...]:
+def _map(
+    results: Mapping[str, AxisResult], rng: np.random.Generator, slow: Sequence[shared.Common], *, refined: bool
+) -> tuple[Where, ...]:
     entries: list[tuple[str, str, str, float | None, float]] = []
     states = {}
     for name, r in results.items():
@@ -459,6 +473,9 @@ def _map(results: Mapping[str, AxisResult], rng: np.random.Generator, *, refined
         entries += [(statistic, sensor, axis, scale, p) for statistic, scale, p in checks.axis_tests(state, spent)]
     for a, b, p in checks.cross_axis_tests(states):
         entries.append(("cross_axis " + b, *split_axis(a), None, p))
+    for c in slow:
+        block_s = states[c.axes[0]].data.block_s
+        entries.append(("cross_axis slow " + c.axes[1], *split_axis(c.axes[0]), block_s, c.p_value))
     return checks.corrected(entries)
 
 

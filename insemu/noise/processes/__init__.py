@@ -11,12 +11,15 @@ name them.
 """
 
 from importlib import import_module
+from importlib.metadata import entry_points
 from pkgutil import iter_modules
 
-from insemu.noise.process import PROCESSES, Process
+from insemu.noise.process import PROCESSES, Process, register
 
 for _found in iter_modules(__path__):
     _module = import_module(f"{__name__}.{_found.name}")
     for _name, _value in vars(_module).items():
         if isinstance(_value, type) and issubclass(_value, Process) and _value.__module__ == _module.__name__:
             PROCESSES[_name] = _value
+for _entry in entry_points(group="insemu.processes"):  # of other packages
+    register(_entry.load())

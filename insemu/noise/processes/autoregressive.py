@@ -233,6 +233,7 @@ class ARMA(Process):
             if any(v is not None and not math.isfinite(v) for v in given):
                 raise InputError(f"{self.symbol}: {name} is {given}, expected finite coefficients")
             object.__setattr__(self, name, given)
+        self.check_shared()
         _check_rate(self)
         if self.sigma2 is not None and not (math.isfinite(self.sigma2) and self.sigma2 >= 0):
             raise InputError(
@@ -303,7 +304,8 @@ class ARMA(Process):
         square = "({u})^2".format(u=signal_unit or "1")
         sigma2 = quantity(given["sigma2"], square, f"{where}.sigma2") if "sigma2" in given else None
         rate = quantity(given["rate_hz"], "Hz", f"{where}.rate_hz") if given.get("rate_hz") is not None else None
-        return cls(**{name: coefficients(name) for name in cls.POLYNOMIALS}, sigma2=sigma2, rate_hz=rate)
+        known_ones: dict[str, Any] = {name: coefficients(name) for name in cls.POLYNOMIALS}
+        return cls(**known_ones, sigma2=sigma2, rate_hz=rate)
 
     def to_mapping(self, signal_unit: str) -> dict[str, Any]:  # noqa: D102
         out: dict[str, Any] = {"process": self.symbol}
@@ -456,7 +458,7 @@ class ARMA(Process):
     def __str__(self) -> str:
         if not self.specified:
             orders = [str(len(v)) for v in (self.ar, self.ma) if len(v)]
-            return f"{self.symbol}({', '.join(orders)})"
+            return f"{self.symbol}({', '.join([*orders, *([f'shared={self.shared}'] if self.shared else [])])})"
         return super().__str__()
 
 

@@ -1,0 +1,79 @@
+"""Foreign recordings through ``insemu gap``.
+
+python -m benchmarks.foreign --recordings 40 --workers 2 --log results/foreign.jsonl      # all kinds in turns; goes on where it stopped
+python -m benchmarks.foreign --kinds none --recordings 100 --seed 1000                      # nothing hidden, every vehicle shakes
+python -m benchmarks.foreign --write results/foreign --recordings 6                         # the files: recording, belief, what is hidden
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import Progress
+
+from benchmarks.foreign.judge import KINDS, Job, answer, drawn, scores, write
+from insemu.work import Lines, processes, run_items
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Draw, look, count."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.foreign", description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--kinds", nargs="+", choices=list(KINDS), default=["none", "one", "two", "three", "outside"])
+    parser.add_argument("--recordings", type=int, default=40)
+    parser.add_argument("--seconds", type=float, default=360.0, help="length of a recording")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--no-vibration", action="store_true", help="nothing shakes the vehicles but their own way of moving"
+    )
+    parser.add_argument(
+        "--hold-out", action="store_true", help="score on the last third as well (about twice the time)"
+    )
+    parser.add_argument("--no-baselines", action="store_true")
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--log", type=Path, help="keep finished recordings in this file and go on from there")
+    parser.add_argument("--write", type=Path, help="write the recordings to this folder instead of looking at them")
+    parser.add_argument("--wrong", action="store_true", help="list the recordings that were answered wrongly")
+    given = parser.parse_args(arguments)
+    jobs = [
+        Job(
+            given.kinds[k % len(given.kinds)],
+            given.seed + k,
+            given.seconds,
+            not given.no_vibration,
+            given.hold_out,
+            not given.no_baselines,
+        )
+        for k in range(given.recordings)
+    ]
+    if given.write:
+        given.write.mkdir(parents=True, exist_ok=True)
+        for job in jobs:
+            write(given.write / f"{job.kind}-{job.seed}", *drawn(job))
+        return
+    store: Lines[dict[str, Any]] | None = None
+    if given.log:
+        store = Lines(given.log, lambda a: {"answer": a}, lambda line: dict(line["answer"]), "foreign recordings")
+    with Progress(console=Console(stderr=True)) as progress, processes(given.workers) as pool:
+        task = progress.add_task("recordings", total=len(jobs))
+        found = run_items(
+            {job.key: job for job in jobs}, answer, pool=pool, store=store, done=lambda _: progress.advance(task)
+        )
+    answers: list[dict[str, Any]] = [json.loads(json.dumps(a)) for a in found.values()]
+    for label, figure in scores(answers):
+        print(f"{label:68s} {figure}")
+    for a in answers if given.wrong else ():
+        named = [f"{s['effect']} {s['sensor']} {''.join(s['axes'])} {s['gain_nats']:.0f}" for s in a["findings"]]
+        hidden = [f"{h['effect']} {h['sensor']} {h['axis']} {h['nats']:.0f}" for h in a["hidden"]]
+        if sorted(k for r in a["right"] for k, v in enumerate(r) if v) != list(range(len(hidden))) or len(named) != len(
+            hidden
+        ):
+            print(f"{a['kind']}-{a['seed']} {a['vehicle']}: hidden {hidden}; {a['verdict']}: {named} {a['remainder']}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,351 @@
+"""One foreign recording through the gap workflow and two baselines, and the scores of many in the terms of fault diagnosis."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from benchmarks.foreign import sensors
+from insemu.gap import Finding, Nominal, find_gap, load_measured, load_nominal
+from insemu.gap.drive.preparation import Flown
+from insemu.gap.drive.scene import Scene
+from insemu.records import GnssRecord, Recording
+from insemu.trial.score import interval
+from insemu.trial.worth import whitened_difference
+
+Array = NDArray[np.float64]
+#: What is hidden in the recordings of each kind.
+KINDS: dict[str, tuple[str, ...]] = {
+    "none": (),
+    "one": ("fixes",),
+    "two": ("fixes", "fixes"),
+    "three": ("fixes", "fixes", "fixes"),
+    "band": ("band",),
+    "outside": ("outside",),
+}
+#: Effects of one size are made so large that they are worth between these, nats.
+WORTH = (25.0, 250.0)
+#: A probability below this counts as this in the log score.
+FLOOR = 1e-3
+
+
+@dataclass(frozen=True)
+class Job:
+    """A recording to be drawn and looked at: what is hidden, its seed, its length in s, and whether the vehicle shakes."""
+
+    kind: str
+    seed: int
+    seconds: float
+    vibration: bool
+    hold_out: bool = False
+    baselines: bool = True
+
+    @property
+    def key(self) -> str:
+        """Everything that the answer depends on."""
+        return f"{self.kind}-{self.seed}-{self.seconds:g}-{self.vibration:d}-{self.hold_out:d}-{self.baselines:d}"
+
+
+def drawn(job: Job) -> tuple[sensors.World, list[sensors.Hidden], list[float]]:
+    """A world, what is hidden in it, and what each is worth alone: half the squared whitened difference of the innovations, nats."""
+    world = sensors.draw_world(job.seed, job.seconds, job.vibration)
+    rng = np.random.default_rng([job.seed, 6])
+    hidden: list[sensors.Hidden] = []
+    worth: list[float] = []
+    if not KINDS[job.kind]:
+        return world, hidden, worth
+    clean, nominal = taken(world, ())
+    assert clean.gnss is not None
+    flown = Flown.of(clean, nominal)
+    for what in KINDS[job.kind]:
+        for _ in range(20):
+            kind = str(rng.choice(["shaped", "shaped", "drawn"])) if what == "fixes" else what
+            h = sensors.draw_hidden(rng, world, kind)
+            target = float(np.exp(rng.uniform(*np.log(WORTH))))
+            if any(o.effect == h.effect for o in hidden):
+                continue
+            half = _half(flown, clean.gnss, world, h) if what != "band" else math.nan
+            if kind in ("shaped", "outside"):
+                factor = math.sqrt(target / max(half, 1e-9))
+                if factor > 30.0:
+                    continue  # the motion does not show it
+                h, half = h.scaled(factor), target
+            hidden.append(h)
+            worth.append(half)
+            break
+    return world, hidden, worth
+
+
+def _half(flown: Flown, gnss: GnssRecord, world: sensors.World, h: sensors.Hidden) -> float:
+    """What an effect shifts the innovations of the nominal filter by, started alike: half of the squared whitened difference."""
+    seen, _ = taken(world, (h,))
+    own = flown.prepared
+    imu, n = seen.imu, len(own.imu)
+    imu = replace(imu, t=imu.t[-n:], gyro=imu.gyro[-n:], accel=imu.accel[-n:], temperature=None)
+    assert seen.gnss is not None
+    fixes = own.gnss
+    assert fixes.vel_ned is not None and gnss.vel_ned is not None and seen.gnss.vel_ned is not None
+    moved = replace(fixes, llh=seen.gnss.llh, vel_ned=fixes.vel_ned + seen.gnss.vel_ned - gnss.vel_ned)
+    return whitened_difference(own.result, own.again(imu=imu, gnss=moved).result)
+
+
+def taken(world: sensors.World, hidden: Sequence[sensors.Hidden]) -> tuple[Recording, Nominal]:
+    """The recording and the belief, read from files as a user's are."""
+    with tempfile.TemporaryDirectory() as folder:
+        write(Path(folder) / "r", world, hidden, [])
+        measured = load_measured(str(Path(folder) / "r.npz"))
+        assert isinstance(measured, Recording)
+        return measured, load_nominal(Path(folder) / "r.yaml")
+
+
+def write(stem: Path, world: sensors.World, hidden: Sequence[sensors.Hidden], worth: Sequence[float]) -> None:
+    """Write recording (``.npz``), belief (``.yaml``) and what is hidden (``.truth.yaml``)."""
+    np.savez(stem.with_suffix(".npz"), allow_pickle=False, **sensors.record(world, hidden))
+    stem.with_suffix(".yaml").write_text(yaml.safe_dump(world.unit.belief(), sort_keys=False))
+    truth = {
+        "vehicle": world.vehicle,
+        "shaking": world.ride.shaking,
+        "hidden": [{**h.plain(), "nats": float(w)} for h, w in zip(hidden, worth, strict=False)],
+    }
+    stem.with_name(f"{stem.name}.truth.yaml").write_text(yaml.safe_dump(truth, sort_keys=False))
+
+
+def answer(job: Job) -> dict[str, Any]:
+    """What is said of a recording, as plain data."""
+    world, hidden, worth = drawn(job)
+    measured, nominal = taken(world, hidden)
+    begun = time.process_time()
+    report = find_gap(measured, nominal, rng=np.random.default_rng(job.seed), hold_out=job.hold_out, pictures=False)
+    seconds = time.process_time() - begun
+    return {
+        "kind": job.kind,
+        "seed": job.seed,
+        "vehicle": world.vehicle,
+        "shaking": world.ride.shaking,
+        "hidden": [{**h.plain(), "nats": w} for h, w in zip(hidden, worth, strict=True)],
+        "truth": [truths(h, world) for h in hidden],
+        "verdict": report.verdict,
+        "remainder": report.remainder,
+        "findings": [s.to_json() for s in report.findings],
+        "right": [[_is(s, h) for h in hidden] for s in report.findings],
+        "held": [[_holds(s, h) for h in hidden] for s in report.findings],
+        "index": [report.gap_before.value, report.gap_after.value],
+        "seconds": seconds,
+        "baselines": baselines(measured, nominal, hidden) if job.baselines else {},
+    }
+
+
+def _is(s: Finding, h: sensors.Hidden) -> bool:
+    return (
+        s.effect == h.effect
+        and s.sensor == h.sensor
+        and (not h.axis or not s.axes or h.axis[0] in s.axes or h.axis in s.axes)
+    )
+
+
+def _holds(s: Finding, h: sensors.Hidden) -> bool:
+    return any((m.effect, m.sensor) == (h.effect, h.sensor) for m in s.members)
+
+
+def truths(h: sensors.Hidden, world: sensors.World) -> dict[str, float]:
+    """True values by the names that a finding gives its parameters."""
+    v, axis = h.values, h.axis
+    name = {"temperature": "c1", "imu_gnss_time_offset": "offset"}.get(h.effect, "value")
+    if "value" in v and h.effect != "gnss_multipath_step":
+        return {f"{name}_{axis}" if axis else name: v["value"]}
+    if h.effect == "gnss_correlated_noise":
+        return {
+            "tau": v["tau"],
+            **{
+                f"sigma_{a}": v["sigma"] * float(s)
+                for a, s in zip(("north", "east", "down"), world.unit.position, strict=True)
+            },
+        }
+    if h.effect == "gnss_outliers":
+        return {"probability": v["probability"]}
+    if h.effect == "white_noise":
+        return {"N": v["factor"] * (world.unit.gyro_white if h.sensor == "gyro" else world.unit.accel_white)}
+    return dict(v)
+
+
+# -- baselines ------------------------------------------------------------------------------------------------------------------------
+
+
+def baselines(measured: Recording, nominal: Nominal, hidden: Sequence[sensors.Hidden]) -> dict[str, Any]:
+    """A generalised likelihood ratio per signature, and the group lasso on the same signatures: what each names first, and what it flags."""
+    flown = Flown.of(measured, nominal)
+    scene = Scene.of(flown.prepared)
+    y, G = scene.data.y, scene.data.G[:, : scene.catalogue]
+    groups: dict[tuple[str, str], list[int]] = {}
+    for i, c in enumerate(scene.columns[: scene.catalogue]):
+        groups.setdefault((c.effect, c.sensor), []).append(i)
+    norm = np.sqrt(np.maximum(np.sum(G * G, axis=0), 1e-300))
+    G = G / norm
+    single = 0.5 * (G.T @ y) ** 2
+    limit = 0.5 * float(2.0 * math.log(G.shape[1]) + 2.0 * math.log(100.0))
+    best = {g: float(np.max(single[i])) for g, i in groups.items()}
+    first = max(best, key=lambda g: best[g])
+    chosen = _lasso(G, y, groups, math.sqrt(2.0 * limit))
+    names = [(h.effect, h.sensor) for h in hidden]
+    flagged = {"glr": [first] if best[first] > limit else [], "lasso": chosen}
+    return {
+        method: {
+            "flagged": bool(found),
+            "first": bool(found) and found[0] in names,
+            "all": bool(names) and set(names) == set(found),
+        }
+        for method, found in flagged.items()
+    }
+
+
+def _lasso(G: Array, y: Array, groups: dict[tuple[str, str], list[int]], weight: float) -> list[tuple[str, str]]:
+    """Groups that the group lasso keeps, largest first: block coordinate descent on normalised columns (Yuan and Lin 2006)."""
+    A, b = G.T @ G, G.T @ y
+    x = np.zeros(b.size)
+    for _ in range(200):
+        before = x.copy()
+        for i in groups.values():
+            z = b[i] - A[i] @ x + A[np.ix_(i, i)] @ x[i]
+            size = float(np.linalg.norm(z))
+            shrink = max(0.0, 1.0 - weight * math.sqrt(len(i)) / max(size, 1e-300))
+            x[i] = shrink * z / max(float(np.linalg.norm(A[np.ix_(i, i)], 2)), 1e-12)
+        if np.max(np.abs(x - before)) < 1e-6 * max(float(np.max(np.abs(x))), 1e-12):
+            break
+    size = {g: float(np.linalg.norm(x[i])) for g, i in groups.items()}
+    return sorted((g for g in groups if size[g] > 0.0), key=lambda g: -size[g])
+
+
+# -- scores ---------------------------------------------------------------------------------------------------------------------------
+
+
+def given_to_truth(a: dict[str, Any], k: int) -> float:
+    """Probability that an answer gives to one of the hidden effects: that of its member in the class where it is the likeliest."""
+    best = 0.0
+    h = a["hidden"][k]
+    for s in a["findings"]:
+        nats = {(m["effect"], m["sensor"]): m["gain_nats"] for m in (*s["class"], *s["runners_up"])}
+        own, named = nats.get((h["effect"], h["sensor"])), nats.get((s["effect"], s["sensor"]), s["gain_nats"])
+        if own is not None:
+            best = max(best, min(s["confidence"] * math.exp(min(own - named, 50.0)), 1.0))
+    return best
+
+
+def scores(answers: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
+    """Lines of the table: what was counted, and the figure with its exact 95 % interval where it is a share."""
+    rows: list[tuple[str, str]] = []
+
+    def share(label: str, hits: Sequence[bool]) -> None:
+        if hits:
+            low, high = interval(sum(hits), len(hits))
+            rows.append((label, f"{sum(hits)} of {len(hits)} ({low:.3f} to {high:.3f})"))
+
+    of = {kind: [a for a in answers if a["kind"] == kind] for kind in KINDS}
+    share(
+        "no effect: named, class or unexplained (false alarms)", [a["verdict"] != "nothing missing" for a in of["none"]]
+    )
+    share("no effect: named or unexplained", [a["verdict"] in ("named", "unexplained") for a in of["none"]])
+    share(
+        "detected, one effect or more",
+        [a["verdict"] != "nothing missing" for k in ("one", "two", "three", "band") for a in of[k]],
+    )
+    one = of["one"]
+    share(
+        "one: named right, or in a class of at most three",
+        [any(h[0] and len(s["class"]) <= 3 for h, s in zip(a["held"], a["findings"], strict=True)) for a in one],
+    )
+    share("one: first in the ranking", [bool(a["right"]) and a["right"][0][0] for a in one])
+    share("one: verdict is not 'unexplained'", [a["verdict"] != "unexplained" for a in one])
+    share("band: among the findings", [any(h[0] for h in a["held"]) for a in of["band"]])
+    for kind in ("two", "three"):
+        n = len(KINDS[kind])
+        exact = [
+            sorted(k for r in a["right"] for k, v in enumerate(r) if v) == list(range(n)) and len(a["findings"]) == n
+            for a in of[kind]
+        ]
+        held = [all(any(h[k] for h in a["held"]) for k in range(n)) and len(a["findings"]) == n for a in of[kind]]
+        share(f"{kind}: all and only these, by name", exact)
+        share(f"{kind}: the same, classes counted", held)
+    share("outside: 'unexplained'", [a["verdict"] == "unexplained" for a in of["outside"]])
+    probabilities = [
+        given_to_truth(a, k) for kind in ("one", "two", "three") for a in of[kind] for k in range(len(a["hidden"]))
+    ]
+    if probabilities:
+        rows.append(("isolation accuracy: mean probability given to the truth", f"{np.mean(probabilities):.3f}"))
+        rows.append(
+            ("log score: mean log of that probability", f"{np.mean(np.log(np.maximum(probabilities, FLOOR))):.3f}")
+        )
+    classes = [s for a in one for s in a["findings"]]
+    if classes:
+        rows.append(("class size, mean", f"{np.mean([len(s['class']) for s in classes]):.2f}"))
+    if of["outside"] and one:
+        rows.append(
+            (
+                "outside the catalogue against one effect, area under the curve",
+                f"{_area([_strange(a) for a in of['outside']], [_strange(a) for a in one]):.3f}",
+            )
+        )
+    inside = _intervals(answers)
+    share("95 % intervals that hold the truth", [hit for hits in inside.values() for hit in hits])
+    for name, hits in sorted(inside.items()):
+        share(f"  {name}", hits)
+    pairs = [(s["confidence"], any(r)) for a in answers for s, r in zip(a["findings"], a["right"], strict=True)]
+    if pairs:
+        rows.append(("calibration error of the confidences", f"{calibration(pairs):.3f}"))
+    for method in ("glr", "lasso"):
+        looked = [a for a in answers if a["baselines"]]
+        share(f"{method}: false alarms", [a["baselines"][method]["flagged"] for a in looked if a["kind"] == "none"])
+        share(
+            f"{method}: one effect, first right",
+            [a["baselines"][method]["first"] for a in looked if a["kind"] == "one"],
+        )
+        share(
+            f"{method}: two or three, all and only these",
+            [a["baselines"][method]["all"] for a in looked if a["kind"] in ("two", "three")],
+        )
+    spent = [a["seconds"] for a in answers]
+    rows.append(("CPU s per recording, median, largest", f"{np.median(spent):.1f}, {max(spent):.1f}"))
+    return rows
+
+
+def _strange(a: dict[str, Any]) -> float:
+    """How much an answer speaks for something outside the catalogue."""
+    if a["verdict"] == "unexplained":
+        return 2.0 - (a["findings"][0]["confidence"] if a["findings"] else 0.0)
+    return 1.0 - a["findings"][0]["confidence"] if a["findings"] else 0.0
+
+
+def _area(high: Sequence[float], low: Sequence[float]) -> float:
+    """Share of pairs in the right order, ties counted half."""
+    return float(np.mean([(h > v) + 0.5 * (h == v) for h in high for v in low]))
+
+
+def _intervals(answers: Sequence[dict[str, Any]]) -> dict[str, list[bool]]:
+    """By effect and parameter: whether the interval of each named effect holds the truth."""
+    out: dict[str, list[bool]] = {}
+    for a in answers:
+        for s, right in zip(a["findings"], a["right"], strict=True):
+            for k in (k for k, hit in enumerate(right) if hit):
+                for p in s["parameters"]:
+                    value = a["truth"][k].get(
+                        p["name"], a["truth"][k].get(p["name"].partition("_")[0]) if len(s["axes"]) < 2 else None
+                    )
+                    if value is not None:
+                        key = f"{s['effect']} {p['name'].partition('_')[0]}"
+                        out.setdefault(key, []).append(bool(p["low"] <= value <= p["high"]))
+    return out
+
+
+def calibration(pairs: Sequence[tuple[float, bool]], bins: int = 5) -> float:
+    """Expected calibration error: mean distance of confidence and share of right names over bins of equal count (Guo et al. 2017)."""
+    ordered = sorted(pairs)
+    parts = np.array_split(np.array(ordered, dtype=np.float64), min(bins, len(ordered)))
+    return float(sum(len(p) * abs(p[:, 0].mean() - p[:, 1].mean()) for p in parts) / len(ordered))

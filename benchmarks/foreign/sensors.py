@@ -1,0 +1,372 @@
+"""What sensors make of a ride, and what is hidden in it: white noise, biases, fixes, and every hidden effect by code of this folder's own.
+
+Effects carry the names and units of the program that is judged, so that answers can be compared; how they act is written here anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.foreign.motion import DT, RATE, VEHICLES, Array, Ride, Sensed, geodetic, plane, ride, sense
+
+#: IMU samples are means over ten milliseconds.
+EVERY = 10
+IMU_DT = EVERY * DT
+G = 9.80665
+DEG = np.pi / 180.0
+NEIGHBOURS = {"xy": (0, 1), "xz": (0, 2), "yx": (1, 0), "yz": (1, 2), "zx": (2, 0), "zy": (2, 1)}
+
+#: Effects whose size is one number, with the size at which a data sheet would state them: gyroscope, accelerometer or whatever they act on.
+SHAPED: dict[tuple[str, str], float] = {
+    ("scale_factor", "gyro"): 2e-3,
+    ("scale_factor", "accel"): 1e-3,
+    ("misalignment", "gyro"): 2e-3,
+    ("misalignment", "accel"): 1e-3,
+    ("g_sensitivity", "gyro"): 2e-5,
+    ("temperature", "gyro"): 2e-5,
+    ("temperature", "accel"): 1e-3,
+    ("lever_arm", "gnss"): 0.2,
+    ("imu_gnss_time_offset", "imu"): 0.01,
+}
+#: What no catalogue holds, by name, with a usual size.
+OUTSIDE: dict[tuple[str, str], float] = {
+    ("accel_square", "accel"): 2e-4,
+    ("rate_times_force", "accel"): 2e-3,
+    ("position_with_heading", "gnss"): 0.2,
+    ("position_with_speed", "gnss"): 0.02,
+}
+#: Effects of fixes and processes that are drawn at a size of their own.
+DRAWN = ("random_walk", "gnss_noise_level", "gnss_correlated_noise", "gnss_outliers", "gnss_multipath_step")
+#: What shows in the samples rather than in the fixes.
+BAND = ("white_noise", "vibration_line", "quantization", "decimation_filter", "outliers")
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """One effect: what it is called, where it sits, and its parameters in SI units."""
+
+    effect: str
+    sensor: str
+    axis: str
+    values: dict[str, float]
+
+    def scaled(self, factor: float) -> Hidden:
+        """With its one size times a factor."""
+        return replace(self, values={**self.values, "value": factor * self.values["value"]})
+
+    def plain(self) -> dict[str, Any]:
+        """As plain data."""
+        return {"effect": self.effect, "sensor": self.sensor, "axis": self.axis, "values": self.values}
+
+
+@dataclass(frozen=True)
+class Unit:
+    """What is believed of a sensor: noise of its two triads, stated noise of the fixes, where the antenna sits."""
+
+    gyro_white: float
+    accel_white: float
+    gyro_bias: float
+    accel_bias: float
+    gyro_walk: float
+    accel_walk: float
+    position: Array
+    velocity: Array
+    lever: Array
+    fix_rate: float
+    tilt: float = 0.3 * DEG
+    heading: float = 0.6 * DEG
+
+    def belief(self) -> dict[str, Any]:
+        """The belief file of the recording."""
+        gyro = f"WN(N={self.gyro_white:.6g}) + RC(sigma={self.gyro_bias:.6g}) + RW(K={self.gyro_walk:.6g})"
+        accel = f"WN(N={self.accel_white:.6g}) + RC(sigma={self.accel_bias:.6g}) + RW(K={self.accel_walk:.6g})"
+        return {
+            "belief": {"gyro": gyro, "accel": accel},
+            "gnss": {
+                "position_sigma": [f"{v:.6g} m" for v in self.position],
+                "velocity_sigma": [f"{v:.6g} m/s" for v in self.velocity],
+                "lever_arm": [f"{v:.6g} m" for v in self.lever],
+            },
+            "initial": {"tilt_sigma": f"{self.tilt:.6g} rad", "heading_sigma": f"{self.heading:.6g} rad"},
+        }
+
+
+@dataclass(frozen=True)
+class World:
+    """A drawn recording: the ride as ideal sensors see it, the unit, and the seed of its noise.
+
+    Parameters
+    ----------
+    seed : int
+    vehicle : str
+    ride : Ride
+    sensed : Sensed
+    unit : Unit
+    reference : bool
+        Whether the recording says where it started.
+    """
+
+    seed: int
+    vehicle: str
+    ride: Ride
+    sensed: Sensed
+    unit: Unit
+    reference: bool
+    extra: dict[str, Array] = field(default_factory=dict)
+
+
+def draw_world(seed: int, seconds: float, vibration: bool, vehicle: str = "") -> World:
+    """Draw vehicle, way, vibration (0.02 to 0.3 g and 0.2 to 5 deg/s, root mean square) and sensors.
+
+    Parameters
+    ----------
+    seed : int
+    seconds : float
+    vibration : bool
+        Whether a machine and the road shake the vehicle besides its own way of moving.
+    vehicle : str
+        One of the vehicles; drawn where it is empty.
+    """
+    rng = np.random.default_rng([seed, 1])
+    vehicle = vehicle or str(rng.choice(VEHICLES))
+    shake = (
+        float(np.exp(rng.uniform(np.log(0.02), np.log(0.3)))) * G,
+        float(np.exp(rng.uniform(np.log(0.2), np.log(5.0)))) * DEG,
+    )
+    made = ride(rng, vehicle, seconds, shake if vibration else None)
+    gyro, accel = 10.0 ** rng.uniform(-0.7, 0.7, 2)
+    position = 10.0 ** rng.uniform(-1.7, 0.0) * np.array([1.0, 1.0, rng.uniform(1.2, 2.0)])
+    velocity = 10.0 ** rng.uniform(-1.7, -1.0) * np.array([1.0, 1.0, rng.uniform(1.0, 1.6)])
+    unit = Unit(
+        gyro * 5e-5, accel * 1e-3, gyro * 5e-4, accel * 0.02, gyro * 2e-6, accel * 5e-5, position, velocity,
+        rng.normal(0.0, (0.6, 0.3, 0.6)), float(rng.choice([1.0, 1.0, 4.0])),
+    )  # fmt: skip
+    reference = vehicle not in ("car", "train") or bool(rng.integers(2))
+    return World(seed, vehicle, made, sense(made), unit, reference)
+
+
+def draw_hidden(rng: np.random.Generator, world: World, what: str) -> Hidden:
+    """Draw an effect: of known shape (``shaped``), of a size of its own (``drawn``), in the samples (``band``), or ``outside``."""
+    unit, axis = world.unit, "xyz"[rng.integers(3)]
+    sign = float(rng.choice([-1.0, 1.0]))
+    if what in ("shaped", "outside"):
+        table = SHAPED if what == "shaped" else OUTSIDE
+        effect, sensor = list(table)[rng.integers(len(table))]
+        if effect == "misalignment":
+            axis = str(rng.choice(list(NEIGHBOURS)))
+        elif effect == "g_sensitivity":
+            axis += "xyz"[rng.integers(3)]
+        elif sensor == "imu":
+            axis = ""
+        return Hidden(effect, sensor, axis, {"value": sign * table[effect, sensor]})
+    if what == "drawn":
+        effect = str(rng.choice(DRAWN))
+        if effect == "random_walk":
+            sensor = str(rng.choice(["gyro", "accel"]))
+            own = unit.gyro_walk if sensor == "gyro" else unit.accel_walk
+            return Hidden(effect, sensor, axis, {"K": own * float(rng.uniform(10.0, 40.0))})
+        if effect == "gnss_noise_level":
+            return Hidden(effect, "gnss", "", {"factor": float(rng.uniform(1.7, 4.0))})
+        if effect == "gnss_correlated_noise":
+            return Hidden(
+                effect, "gnss", "", {"sigma": float(rng.uniform(2.0, 5.0)), "tau": float(rng.uniform(8.0, 40.0))}
+            )
+        if effect == "gnss_outliers":
+            return Hidden(
+                effect,
+                "gnss",
+                "",
+                {"probability": float(rng.uniform(0.02, 0.06)), "sigma": float(rng.uniform(8.0, 30.0))},
+            )
+        span = float(world.sensed.t[-1])
+        values = {
+            "value": sign * float(rng.uniform(5.0, 15.0)) * float(unit.position[0]),
+            "start": float(rng.uniform(0.2, 0.5)) * span,
+            "duration": float(rng.uniform(0.1, 0.25)) * span,
+        }
+        return Hidden(effect, "gnss", str(rng.choice(["north", "east", "down"])), values)
+    effect, sensor = str(rng.choice(BAND)), str(rng.choice(["gyro", "accel"]))
+    white = (unit.gyro_white if sensor == "gyro" else unit.accel_white) / np.sqrt(IMU_DT)
+    values = {
+        "white_noise": {"factor": float(rng.uniform(2.0, 4.0))},
+        "vibration_line": {
+            "amplitude": white * float(rng.uniform(0.3, 1.0)),
+            "frequency": float(rng.uniform(12.0, 45.0)),
+        },
+        "quantization": {"lsb": white * float(rng.uniform(3.0, 8.0))},
+        "decimation_filter": {"cutoff": float(rng.uniform(12.0, 25.0)), "order": 2.0},
+        "outliers": {"probability": 0.003, "sigma": white * float(rng.uniform(15.0, 40.0))},
+    }[effect]
+    return Hidden(effect, sensor, axis, values)
+
+
+def record(world: World, hidden: Sequence[Hidden] = (), stated: float = 1.0) -> dict[str, NDArray[Any]]:
+    """Arrays of a recording; with the same world every draw of noise is the same, whatever is hidden.
+
+    Parameters
+    ----------
+    world : World
+    hidden : sequence of Hidden
+    stated : float
+        Stated standard deviations of the fixes over the true ones.
+    """
+    unit, sensed = world.unit, world.sensed
+    noise, other = np.random.default_rng([world.seed, 2]), np.random.default_rng([world.seed, 3])
+    signals = {"gyro": sensed.rate.copy(), "accel": sensed.force.copy()}
+    warm = 25.0 + 12.0 * (1.0 - np.exp(-sensed.t / 150.0)) + 4.0 * np.sin(sensed.t / 37.0)
+    for h in hidden:
+        _on_signals(h, sensed, signals, warm)
+    for sensor, white, bias, walk in (
+        ("gyro", unit.gyro_white, unit.gyro_bias, unit.gyro_walk),
+        ("accel", unit.accel_white, unit.accel_bias, unit.accel_walk),
+    ):
+        level = white * noise.uniform(0.9, 1.1, 3) / np.sqrt(DT)
+        drift = np.cumsum(noise.standard_normal((*sensed.t.shape, 3)), axis=0) * walk * np.sqrt(DT)
+        drawn = noise.standard_normal((*sensed.t.shape, 3)) * level
+        more = np.cumsum(noise.standard_normal(sensed.t.shape), axis=0) * np.sqrt(DT)
+        for h in hidden:
+            if (h.effect, h.sensor) == ("white_noise", sensor):
+                drawn[:, "xyz".index(h.axis)] *= h.values["factor"]
+            elif (h.effect, h.sensor) == ("random_walk", sensor):
+                drift[:, "xyz".index(h.axis)] += h.values["K"] * more
+        signals[sensor] += drawn + drift + bias * noise.standard_normal(3)
+        for h in hidden:
+            if (h.effect, h.sensor) == ("decimation_filter", sensor):
+                signals[sensor] = _butterworth(signals[sensor], h.values["cutoff"])
+    count = sensed.t.size // EVERY
+    means = {s: x[: count * EVERY].reshape(count, EVERY, 3).mean(axis=1) for s, x in signals.items()}
+    t = sensed.t[EVERY - 1 : count * EVERY : EVERY].copy()
+    for h in hidden:
+        _on_samples(h, t, means, other)
+    for h in hidden:
+        if h.effect == "imu_gnss_time_offset":
+            t = t + h.values["value"]
+    out: dict[str, NDArray[Any]] = {
+        "imu_t": t,
+        "imu": np.hstack([means["gyro"], means["accel"]]) * IMU_DT,
+        "imu_kind": np.array("increment"),
+        "temperature": warm[EVERY - 1 : count * EVERY : EVERY],
+    }
+    return {**out, **_fixes(world, hidden, stated), **(_start(world) if world.reference else {})}
+
+
+def _on_signals(h: Hidden, sensed: Sensed, signals: dict[str, Array], warm: Array) -> None:
+    """Errors that are functions of what is sensed, added in place."""
+    own = {"gyro": sensed.rate, "accel": sensed.force}.get(h.sensor)
+    if own is None or "value" not in h.values:
+        return
+    first = "xyz".index(h.axis[0])
+    value, true = h.values["value"], own[:, first]
+    added = {
+        "scale_factor": lambda: true,
+        "misalignment": lambda: own[:, NEIGHBOURS[h.axis][1]],
+        "g_sensitivity": lambda: sensed.force[:, "xyz".index(h.axis[1])],
+        "temperature": lambda: warm - 25.0,
+        "accel_square": lambda: true**2 * np.sign(G),
+        "rate_times_force": lambda: sensed.rate[:, (first + 1) % 3] * true,
+    }.get(h.effect)
+    if added is not None:
+        signals[h.sensor][:, first] += value * added()
+
+
+def _butterworth(x: Array, cutoff: float) -> Array:
+    """The analogue second-order low-pass, causal, by its frequency response."""
+    n = x.shape[0]
+    m = 1 << (n + 4 * RATE).bit_length()
+    s = 1j * np.fft.rfftfreq(m, DT) / cutoff
+    padded = np.concatenate([np.repeat(x[:1], 2 * RATE, axis=0), x, np.repeat(x[-1:], m - n - 2 * RATE, axis=0)])
+    return np.fft.irfft(np.fft.rfft(padded, axis=0) / (1.0 + np.sqrt(2.0) * s + s**2)[:, None], m, axis=0)[
+        2 * RATE : 2 * RATE + n
+    ]
+
+
+def _on_samples(h: Hidden, t: Array, means: dict[str, Array], rng: np.random.Generator) -> None:
+    """Errors of the samples that leave the unit, in place."""
+    if h.effect not in ("vibration_line", "outliers", "quantization"):
+        return
+    axis, v = "xyz".index(h.axis), h.values
+    x = means[h.sensor][:, axis]
+    if h.effect == "vibration_line":
+        x += v["amplitude"] * np.sin(2.0 * np.pi * v["frequency"] * t + 1.0)
+    elif h.effect == "outliers":
+        x += (rng.random(t.size) < v["probability"]) * rng.standard_normal(t.size) * v["sigma"]
+    else:
+        x[:] = v["lsb"] * np.round(x / v["lsb"])
+
+
+def _fixes(world: World, hidden: Sequence[Hidden], stated: float) -> dict[str, NDArray[Any]]:
+    """Position and velocity of the antenna with their noise."""
+    unit, sensed, rng = world.unit, world.sensed, np.random.default_rng([world.seed, 4])
+    every = round(RATE / unit.fix_rate)
+    at = np.arange(every - 1, sensed.t.size - 1, every)
+    lever = unit.lever.copy()
+    for h in hidden:
+        if h.effect == "lever_arm":
+            lever["xyz".index(h.axis)] += h.values["value"]
+    arm = sensed.attitude @ lever
+    place = sensed.place[at] + arm[at]
+    speed = sensed.velocity[at] + (arm[at + 1] - arm[at - 1]) / (2.0 * DT)
+    axes = plane(*world.ride.origin[:2])
+    t, n = sensed.t[at], at.size
+    first, second, third, fourth = (rng.standard_normal((n, 3)) for _ in range(4))
+    chance = rng.random(n)
+    position, velocity = first * unit.position, second * unit.velocity
+    for h in hidden:
+        v, sigma = h.values, unit.position
+        if h.effect == "gnss_noise_level":
+            position *= v["factor"]
+        elif h.effect == "gnss_correlated_noise":
+            a = np.exp(-1.0 / (unit.fix_rate * v["tau"]))
+            state = np.zeros((n, 3))
+            state[0] = third[0]
+            for k in range(1, n):
+                state[k] = a * state[k - 1] + np.sqrt(1.0 - a * a) * third[k]
+            position += v["sigma"] * sigma * state
+        elif h.effect == "gnss_outliers":
+            position += (chance < v["probability"])[:, None] * fourth * v["sigma"] * sigma
+        elif h.effect == "gnss_multipath_step":
+            inside = (t > v["start"]) & (t <= v["start"] + v["duration"])
+            position[:, ("north", "east", "down").index(h.axis)] += v["value"] * inside
+        elif h.effect == "position_with_heading":
+            position[:, 0] += v["value"] * np.cos(world.ride.rpy[at, 2])
+        elif h.effect == "position_with_speed":
+            position[:, 1] += v["value"] * np.linalg.norm(sensed.velocity[at], axis=1)
+    # the tangent plane of the start turns little over a ride, noise does not mind
+    llh = geodetic(sensed.start + place + position @ axes.T)
+    local = [plane(lat, lon) for lat, lon, _ in llh]
+    vel = np.stack([axes_k.T @ w for axes_k, w in zip(local, speed, strict=True)]) + velocity
+    ones = np.ones((n, 3))
+    return {
+        "gnss_t": t,
+        "gnss_llh": llh * np.array([1.0 / DEG, 1.0 / DEG, 1.0]),
+        "gnss_vel_ned": vel,
+        "gnss_pos_std_ned": stated * unit.position * ones,
+        "gnss_vel_std_ned": unit.velocity * ones,
+    }
+
+
+def _start(world: World) -> dict[str, NDArray[Any]]:
+    """A reference every tenth of a second, as good as the unit's belief of its start: wrong by what it states."""
+    sensed, unit = world.sensed, world.unit
+    rng = np.random.default_rng([world.seed, 5])
+    at = np.arange(99, sensed.t.size, 100)
+    llh = geodetic(sensed.start + sensed.place[at])
+    local = np.stack([plane(lat, lon) for lat, lon, _ in llh])
+    C = np.einsum("nji,njk->nik", local, sensed.attitude[at])
+    off = rng.standard_normal(3) * (unit.tilt, unit.tilt, unit.heading)
+    skew = np.array([[0.0, -off[2], off[1]], [off[2], 0.0, -off[0]], [-off[1], off[0], 0.0]])
+    C = (np.eye(3) + skew) @ C
+    rpy = np.stack(
+        [np.arctan2(C[:, 2, 1], C[:, 2, 2]), -np.arcsin(C[:, 2, 0]), np.arctan2(C[:, 1, 0], C[:, 0, 0])], axis=1
+    )
+    return {
+        "ref_t": sensed.t[at],
+        "ref_llh": llh * np.array([1.0 / DEG, 1.0 / DEG, 1.0]),
+        "ref_vel_ned": np.einsum("nji,nj->ni", local, sensed.velocity[at]),
+        "ref_rpy_deg": rpy / DEG,
+    }

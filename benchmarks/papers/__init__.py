@@ -1,0 +1,1 @@
+"""Printed tables and figures of the five papers beside ours; see ``python -m benchmarks.papers --help``."""

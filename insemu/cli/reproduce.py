@@ -1,0 +1,61 @@
+"""``insemu reproduce``: run a result again, and say what differs."""
+
+from __future__ import annotations
+
+import typer
+
+
+def command(
+    folder: str = typer.Argument(..., metavar="DIR", help="Folder of a result of insemu run."),
+    workers: int | None = typer.Option(
+        None, "--workers", min=1, help="Realizations flown at a time; default the cores."
+    ),
+    as_json: bool = typer.Option(False, "--json", help="Print JSON on standard output."),
+) -> None:
+    """Run the scenario of a result again and compare every number; nothing is written.
+
+    Says first what is another than then: code, packages, machine, input files. Exit code 0: every number is the same to the last bit.
+    1: what differs is printed.
+    """
+    import json
+    import os
+    from pathlib import Path
+
+    import xarray as xr
+    from rich.console import Console
+
+    from insemu import yamlfile
+    from insemu.errors import InputError
+    from insemu.evaluate import Experiment, changed, differences, run_experiment, surroundings
+    from insemu.scenario import Scenario, validated
+
+    result = Path(folder)
+    for name in ("manifest.json", "resolved.yaml", "errors.nc"):
+        if not (result / name).is_file():
+            raise InputError(f"holds no {name}; expected the folder of a finished insemu run", where=folder)
+    try:
+        manifest = json.loads((result / "manifest.json").read_text(encoding="utf-8"))
+        file = manifest.get("scenario_file")
+        with xr.open_dataset(result / "errors.nc", engine="h5netcdf") as data:
+            held = data.load()
+    except (ValueError, OSError, KeyError, AttributeError) as error:
+        raise InputError(f"is no whole result ({' '.join(str(error).split())[:100]})", where=folder) from None
+    scenario = validated(Scenario, yamlfile.read(result / "resolved.yaml"))
+    base = file if file and Path(file).exists() else result / "resolved.yaml"
+    experiment = Experiment(scenario, base)
+    now = surroundings(experiment.world.files)
+    other = changed({k: manifest.get(k) for k in now}, now)
+    console = Console(stderr=True)
+    for line in other:
+        console.print(f"other than then: {line}", soft_wrap=True, highlight=False, markup=False)
+    with console.status(f"running {scenario.realizations} realizations again"):
+        again = run_experiment(experiment, workers=workers or os.cpu_count() or 1)
+    found = differences(held, again.to_dataset())
+    if as_json:
+        typer.echo(json.dumps({"same": not found, "differences": found, "changed": other}, indent=1))
+    elif found:
+        typer.echo("\n".join(found))
+    else:
+        typer.echo(f"reproduced: {sum(v.size for v in held.variables.values())} numbers, the same to the last bit")
+    if found:
+        raise typer.Exit(1)

@@ -1,0 +1,127 @@
+"""Several runs of one sensor in ``insemu fit``: one model, its spread, and what the next switch-on will show."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rich.console import Console
+
+    from insemu.fit import Choice, RunsFit
+    from insemu.records import Series
+
+
+def fit_many(
+    runs: Sequence[list[Series]], models: Sequence[str], *, bootstrap: int, seed: int, out: str, as_json: bool
+) -> None:
+    """Fit every axis that all runs have, print or write what was found.
+
+    Parameters
+    ----------
+    runs : sequence of list of Series
+        The axes of every run.
+    models : sequence of str
+        Structures; of several the one that predicts best is fitted.
+    bootstrap : int
+        Draws of the test of near-stationarity.
+    seed : int
+        Of these draws.
+    out : str
+        Model file to write, or nothing.
+    as_json : bool
+        Print JSON on standard output.
+
+    Raises
+    ------
+    InputError
+        Runs without a common axis; see :func:`insemu.fit.fit_runs`.
+    """
+    import json
+
+    import numpy as np
+    from rich.console import Console
+
+    from insemu.errors import InputError
+    from insemu.fit import choose_model, fit_runs, save
+    from insemu.noise import NoiseModel
+
+    by_name = [{s.name: s for s in run} for run in runs]
+    axes = [s.name for s in runs[0] if all(s.name in run for run in by_name)]
+    if not axes:
+        raise InputError("the runs have no axis in common")
+    console = Console(stderr=as_json)
+    found: dict[str, RunsFit] = {}
+    choices: dict[str, list[Choice]] = {}
+    children = np.random.default_rng(seed).spawn(len(axes))
+    with Console(stderr=True).status("fitting") as status:
+        for axis, child in zip(axes, children, strict=True):
+            series = [run[axis] for run in by_name]
+            try:
+                asked = [NoiseModel.parse(text, series[0].unit) for text in models]
+                if len(asked) > 1:
+                    choices[axis] = choose_model(series, asked)
+                    asked = [choices[axis][0].model]
+                found[axis] = fit_runs(
+                    series,
+                    asked[0],
+                    bootstrap=bootstrap,
+                    rng=child,
+                    progress=lambda k, n, axis=axis: status.update(f"{axis}: draw {k} of {n}"),  # type: ignore[misc]
+                )
+            except InputError as error:
+                raise InputError(error.message, where=error.where or axis) from None
+    if as_json:
+        typer.echo(json.dumps({"axes": {axis: r.to_json() for axis, r in found.items()}}, indent=1, allow_nan=False))
+    for axis, r in found.items() if not as_json else ():
+        _show(console, axis, r, choices.get(axis, []))
+    if out:
+        from dataclasses import replace
+
+        save(
+            {a: replace(r.joint, model=r.model) for a, r in found.items()}, out, {a: r.spread for a, r in found.items()}
+        )
+        console.print(f"models: {out}")
+
+
+def _show(console: Console, axis: str, r: RunsFit, choices: Sequence[Choice]) -> None:
+    """One table per axis, then the test."""
+    from rich.table import Table
+
+    for c in choices:
+        word = "best" if c.behind == 0.0 else "equivalent" if c.equivalent else "worse"
+        console.print(
+            f"{axis}: {c.model}: distance to runs left out {c.loss:.4g}, behind by {c.behind:.3g} ± {c.error:.2g}: {word}",
+            highlight=False,
+        )
+    table = Table(title=f"{axis}: {r.joint.structure} over {len(r.each)} runs", title_justify="left")
+    for heading in (
+        "parameter",
+        "median over runs (95 %)",
+        "spread",
+        "next switch-on (95 %)",
+        "its log will show (95 %)",
+    ):
+        table.add_column(heading)
+    for s in r.spreads:
+        spread = f"{100 * s.size:.2g} % (at most {100 * s.size_high:.2g} %)" if s.runs > 1 else "–"
+        table.add_row(
+            s.label,
+            f"{s.common:.4g} ({s.low:.4g} … {s.high:.4g})",
+            spread,
+            f"{s.next_low:.4g} … {s.next_high:.4g}",
+            f"{s.log_low:.4g} … {s.log_high:.4g}",
+        )
+    console.print(table)
+    if r.p_value == r.p_value:
+        verdict = (
+            "the runs differ by more than one set of parameters allows"
+            if r.p_value < 0.05
+            else "one set of parameters is enough"
+        )
+        console.print(f"near-stationarity: p = {r.p_value:.3g}: {verdict}", highlight=False)
+    for warning in r.joint.warnings:
+        console.print(f"[yellow]beware[/yellow]: {warning}", highlight=False)

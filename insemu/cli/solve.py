@@ -1,0 +1,139 @@
+"""``insemu solve``: the best filter and smoother on a real recording, without a scenario."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from insemu.solve import Comparison, Solution
+
+
+def command(
+    file: str = typer.Argument(
+        ..., metavar="RECORDING", help="Any recording; the file with the IMU where there are several."
+    ),
+    gnss: str = typer.Option("", "--gnss", help="File with the fixes, where they are apart."),
+    column_map: str = typer.Option("", "--map", help="Columns and settings, as of `insemu open`."),
+    gnss_map: str = typer.Option("", "--gnss-map", help="The same for the file of --gnss."),
+    sensor: str = typer.Option("", "--sensor", help="Try this sensor card too (insemu sensor), or a card's file."),
+    model: str = typer.Option("", "--model", help="Try these models too (YAML of insemu fit -o or insemu sensor -o)."),
+    design: list[str] | None = typer.Option(  # noqa: B008
+        None, "--design", help="Try this design too (insemu designs); may be repeated."
+    ),
+    lever_arm: str = typer.Option(
+        "",
+        "--lever-arm",
+        help="IMU to antenna in the axes of the recording, 'X Y Z m'; estimated where it is not given.",
+    ),
+    against: str = typer.Option("", "--against", help="Score the designs of this scenario by the same outages."),
+    out: str = typer.Option("", "--out", "-o", help="Folder for the results; default results/solve_NAME."),
+    workers: int = typer.Option(0, "--workers", min=0, help="Threads; 0: one per core."),
+    as_json: bool = typer.Option(False, "--json", help="Print summary.json on standard output."),
+) -> None:
+    """Solve a recording: trajectory with standard deviations, calibration, and what 10, 30 and 60 s without GNSS cost.
+
+    Generic designs, one whose noise the innovations ask for, and those that are named are tried; outages are cut at every second and held
+    against the fixes that were there. Nothing but the recording is needed.
+    """
+    import json
+    import os
+    from pathlib import Path
+
+    from rich.console import Console
+
+    from insemu import formats, intake
+    from insemu.cli.announce import show_brief
+    from insemu.evaluate import only_writer
+    from insemu.report import render_solution
+    from insemu.solve import candidates, compare_with, solve, summary, write
+    from insemu.whole import put
+
+    console = Console(stderr=as_json, highlight=False)
+    arm = _lever_arm(lever_arm)
+    beliefs = candidates(design or (), sensor, model, lever_arm_known=arm is not None)
+    found = formats.open_files(file, gnss=gnss or None, maps=(column_map, gnss_map, ""))
+    card = intake.examine(found)
+    show_brief(card, console)
+    card.check()
+    threads = workers or os.cpu_count() or 1
+    with console.status("solving") as status:
+        solution = solve(
+            found.recording(),
+            card,
+            beliefs,
+            lever_arm=arm or (0.0, 0.0, 0.0),
+            workers=threads,
+            say=lambda text: status.update(f"solving: {text}"),
+        )
+        compared = compare_with(solution, against, workers=threads) if against else None
+    folder = Path(out) if out else Path("results") / f"solve_{Path(file).name.split('.')[0]}"
+    plain = summary(solution, compared)
+    with only_writer(folder):
+        write(solution, folder)
+        page = render_solution(solution, folder, compared, Path(against).name)
+        put(folder / "summary.json", json.dumps(plain, indent=1))
+    if as_json:
+        typer.echo(json.dumps(plain, indent=1))
+        return
+    _show(console, solution, compared, Path(against).name)
+    console.print(
+        f"\nPage: [bold]{page}[/bold] (summary.json, solution.nc, solved.npz, trajectory and models beside it)",
+        soft_wrap=True,
+    )
+
+
+def _lever_arm(text: str) -> tuple[float, float, float] | None:
+    from insemu import units
+    from insemu.errors import InputError
+
+    if not text:
+        return None
+    words = text.replace(",", " ").split()
+    unit = words.pop() if words and not any(c.isdigit() for c in words[-1]) else "m"
+    try:
+        x, y, z = (units.parse(f"{w} {unit}", "m") for w in words)
+    except ValueError:
+        raise InputError(
+            f"is '{text[:40]}', expected three lengths such as '0.3 0 -1.2 m'", where="--lever-arm"
+        ) from None
+    return x, y, z
+
+
+def _show(console: Console, s: Solution, compared: Comparison | None, scenario: str) -> None:
+    """The answer, the score, the designs, what was found."""
+    from insemu import report
+    from insemu.cli.printing import print_items, print_table
+
+    console.print(f"\n{report.solve_answer(s)}", markup=False, style="bold")
+    print_table(
+        console,
+        "Outages at every second, against the fixes that were withheld",
+        *report.outage_rows_of(s.taken.outages),
+        left=1,
+        gap=lambda row: False,
+    )
+    print_table(
+        console,
+        "Designs, the best first (outages five seconds apart)",
+        *report.solve_rows(s.tried),
+        left=1,
+        fit=True,
+        gap=lambda row: False,
+    )
+    if s.taken.candidate.about:
+        console.print(f"{s.taken.candidate.name}: {s.taken.candidate.about}", soft_wrap=True, markup=False, style="dim")
+    if compared is not None:
+        count = compared.solved.start.size
+        print_table(
+            console,
+            f"Against {scenario}, the same {count} outages",
+            *report.compared_rows(compared),
+            left=1,
+            gap=lambda row: False,
+        )
+    console.print()
+    print_items(console, [*s.drive.said, *report.calibration_lines(s), *report.consistency_words_of(s)])

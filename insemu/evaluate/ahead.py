@@ -1,0 +1,67 @@
+"""What an experiment will cost: filter epochs, time and memory, said before it begins; what does not fit into memory is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from insemu.errors import InputError
+from insemu.evaluate.emulated import BYTES_PER_SAMPLE
+from insemu.evaluate.experiment import Experiment
+
+#: Filter epochs that one core does in a second: 15 to 45 states, see benchmarks/filters.py.
+EPOCHS_PER_SECOND = (0.4e6, 1.2e6)
+
+
+def memory_there() -> float | None:
+    """Bytes of memory that can be used; None where the system does not say."""
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+    except OSError:
+        return None
+    return next((1024.0 * float(line.split()[1]) for line in lines if line.startswith("MemAvailable:")), None)
+
+
+def effort(experiments: Sequence[Experiment], workers: int) -> str:
+    """How long experiments take and how much memory they want, in words.
+
+    Parameters
+    ----------
+    experiments : sequence of Experiment
+        Flown one after the other.
+    workers : int
+        Realizations flown at a time.
+
+    Raises
+    ------
+    InputError
+        They want more memory than there is.
+    """
+    epochs, wanted = 0.0, 0.0
+    for e in experiments:
+        at_a_time = min(workers, e.scenario.realizations)
+        samples = float(np.ptp(e.world.truth_at_outputs.t)) * e.rate_hz
+        epochs += samples * e.scenario.realizations * len(e.scenario.designs)
+        wanted = max(wanted, samples * BYTES_PER_SAMPLE * (1 + at_a_time))
+    there = memory_there()
+    if there is not None and wanted > there:
+        raise InputError(
+            f"wants about {wanted / 2**30:.1f} GiB of memory, and {there / 2**30:.1f} GiB are free; expected fewer workers (--workers), a shorter "
+            "flight or a lower rate",
+            where=str(experiments[0].file or "scenario"),
+        )
+    cores = min(workers, max(e.scenario.realizations for e in experiments))
+    short, long = (epochs / rate / cores for rate in reversed(EPOCHS_PER_SECOND))
+    return (
+        f"{epochs:.3g} filter epochs: about {_duration(short)} to {_duration(long)} in the filters with {cores} worker(s), "
+        f"and {max(wanted / 2**20, 1):.0f} MiB of memory"
+    )
+
+
+def _duration(seconds: float) -> str:
+    for size, unit in ((3600.0, "h"), (60.0, "min")):
+        if seconds >= 1.5 * size:
+            return f"{seconds / size:.2g} {unit}"
+    return f"{max(seconds, 0.1):.2g} s"

@@ -1,0 +1,167 @@
+"""Means and quantiles of few full runs, helped by many linear ones: the linear twin as control variate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from insemu.evaluate.results import Results
+from insemu.evaluate.twin import LinearTwin
+
+Array = NDArray[np.float64]
+
+#: Smallest correlation of full and linear runs under the same draws at which the linear ones may help.
+CORRELATED = 0.9
+#: Level of the quantile that is reported, and points of the linear distribution and resamples from which it is made.
+LEVEL, POINTS, RESAMPLES = 0.95, 400, 400
+
+
+@dataclass(frozen=True)
+class Figure:
+    """An estimate with its 95 % interval, m.
+
+    Parameters
+    ----------
+    value, low, high : float
+    """
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def width(self) -> float:
+        """Of the interval."""
+        return self.high - self.low
+
+
+@dataclass(frozen=True)
+class Controlled:
+    """Planimetric error at the end of one outage, of the full runs alone and with the help of the linear ones.
+
+    Parameters
+    ----------
+    correlation : float
+        Of full and linear errors under the same draws.
+    used : bool
+        Whether that is enough; otherwise the figures are those of the full runs.
+    plain_mean, plain_quantile : Figure
+        Of the full runs alone.
+    mean, quantile : Figure
+    saved : float
+        Variance of the plain mean over that of the controlled one: how many times more full runs would do the same.
+    """
+
+    correlation: float
+    used: bool
+    plain_mean: Figure
+    plain_quantile: Figure
+    mean: Figure
+    quantile: Figure
+    saved: float
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data."""
+        return asdict(self)
+
+
+def controlled(full: Array, paired: Array, many: Array) -> Controlled:
+    """Estimate a mean and a quantile from full and linear errors.
+
+    The mean is the regression estimator: the full runs' mean less what their own linear errors differ from the mean of many. The quantile is that of
+    the fitted line plus its residuals over the many linear errors.
+
+    Parameters
+    ----------
+    full, paired : (n,) arrays
+        Errors of full runs, and linear ones under the same draws.
+    many : (N,) array
+        Linear errors of other draws.
+
+    Source
+    ------
+    Glasserman (2003), section 4.1 (control variates); Chambers and Dunstan (1986) (the distribution function).
+    """
+    n = full.size
+    rng = np.random.default_rng(20140701)
+    picks = rng.integers(0, n, (RESAMPLES, n))
+    half = student.ppf(0.975, n - 1) * full.std(ddof=1) / np.sqrt(n)
+    mean = float(full.mean())
+    plain = Figure(mean, mean - half, mean + half)
+    resampled = np.quantile(full[picks], LEVEL, axis=1)
+    plain_quantile = _turned(float(np.quantile(full, LEVEL)), resampled)
+    correlation = float(np.corrcoef(full, paired)[0, 1]) if n > 2 and paired.std() > 0 and full.std() > 0 else 0.0
+    if correlation < CORRELATED:
+        return Controlled(correlation, False, plain, plain_quantile, plain, plain_quantile, 1.0)
+    slope, offset = _line(paired, full)
+    left = full - offset - slope * paired
+    scatter = float(left @ left) / (n - 2)
+    off = float(many.mean() - paired.mean())
+    variance = scatter * (1.0 / n + off**2 / float(((paired - paired.mean()) ** 2).sum()))
+    variance += slope**2 * float(many.var(ddof=1)) / many.size
+    centre, half_ = float(offset + slope * many.mean()), student.ppf(0.975, n - 2) * np.sqrt(variance)
+    points = np.quantile(many, (np.arange(POINTS) + 0.5) / POINTS)
+
+    def quantile(x: Array, y: Array) -> float:
+        b, a = _line(x, y)
+        return float(np.quantile((a + b * points)[:, None] + (y - a - b * x), LEVEL))
+
+    found = quantile(paired, full)
+    helped = np.array([quantile(paired[p], full[p]) for p in picks])
+    saved = float(full.var(ddof=1) / n / variance)
+    return Controlled(
+        correlation, True, plain, plain_quantile, Figure(centre, centre - half_, centre + half_), _turned(found, helped), saved
+    )  # fmt: skip
+
+
+def _line(x: Array, y: Array) -> tuple[float, float]:
+    """Slope and offset of the least-squares line; flat where all x are the same."""
+    off = x - x.mean()
+    spread = float(off @ off)
+    slope = float(off @ y) / spread if spread > 0 else 0.0
+    return slope, float(y.mean() - slope * x.mean())
+
+
+def _turned(value: float, resampled: Array) -> Figure:
+    """The basic bootstrap interval: the resampled deviations, turned around the estimate."""
+    low, high = np.quantile(resampled, [0.025, 0.975])
+    return Figure(value, 2 * value - float(high), 2 * value - float(low))
+
+
+def planimetric(errors: Array) -> Array:
+    """Horizontal position errors of navigation errors (..., 9), m."""
+    return np.asarray(np.hypot(errors[..., 0], errors[..., 1]))
+
+
+def control(results: Results, twin: LinearTwin, realizations: int) -> dict[str, list[Controlled]]:
+    """Help every cell of a run's headline table with linear realizations.
+
+    Parameters
+    ----------
+    results : Results
+        At least three realizations.
+    twin : LinearTwin
+        Of the same experiment.
+    realizations : int
+        Linear ones, of draws of their own.
+
+    Returns
+    -------
+    dict of design to list of Controlled
+        One per outage; designs without a linear twin are left out.
+    """
+    paired = [twin.realization(r) for r in range(results.realizations)]
+    many: Mapping[str, Array] = twin.draw(realizations, twin.rng)
+    out = {}
+    for name in twin.designs:
+        ours = np.stack([planimetric(p[name]) for p in paired])
+        full = results.planimetric(name)[:, [results.end_index(k) for k in range(len(results.outages))]]
+        out[name] = [
+            controlled(full[:, k], ours[:, k], planimetric(many[name][:, k])) for k in range(len(results.outages))
+        ]
+    return out

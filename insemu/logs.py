@@ -1,0 +1,148 @@
+"""Static logs for those who ask about them: a log's own file, or a recording whose sensor was at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from insemu import formats
+from insemu.errors import InputError, nearest
+from insemu.formats import AXIS_OF_COLUMN, Log
+from insemu.gap.data import at_rest
+from insemu.variance import AxisReport, characterise, characterise_stream, wavelet_covariance
+from insemu.variance import findings as judge
+
+#: Longer columns are read in one pass and never held as a whole.
+LONG = 1 << 24
+
+
+def open_log(file: str | Path, rate_hz: float | None = None, columns: Sequence[str] | None = None) -> Log:
+    """Read a static log; of a recording at rest the IMU is the log.
+
+    Parameters
+    ----------
+    file : path
+        Path of the log or recording.
+    rate_hz : float, optional
+        Sampling rate of a log that does not say it, Hz.
+    columns : sequence of str, optional
+        Names of columns or axes to keep.
+
+    Raises
+    ------
+    InputError
+        See :func:`insemu.formats.read_log`; a recording that moves.
+    """
+    path = Path(file)
+    if not path.exists() or not formats.holds_recording(path):
+        return formats.read_log(path, rate_hz=rate_hz, columns=columns)
+    recording = formats.read_recording(path)
+    if recording.gnss is not None and not at_rest(recording):
+        raise InputError("is a recording that moves; expected a static log (sensor at rest)", where=str(file))
+    return Log.of_imu(recording.imu, str(path)).select(columns)
+
+
+def characterise_log(
+    log: Log, wanted: Sequence[str] | None = None, *, from_robust: bool = False, wavelet: str = "haar"
+) -> list[AxisReport]:
+    """Characterise columns of a log: the longest part without NaN and gaps, with findings about the whole.
+
+    Parameters
+    ----------
+    log : Log
+    wanted : sequence of str, optional
+        Columns; all by default.
+    from_robust : bool
+        Read the coefficients off the robust curve.
+    wavelet : str
+        Filter of the wavelet variance; a log too long for memory has the Haar filter only.
+
+    Raises
+    ------
+    InputError
+        An unknown column; a log with no usable part.
+    """
+    keep = list(range(len(log.names)))
+    if wanted is not None:
+        keep = []
+        for name in wanted:
+            found = [k for k, n in enumerate(log.names) if name in (n, AXIS_OF_COLUMN.get(n))]
+            if not found:
+                raise InputError(f"has no column '{name}'" + nearest(name, log.names), where=log.source)
+            keep.append(found[0])
+    gaps = log.gaps()
+    axes: list[AxisReport] = []
+    for k in keep:
+        name, unit = log.names[k], log.units[k]
+        if len(log) > LONG:
+            if wavelet != "haar":
+                raise InputError(
+                    f"has {len(log)} samples, which are read in one pass; the filter '{wavelet}' needs at most {LONG}",
+                    where=log.source,
+                )
+            axes.append(characterise_stream(lambda k=k: log.chunks(k), log.rate_hz, name=name, unit=unit))  # type: ignore[misc]
+            continue
+        x = np.asarray(log.columns[k], dtype=np.float64)
+        notes = judge.gap_report(gaps, log.rate_hz) + judge.missing_values(x, log.rate_hz)
+        start, stop = judge.longest_good_part([x], [row for row, _ in gaps])
+        if stop - start < 16:
+            raise InputError(f"{name} has no {16} finite values in a row", where=log.source)
+        if notes:
+            notes.append(
+                f"used: rows {start} to {stop - 1} ({(stop - start) / log.rate_hz:.6g} s), the longest part without NaN and gaps; "
+                f"{100.0 * (1.0 - (stop - start) / len(log)):.3g} % of the record was left out"
+            )
+        report = characterise(
+            np.ascontiguousarray(x[start:stop]),
+            log.rate_hz,
+            name=name,
+            unit=unit,
+            from_robust=from_robust,
+            filter=wavelet,
+        )
+        axes.append(replace(report, findings=notes + report.findings))
+    judged = _unit_findings(log, axes)
+    return [replace(a, findings=judged.get(AXIS_OF_COLUMN.get(a.name, a.name), []) + a.findings) for a in axes]
+
+
+def related_axes(log: Log, names: Sequence[str]) -> list[dict[str, Any]]:
+    """Pairs of axes that have something in common, at 1 % over all pairs (Holm's correction), at the scale that shows it best.
+
+    Nothing is said of a log with NaN or gaps, of one too long for memory, and of an axis that does not vary.
+    """
+    columns = {
+        name: np.asarray(log.columns[log.names.index(name)], dtype=np.float64) for name in names if len(log) <= LONG
+    }
+    columns = {k: x for k, x in columns.items() if np.isfinite(x).all() and np.ptp(x) > 0 and not log.gaps()}
+    out: list[dict[str, Any]] = []
+    for a, b in combinations(columns, 2):
+        curve = wavelet_covariance(columns[a], columns[b], log.rate_hz)
+        known = curve.edof > 8.0
+        if not known.any():
+            continue
+        k = int(np.argmax(np.where(known, np.maximum(curve.correlation_low, -curve.correlation_high), -1.0)))
+        numbers = (("correlation", curve.correlation), ("low", curve.correlation_low), ("high", curve.correlation_high))
+        found = {name: float(v[k]) for name, v in (*numbers, ("tau_s", curve.tau_s))}
+        out.append({"axes": [a, b], "p_value": curve.p_value, **found})
+    out.sort(key=lambda pair: pair["p_value"])
+    certain = [pair["p_value"] * (len(out) - rank) < 0.01 for rank, pair in enumerate(out)]
+    return out[: certain.index(False)] if False in certain else out
+
+
+def _unit_findings(log: Log, axes: Sequence[AxisReport]) -> dict[str, list[str]]:
+    """Judge units from all columns of the file, also those that were not asked for: gravity needs three."""
+    means, stated, white = {}, {}, {}
+    for name, unit, column in zip(log.names, log.stated_units, log.columns, strict=True):
+        axis = AXIS_OF_COLUMN.get(name, name)
+        part = np.asarray(column[: 1 << 20], dtype=np.float64)
+        if np.isfinite(part).any():
+            means[axis], stated[axis] = float(np.nanmean(part)), unit
+    for report in axes:
+        if "N" in report.readings:
+            white[AXIS_OF_COLUMN.get(report.name, report.name)] = report.readings["N"].si_value
+    return judge.unit_report(means, white, stated)

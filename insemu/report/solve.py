@@ -1,0 +1,288 @@
+"""The page of a solved recording: what to take, what a minute without GNSS costs, map, time plots, calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from insemu import earth, rotation
+from insemu.report.charts import GREY, INK, RED, Chart, Line, View
+from insemu.report.experiment_charts import colour
+from insemu.report.page import Card, Items, Section, Table, Text, render
+from insemu.report.tables import short
+from insemu.solve import KNOWS, Comparison, Outages, Scored, Solution, worst_outages
+
+#: Epochs of a chart at most.
+MOST_EPOCHS = 1500
+
+
+def solve_answer(s: Solution) -> str:
+    """The one sentence: which design, how far off, whether it knows."""
+    o = s.taken.outages
+    parts = [f"{short(o.rms(k))} m after {o.horizons[k]:g} s" for k in range(o.horizons.size) if np.isfinite(o.rms(k))]
+    return f"Take {s.taken.candidate.name}: {', '.join(parts)} without GNSS (rms), and {_knows(s.taken)}."
+
+
+def _knows(s: Scored) -> str:
+    known = [k for k in range(s.outages.horizons.size) if np.isfinite(s.outages.rms(k))]
+    if not known:
+        return "the recording is too short for an outage"
+    k = known[-1]
+    values = s.outages.nees(k)
+    if KNOWS[0] <= values <= KNOWS[1]:
+        return "it knows its error"
+    return f"it states {short(s.outages.stated(k))} m there, which is {'too little' if values > 1 else 'too much'}"
+
+
+def solve_rows(tried: Sequence[Scored]) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of the table of designs."""
+    horizons = tried[0].outages.horizons
+    header = ["design", "states", "NIS/dof", "GNSS sigma x"]
+    header += [f"{what} {h:g} s" for h in horizons for what in ("rms m", "stated")] + ["NEES/dof", "log score"]
+    rows = []
+    for s in tried:
+        o, c = s.outages, s.candidate
+        last = max((k for k in range(o.horizons.size) if np.isfinite(o.rms(k))), default=0)
+        cells = [short(v) for k in range(o.horizons.size) for v in (o.rms(k), o.stated(k))]
+        factor = short(c.position) + (f", {short(c.velocity)}" if s.run.fixes.dof.max(initial=0) > 3 else "")
+        rows.append([c.name, str(s.run.layout.n), short(s.nis), factor, *cells, short(o.nees(last)), f"{s.score:.2f}"])
+    return header, rows
+
+
+def outage_rows_of(o: Outages) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of the score: one row per length."""
+    header = ["without GNSS", "outages", "median m", "rms m", "95 % of the rms", "95 % below m", "stated m", "NEES/dof"]
+    rows = []
+    for k, seconds in enumerate(o.horizons):
+        count = int(np.isfinite(o.error[:, k, 0]).sum())
+        if not count:
+            continue
+        (middle, high), (a, b) = o.quantiles(k), o.interval(k)
+        spread = f"{short(a)} to {short(b)}" if np.isfinite(a) else "too short to say"
+        values = [short(middle), short(o.rms(k)), spread, short(high), short(o.stated(k)), short(o.nees(k))]
+        rows.append([f"{seconds:g} s", str(count), *values])
+    return header, rows
+
+
+def compared_rows(found: Comparison) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of the solution against the designs of a scenario, at the same outages."""
+    o = found.solved
+    header = [
+        "design",
+        *(f"{what} {h:g} s" for h in o.horizons for what in ("median m", "rms m")),
+        "NEES/dof at the last",
+    ]
+    rows = []
+    for name, one in (("solved", o), *found.designs.items()):
+        last = max((k for k in range(o.horizons.size) if np.isfinite(one.rms(k))), default=0)
+        cells = [short(v) for k in range(o.horizons.size) for v in (one.quantiles(k)[0], one.rms(k))]
+        rows.append([name, *cells, short(one.nees(last))])
+    return header, rows
+
+
+def calibration_lines(s: Solution) -> list[str]:
+    """What was found of clock, lever arm, mounting and the fixes' noise, in words."""
+    late, sigma = s.clock
+    out = [f"clock: the stamps of the IMU are {late:+.4f} s late against the fixes (sigma {sigma:.4f} s)"]
+    states = {n: (v, sd, b) for n, v, sd, b in s.estimated}
+    arm = [states.get(f"lever_arm_{a}") for a in "xyz"]
+    if all(a is not None for a in arm):
+        at = [f"{g + a[0]:+.3f} (sigma {a[1]:.3f})" for g, a in zip(s.drive.lever_arm, arm, strict=True) if a]
+        out.append(f"lever arm, IMU to antenna in the axes of the IMU: {', '.join(at)} m")
+    else:
+        out.append(f"lever arm as given: {', '.join(f'{v:g}' for v in s.drive.lever_arm)} m")
+    if s.mounting is not None:
+        angles = [
+            f"{a:.2f} (sigma {b:.2f})" for a, b in zip(*np.rad2deg([s.mounting.rpy, s.mounting.sigma]), strict=True)
+        ]
+        out.append(
+            f"mounting, IMU to vehicle, of a vehicle that moves forward: roll, pitch, yaw {', '.join(angles)} deg"
+        )
+    else:
+        out.append(
+            "mounting: the velocity keeps no direction in the IMU's axes (flight with wind, a boat) or is too slow; not estimated"
+        )
+    c = s.taken.candidate
+    out.append(
+        f"noise of the fixes: {short(c.position)} times the {'stated' if s.drive.stated else 'assumed'} standard deviations of the positions"
+    )
+    if s.drive.gnss.vel_std_ned is not None:
+        out[-1] += f", {short(c.velocity)} times those of the velocities"
+    return out
+
+
+def consistency_words_of(s: Solution) -> list[str]:
+    """NIS and whiteness in words."""
+    first, *lags = s.verdicts
+    out = [str(first)]
+    bad = [v for v in lags if not v.passed]
+    if lags:
+        low, high = min(v.value for v in lags), max(v.value for v in lags)
+        what = f"correlated at {len(bad)} of {len(lags)} lags" if bad else "white"
+        out.append(
+            f"innovations {what} (mean products at lags 1 to {len(lags)} {low:.2g} to {high:.2g}, bound {lags[0].high:.2g})"
+        )
+    return out
+
+
+def _map(s: Solution) -> Chart:
+    nav = s.smoothed.nav
+    plan = earth.llh_to_ned(nav[:, :3], nav[0, :3])[:, [1, 0]]
+    fixes = earth.llh_to_ned(s.drive.gnss.llh, nav[0, :3])[:, [1, 0]]
+    step, few = max(1, len(plan) // MOST_EPOCHS), max(1, len(fixes) // MOST_EPOCHS)
+    t = s.smoothed.t
+    lines = [
+        Line("fixes", fixes[::few, 1], GREY, points=True, width=1.5, x=fixes[::few, 0], t=s.drive.gnss.t[::few] / 60.0),
+        Line("solution", plan[::step, 1], INK, x=plan[::step, 0], t=t[::step] / 60.0),
+    ]
+    labels = [(float(plan[0, 0]), float(plan[0, 1]), "start")]
+    for start, seconds, error in worst_outages(s.taken.outages, 3):
+        inside = (t >= start) & (t <= start + seconds)
+        label = f"{short(error)} m off after {seconds:g} s"
+        lines.append(Line(label, plan[inside, 1], RED, width=3.5, x=plan[inside, 0], t=t[inside] / 60.0))
+        east, north = plan[inside][-1]
+        labels.append((float(east), float(north), f"{short(error)} m"))
+    return Chart(
+        "Map",
+        "The smoothed way, the fixes, and in red the outages that cost most. The cursor of the charts over time is shown here.",
+        None,
+        "east of the start (m)",
+        [View("Way", "north of the start (m)", lines, labels=labels)],
+        equal=True,
+    )
+
+
+def charts_over_time(s: Solution) -> list[Chart]:
+    """What outages cost by their start, the motion, and the stated standard deviations."""
+    t, nav, sigma = s.smoothed.t, s.smoothed.nav, s.smoothed.sigma
+    at = np.arange(0, t.size, max(1, t.size // MOST_EPOCHS))
+    minutes, deg = t[at] / 60.0, 180.0 / np.pi
+    rpy = np.unwrap(rotation.rpy_from_quaternion(nav[at, 6:10]), axis=0) * deg
+
+    def three(values: np.ndarray, names: Sequence[str]) -> list[Line]:
+        return [Line(n, values[:, k], colour(k)) for k, n in enumerate(names)]
+
+    ned = ("north", "east", "down")
+    motion = [
+        View("Velocity", "velocity (m/s)", three(nav[at, 3:6], ned)),
+        View("Attitude of the IMU", "angle (deg)", three(rpy, ("roll", "pitch", "heading"))),
+        View("Height", "height (m)", [Line("height", nav[at, 2], colour(0))]),
+    ]
+    spread = [
+        View("Position", "sigma (m)", three(sigma[at, :3], ned), log_y=True),
+        View("Velocity", "sigma (m/s)", three(sigma[at, 3:6], ned), log_y=True),
+        View(
+            "Attitude",
+            "sigma (deg)",
+            three(sigma[at, 6:9] * deg, ("about north", "about east", "about down")),
+            log_y=True,
+        ),
+    ]
+    o = s.taken.outages
+    size = np.hypot(o.error[:, :, 0], o.error[:, :, 1])
+    stated = np.sqrt(np.einsum("khii->kh", o.covariance))
+    costs = [
+        View(
+            f"After {h:g} s",
+            "horizontal error (m)",
+            [Line("error", size[:, k], colour(0)), Line("stated sigma", stated[:, k], INK, dashed=True)],
+            log_y=True,
+        )
+        for k, h in enumerate(o.horizons)
+        if np.isfinite(size[:, k]).any()
+    ]
+    return [
+        Chart("Outages", "The error after an outage that begins at the time on the axis, and what the filter states.", o.start / 60.0,
+              "start of the outage (min)", costs),
+        Chart("Motion", "The smoothed trajectory.", minutes, "time (min)", motion),
+        Chart("Standard deviations", "What the smoother states.", minutes, "time (min)", spread),
+    ]  # fmt: skip
+
+
+def _states(s: Solution) -> Table:
+    rows = [
+        [n, f"{v:.4g}", f"{sd:.3g}", f"{b:.3g}", f"{1 - sd / b:.0%}" if b > 0 else "-"] for n, v, sd, b in s.estimated
+    ]
+    caption = (
+        "At the end of the recording, SI (rad/s, m/s^2, rad, m, s). Learned: by how much the standard deviation shrank."
+    )
+    return Table(["state", "estimate", "sigma", "sigma at the start", "learned"], rows, caption)
+
+
+def render_solution(s: Solution, folder: Path, compared: Comparison | None = None, scenario: str = "") -> Path:
+    """Write ``index.html`` and its figures.
+
+    Parameters
+    ----------
+    s : Solution
+    folder : path
+    compared : Comparison, optional
+        With the designs of a scenario.
+    scenario : str
+        Its name.
+
+    Returns
+    -------
+    Path
+        The page.
+    """
+    o = s.taken.outages
+    where = (
+        "Errors are against the fixes that each outage withheld, at the antenna; their own variance is subtracted from the rms. Where the fixes come "
+        "from a receiver that fuses an IMU itself, they are a dependent reference. Outages overlap: the interval is by a moving-block bootstrap. "
+        "The design was chosen on the same recording, by the logarithmic score of outages five seconds apart."
+    )
+    sections = [
+        Section(
+            "Without GNSS",
+            [Table(*outage_rows_of(o), "An outage begins at every second."), Text(where), charts_over_time(s)[0]],
+        ),
+        Section("Map", [_map(s)]),
+        Section(
+            "Designs",
+            [Table(*solve_rows(s.tried), "The best first; outages five seconds apart.", left=1, strong=frozenset({0}))],
+        ),
+    ]
+    if compared is not None:
+        sections.append(
+            Section(
+                f"Against {scenario}",
+                [Table(*compared_rows(compared), "The same outages.", left=1, strong=frozenset({0}))],
+            )
+        )
+    sections += [
+        Section("Calibration", [Items(calibration_lines(s)), _states(s)]),
+        Section("Over time", charts_over_time(s)[1:]),
+        Section("Does it know its error?", [Items(consistency_words_of(s))]),
+        Section("What was taken", [Items([*s.drive.said, *(str(line) for line in s.card.lines)])]),
+    ]
+    cards = [
+        Card(
+            f"{h:g} s without GNSS",
+            f"{short(o.rms(k))} m",
+            "knows its error"
+            if KNOWS[0] <= o.nees(k) <= KNOWS[1]
+            else "surer than it should be"
+            if o.nees(k) > 1
+            else "less sure than it could be",
+            "good" if KNOWS[0] <= o.nees(k) <= KNOWS[1] else "warn",
+            [f"stated {short(o.stated(k))} m; half of the outages below {short(o.quantiles(k)[0])} m"],
+        )
+        for k, h in enumerate(o.horizons)
+        if np.isfinite(o.rms(k))
+    ]
+    late, sigma = s.clock
+    cards.append(Card("Clock", f"{late:+.3f} s", f"IMU late, sigma {sigma:.3f} s"))
+    return render(
+        f"Solved: {Path(s.drive.source.split(',')[0]).name}",
+        sections,
+        folder / "index.html",
+        kind="solve",
+        source=s.drive.source,
+        answer=solve_answer(s),
+        lead=f"{s.drive.aligned.t:.0f} to {s.drive.imu.t[-1]:.0f} s, {len(s.drive.gnss)} fixes.",
+        cards=cards,
+        pictures=True,
+    )

@@ -1,0 +1,130 @@
+"""Static pictures of charts, for papers: one panel for each view."""
+
+from __future__ import annotations
+
+import io
+import math
+import textwrap
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as MplFigure
+
+from insemu.report.charts import Chart, Line, View
+from insemu.report.style import OUTAGE, style
+from insemu.whole import put
+
+#: Panels beside each other.
+ACROSS = 3
+#: Resolution of the PNG files, dots per inch.
+DPI = 110
+#: Line of a legend at most, points: bars are drawn as wide lines.
+WIDEST = 6.0
+#: What fits below a panel.
+CHARACTERS = 50
+#: What fits into a row of a panel's title.
+ROW = 38
+
+
+def draw(*charts: Chart) -> MplFigure:
+    """Charts as one matplotlib figure: one panel for every view that is printed."""
+    views = [(chart, v) for chart in charts for v in chart.views if v.printed]
+    across = min(ACROSS if len(views) != 4 else 2, len(views))
+    down = math.ceil(len(views) / across)
+    size = (10.5, 0.6 + 4.2 * down) if across == 1 else (0.8 + 3.9 * across, 0.6 + 2.7 * down)
+    with style():
+        figure, panels = plt.subplots(down, across, figsize=size, squeeze=False)
+        for panel in list(panels.flat)[len(views) :]:
+            panel.set_visible(False)
+        said: set[tuple[str, str]] = set()
+        for panel, (chart, view) in zip(panels.flat, views, strict=False):
+            draw_view(panel, chart, view)
+            shown = {(line.label, line.colour) for line in view.lines if line.width > 0}
+            if not shown <= said and len(shown) > 1:  # a legend wherever something new is shown
+                for handle in panel.legend(loc="upper right" if view.ticks else "best").get_lines():
+                    handle.set_linewidth(min(handle.get_linewidth(), WIDEST))
+            said |= shown
+    return figure
+
+
+def draw_view(axes: Axes, chart: Chart, view: View) -> None:
+    """One view on given axes.
+
+    Parameters
+    ----------
+    axes : matplotlib Axes
+    chart : Chart
+    view : View
+        Of that chart.
+    """
+    for start, end in chart.spans:
+        axes.axvspan(start, end, color=OUTAGE, zorder=0, lw=0)
+    for line in view.lines:
+        x, y = chart.abscissae(view, line), np.asarray(line.y, dtype=np.float64)
+        if line.width > 0:
+            axes.plot(
+                x, y, label=None if line.of and line.x is not None else line.label, color=line.colour, **_stroke(line)
+            )
+        if line.fill_to is not None:
+            axes.fill_between(x, y, np.asarray(view.lines[line.fill_to].y), color=line.colour, alpha=0.18, lw=0)
+    for x0, y0, text in view.labels:
+        axes.annotate(text, (x0, y0), xytext=(4, 4), textcoords="offset points", fontsize=8)
+    drawable = any(np.any(np.asarray(line.y, dtype=np.float64) > 0) for line in view.lines)
+    if drawable:
+        axes.set(xscale="log" if chart.log_x else "linear", yscale="log" if view.log_y else "linear")
+    if view.ticks:  # after the scale, which sets the ticks anew
+        _named_ticks(axes, view.ticks)
+    if chart.equal:
+        axes.set_aspect("equal", adjustable="datalim")
+    axes.set(xlabel=chart.x_label, ylabel=view.y_label, title=textwrap.fill(view.name, ROW))
+
+
+def _named_ticks(axes: Axes, ticks: Sequence[tuple[float, str]]) -> None:
+    """Names below the x axis, slanted where they would not stand beside each other."""
+    names = [text for _, text in ticks]
+    slanted = len(names) * max(len(row) for text in names for row in text.split("\n")) > CHARACTERS
+    axes.set_xticks([x for x, _ in ticks], [n.replace("\n", " ") for n in names] if slanted else names)
+    if slanted:
+        plt.setp(axes.get_xticklabels(), rotation=25, ha="right", rotation_mode="anchor")
+    axes.margins(x=0.5 / len(ticks))  # half a bar
+    axes.grid(axis="x", visible=False)
+
+
+def _stroke(line: Line) -> dict[str, Any]:
+    if line.points:
+        return {"ls": "none", "marker": "o", "ms": 2.0 + 0.6 * line.width, "mew": 0}
+    return {"ls": "--" if line.dashed else "-", "lw": 0.9 * line.width, "solid_capstyle": "butt"}
+
+
+def save(charts: Iterable[Chart], folder: Path, *, prefix: str = "") -> list[Path]:
+    """Write every chart as PNG and as SVG, called after its name.
+
+    Parameters
+    ----------
+    charts : iterable of Chart
+    folder : path
+        Made where it does not exist.
+    prefix : str
+        What the names of the files begin with.
+
+    Returns
+    -------
+    list of Path
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    out = []
+    for chart in charts:
+        figure = draw(chart)
+        with style():
+            for kind in ("png", "svg"):
+                buffer = io.BytesIO()
+                figure.savefig(buffer, format=kind, dpi=DPI, metadata={"Date": None} if kind == "svg" else None)
+                figure.set_layout_engine("none")  # the second picture has the layout of the first
+                out.append(folder / f"{prefix}{chart.stem}.{kind}")
+                put(out[-1], buffer.getvalue())
+        plt.close(figure)
+    return out

@@ -1,0 +1,54 @@
+"""How results show themselves: ten lines in a terminal, a table in a notebook, a chart on given axes."""
+
+from __future__ import annotations
+
+from html import escape
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: Lines that a result prints at most.
+MOST_LINES = 10
+
+
+def few(lines: list[str], most: int = MOST_LINES) -> str:
+    """At most so many lines, with the number of those left out."""
+    return "\n".join(
+        lines if len(lines) <= most else [*lines[: most - 1], f"... and {len(lines) - most + 1} more lines"]
+    )
+
+
+class Shown:
+    """A result that prints in ten lines (``__str__``) and has its numbers as a table."""
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The numbers as a table."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        return str(self)
+
+    def _repr_html_(self) -> str:
+        head = escape(str(self).split("\n", 1)[0])
+        return f"<p><b>{head}</b></p>{self.to_dataframe().to_html(max_rows=30, float_format=lambda v: f'{v:.4g}')}"
+
+    def plot(self, axes: Any = None, *, view: int | str = 0) -> Any:
+        """Draw the chart that a page shows of this, see :func:`insemu.report.plot` (the room that draws, found when it is needed)."""
+        return import_module("insemu.report").plot(self, axes, view=view)
+
+
+class ByAxis(Shown, dict[str, Any]):
+    """Results of several axes: a mapping that shows itself."""
+
+    def __str__(self) -> str:
+        return few([str(result).split("\n", 1)[0] for result in self.values()])
+
+    __repr__ = Shown.__repr__
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The tables of all axes under each other, with the axis in front."""
+        import pandas as pd
+
+        return pd.concat({axis: r.to_dataframe() for axis, r in self.items()}, names=["axis", None])

@@ -1,0 +1,228 @@
+"""What may be believed about the sensors of a recording: generic grades, a sensor's card, a fit, and the grade that the innovations ask for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize, minimize_scalar
+
+from insemu.augment import TURN_ON, Extras, per_axis, with_turn_on
+from insemu.errors import InputError
+from insemu.filters import FilterOptions, InitialSigma, LooselyCoupledEKF
+from insemu.noise import RW, WN, NoiseModel, load
+from insemu.records import GnssRecord
+from insemu.scenario import Design, shipped_designs
+from insemu.solve.drive import Drive
+
+Array = NDArray[np.float64]
+
+#: Designs that work on a unit of which nothing is known.
+GRADES = ("phone", "consumer MEMS", "industrial MEMS", "tactical grade", "navigation grade")
+#: Calibration states that are tried, and how uncertain the lever arm is where nobody states it, m.
+CALIBRATION = {"gyro_scale": 0.01, "accel_scale": 0.01, "gyro_misalignment": 0.0175, "accel_misalignment": 0.0175}
+LEVER_ARM = 0.5
+#: Clock offsets that are looked at, and how far apart at first, s.
+OFFSETS, OFFSET_STEP = 0.4, 0.05
+#: The likelihood is taken over so many seconds at most, with the covariance propagated every so many seconds.
+LIKELIHOOD_S, STEP_S = 900.0, 0.1
+#: The logarithm of a factor is weighed like a normal deviate of this width.
+PRIOR = 3.0
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One belief, with the factors on the standard deviations of the fixes that go with it.
+
+    Parameters
+    ----------
+    name : str
+    belief : mapping of axis to NoiseModel
+    extras : Extras
+        Further states.
+    position, velocity : float
+        Factors on the stated standard deviations.
+    about : str
+        What was added or found.
+    """
+
+    name: str
+    belief: Mapping[str, NoiseModel]
+    extras: Extras
+    position: float = 1.0
+    velocity: float = 1.0
+    about: str = ""
+
+    def filter(self, drive: Drive, **options: object) -> LooselyCoupledEKF:
+        """Its filter for a drive."""
+        made = FilterOptions(extras=self.extras, **options)  # type: ignore[arg-type]
+        return LooselyCoupledEKF(self.belief, drive.imu.dt, lever_arm=drive.lever_arm, options=made)
+
+    def start_sigma(self, drive: Drive) -> InitialSigma:
+        """What is believed of the start: a place found without a lever arm that is a state is no better known than that."""
+        sigma = drive.aligned.sigma
+        return replace(sigma, position=np.hypot(sigma.position, self.extras.lever_arm))
+
+    def fixes(self, gnss: GnssRecord) -> GnssRecord:
+        """The fixes with the standard deviations that go with it."""
+        position, velocity = gnss.pos_std_ned, gnss.vel_std_ned
+        return replace(
+            gnss,
+            pos_std_ned=None if position is None else self.position * position,
+            vel_std_ned=None if velocity is None else self.velocity * velocity,
+        )
+
+    def calibrating(self) -> Candidate:
+        """The same with scale factors and misalignments as states."""
+        return replace(self, name=f"{self.name} + calibration", extras=replace(self.extras, **CALIBRATION))
+
+
+def candidates(
+    designs: Sequence[str] = (), sensor: str = "", model: str = "", *, lever_arm_known: bool = False
+) -> list[Candidate]:
+    """What is tried: the generic grades, and what the user names.
+
+    Parameters
+    ----------
+    designs : sequence of str
+        Further designs of ``insemu designs``.
+    sensor : str
+        A sensor card, or its file.
+    model : str
+        File of models as ``insemu fit -o`` writes it.
+    lever_arm_known : bool
+        Whether the lever arm is left as it is given.
+
+    Raises
+    ------
+    InputError
+        No such design, sensor or file; a design that has to be fitted first.
+    """
+    extras = Extras(lever_arm=0.0 if lever_arm_known else LEVER_ARM)
+    out = []
+    for name in dict.fromkeys((*GRADES, *designs)):
+        if name not in shipped_designs():
+            raise InputError(f"no design '{name}' comes with insemu (`insemu designs` lists them)", where="--design")
+        sources = Design.model_validate(name).sources()
+        if not all(isinstance(s, NoiseModel) for s in sources.values()):
+            raise InputError(
+                f"'{name}' has to be fitted to a static log first (insemu fit LOG -o models.yaml, then --model models.yaml)",
+                where="--design",
+            )
+        out.append(Candidate(name, {a: s for a, s in sources.items() if isinstance(s, NoiseModel)}, extras))
+    if sensor:
+        of_card = Design.model_validate({"sensor": sensor}).sources()
+        out.append(_with_turn_on(sensor, {a: s for a, s in of_card.items() if isinstance(s, NoiseModel)}, extras))
+    if model:
+        out.append(_with_turn_on(model, load(model), extras))
+    return out
+
+
+def _with_turn_on(name: str, models: Mapping[str, NoiseModel], extras: Extras) -> Candidate:
+    """A belief with a turn-on bias on the axes whose model has none."""
+    belief = with_turn_on(models)
+    bare = belief != per_axis(models)
+    about = (
+        f"turn-on biases of {np.degrees(TURN_ON['gyro']):g} deg/s and {TURN_ON['accel']:g} m/s^2 are added, which a static log does not show"
+        if bare
+        else ""
+    )
+    return Candidate(name, belief, extras, about=about)
+
+
+def likelihood_of(drive: Drive) -> Callable[..., float]:
+    """A function of a candidate, and of seconds by which the IMU is late: the log-likelihood over the first :data:`LIKELIHOOD_S`.
+
+    It is -inf where the filter diverges. The fixes are the same whatever the offset, and the start is as uncertain as the offset makes it.
+    """
+    imu, gnss = drive.flown()
+    part = imu.rows(imu.t <= imu.t[0] + LIKELIHOOD_S)
+    gnss = gnss.rows((gnss.t > part.t[0] + OFFSETS) & (gnss.t < part.t[-1] - OFFSETS))
+    every = max(1, round(STEP_S / imu.dt))
+
+    def value(candidate: Candidate, late: float = 0.0) -> float:
+        ekf = candidate.filter(drive, covariance_every=every, output_every=1000 * every)
+        sigma = candidate.start_sigma(drive)
+        moved = np.abs(drive.aligned.state.vel_ned) * OFFSETS
+        sigma = replace(sigma, position=np.hypot(sigma.position, moved))
+        fixes = candidate.fixes(replace(gnss, t=gnss.t + late))
+        try:
+            run = ekf.run(part, fixes, drive.aligned.state, sigma, aids=drive.aids)
+        except InputError:
+            return -np.inf
+        found = float(run.fixes.log_densities[run.fixes.accepted].sum())
+        return found if np.isfinite(found) else -np.inf
+
+    return value
+
+
+def clock_offset(candidate: Candidate, drive: Drive) -> tuple[float, float]:
+    """By how much the stamps of the IMU are late, s, by maximum likelihood, and its standard deviation from the curvature there.
+
+    A latency state would be cheaper, but it is linearised about an offset that it does not know yet.
+    """
+    value = likelihood_of(drive)
+    grid = np.arange(-OFFSETS, OFFSETS + 1e-9, OFFSET_STEP)
+    best = float(grid[int(np.argmax([value(candidate, late) for late in grid]))])
+    bounds = (best - OFFSET_STEP, best + OFFSET_STEP)
+    late = float(
+        minimize_scalar(lambda x: -value(candidate, x), bounds=bounds, method="bounded", options={"xatol": 5e-4}).x
+    )
+    step = 0.2 * OFFSET_STEP
+    bend = (2.0 * value(candidate, late) - value(candidate, late - step) - value(candidate, late + step)) / step**2
+    return late, float(1.0 / np.sqrt(bend)) if bend > 0 else np.inf
+
+
+def adapted(base: Candidate, drive: Drive) -> Candidate:
+    """White noise and walk of gyroscopes and accelerometers and the noise of the fixes as the innovations ask for, from a generic grade.
+
+    Four factors on the grade and two on the stated standard deviations of the fixes, by maximum likelihood of the innovations. The latter are
+    at least 1: innovations do not show errors that last, which a receiver that smooths its fixes states.
+
+    Parameters
+    ----------
+    base : Candidate
+        Of white noise and a random walk on every axis.
+    drive : Drive
+        With a start.
+    """
+    value = likelihood_of(drive)
+    with_velocity = drive.gnss.vel_std_ned is not None
+
+    def at(x: Array) -> Candidate:
+        f = np.exp(x)
+        white, walk = {"gyro": f[0], "accel": f[1]}, {"gyro": f[2], "accel": f[3]}
+        belief = {a: _scaled(m, white[a.split("_")[0]], walk[a.split("_")[0]]) for a, m in base.belief.items()}
+        position, velocity = (base.position * max(1.0, f[4]), base.velocity * max(1.0, f[5]) if with_velocity else 1.0)
+        return replace(base, name="adapted", belief=belief, position=float(position), velocity=float(velocity))
+
+    found = _likeliest(lambda x: value(at(x)), 5 + with_velocity)
+    words = ("gyro white noise", "accel white noise", "gyro walk", "accel walk")
+    factors = ", ".join(f"{w} x {np.exp(v):.2g}" for w, v in zip(words, found, strict=False))
+    return replace(at(found), about=f"{base.name} with {factors}, by maximum likelihood of the innovations")
+
+
+def _scaled(model: NoiseModel, white: float, walk: float) -> NoiseModel:
+    """A model of white noise and walk with factors on both; the turn-on bias stays."""
+    parts = []
+    for p in model:
+        v = p.parameters
+        parts.append(WN(N=v["N"] * white) if isinstance(p, WN) else RW(K=v["K"] * walk, sigma0=v.get("sigma0", 0.0)))
+    return NoiseModel(tuple(parts))
+
+
+def _likeliest(value: Callable[[Array], float], size: int) -> Array:
+    """Logarithms of the likeliest factors (size,), by the simplex of Nelder and Mead (1965) from 1, twice."""
+
+    def cost(x: Array) -> float:
+        found = value(np.asarray(x))
+        return (-found if np.isfinite(found) else 1e12) + 0.5 * float(np.sum((np.asarray(x) / PRIOR) ** 2))
+
+    x = np.zeros(size)
+    for step in (1.0, -0.5):  # a second simplex leaves where the first one has become flat
+        simplex = x + np.vstack([np.zeros(size), step * np.eye(size)])
+        options = {"initial_simplex": simplex, "xatol": 0.1, "fatol": 0.5, "maxfev": 30 * size}
+        x = np.asarray(minimize(cost, x, method="Nelder-Mead", options=options).x, dtype=np.float64)
+    return x

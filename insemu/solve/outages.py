@@ -1,0 +1,227 @@
+"""Automatic outages: from every second of a filter's run the mechanization goes on without fixes, and is held against those that were there.
+
+The filter is not run again: its state and covariance are taken where the outage begins, and the compiled loop carries both on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu import earth, rotation
+from insemu.errors import InputError
+from insemu.filters import FilterResult, LooselyCoupledEKF
+from insemu.records import GnssRecord, ImuRecord
+from insemu.strapdown import NavState
+
+Array = NDArray[np.float64]
+
+#: Seconds without fixes after which the error is taken.
+HORIZONS = (10.0, 30.0, 60.0)
+#: The covariance of an outage is propagated every so many seconds; a fix within this time of the horizon is its reference.
+STEP_S, NEAR_S = 0.1, 0.6
+#: Outages begin no earlier after the start of the filter, s: its states settle.
+SETTLED_S = 30.0
+
+
+@dataclass(frozen=True)
+class Outages:
+    """Errors after every outage.
+
+    Parameters
+    ----------
+    start : (k,) array
+        When the outages begin, s.
+    horizons : (h,) array
+        s.
+    error : (k, h, 2) array
+        North, east of the antenna, estimated minus fix, m; NaN where there is no fix.
+    covariance : (k, h, 2, 2) array
+        What the filter states of its own error.
+    fix_variance : (k, h, 2) array
+        Of the fixes, as believed.
+    """
+
+    start: Array
+    horizons: Array
+    error: Array
+    covariance: Array
+    fix_variance: Array
+
+    def rms(self, at: int) -> float:
+        """Horizontal root mean square error at a horizon, the fixes' own variance subtracted, m; NaN without any outage of that length."""
+        known = np.isfinite(self.error[:, at, 0])
+        squares = (self.error[known, at] ** 2 - self.fix_variance[known, at]).sum(axis=1)
+        return float(np.sqrt(max(float(squares.mean()), 0.0))) if known.any() else np.nan
+
+    def stated(self, at: int) -> float:
+        """What the filter states of it, m."""
+        known = np.isfinite(self.error[:, at, 0])
+        return float(np.sqrt(np.einsum("kii->k", self.covariance[known, at]).mean())) if known.any() else np.nan
+
+    def quantiles(self, at: int, shares: Sequence[float] = (0.5, 0.95)) -> list[float]:
+        """Quantiles of the horizontal error, m."""
+        size = np.hypot(self.error[:, at, 0], self.error[:, at, 1])
+        known = size[np.isfinite(size)]
+        return [float(v) for v in np.quantile(known, shares)] if known.size else [np.nan] * len(shares)
+
+    def _squares(self, at: int) -> tuple[Array, Array]:
+        """Normalised squared errors and log determinants of their covariance, to which the fixes' variance is added."""
+        known = np.isfinite(self.error[:, at, 0])
+        S = self.covariance[known, at] + self.fix_variance[known, at, :, None] * np.eye(2)
+        e = self.error[known, at]
+        return np.einsum("ki,ki->k", e, np.linalg.solve(S, e[:, :, None])[:, :, 0]), np.linalg.slogdet(S)[1]
+
+    def nees(self, at: int) -> float:
+        """Mean normalised squared error per degree of freedom; NaN without any outage of that length."""
+        squares, _ = self._squares(at)
+        return float(squares.mean() / 2.0) if squares.size else np.nan
+
+    def log_score(self, at: int) -> float:
+        """Mean of half of ``e' S^-1 e + log det S``: less is better; NaN without any outage of that length."""
+        squares, size = self._squares(at)
+        return float(0.5 * (squares + size).mean()) if squares.size else np.nan
+
+    def interval(self, at: int, *, seed: int = 0, draws: int = 1000) -> tuple[float, float]:
+        """95 % interval of the rms by a moving-block bootstrap (Künsch 1989): outages that overlap are not independent.
+
+        Parameters
+        ----------
+        at : int
+            Which horizon.
+        seed, draws : int
+            Of the bootstrap.
+        """
+        known = np.isfinite(self.error[:, at, 0])
+        n, length = int(known.sum()), int(2 * self.horizons[at] / max(self.step, 1e-9)) + 1
+        if n < 2 * length:
+            return np.nan, np.nan
+        squares = (self.error[known, at] ** 2 - self.fix_variance[known, at]).sum(axis=1)
+        rng = np.random.default_rng(seed)
+        first = rng.integers(0, n - length + 1, (draws, -(-n // length)))
+        rows = (first[:, :, None] + np.arange(length)).reshape(draws, -1)[:, :n]
+        low, high = np.quantile(np.sqrt(np.maximum(squares[rows].mean(axis=1), 0.0)), (0.025, 0.975))
+        return float(low), float(high)
+
+    def figures(self) -> list[dict[str, Any]]:
+        """The score as plain data, one entry per horizon."""
+        out: list[dict[str, Any]] = []
+        for k, seconds in enumerate(self.horizons):
+            middle, high = self.quantiles(k)
+            out.append(
+                {
+                    "seconds": float(seconds),
+                    "count": int(np.isfinite(self.error[:, k, 0]).sum()),
+                    "median_m": middle,
+                    "rms_m": self.rms(k),
+                    "rms_ci95_m": list(self.interval(k)),
+                    "q95_m": high,
+                    "stated_m": self.stated(k),
+                    "nees_per_dof": self.nees(k),
+                }
+            )
+        return out
+
+    @property
+    def step(self) -> float:
+        """Seconds from one outage to the next."""
+        return float(np.median(np.diff(self.start))) if self.start.size > 1 else np.inf
+
+    def rows(self, keep: NDArray[np.bool_]) -> Outages:
+        """Some of the outages."""
+        return Outages(
+            self.start[keep], self.horizons, self.error[keep], self.covariance[keep], self.fix_variance[keep]
+        )
+
+
+def cut_everywhere(
+    ekf: LooselyCoupledEKF,
+    run: FilterResult,
+    imu: ImuRecord,
+    gnss: GnssRecord,
+    *,
+    every: float = 1.0,
+    horizons: Sequence[float] = HORIZONS,
+    workers: int = 1,
+) -> Outages:
+    """Cut an outage at every ``every`` seconds of a run.
+
+    Parameters
+    ----------
+    ekf : LooselyCoupledEKF
+        The filter of the run.
+    run : FilterResult
+        With ``FilterOptions(store="fixes", node_every=1.0)``.
+    imu : ImuRecord
+        What the run was made from, as increments.
+    gnss : GnssRecord
+        The fixes, with the standard deviations that are believed.
+    every : float
+        Seconds from one outage to the next.
+    horizons : sequence of float
+        s, ascending.
+    workers : int
+        Threads.
+
+    Raises
+    ------
+    InputError
+        The run kept no nodes, or is too short for any outage.
+    """
+    nodes = run.nodes
+    if nodes is None or gnss.pos_std_ned is None:
+        raise InputError("the run kept no nodes, or the fixes have no standard deviations")
+    begins = np.arange(nodes.t[0] + SETTLED_S, nodes.t[-1] - horizons[0], every)
+    rows = np.unique(np.searchsorted(nodes.t, begins - 1e-6).clip(0, len(nodes) - 1))
+    if not rows.size:
+        raise InputError(f"the run is shorter than {SETTLED_S + horizons[0]:g} s, expected room for an outage")
+    step = max(1, round(STEP_S / imu.dt))
+    free = ekf.with_options(
+        covariance_every=step,
+        output_every=10000 * step,
+        store="none",
+        standstill=None,
+        covariance_at=(),
+        node_every=None,
+    )
+    slices = run.layout.slices
+    latency = nodes.states[:, slices["latency"].start - 9] if "latency" in slices else np.zeros(len(nodes))
+    arm = np.tile(ekf.lever_arm, (len(nodes), 1))
+    if "lever_arm" in slices:
+        arm = arm + nodes.states[:, slices["lever_arm"].start - 9 : slices["lever_arm"].stop - 9]
+
+    def one(k: int) -> tuple[Array, Array, Array]:
+        error, stated, own = (
+            np.full((len(horizons), 2), np.nan),
+            np.full((len(horizons), 2, 2), np.nan),
+            np.full((len(horizons), 2), np.nan),
+        )
+        at, nav, P, x = int(nodes.epoch[k]), nodes.nav[k], nodes.P_after[k], nodes.states[k]
+        for h, horizon in enumerate(horizons):
+            j = int(np.argmin(np.abs(gnss.t - nodes.t[k] - horizon)))
+            if abs(gnss.t[j] - nodes.t[k] - horizon) > NEAR_S:
+                break
+            valid = float(gnss.t[j] - latency[k])
+            last = int(np.searchsorted(imu.t, valid - 1e-9))
+            if last >= len(imu) or last <= at + 1:
+                break
+            state = NavState(nav[:3], nav[3:6], rotation.rpy_from_quaternion(nav[6:10]))
+            part = free.run(imu.rows(slice(at, last + 1)), None, state, P, initial_states=x)
+            at, nav, P, x = last, part.nav[-1], part.final_covariance, part.imu_states[-1]
+            swing = rotation.dcm_from_quaternion(nav[6:10]) @ arm[k]
+            antenna = earth.move(nav[:3], nav[3:6] * (valid - imu.t[last]) + swing)
+            error[h] = earth.position_difference(antenna, gnss.llh[j])[:2]
+            stated[h] = P[:2, :2]
+            assert gnss.pos_std_ned is not None
+            own[h] = gnss.pos_std_ned[j, :2] ** 2
+        return error, stated, own
+
+    with ThreadPoolExecutor(max(1, workers)) as pool:
+        found = list(pool.map(one, rows))
+    error, stated, own = (np.stack([f[i] for f in found]) for i in range(3))
+    return Outages(nodes.t[rows], np.asarray(horizons, dtype=np.float64), error, stated, own)

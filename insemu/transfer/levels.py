@@ -1,0 +1,255 @@
+"""Factors on a few noise levels that maximise the likelihood of the innovations of a drive.
+
+The innovations of an extended Kalman filter are nearly white and normal where its belief is right, so that their density is the likelihood of
+the belief (Mehra 1970; Bar-Shalom et al. 2001, section 5.5). Its Fisher information follows from the derivatives of the innovations and of
+their covariance, which a run of the filter for every factor gives.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu.augment import with_turn_on
+from insemu.errors import InputError
+from insemu.filters import FilterOptions, FixTable, InitialSigma, LooselyCoupledEKF, log_density
+from insemu.noise import NoiseModel, Process
+from insemu.records import AXES, GnssRecord, ImuRecord
+from insemu.strapdown import NavState
+
+Array = NDArray[np.float64]
+
+#: 95 % of static levels are right to this factor before a drive is seen: the prior of every factor is log-normal around 1.
+PRIOR_FACTOR = 10.0
+#: An interval wider than this from end to end says nothing that a choice could rest on.
+TOO_WIDE = 10.0
+#: Step of a log factor in a derivative, and the length of a step at which the search ends.
+STEP, CLOSE = 1e-3, 0.01
+#: Steps of the search at the most.
+MOST_STEPS = 25
+#: A step is halved so often at the most before the search ends where it stands.
+HALVINGS = 6
+#: Innovations of a filter that is wrong in its model are not independent; scores are summed over so many seconds before they are squared.
+BLOCK_S = 30.0
+#: Stamps this near to each other are the same, s.
+SAME_S = 1e-3
+#: Seconds between updates of the covariance.
+COVARIANCE_S = 0.05
+
+
+def remembers(process: Process, dt: float) -> bool:
+    """Whether a process has memory beyond one sample."""
+    return process.block(dt).n > 0
+
+
+@dataclass(frozen=True)
+class Factor:
+    """One level: the factor on it with its 95 % interval, and whether the drive tells it."""
+
+    name: str
+    value: float
+    low: float
+    high: float
+
+    @property
+    def told(self) -> bool:
+        """Whether the interval is narrow enough to rest a choice on."""
+        return self.high <= TOO_WIDE * self.low
+
+
+@dataclass(frozen=True)
+class Levels:
+    """A drive, a belief, and the run of a filter for any factors on the belief's levels.
+
+    Parameters
+    ----------
+    imu, gnss : ImuRecord, GnssRecord
+        From the filter's start; the fixes with standard deviations.
+    start : (NavState, InitialSigma)
+    beliefs : mapping of axis to NoiseModel
+        Static models of the six axes.
+    lever_arm : (3,) array
+        m, body axes.
+    """
+
+    imu: ImuRecord
+    gnss: GnssRecord
+    start: tuple[NavState, InitialSigma]
+    beliefs: dict[str, NoiseModel]
+    lever_arm: Array
+
+    def __post_init__(self) -> None:
+        if missing := [a for a in AXES if a not in self.beliefs]:
+            raise InputError(f"no noise model of {', '.join(missing)}, expected one for each of the six axes")
+        object.__setattr__(self, "beliefs", with_turn_on(self.beliefs))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The levels that have a factor: white and slow noise and turn-on bias of each sensor where there are any, and the fixes' sigmas."""
+        found = [name for sensor in ("gyro", "accel") for name in self._groups(sensor)]
+        return (*found, "fixes position", *(("fixes velocity",) if self.gnss.vel_std_ned is not None else ()))
+
+    def _groups(self, sensor: str) -> list[str]:
+        kinds = [self._kind(p) for a in AXES if a.startswith(sensor) for p in self.beliefs[a]]
+        return [f"{sensor} {kind}" for kind in ("white", "slow", "turn-on") if kind in kinds]
+
+    def _kind(self, process: Process) -> str:
+        if process.single_draw:
+            return "turn-on"
+        return "slow" if remembers(process, self.imu.dt) else "white"
+
+    def thinned(self, interval: float) -> Levels:
+        """The same with fixes at least ``interval`` s apart: errors of fixes that last for seconds are then nearly independent."""
+        t = self.gnss.t
+        kept, last = np.zeros(t.size, dtype=bool), -math.inf
+        for k in range(t.size):
+            if t[k] - last >= interval - SAME_S:
+                kept[k], last = True, t[k]
+        return replace(self, gnss=self.gnss.rows(kept))
+
+    def scaled(self, factors: Sequence[float]) -> dict[str, NoiseModel]:
+        """The belief with factors on its levels, in the order of :attr:`names`."""
+        by = dict(zip(self.names, factors, strict=True))
+        return {
+            axis: NoiseModel(tuple(p.scaled(by[f"{axis.partition('_')[0]} {self._kind(p)}"]) for p in model))
+            for axis, model in self.beliefs.items()
+        }
+
+    def fixes(self, factors: Sequence[float], withheld: NDArray[np.bool_] | None = None) -> FixTable:
+        """Innovations of the filter with factors on its levels.
+
+        Parameters
+        ----------
+        factors : sequence of float
+            In the order of :attr:`names`.
+        withheld : (f,) array of bool, optional
+            Fixes that the filter does not get.
+        """
+        by = dict(zip(self.names, factors, strict=True))
+        gnss = self.gnss
+        if gnss.pos_std_ned is not None:
+            gnss = replace(gnss, pos_std_ned=gnss.pos_std_ned * by["fixes position"])
+        if gnss.vel_std_ned is not None:
+            gnss = replace(gnss, vel_std_ned=gnss.vel_std_ned * by["fixes velocity"])
+        if withheld is not None:
+            gnss = gnss.rows(~withheld)
+        every = max(1, round(COVARIANCE_S / self.imu.dt))
+        options = FilterOptions(covariance_every=every, output_every=every * max(1, len(self.imu) // every))
+        filter_ = LooselyCoupledEKF(self.scaled(factors), self.imu.dt, lever_arm=self.lever_arm, options=options)
+        return filter_.run(self.imu, gnss, *self.start).fixes
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """Innovations with their covariances, components that are missing made certain zeros."""
+
+    t: Array
+    nu: Array
+    S: Array
+
+    @classmethod
+    def of(cls, fixes: FixTable) -> Innovations:
+        """From a filter's table of fixes."""
+        return cls(fixes.t, *fixes.complete)
+
+    def log_density(self) -> Array:
+        """Log density of every fix, (f,), but for its constant."""
+        return log_density(self.nu, self.S)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Log factors with their covariance, and the log posterior there."""
+
+    names: tuple[str, ...]
+    log: Array
+    covariance: Array
+    value: float
+
+    @property
+    def factors(self) -> tuple[Factor, ...]:
+        """The factors with 95 % intervals."""
+        half = 1.96 * np.sqrt(np.diag(self.covariance))
+        return tuple(
+            Factor(name, math.exp(x), math.exp(x - h), math.exp(x + h))
+            for name, x, h in zip(self.names, self.log.tolist(), half.tolist(), strict=True)
+        )
+
+
+def estimated(levels: Levels, scored: Sequence[tuple[float, float]] = (), at: Array | None = None) -> Estimate:
+    """The most likely factors under log-normal priors around the static levels, by Fisher scoring.
+
+    Parameters
+    ----------
+    levels : Levels
+    scored : sequence of (from, to)
+        Spans in s whose fixes count, all where there are none; the filter uses every fix.
+    at : (p,) array, optional
+        Log factors to begin at.
+
+    Returns
+    -------
+    Estimate
+        Its covariance is the larger of the inverse information and of the sandwich of the scores (White 1982), factor by factor.
+
+    Raises
+    ------
+    InputError
+        No fix in the spans.
+    """
+    names = levels.names
+    precision = np.eye(len(names)) / (math.log(PRIOR_FACTOR) / 1.96) ** 2
+    x = np.zeros(len(names)) if at is None else np.array(at)
+
+    def run(log: Array) -> Innovations:
+        table = Innovations.of(levels.fixes(np.exp(log).tolist()))
+        inside = np.full(table.t.size, not scored)
+        for start, end in scored:
+            inside |= (table.t >= start) & (table.t < end)
+        if not inside.any():
+            raise InputError(f"has no fix in the spans that are scored, from {scored[0][0]:g} s")
+        return Innovations(table.t[inside], table.nu[inside], table.S[inside])
+
+    def posterior(table: Innovations, log: Array) -> float:
+        return float(table.log_density().sum() - 0.5 * log @ precision @ log)
+
+    here = run(x)
+    value = posterior(here, x)
+    for _ in range(MOST_STEPS):
+        scores, information = _scores(here, [run(x + STEP * e) for e in np.eye(x.size)])
+        bent = information + precision
+        move = np.linalg.solve(bent, scores.sum(axis=0) - precision @ x)
+        move *= min(1.0, 1.0 / max(float(np.abs(move).max()), 1e-12))  # by a factor e at once at the most
+        for _ in range(HALVINGS):
+            there = run(x + move)
+            new = posterior(there, x + move)
+            if new > value:
+                break
+            move = 0.5 * move
+        else:
+            break
+        x, here, value = x + move, there, new
+        if np.abs(move).max() < CLOSE:
+            break
+    scores, information = _scores(here, [run(x + STEP * e) for e in np.eye(x.size)])
+    inverse = np.linalg.inv(information + precision)
+    block = ((here.t - here.t[0]) // BLOCK_S).astype(int)
+    sums = np.stack([np.bincount(block, s) for s in scores.T], axis=1)
+    sandwich = inverse @ (sums.T @ sums + precision) @ inverse
+    wider = np.sqrt(np.maximum(np.diag(sandwich) / np.diag(inverse), 1.0))
+    return Estimate(names, x, inverse * np.outer(wider, wider), value)
+
+
+def _scores(here: Innovations, moved: Sequence[Innovations]) -> tuple[Array, Array]:
+    """Scores of every fix (f, p) and the Fisher information (p, p), from runs with one log factor moved by :data:`STEP` each."""
+    density = here.log_density()
+    scores = np.stack([(m.log_density() - density) / STEP for m in moved], axis=1)
+    nu = np.stack([np.linalg.solve(here.S, (m.nu - here.nu)[:, :, None])[:, :, 0] for m in moved], axis=1) / STEP
+    S = np.stack([np.linalg.solve(here.S, m.S - here.S) for m in moved], axis=1) / STEP
+    change = np.stack([(m.nu - here.nu) / STEP for m in moved], axis=1)
+    information = np.einsum("fiw,fjw->ij", nu, change) + 0.5 * np.einsum("fivw,fjwv->ij", S, S)
+    return scores, np.asarray(information)

@@ -1,0 +1,161 @@
+"""A static model and a drive: factors on the levels, outages as the judge, and the reasons that the gap workflow names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from insemu.blas import on_one_thread
+from insemu.errors import InputError
+from insemu.gap import Finding, Nominal, applied, find_gap, refined_nominal
+from insemu.gap.beliefs import filter_noise
+from insemu.gap.drive import for_filter, starting_state, with_sigma
+from insemu.gap.problems import drive_without
+from insemu.noise import NoiseModel
+from insemu.records import Recording
+from insemu.transfer.judged import Judged, fitted, judge
+from insemu.transfer.levels import Estimate, Factor, Levels, estimated
+
+#: A factor nearer to 1 than this has no reasons to be looked for.
+WORTH_REASONS = 1.5
+#: Reasons at the most: each costs a fit of the factors.
+MOST_REASONS = 6
+
+
+@dataclass(frozen=True)
+class Share:
+    """By what factor each level falls once a finding is taken off the drive, after those before it."""
+
+    finding: Finding
+    shares: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """What :func:`transfer` found.
+
+    Parameters
+    ----------
+    factors : tuple of Factor
+    interval : float
+        Between the fixes that they were fitted on, s; 0: all fixes.
+    judged : tuple of Judged
+        Static belief, hand factor, transferred belief.
+    reasons : tuple of Share
+        In the order in which they were taken off.
+    rest : dict
+        Factors that no reason explains.
+    beliefs : mapping of axis to NoiseModel
+        The static models with the factors on them, as a filter carries them.
+    """
+
+    factors: tuple[Factor, ...]
+    interval: float
+    judged: tuple[Judged, ...]
+    reasons: tuple[Share, ...]
+    rest: dict[str, float]
+    beliefs: dict[str, NoiseModel]
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data."""
+        return {
+            "factors": [{**asdict(f), "told": f.told} for f in self.factors],
+            "interval_s": self.interval,
+            "judged": [asdict(j) for j in self.judged],
+            "reasons": [{**s.finding.to_json(), "shares": s.shares} for s in self.reasons],
+            "rest": self.rest,
+        }
+
+
+def levels_of(measured: Recording, nominal: Nominal, beliefs: dict[str, NoiseModel] | None = None) -> Levels:
+    """A drive less what is known of it, where its filter starts, and the noise that is believed.
+
+    Parameters
+    ----------
+    measured : Recording
+    nominal : Nominal
+    beliefs : mapping of axis to NoiseModel, optional
+        What the filter carries instead of the nominal models.
+
+    Raises
+    ------
+    InputError
+        No fixes, no standard deviations for them, or no way to start.
+    """
+    if measured.gnss is None:
+        raise InputError("has no GNSS fixes, expected a drive or flight with fixes", where=measured.source)
+    nominal = nominal.parted()
+    recording, moved = drive_without(measured, nominal)
+    imu, gnss, state, sigma = starting_state(recording, moved)
+    gnss = with_sigma(gnss, moved)
+    gnss = gnss.rows((gnss.t > imu.t[0]) & (gnss.t <= imu.t[-1]))
+    span = float(imu.t[-1] - imu.t[0])
+    carried = {a: for_filter(m, imu.dt, span) for a, m in (beliefs or moved.beliefs).items()}
+    return Levels(imu, gnss, (state, sigma), carried, np.array(moved.gnss.lever_arm))
+
+
+@on_one_thread
+def transfer(
+    measured: Recording,
+    nominal: Nominal,
+    *,
+    rng: np.random.Generator,
+    why: bool = True,
+    say: Callable[[str], None] = lambda _: None,
+) -> Transfer:
+    """By what factors the noise of a drive exceeds the static models, whether that helps in outages, and why.
+
+    Parameters
+    ----------
+    measured : Recording
+        A drive or flight with fixes.
+    nominal : Nominal
+        Static models of the six axes; what it knows besides is taken off.
+    rng : Generator
+        For the simulations of the gap workflow.
+    why : bool
+        Whether to look for reasons.
+    say : callable, optional
+        Told what is being done.
+
+    Raises
+    ------
+    InputError
+        A recording or models that cannot be used.
+    """
+    levels = levels_of(measured, nominal)
+    found, interval = fitted(levels, [(float(levels.gnss.t[0]), float(levels.gnss.t[-1]) + 1.0)], say)
+    judged = judge(levels, say)
+    reasons, rest = _reasons(measured, nominal, found, interval, rng, say) if why else ((), {})
+    return Transfer(found.factors, interval, judged, reasons, rest, levels.scaled(np.exp(found.log).tolist()))
+
+
+def _reasons(
+    measured: Recording,
+    nominal: Nominal,
+    found: Estimate,
+    interval: float,
+    rng: np.random.Generator,
+    say: Callable[[str], None],
+) -> tuple[tuple[Share, ...], dict[str, float]]:
+    """Findings of the gap workflow, taken off one after the other, and by what factor each level falls at each."""
+    factors = {f.name: f.value for f in found.factors if f.told and max(f.value, 1.0 / f.value) > WORTH_REASONS}
+    if not factors:
+        return (), {}
+    say("looking for reasons")
+    report = find_gap(measured, nominal, rng=rng, hold_out=False, pictures=False, progress=say)
+    shares, before = [], found
+    for number, finding in enumerate(report.findings[:MOST_REASONS], 1):
+        say(f"factors without {finding.effect}")
+        part = applied(report, range(1, number + 1))
+        known = refined_nominal(nominal, part, measured.imu.dt)
+        noise = filter_noise(nominal, part, measured.imu.dt)
+        levels = levels_of(measured, known, noise).thinned(interval)
+        old = {f.name: f.value for f in before.factors}
+        now = estimated(levels, at=np.log([old.get(name, 1.0) for name in levels.names]))
+        shares.append(Share(finding, {f.name: old[f.name] / f.value for f in now.factors if f.name in factors}))
+        before = now
+    return tuple(shares), {f.name: f.value for f in before.factors if f.name in factors}

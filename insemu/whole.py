@@ -1,0 +1,36 @@
+"""Whole files: a reader sees the old one or the new one, never a part; what could not be written leaves the old one."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+@contextmanager
+def replacing(path: Path | str) -> Iterator[Path]:
+    """A path beside ``path`` to write to; it takes the place of ``path`` at the end, or is gone where anything went wrong."""
+    path = Path(path)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial{path.suffix}")
+    try:
+        yield partial
+        partial.replace(path)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None  # nobody knows the other name
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def put(path: Path | str, content: str | bytes) -> None:
+    """Write a file whole; its folder is made where it does not exist.
+
+    Raises
+    ------
+    OSError
+        Names the file.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as partial:
+        partial.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)

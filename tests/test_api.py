@@ -1,0 +1,169 @@
+"""The library as a script sees it: names at the top, quantities as text, results that show themselves, own processes and filters."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+import insemu as ins
+from insemu.cli import main
+from insemu.errors import InputError
+from insemu.filters import user_filter, user_filter_code
+from insemu.filters.protocol import REGISTERED
+from insemu.formats import write
+from insemu.noise import PROCESSES, Parameter, StateBlock
+from insemu.report.gap_charts import evidence_chart
+from insemu.report.static import draw
+
+
+@pytest.fixture(scope="module")
+def series() -> ins.Series:
+    model = ins.WN(N="0.34 deg/sqrt(h)") + ins.GM(sigma="20 deg/h", Tc="30 s")
+    return ins.Series(model.simulate(20_000, 0.01, np.random.default_rng(1)), 100.0, "rad/s", "gyro_x")
+
+
+def test_names_at_the_top_are_found_when_asked_for() -> None:
+    said = "import sys, insemu as ins; print('scipy' in sys.modules, ins.WN.__name__, callable(ins.fit), ins.fit.FitResult.__name__)"
+    done = subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "WN", "True", "FitResult"]
+    for name in ins.__all__:
+        assert getattr(ins, name) is not None
+    assert set(dir(ins)) == set(ins.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'fitt'"):
+        ins.fitt  # noqa: B018
+
+
+def test_quantities_are_text_of_a_gyroscope_or_of_an_accelerometer() -> None:
+    assert ins.WN(N="0.34 deg/sqrt(h)").N == pytest.approx(np.deg2rad(0.34) / 60.0)
+    assert ins.WN(N="60 ug/sqrt(Hz)").N == pytest.approx(60e-6 * 9.80665)
+    assert ins.GM(sigma="20 deg/h", Tc="30 s").beta == pytest.approx(1 / 30)
+    with pytest.raises(InputError, match="text with a unit"):
+        ins.WN(N="0.34 kg")
+    with pytest.raises(InputError, match="both beta and Tc"):
+        ins.GM(beta=1.0, Tc=1.0)
+
+
+def test_results_print_in_ten_lines_and_have_tables_and_charts(series: ins.Series) -> None:
+    results = {
+        "fit": ins.fit(series, "WN() + GM()"),
+        "axes": ins.fit([series], "WN()"),
+        "report": ins.characterise([series])["gyro_x"],
+        "ranking": ins.select([series], "WN() + GM()")["gyro_x"],
+    }
+    for name, result in results.items():
+        assert 1 <= len(str(result).splitlines()) <= 10 and repr(result) == str(result), name
+        assert "gyro_x" in str(result)
+        assert len(result.to_dataframe()) >= 1 and "<table" in result._repr_html_()
+        figure, axes = plt.subplots()
+        assert result.plot(axes) is axes and axes.lines and axes.get_xscale() == "log"
+        plt.close(figure)
+    plt.close(results["fit"].plot())
+    with pytest.raises(InputError, match="no view"):
+        results["fit"].plot(plt.gca(), view="gyro")
+    plt.close("all")
+    assert results["fit"].to_dataframe().loc["WN1.N", "value"] == results["fit"]["WN1.N"].value
+
+
+def test_a_run_and_an_emulation_from_plain_data() -> None:
+    scenario = {
+        "title": "t",
+        "trajectory": {"builtin": "helicopter_mapping", "rate": "50 Hz", "duration": "60 s"},
+        "truth": {"gyro": "WN(N=0.03 deg/s/sqrt(Hz))", "accel": "WN(N=90 ug/sqrt(Hz))"},
+        "gnss": {"position_sigma": "5 cm", "outages": [{"start": "40 s", "duration": "10 s"}]},
+        "designs": {"white": {"gyro": {"truth": True}, "accel": {"truth": True}}},
+    }
+    results = ins.run(scenario, realizations=2, seed=4)
+    assert results.realizations == 2 and results.seed == 4 and results.to_xarray()["error"].sizes["realization"] == 2
+    assert "white, outage 1:" in str(results) and results.to_dataframe().index.names == ["design", "outage"]
+    recording = ins.emulate(scenario, seed=4)
+    assert len(recording.imu) == 3001 and not np.array_equal(
+        recording.imu.gyro, ins.emulate(scenario, seed=4, ideal=True).imu.gyro
+    )
+    with pytest.raises(InputError, match="titel"):
+        ins.run(scenario | {"titel": "x"})
+
+
+def test_a_recording_is_solved_at_the_top_as_by_the_command(tmp_path: Path) -> None:
+    scenario = {
+        "title": "t",
+        "trajectory": {"builtin": "helicopter_mapping", "rate": "20 Hz", "duration": "100 s"},
+        "truth": {"gyro": "WN(N=0.02 deg/s/sqrt(Hz))", "accel": "WN(N=300 ug/sqrt(Hz))"},
+        "gnss": {"position_sigma": "20 cm", "velocity_sigma": "5 cm/s"},
+    }
+    recording = ins.emulate(scenario, seed=4)
+    write(tmp_path / "flight.npz", recording)
+    solution = ins.solve(tmp_path / "flight.npz", designs=["18AV"], lever_arm=(0.0, 0.0, 0.0))
+    assert "18AV" in solution.to_dataframe().index.unique("design")
+    with pytest.raises(SystemExit) as end:
+        options = ["--design", "18AV", "--lever-arm", "0 0 0 m", "--out", str(tmp_path / "solved")]
+        main(["solve", str(tmp_path / "flight.npz"), *options])
+    assert end.value.code in (0, None)
+    said = json.loads((tmp_path / "solved" / "summary.json").read_text())
+    assert [o["rms_m"] for o in said["taken"]["outages"][:2]] == [
+        o["rms_m"] for o in solution.taken.figures()["outages"][:2]
+    ]
+    assert 3 < len(str(solution).splitlines()) <= 10 and "30 s without GNSS" in repr(solution)
+    figure, axes = plt.subplots()
+    assert solution.plot(axes, view="After 30 s") is axes and len(axes.lines) >= 2
+    plt.close(figure)
+    with pytest.raises(InputError, match="belong to a file"):
+        ins.solve(recording, gnss="fixes.pos")
+
+
+@dataclass(frozen=True)
+class Twice(ins.Process):
+    """White noise, said twice."""
+
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (Parameter("N", "{u}/sqrt(Hz)", "positive", "density"),)
+    N: float | None = None
+
+    def block(self, dt: float) -> StateBlock:
+        return ins.WN(N=self.N).block(dt)
+
+
+def test_a_process_of_a_script_is_known_to_text(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in list(PROCESSES):
+        monkeypatch.setitem(PROCESSES, name, PROCESSES[name])
+    monkeypatch.delitem(PROCESSES, "Twice", raising=False)
+    with pytest.raises(InputError, match="Twice"):
+        ins.NoiseModel.parse("Twice(N=1)")
+    assert ins.register_process(Twice) is Twice
+    assert ins.NoiseModel.parse("Twice(N=0.34 deg/sqrt(h))", "rad/s").psd(1.0, 0.01) == pytest.approx(
+        np.deg2rad(0.34 / 60) ** 2
+    )
+    ins.register_process(Twice)  # a cell that is run again
+    with pytest.raises(InputError, match="there is a process WN"):
+        ins.register_process(type("WN", (Twice,), {}))
+    with pytest.raises(InputError, match="expected a subclass"):
+        ins.register_process(int)  # type: ignore[arg-type]
+
+
+def test_a_filter_of_a_script_is_known_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Mine:
+        def run(self, *_: Any) -> None: ...
+
+    monkeypatch.setitem(REGISTERED, "mine_here", Mine)  # gone after the test
+    ins.register_filter("mine_here", Mine)  # type: ignore[arg-type]
+    assert user_filter("mine_here") is Mine
+    assert list(user_filter_code("mine_here").values()) == [Path(__file__)]
+    for name, offered, words in (("reference", Mine, "comes with insemu"), ("x", int, "no method run")):
+        with pytest.raises(InputError, match=words):
+            ins.register_filter(name, offered)  # type: ignore[arg-type]
+
+
+def test_names_below_the_bars_of_evidence_stand_in_the_static_picture() -> None:
+    rivals = [("time offset", 206.0, True), ("clock drift", 116.0, False)]
+    figure = draw(evidence_chart([("time offset", rivals)]))
+    assert [label.get_text() for label in figure.axes[0].get_xticklabels()] == ["time\noffset", "clock\ndrift"]
+    rivals += [("Gauss-Markov process (bias instability)", 40.0, False)]
+    slanted = draw(evidence_chart([("time offset", rivals)])).axes[0].get_xticklabels()[-1]
+    assert slanted.get_text() == "Gauss-Markov process (bias instability)" and slanted.get_rotation() > 0
+    plt.close("all")

@@ -1,0 +1,104 @@
+"""What a vehicle does above its motion is estimated first: no sensor is blamed for it, and the velocity of its antenna is steadied."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from benchmarks.foreign import sensors
+from benchmarks.foreign.judge import calibration, taken
+from insemu.gap import find_gap
+from insemu.gap.data.log import Reduced, moving_spectrum
+from insemu.gap.drive.shaking import without_shaking
+from insemu.gap.verdict import Finding, Member, Value, judged
+from insemu.noise import WN, NoiseModel
+
+DT, N = 0.01, 12_000
+AXES = ("gyro_x", "gyro_y", "accel_z")
+
+
+def band(seed: int, low: float, high: float) -> NDArray[np.float64]:
+    """Noise of unit variance between two frequencies, Hz."""
+    z = np.fft.rfft(np.random.default_rng(seed).standard_normal(N))
+    f = np.fft.rfftfreq(N, DT)
+    x = np.fft.irfft(np.where((f > low) & (f < high), z, 0.0), N)
+    return np.asarray(x / x.std())
+
+
+def heard(**added: NDArray[np.float64]) -> dict[str, Reduced]:
+    rng = np.random.default_rng(7)
+    parts = {}
+    for name in AXES:
+        values = rng.standard_normal(N) + added.get(name, 0.0)
+        f, power, dof = moving_spectrum(values, DT, 8.0)
+        parts[name] = Reduced(name, "", DT, values, 1, np.zeros(0), f, power, dof)
+    return without_shaking(parts, {name: NoiseModel((WN(DT**0.5),)) for name in AXES})
+
+
+def test_noise_alone_is_heard_as_it_is() -> None:
+    assert all(part.shaking is None and part.f[0] < 8.7 for part in heard().values())
+
+
+def test_what_one_axis_shows_alone_stays_the_sensors() -> None:
+    out = heard(gyro_x=2.0 * band(1, 15.0, 25.0), accel_z=2.0 * band(2, 30.0, 40.0))
+    assert all(part.shaking is None and part.f.size for part in out.values())
+
+
+def test_what_two_axes_show_together_is_the_vehicle() -> None:
+    shared = band(1, 15.0, 25.0)
+    out = heard(gyro_x=2.0 * shared, accel_z=1.5 * np.roll(shared, 2))
+    assert out["gyro_y"].shaking is None
+    for name, rms in (("gyro_x", 2.0), ("accel_z", 1.5)):
+        shaking = out[name].shaking
+        assert shaking is not None and not out[name].f.size
+        assert shaking.rms == pytest.approx(rms, rel=0.1)
+        assert shaking.low > 12.0 and shaking.high < 28.0 and shaking.shared > 0.5
+
+
+def test_axes_that_are_loud_at_the_same_times_shake() -> None:
+    loud = 0.2 + 1.8 * (np.sin(np.arange(N) * DT / 3.0) > 0.0)
+    out = heard(gyro_x=2.0 * loud * band(1, 15.0, 25.0), accel_z=2.0 * loud * band(2, 30.0, 40.0))
+    assert out["gyro_x"].shaking is not None and out["accel_z"].shaking is not None
+
+
+def test_a_spectrum_that_falls_from_the_edge_is_the_tail_of_the_motion() -> None:
+    out = heard(gyro_x=band(1, 5.0, 9.5))
+    assert out["gyro_x"].shaking is None
+    assert out["gyro_x"].f[0] > 9.3
+    assert out["gyro_y"].f[0] < 8.7
+
+
+def test_a_shaken_vehicle_with_its_antenna_on_an_arm_lacks_nothing() -> None:
+    # without steadied velocities: noise of the velocities and a lever arm of a centimetre
+    world = sensors.draw_world(6, 200.0, True, "quadrotor")
+    report = find_gap(*taken(world, ()), rng=np.random.default_rng(1), hold_out=False, pictures=False)
+    assert report.verdict == "nothing missing"
+    assert {b.axis for b in report.band} == {f"{s}_{a}" for s in ("gyro", "accel") for a in "xyz"}
+
+
+def test_a_level_is_a_setting_beside_anything_else() -> None:
+    def found(effect: str, nats: float, doubtful: bool = False) -> Finding:
+        own = Member(effect, "gnss", (), nats)
+        return Finding(
+            effect, "", "gnss", (), (Value("factor", 0.2, 0.19, 0.21, "1"),), 1.0, nats, (own,), doubtful=doubtful
+        )
+
+    level, shape = found("gnss_noise_level", 900.0), found("lever_arm", 40.0, doubtful=True)
+    assert judged([level], "") == "named"
+    assert judged([level, shape], "something") == "unexplained"
+
+
+def test_the_foreign_folder_computes_on_numpy_alone() -> None:
+    folder = Path(__file__).parents[1] / "benchmarks" / "foreign"
+    for name in ("motion.py", "sensors.py"):
+        lines = [x for x in (folder / name).read_text().splitlines() if x.startswith(("import ", "from "))]
+        allowed = ("numpy", "__future__", "collections", "dataclasses", "typing", "benchmarks.foreign")
+        assert all(x.split()[1].startswith(allowed) for x in lines), lines
+
+
+def test_the_calibration_error_is_the_distance_of_confidence_and_share() -> None:
+    pairs = [(0.9, k < 70) for k in range(100)]
+    assert calibration(pairs, bins=1) == pytest.approx(0.2)

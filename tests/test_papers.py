@@ -1,0 +1,60 @@
+"""The page of the papers: verdicts follow from cells and statements, parts are kept, absent data is said."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from benchmarks.papers.__main__ import main
+from benchmarks.papers.exhibit import Cell, Content, Statement
+from tests.shared_data import shared
+
+GOOD, BAD = Cell("a", 1.0, 1.1, 0.9, 1.3), Cell("b", 1.0, 2.0, 1.5, 2.5)
+HOLDS, FAILS = Statement("x", "1", True), Statement("y", "0", False)
+
+
+@pytest.mark.parametrize(
+    ("content", "verdict"),
+    [
+        (Content([GOOD], [HOLDS]), "reproduced"),
+        (Content([GOOD]), "reproduced"),
+        (Content([GOOD, BAD], [HOLDS]), "reproduced in kind"),
+        (Content([], [HOLDS]), "reproduced in kind"),
+        (Content([GOOD], [HOLDS, FAILS], "of the streets"), "not, because of the streets"),
+        (Content([BAD], [], "of rounding"), "not, because of rounding"),
+    ],
+)
+def test_a_verdict_follows_from_what_was_measured(content: Content, verdict: str) -> None:
+    assert content.verdict == verdict
+    assert Content.decode(content.encode()) == content
+
+
+def test_a_cell_agrees_inside_its_interval_or_its_tolerance() -> None:
+    assert GOOD.agrees and not BAD.agrees
+    assert Cell("c", 1.0, 1.15, 1.1, 1.2, tolerance=0.2).agrees
+    drawn = Cell.of_draws("d", 10.0, [-1.0, 1.0, 3.0])
+    assert (drawn.ours, drawn.low, drawn.high) == pytest.approx((1.0, -5.0, 7.0))
+    signed = Cell.of_draws("e", -1.0, [-1.0, -math.e, -(math.e**2)])
+    assert (signed.ours, signed.low, signed.high) == pytest.approx((-math.e, -(math.e**4), -(math.e**-2)))
+
+
+def test_the_command_prints_and_keeps_its_parts(tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.setenv("INSEMU_SHARED", str(shared("published").parent))
+    monkeypatch.setattr("sys.argv", ["papers", "--only", "mems2013/Table 8", "--out", str(tmp_path)])
+    main()
+    first = capsys.readouterr()
+    assert "5 of 5 cells agree" in first.out and "27AR: printed 27, ours 27" in first.out
+    assert "mems2013/Table 8 ..." in first.err
+    main()
+    assert "mems2013/Table 8 ..." not in capsys.readouterr().err
+    assert "27AR" in (tmp_path / "index.html").read_text()
+
+
+def test_papers_whose_numbers_are_absent_are_skipped_and_said(tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.setenv("INSEMU_SHARED", str(tmp_path))
+    monkeypatch.setattr("sys.argv", ["papers", "--only", "mems2013/Table 8", "--out", str(tmp_path / "page")])
+    main()
+    said = capsys.readouterr().out
+    assert "skipped, its printed numbers are not in" in said and "0 of 0 exhibits" in said

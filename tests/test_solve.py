@@ -1,0 +1,209 @@
+"""A recording is solved without a scenario: clock, lever arm, mounting, automatic outages, and what is written."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+import yaml
+
+from insemu import earth, intake, noise, rotation
+from insemu.cli import main
+from insemu.errors import InputError
+from insemu.evaluate.emulated import EmulatedWorld
+from insemu.formats import read_recording
+from insemu.formats import write as write_recording
+from insemu.records import GnssRecord, ImuRecord, Recording
+from insemu.scenario import load
+from insemu.solve import Solution, candidates, cut_everywhere, prepared, solve, summary, write
+from insemu.solve.drive import velocity_lag
+from insemu.solve.outages import Outages
+
+LATE, ARM = 0.12, np.array([0.6, -0.3, -1.1])
+MOUNTING = np.deg2rad([170.0, -6.0, 20.0])
+WORLD: dict[str, Any] = {
+    "title": "drive",
+    "seed": 11,
+    "trajectory": {"builtin": "urban_drive_1", "rate": "25 Hz", "duration": "300 s"},
+    "truth": {
+        "gyro": "WN(N=0.02 deg/s/sqrt(Hz)) + RC(sigma=0.05 deg/s)",
+        "accel": "WN(N=400 ug/sqrt(Hz)) + RC(sigma=2 mg)",
+    },
+    "gnss": {"position_sigma": "10 cm", "velocity_sigma": "5 cm/s", "lever_arm": [f"{v} m" for v in ARM]},
+}
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """An IMU that is turned, whose stamps are late, with an antenna elsewhere; the fixes state half of their error."""
+    path = tmp_path_factory.mktemp("world") / "world.yaml"
+    path.write_text(yaml.safe_dump(WORLD))
+    data = EmulatedWorld(load(path), path).recording(0)
+    C, imu = rotation.dcm_from_rpy(MOUNTING), data.imu
+    assert data.gnss is not None
+    turned = replace(imu, t=imu.t + LATE, gyro=imu.gyro @ C, accel=imu.accel @ C)
+    n = (len(data.gnss), 3)
+    stated = replace(data.gnss, pos_std_ned=np.full(n, 0.05), vel_std_ned=np.full(n, 0.025))
+    return Recording(turned, stated, data.reference, "emulated")
+
+
+@pytest.fixture(scope="module")
+def solution(recording: Recording) -> Solution:
+    return solve(recording, intake.examine(recording), [c for c in candidates() if c.name == "industrial MEMS"])
+
+
+def test_what_was_changed_is_found(solution: Solution) -> None:
+    late, sigma = solution.clock
+    assert abs(late - LATE) < 5 * sigma + 1e-3 and sigma < 0.01
+    found = {name: (value, sd) for name, value, sd, _ in solution.estimated}
+    in_imu_axes = rotation.dcm_from_rpy(MOUNTING).T @ ARM
+    for axis, true in zip("xyz", in_imu_axes, strict=True):
+        value, sd = found[f"lever_arm_{axis}"]
+        assert abs(value - true) < 5 * sd + 0.02
+    assert solution.mounting is not None
+    off = rotation.vector_from_dcm(rotation.dcm_from_rpy(solution.mounting.rpy) @ rotation.dcm_from_rpy(MOUNTING).T)
+    assert np.rad2deg(np.abs(off)).max() < 1.5
+    # the receiver states half of its error
+    assert 1.6 < solution.taken.candidate.position < 2.5
+    assert 0.8 < solution.taken.nis < 1.2
+
+
+def test_the_smoothed_way_is_the_true_one(solution: Solution, recording: Recording) -> None:
+    assert recording.reference is not None
+    s, ref = solution.smoothed, recording.reference
+    at = np.stack([np.interp(s.t, ref.t, c) for c in ref.llh.T], axis=1)
+    error = earth.position_difference(s.nav[:, :3], at)
+    share = np.abs(error / s.sigma[:, :3]) < 3.0
+    assert share.mean() > 0.9 and np.sqrt((error**2).mean()) < 0.15
+
+
+def test_an_outage_is_what_a_filter_without_fixes_does(solution: Solution) -> None:
+    """From the middle of the drive the filter is run again, the fixes withheld: the same error, the same covariance."""
+    drive, taken = solution.drive, solution.taken
+    imu, gnss = drive.flown()
+    o, c = taken.outages, taken.candidate
+    k = int(np.searchsorted(o.start, o.start[0] + 60.0))
+    begin = float(o.start[k])
+    kept = c.fixes(gnss.rows(gnss.t <= begin + 0.5))
+    ekf = c.filter(drive, covariance_at=(begin + o.horizons[1],))
+    run = ekf.run(imu, kept, drive.aligned.state, c.start_sigma(drive))
+    j = int(np.argmin(np.abs(gnss.t - begin - o.horizons[1])))
+    row = int(np.searchsorted(run.t, gnss.t[j] - 1e-9))
+    arm = run.imu_states[row, run.layout["lever_arm"].start - 9 :][:3]
+    swing = rotation.dcm_from_quaternion(run.nav[row, 6:10]) @ arm
+    away = earth.position_difference(earth.move(run.nav[row, :3], swing), gnss.llh[j])[:2]
+    moved = float(np.hypot(*run.nav[row, 3:5])) * imu.dt
+    assert np.hypot(*(away - o.error[k, 1])) < moved + 0.02 * np.hypot(*away)
+    assert np.sqrt(np.diag(o.covariance[k, 1])) == pytest.approx(run.sigma[row, :2], rel=0.03)
+    # the fix that ends it is far from what was predicted, so an outage is no filter with fixes
+    assert o.stated(1) > 5 * float(np.hypot(*taken.run.sigma[-1, :2]))
+
+
+def test_spread_counts_outages_that_overlap_once() -> None:
+    rng = np.random.default_rng(3)
+    start, horizons = np.arange(1200.0), np.array([30.0])
+    slow = np.repeat(rng.standard_normal((40, 2)), 30, axis=0)
+    fast = rng.standard_normal((1200, 2))
+
+    def width(e: np.ndarray) -> float:
+        o = Outages(start, horizons, e[:, None], np.tile(np.eye(2), (1200, 1, 1, 1)), np.zeros((1200, 1, 2)))
+        low, high = o.interval(0)
+        assert low < o.rms(0) < high
+        return high - low
+
+    assert width(slow) > 3 * width(fast)
+
+
+def test_late_velocities_are_recognised(recording: Recording) -> None:
+    assert recording.gnss is not None and velocity_lag(recording.gnss) is None
+    t = np.arange(0.0, 120.0, 0.25)
+    way = np.stack([60 * np.sin(0.2 * t), 60 * np.cos(0.31 * t), 0 * t], axis=1)
+    late = t - 0.125
+    speed = np.stack([12 * np.cos(0.2 * late), -18.6 * np.sin(0.31 * late), 0 * t], axis=1)
+    fixes = GnssRecord(t, earth.move(np.tile([0.8, 0.1, 200.0], (t.size, 1)), way), speed)
+    assert velocity_lag(fixes) == pytest.approx(0.125, abs=0.03)
+
+
+def test_the_longest_stretch_without_a_gap_is_solved(recording: Recording) -> None:
+    imu = recording.imu
+    keep = (imu.t < 100.0) | (imu.t > 104.0)
+    with_gap = replace(recording, imu=imu.rows(keep))
+    drive = prepared(with_gap)
+    assert drive.imu.t[0] > 103.9 and "4" not in drive.source and any("gap" in text for text in drive.said)
+    with pytest.raises(InputError, match="no GNSS fixes"):
+        prepared(replace(recording, gnss=None))
+    with pytest.raises(InputError, match="60 s of IMU data"):
+        prepared(replace(recording, imu=imu.rows(slice(0, 500))))
+
+
+def test_designs_that_need_a_fit_are_refused() -> None:
+    with pytest.raises(InputError, match="insemu fit"):
+        candidates(["GMWM"])
+    with pytest.raises(InputError, match="no design 'pohne'"):
+        candidates(["pohne"])
+
+
+def test_a_fitted_model_gets_a_turn_on_bias(tmp_path: Path) -> None:
+    noise.save(
+        {"gyro": noise.WN(N=1e-4) + noise.NoiseModel(), "accel": noise.WN(N=1e-3) + noise.RC(sigma=0.1)},
+        tmp_path / "m.yaml",
+    )
+    one = candidates(model=str(tmp_path / "m.yaml"))[-1]
+    assert str(one.belief["gyro_x"]).count("RC") == 1 and str(one.belief["accel_x"]).count("RC") == 1
+    assert "turn-on" in one.about
+
+
+def test_files_are_read_back(solution: Solution, tmp_path: Path) -> None:
+    write(solution, tmp_path)
+    with xr.open_dataset(tmp_path / "solution.nc", engine="h5netcdf") as held:
+        assert np.array_equal(held["llh"].values, solution.smoothed.nav[:, :3])
+        assert held["outage_error"].shape == solution.taken.outages.error.shape
+    back = read_recording(tmp_path / "solved.npz")
+    assert back.reference is not None and np.allclose(back.reference.llh, solution.smoothed.nav[:, :3], atol=1e-12)
+    assert noise.load(str(tmp_path / "models.yaml")).keys() == dict(solution.taken.candidate.belief).keys()
+    assert len((tmp_path / "outages.csv").read_text().splitlines()) == 1 + solution.taken.outages.start.size
+    json.dumps(summary(solution), allow_nan=False)
+
+
+def test_solved_tracks_are_exported(solution: Solution, tmp_path: Path) -> None:
+    write(solution, tmp_path / "solved")
+    for name in ("a.kml", "a.gpx", "a.pos", "a.tum"):
+        with pytest.raises(SystemExit) as end:
+            main(["export", str(tmp_path / "solved"), "--starts", "2024-05-01T12:00:00Z", "-o", str(tmp_path / name)])
+        assert end.value.code in (0, None)
+    assert (tmp_path / "a.kml").read_text().count("<LineString>") >= 1
+    assert (tmp_path / "a.tum").with_suffix(".cov.csv").exists()
+
+
+def test_a_short_record_and_a_lost_filter_are_told(recording: Recording) -> None:
+    drive = prepared(recording).started()
+    short = replace(recording, imu=recording.imu.rows(recording.imu.t < drive.aligned.t + 35.0))
+    with pytest.raises(InputError, match=r"the filter can start at .* expected at least 40 s between"):
+        solve(short, intake.examine(short), candidates()[2:3])
+    imu, gnss = drive.flown()
+    few = imu.rows(imu.t < imu.t[0] + 20.0)
+    good = candidates()[1]
+    ekf = good.filter(drive, store="fixes", node_every=1.0)
+    run = ekf.run(few, good.fixes(gnss), drive.aligned.state, drive.aligned.sigma)
+    with pytest.raises(InputError, match="room for an outage"):
+        cut_everywhere(ekf, run, few, good.fixes(gnss))
+
+
+def test_the_command_refuses_in_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    t = np.arange(0.0, 100.0, 0.02)
+    still = ImuRecord(t, np.zeros((t.size, 3)), np.tile([0.0, 0.0, -9.81], (t.size, 1)))
+    write_recording(tmp_path / "r.npz", Recording(still))
+    for argv, said in (
+        (["solve", str(tmp_path / "r.npz")], "no GNSS fixes"),
+        (["solve", str(tmp_path / "r.npz"), "--lever-arm", "1 2"], "three lengths"),
+        (["solve", str(tmp_path / "absent.npz")], "no such file"),
+    ):
+        with pytest.raises(SystemExit) as end:
+            main([*argv, "--out", str(tmp_path / "out")])
+        assert end.value.code == 2 and said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

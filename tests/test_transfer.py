@@ -1,0 +1,89 @@
+"""Static models carried to a drive: known factors come back, outages judge, and a wrong input is said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from insemu.cli import app
+from insemu.errors import InputError
+from insemu.noise import GM, RC, WN, NoiseModel, save
+from insemu.records import AXES
+from insemu.transfer import Levels, estimated, judge
+from tests import filter_cases as cases
+
+TRUE = {"gyro": NoiseModel((WN(1e-3), GM(3e-4, 0.01))), "accel": NoiseModel((WN(1e-2), GM(5e-3, 0.02)))}
+#: By what the drive's white noise exceeds the static one.
+FACTOR = 7.0
+
+
+@pytest.fixture(scope="module")
+def levels() -> Levels:
+    """Six minutes of a vehicle that turns; the static white noise is too small."""
+    ideal = cases.drive(360.0, seed=3)
+    rng = np.random.default_rng(5)
+    start = cases.start(ideal, rng), cases.START_SIGMA
+    static = {
+        axis: NoiseModel(
+            tuple(p.scaled(1.0 / FACTOR) if isinstance(p, WN) else p for p in TRUE[axis.partition("_")[0]])
+        )
+        for axis in AXES
+    }
+    return Levels(cases.corrupt(ideal.imu, TRUE, rng), cases.fixes(ideal, rng), start, static, np.zeros(3))
+
+
+def test_known_factors_come_back_inside_their_intervals(levels: Levels) -> None:
+    found = {f.name: f for f in estimated(levels).factors}
+    for sensor in ("gyro", "accel"):
+        factor = found[f"{sensor} white"]
+        assert factor.told
+        assert factor.low < FACTOR < factor.high
+        assert factor.low > 4.0
+    for name in ("fixes position", "fixes velocity"):
+        assert found[name].low < 1.0 < found[name].high
+
+
+def test_outages_prefer_the_transferred_model(levels: Levels) -> None:
+    by = {j.name: j for j in judge(levels)}
+    assert by["transferred"].gain[0] > by["transferred"].gain[1] > 0.0
+    assert by["transferred"].score > by["by hand"].score
+    assert by["static"].inside < 0.6 < by["transferred"].inside
+    assert by["static"].gain == (0.0, 0.0)
+
+
+def test_a_static_model_without_turn_on_bias_gets_one(levels: Levels) -> None:
+    for axis in AXES:
+        assert sum(isinstance(p, RC) for p in levels.beliefs[axis]) == 1
+    own = Levels(levels.imu, levels.gnss, levels.start, levels.beliefs, levels.lever_arm)
+    assert own.beliefs == levels.beliefs
+
+
+def test_thinned_fixes_are_that_far_apart(levels: Levels) -> None:
+    assert np.diff(levels.thinned(5.0).gnss.t).min() >= 5.0 - 1e-3
+    assert len(levels.thinned(0.0).gnss) == len(levels.gnss)
+
+
+def test_a_missing_axis_is_named(levels: Levels) -> None:
+    beliefs = {a: m for a, m in levels.beliefs.items() if a != "gyro_y"}
+    with pytest.raises(InputError, match="no noise model of gyro_y"):
+        Levels(levels.imu, levels.gnss, levels.start, beliefs, levels.lever_arm)
+
+
+def test_spans_without_fixes_are_refused(levels: Levels) -> None:
+    with pytest.raises(InputError, match="no fix in the spans"):
+        estimated(levels, [(1e6, 2e6)])
+
+
+def test_a_log_at_rest_is_refused(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    log, models = tmp_path / "log.csv", tmp_path / "models.yaml"
+    rows = np.column_stack([np.arange(400) * 0.01, rng.standard_normal((400, 6)) * 1e-3 + [0, 0, 0, 0, 0, -9.81]])
+    header = "t [s]," + ",".join(f"{a} [{'rad/s' if a.startswith('gyro') else 'm/s^2'}]" for a in AXES)
+    np.savetxt(log, rows, delimiter=",", header=header, comments="")
+    save({a: NoiseModel((WN(1e-3),)) for a in AXES}, models)
+    result = CliRunner().invoke(app, ["transfer", str(models), "--drive", str(log)])
+    assert isinstance(result.exception, InputError)
+    assert "is a log at rest" in str(result.exception)

@@ -1,0 +1,134 @@
+"""The carrying of static models to drives, measured.
+
+``python -m tests.transfer_experiments factors [N]``: 95 % intervals of factors that are known, on N emulated drives.
+``python -m tests.transfer_experiments causes [N]``: the main reason where one effect was hidden in an emulated drive.
+``python -m tests.transfer_experiments real``: the static model of each real drive's longest rest, judged in outages of the drive.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from insemu.errors import InputError
+from insemu.filters import rests
+from insemu.fit import fit
+from insemu.formats import read_recording
+from insemu.gap import Nominal, load_nominal
+from insemu.noise import WN, NoiseModel
+from insemu.records import AXES, Recording, Series
+from insemu.scenario import Gnss
+from insemu.transfer import fitted, judge, levels_of, transfer
+from insemu.trial.drives import stage
+from insemu.trial.run import Job, moving_recording
+from tests.shared_data import shared
+
+#: Factors by which the noise of an emulated drive exceeds what is believed.
+FACTORS = (1.0, 2.0, 7.0)
+#: Effects that make an IMU look noisy, hidden at so many nats.
+CAUSES = ("imu_gnss_time_offset", "scale_factor", "misalignment", "lever_arm", "g_sensitivity", "white_noise")
+STRENGTH = 3000.0
+SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"
+
+
+def emulated(seed: int) -> tuple[Recording, Nominal, dict[str, float]]:
+    """A drive, a belief whose white noise is too small by a known factor, and the true factors of its levels."""
+    rng = np.random.default_rng([seed, 9])
+    s = stage(seed, 15.0, 50.0)
+    by = {sensor: float(rng.choice(FACTORS)) for sensor in ("gyro", "accel")}
+    beliefs = {
+        a: NoiseModel(tuple(p.scaled(1.0 / by[a.partition("_")[0]]) if isinstance(p, WN) else p for p in m))
+        for a, m in s.truth.items()
+    }
+    true = {f"{sensor} white": factor for sensor, factor in by.items()}
+    true["fixes position"], true["fixes velocity"] = (
+        float(sigma[0] / stated[0]) for sigma, stated in zip((s.sigma, s.sigma_v), s.stated, strict=True)
+    )
+    return s.record(), replace(s.nominal, beliefs=beliefs), true
+
+
+def factors(count: int) -> None:
+    """Print how often intervals hold the factor."""
+    inside: dict[str, list[bool]] = {}
+    for seed in range(count):
+        recording, nominal, true = emulated(seed)
+        levels = levels_of(recording, nominal)
+        span = (float(levels.gnss.t[0]), float(levels.gnss.t[-1]) + 1.0)
+        found, interval = fitted(levels, [span])
+        for f in found.factors:
+            if f.name in true:
+                inside.setdefault(f.name, []).append(f.low <= true[f.name] <= f.high)
+        said = ", ".join(f"{f.name} {f.value:.2f} ({true[f.name]:.2f})" for f in found.factors if f.name in true)
+        print(f"{seed}: every {interval:g} s; {said}", flush=True)
+    for name, held in inside.items():
+        print(f"{name}: {sum(held)} of {len(held)} intervals hold the factor")
+    every = [h for held in inside.values() for h in held]
+    print(f"together: {sum(every)} of {len(every)} ({np.mean(every):.1%})")
+
+
+def causes(count: int) -> None:
+    """Print how often the effect that was hidden is the main reason."""
+    right = asked = 0
+    for seed in range(count):
+        effect = CAUSES[seed % len(CAUSES)]
+        made = moving_recording(Job("dynamic", (effect,), STRENGTH, 500 + seed, minutes=10.0))
+        found = transfer(made.recording, made.stage.nominal, rng=np.random.default_rng(seed))
+        said = []
+        for name in found.rest:
+            parts = sorted(((s.shares[name], s.finding) for s in found.reasons), key=lambda x: -x[0])
+            if not parts:
+                said.append((name, "nothing", 1.0, False))
+                continue
+            share, first = parts[0]
+            named = effect == first.effect or effect in [m.effect for m in first.members]
+            said.append((name, first.effect, share, named))
+        if said:
+            asked += 1
+            right += all(named for *_, named in said)
+        print(f"{seed} {effect}: " + ("; ".join(f"{n} {e} {x:.2g}" for n, e, x, _ in said) or "no factor"), flush=True)
+    print(f"main reason named: {right} of {asked} drives with a factor beyond 1.5")
+
+
+def at_rest(recording: Recording) -> dict[str, NoiseModel]:
+    """White noise of the longest rest."""
+    assert recording.gnss is not None
+    imu = recording.imu
+    start, end = max(rests(imu, recording.gnss), key=lambda span: span[1] - span[0])
+    rows = (imu.t >= start) & (imu.t <= end)
+    values = imu.rates()[rows]
+    return {
+        a: fit(Series(values[:, k], 1.0 / imu.dt, "rad/s" if k < 3 else "m/s^2", a), WN()).model
+        for k, a in enumerate(AXES)
+    }
+
+
+def real() -> None:
+    """Print the judge's table of the three real drives."""
+    for name, scenario in (
+        ("rtkexp_drive", "real_drive_rtk"),
+        ("ublox_mixed_nominal", "real_drive_ublox"),
+        ("thor75_uav_flight", ""),
+    ):
+        recording = read_recording(shared(f"real/{name}.npz"))
+        if scenario:
+            nominal = replace(load_nominal(SCENARIOS / f"{scenario}.yaml"), beliefs=at_rest(recording))
+        else:
+            nominal = Nominal(at_rest(recording), Gnss(position_sigma=(2.0,) * 3, velocity_sigma=(0.2,) * 3))
+        try:
+            rows = judge(levels_of(recording, nominal))
+        except InputError as error:
+            print(f"{name}: {error}")
+            continue
+        for j in rows:
+            print(
+                f"{name} {j.name}: {j.outages} outages, log density {j.score:.2f}, against static {j.gain[0]:+.2f} (sd {j.gain[1]:.2f}), "
+                f"{j.metres:.1f} m rms, {j.inside:.0%} inside 95 %"
+            )
+
+
+if __name__ == "__main__":
+    what, number = sys.argv[1] if len(sys.argv) > 1 else "factors", int(sys.argv[2]) if len(sys.argv) > 2 else 24
+    {"factors": lambda: factors(number), "causes": lambda: causes(number), "real": real}[what]()
