@@ -14,7 +14,7 @@ from insemu import earth, noise, units
 from insemu.cli import main
 from insemu.errors import InputError
 from insemu.fit import fit
-from insemu.formats import open_files, write
+from insemu.formats import IMU_BINARIES, open_files, write
 from insemu.formats.programs import PROGRAMS, reduce_models, spell
 from insemu.formats.tracks_out import way_of, write_way
 from insemu.noise import GM, RC, RW, WN, NoiseModel
@@ -197,3 +197,34 @@ def test_tracks_are_exported_by_the_command(tmp_path: Path, capsys: pytest.Captu
     for wrong in (("-o", tmp_path / "a.kml"), ("-o", tmp_path / "a.xyz"), ("-o", tmp_path / "b.kml", "--outage", "3")):
         assert run("export", tmp_path / "rec.npz", *wrong) == 2
     assert "expected seconds since 1970" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["IMAR", "LN200", "LN200IG", "IXSEA", "NAVCHIP_INT", "NAVCHIP_FLT"])
+def test_a_binary_imu_comes_back(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Whole numbers are rounded cumulatively: angles and velocities are right to one count over any span."""
+    source = write(tmp_path / "drive.npz", drive())
+    assert run("export", source, "--to", kind.lower(), "-o", tmp_path / "drive.imu") == 0
+    back, want = open_files(tmp_path / "drive.imu", maps=(f"imu={kind}", "", "")).imu, drive().imu.as_increments()
+    assert back is not None and back.kind == "increment"
+    layout = IMU_BINARIES[kind]
+    for found, given, count in ((back.gyro, want.gyro, layout.gyro), (back.accel, want.accel, layout.accel)):
+        worst = np.abs(np.cumsum(found - given, axis=0)).max() / count
+        assert worst < 0.51 if layout.values == "<i4" else worst < 1e-6
+    np.testing.assert_array_equal(back.t, want.t)
+    guessed = open_files(tmp_path / "drive.imu")
+    assert guessed.assumed[0].startswith("type ") and kind in guessed.assumed[0]
+    assert guessed.imu is not None
+    np.testing.assert_array_equal(guessed.imu.accel, back.accel)
+
+
+def test_a_binary_imu_that_fits_no_type_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "x.imu"
+    path.write_bytes(np.random.default_rng(1).bytes(4000))
+    assert run("open", path) == 2
+    assert "fits no type under gravity; say it with --map imu=TYPE" in capsys.readouterr().err
+    assert run("open", path, "--map", "imu=LN20") == 2
+    assert "unknown type of IMU 'LN20' (did you mean 'LN200'?)" in capsys.readouterr().err
+    source = write(tmp_path / "drive.npz", drive())
+    assert run("export", source, "-o", tmp_path / "y.imu") == 2
+    assert "says no type of IMU; expected one of: IMAR" in capsys.readouterr().err
+    assert not (tmp_path / "y.imu").exists()

@@ -16,11 +16,14 @@ def command(
         metavar="FILE",
         help="Models (YAML of `insemu fit -o`), a recording or track, or a folder of `insemu solve`.",
     ),
-    out: str = typer.Option(..., "--out", "-o", help="File to write; tracks: .tum, .kml, .gpx, .pos or .csv."),
+    out: str = typer.Option(
+        ..., "--out", "-o", help="File to write; tracks: .tum, .kml, .gpx, .pos or .csv; an IMU: .imu."
+    ),
     to: str = typer.Option(
         "",
         "--to",
-        help="Of models: kalibr, openvins, vins-fusion, gazebo, rotors, px4, kf-gins, gtsam or gnss-ins-sim.",
+        help="Of models: kalibr, openvins, vins-fusion, gazebo, rotors, px4, kf-gins, gtsam or gnss-ins-sim. Of .imu: IMAR, LN200, "
+        "LN200IG, IXSEA, NAVCHIP_INT or NAVCHIP_FLT.",
     ),
     rate: str = typer.Option("100 Hz", "--rate", help="Of models: sampling rate of the sensor there."),
     record: str = typer.Option("1 h", "--record", help="Of models: length of the record that they were fitted to."),
@@ -32,12 +35,14 @@ def command(
         None, "--outage", help="Of recordings: START:END in s, coloured in KML; may be repeated."
     ),
 ) -> None:
-    """Write noise models for another program, or the track of a recording or a solution as TUM, KML, GPX, RTKLIB .pos or CSV."""
+    """Write noise models for another program, the track of a recording or a solution (TUM, KML, GPX, RTKLIB .pos, CSV), or an IMU as .imu."""
     from pathlib import Path
 
     target = Path(out)
     if Path(file).suffix.lower() in (".yaml", ".yml"):
         _models(file, target, to, rate, record)
+    elif target.suffix.lower() == ".imu":
+        _imu(file, target, to)
     else:
         _track(file, target, reference=reference, starts=starts, outage=outage or [])
     typer.echo(f"wrote: {target}", err=True)
@@ -56,6 +61,15 @@ def _models(file: str, target: Path, to: str, rate: str, record: str) -> None:
     put(target, text)
     for note in notes:
         typer.echo(f"beware: {note}", err=True)
+
+
+def _imu(file: str, target: Path, to: str) -> None:
+    from insemu.errors import InputError
+    from insemu.formats import IMU_BINARIES, read_imu, write_imu_binary
+
+    if not to:
+        raise InputError(f"says no type of IMU; expected one of: {', '.join(IMU_BINARIES)}", where="--to")
+    write_imu_binary(target, read_imu(file), to)
 
 
 def _track(file: str, target: Path, *, reference: bool, starts: str, outage: list[str]) -> None:
