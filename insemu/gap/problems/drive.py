@@ -52,6 +52,7 @@ from insemu.gap.problems.findings import (
     is_doubtful,
     joined,
     merged,
+    rejected,
     remainder,
     split_axis,
     unknown_part,
@@ -504,7 +505,7 @@ def find_dynamic_gap(
     final, blocks = believing(named)
     residual, _ = final.data.residual(blocks)
     tests = innovation_tests(final, residual)
-    failed = [w for w in corrected(tests) if w.p_value < rules().omnibus_drive]
+    failed = rejected(corrected(tests))
     fast = again_with_processes(
         at.fast, named.found, at.parts, at.nominal, max(threshold, rules().fast_nats), without, at.clipped
     )
