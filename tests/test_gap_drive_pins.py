@@ -55,7 +55,7 @@ def test_a_spectrum_that_changes_beyond_doubt_ends_the_fast_search(p, varies, mo
 
 @pytest.mark.parametrize(("square", "passes"), [(1.185, True), (1.225, False)])
 def test_a_nis_keeps_half_of_its_variance_at_the_least(square, passes, monkeypatch):
-    """Levels that follow all of it: 200 innovations of mean square 1.185 would fail if a third were kept, those of 1.225 pass if three quarters were."""
+    """Levels that follow all of it: a mean square of 1.185 would fail if a third were kept, one of 1.225 pass if three quarters were."""
     n = 200
     z = stats.norm.ppf((np.arange(n) + 0.5) / n)[np.random.default_rng(1).permutation(n)]
     y = np.full((n, 6), np.nan)
