@@ -493,8 +493,7 @@ def find_dynamic_gap(
     competing = [v for v in bank(scene) if v.effect not in without]
     threshold = max(rules().least_nats, null_threshold(competing, scene.data, rng, always=scene.always))
     named = find_effects(scene, None, threshold, without, say)
-    nothing = Interval(math.nan, math.nan, math.nan)
-    before = after = held = nothing
+    before = after = held = Interval(math.nan, math.nan, math.nan)
     if hold_out:
         say("scoring on held-out fixes")
         before, after, held = at.held_out(scene, threshold, without)
