@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 from scipy.signal import lfilter
 
 from insemu import earth, noise, units
@@ -228,3 +230,48 @@ def test_a_binary_imu_that_fits_no_type_is_refused(tmp_path: Path, capsys: pytes
     assert run("export", source, "-o", tmp_path / "y.imu") == 2
     assert "says no type of IMU; expected one of: IMAR" in capsys.readouterr().err
     assert not (tmp_path / "y.imu").exists()
+
+
+def test_a_run_becomes_an_overlay_of_its_designs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two designs through one outage: a folder each, the way displaced by the error, the ellipse three stated sigmas wide."""
+    scenario = tmp_path / "short.yaml"
+    scenario.write_text(
+        """
+title: an overlay
+seed: 3
+realizations: 2
+trajectory: {builtin: urban_drive_1, rate: 50 Hz, duration: 90 s}
+truth: {gyro: WN(N=0.1 deg/s/sqrt(Hz)), accel: WN(N=1 mg/sqrt(Hz))}
+gnss: {rate: 1 Hz, position_sigma: 1 m, velocity_sigma: 0.1 m/s, outages: [{start: 50 s, duration: 20 s}]}
+designs:
+  one: {gyro: WN(N=0.1 deg/s/sqrt(Hz)), accel: WN(N=1 mg/sqrt(Hz))}
+  a & b: {gyro: WN(N=0.3 deg/s/sqrt(Hz)), accel: WN(N=2 mg/sqrt(Hz))}
+"""
+    )
+    assert run("run", scenario, "--workers", "1", "--out", tmp_path / "out") == 0
+    kml = tmp_path / "overlay.kml"
+    assert run("export", tmp_path / "out", "-o", kml, "--realization", "2") == 0
+    space = {"k": "http://www.opengis.net/kml/2.2"}
+    folders = ElementTree.parse(kml).getroot().findall(".//k:Folder", space)
+    assert [f.findtext("k:name", "", space) for f in folders] == ["reference", "one", "a & b"]
+
+    def places(node: ElementTree.Element) -> np.ndarray:
+        text = node.findtext(".//k:coordinates", "", space)
+        lon, lat, h = np.array([[float(v) for v in p.split(",")] for p in text.split()]).T
+        return np.column_stack([np.radians(lat), np.radians(lon), h])
+
+    with xr.open_dataset(tmp_path / "out" / "errors.nc", engine="h5netcdf") as data:
+        error, sigma = (data[v].values[:, 1, :, :3] for v in ("error", "sigma"))
+        t = data["time"].values
+    truth = places(folders[0].findall("k:Placemark", space)[0])
+    last = int(np.flatnonzero(t <= 70.0)[-1])
+    for k, folder in enumerate(folders[1:]):
+        way, outage, ellipse = folder.findall("k:Placemark", space)
+        np.testing.assert_allclose(earth.position_difference(places(way), truth), error[k], atol=2e-3)
+        assert len(places(outage)) == int(((t >= 50.0) & (t <= 70.0)).sum())
+        ring = earth.llh_to_ned(places(ellipse), places(way)[last])
+        np.testing.assert_allclose(ring[:, :2].max(axis=0), 3.0 * sigma[k, last, :2], rtol=1e-2)
+    assert run("export", tmp_path / "out", "-o", kml, "--realization", "3") == 2
+    assert "--realization: found 3, expected 1 to 2" in capsys.readouterr().err
+    assert run("export", tmp_path / "out", "-o", tmp_path / "x.gpx") == 2
+    assert "cannot write '.gpx' overlays, expected .kml" in capsys.readouterr().err

@@ -14,7 +14,7 @@ def command(
     file: str = typer.Argument(
         ...,
         metavar="FILE",
-        help="Models (YAML of `insemu fit -o`), a recording or track, or a folder of `insemu solve`.",
+        help="Models (YAML of `insemu fit -o`), a recording or track, or a folder of `insemu solve` or `insemu run`.",
     ),
     out: str = typer.Option(
         ..., "--out", "-o", help="File to write; tracks: .tum, .kml, .gpx, .pos or .csv; an IMU: .imu."
@@ -34,8 +34,11 @@ def command(
     outage: list[str] | None = typer.Option(  # noqa: B008
         None, "--outage", help="Of recordings: START:END in s, coloured in KML; may be repeated."
     ),
+    realization: int = typer.Option(1, "--realization", help="Of runs: which one is drawn in KML, from 1."),
 ) -> None:
-    """Write noise models for another program, the track of a recording or a solution (TUM, KML, GPX, RTKLIB .pos, CSV), or an IMU as .imu."""
+    """Write noise models for another program, the track of a recording or a solution (TUM, KML, GPX, RTKLIB .pos, CSV), the ways of a run's designs (KML), or an IMU
+    as .imu.
+    """
     from pathlib import Path
 
     target = Path(out)
@@ -43,6 +46,11 @@ def command(
         _models(file, target, to, rate, record)
     elif target.suffix.lower() == ".imu":
         _imu(file, target, to)
+    elif (Path(file) / "errors.nc").is_file():
+        from insemu.evaluate import ways_of_run
+        from insemu.formats import write_overlay
+
+        write_overlay(ways_of_run(Path(file), realization), target)
     else:
         _track(file, target, reference=reference, starts=starts, outage=outage or [])
     typer.echo(f"wrote: {target}", err=True)

@@ -187,7 +187,7 @@ def _coarse(unit: ImuRecord, source: _Reference, search_s: float) -> tuple[float
 
 
 def _attitude(source: _Reference, start: Array, end: Array, values: Array, offset: float) -> Array:
-    """Turn from the reference's axes to the unit's that fits the changes of both vectors best (Kabsch 1976)."""
+    """Turn from the reference's axes to the unit's, by the singular vectors of the products of both."""
     rate, force, _ = source.means(start - offset, end - offset)
     total = np.zeros((3, 3))
     for theirs, own in ((rate, values[:, :3]), (force, values[:, 3:])):

@@ -27,7 +27,7 @@ from insemu.formats.readers.imu_binary import write_imu_binary
 from insemu.formats.static import AXIS_OF_COLUMN, Log
 from insemu.formats.table import Probe, known_readers, reader_of
 from insemu.formats.text import write_table
-from insemu.formats.tracks_out import Way, way_of, write_way
+from insemu.formats.tracks_out import Way, way_of, write_overlay, write_way
 from insemu.records import AXES, COLUMNS, ImuRecord, Recording, Series
 
 __all__ = [
@@ -54,6 +54,7 @@ __all__ = [
     "way_of",
     "write",
     "write_imu_binary",
+    "write_overlay",
     "write_preset",
     "write_table",
     "write_way",
