@@ -36,8 +36,10 @@ def command(
     ),
     realization: int = typer.Option(1, "--realization", help="Of runs: which one is drawn in KML, from 1."),
 ) -> None:
-    """Write noise models for another program, the track of a recording or a solution (TUM, KML, GPX, RTKLIB .pos, CSV), the ways of a run's designs (KML), or an IMU
-    as .imu.
+    """Write what other programs read.
+
+    Noise models in their words; the track of a recording or a solution as TUM, KML, GPX, RTKLIB .pos or CSV; the ways of a run's designs as
+    KML; an IMU as binary .imu.
     """
     from pathlib import Path
 
