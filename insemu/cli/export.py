@@ -22,7 +22,7 @@ def command(
     to: str = typer.Option(
         "",
         "--to",
-        help="Of models: kalibr, openvins, vins-fusion, gazebo, rotors, px4, kf-gins, gtsam or gnss-ins-sim. Of .imu: IMAR, LN200, "
+        help="Of models: kalibr, openvins, vins-fusion, gazebo, rotors, px4, kf-gins, gtsam, matlab or gnss-ins-sim. Of .imu: IMAR, LN200, "
         "LN200IG, IXSEA, NAVCHIP_INT or NAVCHIP_FLT.",
     ),
     rate: str = typer.Option("100 Hz", "--rate", help="Of models: sampling rate of the sensor there."),
