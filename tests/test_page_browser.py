@@ -155,6 +155,9 @@ HUM = [{"effect": "vibration_line", "sensor": "accel", "axes": ["x"], "amplitude
 KINDS = {
     "run/index.html": ["run flight.yaml --out run --workers 1"],
     "compare/index.html": ["compare flight.yaml --out compare --workers 1"],
+    "sweep/index.html": [
+        "sweep flight.yaml --over gnss.position_sigma=[5_cm,1_m],outage=[10_s,20_s] --linear 50 --out sweep"
+    ],
     "budget/index.html": ["compare flight.yaml --out budget --analytic"],
     "regress.html": [
         "regress record flight.yaml --baseline b.json --workers 1",
@@ -178,7 +181,7 @@ def make_pages(folder: Path) -> None:
     for commands in KINDS.values():
         for command in commands:
             with pytest.raises(SystemExit) as end:
-                main(command.split())
+                main([word.replace("_s", " s") if "=" in word else word for word in command.split()])
             assert end.value.code in (0, None), command
 
 

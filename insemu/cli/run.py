@@ -199,17 +199,14 @@ def fly_shard(
         Threads, or a pool instead.
     console : Console
     """
-    from insemu.evaluate import CACHE, fly, note, only_writer
+    from insemu.evaluate import CACHE, fly_part, note, only_writer
 
     workers, pool = means
     with only_writer(folder, shared=True):
         for name, experiment in experiments.items():
             mine = shard.realizations(experiment.realizations)
             with bar(console, f"{name or 'shard'} {shard}", len(mine)) as (step, say):
-                for _ in fly(
-                    experiment, mine, workers=workers, executor=pool, cache=folder / CACHE, progress=step, say=say
-                ):
-                    pass
+                fly_part(experiment, mine, workers=workers, executor=pool, cache=folder / CACHE, progress=step, say=say)
         note(folder, shard, run)
     console.print(f"Shard {shard} is in {folder}. With all of them there: insemu merge {folder}", soft_wrap=True)
 
