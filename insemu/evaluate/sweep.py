@@ -31,7 +31,7 @@ MOST = 10_000
 _KEY = re.compile(r"\s*(?P<key>[A-Za-z_][^=,\[\]]*?)\s*=\s*")
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _RANGE = re.compile(
-    rf"(?P<low>{_NUMBER})\s*(?P<unit>[^.,\d]*?)\s*\.\.\s*(?P<high>{_NUMBER})\s*(?P<other>[^,]*?)\s*(?P<log>\blog)?\s*"
+    rf"(?P<low>{_NUMBER})\s*(?P<unit>[^.,\d]*?)\s*\.\.\s*(?P<high>{_NUMBER})\s*(?P<other>[^,]*?)\s*(?P<log>\blog)?\s*(?=,|$)"
 )
 
 
