@@ -411,7 +411,21 @@ def bootstrap_curves(
 
 
 def drawn_values(model: NoiseModel, like: WaveletVariance, rng: np.random.Generator) -> Array:
-    """Wavelet variances of a signal drawn from a model, with the length, the filter and the missing samples of a curve's."""
+    """Wavelet variances of a signal drawn from a model.
+
+    Parameters
+    ----------
+    model : NoiseModel
+        Specified.
+    like : WaveletVariance
+        Whose length, filter and missing samples the signal has.
+    rng : Generator
+
+    Returns
+    -------
+    (J,) array
+        unit^2.
+    """
     x = model.simulate(like.n_samples, 1.0 / like.rate_hz, rng)
     if like.lost is not None:
         x[like.lost] = np.nan
