@@ -94,6 +94,11 @@ def register(effect: str, candidate: Candidate) -> None:
     CANDIDATES[effect] = candidate
 
 
+def remembers(process: Process, dt: float, time: float = 0.0) -> bool:
+    """Whether a process is noise that lasts longer than ``time`` s, and than a sampling interval ``dt`` in any case."""
+    return not process.single_draw and (not process.stationary or process.block(dt).memory > max(time, dt))
+
+
 def amplitudes(top: float, count: int = 10) -> Array:
     """Amplitudes to start from, up to the largest that the log admits."""
     return top * np.geomspace(1.0 / rules().amplitude_range, 1.0, count)
