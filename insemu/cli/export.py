@@ -20,7 +20,7 @@ def command(
     to: str = typer.Option(
         "",
         "--to",
-        help="Of models: kalibr, openvins, vins-fusion, gazebo, rotors, px4, kf-gins, gtsam or gnss-ins-sim.",
+        help="Of models: kalibr, openvins, vins-fusion, gazebo, rotors, px4, kf-gins, gtsam, matlab or gnss-ins-sim.",
     ),
     rate: str = typer.Option("100 Hz", "--rate", help="Of models: sampling rate of the sensor there."),
     record: str = typer.Option("1 h", "--record", help="Of models: length of the record that they were fitted to."),
