@@ -95,7 +95,16 @@ def register(effect: str, candidate: Candidate) -> None:
 
 
 def remembers(process: Process, dt: float, time: float = 0.0) -> bool:
-    """Whether a process is noise that lasts longer than ``time`` s, and than a sampling interval ``dt`` in any case."""
+    """Whether a process is noise with a memory, not a signal and not forgotten at once.
+
+    Parameters
+    ----------
+    process : Process
+    dt : float
+        Sampling interval, s; what lasts no longer is forgotten at once.
+    time : float
+        It must last longer than that, s.
+    """
     return not process.single_draw and (not process.stationary or process.block(dt).memory > max(time, dt))
 
 
