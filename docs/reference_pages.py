@@ -359,10 +359,10 @@ def evidence() -> list[str]:
     lines = [
         "# Evidence",
         "",
-        "What the figures of README and these pages rest on: another program or a published table (external); a formula, or the exact covariance "
-        "of the linear error equations, in which nothing is drawn (closed form); real data; or insemu's own draws (own simulation). Inputs, limits and "
-        "definitions are settings, which claim nothing. `python -m tests.claims` counts them; `--run cheap` runs the quick commands again, as CI does, "
-        "`--run all` all of them, as a nightly job does; both fail where a figure is not printed any more.",
+        "What the figures of README and these pages rest on: another program or a published table (external); a formula, or the exact "
+        "covariance of the linear error equations, in which nothing is drawn (closed form); real data; or insemu's own draws (own simulation). "
+        "Inputs, limits and definitions are settings, which claim nothing. `python -m tests.claims` counts them; `--run cheap` runs the quick "
+        "commands again, as CI does, `--run all` all of them, as a nightly job does; both fail where a figure is not printed any more.",
         "",
         *(f"- {line}" for line in said(covered)),
         "",
