@@ -28,7 +28,7 @@ from tests.claims import ROOT
 BOUND, LINEAR = 4.0, 0.05
 #: How much larger than at its end an error may have been during an outage.
 LARGEST = 0.20
-#: Cells that no linear theory explains: a turn-on bias that nobody carries makes attitude errors of degrees. They count as our own draws.
+#: Cells of which the linear theory gives a fifth, why is open: with a turn-on bias that nobody carries. They count as our own draws.
 APART = {("turn_on_bias", "18AV", "NEES"), ("turn_on_bias", "GMWM", "NEES")}
 HEADS = {
     "table3_synthetic": "Table III of Stebler et al. (2014), on simulated signals",
