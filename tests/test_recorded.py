@@ -17,7 +17,7 @@ from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.recorded import RecordedWorld
 from insemu.evaluate.world import _stretches
 from insemu.formats import write
-from insemu.records import InitialState, Recording
+from insemu.records import ImuRecord, InitialState, Recording
 from insemu.scenario import load
 
 WORLD: dict[str, Any] = {
