@@ -94,6 +94,9 @@ def resolved(scenario: Scenario) -> str:
 def write(results: Results, folder: Path) -> None:
     """Write ``summary.json``, ``outages.csv``, ``errors.nc`` and ``manifest.json``; whatever marked the folder as complete is taken away first.
 
+    ``errors.nc`` holds all epochs of some realizations (of all where they are few), and in the groups ``runs`` and ``statistics`` values of every
+    realization at the outages, and statistics over all of them at every epoch.
+
     Parameters
     ----------
     results : Results
@@ -112,6 +115,8 @@ def write(results: Results, folder: Path) -> None:
     put(folder / "outages.csv", stream.getvalue())
     with replacing(folder / "errors.nc") as partial:
         results.to_dataset().to_netcdf(partial, engine="h5netcdf")
+        results.runs.to_netcdf(partial, engine="h5netcdf", group="runs", mode="a")
+        results.statistics.to_netcdf(partial, engine="h5netcdf", group="statistics", mode="a")
 
 
 def _identity(scenario: Scenario) -> str:
