@@ -95,7 +95,7 @@ def characterise_log(
         x = log.evenly(k)
         there = np.isfinite(x)
         if np.count_nonzero(there) < LEAST:
-            raise InputError(f"{name} has fewer than {LEAST} finite values", where=log.source)
+            raise InputError(f"{name} has no {LEAST} finite values", where=log.source)
         if notes:
             start, stop = judge.longest_good_part([x], [])
             notes.append(
