@@ -5,7 +5,7 @@ import sys
 from insemu import CalledRoom
 from insemu.emulate.errors import RecordedErrors
 from insemu.emulate.flight import Flight, gusts, moving_share, origin_at
-from insemu.emulate.gnss import AreaOutage, Outage, antenna, gnss_fixes, random_outages, state_at
+from insemu.emulate.gnss import AreaOutage, Outage, antenna, fixes_at, gnss_fixes, random_outages, state_at
 from insemu.emulate.imu import IdealImu, ideal_imu, navigation_error
 from insemu.emulate.motion import Command, path_of, profile
 from insemu.emulate.path import Mounting, SmoothPath
@@ -42,6 +42,7 @@ __all__ = [
     "built_in",
     "corrupt",
     "dead_reckon",
+    "fixes_at",
     "gnss_fixes",
     "gusts",
     "held_out_distance",

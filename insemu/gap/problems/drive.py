@@ -551,7 +551,8 @@ def _finding(f: Found[Change], named: Named) -> Finding:
         mean, covariance = sums @ mean, sums @ covariance @ sums.T
         if h.change.columns:
             values = shape_values(named.scene, h.change.block[0], mean, covariance)
-            metres = worth_in_motion(named.scene, h.change.columns, mean)
+            scene = named.scene
+            metres = worth_in_motion(scene.loop, scene.motion, [scene.columns[i] for i in h.change.columns], mean)
         else:
             values = (Value.normal("value", float(mean[0]), math.sqrt(float(covariance[0, 0])), "m"), *values[1:])
     own = next((k for k, r in enumerate(f.ranked) if (r.effect, r.sensor) == (h.effect, h.sensor)), 0)
