@@ -30,6 +30,7 @@ COMMANDS: dict[str, str] = {
     "emulate": "emulate",
     "dead-reckon": "dead_reckon",
     "gap": "gap",
+    "gap-check": "gap_check",
     "gap-trial": "gap_trial",
     "transfer": "transfer",
     "serve": "serve",
