@@ -28,6 +28,7 @@ COMMANDS: dict[str, str] = {
     "fit": "fit",
     "select": "select",
     "emulate": "emulate",
+    "errors": "errors",
     "dead-reckon": "dead_reckon",
     "gap": "gap",
     "gap-check": "gap_check",

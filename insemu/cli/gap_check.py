@@ -106,10 +106,10 @@ def _tell(checks: dict[str, Check], console: Console) -> None:
     ]
     if body:
         print_table(console, "Outside their band", heads, body, left=2, fit=True, gap=lambda row: False)
-    heads = ("outage from, s", "measured, m", *(f"{name}, m" for name in checks))
-    body = []
+    columns = ("outage from, s", "measured, m", *(f"{name}, m" for name in checks))
+    rows = []
     for k, start in enumerate(last.outages.starts):
         bands = [f"{c.outages.low[k]:.1f} to {c.outages.high[k]:.1f}" for c in checks.values()]
-        body.append([f"{start:.0f}", ", ".join(f"{c.outages.measured[k]:.1f}" for c in checks.values()), *bands])
+        rows.append([f"{start:.0f}", ", ".join(f"{c.outages.measured[k]:.1f}" for c in checks.values()), *bands])
     title = "Horizontal error after 60 s without fixes, each filter with its model: measured, and emulated (90 %)"
-    print_table(console, title, heads, body, left=1, fit=True, gap=lambda row: False)
+    print_table(console, title, columns, rows, left=1, fit=True, gap=lambda row: False)

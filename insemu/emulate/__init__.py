@@ -3,6 +3,7 @@
 import sys
 
 from insemu import CalledRoom
+from insemu.emulate.differenced import Differenced, difference
 from insemu.emulate.errors import RecordedErrors
 from insemu.emulate.flight import Flight, gusts, moving_share, origin_at
 from insemu.emulate.gnss import AreaOutage, Outage, antenna, fixes_at, gnss_fixes, random_outages, state_at
@@ -25,6 +26,7 @@ __all__ = [
     "Command",
     "Corrupted",
     "DeadReckoning",
+    "Differenced",
     "ErrorPieces",
     "Flight",
     "IdealImu",
@@ -42,6 +44,7 @@ __all__ = [
     "built_in",
     "corrupt",
     "dead_reckon",
+    "difference",
     "fixes_at",
     "gnss_fixes",
     "gusts",

@@ -38,6 +38,7 @@ from insemu.evaluate.shards import Shard, check_complete, note, noted
 from insemu.evaluate.standings import Standing, answer
 from insemu.evaluate.twin import LinearTwin
 from insemu.evaluate.until import Goal, Look, looks
+from insemu.evaluate.ways import ways_of_run
 from insemu.evaluate.world import World
 
 __all__ = [
@@ -101,6 +102,7 @@ __all__ = [
     "surroundings",
     "trial",
     "verdicts",
+    "ways_of_run",
     "whiteness_verdicts",
     "with_designs",
     "within_outage",
