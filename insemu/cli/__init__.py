@@ -19,6 +19,7 @@ COMMANDS: dict[str, str] = {
     "export": "export",
     "run": "run",
     "merge": "merge",
+    "sweep": "sweep",
     "compare": "compare",
     "reproduce": "reproduce",
     "regress": "regress",

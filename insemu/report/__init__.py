@@ -35,6 +35,7 @@ from insemu.report.solve import (
     solve_answer,
     solve_rows,
 )
+from insemu.report.sweep import SWEPT, render_sweep, sweep_answer, sweep_rows
 from insemu.report.tables import (
     FIGURES,
     SMOOTHED,
@@ -54,6 +55,7 @@ __all__ = [
     "COLUMNS",
     "FIGURES",
     "SMOOTHED",
+    "SWEPT",
     "beside",
     "budget_lines",
     "calibration_lines",
@@ -86,6 +88,7 @@ __all__ = [
     "render_reckoning",
     "render_regression",
     "render_solution",
+    "render_sweep",
     "sensor_axes",
     "server",
     "shaking_said",
@@ -94,6 +97,8 @@ __all__ = [
     "smoother_rows",
     "solve_answer",
     "solve_rows",
+    "sweep_answer",
+    "sweep_rows",
     "variant_caption",
     "variant_rows",
 ]
