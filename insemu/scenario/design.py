@@ -48,13 +48,19 @@ class StateKeys(Section):
     gyro_scale_temperature: PerKelvin = Field(
         default=0.0,
         ge=0,
-        description="change of the gyroscopes' scale factors with the recorded temperature, for example 50 ppm/K",
+        examples=["50 ppm/K"],
+        description="change of the gyroscopes' scale factors with the recorded temperature",
     )
     accel_scale_temperature: PerKelvin = Field(
-        default=0.0, ge=0, description="change of the accelerometers' scale factors with the recorded temperature"
+        default=0.0,
+        ge=0,
+        examples=["20 ppm/K"],
+        description="change of the accelerometers' scale factors with the recorded temperature",
     )
     reference_temperature: float = Field(
-        default=25.0, description="temperature at which the states per kelvin change nothing, degC"
+        default=25.0,
+        examples=[20.0],
+        description="temperature at which the states per kelvin change nothing, degC",
     )
     lever_arm: Length = Field(default=0.0, ge=0, description="each component of the way from IMU to antenna")
     latency: Seconds = Field(default=0.0, ge=0, description="time by which the fixes come late")
