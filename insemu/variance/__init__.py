@@ -11,6 +11,7 @@ from insemu.variance.filters import modwt_filters
 from insemu.variance.findings import longest_good_part, missing_values, unit_report
 from insemu.variance.reading import FLICKER, Reading, read_curve
 from insemu.variance.robust import RobustWaveletVariance, compare_with_robust, robust_wavelet_variance
+from insemu.variance.same import SameModel, same_model
 from insemu.variance.spectrum import (
     Autocorrelation,
     Spectrum,
@@ -29,6 +30,7 @@ __all__ = [
     "AxisReport",
     "Reading",
     "RobustWaveletVariance",
+    "SameModel",
     "Spectrum",
     "WaveletCovariance",
     "WaveletVariance",
@@ -59,6 +61,7 @@ __all__ = [
     "read_curve",
     "relative_error",
     "robust_wavelet_variance",
+    "same_model",
     "stream_wavelet_variance",
     "unit_report",
     "wavelet_coefficients",
