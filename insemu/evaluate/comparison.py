@@ -145,6 +145,8 @@ def analysable(experiment: Experiment, *, removes_means: bool = False) -> tuple[
             left_out[name] = "a user's filter"
         elif design.options.prefilter is not None:
             left_out[name] = "a prefilter"
+        elif experiment.ekf(name).augmentation.thermal:
+            left_out[name] = "states that follow the temperature"
         else:
             able.append(name)
     notes = []
