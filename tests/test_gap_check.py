@@ -7,15 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from insemu import earth
+from insemu.cli.gap_check import _tell
 from insemu.effects import EffectUse
 from insemu.errors import InputError
 from insemu.gap import Nominal
 from insemu.gap.drive import Flown
 from insemu.records import Recording
+from insemu.report import render_check
 from insemu.trial.drives import Stage, stage
-from insemu.trial.predictive import check, motion_of, outage_errors
+from insemu.trial.predictive import Check, OutageErrors, Statistic, check, motion_of, outage_errors
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +80,20 @@ def test_a_right_model_holds_the_recording_and_a_wrong_one_does_not(drive: Stage
     assert right.outages.inside >= 0.6 * right.outages.starts.size
     again = check(made, truth(drive, ARM), recordings=40, workers=2)
     assert json.dumps(again.to_json()) == json.dumps(right.to_json())
+
+
+def test_models_may_have_different_outages(tmp_path, capsys) -> None:
+    def one(*starts: float) -> Check:
+        t = np.array(starts)
+        statistic = Statistic("mean", "north", 3.0, -1.0, 0.0, 1.0, 1.0)
+        return Check(20, (statistic,), OutageErrors(t, t + 0.5, t, t + 1.0, t + 2.0))
+
+    checks = {"before": one(60.0, 90.0), "after": one(60.0, 90.0, 120.0)}
+    _tell(checks, Console(width=120))
+    said = capsys.readouterr().out
+    assert "-, 120.5" in said
+    assert "120.0 to 122.0" in said
+    assert "model before" in render_check(checks, None, tmp_path, "drive.npz").read_text(encoding="utf-8")
 
 
 def test_what_cannot_be_checked_is_said(drive: Stage) -> None:

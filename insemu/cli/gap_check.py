@@ -88,6 +88,8 @@ def command(
 
 def _tell(checks: dict[str, Check], console: Console) -> None:
     """The answer on the terminal: what stands out of each model's band, and the metres."""
+    import numpy as np
+
     from insemu.cli.printing import print_table
 
     for name, c in checks.items():
@@ -108,8 +110,12 @@ def _tell(checks: dict[str, Check], console: Console) -> None:
         print_table(console, "Outside their band", heads, body, left=2, fit=True, gap=lambda row: False)
     columns = ("outage from, s", "measured, m", *(f"{name}, m" for name in checks))
     rows = []
-    for k, start in enumerate(last.outages.starts):
-        bands = [f"{c.outages.low[k]:.1f} to {c.outages.high[k]:.1f}" for c in checks.values()]
-        rows.append([f"{start:.0f}", ", ".join(f"{c.outages.measured[k]:.1f}" for c in checks.values()), *bands])
+    for start in sorted({float(x) for c in checks.values() for x in c.outages.starts}):
+        # a model that shifts the stamps may have an outage more or less
+        at = [(c.outages, np.flatnonzero(c.outages.starts == start)) for c in checks.values()]
+        own = ", ".join(f"{o.measured[k[0]]:.1f}" if k.size else "-" for o, k in at)
+        rows.append(
+            [f"{start:.0f}", own, *(f"{o.low[k[0]]:.1f} to {o.high[k[0]]:.1f}" if k.size else "-" for o, k in at)]
+        )
     title = "Horizontal error after 60 s without fixes, each filter with its model: measured, and emulated (90 %)"
     print_table(console, title, columns, rows, left=1, fit=True, gap=lambda row: False)

@@ -278,7 +278,9 @@ def twin_of(measured: Recording, model: Nominal) -> tuple[Twin, FilterResult]:
     span = float(imu.t[-1] - imu.t[0])
     beliefs = {name: for_filter(bare.beliefs[name], imu.dt, span) for name in AXES}
     assert measured.gnss is not None
-    outages = np.arange(imu.t[0] + OUTAGE_S, imu.t[-1] - OUTAGE_S, APART_S)
+    # on a fixed grid: models that start the filter at other times have the same outages
+    first = math.ceil((imu.t[0] + OUTAGE_S) / APART_S) * APART_S
+    outages = np.arange(first, imu.t[-1] - OUTAGE_S, APART_S)
     stated = with_sigma(measured.gnss, model)
     empty = Trajectory(imu.t, np.zeros((len(imu), 3)), np.zeros((len(imu), 3)), np.zeros((len(imu), 3)))
     twin = Twin(imu, empty, measured, stated, model, bare, beliefs, (state, sigma), outages)
