@@ -252,14 +252,14 @@ def shards() -> None:
         insemu("run", str(path), "--out", str(plain))
         order = [1, 2, 3, 4, 5, 6, 7, 4]
         random.Random(1).shuffle(order)
-        late = order.pop()
+        late, killed = order.pop(), None
         for k in order:
-            if k == 3:
+            if k == order[2] and killed is None:
                 killed = subprocess.Popen(
-                    [sys.executable, "-m", "insemu", "run", str(path), "--shard", "3/7", "--out", str(out)],
+                    [sys.executable, "-m", "insemu", "run", str(path), "--shard", f"{k}/7", "--out", str(out)],
                     stderr=subprocess.DEVNULL,
                 )
-                while not list((out / CACHE).glob("*/0002*")) and killed.poll() is None:
+                while not list((out / CACHE).glob(f"*/{k - 1:04d}*")) and killed.poll() is None:
                     time.sleep(0.02)
                 killed.kill()
                 killed.wait()
