@@ -18,7 +18,7 @@ from scipy.linalg import solve_discrete_lyapunov
 from scipy.signal import lfilter
 
 from insemu.errors import InputError, nearest
-from insemu.noise import ARMA, DR, RC, NoiseModel, Process, StateBlock, shared_processes
+from insemu.noise import ARMA, DR, RC, Follows, NoiseModel, Process, StateBlock, shared_processes
 from insemu.records import AXES
 
 Array = NDArray[np.float64]
@@ -152,7 +152,13 @@ class Augmentation:
     c : (m,) array
     driver : (m,) array of int
     white : (6,) array
-        Variance of the samples' own white noise, (rad/s)^2 and (m/s^2)^2.
+        Variance of the samples' own white noise, (rad/s)^2 and (m/s^2)^2, as far as it is constant.
+    laws : tuple of Follows
+        Laws by which levels follow covariates; Q, P0 and ``white_of`` of what follows one are those at gain 1.
+    law_of : (m,) array of int
+        Law of the noise that drives each state, -1 where it is constant.
+    white_of : (laws, 6) array
+        White noise that follows each law.
     """
 
     layout: StateLayout
@@ -164,6 +170,16 @@ class Augmentation:
     c: Array
     driver: NDArray[np.int64]
     white: Array
+    laws: tuple[Follows, ...] = ()
+    law_of: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    white_of: Array = field(default_factory=lambda: np.zeros((0, 6)))
+
+    def require_constant(self, what: str) -> None:
+        """Raise ``InputError`` where a level follows a covariate, which ``what`` does not know."""
+        if self.laws:
+            raise InputError(
+                f"{what} takes noise of constant level, found a level that follows {self.laws[0].covariate}"
+            )
 
     @property
     def m(self) -> int:
@@ -399,6 +415,9 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
     axis_of: list[int] = []
     driver: list[int] = []
     white = np.zeros(6)
+    laws: list[Follows] = []
+    law_of: list[int] = []
+    white_laws: dict[tuple[int, int], float] = {}
 
     def constants(count: int, sigma: float) -> None:
         eye = np.eye(count)
@@ -415,15 +434,22 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
             raise type(error)(str(error), where=f"belief of {axis}") from None
         for place, before in enumerate(np.cumsum([0, *(b.n for b in own)])[:-1]):
             first[axis, place] = start - len(NAVIGATION) + int(before)
+        white[a] = block.white
+        for process, part in zip(model, own, strict=True):
+            law = _law(process, laws)
+            law_of += [law] * part.n
+            if law >= 0:
+                white_laws[law, a] = white_laws.get((law, a), 0.0) + part.white
+                white[a] -= part.white
         names += [f"{axis}.{name}" for name in block.names]
         blocks.append(block)
         axis_of += [a] * block.n
         driver += [-1] * block.n
-        white[a] = block.white
         triad, letter = axis.split("_")
         if (scale := getattr(extras, f"{triad}_scale")) > 0:
             names.append(f"{axis}.scale")
             constants(1, scale)
+            law_of.append(-1)
             axis_of.append(a)
             driver.append(a)
         if (misalignment := getattr(extras, f"{triad}_misalignment")) > 0:
@@ -432,6 +458,7 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
                 axis_of.append(a)
                 driver.append(AXES.index(f"{triad}_{other}"))
             constants(2, misalignment)
+            law_of += [-1, -1]
         slices[axis] = slice(start, len(names))
     for name, parts, sigma in (("lever_arm", "xyz", extras.lever_arm), ("latency", "", extras.latency)):
         if sigma > 0:
@@ -439,9 +466,13 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
             slices[name] = slice(len(names), len(names) + count)
             names += [f"{name}_{part}" for part in parts] or [name]
             constants(count, sigma)
+            law_of += [-1] * count
             axis_of += [-1] * count
             driver += [-1] * count
 
+    white_of = np.zeros((len(laws), 6))
+    for (law, a), variance in white_laws.items():
+        white_of[law, a] = variance
     stacked = _share(models, first, StateBlock.stack(blocks, dt))
     return Augmentation(
         layout=StateLayout(tuple(names), slices),
@@ -452,5 +483,18 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
         axis=np.array(axis_of, dtype=np.int64),
         c=np.where(np.array(axis_of, dtype=np.int64) >= 0, stacked.c, 0.0),
         driver=np.array(driver, dtype=np.int64),
-        white=white,
+        white=np.maximum(white, 0.0),
+        laws=tuple(laws),
+        law_of=np.array(law_of, dtype=np.int64),
+        white_of=white_of,
     )
+
+
+def _law(process: Process, laws: list[Follows]) -> int:
+    """Place of a process's law among those of a belief, which it joins; -1 where its level is constant."""
+    if process.follows is None:
+        return -1
+    process.follows.gain(0.0)  # refuses an unknown slope
+    if process.follows not in laws:
+        laws.append(process.follows)
+    return laws.index(process.follows)

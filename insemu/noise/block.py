@@ -82,6 +82,14 @@ class StateBlock:
             dt=dt,
         )
 
+    def roots(self) -> tuple[Array, Array]:
+        """Matrices whose squares are ``Q`` and ``P0``, which may be singular."""
+        out = []
+        for covariance in (self.Q, self.P0):
+            values, vectors = np.linalg.eigh(covariance)
+            out.append(np.ascontiguousarray(vectors * np.sqrt(np.maximum(values, 0.0))))
+        return out[0], out[1]
+
     def accumulated(self, counts: Sequence[int]) -> tuple[Array, Array]:
         """The state together with the sum of its samples, carried over spans of samples: ``z = (x, S)``, ``z' = F z + e``, ``cov e = V``.
 

@@ -12,6 +12,7 @@ from insemu.report.comparison import (
 )
 from insemu.report.experiment import render_experiment
 from insemu.report.fit import fits_answer, render_fits
+from insemu.report.following import following_answer, render_following, segment_rows
 from insemu.report.gap import (
     draw_gap,
     effect_name,
@@ -69,6 +70,7 @@ __all__ = [
     "finding_action",
     "finding_metres",
     "fits_answer",
+    "following_answer",
     "gap_headline",
     "is_better",
     "outage_rows_of",
@@ -82,10 +84,12 @@ __all__ = [
     "render_comparison",
     "render_experiment",
     "render_fits",
+    "render_following",
     "render_gap",
     "render_reckoning",
     "render_regression",
     "render_solution",
+    "segment_rows",
     "sensor_axes",
     "server",
     "shaking_said",
