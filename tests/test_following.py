@@ -9,16 +9,15 @@ import numpy as np
 import pytest
 
 from insemu.cli import main
-from insemu.effects import EffectUse
-from insemu.emulate import TemperatureProfile, corrupt
+from insemu.emulate import corrupt
 from insemu.errors import InputError
 from insemu.filters import LooselyCoupledEKF
 from insemu.filters.reference import reference_run
 from insemu.fit import fit, fit_following
 from insemu.noise import GM, WN, Follows, NoiseModel, load, save
-from insemu.records import ImuRecord, Series, Trajectory
+from insemu.records import Series, Trajectory
 from tests import filter_cases as cases
-from tests.following_experiments import RATE, SLOPE, TEMPERATURE, TRUTH, N, coverage
+from tests.following_experiments import EFFECTS, RATE, SLOPE, TEMPERATURE, TRUTH, N, coverage, recovered
 
 TEXT = "WN(N=1 deg/s/sqrt(Hz), follows=temperature, slope=0.02, at=25 degC) + GM(sigma=1, Tc=10 s, follows=speed, slope=1, law=power, at=10)"
 
@@ -85,37 +84,10 @@ def test_a_wrong_slope_is_seen():
     assert found.result.test.p_value < 1e-6 and not found.p_values
 
 
-def moving(n: int, rate: float, speed: np.ndarray) -> tuple[ImuRecord, Trajectory]:
-    """An IMU without a signal, and a reference of this speed."""
-    t = np.arange(n) / rate
-    zeros = np.zeros((n, 3))
-    velocity = np.column_stack([speed, zeros[:, :2]])
-    return ImuRecord(t, zeros, zeros, "mean"), Trajectory(t, np.tile([0.8, 0.1, 0.0], (n, 1)), velocity, zeros)
-
-
-def test_effects_of_the_emulator_are_recovered():
-    n, rate = 24_000, 20.0
-    t = np.arange(n) / rate
-    speed = 12.0 + 10.0 * np.sin(2.0 * np.pi * t / 400.0)
-    imu, reference = moving(n, rate, speed)
-    effects = [EffectUse.from_mapping({"effect": "motion_noise", "sensor": "gyro", "N": 2e-3})]
-    got = corrupt(imu, {"gyro": WN(5e-4)}, np.random.default_rng(7), effects=effects, reference=reference)
-    asked = NoiseModel.parse("WN() + WN(follows=speed, law=power, at=10)")
-    found = fit_following(Series(got.imu.gyro[:, 0], rate, "rad/s", "gyro_x"), {"speed": speed}, asked, segments=24)
-    for label, true in (("WN2.slope", 1.0), ("WN2.N", 2e-3)):
-        e = found.result[label]
-        assert abs(e.value - true) < 4.0 * e.standard_error, label
-    assert found.result["WN2.slope"].standard_error < 0.05 and found.p_values["WN2"] < 1e-12
-
-    profile = TemperatureProfile((0.0, 600.0, 1200.0), (20.0, 65.0, 20.0))
-    effects = [EffectUse.from_mapping({"effect": "temperature_noise", "sensor": "gyro", "N": 1e-4, "T0": 25.0})]
-    got = corrupt(imu, {"gyro": WN(5e-4)}, np.random.default_rng(8), effects=effects, temperature=profile)
-    asked = NoiseModel.parse("WN() + WN(follows=temperature, law=power, above=25, at=45)")
-    signal = Series(got.imu.gyro[:, 0], rate, "rad/s", "gyro_x")
-    found = fit_following(signal, {"temperature": got.imu.temperature}, asked, segments=24)
-    for label, true in (("WN2.slope", 1.0), ("WN2.N", 2e-3)):
-        e = found.result[label]
-        assert abs(e.value - true) < 4.0 * e.standard_error, label
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_effects_of_the_emulator_are_recovered(effect):
+    # fewer than 6 of 12 once in 4e6 where intervals hold 95 %
+    assert min(recovered(effect, 12).values()) >= 7 / 12
 
 
 def test_the_command_says_what_follows(tmp_path, capsys):

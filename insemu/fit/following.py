@@ -160,7 +160,7 @@ class _Segments:
     whole: WaveletVariance
     keep: NDArray[np.bool_]
     rest: NDArray[np.bool_]
-    points: tuple[Mapping[str, Array], ...]
+    points: Mapping[str, Array]
     edges: NDArray[np.int64]
 
     @classmethod
@@ -197,9 +197,10 @@ class _Segments:
         )
         whole = wavelet_variance(series.values, series.rate_hz)
         quantiles = (np.arange(POINTS) + 0.5) / POINTS
-        points = tuple(
-            {name: np.quantile(v[a:b], quantiles) for name, v in given.items()} for a, b in itertools.pairwise(edges)
-        )
+        points = {
+            name: np.array([np.quantile(v[a:b], quantiles) for a, b in itertools.pairwise(edges)])
+            for name, v in given.items()
+        }
 
         def used(tau: Array) -> NDArray[np.bool_]:
             return (tau >= tau_from * (1 - 1e-9)) & (tau <= tau_to * (1 + 1e-9))
@@ -226,7 +227,7 @@ class _Segments:
         if process.follows is None:
             return np.ones(len(self.curves) + 1)
         law = process.follows
-        own = np.array([float(np.mean(law.gain(p[law.covariate]) ** 2)) for p in self.points])
+        own = np.mean(law.gain(self.points[law.covariate]) ** 2, axis=1)
         return np.append(own, own.mean())
 
     def expected(self, model: NoiseModel) -> Array:
@@ -273,7 +274,7 @@ class _Segments:
         for k in self.following:
             law = self.asked.processes[k].follows
             assert law is not None
-            u = np.concatenate([law.stretched(p[law.covariate]) for p in self.points])
+            u = law.stretched(self.points[law.covariate])
             u = u[np.isfinite(u)]
             out.append(float(np.ptp(u)) if u.size else 0.0)
         return np.array(out)
@@ -314,7 +315,7 @@ class _Segments:
         for k, width in zip(self.following, self.widths(), strict=True):
             law = self.asked.processes[k].follows
             assert law is not None
-            u = np.array([np.mean(np.maximum(law.stretched(p[law.covariate]), -STEEPEST)) for p in self.points])
+            u = np.mean(np.maximum(law.stretched(self.points[law.covariate]), -STEEPEST), axis=1)
             u = u - u.mean()
             slope = (u @ logs) / max(float(u @ u), 1e-300)
             w = weight * shares[k] ** 2
@@ -472,7 +473,7 @@ def _segments(problem: _Segments, model: NoiseModel, z: float) -> tuple[Segment,
             size, power = p.parameters[p.level.name], 0.5 * p.level.power
             for into, ratio in ((level, factor), (low, factor - z * error), (high, factor + z * error)):
                 into[labels[k]] = size * max(float(ratio), 0.0) ** power
-        x = problem.points[s]
+        x = {name: values[s] for name, values in problem.points.items()}
         a, b = problem.edges[s : s + 2] * problem.dt
         mean, lowest, highest = ({n: float(f(v)) for n, v in x.items()} for f in (np.mean, np.min, np.max))
         out.append(Segment(float(a), float(b), mean, lowest, highest, level, low, high))

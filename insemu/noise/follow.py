@@ -106,6 +106,8 @@ class Follows:
         """Factor of the level at covariates ``x``; raises ``InputError`` where the slope is not known."""
         if self.slope is None:
             raise InputError(f"no slope by which the level follows {self.covariate}; fit the model or give one")
+        if self.law == "exp":
+            return np.asarray(np.exp(np.minimum(self.slope * self.stretched(x), LARGEST)))
         with np.errstate(invalid="ignore"):
             u = np.nan_to_num(self.slope * self.stretched(x), nan=0.0, posinf=LARGEST, neginf=-np.inf)
         return np.asarray(np.exp(np.minimum(u, LARGEST)))
