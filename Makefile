@@ -5,7 +5,7 @@ BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 WORKERS ?= 2
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-slow scoreboard scoreboard-release lint bench docs setup lock clean
+.PHONY: demo test test-slow scoreboard scoreboard-release claims claims-nightly lint bench docs setup lock clean
 
 demo: $(STAMP)
 	$(BIN)/insemu run scenarios/table3_synthetic.yaml --workers $(WORKERS) --out results/table3_synthetic
@@ -22,6 +22,13 @@ scoreboard: $(STAMP)
 
 scoreboard-release: $(STAMP)
 	mkdir -p results && OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.scoreboard --release 1000 --workers $(WORKERS) --log results/scoreboard_release.jsonl
+
+# The commands behind the figures of README and docs: the quick ones (CI), or all of them (every night); fails where a figure is not printed any more.
+claims: $(STAMP)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.claims --run cheap
+
+claims-nightly: $(STAMP)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.claims --run all
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import insemu
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parent))
 from gallery_pages import write_gallery
 from pictures import write_pictures

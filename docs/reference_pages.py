@@ -350,35 +350,46 @@ def conventions() -> list[str]:
 
 
 def evidence() -> list[str]:
-    """What the figures of the pages rest on, from ``docs/claims.yaml``."""
-    import yaml
+    """What the figures of the pages rest on, from ``docs/claims.yaml`` and from the last run of its commands."""
+    from tests.claims import claims, commands, digest, jobs, runs, said, seed
 
-    held = yaml.safe_load((Path(__file__).parent / "claims.yaml").read_text(encoding="utf-8"))
-    rows = [
-        (page, head, entry)
-        for page, entries in held.items()
-        for head, entry in entries.items()
-        if entry["evidence"] != "none"
-    ]
-    kinds = ("external", "closed form", "real data", "own simulation")
-    counts = {kind: sum(entry["evidence"] == kind for _, _, entry in rows) for kind in kinds}
-    return [
+    covered, _ = claims()
+    kept = runs()
+    dates = sorted(last["date"] for last in kept.values())
+    lines = [
         "# Evidence",
         "",
-        "What the figures of every section rest on, and the command that prints them: another program or a published table (external), a "
-        "closed form, real data, or insemu's own simulation. `python -m tests.claims --run PAGE` runs the commands of a page and says which "
-        "figures they still print.",
+        "What the figures of README and these pages rest on: another program or a published table (external); a formula, or the exact "
+        "covariance of the linear error equations, in which nothing is drawn (closed form); real data; or insemu's own draws (own simulation). "
+        "Inputs, limits and definitions are settings, which claim nothing. `python -m tests.claims` counts them; `--run cheap` runs the quick "
+        "commands again, as CI does, `--run all` all of them, as a nightly job does; both fail where a figure is not printed any more.",
         "",
-        "; ".join(f"{kind}: {n} of {len(rows)} sections ({100 * n / len(rows):.0f} %)" for kind, n in counts.items())
-        + ".",
+        *(f"- {line}" for line in said(covered)),
         "",
-        "| page | section | evidence | command |",
-        "| --- | --- | --- | --- |",
-        *(
-            f"| {page} | {_cell(head)} | {entry['evidence']} | {_code(entry['command'])} |"
-            for page, head, entry in rows
-        ),
+        f"Commands run last between {dates[0]} and {dates[-1]}." if dates else "No command was run yet.",
+        "",
+        "| figures | evidence | tolerance | seed | command or test | run last |",
+        "| --- | --- | --- | --- | --- | --- |",
     ]
+    rows: dict[tuple[str, ...], int] = {}
+    found = jobs(covered)
+    for claim in covered:
+        if claim.evidence in ("setting", "none"):
+            continue
+        entry = claim.entry
+        makes = [" && ".join(commands(entry))] + [f"check: {c}" for c in commands(entry, "check")]
+        shown = "; ".join(_code(m) for m in makes if m) or _code(str(entry.get("test")))
+        last = [
+            "" if m not in kept else f"{kept[m]['date']}, {'agreed' if kept[m]['agreed'] else 'moved'}"
+            + ("" if kept[m]["digest"] == digest(found[m]) else " (figures changed since)")
+            for m in makes if m
+        ]  # fmt: skip
+        within = f"{100 * float(entry['within']):g} %" if "within" in entry else "digits shown"
+        place = f"{claim.figure.page}, {_cell(claim.figure.head)}"
+        row = (place, claim.evidence, within, _cell(seed(entry) or "none"), shown, "; ".join(w for w in last if w))
+        rows[row] = rows.get(row, 0) + 1
+    lines += [f"| {row[0]}: {n} | {' | '.join(row[1:])} |" for row, n in rows.items()]
+    return lines
 
 
 def write_reference(folder: Path) -> None:

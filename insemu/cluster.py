@@ -76,6 +76,11 @@ class ClusterPool(Executor):
         self._shipped: list[tuple[Callable[..., Any], Any]] = []
         self._lock = Lock()
 
+    @property
+    def width(self) -> int:
+        """Items that can be worked on at a time."""
+        return max(1, sum(int(n) for n in self._client.nthreads().values()))
+
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Let a worker call ``fn``; a worker that is lost is replaced by another."""
         with self._lock:

@@ -222,6 +222,10 @@ class Files(Generic[R]):
     def __contains__(self, key: str) -> bool:
         return (self._folder / key).is_file()
 
+    def drop(self, key: str) -> None:
+        """Forget an item, if it is there."""
+        (self._folder / key).unlink(missing_ok=True)
+
     def put(self, key: str, result: R) -> None:
         """Write a file; a reader sees a whole one or none."""
         content = self._encode(result)

@@ -417,6 +417,31 @@ def kfgins_nav(folder: Path) -> Written:
     return Written(_kfgins_nav(folder / "truth.nav"), frozenset({"ref"}), SOW)
 
 
+def _imu_binary(path: Path, form: str, gyro: float, accel: float) -> Path:
+    imu = drive().imu
+    rows = zip(imu.t + SOW, imu.gyro / (RATE * gyro), imu.accel / (RATE * accel), strict=True)
+    number = round if form == "i" else float
+    path.write_bytes(b"".join(struct.pack(f"<d6{form}", t, *(number(v) for v in (*g, *a))) for t, g, a in rows))
+    return path
+
+
+@kind("binary .imu, whole numbers")
+def imu_binary_int(folder: Path) -> Written:
+    path = _imu_binary(folder / "navchip.imu", "i", 6.25e-6, 39.0625e-6)  # half a count: 1.6e-4 rad/s and 1e-3 m/s^2
+    return Written(path, IMU, SOW, tolerance=1e-3)
+
+
+@kind("binary .imu, floats")
+def imu_binary_float(folder: Path) -> Written:
+    return Written(_imu_binary(folder / "ixsea.imu", "d", np.pi / 180 / 3600, 1e-3), IMU, SOW)
+
+
+@kind("binary .imu, type said")
+def imu_binary_said(folder: Path) -> Written:
+    path = _imu_binary(folder / "ln200ig.imu", "i", 1 / 524288, 1 / 16384)
+    return Written(path, IMU, SOW, (("map", "imu=LN200IG"),), tolerance=1.6e-3)
+
+
 @kind("awesome-gins folder")
 def awesome_gins(folder: Path) -> Written:
     root = folder / "dataset"

@@ -42,8 +42,8 @@ HEAD = """# What moves with each constant of Policy: the first answer of the sco
 """
 #: Files whose quick tests may pin a constant that the scoreboard does not.
 TESTS = (
-    "test_gap_policy_pins", "test_gap_static", "test_gap_dynamic", "test_gap_refined", "test_gap_map", "test_gap_trial", "test_gap_confusion",
-    "test_gap_shaking",
+    "test_gap_policy_pins", "test_gap_drive_pins", "test_gap_static", "test_gap_dynamic", "test_gap_refined", "test_gap_map", "test_gap_trial",
+    "test_gap_confusion", "test_gap_shaking",
 )  # fmt: skip
 #: Recordings in which all constants that are not pinned yet are tried, before the next ones are.
 AT_A_TIME = 6

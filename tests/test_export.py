@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import re
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 from scipy.signal import lfilter
 
 from insemu import earth, noise, units
 from insemu.cli import main
 from insemu.errors import InputError
 from insemu.fit import fit
-from insemu.formats import open_files, write
+from insemu.formats import IMU_BINARIES, open_files, write
 from insemu.formats.programs import PROGRAMS, reduce_models, spell
 from insemu.formats.tracks_out import way_of, write_way
 from insemu.noise import GM, RC, RW, WN, NoiseModel
@@ -63,6 +65,12 @@ def _gtsam(text: str, rng: np.random.Generator) -> np.ndarray:
     return white + _walk(np.sqrt(_number(text, "setBiasOmegaCovariance") * DT), rng)
 
 
+def _matlab(text: str, rng: np.random.Generator) -> np.ndarray:
+    line = next(line for line in text.splitlines() if "gyroparams" in line)
+    white = _number(line, "NoiseDensity") * np.sqrt(RATE) * rng.standard_normal(COUNT)
+    return white + _walk(_number(line, "RandomWalk") / np.sqrt(RATE), rng)
+
+
 def _dynamic(walk: float, time: float, rng: np.random.Generator) -> np.ndarray:
     """The dynamic bias of gz-sensors and of RotorS."""
     return _bias(float(np.exp(-DT / time)), float(np.sqrt(-(walk**2) * time / 2 * np.expm1(-2 * DT / time))), rng)
@@ -104,6 +112,7 @@ SIMULATED: dict[str, tuple[NoiseModel, str, Callable[[str, np.random.Generator],
     "kalibr": (WALK, "WN()+RW()", _kalibr),
     "vins-fusion": (WALK, "WN()+RW()", _vins),
     "gtsam": (WALK, "WN()+RW()", _gtsam),
+    "matlab": (WALK, "WN()+RW()", _matlab),
     "gazebo": (SLOW, "WN()+GM()", _gazebo),
     "rotors": (SLOW, "WN()+GM()", _rotors),
     "kf-gins": (SLOW, "WN()+GM()", _kfgins),
@@ -121,7 +130,7 @@ def test_what_is_exported_simulates_the_model(program: str) -> None:
     wanted = {f"{p.symbol}.{k}": v for p in model for k, v in p.parameters.items()}
     for e in found.parameters:
         true = wanted[f"{e.process}.{e.name}"]
-        # three parameters of seven programs: 4 standard errors are passed by chance once in 700 such tests
+        # three parameters of eight programs: 4 standard errors are passed by chance once in 600 such tests
         assert abs(e.value - true) < 4 * e.standard_error, (e.label, e.value, true, e.standard_error)
 
 
@@ -197,3 +206,79 @@ def test_tracks_are_exported_by_the_command(tmp_path: Path, capsys: pytest.Captu
     for wrong in (("-o", tmp_path / "a.kml"), ("-o", tmp_path / "a.xyz"), ("-o", tmp_path / "b.kml", "--outage", "3")):
         assert run("export", tmp_path / "rec.npz", *wrong) == 2
     assert "expected seconds since 1970" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["IMAR", "LN200", "LN200IG", "IXSEA", "NAVCHIP_INT", "NAVCHIP_FLT"])
+def test_a_binary_imu_comes_back(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Whole numbers are rounded cumulatively: angles and velocities are right to one count over any span."""
+    source = write(tmp_path / "drive.npz", drive())
+    assert run("export", source, "--to", kind.lower(), "-o", tmp_path / "drive.imu") == 0
+    back, want = open_files(tmp_path / "drive.imu", maps=(f"imu={kind}", "", "")).imu, drive().imu.as_increments()
+    assert back is not None and back.kind == "increment"
+    layout = IMU_BINARIES[kind]
+    for found, given, count in ((back.gyro, want.gyro, layout.gyro), (back.accel, want.accel, layout.accel)):
+        worst = np.abs(np.cumsum(found - given, axis=0)).max() / count
+        assert worst < 0.51 if layout.values == "<i4" else worst < 1e-6
+    np.testing.assert_array_equal(back.t, want.t)
+    guessed = open_files(tmp_path / "drive.imu")
+    assert guessed.assumed[0].startswith("type ") and kind in guessed.assumed[0]
+    assert guessed.imu is not None
+    np.testing.assert_array_equal(guessed.imu.accel, back.accel)
+
+
+def test_a_binary_imu_that_fits_no_type_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "x.imu"
+    path.write_bytes(np.random.default_rng(1).bytes(4000))
+    assert run("open", path) == 2
+    assert "fits no type under gravity; say it with --map imu=TYPE" in capsys.readouterr().err
+    assert run("open", path, "--map", "imu=LN20") == 2
+    assert "unknown type of IMU 'LN20' (did you mean 'LN200'?)" in capsys.readouterr().err
+    source = write(tmp_path / "drive.npz", drive())
+    assert run("export", source, "-o", tmp_path / "y.imu") == 2
+    assert "says no type of IMU; expected one of: IMAR" in capsys.readouterr().err
+    assert not (tmp_path / "y.imu").exists()
+
+
+def test_a_run_becomes_an_overlay_of_its_designs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two designs through one outage: a folder each, the way displaced by the error, the ellipse three stated sigmas wide."""
+    scenario = tmp_path / "short.yaml"
+    scenario.write_text(
+        """
+title: an overlay
+seed: 3
+realizations: 2
+trajectory: {builtin: urban_drive_1, rate: 50 Hz, duration: 90 s}
+truth: {gyro: WN(N=0.1 deg/s/sqrt(Hz)), accel: WN(N=1 mg/sqrt(Hz))}
+gnss: {rate: 1 Hz, position_sigma: 1 m, velocity_sigma: 0.1 m/s, outages: [{start: 50 s, duration: 20 s}]}
+designs:
+  one: {gyro: WN(N=0.1 deg/s/sqrt(Hz)), accel: WN(N=1 mg/sqrt(Hz))}
+  a & b: {gyro: WN(N=0.3 deg/s/sqrt(Hz)), accel: WN(N=2 mg/sqrt(Hz))}
+"""
+    )
+    assert run("run", scenario, "--workers", "1", "--out", tmp_path / "out") == 0
+    kml = tmp_path / "overlay.kml"
+    assert run("export", tmp_path / "out", "-o", kml, "--realization", "2") == 0
+    space = {"k": "http://www.opengis.net/kml/2.2"}
+    folders = ElementTree.parse(kml).getroot().findall(".//k:Folder", space)
+    assert [f.findtext("k:name", "", space) for f in folders] == ["reference", "one", "a & b"]
+
+    def places(node: ElementTree.Element) -> np.ndarray:
+        text = node.findtext(".//k:coordinates", "", space)
+        lon, lat, h = np.array([[float(v) for v in p.split(",")] for p in text.split()]).T
+        return np.column_stack([np.radians(lat), np.radians(lon), h])
+
+    with xr.open_dataset(tmp_path / "out" / "errors.nc", engine="h5netcdf") as data:
+        error, sigma = (data[v].values[:, 1, :, :3] for v in ("error", "sigma"))
+        t = data["time"].values
+    truth = places(folders[0].findall("k:Placemark", space)[0])
+    last = int(np.flatnonzero(t <= 70.0)[-1])
+    for k, folder in enumerate(folders[1:]):
+        way, outage, ellipse = folder.findall("k:Placemark", space)
+        np.testing.assert_allclose(earth.position_difference(places(way), truth), error[k], atol=2e-3)
+        assert len(places(outage)) == int(((t >= 50.0) & (t <= 70.0)).sum())
+        ring = earth.llh_to_ned(places(ellipse), places(way)[last])
+        np.testing.assert_allclose(ring[:, :2].max(axis=0), 3.0 * sigma[k, last, :2], rtol=1e-2)
+    assert run("export", tmp_path / "out", "-o", kml, "--realization", "3") == 2
+    assert "--realization: found 3, expected 1 to 2" in capsys.readouterr().err
+    assert run("export", tmp_path / "out", "-o", tmp_path / "x.gpx") == 2
+    assert "cannot write '.gpx' overlays, expected .kml" in capsys.readouterr().err

@@ -17,10 +17,11 @@ from insemu.formats import Opened, open_files, write
 from insemu.formats.columns import parse_map
 from insemu.intake import card_of, examine
 from insemu.intake.checks import mounting
+from insemu.intake.fixes import OFFSET_NATS, against_fixes, offset
 from insemu.records import Recording, Series
 from tests.file_samples import KINDS, drive, mapped_csv
 from tests.shared_data import shared
-from tests.wrong_recordings import WRONG, Wrong, flown, in_radians, mounted, right, scaled, swapped, velocities
+from tests.wrong_recordings import WRONG, Wrong, flown, in_radians, late, mounted, right, scaled, swapped, velocities
 
 #: Settings that a mending command may hold; a position that was named is applied and the card made again.
 _MEND = re.compile(r'--map "([^"]+)"')
@@ -289,3 +290,13 @@ def test_a_stamp_far_away_does_not_hang_the_card() -> None:
     t = data.gnss.t.copy()
     t[-1] = 1e15
     assert examine(replace(data, gnss=replace(data.gnss, t=t))).lines
+
+
+@pytest.mark.parametrize(("seconds_late", "says"), [(0.0, "antenna ahead"), (2.0, "gnss_shift=-")])
+def test_an_antenna_ahead_of_the_imu_is_not_taken_for_a_late_clock(seconds_late: float, says: str) -> None:
+    opened = late(seconds_late)(flown(seconds=480.0, sigma=0.2, ahead=3.0))
+    assert opened.imu is not None and opened.gnss is not None
+    turn, _ = against_fixes(opened.imu, opened.gnss, None)
+    assert turn is not None and turn.gain_nats > OFFSET_NATS  # without the lever arm, both look like an offset
+    (line,) = offset(turn)
+    assert says in line.text + (line.mend or "")

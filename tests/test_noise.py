@@ -306,6 +306,7 @@ def _processes() -> st.SearchStrategy:
         st.builds(BI, value),
         st.builds(SIN, value, value),
         st.builds(RC, value),
+        st.builds(PROCESSES["PWC"], value, value),
         st.builds(AR1, st.floats(-0.999, 0.999), value, st.just(100.0)),
         st.builds(AR, st.tuples(st.floats(-2, 2), st.floats(-1, 1)), st.just(()), value, st.just(100.0)),
         st.builds(ARMA, st.tuples(st.floats(-2, 2)), st.tuples(st.floats(-1, 1)), value, st.just(100.0)),

@@ -31,8 +31,11 @@ ROWS = {
     "RC": RC(1e-2),
     "GM2 slow": PROCESSES["GM2"](2e-3, 0.05),
     "GM2 fast": PROCESSES["GM2"](2e-3, 60.0),
+    "PWC": PROCESSES["PWC"](2e-3, 0.20371),
+    "PWC long": PROCESSES["PWC"](2e-3, 90.0037),
+    "PWC samples": PROCESSES["PWC"](2e-3, 0.0151),
 }
-BLOCKS = {name: p for name, p in ROWS.items() if name != "BI"}
+BLOCKS = {name: p for name, p in ROWS.items() if p.symbol not in ("BI", "PWC")}  # whose blocks are exact
 FITTED = {name: p for name, p in ROWS.items() if name != "RC"}
 each_block = pytest.mark.parametrize("process", BLOCKS.values(), ids=BLOCKS)
 each_fitted = pytest.mark.parametrize("process", FITTED.values(), ids=FITTED)
@@ -147,6 +150,7 @@ def test_refusals_name_the_estimator_and_the_reason() -> None:
     for process, method, word in (
         (RC(), "gmwm", "trace"),
         (BI(), "mli", "block"),
+        (PROCESSES["PWC"](), "mli", "block"),
         (SIN(), "mli", "phase"),
         (DR(), "mli", "slope"),
     ):
@@ -154,7 +158,7 @@ def test_refusals_name_the_estimator_and_the_reason() -> None:
             process.refuse(method)
 
 
-@pytest.mark.parametrize("name", ["QN", "MA", "ARMA", "SIN", "BI", "RC", "GM2"])
+@pytest.mark.parametrize("name", ["QN", "MA", "ARMA", "SIN", "BI", "RC", "GM2", "PWC"])
 def test_em_refuses_by_name(name: str) -> None:
     free = ROWS.get(name, PROCESSES[name]())
     structure = WN() + free.with_parameters(dict.fromkeys(free.given))
@@ -173,6 +177,63 @@ def test_a_process_augments_a_filter(name: str) -> None:
         near(row @ state @ row, gamma, 1e-8)
         state = found.Phi[np.ix_(own, own)] @ state
     assert found.white[0] == pytest.approx(1e-6 / DT)
+
+
+@pytest.mark.parametrize("samples", [1.0, 1.51, 2.0, 7.0, 20.371, 300.0])
+def test_a_held_value_has_the_variances_of_its_autocovariance(samples: float) -> None:
+    """Closed forms against sums over the triangular autocovariance; lags in samples."""
+    process = PROCESSES["PWC"](2.0, samples * DT)
+    gamma = process.autocovariance(np.arange(1200), DT)
+    near(gamma, 4.0 * np.maximum(0.0, 1.0 - np.arange(1200) / samples), 1e-12)
+    for m in (1, 2, 5, 13, 20, 100, 400):
+        whole = np.convolve(np.r_[-np.ones(m), np.ones(m)], np.r_[np.ones(m), -np.ones(m)])
+        near(process.allan_variance(m, DT), whole @ gamma[np.abs(np.arange(1 - 2 * m, 2 * m))] / (2.0 * m**2), 1e-10)
+        mean = m - np.abs(np.arange(1 - m, m))
+        near(process.mean_variance(m, DT), mean @ gamma[np.abs(np.arange(1 - m, m))] / m**2, 1e-10)
+        apart = [mean @ gamma[np.abs(k * m + np.arange(1 - m, m))] / m**2 for k in range(4)] if m < 300 else None
+        if apart is not None:
+            want = [
+                2.0 * (apart[0] - apart[1]),
+                2.0 * apart[1] - apart[0] - apart[2],
+                2.0 * apart[2] - apart[1] - apart[3],
+            ]
+            near(process.difference_covariance(m, DT, 3), np.array(want), 1e-9)
+    f = (np.arange(4096) + 0.5) / 4096 / DT / 2.0
+    integral = np.mean(process.psd(f, DT) * np.cos(2.0 * np.pi * np.outer(np.arange(8), f) * DT), axis=1) / DT
+    near(integral, gamma[:8], 1e-9)
+
+
+def test_held_values_are_drawn_from_any_instant_of_a_holding_time() -> None:
+    """4,000 short records: steps of exactly the holding time, and the autocovariance of the ensemble within five standard errors."""
+    process = PROCESSES["PWC"](2.0, 0.08)
+    one = process.simulate(81, DT, np.random.default_rng(1))
+    changes = np.flatnonzero(np.diff(one))
+    assert (np.diff(changes) == 8).all() and changes.size == 10
+    x = np.array([process.simulate(20, DT, r) for r in np.random.default_rng(2).spawn(4000)])
+    for lag in (0, 3, 7, 8, 12):
+        products = x[:, 2] * x[:, 2 + lag]
+        want = 4.0 * max(0.0, 1.0 - lag / 8.0)
+        assert abs(products.mean() - want) < 5.0 * products.std() / math.sqrt(4000)
+
+
+def test_what_stands_for_held_values_in_a_filter_resembles_them_as_stated() -> None:
+    process, m = PROCESSES["PWC"](2.0, 10.0), np.unique(np.geomspace(1.0, 1e5, 400).astype(int))
+    ratio = process.block(DT).allan_variance(m) / process.allan_variance(m, DT)
+    assert 0.83 < ratio.min() < 0.84 and 1.2 < ratio.max() < 1.21
+    far = (m * DT < 1.8) | (m * DT > 250.0)
+    assert np.abs(ratio[far] - 1.0).max() < 0.021
+    found = augment({"gyro_x": WN(1e-3) + process}, DT)
+    assert found.layout.names[9:] == ("gyro_x.PWC1", "gyro_x.PWC1.quadrature")
+
+
+def test_the_moments_of_held_values_give_them_back() -> None:
+    """Three records of 200 holding times: each of the parameters lies within four standard errors."""
+    truth = WN(0.1) + PROCESSES["PWC"](0.05, 4.0)
+    for rng in np.random.default_rng(3).spawn(3):
+        found = fit(truth.simulate(16_000, 0.05, rng), "WN() + PWC()", rate_hz=20.0)
+        assert found.converged
+        for label, value in (("WN1.N", 0.1), ("PWC1.sigma", 0.05), ("PWC1.T", 4.0)):
+            assert abs(found[label].value - value) < 4.0 * found[label].standard_error
 
 
 def test_every_process_has_a_row() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -155,6 +156,9 @@ HUM = [{"effect": "vibration_line", "sensor": "accel", "axes": ["x"], "amplitude
 KINDS = {
     "run/index.html": ["run flight.yaml --out run --workers 1"],
     "compare/index.html": ["compare flight.yaml --out compare --workers 1"],
+    "sweep/index.html": [
+        "sweep flight.yaml --over 'gnss.position_sigma=[5 cm, 1 m],outage=[10 s, 20 s]' --linear 50 --out sweep"
+    ],
     "budget/index.html": ["compare flight.yaml --out budget --analytic"],
     "regress.html": [
         "regress record flight.yaml --baseline b.json --workers 1",
@@ -178,7 +182,7 @@ def make_pages(folder: Path) -> None:
     for commands in KINDS.values():
         for command in commands:
             with pytest.raises(SystemExit) as end:
-                main(command.split())
+                main(shlex.split(command))
             assert end.value.code in (0, None), command
 
 

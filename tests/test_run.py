@@ -6,10 +6,13 @@ import json
 import os
 import subprocess
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import portalocker
 import pytest
 import yaml
 
@@ -212,18 +215,50 @@ def test_one_folder_has_one_writer(tmp_path: Path) -> None:
     code = "import sys, pathlib; from insemu.evaluate.folder import only_writer\nwith only_writer(pathlib.Path(sys.argv[1])): input()"
     other = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdin=subprocess.PIPE, text=True)
     try:
-        while not (tmp_path / ".lock").exists() or not (tmp_path / ".lock").read_text():
+        while not (tmp_path / ".writer").exists():
             assert other.poll() is None
         with pytest.raises(InputError, match=f"being written by process {other.pid}"), only_writer(tmp_path):
             pass
         other.kill()  # whatever ends a process gives its folder back
         other.wait()
         with only_writer(tmp_path):
-            assert (tmp_path / ".lock").exists()
-        assert not (tmp_path / ".lock").exists()
+            assert f"process {os.getpid()} " in (tmp_path / ".writer").read_text()
+            assert (tmp_path / ".lock").read_bytes() == b""  # nobody can read a locked file on Windows
+        assert list(tmp_path.iterdir()) == []
     finally:
         other.kill()
         other.communicate()
+
+
+def test_writers_that_come_and_go_are_never_two_at_a_time(tmp_path: Path) -> None:
+    # each takes the folder 200 times, and the lock is removed each time: whoever loses an update was not alone
+    values = [0]
+
+    def writer() -> None:
+        held = 0
+        while held < 200:
+            try:
+                with only_writer(tmp_path):
+                    value = values[-1]
+                    time.sleep(1e-4)
+                    values.append(value + 1)
+                    held += 1
+            except InputError:
+                time.sleep(0)
+
+    with ThreadPoolExecutor(3) as pool:  # a lock belongs to an open file, so threads exclude each other as processes do
+        for done in [pool.submit(writer) for _ in range(3)]:
+            done.result()
+    assert values == list(range(601))
+
+
+def test_a_file_system_that_cannot_lock_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any) -> None:
+        raise portalocker.LockException("No locks available")
+
+    monkeypatch.setattr("portalocker.lock", refuse)
+    with pytest.raises(InputError, match=r"cannot lock files \(No locks available\)"), only_writer(tmp_path):
+        pass
 
 
 def test_what_fails_after_flying_loses_no_results(

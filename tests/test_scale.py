@@ -17,7 +17,7 @@ from insemu.cli import main
 from insemu.cluster import cluster
 from insemu.compiled import compiled_beside, wait_for_kernels
 from insemu.errors import InputError
-from insemu.evaluate import Experiment, Shard, kernels, run_experiment
+from insemu.evaluate import Experiment, Shard, kernels, run_experiment, running
 from insemu.evaluate import write as write_results
 from insemu.evaluate.folder import only_writer
 from insemu.scenario import load
@@ -41,6 +41,18 @@ def same(one: Path, other: Path) -> bool:
     return epochs and figures(one) == figures(other)
 
 
+def groups_same(one: Path, other: Path) -> bool:
+    """Values of every realization and statistics of all."""
+    out = True
+    for group in ("runs", "statistics"):
+        with (
+            xr.open_dataset(one / "errors.nc", group=group) as a,
+            xr.open_dataset(other / "errors.nc", group=group) as b,
+        ):
+            out &= set(a) == set(b) and all(np.array_equal(a[n], b[n], equal_nan=True) for n in a if n != "seconds")
+    return out
+
+
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folder = tmp_path_factory.mktemp("plain")
@@ -51,6 +63,48 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 def fly(path: Path, out: Path, *, workers: int) -> None:
     write_results(run_experiment(Experiment(load(path), path), workers=workers, cache=out / "cache"), out)
+
+
+@pytest.fixture(scope="module")
+def many(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Twenty realizations, all of whose epochs are kept."""
+    folder = tmp_path_factory.mktemp("many")
+    path = write(folder, **SIX | {"realizations": 20})
+    fly(path, folder / "out", workers=2)
+    return path, folder / "out"
+
+
+def test_sums_that_were_added_on_the_way_are_those_of_all_epochs(
+    many: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only a chosen few are kept whole, and everything that is told is the same to the bit; also after an interruption, and in shards."""
+    path, whole = many
+    monkeypatch.setattr(running, "FULL", 4)
+    fly(path, tmp_path / "one", workers=2)
+    assert figures(tmp_path / "one") == figures(whole) and groups_same(tmp_path / "one", whole)
+    with xr.open_dataset(tmp_path / "one" / "errors.nc") as few, xr.open_dataset(whole / "errors.nc") as full:
+        numbers = few["realization"].to_numpy()
+        ends = np.hypot(*np.moveaxis(full["error"].to_numpy()[0, :, -1, :2], -1, 0))
+        assert 0 in numbers and numbers.size <= 3 < full.sizes["realization"] and ends.size == 20
+        for name in ("error", "sigma", "nees", "axis_error"):
+            np.testing.assert_array_equal(few[name], full[name].isel(realization=numbers))
+    names = sorted(p.name for p in (tmp_path / "one" / "cache").glob("*/*"))
+    assert {"00000+8", "00008+8", "00016", "00019"} <= set(names) and "00009" not in set(names) - {
+        f"{n:05d}" for n in numbers
+    }
+
+    nodes = sorted((tmp_path / "one" / "cache").glob("*/*"))
+    shutil.copytree(tmp_path / "one" / "cache", tmp_path / "two" / "cache")
+    damaged = next((tmp_path / "two" / "cache").glob("*/00008+8"))
+    damaged.write_bytes(damaged.read_bytes()[:-9])
+    next((tmp_path / "two" / "cache").glob("*/00017")).unlink()
+    fly(path, tmp_path / "two", workers=1)
+    assert same(tmp_path / "one", tmp_path / "two") and groups_same(tmp_path / "one", tmp_path / "two") and nodes
+
+    for k in (3, 1, 3, 2):
+        assert run(str(path), "--shard", f"{k}/3", "--out", str(tmp_path / "three")) == 0
+    assert merge(tmp_path / "three") == 0
+    assert groups_same(tmp_path / "one", tmp_path / "three")
 
 
 def merge(folder: Path) -> int:

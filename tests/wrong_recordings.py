@@ -16,9 +16,9 @@ from insemu.records import GnssRecord, ImuRecord
 @lru_cache(maxsize=16)
 def flown(
     which: str = "urban_drive_1", start: float = 0.0, seconds: float = 240.0, rate: float = 50.0, fixes: float = 1.0,
-    sigma: float = 0.5, velocity: bool = True, grade: float = 1.0, kind: str = "mean", seed: int = 1,
+    sigma: float = 0.5, velocity: bool = True, grade: float = 1.0, kind: str = "mean", seed: int = 1, ahead: float = 0.0,
 ) -> Opened:  # fmt: skip
-    """A stretch of a built-in drive or flight with an IMU of a grade (1: consumer MEMS) and a receiver."""
+    """A stretch of a built-in drive or flight with an IMU of a grade (1: consumer MEMS) and a receiver, its antenna some metres ahead."""
     rng = np.random.default_rng(seed)
     path = emulate.built_in(which)
     ideal = emulate.ideal_imu(path, rate, kind="mean", span=(start, start + seconds))
@@ -30,7 +30,12 @@ def flown(
     if kind == "increment":
         gyro, accel = gyro / rate, accel / rate
     gnss = emulate.gnss_fixes(
-        ideal.reference, fixes, (sigma, sigma, 1.5 * sigma), (0.1, 0.1, 0.15) if velocity else None, rng=rng
+        ideal.reference,
+        fixes,
+        (sigma, sigma, 1.5 * sigma),
+        (0.1, 0.1, 0.15) if velocity else None,
+        (ahead, 0.0, 0.0),
+        rng=rng,
     )
     return Opened("a.npz", "recording", ImuRecord(imu.t, gyro, accel, kind), gnss)  # type: ignore[arg-type]
 

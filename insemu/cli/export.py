@@ -14,13 +14,16 @@ def command(
     file: str = typer.Argument(
         ...,
         metavar="FILE",
-        help="Models (YAML of `insemu fit -o`), a recording or track, or a folder of `insemu solve`.",
+        help="Models (YAML of `insemu fit -o`), a recording or track, or a folder of `insemu solve` or `insemu run`.",
     ),
-    out: str = typer.Option(..., "--out", "-o", help="File to write; tracks: .tum, .kml, .gpx, .pos or .csv."),
+    out: str = typer.Option(
+        ..., "--out", "-o", help="File to write; tracks: .tum, .kml, .gpx, .pos or .csv; an IMU: .imu."
+    ),
     to: str = typer.Option(
         "",
         "--to",
-        help="Of models: kalibr, openvins, vins-fusion, gazebo, rotors, px4, kf-gins, gtsam or gnss-ins-sim.",
+        help="Of models: kalibr, openvins, vins-fusion, gazebo, rotors, px4, kf-gins, gtsam, matlab or gnss-ins-sim. Of .imu: IMAR, LN200, "
+        "LN200IG, IXSEA, NAVCHIP_INT or NAVCHIP_FLT.",
     ),
     rate: str = typer.Option("100 Hz", "--rate", help="Of models: sampling rate of the sensor there."),
     record: str = typer.Option("1 h", "--record", help="Of models: length of the record that they were fitted to."),
@@ -31,13 +34,25 @@ def command(
     outage: list[str] | None = typer.Option(  # noqa: B008
         None, "--outage", help="Of recordings: START:END in s, coloured in KML; may be repeated."
     ),
+    realization: int = typer.Option(1, "--realization", help="Of runs: which one is drawn in KML, from 1."),
 ) -> None:
-    """Write noise models for another program, or the track of a recording or a solution as TUM, KML, GPX, RTKLIB .pos or CSV."""
+    """Write what other programs read.
+
+    Noise models in their words; the track of a recording or a solution as TUM, KML, GPX, RTKLIB .pos or CSV; the ways of a run's designs as
+    KML; an IMU as binary .imu.
+    """
     from pathlib import Path
 
     target = Path(out)
     if Path(file).suffix.lower() in (".yaml", ".yml"):
         _models(file, target, to, rate, record)
+    elif target.suffix.lower() == ".imu":
+        _imu(file, target, to)
+    elif (Path(file) / "errors.nc").is_file():
+        from insemu.evaluate import ways_of_run
+        from insemu.formats import write_overlay
+
+        write_overlay(ways_of_run(Path(file), realization), target)
     else:
         _track(file, target, reference=reference, starts=starts, outage=outage or [])
     typer.echo(f"wrote: {target}", err=True)
@@ -56,6 +71,15 @@ def _models(file: str, target: Path, to: str, rate: str, record: str) -> None:
     put(target, text)
     for note in notes:
         typer.echo(f"beware: {note}", err=True)
+
+
+def _imu(file: str, target: Path, to: str) -> None:
+    from insemu.errors import InputError
+    from insemu.formats import IMU_BINARIES, read_imu, write_imu_binary
+
+    if not to:
+        raise InputError(f"says no type of IMU; expected one of: {', '.join(IMU_BINARIES)}", where="--to")
+    write_imu_binary(target, read_imu(file), to)
 
 
 def _track(file: str, target: Path, *, reference: bool, starts: str, outage: list[str]) -> None:

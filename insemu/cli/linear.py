@@ -80,6 +80,24 @@ def preview(experiment: Experiment, realizations: int, console: Console, *, as_j
     console.print(f"{SAID}{': ' + twin.left_out if twin.left_out else ''}.", soft_wrap=True, style="dim")
 
 
+def check_control(experiment: Experiment, *, until: bool) -> None:
+    """Refuse before anything is flown what no linear realization can help.
+
+    Raises
+    ------
+    InputError
+        Fewer than three realizations (of a run that adds none), no outage, or no design with a linear twin.
+    """
+    from insemu.errors import InputError
+    from insemu.evaluate import analysable
+
+    if (experiment.realizations < 3 and not until) or not experiment.world.outage_windows:
+        raise InputError("three realizations or more and an outage are needed", where="--control")
+    able, reason = analysable(experiment, removes_means=True)
+    if not able:
+        raise InputError(reason, where="--control")
+
+
 def control(
     experiment: Experiment, results: Results, realizations: int, folder: Path, told: Console, *, as_json: bool
 ) -> None:
@@ -97,13 +115,10 @@ def control(
         Print no table.
     """
     from insemu.cli.printing import print_table
-    from insemu.errors import InputError
     from insemu.evaluate import LinearTwin
     from insemu.evaluate import control as helped
     from insemu.whole import put
 
-    if results.realizations < 3 or not results.outages:
-        raise InputError("three realizations or more and an outage are needed", where="--control")
     twin = LinearTwin(experiment)
     found = helped(results, twin, realizations)
     plain = {name: [c.to_json() for c in cells] for name, cells in found.items()}

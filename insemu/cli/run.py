@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from concurrent.futures import Executor
     from pathlib import Path
 
@@ -61,8 +61,8 @@ def command(
 
     from rich.console import Console
 
+    from insemu.cli.linear import check_control, preview
     from insemu.cli.linear import control as controlled
-    from insemu.cli.linear import preview
     from insemu.cluster import cluster as dask_cluster
     from insemu.compiled import compiled_beside
     from insemu.errors import InputError
@@ -86,6 +86,8 @@ def command(
         dask_cluster(cluster, many) as pool,
     ):
         experiments = prepared(scenario, overrides, with_variants=variants, console=told)
+        if control:
+            check_control(experiments[""], until=bool(until))
         if linear:
             preview(experiments[""], linear, Console(), as_json=as_json)
             return
@@ -97,9 +99,13 @@ def command(
             return
         if until:
             fly_until(experiments, until, folder, (many, pool), told)
-        results, failed = run_all(experiments, folder, (many, pool), told, overwrite=overwrite)
-    if control:
-        controlled(experiments[""], results[""], control, folder, Console(stderr=as_json), as_json=as_json)
+
+        def help_figures(found: Results) -> None:
+            controlled(experiments[""], found, control, folder, Console(stderr=as_json), as_json=as_json)
+
+        results, failed = run_all(
+            experiments, folder, (many, pool), told, overwrite=overwrite, also=help_figures if control else None
+        )
     say_all(results, failed, folder, as_json=as_json)
 
 
@@ -199,17 +205,14 @@ def fly_shard(
         Threads, or a pool instead.
     console : Console
     """
-    from insemu.evaluate import CACHE, fly, note, only_writer
+    from insemu.evaluate import CACHE, fly_part, note, only_writer
 
     workers, pool = means
     with only_writer(folder, shared=True):
         for name, experiment in experiments.items():
             mine = shard.realizations(experiment.realizations)
             with bar(console, f"{name or 'shard'} {shard}", len(mine)) as (step, say):
-                for _ in fly(
-                    experiment, mine, workers=workers, executor=pool, cache=folder / CACHE, progress=step, say=say
-                ):
-                    pass
+                fly_part(experiment, mine, workers=workers, executor=pool, cache=folder / CACHE, progress=step, say=say)
         note(folder, shard, run)
     console.print(f"Shard {shard} is in {folder}. With all of them there: insemu merge {folder}", soft_wrap=True)
 
@@ -238,6 +241,7 @@ def run_all(
     console: Console,
     *,
     overwrite: bool = False,
+    also: Callable[[Results], None] | None = None,
 ) -> tuple[dict[str, Results], list[str]]:
     """Fly, and write every result as soon as it is there; then the error budget and the page, whose failures lose nothing.
 
@@ -251,6 +255,8 @@ def run_all(
         For progress, warnings and what failed.
     overwrite : bool
         Whether results of more realizations may be replaced.
+    also : callable, optional
+        Given the scenario's results while the folder is held, before it is marked as complete.
 
     Returns
     -------
@@ -291,6 +297,8 @@ def run_all(
         source = main.published.source if main.published else ""
         text = {"question": main.question, "notes": main.notes, "source": source}
         attempt("the page", lambda: render_experiment(done[""], others, folder, text=text))
+        if also is not None:
+            also(done[""])
         finish(folder, main, done[""])
     return done, failed
 
@@ -341,7 +349,7 @@ def flown(
 
     def preview(first: Results) -> None:
         if (said := answer(first)) is not None:
-            text = f"After {first.realizations} realizations: {said.sentence}"
+            text = f"After {first.realizations} realizations and {first.timing['wall_seconds']:.0f} s of flying: {said.sentence}"
             console.print(text, soft_wrap=True, highlight=False, markup=False)
 
     workers, pool = means

@@ -3,6 +3,7 @@
 import sys
 
 from insemu import CalledRoom
+from insemu.emulate.differenced import Differenced, difference
 from insemu.emulate.errors import RecordedErrors
 from insemu.emulate.flight import Flight, gusts, moving_share, origin_at
 from insemu.emulate.gnss import AreaOutage, Outage, antenna, gnss_fixes, random_outages, state_at
@@ -25,6 +26,7 @@ __all__ = [
     "Command",
     "Corrupted",
     "DeadReckoning",
+    "Differenced",
     "ErrorPieces",
     "Flight",
     "IdealImu",
@@ -43,6 +45,7 @@ __all__ = [
     "corrupt",
     "covariates_of",
     "dead_reckon",
+    "difference",
     "gnss_fixes",
     "gusts",
     "held_out_distance",

@@ -33,11 +33,13 @@ from insemu.evaluate.results import (
     summary,
     verdicts,
 )
-from insemu.evaluate.running import fly, kept, run_experiment
+from insemu.evaluate.running import chosen, fly_part, run_experiment
 from insemu.evaluate.shards import Shard, check_complete, note, noted
 from insemu.evaluate.standings import Standing, answer
+from insemu.evaluate.sweep import Row, Sweep, best_of, conditions, front
 from insemu.evaluate.twin import LinearTwin
 from insemu.evaluate.until import Goal, Look, looks
+from insemu.evaluate.ways import ways_of_run
 from insemu.evaluate.world import World
 
 __all__ = [
@@ -56,19 +58,24 @@ __all__ = [
     "LinearTwin",
     "Look",
     "Results",
+    "Row",
     "Shard",
     "Standing",
+    "Sweep",
     "Verdict",
     "World",
     "analysable",
     "analyse_designs",
     "answer",
+    "best_of",
     "bootstrap_mean",
     "changed",
     "check",
     "check_complete",
     "check_not_fewer",
+    "chosen",
     "compare",
+    "conditions",
     "consistency_words",
     "control",
     "differences",
@@ -76,9 +83,9 @@ __all__ = [
     "figure_of",
     "finish",
     "finite",
-    "fly",
+    "fly_part",
+    "front",
     "kendall",
-    "kept",
     "lag_products",
     "looks",
     "navigation_error",
@@ -101,6 +108,7 @@ __all__ = [
     "surroundings",
     "trial",
     "verdicts",
+    "ways_of_run",
     "whiteness_verdicts",
     "with_designs",
     "within_outage",

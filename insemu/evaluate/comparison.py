@@ -98,9 +98,7 @@ def compare(results: Results, base: str | None = None) -> list[ComparisonRow]:
     rows = []
     for outage in [*range(len(results.outages)), None]:
         values = {
-            name: results.pooled_end(name)
-            if outage is None
-            else results.planimetric(name)[:, results.end_index(outage)]
+            name: results.pooled_end(name) if outage is None else results.planimetric_ends(name)[:, outage]
             for name in results.names
         }
         order = sorted(values, key=lambda name: float(values[name].mean()))

@@ -261,11 +261,32 @@ def nees_test(
         One per epoch; values per degree of freedom.
     """
     v = np.atleast_2d(np.asarray(values, dtype=np.float64))
-    runs, epochs = v.shape
-    tail = 0.5 * (1.0 - confidence) / epochs
+    return nees_verdicts(v.mean(axis=0), len(v), dof, subject=subject, at=at, confidence=confidence)
+
+
+def nees_verdicts(
+    means: ArrayLike,
+    runs: int,
+    dof: int,
+    *,
+    subject: str = "navigation",
+    at: Sequence[float] | None = None,
+    confidence: float = 0.99,
+) -> list[Verdict]:
+    """As :func:`nees_test`, of means that were taken before.
+
+    Parameters
+    ----------
+    means : (epochs,) array_like
+        Of the NEES over the runs.
+    runs : int
+    dof, subject, at, confidence
+    """
+    m = np.asarray(means, dtype=np.float64)
+    tail = 0.5 * (1.0 - confidence) / m.size
     low, high = stats.chi2.ppf(tail, dof * runs) / (dof * runs), stats.chi2.isf(tail, dof * runs) / (dof * runs)
     out = []
-    for k, mean in enumerate(v.mean(axis=0) / dof):
+    for k, mean in enumerate(m / dof):
         name = subject if at is None else f"{subject} at {at[k]:g} s"
         out.append(Verdict("NEES/dof", name, float(mean), low, high, confidence, runs, _judge(mean, low, high)))
     return out

@@ -160,7 +160,7 @@ def control(results: Results, twin: LinearTwin, realizations: int) -> dict[str, 
     out = {}
     for name in twin.designs:
         ours = np.stack([planimetric(p[name]) for p in paired])
-        full = results.planimetric(name)[:, [results.end_index(k) for k in range(len(results.outages))]]
+        full = results.planimetric_ends(name)
         out[name] = [
             controlled(full[:, k], ours[:, k], planimetric(many[name][:, k])) for k in range(len(results.outages))
         ]

@@ -41,21 +41,28 @@ VARIABLES: Mapping[str, tuple[tuple[str, ...], str, str]] = {
 LABELS: Mapping[str, Sequence[str]] = {"component": COMPONENTS, "block": BLOCKS, "axis": AXES}
 
 
-def labelled(arrays: Mapping[str, ArrayLike], leading: Sequence[str], labels: Mapping[str, Any]) -> xr.Dataset:
+def labelled(
+    arrays: Mapping[str, ArrayLike],
+    leading: Sequence[str],
+    labels: Mapping[str, Any],
+    variables: Mapping[str, tuple[tuple[str, ...], str, str]] = VARIABLES,
+) -> xr.Dataset:
     """Arrays as a dataset.
 
     Parameters
     ----------
     arrays : mapping
-        Some of :data:`VARIABLES`; each has the ``leading`` dimensions before its own.
+        Some of ``variables``; each has the ``leading`` dimensions before its own.
     leading : sequence of str
         For example ``("design", "realization")``.
     labels : mapping of dimension to labels
         Besides :data:`LABELS`.
+    variables : mapping
+        Name to dimensions behind the leading ones, unit and meaning.
     """
     data = xr.Dataset()
     for name, values in arrays.items():
-        dims, unit, meaning = VARIABLES[name]
+        dims, unit, meaning = variables[name]
         data[name] = ((*leading, *dims), np.asarray(values), {"long_name": meaning, "units": unit})
     known = {**LABELS, **labels}
     data = data.assign_coords({dim: list(known[dim]) for dim in data.dims if dim in known})
@@ -89,11 +96,12 @@ def of_designs(flown: Mapping[str, Mapping[str, Any]], t: NDArray[np.float64]) -
     return labelled(stacked, ("design",), {"design": list(flown), "time": t})
 
 
-def of_realizations(items: Sequence[xr.Dataset]) -> xr.Dataset:
-    """All realizations, ``design`` first; what never differs between them stands once."""
+def of_realizations(items: Mapping[int, xr.Dataset]) -> xr.Dataset:
+    """Realizations by their number, ``design`` first; what never differs between them stands once."""
     once = ["states", "state_name"]
-    data = xr.concat([item.drop_vars(once) for item in items], dim="realization", join="exact")
-    data = data.assign({name: items[0][name] for name in once}).assign_coords(realization=np.arange(len(items)))
+    data = xr.concat([item.drop_vars(once) for item in items.values()], dim="realization", join="exact")
+    first = next(iter(items.values()))
+    data = data.assign({name: first[name] for name in once}).assign_coords(realization=np.array(list(items)))
     return data.transpose("design", "realization", ...)
 
 

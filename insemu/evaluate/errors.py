@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.stats import norm
 
 from insemu import earth, rotation
 from insemu.errors import InputError
@@ -82,26 +83,33 @@ class MeanInterval:
     high: float | None
 
 
-def bootstrap_indices(n: int, seed: int = 20140701, draws: int = 10000) -> NDArray[np.int64]:
-    """(draws, n) indices that resample n realizations; fixed seed, so that a report says the same each time.
+#: Resamples of a bootstrap, its seed, and indices that are held at a time.
+DRAWS, SEED, HELD = 10_000, 20140701, 1_000_000
+#: Realizations above which an interval is the normal one: the bootstrap's tends to it, and there is no telling them apart.
+RESAMPLED = 1000
 
-    Parameters
-    ----------
-    n : int
-    seed : int
-    draws : int
-    """
-    return np.random.default_rng(seed).integers(0, n, size=(draws, n))
+
+def resampled_means(values: Array) -> Array:
+    """Means (DRAWS, k) of resampled rows of values (n, k); the seed is fixed, so that a report says the same each time."""
+    n = len(values)
+    rng, out, rows = np.random.default_rng(SEED), [], max(1, HELD // n)
+    for first in range(0, DRAWS, rows):
+        index = rng.integers(0, n, size=(min(rows, DRAWS - first), n))
+        out.append(np.stack([column[index].mean(axis=1) for column in values.T], axis=1))
+    return np.concatenate(out)
 
 
 def bootstrap_mean(values: ArrayLike) -> MeanInterval:
-    """Mean of one value per realization with its percentile bootstrap interval."""
+    """Mean of one value per realization with its percentile bootstrap interval; of more than :data:`RESAMPLED` with the normal one."""
     values = np.asarray(values, dtype=np.float64)
+    mean = float(values.mean())
     if values.size < 2:
-        return MeanInterval(float(values.mean()), None, None)
-    means = values[bootstrap_indices(values.size)].mean(axis=1)
-    low, high = np.quantile(means, [0.025, 0.975])
-    return MeanInterval(float(values.mean()), float(low), float(high))
+        return MeanInterval(mean, None, None)
+    if values.size > RESAMPLED:
+        half = norm.isf(0.025) * float(values.std(ddof=1)) / np.sqrt(values.size)
+        return MeanInterval(mean, float(mean - half), float(mean + half))
+    low, high = np.quantile(resampled_means(values[:, None])[:, 0], [0.025, 0.975])
+    return MeanInterval(mean, float(low), float(high))
 
 
 @dataclass(frozen=True)
@@ -132,14 +140,23 @@ def paired_ratio(one: ArrayLike, other: ArrayLike) -> PairedComparison:
     -------
     PairedComparison
         mean(one) / mean(other), its percentile bootstrap interval over realizations, and the two-sided bootstrap p-value of
-        "the means are equal" (at least 1 / draws).
+        "the means are equal" (at least 1 / draws). Of more than :data:`RESAMPLED` realizations both are those of the normal distribution.
     """
     a, b = np.asarray(one, dtype=np.float64), np.asarray(other, dtype=np.float64)
     ratio = float(a.mean() / b.mean())
     if a.size < 2:
         return PairedComparison(ratio, None, None, None)
-    index = bootstrap_indices(a.size)
-    ratios = a[index].mean(axis=1) / b[index].mean(axis=1)
-    low, high = np.quantile(ratios, [0.025, 0.975])
-    tail = min((ratios >= 1.0).mean(), (ratios <= 1.0).mean())
-    return PairedComparison(ratio, float(low), float(high), float(min(1.0, max(2.0 * tail, 1.0 / len(index)))))
+    if a.size > RESAMPLED:
+        error = float((a - ratio * b).std(ddof=1)) / np.sqrt(a.size) / float(b.mean())
+        half = float(norm.isf(0.025)) * error
+        tail = float(norm.sf(abs(ratio - 1.0) / error)) if error > 0 else 0.5 * (ratio == 1.0)
+    else:
+        ratios = np.divide(*resampled_means(np.stack([a, b], axis=1)).T)
+        low, high = np.quantile(ratios, [0.025, 0.975])
+        tail = min((ratios >= 1.0).mean(), (ratios <= 1.0).mean())
+        return PairedComparison(ratio, float(low), float(high), _p_value(tail))
+    return PairedComparison(ratio, ratio - half, ratio + half, _p_value(tail))
+
+
+def _p_value(tail: float) -> float:
+    return float(min(1.0, max(2.0 * tail, 1.0 / DRAWS)))

@@ -10,10 +10,11 @@ import os
 import platform
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+import portalocker
 import yaml
 
 from insemu.errors import InputError
@@ -24,7 +25,8 @@ from insemu.whole import put, replacing
 
 #: Says that everything beside it is there: scenario, realizations and the sha256 of every file. Absent: the folder is not finished.
 MARKER = "complete.json"
-LOCK = ".lock"
+#: What is locked, and beside it who locked it.
+LOCK, WRITER = ".lock", ".writer"
 CACHE = "cache"
 
 
@@ -41,42 +43,46 @@ def only_writer(folder: Path, *, shared: bool = False) -> Iterator[None]:
     Raises
     ------
     InputError
-        Another process writes into it; names that process.
+        Another process writes into it; names that process. Or the file system cannot lock.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / LOCK
+    path, writer = folder / LOCK, folder / WRITER
     with path.open("a+", encoding="utf-8") as handle:
-        if (
-            not _locked(handle.fileno(), shared)
-            or not path.exists()
-            or path.stat().st_ino != os.fstat(handle.fileno()).st_ino
-        ):
-            handle.seek(0)
-            other = handle.read().strip() or "another process"
-            raise InputError(
-                f"is being written by {other}; wait for it, or choose another folder (--out)", where=str(folder)
-            )
-        handle.truncate(0)
-        handle.write(f"process {os.getpid()} on {platform.node()} since {time.strftime('%Y-%m-%d %H:%M:%S')}\n")
-        handle.flush()
         try:
+            portalocker.lock(handle, portalocker.LOCK_NB | (portalocker.LOCK_SH if shared else portalocker.LOCK_EX))
+            held = os.path.samestat(path.stat(), os.fstat(handle.fileno()))  # else the last holder removed it meanwhile
+        except (portalocker.AlreadyLocked, FileNotFoundError):
+            held = False
+        except portalocker.LockException as error:
+            raise InputError(
+                f"is on a file system that cannot lock files ({error}); choose another folder (--out)",
+                where=str(folder),
+            ) from None
+        if not held:
+            raise InputError(
+                f"is being written by {_named(writer)}; wait for it, or choose another folder (--out)",
+                where=str(folder),
+            )
+        try:
+            put(writer, f"process {os.getpid()} on {platform.node()} since {time.strftime('%Y-%m-%d %H:%M:%S')}\n")
             yield
         finally:
             if not shared:  # others may hold it still
-                path.unlink(missing_ok=True)
+                for file in (writer, path):  # Windows removes no open file: there it goes below
+                    with suppress(OSError):
+                        file.unlink()
+            portalocker.unlock(handle)
+    if os.name == "nt" and not shared:  # refused where another process has opened it meanwhile
+        with suppress(OSError):
+            path.unlink()
 
 
-def _locked(descriptor: int, shared: bool) -> bool:
-    """Take the lock; a process that ends in any way gives it back."""
+def _named(writer: Path) -> str:
+    """Who holds the folder, as the holder wrote it: beside the lock, because Windows lets nobody read a locked file."""
     try:
-        import fcntl
-    except ImportError:  # not a POSIX system: nothing keeps a second process out
-        return True
-    try:
-        fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True
+        return writer.read_text(encoding="utf-8").strip() or "another process"
+    except (OSError, UnicodeDecodeError):
+        return "another process"
 
 
 def resolved(scenario: Scenario) -> str:
@@ -87,6 +93,9 @@ def resolved(scenario: Scenario) -> str:
 
 def write(results: Results, folder: Path) -> None:
     """Write ``summary.json``, ``outages.csv``, ``errors.nc`` and ``manifest.json``; whatever marked the folder as complete is taken away first.
+
+    ``errors.nc`` holds all epochs of some realizations (of all where they are few), and in the groups ``runs`` and ``statistics`` values of every
+    realization at the outages, and statistics over all of them at every epoch.
 
     Parameters
     ----------
@@ -106,6 +115,8 @@ def write(results: Results, folder: Path) -> None:
     put(folder / "outages.csv", stream.getvalue())
     with replacing(folder / "errors.nc") as partial:
         results.to_dataset().to_netcdf(partial, engine="h5netcdf")
+        results.runs.to_netcdf(partial, engine="h5netcdf", group="runs", mode="a")
+        results.statistics.to_netcdf(partial, engine="h5netcdf", group="statistics", mode="a")
 
 
 def _identity(scenario: Scenario) -> str:
@@ -138,7 +149,7 @@ def finish(folder: Path, scenario: Scenario, results: Results) -> None:
         Of the scenario itself, not of a variant.
     """
     files = sorted(p for p in folder.rglob("*") if p.is_file() and CACHE not in p.relative_to(folder).parts)
-    hashes = {str(p.relative_to(folder)): sha256(p) for p in files if p.name not in (MARKER, LOCK, CRATE)}
+    hashes = {str(p.relative_to(folder)): sha256(p) for p in files if p.name not in (MARKER, LOCK, WRITER, CRATE)}
     put(folder / CRATE, crate(results.title, results.manifest, hashes))
     hashes[CRATE] = sha256(folder / CRATE)
     document = {

@@ -41,18 +41,18 @@ def figures(results: Results, design: str) -> dict[str, Array]:
     ``stated_sigma_heading_rad``, ``nis_per_dof`` and ``log_nees`` over the whole run.
     """
     d = results.names.index(design)
-    e, s = results.error[d], results.sigma[d]
+    runs = {name: values[d] for name, values in results.total.runs.items()}
     out: dict[str, Array] = {}
     for k in range(len(results.outages)):
-        at = results.end_index(k)
-        out[f"planimetric_end_m.{k + 1}"] = np.hypot(e[:, at, 0], e[:, at, 1])
-        out[f"altimetric_end_m.{k + 1}"] = np.abs(e[:, at, 2])
-        out[f"attitude_end_rad.{k + 1}"] = np.linalg.norm(e[:, at, 6:9], axis=-1)
-        out[f"stated_sigma_end_m.{k + 1}"] = np.hypot(s[:, at, 0], s[:, at, 1])
-    out["stated_sigma_position_m"] = np.linalg.norm(s[:, :, :3], axis=-1).mean(axis=1)
-    out["stated_sigma_heading_rad"] = s[:, :, 8].mean(axis=1)
+        e, s = runs["end_error"][:, k], runs["end_sigma"][:, k]
+        out[f"planimetric_end_m.{k + 1}"] = np.hypot(e[:, 0], e[:, 1])
+        out[f"altimetric_end_m.{k + 1}"] = np.abs(e[:, 2])
+        out[f"attitude_end_rad.{k + 1}"] = np.linalg.norm(e[:, 6:9], axis=-1)
+        out[f"stated_sigma_end_m.{k + 1}"] = np.hypot(s[:, 0], s[:, 1])
+    out["stated_sigma_position_m"] = runs["stated_position"]
+    out["stated_sigma_heading_rad"] = runs["stated_heading"]
     out["nis_per_dof"] = np.asarray(results.nis[d])
-    out["log_nees"] = np.log(np.maximum(results.nees[d], 1e-300)).mean(axis=1)
+    out["log_nees"] = runs["log_nees"]
     return out
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +13,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import kendalltau
 
-from insemu.evaluate.consistency import BLOCKS, Verdict, nees_test, nis_verdict, whiteness_verdicts
+from insemu.evaluate.consistency import BLOCKS, Verdict, nees_verdicts, nis_verdict, whiteness_verdicts
 from insemu.evaluate.dataset import labelled
 from insemu.evaluate.errors import (
     GROUPS,
@@ -21,6 +22,7 @@ from insemu.evaluate.errors import (
     paired_ratio,
     within_outage,
 )
+from insemu.evaluate.tally import DURING, Ladder, Tally, end_index, tally
 from insemu.noise import NoiseModel
 from insemu.records import Trajectory
 from insemu.shown import Shown, few
@@ -29,10 +31,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Array = NDArray[np.float64]
-
-
-#: Figures of an outage that are taken while it lasts.
-DURING = ("planimetric_mean_m", "planimetric_max_m", "north_max_m", "east_max_m", "down_max_m")
 
 
 @dataclass(frozen=True)
@@ -56,7 +54,8 @@ class Results(Shown):
         Identity of the experiment.
     seed : int
     data : xarray.Dataset
-        What :data:`insemu.evaluate.dataset.VARIABLES` lists, per design and realization; coordinate ``time`` holds the output epochs, s.
+        What :data:`insemu.evaluate.dataset.VARIABLES` lists, per design, for every realization or, of more than :data:`FULL`, for those
+        whose numbers the coordinate ``realization`` holds; coordinate ``time`` holds the output epochs, s.
     designs : mapping
         Name to :class:`DesignInfo`, in the order of the first axis.
     outages : sequence of (start_s, duration_s)
@@ -72,6 +71,8 @@ class Results(Shown):
         Design to an error budget per outage (:func:`~insemu.evaluate.comparison.error_budgets`); empty where none was made.
     nees_dof : int
         Number of navigation states that have a reference.
+    tally : Tally, optional
+        What is kept of all realizations; made from ``data`` unless given.
     """
 
     title: str
@@ -86,6 +87,18 @@ class Results(Shown):
     published: Mapping[str, Mapping[str, Sequence[float | None]]] = field(default_factory=dict)
     nees_dof: int = 9
     budgets: Mapping[str, Sequence[Mapping[str, Any]]] = field(default_factory=dict)
+    tally: Tally | None = None
+
+    @cached_property
+    def total(self) -> Tally:
+        """What is kept of all realizations."""
+        if self.tally is not None:
+            return self.tally
+        ladder = Ladder()
+        arrays = {str(k): v.to_numpy() for k, v in self.data.data_vars.items() if "realization" in v.dims}
+        for r in range(self.data.sizes["realization"]):
+            ladder.push(tally({k: v[:, r] for k, v in arrays.items()}, self.t, self.outages))
+        return ladder.total()
 
     def __str__(self) -> str:
         head = f"{self.title}: {len(self.designs)} designs, {self.realizations} realizations, seed {self.seed}"
@@ -99,8 +112,18 @@ class Results(Shown):
         return rows.set_index(["design", "outage"]) if len(rows) else rows
 
     def to_xarray(self) -> xr.Dataset:
-        """Errors, stated deviations and NEES by design, realization and time."""
+        """Errors, stated deviations and NEES by design, realization and time; of many realizations for some, which the labels name."""
         return self.data
+
+    @property
+    def runs(self) -> xr.Dataset:
+        """Values of every realization: errors at the ends of the outages, largest ones in between, sums of the innovations."""
+        return self.total.runs_dataset(self.names)
+
+    @property
+    def statistics(self) -> xr.Dataset:
+        """Statistics over all realizations at every epoch: moments, quantiles, coverage, NEES."""
+        return self.total.statistics_dataset(self.names, self.t)
 
     def __getitem__(self, name: str) -> Array:
         """A variable of the dataset as an array, (design, realization, ...)."""
@@ -114,7 +137,7 @@ class Results(Shown):
         chosen = self.designs if designs is None else designs
         kept = {} if designs is not None else {str(name): self.data[name] for name in self.data.data_vars}
         given = labelled(arrays, ("design", "realization"), {"design": list(chosen), "time": self.t})
-        return replace(self, data=xr.Dataset({**kept, **given.data_vars}), designs=chosen)
+        return replace(self, data=xr.Dataset({**kept, **given.data_vars}), designs=chosen, tally=None)
 
     @property
     def t(self) -> Array:
@@ -144,12 +167,12 @@ class Results(Shown):
     @property
     def realizations(self) -> int:
         """Number of realizations."""
-        return int(self.data.sizes["realization"])
+        return self.total.count
 
     @property
     def nis(self) -> Array:
         """Mean normalised innovation squared per degree of freedom over accepted fixes, (design, realization)."""
-        return np.asarray(self["nis"] / np.maximum(1, self["dof"]))
+        return np.asarray(self.total.runs["nis"] / np.maximum(1, self.total.runs["dof"]))
 
     @property
     def headline_figure(self) -> str:
@@ -162,24 +185,27 @@ class Results(Shown):
         return list(self.designs)
 
     def planimetric(self, design: str) -> Array:
-        """Horizontal position error, (realization, time), m."""
+        """Horizontal position error of the realizations in ``data``, (realization, time), m."""
         e = self.error[self.names.index(design)]
         return np.asarray(np.hypot(e[..., 0], e[..., 1]))
 
     def end_index(self, outage: int) -> int:
         """Index of the last epoch of an outage."""
-        start, duration = self.outages[outage]
-        return int(np.flatnonzero(self.t <= start + duration + 1e-9)[-1])
+        return end_index(self.t, self.outages[outage])
 
     def middle_index(self, outage: int) -> int:
         """Index of the epoch nearest the middle of an outage."""
         start, duration = self.outages[outage]
         return int(np.argmin(np.abs(self.t - start - 0.5 * duration)))
 
+    def planimetric_ends(self, design: str) -> Array:
+        """Horizontal position error at the ends of the outages, (realizations, outages), m."""
+        e = self.total.runs["end_error"][self.names.index(design)]
+        return np.asarray(np.hypot(e[..., 0], e[..., 1]))
+
     def pooled_end(self, design: str) -> Array:
         """Planimetric error at outage end averaged over the outages, one value per realization, m."""
-        p = self.planimetric(design)
-        return np.asarray(p[:, [self.end_index(k) for k in range(len(self.outages))]].mean(axis=1))
+        return np.asarray(self.planimetric_ends(design).mean(axis=1))
 
     def comparison(self, one: str, other: str) -> PairedComparison:
         """Paired comparison of the pooled planimetric errors at outage end."""
@@ -190,7 +216,8 @@ class Results(Shown):
         reference = xr.DataArray(self.truth.llh, dims=("time", "llh"), attrs={"units": "rad, rad, m"})
         data = self.data.assign(reference_llh=reference)
         if "observability" in data:  # hardly differs between realizations
-            data["observability"] = data["observability"].mean("realization", keep_attrs=True)
+            mean = self.total.sums["observability"] / self.total.count
+            data["observability"] = (("design", "time", "state"), mean, data["observability"].attrs)
         manifest = json.dumps(self.manifest, default=str)
         return data.assign_attrs(title=self.title, digest=self.digest, seed=self.seed, manifest=manifest)
 
@@ -208,7 +235,7 @@ def outage_table(results: Results) -> dict[str, list[dict[str, Any]]]:
         for k, (start, duration) in enumerate(results.outages):
             inside = within_outage(results.t, start, duration)
             end = results.end_index(k)
-            error, sigma = results.error[d], results.sigma[d]
+            total, error = results.total, results.total.runs["end_error"][d, :, k]
             at_end_runs = runs_of(results, name, k, "planimetric_end_m")
             at_end = bootstrap_mean(at_end_runs)
             row = {
@@ -220,12 +247,12 @@ def outage_table(results: Results) -> dict[str, list[dict[str, Any]]]:
                     "per_realization": at_end_runs.tolist(),
                 },
                 **{f: float(runs_of(results, name, k, f).mean()) for f in DURING},
-                "altimetric_end_m": float(np.abs(error[:, end, 2]).mean()),
-                "predicted_sigma_end_m": float(np.sqrt((sigma[:, end, :2] ** 2).sum(axis=1).mean())),
-                "velocity_end_m_s": float(np.linalg.norm(error[:, end, 3:6], axis=1).mean()),
-                "attitude_end_deg": float(np.rad2deg(np.linalg.norm(error[:, end, 6:9], axis=1)).mean()),
-                "coverage_3sigma": _coverage(error[:, inside], sigma[:, inside]),
-                "nees_per_dof": float(results.nees[d][:, inside].mean() / 9.0) if inside.any() else float("nan"),
+                "altimetric_end_m": float(np.abs(error[:, 2]).mean()),
+                "predicted_sigma_end_m": float(np.sqrt(total.mean("sigma_square", d)[end, :2].sum())),
+                "velocity_end_m_s": float(np.linalg.norm(error[:, 3:6], axis=1).mean()),
+                "attitude_end_deg": float(np.rad2deg(np.linalg.norm(error[:, 6:9], axis=1)).mean()),
+                "coverage_3sigma": _coverage(total.mean("inside", d)[inside]),
+                "nees_per_dof": float(total.mean("nees", d)[inside].mean() / 9.0) if inside.any() else float("nan"),
             }
             if results.smoothed:
                 row["smoothed"] = _smoothed_row(results, d, k)
@@ -268,31 +295,33 @@ def outage_rows(results: Results) -> list[dict[str, Any]]:
     return rows
 
 
-def _coverage(error: Array, sigma: Array) -> dict[str, float]:
-    known = np.where(np.isnan(error), np.nan, 1.0)
-    covered = known * (np.abs(error) <= 3.0 * sigma)
-    return {g: float(covered[..., s].mean()) if error.size else 1.0 for g, s in GROUPS.items()}
+def _coverage(inside: Array) -> dict[str, float]:
+    """Shares inside three sigma of shares (epochs, 9); 1 without epochs."""
+    return {g: float(inside[:, s].mean()) if inside.size else 1.0 for g, s in GROUPS.items()}
 
 
 def _smoothed_row(results: Results, design: int, outage: int) -> dict[str, Any]:
     """Filter and smoother during one outage, horizontally: rms errors and stated sigma in the middle, largest errors, coverage, NEES."""
     inside, middle = within_outage(results.t, *results.outages[outage]), results.middle_index(outage)
+    total = results.total
 
-    def rms(error: Array) -> float:
-        return float(np.sqrt((error[design, :, middle, :2] ** 2).sum(axis=-1).mean()))
+    def rms(squares: str) -> float:
+        return float(np.sqrt(total.mean(squares, design)[middle, :2].sum()))
 
-    both = results["smoothed_error"], results["smoothed_sigma"]
-    error, sigma = (values[design][:, inside] for values in both)
-    some = bool(inside.any())
+    def mean(figure: str) -> float:
+        return float(total.runs[f"smoothed_{figure}"][design, :, outage].mean())
+
     return {
-        "filter_middle_rms_m": rms(results.error),
-        "middle_rms_m": rms(both[0]),
-        "predicted_sigma_middle_m": rms(both[1]),
-        "planimetric_mean_m": float(np.hypot(error[..., 0], error[..., 1]).mean()) if some else 0.0,
-        "planimetric_max_m": float(np.hypot(error[..., 0], error[..., 1]).max(axis=1).mean()) if some else 0.0,
-        "altimetric_max_m": float(np.abs(error[..., 2]).max(axis=1).mean()) if some else 0.0,
-        "coverage_3sigma": _coverage(error, sigma),
-        "nees_per_dof": float(results["smoothed_nees"][design][:, inside].mean() / 9.0) if some else float("nan"),
+        "filter_middle_rms_m": rms("error_square"),
+        "middle_rms_m": rms("smoothed_square"),
+        "predicted_sigma_middle_m": rms("smoothed_sigma_square"),
+        "planimetric_mean_m": mean("planimetric_mean_m"),
+        "planimetric_max_m": mean("planimetric_max_m"),
+        "altimetric_max_m": mean("down_max_m"),
+        "coverage_3sigma": _coverage(total.mean("smoothed_inside", design)[inside]),
+        "nees_per_dof": float(total.mean("smoothed_nees", design)[inside].mean() / 9.0)
+        if inside.any()
+        else float("nan"),
     }
 
 
@@ -378,18 +407,9 @@ def runs_of(results: Results, design: str, outage: int, figure: str) -> Array:
     -------
     (realizations,) array
     """
-    error = results.error[results.names.index(design)]
     if figure == "planimetric_end_m":
-        at = results.end_index(outage)
-        return np.asarray(np.hypot(error[:, at, 0], error[:, at, 1]))
-    inside = error[:, within_outage(results.t, *results.outages[outage])]
-    if not inside.size:
-        return np.zeros(len(error))
-    if figure.startswith("planimetric"):
-        horizontal = np.hypot(inside[..., 0], inside[..., 1])
-        return np.asarray(horizontal.mean(axis=1) if figure == "planimetric_mean_m" else horizontal.max(axis=1))
-    component = ("north_max_m", "east_max_m", "down_max_m").index(figure)
-    return np.asarray(np.abs(inside[..., component]).max(axis=1))
+        return results.planimetric_ends(design)[:, outage]
+    return np.asarray(results.total.runs[figure][results.names.index(design), :, outage])
 
 
 #: What the sensor blocks are called in words.
@@ -407,24 +427,25 @@ def consistency(results: Results, design: str) -> list[Verdict]:
     d = results.names.index(design)
     out: list[Verdict] = []
     at = sorted({f(k) for k in range(len(results.outages)) for f in (results.middle_index, results.end_index)})
+    total, n = results.total, results.realizations
     scale = results.nees_dof / 9.0  # NEES is kept scaled to nine
     if at:
-        values = results.nees[d][:, at] * scale
-        out += nees_test(values, results.nees_dof, subject="the filter", at=list(results.t[at]))
+        values = total.mean("nees", d)[at] * scale
+        out += nees_verdicts(values, n, results.nees_dof, subject="the filter", at=list(results.t[at]))
     if at and results.smoothed:
         middles = sorted({results.middle_index(k) for k in range(len(results.outages))})
-        values = results["smoothed_nees"][d][:, middles] * scale
-        out += nees_test(values, results.nees_dof, subject="the smoother", at=list(results.t[middles]))
-    if at and "block_nees" in results:
+        values = total.mean("smoothed_nees", d)[middles] * scale
+        out += nees_verdicts(values, n, results.nees_dof, subject="the smoother", at=list(results.t[middles]))
+    if at and "block_nees" in total.sums:
         for block, axes in (("gyro", slice(0, 3)), ("accel", slice(3, 6))):
-            values = results["block_nees"][d][:, BLOCKS.index(block)][:, at]
-            carried = int((results["axis_sigma"][d][:, at, axes] > 0).all(axis=(0, 1)).sum())
-            if np.isfinite(values).all() and carried:
+            values, known = (total.sums[f"block_{what}"][d, BLOCKS.index(block), at] for what in ("nees", "known"))
+            carried = int((total.sums["axis_carried"][d][at, axes] == n).all(axis=0).sum())
+            if (known == n).all() and carried:
                 subject = f"the {SENSOR_NAMES[block]}"
-                out += nees_test(values * carried, carried, subject=subject, at=list(results.t[at]))
-    if results["dof"][d].sum() > 0:
-        out.append(nis_verdict(float(results["nis"][d].sum()), int(results["dof"][d].sum())))
-    products, count = (results[name][d].sum(axis=0) for name in ("lag_sum", "lag_count"))
+                out += nees_verdicts(values / n * carried, n, carried, subject=subject, at=list(results.t[at]))
+    if total.runs["dof"][d].sum() > 0:
+        out.append(nis_verdict(float(total.runs["nis"][d].sum()), int(total.runs["dof"][d].sum())))
+    products, count = (total.runs[name][d].sum(axis=0) for name in ("lag_sum", "lag_count"))
     if (count > 0).all():
         out += whiteness_verdicts(products, count)
     return out
@@ -460,8 +481,9 @@ def consistency_words(results: Results, design: str) -> list[str]:
             verdict += f" at {bad} of {len(family)} epochs"
         lines.append(f"{name} {span} ({family[0].low:.2f} to {family[0].high:.2f} expected): {verdict}")
     d = results.names.index(design)
-    if "rejected" in results and results["rejected"][d].any():
-        rejected, fixes = (results[name][d].mean() for name in ("rejected", "fixes"))
+    runs = results.total.runs
+    if "rejected" in runs and runs["rejected"][d].any():
+        rejected, fixes = (runs[name][d].mean() for name in ("rejected", "fixes"))
         lines.append(f"the gate rejected {rejected:.3g} of {fixes:.0f} fixes a run")
     return lines
 
@@ -479,10 +501,10 @@ def summary(results: Results) -> dict[str, Any]:
             "pooled_planimetric_end_m": None
             if pooled is None
             else {"mean": pooled.mean, "ci95": [pooled.low, pooled.high]},
-            "nees_per_dof": float(results.nees[d].mean() / 9.0),
+            "nees_per_dof": float(results.total.mean("nees", d).mean() / 9.0),
             "nees_per_dof_by_block": blocks_of(results, d),
             "nis_per_dof": float(results.nis[d].mean()),
-            "rejected_fixes": results["rejected"][d].tolist() if "rejected" in results else None,
+            "rejected_fixes": results.total.runs["rejected"][d].tolist() if "rejected" in results else None,
             "observability_end": observability_end(results, name),
             "consistency": [{**asdict(v), "passed": v.passed} for v in consistency(results, name)],
         }
@@ -513,17 +535,18 @@ def summary(results: Results) -> dict[str, Any]:
 
 def blocks_of(results: Results, design: int) -> dict[str, float]:
     """Mean NEES per degree of freedom of every block that could be judged, over realizations and epochs."""
-    if "block_nees" not in results:
+    sums = results.total.sums
+    if "block_nees" not in sums:
         return {}
-    values = results["block_nees"][design]
-    return {name: float(np.nanmean(values[:, i])) for i, name in enumerate(BLOCKS) if np.isfinite(values[:, i]).any()}
+    values, known = (sums[f"block_{what}"][design].sum(axis=1) for what in ("nees", "known"))
+    return {name: float(values[i] / known[i]) for i, name in enumerate(BLOCKS) if known[i]}
 
 
 def observability_end(results: Results, design: str) -> dict[str, float]:
     """Share of each sensor state's variance that the fixes have removed by the last epoch; over time it stands in ``errors.nc``."""
-    if "observability" not in results:
+    if "observability" not in results.total.sums:
         return {}
-    last = results["observability"][results.names.index(design), :, -1].mean(axis=0)
+    last = results.total.mean("observability", results.names.index(design))[-1]
     names = results.designs[design].state_names[9:]
     return {name: float(v) for name, v in zip(names, last, strict=False) if np.isfinite(v)}
 

@@ -1,17 +1,19 @@
 """Realizations flown, kept and gathered: every realization is one independent work item.
 
-Finished items are kept under the experiment's digest, so an interrupted run goes on where it stopped, whatever the number of workers.
+Finished items are kept under the experiment's digest, so an interrupted run goes on where it stopped, whatever the number of workers. Of more than
+:data:`FULL` realizations what is finished is added up on the way (:mod:`insemu.evaluate.tally`), and only a chosen few stay with all their epochs.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import xarray as xr
 
 from insemu.augment import NAVIGATION
@@ -20,6 +22,7 @@ from insemu.evaluate.dataset import of_bytes, of_realizations, to_bytes
 from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.provenance import surroundings
 from insemu.evaluate.results import DesignInfo, Results
+from insemu.evaluate.tally import BASE, Ladder, Tally, pieces, tally
 from insemu.noise import axis_unit
 from insemu.work import Files, stream_items
 
@@ -27,6 +30,10 @@ Progress = Callable[[int, int, str], None]
 
 #: Realizations after which a first answer is given.
 PREVIEWED = 2
+#: Most realizations that all stay with all their epochs.
+FULL = 48
+#: Realizations under way or waiting for their turn, per worker: what bounds the memory.
+AHEAD = 3
 
 
 def silent(done: int, total: int, label: str) -> None:
@@ -102,12 +109,112 @@ def run_experiment(
         if preview is not None and len(there) < PREVIEWED < total:
             there.append(item)
             if len(there) == PREVIEWED:
-                preview(collected(experiment, there, time.perf_counter() - started))
+                preview(collected(experiment, dict(enumerate(there)), time.perf_counter() - started))
 
+    means: dict[str, Any] = {"workers": workers, "executor": executor, "cache": cache, "say": say}
+    if total <= FULL:
+        flown = fly(experiment, range(total), progress=progress, done=done, **means)
+        return collected(experiment, dict(enumerate(flown)), time.perf_counter() - started)
+    whole = condensed(experiment, range(total), progress=progress, done=done, **means)
+    assert whole is not None
+    few = sorted(chosen(whole, list(experiment.beliefs)))
+    again = fly(experiment, few, **means)  # the same numbers to the bit
+    return collected(experiment, dict(zip(few, again, strict=True)), time.perf_counter() - started, whole)
+
+
+def condensed(
+    experiment: Experiment,
+    span: range,
+    *,
+    cache: Path | None = None,
+    say: Callable[[str], None] = lambda text: None,
+    progress: Progress = silent,
+    **means: Any,
+) -> Tally | None:
+    """Fly realizations that follow each other, and add them up; what is complete takes the place of its parts among what is kept.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    span : range
+    cache, say, progress, means
+        As in :func:`fly`.
+
+    Returns
+    -------
+    Tally
+        Of all of them; None where the first is not the experiment's.
+    """
+    parts, whole = (None, None) if cache is None else (kept(experiment, cache, say), nodes(experiment, cache, say))
+
+    def made(size: int, first: int, node: Tally) -> None:
+        if parts is not None and whole is not None:
+            whole.put(_node(size, first), node)
+            for r in range(first, first + size, size // BASE):
+                parts.drop(_node(size // BASE, r))
+
+    def held(size: int, first: int) -> bool:
+        return whole is not None and whole.get(_node(size, first)) is not None
+
+    plan = pieces(span, held)
+    missing = [first for size, first in plan if size == 1]
+    before = len(span) - len(missing)
     flown = fly(
-        experiment, range(total), workers=workers, executor=executor, cache=cache, progress=progress, say=say, done=done
+        experiment,
+        missing,
+        cache=cache,
+        say=say,
+        progress=lambda done, _, what: progress(before + done, len(span), what),
+        **means,
     )
-    return collected(experiment, list(flown), time.perf_counter() - started)
+    ladder, t = Ladder(span.start, made), experiment.world.output_times
+    for size, first in plan:
+        if size == 1:
+            item = {str(k): v.to_numpy() for k, v in next(flown).data_vars.items() if v.dtype.kind in "fiu"}
+            ladder.push(tally(item, t, experiment.world.outage_windows))
+        else:
+            assert whole is not None
+            node = whole.get(_node(size, first))
+            assert node is not None  # it was there a moment ago
+            ladder.push(node)
+    flown.close()
+    return None if span.start else ladder.total()
+
+
+def fly_part(experiment: Experiment, span: range, **means: Any) -> None:
+    """Fly a part of an experiment's realizations for those who gather all of them later, and keep it.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    span : range
+    means
+        As in :func:`fly`.
+    """
+    if experiment.realizations > FULL:
+        condensed(experiment, span, **means)
+    else:
+        for _ in fly(experiment, span, **means):
+            pass
+
+
+def chosen(whole: Tally, designs: Sequence[str]) -> dict[int, str]:
+    """The realizations that stay with all their epochs, and why: the first, and of every design the worst and the median one.
+
+    Parameters
+    ----------
+    whole : Tally
+    designs : sequence of str
+    """
+    error = whole.runs["end_error"]
+    out = {0: "the first"}
+    if error.shape[2]:
+        for name, size in zip(designs, np.hypot(error[..., 0], error[..., 1]).mean(axis=2), strict=True):
+            order = np.argsort(size, kind="stable")
+            for number, word in ((order[-1], "largest"), (order[(order.size - 1) // 2], "median")):
+                told = f"{word} error of {name}"
+                out[int(number)] = f"{out[int(number)]}, {told}" if int(number) in out else told
+    return out
 
 
 def fly(
@@ -120,7 +227,7 @@ def fly(
     progress: Progress = silent,
     say: Callable[[str], None] = lambda text: None,
     done: Callable[[xr.Dataset], None] = lambda item: None,
-) -> Iterator[xr.Dataset]:
+) -> Generator[xr.Dataset]:
     """Fly some realizations, or take them from where they are kept, and yield them in their order; few are held at a time.
 
     Parameters
@@ -145,11 +252,17 @@ def fly(
         done(item)
 
     store = None if cache is None else kept(experiment, cache, say)
-    keys = {f"{r:05d}": r for r in realizations}
+    keys = {_node(1, r): r for r in realizations}
     with ExitStack() as stack:
         pool = executor or stack.enter_context(ThreadPoolExecutor(max_workers=max(1, workers)))
-        for _, item in stream_items(keys, experiment.realization, pool=pool, store=store, done=step):
+        window = AHEAD * max(workers, getattr(pool, "width", 1))
+        for _, item in stream_items(keys, experiment.realization, pool=pool, store=store, done=step, window=window):
             yield item
+
+
+def _node(size: int, first: int) -> str:
+    """Name of what is kept of so many realizations from this one on."""
+    return f"{first:05d}" if size == 1 else f"{first:05d}+{size}"
 
 
 def kept(experiment: Experiment, cache: Path, say: Callable[[str], None] = lambda text: None) -> Files[xr.Dataset]:
@@ -165,16 +278,46 @@ def kept(experiment: Experiment, cache: Path, say: Callable[[str], None] = lambd
     return Files(cache / experiment.digest, experiment.digest, to_bytes, of_bytes, say)
 
 
-def collected(experiment: Experiment, items: Sequence[xr.Dataset], seconds: float) -> Results:
+def nodes(experiment: Experiment, cache: Path, say: Callable[[str], None] = lambda text: None) -> Files[Tally]:
+    """Where sums over finished realizations are kept.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    cache : path
+    say : callable
+        Told in words of what is not taken.
+    """
+    return Files(cache / experiment.digest, experiment.digest, Tally.to_bytes, Tally.of_bytes, say)
+
+
+def not_kept(experiment: Experiment, cache: Path) -> list[int]:
+    """Realizations that are neither kept alone nor in a sum.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    cache : path
+    """
+    alone, sums = kept(experiment, cache), nodes(experiment, cache)
+    plan = pieces(range(experiment.realizations), lambda size, first: _node(size, first) in sums)
+    return [first for size, first in plan if size == 1 and _node(1, first) not in alone]
+
+
+def collected(
+    experiment: Experiment, items: Mapping[int, xr.Dataset], seconds: float, whole: Tally | None = None
+) -> Results:
     """The results of realizations that were flown.
 
     Parameters
     ----------
     experiment : Experiment
-    items : sequence of Dataset
+    items : mapping of number to Dataset
         What :meth:`Experiment.realization` gave.
     seconds : float
         How long it took.
+    whole : Tally, optional
+        What is kept of all of them; made from the items unless given.
     """
     s = experiment.scenario
     data = of_realizations(items)
@@ -184,8 +327,8 @@ def collected(experiment: Experiment, items: Sequence[xr.Dataset], seconds: floa
         behind = [str(x) for x in data["state_name"].to_numpy()[d][: n - 9]]
         designs[name] = DesignInfo(n, (*NAVIGATION, *behind), belief.models)
     timing = {
-        "filter_epochs": int(data["epochs"].sum()),
-        "filter_seconds": float(data["seconds"].sum()),
+        "filter_epochs": int((data if whole is None else whole.runs)["epochs"].sum()),
+        "filter_seconds": float((data if whole is None else whole.runs)["seconds"].sum()),
         "wall_seconds": seconds,
     }
     return Results(
@@ -200,4 +343,5 @@ def collected(experiment: Experiment, items: Sequence[xr.Dataset], seconds: floa
         manifest=manifest_of(experiment) | {"timing": timing},
         published=s.published.figures if s.published else {},
         nees_dof=experiment.world.compared,
+        tally=whole,
     )

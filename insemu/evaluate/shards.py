@@ -10,7 +10,7 @@ from typing import Any
 
 from insemu.errors import InputError
 from insemu.evaluate.experiment import Experiment
-from insemu.evaluate.running import kept
+from insemu.evaluate.running import not_kept
 from insemu.whole import put
 
 #: Folder of the notes that shards leave: what they belong to.
@@ -19,7 +19,7 @@ SHARDS = "shards"
 
 @dataclass(frozen=True)
 class Shard:
-    """Every ``count``-th realization, from the ``number``-th on (from 1).
+    """Part ``number`` (from 1) of ``count`` equal ones: realizations that follow each other, so that what is finished can be added up.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Shard:
 
     def realizations(self, total: int) -> range:
         """Those of ``total`` that belong to it."""
-        return range(self.number - 1, total, self.count)
+        return range(total * (self.number - 1) // self.count, total * self.number // self.count)
 
     def __str__(self) -> str:
         return f"{self.number}/{self.count}"
@@ -102,10 +102,10 @@ def check_complete(experiments: Mapping[str, Experiment], folder: Path, cache: P
     """
     missing: dict[int, int] = {}
     for experiment in experiments.values():
-        store = kept(experiment, cache)
-        for r in range(experiment.realizations):
-            if f"{r:05d}" not in store:
-                missing[r % count + 1] = missing.get(r % count + 1, 0) + 1
+        gone = set(not_kept(experiment, cache))
+        for number in range(1, count + 1) if gone else ():
+            if left := len(gone & set(Shard(number, count).realizations(experiment.realizations))):
+                missing[number] = missing.get(number, 0) + left
     if missing:
         names = ", ".join(f"{number}/{count} ({left} realizations)" for number, left in sorted(missing.items()))
         raise InputError(f"these shards are missing or not finished: {names}", where=str(folder))

@@ -91,10 +91,10 @@ def standings(results: Results) -> list[Standing]:
     out = []
     for d, name in enumerate(results.names):
         pooled = bootstrap_mean(results.pooled_end(name))
-        stated = math.sqrt(float((results.sigma[d][:, ends, :2] ** 2).sum(axis=-1).mean()))
-        values = results.nees[d][:, ends]
+        stated = math.sqrt(float(results.total.mean("sigma_square", d)[ends, :2].sum(axis=-1).mean()))
+        values = results.total.runs["end_nees"][d]
         known = values[np.isfinite(values).all(axis=1)]
-        factor = math.sqrt(float((results.planimetric(name)[:, ends] ** 2).mean())) / stated
+        factor = math.sqrt(float((results.planimetric_ends(name) ** 2).mean())) / stated
         states = results.designs[name].states
         knows = _knows(known, results.nees_dof)
         out.append(Standing(name, states, pooled.mean, pooled.low, pooled.high, stated, knows, factor))

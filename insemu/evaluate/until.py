@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from insemu.errors import InputError, nearest
-from insemu.evaluate.results import DURING, Results, runs_of
+from insemu.evaluate.results import Results, runs_of
+from insemu.evaluate.tally import DURING
 from insemu.scenario import MAX_REALIZATIONS
 
 #: Error probability of all intervals together, and realizations of the first look; each further look has a half more.

@@ -178,7 +178,7 @@ class Structure:
         coefficients, shapes = coefficients.copy(), shapes.copy()
         for members in self._alike():
             domain = [p.domain for p in self.model.processes[members[0]].shape_parameters]
-            if domain not in (["rate"], ["correlation"]):
+            if domain not in (["rate"], ["time"], ["correlation"]):
                 continue
             members = [k for k in members if self.fixed[k] < 0]
             sign = 1.0 if domain == ["rate"] else -1.0

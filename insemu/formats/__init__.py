@@ -13,6 +13,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from insemu.errors import InputError
 from insemu.formats import recording, static
 from insemu.formats.columns import guess_map, parse_map, preset_beside, read_preset, split_header, write_preset
@@ -20,14 +22,17 @@ from insemu.formats.curves import NamedCurve, read_curves
 from insemu.formats.npz import keys_of, load_npz
 from insemu.formats.opened import Opened, open_files
 from insemu.formats.programs import PROGRAMS, spell
+from insemu.formats.readers.imu_binary import LAYOUTS as IMU_BINARIES
+from insemu.formats.readers.imu_binary import write_imu_binary
 from insemu.formats.static import AXIS_OF_COLUMN, Log
 from insemu.formats.table import Probe, known_readers, reader_of
 from insemu.formats.text import write_table
-from insemu.formats.tracks_out import Way, way_of, write_way
-from insemu.records import COLUMNS, Recording, Series
+from insemu.formats.tracks_out import Way, way_of, write_overlay, write_way
+from insemu.records import AXES, COLUMNS, ImuRecord, Recording, Series
 
 __all__ = [
     "AXIS_OF_COLUMN",
+    "IMU_BINARIES",
     "PROGRAMS",
     "Log",
     "NamedCurve",
@@ -41,12 +46,15 @@ __all__ = [
     "parse_map",
     "read",
     "read_curves",
+    "read_imu",
     "read_log",
     "read_recording",
     "read_static",
     "spell",
     "way_of",
     "write",
+    "write_imu_binary",
+    "write_overlay",
     "write_preset",
     "write_table",
     "write_way",
@@ -165,6 +173,24 @@ def read_recording(path: str | Path) -> Recording:
     if layout_of(path) == "log":
         raise InputError("is a static log, expected a recording with imu_t, imu and gnss_t, gnss_llh", where=str(path))
     return _recording(Path(path))
+
+
+def read_imu(path: str | Path) -> ImuRecord:
+    """The IMU of a recording, or of a static log with all six axes, whose values are taken as means over their intervals.
+
+    Raises
+    ------
+    InputError
+        As :func:`read`; a log without one of the six axes.
+    FileNotFoundError
+        No such file.
+    """
+    if layout_of(path) != "log":
+        return _recording(Path(path)).imu
+    log = static.read_log(path).select(AXES)
+    values = np.column_stack(log.columns)
+    t = log.t if log.t is not None else np.arange(len(log)) / log.rate_hz
+    return ImuRecord(t, values[:, :3], values[:, 3:], "mean")
 
 
 def read_log(path: str | Path, *, rate_hz: float | None = None, columns: Iterable[str] | None = None) -> Log:

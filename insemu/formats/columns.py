@@ -46,6 +46,7 @@ SETTINGS: Mapping[str, str] = {
     "topic": "the topic of the IMU, where a bag has several",
     "gnss_topic": "the topic of the fixes, where a bag has several",
     "instance": "which of several sensors of one kind, from 0",
+    "imu": "type of a binary .imu file, such as LN200",
     "attitude": "ned or enu: which frame a quaternion turns the body into",
     "gyro_unit": "what the numbers of the gyroscope really are, such as deg/s",
     "accel_unit": "what the numbers of the accelerometer really are, such as g",

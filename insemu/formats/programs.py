@@ -1,4 +1,4 @@
-"""Noise models as other programs take them: Kalibr and OpenVINS, VINS-Fusion, Gazebo, RotorS (PX4), KF-GINS, GTSAM, gnss-ins-sim.
+"""Noise models as other programs take them: Kalibr and OpenVINS, VINS-Fusion, Gazebo, RotorS (PX4), KF-GINS, GTSAM, MATLAB, gnss-ins-sim.
 
 Each of these knows white noise and one slow process per sensor triad: a random walk, or a Gauss-Markov process. The axes are combined by their
 root mean square, and every writer states the formula by which the program uses its numbers, so that a model can be read back by simulating it.
@@ -212,6 +212,20 @@ def _gtsam(triads: Mapping[str, Triad], rate_hz: float) -> str:
     return "\n".join(out) + "\n"
 
 
+def _matlab(triads: Mapping[str, Triad], rate_hz: float) -> str:
+    out = [
+        "% imuSensor of MATLAB; two-sided densities: N sqrt(rate) a sample, K / sqrt(rate) a step of the walk",
+        f'imu = imuSensor("accel-gyro", "SampleRate", {rate_hz:g});',
+    ]
+    for sensor, name, kind in (("gyro", "Gyroscope", "gyroparams"), ("accel", "Accelerometer", "accelparams")):
+        if sensor in triads:
+            t = triads[sensor]
+            out.append(
+                f'imu.{name} = {kind}("NoiseType", "double-sided", "NoiseDensity", {t.white:.9g}, "RandomWalk", {t.walk:.9g});'
+            )
+    return "\n".join(out) + "\n"
+
+
 def _gnss_ins_sim(triads: Mapping[str, Triad], rate_hz: float) -> str:
     out = [
         "# imu_err of gnss-ins-sim: white noise arw / sqrt(dt); drift b: (1 - dt/corr) b + std sqrt(1 - exp(-2 dt/corr)) w"
@@ -242,6 +256,7 @@ PROGRAMS: Mapping[str, Writer] = {
     "px4": _rotors,
     "kf-gins": _kfgins,
     "gtsam": _gtsam,
+    "matlab": _matlab,
     "gnss-ins-sim": _gnss_ins_sim,
 }
 

@@ -118,8 +118,7 @@ def _kml(way: Way, path: Path) -> None:
     track = f"<gx:Track>{absolute}{whens}{coords}</gx:Track>"
     parts = [f"<Placemark><name>{escape(way.name)}</name><styleUrl>#way</styleUrl>{track}</Placemark>"]
     for k, (start, end) in enumerate(way.outages, start=1):
-        inside = degrees[(way.t >= start) & (way.t <= end)]
-        places = " ".join(f"{p[1]:.10f},{p[0]:.10f},{p[2]:.4f}" for p in inside)
+        places = _places(way.llh[(way.t >= start) & (way.t <= end)])
         line = f"<LineString>{absolute}<coordinates>{places}</coordinates></LineString>"
         parts.append(f"<Placemark><name>outage {k}</name><styleUrl>#outage</styleUrl>{line}</Placemark>")
     styles = "".join(
@@ -131,6 +130,67 @@ def _kml(way: Way, path: Path) -> None:
         path,
         f'<?xml version="1.0" encoding="UTF-8"?>\n<kml {space}><Document>{styles}{"".join(parts)}</Document></kml>\n',
     )
+
+
+#: Colours of ways in an overlay (red, green, blue): the reference white, designs as in the charts.
+_OVERLAY = ("FFFFFF", "0072B2", "D55E00", "009E73", "CC79A7", "56B4E9", "E69F00", "4D4D4D", "8C564B")
+#: Corners of an ellipse.
+_CORNERS = 48
+
+
+def write_overlay(ways: Sequence[Way], path: Path) -> Path:
+    """Write several ways as one KML overlay: a folder each in its own colour, outages thick, the stated 3-sigma ellipse at the end of each.
+
+    Parameters
+    ----------
+    ways : sequence of Way
+        The reference first. Times need be no dates; ``sigma`` draws the ellipses (axes north and east).
+    path : Path
+        With the suffix ``.kml``.
+    """
+    if path.suffix.lower() != ".kml":
+        raise InputError(f"cannot write '{path.suffix}' overlays, expected .kml", where=str(path))
+    styles, folders = [], []
+    for k, way in enumerate(ways):
+        rgb = _OVERLAY[k % len(_OVERLAY)]
+        bgr = rgb[4:] + rgb[2:4] + rgb[:2]
+        fill = f"<PolyStyle><color>40{bgr}</color></PolyStyle>"
+        for name, width in (("way", 2), ("outage", 5)):
+            drawn = f"<LineStyle><color>ff{bgr}</color><width>{width}</width></LineStyle>"
+            styles.append(f'<Style id="{name}{k}">{drawn}{fill}</Style>')
+        parts = [_line("way", way.llh, f"way{k}")]
+        for n, (start, end) in enumerate(way.outages, start=1):
+            inside = np.flatnonzero((way.t >= start) & (way.t <= end))
+            if inside.size < 2:
+                continue
+            parts.append(_line(f"outage {n}", way.llh[inside], f"outage{k}"))
+            if way.sigma is not None:
+                last = inside[-1]
+                angle = np.linspace(0.0, 2.0 * np.pi, _CORNERS + 1)
+                ring = 3.0 * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle]) * way.sigma[last]
+                places = _places(np.array([earth.ned_to_llh(corner, way.llh[last]) for corner in ring]))
+                shape = (
+                    f"<outerBoundaryIs><LinearRing><coordinates>{places}</coordinates></LinearRing></outerBoundaryIs>"
+                )
+                parts.append(
+                    f"<Placemark><name>outage {n}: 3 sigma at its end</name><styleUrl>#way{k}</styleUrl><Polygon>{shape}</Polygon></Placemark>"
+                )
+        folders.append(f"<Folder><name>{escape(way.name)}</name>{''.join(parts)}</Folder>")
+    space = 'xmlns="http://www.opengis.net/kml/2.2"'
+    put(
+        path,
+        f'<?xml version="1.0" encoding="UTF-8"?>\n<kml {space}><Document>{"".join(styles)}{"".join(folders)}</Document></kml>\n',
+    )
+    return path
+
+
+def _places(llh: Array) -> str:
+    return " ".join(f"{p[1]:.10f},{p[0]:.10f},{p[2]:.4f}" for p in llh * [180 / np.pi, 180 / np.pi, 1.0])
+
+
+def _line(name: str, llh: Array, style: str) -> str:
+    line = f"<LineString><tessellate>1</tessellate><coordinates>{_places(llh)}</coordinates></LineString>"
+    return f"<Placemark><name>{name}</name><styleUrl>#{style}</styleUrl>{line}</Placemark>"
 
 
 def _pos(way: Way, path: Path) -> None:

@@ -50,12 +50,7 @@ class Policy:
     class_share: float = _decides(0.96, "1", "one", "Members of a class in a drive hold this share of the posterior together.")
     something: float = _decides(0.8, "1", "null", "Probability that anything at all is missing, below which the search of a drive ends.")
     false_alarms: float = _decides(0.02, "1", "null", "Share of nominal recordings, all axes and effects together, that may be flagged.")
-    omnibus_rest: float = _decides(
-        0.002, "1", "rest-map", "Corrected p-value of a test of the final model of a log at rest below which it is called unexplained."
-    )
-    omnibus_drive: float = _decides(
-        0.001, "1", "null", "The same in a drive: its fixes are fewer and its tests less exact, so a little more is asked."
-    )
+    omnibus: float = _decides(0.001, "1", "null", "Corrected p-value of a test of the final model below which it is called unexplained.")
     naming_share: float = _decides(2.0 / 3.0, "1", "one", "Share of a recording on which effects are named for the held-out figures.")
     mounting_share: float = _decides(
         0.5, "1", "real-drives", "The same for a wrong mounting: a drive whose angles are found in its first half is judged on all of the second."

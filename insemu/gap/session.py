@@ -156,7 +156,7 @@ def _drive(
     report = find_dynamic_gap(recording, moved, rng=rng, without=skip, hold_out=hold_out, progress=say, flown=flown)
     out = _together(report, early, mounted, nominal)
     for turn in range(MOST_PASSES):
-        if sum(s.nats for s in out.findings if s.sensor in ("gnss", "imu")) < rules().strong_nats:
+        if not _bends(out.findings):
             break
         say(f"the refined model against the recording, {turn + 1}")
         recording, moved = in_imu_axes(
@@ -168,6 +168,11 @@ def _drive(
             break
         out = corrected
     return replace(out, curves={**out.curves, "drive": _pictures(measured, first, nominal, out)}) if pictures else out
+
+
+def _bends(findings: Sequence[Finding]) -> bool:
+    """Whether effects of the fixes and of timing are so strong that the rest was seen in a filter that they had led astray."""
+    return sum(s.nats for s in findings if s.sensor in ("gnss", "imu")) >= rules().strong_nats
 
 
 def applied(report: GapReport, which: Sequence[int]) -> GapReport:

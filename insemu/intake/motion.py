@@ -19,6 +19,10 @@ Array = NDArray[np.float64]
 
 #: Interval of the regressions, s; slowest speed whose course is used, m/s; largest time offset that is searched for, s.
 STEP, SLOWEST, FARTHEST = 1.0, 2.0, 25.0
+#: The rate of turn at a stamp is that over this time before and after it, s: shorter than a turn, longer than vibration.
+RATE_S = 0.25
+#: An antenna is so far ahead of the IMU or behind it (one standard deviation), m: cars, vans and multirotors.
+LEVER = 1.0
 #: Most intervals that are used, spread over the record.
 MOST = 1500
 
@@ -46,6 +50,8 @@ class Turn:
         s to add to the stamps of the fixes.
     gain_nats : float
         Log-likelihood of that offset over none.
+    arm_nats : float
+        The same where an antenna ahead of the IMU, which turns before it does, is allowed for as well.
     intervals : int
         How many were used.
     turned : float
@@ -56,6 +62,7 @@ class Turn:
     correlation: float
     shift: float
     gain_nats: float
+    arm_nats: float
     intervals: int
     turned: float
 
@@ -193,6 +200,21 @@ def turn_of(imu: ImuRecord, track: Track) -> Turn | None:
         x = np.interp(end + shift, imu.t, angle) - np.interp(start + shift, imu.t, angle)
         return x * inside * weight, inside * weight
 
+    def lever(when: Array, speed: Array) -> Array:
+        """Course of an antenna 1 m ahead of the IMU against that of the IMU, rad."""
+        return np.asarray(
+            (np.interp(when + RATE_S, imu.t, angle) - np.interp(when - RATE_S, imu.t, angle)) / (2.0 * RATE_S * speed)
+        )
+
+    def left(shift: float, keep: NDArray[np.bool_], spread: float) -> float:
+        """Sum of squares that the turn, a drift and a lever arm of :data:`LEVER` leave."""
+        x, w = parts(shift)
+        arm = lever(end + shift, speed[1:][rows]) - lever(start + shift, speed[:-1][rows])
+        table = np.column_stack([x, (end - start) * w, arm * w])[keep & (w > 0)]
+        y = np.append((change * w)[keep & (w > 0)], 0.0)
+        table = np.vstack([table, [0.0, 0.0, spread / LEVER]])
+        return float(np.sum((y - table @ np.linalg.lstsq(table, y, rcond=None)[0]) ** 2))
+
     def fit(shift: float) -> tuple[float, float, NDArray[np.bool_]]:
         x, w = parts(shift)
         return _slope(x, change * w, (end - start) * w, w > 0)
@@ -208,7 +230,13 @@ def turn_of(imu: ImuRecord, track: Track) -> Turn | None:
     at_zero = _partial(x, change * w, (end - start) * w, keep & (w > 0))[1]
     count = int(keep.sum())
     gain = 0.5 * count * np.log(max(1e-12, 1.0 - at_zero**2) / max(1e-12, 1.0 - correlation**2))
-    return Turn(slope, correlation, float(fine[k]), float(gain), count, float(np.sqrt(np.mean(change**2))))
+    x, w = parts(float(fine[k]))
+    spread = float(np.std((change * w - slope * x)[keep]))
+    near = float(fine[k]) + np.arange(-1.0, 1.0 + 1e-9, 0.1)  # an arm moves the best offset
+    smallest = min(left(float(shift), keep, spread) for shift in near)
+    beside = 0.5 * count * np.log(max(left(0.0, keep, spread), 1e-300) / max(smallest, 1e-300))
+    turned = float(np.sqrt(np.mean(change**2)))
+    return Turn(slope, correlation, float(fine[k]), float(gain), float(beside), count, turned)
 
 
 def _partial(x: Array, y: Array, other: Array, keep: NDArray[np.bool_]) -> tuple[float, float]:

@@ -19,7 +19,7 @@ from insemu.errors import InputError, nearest
 from insemu.noise import grammar
 
 Array = NDArray[np.float64]
-Domain = Literal["positive", "rate", "frequency", "real", "correlation", "coefficient"]
+Domain = Literal["positive", "rate", "time", "frequency", "real", "correlation", "coefficient"]
 
 #: Seconds in the unit of a level beside the signal's: the power of the sampling interval that makes it one of samples.
 _SECONDS = {"{u}/sqrt(Hz)": 0.5, "({u})*s": 1.0, "{u}*sqrt(Hz)": -0.5, "{u}/s": -1.0}
@@ -34,8 +34,8 @@ _TIMES_CORRELATION = {1: 30, 2: 16, 3: 12}
 class Parameter:
     """What a parameter is: its name, its unit in terms of the signal's unit ``{u}``, and its domain.
 
-    Domains: ``positive`` (zero allowed), ``rate`` (1/s) and ``frequency`` (Hz, below half the sampling rate), both above zero, ``real``,
-    ``correlation`` (between -1 and 1), ``coefficient``.
+    Domains: ``positive`` (zero allowed), ``rate`` (1/s), ``time`` (s) and ``frequency`` (Hz, below half the sampling rate), all three above
+    zero, ``real``, ``correlation`` (between -1 and 1), ``coefficient``.
     """
 
     name: str
@@ -67,7 +67,7 @@ class Parameter:
     @property
     def positive(self) -> bool:
         """Whether the logarithm is the natural scale of the parameter."""
-        return self.domain in ("positive", "rate", "frequency")
+        return self.domain in ("positive", "rate", "time", "frequency")
 
     @property
     def power(self) -> int:
@@ -85,7 +85,7 @@ class Parameter:
             not math.isfinite(value)
             or (self.positive and value < 0)
             or (self.domain == "correlation" and not -1 < value < 1)
-            or (self.domain in ("rate", "frequency") and value == 0)
+            or (self.domain in ("rate", "time", "frequency") and value == 0)
         )
         if not bad:
             return
@@ -124,6 +124,8 @@ class Parameter:
             return math.log(x / (1.0 - x))
         if self.domain == "correlation":
             return math.atanh(value)
+        if self.domain == "time":
+            return math.log(value / dt)
         return math.log(value * dt) if self.domain == "rate" else math.log(value) if self.positive else value
 
     def of_shape(self, shape: float, dt: float) -> float:
@@ -132,6 +134,8 @@ class Parameter:
             return 0.5 / (1.0 + math.exp(-shape)) / dt
         if self.domain == "correlation":
             return min(math.tanh(shape), 1.0 - 1e-15)
+        if self.domain == "time":
+            return math.exp(shape) * dt
         return math.exp(shape) / dt if self.domain == "rate" else math.exp(shape) if self.positive else shape
 
     def slope(self, value: float, dt: float) -> float:
@@ -147,6 +151,8 @@ class Parameter:
         longest = LONGEST_RECORDS * n_samples
         if self.domain == "rate":
             return -math.log(longest), math.log(6.0)
+        if self.domain == "time":
+            return 0.0, math.log(n_samples)
         if self.domain == "correlation":
             return -4.0, 0.5 * math.log(2.0 * longest)
         return (-math.log(2.0 * n_samples), 9.0) if self.domain == "frequency" else (-6.0, 6.0)
@@ -156,6 +162,8 @@ class Parameter:
         if self.domain == "rate":
             # time constants from below a sample to beyond the record; a few random-walk-like ones
             return [float(v) for v in -np.log(np.geomspace(0.6, 3.0 * n_samples, _TIMES.get(alike, 9)))]
+        if self.domain == "time":
+            return [float(v) for v in np.log(np.geomspace(1.0, n_samples, _TIMES.get(alike, 9)))]
         if self.domain == "correlation":
             a = 1.0 / np.geomspace(0.6, 3.0 * n_samples, _TIMES_CORRELATION.get(alike, 9))
             return [-1.8, -0.8, -0.25, *(float(v) for v in np.arctanh(np.minimum(np.exp(-a), 1.0 - 1e-12)))]

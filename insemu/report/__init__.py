@@ -36,6 +36,7 @@ from insemu.report.solve import (
     solve_answer,
     solve_rows,
 )
+from insemu.report.sweep import SWEPT, render_sweep, sweep_answer, sweep_rows
 from insemu.report.tables import (
     FIGURES,
     SMOOTHED,
@@ -55,6 +56,7 @@ __all__ = [
     "COLUMNS",
     "FIGURES",
     "SMOOTHED",
+    "SWEPT",
     "beside",
     "budget_lines",
     "calibration_lines",
@@ -89,6 +91,7 @@ __all__ = [
     "render_reckoning",
     "render_regression",
     "render_solution",
+    "render_sweep",
     "segment_rows",
     "sensor_axes",
     "server",
@@ -98,6 +101,8 @@ __all__ = [
     "smoother_rows",
     "solve_answer",
     "solve_rows",
+    "sweep_answer",
+    "sweep_rows",
     "variant_caption",
     "variant_rows",
 ]

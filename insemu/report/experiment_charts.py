@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from insemu import earth
-from insemu.evaluate import Results, outage_table, within_outage
+from insemu.evaluate import Results, chosen, outage_table, within_outage
 from insemu.report.charts import GREY, INK, RED, Chart, Line, View, positive, strokes
 from insemu.report.style import COLOURS
 
@@ -32,6 +32,11 @@ def _horizontal(e: Array) -> Array:
 def _component(index: int, factor: float = 1.0) -> Callable[[Array], Array]:
     return lambda e: np.abs(e[..., index]) * factor
 
+
+#: Realizations from which on the 95 % quantile over them is drawn: five lie beyond it.
+TOLD = 100
+#: Realizations that are drawn one by one at an outage's end; of more as many quantiles.
+DOTS = 200
 
 #: What is shown, with its unit, from errors or standard deviations (..., 9) in state order; and whether the static picture shows it.
 QUANTITIES: dict[str, tuple[str, Callable[[Array], Array], bool]] = {
@@ -72,17 +77,24 @@ def error_chart(results: Results) -> Chart:
     """Rms errors of every design over the realizations, and what it states."""
     at = _epochs(results)
     views = []
+    told = results.statistics if results.realizations >= TOLD else {}
+    sketched = {"Planimetric position": "planimetric_quantile", "Height": "altimetric_quantile"}
     for name, (unit, of, printed) in QUANTITIES.items():
         lines = []
         for d, design in enumerate(results.names):
-            rms, stated = (_rms(of(values[d][:, at])) for values in (results.error, results.sigma))
+            rms, stated = (of(_root(results, f"{what}_square", d)[at]) for what in ("error", "sigma"))
             lines += [
                 Line(design, positive(rms), colour(d)),
                 Line(f"{design}: stated sigma", positive(stated), colour(d), dashed=True, width=1.1, of=design),
             ]
             if results.smoothed:
-                smoothed = positive(_rms(of(results["smoothed_error"][d][:, at])))
+                smoothed = positive(of(_root(results, "smoothed_square", d)[at]))
                 lines.append(Line(f"{design}: smoothed", smoothed, colour(d), width=0.7, of=design))
+            if sketched.get(name) in told:
+                high = told[sketched[name]].sel(design=design, level=0.95).to_numpy()[at]
+                lines.append(
+                    Line(f"{design}: 95 % of the realizations", positive(high), colour(d), width=0.7, of=design)
+                )
         if any(np.isfinite(np.asarray(line.y)).any() for line in lines):
             views.append(View(f"{name}, rms error", f"{name} ({unit})", lines, log_y=True, printed=printed))
     return _over_time(
@@ -95,9 +107,18 @@ def error_chart(results: Results) -> Chart:
     )
 
 
+def _root(results: Results, squares: str, design: int) -> Array:
+    """Root of the mean over the realizations of squares, (time, 9)."""
+    return np.asarray(np.sqrt(results.total.mean(squares, design)))
+
+
 def bounds_chart(results: Results) -> Chart:
     """Errors of single realizations against the 3-sigma bounds that the filters state."""
-    at = _epochs(results)
+    at, numbers = (
+        _epochs(results),
+        results.data["realization"].to_numpy() if "realization" in results.data.coords else range(results.realizations),
+    )
+    kept = chosen(results.total, results.names) if len(numbers) < results.realizations else {}
 
     def view(realization: int, name: str) -> View:
         unit, of, printed = QUANTITIES[name]
@@ -108,14 +129,16 @@ def bounds_chart(results: Results) -> Chart:
                 Line(design, positive(error), colour(d)),
                 Line(f"{design}: 3 sigma", positive(bound), colour(d), dashed=True, width=1.1, of=design),
             ]
-        title = f"{name}, realization {realization + 1}"
+        title = f"{name}, realization {numbers[realization] + 1}"
         return View(title, f"{name} ({unit})", lines, log_y=True, printed=printed and realization == 0)
 
     first, *others = QUANTITIES
-    shown = min(SHOWN_ALONE, results.realizations)
+    shown = len(numbers) if kept else min(SHOWN_ALONE, len(numbers))
     views = [view(r, first) for r in range(shown)] + [view(0, name) for name in others]
     outside = ", ".join(f"{design} {100 * _outside(results, d):.1f} %" for d, design in enumerate(results.names))
     told = f" In outages this share of all planimetric errors is outside: {outside}." if results.outages else ""
+    if kept:
+        told += " Realizations: " + "; ".join(f"{r + 1} ({why})" for r, why in sorted(kept.items())) + "."
     return _over_time(
         "Against bounds",
         "Error of one realization (solid) and three times the sigma that its filter states (dashed)." + told,
@@ -129,12 +152,7 @@ def _outside(results: Results, design: int) -> float:
     inside = np.zeros(results.t.size, dtype=bool)
     for start, duration in results.outages:
         inside |= within_outage(results.t, start, duration)
-    error, sigma = (_horizontal(v[design][:, inside]) for v in (results.error, results.sigma))
-    return float(np.mean(error > 3.0 * sigma))
-
-
-def _rms(values: Array) -> Array:
-    return np.asarray(np.sqrt(np.mean(values**2, axis=0)), dtype=np.float64)
+    return float(np.mean(1.0 - results.total.mean("inside_horizontal", design)[inside]))
 
 
 def nees_chart(results: Results, confidence: float = 0.99) -> Chart:
@@ -151,7 +169,7 @@ def nees_chart(results: Results, confidence: float = 0.99) -> Chart:
     tail = 0.5 * (1.0 - confidence)
     bounds = (stats.chi2.ppf(tail, dof) / dof, stats.chi2.isf(tail, dof) / dof)
     lines = [
-        Line(design, positive(results.nees[d][:, at].mean(axis=0) / 9.0), colour(d))
+        Line(design, positive(results.total.mean("nees", d)[at] / 9.0), colour(d))
         for d, design in enumerate(results.names)
     ]
     name = f"{confidence:.0%} bounds"
@@ -218,9 +236,14 @@ def end_chart(results: Results) -> Chart:
         rows = table[name]
         at = [k + (d - (count - 1) / 2) * 0.8 / count for k in range(len(rows))]
         ends = [row["planimetric_end_m"] for row in rows]
-        each = [np.asarray(p["per_realization"]) for p in ends]
+        each = [_dots(np.asarray(p["per_realization"])) for p in ends]
         x = [p + (np.arange(v.size) / max(1, v.size - 1) - 0.5) * 0.5 / count for p, v in zip(at, each, strict=True)]
-        said = [f"{v:.3g} m, realization {r + 1}" for values in each for r, v in enumerate(values)]
+        said = [
+            f"{v:.3g} m, "
+            + (f"realization {r + 1}" if results.realizations <= DOTS else f"quantile {100 * (r + 0.5) / DOTS:g} %")
+            for values in each
+            for r, v in enumerate(values)
+        ]
         every = Line(f"{name}: realizations", np.concatenate(each), colour(d), points=True, width=1.0, of=name)
         every = replace(every, x=np.concatenate(x), text=said)
         low_high = [p["ci95"] if p["ci95"][0] is not None else (np.nan, np.nan) for p in ends]
@@ -247,16 +270,22 @@ def end_chart(results: Results) -> Chart:
     for label, (x_all, y_all, said), hue in (("stated sigma", stated, INK), ("published", printed, RED)):
         if y_all:
             lines.append(Line(label, y_all, hue, points=True, x=x_all, text=said, width=3.0))
+    dots = "realizations" if results.realizations <= DOTS else "quantiles over the realizations"
     ticks = [(float(k), f"{s / 60:.3g} min, {w:g} s") for k, (s, w) in enumerate(results.outages)]
     return Chart(
         "End errors",
-        "Planimetric error at outage end: small dots are realizations, large ones their mean with its 95 % interval (bar); dark dots are the "
+        f"Planimetric error at outage end: small dots are {dots}, large ones their mean with its 95 % interval (bar); dark dots are the "
         "sigma that the filter states" + (", red ones what was published." if published else "."),
         None,
         "outage (start, duration)",
         [View("At outage end", "planimetric error (m)", lines, log_y=True, ticks=ticks)],
         group="ends",
     )
+
+
+def _dots(values: Array) -> Array:
+    """Values to draw one by one: all, or of many as many quantiles."""
+    return values if values.size <= DOTS else np.quantile(values, (np.arange(DOTS) + 0.5) / DOTS)
 
 
 def smoother_chart(results: Results) -> Chart:

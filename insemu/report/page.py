@@ -38,7 +38,10 @@ class Items:
 
 @dataclass(frozen=True)
 class Table:
-    """A table; the first ``left`` columns are aligned left, the others right. ``strong`` rows are emphasised; cells ``wrap`` or not."""
+    """A table; the first ``left`` columns are aligned left, the others right. ``strong`` rows are emphasised; cells ``wrap`` or not.
+
+    ``heat`` tints cells of a heat map: a share from 0 to 1 for each, None without.
+    """
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -46,6 +49,7 @@ class Table:
     left: int = 1
     strong: frozenset[int] = frozenset()
     wrap: bool = False
+    heat: Sequence[Sequence[float | None]] = ()
 
 
 @dataclass(frozen=True)

@@ -290,7 +290,7 @@ def variant_rows(main: Results, variants: Mapping[str, Results]) -> Table:
                 *[""] * (columns - len(rows)),
                 *against,
                 f"{np.mean([r['altimetric_end_m'] for r in rows]):.3g}" if rows else "",
-                short(float(results.nees[i].mean()) / 9.0),
+                short(float(results.total.mean("nees", i).mean()) / 9.0),
                 f"{100 * np.mean([r['coverage_3sigma']['position'] for r in rows]):.1f}" if rows else "",
             ]
             if header[-1] == "tau":

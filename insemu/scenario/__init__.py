@@ -25,6 +25,7 @@ from insemu.scenario.schema import (
 from insemu.scenario.shipped import located, shipped_scenarios
 from insemu.scenario.starting import SENSOR, Wish, copy_shipped, first_scenario
 from insemu.scenario.structure import state_names, structures
+from insemu.scenario.swept import with_changes
 
 __all__ = [
     "MAX_REALIZATIONS",
@@ -61,4 +62,5 @@ __all__ = [
     "structures",
     "validated",
     "variant_names",
+    "with_changes",
 ]

@@ -20,12 +20,19 @@ from insemu.scenario.fields import Made
 from insemu.scenario.schema import Scenario
 from insemu.scenario.sensor_keys import beside
 from insemu.scenario.shipped import located
+from insemu.scenario.swept import with_changes
 from insemu.yamlfile import Place
 
 S = TypeVar("S", bound=BaseModel)
 
 
-def load(path: str | Path, *, variant: str | None = None, overrides: Mapping[str, Any] | None = None) -> Scenario:
+def load(
+    path: str | Path,
+    *,
+    variant: str | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    changes: Mapping[str, Any] | None = None,
+) -> Scenario:
     """Read and check a scenario file.
 
     Parameters
@@ -36,6 +43,8 @@ def load(path: str | Path, *, variant: str | None = None, overrides: Mapping[str
         Name under ``variants`` whose keys replace those of the file.
     overrides : mapping, optional
         Top-level keys from the command line, which win over the file (``{"seed": 7}``).
+    changes : mapping, optional
+        Keys anywhere in the file, as :func:`~insemu.scenario.swept.with_changes` reads them.
 
     Raises
     ------
@@ -46,7 +55,7 @@ def load(path: str | Path, *, variant: str | None = None, overrides: Mapping[str
     if not isinstance(document.data, dict):
         expected = "expected a mapping of keys such as title, trajectory, truth, designs"
         raise InputError(f"found {type(document.data).__name__}, {expected}", where=str(path))
-    data, lines = beside(document.data, located(path).parent), dict(document.lines)
+    data, lines = beside(with_changes(document.data, changes or {}), located(path).parent), dict(document.lines)
     if variant is not None:
         variants = data.get("variants")
         if not isinstance(variants, dict) or variant not in variants:

@@ -52,6 +52,7 @@ from insemu.gap.problems.findings import (
     is_doubtful,
     joined,
     merged,
+    rejected,
     remainder,
     split_axis,
     unknown_part,
@@ -492,8 +493,7 @@ def find_dynamic_gap(
     competing = [v for v in bank(scene) if v.effect not in without]
     threshold = max(rules().least_nats, null_threshold(competing, scene.data, rng, always=scene.always))
     named = find_effects(scene, None, threshold, without, say)
-    nothing = Interval(math.nan, math.nan, math.nan)
-    before = after = held = nothing
+    before = after = held = Interval(math.nan, math.nan, math.nan)
     if hold_out:
         say("scoring on held-out fixes")
         before, after, held = at.held_out(scene, threshold, without)
@@ -504,7 +504,7 @@ def find_dynamic_gap(
     final, blocks = believing(named)
     residual, _ = final.data.residual(blocks)
     tests = innovation_tests(final, residual)
-    failed = [w for w in corrected(tests) if w.p_value < rules().omnibus_drive]
+    failed = rejected(corrected(tests))
     fast = again_with_processes(
         at.fast, named.found, at.parts, at.nominal, max(threshold, rules().fast_nats), without, at.clipped
     )

@@ -77,6 +77,11 @@ def is_doubtful(finding: Finding, failed: Sequence[Where], outsiders: Mapping[tu
     )
 
 
+def rejected(tests: Sequence[Where]) -> list[Where]:
+    """The tests of a final model, corrected for their number, that it does not pass."""
+    return [w for w in tests if w.p_value < rules().omnibus]
+
+
 def remainder(failed: Sequence[Where], outsiders: Mapping[tuple[str, str], str]) -> str:
     """What is left unexplained, in words; empty where nothing is."""
     places: dict[str, list[str]] = {}

@@ -37,6 +37,7 @@ from insemu.gap.problems.findings import (
     is_doubtful,
     merged,
     refined_model,
+    rejected,
     remainder,
     split_axis,
     taken_out,
@@ -411,7 +412,7 @@ class _Log:
             refined = shared.with_common(refined, shares, f"common{k + 1}", data.block_s, data.dt)
         if missing is not None and "dropped_samples" not in self.without:
             findings = tuple(sorted((*findings, *gaps_of(missing)), key=lambda s: -s.nats))
-        failed = [w for w in after if w.p_value < rules().omnibus_rest]
+        failed = rejected(after)
         outsiders = {split_axis(name): r.outsider for name, r in results.items() if r.outsider}
         levels = white_levels(self.beliefs)
         findings = tuple(replace(s, metres=worth_in_noise(s, levels)) for s in findings)

@@ -1,0 +1,52 @@
+"""``insemu errors``: error signals of an IMU under dynamics, from a better one on the same mount."""
+
+from __future__ import annotations
+
+import typer
+
+
+def command(
+    unit: str = typer.Argument(..., metavar="UNIT", help="Recording of the IMU whose errors are wanted."),
+    reference: str = typer.Argument(..., metavar="REFERENCE", help="Recording of the better IMU on the same mount."),
+    out: str = typer.Option(..., "--out", "-o", help="Static log of the errors to write (.npz or .csv)."),
+    search: str = typer.Option("10 s", "--search", help="Largest time offset that is searched for."),
+) -> None:
+    """Write what an IMU recorded less what a reference recorded, time offset, mounting and lever arm taken off.
+
+    The file is a source of errors for a scenario (truth: {recorded: {files: [FILE]}}) and a log for `insemu characterise` and `insemu fit`. It
+    holds the errors of the reference, too, and the biases.
+    """
+    from pathlib import Path
+
+    import numpy as np
+
+    from insemu import formats, units
+    from insemu.emulate import difference
+    from insemu.errors import InputError
+    from insemu.noise import axis_unit
+    from insemu.records import AXES, Series
+
+    target = Path(out)
+    if target.suffix not in (".npz", ".csv"):
+        raise InputError(f"found the suffix '{target.suffix}', expected .npz or .csv", where="--out")
+    found = difference(formats.read_imu(unit), formats.read_imu(reference), search_s=units.parse(search, "s"))
+    series = [Series(found.values[:, k], found.rate_hz, axis_unit(a), a) for k, a in enumerate(AXES)]
+    formats.write(target, series)
+    turn, arm, sigma = np.degrees(found.rpy), found.lever_arm, found.sigma
+    typer.echo(
+        f"time offset {1e3 * found.offset_s:.2f} ms (1 sigma {1e3 * sigma[0]:.2g}), the turn rates correlate by {found.correlation:.3f}"
+    )
+    typer.echo(
+        f"mounting {turn[0]:.3f} {turn[1]:.3f} {turn[2]:.3f} deg (1 sigma of a turn about x, y, z {_three(np.degrees(sigma[1:4]))})"
+    )
+    typer.echo(f"lever arm {arm[0]:.3f} {arm[1]:.3f} {arm[2]:.3f} m (1 sigma {_three(sigma[4:])})")
+    for axis, one in zip(AXES, series, strict=True):
+        mean, rms = float(one.values.mean()), float(one.values.std())
+        typer.echo(f"  {axis:<8} mean {mean:>10.3g}  standard deviation {rms:>10.3g} {one.unit}")
+    typer.echo(f"wrote: {target} ({len(found.t)} samples at {found.rate_hz:g} Hz)", err=True)
+
+
+def _three(values: object) -> str:
+    import numpy as np
+
+    return " ".join(f"{v:.2g}" for v in np.asarray(values))

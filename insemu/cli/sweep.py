@@ -1,0 +1,142 @@
+"""``insemu sweep``: which sensor, which model, for which outage, over a matrix of scenarios."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from insemu.evaluate import Row, Sweep
+
+
+def command(
+    scenario: str = typer.Argument(..., metavar="SCENARIO", help="Scenario file (YAML)."),
+    over: str = typer.Option(
+        ...,
+        "--over",
+        metavar="KEY=[VALUE, ...],...",
+        help="Keys and what they take: sensor=[ADIS16470, BMI088],outage=[30 s, 60 s].",
+    ),
+    latin: int = typer.Option(
+        0,
+        "--latin",
+        min=0,
+        help="So many points of a Latin hypercube instead of all combinations; keys may then have ranges, LOW..HIGH.",
+    ),
+    linear: int = typer.Option(
+        0, "--linear", min=0, help="Fly nothing: so many realizations to first order at each point."
+    ),
+    realizations: int | None = typer.Option(
+        None, "--realizations", min=2, help="At each point; default the scenario's."
+    ),
+    seed: int | None = typer.Option(None, "--seed", min=0, help="The same at every point; default the scenario's."),
+    workers: int | None = typer.Option(
+        None, "--workers", min=1, help="Realizations flown at a time; default the cores."
+    ),
+    cluster: str = typer.Option("", "--cluster", help="Fly on a Dask cluster: local, or tcp://HOST:PORT."),
+    out: str = typer.Option("", "--out", help="Folder for results; default results/NAME-sweep."),
+    as_json: bool = typer.Option(False, "--json", help="Print sweep.json on standard output instead of the table."),
+) -> None:
+    """Run a scenario with other values at some keys: every combination, or a Latin hypercube, as one experiment with one table.
+
+    KEY is any key of the scenario (insemu schema), its parts parted by dots, or one of: sensor (the truth's card), outage (duration of every outage),
+    trajectory. All points have the same seed. Writes sweep.csv, sweep.json and a page; points that are finished are kept, and the same
+    command goes on from there.
+    """
+    import json
+    import os
+    from pathlib import Path
+
+    from rich.console import Console
+
+    from insemu.cluster import cluster as dask_cluster
+    from insemu.evaluate import CACHE, Sweep, only_writer
+    from insemu.report import render_sweep
+    from insemu.whole import put
+
+    told = Console(stderr=True)
+    folder = Path(out) if out else Path("results") / f"{Path(scenario).stem}-sweep"
+    sweep = Sweep.of(scenario, over, latin=latin, linear=linear, overrides={"seed": seed, "realizations": realizations})
+    many = workers or os.cpu_count() or 1
+    told.print(f"{len(sweep.points)} points of {', '.join(f.key for f in sweep.given)}.", highlight=False, markup=False)
+    with only_writer(folder), dask_cluster(cluster, many) as pool:
+        rows = _rows(sweep, folder / CACHE, {"workers": many, "executor": pool})
+        document = {
+            "scenario": sweep.scenario.title,
+            "over": over,
+            "latin": latin,
+            "seed": sweep.scenario.seed,
+            "realizations": linear or sweep.scenario.realizations,
+            "linear": bool(linear),
+            "rows": [row.flat() for row in rows],
+        }
+        put(folder / "sweep.json", json.dumps(document, indent=1))
+        put(folder / "sweep.csv", _csv(rows))
+        page = render_sweep(sweep, rows, folder)
+    if as_json:
+        typer.echo(json.dumps(document, indent=1))
+    else:
+        _show(Console(), sweep, rows, page)
+
+
+def _rows(sweep: Sweep, cache: Path, means: dict[str, Any]) -> list[Row]:
+    """All rows, with a bar for the points and what each is at."""
+    from rich.console import Console
+
+    from insemu.cli.printing import bars
+    from insemu.errors import InputError
+
+    told = Console(stderr=True)
+    rows: list[Row] = []
+    with bars(told) as shown:
+        task = shown.add_task("points", total=len(sweep.points))
+
+        def progress(done: int, total: int) -> Any:
+            def step(flown: int, of: int, what: str) -> None:
+                shown.update(task, completed=done, description=f"points ({what} {flown}/{of})")
+
+            shown.update(task, completed=done)
+            return step
+
+        def say(text: str) -> None:
+            told.print(f"Warning: {text}.", soft_wrap=True, highlight=False, markup=False)
+
+        try:
+            for found in sweep.rows(cache, progress=progress, say=say, **means):
+                if not found:
+                    raise InputError(
+                        "the scenario has no outage at whose end errors could be told", where=str(sweep.file)
+                    )
+                rows += found
+        except KeyboardInterrupt:
+            shown.stop()
+            told.print("Interrupted. Finished points are kept; the same command goes on from there.")
+            raise
+        shown.update(task, completed=len(sweep.points), description="points")
+    return rows
+
+
+def _csv(rows: Sequence[Row]) -> str:
+    import csv
+    import io
+
+    stream = io.StringIO(newline="")
+    table = csv.DictWriter(stream, list(rows[0].flat()))
+    table.writeheader()
+    table.writerows(row.flat() for row in rows)
+    return stream.getvalue()
+
+
+def _show(console: Any, sweep: Sweep, rows: Sequence[Row], page: Path) -> None:
+    from insemu.cli.printing import print_table
+    from insemu.report import SWEPT, sweep_answer, sweep_rows
+
+    console.print(f"\n{sweep_answer(sweep, rows)}", style="bold", soft_wrap=True, highlight=False, markup=False)
+    header, body = sweep_rows(sweep, rows)
+    print_table(console, sweep.scenario.title, header, body, left=len(sweep.given) + 1, fit=True)
+    console.print(SWEPT, style="dim", soft_wrap=True, highlight=False)
+    console.print(f"\nPage: {page} (sweep.csv, sweep.json beside it)", soft_wrap=True, highlight=False)

@@ -1,0 +1,285 @@
+"""What constants of the policy decide in a drive and in the final tests: a case on either side of each border, as in test_gap_policy_pins."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from insemu.gap import session
+from insemu.gap.candidates import fixes as steps
+from insemu.gap.candidates import shapes
+from insemu.gap.candidates.axis import state_of
+from insemu.gap.candidates.shapes import Change
+from insemu.gap.checks import drive as drive_checks
+from insemu.gap.data.log import Reduced, reduce
+from insemu.gap.drive import shaking
+from insemu.gap.evidence import fixes
+from insemu.gap.evidence.linear import Field
+from insemu.gap.evidence.model import Explanation
+from insemu.gap.hypothesis import Found, Hypothesis
+from insemu.gap.problems import band, drive, rest
+from insemu.gap.problems.findings import VARYING, rejected, remainder
+from insemu.gap.verdict import Finding, Where
+from insemu.noise import WN, NoiseModel
+from insemu.records import GnssRecord, ImuRecord, Series
+
+DT = 0.01
+WHITE = NoiseModel((WN(DT**0.5),))  # of unit variance
+
+
+# -- what is left over ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("p", "left"), [(0.0008, True), (0.0013, False)])
+def test_a_model_is_left_unexplained_by_a_corrected_p_value_of_a_thousandth(p, left):
+    assert (
+        bool(remainder(rejected([Where("tails", "gyro", "x", 0.01, p), Where("mean", "gyro", "y", None, 0.3)]), {}))
+        == left
+    )
+
+
+@pytest.mark.parametrize(("p", "varies"), [(0.8e-6, True), (1.3e-6, False)])
+def test_a_spectrum_that_changes_beyond_doubt_ends_the_fast_search(p, varies, monkeypatch):
+    log = Series(WHITE.simulate(12_000, DT, np.random.default_rng(3)), 1.0 / DT, "rad/s", "gyro_x")
+    state = state_of(reduce(log), Explanation.nominal(WHITE))
+    problem = rest.AxisProblem(state)
+    monkeypatch.setattr(rest.checks, "drifting_spectrum", lambda _: p)
+    line = Hypothesis("vibration_line", 40.0, (), state)
+    problem.apply(Found(line, (line,)))
+    assert (problem.outsider == VARYING) == varies
+
+
+@pytest.mark.parametrize(("square", "passes"), [(1.185, True), (1.225, False)])
+def test_a_nis_keeps_half_of_its_variance_at_the_least(square, passes, monkeypatch):
+    """Levels that follow all of it: a mean square of 1.185 would fail if a third were kept, one of 1.225 pass if three quarters were."""
+    n = 200
+    z = stats.norm.ppf((np.arange(n) + 0.5) / n)[np.random.default_rng(1).permutation(n)]
+    y = np.full((n, 6), np.nan)
+    y[:, 0] = z * math.sqrt(square / float(np.mean(z * z)))
+    everything = (np.zeros((1, 6)) + 2.0 * n, np.array([[0.5 / n]]))
+    monkeypatch.setattr(drive_checks, "trimmed_levels", lambda _: everything)
+    scene = SimpleNamespace(
+        prepared=SimpleNamespace(result=SimpleNamespace(fixes=SimpleNamespace(t=np.arange(float(n))))),
+        loop=SimpleNamespace(use=np.isfinite(y)),
+    )
+    told = {name: p for name, *_, p in drive_checks.innovation_tests(scene, y[:, 0])}
+    assert (told["position innovation NIS"] > 0.004) == passes
+
+
+# -- the search of a drive --------------------------------------------------------------------------------------------------------
+
+
+def found(effect: str, nats: float, **change: object) -> Found[Change]:
+    h = Hypothesis(effect, nats, (), Change(**change), "", "gyro", ("x",))
+    return Found(h, (h,))
+
+
+@pytest.mark.parametrize(("nats", "early"), [(33.0, False), (50.0, True)])
+def test_noise_of_the_fixes_came_early_where_something_strong_follows(nats, early):
+    block = (np.array([0]), np.eye(1))
+    noise, shape = found("gnss_noise_level", 60.0), found("scale_factor", nats, block=block, columns=(0,))
+    assert drive.DriveProblem.noise_came_early(SimpleNamespace(found=[noise, shape])) == early
+
+
+@pytest.mark.parametrize(("nats", "idle"), [(1.6, True), (2.4, False)])
+def test_an_effect_worth_less_than_two_nats_beside_the_others_is_idle(nats, idle, monkeypatch):
+    old = found("ramp", 30.0, block=(np.array([0]), np.eye(1)))
+    one = Hypothesis("ramp", nats, (), old.chosen.change, "", "gyro", ("x",))
+    monkeypatch.setattr(drive, "linear_hypotheses", lambda *_: [one])
+    problem = SimpleNamespace(
+        scene=None, variants=(), data=None, threshold=3.0, blocks=lambda _: [], _skip=lambda _: set()
+    )
+    assert drive.DriveProblem.again(problem, old).idle == idle
+
+
+@pytest.mark.parametrize(("nats", "more"), [(120.0, False), (180.0, True)])
+def test_strong_effects_of_fixes_and_timing_together_ask_for_a_second_pass(nats, more):
+    def finding(effect: str, sensor: str, worth: float) -> Finding:
+        return Finding(effect, "", sensor, (), (), 1.0, worth, ())
+
+    weak = [finding("lever_arm", "gnss", 0.6 * nats), finding("imu_gnss_time_offset", "imu", 0.4 * nats)]
+    assert session._bends([*weak, finding("scale_factor", "gyro", 900.0)]) == more
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.08, False), (0.13, True)])
+def test_a_rival_of_a_tenth_of_the_repetitions_is_told(share, told, monkeypatch):
+    shares = {("scale_factor", "gyro"): 1.0, ("misalignment", "gyro"): share}
+    repetitions = SimpleNamespace(of=lambda *_: SimpleNamespace(shares=lambda *_: shares))
+    monkeypatch.setattr(drive, "Repetitions", repetitions)
+    monkeypatch.setattr(drive, "bank", lambda _: [])
+    f = found("scale_factor", 30.0, block=(np.array([0]), np.eye(1)), columns=(0,))
+    data = SimpleNamespace(posterior=lambda _: (np.array([0]), np.ones(1), np.eye(1)))
+    named = SimpleNamespace(scene=SimpleNamespace(data=data), found=(f,), blocks=[])
+    finding = Finding("scale_factor", "", "gyro", ("x",), (), 1.0, 30.0, ())
+    (out,) = drive.with_confusable([finding], named, (), np.random.default_rng(1))
+    assert bool(out.confusable) == told
+
+
+def test_slow_processes_are_tried_from_a_thousandth_to_three_thousand_of_a_datasheet():
+    scene = SimpleNamespace(
+        knots=np.linspace(0.0, 200.0, 21), slow=lambda first, count=1: np.arange(first, first + count)
+    )
+    walk = next(v for v in shapes._slow(scene) if v.effect == "random_walk" and len(v.axes) == 1)
+    scale = shapes.EFFECTS["random_walk"].scale(shapes.PROCESSES["random_walk"], walk.sensor)
+    assert np.log10(walk.amplitudes[[0, -1]] / scale) == pytest.approx([-3.0, math.log10(3000.0)], abs=0.1)
+
+
+def test_a_slow_process_may_be_ten_times_more_or_less_above_the_motion(monkeypatch):
+    asked = {}
+    monkeypatch.setattr(band, "fast_effects", lambda *a: asked.update(a[5]) or [])
+    walk = found("random_walk", 30.0)
+    walk.chosen.__dict__["values"] = (SimpleNamespace(name="K", value=1e-4),)
+    band.again_with_processes([("gyro_x", SimpleNamespace(found=(walk,)))], [walk], {"gyro_x": None}, None, 3.0, (), ())
+    (component,) = asked["gyro_x"]
+    assert (component.free[0].low, component.free[0].high) == pytest.approx((1e-5, 1e-3), rel=0.1)
+
+
+# -- the fixes --------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("length", "step"), [(2, False), (3, True)])
+def test_a_step_of_two_fixes_is_an_outlier(length, step, monkeypatch):
+    """Position errors of 60 fixes that the filter does not follow: the scan must not start and end closer than three."""
+    t = np.arange(60.0)
+    starts = t - 0.5
+    G = np.kron((t[:, None] > starts[None, :]).astype(float), np.eye(3)) / 0.5  # noise of half a metre
+    y = np.zeros((60, 3))
+    y[20 : 20 + length, 0] = 5.0 / 0.5
+    monkeypatch.setattr(steps, "_axis_steps", lambda scene, s, c: G[:, c::3])
+    seen = []
+    monkeypatch.setattr(steps, "_step_hypothesis", lambda *a: seen.append(a[7] - a[6]) or "one")
+    scene = SimpleNamespace(
+        starts=starts, step_columns=G, whitened=lambda x: x, prepared=SimpleNamespace(result=SimpleNamespace(fixes=SimpleNamespace(t=t))),
+    )  # fmt: skip
+    steps.multipath_step(scene, Field(y.ravel(), G), slice(None), [])
+    assert (seen == [length]) == step
+
+
+def level_evidence(truth: float, monkeypatch) -> float:
+    """Evidence of a level of the positions whose likelihood has its top at ``truth``."""
+    monkeypatch.setattr(fixes, "level_scores", lambda *_: (np.array([30.0]), np.array([[60.0]])))
+    s = SimpleNamespace(
+        use=np.ones((9, 6), bool), log_likelihood=lambda factor, _: -600.0 * math.log(factor[0] / truth) ** 2
+    )
+    skip = ("gnss_velocity_noise", "gnss_correlated_noise")
+    out = fixes.gnss_noise_fits(s, 0.0, np.eye(6), np.zeros(0), trimmed=np.ones(6), skip=skip)
+    return next(f.nats for f in out if f.axes == fixes.NED)
+
+
+@pytest.mark.parametrize(("level", "admitted"), [(7.0, True), (10.5, False), (0.06, True), (0.037, False)])
+def test_receivers_state_from_an_eighth_to_twenty_times_their_scatter(level, admitted, monkeypatch):
+    usual = level_evidence(1.5, monkeypatch)
+    assert (level_evidence(level, monkeypatch) > usual - 0.1) == admitted
+
+
+def test_slow_errors_of_fixes_are_from_a_tenth_to_thirty_times_what_is_stated(monkeypatch):
+    bounds = []
+
+    def stop(_, start, free, **__):
+        bounds.append((free[0].low, free[0].high))
+        return SimpleNamespace(x=start, covariance=np.eye(2), evidence=0.0)
+
+    monkeypatch.setattr(fixes, "laplace", stop)
+    s = SimpleNamespace(sigma=lambda: np.ones(6), t=np.arange(100.0), log_likelihood=lambda *_: 0.0)
+    fixes._colours(s, 0.0)
+    assert bounds[0] == pytest.approx((0.1, 30.0), rel=0.2)
+
+
+# -- what the vehicle does above its motion -----------------------------------------------------------------------------------------
+
+BINS = 40
+
+
+def heard(name: str, values: np.ndarray, ratio: np.ndarray) -> Reduced:
+    """A band from 8 to 48 Hz whose spectrum is so many times the believed one."""
+    f = np.linspace(8.0, 47.0, BINS)
+    dof = np.full(BINS, 60.0)
+    return Reduced(name, "", DT, values, 1, np.zeros(0), f, ratio * WHITE.psd(f, DT), dof)
+
+
+def excess(nats: float) -> float:
+    """The ratio of a bin of 60 degrees of freedom that is worth so much beyond the tolerance of a level."""
+    ratios = np.linspace(1.0, 8.0, 70_001)
+    return 1.22**2 * float(np.interp(nats, 30.0 * (ratios - 1.0 - np.log(ratios)), ratios))
+
+
+def without(loud: dict[str, np.ndarray], ratio: np.ndarray) -> set[str]:
+    """The axes that are taken for the vehicle's motion."""
+    axes = [f"{s}_{a}" for s in ("gyro", "accel") for a in "xyz"]
+    noise = np.random.default_rng(5).standard_normal((6, 12_000))
+    parts = {
+        a: heard(a, x + loud.get(a, 0.0), ratio if a in loud else np.ones(BINS))
+        for a, x in zip(axes, noise, strict=True)
+    }
+    out = shaking.without_shaking(parts, dict.fromkeys(axes, WHITE))
+    return {a for a, data in out.items() if data.shaking is not None}
+
+
+def peak(nats: float, bins: int = 8) -> np.ndarray:
+    ratio = np.ones(BINS)
+    ratio[20 : 20 + bins] = excess(nats)
+    return ratio
+
+
+def hum(seed: int) -> np.ndarray:
+    z = np.fft.rfft(np.random.default_rng(seed).standard_normal(12_000))
+    f = np.fft.rfftfreq(12_000, DT)
+    x = np.fft.irfft(np.where((f > 28.0) & (f < 35.0), z, 0.0), 12_000)
+    return np.asarray(2.0 * x / x.std())
+
+
+@pytest.mark.parametrize(("nats", "shakes"), [(4.2, False), (6.2, True)])
+def test_a_bin_beyond_doubt_exceeds_the_noise_by_five_nats(nats, shakes):
+    shared = hum(1)
+    both = without({"gyro_x": shared, "accel_z": shared}, peak(nats, 12))
+    assert both == ({"gyro_x", "accel_z"} if shakes else set())
+
+
+@pytest.mark.parametrize(("nats", "shakes"), [(24.0, False), (38.0, True)])
+def test_an_axis_may_shake_from_thirty_nats_on(nats, shakes):
+    shared = hum(1)
+    both = without({"gyro_x": shared, "accel_z": shared}, peak(nats / 3.0, 3))
+    assert both == ({"gyro_x", "accel_z"} if shakes else set())
+
+
+@pytest.mark.parametrize(("count", "shakes"), [(3, False), (4, True)])
+def test_four_axes_that_are_loud_at_once_are_the_vehicle(count, shakes):
+    axes = ["gyro_x", "gyro_z", "accel_x", "accel_y"][:count]
+    said = without({a: hum(10 + k) for k, a in enumerate(axes)}, peak(20.0))
+    assert said == (set(axes) if shakes else set())
+
+
+@pytest.mark.parametrize(("p", "together"), [(0.8e-6, True), (1.3e-6, False)])
+def test_coherence_is_no_chance_below_one_in_a_million(p, together):
+    count, lines = 60, 4
+    squared = -math.expm1(-2.0 * stats.gamma.isf(p, 0.5 * lines) / (count - 1.0) / lines)
+    a, b = np.zeros((count, lines), complex), np.zeros((count, lines), complex)
+    a[0], b[0], b[1] = 1.0, math.sqrt(squared), math.sqrt(1.0 - squared)
+    assert (shaking._coherence(a, b) > 0.0) == together
+
+
+@pytest.mark.parametrize(("gathered", "tail"), [(4.2, False), (6.2, True)])
+def test_a_tail_of_the_motion_gathers_five_standard_deviations(gathered, tail):
+    ratio = np.ones(BINS)
+    ratio[0] = 1.0 + (gathered + 0.5) / math.sqrt(30.0)
+    assert (shaking._tail(heard("gyro_x", np.zeros(0), ratio), WHITE) == 1) == tail
+
+
+@pytest.mark.parametrize(("gain", "swings"), [(8.0, False), (13.0, True)])
+def test_a_swinging_antenna_must_explain_ten_nats(gain, swings, monkeypatch):
+    n = 40
+    still = np.zeros((4100, 3))
+    imu = ImuRecord(np.arange(4100) * DT, still, still, "mean")
+    k = 50 + 100 * np.arange(n)
+    fix = SimpleNamespace(t=imu.t[k], innovation=np.zeros((n, 6)), epoch=k, S=np.tile(np.eye(6), (n, 1, 1)))
+    nav = np.zeros((4100, 10))
+    nav[:, 6] = 1.0
+    scores = iter([0.0])
+    monkeypatch.setattr(shaking, "_velocity_score", lambda *_: next(scores, gain))
+    gnss = GnssRecord(imu.t[k], np.zeros((n, 3)), np.zeros((n, 3)), np.ones((n, 3)), np.ones((n, 3)))
+    out = shaking.steadied(imu, gnss, gnss, SimpleNamespace(fixes=fix, nav=nav), np.array([0.5, 0.0, 0.0]))
+    assert (out is not gnss) == swings
