@@ -415,9 +415,6 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
     axis_of: list[int] = []
     driver: list[int] = []
     white = np.zeros(6)
-    laws: list[Follows] = []
-    law_of: list[int] = []
-    white_laws: dict[tuple[int, int], float] = {}
 
     def constants(count: int, sigma: float) -> None:
         eye = np.eye(count)
@@ -435,12 +432,6 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
         for place, before in enumerate(np.cumsum([0, *(b.n for b in own)])[:-1]):
             first[axis, place] = start - len(NAVIGATION) + int(before)
         white[a] = block.white
-        for process, part in zip(model, own, strict=True):
-            law = _law(process, laws)
-            law_of += [law] * part.n
-            if law >= 0:
-                white_laws[law, a] = white_laws.get((law, a), 0.0) + part.white
-                white[a] -= part.white
         names += [f"{axis}.{name}" for name in block.names]
         blocks.append(block)
         axis_of += [a] * block.n
@@ -449,7 +440,6 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
         if (scale := getattr(extras, f"{triad}_scale")) > 0:
             names.append(f"{axis}.scale")
             constants(1, scale)
-            law_of.append(-1)
             axis_of.append(a)
             driver.append(a)
         if (misalignment := getattr(extras, f"{triad}_misalignment")) > 0:
@@ -458,7 +448,6 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
                 axis_of.append(a)
                 driver.append(AXES.index(f"{triad}_{other}"))
             constants(2, misalignment)
-            law_of += [-1, -1]
         slices[axis] = slice(start, len(names))
     for name, parts, sigma in (("lever_arm", "xyz", extras.lever_arm), ("latency", "", extras.latency)):
         if sigma > 0:
@@ -466,13 +455,10 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
             slices[name] = slice(len(names), len(names) + count)
             names += [f"{name}_{part}" for part in parts] or [name]
             constants(count, sigma)
-            law_of += [-1] * count
             axis_of += [-1] * count
             driver += [-1] * count
 
-    white_of = np.zeros((len(laws), 6))
-    for (law, a), variance in white_laws.items():
-        white_of[law, a] = variance
+    laws, law_of, white_of = _laws(models, first, dt, len(axis_of))
     stacked = _share(models, first, StateBlock.stack(blocks, dt))
     return Augmentation(
         layout=StateLayout(tuple(names), slices),
@@ -483,18 +469,29 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
         axis=np.array(axis_of, dtype=np.int64),
         c=np.where(np.array(axis_of, dtype=np.int64) >= 0, stacked.c, 0.0),
         driver=np.array(driver, dtype=np.int64),
-        white=np.maximum(white, 0.0),
-        laws=tuple(laws),
-        law_of=np.array(law_of, dtype=np.int64),
+        white=np.maximum(white - white_of.sum(axis=0), 0.0),
+        laws=laws,
+        law_of=law_of,
         white_of=white_of,
     )
 
 
-def _law(process: Process, laws: list[Follows]) -> int:
-    """Place of a process's law among those of a belief, which it joins; -1 where its level is constant."""
-    if process.follows is None:
-        return -1
-    process.follows.gain(0.0)  # refuses an unknown slope
-    if process.follows not in laws:
-        laws.append(process.follows)
-    return laws.index(process.follows)
+def _laws(
+    models: Mapping[str, NoiseModel], first: Mapping[tuple[str, int], int], dt: float, m: int
+) -> tuple[tuple[Follows, ...], NDArray[np.int64], Array]:
+    """Laws of a belief, the law of what drives each of its ``m`` states (-1: none), and the white noise (laws, 6) that follows each."""
+    laws: list[Follows] = []
+    law_of, white_of = np.full(m, -1, dtype=np.int64), []
+    for a, (axis, model) in enumerate(models.items()):
+        for place, process in enumerate(model):
+            law = process.follows
+            if law is None:
+                continue
+            law.gain(0.0)  # refuses an unknown slope
+            if law not in laws:
+                laws.append(law)
+                white_of.append(np.zeros(6))
+            block, at = process.block(dt), first[axis, place]
+            law_of[at : at + block.n] = laws.index(law)
+            white_of[laws.index(law)][a] += block.white
+    return tuple(laws), law_of, np.array(white_of).reshape(len(laws), 6)

@@ -122,7 +122,9 @@ def command(
             others | {"pooled": not per_axis, "kalibr": kalibr, "or": alternatives, "files": files[1:]}
         )
         scales = (tau_from, tau_to or math.inf)
-        return fit_covariate(file, model, covariate, rate, skip, columns, scales, out=out, page=page, as_json=as_json)
+        return fit_covariate(
+            file, model, covariate, rate, skip, columns, scales, show=show, out=out, page=page, as_json=as_json
+        )
     if len(files) > 1:
         from insemu.cli.runs import fit_many
 

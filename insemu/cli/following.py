@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from rich.console import Console
 
-    from insemu.fit import FollowingFit
+    from insemu.fit import FitResult, FollowingFit
     from insemu.noise import NoiseModel
 
 #: Segments that a log is cut into unless the user says how many.
@@ -47,6 +47,7 @@ def fit_covariate(
     columns: list[str] | None,
     tau: tuple[float, float],
     *,
+    show: Callable[[Console, str, FitResult], None],
     out: str,
     page: str,
     as_json: bool,
@@ -67,6 +68,8 @@ def fit_covariate(
         Axes that are fitted.
     tau : (float, float)
         Scales to use, s.
+    show : callable
+        Prints the parameters of a fit.
     out, page : str
         Model file and page to write, or nothing.
     as_json : bool
@@ -120,6 +123,7 @@ def fit_covariate(
         typer.echo(json.dumps({"axes": {a: f.to_json() for a, f in results.items()}}, indent=1))
     else:
         for axis, fitted in results.items():
+            show(console, axis, fitted.result)
             _show(console, axis, fitted)
     if out:
         save({axis: f.result for axis, f in results.items()}, out)
@@ -147,13 +151,11 @@ def followed(text: str, unit: str, covariate: str) -> NoiseModel:
 
 
 def _show(console: Console, axis: str, fitted: FollowingFit) -> None:
-    """The parameters, what every level follows in words, the segments."""
+    """What every level follows in words, the segments."""
     from rich.table import Table
 
-    from insemu.cli.fit import show
     from insemu.report import following_answer, segment_rows
 
-    show(console, axis, fitted.result)
     for line in following_answer(fitted):
         console.print(line, highlight=False)
     heading, rows = segment_rows(fitted)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from insemu import covariates
 from insemu.augment import Augmentation
-from insemu.noise.follow import LARGEST
+from insemu.noise import LARGEST_LOG_GAIN
 from insemu.records import ImuRecord
 
 Array = NDArray[np.float64]
@@ -70,13 +70,23 @@ def started(aug: Augmentation, P0: Array, imu: ImuRecord, speed: float) -> Array
 
 @njit(cache=True, nogil=True)
 def add_speed(power: Array, laws: Array, speed: float) -> None:
-    """Multiply squared gains (laws,) by those of the laws that follow the speed; :meth:`insemu.noise.Follows.gain`, squared."""
+    """Multiply squared gains (laws,) by those of the laws that follow the speed; :meth:`insemu.noise.Follows.gain`, squared.
+
+    Parameters
+    ----------
+    power : (laws,) array
+        Changed in place.
+    laws : (laws, 4) array
+        Of :func:`of_speed`.
+    speed : float
+        m/s.
+    """
     for g in range(power.size):
         code, slope, at, above = laws[g, 0], laws[g, 1], laws[g, 2], laws[g, 3]
         if code == EXP:
-            power[g] *= math.exp(2.0 * min(slope * (speed - at), LARGEST))
+            power[g] *= math.exp(2.0 * min(slope * (speed - at), LARGEST_LOG_GAIN))
         elif code == POWER and slope != 0.0:
             if speed > above:
-                power[g] *= math.exp(2.0 * min(slope * math.log((speed - above) / (at - above)), LARGEST))
+                power[g] *= math.exp(2.0 * min(slope * math.log((speed - above) / (at - above)), LARGEST_LOG_GAIN))
             else:
-                power[g] *= 0.0 if slope > 0.0 else math.exp(2.0 * LARGEST)
+                power[g] *= 0.0 if slope > 0.0 else math.exp(2.0 * LARGEST_LOG_GAIN)

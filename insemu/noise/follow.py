@@ -27,7 +27,7 @@ KNOWN = {"temperature": "degC", "speed": "m/s", "rate": "rad/s", "force": "m/s^2
 #: Keys of a process that say how it follows, in text and YAML.
 KEYS = ("follows", "slope", "at", "law", "above")
 #: Largest logarithm of a gain: beyond, a law is far outside the covariates that it was fitted to.
-LARGEST = 20.0
+LARGEST_LOG_GAIN = 20.0
 
 
 @dataclass(frozen=True)
@@ -107,10 +107,10 @@ class Follows:
         if self.slope is None:
             raise InputError(f"no slope by which the level follows {self.covariate}; fit the model or give one")
         if self.law == "exp":
-            return np.asarray(np.exp(np.minimum(self.slope * self.stretched(x), LARGEST)))
+            return np.asarray(np.exp(np.minimum(self.slope * self.stretched(x), LARGEST_LOG_GAIN)))
         with np.errstate(invalid="ignore"):
-            u = np.nan_to_num(self.slope * self.stretched(x), nan=0.0, posinf=LARGEST, neginf=-np.inf)
-        return np.asarray(np.exp(np.minimum(u, LARGEST)))
+            u = np.nan_to_num(self.slope * self.stretched(x), nan=0.0, posinf=LARGEST_LOG_GAIN, neginf=-np.inf)
+        return np.asarray(np.exp(np.minimum(u, LARGEST_LOG_GAIN)))
 
     def of(self, covariates: Mapping[str, Any] | None, what: str) -> Any:
         """The covariate among some; raises ``InputError`` naming ``what`` cannot go on without it."""
