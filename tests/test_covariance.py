@@ -4,7 +4,6 @@ import time
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from insemu import rotation, strapdown
 from insemu.errors import InputError
@@ -13,6 +12,7 @@ from insemu.filters import Extras, FilterOptions, LooselyCoupledEKF
 from insemu.noise import GM, RW, WN
 from insemu.strapdown import NavState
 from tests import filter_cases as cases
+from tests.budget import chi_square, chi_square_power, statistical
 from tests.filter_cases import DT, MODEL_15, MODEL_24, MODEL_27, START_SIGMA
 
 WHITE = {"gyro": WN(N=6e-4), "accel": WN(N=1.5e-3)}
@@ -76,30 +76,31 @@ def monte_carlo(ekf, truth, road, runs, at, outages=(OUTAGE,)):
     return errors
 
 
-def inside(errors, analysis, confidence):
+def inside(errors, analysis, share):
     """Rms of position and velocity within the chi-square interval of the Monte Carlo, family-wise."""
     runs = len(errors)
     ratio = (errors**2).mean(axis=0)[:, :6] / (analysis.rms**2)[:, :6]
-    tail = 0.5 * (1 - confidence) / ratio.size
-    low, high = stats.chi2.ppf(tail, runs) / runs, stats.chi2.isf(tail, runs) / runs
+    low, high = chi_square(runs, share, ratio.size)
     return (low < ratio) & (ratio < high)
 
 
 @pytest.mark.parametrize("belief", [MODEL_15, WHITE], ids=["matched", "mismatched"])
+@statistical(2e-5, 12, power=chi_square_power(60, 2e-5, 12, 4.0))  # the truth twice as loud
 def test_rms_of_flown_runs_is_what_the_analysis_says(belief):
     road, gnss, start = setting(26.0)
     at = (10.0, 25.0)
     ekf = LooselyCoupledEKF(belief, DT, lever_arm=LEVER, options=FilterOptions(output_every=100))
     a = analyse(ekf, MODEL_15, road.imu, gnss, start, START_SIGMA, at=at)
     errors = monte_carlo(ekf, MODEL_15, road, 60, at)
-    assert inside(errors, a, 0.9999).all()
+    assert inside(errors, a, 2e-5).all()
     loud = {"gyro": WN(N=1e-3) + GM(sigma=6e-4, beta=0.01), "accel": WN(N=2e-3) + GM(sigma=1e-2, beta=0.02)}
     twin = analyse(ekf, loud, road.imu, gnss, start, START_SIGMA, at=at)
-    assert inside(errors, twin, 0.9999)[1].sum() <= 2
+    assert not inside(errors, twin, 2e-5)[1].all()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("belief", [MODEL_24, WHITE], ids=["matched", "mismatched"])
+@statistical(2e-5, 12, power=chi_square_power(400, 2e-5, 12, 1.5))  # an rms 22 % off
 def test_four_hundred_runs_agree_and_cost_more(belief):
     outages = ((60.0, 120.0), (180.0, 240.0))
     road, gnss, start = setting(300.0, outages)
@@ -115,12 +116,13 @@ def test_four_hundred_runs_agree_and_cost_more(belief):
     print(
         f"analysis {analytic:.2f} s, 400 runs {drawn:.1f} s: {drawn / analytic:.0f} times; rms ratio {np.sqrt((errors**2).mean(axis=0)) / a.rms}"
     )
-    assert inside(errors, a, 0.99).all()
+    assert inside(errors, a, 2e-5).all()
 
 
 EXTRAS = Extras(gyro_scale=3e-2, accel_scale=1e-2, accel_misalignment=1e-2, lever_arm=0.3, latency=0.02)
 
 
+@statistical(2e-5, 12, power=chi_square_power(60, 2e-5, 12, 4.0))  # half the rms stated
 def test_a_filter_that_also_calibrates_errs_as_the_analysis_says():
     """States for errors that the sensors do not have cost accuracy: rms of flown runs, and the parts add up."""
     road, gnss, start = setting(26.0)
@@ -129,14 +131,14 @@ def test_a_filter_that_also_calibrates_errs_as_the_analysis_says():
     ekf = LooselyCoupledEKF(MODEL_15, DT, lever_arm=LEVER, options=options)
     a = analyse(ekf, MODEL_15, road.imu, gnss, start, START_SIGMA, at=at, budget_at=at)
     errors = monte_carlo(ekf, MODEL_15, road, 60, at)
-    assert inside(errors, a, 0.9999).all()
+    assert inside(errors, a, 2e-5).all()
     for budget, whole in zip(a.budgets, a.actual, strict=True):
         np.testing.assert_allclose(budget.total, np.diag(whole)[:3], rtol=1e-9)
     plain = LooselyCoupledEKF(MODEL_15, DT, lever_arm=LEVER)
     without = analyse(plain, MODEL_15, road.imu, gnss, start, START_SIGMA, at=at)
     # it says more than it errs, and errs more than a filter without these states: twins that the flown runs tell apart
     assert (a.sigma[0, :3] > 1.1 * a.rms[0, :3]).all()
-    assert not inside(errors, without, 0.9999).any(axis=0)[:2].any()
+    assert not inside(errors, without, 2e-5)[:, :2].all()
 
 
 def test_what_it_does_not_carry_is_said():

@@ -20,6 +20,7 @@ from insemu.errors import InputError
 from insemu.noise import BI, GM, RW, WN
 from insemu.records import ImuRecord, Trajectory
 from insemu.variance import level1_autocovariance, model_edof, wavelet_variance
+from tests.budget import binomial_power, chi_square_power, statistical
 
 RNG = np.random.default_rng
 
@@ -397,6 +398,9 @@ def curves(signals, edof=None):
 
 
 @pytest.mark.parametrize("name", sorted(STATIONARY))
+@statistical(
+    FALSE_ALARM + 7 * 5.8e-7, 14, power=binomial_power(DRAWS, 0.95, FALSE_ALARM, 7, 0.45)
+)  # 1.21 of the variance, 1st scale
 def test_gaussian_effects_cover_their_wavelet_variance_at_the_nominal_rate(name):
     """Per scale, the 95 % intervals of 200 draws hold the closed form in as many draws as a binomial allows."""
     effect, expected, edof = theory(name)
@@ -482,6 +486,7 @@ def gnss_errors(drive, *uses, sigma=0.0, rate=2.0, seed=3):
     return fixes, earth.position_difference(fixes.llh, drive.llh[rows]), fixes.vel_ned - drive.vel_ned[rows]
 
 
+@statistical(6 * 5.8e-7, 6, power=chi_square_power(4000, 6 * 5.8e-7, 6, 1.21))  # a level 10 % off
 def test_gnss_levels(drive):
     uses = (use("gnss_noise_level", factor=[2.0, 3.0, 4.0]), use("gnss_velocity_noise", factor=2.0, sigma=0.0))
     fixes, position, velocity = gnss_errors(drive, *uses, sigma=0.1)
@@ -490,6 +495,9 @@ def test_gnss_levels(drive):
     np.testing.assert_allclose(fixes.pos_std_ned, 0.1)  # the receiver does not know
 
 
+@statistical(
+    FALSE_ALARM, 7, power=binomial_power(120, 0.95, FALSE_ALARM, 7, 0.5)
+)  # a variance that intervals hold half of the times
 def test_gnss_correlated_noise_covers_its_wavelet_variance(drive):
     hits, expected = [], GM(0.5, 1 / 5.0).wavelet_variance(SCALES, 0.5)
     for seed in range(60):

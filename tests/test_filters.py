@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import linalg, stats
+from scipy import linalg
 
 from insemu import earth, rotation, strapdown
 from insemu.errors import InputError
@@ -23,6 +23,7 @@ from insemu.filters.reference import reference_run, step_matrices
 from insemu.noise import GM, RC, WN
 from insemu.records import AidRecord, GnssRecord, ImuRecord
 from tests import filter_cases as cases
+from tests.budget import chi_square, chi_square_power, statistical
 from tests.filter_cases import DT, MODEL_15, MODEL_24, MODEL_27, MODEL_RW, START_SIGMA
 
 LEVER = (1.2, -0.4, -0.9)
@@ -413,6 +414,7 @@ def test_a_thinned_covariance_stays_close(road):
     np.testing.assert_allclose(thin.sigma[1:], full.sigma[1:], rtol=0.02)
 
 
+@statistical(2e-5 + 3 * 5.8e-7, 4, power=chi_square_power(177, 2e-5, 1, 2.0))  # rates 1.4 times as noisy as believed
 def test_standstill_updates_find_the_gyro_bias():
     rng = np.random.default_rng(3)
     n = 6001
@@ -432,7 +434,7 @@ def test_standstill_updates_find_the_gyro_bias():
     assert (np.abs(r.imu_states[-1, :3] - clean_bias) < 5 * sigma).all()
     assert np.abs(r.nav[-1, 3:6]).max() < 0.02
     rate_part = r.fixes.innovation[:, 3:] ** 2 / np.einsum("fii->fi", r.fixes.S)[:, 3:]
-    low, high = stats.chi2.ppf([1e-5, 1 - 1e-5], rate_part.size) / rate_part.size
+    low, high = chi_square(rate_part.size, 2e-5)
     assert low < rate_part.mean() < high
 
 
@@ -481,10 +483,11 @@ def pooled_nees(road, truth, belief, runs, at):
     return out
 
 
+@statistical(2e-5, 4, power=chi_square_power(360, 2e-5, 4, 2.0))  # half the error variance believed
 def test_a_filter_that_believes_the_truth_knows_its_error(road):
-    """Mean NEES over runs inside the chi-square bounds with a false-alarm rate of 1e-4 per epoch; half the noise believed: far outside."""
+    """Mean NEES over runs inside the chi-square bounds; half the noise believed: far outside."""
     runs, at = 40, (1.0, 15.0, 22.0, 40.0)
-    bounds = stats.chi2.ppf([5e-5, 1 - 5e-5], 9 * runs) / runs
+    bounds = 9 * np.array(chi_square(9 * runs, 2e-5, len(at)))
     matched = pooled_nees(road, MODEL_15, MODEL_15, runs, at).mean(axis=0)
     assert ((bounds[0] < matched) & (matched < bounds[1])).all(), (bounds, matched)
     half = {"gyro": WN(N=2.5e-4) + GM(sigma=1.5e-4, beta=0.01), "accel": WN(N=5e-4) + GM(sigma=2.5e-3, beta=0.02)}

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
-from scipy import stats
 
 from insemu import strapdown
 from insemu.errors import InputError
 from insemu.filters import FilterOptions, LooselyCoupledEKF, smooth
 from tests import filter_cases as cases
+from tests.budget import chi_square, chi_square_power, statistical
 from tests.filter_cases import DT, MODEL_15, MODEL_24, START_SIGMA
 
 OPTIONS = FilterOptions(store="fixes", node_every=1.0, output_every=100)
@@ -42,8 +42,9 @@ def test_the_backward_pass_is_filterpys():
     )  # attitude corrections commute to first order only
 
 
+@statistical(2e-5, 5, power=chi_square_power(270, 2e-5, 5, 2.0))  # half the error variance stated
 def test_smoothed_errors_are_what_the_smoother_says_and_half_of_the_filters():
-    """Mean NEES in chi-square bounds at 1e-4 per epoch, and the error in the middle of an outage at most half of the filter's."""
+    """Mean NEES in chi-square bounds, and the error in the middle of an outage at most half of the filter's."""
     road, runs = cases.drive(90.0), 30
     ekf = LooselyCoupledEKF(MODEL_15, DT, options=OPTIONS)
     at = [5, 30, 45, 60, 80]
@@ -56,7 +57,7 @@ def test_smoothed_errors_are_what_the_smoother_says_and_half_of_the_filters():
         nees[i] = [e[k] @ np.linalg.solve(s.covariance[k, :9, :9], e[k]) for k in at]
         smoothed.append(e[45, :2])
         filtered.append(f[45, :2])
-    low, high = stats.chi2.ppf([5e-5, 1 - 5e-5], 9 * runs) / runs
+    low, high = 9 * np.array(chi_square(9 * runs, 2e-5, len(at)))
     mean = nees.mean(axis=0)
     assert ((low < mean) & (mean < high)).all(), (low, high, mean)
     rms_f, rms_s = (np.sqrt(np.mean(np.square(v))) for v in (filtered, smoothed))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from insemu.errors import InputError
 from insemu.fit import fit
 from insemu.noise import BI, DR, GM, RW, WN, NoiseModel, Process
+from tests.budget import binomial, binomial_power, statistical
 
 WALK_RAMP = WN(0.2) + RW(0.02) + DR(0.003)  # figure 2 of Stebler et al. 2011, 6000 samples
 HUMP = WN(0.1) + GM(0.3, 0.5) + RW(0.04)
@@ -47,12 +47,12 @@ def readings(model: NoiseModel, method: str, n: int, rate: float, **options: obj
     ],
     ids=lambda v: str(v) if isinstance(v, str | NoiseModel) else "",
 )
+@statistical(2e-5, 4, power=binomial_power(DRAWS, 0.95, 2e-5, 4, 0.5))  # intervals that hold half of the times
 def test_nothing_is_lost_and_intervals_hold_the_truth(model, method, n, rate, options):
     ratio, inside = readings(model, method, n, rate, **options)
     assert (ratio > 0).all()
     assert np.abs(np.log(np.median(ratio, axis=0))).max() < 0.15
-    # 95 % intervals: below this count one parameter in a thousand would fall
-    assert inside.min() >= stats.binom.ppf(1e-3, DRAWS, 0.95)
+    assert inside.min() >= binomial(DRAWS, 0.95, 2e-5, 4)[0]
 
 
 def test_flicker_is_read_alike_off_psd_and_allan_variance():

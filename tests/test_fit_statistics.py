@@ -1,7 +1,6 @@
 """Long statistics behind the estimators' claims, on fixed seeds; ``python -m tests.fit_experiments`` prints the same tables.
 
-False-alarm rates: the coverage of a true 95 % interval over 500 series leaves 91.6-97.8 % with probability 1e-3 (binomial), a test of
-size 5 % leaves 2.2-8.4 % with the same; the seeds are fixed, so a run repeats.
+The seeds are fixed, so a run repeats; false alarms are those of ``tests/budget.py``.
 """
 
 import numpy as np
@@ -11,16 +10,22 @@ from insemu.fit.gmwm import fit_curve
 from insemu.noise import NoiseModel
 from insemu.variance import wavelet_variance
 from tests import fit_experiments as experiments
+from tests.budget import binomial, binomial_power, statistical
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.mark.parametrize("name", experiments.COVERAGE)
+@statistical(
+    2e-5, 6, power=binomial_power(500, 0.95, 2e-5, 6, 0.85)
+)  # standard errors three quarters of the right ones
 def test_bias_coverage_and_size_over_500_series(name):
     got = experiments.coverage(name)
     assert np.abs(got["bias"]).max() < 1.0 / 3.0
-    assert (got["coverage"] >= 0.916).all() and (got["coverage"] <= 0.978).all()
-    assert 0.022 <= got["rejections"] <= 0.084
+    low, high = np.array(binomial(500, 0.95, 2e-5, 6)) / 500
+    assert (got["coverage"] >= low).all() and (got["coverage"] <= high).all()
+    low, high = np.array(binomial(500, 0.05, 2e-5, 6)) / 500
+    assert low <= got["rejections"] <= high
 
 
 def test_the_test_of_fit_rejects_a_wrong_model():

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from insemu.gap import find_static_gap
-from insemu.gap.candidates.axis import state_of, whitened
+from insemu.gap.candidates.axis import remembers, state_of, whitened
+from insemu.gap.candidates.telegraph import _background
 from insemu.gap.data.log import reduce
 from insemu.gap.evidence.model import Explanation, Likelihood
 from insemu.gap.policy import rules
-from insemu.noise import AR, AR1, ARMA, BI, DR, GM, RC, RW, SIN, WN, NoiseModel, Process
+from insemu.noise import AR, AR1, ARMA, BI, DR, GM, MA, QN, RC, RW, SIN, WN, NoiseModel, Process
 from insemu.records import Series
 
 RATE = 20.0
@@ -92,3 +93,18 @@ def test_noise_that_is_mostly_memory_has_no_outlier_where_its_ends_meet() -> Non
     )  # slow enough to be below the band, but for the jump
     state = state_of(reduce(Series(x, RATE, "rad/s", "gyro_x")), Explanation.nominal(belief))
     assert np.abs(whitened(state)).max() < 6.0
+
+
+def test_what_is_slow_does_not_depend_on_how_a_belief_is_written() -> None:
+    """A level that switches is looked for beside the same background, however the Gauss-Markov process beneath it is written."""
+    dt = 1.0 / RATE
+    phi, sigma2 = GAUSS_MARKOV.discrete(dt)
+    longer = AR((phi, 0.0), sigma2=sigma2, rate_hz=RATE)
+    data = reduce(a_log(1, 4000))
+    ways = [*twins().values(), WHITE + longer, WHITE + ARMA((phi,), (0.0,), sigma2, RATE)]
+    first, *others = (_background(state_of(data, Explanation.nominal(m)), 1.0)[1] for m in ways)
+    assert first > 0.0
+    assert others == pytest.approx([first] * 4, rel=1e-6)
+    assert all(remembers(p, dt) for p in (RW(1.0), BI(1.0), longer))
+    assert not any(remembers(p, dt) for p in (WN(1.0), QN(1.0), MA(ma=(0.5,), sigma2=1.0, rate_hz=RATE), DR(1.0)))
+    assert remembers(longer, dt, 30.0) and not remembers(longer, dt, 50.0)

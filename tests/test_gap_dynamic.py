@@ -22,7 +22,8 @@ from insemu.gap.candidates.spectral import vibration_line
 from insemu.gap.candidates.tones import wandering, without_tones
 from insemu.gap.data.counts import lattice
 from insemu.gap.data.log import Reduced, moving_spectrum
-from insemu.gap.data.samples import advanced, coarse, filled, mend, without_motion
+from insemu.gap.data.lost import filled
+from insemu.gap.data.samples import advanced, coarse, mend, unclipped, without_motion
 from insemu.gap.drive.preparation import fast_parts, starting_state
 from insemu.gap.drive.signatures import Loop, columns_response, knot_response
 from insemu.gap.evidence.fixes import Surrogate
@@ -245,7 +246,7 @@ def test_the_integral_of_a_clipped_stretch_is_known_as_well_as_is_said() -> None
     signal /= signal.std()
     noisy = signal + 0.01 * rng.standard_normal(t.size)
     clipped = np.clip(noisy, -2.2, 2.2)
-    out, stretches = filled(t, clipped, np.abs(noisy) >= 2.2)
+    out, stretches = unclipped(t, clipped, np.abs(noisy) >= 2.2)
     assert len(stretches) > 40
     z, before, after = [], [], []
     for start, end, sigma in stretches:
@@ -597,3 +598,22 @@ def test_a_scale_factor_that_follows_the_temperature_is_named(
     assert (first.effect, first.sensor, first.axes) == (effect, sensor, (axis,))
     own = next(p for p in first.parameters if p.name == f"value_{axis}")
     assert own.low < value < own.high
+
+
+@pytest.mark.parametrize(("width", "motion"), [(8.0, True), (100.0, False)])
+def test_lost_samples_are_as_noisy_as_the_others(width: float, motion: bool) -> None:
+    """In motion a thousand times the noise, and in noise with a memory; interpolated ones would have half of its variance."""
+    rng, n = np.random.default_rng(4), 20_000
+    t = np.arange(n) * 0.01
+    sigma = 1e-3
+    noise = sigma * lfilter([1.0], [1.0, 0.0 if motion else -0.6], rng.standard_normal((n, 1)), axis=0)
+    truth = noise + (np.sin(9.0 * t)[:, None] if motion else 0.0)
+    missing = rng.random(n) < (0.01 if motion else 0.15)
+    missing[[0, -1]] = False
+    missing[9000:9030] = True  # longer than what is looked at on either side
+    out = filled(truth[~missing], missing, width, rng)
+    np.testing.assert_array_equal(out[~missing], truth[~missing])
+    missing[8990:9040] = False
+    third = np.diff(out - truth + noise, 3, axis=0)[:, 0]
+    touched = np.convolve(missing, np.ones(4), "valid") > 0
+    assert np.var(third[touched]) / np.var(np.diff(noise, 3, axis=0)) == pytest.approx(1.0, abs=0.25)

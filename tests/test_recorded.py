@@ -15,8 +15,9 @@ from insemu.errors import InputError
 from insemu.evaluate import Experiment, run_experiment, summary
 from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.recorded import RecordedWorld
+from insemu.evaluate.world import _stretches
 from insemu.formats import write
-from insemu.records import InitialState, Recording
+from insemu.records import ImuRecord, InitialState, Recording
 from insemu.scenario import load
 
 WORLD: dict[str, Any] = {
@@ -196,3 +197,12 @@ def test_a_recording_starts_at_the_state_that_it_carries(tmp_path: Path, recordi
     assert abs(start.t - ref.t[k]) < 0.03
     np.testing.assert_allclose(start.state.rpy, ref.rpy[k], atol=1e-6)
     np.testing.assert_allclose(np.asarray(start.sigma.attitude), 0.01)
+
+
+def test_a_stretch_of_increments_is_the_stretch_of_its_means() -> None:
+    t = np.arange(400) * 0.01
+    rates = np.random.default_rng(1).standard_normal((400, 6))
+    means = ImuRecord(t, rates[:, :3], rates[:, 3:], "mean")
+    both = [_stretches(Recording(imu, None, None), [(1.0, 3.0)], "a file")[0] for imu in (means, means.as_increments())]
+    for axis, one in both[0].items():
+        np.testing.assert_allclose(both[1][axis].values, one.values, rtol=1e-9)

@@ -103,7 +103,7 @@ def write(found: Opened | None, target: Path) -> Path:
 
     from insemu import formats
     from insemu.errors import InputError
-    from insemu.records import AXES, Series
+    from insemu.formats import Log
 
     if found is None:
         raise InputError("holds no IMU; there is nothing to convert", where=str(target))
@@ -113,7 +113,4 @@ def write(found: Opened | None, target: Path) -> Path:
     even = float(np.abs(step - imu.dt).max()) < 0.5 * imu.dt
     if data.gnss is not None or data.reference is not None or not even:
         return formats.write(target, data)
-    values = np.hstack([imu.gyro, imu.accel]) / (imu.dt if imu.kind == "increment" else 1.0)
-    rate = formats.static.round_rate(1.0 / imu.dt)
-    series = [Series(values[:, k], rate, "rad/s" if k < 3 else "m/s^2", name) for k, name in enumerate(AXES)]
-    return formats.write(target, series) if target.suffix else formats.write(target, data)
+    return formats.write(target, Log.of_imu(imu, str(target)).series() if target.suffix else data)

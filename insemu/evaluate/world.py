@@ -131,10 +131,7 @@ def static_logs(recorded: RecordedSignal, files: Mapping[str, Path]) -> list[dic
 
 def _stretches(recording: Recording, spans: Sequence[tuple[float, float]], name: str) -> list[dict[str, Series]]:
     """Stretches of a recording as static logs; samples are taken as evenly spaced at their mean rate."""
-    imu = recording.imu
-    if imu.kind == "increment":
-        raise InputError("holds increments, expected samples or means to fit noise to", where=name)
-    out = []
+    imu, values, out = recording.imu, recording.imu.rates(), []
     for start, end in spans:
         rows = (imu.t >= start) & (imu.t <= end)
         if rows.sum() < 100:
@@ -143,7 +140,7 @@ def _stretches(recording: Recording, spans: Sequence[tuple[float, float]], name:
                 where=name,
             )
         rate = float(rows.sum() - 1) / float(np.ptp(imu.t[rows]))
-        both = np.concatenate([imu.gyro[rows], imu.accel[rows]], axis=1)
+        both = values[rows]
         out.append({axis: Series(both[:, k], rate, axis_unit(axis), axis) for k, axis in enumerate(AXES)})
     return out
 

@@ -72,7 +72,7 @@ class Log:
     def of_imu(cls, imu: ImuRecord, source: str) -> Log:
         """The signals of an IMU as a log; increments become rates."""
         step = float(np.median(np.diff(imu.t)))
-        values = np.hstack([imu.gyro, imu.accel]) / (step if imu.kind == "increment" else 1.0)
+        values = imu.rates()
         units = ("rad/s",) * 3 + ("m/s^2",) * 3
         return cls(source, AXES, units, units, tuple(np.ascontiguousarray(values.T)), round_rate(1.0 / step), imu.t)
 

@@ -116,7 +116,7 @@ def magnitude(imu: ImuRecord) -> float:
     """Median size of one-second means of the specific force, in the declared unit of a rate."""
     dt = imu.dt
     count = max(1, round(1.0 / dt))
-    rate = imu.accel / dt if imu.kind == "increment" else imu.accel
+    rate = imu.rates()[:, 3:]
     rows = len(imu) // count * count
     means = rate[:rows].reshape(-1, count, 3).mean(axis=1) if rows >= count and rows else rate
     return float(np.median(np.linalg.norm(means, axis=1)))
@@ -241,7 +241,7 @@ def rates(imu: ImuRecord, turn: Turn | None, unstated: bool) -> list[Line]:
 
 def _rates_alone(imu: ImuRecord, unstated: bool) -> list[Line]:
     """Without fixes that turn: rates that no vehicle and no sensor at rest has."""
-    rate = imu.gyro / imu.dt if imu.kind == "increment" else imu.gyro
+    rate = imu.rates()[:, :3]
     size = float(np.sqrt(np.median((rate**2).sum(axis=1))))
     tilt = _tilt_ratio(imu)
     if tilt is not None and near(tilt, 180 / np.pi, 0.5):
@@ -278,8 +278,7 @@ def _tilt_ratio(imu: ImuRecord) -> float | None:
         return None
     rows = n * count
     f = imu.accel[:rows].reshape(n, count, 3).mean(axis=1)
-    width = 1.0 if imu.kind == "increment" else imu.dt
-    angle = imu.gyro[:rows].reshape(n, count, 3).sum(axis=1) * width
+    angle = imu.rates()[:rows, :3].reshape(n, count, 3).sum(axis=1) * imu.dt
     u = f / np.maximum(np.linalg.norm(f, axis=1), 1e-12)[:, None]
     seen = np.diff(u, axis=0)
     said = -np.cross(0.5 * (angle[1:] + angle[:-1]), 0.5 * (u[1:] + u[:-1]))

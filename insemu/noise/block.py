@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -89,6 +90,14 @@ class StateBlock:
             values, vectors = np.linalg.eigh(covariance)
             out.append(np.ascontiguousarray(vectors * np.sqrt(np.maximum(values, 0.0))))
         return out[0], out[1]
+
+    @property
+    def memory(self) -> float:
+        """Time in s in which the slowest of its states forgets all but 1 / e: zero without states, inf where one never forgets."""
+        slowest = float(np.max(np.abs(np.linalg.eigvals(self.Phi)), initial=0.0))
+        if slowest >= 1.0:
+            return math.inf
+        return -self.dt / math.log(slowest) if slowest > 0.0 else 0.0
 
     def accumulated(self, counts: Sequence[int]) -> tuple[Array, Array]:
         """The state together with the sum of its samples, carried over spans of samples: ``z = (x, S)``, ``z' = F z + e``, ``cov e = V``.

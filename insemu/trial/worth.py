@@ -130,8 +130,7 @@ def drawn_outliers(s: Stage, uses: Sequence[EffectUse], k: int) -> float:
         if u.sensor != "gnss" and u.id not in ("saturation", "quantization", "dropped_samples", "clock_drift")
     ]
     made, without = (s.record([v if u is own else u for u in some]).imu for v in (own, none))
-    width = made.dt if made.kind == "increment" else 1.0
-    d = (getattr(made, own.sensor) - getattr(without, own.sensor))[:, axis] / width
+    d = (getattr(made, own.sensor) - getattr(without, own.sensor))[:, axis] / made.widths()[:, 0]
     level = s.truth[name].processes[0].parameters["N"] ** 2
     level += sum(u["N"][axis] ** 2 for u in uses if u.id == "white_noise" and u.sensor == own.sensor)
     variance = level / made.dt

@@ -14,6 +14,7 @@ from insemu.gap.candidates.axis import (
     AxisState,
     added,
     cleaned,
+    remembers,
 )
 from insemu.gap.candidates.noise import gauss_markov
 from insemu.gap.evidence import kernels
@@ -136,12 +137,9 @@ def _smoothed(y: Array, forward: Array, backward: Array, amplitude: float, white
 
 def _slow(state: AxisState, length: float) -> list[Process]:
     """Processes of the explanation that remember more than a few blocks."""
-
-    def slow(p: Process) -> bool:
-        time = p.correlation_time(state.data.dt)
-        return not p.single_draw and (not p.stationary or (time is not None and time > length / rules().slow_blocks))
-
-    return [c.process for c in state.explanation.components if slow(c.process)]
+    dt = state.data.dt
+    processes = [c.process for c in state.explanation.components]
+    return [p for p in processes if remembers(p, dt, length / rules().slow_blocks)]
 
 
 def _background(state: AxisState, length: float) -> tuple[float, float]:

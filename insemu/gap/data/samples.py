@@ -12,6 +12,7 @@ from scipy import signal
 from scipy.special import log_ndtr
 
 from insemu.gap.data.counts import lattice, pile_evidence
+from insemu.gap.data.lost import MOTION_S, filled, places
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Finding, Member, Value
 from insemu.noise import WN, NoiseModel
@@ -67,7 +68,7 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
                 if found is None:
                     continue
                 limit, at, nats = found
-                rates[:, k], around = filled(imu.t, rates[:, k], at)
+                rates[:, k], around = unclipped(imu.t, rates[:, k], at)
                 stretches += [Clipped(first + k, *stretch) for stretch in around]
                 value = Value("limit", limit, limit, limit, unit)
                 findings.append(_finding("saturation", sensor, (axis,), (value,), nats))
@@ -210,37 +211,27 @@ def _bridge(imu: ImuRecord) -> tuple[ImuRecord, Finding] | None:
     )
     # a stamp that is missing is surprising by its share alone
     nats = gaps.size * (1.0 - math.log(p))
-    new_t = np.concatenate([imu.t[k] + step[k] * np.arange(1, missing[k] + 1) / (missing[k] + 1) for k in gaps])
-    t = np.sort(np.concatenate([imu.t, new_t]))
-    where = np.searchsorted(t, imu.t)
+    bridged = np.zeros(step.size, dtype=np.int64)
+    bridged[gaps] = missing[gaps]
+    at, empty = places(bridged)
+    t = np.interp(np.arange(empty.size), at, imu.t)
+    # what a row after a gap holds: the increment of one interval, the others lost, or of the whole gap; whichever fits its neighbours
+    share = np.ones((len(imu), 1))
+    share[gaps + 1] = missing[gaps, None] + 1.0
     columns = {}
     for name in ("gyro", "accel"):
         values_in = np.array(getattr(imu, name))
-        after = gaps + 1
         if imu.kind == "increment":
-            # either the increments of the gap are lost, or the next row holds them all: whichever fits its neighbours
-            neighbours = 0.5 * (values_in[gaps] + values_in[np.minimum(after + 1, len(imu) - 1)])
-            share = (missing[gaps] + 1.0)[:, None]
-            lost = float(np.sum(np.abs(values_in[after] - neighbours)))
-            held = float(np.sum(np.abs(values_in[after] - neighbours * share)))
-            if held < lost:
-                values_in[after] = values_in[after] / share
-        columns[name] = np.column_stack([_cubic(t, where, values_in[:, c]) for c in range(3)])
+            neighbours = 0.5 * (values_in[gaps] + values_in[np.minimum(gaps + 2, len(imu) - 1)])
+            lost, held = (
+                float(np.sum(np.abs(values_in[gaps + 1] - neighbours * factor))) for factor in (1.0, share[gaps + 1])
+            )
+            values_in /= share if held < lost else 1.0
+        columns[name] = filled(values_in, empty, MOTION_S / dt, np.random.default_rng(n))
     temperature = None if imu.temperature is None else np.interp(t, imu.t, imu.temperature)
     return ImuRecord(t, columns["gyro"], columns["accel"], imu.kind, temperature), _finding(
         "dropped_samples", "imu", (), values, nats
     )
-
-
-def _cubic(t: Array, where: NDArray[np.intp], values: Array) -> Array:
-    from scipy.interpolate import CubicSpline
-
-    out = np.empty(t.size)
-    out[where] = values
-    gone = np.ones(t.size, dtype=bool)
-    gone[where] = False
-    out[gone] = CubicSpline(t[where], values)(t[gone])
-    return out
 
 
 def clipped(rates: Array, step: float = 0.0) -> tuple[float, NDArray[np.bool_], float] | None:
@@ -278,7 +269,7 @@ def _noise(rates: Array) -> float:
     return 1.4826 * float(np.median(np.abs(np.diff(rates, 3)))) / math.sqrt(20.0)
 
 
-def filled(t: Array, rates: Array, at: NDArray[np.bool_]) -> tuple[Array, list[tuple[float, float, float]]]:
+def unclipped(t: Array, rates: Array, at: NDArray[np.bool_]) -> tuple[Array, list[tuple[float, float, float]]]:
     """Clipped stretches filled in by what the samples around them say, and start (s), end (s) and uncertainty of the integral of each.
 
     The signal's rate of change is taken for a random walk, its strength and the samples' noise for the most likely ones around all

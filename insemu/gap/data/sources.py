@@ -7,13 +7,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import toeplitz
-from scipy.signal import fftconvolve
 
 from insemu import formats
 from insemu.errors import InputError
 from insemu.filters import never_moves
 from insemu.formats import load_npz
+from insemu.gap.data.lost import REST_S, filled, places
 from insemu.gap.policy import rules
 from insemu.records import AXES, Recording, Series
 
@@ -52,9 +51,11 @@ def load_measured(path: str | Path, *, rate_hz: float | None = None) -> StaticLo
     missing = None
     if log.gaps():
         assert log.t is not None
-        values, missing = filled(np.column_stack(log.columns), log.t, 1.0 / log.rate_hz, str(path))
-        if temperature is not None and temperature.size == len(log):
-            temperature = np.interp(np.arange(missing.size), np.flatnonzero(~missing), temperature)
+        whole = temperature is not None and temperature.size == len(log)
+        values, own, missing = _even(
+            np.column_stack(log.columns), temperature if whole else None, log.t, 1.0 / log.rate_hz, str(path)
+        )
+        temperature = own if whole else temperature
         log = replace(log, columns=tuple(values.T), t=None)
     series = log.series()
     axes = tuple(s for s in series if s.name.lower() not in (t.lower() for t in _TEMPERATURE))
@@ -93,89 +94,27 @@ def static_of(recording: Recording) -> StaticLog:
     """
     imu = recording.imu
     dt = float(np.median(np.diff(imu.t)))
-    values = imu.rates()
-    temperature = imu.temperature
-    filled_in, missing = filled(values, imu.t, dt, recording.source)
-    if missing.any():
-        values = filled_in
-        if temperature is not None:
-            temperature = np.interp(np.arange(missing.size), np.flatnonzero(~missing), temperature)
+    values, temperature, missing = _even(imu.rates(), imu.temperature, imu.t, dt, recording.source)
     axes = tuple(Series(values[:, k], 1.0 / dt, "rad/s" if k < 3 else "m/s^2", name) for k, name in enumerate(AXES))
     return StaticLog(axes, temperature, recording.source, missing if missing.any() else None)
 
 
-def filled(values: Array, t: Array, dt: float, source: str) -> tuple[Array, NDArray[np.bool_]]:
-    """Samples (n, k) on every multiple of ``dt``, and which of them the stamps skip.
-
-    Parameters
-    ----------
-    values : (m, k) array
-        Samples of k signals.
-    t : (m,) array
-        Time stamps, s.
-    dt : float
-        Sampling interval, s.
-    source : str
-        Name of the log, for messages.
-
-    Raises
-    ------
-    InputError
-        More than a fifth of the samples are missing.
-    """
-    slots = np.concatenate([[0], np.cumsum(np.maximum(1, np.round(np.diff(t) / dt).astype(np.int64)))])
-    missing = np.ones(int(slots[-1]) + 1, dtype=np.bool_)
-    missing[slots] = False
-    lost = missing.size - slots.size
+def _even(
+    values: Array, temperature: Array | None, t: Array, dt: float, source: str
+) -> tuple[Array, Array | None, NDArray[np.bool_]]:
+    """Samples (m, k) and temperature of a log at rest on every multiple of ``dt``, and which of them the stamps skip."""
+    at, missing = places(np.maximum(0, np.round(np.diff(t) / dt).astype(np.int64) - 1))
+    lost = missing.size - at.size
     if not lost:
-        return values, missing
-    if lost > rules().most_lost * slots.size:
+        return values, temperature, missing
+    if lost > rules().most_lost * at.size:
         raise InputError(
             f"the stamps skip {lost} of {missing.size} samples, expected at most {rules().most_lost:.0%} for a static log",
             where=source,
         )
-    rng = np.random.default_rng(missing.size)
-    out = np.zeros((missing.size, values.shape[1]))
-    out[slots] = values
-    for column in out.T:
-        _draw_missing(column, missing, rng)
-    return out, missing
-
-
-#: Samples to either side that a lost sample is drawn from, and those that its slow part is the mean of.
-NEAR, SLOW = 12, 200
-
-
-def _draw_missing(x: Array, missing: NDArray[np.bool_], rng: np.random.Generator) -> None:
-    """Fill lost samples in place with what the ones around them leave open: the log's own autocovariance decides how much that is.
-
-    Interpolated samples would be too smooth, and a log that lost many of them would look coloured.
-    """
-    present = (~missing).astype(np.float64)
-    kernel = np.ones(2 * SLOW + 1)
-    slow = fftconvolve(x * present, kernel, "same") / fftconvolve(present, kernel, "same")
-    fast = np.where(missing, 0.0, x - slow)
-    pairs = np.array([float(present[k:] @ present[: x.size - k]) for k in range(2 * NEAR + 1)])
-    r = np.array([float(fast[k:] @ fast[: x.size - k]) for k in range(2 * NEAR + 1)]) / pairs
-    if not r[0] > 0.0:
-        x[missing] = slow[missing]
-        return
-    # estimated lag by lag it need not be one of anything: made so by a little white noise
-    lowest = float(np.linalg.eigvalsh(toeplitz(r))[0])
-    r[0] += 1e-3 * r[0] + max(-2.0 * lowest, 0.0)
-    known: dict[bytes, tuple[Array, float]] = {}
-    filled_in = present > 0.0
-    for k in map(int, np.flatnonzero(missing)):
-        near = np.arange(max(0, k - NEAR), min(x.size, k + NEAR + 1))
-        near = near[filled_in[near]]
-        key = (near - k).tobytes()
-        if key not in known:
-            weights = np.linalg.solve(r[np.abs(near[:, None] - near[None, :])], r[np.abs(near - k)])
-            known[key] = weights, float(np.sqrt(max(r[0] - weights @ r[np.abs(near - k)], 0.0)))
-        weights, spread = known[key]
-        fast[k] = weights @ fast[near] + spread * rng.standard_normal()
-        x[k] = slow[k] + fast[k]
-        filled_in[k] = True
+    if temperature is not None:
+        temperature = np.interp(np.arange(missing.size), at, temperature)
+    return filled(values, missing, REST_S / dt, np.random.default_rng(missing.size)), temperature, missing
 
 
 def _temperature(path: Path) -> Array | None:

@@ -1,0 +1,353 @@
+"""Mutation testing: small faults put into the code, one at a time, and whether a test sees them.
+
+``python -m tests.mutants --sample 160 --seed 1`` draws mutants at random from the rooms below (one change of the syntax tree each: an operator, a
+comparison, a condition turned round, a number moved, ``and`` for ``or``), runs the quick tests of their room with kernels uncompiled until one fails,
+gives what survives all tests of the room that are not slow (not with ``--quick``), and prints the share that survived with its interval.
+``--room noise`` draws from one room, ``--only FILE:LINE`` takes the mutants of a line. A mutant that was read and found to change nothing that anyone
+can see stands with its reason in ``tests/mutants.yaml`` and counts as equivalent.
+
+The usual tools run each mutant in a new interpreter, which here costs more than the tests: the libraries are loaded once, and each mutant is a
+fork of that.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import copy
+import os
+import random
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from scipy.stats import beta
+
+ROOT = Path(__file__).resolve().parents[1]
+READ = ROOT / "tests" / "mutants.yaml"
+#: Rooms and the tests that should see what goes wrong in them.
+ROOMS = {
+    "noise": (["noise"], ["noise", "noise_derived"]),
+    "variance": (
+        ["variance"],
+        ["variance_wavelet", "variance_allan", "variance_reading", "variance_filtered", "variance_robust"],
+    ),
+    "augment": (["augment.py"], ["augment"]),
+    "effects": (["effects"], ["effects", "compensation"]),
+    "units": (["units.py"], ["units"]),
+    "records": (["records.py"], ["records", "formats"]),
+    "scenario": (["scenario"], ["scenario", "scenario_fuzz"]),
+    "formats": (["formats"], ["formats", "files", "export"]),
+}
+#: Processor seconds of a test that takes part in the first look; of one mutant, or this many times what its tests take of the code as it is.
+QUICK, MOST, LONGER = 1.0, 20.0, 5.0
+_SWAPS: dict[type[ast.AST], tuple[type[ast.AST], ...]] = {
+    ast.Add: (ast.Sub,), ast.Sub: (ast.Add,), ast.Mult: (ast.Div,), ast.Div: (ast.Mult,), ast.Pow: (ast.Mult,), ast.FloorDiv: (ast.Div,),
+    ast.Mod: (ast.Mult,), ast.Lt: (ast.LtE, ast.Gt), ast.LtE: (ast.Lt, ast.Gt), ast.Gt: (ast.GtE, ast.Lt), ast.GtE: (ast.Gt, ast.Lt),
+    ast.Eq: (ast.NotEq,), ast.NotEq: (ast.Eq,), ast.In: (ast.NotIn,), ast.NotIn: (ast.In,), ast.Is: (ast.IsNot,), ast.IsNot: (ast.Is,),
+    ast.And: (ast.Or,), ast.Or: (ast.And,),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """One change of one file."""
+
+    room: str
+    file: str
+    line: int
+    number: int
+    change: str
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line} [{self.number}] {self.change}"
+
+
+def _changes(node: ast.AST) -> list[tuple[str, Any]]:
+    """Descriptions and changed copies of a node."""
+    found: list[tuple[str, Any]] = []
+
+    def swapped(op: ast.AST, put: Any) -> None:
+        for other in _SWAPS.get(type(op), ()):
+            changed = copy.deepcopy(node)
+            put(changed, other())
+            found.append((f"{ast.unparse(node)[:70]}  ->  {ast.unparse(changed)[:70]}", changed))  # type: ignore[arg-type]
+
+    if isinstance(node, ast.BinOp | ast.BoolOp):
+        if not (
+            isinstance(node, ast.BinOp)
+            and isinstance(node.left, ast.JoinedStr | ast.Constant)
+            and isinstance(getattr(node.left, "value", 0), str)
+        ):
+            swapped(node.op, lambda n, o: setattr(n, "op", o))
+    elif isinstance(node, ast.Compare):
+        swapped(node.ops[0], lambda n, o: n.ops.__setitem__(0, o))
+    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not | ast.USub):
+        found.append((f"{ast.unparse(node)[:70]}  ->  {ast.unparse(node.operand)[:70]}", node.operand))
+    elif isinstance(node, ast.Constant) and type(node.value) in (int, float, bool):
+        other = (
+            not node.value
+            if isinstance(node.value, bool)
+            else node.value + 1
+            if isinstance(node.value, int)
+            else node.value * 1.5 + (node.value == 0)
+        )
+        found.append((f"{node.value}  ->  {other}", ast.Constant(other)))
+    elif isinstance(node, ast.IfExp | ast.If):
+        changed = copy.copy(node)
+        changed.test = ast.UnaryOp(ast.Not(), node.test)
+        found.append((f"if {ast.unparse(node.test)[:60]}  ->  if not (...)", changed))
+    return found
+
+
+def _sites(tree: ast.Module) -> Iterator[tuple[ast.AST, str, int | None]]:
+    """Parents, fields and places of all nodes that run; annotations, decorators, messages of errors and ``if TYPE_CHECKING`` apart."""
+    stack: list[ast.AST] = [tree]
+    while stack:
+        parent = stack.pop()
+        for field, value in ast.iter_fields(parent):
+            if field in ("annotation", "returns", "decorator_list", "type_params") or isinstance(
+                parent, ast.Raise | ast.JoinedStr
+            ):
+                continue
+            for place, child in enumerate(value) if isinstance(value, list) else [(None, value)]:
+                if isinstance(child, ast.AST):
+                    if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test):
+                        continue
+                    if isinstance(child, ast.expr | ast.If):
+                        yield parent, field, place
+                    stack.append(child)
+
+
+def mutants(room: str) -> list[Mutant]:
+    """All mutants of a room, in the order of its files."""
+    found = []
+    for part in ROOMS[room][0]:
+        path = ROOT / "insemu" / part
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
+            tree = ast.parse(file.read_text(encoding="utf-8"))
+            number = 0
+            for parent, field, place in _sites(tree):
+                child = getattr(parent, field) if place is None else getattr(parent, field)[place]
+                for change, _ in _changes(child):
+                    found.append(Mutant(room, file.relative_to(ROOT).as_posix(), child.lineno, number, change))
+                    number += 1
+    return found
+
+
+def mutated(mutant: Mutant) -> str:
+    """The source of the file with the change."""
+    tree = ast.parse((ROOT / mutant.file).read_text(encoding="utf-8"))
+    number = 0
+    for parent, field, place in _sites(tree):
+        child = getattr(parent, field) if place is None else getattr(parent, field)[place]
+        for _, changed in _changes(child):
+            if number == mutant.number:
+                if place is None:
+                    setattr(parent, field, changed)
+                else:
+                    getattr(parent, field)[place] = changed
+                return ast.unparse(ast.fix_missing_locations(tree))
+            number += 1
+    raise ValueError(str(mutant))
+
+
+class _Quick:
+    """A plugin of pytest: stops tests that take too long, and notes which did not."""
+
+    def __init__(self, note: Path | None) -> None:
+        self.note = note
+
+    def pytest_runtest_logreport(self, report: Any) -> None:
+        if self.note is not None and report.when == "call" and report.passed:
+            with self.note.open("a", encoding="utf-8") as file:
+                file.write(report.nodeid + "\n")
+
+    def pytest_runtest_setup(self, item: Any) -> None:
+        if self.note is not None:
+            signal.signal(signal.SIGVTALRM, _stop)
+            signal.setitimer(signal.ITIMER_VIRTUAL, QUICK)
+
+    def pytest_runtest_teardown(self, item: Any) -> None:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
+
+
+def _stop(*_: Any) -> None:
+    raise TimeoutError
+
+
+def _forked(
+    folder: Path, arguments: Sequence[str], note: Path | None, seconds: float, interpreted: bool
+) -> tuple[int, float]:
+    """Run pytest in a fork that sees the folder's insemu; exit code (-1: too long) and processor seconds."""
+    pid = os.fork()
+    if pid == 0:
+        try:
+            os.environ["NUMBA_DISABLE_JIT"] = str(int(interpreted))
+            resource.setrlimit(resource.RLIMIT_CPU, (int(seconds) + 1, int(seconds) + 2))
+            resource.setrlimit(resource.RLIMIT_AS, (6 << 30, 6 << 30))
+            quiet = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(quiet, 1)
+            os.dup2(quiet, 2)
+            os.chdir(folder)
+            sys.path[:] = [str(folder), *(p for p in sys.path if Path(p or ".").resolve() != ROOT)]
+            for name in [n for n in sys.modules if n.split(".")[0] in ("insemu", "tests")]:
+                del sys.modules[name]
+            if interpreted:
+                import numba
+
+                numba.config.DISABLE_JIT = 1
+            import pytest
+
+            options = [
+                "-q",
+                "-p",
+                "no:cacheprovider",
+                "-p",
+                "no:xdist",
+                "-m",
+                "not slow",
+                "-W",
+                "default",
+                "--no-header",
+                "--tb=no",
+                *arguments,
+            ]
+            os._exit(int(pytest.main(options, plugins=[_Quick(note)])))
+        except BaseException:
+            os._exit(70)
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    deadline = time.monotonic() + 12.0 * seconds + 60.0  # the machine may be busy
+    while True:
+        done, status = os.waitpid(pid, os.WNOHANG)
+        if done:
+            break
+        if time.monotonic() > deadline:
+            os.kill(pid, signal.SIGKILL)
+        time.sleep(0.02)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    took = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return (os.WEXITSTATUS(status) if os.WIFEXITED(status) else -1), took
+
+
+class Bench:
+    """A copy of the tree in which one file at a time is changed.
+
+    Parameters
+    ----------
+    folder : Path
+        Empty.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        for name in ("insemu", "tests", "docs", "scenarios", "results"):
+            if (ROOT / name).exists():
+                shutil.copytree(
+                    ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__", "cache", "*.nc", "*.png")
+                )
+        for name in ("pyproject.toml", "README.md", "CHANGELOG.md"):
+            shutil.copy(ROOT / name, folder / name)
+        if "INSEMU_SHARED" not in os.environ:
+            os.environ["INSEMU_SHARED"] = str(ROOT.parent / "shared")
+        self.quick: dict[str, tuple[list[str], float]] = {}
+
+    def files(self, room: str) -> list[str]:
+        """The test files of a room."""
+        return [f"tests/test_{name}.py" for name in ROOMS[room][1]]
+
+    def tests(self, room: str) -> tuple[list[str], float]:
+        """The quick tests of a room and the processor seconds that they take together."""
+        if room not in self.quick:
+            note = self.folder / f"quick_{room}.txt"
+            note.touch()
+            _forked(self.folder, self.files(room), note, 90.0, True)
+            names = note.read_text(encoding="utf-8").splitlines()
+            code, took = _forked(self.folder, ["-x", *names], None, 200.0, True)
+            print(
+                f"{room}: {len(names)} quick tests, {took:.1f} s{'' if code == 0 else f', exit code {code}'}",
+                flush=True,
+            )
+            self.quick[room] = names, took
+        return self.quick[room]
+
+    def seen(self, mutant: Mutant, whole: bool) -> bool:
+        """Whether a test fails; ``whole`` gives what survives the quick tests all others, compiled."""
+        names, usual = self.tests(mutant.room)
+        target = self.folder / mutant.file
+        held = target.read_text(encoding="utf-8")
+        try:
+            target.write_text(mutated(mutant), encoding="utf-8")
+            code, _ = _forked(self.folder, ["-x", *names], None, max(MOST, LONGER * usual), True)
+            if code == 0 and whole:
+                code, _ = _forked(self.folder, ["-x", *self.files(mutant.room)], None, 120.0, False)
+        finally:
+            target.write_text(held, encoding="utf-8")
+        return code != 0
+
+
+def equivalent() -> dict[str, str]:
+    """Mutants that were read and change nothing anyone can see, with the reason, by file and change."""
+    return (yaml.safe_load(READ.read_text(encoding="utf-8")) or {}) if READ.exists() else {}
+
+
+def main() -> int:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--sample", type=int, default=160)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--room", choices=ROOMS, action="append")
+    parser.add_argument("--only", metavar="FILE:LINE")
+    parser.add_argument("--quick", action="store_true", help="do not give survivors the tests that are not quick")
+    given = parser.parse_args()
+    import hypothesis
+    import numba
+    import pandas
+    import pydantic
+    import pytest
+    import pywt
+    import scipy.optimize
+    import scipy.signal
+    import xarray
+
+    assert all((hypothesis, numba, pandas, pydantic, pytest, pywt, scipy.optimize, scipy.signal, xarray))
+    every = [m for room in given.room or ROOMS for m in mutants(room)]
+    if given.only:
+        chosen = [m for m in every if f"{m.file}:{m.line}" == given.only]
+    else:
+        chosen = random.Random(given.seed).sample(every, min(given.sample, len(every)))
+    chosen.sort(key=lambda m: list(ROOMS).index(m.room))
+    reasons = equivalent()
+    survived, apart = [], 0
+    with tempfile.TemporaryDirectory() as folder:
+        bench = Bench(Path(folder))
+        for k, mutant in enumerate(chosen):
+            if bench.seen(mutant, not given.quick):
+                continue
+            reason = reasons.get(f"{mutant.file}: {mutant.change}")
+            apart += reason is not None
+            if reason is None:
+                survived.append(mutant)
+            print(
+                f"[{k + 1}/{len(chosen)}] survives: {mutant}" + (f"  (equivalent: {reason})" if reason else ""),
+                flush=True,
+            )
+    n, s = len(chosen) - apart, len(survived)
+    low, high = (beta.ppf(0.025, s, n - s + 1) if s else 0.0), (beta.ppf(0.975, s + 1, n - s) if s < n else 1.0)
+    print(
+        f"{len(every)} mutants, {len(chosen)} drawn (seed {given.seed}), {apart} equivalent, {s} of {n} survive: "
+        f"{100 * s / max(1, n):.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
