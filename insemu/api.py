@@ -52,13 +52,13 @@ def signals(data: Signal) -> list[Series]:
     if isinstance(data, str | Path):
         from insemu.logs import open_log
 
-        return open_log(data).series()
+        return open_log(data).series(gaps=True)
     if isinstance(data, Series):
         return [data]
     if isinstance(data, Recording):
         from insemu.formats import Log
 
-        return Log.of_imu(data.imu, data.source).series()
+        return Log.of_imu(data.imu, data.source).series(gaps=True)
     out = list(data)
     if not out or not all(isinstance(s, Series) for s in out):
         raise InputError(f"found {type(data).__name__}, expected a file, a Series, several, or a Recording")

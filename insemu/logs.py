@@ -21,6 +21,8 @@ from insemu.variance import findings as judge
 
 Array = NDArray[np.float64]
 
+#: Fewest samples of a column.
+LEAST = 16
 #: Longer columns are read in one pass and never held as a whole.
 LONG = 1 << 24
 
@@ -96,7 +98,7 @@ def open_with_covariates(
 def characterise_log(
     log: Log, wanted: Sequence[str] | None = None, *, from_robust: bool = False, wavelet: str = "haar"
 ) -> list[AxisReport]:
-    """Characterise columns of a log: the longest part without NaN and gaps, with findings about the whole.
+    """Characterise columns of a log. Samples that are missing (NaN, gaps in time) are left out of the curves, and said.
 
     Parameters
     ----------
@@ -133,18 +135,22 @@ def characterise_log(
                 )
             axes.append(characterise_stream(lambda k=k: log.chunks(k), log.rate_hz, name=name, unit=unit))  # type: ignore[misc]
             continue
-        x = np.asarray(log.columns[k], dtype=np.float64)
-        notes = judge.gap_report(gaps, log.rate_hz) + judge.missing_values(x, log.rate_hz)
-        start, stop = judge.longest_good_part([x], [row for row, _ in gaps])
-        if stop - start < 16:
-            raise InputError(f"{name} has no {16} finite values in a row", where=log.source)
+        notes = judge.gap_report(gaps, log.rate_hz) + judge.missing_values(
+            np.asarray(log.columns[k], dtype=np.float64), log.rate_hz
+        )
+        x = log.evenly(k)
+        there = np.isfinite(x)
+        if np.count_nonzero(there) < LEAST:
+            raise InputError(f"{name} has no {LEAST} finite values", where=log.source)
         if notes:
+            start, stop = judge.longest_good_part([x], [])
             notes.append(
-                f"used: rows {start} to {stop - 1} ({(stop - start) / log.rate_hz:.6g} s), the longest part without NaN and gaps; "
-                f"{100.0 * (1.0 - (stop - start) / len(log)):.3g} % of the record was left out"
+                f"missing: {np.count_nonzero(~there)} of {x.size} samples ({100.0 * np.mean(~there):.3g} %); curves and readings are of "
+                "all that are there, spectrum, stationarity and outliers of the longest part without missing ones, "
+                f"{(stop - start) / log.rate_hz:.6g} s from {start / log.rate_hz:.6g} s"
             )
         report = characterise(
-            np.ascontiguousarray(x[start:stop]),
+            x,
             log.rate_hz,
             name=name,
             unit=unit,

@@ -76,6 +76,8 @@ class Series:
         ``"rad/s"``, ``"m/s^2"`` or ``""`` where unknown.
     name : str
         For example ``"gyro_x"``; appears in tables and messages.
+    gaps : bool
+        Whether samples may be missing: values that are not finite.
 
     Raises
     ------
@@ -87,9 +89,10 @@ class Series:
     rate_hz: float
     unit: str = ""
     name: str = "signal"
+    gaps: bool = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "values", _frozen(self.values, self.name, (None,)))
+        object.__setattr__(self, "values", _frozen(self.values, self.name, (None,), finite=not self.gaps))
         if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
             raise InputError(f"{self.name} has a rate of {self.rate_hz} Hz, expected a positive number")
 
@@ -97,6 +100,20 @@ class Series:
     def dt(self) -> float:
         """Sampling interval in seconds."""
         return 1.0 / self.rate_hz
+
+    @property
+    def missing(self) -> int:
+        """Number of samples that are missing."""
+        return int(np.count_nonzero(~np.isfinite(self.values))) if self.gaps else 0
+
+    def complete(self, what: str) -> Series:
+        """Itself; raises :class:`~insemu.errors.InputError` where samples are missing that ``what`` needs."""
+        if self.missing:
+            raise InputError(
+                f"{self.name}: {self.missing} of {len(self)} samples are missing, and {what} needs all of them; "
+                "wavelet moments (gmwm without robust) do without"
+            )
+        return self
 
     def __len__(self) -> int:
         return self.values.size

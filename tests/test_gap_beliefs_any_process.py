@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from insemu.gap import find_static_gap
-from insemu.gap.candidates.axis import remembers, state_of, whitened
+from insemu.gap.candidates.axis import state_of, whitened
 from insemu.gap.candidates.telegraph import _background
 from insemu.gap.data.log import reduce
 from insemu.gap.evidence.model import Explanation, Likelihood
@@ -105,6 +105,6 @@ def test_what_is_slow_does_not_depend_on_how_a_belief_is_written() -> None:
     first, *others = (_background(state_of(data, Explanation.nominal(m)), 1.0)[1] for m in ways)
     assert first > 0.0
     assert others == pytest.approx([first] * 4, rel=1e-6)
-    assert all(remembers(p, dt) for p in (RW(1.0), BI(1.0), longer))
-    assert not any(remembers(p, dt) for p in (WN(1.0), QN(1.0), MA(ma=(0.5,), sigma2=1.0, rate_hz=RATE), DR(1.0)))
-    assert remembers(longer, dt, 30.0) and not remembers(longer, dt, 50.0)
+    assert all(p.remembers(dt) for p in (RW(1.0), BI(1.0), longer))
+    assert not any(p.remembers(dt) for p in (WN(1.0), QN(1.0), MA(ma=(0.5,), sigma2=1.0, rate_hz=RATE), DR(1.0)))
+    assert longer.remembers(dt, 30.0) and not longer.remembers(dt, 50.0)

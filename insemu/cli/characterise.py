@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -11,6 +11,9 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from insemu.variance import AxisReport
+
+#: False alarms of --same-as, per axis.
+ALARM = 0.01
 
 
 def command(
@@ -27,6 +30,9 @@ def command(
     wavelet: str = typer.Option("haar", "--wavelet", help="Filter of the wavelet variance, such as d8 or la8."),
     overlay: bool = typer.Option(True, "--overlay/--no-overlay", help="Also draw the axes of a sensor in one panel."),
     beside: str = typer.Option("", "--beside", help="JSON of other sensors' wavelet variances, drawn behind ours."),
+    same_as: str = typer.Option(
+        "", "--same-as", help="Another log: test axis by axis whether both have one noise model (wavelet variances)."
+    ),
     out: str = typer.Option(
         "", "--out", "-o", help="Folder for page, figures and JSON; default results/characterise_NAME."
     ),
@@ -57,7 +63,10 @@ def command(
     log = open_log(file, rate_hz)
     axes = characterise_log(log, wanted, from_robust=robust, wavelet=wavelet)
     together = related_axes(log, [axis.name for axis in axes])
-    content = {"axes": {axis.name: axis.to_json() for axis in axes}, "related_axes": together}
+    content: dict[str, Any] = {"axes": {axis.name: axis.to_json() for axis in axes}, "related_axes": together}
+    compared = compare(axes, characterise_log(open_log(same_as, rate_hz), wanted, wavelet=wavelet)) if same_as else {}
+    if compared:
+        content["same_model"] = {"as": same_as, "axes": compared}
     folder = Path(out) if out else Path("results") / f"characterise_{Path(file).name.split('.')[0]}"
     page = None
     if out or not as_json:
@@ -75,7 +84,36 @@ def command(
             f"({pair['low']:.2f} to {pair['high']:.2f}) at {pair['tau_s']:.3g} s",
             highlight=False,
         )
+    for name, found in compared.items():
+        verdict = "another noise model" if found["p_value"] < ALARM else "nothing speaks against one noise model"
+        console.print(
+            f"Same as {same_as}: {name}: {verdict} (p {found['p_value']:.2g}); most apart at {found['tau_s']:.3g} s: variance "
+            f"{found['ratio']:.3g} times ({found['low']:.3g} to {found['high']:.3g})",
+            highlight=False,
+            markup=False,
+            soft_wrap=True,
+        )
     console.print(f"\nPage: [bold]{page}[/bold] (characterise.json and figures beside it)", soft_wrap=True)
+
+
+def compare(axes: Sequence[AxisReport], others: Sequence[AxisReport]) -> dict[str, dict[str, float]]:
+    """The test of one noise model for every axis that both logs have, with the scale at which they are most apart."""
+    from insemu.errors import InputError
+    from insemu.variance import same_model
+
+    by_name = {a.name: a.wavelet for a in others}
+    out: dict[str, dict[str, float]] = {}
+    for axis in axes:
+        if axis.name not in by_name:
+            continue
+        found = same_model(axis.wavelet, by_name[axis.name])
+        outside = [max(low, 1.0 / high) for low, high in zip(found.low, found.high, strict=True)]
+        k = outside.index(max(outside))
+        numbers = {"tau_s": found.tau_s, "ratio": found.ratio, "low": found.low, "high": found.high}
+        out[axis.name] = {"p_value": found.p_value, **{name: float(v[k]) for name, v in numbers.items()}}
+    if not out:
+        raise InputError("has no column that the first log has", where="--same-as")
+    return out
 
 
 def _number_or_text(text: str) -> str | float:

@@ -208,18 +208,19 @@ def read_static(file: str, rate: str, columns: list[str] | None, skip: str = "0 
     from insemu.errors import InputError
     from insemu.logs import open_log
 
-    series = open_log(file, units.parse(rate, "Hz") if rate else None, column_names(columns)).series()
+    series = open_log(file, units.parse(rate, "Hz") if rate else None, column_names(columns)).series(gaps=True)
     seconds = units.parse(skip, "s")
     if seconds < 0:
         raise InputError(f"--skip is {skip}, expected a duration that is not negative")
     out = []
     for s in series:
         first = round(seconds * s.rate_hz)
-        if len(s) < LEAST:
-            raise InputError(f"{s.name} has {len(s)} samples, expected at least {LEAST}", where=file)
-        if first > len(s) - LEAST:
+        if len(s) - s.missing < LEAST:
+            raise InputError(f"{s.name} has {len(s) - s.missing} samples, expected at least {LEAST}", where=file)
+        rest = replace(s, values=s.values[first:]) if first else s
+        if len(rest) - rest.missing < LEAST:
             raise InputError(f"--skip {skip} leaves less than {LEAST} of the {len(s)} samples of {s.name}", where=file)
-        out.append(replace(s, values=s.values[first:]) if first else s)
+        out.append(rest)
     return out
 
 
@@ -417,9 +418,9 @@ def fit_pooled(
     out: dict[str, FitResult] = {}
     for (unit, rate, _), members in groups.items():
         curves: list[WaveletVariance] = [
-            cleaned_curve(s.values, rate).curve
+            cleaned_curve(s.complete("the robust wavelet variance").values, rate).curve
             if robust
-            else wavelet_variance(s.values, rate, filter=options["wavelet"])
+            else wavelet_variance(s.complete("a pooled fit").values, rate, filter=options["wavelet"])
             for s in members
         ]
         count = len(curves)

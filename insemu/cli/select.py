@@ -91,7 +91,7 @@ def command(
             if s.name in rankings:
                 from insemu.variance import wavelet_variance
 
-                checks[s.name][other] = prediction(rankings[s.name], wavelet_variance(s.values, s.rate_hz))
+                checks[s.name][other] = prediction(rankings[s.name], wavelet_variance(s.values, s.rate_hz, gaps=s.gaps))
     results = {axis: r.fit for axis, r in rankings.items()}
     if as_json:
         typer.echo(
@@ -117,12 +117,12 @@ def prediction(ranking: Ranking, curve: WaveletVariance) -> dict[str, Any]:
     """How well the chosen model predicts another record, scale by scale."""
     import numpy as np
 
-    from insemu.fit import RANK_DOF, model_covariance, prediction_distance
+    from insemu.fit import RANK_DOF, covariance_of_curve, prediction_distance
 
     model = ranking.fit.model
     dt = 1.0 / curve.rate_hz
     predicted = model.wavelet_variance(curve.scale_samples, dt)
-    spread = np.sqrt(np.diag(model_covariance(model, curve.n_samples, curve.scale_samples, dt)))
+    spread = np.sqrt(np.diag(covariance_of_curve(model, curve)))
     distance, error = prediction_distance(model, curve)
     steady = 2.0 * (predicted / spread) ** 2 >= RANK_DOF
     ratio = np.sqrt(curve.value / predicted)[steady]

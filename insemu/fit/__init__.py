@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from insemu import CalledRoom
 from insemu.errors import InputError, nearest
-from insemu.fit.covariance import model_covariance
+from insemu.fit.covariance import covariance_of_curve, model_covariance
 from insemu.fit.following import FollowingFit, Segment, fit_following
 from insemu.fit.indirect import bootstrap_intervals, check_bootstrap
 from insemu.fit.likelihood import LARGE, fit_mli_pieces
@@ -58,6 +58,7 @@ __all__ = [
     "check_bootstrap",
     "choose_model",
     "cleaned_curve",
+    "covariance_of_curve",
     "fit",
     "fit_following",
     "fit_mli_pieces",
@@ -89,7 +90,7 @@ def fit(
     Parameters
     ----------
     signal : Series, (n,) array or WaveletVariance
-        Signal at rest (or its wavelet variance, for ``gmwm``).
+        Signal at rest, for ``gmwm`` with missing samples where it says so (or its wavelet variance, for ``gmwm``).
     model : NoiseModel, Process or str
         Structure such as ``"2*GM() + WN()"``; parameters that have a value are held.
     method : {"gmwm", "indirect", "em", "mli", "slopes", "psd-slopes", "hadamard-slopes", "total-slopes", "autocorrelation", "burg"}
@@ -140,11 +141,13 @@ def fit(
     asked = _model(model, series.unit)
     if wavelet != "haar" and (method != "gmwm" or robust):
         raise InputError(f"wavelet '{wavelet}' belongs to gmwm without robust, not to '{method}'")
+    if robust or method != "gmwm":
+        series = series.complete("the robust wavelet variance" if robust else f"the method '{method}'")
     if method == "gmwm":
         if robust:
             return _fit_robust(series, asked, options)
         return fit_curve(
-            wavelet_variance(series.values, series.rate_hz, filter=wavelet),
+            wavelet_variance(series.values, series.rate_hz, filter=wavelet, gaps=series.gaps),
             asked,
             unit=series.unit,
             name=series.name,
@@ -219,7 +222,11 @@ def as_series(signal: Series | ArrayLike, rate_hz: float | None, unit: str | Non
     """
     if isinstance(signal, Series):
         return Series(
-            signal.values, rate_hz or signal.rate_hz, unit if unit is not None else signal.unit, name or signal.name
+            signal.values,
+            rate_hz or signal.rate_hz,
+            unit if unit is not None else signal.unit,
+            name or signal.name,
+            signal.gaps,
         )
     if rate_hz is None:
         raise InputError("an array does not say its sampling rate; give rate_hz")

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu.fit import _covariance_kernel
 from insemu.noise import NoiseModel
+from insemu.variance import WaveletVariance, level1_autocovariance
 from insemu.variance import filter_covariance as covariance_of_filter
-from insemu.variance import level1_autocovariance
 from insemu.variance import model_covariance as covariance_over_lags
 
 Array = NDArray[np.float64]
@@ -68,16 +68,29 @@ def model_covariance(model: NoiseModel, n_samples: int, scale_samples: ArrayLike
     return out
 
 
-def covariance_of_curve(model: NoiseModel, n_samples: int, scale_samples: ArrayLike, dt: float, filter: str) -> Array:
-    """:func:`model_covariance` for a curve of any filter.
+def covariance_of_curve(model: NoiseModel, curve: WaveletVariance, scale_samples: ArrayLike | None = None) -> Array:
+    """Covariance of a curve under a model, of any filter, with the gaps of the record.
 
     Parameters
     ----------
-    model, n_samples, scale_samples, dt
-        As there.
-    filter : str
-        Name of the filter.
+    model : NoiseModel
+        Specified.
+    curve : WaveletVariance
+    scale_samples : (J,) array, optional
+        The scales of the curve that are asked for; all by default.
+
+    Returns
+    -------
+    (J, J) array
+        unit^4.
     """
-    if filter == "haar":
-        return model_covariance(model, n_samples, scale_samples, dt)
-    return covariance_of_filter(model, filter, scale_samples, n_samples, dt)
+    scale = curve.scale_samples if scale_samples is None else np.asarray(scale_samples)
+    n, dt = curve.n_samples, 1.0 / curve.rate_hz
+    if curve.filter == "haar":
+        out = model_covariance(model, n, scale, dt)
+    else:
+        out = covariance_of_filter(model, curve.filter, scale, n, dt)
+    if curve.inflation is not None:
+        larger = np.sqrt(curve.inflation[np.searchsorted(curve.scale_samples, scale)])
+        out = out * np.outer(larger, larger)
+    return out

@@ -31,6 +31,7 @@ from insemu.variance import (
     eta3,
     expected_variance,
     modwt_filters,
+    wavelet_variance,
 )
 
 Array = NDArray[np.float64]
@@ -47,7 +48,10 @@ HOLDS = 1e-3
 def interval_widths(curve: WaveletVariance) -> Array:
     """Widths of the 95 % chi-square intervals with the degrees of freedom of an ideal band-pass, the customary weights of the GMWM."""
     length = modwt_filters(curve.filter)[0].size
-    low, high = chi_square_interval(curve.value, eta3(curve.scale_samples.astype(float), curve.n_samples, length), 0.95)
+    freedom = eta3(curve.scale_samples.astype(float), curve.n_samples, length)
+    if curve.inflation is not None:
+        freedom = np.maximum(freedom / curve.inflation, 1.0)
+    low, high = chi_square_interval(curve.value, freedom, 0.95)
     return np.asarray(high - low)
 
 
@@ -211,10 +215,10 @@ class _Problem:
         """Covariance of the curve under a solution: closed form, or of so many draws."""
         model = self.structure.specified(at.coefficients, at.shapes)
         if not replicates:
-            return covariance_of_curve(model, self.n, self.scale, self.dt, self.curve.filter) / self.efficiency
+            return covariance_of_curve(model, self.curve, self.scale) / self.efficiency
         if rng is None:
             raise InputError("weighting by bootstrap draws random numbers; give rng")
-        drawn = bootstrap_curves(model, self.n, 1.0 / self.dt, self.scale, replicates, rng, self.curve.filter)
+        drawn = bootstrap_curves(model, self.scale, replicates, rng, self.curve)
         return np.asarray(np.cov(drawn, rowvar=False)).reshape(self.scale.size, self.scale.size) / self.efficiency
 
 
@@ -376,12 +380,10 @@ def _moved(model: NoiseModel, free: list[tuple[int, str]], by: Array) -> NoiseMo
 
 def bootstrap_curves(
     model: NoiseModel,
-    n_samples: int,
-    rate_hz: float,
     scale: NDArray[np.int64],
     replicates: int,
     rng: np.random.Generator,
-    filter: str = "haar",
+    like: WaveletVariance,
 ) -> Array:
     """Wavelet variances of signals drawn from a model.
 
@@ -389,31 +391,46 @@ def bootstrap_curves(
     ----------
     model : NoiseModel
         Specified.
-    n_samples : int
-        Length of each record.
-    rate_hz : float
-        Sampling rate.
     scale : (J,) array of int
         Scales 2^j in samples, ascending.
     replicates : int
     rng : Generator
-    filter : str
-        Wavelet filter.
+    like : WaveletVariance
+        Whose length, filter and missing samples the signals have.
 
     Returns
     -------
     (replicates, J) array
         unit^2.
     """
-    from insemu.variance import wavelet_variance
-
-    levels = round(math.log2(float(scale[-1])))
     keep = np.round(np.log2(scale)).astype(int) - 1
     out = np.empty((replicates, scale.size))
     for i, child in enumerate(rng.spawn(replicates)):
-        x = model.simulate(n_samples, 1.0 / rate_hz, child)
-        out[i] = wavelet_variance(x, rate_hz, filter=filter, intervals="eta3", levels=levels).value[keep]
+        out[i] = drawn_values(model, like, child)[keep]
     return out
+
+
+def drawn_values(model: NoiseModel, like: WaveletVariance, rng: np.random.Generator) -> Array:
+    """Wavelet variances of a signal drawn from a model.
+
+    Parameters
+    ----------
+    model : NoiseModel
+        Specified.
+    like : WaveletVariance
+        Whose length, filter and missing samples the signal has.
+    rng : Generator
+
+    Returns
+    -------
+    (J,) array
+        unit^2.
+    """
+    x = model.simulate(like.n_samples, 1.0 / like.rate_hz, rng)
+    if like.lost is not None:
+        x[like.lost] = np.nan
+    given = {"filter": like.filter, "levels": len(like), "gaps": like.lost is not None}
+    return wavelet_variance(x, like.rate_hz, intervals="eta3", **given).value  # type: ignore[arg-type]
 
 
 def parameter_covariance(D: Array, W: Array, V: Array) -> tuple[Array, list[int]]:

@@ -232,8 +232,8 @@ def bootstrap_intervals(
 
     check_bootstrap(result.method, replicates)
     assert result.curve is not None
-    scales, filter = result.details["scales"], result.curve.filter
-    curves = bootstrap_curves(result.model, result.n_samples, result.rate_hz, scales, replicates, rng, filter)
+    scales = result.details["scales"]
+    curves = bootstrap_curves(result.model, scales, replicates, rng, result.curve)
     drawn = np.array([_values(refit(result, c).model) for c in curves])
     tail = 0.5 * (1.0 - confidence)
     out = []

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy import linalg, special
 
 from insemu.errors import InputError
-from insemu.fit.covariance import model_covariance
-from insemu.fit.gmwm import fit_curve, parameter_covariance
+from insemu.fit.covariance import covariance_of_curve
+from insemu.fit.gmwm import drawn_values, fit_curve, parameter_covariance
 from insemu.fit.minimum import Solution, root_of_inverse, search
 from insemu.fit.result import FitResult, estimates
 from insemu.fit.structure import Structure, natural_jacobian
@@ -152,10 +152,16 @@ class _Runs:
     def covariance(self, model: NoiseModel) -> list[Array]:
         """Covariance of each run's curve under a model."""
         found: dict[int, Array] = {}
+        out = []
         for c in self.curves:
+            # runs without gaps of one length have one covariance
+            if c.inflation is not None:
+                out.append(covariance_of_curve(model, c))
+                continue
             if c.n_samples not in found:
-                found[c.n_samples] = model_covariance(model, c.n_samples, c.scale_samples, self.structure.dt)
-        return [found[c.n_samples] for c in self.curves]
+                found[c.n_samples] = covariance_of_curve(model, c)
+            out.append(found[c.n_samples])
+        return out
 
     def minimum(self, roots: Sequence[Array], starts: Array) -> Solution:
         """The nearest common model from the best of some starts."""
@@ -210,7 +216,9 @@ def fit_runs(
     if len({round(s.rate_hz, 9) for s in runs}) > 1:
         raise InputError(f"the runs are sampled at {', '.join(f'{s.rate_hz:g}' for s in runs)} Hz, expected one rate")
     rng = rng or np.random.default_rng(0)
-    problem = _Runs(Structure.of(model, runs[0].rate_hz), tuple(wavelet_variance(s.values, s.rate_hz) for s in runs))
+    problem = _Runs(
+        Structure.of(model, runs[0].rate_hz), tuple(wavelet_variance(s.values, s.rate_hz, gaps=s.gaps) for s in runs)
+    )
     each = tuple(
         fit_curve(c, model, unit=s.unit, name=s.name, weighting="asymptotic")
         for c, s in zip(problem.curves, runs, strict=True)
@@ -278,11 +286,10 @@ def _statistic(problem: _Runs, roots: Sequence[Array], joint: Solution) -> float
 
 def _drawn(problem: _Runs, model: NoiseModel, rng: np.random.Generator) -> _Runs:
     """Runs of the same lengths from one model."""
-    values = []
-    for c, child in zip(problem.curves, rng.spawn(len(problem.curves)), strict=True):
-        x = model.simulate(c.n_samples, problem.structure.dt, child)
-        values.append(wavelet_variance(x, c.rate_hz, intervals="eta3", levels=len(c)).value)
-    return problem.with_values(values)
+    children = rng.spawn(len(problem.curves))
+    return problem.with_values(
+        [drawn_values(model, c, child) for c, child in zip(problem.curves, children, strict=True)]
+    )
 
 
 # -- the spread between runs -----------------------------------------------------------------------------------------------------------------
@@ -413,7 +420,7 @@ def choose_model(runs: Sequence[Series], models: Sequence[NoiseModel]) -> list[C
     The splits of Radi et al. 2018, fitted jointly to one part. The distance of the other part's curves is the deviance of scaled chi-squares and not
     the squared distance over their widths: those of a scale that came out low are small, and would let it decide.
     """
-    curves = tuple(wavelet_variance(s.values, s.rate_hz) for s in runs)
+    curves = tuple(wavelet_variance(s.values, s.rate_hz, gaps=s.gaps) for s in runs)
     R = len(curves)
     splits = [set(c) for size in {max(R // 2, 1), R - max(R // 2, 1)} for c in combinations(range(R), size)]
     losses = np.empty((len(models), len(splits)))

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri
 
 from insemu.errors import InputError
-from insemu.fit.covariance import model_covariance
+from insemu.fit.covariance import covariance_of_curve
 from insemu.fit.gmwm import fit_curve, interval_widths, refit
 from insemu.fit.minimum import Solution, root_of_inverse, search
 from insemu.fit.result import Criterion, FitResult
@@ -244,7 +244,7 @@ def rank_models(
 
     def gain_under(simple: Candidate, rich: Candidate) -> float:
         """How much nearer the richer model is in the weights of the simpler one."""
-        own = model_covariance(simple.model, n, scale, 1.0 / curve.rate_hz) / efficiency
+        own = covariance_of_curve(simple.model, curve, scale) / efficiency
         own = own + np.diag((discrepancy * V[2][use]) ** 2)
         W = root_of_inverse(own)
         distance = []
@@ -302,7 +302,7 @@ def _fit_of(
         return fit_curve(curve, chosen.structure, weighting="asymptotic", unit=unit, name=name, efficiency=efficiency)
     at = chosen.model
     for _ in range(2):
-        own = model_covariance(at, curve.n_samples, curve.scale_samples, 1.0 / curve.rate_hz) / efficiency
+        own = covariance_of_curve(at, curve) / efficiency
         own = own + np.diag(missed**2)
         result = fit_curve(curve, chosen.structure, covariance=own, unit=unit, name=name, efficiency=efficiency)
         at = result.model
@@ -354,7 +354,7 @@ def _reference_covariance(
         if best is None or found.objective < best[0]:
             best = found.objective, structure.specified(found.coefficients, found.shapes)
     assert best is not None
-    V = model_covariance(best[1], n, curve.scale_samples, dt) / efficiency
+    V = covariance_of_curve(best[1], curve) / efficiency
     fitted = best[1].wavelet_variance(curve.scale_samples, dt)
     return V, 2.0 * fitted**2 / np.diag(V), fitted
 
@@ -478,7 +478,8 @@ def wic(result: FitResult, *, bootstrap: int = 0, rng: np.random.Generator | Non
     from insemu.fit.gmwm import bootstrap_curves
 
     scale = result.details["scales"]
-    curves = bootstrap_curves(result.model, result.n_samples, result.rate_hz, scale, bootstrap, rng)
+    assert result.curve is not None
+    curves = bootstrap_curves(result.model, scale, bootstrap, rng, result.curve)
     fitted = np.array([refit(result, c).model.wavelet_variance(scale, result.dt) for c in curves])
     products = ((curves - curves.mean(axis=0)) @ W.T * ((fitted - fitted.mean(axis=0)) @ W.T)).sum(axis=1)
     optimism = float(products.sum() / (bootstrap - 1))
@@ -516,7 +517,7 @@ def prediction_distance(
     """
     dt = 1.0 / held_out.rate_hz
     measure = model if reference is None else reference
-    V = model_covariance(measure, held_out.n_samples, held_out.scale_samples, dt)
+    V = covariance_of_curve(measure, held_out)
     use = 2.0 * measure.wavelet_variance(held_out.scale_samples, dt) ** 2 / np.diag(V) >= RANK_DOF
     sd = np.sqrt(np.diag(V)[use])
     z = (held_out.value[use] - model.wavelet_variance(held_out.scale_samples, dt)[use]) / sd
@@ -561,9 +562,9 @@ def select_axes(
     def one(series: Series, executor: Executor) -> Ranking:
         curve: WaveletVariance
         if robust:
-            curve = cleaned_curve(series.values, series.rate_hz).curve
+            curve = cleaned_curve(series.complete("the robust wavelet variance").values, series.rate_hz).curve
         else:
-            curve = wavelet_variance(series.values, series.rate_hz)
+            curve = wavelet_variance(series.values, series.rate_hz, gaps=series.gaps)
         efficiency = float(getattr(curve, "efficiency", 1.0))
         options: dict[str, Any] = {"name": series.name, "unit": series.unit, "efficiency": efficiency}
         if candidates is None:

@@ -72,6 +72,8 @@ def fit_together(
     Equations (20), (22)-(27) of Stebler et al. 2014 with the cross-covariances of Whitcher, Guttorp and Percival 2000 among the moments. The sign
     by which an axis sees a shared process follows from the cross-covariances.
     """
+    for s in series:
+        s.complete("a fit of axes together")
     lengths = {(len(s), s.rate_hz) for s in series}
     if len(lengths) != 1:
         raise InputError("axes that share a process must be sampled together, at one rate and of one length")

@@ -36,6 +36,8 @@ _TIME_NAMES = ("t", "time", "timestamp", "time_s", "t_s", "imu_t", "tow", "sow")
 _SI = ("rad/s", "m/s^2", "rad", "m/s", "m", "s")
 #: A step of more than this many nominal intervals is a gap.
 GAP_FACTOR = 1.5
+#: More missing samples than this many times those that are there are no gaps of one log.
+MOST_MISSING = 4.0
 
 
 @dataclass(frozen=True)
@@ -102,25 +104,59 @@ class Log:
         rows = np.flatnonzero(step > GAP_FACTOR / self.rate_hz)
         return [(int(k) + 1, float(step[k])) for k in rows]
 
-    def series(self) -> list[Series]:
-        """Return the columns as :class:`~insemu.records.Series`; NaN and gaps raise :class:`~insemu.errors.InputError`."""
+    def _rows(self) -> NDArray[np.int64] | None:
+        """Places of the rows where no sample is missing in time, None where none is; steps count as whole samples."""
         gaps = self.gaps()
-        if gaps:
-            row, duration = gaps[0]
+        if not gaps or self.t is None:
+            return None
+        lost = np.zeros(len(self), dtype=np.int64)
+        for row, duration in gaps:
+            lost[row] = max(round(duration * self.rate_hz) - 1, 1)
+        rows = np.arange(len(self)) + np.cumsum(lost)
+        if rows[-1] + 1 - len(self) > MOST_MISSING * len(self):
+            row, duration = max(gaps, key=lambda gap: gap[1])
             raise InputError(
-                f"has {len(gaps)} gap(s), the first of {duration:.6g} s before data row {row} where samples are "
+                f"{rows[-1] + 1 - len(self)} samples are missing beside the {len(self)} that are there, the longest gap {duration:.6g} s "
+                f"before data row {row}; expected one log (cut the file there)",
+                where=self.source,
+            )
+        return rows
+
+    def series(self, *, gaps: bool = False) -> list[Series]:
+        """Return the columns as :class:`~insemu.records.Series`.
+
+        Parameters
+        ----------
+        gaps : bool
+            Samples that are missing, by value or by time, become NaN of the series.
+
+        Raises
+        ------
+        InputError
+            Missing samples without ``gaps``; far more missing than there are.
+        """
+        found = self.gaps()
+        rows = self._rows() if gaps else None
+        if found and not gaps:
+            row, duration = found[0]
+            raise InputError(
+                f"has {len(found)} gap(s), the first of {duration:.6g} s before data row {row} where samples are "
                 f"{1.0 / self.rate_hz:.6g} s apart; expected a constant rate (cut the file there)",
                 where=self.source,
             )
         out = []
         for name, unit, values in zip(self.names, self.units, self.columns, strict=True):
             try:
-                out.append(
-                    Series(np.asarray(values, dtype=np.float64), self.rate_hz, unit, AXIS_OF_COLUMN.get(name, name))
-                )
+                x = _placed(values, rows)
+                missing = gaps and not np.isfinite(x).all()
+                out.append(Series(x, self.rate_hz, unit, AXIS_OF_COLUMN.get(name, name), missing))
             except InputError as error:
                 raise InputError(str(error), where=self.source) from None
         return out
+
+    def evenly(self, column: int) -> Array:
+        """A column at a constant rate: samples that are missing, by value or by time, are NaN."""
+        return _placed(self.columns[column], self._rows())
 
     def chunks(self, column: int, size: int = 1 << 20, *, first: int = 0) -> Iterator[Array]:
         """Yield successive pieces of a column from a row on, so that a memory-mapped one is never held as a whole.
@@ -140,6 +176,16 @@ class Log:
             yield np.asarray(values[start : start + size], dtype=np.float64)
             if mapped is not None and hasattr(mmap, "MADV_DONTNEED"):
                 mapped.madvise(mmap.MADV_DONTNEED)  # pages that were read count as this process's memory until let go
+
+
+def _placed(values: NDArray[Any], rows: NDArray[np.int64] | None) -> Array:
+    """Values at their places, NaN elsewhere."""
+    x = np.asarray(values, dtype=np.float64)
+    if rows is None:
+        return x
+    out = np.full(int(rows[-1]) + 1, np.nan)
+    out[rows] = x
+    return out
 
 
 def read_log(path: str | Path, *, rate_hz: float | None = None, columns: Iterable[str] | None = None) -> Log:

@@ -113,6 +113,9 @@ def _log_lines(log: Log) -> list[Line]:
             means[axis], stated[axis] = float(part.mean()), unit
             third = np.diff(part, n=3)
             white[axis] = float(1.4826 * np.median(np.abs(third - np.median(third)))) / np.sqrt(20.0 * log.rate_hz)
+    if any(x.topic in ("gaps", "rows") and x.level == "odd" for x in lines):
+        text = "missing samples are left out of wavelet moments, where they have degrees of freedom less; nothing is filled in"
+        lines.append(Line("missing", "assumed", text))
     said: dict[str, list[str]] = {}
     for axis, texts in unit_report(means, white, stated).items():
         for text in texts:

@@ -212,6 +212,10 @@ class Process(Common, metaclass=_WithTime):
         rates = [self.parameters[p.name] for p in self.parameters_meta() if p.domain == "rate"]
         return 1.0 / rates[0] if len(rates) == 1 else None
 
+    def remembers(self, dt: float, time: float = 0.0) -> bool:
+        """Whether it is noise that lasts longer than ``time`` s, and than a sampling interval ``dt`` in any case."""
+        return not self.single_draw and (not self.stationary or self.block(dt).memory > max(time, dt))
+
     # -- for the estimators -------------------------------------------------------------------------------------------------------
 
     @property

@@ -15,11 +15,13 @@ from insemu.records import Series
 from insemu.report import page
 from insemu.report.charts import GREY, INK, RED, Chart, Line, View, positive
 from insemu.report.style import COLOURS
-from insemu.variance import average_frequencies, expected_variance, psd, wavelet_variance
+from insemu.variance import average_frequencies, expected_variance, longest_good_part, psd, wavelet_variance
 
 if TYPE_CHECKING:
     from insemu.fit import Ranking
 
+#: Samples that a spectrum needs.
+LEAST_OF_SPECTRUM = 64
 #: Draws under the decomposition.
 DRAWS = 20
 
@@ -99,7 +101,10 @@ def spectrum(results: Mapping[str, FitResult], series: Mapping[str, Series]) -> 
     views = []
     for axis, s in series.items():
         result = results[axis]
-        averaged = average_frequencies(psd(s.values, s.rate_hz))
+        start, stop = longest_good_part([s.values], []) if s.missing else (0, len(s))
+        if stop - start < LEAST_OF_SPECTRUM:
+            continue
+        averaged = average_frequencies(psd(s.values[start:stop], s.rate_hz))
         lines = [Line("signal (Welch)", np.sqrt(averaged.psd), INK)]
         lines += _band("95 % interval", (np.sqrt(averaged.low), np.sqrt(averaged.high)), INK, 1, of="signal (Welch)")
         if drawable(result):
@@ -107,6 +112,8 @@ def spectrum(results: Mapping[str, FitResult], series: Mapping[str, Series]) -> 
         unit = f"{result.unit or 'unit'}/sqrt(Hz)"
         views.append(View(axis, f"root of the two-sided PSD ({unit})", lines, log_y=True, x=averaged.f_hz))
     caption = "Power spectral density of the signal with its interval, and of the model."
+    if any(s.missing for s in series.values()):
+        caption += " Of a signal with missing samples: of its longest part without."
     return Chart("Spectrum", caption, None, "frequency (Hz)", views, log_x=True, group="frequency")
 
 
@@ -134,7 +141,8 @@ def _charts(results: Mapping[str, FitResult], series: Sequence[Series], rng: np.
     out: list[page.Block] = [decomposition(curved, rng)] if curved else []
     fitted = {axis: r for axis, r in curved.items() if drawable(r)}
     out += [residuals(fitted)] if fitted else []
-    out += [spectrum(results, heard)] if heard else []
+    drawn = spectrum(results, heard)
+    out += [drawn] if drawn.views else []
     return out + ([likelihood_trace(traced)] if traced else [])
 
 

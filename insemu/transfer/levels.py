@@ -41,11 +41,6 @@ SAME_S = 1e-3
 COVARIANCE_S = 0.05
 
 
-def remembers(process: Process, dt: float) -> bool:
-    """Whether a process has memory beyond one sample."""
-    return process.block(dt).n > 0
-
-
 @dataclass(frozen=True)
 class Factor:
     """One level: the factor on it with its 95 % interval, and whether the drive tells it."""
@@ -100,7 +95,7 @@ class Levels:
     def _kind(self, process: Process) -> str:
         if process.single_draw:
             return "turn-on"
-        return "slow" if remembers(process, self.imu.dt) else "white"
+        return "slow" if process.remembers(self.imu.dt) else "white"
 
     def thinned(self, interval: float) -> Levels:
         """The same with fixes at least ``interval`` s apart: errors of fixes that last for seconds are then nearly independent."""

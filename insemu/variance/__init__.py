@@ -8,9 +8,10 @@ from insemu.variance.cross import WaveletCovariance, wavelet_covariance
 from insemu.variance.edof import chi_square_interval, correlated_octaves, eta3
 from insemu.variance.filtered import curve_address, expected_variance, filter_covariance
 from insemu.variance.filters import modwt_filters
-from insemu.variance.findings import missing_values, unit_report
+from insemu.variance.findings import longest_good_part, missing_values, unit_report
 from insemu.variance.reading import FLICKER, Reading, read_curve
 from insemu.variance.robust import RobustWaveletVariance, compare_with_robust, robust_wavelet_variance
+from insemu.variance.same import SameModel, same_model
 from insemu.variance.spectrum import (
     Autocorrelation,
     Spectrum,
@@ -29,6 +30,7 @@ __all__ = [
     "AxisReport",
     "Reading",
     "RobustWaveletVariance",
+    "SameModel",
     "Spectrum",
     "WaveletCovariance",
     "WaveletVariance",
@@ -49,6 +51,7 @@ __all__ = [
     "findings",
     "grouped_findings",
     "level1_autocovariance",
+    "longest_good_part",
     "missing_values",
     "model_covariance",
     "model_edof",
@@ -58,6 +61,7 @@ __all__ = [
     "read_curve",
     "relative_error",
     "robust_wavelet_variance",
+    "same_model",
     "stream_wavelet_variance",
     "unit_report",
     "wavelet_coefficients",

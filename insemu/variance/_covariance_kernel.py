@@ -187,11 +187,12 @@ def unit_covariances(
 def scatter_of_means(
     units: Array,
     weights: Array,
-    quantization: float,
     quantized: int,
     steps: NDArray[np.int64],
     strides: NDArray[np.int64],
     n: int,
+    counts: Array,
+    share: Array,
     lags: Array,
     ends: NDArray[np.int64],
     filter: Array,
@@ -203,22 +204,24 @@ def scatter_of_means(
 
     The difference step is ``steps[j]`` and successive terms are ``strides[j]`` apart. ``lags[ends[2 j]:ends[2 j + 1]]`` are nodes between
     which autocovariances are linear, ``lags[ends[2 j + 1]:ends[2 j + 2]]`` an even grid for the third cumulant (or none); ``units``
-    has the autocovariance of every component there. ``quantization`` is the weight of component ``quantized``, which contributes at single lags.
+    has the autocovariance of every component there. Component ``quantized`` contributes at single lags.
 
     Parameters
     ----------
     units : (components, L) array
         Autocovariances of the differences of each unit component, of :func:`unit_covariances`.
-    weights : (components,) array
+    weights : (J, components) array
         Variances per sample of the components, unit^2.
-    quantization : float
-        unit^2; zero where there is none.
     quantized : int
-        -1 where there is none.
+        Place of quantization noise; -1 where there is none.
     steps, strides : (J,) arrays of int
         Samples.
     n : int
         Length of the record.
+    counts : (J,) array
+        Terms that enter each mean.
+    share : (L,) array
+        Pairs of terms that far apart over the number of terms.
     lags : (L,) array
         Samples.
     ends : (2 J + 1,) array of int
@@ -231,23 +234,23 @@ def scatter_of_means(
         Overwritten.
     """
     order = filter.size - 1
-    parts = weights.size
+    parts = weights.shape[1]
     smooth = np.zeros(lags.size)
-    for p in range(parts):
-        for i in range(lags.size):
-            smooth[i] += weights[p] * units[p, i]
     part = np.empty(lags.size)
     for j in range(steps.size):
         m, stride = steps[j], strides[j]
         begin, end = ends[2 * j], ends[2 * j + 1]
+        for p in range(parts):
+            for i in range(begin, ends[2 * j + 2]):
+                smooth[i] += weights[j, p] * units[p, i]
         reach = n - order * m  # longest lag between two terms
-        count = max(reach // stride + 1, 1)
-        delta = quantization / (4.0 * m * m)
+        count = counts[j]
+        delta = weights[j, quantized] / (4.0 * m * m) if quantized >= 0 else 0.0
         # sum over lags of a function that is linear between nodes, both signs of the lag
         total = 0.0
         for i in range(begin, end):
             gap = lags[min(i + 1, end - 1)] - lags[max(i - 1, begin)]
-            part[i] = (gap / stride + (1.0 if i == end - 1 else 0.0)) * (1.0 - lags[i] / (count * stride)) * smooth[i]
+            part[i] = (gap / stride + (1.0 if i == end - 1 else 0.0)) * share[i] * smooth[i]
             total += part[i] * smooth[i]
         variance = smooth[begin] + filter[0] * delta
         for p in range(parts):
@@ -256,15 +259,15 @@ def scatter_of_means(
                 mixed += part[i] * units[p, i]
             slopes[j, p] = -2.0 * mixed
         for k in range(order + 1):
-            if delta == 0.0 or k * m > (count - 1) * stride:
+            if delta == 0.0 or k * m > reach // stride * stride:
                 break
             at = begin + np.searchsorted(lags[begin:end], float(k * m))
-            share = (1.0 if k == 0 else 2.0) * (1.0 - lags[at] / (count * stride))
+            often = (1.0 if k == 0 else 2.0) * share[at]
             d = filter[k] * delta
-            total += share * (2.0 * smooth[at] * d + d * d)
+            total += often * (2.0 * smooth[at] * d + d * d)
             for p in range(parts):
-                slopes[j, p] -= 2.0 * share * d * units[p, at]
-            slopes[j, quantized] -= 2.0 * share * (smooth[at] + d) * filter[k] / (4.0 * m * m)
+                slopes[j, p] -= 2.0 * often * d * units[p, at]
+            slopes[j, quantized] -= 2.0 * often * (smooth[at] + d) * filter[k] / (4.0 * m * m)
         if total <= 0.0:
             edof[j], skew[j] = 1.0, 1.0
             slopes[j] = 0.0
@@ -284,11 +287,11 @@ def scatter_of_means(
         for i in range(r.size):
             second += (1.0 if i == 0 else 2.0) * (positions - i) * r[i] * r[i]
             for k in range(r.size - i):
-                often = 6.0
+                triples = 6.0
                 if i == 0 or k == 0:
-                    often = 3.0
+                    triples = 3.0
                 if i == 0 and k == 0:
-                    often = 1.0
-                third += often * (positions - i - k) * r[i] * r[k] * r[i + k]
+                    triples = 1.0
+                third += triples * (positions - i - k) * r[i] * r[k] * r[i + k]
         first = positions * r[0] * variance / smooth[begin]
         skew[j] = (third * first / (second * second)) ** 2

@@ -23,7 +23,7 @@ from insemu.variance.edof import (
     noise_type,
     scatter_of_noise,
 )
-from insemu.variance.wavelet import check_rate, check_signal, max_levels, wavelet_variance
+from insemu.variance.wavelet import WaveletVariance, check_rate, check_signal, max_levels, wavelet_variance
 
 Array = NDArray[np.float64]
 Kind = Literal["overlapping", "non-overlapping", "modified", "hadamard", "overlapping-hadamard", "total"]
@@ -134,6 +134,7 @@ def allan_variance(
     grid: Grid | ArrayLike = "octave",
     confidence: float = 0.95,
     intervals: AllanIntervals = "edof",
+    gaps: bool = False,
 ) -> AllanVariance:
     """Return an Allan-type variance of a signal (a rate, not its integral).
 
@@ -153,6 +154,8 @@ def allan_variance(
     intervals : {"edof", "normal", "clusters"}
         Chi-square with equivalent degrees of freedom of the noise type read from the curve; asymptotic normal (NaN below 100 degrees
         of freedom); or :func:`relative_error` as one standard deviation of the deviation.
+    gaps : bool
+        Take what is not finite for missing samples, as :func:`~insemu.variance.wavelet.wavelet_variance`; overlapping, by octaves.
 
     Raises
     ------
@@ -169,7 +172,11 @@ def allan_variance(
         raise InputError(f"intervals is '{intervals}', expected one of: {', '.join(get_args(AllanIntervals))}")
     rate_hz = check_rate(rate_hz)
     check_confidence(confidence)
-    values = check_signal(x)
+    values = check_signal(x, finite=not gaps)
+    if gaps and not np.isfinite(values).all():
+        if kind != "overlapping" or not (isinstance(grid, str) and grid == "octave") or intervals == "clusters":
+            raise InputError("a signal with missing samples has the overlapping variance by octaves only")
+        return of_haar(wavelet_variance(values, rate_hz, confidence=confidence, intervals=intervals, gaps=True))
     n = values.size
     m = averaging_grid(n, kind, grid) if isinstance(grid, str) else _given_grid(grid, n, kind)  # type: ignore[arg-type]
     haar = wavelet_variance(values, intervals="eta3") if max_levels(n) else None
@@ -188,6 +195,23 @@ def allan_variance(
     else:
         low, high = chi_square_interval(value, edof, confidence, intervals, scatter=scatter)
     return AllanVariance(m, m / rate_hz, value, low, high, edof, n, rate_hz, kind, confidence)
+
+
+def of_haar(curve: WaveletVariance) -> AllanVariance:
+    """The overlapping Allan variance that a Haar wavelet variance is half of."""
+    m = curve.scale_samples // 2
+    value, low, high = 2.0 * curve.value, 2.0 * curve.low, 2.0 * curve.high
+    return AllanVariance(
+        m,
+        m / curve.rate_hz,
+        value,
+        low,
+        high,
+        curve.edof,
+        curve.n_samples,
+        curve.rate_hz,
+        confidence=curve.confidence,
+    )
 
 
 def _given_grid(grid: ArrayLike, n: int, kind: Kind) -> NDArray[np.int64]:

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.denoise import denoise
+from insemu.errors import InputError
 from insemu.shown import Shown, few
 from insemu.variance import findings as judge
-from insemu.variance.allan import AllanVariance, allan_variance
+from insemu.variance.allan import AllanVariance, allan_variance, of_haar
 from insemu.variance.reading import Reading, read_curve
 from insemu.variance.robust import Contamination, RobustWaveletVariance, compare_with_robust, robust_wavelet_variance
 from insemu.variance.spectrum import Spectrum, autocorrelation, average_frequencies, psd
@@ -146,6 +147,10 @@ def duration(seconds: float) -> str:
     return f"{seconds / 3600.0:.3g} h"
 
 
+#: Of a signal with missing samples: its longest complete part is examined for outliers from so many samples on.
+LEAST_PART = 2048
+
+
 def _curve(curve: WaveletVariance | AllanVariance) -> dict[str, list[float | None]]:
     def numbers(values: Array) -> list[float | None]:
         return [float(v) if np.isfinite(v) else None for v in values]
@@ -161,13 +166,14 @@ def characterise(
     Parameters
     ----------
     x : (n,) array
-        Signal without NaN.
+        Signal; samples that are not finite are missing. Curves and readings are then of all samples that are there, everything else is of the
+        longest part without missing ones, and there is no robust curve where that part is shorter than :data:`LEAST_PART` samples.
     rate_hz : float
         Sampling rate.
     name, unit : str
         Column and SI unit.
     from_robust : bool
-        Read the coefficients off the robust curve.
+        Read the coefficients off the robust curve (of a signal without missing samples).
     filter : str
         Wavelet filter of the curve that is reported; outliers are judged by the Haar filter.
 
@@ -176,22 +182,31 @@ def characterise(
     InputError
         A signal that cannot be used.
     """
-    wavelet = wavelet_variance(x, rate_hz)
-    robust = robust_wavelet_variance(x, rate_hz, levels=len(wavelet))
-    contamination = compare_with_robust(wavelet, robust)
-    allan = allan_variance(x, rate_hz)
-    readings = read_curve(_allan_of(robust) if from_robust else allan, unit)
-    found = judge.stationarity(x, rate_hz, unit) + judge.resolution(x, unit)
-    if contamination.contaminated:
+    wavelet = wavelet_variance(x, rate_hz, gaps=True)
+    whole, part = wavelet.lost is None, x
+    if not whole:
+        if from_robust:
+            raise InputError(f"{name} has missing samples; the robust curve needs all of them (leave out --robust)")
+        start, stop = judge.longest_good_part([x], [])
+        part = np.ascontiguousarray(x[start:stop])
+    robust, contamination = None, None
+    if whole or part.size >= LEAST_PART:
+        own = wavelet if whole else wavelet_variance(part, rate_hz)
+        robust = robust_wavelet_variance(part, rate_hz, levels=len(own))
+        contamination = compare_with_robust(own, robust)
+    allan = allan_variance(x, rate_hz, gaps=True)
+    readings = read_curve(of_haar(robust) if from_robust and robust is not None else allan, unit)
+    found = judge.stationarity(part, rate_hz, unit) + judge.resolution(x[np.isfinite(x)], unit)
+    if contamination is not None and robust is not None and contamination.contaminated:
         worst = int(np.nanargmax(np.where(contamination.significant & robust.protected, contamination.ratio, np.nan)))
-        open_scales = wavelet.tau_s[~robust.protected]
+        open_scales = robust.tau_s[~robust.protected]
         limit = f"; from {open_scales[0]:.3g} s on also the robust curve is not protected" if open_scales.size else ""
         found.append(
             f"outliers: heavy tails raise the plain wavelet variance up to {contamination.ratio[worst]:.3g} times the robust one "
             f"(at {wavelet.tau_s[worst]:.3g} s){limit}"
         )
-    reported = wavelet if filter == "haar" else wavelet_variance(x, rate_hz, filter=filter)
-    spectrum = average_frequencies(psd(x, rate_hz), 12) if x.size >= 64 else None
+    reported = wavelet if filter == "haar" else wavelet_variance(x, rate_hz, filter=filter, gaps=True)
+    spectrum = average_frequencies(psd(part, rate_hz), 12) if part.size >= 64 else None
     trend_t, trend = _trend(x, rate_hz)
     return AxisReport(
         name,
@@ -207,7 +222,7 @@ def characterise(
         spectrum,
         trend_t,
         trend,
-        _correlation(x, rate_hz),
+        _correlation(part, rate_hz),
     )
 
 
@@ -238,7 +253,7 @@ def characterise_stream(
 
     wavelet = stream_wavelet_variance(watch(), rate_hz)
     part = characterise(np.concatenate(head), rate_hz, name=name, unit=unit)
-    allan = _allan_of(wavelet)
+    allan = of_haar(wavelet)
     notes = [
         f"long record: findings and the spectrum are of the first {held} of {wavelet.n_samples} samples",
         *part.findings,
@@ -261,13 +276,6 @@ def characterise_stream(
     )
 
 
-def _allan_of(curve: WaveletVariance) -> AllanVariance:
-    """The Allan variance that a Haar wavelet variance is half of."""
-    m = curve.scale_samples // 2
-    value, low, high = 2.0 * curve.value, 2.0 * curve.low, 2.0 * curve.high
-    return AllanVariance(m, m / curve.rate_hz, value, low, high, curve.edof, curve.n_samples, curve.rate_hz)
-
-
 def _correlation(x: Array, rate_hz: float) -> dict[str, Array]:
     """Autocorrelation before and after de-noising, up to a tenth of the record and at most ten minutes."""
     reach = min(0.1 * x.size / rate_hz, 600.0)
@@ -285,6 +293,9 @@ def _correlation(x: Array, rate_hz: float) -> dict[str, Array]:
 def _trend(x: Array, rate_hz: float, blocks: int = 300) -> tuple[Array, Array]:
     width = max(1, x.size // blocks)
     count = x.size // width
-    means = np.asarray(x[: count * width].reshape(count, width).mean(axis=1), dtype=np.float64)
-    t = np.asarray((np.arange(count) + 0.5) * width / rate_hz, dtype=np.float64)
-    return t, means
+    blocks_of = x[: count * width].reshape(count, width)
+    there = np.isfinite(blocks_of)
+    kept = there.any(axis=1)
+    means = np.where(there, blocks_of, 0.0)[kept].sum(axis=1) / there[kept].sum(axis=1)
+    t = np.asarray((np.flatnonzero(kept) + 0.5) * width / rate_hz, dtype=np.float64)
+    return t, np.asarray(means, dtype=np.float64)

@@ -330,6 +330,26 @@ def _unit_covariances(
     return out
 
 
+@dataclass(frozen=True)
+class Kept:
+    """Which terms of a mean of squares a record with gaps has; one entry per scale.
+
+    Parameters
+    ----------
+    terms : (J,) array
+        Their number.
+    lags, share : J arrays
+        Pairs of terms a lag (samples) apart over the number of terms.
+    white : (J,) array
+        White noise that the terms have beyond the noise of the signal, because samples are missing in them; unit^2 per sample.
+    """
+
+    terms: Array
+    lags: list[Array]
+    share: list[Array]
+    white: Array
+
+
 def scatter_of_noise(
     noise: NoiseType,
     scale_samples: Scales,
@@ -338,6 +358,7 @@ def scatter_of_noise(
     order: int = 2,
     averaged: bool = False,
     stride: Scales | None = None,
+    kept: Kept | None = None,
 ) -> Scatter:
     """Return how a mean of squared differences of a noise scatters.
 
@@ -355,6 +376,8 @@ def scatter_of_noise(
         Of the running sum averaged over m samples (modified Allan; third differences of its sum).
     stride : (J,) array, optional
         Step between successive terms; 1 by default (overlapping).
+    kept : Kept, optional
+        Terms of a record with gaps.
     """
     steps = np.asarray(scale_samples, dtype=np.int64) // 2
     strides = np.ones_like(steps) if stride is None else np.asarray(stride, dtype=np.int64)
@@ -363,22 +386,33 @@ def scatter_of_noise(
     if not random:
         return Scatter(np.ones(count), np.ones(count), np.zeros(count))
     chosen = [noise.parts[k] for k in random]
-    weights = np.array([weight for _, _, weight in chosen])
+    weights = np.tile([weight for _, _, weight in chosen], (count, 1))
     longest = max((tc for kind, tc, _ in chosen if kind == "GM"), default=0.0)
     grid = (tuple(steps.tolist()), tuple(strides.tolist()), n_samples, longest, order)
     lags, ends = _all_lags(*grid)
     units = np.array([_unit_covariances(kind, tc, *grid, averaged) for kind, tc, _ in chosen])
     quantized = next((k for k, part in enumerate(chosen) if part[0] == "QN" and not averaged), -1)
-    quantization = weights[quantized] if quantized >= 0 else 0.0
+    terms = np.maximum((n_samples - order * steps) // strides + 1, 1).astype(np.float64)
+    at = np.repeat(np.arange(count), ends[2::2] - ends[:-1:2])
+    share = 1.0 - lags / (terms * strides)[at]
+    if kept is not None:
+        white = next((k for k, part in enumerate(chosen) if part[0] == "WN"), None)
+        if white is not None:
+            weights[:, white] += kept.white
+        terms = kept.terms
+        for j in range(count):
+            own = slice(ends[2 * j], ends[2 * j + 1])
+            share[own] = np.interp(lags[own], kept.lags[j], kept.share[j])
     edof, skew, slopes = np.empty(count), np.empty(count), np.empty((count, len(chosen)))
     _covariance_kernel.scatter_of_means(
         units,
         weights,
-        quantization,
         quantized,
         steps,
         strides,
         n_samples,
+        terms,
+        share,
         lags,
         ends,
         np.array(_DIFFERENCE[order]),

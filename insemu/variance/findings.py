@@ -1,6 +1,7 @@
 """What is wrong or worth knowing about a static log: each finding is one sentence that begins with its kind.
 
-Kinds: ``NaN``, ``gap``, ``units``, ``warm-up``, ``level shift``, ``noise level``, ``quantization``, ``saturation``, ``stuck``, ``outliers``.
+Kinds: ``NaN``, ``gap``, ``missing``, ``units``,
+``warm-up``, ``level shift``, ``noise level``, ``quantization``, ``saturation``, ``stuck``, ``outliers``.
 """
 
 from __future__ import annotations

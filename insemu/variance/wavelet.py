@@ -1,7 +1,8 @@
 """Wavelet variance with intervals: the variance of a signal octave by octave.
 
 Scale is ``tau_j = 2^j`` samples; the Haar wavelet variance there is half the Allan variance at averages of ``m = 2^(j-1)`` samples.
-Coefficients that would reach beyond the record are left out, so estimates are unbiased (equation (9) of Stebler et al. 2014).
+Coefficients that would reach beyond the record are left out, so estimates are unbiased (equation (9) of Stebler et al. 2014). Missing samples:
+:mod:`insemu.variance.gaps`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError
 from insemu.variance import _kernel
+from insemu.variance import gaps as with_gaps
 from insemu.variance.edof import (
     Intervals,
     Scatter,
@@ -54,6 +56,10 @@ class WaveletVariance:
         Length of the record.
     rate_hz, filter, transform, intervals, confidence
         How it was made.
+    lost : (n,) bool array, optional
+        Samples that are missing; None of a complete record.
+    inflation : (J,) array, optional
+        Variance of ``value`` over that of a complete record of as many samples; None of a complete record.
     """
 
     scale_samples: NDArray[np.int64]
@@ -69,6 +75,8 @@ class WaveletVariance:
     transform: Transform = "modwt"
     intervals: Intervals = "edof"
     confidence: float = 0.95
+    lost: NDArray[np.bool_] | None = None
+    inflation: Array | None = None
 
     def __len__(self) -> int:
         return len(self.value)
@@ -148,6 +156,7 @@ def wavelet_variance(
     intervals: Intervals = "edof",
     edof: ArrayLike | None = None,
     levels: int | None = None,
+    gaps: bool = False,
 ) -> WaveletVariance:
     """Return the wavelet variance of a signal.
 
@@ -171,6 +180,9 @@ def wavelet_variance(
         :func:`insemu.variance.covariance.model_edof`.
     levels : int, optional
         Number of octaves; all that the record allows by default.
+    gaps : bool
+        Take what is not finite for missing samples (maximal overlap only): see :mod:`insemu.variance.gaps`. Octaves in which fewer than
+        two coefficients are there are left out.
 
     Raises
     ------
@@ -179,7 +191,7 @@ def wavelet_variance(
 
     Notes
     -----
-    Equations (3)-(9) of Stebler et al. 2014.
+    Equations (3)-(9) of Stebler et al. 2014; with gaps, Mondal and Percival 2010.
 
     Examples
     --------
@@ -195,6 +207,12 @@ def wavelet_variance(
     length = h.size
     # what is not finite shows in the first octave of the fast path, without a pass of its own
     fast = transform == "modwt" and length == 2
+    if gaps and not np.isfinite(whole := check_signal(x, finite=False)).all():
+        if transform != "modwt" or edof is not None:
+            raise InputError(
+                "a signal with missing samples has the transform modwt and its own degrees of freedom only"
+            )
+        return _of_gaps(whole, rate_hz, filter, levels, confidence, intervals)
     values = check_signal(x, finite=not fast)
     count = check_levels(levels, max_levels(values.size, length), values.size)
     if transform == "dwt":
@@ -207,6 +225,46 @@ def wavelet_variance(
         pairs = [(float(np.mean(w * w)), w.size) for w in _coefficients(values, h, g, count)]
         value, used = np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs], dtype=np.int64)
     return _finish(value, used, values.size, rate_hz, filter, transform, confidence, intervals, edof, length)
+
+
+def _of_gaps(
+    x: Array, rate_hz: float, filter: str, levels: int | None, confidence: float, intervals: Intervals
+) -> WaveletVariance:
+    """The curve of a signal with missing samples."""
+    lost = ~np.isfinite(x)
+    there = int(np.count_nonzero(~lost))
+    if there < 3:
+        raise InputError(f"signal has {there} samples that are finite, expected at least 3")
+    length = modwt_filters(filter)[0].size
+    count = check_levels(levels, max_levels(x.size, length), x.size)
+    origin = float(np.median(x[~lost][:255]))
+    curve = with_gaps.haar_with_gaps(x, origin, count)
+    if curve is not None and filter != "haar":
+        curve = with_gaps.filter_with_gaps(x, origin, filter, curve)
+    if curve is None:
+        raise InputError(f"of {x.size} samples {x.size - there} are missing: no octave has two coefficients")
+    scale = 2 ** np.arange(1, curve.value.size + 1, dtype=np.int64)
+    edof, scatter = curve.scatter.edof, curve.scatter if intervals == "edof" else None
+    if intervals == "eta3":
+        edof = np.maximum(eta3(scale.astype(float), x.size, length) / curve.inflation, 1.0)
+    low, high = chi_square_interval(curve.value, edof, confidence, intervals, scatter=scatter)
+    return WaveletVariance(
+        scale,
+        scale / rate_hz,
+        curve.value,
+        low,
+        high,
+        edof,
+        curve.terms,
+        x.size,
+        rate_hz,
+        filter,
+        "modwt",
+        intervals,
+        confidence,
+        lost,
+        curve.inflation,
+    )
 
 
 def _finish(

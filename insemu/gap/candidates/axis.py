@@ -94,20 +94,6 @@ def register(effect: str, candidate: Candidate) -> None:
     CANDIDATES[effect] = candidate
 
 
-def remembers(process: Process, dt: float, time: float = 0.0) -> bool:
-    """Whether a process is noise with a memory, not a signal and not forgotten at once.
-
-    Parameters
-    ----------
-    process : Process
-    dt : float
-        Sampling interval, s; what lasts no longer is forgotten at once.
-    time : float
-        It must last longer than that, s.
-    """
-    return not process.single_draw and (not process.stationary or process.block(dt).memory > max(time, dt))
-
-
 def amplitudes(top: float, count: int = 10) -> Array:
     """Amplitudes to start from, up to the largest that the log admits."""
     return top * np.geomspace(1.0 / rules().amplitude_range, 1.0, count)

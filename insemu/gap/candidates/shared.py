@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from insemu.gap.candidates.axis import AxisState, remembers
+from insemu.gap.candidates.axis import AxisState
 from insemu.gap.data.log import difference_covariance, scale_of
 from insemu.gap.verdict import Finding, Member, Value
 from insemu.noise import GM, NoiseModel, shared_processes
@@ -93,7 +93,7 @@ def whitened_blocks(state: AxisState, innovations: Array) -> Whitened:
     total = _spectrum(state.explanation.covariance(data.block, data.dt, n))
     slow = np.zeros(n)
     for c in state.explanation.components:
-        if remembers(c.process, data.dt):
+        if c.process.remembers(data.dt):
             slow += difference_covariance(c.process, data.block, data.dt, n)
     # the innovations are those of the minimum-phase filter of this spectrum; its phase follows from the cepstrum
     whole = np.concatenate([total, total[-2 if n % 2 == 0 else -1 : 0 : -1]])
@@ -221,7 +221,7 @@ def with_common(
     """
     m = max(round(block_s / dt), 1)
     largest = {
-        a: max((p for p in models[a] if remembers(p, dt)), key=lambda p: float(p.difference_covariance(m, dt, 1)[0]))
+        a: max((p for p in models[a] if p.remembers(dt)), key=lambda p: float(p.difference_covariance(m, dt, 1)[0]))
         for a in shares
     }
     leader = largest[max(shares, key=lambda a: abs(shares[a]))]

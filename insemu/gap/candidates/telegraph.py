@@ -14,7 +14,6 @@ from insemu.gap.candidates.axis import (
     AxisState,
     added,
     cleaned,
-    remembers,
 )
 from insemu.gap.candidates.noise import gauss_markov
 from insemu.gap.evidence import kernels
@@ -139,7 +138,7 @@ def _slow(state: AxisState, length: float) -> list[Process]:
     """Processes of the explanation that remember more than a few blocks."""
     dt = state.data.dt
     processes = [c.process for c in state.explanation.components]
-    return [p for p in processes if remembers(p, dt, length / rules().slow_blocks)]
+    return [p for p in processes if p.remembers(dt, length / rules().slow_blocks)]
 
 
 def _background(state: AxisState, length: float) -> tuple[float, float]:

@@ -1,0 +1,120 @@
+"""Wavelet moments of records with missing samples."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+from typer.testing import CliRunner
+
+from insemu.cli import app
+from insemu.errors import InputError
+from insemu.fit import fit
+from insemu.formats import read_log
+from insemu.noise import NoiseModel
+from insemu.records import Series
+from insemu.variance import allan_variance, wavelet_variance
+from insemu.variance.gaps import haar_with_gaps
+from tests.missing_experiments import MODELS, RATE, coverage, lost
+
+
+def test_without_missing_samples_it_is_the_plain_estimate() -> None:
+    x = np.random.default_rng(1).normal(size=4000).cumsum()
+    found = haar_with_gaps(x, 0.0, 8)
+    assert found is not None
+    plain = wavelet_variance(x, levels=8)
+    np.testing.assert_allclose(found.value[:4], plain.value[:4], rtol=1e-9)  # every coefficient
+    np.testing.assert_allclose(found.value, plain.value, rtol=0.02)  # some positions
+    np.testing.assert_allclose(found.inflation, 1.0, rtol=0.02)
+
+
+@pytest.mark.parametrize("kind", ["single", "stretches"])
+@pytest.mark.parametrize("text", list(MODELS))
+def test_it_is_unbiased_and_knows_its_scatter(text: str, kind: str) -> None:
+    """Means over records within 4 standard errors, scatter within the chi-square bounds of its degrees of freedom."""
+    model = NoiseModel.parse(text, "")
+    draws = 120
+    curves = []
+    for child in np.random.default_rng(11).spawn(draws):
+        x = model.simulate(3000, 1.0 / RATE, child)
+        x[lost(kind, x.size, child, mean=60.0)] = np.nan
+        curves.append(wavelet_variance(x, RATE, gaps=True))
+    value = np.array([c.value[:7] for c in curves]) / model.wavelet_variance(curves[0].scale_samples[:7], 1.0 / RATE)
+    error = value.std(axis=0, ddof=1) / np.sqrt(draws)
+    assert (np.abs(value.mean(axis=0) - 1.0) < 4.0 * error + 0.01).all()
+    stated = np.median([2.0 / c.edof[:7] for c in curves], axis=0)
+    # a variance of 120 draws is known to 13 %; a scatter that ignored the gaps would be off by 0.5 to 0.7
+    np.testing.assert_allclose(value.var(axis=0, ddof=1) / stated, 1.0, atol=0.45)
+
+
+@pytest.mark.parametrize("kind", ["single", "stretches"])
+def test_intervals_hold_the_truth(kind: str) -> None:
+    scales, n, parameters, m = coverage("GM(sigma=0.02, Tc=2 s) + WN(N=0.01)", kind, 40, 8000, 3)
+    for share, number in ((scales, n), (parameters, m)):
+        assert share * number >= binom.ppf(1e-4, number, 0.92)
+
+
+def test_filters_with_missing_samples_agree_with_the_model() -> None:
+    model = NoiseModel.parse("GM(sigma=0.02, Tc=2 s) + WN(N=0.01)", "")
+    values = []
+    for child in np.random.default_rng(5).spawn(30):
+        x = model.simulate(6000, 1.0 / RATE, child)
+        whole = wavelet_variance(x, RATE, filter="d4", levels=5)
+        x[lost("single", x.size, child)] = np.nan
+        values.append(wavelet_variance(x, RATE, filter="d4", gaps=True).value[:5] / whole.value)
+    assert (np.abs(np.mean(values, axis=0) - 1.0) < 4.0 * np.std(values, axis=0) / np.sqrt(30)).all()
+
+
+def test_the_allan_variance_is_twice_the_curve() -> None:
+    x = np.random.default_rng(2).normal(size=2000)
+    x[5::7] = np.nan
+    curve, allan = wavelet_variance(x, RATE, gaps=True), allan_variance(x, RATE, gaps=True)
+    np.testing.assert_allclose(allan.value, 2.0 * curve.value)
+    with pytest.raises(InputError, match="overlapping"):
+        allan_variance(x, RATE, kind="modified", gaps=True)
+
+
+def test_gaps_are_never_taken_in_silence() -> None:
+    x = np.random.default_rng(2).normal(size=2000)
+    x[100] = np.nan
+    for call in (
+        lambda: wavelet_variance(x),
+        lambda: Series(x, RATE),
+        lambda: fit(Series(x, RATE, gaps=True), "WN()", method="em"),
+        lambda: fit(Series(x, RATE, gaps=True), "WN()", robust=True),
+    ):
+        with pytest.raises(InputError, match=r"not finite|missing"):
+            call()
+    with pytest.raises(InputError, match="2 samples that are finite"):
+        wavelet_variance([np.nan, 1.0, 2.0, np.nan], gaps=True)
+
+
+def test_a_log_with_gaps_is_fitted_and_says_so(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    n = 6000
+    x = NoiseModel.parse("WN(N=0.001)", "rad/s").simulate(n, 0.01, rng)
+    keep = ~lost("stretches", n, rng)
+    path = tmp_path / "log.csv"
+    rows = np.column_stack([np.arange(n) / 100.0, x])[keep]
+    np.savetxt(path, rows, fmt="%.9g", delimiter=",", header="t [s],gx [rad/s]", comments="")
+    (series,) = read_log(path).series(gaps=True)
+    assert len(series) == int(np.flatnonzero(keep)[-1] - np.flatnonzero(keep)[0]) + 1
+    assert series.missing == len(series) - int(keep.sum())
+    run = CliRunner().invoke(app, ["fit", str(path), "--model", "WN()", "--page", str(tmp_path / "p.html")])
+    assert run.exit_code == 0, run.output
+    assert "nothing is filled in" in run.output + run.stderr
+    run = CliRunner().invoke(app, ["characterise", str(path), "--out", str(tmp_path / "c")])
+    assert run.exit_code == 0, run.output
+    assert "missing: " in run.output
+    with pytest.raises(InputError, match="gap"):
+        read_log(path).series()
+
+
+def test_a_clock_that_jumps_for_a_year_is_no_gap(tmp_path: Path) -> None:
+    t = np.concatenate([np.arange(50), 3e7 + np.arange(50)]) / 100.0
+    path = tmp_path / "log.csv"
+    np.savetxt(path, np.column_stack([t, np.zeros(100)]), delimiter=",", header="t [s],gx [rad/s]", comments="")
+    with pytest.raises(InputError, match="cut the file there"):
+        read_log(path).series(gaps=True)
