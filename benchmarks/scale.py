@@ -1,83 +1,380 @@
-"""What large runs cost: the linear twin against full flights, agreement of the two, and the width of the control variate's interval.
+"""What large runs cost, row by row: growth, workers, the linear twin against full flights, shards, kills.
 
-Table III with 24 or, with an argument, so many full flights. Run: .venv/bin/python benchmarks/scale.py [FLIGHTS]
+Run: .venv/bin/python benchmarks/scale.py [PART ...] [--flights N] [--most N] [--kills N]; parts: growth, workers, twin, shards, kills; default all.
+Each row prints what was asked for, what was found, and the numbers behind it.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
+import os
+import random
 import resource
+import shutil
+import signal
+import subprocess
 import sys
+import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import xarray as xr
+import yaml
 
-from insemu.evaluate import Experiment, LinearTwin, analyse_designs, planimetric
+from insemu.cluster import cluster
+from insemu.compiled import wait_for_kernels
+from insemu.evaluate import CACHE, Experiment, LinearTwin, analyse_designs, planimetric, run_experiment, write
 from insemu.evaluate.control import controlled
 from insemu.scenario import load
 
 SCENARIO = Path(__file__).parents[1] / "scenarios" / "table3_synthetic.yaml"
 LINEAR = 10_000
+#: Realizations of the flight that shows what twenty minutes take (one node of 64, one of 8), and its motion.
+PILOT, LONG = 72, {"builtin": "helicopter_mapping", "rate": "10 Hz"}
+#: A short flight with three designs, of which thousands can be flown.
+SHORT: dict[str, Any] = {
+    "title": "a short flight",
+    "seed": 3,
+    "trajectory": {"builtin": "helicopter_mapping", "rate": "50 Hz", "duration": "60 s"},
+    "truth": {"gyro": "WN(N=0.03 deg/s/sqrt(Hz)) + GM(sigma=30 deg/h, Tc=40 s)", "accel": "WN(N=90 ug/sqrt(Hz))"},
+    "gnss": {"position_sigma": "5 cm", "outages": [{"start": "40 s", "duration": "10 s"}]},
+    "designs": {
+        "white": {"gyro": "WN(N=0.1 deg/s/sqrt(Hz))", "accel": {"truth": True}},
+        "wide": {"gyro": "WN(N=0.3 deg/s/sqrt(Hz))", "accel": {"truth": True}},
+        "full": {"gyro": {"truth": True}, "accel": {"truth": True}},
+    },
+}
 
 
-def main(flights: int) -> None:
+def row(what: str, met: bool, said: str) -> None:
+    print(f"{'met ' if met else 'OPEN'} {what}: {said}", flush=True)
+
+
+def scenario(folder: Path, **changes: Any) -> Path:
+    path = folder / "short.yaml"
+    path.write_text(yaml.safe_dump(SHORT | changes, sort_keys=False), encoding="utf-8")
+    return path
+
+
+def size_of(folder: Path) -> float:
+    """MB of all files."""
+    return sum(f.stat().st_size for f in folder.rglob("*") if f.is_file()) / 1e6
+
+
+def private() -> float:
+    """Memory of this process alone, without the pages of libraries that processes share, MiB."""
+    text = Path("/proc/self/status").read_text(encoding="ascii")
+    return float(text.split("RssAnon:")[1].split()[0]) / 1024
+
+
+def grown(path: str, count: int, folder: str) -> None:
+    """One run in a process of its own: CPU seconds per realization, largest memory, disk."""
+    experiment = Experiment(load(path), path)
+    for name in experiment.beliefs:
+        experiment.filter(name)
+    wait_for_kernels()
+    experiment.realization(0)
+    before, most = private(), 0.0
+
+    def step(done: int, total: int, what: str) -> None:
+        nonlocal most
+        most = max(most, private())
+
+    started = time.process_time()
+    results = run_experiment(experiment, realizations=count, workers=1, cache=Path(folder) / CACHE, progress=step)
+    _ = results.total
+    flown = time.process_time() - started
+    write(results, Path(folder))
+    peak, resident = max(most, private()), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    found = {"cost": flown / count, "before": before, "peak": peak, "resident": resident}
+    print(json.dumps(found | {"disk": size_of(Path(folder)), "epochs": results.t.size}))
+
+
+def growth(most: int) -> None:
+    """Cost, memory and disk from 24 realizations on, and what they come to at 10,000 flights of 20 minutes."""
+    found = {}
+    with tempfile.TemporaryDirectory() as kept:
+        path = scenario(Path(kept))
+        for count in sorted({24, 240, most}):
+            command = [sys.executable, __file__, "grown", str(path), str(count), str(Path(kept) / str(count))]
+            said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+            found[count] = json.loads(said.splitlines()[-1])
+            print(f"  {count} realizations: " + ", ".join(f"{k} {v:.4g}" for k, v in found[count].items()), flush=True)
+    low, high = found[24], found[most]
+    row(
+        "cost per realization flat within 10 %",
+        high["cost"] < 1.1 * low["cost"],
+        f"{high['cost'] / low['cost']:.3f} of that of 24 at {most}",
+    )
+    row(
+        "memory flat within 10 %",
+        high["peak"] < 1.1 * low["peak"],
+        f"{low['peak']:.0f} MiB at 24, {high['peak']:.0f} at {most}",
+    )
+    print("  sampled at 10 Hz, the epochs of 20 min x 3 designs and 3 outages:")
+    with tempfile.TemporaryDirectory() as kept:
+        outages = [{"start": f"{k} min", "duration": "60 s"} for k in (7, 11, 15)]
+        path = scenario(Path(kept), trajectory=LONG, gnss=SHORT["gnss"] | {"outages": outages})
+        command = [sys.executable, __file__, "grown", str(path), str(PILOT), str(Path(kept) / "out")]
+        long = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()[-1])
+        print(f"  {PILOT} realizations: " + ", ".join(f"{k} {v:.4g}" for k, v in long.items()), flush=True)
+        with xr.open_dataset(Path(kept) / "out" / "errors.nc", group="runs") as runs:
+            each = runs.nbytes / PILOT  # bytes of the values that every realization adds
+        node = max(f.stat().st_size for f in (Path(kept) / "out" / CACHE).glob("*/*+*"))
+    held = sum(int(digit) for digit in np.base_repr(LINEAR, 8))  # nodes that 10,000 realizations end in
+    disk = (
+        long["disk"] + ((held - 2) * node + 2 * each * LINEAR + 300 * LINEAR) / 1e6
+    )  # in nodes and in errors.nc; 300 bytes in summary.json
+    row(
+        "10,000 x 20 min x 3 designs under 200 MB on disk",
+        disk < 200,
+        f"{disk:.0f} MB: {each / 1e3:.2f} kB each, {held} nodes of at most {node / 1e6:.1f} MB",
+    )
+    memory = (long["peak"] * 2**20 + 3 * each * LINEAR) / 1e6  # whole, being put together, and as a dataset
+    row(
+        "and under 300 MB of a process's own memory",
+        memory < 300,
+        f"{memory:.0f} MB; resident with shared libraries {long['resident']:.0f} MiB",
+    )
+
+
+def workers(count: int) -> None:
+    """Throughput of one and two processes of a cluster, and what the cluster costs beside the work."""
+    with tempfile.TemporaryDirectory() as kept:
+        path = scenario(Path(kept), trajectory=SHORT["trajectory"] | {"duration": "10 min", "rate": "100 Hz"})
+        experiment = Experiment(load(path), path)
+        run_experiment(experiment, realizations=1)
+        started, cpu = time.perf_counter(), time.process_time()
+        run_experiment(experiment, realizations=count, workers=1)
+        alone, alone_cpu = time.perf_counter() - started, time.process_time() - cpu
+        seconds = {}
+        for many in (1, 2):
+            with cluster("local", many) as pool:
+                run_experiment(experiment, realizations=2 * many, workers=many, executor=pool)
+                started = time.perf_counter()
+                run_experiment(experiment, realizations=count, workers=many, executor=pool)
+                seconds[many] = time.perf_counter() - started
+        print(
+            f"  {count} realizations: here {alone:.2f} s ({alone_cpu:.2f} CPU s), one worker {seconds[1]:.2f} s, two {seconds[2]:.2f} s; "
+            f"load {os.getloadavg()[0]:.1f}"
+        )
+        row(
+            "a second worker gives at least 1.8 times the throughput",
+            seconds[1] / seconds[2] >= 1.8,
+            f"{seconds[1] / seconds[2]:.2f}",
+        )
+        row(
+            "Dask costs less than 3 %",
+            seconds[1] / alone < 1.03,
+            f"{100 * (seconds[1] / alone - 1):+.1f} % of the time without it",
+        )
+
+
+def twin(flights: int) -> None:
+    """The linear twin and the control variate on Table III."""
     experiment = Experiment(load(SCENARIO, overrides={"smoother": False}), SCENARIO)
     for name in experiment.beliefs:
         experiment.filter(name)
     experiment.realization(0)  # compiles
-    full, memory = [], []
     started = time.process_time()
-    at = None
-    costs = []
-    for r in range(flights):
-        before = time.process_time()
-        flown = experiment.realization(r)["error"]
-        costs.append(time.process_time() - before)
-        memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
-        if at is None:
-            ends = [start + duration for start, duration in experiment.world.outage_windows]
-            at = np.searchsorted(flown["time"].to_numpy(), np.array(ends) - 1e-9)
-        full.append(flown.to_numpy()[:, at])
+    results = run_experiment(experiment, realizations=flights)
     per_flight = (time.process_time() - started) / flights
-    half = flights // 2
-    print(
-        f"full flight of {len(experiment.beliefs)} designs: {per_flight:.2f} CPU s; second half of {flights} over the first "
-        f"{np.median(costs[half:]) / np.median(costs[:half]):.2f}, memory {memory[half]:.0f} then {memory[-1]:.0f} MiB"
-    )
     started = time.process_time()
-    twin = LinearTwin(experiment)
+    linear = LinearTwin(experiment)
     made = time.process_time() - started
-    paired = [twin.realization(r) for r in range(flights)]
+    paired = [linear.realization(r) for r in range(flights)]
     started = time.process_time()
-    drawn = twin.draw(LINEAR, twin.rng)
+    drawn = linear.draw(LINEAR, linear.rng)
     seconds = made + time.process_time() - started
-    print(
-        f"{LINEAR} linear realizations: {seconds:.1f} CPU s ({made:.1f} to make the twin), "
-        f"{LINEAR * per_flight / seconds:.0f} times cheaper than as many full flights"
+    times = LINEAR * per_flight / seconds
+    row(
+        f"{LINEAR} linear realizations at least 60 times cheaper",
+        times >= 60,
+        f"{times:.0f} times: {seconds:.1f} CPU s, a flight of {len(experiment.beliefs)} designs {per_flight:.2f}",
     )
     exact = analyse_designs(experiment)
     print(
-        "design, outage: mean of full flights, of linear; 95 % quantiles; rms of full, linear, exact (without the removed mean); correlation; "
-        "width of the plain interval at equal cost over the control variate's"
+        "  design, outage: mean of flights, of linear; 95 % quantiles; rms of flights, linear, exact; correlation; "
+        "plain interval at equal cost over the helped one"
     )
-    narrower = 0
-    for d, name in enumerate(experiment.beliefs):
-        for k in range(len(at)):
-            ours = planimetric(np.stack(full)[:, d, k])
-            linear = planimetric(drawn[name][:, k])
-            found = controlled(ours, planimetric(np.stack([p[name][k] for p in paired])), linear)
-            a = exact[name]
-            i = int(np.argmin(np.abs(a.t - experiment.world.imu.t[twin.ends[k]])))
+    narrower = agree = cells = 0
+    for name in experiment.beliefs:
+        full = results.planimetric_ends(name)
+        for k in range(full.shape[1]):
+            ours, many = full[:, k], planimetric(drawn[name][:, k])
+            found = controlled(ours, planimetric(np.stack([p[name][k] for p in paired])), many)
+            i = int(np.argmin(np.abs(exact[name].t - experiment.world.imu.t[linear.ends[k]])))
             equal = found.plain_mean.width * np.sqrt(flights / (flights + seconds / per_flight))
             narrower += equal >= 3.0 * found.mean.width
+            cells += 1
+            error = np.hypot(ours.std(ddof=1) / np.sqrt(flights), many.std(ddof=1) / np.sqrt(LINEAR))
+            q = float(np.quantile(many, 0.95))
+            inside = found.plain_quantile.low <= q <= found.plain_quantile.high
+            agree += (
+                abs(ours.mean() - many.mean()) < 2.77 * error and inside
+            )  # 95 % of nine cells together for the means (Bonferroni)
             print(
-                f"{name}, {k + 1}: {ours.mean():.1f} +- {1.96 * ours.std(ddof=1) / np.sqrt(flights):.1f}, {linear.mean():.1f}; "
-                f"{np.quantile(ours, 0.95):.0f}, {np.quantile(linear, 0.95):.0f}; "
-                f"{np.sqrt((ours**2).mean()):.0f}, {np.sqrt((linear**2).mean()):.0f}, {np.hypot(*a.rms[i, :2]):.0f}; "
+                f"  {name}, {k + 1}: {ours.mean():.1f} +- {1.96 * ours.std(ddof=1) / np.sqrt(flights):.1f}, {many.mean():.1f}; "
+                f"{np.quantile(ours, 0.95):.0f} ({found.plain_quantile.low:.0f} to {found.plain_quantile.high:.0f}), {q:.0f}; "
+                f"{np.sqrt((ours**2).mean()):.0f}, {np.sqrt((many**2).mean()):.0f}, {np.hypot(*exact[name].rms[i, :2]):.0f}; "
                 f"{found.correlation:.4f}; {equal / found.mean.width:.1f}"
             )
-    print(f"at least three times narrower at equal cost: {narrower} of {3 * len(at)} cells")
+    row(
+        "means and 95 % quantiles agree with full flights",
+        agree == cells,
+        f"{agree} of {cells} cells, {flights} flights",
+    )
+    row(
+        "the control variate's interval is at most a third at equal cost in 7 of 9 cells",
+        narrower >= 7,
+        f"{narrower} of {cells}",
+    )
+
+
+def figures(folder: Path) -> str:
+    document = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    del document["timing"]
+    return json.dumps(document)
+
+
+def insemu(*arguments: str) -> int:
+    return subprocess.run([sys.executable, "-m", "insemu", *arguments], capture_output=True, check=False).returncode
+
+
+def shards() -> None:
+    """Seven shards in random order, one twice, one killed and repeated; a missing one is named."""
+    with tempfile.TemporaryDirectory() as kept:
+        path, plain, out = scenario(Path(kept), realizations=70), Path(kept) / "plain", Path(kept) / "out"
+        insemu("run", str(path), "--out", str(plain))
+        order = [1, 2, 3, 4, 5, 6, 7, 4]
+        random.Random(1).shuffle(order)
+        late = order.pop()
+        for k in order:
+            if k == 3:
+                killed = subprocess.Popen(
+                    [sys.executable, "-m", "insemu", "run", str(path), "--shard", "3/7", "--out", str(out)],
+                    stderr=subprocess.DEVNULL,
+                )
+                while not list((out / CACHE).glob("*/0002*")) and killed.poll() is None:
+                    time.sleep(0.02)
+                killed.kill()
+                killed.wait()
+            insemu("run", str(path), "--shard", f"{k}/7", "--out", str(out))
+        said = subprocess.run(
+            [sys.executable, "-m", "insemu", "merge", str(out)], capture_output=True, text=True, check=False
+        )
+        named = late in order or (said.returncode == 2 and f"{late}/7" in said.stderr)
+        insemu("run", str(path), "--shard", f"{late}/7", "--out", str(out))
+        merged = insemu("merge", str(out))
+        row(
+            "shards in any order, one twice, one killed: the plain run's bytes",
+            merged == 0 and named and figures(plain) == figures(out),
+            f"order {order}, then {late}",
+        )
+
+
+def below(process: int) -> list[int]:
+    """Processes that a process started, and those that they started."""
+    found = (
+        Path(f"/proc/{process}/task/{process}/children").read_text(encoding="ascii")
+        if Path(f"/proc/{process}").exists()
+        else ""
+    )
+    return [k for child in map(int, found.split()) for k in (child, *below(child))]
+
+
+def kills(count: int) -> None:
+    """kill -9 of workers and of the client at random moments; the same command until it ends."""
+    rng = random.Random(7)
+    with tempfile.TemporaryDirectory() as kept:
+        path, plain, out = scenario(Path(kept), realizations=400), Path(kept) / "plain", Path(kept) / "out"
+        insemu("run", str(path), "--out", str(plain))
+        command = [
+            sys.executable,
+            "-m",
+            "insemu",
+            "run",
+            str(path),
+            "--cluster",
+            "local",
+            "--workers",
+            "4",
+            "--out",
+            str(out),
+        ]
+        left = {"worker": count - count // 3, "client": count // 3}
+        starts = 0
+        client: subprocess.Popen[bytes] | None = None
+        while client is None or client.poll() is None or client.returncode != 0:
+            if client is None or client.poll() is not None:
+                client = subprocess.Popen(
+                    command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True
+                )
+                starts += 1
+            time.sleep(rng.uniform(1.0, 6.0))
+            kinds = [kind for kind, n in left.items() if n]
+            if not kinds or client.poll() is not None:
+                if client.poll() == 0 and kinds:  # it ended before all kills: from the start, with what is left
+                    shutil.rmtree(out)
+                    client = None
+                continue
+            kind = rng.choice(kinds)
+            workers_ = [p for p in below(client.pid) if b"spawn_main" in _command(p)]
+            if kind == "worker" and not workers_:
+                continue
+            _kill(rng.choice(workers_) if kind == "worker" else client.pid)
+            left[kind] -= 1
+            if kind == "client":
+                client.wait()
+                for p in workers_:
+                    _kill(p)
+        same = figures(plain) == figures(out)
+        row(
+            f"{count} times kill -9 of workers and client of 4: the same bytes",
+            same,
+            f"{count - count // 3} workers, {count // 3} clients, {starts} starts",
+        )
+
+
+def _command(process: int) -> bytes:
+    try:
+        return Path(f"/proc/{process}/cmdline").read_bytes()
+    except OSError:
+        return b""
+
+
+def _kill(process: int) -> None:
+    try:
+        os.kill(process, signal.SIGKILL)
+    except ProcessLookupError:
+        pass
+
+
+def main() -> None:
+    if sys.argv[1:2] == ["grown"]:
+        grown(sys.argv[2], int(sys.argv[3]), sys.argv[4])
+        return
+    parser = argparse.ArgumentParser()
+    parser.add_argument("parts", nargs="*")
+    parser.add_argument("--flights", type=int, default=24, help="full flights of Table III")
+    parser.add_argument("--most", type=int, default=2400, help="realizations of the longest run of growth")
+    parser.add_argument("--count", type=int, default=24, help="realizations of the runs with one and two workers")
+    parser.add_argument("--kills", type=int, default=20)
+    given = parser.parse_args()
+    parts: dict[str, Callable[[], None]] = {
+        "growth": lambda: growth(given.most),
+        "workers": lambda: workers(given.count),
+        "twin": lambda: twin(given.flights),
+        "shards": shards,
+        "kills": lambda: kills(given.kills),
+    }
+    for name in given.parts or parts:
+        parts[name]()
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 24)
+    main()

@@ -392,12 +392,60 @@ def evidence() -> list[str]:
     return lines
 
 
+def limits() -> list[str]:
+    """Limits of size, from the constants that the code checks."""
+    from insemu import units, yamlfile
+    from insemu.emulate import commands as motion
+    from insemu.emulate import gnss, table
+    from insemu.evaluate import ahead, emulated
+    from insemu.noise import grammar
+    from insemu.scenario import fields
+    from insemu.scenario.schema import MAX_DURATION, MAX_RATE, MAX_REALIZATIONS
+
+    slow, fast = ahead.EPOCHS_PER_SECOND
+    rows = [
+        ("bytes of a scenario or belief file", yamlfile.MAX_BYTES, "yamlfile.MAX_BYTES"),
+        ("levels of nesting in it", yamlfile.MAX_DEPTH, "yamlfile.MAX_DEPTH"),
+        ("values in it, aliases counted each time", yamlfile.MAX_VALUES, "yamlfile.MAX_VALUES"),
+        ("largest whole number in it", yamlfile.MAX_INTEGER, "yamlfile.MAX_INTEGER"),
+        ("characters of a name of a design or a variant", fields.MAX_NAME, "scenario.fields.MAX_NAME"),
+        ("processes of an axis, effects of a scenario", fields.MAX_ITEMS, "scenario.fields.MAX_ITEMS"),
+        ("processes of a model that is written as text", grammar.MOST_PROCESSES, "noise.grammar.MOST_PROCESSES"),
+        ("characters of that text", grammar.LONGEST_TEXT, "noise.grammar.LONGEST_TEXT"),
+        ("characters of a unit", units.MAX_TEXT, "units.MAX_TEXT"),
+        ("rate of an IMU, Hz", MAX_RATE, "scenario.schema.MAX_RATE"),
+        ("length of an emulated or simulated record, s", MAX_DURATION, "scenario.schema.MAX_DURATION"),
+        ("realizations", MAX_REALIZATIONS, "scenario.schema.MAX_REALIZATIONS"),
+        ("samples of a flight of an experiment", emulated.MAX_SAMPLES, "evaluate.emulated.MAX_SAMPLES"),
+        ("samples of an emulated recording, nodes of a path", table.MOST_NODES, "emulate.table.MOST_NODES"),
+        ("outages drawn at random", gnss.MOST_OUTAGES, "emulate.gnss.MOST_OUTAGES"),
+        ("height that a motion command may ask for, m", motion.HIGHEST, "emulate.commands.HIGHEST"),
+        ("speed that a motion command may ask for, m/s", motion.FASTEST, "emulate.commands.FASTEST"),
+    ]
+    return [
+        "# Sizes",
+        "",
+        "What is checked before work begins; more is refused with the place, what was found and what was expected. Made from the constants of "
+        "the code.",
+        "",
+        "| limit | at most | constant |",
+        "| --- | --- | --- |",
+        *(f"| {what} | {value:,.0f} | `insemu.{name}` |" for what, value, name in rows),
+        "",
+        f"`run` and `compare` print time and memory beforehand: from {slow:,.0f} to {fast:,.0f} filter epochs per second and core, "
+        f"{emulated.BYTES_PER_SAMPLE} bytes per sample of a flight for the reference and for each realization that is flown at a time. "
+        "What wants more memory than the system says is free is refused. "
+        f"An emulated recording takes {table.SAMPLE_BYTES} bytes per sample, a path {table.KNOT_BYTES} per knot; "
+        "more than the machine has is refused.",
+    ]
+
+
 def write_reference(folder: Path) -> None:
     """Write every page that is made from the code; pages that did not change are left alone, so that the site is built faster."""
     folder.mkdir(exist_ok=True)
     pages = {
         maker.__name__: maker()
-        for maker in (commands, scenario, effects, processes, top, python, conventions, messages, evidence)
+        for maker in (commands, scenario, effects, processes, top, python, conventions, messages, evidence, limits)
     }
     for name, lines in {**pages, **{f"python_{name}": room(name) for name in ROOMS}}.items():
         text = "\n".join(lines) + "\n"

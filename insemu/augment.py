@@ -2,7 +2,8 @@
 
 The filter's states are position, velocity and attitude errors and then, axis by axis, the states of the belief's processes: gyroscope x,
 y, z, accelerometer x, y, z. Sample k of an axis carries ``c x_k + v_k`` with ``x_k = Phi x_(k-1) + w_k``; nothing here knows how a filter
-propagates them. Calibration states (scale factor, misalignment) belong to an axis too, and are driven by what the triad measures.
+propagates them. Calibration states (scale factor, misalignment) belong to an axis too, and are driven by what the triad measures; a scale factor that
+follows the temperature by that times the temperature.
 States of the GNSS installation (lever arm, latency) come last.
 """
 
@@ -19,7 +20,7 @@ from scipy.signal import lfilter
 
 from insemu.errors import InputError, nearest
 from insemu.noise import ARMA, DR, RC, Follows, NoiseModel, Process, StateBlock, shared_processes
-from insemu.records import AXES
+from insemu.records import AXES, ImuRecord
 
 Array = NDArray[np.float64]
 
@@ -114,10 +115,14 @@ class Extras:
         Scale-factor errors, one per axis, as a pure number (1e-3 = 1000 ppm).
     gyro_misalignment, accel_misalignment : float
         Cross-axis sensitivities, two per axis, rad.
+    gyro_scale_temperature, accel_scale_temperature : float
+        Change of the scale factors with the temperature that the IMU records, one per axis, 1/K.
     lever_arm : float
         Error of the lever arm, three components, m.
     latency : float
         Age of a fix at its stamp, s.
+    reference_temperature : float
+        Temperature at which the states per kelvin change nothing, degC.
     """
 
     gyro_scale: float = 0.0
@@ -126,10 +131,13 @@ class Extras:
     accel_misalignment: float = 0.0
     lever_arm: float = 0.0
     latency: float = 0.0
+    gyro_scale_temperature: float = 0.0
+    accel_scale_temperature: float = 0.0
+    reference_temperature: float = 25.0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not (np.isfinite(value) and value >= 0):
+            if not (np.isfinite(value) and (value >= 0 or name == "reference_temperature")):
                 raise InputError(f"{name} is {value!r}, expected a standard deviation that is not negative")
 
 
@@ -138,7 +146,7 @@ class Augmentation:
     """The discrete model of the augmented states, after the nine of navigation.
 
     With m states: ``x_k = Phi x_(k-1) + w_k``, cov w = Q, x_0 ~ (0, P0). The error of axis a is ``sum_s c_s d_s x_s + v`` over its own states
-    s, with var v = ``white[a]`` and d_s = 1, or the measured rate or specific force of axis ``driver[s]`` where that is not -1.
+    s, with var v = ``white[a]`` and d_s = 1, or column ``driver[s]`` of what :meth:`sensed` gives where that is not -1.
 
     Parameters
     ----------
@@ -159,6 +167,8 @@ class Augmentation:
         Law of the noise that drives each state, -1 where it is constant.
     white_of : (laws, 6) array
         White noise that follows each law.
+    reference_temperature : float
+        Of the states that follow the temperature, degC.
     """
 
     layout: StateLayout
@@ -173,6 +183,7 @@ class Augmentation:
     laws: tuple[Follows, ...] = ()
     law_of: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     white_of: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    reference_temperature: float = 25.0
 
     def require_constant(self, what: str) -> None:
         """Raise ``InputError`` where a level follows a covariate, which ``what`` does not know."""
@@ -180,6 +191,33 @@ class Augmentation:
             raise InputError(
                 f"{what} takes noise of constant level, found a level that follows {self.laws[0].covariate}"
             )
+
+    @property
+    def thermal(self) -> bool:
+        """Whether states follow the temperature."""
+        return bool((self.driver >= 6).any())
+
+    def sensed(self, imu: ImuRecord) -> tuple[Array, Array]:
+        """Gyroscopes and accelerometers as compiled loops take them: (n, 3) and (n, 3), or (n, 9) where states follow the temperature.
+
+        Behind the forces then stand rates and forces times the temperature above the reference: beside each other the two have the columns
+        that :attr:`driver` counts.
+
+        Raises
+        ------
+        InputError
+            An IMU without the temperature that states need.
+        """
+        if not self.thermal:
+            return imu.gyro, imu.accel
+        if imu.temperature is None:
+            raise InputError(
+                "states of the filter follow the temperature, but the IMU has none; expected a record with temperature"
+            )
+        above = (imu.temperature - self.reference_temperature)[:, None]
+        wide = np.hstack([imu.accel, above * imu.gyro, above * imu.accel])
+        wide.setflags(write=False)  # as the columns of a record: no other kernel is compiled
+        return imu.gyro, wide
 
     @property
     def m(self) -> int:
@@ -191,8 +229,8 @@ class Augmentation:
 
         Parameters
         ----------
-        measured : (6,) array_like, optional
-            Measured rate and specific force, needed only where calibration states are carried.
+        measured : (6,) or (12,) array_like, optional
+            A row of :meth:`sensed`, needed only where calibration states are carried.
         """
         driven = self.driver >= 0
         if not driven.any():
@@ -442,6 +480,11 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
             constants(1, scale)
             axis_of.append(a)
             driver.append(a)
+        if (per_kelvin := getattr(extras, f"{triad}_scale_temperature")) > 0:
+            names.append(f"{axis}.scale_temperature")
+            constants(1, per_kelvin)
+            axis_of.append(a)
+            driver.append(6 + a)
         if (misalignment := getattr(extras, f"{triad}_misalignment")) > 0:
             for other in (o for o in "xyz" if o != letter):
                 names.append(f"{axis}.from_{other}")
@@ -473,6 +516,7 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
         laws=laws,
         law_of=law_of,
         white_of=white_of,
+        reference_temperature=extras.reference_temperature,
     )
 
 

@@ -284,6 +284,30 @@ class GnssRecord(_Timed):
         """Positions alone."""
         return replace(self, vel_ned=None, vel_std_ned=None)
 
+    def with_velocities_at(self, t: ArrayLike) -> GnssRecord:
+        """The same positions and velocities, these at other times (n,) in s: rows of their own, NaN where a row lacks the one or the other."""
+        t = np.asarray(t, dtype=float)
+        velocity = [x for x in (self.vel_ned, self.vel_std_ned) if x is not None]
+        # times that agree to a microsecond are one fix
+        times, at = np.unique(np.round(np.concatenate([self.t, t]), 6), return_inverse=True)
+        own, moved = at[: len(self)], at[len(self) :]
+        times[moved], times[own] = t, self.t
+
+        def placed(x: Array | None, rows: NDArray[np.intp]) -> Array | None:
+            if x is None:
+                return None
+            out = np.full((times.size, 3), np.nan)
+            out[rows] = x
+            return out
+
+        keep = np.zeros(times.size, dtype=bool)
+        keep[own[np.isfinite(self.llh).all(axis=1)]] = True
+        keep[moved[np.all([np.isfinite(x).all(axis=1) for x in velocity], axis=0)]] = bool(velocity)
+        llh = placed(self.llh, own)
+        assert llh is not None
+        std = placed(self.pos_std_ned, own)
+        return GnssRecord(times, llh, placed(self.vel_ned, moved), std, placed(self.vel_std_ned, moved)).rows(keep)
+
 
 @dataclass(frozen=True, repr=False)
 class Trajectory(_Timed):

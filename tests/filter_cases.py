@@ -146,6 +146,9 @@ def late_fixes(
 ) -> GnssRecord:
     """Fixes of the antenna every ``every`` epochs, stamped ``latency`` seconds after they were valid."""
     stamps = truth.t[2 * every :: every]
+    stamps = stamps[
+        (stamps - latency >= truth.t[0]) & (stamps - latency < truth.t[-1])
+    ]  # negative: stamped before it is valid
     own = stamps - latency
     k = np.searchsorted(truth.t, own + 1e-9) - 1
     h = ((own - truth.t[k]) / DT)[:, None]

@@ -6,6 +6,7 @@ import pytest
 from insemu.augment import Extras, StateLayout, augment, per_axis, true_states
 from insemu.errors import InputError
 from insemu.noise import AR, AR1, DR, GM, QN, RC, RW, WN, NoiseModel
+from insemu.records import ImuRecord
 
 DT = 0.01
 
@@ -149,3 +150,20 @@ def test_fits_of_several_orders_to_one_signal_are_tied_by_partial_correlations()
     process = AR.of_partial_correlations(k, sigma2=1.0, rate_hz=100.0)
     assert process.partial_correlations() == pytest.approx(k, rel=1e-9)
     assert process.block(DT).P0[0, 0] == pytest.approx(1.0 / np.prod(1.0 - np.array(k) ** 2), rel=1e-6)
+
+
+def test_scale_factors_per_kelvin_are_driven_by_signal_and_temperature():
+    extras = Extras(gyro_scale_temperature=1e-4, accel_scale_temperature=2e-4, reference_temperature=20.0)
+    a = augment({"gyro": RC(sigma=0.1)}, DT, extras)
+    assert a.thermal and a.layout.names[9:11] == ("gyro_x.RC1", "gyro_x.scale_temperature")
+    t, gyro, accel = np.arange(3) * DT, np.arange(9.0).reshape(3, 3), 10.0 + np.arange(9.0).reshape(3, 3)
+    imu = ImuRecord(t, gyro, accel, "increment", np.array([20.0, 25.0, 10.0]))
+    sensed = np.hstack(a.sensed(imu))
+    C = a.output(sensed[1])
+    assert C[1, a.layout.index("gyro_y.scale_temperature") - 9] == 5.0 * gyro[1, 1]
+    assert C[5, a.layout.index("accel_z.scale_temperature") - 9] == 5.0 * accel[1, 2]
+    assert a.output(sensed[2])[0, a.layout.index("gyro_x.scale_temperature") - 9] == -10.0 * gyro[2, 0]
+    with pytest.raises(InputError, match="states of the filter follow the temperature, but the IMU has none"):
+        a.sensed(ImuRecord(t, gyro, accel))
+    with pytest.raises(InputError, match="gyro_scale_temperature is -1"):
+        Extras(gyro_scale_temperature=-1.0)

@@ -21,7 +21,7 @@ from insemu.filters import (
 from insemu.filters.aids import CODES
 from insemu.filters.reference import reference_run, step_matrices
 from insemu.noise import GM, RC, WN
-from insemu.records import AidRecord, GnssRecord, ImuRecord
+from insemu.records import AXES, AidRecord, GnssRecord, ImuRecord
 from tests import filter_cases as cases
 from tests.budget import chi_square, chi_square_power, statistical
 from tests.filter_cases import DT, MODEL_15, MODEL_24, MODEL_27, MODEL_RW, START_SIGMA
@@ -64,11 +64,13 @@ BOUNDS = (1e-9, 1e-6, 1e-8, 1e-10, 1e-6)
         (MODEL_24, Extras()),
         (MODEL_27, Extras()),
         (MODEL_RW, Extras(gyro_scale=1e-3, accel_misalignment=2e-3, lever_arm=0.1, latency=0.01)),
+        (MODEL_15, Extras(gyro_scale_temperature=1e-3, accel_scale_temperature=1e-3, accel_scale=1e-3)),
     ],
-    ids=["15", "24", "27", "extras"],
+    ids=["15", "24", "27", "extras", "warm"],
 )
 def test_compiled_and_reference_filter_agree(road, model, extras):
     imu, gnss, start = flown(road, model, lever=LEVER)
+    imu = replace(imu, temperature=20.0 + 0.3 * imu.t)
     gnss = replace(gnss, t=gnss.t - 0.0037)  # fixes between the epochs, too
     options = FilterOptions(covariance_at=tuple(np.arange(1.0, 40.0, 3.0)), gate=1e-4, extras=extras, output_every=7)
     ekf = LooselyCoupledEKF(model, DT, lever_arm=LEVER, options=options)
@@ -520,3 +522,38 @@ def test_bad_input_is_named(road):
     wild = ImuRecord(imu.t, imu.gyro, imu.accel * 1e200, kind="increment")
     with pytest.raises(InputError, match=r"diverged|not positive"):
         run_filter(wild, None, start, START_SIGMA, MODEL_15)
+
+
+@statistical(1e-6, 1, power=chi_square_power(300, 1e-6, 1, 2.0))  # half the error variance believed
+def test_scale_factors_that_follow_the_temperature_are_estimated_and_their_error_is_known():
+    """20 sensors on one drive, up to 30 K warmer: NEES inside its bounds (1.03), that of the twin without the states 5.6."""
+    road, runs = cases.drive(91.0, turn=1.0), 20
+    size = {"gyro_scale_temperature": 1e-3, "accel_scale_temperature": 3e-4}
+    degc = 25.0 + 30.0 * np.sin(np.pi * road.t / 120.0)
+    options = FilterOptions(covariance_at=(90.0,), extras=Extras(**size), output_every=100)
+    carried = LooselyCoupledEKF(MODEL_15, DT, options=options)
+    plain = LooselyCoupledEKF(MODEL_15, DT, options=replace(options, extras=Extras()))
+    at = [*range(9), *(carried.layout.index(f"{a}.scale_temperature") for a in AXES)]
+    nees = {"carried": np.empty(runs), "plain": np.empty(runs)}
+    told = np.zeros(6)
+    for run, rng in enumerate(np.random.default_rng(15).spawn(runs)):
+        per_kelvin = np.repeat(list(size.values()), 3) * rng.standard_normal(6)
+        scale = (degc - 25.0)[:, None] * per_kelvin
+        ideal = replace(road.imu, gyro=road.imu.gyro * (1 + scale[:, :3]), accel=road.imu.accel * (1 + scale[:, 3:]))
+        imu = replace(cases.corrupt(ideal, MODEL_15, rng), temperature=degc)
+        gnss, start = cases.fixes(road, rng), cases.start(road, rng)
+        for name, ekf in (("carried", carried), ("plain", plain)):
+            r = ekf.run(imu, gnss, start, START_SIGMA)
+            row = int(np.searchsorted(r.t, 90.0 - 1e-9))
+            error = np.zeros(ekf.layout.n)
+            error[:9] = strapdown.navigation_errors(r.nav[row : row + 1], road.nav[9_000:9_001])[0]
+            some = at if name == "carried" else at[:9]
+            if name == "carried":
+                error[at[9:]] = r.imu_states[row][np.array(at[9:]) - 9] - per_kelvin
+                told += np.sqrt(np.diag(r.covariance[0])[at[9:]]) / np.repeat(list(size.values()), 3) / runs
+            P = r.covariance[0][np.ix_(some, some)]
+            nees[name][run] = error[some] @ np.linalg.solve(P, error[some])
+    low, high = chi_square(15 * runs, 1e-6)
+    assert low < nees["carried"].mean() / 15 < high
+    assert nees["plain"].mean() / 9 > 2.0 * chi_square(9 * runs, 1e-6)[1]
+    assert told[2] < 0.2 and told[5] < 0.1  # of the axes that the motion excites: turns about z, gravity

@@ -21,32 +21,47 @@ LEVER = (1.2, -0.6, -0.94)
 AT = tuple(np.arange(10.0, 60.0, 10.0))
 
 
-def study(latency: float, vibration: float, runs: int, skip: float = 5.0) -> tuple[np.ndarray, np.ndarray]:
-    """NEES of navigation, lever arm and latency (13 errors), (runs, epochs), and of the latency alone."""
+#: Standard deviation of the latency between receivers, s, about what the filter starts with.
+BELIEVED = 0.05
+
+
+def study(
+    latency: float, vibration: float, every: int, runs: int, *, skip: float = 5.0, matched: bool = True
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """NEES of navigation, lever arm and latency (13 errors), (runs, epochs), of the latency alone, and the errors of the latency.
+
+    ``matched``: latencies are drawn as the filter believes them, about ``latency``. Otherwise all are ``latency`` and the filter starts at zero with
+    0.1 s: what it has not learnt of a latency that is large for its belief is an error that it does not know.
+    """
+    sigma = BELIEVED if matched else 0.1
     road = cases.later(cases.drive(60.0 + skip, vibration=vibration), skip)
     ekf = LooselyCoupledEKF(
         MODEL_15,
         DT,
         lever_arm=LEVER,
-        options=FilterOptions(extras=Extras(lever_arm=0.1, latency=0.1), covariance_at=AT, output_every=1000),
+        options=FilterOptions(extras=Extras(lever_arm=0.1, latency=sigma), covariance_at=AT, output_every=1000),
     )
     rows = np.round(np.array(AT) / DT).astype(int)
     at = [*range(9), *range(ekf.layout["lever_arm"].start, ekf.layout.n)]
-    whole, alone = np.empty((runs, len(AT))), np.empty((runs, len(AT)))
+    whole, alone, missed = (np.empty((runs, len(AT))) for _ in range(3))
+    first = np.zeros(ekf.layout.n - 9)
+    first[-1] = latency if matched else 0.0
     for run, child in enumerate(np.random.default_rng(11).spawn(runs)):
         true_arm = np.array(LEVER) + 0.1 * child.standard_normal(3)
         imu = cases.corrupt(road.imu, MODEL_15, child)
-        gnss = cases.late_fixes(road, child, latency=latency, lever_arm=tuple(true_arm))
-        r = ekf.run(imu, gnss, cases.start(road, child), START_SIGMA)
+        late = latency + BELIEVED * child.standard_normal() if matched else latency
+        gnss = cases.late_fixes(road, child, latency=late, lever_arm=tuple(true_arm), every=every)
+        r = ekf.run(imu, gnss, cases.start(road, child), START_SIGMA, initial_states=first)
         pick = np.searchsorted(r.t, np.array(AT) - 1e-9)
         error = np.zeros((len(AT), ekf.layout.n))
         error[:, :9] = strapdown.navigation_errors(r.nav[pick], road.nav[rows])
         error[:, at[9:12]] = r.imu_states[pick][:, -4:-1] + LEVER - true_arm
-        error[:, at[12]] = r.imu_states[pick][:, -1] - latency
+        error[:, at[12]] = r.imu_states[pick][:, -1] - late
         P = r.covariance[:, at][:, :, at]
         whole[run] = np.einsum("ki,kij,kj->k", error[:, at], np.linalg.inv(P), error[:, at]) / len(at)
         alone[run] = error[:, at[12]] ** 2 / P[:, 12, 12]
-    return whole, alone
+        missed[run] = error[:, at[12]]
+    return whole, alone, missed
 
 
 def bounds(dof: int, confidence: float) -> tuple[float, float]:
@@ -54,18 +69,28 @@ def bounds(dof: int, confidence: float) -> tuple[float, float]:
     return float(low), float(high)
 
 
-CASES = [(0.005, 0.0), (0.08, 0.0), (0.2, 0.0), (0.15, 0.5)]
+#: Latency in s, vibration in m/s^2, steps from fix to fix (5 Hz and 1 Hz).
+CASES = [(0.005, 0.0, 20), (0.08, 0.0, 20), (0.2, 0.0, 20), (0.15, 0.5, 20), (0.08, 0.0, 100), (0.2, 0.0, 100)]
 
 
-@pytest.mark.parametrize(("latency", "vibration"), CASES)
-def test_latency_with_lever_arm_is_consistent(latency, vibration):
+@pytest.mark.parametrize(("latency", "vibration", "every"), CASES)
+def test_latency_with_lever_arm_is_consistent(latency, vibration, every):
     runs = 12
-    whole, alone = study(latency, vibration, runs)
-    # epochs of a run depend on each other: judged at the last one, at the share of false alarms of four cases and two figures
-    low, high = bounds(13 * runs, 1 - 0.01 / 8)
+    whole, alone, missed = study(latency, vibration, every, runs)
+    # epochs of a run depend on each other: judged at the last one, at the share of false alarms of six cases and three figures
+    share = 1 - 0.01 / 18
+    low, high = bounds(13 * runs, share)
     assert low < whole[:, -1].mean() < high
-    low, high = bounds(runs, 1 - 0.01 / 8)
+    low, high = bounds(runs, share)
     assert low < alone[:, -1].mean() < high
+    stated = np.sqrt(np.mean(missed[:, -1] ** 2 / alone[:, -1]) / runs)
+    assert abs(missed[:, -1].mean()) < stats.norm.ppf(0.5 + 0.5 * share) * stated
+
+
+def test_a_latency_beyond_belief_is_found_short():
+    """Two standard deviations from where the filter starts, at 1 Hz: short by more than its standard error, less and less."""
+    missed = study(0.2, 0.0, 100, 12, matched=False)[2].mean(axis=0)
+    assert missed[0] < -0.02 and missed[0] < missed[-1] < 0.0
 
 
 def test_the_reference_filter_moves_fixes_alike():
@@ -86,11 +111,13 @@ def test_the_reference_filter_moves_fixes_alike():
 
 if __name__ == "__main__":
     print(
-        f"{'latency ms':>10} {'shake m/s^2':>11}  NEES / 13 at {', '.join(f'{t:g}' for t in AT)} s; of the latency alone"
+        f"{'latency ms':>10} {'shake m/s^2':>11} {'Hz':>3}  NEES / 13 at {', '.join(f'{t:g}' for t in AT)} s; of the latency alone; mean error, ms"
     )
-    for case in CASES:
-        nees, own = study(*case, 40)
+    for case in [*((*c, True) for c in CASES), (0.2, 0.0, 100, False)]:
+        nees, own, missed = study(*case[:3], 40, matched=case[3])
         cells = [" ".join(f"{v:.2f}" for v in figures.mean(axis=0)) for figures in (nees, own)]
-        print(f"{1e3 * case[0]:>10g} {case[1]:>11g}  {cells[0]}  {cells[1]}")
+        cells.append(" ".join(f"{1e3 * v:.1f}" for v in missed.mean(axis=0)))
+        said = "" if case[3] else "  started at zero with 0.1 s"
+        print(f"{1e3 * case[0]:>10g} {case[1]:>11g} {round(1 / (DT * case[2])):>3}  {'  '.join(cells)}{said}")
     cells = [" to ".join(f"{v:.2f}" for v in bounds(dof * 40, 0.99)) for dof in (13, 1)]
     print(f"99 % bounds of one cell, 40 runs: {cells[0]}, {cells[1]}")

@@ -73,12 +73,14 @@ def test_an_effect_in_a_drive_is_worth_what_the_filter_shows_through_an_outage()
         result = prepared.again(imu=imu, gnss=replace(gnss, llh=llh, vel_ned=vel)).result
         ends.append(result.nav[np.searchsorted(result.t, start + T) - 1, :3])
     away = earth.position_difference(ends[0][None], ends[1])[0]
-    assert worth_in_motion(at, [j], [value], [start]) == pytest.approx(math.hypot(away[0], away[1]), rel=0.05)
-    # linear, and all along the drive of the same order
-    assert worth_in_motion(at, [j], [2.0 * value], [start]) == pytest.approx(
-        2.0 * worth_in_motion(at, [j], [value], [start]), rel=1e-9
+    assert worth_in_motion(at.loop, at.motion, [at.columns[j]], [value], [start]) == pytest.approx(
+        math.hypot(away[0], away[1]), rel=0.05
     )
-    assert 0.0 < worth_in_motion(at, [j], [value]) < math.inf
+    # linear, and all along the drive of the same order
+    assert worth_in_motion(at.loop, at.motion, [at.columns[j]], [2.0 * value], [start]) == pytest.approx(
+        2.0 * worth_in_motion(at.loop, at.motion, [at.columns[j]], [value], [start]), rel=1e-9
+    )
+    assert 0.0 < worth_in_motion(at.loop, at.motion, [at.columns[j]], [value]) < math.inf
 
 
 def test_some_findings_are_applied_by_number() -> None:

@@ -14,7 +14,7 @@ from insemu.scenario import load, schema
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "docs"))
-from reference_pages import ROOMS, _type, examples, sections  # noqa: E402
+from reference_pages import ROOMS, _type, examples, limits, sections  # noqa: E402
 
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
@@ -78,3 +78,14 @@ def test_every_public_name_is_documented() -> None:
             ):  # a dataclass writes its own
                 silent.append(f"{room}.{name}")
     assert silent == []
+
+
+def test_the_page_of_sizes_says_what_the_code_refuses() -> None:
+    from insemu.errors import InputError
+    from insemu.yamlfile import MAX_DEPTH, parse
+
+    page = "\n".join(limits())
+    assert f"| levels of nesting in it | {MAX_DEPTH} |" in page and page.count("`insemu.") >= 15
+    parse("[" * MAX_DEPTH + "]" * MAX_DEPTH, "a.yaml")
+    with pytest.raises(InputError):
+        parse("[" * (MAX_DEPTH + 1) + "]" * (MAX_DEPTH + 1), "a.yaml")

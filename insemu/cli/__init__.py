@@ -32,6 +32,7 @@ COMMANDS: dict[str, str] = {
     "errors": "errors",
     "dead-reckon": "dead_reckon",
     "gap": "gap",
+    "gap-check": "gap_check",
     "gap-trial": "gap_trial",
     "transfer": "transfer",
     "serve": "serve",

@@ -74,7 +74,8 @@ def command(
         interrupted = False
         try:
             with dask_cluster(cluster, workers) as pool:
-                run_trial(plan, workers=workers, pool=pool, done=done, log=Path(log) if log else None)
+                whole = run_trial(plan, workers=workers, pool=pool, done=done, log=Path(log) if log else None)
+            finished[:] = whole  # in the order of the plan, whoever finished first
         except KeyboardInterrupt:
             interrupted = True
     if interrupted:

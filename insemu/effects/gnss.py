@@ -296,6 +296,47 @@ class Latency(_OfFixes):
         return replace(gnss, t=gnss.t - use.scalar("latency"))
 
 
+class VelocityLag(_OfFixes):
+    """Velocities that are older than the positions beside them, as those of position differences or of a smoothing receiver are."""
+
+    id, name = "gnss_velocity_lag", "velocity lag of the fixes"
+    formula = (
+        "velocity stamped t is the mean over t - lag -+ window / 2; of position differences over T: lag T / 2, window T"
+    )
+    parameters = (
+        _P("lag", "s", 1, (0.05,), None, "age of the velocity at the stamp of its fix", join="sum", most=5.0),
+        _P("window", "s", 1, (0.1,), 0.0, "time over which it is a mean; not undone", True, join="later", most=10.0),
+    )
+    excitation, in_filter = (
+        "accelerations and turns",
+        "velocities used at stamp - lag; one constant; signature -a (velocity)",
+    )
+    axes = ()
+    traits = frozenset({"once"})
+    stage, size = Stage.STAMP, "lag"
+
+    def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:
+        """Note age and window."""
+        fixes.velocity_lag += use.scalar("lag")
+        fixes.velocity_window = max(fixes.velocity_window, use.scalar("window"))
+
+    def corrected_fixes(self, use: EffectUse, gnss: GnssRecord) -> GnssRecord:
+        """Velocities as fixes of their own, stamped with the time at which they were valid."""
+        lag = use.scalar("lag")
+        return gnss if gnss.vel_ned is None or lag == 0.0 else gnss.with_velocities_at(gnss.t - lag)
+
+    def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
+        """The velocities are behind by the acceleration of the antenna."""
+        M = -fixes.moved
+        M[:, :3] = 0.0
+        return [Column.of(self, "gnss", "lag", (), fixes=M)]
+
+    def hidden(self, lot: DriveLot) -> Hidden:
+        """A constant; velocities are late, not early."""
+        return Hidden((), {"lag": abs(lot.size(self, "lag"))})
+
+
 EFFECTS: tuple[Effect, ...] = (
-    NoiseLevel(), CorrelatedNoise(), VelocityNoise(), LeverArm(), MultipathStep(), GnssOutliers(), Quality(), Latency()
+    NoiseLevel(), CorrelatedNoise(), VelocityNoise(), LeverArm(), MultipathStep(), GnssOutliers(), Quality(), Latency(),
+    VelocityLag(),
 )  # fmt: skip

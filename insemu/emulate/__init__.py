@@ -6,7 +6,7 @@ from insemu import CalledRoom
 from insemu.emulate.differenced import Differenced, difference
 from insemu.emulate.errors import RecordedErrors
 from insemu.emulate.flight import Flight, gusts, moving_share, origin_at
-from insemu.emulate.gnss import AreaOutage, Outage, antenna, gnss_fixes, random_outages, state_at
+from insemu.emulate.gnss import AreaOutage, Outage, antenna, fixes_at, gnss_fixes, random_outages, state_at
 from insemu.emulate.imu import IdealImu, ideal_imu, navigation_error
 from insemu.emulate.motion import Command, path_of, profile
 from insemu.emulate.path import Mounting, SmoothPath
@@ -46,6 +46,7 @@ __all__ = [
     "covariates_of",
     "dead_reckon",
     "difference",
+    "fixes_at",
     "gnss_fixes",
     "gusts",
     "held_out_distance",

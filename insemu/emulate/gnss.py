@@ -228,6 +228,55 @@ def gnss_fixes(
         raise InputError(
             f"a lever arm of {np.linalg.norm(arm):.4g} m is implausible, expected metres, at most {LONGEST_ARM:g} m"
         )
+    fixes, place, keep = _fixes(trajectory, t, sigma, sigma_v, arm, rng, effects)
+    for outage in outages:
+        keep = keep & ~(outage.covers(t) if isinstance(outage, Outage) else outage.covers(place))
+    if not keep.any():
+        raise InputError("the outages leave no fix at all")
+    return fixes.rows(keep)
+
+
+def fixes_at(
+    trajectory: Trajectory,
+    t: Array,
+    pos_sigma_ned: Array,
+    vel_sigma_ned: Array | None,
+    lever_arm: ArrayLike,
+    *,
+    rng: np.random.Generator,
+    effects: Sequence[EffectUse] = (),
+) -> GnssRecord:
+    """Emulate fixes at given times, as :func:`gnss_fixes` does at a rate; those before or after the trajectory are left out.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Reference of the IMU.
+    t : (n,) array
+        Stamps, s.
+    pos_sigma_ned, vel_sigma_ned : (n, 3) or (3,) arrays
+        Standard deviations of white noise, m and m/s, of every fix or of all; no velocity: None.
+    lever_arm : (3,)
+        From the IMU to the antenna in body axes, m.
+    rng : numpy.random.Generator
+    effects : sequence of EffectUse
+        Those of the sensor ``gnss`` act.
+    """
+    arm = _three(lever_arm, "the lever arm")
+    fixes, _, inside = _fixes(trajectory, np.asarray(t, dtype=float), pos_sigma_ned, vel_sigma_ned, arm, rng, effects)
+    return fixes.rows(inside)
+
+
+def _fixes(
+    trajectory: Trajectory,
+    t: Array,
+    sigma: Array,
+    sigma_v: Array | None,
+    arm: Array,
+    rng: np.random.Generator,
+    effects: Sequence[EffectUse],
+) -> tuple[GnssRecord, Array, NDArray[np.bool_]]:
+    """Fixes at times (n,), true places of the antenna, and which of them lie on the trajectory."""
     of_position, of_velocity = rng.spawn(2)
     own = [use for use in effects if use.sensor == "gnss"]
     errors = FixErrors(t, sigma, sigma_v, of_position, of_velocity)
@@ -235,17 +284,24 @@ def gnss_fixes(
         use.effect.inject_fixes(errors, use, child)
     valid = t - errors.latency
     keep = (valid >= trajectory.t[0] - 1e-9) & (valid <= trajectory.t[-1] + 1e-9)
-    llh, vel = antenna(trajectory, np.clip(valid, trajectory.t[0], trajectory.t[-1]), arm + errors.arm)
-    for outage in outages:
-        keep = keep & ~(outage.covers(t) if isinstance(outage, Outage) else outage.covers(llh))
-    if not keep.any():
-        raise InputError("the outages leave no fix at all")
-    llh = earth.move(llh, errors.position())
-    stated = errors.stated()[keep]
+    inside = np.clip(valid, trajectory.t[0], trajectory.t[-1])
+    place, vel = antenna(trajectory, inside, arm + errors.arm)
+    if errors.velocity_lag or errors.velocity_window:
+        vel = _lagging(trajectory, valid - errors.velocity_lag, errors.velocity_window, arm + errors.arm)
+    llh, stated = earth.move(place, errors.position()), errors.stated()
     if sigma_v is None:
-        return GnssRecord(t[keep], llh[keep], None, stated)
-    vel = vel + errors.velocity()
-    return GnssRecord(t[keep], llh[keep], vel[keep], stated, errors.stated_velocity()[keep])
+        return GnssRecord(t, llh, None, stated), place, keep
+    return GnssRecord(t, llh, vel + errors.velocity(), stated, errors.stated_velocity()), place, keep
+
+
+def _lagging(trajectory: Trajectory, middle: Array, window: float, arm: Array) -> Array:
+    """Velocities (n, 3) of the antenna at times (n,), or their means over a window in s about these: the way over it, divided by it."""
+    inside = np.clip(middle, trajectory.t[0], trajectory.t[-1])
+    if window == 0.0:
+        return antenna(trajectory, inside, arm)[1]
+    first, last = (np.clip(middle + s * 0.5 * window, trajectory.t[0], trajectory.t[-1]) for s in (-1.0, 1.0))
+    way = earth.position_difference(antenna(trajectory, last, arm)[0], antenna(trajectory, first, arm)[0])
+    return np.asarray(way / np.maximum(last - first, 1e-9)[:, None])
 
 
 def fix_times(trajectory: Trajectory, rate_hz: float) -> Array:

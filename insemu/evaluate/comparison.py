@@ -150,6 +150,8 @@ def analysable(experiment: Experiment, *, removes_means: bool = False) -> tuple[
             left_out[name] = "a prefilter"
         elif experiment.ekf(name).augmentation.laws:
             left_out[name] = "levels that follow a covariate"
+        elif experiment.ekf(name).augmentation.thermal:
+            left_out[name] = "states that follow the temperature"
         else:
             able.append(name)
     notes = []

@@ -191,8 +191,8 @@ def sensor_errors(
         Rows of the result.
     covariance : (k, n, n) array
         At these rows.
-    measured : (k, 6) array
-        Measured rate and specific force there.
+    measured : (k, 6) or (k, 12) array
+        Rows of what the filter senses there (:meth:`insemu.augment.Augmentation.sensed`), rates.
     true_axes, true_states, true_names : (k, 6), (k, m) arrays, sequence of str
         See :class:`insemu.emulate.pieces.TrueStates`; None: not known.
     """

@@ -126,6 +126,7 @@ def beside(belief: Augmentation, truth: Augmentation) -> Augmentation:
         c=np.concatenate([belief.c, -truth.c]),
         driver=np.concatenate([belief.driver, truth.driver]),
         white=truth.white,
+        reference_temperature=belief.reference_temperature,
     )
 
 
@@ -311,11 +312,12 @@ def updates(
     noise = np.zeros((f, 6, 6))
     l0, l1, l2 = ekf.lever_arm
     cross = np.array([[0.0, -l2, l1], [l2, 0.0, -l0], [-l1, l0, 0.0]])
+    sensed = np.hstack(joint.sensed(imu))
     for k in range(f):
         noise[k] = np.diag(np.where(used[k], var[k], 0.0))
         X = -rotation.dcm_from_quaternion(nav[fixes.epoch[k], 6:10]) @ cross
         e = int(fixes.epoch[k])
-        C = joint.output(np.concatenate([imu.gyro[e], imu.accel[e]]) / (imu.t[e] - imu.t[e - 1]))
+        C = joint.output(sensed[e] / (imu.t[e] - imu.t[e - 1]))
         Hz[k][:, 9 + installed] = fixes.H[k][:, 9 + installed]
         # rate errors in the velocity of the arm: true minus estimated sensor error, as u in the loop
         Hz[k, 3:, 9:] += -X @ C[:3]

@@ -388,7 +388,7 @@ class Experiment:
             }
         whole = imu.as_increments()
         step = (whole.t[np.maximum(rows, 1)] - whole.t[np.maximum(rows, 1) - 1])[:, None]
-        measured = np.hstack([whole.gyro[rows], whole.accel[rows]]) / step
+        measured = np.hstack(ekf.augmentation.sensed(whole))[rows] / step
         if true is not None and not np.allclose(times, self.world.output_times, rtol=0, atol=0.5 / self.rate_hz):
             true = None  # the covariance was not propagated at the very samples
         at = np.searchsorted(run.t, times - 1e-9)

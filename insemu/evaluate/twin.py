@@ -119,7 +119,7 @@ class LinearTwin:
             joint = replace(beside(belief, constants), white=self.truth.white)
             M, K, self._noise[name] = updates(ekf, run, record, nav, joint, self._fixes, sigma)
             C = belief.output()[None] if (belief.driver < 0).all() else np.stack([
-                belief.output(row) for row in np.hstack([record.gyro, record.accel]) / record.widths()
+                belief.output(row) for row in np.hstack(belief.sensed(record)) / record.widths()
             ])  # fmt: skip
             self.designs[name] = LinearErrors(
                 F, B, C, belief.Phi, run.fixes.epoch, M[:, :nb, :nb].copy(), M[:, :nb, nb:].copy(), K[:, :nb].copy()

@@ -186,7 +186,7 @@ class Track:
 
 
 def first_track(gnss: GnssRecord, inside: NDArray[np.bool_], min_speed: float) -> Track | None:
-    """The first fix at which the motion tells a course: of velocities where the record has them, else of a parabola through positions.
+    """The first fix at which the motion tells a course: of velocities where the record has them beside positions, else of a parabola through these.
 
     Parameters
     ----------
@@ -197,7 +197,8 @@ def first_track(gnss: GnssRecord, inside: NDArray[np.bool_], min_speed: float) -
     min_speed : float
         m/s; of positions also ten times what the speed is uncertain by.
     """
-    return _of_positions(gnss, inside, min_speed) if gnss.vel_ned is None else _of_velocities(gnss, inside, min_speed)
+    beside = gnss.vel_ned is not None and bool(np.isfinite(gnss.vel_ned[inside]).all(axis=1).any())
+    return _of_velocities(gnss, inside, min_speed) if beside else _of_positions(gnss, inside, min_speed)
 
 
 def _of_velocities(gnss: GnssRecord, inside: NDArray[np.bool_], min_speed: float) -> Track | None:

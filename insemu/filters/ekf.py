@@ -313,9 +313,10 @@ class LooselyCoupledEKF:
         cov_epoch = self.covariance_epochs(t)
         node_epoch = self._node_epochs(t, cov_epoch, events, moving=latency_at >= 0)
         b = _Buffers.of(self.layout.n, t.size, o, events, cov_epoch.size, node_epoch.size)
+        gyro, accel = a.sensed(record)
         started = time.perf_counter()
         code, detail = kernel.run(
-            t, record.gyro, record.accel, np.concatenate([nav, np.zeros(3)]), x0, P0, p.place, a.axis, a.c, a.driver, p.slots, p.diagonal,
+            t, gyro, accel, np.concatenate([nav, np.zeros(3)]), x0, P0, p.place, a.axis, a.c, a.driver, p.slots, p.diagonal,
             p.d, p.phi, p.offsets, p.mix, p.q_at, p.q, p.q_law, following.powers(a, imu),
             following.of_speed(a), a.white_of, a.white, self._gravity, self.lever_arm, lever_at, latency_at,
             self.thresholds(events.z.shape[1]), o.covariance_every, o.output_every, trend_window(self.dt), SAME_TIME * self.dt,

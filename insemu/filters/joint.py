@@ -100,11 +100,12 @@ class JointSystem:
             After the fix of that epoch if there is one.
         """
         s, p, imu = self.states, pack(self.states, 1), self.imu
+        gyro, accel = s.sensed(imu)
         out = np.empty((rows.size, *P0.shape))
         order = np.argsort(rows, kind="stable")
         _forward(
             imu.t, self.maps, P0, p.place, p.slots, p.diagonal, p.d[0], p.phi[0], p.offsets, p.mix[0], p.q_at, p.q[0], s.c, s.driver,
-            imu.gyro, imu.accel, s.white, self.epoch, self.M, self.R, rows[order], out,
+            gyro, accel, s.white, self.epoch, self.M, self.R, rows[order], out,
         )  # fmt: skip
         out[order] = out.copy()
         return out
@@ -136,8 +137,9 @@ class JointSystem:
         """
         s, imu, initial = self.states, self.imu, L.copy()
         parts, axes, gained = np.zeros(sources), np.zeros(6), np.zeros(self.epoch.size)
+        gyro, accel = s.sensed(imu)
         _backward(
-            imu.t, self.maps, row, initial, s.Phi, s.Q, s.axis, s.c, s.driver, imu.gyro, imu.accel, source, s.white, self.epoch,
+            imu.t, self.maps, row, initial, s.Phi, s.Q, s.axis, s.c, s.driver, gyro, accel, source, s.white, self.epoch,
             self.M, self.R, gained, parts, axes,
         )  # fmt: skip
         return initial, parts, axes, float(gained.sum())

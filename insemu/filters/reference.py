@@ -121,7 +121,7 @@ class _Flight:
         first = not self.rates
         C_x, self.seen = a.output(measured / dt), a.coefficients(measured / dt)
         self.x = a.Phi @ self.x
-        corrected = measured - C_x @ self.x * dt
+        corrected = measured[:6] - C_x @ self.x * dt
         dtheta_before, dvel_before, self.rate_before = self.dtheta, self.dvel, self.rate
         self.dtheta, self.dvel = corrected[:3].copy(), corrected[3:].copy()
         self.rate = self.dtheta / dt
@@ -260,11 +260,10 @@ def reference_run(
     wanted = ekf.covariance_epochs(t)
     kept: list[Array] = []
     rows: list[tuple[float, Array, Array, Array]] = []
+    sensed = np.hstack(ekf.augmentation.sensed(record))
     for k in range(t.size):
         if k > 0:
-            flight.predict(
-                np.concatenate([record.gyro[k], record.accel[k]]), t[k] - t[k - 1], power[min(k, len(power) - 1)]
-            )
+            flight.predict(sensed[k], t[k] - t[k - 1], power[min(k, len(power) - 1)])
         while k > 0 and (due := _due(flight, events, waiting, t, k)) is not None:
             at, tau = due
             waiting.remove(at)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from itertools import combinations_with_replacement, product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,8 @@ class Structure:
         Held coefficients, -1 where free.
     held : (shapes,) array
         Held shapes, NaN where free.
+    made : (rate_hz, filter)
+        What :meth:`of` was given; another process makes the structure anew, because addresses hold in one process only.
     """
 
     model: NoiseModel
@@ -48,6 +51,10 @@ class Structure:
     fixed: Array
     held: Array
     kept: tuple[object, ...] = field(default=(), repr=False, compare=False)  # what the addresses belong to
+    made: tuple[float, str] = (0.0, "haar")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Structure.of, (self.model, *self.made)
 
     @classmethod
     def of(cls, model: NoiseModel, rate_hz: float, filter: str = "haar") -> Structure:
@@ -95,6 +102,7 @@ class Structure:
             np.array(fixed, dtype=np.float64),
             np.array(held, dtype=np.float64),
             tuple(kept for _, kept in found),
+            (rate_hz, filter),
         )
 
     @property

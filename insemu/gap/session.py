@@ -15,7 +15,7 @@ from insemu.errors import InputError
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.beliefs.refined import refined_nominal, uses_of
 from insemu.gap.candidates.mounting import Mounted, find_mounting
-from insemu.gap.candidates.timing import find_offset
+from insemu.gap.candidates.timing import find_times
 from insemu.gap.data.sources import StaticLog
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.policy import Policy, rules, under
@@ -23,6 +23,7 @@ from insemu.gap.problems.findings import with_effect
 from insemu.gap.problems.known import drive_without, in_imu_axes, static_without
 from insemu.gap.problems.rest import find_static_gap
 from insemu.gap.verdict import Finding, GapReport, Interval, Value, held_out_said, judged
+from insemu.gap.worth import worth_of_settled
 from insemu.records import AXES, Recording
 
 #: How often the search of a drive runs once more about what is strong, at the most.
@@ -138,9 +139,9 @@ def _drive(
     say("running the nominal filter")
     first = flown = flown or Flown.of(*drive_without(measured, now))
     recording, moved = first.recording, first.nominal
-    late = find_offset(first, say) if "imu_gnss_time_offset" not in without else None
-    if late is not None:
-        now, flown = taken(late), None
+    for late in find_times(first, without, say):
+        now, flown = taken(replace(late, metres=worth_of_settled(first.prepared, late))), None
+    if early:
         recording, moved = drive_without(measured, now)
     mounted = None
     if now.vehicle is not None and "mounting" not in without:
@@ -243,7 +244,11 @@ def _added_up(findings: list[Finding], earlier: Finding) -> list[Finding]:
     for k, s in enumerate(findings):
         if (s.effect, s.sensor) == (earlier.effect, earlier.sensor):
             values = tuple(_shifted(v, known.get(v.name, 0.0)) for v in s.parameters)
-            both = replace(s, parameters=values, nats=s.nats + earlier.nats)
+            # a doubt about the little that was found again is none about what was settled
+            both = replace(
+                s, parameters=values, nats=s.nats + earlier.nats, confidence=max(s.confidence, earlier.confidence),
+                doubtful=earlier.doubtful, members=earlier.members, metres=_larger(s.metres, earlier.metres),
+            )  # fmt: skip
             return [*findings[:k], both, *findings[k + 1 :]]
     return [*findings, earlier]
 
@@ -317,6 +322,11 @@ def _settled(finding: Finding) -> Finding:
     weights = [math.exp(max(g - own, -50.0)) for g in gains]
     own_share = 1.0 / (sum(weights) + math.exp(-max(own, 0.0)))
     return replace(finding, confidence=max(finding.confidence, own_share), doubtful=False)
+
+
+def _larger(one: float, other: float) -> float:
+    """The larger of two numbers that may be missing (NaN)."""
+    return float(np.fmax(one, other))
 
 
 def _shifted(v: Value, by: float) -> Value:

@@ -8,8 +8,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.gap.drive.scene import Scene
-from insemu.gap.drive.signatures import built_up
+from insemu.effects import EFFECTS, Column, FixGeometry, Motion
+from insemu.gap.drive.preparation import Prepared
+from insemu.gap.drive.signatures import Loop, built_up
 from insemu.gap.verdict import Finding
 from insemu.noise import WN, NoiseModel
 
@@ -81,8 +82,29 @@ def _covariance(effect: str, p: Mapping[str, float], t: Array) -> Array | None:
     return None
 
 
+def worth_of_settled(prepared: Prepared, finding: Finding) -> float:
+    """What a finding of known shape, settled before the search, is worth in metres: :func:`worth_in_motion` along the nominal filter's run.
+
+    NaN for one without columns.
+    """
+    nodes = prepared.result.nodes
+    effect = EFFECTS[finding.effect]
+    if nodes is None or not effect.does("columns"):
+        return math.nan
+    loop = Loop.of(prepared.result)
+    motion = Motion.of(prepared.imu, prepared.result.nav, nodes.epoch)
+    at = FixGeometry.of(motion, prepared.result.fixes.t, prepared.lever_arm, prepared.nominal.mounting)
+    values = {v.name: v.value for v in finding.parameters}
+    columns = [c for c in effect.columns(motion, at) if c.label in values]
+    return worth_in_motion(loop, motion, columns, [values[c.label] for c in columns])
+
+
 def worth_in_motion(
-    scene: Scene, index: Sequence[int], values: Sequence[float], starts: Sequence[float] | None = None
+    loop: Loop,
+    motion: Motion,
+    columns: Sequence[Column],
+    values: Sequence[float],
+    starts: Sequence[float] | None = None,
 ) -> float:
     """Root mean square of the horizontal position error, m, that coefficients of some columns leave at the end of outages all along a drive.
 
@@ -90,19 +112,21 @@ def worth_in_motion(
 
     Parameters
     ----------
-    scene : Scene
-    index : sequence of int
-        Columns of the scene.
+    loop : Loop
+        The filter.
+    motion : Motion
+        Of the IMU.
+    columns : sequence of Column
     values : sequence of float
         Their coefficients.
     starts : sequence of float, optional
         Of the outages, s; every 30 s after the first minute where they are not given.
     """
-    loop, fixes, nodes = scene.loop, scene.loop.result.fixes, scene.loop.result.nodes
+    fixes, nodes = loop.result.fixes, loop.result.nodes
     assert nodes is not None and fixes.K is not None and fixes.H is not None
-    D, _, M = built_up(loop, scene.motion, [scene.columns[i] for i in index])
+    D, _, M = built_up(loop, motion, columns)
     drive, error = np.einsum("kjs,j->ks", D, values), M @ np.asarray(values)
-    t = scene.motion.t[nodes.epoch]
+    t = motion.t[nodes.epoch]
     H = np.where(loop.use[:, :, None], np.nan_to_num(fixes.H), 0.0)
     K = np.where(loop.use[:, None, :], np.nan_to_num(fixes.K), 0.0)
     at = dict(zip(np.searchsorted(nodes.epoch, fixes.epoch).tolist(), range(len(fixes)), strict=True))

@@ -26,6 +26,7 @@ from insemu.report.gap import (
     shaking_said,
 )
 from insemu.report.plotting import plot
+from insemu.report.predictive import render_check
 from insemu.report.serve import server
 from insemu.report.solve import (
     calibration_lines,
@@ -83,6 +84,7 @@ __all__ = [
     "regression_answer",
     "render_budgets",
     "render_characterisation",
+    "render_check",
     "render_comparison",
     "render_experiment",
     "render_fits",

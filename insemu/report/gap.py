@@ -60,6 +60,7 @@ _ACTIONS = {
     "dropped_samples": "repair the logger: {}",
     "decimation_filter": "model the low-pass: {}",
     "imu_gnss_time_offset": "shift the stamps by {}",
+    "gnss_velocity_lag": "use the velocities of the fixes earlier than stamped by {}",
     "clock_drift": "correct the clock by {}",
     "lever_arm": "correct the lever arm by {}",
     "mounting": "turn the IMU's axes by {}",

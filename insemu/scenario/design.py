@@ -23,6 +23,7 @@ from insemu.scenario.fields import (
     Length,
     Made,
     Parsed,
+    PerKelvin,
     Radians,
     RadiansPerSecond,
     Ratio,
@@ -44,6 +45,23 @@ class StateKeys(Section):
     accel_scale: Ratio = Field(default=0.0, ge=0, description="scale factors of the accelerometers")
     gyro_misalignment: Radians = Field(default=0.0, ge=0, description="angles between the gyroscopes' axes")
     accel_misalignment: Radians = Field(default=0.0, ge=0, description="angles between the accelerometers' axes")
+    gyro_scale_temperature: PerKelvin = Field(
+        default=0.0,
+        ge=0,
+        examples=["50 ppm/K"],
+        description="change of the gyroscopes' scale factors with the recorded temperature",
+    )
+    accel_scale_temperature: PerKelvin = Field(
+        default=0.0,
+        ge=0,
+        examples=["20 ppm/K"],
+        description="change of the accelerometers' scale factors with the recorded temperature",
+    )
+    reference_temperature: float = Field(
+        default=25.0,
+        examples=[20.0],
+        description="temperature at which the states per kelvin change nothing, degC",
+    )
     lever_arm: Length = Field(default=0.0, ge=0, description="each component of the way from IMU to antenna")
     latency: Seconds = Field(default=0.0, ge=0, description="time by which the fixes come late")
 

@@ -543,15 +543,15 @@ def _doubted(
 
 def _finding(f: Found[Change], named: Named) -> Finding:
     """A finding as it is reported: values from everything together, members of its class, runners-up."""
-    h, values, metres = f.chosen, f.chosen.values, math.nan
+    h, scene, values, metres = f.chosen, named.scene, f.chosen.values, math.nan
     if h.change.block is not None and (h.change.columns or h.change.window is not None):
-        index, mean, covariance = named.scene.data.posterior(named.blocks)
+        index, mean, covariance = scene.data.posterior(named.blocks)
         # two blocks may share a column: what it explains is their sum
         sums = (index[None, :] == h.change.block[0][:, None]).astype(np.float64)
         mean, covariance = sums @ mean, sums @ covariance @ sums.T
         if h.change.columns:
-            values = shape_values(named.scene, h.change.block[0], mean, covariance)
-            metres = worth_in_motion(named.scene, h.change.columns, mean)
+            values = shape_values(scene, h.change.block[0], mean, covariance)
+            metres = worth_in_motion(scene.loop, scene.motion, [scene.columns[i] for i in h.change.columns], mean)
         else:
             values = (Value.normal("value", float(mean[0]), math.sqrt(float(covariance[0, 0])), "m"), *values[1:])
     own = next((k for k, r in enumerate(f.ranked) if (r.effect, r.sensor) == (h.effect, h.sensor)), 0)

@@ -1,0 +1,115 @@
+"""``insemu gap-check``: recordings emulated from a model, the measured one among them, and what is missing still."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from insemu.trial import Check
+
+
+def command(
+    model: str = typer.Argument(
+        ..., metavar="MODEL", help="The model to be checked, for example refined.yaml of 'insemu gap'."
+    ),
+    measured: str = typer.Option(..., "--measured", metavar="RECORDING", help="The drive or flight with fixes."),
+    before: str = typer.Option("", "--before", metavar="MODEL", help="The nominal model, checked beside it."),
+    recordings: int = typer.Option(200, "--recordings", min=20, help="Recordings emulated from each model."),
+    search: bool = typer.Option(
+        True, "--search/--no-search", help="Also look for what the model lacks, as 'insemu gap' does."
+    ),
+    workers: int = typer.Option(1, "--workers", min=1, help="Processes."),
+    seed: int = typer.Option(1, "--seed", min=0, help="Seed of the emulated recordings."),
+    out: str = typer.Option("", "--out", help="Folder for the page and check.json; default results/check_NAME."),
+    as_json: bool = typer.Option(False, "--json", help="Print the result as JSON on standard output."),
+) -> None:
+    """Emulate recordings from a model along a measured drive, and say where the measured one stands among them."""
+    import json
+    from pathlib import Path
+
+    import numpy as np
+    from rich.console import Console
+
+    from insemu.cli.announce import announce
+    from insemu.errors import InputError
+    from insemu.gap import find_gap, from_its_start, load_measured, load_nominal
+    from insemu.records import Recording
+    from insemu.report import render_check
+    from insemu.trial import check
+    from insemu.whole import put
+
+    console = Console(stderr=as_json)
+    announce(measured, Console(stderr=True))
+    models = {"before": load_nominal(before)} if before else {}
+    models["after"] = load_nominal(model)
+    data = load_measured(measured)
+    if "recording" not in models["after"].raw:  # a scenario of a recording tells times by the recording's clock
+        data = from_its_start(data)
+    if not isinstance(data, Recording):
+        raise InputError("is a log at rest, expected a drive or flight with fixes", where=measured)
+    with console.status("reading") as status:
+
+        def say(text: str) -> None:
+            if console.is_terminal:
+                status.update(text)
+            elif not text.startswith("emulated recording"):
+                typer.echo(text, err=True)
+
+        checks = {
+            name: check(data, m, recordings=recordings, seed=seed, workers=workers, progress=say)
+            for name, m in models.items()
+        }
+        left = None
+        if search:
+            left = find_gap(
+                data, models["after"], rng=np.random.default_rng(seed), hold_out=False, pictures=False, progress=say
+            )
+    folder = Path(out) if out else Path("results") / f"check_{Path(measured).stem}"
+    folder.mkdir(parents=True, exist_ok=True)
+    result = {name: c.to_json() for name, c in checks.items()}
+    if left is not None:
+        result["search"] = left.to_json()
+    text = json.dumps(result, indent=1)
+    put(folder / "check.json", text + "\n")
+    page = render_check(checks, left, folder, data.source)
+    if as_json:
+        typer.echo(text)
+        return
+    _tell(checks, console)
+    if left is not None:
+        names = ", ".join(s.effect for s in left.findings)
+        console.print(f"Searched again: [bold]{left.verdict}[/bold]" + (f" ({names})" if names else ""))
+    console.print(f"Page: [bold]{page}[/bold]   (check.json beside it)")
+
+
+def _tell(checks: dict[str, Check], console: Console) -> None:
+    """The answer on the terminal: what stands out of each model's band, and the metres."""
+    from insemu.cli.printing import print_table
+
+    for name, c in checks.items():
+        o = c.outages
+        console.print(
+            f"[bold]{name}[/bold]: {c.outside} of {len(c.statistics)} statistics of the recording are outside the 95 % band of "
+            f"{c.recordings} emulated ones; outages of a minute: {o.inside} of {o.starts.size} measured errors inside the 90 % band",
+            highlight=False,
+        )
+    last = checks["after"]
+    out = sorted((s for s in last.statistics if s.outside), key=lambda s: min(s.percentile, 1.0 - s.percentile))
+    heads = ("statistic", "of", "measured", "emulated 95 %", "percentile")
+    body = [
+        [s.name, s.where, f"{s.measured:.3g}", f"{s.low:.3g} to {s.high:.3g}", f"{100.0 * s.percentile:.1f}"]
+        for s in out[:8]
+    ]
+    if body:
+        print_table(console, "Outside their band", heads, body, left=2, fit=True, gap=lambda row: False)
+    columns = ("outage from, s", "measured, m", *(f"{name}, m" for name in checks))
+    rows = []
+    for k, start in enumerate(last.outages.starts):
+        bands = [f"{c.outages.low[k]:.1f} to {c.outages.high[k]:.1f}" for c in checks.values()]
+        rows.append([f"{start:.0f}", ", ".join(f"{c.outages.measured[k]:.1f}" for c in checks.values()), *bands])
+    title = "Horizontal error after 60 s without fixes, each filter with its model: measured, and emulated (90 %)"
+    print_table(console, title, columns, rows, left=1, fit=True, gap=lambda row: False)

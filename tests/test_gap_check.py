@@ -1,0 +1,84 @@
+"""Posterior predictive check: a right model's band holds the recording, a wrong one's does not."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from insemu import earth
+from insemu.effects import EffectUse
+from insemu.errors import InputError
+from insemu.gap import Nominal
+from insemu.gap.drive import Flown
+from insemu.records import Recording
+from insemu.trial.drives import Stage, stage
+from insemu.trial.predictive import check, motion_of, outage_errors
+
+
+@pytest.fixture(scope="module")
+def drive() -> Stage:
+    return stage(61, 5.0, 50.0, track="car")
+
+
+def truth(s: Stage, *effects: EffectUse) -> Nominal:
+    """The model that made the recording."""
+    gnss = s.nominal.gnss.model_copy(
+        update={"position_sigma": tuple(s.stated[0]), "velocity_sigma": tuple(s.stated[1])}
+    )
+    return replace(s.nominal, beliefs=s.truth, gnss=gnss, effects=effects)
+
+
+def recorded(s: Stage, *effects: EffectUse) -> Recording:
+    """With standard deviations as they are, and without a reference."""
+    made = s.record(effects)
+    n = len(made.gnss)
+    stated = replace(made.gnss, pos_std_ned=np.tile(s.sigma, (n, 1)), vel_std_ned=np.tile(s.sigma_v, (n, 1)))
+    return replace(made, gnss=stated, reference=None)
+
+
+ARM = EffectUse.from_mapping({"effect": "lever_arm", "value": [1.5, 0.0, 0.0]})
+
+
+def test_the_twin_moves_as_the_recording_did(drive: Stage) -> None:
+    flown = Flown.of(recorded(drive), truth(drive)).prepared
+    ideal, motion = motion_of(flown.imu, flown.result)
+    away = earth.position_difference(motion.llh, flown.result.nav[:, :3])
+    assert np.linalg.norm(away, axis=1).max() < 3.0  # with a wrong bias or no push it is hundreds
+    rates = ideal.gyro / ideal.dt
+    at = np.searchsorted(drive.imu.t, ideal.t[1:-1])
+    true = drive.imu.as_increments().gyro[at] / drive.imu.dt
+    assert np.abs(rates[1:-1] - true).std() < 3.0 * drive.truth["gyro_x"].processes[0].parameters["N"] / np.sqrt(
+        ideal.dt
+    )
+
+
+def test_an_outage_is_what_the_filter_without_the_fixes_says(drive: Stage) -> None:
+    flown = Flown.of(recorded(drive), truth(drive)).prepared
+    start = float(flown.imu.t[0]) + 120.0
+    (linear,) = outage_errors(flown.result, np.array([start]))
+    gnss = flown.gnss
+    inside = (gnss.t > start) & (gnss.t < start + 60.0 - 1e-6)
+    llh, vel = (np.where(inside[:, None], np.nan, x) for x in (gnss.llh, gnss.vel_ned))
+    fixes = flown.again(gnss=replace(gnss, llh=llh, vel_ned=vel)).result.fixes
+    end = int(np.flatnonzero(fixes.t >= start + 60.0 - 1e-6)[0])
+    assert linear == pytest.approx(float(np.hypot(*fixes.innovation[end, :2])), rel=0.05)
+
+
+def test_a_right_model_holds_the_recording_and_a_wrong_one_does_not(drive: Stage) -> None:
+    made = recorded(drive, ARM)
+    right = check(made, truth(drive, ARM), recordings=40)
+    wrong = check(made, truth(drive), recordings=40)
+    # of 31 statistics 1.6 are outside by chance; they go together, so a few more may be
+    assert right.outside <= 6
+    assert wrong.outside > right.outside + 4
+    assert right.outages.inside >= 0.6 * right.outages.starts.size
+    again = check(made, truth(drive, ARM), recordings=40, workers=2)
+    assert json.dumps(again.to_json()) == json.dumps(right.to_json())
+
+
+def test_what_cannot_be_checked_is_said(drive: Stage) -> None:
+    with pytest.raises(InputError, match="at least 20"):
+        check(recorded(drive), truth(drive), recordings=3)
