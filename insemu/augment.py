@@ -19,7 +19,7 @@ from scipy.linalg import solve_discrete_lyapunov
 from scipy.signal import lfilter
 
 from insemu.errors import InputError, nearest
-from insemu.noise import ARMA, DR, RC, NoiseModel, Process, StateBlock, shared_processes
+from insemu.noise import ARMA, DR, RC, Follows, NoiseModel, Process, StateBlock, shared_processes
 from insemu.records import AXES, ImuRecord
 
 Array = NDArray[np.float64]
@@ -160,7 +160,13 @@ class Augmentation:
     c : (m,) array
     driver : (m,) array of int
     white : (6,) array
-        Variance of the samples' own white noise, (rad/s)^2 and (m/s^2)^2.
+        Variance of the samples' own white noise, (rad/s)^2 and (m/s^2)^2, as far as it is constant.
+    laws : tuple of Follows
+        Laws by which levels follow covariates; Q, P0 and ``white_of`` of what follows one are those at gain 1.
+    law_of : (m,) array of int
+        Law of the noise that drives each state, -1 where it is constant.
+    white_of : (laws, 6) array
+        White noise that follows each law.
     reference_temperature : float
         Of the states that follow the temperature, degC.
     """
@@ -174,7 +180,17 @@ class Augmentation:
     c: Array
     driver: NDArray[np.int64]
     white: Array
+    laws: tuple[Follows, ...] = ()
+    law_of: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    white_of: Array = field(default_factory=lambda: np.zeros((0, 6)))
     reference_temperature: float = 25.0
+
+    def require_constant(self, what: str) -> None:
+        """Raise ``InputError`` where a level follows a covariate, which ``what`` does not know."""
+        if self.laws:
+            raise InputError(
+                f"{what} takes noise of constant level, found a level that follows {self.laws[0].covariate}"
+            )
 
     @property
     def thermal(self) -> bool:
@@ -453,11 +469,11 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
             raise type(error)(str(error), where=f"belief of {axis}") from None
         for place, before in enumerate(np.cumsum([0, *(b.n for b in own)])[:-1]):
             first[axis, place] = start - len(NAVIGATION) + int(before)
+        white[a] = block.white
         names += [f"{axis}.{name}" for name in block.names]
         blocks.append(block)
         axis_of += [a] * block.n
         driver += [-1] * block.n
-        white[a] = block.white
         triad, letter = axis.split("_")
         if (scale := getattr(extras, f"{triad}_scale")) > 0:
             names.append(f"{axis}.scale")
@@ -485,6 +501,7 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
             axis_of += [-1] * count
             driver += [-1] * count
 
+    laws, law_of, white_of = _laws(models, first, dt, len(axis_of))
     stacked = _share(models, first, StateBlock.stack(blocks, dt))
     return Augmentation(
         layout=StateLayout(tuple(names), slices),
@@ -495,6 +512,30 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
         axis=np.array(axis_of, dtype=np.int64),
         c=np.where(np.array(axis_of, dtype=np.int64) >= 0, stacked.c, 0.0),
         driver=np.array(driver, dtype=np.int64),
-        white=white,
+        white=np.maximum(white - white_of.sum(axis=0), 0.0),
+        laws=laws,
+        law_of=law_of,
+        white_of=white_of,
         reference_temperature=extras.reference_temperature,
     )
+
+
+def _laws(
+    models: Mapping[str, NoiseModel], first: Mapping[tuple[str, int], int], dt: float, m: int
+) -> tuple[tuple[Follows, ...], NDArray[np.int64], Array]:
+    """Laws of a belief, the law of what drives each of its ``m`` states (-1: none), and the white noise (laws, 6) that follows each."""
+    laws: list[Follows] = []
+    law_of, white_of = np.full(m, -1, dtype=np.int64), []
+    for a, (axis, model) in enumerate(models.items()):
+        for place, process in enumerate(model):
+            law = process.follows
+            if law is None:
+                continue
+            law.gain(0.0)  # refuses an unknown slope
+            if law not in laws:
+                laws.append(law)
+                white_of.append(np.zeros(6))
+            block, at = process.block(dt), first[axis, place]
+            law_of[at : at + block.n] = laws.index(law)
+            white_of[laws.index(law)][a] += block.white
+    return tuple(laws), law_of, np.array(white_of).reshape(len(laws), 6)

@@ -9,13 +9,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from insemu import formats
+from insemu import covariates, formats
 from insemu.errors import InputError, nearest
 from insemu.formats import AXIS_OF_COLUMN, Log
 from insemu.gap.data import at_rest
+from insemu.records import AXES, Series
 from insemu.variance import AxisReport, characterise, characterise_stream, wavelet_covariance
 from insemu.variance import findings as judge
+
+Array = NDArray[np.float64]
 
 #: Fewest samples of a column.
 LEAST = 16
@@ -47,6 +51,48 @@ def open_log(file: str | Path, rate_hz: float | None = None, columns: Sequence[s
     if recording.gnss is not None and not at_rest(recording):
         raise InputError("is a recording that moves; expected a static log (sensor at rest)", where=str(file))
     return Log.of_imu(recording.imu, str(path)).select(columns)
+
+
+#: Names that a column of temperatures may have.
+_TEMPERATURE = ("temperature", "temp", "temp_c", "temperature_degc", "t_imu")
+
+
+def open_with_covariates(
+    file: str | Path, rate_hz: float | None = None, skip_s: float = 0.0
+) -> tuple[list[Series], dict[str, Array]]:
+    """The axes of a log, or of the IMU of a drive, and the covariates beside them.
+
+    Parameters
+    ----------
+    file : path
+        Log or recording.
+    rate_hz : float, optional
+        Sampling rate of a log that does not say it, Hz.
+    skip_s : float
+        What is left out at the start, s.
+
+    Raises
+    ------
+    InputError
+        See :func:`insemu.formats.read`; gaps; no row that is left.
+    """
+    path = Path(file)
+    if path.exists() and formats.holds_recording(path):
+        recording = formats.read_recording(path)
+        log, found = Log.of_imu(recording.imu, str(path)), covariates.of_recording(recording)
+        series = log.series()
+    else:
+        log = formats.read_log(path, rate_hz=rate_hz)
+        everything = {AXIS_OF_COLUMN.get(s.name, s.name): s for s in log.series()}
+        named = {("temperature" if k.lower() in _TEMPERATURE else k): s.values for k, s in everything.items()}
+        found = covariates.of_columns(named, 1.0 / log.rate_hz)
+        series = [s for k, s in everything.items() if k in AXES or len(everything) == 1]
+        if not series:  # a log of one's own columns: everything that no level can follow by itself
+            series = [s for k, s in everything.items() if k.lower() not in _TEMPERATURE]
+    first = round(skip_s * log.rate_hz)
+    if not 0 <= first < len(log) - 1:
+        raise InputError(f"{skip_s:g} s are left out of {len(log) / log.rate_hz:g} s", where=str(path))
+    return [replace(s, values=s.values[first:]) for s in series], {k: x[first:] for k, x in found.items()}
 
 
 def characterise_log(

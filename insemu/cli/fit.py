@@ -31,6 +31,12 @@ def command(
     model: str = typer.Option(
         ..., "--model", "-m", help='Structure, for example "2*GM() + WN()"; given values are held.'
     ),
+    covariate: str = typer.Option(
+        "",
+        "--covariate",
+        help="Levels follow temperature, speed, rate, force, vibration or a column, over segments of the log or drive: NAME or NAME:SEGMENTS. All "
+        'processes follow it, or those that say so: "WN(follows=temperature) + GM()".',
+    ),
     alternatives: list[str] | None = typer.Option(  # noqa: B008
         None, "--or", help="Of several runs: another structure; the one that predicts runs left out best is taken."
     ),
@@ -102,6 +108,7 @@ def command(
 
     from insemu import units
     from insemu.cli.announce import announce
+    from insemu.cli.following import alone_with_covariate, fit_covariate
     from insemu.fit import check_bootstrap
 
     if bootstrap and len(files) == 1:
@@ -109,6 +116,15 @@ def command(
     file = files[0]
     for name in files:
         announce(name, Console(stderr=True), rate_hz=units.parse(rate, "Hz") if rate else None)
+    if covariate or "follows" in model:
+        others = {"method": method, "wavelet": wavelet, "robust": robust, "start": start, "bootstrap": bootstrap}
+        alone_with_covariate(
+            others | {"pooled": not per_axis, "kalibr": kalibr, "or": alternatives, "files": files[1:]}
+        )
+        scales = (tau_from, tau_to or math.inf)
+        return fit_covariate(
+            file, model, covariate, rate, skip, columns, scales, show=show, out=out, page=page, as_json=as_json
+        )
     if len(files) > 1:
         from insemu.cli.runs import fit_many
 
@@ -121,18 +137,7 @@ def command(
         else fit_streamed(file, rate, columns, skip, model, start)
     )
     series = [] if streamed else read_static(file, rate, columns, skip)
-    options: dict[str, Any] = {"wavelet": wavelet}
-    if method == "gmwm":
-        options |= {
-            "weighting": weighting,
-            "rng": np.random.default_rng(seed),
-            "tau_from": tau_from,
-            "tau_to": tau_to or math.inf,
-        }
-    elif method == "indirect":
-        options["rng"] = np.random.default_rng(seed)
-    elif method == "mli":
-        options["pattern"] = pattern
+    options = options_of(method, wavelet, weighting, seed, pattern, (tau_from, tau_to or math.inf))
     own = denoising(denoise, method, [s.name for s in series]) if denoise else {}
     with Console(stderr=True).status(f"fitting {len(series)} axes by {method}") as status:
         if streamed:
@@ -167,6 +172,31 @@ def command(
         console.print(
             f"page: {render_fits(results, page, series=series, rng=np.random.default_rng(seed), source=file)}"
         )
+
+
+def options_of(
+    method: str, wavelet: str, weighting: str, seed: int, pattern: str, tau: tuple[float, float]
+) -> dict[str, Any]:
+    """Options of an estimator.
+
+    Parameters
+    ----------
+    method, wavelet, weighting : str
+    seed : int
+        Of bootstrap and draws.
+    pattern : str
+        Of mli.
+    tau : (float, float)
+        Scales to use, s.
+    """
+    import numpy as np
+
+    options: dict[str, Any] = {"wavelet": wavelet}
+    if method == "gmwm":
+        options |= {"weighting": weighting, "tau_from": tau[0], "tau_to": tau[1]}
+    elif method == "mli":
+        options["pattern"] = pattern
+    return options | ({"rng": np.random.default_rng(seed)} if method in ("gmwm", "indirect") else {})
 
 
 def read_static(file: str, rate: str, columns: list[str] | None, skip: str = "0 s") -> list[Series]:

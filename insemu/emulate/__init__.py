@@ -12,7 +12,7 @@ from insemu.emulate.motion import Command, path_of, profile
 from insemu.emulate.path import Mounting, SmoothPath
 from insemu.emulate.pieces import ErrorPieces, TrueStates, recorded_pieces, simulated_pieces
 from insemu.emulate.reckon import DeadReckoning, dead_reckon
-from insemu.emulate.sensor import Corrupted, TemperatureProfile, corrupt
+from insemu.emulate.sensor import Corrupted, TemperatureProfile, corrupt, covariates_of
 from insemu.emulate.sources import Source, load_flight, read_track
 from insemu.emulate.track import SmoothedTrack, Track, held_out_distance, smooth_track, turn_rate
 from insemu.emulate.trajectory import TRAJECTORIES, built_in
@@ -43,6 +43,7 @@ __all__ = [
     "antenna",
     "built_in",
     "corrupt",
+    "covariates_of",
     "dead_reckon",
     "difference",
     "fixes_at",

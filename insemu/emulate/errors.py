@@ -112,6 +112,7 @@ def draw_errors(
     dt: float,
     rng: np.random.Generator,
     realization: int = 0,
+    covariates: Mapping[str, Array] | None = None,
 ) -> tuple[Array, dict[str, Array]]:
     """Draw (n, 6) stochastic errors in rad/s and m/s^2 and the components per axis.
 
@@ -128,6 +129,8 @@ def draw_errors(
     rng : Generator
     realization : int
         Which piece of a recorded signal is taken.
+    covariates : mapping of str to (n,) array, optional
+        What levels follow.
     """
     components: dict[str, Array] = {}
     children = rng.spawn(6)
@@ -149,7 +152,7 @@ def draw_errors(
         model = models.get(axis)
         if model is None:
             continue
-        parts = model.simulate_components(n, dt, child, out=block[used : used + len(model)])
+        parts = model.simulate_components(n, dt, child, out=block[used : used + len(model)], covariates=covariates)
         common.share(axis, parts)
         used += len(model)
         components[axis] = parts

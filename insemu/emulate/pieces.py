@@ -84,6 +84,7 @@ def simulated_pieces(
     record_s: float | None,
     rng: Callable[[int, int], np.random.Generator],
     states_at: NDArray[np.intp] | None = None,
+    covariates: Mapping[str, Array] | None = None,
 ) -> ErrorPieces:
     """Pieces of records simulated from a model per axis.
 
@@ -102,6 +103,8 @@ def simulated_pieces(
         ``(record, axis) -> Generator``: a stream of its own for every record and axis.
     states_at : (k,) array of int, optional
         Rows of the IMU record at which true states are kept.
+    covariates : mapping of str to (n,) array, optional
+        What levels follow, at the rows of the IMU record; every piece of a record has them anew.
 
     Raises
     ------
@@ -125,6 +128,7 @@ def simulated_pieces(
     # flicker has no finite states; a removed mean belongs to no single process
     single = at.size > 0 and record_s is None and not any(isinstance(p, BI) for model in ready for p in model)
     names = augment(dict(zip(AXES, ready, strict=True)), 1.0 / rate_hz).layout.names[9:] if single else ()
+    followed = {name: np.resize(x[1:], length) for name, x in (covariates or {}).items()}
     kept: dict[int, tuple[RecordedErrors, Array, Array]] = {}
 
     def record_of(record: int) -> tuple[RecordedErrors, Array, Array]:
@@ -135,7 +139,9 @@ def simulated_pieces(
             sensor = ready_for(record)
             kept[record] = _recorded(
                 sensor,
-                lambda axis: sensor[axis].simulate_components(length, 1.0 / rate_hz, rng(record, axis)),
+                lambda axis: sensor[axis].simulate_components(
+                    length, 1.0 / rate_hz, rng(record, axis), covariates=followed
+                ),
                 rate_hz, places, single, record, record_s is not None,
             )  # fmt: skip
         return kept[record]

@@ -11,13 +11,14 @@ its own child of the generator, so an effect added at the end leaves the others 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from insemu import covariates
 from insemu.effects import EFFECTS, Chain, EffectUse, Stage, passes
 from insemu.emulate.errors import RecordedErrors, draw_errors
 from insemu.errors import InputError
@@ -79,6 +80,36 @@ class Corrupted:
     kept: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
 
+def covariates_of(
+    imu: ImuRecord,
+    reference: Trajectory | None,
+    temperature: TemperatureProfile | Array | None,
+    models: Iterable[NoiseModel | Process],
+) -> dict[str, Array]:
+    """What levels of some models follow, from the ideal signals and the true motion.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+        Ideal record.
+    reference : Trajectory, optional
+        At the rows of the record; tells the speed.
+    temperature : TemperatureProfile or (n,) array, optional
+        degC at the rows.
+    models : iterable of NoiseModel
+    """
+    names = covariates.needed(NoiseModel((m,)) if isinstance(m, Process) else m for m in models)
+    if not names:
+        return {}
+    out = covariates.of_imu(imu, names)
+    if temperature is not None:
+        out["temperature"] = temperature.at(imu.t) if isinstance(temperature, TemperatureProfile) else temperature
+    if reference is not None:
+        out["speed"] = np.linalg.norm(reference.vel_ned, axis=1)
+    covariates.checked(names, out, "truth")
+    return out
+
+
 #: Place in the table: effects of one stage act in its order.
 _PLACE = {name: k for k, name in enumerate(EFFECTS)}
 
@@ -129,7 +160,8 @@ def corrupt(
     n, dt = len(imu), imu.dt
     if errors is not None and truth is not None:
         raise InputError("both a truth and ready errors were given, expected one of them")
-    drawn, components = draw_errors(truth, n, dt, rng, realization)
+    known = covariates_of(imu, reference, temperature, truth.values() if isinstance(truth, Mapping) else ())
+    drawn, components = draw_errors(truth, n, dt, rng, realization, known)
     if errors is not None:
         drawn = np.asarray(errors, dtype=float)
         if drawn.shape != (n, 6):

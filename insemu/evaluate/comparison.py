@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from insemu.covariates import needed
 from insemu.errors import InputError, nearest
 from insemu.evaluate.covariance import CovarianceAnalysis, analyse
 from insemu.evaluate.emulated import EmulatedWorld
@@ -136,6 +137,8 @@ def analysable(experiment: Experiment, *, removes_means: bool = False) -> tuple[
         return [], "found a recording; the analysis needs an emulated world and its truth"
     if s.truth.recorded is not None or s.truth.effects:
         return [], "found a recorded truth or deterministic effects; the analysis needs noise models only"
+    if needed(s.truth.models().values()):
+        return [], "found a truth whose levels follow a covariate; the analysis needs constant ones"
     if s.aids:
         return [], "found aids; the analysis knows no measurement but the fixes"
     able: list[str] = []
@@ -145,6 +148,8 @@ def analysable(experiment: Experiment, *, removes_means: bool = False) -> tuple[
             left_out[name] = "a user's filter"
         elif design.options.prefilter is not None:
             left_out[name] = "a prefilter"
+        elif experiment.ekf(name).augmentation.laws:
+            left_out[name] = "levels that follow a covariate"
         elif experiment.ekf(name).augmentation.thermal:
             left_out[name] = "states that follow the temperature"
         else:

@@ -107,6 +107,8 @@ def beside(belief: Augmentation, truth: Augmentation) -> Augmentation:
 
     Calibration and installation states stand among the estimates only: the truth's are zero, for its sensors have no such errors.
     """
+    belief.require_constant("the covariance analysis")
+    truth.require_constant("the covariance analysis")
     mb = belief.m
 
     def both(one: Array, two: Array) -> Array:

@@ -20,6 +20,7 @@ from insemu.emulate import (
     RecordedErrors,
     TrueStates,
     corrupt,
+    covariates_of,
     gnss_fixes,
     ideal_imu,
     load_flight,
@@ -225,6 +226,7 @@ class EmulatedWorld:
             record_s=truth.record,
             rng=lambda record, axis: stream(seed, "truth", record, axis),
             states_at=np.searchsorted(self.reference.t, self.output_times),
+            covariates=covariates_of(self.imu, self.reference, truth.temperature, models.values()),
         )
 
     def recording(self, realization: int, *, ideal: bool = False) -> Recording:

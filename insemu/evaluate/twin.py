@@ -107,6 +107,7 @@ class LinearTwin:
         constants = augment({axis: RC(sigma=1.0) for axis in AXES}, 1.0 / world.rate_hz)
         models = {axis: m.at_rate(world.rate_hz) for axis, m in s.truth.models().items()}
         self.truth: Augmentation = augment(models, 1.0 / world.rate_hz)
+        self.truth.require_constant("the linear twin")
         sigma = (s.gnss.position_sigma, s.gnss.velocity_sigma or (0.0, 0.0, 0.0))
         for name in able:
             ekf = experiment.ekf(name)

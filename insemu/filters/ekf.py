@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from insemu import earth
 from insemu.augment import Augmentation, Belief, StateLayout, augment
 from insemu.errors import InputError
-from insemu.filters import expanded, kernel
+from insemu.filters import expanded, following, kernel
 from insemu.filters.events import FIX_ROWS, SAME_TIME, Events, GnssSigma, aid_events, fix_events, joined
 from insemu.filters.options import FilterOptions, InitialSigma, three_sigmas
 from insemu.filters.results import FilterResult, FixTable, Nodes
@@ -45,6 +45,7 @@ class Packed:
     mix: Array
     q_at: NDArray[np.int64]
     q: Array
+    q_law: NDArray[np.int64]
 
 
 def pack(aug: Augmentation, powers: int) -> Packed:
@@ -94,6 +95,7 @@ def pack(aug: Augmentation, powers: int) -> Packed:
         mix,
         extra[rows] * expanded.LD + extra[columns],
         np.ascontiguousarray(Qs[:, rows, columns]),
+        aug.law_of[rows] if aug.laws else np.zeros(0, dtype=np.int64),
     )
 
 
@@ -241,8 +243,17 @@ class LooselyCoupledEKF:
         """Names and places of the states."""
         return self.augmentation.layout
 
-    def initial_covariance(self, initial_sigma: InitialSigma | ArrayLike) -> Array:
-        """The (n, n) covariance at the start; a full (n, n) array passes through."""
+    def initial_covariance(
+        self, initial_sigma: InitialSigma | ArrayLike, imu: ImuRecord | None = None, nav: Array | None = None
+    ) -> Array:
+        """The (n, n) covariance at the start; a full (n, n) array passes through.
+
+        Parameters
+        ----------
+        initial_sigma : InitialSigma or (n, n) covariance
+        imu, nav : ImuRecord, (10,) array, optional
+            Record and state at the start, from which levels that follow a covariate begin; without them those at gain 1.
+        """
         n = self.layout.n
         if not isinstance(initial_sigma, InitialSigma):
             P = np.array(initial_sigma, dtype=np.float64)
@@ -252,6 +263,8 @@ class LooselyCoupledEKF:
         P = np.zeros((n, n))
         P[:9, :9] = np.diag(initial_sigma.to_array() ** 2)
         P[9:, 9:] = self.augmentation.P0
+        if imu is not None and nav is not None:
+            P[9:, 9:] = following.started(self.augmentation, P[9:, 9:], imu, float(np.linalg.norm(nav[3:6])))
         return P
 
     def run(
@@ -294,7 +307,7 @@ class LooselyCoupledEKF:
         """
         record, nav, x0 = self.checked(imu, initial, initial_states)
         o, a, p, t = self.options, self.augmentation, self._packed, record.t
-        P0 = self.initial_covariance(initial_sigma)
+        P0 = self.initial_covariance(initial_sigma, imu, nav)
         events = self.events(t, gnss, aids)
         lever_at, latency_at = self.installation()
         cov_epoch = self.covariance_epochs(t)
@@ -304,7 +317,8 @@ class LooselyCoupledEKF:
         started = time.perf_counter()
         code, detail = kernel.run(
             t, gyro, accel, np.concatenate([nav, np.zeros(3)]), x0, P0, p.place, a.axis, a.c, a.driver, p.slots, p.diagonal,
-            p.d, p.phi, p.offsets, p.mix, p.q_at, p.q, a.white, self._gravity, self.lever_arm, lever_at, latency_at,
+            p.d, p.phi, p.offsets, p.mix, p.q_at, p.q, p.q_law, following.powers(a, imu),
+            following.of_speed(a), a.white_of, a.white, self._gravity, self.lever_arm, lever_at, latency_at,
             self.thresholds(events.z.shape[1]), o.covariance_every, o.output_every, trend_window(self.dt), SAME_TIME * self.dt,
             events.first_of, events.next_alike, events.t, events.epoch, events.kind, events.since, events.tau, events.z, events.var,
             events.settings, cov_epoch, node_epoch, o.store == "fixes", b.nav, b.var, b.x, b.nu, b.S, b.nis, b.dof, b.ok, b.epoch, b.K, b.H,

@@ -21,6 +21,7 @@ from insemu.filters.expanded import (
     reset_transition,
     scatter,
 )
+from insemu.filters.following import add_speed
 from insemu.filters.measurements import (
     FIX,
     add_curvature,
@@ -84,6 +85,10 @@ def run(
     mix_of: Array,
     q_at: Ints,
     q_of: Array,
+    q_law: Ints,
+    power: Array,
+    laws: Array,
+    white_of: Array,
     white: Array,
     gravity: int,
     lever0: Array,
@@ -154,6 +159,10 @@ def run(
         ``d``, ``phi``, ``mix`` and ``q`` of :func:`insemu.filters.expanded.predict` over 1, 2, ... steps.
     offsets, q_at : (k,), (l,) arrays of int
         As there.
+    q_law : (l,) array of int
+        Law that each entry of ``q`` follows, -1 for none; empty where nothing follows a covariate.
+    power, laws, white_of : (N, g), (g, 4), (g, 6) arrays
+        Squared gains at the epochs and laws that follow the speed (:mod:`insemu.filters.following`), white noise that follows each law.
     white : (6,) array
         Variances of the samples' own white noise, (rad/s)^2 and (m/s^2)^2.
     gravity : int
@@ -238,6 +247,10 @@ def run(
     used = np.zeros(width, dtype=np.bool_)
     L = np.zeros((n, n))
     driven = False
+    groups = laws.shape[0]
+    power_now, power_sum = np.ones(groups), np.zeros(groups)
+    white_step = white.copy()
+    q_now = np.zeros(q_law.size)
     for i in range(n):
         for j in range(n):  # an assignment of slices would compile three seconds of messages
             P[i, j] = P0[i, j]
@@ -276,6 +289,16 @@ def run(
                         raw = gyro[k, driver[s]] if driver[s] < 3 else accel[k, driver[s] - 3]
                         c_of[s] = c0[s] * raw / dt
                         c[place[9 + s]] = c_of[s]
+            if groups > 0:
+                for g in range(groups):
+                    power_now[g] = power[k, g]
+                add_speed(power_now, laws, math.sqrt(nav[3] ** 2 + nav[4] ** 2 + nav[5] ** 2))
+                for i in range(6):
+                    white_step[i] = white[i]
+                    for g in range(groups):
+                        white_step[i] += power_now[g] * white_of[g, i]
+                for g in range(groups):
+                    power_sum[g] += power_now[g]
             _states_ahead(x, seen, slots, diagonal, d_one, phi_one, c, work)
             for i in range(3):
                 dth1[i], dv1[i], rate1[i] = dth[i], dv[i], rate[i]
@@ -326,11 +349,20 @@ def run(
                             C_sum[i, j] = 0.0
                 for i in range(6):
                     white_now[i] = white[i] / count
+                    for g in range(groups):
+                        white_now[i] += power_sum[g] * white_of[g, i] / (count * count)
                 fill_dynamics(nav, f_n, gravity, F)
                 fill_map(F, mid, span, w)
                 half = 0.5 * span
                 if every > 1:
                     d, phi, mix, q = d_of[count - 1], phi_of[count - 1], mix_of[count - 1], q_of[count - 1]
+                if groups > 0:
+                    for i in range(q_law.size):
+                        level = power_sum[q_law[i]] / count if q_law[i] >= 0 else 1.0
+                        q_now[i] = q_of[count - 1, i] * level
+                    for g in range(groups):
+                        power_sum[g] = 0.0
+                    q = q_now
                 predict(E, w, half, slots, diagonal, d, phi, offsets, mix, q_at, q, c, white_now, T, work)
                 if store:
                     advance_transition(A, w, half, slots, diagonal, d, phi, c, work)
@@ -389,7 +421,7 @@ def run(
                         rate,
                         rate1,
                         lever,
-                        white,
+                        white_step,
                         c_of,
                         axis,
                         lever_at,
@@ -414,7 +446,7 @@ def run(
                         tau,
                         mean_rate,
                         rate_count[kind],
-                        white,
+                        white_step,
                         c_of,
                         axis,
                         event_z[event],

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu import earth, rotation, strapdown
 from insemu.errors import InputError
-from insemu.filters import measurements
+from insemu.filters import following, measurements
 from insemu.filters.aids import fill_aid
 from insemu.filters.ekf import LooselyCoupledEKF, trend_window
 from insemu.filters.events import FIX_ROWS, SAME_TIME, Events
@@ -113,9 +113,10 @@ class _Flight:
     seen: Array = field(default_factory=lambda: np.zeros(0))
     rates: list[Array] = field(default_factory=list)
     accelerations: list[Array] = field(default_factory=list)
+    white: Array = field(default_factory=lambda: np.zeros(6))
 
-    def predict(self, measured: Array, dt: float) -> None:
-        """One IMU step: augmented states first, then the covariance, then the navigation."""
+    def predict(self, measured: Array, dt: float, power: Array) -> None:
+        """One IMU step: augmented states first, then the covariance, then the navigation; ``power`` holds squared gains of what follows."""
         a, gravity = self.ekf.augmentation, earth.gravity_code(self.ekf.gravity)
         first = not self.rates
         C_x, self.seen = a.output(measured / dt), a.coefficients(measured / dt)
@@ -129,7 +130,7 @@ class _Flight:
         C = rotation.dcm_from_quaternion(self.nav[6:10]) @ (np.eye(3) + rotation.skew(0.5 * self.dtheta))
         F = np.empty((9, 9))
         strapdown.fill_dynamics(self.nav, C @ self.dvel / dt, gravity, F)
-        self.kf.F, self.kf.Q = augmented(*step_matrices(F, C, dt), a.Phi, a.Q, C_x, a.white)
+        self.kf.F, self.kf.Q = augmented(*step_matrices(F, C, dt), a.Phi, self.driving(power), C_x, self.white)
         self.kf.predict()
         self.kf.P = 0.5 * (self.kf.P + self.kf.P.T)
         self.nav_before = self.nav.copy()
@@ -139,6 +140,17 @@ class _Flight:
         self.dt = self.dt_before = dt
         self.rates.append(self.rate)
         self.accelerations.append((self.nav - self.nav_before)[3:6] / dt)
+
+    def driving(self, power: Array) -> Array:
+        """Driving covariance of the augmented states where levels follow covariates; the white noise of the step is kept."""
+        a, now = self.ekf.augmentation, power.copy()
+        self.white = a.white
+        if not a.laws:
+            return a.Q
+        following.add_speed(now, following.of_speed(a), float(np.linalg.norm(self.nav[3:6])))
+        self.white = a.white + now @ a.white_of
+        gain = np.where(a.law_of >= 0, np.sqrt(now)[a.law_of], 1.0)
+        return np.asarray(a.Q * np.outer(gain, gain))
 
     def trend(self, k: int, mean_dt: float) -> Array:
         """How acceleration and rate go on; see :func:`insemu.filters.measurements.fill_trend`."""
@@ -158,7 +170,7 @@ class _Flight:
             trend = self.trend(k, mean_dt) if latency_at >= 0 else np.zeros(9)
             lever = self.ekf.lever_arm + (self.x[lever_at - 9 : lever_at - 6] if lever_at >= 0 else 0.0)
             measurements.fill_fix(
-                self.nav, self.nav_before, self.dt, tau, self.rate, self.rate_before, lever, a.white, self.seen, a.axis, lever_at,
+                self.nav, self.nav_before, self.dt, tau, self.rate, self.rate_before, lever, self.white, self.seen, a.axis, lever_at,
                 latency_at, trend, events.z[at], nu, H, R,
             )  # fmt: skip
             if latency_at >= 0:
@@ -166,7 +178,7 @@ class _Flight:
         else:
             rates = self.rates[events.since[at] : k]
             fill_aid(
-                int(events.kind[at]), self.nav, self.nav_before, self.dt, tau, np.mean(rates, axis=0), len(rates), a.white, self.seen,
+                int(events.kind[at]), self.nav, self.nav_before, self.dt, tau, np.mean(rates, axis=0), len(rates), self.white, self.seen,
                 a.axis, events.z[at], events.settings[at], nu, H, R,
             )  # fmt: skip
         return nu, H, R + np.diag(np.nan_to_num(events.var[at], posinf=0.0))
@@ -234,7 +246,8 @@ def reference_run(
     record, nav, x0 = ekf.checked(imu, initial, initial_states)
     t, n = record.t, ekf.layout.n
     kf = KalmanFilter(dim_x=n, dim_z=FIX_ROWS)
-    kf.x, kf.P = np.zeros(n), ekf.initial_covariance(initial_sigma)
+    kf.x, kf.P = np.zeros(n), ekf.initial_covariance(initial_sigma, imu, nav)
+    power = following.powers(ekf.augmentation, imu)
     flight = _Flight(ekf, kf, np.concatenate([nav, np.zeros(3)]), x0)
     events = ekf.events(t, gnss, aids)
     f, w = events.z.shape
@@ -250,7 +263,7 @@ def reference_run(
     sensed = np.hstack(ekf.augmentation.sensed(record))
     for k in range(t.size):
         if k > 0:
-            flight.predict(sensed[k], t[k] - t[k - 1])
+            flight.predict(sensed[k], t[k] - t[k - 1], power[min(k, len(power) - 1)])
         while k > 0 and (due := _due(flight, events, waiting, t, k)) is not None:
             at, tau = due
             waiting.remove(at)

@@ -15,9 +15,10 @@ from numpy.typing import ArrayLike
 from insemu import CalledRoom
 from insemu.errors import InputError, nearest
 from insemu.fit.covariance import covariance_of_curve, model_covariance
+from insemu.fit.following import FollowingFit, Segment, fit_following
 from insemu.fit.indirect import bootstrap_intervals, check_bootstrap
 from insemu.fit.likelihood import LARGE, fit_mli_pieces
-from insemu.fit.result import Criterion, Estimate, FitResult, GoodnessOfFit, kalibr, save
+from insemu.fit.result import LEAST_P, Criterion, Estimate, FitResult, GoodnessOfFit, kalibr, save
 from insemu.fit.robust import cleaned_curve
 from insemu.fit.runs import Choice, RunsFit, choose_model, fit_runs
 from insemu.fit.selection import RANK_DOF, Ranking, prediction_distance, select_axes, wic
@@ -41,21 +42,25 @@ Method = Literal[
 
 __all__ = [
     "LARGE",
+    "LEAST_P",
     "RANK_DOF",
     "Choice",
     "Criterion",
     "Estimate",
     "FitResult",
+    "FollowingFit",
     "GoodnessOfFit",
     "Method",
     "Ranking",
     "RunsFit",
+    "Segment",
     "bootstrap_intervals",
     "check_bootstrap",
     "choose_model",
     "cleaned_curve",
     "covariance_of_curve",
     "fit",
+    "fit_following",
     "fit_mli_pieces",
     "fit_runs",
     "fit_together",

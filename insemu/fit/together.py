@@ -14,13 +14,14 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, special
+from scipy import special
 
 from insemu.errors import InputError
 from insemu.fit.coordinates import Coordinates
 from insemu.fit.covariance import model_covariance
 from insemu.fit.gmwm import TEST_DOF, fit_curve, parameter_covariance
 from insemu.fit.minimum import root_of_inverse
+from insemu.fit.nonlinear import bias, minimised, slopes
 from insemu.fit.result import FitResult, GoodnessOfFit, estimates
 from insemu.fit.structure import Structure
 from insemu.noise import NoiseModel, Process, Seen, shared_processes
@@ -29,9 +30,6 @@ from insemu.variance import WaveletCovariance, WaveletVariance, wavelet_covarian
 
 Array = NDArray[np.float64]
 Models = Mapping[str, NoiseModel]
-
-#: Relative step of numerical derivatives.
-STEP = 1e-4
 
 
 def fit_together(
@@ -335,24 +333,14 @@ class _Moments:
 
     def minimised(self, tied: _Tied, W: Array, rows: NDArray[np.intp] | slice = slice(None)) -> tuple[_Tied, float]:
         """The nearest of some moments from a start, and the squared distance; correlation times stay where a record can show them."""
-        target = W @ self.value[rows]
-        low, high = tied.bounds(self.n, self.dt)
-        found = optimize.least_squares(
-            lambda x: W @ self.expected(tied.models(x))[rows] - target,
-            np.clip(tied.start, low + 1e-9, high - 1e-9),
-            jac=lambda x: W @ self._slopes(tied, x)[rows],
-            bounds=(low, high),
-            max_nfev=60,
+        x, squares = minimised(
+            lambda x: self.expected(tied.models(x))[rows], self.value[rows], W, tied.start, tied.bounds(self.n, self.dt)
         )
-        return tied.at(found.x), float(2.0 * found.cost)
+        return tied.at(x), squares
 
     def _slopes(self, tied: _Tied, x: Array) -> Array:
         """Derivatives of the moments by the common coordinates."""
-        out = np.empty((self.value.size, x.size))
-        for i in range(x.size):
-            h = STEP * np.eye(x.size)[i]
-            out[:, i] = (self.expected(tied.models(x + h)) - self.expected(tied.models(x - h))) / (2.0 * STEP)
-        return out
+        return slopes(lambda at: self.expected(tied.models(at)), x)
 
     # -- the answer ---------------------------------------------------------------------------------------------------------------
 
@@ -363,7 +351,7 @@ class _Moments:
         D = self._slopes(tied, x)
         C, lost = parameter_covariance(D, W, V)
         test = self._test(tied, V)
-        x = x - self._bias(tied, W @ D, W, C)
+        x = x - bias(lambda at: self.expected(tied.models(at)), x, D, W, C)
         models = tied.models(x)
         notes = ["the axes leave parameters of the shared process open; hold one of them"] if lost else []
         out = {}
@@ -391,22 +379,6 @@ class _Moments:
                 details={"weighting": "asymptotic", "free": coordinates.free, "cross": dict(self.cross)},
             )
         return out
-
-    def _bias(self, tied: _Tied, D: Array, W: Array, C: Array) -> Array:
-        """Mean error of the coordinates from the curvature of the moments (Box 1971, equation (2.26)), at most half a standard error."""
-        known = np.flatnonzero(np.isfinite(np.diag(C)) & (np.diag(C) < 1.0))
-        if known.size < tied.start.size:
-            return np.zeros(tied.start.size)  # a parameter that is hardly known has no second order
-        size, directions = np.linalg.eigh(C)
-        here, curved = self.expected(tied.models(tied.start)), np.zeros(self.value.size)
-        for step in (directions * np.sqrt(np.maximum(size, 0.0))).T:
-            curved += (
-                self.expected(tied.models(tied.start + step))
-                + self.expected(tied.models(tied.start - step))
-                - 2.0 * here
-            )
-        limit = 0.5 * np.sqrt(np.diag(C))
-        return np.asarray(np.clip(-0.5 * np.linalg.pinv(D) @ (W @ curved), -limit, limit))
 
     def _test(self, tied: _Tied, V: Array) -> GoodnessOfFit | None:
         """Test of over-identifying restrictions over the scales at which every axis has enough degrees of freedom."""

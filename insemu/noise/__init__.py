@@ -6,6 +6,8 @@ Sums come free: ``2*GM() + WN()``.
 
 from insemu.noise.block import StateBlock
 from insemu.noise.files import axis_unit, load, save
+from insemu.noise.follow import KNOWN as COVARIATES
+from insemu.noise.follow import LARGEST_LOG_GAIN, Follows
 from insemu.noise.parameters import Parameter
 from insemu.noise.process import PROCESSES, SAME_RATE, NoiseModel, NotStationary, Process, register
 from insemu.noise.processes.autoregressive import AR, AR1, ARMA, MA
@@ -22,8 +24,10 @@ __all__ = [
     "AR1",
     "ARMA",
     "BI",
+    "COVARIATES",
     "DR",
     "GM",
+    "LARGEST_LOG_GAIN",
     "MA",
     "PROCESSES",
     "QN",
@@ -33,6 +37,7 @@ __all__ = [
     "SIN",
     "WN",
     "CommonDraws",
+    "Follows",
     "NoiseModel",
     "NotStationary",
     "Parameter",

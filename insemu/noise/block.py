@@ -83,6 +83,14 @@ class StateBlock:
             dt=dt,
         )
 
+    def roots(self) -> tuple[Array, Array]:
+        """Matrices whose squares are ``Q`` and ``P0``, which may be singular."""
+        out = []
+        for covariance in (self.Q, self.P0):
+            values, vectors = np.linalg.eigh(covariance)
+            out.append(np.ascontiguousarray(vectors * np.sqrt(np.maximum(values, 0.0))))
+        return out[0], out[1]
+
     @property
     def memory(self) -> float:
         """Time in s in which the slowest of its states forgets all but 1 / e: zero without states, inf where one never forgets."""

@@ -326,11 +326,15 @@ class Parametrised:
 
     def __str__(self) -> str:
         given = [
-            f"{f.name}={value if f.name == 'shared' else repr(value)}"
-            for f in sorted(fields(self), key=lambda f: f.name == "shared")
-            if (value := getattr(self, f.name)) != f.default
+            f"{f.name}={value!r}"
+            for f in fields(self)
+            if not f.kw_only and (value := getattr(self, f.name)) != f.default
         ]
-        return f"{self.symbol}({', '.join(given)})"
+        return f"{self.symbol}({', '.join([*given, *self.common_arguments()])})"
+
+    def common_arguments(self) -> list[str]:
+        """What any process may say of itself, as text of a model has it."""
+        return []
 
     @classmethod
     def of_arguments(cls, orders: Sequence[int], given: Mapping[str, Any], signal_unit: str, text: str) -> Self:

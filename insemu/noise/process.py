@@ -7,10 +7,9 @@ The two stand together because each makes the other: ``WN() + GM()`` is a sum, a
 from __future__ import annotations
 
 import math
-import re
 from abc import ABCMeta, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, ClassVar, Self
 
@@ -18,10 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError, nearest
-from insemu.noise import grammar
+from insemu.noise import follow, grammar
 from insemu.noise.block import StateBlock
+from insemu.noise.common import Common, common_keys
 from insemu.noise.compiled import curves, draws
-from insemu.noise.parameters import Parametrised
 
 Array = NDArray[np.float64]
 
@@ -31,10 +30,6 @@ PROCESSES: dict[str, type[Process]] = {}
 
 #: Relative difference up to which two sampling rates are one: stamps and their mean interval round differently.
 SAME_RATE = 1e-9
-
-
-#: A name that a shared process may have, with the sign by which the axis sees it.
-_NAME = re.compile(r"-?[A-Za-z]\w{0,39}")
 
 
 class NotStationary(InputError):
@@ -74,7 +69,7 @@ class _WithTime(ABCMeta):
 
 
 @dataclass(frozen=True)
-class Process(Parametrised, metaclass=_WithTime):
+class Process(Common, metaclass=_WithTime):
     """One stochastic process. Its state block says what it is; everything else follows from that.
 
     A subclass gives parameters and a block, and closed forms where they are better than what is derived here: exact where the block
@@ -87,19 +82,6 @@ class Process(Parametrised, metaclass=_WithTime):
     single_draw: ClassVar[bool] = False
     #: Function of :data:`insemu.noise.compiled.curves.SIGNATURE` for the process with coefficient 1; None derives it.
     curve: ClassVar[Callable[..., None] | None] = None
-    #: Name that the process has on every axis that sees it, behind a minus where the axis sees it with the other sign; empty: its own.
-    shared: str = field(default="", kw_only=True)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.check_shared()
-
-    def check_shared(self) -> None:
-        """Raise ``InputError`` where the name of a shared process is none."""
-        if self.shared and not (isinstance(self.shared, str) and _NAME.fullmatch(self.shared)):
-            raise InputError(
-                f"{self.symbol}: shared is {grammar.shown(self.shared)}, expected a name such as warmth, or -warmth for the other sign"
-            )
 
     @abstractmethod
     def block(self, dt: float) -> StateBlock:
@@ -204,11 +186,11 @@ class Process(Parametrised, metaclass=_WithTime):
         rng : Generator
         """
         block = self.block(dt)
-        root_Q, root_P = (_root(a) for a in (block.Q, block.P0))
+        root_Q, root_P = block.roots()
         state = root_P @ rng.standard_normal(block.n)
         draws.standard_normal(out, rng)
         out *= math.sqrt(block.white)
-        draws.state_space(out, np.array(block.Phi), root_Q, np.array(block.c), state, rng)
+        draws.driven(out, np.array(block.Phi), root_Q, np.array(block.c), state, np.ones(1), rng)
 
     def simulate(self, n: int, dt: float, rng: np.random.Generator) -> Array:
         """``n`` samples at interval ``dt`` (s), from a stationary start where there is one.
@@ -335,22 +317,16 @@ class MarkovParts:
     line: tuple[float, ...] = ()
 
 
-def _root(covariance: Array) -> Array:
-    """A matrix whose square is a covariance, which may be singular."""
-    values, vectors = np.linalg.eigh(covariance)
-    return np.ascontiguousarray(vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
 def process_of(item: Mapping[str, Any], signal_unit: str) -> Process:
     """The process of one mapping with the key ``process``; raises ``InputError``."""
     given = dict(item)
     name = given.pop("process", None)
     name = grammar.ALIASES.get(name, name) if isinstance(name, str) else None
-    shared = given.pop("shared", "")
+    common = common_keys(given)
     if name not in PROCESSES:
         found = grammar.shown(item.get("process"))
         raise InputError(f"unknown process {found}" + nearest(name or "", PROCESSES), where="process")
-    return replace(PROCESSES[name].from_mapping(given, signal_unit), shared=shared)
+    return replace(PROCESSES[name].from_mapping(given, signal_unit), **common)
 
 
 def register(process: type[Process]) -> type[Process]:
@@ -499,7 +475,18 @@ class NoiseModel:
 
     # -- draws --------------------------------------------------------------------------------------------------------------------
 
-    def simulate_components(self, n: int, dt: float, rng: np.random.Generator, out: Array | None = None) -> Array:
+    def under(self, covariates: Mapping[str, float]) -> NoiseModel:
+        """The model at some values of its covariates, whose levels follow nothing."""
+        return NoiseModel(tuple(p.under(covariates) for p in self))
+
+    def simulate_components(
+        self,
+        n: int,
+        dt: float,
+        rng: np.random.Generator,
+        out: Array | None = None,
+        covariates: Mapping[str, Array] | None = None,
+    ) -> Array:
         """Draw every process, into ``out`` (processes, n) where it is given.
 
         Each process draws from its own child of ``rng``, so that a process added at the end leaves the others as they were.
@@ -513,6 +500,8 @@ class NoiseModel:
         rng : Generator
         out : (processes, n) array, optional
             Overwritten.
+        covariates : mapping of str to (n,) array, optional
+            What levels follow, SI.
 
         Returns
         -------
@@ -520,21 +509,17 @@ class NoiseModel:
         """
         parts = np.empty((len(self), n)) if out is None else out
         for row, p, child in zip(parts, self, rng.spawn(len(self)), strict=True):
-            p.fill(row, dt, child)
+            if p.follows is None:
+                p.fill(row, dt, child)
+            else:
+                follow.fill(row, p.block(dt), p.follows.gain(p.follows.of(covariates, p.symbol)), child)
         return parts
 
-    def simulate(self, n: int, dt: float, rng: np.random.Generator) -> Array:
-        """Draw ``n`` samples of the sum at interval ``dt`` (s).
-
-        Parameters
-        ----------
-        n : int
-            Samples.
-        dt : float
-            Sampling interval, s.
-        rng : Generator
-        """
-        return np.asarray(self.simulate_components(n, dt, rng).sum(axis=0))
+    def simulate(
+        self, n: int, dt: float, rng: np.random.Generator, covariates: Mapping[str, Array] | None = None
+    ) -> Array:
+        """Draw ``n`` samples of the sum at interval ``dt`` (s); arguments as of :meth:`simulate_components`."""
+        return np.asarray(self.simulate_components(n, dt, rng, covariates=covariates).sum(axis=0))
 
     # -- text ---------------------------------------------------------------------------------------------------------------------
 
@@ -556,8 +541,8 @@ class NoiseModel:
         Parameters
         ----------
         text : str
-            A sum of ``[count*]NAME(arguments)``; arguments are ``name=quantity``, for AR, MA and ARMA the orders, and ``shared=name`` for a
-            process that several axes see (:mod:`insemu.noise.shared`).
+            A sum of ``[count*]NAME(arguments)``; arguments are ``name=quantity``, for AR, MA and ARMA the orders, ``shared=name`` for a process
+            that several axes see (:mod:`insemu.noise.shared`), ``follows=temperature, slope=0.02, at=25`` for a level that follows a covariate.
         signal_unit : str
             SI unit of the signal (``rad/s``, ``m/s^2``), needed only where arguments carry units.
 
@@ -568,14 +553,14 @@ class NoiseModel:
         """
         processes: list[Process] = []
         for count, name, orders, given in grammar.terms(text, PROCESSES):
-            shared = given.pop("shared", "")
+            common = common_keys(given)
             process = PROCESSES[name].of_arguments(orders, given, signal_unit, text)
-            processes += [replace(process, shared=shared)] * count
+            processes += [replace(process, **common)] * count
         return cls(tuple(processes))
 
     def to_list(self, signal_unit: str = "") -> list[dict[str, Any]]:
         """The model as plain data for YAML or JSON: one mapping per process, quantities with their SI unit as text."""
-        return [p.to_mapping(signal_unit) | ({"shared": p.shared} if p.shared else {}) for p in self]
+        return [p.to_mapping(signal_unit) | p.common_mapping() for p in self]
 
     @classmethod
     def from_list(cls, items: Sequence[Mapping[str, Any]] | str, signal_unit: str = "") -> NoiseModel:

@@ -82,7 +82,7 @@ def shared_processes(models: Mapping[str, NoiseModel]) -> dict[str, tuple[Seen, 
 def _shape(process: Process) -> tuple[object, ...]:
     """What all axes must have in common."""
     given = {name: value for name, value in process.given.items() if name != process.level.name}
-    return (process.symbol, process.order, *given.items())
+    return (process.symbol, process.order, process.follows, *given.items())
 
 
 class CommonDraws:

@@ -12,6 +12,7 @@ from insemu.report.comparison import (
 )
 from insemu.report.experiment import render_experiment
 from insemu.report.fit import fits_answer, render_fits
+from insemu.report.following import following_answer, render_following, segment_rows
 from insemu.report.gap import (
     draw_gap,
     effect_name,
@@ -72,6 +73,7 @@ __all__ = [
     "finding_action",
     "finding_metres",
     "fits_answer",
+    "following_answer",
     "gap_headline",
     "is_better",
     "outage_rows_of",
@@ -86,11 +88,13 @@ __all__ = [
     "render_comparison",
     "render_experiment",
     "render_fits",
+    "render_following",
     "render_gap",
     "render_reckoning",
     "render_regression",
     "render_solution",
     "render_sweep",
+    "segment_rows",
     "sensor_axes",
     "server",
     "shaking_said",

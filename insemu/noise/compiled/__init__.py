@@ -2,7 +2,7 @@
 
 from insemu.noise.compiled.curves import call, callback_of, compiled, evaluate
 from insemu.noise.compiled.doubling import arma, coefficients_of, copy, multiply
-from insemu.noise.compiled.draws import first_order, rational_filter, running_sum, standard_normal, state_space
+from insemu.noise.compiled.draws import driven, first_order, rational_filter, running_sum, standard_normal
 
 __all__ = [
     "arma",
@@ -11,11 +11,11 @@ __all__ = [
     "coefficients_of",
     "compiled",
     "copy",
+    "driven",
     "evaluate",
     "first_order",
     "multiply",
     "rational_filter",
     "running_sum",
     "standard_normal",
-    "state_space",
 ]

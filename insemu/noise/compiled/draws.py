@@ -96,8 +96,8 @@ def rational_filter(out: Array, b: Array, a: Array, memory: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def state_space(out: Array, Phi: Array, root: Array, c: Array, state: Array, rng: np.random.Generator) -> None:
-    """Add ``c x_k`` to (n,), where ``x_k = Phi x_(k-1) + root w_k``; ``state`` holds ``x_0`` and is left at the last sample.
+def driven(out: Array, Phi: Array, root: Array, c: Array, state: Array, gain: Array, rng: np.random.Generator) -> None:
+    """Add ``c x_k`` to (n,), where ``x_k = Phi x_(k-1) + g_k root w_k``; ``state`` holds ``x_0`` and is left at the last sample.
 
     Parameters
     ----------
@@ -111,15 +111,18 @@ def state_space(out: Array, Phi: Array, root: Array, c: Array, state: Array, rng
         What a sample sees of the state.
     state : (states,) array
         State at the first sample, overwritten.
+    gain : (n,) or (1,) array
+        Factor of the noise that drives every sample, or of all.
     rng : Generator
     """
     n = state.size
     old, w = np.empty(n), np.empty(n)
     for k in range(out.size):
         if k > 0:
+            level = gain[k] if gain.size > 1 else gain[0]
             for i in range(n):
                 old[i] = state[i]
-                w[i] = rng.standard_normal()
+                w[i] = level * rng.standard_normal()
             for i in range(n):
                 total = 0.0
                 for j in range(n):

@@ -458,7 +458,7 @@ class ARMA(Process):
     def __str__(self) -> str:
         if not self.specified:
             orders = [str(len(v)) for v in (self.ar, self.ma) if len(v)]
-            return f"{self.symbol}({', '.join([*orders, *([f'shared={self.shared}'] if self.shared else [])])})"
+            return f"{self.symbol}({', '.join([*orders, *self.common_arguments()])})"
         return super().__str__()
 
 
