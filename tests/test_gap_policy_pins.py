@@ -422,22 +422,17 @@ class Stamps:
 @dataclass(frozen=True)
 class Moved:
     imu: Stamps = Stamps()
+    gnss: Stamps = Stamps()
 
 
 def offset_found(monkeypatch, offset, nats, left, square):
-    n = 200
-
-    def stand_in(recording, *_):
-        x = -recording.imu.t
+    def tried(prepared, _):
+        x = -prepared.recording.imu.t
         away = ((x - offset) / (offset if x < offset else 0.3)) ** 2
         mean = square * (left + (1.0 - left) * min(away, 1.0))
-        volume = 2.0 * nats * away / n - math.log(mean)
-        fixes = SimpleNamespace(
-            accepted=np.ones(n, bool), nis=np.full(n, mean), dof=np.ones(n), S=np.full((n, 1, 1), math.exp(volume)), innovation=np.ones((n, 1)),
-        )  # fmt: skip
-        return SimpleNamespace(result=SimpleNamespace(fixes=fixes))
+        return timing._Tried(-nats * away, -math.inf, mean, mean)
 
-    monkeypatch.setattr(timing, "prepare", stand_in)
-    start = SimpleNamespace(recording=Moved(), nominal=None, fast=None, prepared=stand_in(Moved()))
-    found = timing.find_offset(start)
-    return None if found is None else found.parameters[0].value
+    monkeypatch.setattr(timing, "_tried", tried)
+    nominal = SimpleNamespace(recording=Moved(), on=lambda recording: SimpleNamespace(recording=recording))
+    found = timing.find_times(SimpleNamespace(recording=Moved(), prepared=nominal))
+    return found[0].parameters[0].value if found else None

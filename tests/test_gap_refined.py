@@ -66,6 +66,7 @@ FOUND: dict[str, tuple[str, tuple[str, ...], str, dict[str, float], dict[str, An
     "gnss_velocity_noise": ("gnss", ("down",), "", {"factor": 3.0}, {"factor": [1.0, 1.0, 3.0]}),
     "gnss_correlated_noise": ("gnss", ("north",), "", {"sigma": 0.3, "tau": 20.0}, {"sigma": [0.3, 0, 0], "tau": 20.0}),
     "lever_arm": ("gnss", ("x",), "", {"value_x": 0.2}, {"value": [0.2, 0, 0]}),
+    "gnss_velocity_lag": ("gnss", (), "", {"lag": 0.05}, {"lag": 0.05}),
     "gnss_multipath_step": ("gnss", ("east",), "", {"value": 2.0, "start": 10.0, "duration": 8.0}, {"value": [0, 2.0, 0], "start": 10.0}),
     "gnss_outliers": ("gnss", ("north", "east", "down"), "", {"probability": 0.05, "sigma": 4.0}, {"sigma": [4.0, 4.0, 4.0]}),
     "earth_rate": ("imu", (), "", {"fraction": 0.9}, {"fraction": 0.9}),
