@@ -23,6 +23,8 @@ COMMANDS = {
     "bootstrap": ("fit log.npz --model WN() --bootstrap 20 --json", ""),
     "gap-trial": ("gap-trial --recordings 2 --kind static --effect none --hours 0.2 --no-hold-out --json", ""),
 }
+#: Commands that take more than ten seconds here.
+LONG = ("compare", "gap-trial")
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +38,7 @@ def address() -> Iterator[str]:
 
 
 @pytest.mark.filterwarnings("default")  # of the cluster's own
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in LONG else n for n in COMMANDS])
 def test_a_command_says_the_same_on_a_cluster(
     name: str, address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

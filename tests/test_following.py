@@ -65,6 +65,7 @@ def test_draws_have_the_gain():
     assert abs(np.log(step[n // 2 :].std() / step[: n // 2 - 1].std()) - 1.0) < 4.0 / np.sqrt(n / 2)
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_slope():
     inside, rejected = coverage(TRUTH["both follow"], SLOPE, 12)
     # below 7 of 12 (9 of 12) once in 10,000 where intervals hold 95 %
@@ -84,6 +85,7 @@ def test_a_wrong_slope_is_seen():
     assert found.result.test.p_value < 1e-6 and not found.p_values
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_effects_of_the_emulator_are_recovered(effect):
     # fewer than 6 of 12 once in 4e6 where intervals hold 95 %
