@@ -86,6 +86,7 @@ def fit_covariate(
 
     from insemu import units
     from insemu.cli.logs import column_names
+    from insemu.cli.printing import telling
     from insemu.covariates import checked, needed
     from insemu.errors import InputError, nearest
     from insemu.fit import fit_following, save
@@ -108,9 +109,9 @@ def fit_covariate(
         series = [s for s in series if s.name in names]
     console = Console(stderr=as_json)
     results: dict[str, FollowingFit] = {}
-    with Console(stderr=True).status("fitting") as status:
+    with telling(Console(stderr=True), "fitting") as say:
         for k, s in enumerate(series):
-            status.update(f"{s.name}: axis {k + 1} of {len(series)}")
+            say(f"{s.name}: axis {k + 1} of {len(series)}")
             asked = followed(model, s.unit, name)
             checked(needed([asked]), found, file)
             try:
