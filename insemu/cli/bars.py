@@ -40,7 +40,7 @@ class Bars(Progress):
         )
         self._every_s, self._told = every_s, time.monotonic()
 
-    def update(self, task_id: TaskID, **what: Any) -> None:  # type: ignore[override]
+    def update(self, task_id: TaskID, **what: Any) -> None:
         """Update a bar, or say how far it is."""
         super().update(task_id, **what)
         now = time.monotonic()
