@@ -1,8 +1,8 @@
 """Arrays of six IMUs: weights for the metres at the ends of outages against every other weighting.
 
-``python -m tests.array_experiments [N] [--kind mixed|spread|alike] [--hours H]``: of N emulated arrays the mean square at the end of an outage under each
-weighting, over that of equal weights: computed from the true models of the units with the filter that each weighting gets (no Monte Carlo),
-median with its 95 % interval (binomial), and the largest.
+``python -m tests.array_experiments [N] [--kind mixed|spread|alike] [--hours H]``: of N emulated arrays the mean square at the end of an
+outage under each weighting, over that of equal weights: computed from the true models of the units with the filter that each weighting
+gets (no Monte Carlo), median with its 95 % interval (binomial), and the largest.
 """
 
 from __future__ import annotations
@@ -33,7 +33,12 @@ def flight() -> Flight:
     s: Scenario = load(path)
     assert s.trajectory is not None
     trajectory = s.trajectory.model_copy(update={"rate": RATE_HZ, "duration": END})
-    return Flight(s.model_copy(update={"trajectory": trajectory, "gnss": s.gnss.model_copy(update={"outages": s.gnss.outages[:1]})}), path)
+    return Flight(
+        s.model_copy(
+            update={"trajectory": trajectory, "gnss": s.gnss.model_copy(update={"outages": s.gnss.outages[:1]})}
+        ),
+        path,
+    )
 
 
 def drawn(kind: str, rng: np.random.Generator) -> dict[str, list[NoiseModel]]:
@@ -90,8 +95,15 @@ def main() -> None:
         rows.append({name: v / square[EQUAL] for name, v in square.items()})
         ours = found[METRES]
         inside.append(ours.low <= rows[-1][METRES] <= ours.high)
-        print(f"{number}: " + ", ".join(f"{name} {v:.3f}" for name, v in rows[-1].items()) + f"; said {ours.ratio:.3f} ({ours.low:.3f} to {ours.high:.3f})", flush=True)
-    print(f"{given.kind}, {given.count} arrays of {UNITS}, logs of {given.hours:g} h: mean square over that of equal weights")
+        print(
+            f"{number}: "
+            + ", ".join(f"{name} {v:.3f}" for name, v in rows[-1].items())
+            + f"; said {ours.ratio:.3f} ({ours.low:.3f} to {ours.high:.3f})",
+            flush=True,
+        )
+    print(
+        f"{given.kind}, {given.count} arrays of {UNITS}, logs of {given.hours:g} h: mean square over that of equal weights"
+    )
     for name in rows[0]:
         x = np.array([r[name] for r in rows])
         middle, low, high = median_interval(x)

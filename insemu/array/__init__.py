@@ -1,5 +1,6 @@
 """An array of IMUs as one virtual sensor, weighed for the metres at the ends of outages."""
 
+from insemu.array.logs import by_unit
 from insemu.array.metres import Flight, Quadratic, Response, quadratic
 from insemu.array.session import EQUAL, INVERSE, METRES, SCALE_WISE, ArrayFit, Weighting, gathered, weigh
 
@@ -13,6 +14,7 @@ __all__ = [
     "Quadratic",
     "Response",
     "Weighting",
+    "by_unit",
     "gathered",
     "quadratic",
     "weigh",

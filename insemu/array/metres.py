@@ -234,4 +234,4 @@ def log_variance(
         parts = list(model.processes)
         parts[place] = parts[place].with_parameters({name: value - step})
         slope[i] = (here - worth(NoiseModel(tuple(parts)))) / step
-    return float(max(slope @ known @ slope, 0.0)) / max(here, 1e-300) ** 2
+    return max(float(slope @ known @ slope), 0.0) / max(here, 1e-300) ** 2

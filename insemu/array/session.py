@@ -21,8 +21,8 @@ Weights = dict[str, Array]
 
 #: Names of the weightings, in the order of tables.
 EQUAL, INVERSE, SCALE_WISE, METRES = "equal", "inverse variance", "scale-wise variance", "metres at outage end"
-#: Weights have settled when none moves by more; a hundredth of it changes the mean square by less than a millionth.
-SETTLED = 1e-3
+#: Weights have settled when none moves by more: the mean square then changes by less than a ten-thousandth.
+SETTLED = 3e-3
 #: Most beliefs that are tried.
 ROUNDS = 8
 #: Draws of what the units are worth, for intervals.
@@ -92,6 +92,14 @@ class ArrayFit:
         for axis, signals in self.signals.items():
             values = sum(w * s.values for w, s in zip(self[name].weights[axis], signals, strict=True))
             out.append(replace(signals[0], values=np.asarray(values), name=axis))
+        return out
+
+    def fitted(self, model: str, name: str = METRES) -> dict[str, FitResult]:
+        """Fits to the log of the virtual sensor; processes that the units share are its own."""
+        out = {}
+        for s in self.virtual(name):
+            asked = NoiseModel(tuple(replace(p, shared="") for p in NoiseModel.parse(model, s.unit)))
+            out[s.name] = fit(s, asked)
         return out
 
     def to_json(self) -> dict[str, Any]:
@@ -179,9 +187,7 @@ def weigh(
         low, high = np.quantile(drawn, [0.025, 0.975])
         square = form.mean_square(w)
         ratio = square / first[0].mean_square(asked[EQUAL])
-        weightings.append(
-            Weighting(name, w, array.belief(w), float(np.sqrt(square)), ratio, float(low), float(high))
-        )
+        weightings.append(Weighting(name, w, array.belief(w), float(np.sqrt(square)), ratio, float(low), float(high)))
     part = np.diag(first[0].G) / count**2 / first[0].mean_square(asked[EQUAL])
     shares = dict(zip(first[0].axes, part.reshape(-1, count), strict=True))
     return ArrayFit(units, signals, fits, tuple(weightings), shares, _dependent(fits, matrices, units))
@@ -269,6 +275,7 @@ class _Array:
         for axis in axes:
             worth, variance = [], []
             for r in self.fits[axis]:
+
                 def of(model: NoiseModel, axis: str = axis) -> float:
                     return response.of_model(model + self.plus[axis], axis)
 
@@ -287,7 +294,9 @@ class _Array:
         factor: Array | None = None
         for number in range(ROUNDS):
             form, _ = self.form(now)
-            if factor is None:  # what the units are worth relative to their estimates, which hardly depends on the belief
+            if (
+                factor is None
+            ):  # what the units are worth relative to their estimates, which hardly depends on the belief
                 factor = np.exp(0.5 * worth) / np.sqrt(np.maximum(np.diag(form.G), 1e-300))
             better = form.scaled(factor).best()
             moved = max(float(np.abs(better[a] - now[a]).max()) for a in now)

@@ -27,7 +27,7 @@ def equal(units: int) -> Array:
 def inverse_variance(signals: Sequence[Series]) -> Array:
     """Weights in inverse proportion to the variance of the signals, (units,)."""
     inverse = np.array([1.0 / float(np.var(s.values)) for s in signals])
-    return inverse / inverse.sum()
+    return np.asarray(inverse / inverse.sum())
 
 
 def wavelet_matrices(signals: Sequence[Series]) -> tuple[Array, Array]:
