@@ -18,6 +18,7 @@ from insemu.fit.covariance import covariance_of_curve, model_covariance
 from insemu.fit.following import FollowingFit, Segment, fit_following
 from insemu.fit.indirect import bootstrap_intervals, check_bootstrap
 from insemu.fit.likelihood import LARGE, fit_mli_pieces
+from insemu.fit.regressors import Coefficient, RegressedFit, fit_regressed
 from insemu.fit.result import LEAST_P, Criterion, Estimate, FitResult, GoodnessOfFit, kalibr, save
 from insemu.fit.robust import cleaned_curve
 from insemu.fit.runs import Choice, RunsFit, choose_model, fit_runs
@@ -45,6 +46,7 @@ __all__ = [
     "LEAST_P",
     "RANK_DOF",
     "Choice",
+    "Coefficient",
     "Criterion",
     "Estimate",
     "FitResult",
@@ -52,6 +54,7 @@ __all__ = [
     "GoodnessOfFit",
     "Method",
     "Ranking",
+    "RegressedFit",
     "RunsFit",
     "Segment",
     "bootstrap_intervals",
@@ -62,6 +65,7 @@ __all__ = [
     "fit",
     "fit_following",
     "fit_mli_pieces",
+    "fit_regressed",
     "fit_runs",
     "fit_together",
     "kalibr",
