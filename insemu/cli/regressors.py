@@ -56,11 +56,10 @@ def fit_regressors(
     from rich.console import Console
 
     from insemu import units
-    from insemu.cli.fit import write
     from insemu.cli.following import chosen_axes
     from insemu.covariates import regressors_of
     from insemu.errors import InputError
-    from insemu.fit import fit_regressed
+    from insemu.fit import fit_regressed, save
     from insemu.logs import open_with_covariates
     from insemu.noise import NoiseModel
 
@@ -88,7 +87,9 @@ def fit_regressors(
         for axis, found in results.items():
             show(console, axis, found.result)
             _show(console, axis, found)
-    write({axis: f.result for axis, f in results.items()}, out, "", console)
+    if out:
+        save({axis: f.result for axis, f in results.items()}, out)
+        console.print(f"models: {out}")
     if page:
         from insemu.report import render_regressed
 

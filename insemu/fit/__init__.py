@@ -18,6 +18,7 @@ from insemu.fit.covariance import covariance_of_curve, model_covariance
 from insemu.fit.following import FollowingFit, Segment, fit_following
 from insemu.fit.indirect import bootstrap_intervals, check_bootstrap
 from insemu.fit.likelihood import LARGE, fit_mli_pieces
+from insemu.fit.online import Alarm, OnlineFit, Update
 from insemu.fit.regressors import Coefficient, RegressedFit, fit_regressed
 from insemu.fit.result import LEAST_P, Criterion, Estimate, FitResult, GoodnessOfFit, kalibr, save
 from insemu.fit.robust import cleaned_curve
@@ -45,6 +46,7 @@ __all__ = [
     "LARGE",
     "LEAST_P",
     "RANK_DOF",
+    "Alarm",
     "Choice",
     "Coefficient",
     "Criterion",
@@ -53,10 +55,12 @@ __all__ = [
     "FollowingFit",
     "GoodnessOfFit",
     "Method",
+    "OnlineFit",
     "Ranking",
     "RegressedFit",
     "RunsFit",
     "Segment",
+    "Update",
     "bootstrap_intervals",
     "check_bootstrap",
     "choose_model",
