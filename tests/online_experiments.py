@@ -1,7 +1,8 @@
 """A model beside a stream: rate of false alarms, power, and intervals.
 
 ``python -m tests.online_experiments [N]``: of N emulated streams of 400 windows, how many windows alarm that have no cause, at a stated
-probability of 0.01 each, and how often the last intervals hold the truth; then how often a change of the level by a factor is seen within three windows.
+probability of 0.01 each, and how often the last intervals hold the truth; then how often a change of the level
+by a factor is seen within three windows.
 """
 
 from __future__ import annotations
