@@ -10,8 +10,9 @@ output) every cell that begins with a number, too. Code, links, headings, the bi
     ``external`` (another program or a published table), ``closed form``, ``real data``, ``own simulation``, ``none`` (a claim without evidence), or
     ``setting`` (an input, a limit, a constant, a definition: it claims nothing).
 ``command``
-    One or several that print the figures. A figure agrees where a printed number is within half a unit of its last digit, or within the relative
-    tolerance ``within``; in a block all numbers of the line must be in one printed line.
+    One or several that print the figures; what they write goes into ``{folder}``, which is empty before and gone afterwards. A figure
+    agrees where a printed number is within half a unit of its last digit, or within the relative tolerance ``within``; in a block all
+    numbers of the line must be in one printed line.
 ``check``
     A command that holds the figures against what they rest on and fails where they do not agree, where that is another than ``command``.
 ``seed``
@@ -245,11 +246,11 @@ def jobs(covered: Sequence[Claim]) -> dict[str, list[Claim]]:
     return found
 
 
-def _execute(lines: str, folder: Path) -> tuple[bool, str, float]:
+def execute(lines: str, folder: Path) -> tuple[bool, str, float]:
     """Run commands, results into a folder of their own; whether all ended well, what they printed, and the processor's seconds."""
     good, text, begun = True, "", os.times()
     for line in lines.split(" && "):
-        words = shlex.split(line)
+        words = [word.replace("{folder}", str(folder)) for word in shlex.split(line)]
         if words[0] == "insemu" and words[1] in ("run", "gap"):
             words += ["--out", str(folder / hashlib.sha256(line.encode()).hexdigest()[:8])]
         words = [sys.executable, *(["-m", "insemu"] if words[0] == "insemu" else []), *words[1:]]
@@ -275,7 +276,7 @@ def run(which: str, covered: Sequence[Claim]) -> int:
                 print(f"skipped, the shared data are absent: {lines}", flush=True)
                 continue
             begun = time.monotonic()
-            good, printed, seconds = _execute(lines.removeprefix("check: "), Path(folder))
+            good, printed, seconds = execute(lines.removeprefix("check: "), Path(folder))
             if "shared data" in printed and not good:
                 print(f"skipped, the shared data are absent: {lines}", flush=True)
                 continue

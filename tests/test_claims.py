@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import re
+from pathlib import Path
 
 import pytest
 
@@ -17,6 +19,7 @@ from tests.claims import (
     claims,
     commands,
     digest,
+    execute,
     figures,
     jobs,
     ledger,
@@ -99,6 +102,16 @@ def test_what_is_a_figure(line: str, expected: list[tuple[str, str]], monkeypatc
     monkeypatch.setattr("tests.claims.pages", lambda: [page])
     monkeypatch.setattr(type(page), "read_text", lambda *_, **__: f"# Head\n{line}\n")
     assert [(f.text, f.unit) for f in figures()] == expected
+
+
+def test_what_commands_write_goes_into_a_folder_of_their_own(tmp_path: Path) -> None:
+    write = """python -c "open('{folder}/x', 'w').write('7 m')" """.strip()
+    read = """python -c "print(open('{folder}/x').read())" """.strip()
+    good, printed, _ = execute(f"{write} && {read}", tmp_path)
+    assert good and "7 m" in printed and (tmp_path / "x").exists()
+    for line in (line for lines in jobs(claims()[0]) for line in lines.split(" && ")):
+        written = re.findall(r"(?:--out|-o) (\S+)", line)
+        assert all(path.startswith("{folder}/") for path in written), line
 
 
 def test_what_was_run_last_is_of_the_figures_that_stand_there() -> None:

@@ -101,9 +101,24 @@ def test_paired_comparison_finds_a_difference_and_finds_none() -> None:
     assert c.different
     assert c.p_value is not None and c.p_value < 0.001
     assert "40% smaller than one's" in verdicts(better)[0]
-    assert "no planimetric difference from one" in verdicts(results())[0]
-    assert "no planimetric difference" in verdicts(results(scale=0.995))[0]  # sure, but too small to matter
+    r = results()
+    other = r.with_data({"error": np.stack([r.error[0], r.error[0][::-1]])})  # the same errors in other realizations
+    assert "no planimetric difference from one; one of" in verdicts(other)[0]
     assert paired_ratio([1.0], [2.0]).p_value is None
+    assert "one realization cannot say" in verdicts(results(runs=1))[0]
+
+
+def test_designs_that_are_the_same_within_little_are_called_that_without_a_p_value() -> None:
+    base = np.linspace(4.0, 6.0, 40)
+    near = paired_ratio(0.995 * base + 0.002 * np.sin(np.arange(40.0)), base)  # sure, but too small to matter
+    assert near.p_value is not None and near.p_value < 0.001
+    assert near.same and not near.different and near.within == pytest.approx(0.005, abs=5e-4)
+    said = verdicts(results(scale=0.995))[0]
+    assert "the same as one's within" in said and " p " not in said
+    assert near.interval == "ratio 0.9950, 95 % 0.9949 to 0.9951"  # digits enough to see that it is no 1
+    wide = paired_ratio(base, base[::-1])
+    assert not wide.same and not wide.different
+    assert not paired_ratio(0.9 * base, base).same
 
 
 def test_the_order_of_designs_is_held_against_a_published_one() -> None:

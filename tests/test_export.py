@@ -280,5 +280,13 @@ designs:
         np.testing.assert_allclose(ring[:, :2].max(axis=0), 3.0 * sigma[k, last, :2], rtol=1e-2)
     assert run("export", tmp_path / "out", "-o", kml, "--realization", "3") == 2
     assert "--realization: found 3, expected 1 to 2" in capsys.readouterr().err
+    drawn = kml.read_bytes()
+    with xr.open_dataset(tmp_path / "out" / "errors.nc", engine="h5netcdf") as data:
+        some = data.load().assign_coords(realization=[0, 316])  # as of a run of many, of which a few stay
+    some.to_netcdf(tmp_path / "out" / "errors.nc", engine="h5netcdf")
+    assert run("export", tmp_path / "out", "-o", kml, "--realization", "317") == 0
+    assert kml.read_bytes() == drawn
+    assert run("export", tmp_path / "out", "-o", kml, "--realization", "2") == 2
+    assert "--realization: found 2, expected one of 1, 317" in capsys.readouterr().err
     assert run("export", tmp_path / "out", "-o", tmp_path / "x.gpx") == 2
     assert "cannot write '.gpx' overlays, expected .kml" in capsys.readouterr().err

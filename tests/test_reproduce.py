@@ -51,6 +51,9 @@ def test_what_differs_is_said(result: Path, tmp_path: Path) -> None:
     assert ran.exit_code == 1
     assert "packages numpy: 0.9 then" in ran.stderr
     assert "error: " in ran.stdout and "numbers differ" in ran.stdout
+    assert (
+        "runs: end_error: " in ran.stdout and "statistics: error_rms: " in ran.stdout
+    )  # what a large run keeps of all
 
 
 @pytest.mark.parametrize("name", ["manifest.json", "resolved.yaml", "errors.nc"])
@@ -111,7 +114,8 @@ def test_the_effort_is_said_and_what_does_not_fit_is_refused(tmp_path: Path, mon
     monkeypatch.setattr("insemu.evaluate.ahead.memory_there", lambda: 1e6)
     with pytest.raises(InputError, match="GiB are free"):
         effort([experiment], 1)
-    monkeypatch.setattr("insemu.evaluate.ahead.memory_there", lambda: 1.2e6)  # 1.15 MB for one at a time, 1.73 for two
+    # signals of one at a time 1.15 MB, of two 1.73; results of 61 epochs, 0.16 MB
+    monkeypatch.setattr("insemu.evaluate.ahead.memory_there", lambda: 1.4e6)
     effort([experiment], 1)
     with pytest.raises(InputError, match="--workers"):
         effort([experiment], 2)

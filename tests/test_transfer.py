@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from insemu.cli import app
 from insemu.errors import InputError
+from insemu.filters import Innovations, likeliest, uncertainty
 from insemu.noise import GM, RC, WN, NoiseModel, save
 from insemu.records import AXES
 from insemu.transfer import Levels, estimated, judge
@@ -44,6 +45,29 @@ def test_known_factors_come_back_inside_their_intervals(levels: Levels) -> None:
         assert factor.low > 4.0
     for name in ("fixes position", "fixes velocity"):
         assert found[name].low < 1.0 < found[name].high
+
+
+def test_the_search_finds_the_maximum_keeps_its_bound_and_survives_a_filter_that_diverges() -> None:
+    z = np.random.default_rng(2).standard_normal((400, 2))
+    true = np.array([2.5, -1.2])  # logarithms of the standard deviations of two components
+
+    def run(x: np.ndarray) -> Innovations:
+        if x[0] > 2.8:
+            raise InputError("diverged")
+        S = np.zeros((400, 2, 2))
+        S[:, 0, 0], S[:, 1, 1] = np.exp(2.0 * x)
+        return Innovations(np.arange(400.0), np.exp(true) * z, S)
+
+    wanted = true + 0.5 * np.log(np.mean(z**2, axis=0))
+    found = likeliest(run, np.zeros(2), 100.0)
+    np.testing.assert_allclose(found.x, wanted, atol=5e-3)
+    spread = np.sqrt(np.diag(uncertainty(run, found, 100.0)))
+    assert np.all((spread > 0.95 / np.sqrt(800.0)) & (spread < 1.3 / np.sqrt(800.0)))  # a variance of 400 draws
+    bound = likeliest(run, np.zeros(2), 100.0, np.array([-np.inf, 0.0]))
+    np.testing.assert_allclose(bound.x, [wanted[0], 0.0], atol=5e-3)
+    assert likeliest(run, np.zeros(2), 0.02).x[0] == pytest.approx(1.37, abs=0.05)  # a narrow prior holds it back
+    with pytest.raises(InputError, match="diverged"):
+        likeliest(run, np.array([3.0, 0.0]), 100.0)
 
 
 def test_outages_prefer_the_transferred_model(levels: Levels) -> None:

@@ -114,6 +114,7 @@ def command(
     from insemu import units
     from insemu.cli.announce import announce
     from insemu.cli.following import alone, fit_covariate
+    from insemu.cli.printing import telling
     from insemu.fit import check_bootstrap
 
     if bootstrap and len(files) == 1:
@@ -150,12 +151,12 @@ def command(
     series = [] if streamed else read_static(file, rate, columns, skip)
     options = options_of(method, wavelet, weighting, seed, pattern, (tau_from, tau_to or math.inf))
     own = denoising(denoise, method, [s.name for s in series]) if denoise else {}
-    with Console(stderr=True).status(f"fitting {len(series)} axes by {method}") as status:
+    with telling(Console(stderr=True), f"fitting {len(series)} axes by {method}") as say:
         if streamed:
             results = streamed
         elif per_axis:
             many = workers or os.cpu_count() or 1
-            results = fit_axes(series, model, method, start, robust, options, many, progress=status.update, own=own)
+            results = fit_axes(series, model, method, start, robust, options, many, progress=say, own=own)
         else:
             results = fit_pooled(series, model, method, start, robust, options)
     if bootstrap:

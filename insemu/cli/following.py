@@ -103,6 +103,7 @@ def fit_covariate(
     from rich.console import Console
 
     from insemu import units
+    from insemu.cli.printing import telling
     from insemu.covariates import checked, needed
     from insemu.errors import InputError
     from insemu.fit import fit_following, save
@@ -115,9 +116,9 @@ def fit_covariate(
     series = chosen_axes(series, columns, file)
     console = Console(stderr=as_json)
     results: dict[str, FollowingFit] = {}
-    with Console(stderr=True).status("fitting") as status:
+    with telling(Console(stderr=True), "fitting") as say:
         for k, s in enumerate(series):
-            status.update(f"{s.name}: axis {k + 1} of {len(series)}")
+            say(f"{s.name}: axis {k + 1} of {len(series)}")
             asked = followed(model, s.unit, name)
             checked(needed([asked]), found, file)
             try:

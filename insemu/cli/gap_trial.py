@@ -44,8 +44,8 @@ def command(
     from pathlib import Path
 
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+    from insemu.cli.printing import bars
     from insemu.cluster import cluster as dask_cluster
     from insemu.errors import InputError, nearest
     from insemu.trial import Kind, Plan, catalogue_of, known_effects, run_trial
@@ -63,13 +63,12 @@ def command(
     plan = Plan(kinds, chosen, hidden, outside, recordings, seed, hours, minutes, hold_out)
     console = Console(stderr=as_json)
     finished: list[Trial] = []
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
+    with bars(Console(stderr=True)) as progress:
         bar = progress.add_task("looking", total=recordings)
 
         def done(trial: Trial) -> None:
             finished.append(trial)
-            progress.advance(bar)
+            progress.update(bar, completed=len(finished))
 
         interrupted = False
         try:

@@ -11,27 +11,50 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
 
-def bars(console: Console) -> Progress:
-    """Bars of progress with the time that has passed and the time left."""
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+#: Where there is no terminal to draw on: seconds between two lines of progress that differ in numbers alone, and before the first line.
+EVERY_S, PATIENCE_S = 20.0, 2.0
 
-    return Progress(
-        TextColumn("{task.description:<34}", markup=False),
-        BarColumn(bar_width=24),
-        MofNCompleteColumn(),
-        TextColumn("elapsed"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        console=console,
-    )
+
+def bars(console: Console) -> Progress:
+    """Bars of progress with the time that has passed and the time left; without a terminal a line every :data:`EVERY_S`."""
+    from insemu.cli.bars import Bars
+
+    return Bars(console, EVERY_S)
+
+
+@contextmanager
+def telling(console: Console, first: str) -> Iterator[Callable[[str], None]]:
+    """Yield what is told of the work: one line that changes on a terminal, lines on standard error elsewhere.
+
+    There work that is done within :data:`PATIENCE_S` says nothing, and a text that repeats the last one with other numbers waits for
+    :data:`EVERY_S`.
+
+    Parameters
+    ----------
+    console : Console
+    first : str
+        What is said on a terminal until something else is.
+    """
+    import re
+    import time
+
+    import typer
+
+    if console.is_terminal:
+        with console.status(first) as status:
+            yield status.update
+        return
+    began = when = time.monotonic()
+    last = ""
+
+    def say(text: str) -> None:
+        nonlocal last, when
+        words, now = re.sub(r"[0-9]+", "", text), time.monotonic()
+        if now - began >= PATIENCE_S and (words != last or now - when >= EVERY_S):
+            typer.echo(text, err=True)
+            last, when = words, now
+
+    yield say
 
 
 @contextmanager

@@ -25,6 +25,7 @@ def command(
     from rich.console import Console
 
     from insemu import yamlfile
+    from insemu.cli.printing import flying
     from insemu.errors import InputError
     from insemu.evaluate import Experiment, changed, differences, run_experiment, surroundings
     from insemu.scenario import Scenario, validated
@@ -36,8 +37,10 @@ def command(
     try:
         manifest = json.loads((result / "manifest.json").read_text(encoding="utf-8"))
         file = manifest.get("scenario_file")
-        with xr.open_dataset(result / "errors.nc", engine="h5netcdf") as data:
-            held = data.load()
+        held = {}
+        for group in ("", "runs", "statistics"):
+            with xr.open_dataset(result / "errors.nc", engine="h5netcdf", group=group or None) as data:
+                held[group] = data.load()
     except (ValueError, OSError, KeyError, AttributeError) as error:
         raise InputError(f"is no whole result ({' '.join(str(error).split())[:100]})", where=folder) from None
     scenario = validated(Scenario, yamlfile.read(result / "resolved.yaml"))
@@ -48,14 +51,19 @@ def command(
     console = Console(stderr=True)
     for line in other:
         console.print(f"other than then: {line}", soft_wrap=True, highlight=False, markup=False)
-    with console.status(f"running {scenario.realizations} realizations again"):
-        again = run_experiment(experiment, workers=workers or os.cpu_count() or 1)
-    found = differences(held, again.to_dataset())
+    with flying(console, "running again", experiment.realizations) as progress:
+        again = run_experiment(experiment, workers=workers or os.cpu_count() or 1, progress=progress)
+    made = {"": again.to_dataset(), "runs": again.runs, "statistics": again.statistics}
+    found = [
+        f"{group}{': ' * bool(group)}{line}" for group, data in held.items() for line in differences(data, made[group])
+    ]
     if as_json:
         typer.echo(json.dumps({"same": not found, "differences": found, "changed": other}, indent=1))
     elif found:
         typer.echo("\n".join(found))
     else:
-        typer.echo(f"reproduced: {sum(v.size for v in held.variables.values())} numbers, the same to the last bit")
+        typer.echo(
+            f"reproduced: {sum(v.size for data in held.values() for v in data.variables.values())} numbers, the same to the last bit"
+        )
     if found:
         raise typer.Exit(1)

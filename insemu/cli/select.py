@@ -59,6 +59,7 @@ def command(
     from insemu import units
     from insemu.cli.announce import announce
     from insemu.cli.fit import read_static, write
+    from insemu.cli.printing import telling
     from insemu.cluster import cluster as dask_cluster
     from insemu.fit import select_axes
     from insemu.noise import NoiseModel
@@ -68,12 +69,12 @@ def command(
     given = [NoiseModel.parse(c) for c in candidates] if candidates else None
     told = Console(stderr=True)
     many = workers or os.cpu_count() or 1
-    with dask_cluster(cluster, many) as pool, told.status(f"0 of {len(series)} axes chosen") as status:
+    with dask_cluster(cluster, many) as pool, telling(told, f"0 of {len(series)} axes chosen") as say:
         done: list[str] = []
 
         def finished(name: str) -> None:
             done.append(name)
-            status.update(f"{len(done)} of {len(series)} axes chosen")
+            say(f"{len(done)} of {len(series)} axes chosen")
 
         rankings = select_axes(
             series,

@@ -47,6 +47,7 @@ def command(
 
     from insemu import formats, intake
     from insemu.cli.announce import show_brief
+    from insemu.cli.printing import telling
     from insemu.evaluate import only_writer
     from insemu.report import render_solution
     from insemu.solve import candidates, compare_with, solve, summary, write
@@ -60,14 +61,14 @@ def command(
     show_brief(card, console)
     card.check()
     threads = workers or os.cpu_count() or 1
-    with console.status("solving") as status:
+    with telling(console, "solving") as say:
         solution = solve(
             found.recording(),
             card,
             beliefs,
             lever_arm=arm or (0.0, 0.0, 0.0),
             workers=threads,
-            say=lambda text: status.update(f"solving: {text}"),
+            say=lambda text: say(f"solving: {text}"),
         )
         compared = compare_with(solution, against, workers=threads) if against else None
     folder = Path(out) if out else Path("results") / f"solve_{Path(file).name.split('.')[0]}"

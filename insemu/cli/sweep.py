@@ -54,16 +54,21 @@ def command(
     from rich.console import Console
 
     from insemu.cluster import cluster as dask_cluster
+    from insemu.compiled import compiled_beside
     from insemu.evaluate import CACHE, Sweep, only_writer
     from insemu.report import render_sweep
     from insemu.whole import put
 
     told = Console(stderr=True)
     folder = Path(out) if out else Path("results") / f"{Path(scenario).stem}-sweep"
-    sweep = Sweep.of(scenario, over, latin=latin, linear=linear, overrides={"seed": seed, "realizations": realizations})
     many = workers or os.cpu_count() or 1
+    sweep = Sweep.of(scenario, over, latin=latin, linear=linear, overrides={"seed": seed, "realizations": realizations})
     told.print(f"{len(sweep.points)} points of {', '.join(f.key for f in sweep.given)}.", highlight=False, markup=False)
-    with only_writer(folder), dask_cluster(cluster, many) as pool:
+    with (
+        compiled_beside("insemu.evaluate.kernels", "insemu.filters.kernel.run"),
+        only_writer(folder),
+        dask_cluster(cluster, many) as pool,
+    ):
         rows = _rows(sweep, folder / CACHE, {"workers": many, "executor": pool})
         document = {
             "scenario": sweep.scenario.title,

@@ -33,6 +33,7 @@ def command(
     from rich.console import Console
 
     from insemu.cli.announce import announce
+    from insemu.cli.printing import telling
     from insemu.errors import InputError
     from insemu.gap import from_its_start, load_measured, load_nominal
     from insemu.noise import save
@@ -47,13 +48,13 @@ def command(
         data = from_its_start(data)
     if not isinstance(data, Recording):
         raise InputError("is a log at rest, expected a drive or flight with fixes", where=drive)
-    with console.status("reading") as status:
+    with telling(console, "reading") as say:
         found = transfer(
             data,
             nominal,
             rng=np.random.default_rng(seed),
             why=why,
-            say=status.update if console.is_terminal else lambda text: typer.echo(text, err=True),
+            say=say,
         )
     if out:
         save(found.beliefs, out)

@@ -8,11 +8,17 @@ from pathlib import Path
 import numpy as np
 
 from insemu.errors import InputError
+from insemu.evaluate.dataset import bytes_per_epoch
 from insemu.evaluate.emulated import BYTES_PER_SAMPLE
 from insemu.evaluate.experiment import Experiment
+from insemu.evaluate.running import FULL
 
 #: Filter epochs that one core does in a second: 15 to 45 states, see benchmarks/filters.py.
 EPOCHS_PER_SECOND = (0.4e6, 1.2e6)
+#: States behind the navigation that a design is taken to have: no model is fitted yet, and few designs have more.
+STATES = 36
+#: How often results are held while they are gathered: realization by realization, put together, and written.
+HELD = 3
 
 
 def memory_there() -> float | None:
@@ -39,12 +45,20 @@ def effort(experiments: Sequence[Experiment], workers: int) -> str:
     InputError
         They want more memory than there is.
     """
-    epochs, wanted = 0.0, 0.0
+    epochs, flying, kept, gathered = 0.0, 0.0, 0.0, 0.0
     for e in experiments:
-        at_a_time = min(workers, e.scenario.realizations)
+        at_a_time = min(workers, e.realizations)
         samples = float(np.ptp(e.world.truth_at_outputs.t)) * e.rate_hz
-        epochs += samples * e.scenario.realizations * len(e.scenario.designs)
-        wanted = max(wanted, samples * BYTES_PER_SAMPLE * (1 + at_a_time))
+        epochs += samples * e.realizations * len(e.scenario.designs)
+        kept += (
+            samples * BYTES_PER_SAMPLE
+        )  # the worlds of all experiments are there from the start, their results to the end
+        flying = max(flying, samples * BYTES_PER_SAMPLE * at_a_time)
+        rows = len(e.world.truth_at_outputs) * len(e.scenario.designs) * min(e.realizations, FULL)
+        results = float(rows * bytes_per_epoch(states=STATES, smoother=e.scenario.smoother))
+        kept += results
+        gathered = max(gathered, (HELD - 1) * results)
+    wanted = kept + max(flying, gathered)
     there = memory_there()
     if there is not None and wanted > there:
         raise InputError(
@@ -52,7 +66,7 @@ def effort(experiments: Sequence[Experiment], workers: int) -> str:
             "flight or a lower rate",
             where=str(experiments[0].file or "scenario"),
         )
-    cores = min(workers, max(e.scenario.realizations for e in experiments))
+    cores = min(workers, max(e.realizations for e in experiments))
     short, long = (epochs / rate / cores for rate in reversed(EPOCHS_PER_SECOND))
     return (
         f"{epochs:.3g} filter epochs: about {_duration(short)} to {_duration(long)} in the filters with {cores} worker(s), "

@@ -12,7 +12,7 @@ from insemu.covariates import needed
 from insemu.errors import InputError, nearest
 from insemu.evaluate.covariance import CovarianceAnalysis, analyse
 from insemu.evaluate.emulated import EmulatedWorld
-from insemu.evaluate.errors import paired_ratio
+from insemu.evaluate.errors import PairedComparison, paired_ratio
 from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.results import Results
 from insemu.filters import LooselyCoupledEKF
@@ -52,6 +52,11 @@ class ComparisonRow:
     p_value: float | None
     effect_size: float | None
     one_run: float | None
+
+    @property
+    def pair(self) -> PairedComparison | None:
+        """The comparison with the base; None for the base itself."""
+        return None if self.ratio is None else PairedComparison(self.ratio, self.low, self.high, self.p_value)
 
     def to_dict(self) -> dict[str, Any]:
         """As plain data."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,24 @@ VARIABLES: Mapping[str, tuple[tuple[str, ...], str, str]] = {
 }  # fmt: skip
 #: Labels of the dimensions that are the same in every experiment.
 LABELS: Mapping[str, Sequence[str]] = {"component": COMPONENTS, "block": BLOCKS, "axis": AXES}
+
+
+def bytes_per_epoch(*, states: int, smoother: bool) -> int:
+    """Memory of one epoch of one design in one realization.
+
+    Parameters
+    ----------
+    states : int
+        Behind the nine of the navigation.
+    smoother : bool
+        Whether the run is smoothed, too.
+    """
+    sizes = {"time": 1, "state": states, **{dim: len(labels) for dim, labels in LABELS.items()}}
+    return sum(
+        8 * prod(sizes[dim] for dim in dims)
+        for name, (dims, _, _) in VARIABLES.items()
+        if "time" in dims and (smoother or not name.startswith("smoothed"))
+    )
 
 
 def labelled(

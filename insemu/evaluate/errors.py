@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,6 +86,8 @@ class MeanInterval:
 
 #: Resamples of a bootstrap, its seed, and indices that are held at a time.
 DRAWS, SEED, HELD = 10_000, 20140701, 1_000_000
+#: Ratios of mean errors nearer to 1 than this do not decide between designs, however sure they are.
+NEGLIGIBLE = 0.02
 #: Realizations above which an interval is the normal one: the bootstrap's tends to it, and there is no telling them apart.
 RESAMPLED = 1000
 
@@ -123,9 +126,31 @@ class PairedComparison:
 
     @property
     def different(self) -> bool:
-        """Whether the 95 % interval of the ratio excludes 1 and the difference is one that could matter (2 % or more)."""
-        excluded = self.low is not None and self.high is not None and not self.low <= 1.0 <= self.high
-        return excluded and abs(self.ratio - 1.0) >= 0.02
+        """Whether the 95 % interval of the ratio excludes 1 and the difference could matter (:data:`NEGLIGIBLE` or more)."""
+        return self._excludes_one and abs(self.ratio - 1.0) >= NEGLIGIBLE
+
+    @property
+    def same(self) -> bool:
+        """Whether a difference that could matter is ruled out: by the whole interval, or by a ratio that is surely no 1 but too near to it."""
+        return not self.different and (self.within < NEGLIGIBLE or self._excludes_one)
+
+    @property
+    def within(self) -> float:
+        """Largest distance from 1 that the 95 % interval of the ratio holds; infinite for a single realization."""
+        return math.inf if self.low is None or self.high is None else max(abs(self.low - 1.0), abs(self.high - 1.0))
+
+    @property
+    def _excludes_one(self) -> bool:
+        return self.low is not None and self.high is not None and not self.low <= 1.0 <= self.high
+
+    @property
+    def interval(self) -> str:
+        """The ratio with its 95 % interval in words, with as many digits as the interval's width has."""
+        if self.low is None or self.high is None:
+            return f"ratio {self.ratio:.2f}"
+        width = self.high - self.low
+        digits = min(max(2, 1 + math.floor(-math.log10(width))), 5) if width > 0 else 5
+        return f"ratio {self.ratio:.{digits}f}, 95 % {self.low:.{digits}f} to {self.high:.{digits}f}"
 
 
 def paired_ratio(one: ArrayLike, other: ArrayLike) -> PairedComparison:

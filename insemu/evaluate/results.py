@@ -569,20 +569,20 @@ def verdicts(results: Results) -> list[str]:
     for name in others:
         c = results.comparison(name, first)
         if c.low is None:
-            lines.append(
-                f"{name} against {first}: ratio {c.ratio:.2f}; one realization cannot say whether that is chance."
-            )
+            lines.append(f"{name} against {first}: {c.interval}; one realization cannot say whether that is chance.")
         elif c.different:
             change = f"{abs(1 - c.ratio):.0%} {'smaller' if c.ratio < 1 else 'larger'} than {first}'s"
             if c.ratio >= 2.0:
                 change = f"{c.ratio:.3g} times {first}'s"
             lines.append(
-                f"{name}: planimetric error at outage end {change} "
-                f"(ratio {c.ratio:.2f}, 95 % {c.low:.2f} to {c.high:.2f}, paired bootstrap p {c.p_value:.2g})."
+                f"{name}: planimetric error at outage end {change} ({c.interval}, paired bootstrap p {c.p_value:.2g})."
+            )
+        elif c.same:  # a p-value says nothing here: with enough realizations any difference is sure
+            lines.append(
+                f"{name}: planimetric error at outage end the same as {first}'s within {100 * c.within:.2g} % ({c.interval})."
             )
         else:
             lines.append(
-                f"{name}: the data show no planimetric difference from {first} "
-                f"(ratio {c.ratio:.2f}, 95 % {c.low:.2f} to {c.high:.2f}, paired bootstrap p {c.p_value:.2g})."
+                f"{name}: the data show no planimetric difference from {first}; one of {c.within:.0%} is not ruled out ({c.interval})."
             )
     return lines

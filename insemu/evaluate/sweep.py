@@ -301,7 +301,7 @@ class Sweep:
             kept: Files[list[dict[str, Any]]] = Files(folder, what, _encoded, json.loads, say)
             if (found := kept.get(what)) is None:
                 if self.linear:
-                    found = _linear_rows(experiment, self.linear)
+                    found = _linear_rows(experiment, self.linear, step)
                 else:
                     cache = folder / "flying"
                     results = run_experiment(
@@ -341,8 +341,12 @@ def _flown_rows(results: Results) -> list[dict[str, Any]]:
     ]
 
 
-def _linear_rows(experiment: Experiment, realizations: int) -> list[dict[str, Any]]:
+def _linear_rows(experiment: Experiment, realizations: int, step: Progress) -> list[dict[str, Any]]:
+    step(0, realizations, "models")
+    _ = experiment.beliefs
+    step(0, realizations, "linear errors")
     twin = LinearTwin(experiment)
+    step(0, realizations, "realizations")
     out = []
     for name, errors in twin.draw(realizations, twin.rng).items():
         ends = np.hypot(errors[..., 0], errors[..., 1])

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from insemu import earth, rotation
 from insemu.augment import Augmentation, augment
+from insemu.compiled import wait_for_kernels
 from insemu.errors import InputError
 from insemu.evaluate.comparison import analysable
 from insemu.evaluate.covariance import beside, on_ideal_data, updates
@@ -106,6 +107,8 @@ class LinearTwin:
         self.stated: dict[str, Array] = {}
         self.noise: dict[str, Array] = {}
         self._arm: dict[str, Array] = {}
+        _ = experiment.beliefs  # models are fitted while another process may be compiling the filter
+        wait_for_kernels()
         constants = augment({axis: RC(sigma=1.0) for axis in AXES}, 1.0 / world.rate_hz)
         models = {axis: m.at_rate(world.rate_hz) for axis, m in s.truth.models().items()}
         self.truth: Augmentation = augment(models, 1.0 / world.rate_hz)

@@ -23,7 +23,7 @@ def ways_of_run(folder: Path, realization: int = 1) -> list[Way]:
     folder : Path
         That ``insemu run`` wrote.
     realization : int
-        Counted from 1.
+        Its number, from 1.
 
     Raises
     ------
@@ -34,14 +34,14 @@ def ways_of_run(folder: Path, realization: int = 1) -> list[Way]:
 
     with xr.open_dataset(folder / ERRORS, engine="h5netcdf") as data:
         names = [str(v) for v in data["design"].values]
-        count = int(data.sizes["realization"])
-        if not 1 <= realization <= count:
-            raise InputError(f"found {realization}, expected 1 to {count}", where="--realization")
+        there = [int(r) + 1 for r in data["realization"].values]  # of many realizations some stay with all their epochs
+        if realization not in there:
+            some = f"1 to {len(there)}" if there[-1] == len(there) else f"one of {', '.join(map(str, there))}"
+            raise InputError(f"found {realization}, expected {some}", where="--realization")
+        row = there.index(realization)
         t = np.asarray(data["time"].values, dtype=np.float64)
         truth = np.asarray(data["reference_llh"].values, dtype=np.float64)
-        error, sigma = (
-            np.asarray(data[v].values[:, realization - 1, :, :3], dtype=np.float64) for v in ("error", "sigma")
-        )
+        error, sigma = (np.asarray(data[v].values[:, row, :, :3], dtype=np.float64) for v in ("error", "sigma"))
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     rows = next(iter(summary["designs"].values()))["outages"]
     spans = [(float(r["start_s"]), float(r["start_s"]) + float(r["duration_s"])) for r in rows]

@@ -16,6 +16,7 @@ from insemu.filters.alignment import (
 )
 from insemu.filters.ekf import LooselyCoupledEKF, run_filter
 from insemu.filters.joint import JointSystem, error_maps, ideal_fixes
+from insemu.filters.likeliest import Innovations, Likeliest, likeliest, uncertainty
 from insemu.filters.motion import align_in_motion
 from insemu.filters.options import FilterOptions, InitialSigma
 from insemu.filters.protocol import (
@@ -43,7 +44,9 @@ __all__ = [
     "FilterResult",
     "FixTable",
     "InitialSigma",
+    "Innovations",
     "JointSystem",
+    "Likeliest",
     "LinearErrors",
     "LooselyCoupledEKF",
     "NavigationFilter",
@@ -61,6 +64,7 @@ __all__ = [
     "error_maps",
     "first_track",
     "ideal_fixes",
+    "likeliest",
     "log_density",
     "never_moves",
     "on_reference",
@@ -72,6 +76,7 @@ __all__ = [
     "smooth",
     "start",
     "step_matrices",
+    "uncertainty",
     "user_filter",
     "user_filter_code",
 ]

@@ -98,7 +98,7 @@ def _log_lines(log: Log) -> list[Line]:
         )
     ]
     if log.t is not None:
-        lines += checks.timing(log.t, {})
+        lines += checks.timing(log.t, {}, moving=False)
     else:
         lines.append(Line("rate", "ok", f"{len(log)} samples at {log.rate_hz:.6g} Hz ({seconds:.4g} s)"))
     if log.rate_hz > checks.RATES[1]:

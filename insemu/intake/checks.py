@@ -56,8 +56,18 @@ def believed(found: Turn | Push | None, ratio: float = BELIEVED) -> bool:
 # --------------------------------------------------------------------------------------------------------------------- time
 
 
-def timing(t: Array, counts: Mapping[str, int]) -> list[Line]:
-    """Rate, jitter, gaps, and rows that were left out on the way in (``repeated``, ``backwards``, ``missing``)."""
+def timing(t: Array, counts: Mapping[str, int], *, moving: bool = True) -> list[Line]:
+    """Rate, jitter, gaps, and rows that were left out on the way in (``repeated``, ``backwards``, ``missing``).
+
+    Parameters
+    ----------
+    t : (n,) array
+        s.
+    counts : mapping
+        Rows left out, by the reason.
+    moving : bool
+        Whether a long gap loses the motion, so that one of its sides is what can be used. Fits of a log at rest take gaps.
+    """
     step = np.diff(t)
     dt = float(np.median(step))
     rate = 1.0 / dt
@@ -76,7 +86,7 @@ def timing(t: Array, counts: Mapping[str, int]) -> list[Line]:
     if gaps.size and spread <= 0.5:
         k = int(gaps[np.argmax(step[gaps])])
         text = f"{gaps.size} gap(s), {lost} of {t.size + lost} samples lost, the longest {step[k]:.4g} s from {t[k]:.6g} to {t[k + 1]:.6g} s"
-        long = step[k] > max(0.5, 5.0 * dt)
+        long = moving and step[k] > max(0.5, 5.0 * dt)
         first, last = t[0], t[-1]
         half = f'--map "from={t[k + 1]:.6f} s"' if last - t[k + 1] > t[k] - first else f'--map "to={t[k]:.6f} s"'
         out.append(

@@ -46,15 +46,14 @@ def comparison_rows(rows: Sequence[ComparisonRow]) -> Table:
 
 def _difference(row: ComparisonRow) -> tuple[str, str]:
     """A design beside the base in words, and the tone of that."""
-    if row.ratio is None:
+    found = row.pair
+    if found is None:
         return "the base", "plain"
-    if row.low is None or row.high is None or row.low <= 1.0 <= row.high:
-        return "no difference shown", "plain"
-    return (
-        (f"{100 * (1 - row.ratio):.2g} % smaller", "good")
-        if row.ratio < 1
-        else (f"{row.ratio:.2f} times as large", "bad")
-    )
+    if not found.different:
+        return f"the same within {100 * found.within:.2g} %" if found.same else "no difference shown", "plain"
+    if found.ratio < 1:
+        return f"{100 * (1 - found.ratio):.2g} % smaller", "good"
+    return f"{found.ratio:.2f} times as large", "bad"
 
 
 def comparison_answer(rows: Sequence[ComparisonRow], base: str) -> str:

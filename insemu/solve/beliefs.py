@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import minimize_scalar
 
 from insemu.augment import TURN_ON, Extras, per_axis, with_turn_on
 from insemu.errors import InputError
-from insemu.filters import FilterOptions, InitialSigma, LooselyCoupledEKF
+from insemu.filters import FilterOptions, InitialSigma, Innovations, LooselyCoupledEKF, likeliest
 from insemu.noise import RW, WN, NoiseModel, load
 from insemu.records import GnssRecord
 from insemu.scenario import Design, shipped_designs
@@ -132,27 +132,38 @@ def _with_turn_on(name: str, models: Mapping[str, NoiseModel], extras: Extras) -
     return Candidate(name, belief, extras, about=about)
 
 
-def likelihood_of(drive: Drive) -> Callable[..., float]:
-    """A function of a candidate, and of seconds by which the IMU is late: the log-likelihood over the first :data:`LIKELIHOOD_S`.
+def innovations_of(drive: Drive) -> Callable[..., Innovations]:
+    """A function of a candidate, and of seconds by which the IMU is late: the innovations over the first :data:`LIKELIHOOD_S`.
 
-    It is -inf where the filter diverges. The fixes are the same whatever the offset, and the start is as uncertain as the offset makes it.
+    It raises ``InputError`` where the filter diverges. The fixes are the same whatever the offset, and the start is as uncertain as the
+    offset makes it.
     """
     imu, gnss = drive.flown()
     part = imu.rows(imu.t <= imu.t[0] + LIKELIHOOD_S)
     gnss = gnss.rows((gnss.t > part.t[0] + OFFSETS) & (gnss.t < part.t[-1] - OFFSETS))
     every = max(1, round(STEP_S / imu.dt))
 
-    def value(candidate: Candidate, late: float = 0.0) -> float:
+    def run(candidate: Candidate, late: float = 0.0) -> Innovations:
         ekf = candidate.filter(drive, covariance_every=every, output_every=1000 * every)
         sigma = candidate.start_sigma(drive)
         moved = np.abs(drive.aligned.state.vel_ned) * OFFSETS
         sigma = replace(sigma, position=np.hypot(sigma.position, moved))
         fixes = candidate.fixes(replace(gnss, t=gnss.t + late))
+        found = ekf.run(part, fixes, drive.aligned.state, sigma, aids=drive.aids).fixes
+        return Innovations.of(found).rows(found.accepted)
+
+    return run
+
+
+def likelihood_of(drive: Drive) -> Callable[..., float]:
+    """As :func:`innovations_of`, but their log-likelihood: -inf where the filter diverges."""
+    run = innovations_of(drive)
+
+    def value(candidate: Candidate, late: float = 0.0) -> float:
         try:
-            run = ekf.run(part, fixes, drive.aligned.state, sigma, aids=drive.aids)
+            found = float(run(candidate, late).log_density().sum())
         except InputError:
             return -np.inf
-        found = float(run.fixes.log_densities[run.fixes.accepted].sum())
         return found if np.isfinite(found) else -np.inf
 
     return value
@@ -188,17 +199,18 @@ def adapted(base: Candidate, drive: Drive) -> Candidate:
     drive : Drive
         With a start.
     """
-    value = likelihood_of(drive)
+    run = innovations_of(drive)
     with_velocity = drive.gnss.vel_std_ned is not None
 
     def at(x: Array) -> Candidate:
         f = np.exp(x)
         white, walk = {"gyro": f[0], "accel": f[1]}, {"gyro": f[2], "accel": f[3]}
         belief = {a: _scaled(m, white[a.split("_")[0]], walk[a.split("_")[0]]) for a, m in base.belief.items()}
-        position, velocity = (base.position * max(1.0, f[4]), base.velocity * max(1.0, f[5]) if with_velocity else 1.0)
+        position, velocity = (base.position * f[4], base.velocity * f[5] if with_velocity else 1.0)
         return replace(base, name="adapted", belief=belief, position=float(position), velocity=float(velocity))
 
-    found = _likeliest(lambda x: value(at(x)), 5 + with_velocity)
+    least = np.array([-np.inf] * 4 + [0.0] * (1 + with_velocity))
+    found = likeliest(lambda x: run(at(x)), np.zeros(least.size), PRIOR, least).x
     words = ("gyro white noise", "accel white noise", "gyro walk", "accel walk")
     factors = ", ".join(f"{w} x {np.exp(v):.2g}" for w, v in zip(words, found, strict=False))
     return replace(at(found), about=f"{base.name} with {factors}, by maximum likelihood of the innovations")
@@ -211,18 +223,3 @@ def _scaled(model: NoiseModel, white: float, walk: float) -> NoiseModel:
         v = p.parameters
         parts.append(WN(N=v["N"] * white) if isinstance(p, WN) else RW(K=v["K"] * walk, sigma0=v.get("sigma0", 0.0)))
     return NoiseModel(tuple(parts))
-
-
-def _likeliest(value: Callable[[Array], float], size: int) -> Array:
-    """Logarithms of the likeliest factors (size,), by the simplex of Nelder and Mead (1965) from 1, twice."""
-
-    def cost(x: Array) -> float:
-        found = value(np.asarray(x))
-        return (-found if np.isfinite(found) else 1e12) + 0.5 * float(np.sum((np.asarray(x) / PRIOR) ** 2))
-
-    x = np.zeros(size)
-    for step in (1.0, -0.5):  # a second simplex leaves where the first one has become flat
-        simplex = x + np.vstack([np.zeros(size), step * np.eye(size)])
-        options = {"initial_simplex": simplex, "xatol": 0.1, "fatol": 0.5, "maxfev": 30 * size}
-        x = np.asarray(minimize(cost, x, method="Nelder-Mead", options=options).x, dtype=np.float64)
-    return x

@@ -1,9 +1,4 @@
-"""Factors on a few noise levels that maximise the likelihood of the innovations of a drive.
-
-The innovations of an extended Kalman filter are nearly white and normal where its belief is right, so that their density is the likelihood of
-the belief (Mehra 1970; Bar-Shalom et al. 2001, section 5.5). Its Fisher information follows from the derivatives of the innovations and of
-their covariance, which a run of the filter for every factor gives.
-"""
+"""Factors on a few noise levels that maximise the likelihood of the innovations of a drive."""
 
 from __future__ import annotations
 
@@ -16,7 +11,15 @@ from numpy.typing import NDArray
 
 from insemu.augment import with_turn_on
 from insemu.errors import InputError
-from insemu.filters import FilterOptions, FixTable, InitialSigma, LooselyCoupledEKF, log_density
+from insemu.filters import (
+    FilterOptions,
+    FixTable,
+    InitialSigma,
+    Innovations,
+    LooselyCoupledEKF,
+    likeliest,
+    uncertainty,
+)
 from insemu.noise import NoiseModel, Process
 from insemu.records import AXES, GnssRecord, ImuRecord
 from insemu.strapdown import NavState
@@ -27,14 +30,6 @@ Array = NDArray[np.float64]
 PRIOR_FACTOR = 10.0
 #: An interval wider than this from end to end says nothing that a choice could rest on.
 TOO_WIDE = 10.0
-#: Step of a log factor in a derivative, and the length of a step at which the search ends.
-STEP, CLOSE = 1e-3, 0.01
-#: Steps of the search at the most.
-MOST_STEPS = 25
-#: A step is halved so often at the most before the search ends where it stands.
-HALVINGS = 6
-#: Innovations of a filter that is wrong in its model are not independent; scores are summed over so many seconds before they are squared.
-BLOCK_S = 30.0
 #: Stamps this near to each other are the same, s.
 SAME_S = 1e-3
 #: Seconds between updates of the covariance.
@@ -139,24 +134,6 @@ class Levels:
 
 
 @dataclass(frozen=True)
-class Innovations:
-    """Innovations with their covariances, components that are missing made certain zeros."""
-
-    t: Array
-    nu: Array
-    S: Array
-
-    @classmethod
-    def of(cls, fixes: FixTable) -> Innovations:
-        """From a filter's table of fixes."""
-        return cls(fixes.t, *fixes.complete)
-
-    def log_density(self) -> Array:
-        """Log density of every fix, (f,), but for its constant."""
-        return log_density(self.nu, self.S)
-
-
-@dataclass(frozen=True)
 class Estimate:
     """Log factors with their covariance, and the log posterior there."""
 
@@ -189,16 +166,14 @@ def estimated(levels: Levels, scored: Sequence[tuple[float, float]] = (), at: Ar
     Returns
     -------
     Estimate
-        Its covariance is the larger of the inverse information and of the sandwich of the scores (White 1982), factor by factor.
+        With the covariance of :func:`insemu.filters.uncertainty`.
 
     Raises
     ------
     InputError
         No fix in the spans.
     """
-    names = levels.names
-    precision = np.eye(len(names)) / (math.log(PRIOR_FACTOR) / 1.96) ** 2
-    x = np.zeros(len(names)) if at is None else np.array(at)
+    sd = math.log(PRIOR_FACTOR) / 1.96
 
     def run(log: Array) -> Innovations:
         table = Innovations.of(levels.fixes(np.exp(log).tolist()))
@@ -207,44 +182,7 @@ def estimated(levels: Levels, scored: Sequence[tuple[float, float]] = (), at: Ar
             inside |= (table.t >= start) & (table.t < end)
         if not inside.any():
             raise InputError(f"has no fix in the spans that are scored, from {scored[0][0]:g} s")
-        return Innovations(table.t[inside], table.nu[inside], table.S[inside])
+        return table.rows(inside)
 
-    def posterior(table: Innovations, log: Array) -> float:
-        return float(table.log_density().sum() - 0.5 * log @ precision @ log)
-
-    here = run(x)
-    value = posterior(here, x)
-    for _ in range(MOST_STEPS):
-        scores, information = _scores(here, [run(x + STEP * e) for e in np.eye(x.size)])
-        bent = information + precision
-        move = np.linalg.solve(bent, scores.sum(axis=0) - precision @ x)
-        move *= min(1.0, 1.0 / max(float(np.abs(move).max()), 1e-12))  # by a factor e at once at the most
-        for _ in range(HALVINGS):
-            there = run(x + move)
-            new = posterior(there, x + move)
-            if new > value:
-                break
-            move = 0.5 * move
-        else:
-            break
-        x, here, value = x + move, there, new
-        if np.abs(move).max() < CLOSE:
-            break
-    scores, information = _scores(here, [run(x + STEP * e) for e in np.eye(x.size)])
-    inverse = np.linalg.inv(information + precision)
-    block = ((here.t - here.t[0]) // BLOCK_S).astype(int)
-    sums = np.stack([np.bincount(block, s) for s in scores.T], axis=1)
-    sandwich = inverse @ (sums.T @ sums + precision) @ inverse
-    wider = np.sqrt(np.maximum(np.diag(sandwich) / np.diag(inverse), 1.0))
-    return Estimate(names, x, inverse * np.outer(wider, wider), value)
-
-
-def _scores(here: Innovations, moved: Sequence[Innovations]) -> tuple[Array, Array]:
-    """Scores of every fix (f, p) and the Fisher information (p, p), from runs with one log factor moved by :data:`STEP` each."""
-    density = here.log_density()
-    scores = np.stack([(m.log_density() - density) / STEP for m in moved], axis=1)
-    nu = np.stack([np.linalg.solve(here.S, (m.nu - here.nu)[:, :, None])[:, :, 0] for m in moved], axis=1) / STEP
-    S = np.stack([np.linalg.solve(here.S, m.S - here.S) for m in moved], axis=1) / STEP
-    change = np.stack([(m.nu - here.nu) / STEP for m in moved], axis=1)
-    information = np.einsum("fiw,fjw->ij", nu, change) + 0.5 * np.einsum("fivw,fjwv->ij", S, S)
-    return scores, np.asarray(information)
+    found = likeliest(run, np.zeros(len(levels.names)) if at is None else np.array(at), sd)
+    return Estimate(levels.names, found.x, uncertainty(run, found, sd), found.value)
