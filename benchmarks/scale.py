@@ -214,7 +214,9 @@ def twin(flights: int) -> None:
             ours, many = full[:, k], planimetric(drawn[name][:, k])
             found = cells_of[name][k]
             i = int(np.argmin(np.abs(exact[name].t - experiment.world.imu.t[linear.ends[k]])))
-            equal = found.plain_mean.width * np.sqrt(flights / (flights + helping / per_flight))
+            equal = (
+                2 * 1.96 * found.spread / np.sqrt(flights + helping / per_flight)
+            )  # of flights alone for all that time
             narrower += equal >= 3.0 * found.mean.width
             cells += 1
             error = np.hypot(ours.std(ddof=1) / np.sqrt(flights), many.std(ddof=1) / np.sqrt(LINEAR))

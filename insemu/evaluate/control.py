@@ -59,8 +59,10 @@ class Controlled:
     plain_mean, plain_quantile : Figure
         Of the full runs alone.
     mean, quantile : Figure
+    spread : float
+        Standard deviation of a full run, as the cheap ones tell it too: few full runs seldom hold the tail.
     saved : float
-        Variance of the plain mean over that of the controlled one: how many times more full runs would do the same.
+        Variance of the plain mean by that spread over the variance of the controlled one: how many times more full runs would do the same.
     """
 
     correlation: float
@@ -70,6 +72,7 @@ class Controlled:
     plain_quantile: Figure
     mean: Figure
     quantile: Figure
+    spread: float
     saved: float
 
     def to_json(self) -> dict[str, Any]:
@@ -106,7 +109,9 @@ def controlled(full: Array, paired: Array, many: Array, by: str = "linear") -> C
     plain_quantile = _turned(float(np.quantile(full, LEVEL)), resampled)
     correlation = float(np.corrcoef(full, paired)[0, 1]) if n > 2 and paired.std() > 0 and full.std() > 0 else 0.0
     if correlation < CORRELATED:
-        return Controlled(correlation, False, by, plain, plain_quantile, plain, plain_quantile, 1.0)
+        return Controlled(
+            correlation, False, by, plain, plain_quantile, plain, plain_quantile, float(full.std(ddof=1)), 1.0
+        )
     slope, offset = _line(paired, full)
     left = full - offset - slope * paired
     scatter = float(left @ left) / (n - 2)
@@ -122,10 +127,10 @@ def controlled(full: Array, paired: Array, many: Array, by: str = "linear") -> C
 
     found = quantile(paired, full)
     helped = np.array([quantile(paired[p], full[p]) for p in picks])
-    saved = float(full.var(ddof=1) / n / variance)
-    return Controlled(
-        correlation, True, by, plain, plain_quantile, Figure(centre, centre - half_, centre + half_), _turned(found, helped), saved
-    )  # fmt: skip
+    spread = float(np.sqrt(slope**2 * many.var(ddof=1) + scatter))
+    mean_ = Figure(centre, centre - half_, centre + half_)
+    saved = spread**2 / n / variance
+    return Controlled(correlation, True, by, plain, plain_quantile, mean_, _turned(found, helped), spread, saved)
 
 
 def _line(x: Array, y: Array) -> tuple[float, float]:
@@ -173,8 +178,7 @@ def control(results: Results, twin: LinearTwin, many: Mapping[str, Array]) -> di
     paired = [coarse.realization(r) for r in range(results.realizations)]
     drawn = coarse.draw(COARSE * results.realizations, coarse.rng)
     for name in refused:
-        found = _cells(results, name, paired, drawn[name], "coarse")
-        out[name] = [one if one.used else other for one, other in zip(out[name], found, strict=True)]
+        out[name] = _cells(results, name, paired, drawn[name], "coarse")
     return out
 
 
