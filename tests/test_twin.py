@@ -10,6 +10,7 @@ import pytest
 
 from insemu.errors import InputError
 from insemu.evaluate import Experiment, LinearTwin, analyse_designs, planimetric
+from insemu.evaluate.coarse import CoarseTwin
 from insemu.evaluate.control import controlled
 from insemu.scenario import load
 from tests.test_run import SCENARIO, run, write
@@ -61,6 +62,36 @@ def test_draws_have_the_covariance_of_the_analysis(tmp_path: Path, record: str |
             for component in (0, 1):
                 seen = (flown[..., component] ** 2).mean() / (drawn[name][..., component] ** 2).mean()
                 assert abs(np.log(seen)) < 4.0 * np.sqrt(2.0 / 60)
+
+
+def test_the_coarse_twin_errs_as_the_filter_does_where_the_linear_one_does_not(tmp_path: Path) -> None:
+    # slow errors far beyond what the design "white" believes: angles and gains leave what the first order describes
+    truth = {
+        "gyro": "WN(N=0.03 deg/s/sqrt(Hz)) + GM(sigma=300 deg/h, Tc=100 s)",
+        "accel": "WN(N=90 ug/sqrt(Hz)) + GM(sigma=40 mg, Tc=4000 s)",
+    }
+    experiment = made(tmp_path, truth=truth, gnss=SCENARIO["gnss"])
+    linear = LinearTwin(experiment)
+    coarse = CoarseTwin(linear, ["white"])
+    assert coarse.rows == 10  # 0.2 s at 50 Hz
+    at = np.searchsorted(experiment.world.output_times, experiment.world.imu.t[linear.ends] - 1e-9)
+    off = {"linear": 0.0, "coarse": 0.0}
+    for r in range(4):
+        full = experiment.realization(r)["error"].sel(design="white").to_numpy()[at]
+        for label, twin in (("linear", linear), ("coarse", coarse)):
+            off[label] = max(off[label], planimetric(twin.realization(r)["white"] - full).max())
+    assert off["coarse"] < 0.1 * off["linear"], off
+
+
+@pytest.mark.parametrize("record", [None, "500 s"])
+def test_coarse_draws_are_distributed_as_linear_ones(tmp_path: Path, record: str | None) -> None:
+    linear = LinearTwin(made(tmp_path, truth=SCENARIO["truth"] | {"record": record}))
+    n = 200
+    drawn = CoarseTwin(linear, list(linear.designs)).draw(n, np.random.default_rng(8))
+    many = linear.draw(4000, np.random.default_rng(9))
+    for name, errors in drawn.items():  # chi-square, 1e-4 over 18 figures of correlated components
+        ratio = (errors[..., :6] ** 2).mean(axis=0) / (many[name][..., :6] ** 2).mean(axis=0)
+        assert np.abs(np.log(ratio)).max() < 4.4 * np.sqrt(2.0 / n + 2.0 / 4000), ratio
 
 
 def test_a_control_variate_narrows_and_holds_the_mean_and_is_refused_without_correlation() -> None:

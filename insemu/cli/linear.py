@@ -120,7 +120,7 @@ def control(
     from insemu.whole import put
 
     twin = LinearTwin(experiment)
-    found = helped(results, twin, realizations)
+    found = helped(results, twin, twin.draw(realizations, twin.rng))
     plain = {name: [c.to_json() for c in cells] for name, cells in found.items()}
     put(
         folder / "control.json",
@@ -128,19 +128,20 @@ def control(
     )
     if as_json:
         return
-    header = ["design", "outage", "mean m", "95 %", "alone", "quantile 95 %", "95 %", "corr.", "saved"]
+    header = ["design", "outage", "mean m", "95 %", "alone", "quantile 95 %", "95 %", "corr.", "saved", "by"]
     body = []
     for name, cells in found.items():
         for k, c in enumerate(cells):
+            helped_by = (f"{c.saved:.3g}", c.by) if c.used else ("refused", "")
             body.append([
                 name if k == 0 else "", str(k + 1), f"{c.mean.value:.4g}", f"{c.mean.low:.4g}-{c.mean.high:.4g}",
                 f"{c.plain_mean.low:.3g}-{c.plain_mean.high:.3g}", f"{c.quantile.value:.3g}",
-                f"{c.quantile.low:.3g}-{c.quantile.high:.3g}", f"{c.correlation:.3f}", f"{c.saved:.3g}" if c.used else "refused",
+                f"{c.quantile.low:.3g}-{c.quantile.high:.3g}", f"{c.correlation:.3f}", *helped_by,
             ])  # fmt: skip
     print_table(told, f"{results.realizations} flights helped by {realizations} linear realizations", header, body)
     told.print(
-        "alone: 95 % of the mean of the flights alone. corr.: of full and linear errors under the same draws; below 0.9 they are refused. saved: how "
-        "many times more flights would do the same.",
+        "alone: 95 % of the mean of the flights alone. corr.: of full and cheap errors under the same draws; below 0.9 they are refused. saved: how "
+        "many times more flights would do the same. by: linear realizations or, where those were refused, filters flown at long steps (coarse).",
         soft_wrap=True,
         style="dim",
     )

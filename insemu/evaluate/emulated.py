@@ -35,7 +35,7 @@ from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.world import OUTPUT_INTERVAL, Estimate, Scored, input_files, nearest_rows, static_logs, stream
 from insemu.filters import AidUse, InitialSigma, Standstill, TrueMotion
 from insemu.noise import NoiseModel, load_spread
-from insemu.records import AXES, AidRecord, ImuRecord, Recording, Trajectory
+from insemu.records import AXES, AidRecord, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Scenario
 from insemu.strapdown import NavState
 
@@ -254,19 +254,30 @@ class EmulatedWorld:
                 temperature=self.truth.temperature,
                 errors=errors,
             ).imu
-        velocity = s.gnss.velocity_sigma
-        fixes = gnss_fixes(
-            self.reference,
-            rate_hz=s.gnss.rate,
-            pos_sigma_ned=(0.0, 0.0, 0.0) if ideal else s.gnss.position_sigma,
-            vel_sigma_ned=(0.0, 0.0, 0.0) if ideal and velocity is not None else velocity,
-            lever_arm=s.gnss.lever_arm,
-            outages=self.outages,
-            rng=stream(s.seed, "gnss", realization),
-            effects=uses,
-        )
+        fixes = self.fixes(stream(s.seed, "gnss", realization), ideal=ideal)
         aids = tuple(self._aid(use, None if ideal else realization) for use in s.aids)
         return Recording(imu, fixes, self.reference, f"{self.flight.name}, realization {realization}", aids)
+
+    def fixes(self, rng: np.random.Generator, *, ideal: bool = False) -> GnssRecord:
+        """Fixes with errors of their own.
+
+        Parameters
+        ----------
+        rng : Generator
+        ideal : bool
+            Without errors, the outages kept.
+        """
+        gnss = self.scenario.gnss
+        return gnss_fixes(
+            self.reference,
+            rate_hz=gnss.rate,
+            pos_sigma_ned=(0.0, 0.0, 0.0) if ideal else gnss.position_sigma,
+            vel_sigma_ned=(0.0, 0.0, 0.0) if ideal and gnss.velocity_sigma is not None else gnss.velocity_sigma,
+            lever_arm=gnss.lever_arm,
+            outages=self.outages,
+            rng=rng,
+            effects=() if ideal else self.truth.effects,
+        )
 
     def _aid(self, use: AidUse, realization: int | None) -> AidRecord:
         """What an aid says in one realization, by its own stream whatever other aids there are; perfect where there is none."""
@@ -328,8 +339,12 @@ class EmulatedWorld:
 
     def start(self, realization: int, imu: ImuRecord) -> tuple[NavState, InitialSigma]:
         """The filter's start: the truth moved by a draw from the sigmas that the filter believes."""
+        return self.moved_start(stream(self.scenario.seed, "initial", realization))
+
+    def moved_start(self, rng: np.random.Generator) -> tuple[NavState, InitialSigma]:
+        """The truth moved by a draw from the sigmas that the filter believes."""
         sigma = self.scenario.initial.sigma
-        error = stream(self.scenario.seed, "initial", realization).standard_normal(9) * sigma.to_array()
+        error = rng.standard_normal(9) * sigma.to_array()
         start = NavState.of(self.reference)
         moved = NavState(earth.move(start.llh, error[:3]), start.vel_ned + error[3:6], start.rpy + error[6:9])
         return moved, sigma

@@ -328,7 +328,7 @@ class Experiment:
         times = known.imu.t[rows]
         ekf = self.filter(name, covariance_at=times, standstill=self._rests(name, known))
         aids = {"aids": recording.aids} if recording.aids else {}  # a user's filter need not know of them
-        run = ekf.run(self._prefiltered(name, known.imu), self._believed(name, known.gnss), start, start_sigma, **aids)
+        run = ekf.run(self._prefiltered(name, known.imu), self.believed(name, known.gnss), start, start_sigma, **aids)
         if (users := self.scenario.designs[name].filter) is not None:
             check_result(users, run, times, smoother=self.scenario.smoother)
         found = asdict(self.world.score(Estimate.of_filter(run, times), times))
@@ -432,7 +432,7 @@ class Experiment:
         clean = [clean_of(*item) for item in zip([*imu.gyro.T, *imu.accel.T], prefilter.per_axis(), strict=True)]
         return replace(imu, gyro=np.stack(clean[:3], axis=1), accel=np.stack(clean[3:], axis=1))
 
-    def _believed(self, design: str, fixes: GnssRecord) -> GnssRecord:
+    def believed(self, design: str, fixes: GnssRecord) -> GnssRecord:
         """The fixes with the standard deviations that a design believes."""
         tuning = self.scenario.designs[design].options.tuning
         out = fixes

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -194,10 +195,10 @@ class LinearTwin:
         truth, seen = self.truth, self.truth.output()
         initial = self.experiment.scenario.initial.sigma.to_array()[:, None] * rng.standard_normal((9, size))
         z = {name: np.vstack([initial, np.zeros((system.size - 9, size))]) for name, system in self.designs.items()}
-        first = _root(truth.P0)
+        first = root_of(truth.P0)
         s = first @ rng.standard_normal((first.shape[1], size))
         summed = np.zeros((6, size))
-        before, after, length = self._pieces()
+        before, after, length = self.pieces
         for p, (transition, root) in enumerate(before):
             mine = slice(p, None, len(before))
             y = transition @ np.vstack([s[:, mine], summed[:, mine]])
@@ -215,7 +216,7 @@ class LinearTwin:
             for f in interval.fixes:
                 drawn = rng.standard_normal((6, size))
                 for name, system in self.designs.items():
-                    fixed = _root(self.noise[name][f])
+                    fixed = root_of(self.noise[name][f])
                     z[name] = (
                         system.M[f] @ z[name]
                         + system.N[f] @ (seen @ s)
@@ -236,7 +237,7 @@ class LinearTwin:
         truth, seen = self.truth, self.truth.output()
         last = len(self.world.imu) - 1
         nodes = np.unique(np.concatenate([[0], self._epoch, self.ends, [last]]))
-        driving = _root(truth.Q)
+        driving = root_of(truth.Q)
         out = []
         for a, b in pairwise(nodes):
             parts = {name: system.between(int(a), int(b)) for name, system in self.designs.items()}
@@ -253,7 +254,7 @@ class LinearTwin:
             L = np.concatenate([noise, white], axis=2).transpose(1, 0, 2).reshape(noise.shape[1], -1)
             transitions = {name: transition for name, (transition, _) in parts.items()}
             fixes = [int(f) for f in np.flatnonzero(self._epoch == b)]
-            out.append(Interval(transitions, effect[0], own[count], _root(L @ L.T), fixes, int(b)))
+            out.append(Interval(transitions, effect[0], own[count], root_of(L @ L.T), fixes, int(b)))
         return out
 
     def _constants(self) -> dict[str, Array]:
@@ -268,7 +269,8 @@ class LinearTwin:
             out[name] = np.stack(columns, axis=2)
         return out
 
-    def _pieces(self) -> tuple[list[tuple[Array, Array]], list[tuple[Array, Array]], int]:
+    @cached_property
+    def pieces(self) -> tuple[list[tuple[Array, Array]], list[tuple[Array, Array]], int]:
         """Maps of true states and sums over what lies before and after each piece of a record, and the record's length; empty without records."""
         assert self.experiment.scenario.truth is not None
         record_s, steps = self.experiment.scenario.truth.record, len(self.world.imu) - 1
@@ -276,12 +278,12 @@ class LinearTwin:
             return [], [], 0
         length = round(record_s * self.world.rate_hz)
         places = range(length // steps)
-        before = [_summed(self.truth, p * steps) for p in places]
-        return before, [_summed(self.truth, length - (p + 1) * steps) for p in places], length
+        before = [summed(self.truth, p * steps) for p in places]
+        return before, [summed(self.truth, length - (p + 1) * steps) for p in places], length
 
 
-def _summed(truth: Augmentation, count: int) -> tuple[Array, Array]:
-    """Map of the true states and of the sums of the axis errors over so many samples, and the root of the noise that it adds."""
+def summed(truth: Augmentation, count: int) -> tuple[Array, Array]:
+    """Map (m + 6, m + 6) of the true states and of the sums of the axis errors over so many samples, and the root of the noise that it adds."""
     C, m = truth.output(), truth.m
     step = np.block([[truth.Phi, np.zeros((m, 6))], [C @ truth.Phi, np.eye(6)]])
     cross = C @ truth.Q
@@ -292,10 +294,10 @@ def _summed(truth: Augmentation, count: int) -> tuple[Array, Array]:
             transition, noise = step @ transition, step @ noise @ step.T + Q
         step, Q = step @ step, step @ Q @ step.T + Q
         count >>= 1
-    return transition, _root(noise)
+    return transition, root_of(noise)
 
 
-def _root(covariance: Array) -> Array:
+def root_of(covariance: Array) -> Array:
     """A matrix whose product with its transpose is the covariance, (n, rank)."""
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     some = np.where(scale > 0, scale, 1.0)

@@ -33,6 +33,7 @@ _STREAMS = {
     "aids": 6,
     "sensor": 7,
     "linear": 8,
+    "coarse": 9,
 }
 
 
