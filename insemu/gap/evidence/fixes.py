@@ -145,10 +145,12 @@ class Surrogate:
         order = np.concatenate([order, np.repeat(order[-1:], -order.size % lanes)])
         blocks = (order.size // lanes, lanes)
         out = np.empty(blocks)
+        ratio, variance = (
+            np.ascontiguousarray(np.moveaxis(v[order].reshape(*blocks, 6) ** 2, 1, 2)) for v in (factor, sigma)
+        )
         error_kernels.surrogate_likelihoods(
             self.Phi, self.Q, self.K, self.H, self.R, self.P0, self.nu, self.use, np.diff(self.t, prepend=self.t[0]),
-            *(np.ascontiguousarray(np.moveaxis(v[order].reshape(*blocks, 6) ** 2, 1, 2)) for v in (factor, sigma)),
-            rate[order].reshape(blocks), out,
+            ratio, variance, rate[order].reshape(blocks), out,
         )  # fmt: skip
         values = np.empty(len(noises))
         values[order] = out.ravel()
