@@ -1,5 +1,6 @@
 """Figures and one self-contained HTML page, for experiments, signals, fits and gaps."""
 
+from insemu.report.array import array_answer, render_array, weight_rows, weighting_rows
 from insemu.report.budget import budget_lines, render_budgets
 from insemu.report.characterise import render_characterisation
 from insemu.report.comparison import (
@@ -58,6 +59,7 @@ __all__ = [
     "FIGURES",
     "SMOOTHED",
     "SWEPT",
+    "array_answer",
     "beside",
     "budget_lines",
     "calibration_lines",
@@ -82,6 +84,7 @@ __all__ = [
     "rank_lines",
     "ranked",
     "regression_answer",
+    "render_array",
     "render_budgets",
     "render_characterisation",
     "render_check",
@@ -107,4 +110,6 @@ __all__ = [
     "sweep_rows",
     "variant_caption",
     "variant_rows",
+    "weight_rows",
+    "weighting_rows",
 ]
