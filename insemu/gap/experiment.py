@@ -202,10 +202,12 @@ def _placed(origin: Array, places: Sequence[Sequence[float]]) -> Array:
 
 
 def joined_up(first: Manoeuvre, then: Manoeuvre) -> Manoeuvre:
-    """One manoeuvre after the other, the second beginning 100 m on."""
+    """One manoeuvre after the other, the second beginning so far on that a vehicle which cannot stop has room to change its speed."""
     a, b = first.waypoints, then.waypoints
     ahead = earth.position_difference(a.llh[-1], a.llh[-2])
-    ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9) * 100.0
+    ahead = (
+        ahead / max(float(np.linalg.norm(ahead)), 1e-9) * (100.0 if VEHICLES[first.vehicle].min_speed == 0.0 else 600.0)
+    )
     start = earth.move(a.llh[-1], ahead * [1.0, 1.0, 0.0])
     moved = earth.move(np.broadcast_to(start, b.llh.shape), earth.position_difference(b.llh, b.llh[:1]))
     name = f"twice {first.name}" if first.name == then.name else f"{first.name}, then {then.name}"
