@@ -26,9 +26,11 @@ from insemu.gap.data.lost import filled
 from insemu.gap.data.samples import advanced, coarse, mend, unclipped, without_motion
 from insemu.gap.drive.preparation import fast_parts, starting_state
 from insemu.gap.drive.signatures import Loop, columns_response, knot_response
-from insemu.gap.evidence.fixes import Surrogate
+from insemu.gap.evidence.climb import laplace_together
+from insemu.gap.evidence.error_kernels import merged_states
+from insemu.gap.evidence.fixes import FixNoise, Surrogate
 from insemu.gap.evidence.linear import Field, gauss_markov_root, quadratic_evidence, random_walk_root
-from insemu.gap.evidence.model import Explanation, Likelihood, Rolloff, fit
+from insemu.gap.evidence.model import Explanation, Free, Likelihood, Rolloff, fit, laplace
 from insemu.gap.problems.band import fast_effects
 from insemu.gap.problems.findings import unknown_part
 from insemu.gap.verdict import Finding, Value
@@ -140,10 +142,9 @@ def test_knots_of_a_constant_are_the_constant() -> None:
     columns = effect_of("turn_on_bias").columns(motion, FixGeometry.of(motion, loop.result.fixes.t, LEVER))
     G, ramp = columns_response(loop, motion, columns)
     knots = np.linspace(motion.t[0], motion.t[-1], 7)
-    slow = knot_response(loop, motion, ramp, knots)
     for axis in range(6):
         np.testing.assert_allclose(
-            slow[:, :, 7 * axis : 7 * axis + 7].sum(axis=2),
+            knot_response(loop, motion, ramp, knots, axis).sum(axis=2),
             G[:, :, axis],
             rtol=1e-9,
             atol=1e-9 * np.abs(G[:, :, axis]).max(),
@@ -159,6 +160,48 @@ def test_surrogate_with_the_nominal_noise_is_the_nominal_likelihood() -> None:
     # the noise of the gyros on the lever arm correlates the components of a velocity fix by a thousandth; the surrogate leaves that out
     assert s.log_likelihood() == pytest.approx(expected, abs=0.05)
     assert s.log_likelihood(np.full(6, 3.0)) < s.log_likelihood() - 50.0
+
+
+def test_many_noises_at_once_are_each_as_it_is_alone() -> None:
+    s, rng = Surrogate.of(nominal_run()[0]), np.random.default_rng(4)
+    noises = [
+        FixNoise(
+            rng.uniform(0.5, 2.0, 6), (rng.uniform(0.0, 0.5, 6) * (np.arange(6) < k % 4), float(rng.uniform(2.0, 60.0)))
+        )
+        for k in range(11)
+    ]
+    alone = [s.whiten(s.nu[:, :, None], n.factor, n.colour)[1] for n in noises]
+    np.testing.assert_allclose(s.log_likelihoods(noises), alone, rtol=1e-11)
+
+
+def test_states_of_which_only_the_sum_shows_are_one() -> None:
+    Phi = np.tile(np.eye(13), (4, 1, 1))
+    Phi[:, 0, 9:12], Phi[:, 3, 9:11] = 0.3, -0.2
+    Phi[:, 12, 12] = 0.9
+    sums = merged_states(Phi, np.zeros((2, 6, 13)))
+    assert [list(np.flatnonzero(row)) for row in sums[9:]] == [[9, 10], [11], [12]]
+    kept = sums.argmax(axis=1)
+    np.testing.assert_array_equal(sums @ Phi, (sums @ Phi[:, :, kept]) @ sums)
+
+
+def test_climbs_side_by_side_end_where_each_alone_does() -> None:
+    free = [(Free("a", 0.05, 8.0),), (Free("a", 0.1, 30.0), Free("b", 1.0, 300.0))]
+
+    def top(k: int, x: Array) -> float:  # a variance and its estimate, as a level of the noise has it
+        z = x - np.array([0.4, 2.0])[: x.size]
+        return float(-200.0 * np.sum(2.0 * z + np.exp(-2.0 * z)) - 30.0 * np.prod(z) * (x.size - 1))
+
+    starts = [np.array([-1.5]), np.array([1.5, 0.5])]
+    together = laplace_together(lambda points: np.array([top(k, x) for k, x in points]), starts, free, 1e-6)
+    for k, mode in enumerate(together):
+        alone = laplace(
+            lambda x, k=k: top(k, x) + sum(f.log_density(v) for f, v in zip(free[k], x, strict=True)),
+            starts[k],
+            free[k],
+        )
+        np.testing.assert_allclose(mode.x, alone.x, atol=1e-3)
+        np.testing.assert_allclose(mode.covariance, alone.covariance, rtol=0.02, atol=1e-6)
+        assert mode.evidence == pytest.approx(alone.evidence, abs=0.01)
 
 
 def test_log_factor_is_the_ratio_of_dense_gaussians() -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from benchmarks.foreign import sensors
 from benchmarks.foreign.judge import calibration, taken
 from insemu.gap import find_gap
-from insemu.gap.data.log import Reduced, moving_spectrum
+from insemu.gap.data.log import Reduced, moving_spectra
 from insemu.gap.drive.shaking import without_shaking
 from insemu.gap.verdict import Finding, Member, Value, judged
 from insemu.noise import WN, NoiseModel
@@ -28,13 +28,16 @@ def band(seed: int, low: float, high: float) -> NDArray[np.float64]:
     return np.asarray(x / x.std())
 
 
+def reduced(name: str, values: NDArray[np.float64]) -> Reduced:
+    f, power, dof, quiet = moving_spectra(values, DT, 8.0)
+    return Reduced(name, "", DT, values, 1, np.zeros(0), f, power, dof, quiet=quiet)
+
+
 def heard(**added: NDArray[np.float64]) -> dict[str, Reduced]:
     rng = np.random.default_rng(7)
     parts = {}
     for name in AXES:
-        values = rng.standard_normal(N) + added.get(name, 0.0)
-        f, power, dof = moving_spectrum(values, DT, 8.0)
-        parts[name] = Reduced(name, "", DT, values, 1, np.zeros(0), f, power, dof)
+        parts[name] = reduced(name, rng.standard_normal(N) + added.get(name, 0.0))
     return without_shaking(parts, {name: NoiseModel((WN(DT**0.5),)) for name in AXES})
 
 
@@ -62,6 +65,26 @@ def test_axes_that_are_loud_at_the_same_times_shake() -> None:
     loud = 0.2 + 1.8 * (np.sin(np.arange(N) * DT / 3.0) > 0.0)
     out = heard(gyro_x=2.0 * loud * band(1, 15.0, 25.0), accel_z=2.0 * loud * band(2, 30.0, 40.0))
     assert out["gyro_x"].shaking is not None and out["accel_z"].shaking is not None
+
+
+def test_what_comes_and_goes_below_a_belief_that_is_too_large_is_the_vehicle_too() -> None:
+    # the quiet half is white at a tenth of the belief: in the other a vehicle shakes, and its spectrum is no low-pass of the sensor
+    moves = np.sin(np.arange(N) * DT / 3.0) > 0.0
+    rng = np.random.default_rng(3)
+    parts = {}
+    for k, name in enumerate(AXES):
+        values = 0.1 * rng.standard_normal(N) + (0.5 * moves * band(k + 1, 8.0, 20.0) if k < 2 else 0.0)
+        parts[name] = reduced(name, values)
+    out = without_shaking(parts, {name: NoiseModel((WN(DT**0.5),)) for name in AXES})
+    assert out["gyro_x"].shaking is not None and out["gyro_y"].shaking is not None
+    assert out["accel_z"].shaking is None
+    assert out["gyro_x"].shaking.rms == pytest.approx(0.5 * 0.5**0.5, rel=0.35)
+
+
+def test_a_low_pass_that_is_always_there_is_the_sensors() -> None:
+    quiet = {name: reduced(name, 0.5 * band(k, 0.0, 15.0)) for k, name in enumerate(AXES)}
+    out = without_shaking(quiet, {name: NoiseModel((WN(DT**0.5),)) for name in AXES})
+    assert all(part.shaking is None for part in out.values())
 
 
 def test_a_spectrum_that_falls_from_the_edge_is_the_tail_of_the_motion() -> None:

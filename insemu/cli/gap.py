@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rich.console import Console
 
-    from insemu.gap import GapReport
+    from insemu.gap import GapReport, Nominal, StaticLog
+    from insemu.records import Recording
 
 #: Findings on the first screen.
 MOST_ROWS = 6
@@ -39,6 +42,15 @@ def command(
     apply: str = typer.Option(
         "", "--apply", help="Findings that go into refined.yaml, by number, for example '1,3'; default: all of them."
     ),
+    following: str = typer.Option(
+        "",
+        "--next",
+        metavar="OUT.yaml",
+        help="Design the manoeuvre that would tell the members of the most costly class apart; writes a scenario and its waypoints.",
+    ),
+    vehicle: str = typer.Option(
+        "car", "--vehicle", help="What there is to drive or fly it with: car, multirotor, helicopter, fixed_wing."
+    ),
     hold_out: bool = typer.Option(
         True, "--hold-out/--no-hold-out", help="Score on data that was not used for naming (twice the time)."
     ),
@@ -54,10 +66,15 @@ def command(
     from insemu.cli.announce import announce
     from insemu.cli.printing import telling
     from insemu.effects import EFFECTS
+    from insemu.emulate import VEHICLES
     from insemu.errors import InputError, nearest
     from insemu.gap import applied, find_gap, from_its_start, load_measured, load_nominal, write_refined
     from insemu.whole import put
 
+    if vehicle not in VEHICLES:
+        raise InputError(f"unknown vehicle '{vehicle}'" + nearest(vehicle, VEHICLES), where="--vehicle")
+    if following and not following.endswith((".yaml", ".yml")):
+        raise InputError(f"found '{following}', expected a file .yaml; the waypoints go beside it", where="--next")
     for effect in without or ():
         if effect not in EFFECTS:
             raise InputError(f"unknown effect '{effect}'" + nearest(effect, EFFECTS), where="--without")
@@ -93,9 +110,37 @@ def command(
         draw_gap(report, Path(pictures).parent, Path(pictures).name)
     if as_json:
         typer.echo(text)
+    else:
+        _tell(report, console)
+        console.print(f"Page: [bold]{page}[/bold]   (gap.json, refined.yaml beside it)")
+    if following:
+        _design(report, data, nominal, Path(following), vehicle, seed, console)
+
+
+def _design(
+    report: GapReport,
+    data: StaticLog | Recording,
+    nominal: Nominal,
+    out: Path,
+    vehicle: str,
+    seed: int,
+    console: Console,
+) -> None:
+    """Design the next experiment, say what it promises, and write it."""
+    import numpy as np
+
+    from insemu.gap import design, experiment_said, write_experiment
+
+    with console.status("designing the next experiment") as status:
+        x = design(data, nominal, report, rng=np.random.default_rng(seed), vehicle=vehicle, progress=status.update)
+    if x is None:
+        console.print("Next experiment: no class that a drive or flight could settle")
         return
-    _tell(report, console)
-    console.print(f"Page: [bold]{page}[/bold]   (gap.json, refined.yaml beside it)")
+    scenario, waypoints = write_experiment(x, out)
+    console.print("[bold]The next experiment[/bold]")
+    for line in experiment_said(x):
+        console.print(line, highlight=False, markup=False)
+    console.print(f"Scenario: [bold]{scenario}[/bold], waypoints {waypoints}")
 
 
 def _tell(report: GapReport, console: Console) -> None:

@@ -8,6 +8,7 @@ from insemu.gap.beliefs.nominal import Nominal, load_nominal
 from insemu.gap.beliefs.refined import refined_nominal, write_refined
 from insemu.gap.candidates.axis import register
 from insemu.gap.data.sources import StaticLog, from_its_start, load_measured
+from insemu.gap.experiment import NextExperiment, design, experiment_said, write_experiment
 from insemu.gap.policy import Policy, rules
 from insemu.gap.problems.rest import find_static_gap
 from insemu.gap.session import applied, find_gap
@@ -18,12 +19,15 @@ __all__ = [
     "GapReport",
     "Interval",
     "Member",
+    "NextExperiment",
     "Nominal",
     "Policy",
     "StaticLog",
     "Value",
     "Where",
     "applied",
+    "design",
+    "experiment_said",
     "find_gap",
     "find_static_gap",
     "from_its_start",
@@ -32,5 +36,6 @@ __all__ = [
     "refined_nominal",
     "register",
     "rules",
+    "write_experiment",
     "write_refined",
 ]

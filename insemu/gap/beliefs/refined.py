@@ -252,7 +252,7 @@ def write_refined(
         document = {**kept, "notes": notes, "belief": models}
         if effects:
             document["effects"] = [use.to_mapping() for use in effects]
-    put(path, yaml.safe_dump(_plain(document), sort_keys=False, allow_unicode=True, width=140))
+    put(path, yaml.safe_dump(plain(document), sort_keys=False, allow_unicode=True, width=140))
     return path
 
 
@@ -373,9 +373,10 @@ def _moved(value: Any, old: Path, new: Path, key: str = "") -> Any:
     return value
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """The same in what YAML knows: lists, numbers and text."""
     if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
+        return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
+        return [plain(v) for v in value]
     return value.item() if isinstance(value, np.generic) else value

@@ -50,6 +50,10 @@ class Reduced:
         Frequency (Hz), two-sided PSD (unit^2/Hz) and chi-square degrees of freedom of each bin above ``1 / (2 block dt)``.
     weight : (bins,) array, optional
         Share of its degrees of freedom that a bin counts where no model describes the spectrum to their precision.
+    shaking : InBand, optional
+        What was taken for the vehicle's motion.
+    quiet : (bins,) array, optional
+        PSD of a moving sensor in the quietest third of its record.
     """
 
     name: str
@@ -63,6 +67,7 @@ class Reduced:
     dof: Array
     weight: Array | None = None
     shaking: InBand | None = None
+    quiet: Array | None = None
 
     @property
     def counted(self) -> Array:
@@ -187,14 +192,27 @@ def moving_spectrum(y: Array, dt: float, lowest: float, pieces: int = 32) -> tup
     f, power, dof : (bins,) arrays
         As those of :func:`spectrum`; empty where a piece is too short for a bin.
     """
+    return moving_spectra(y, dt, lowest, pieces)[:3]
+
+
+def moving_spectra(y: Array, dt: float, lowest: float, pieces: int = 32) -> tuple[Array, Array, Array, Array]:
+    """The same, and behind it the mean PSD of the quietest third of the pieces.
+
+    Parameters
+    ----------
+    y, dt, lowest, pieces
+        As :func:`moving_spectrum` says.
+    """
     length = y.size // pieces
     parts = [spectrum(y[k * length : (k + 1) * length], dt, lowest) for k in range(pieces)]
     f, _, dof = parts[0]
     if not f.size:
-        return f, f, f
+        return f, f, f, f
+    each = np.stack([p for _, p, _ in parts])
     # median of a mean of chi-squares over its mean (Wilson and Hilferty), and what the median keeps of the information
-    power = np.median([p for _, p, _ in parts], axis=0) / (1.0 - 2.0 / (9.0 * np.maximum(dof, 2.0 * TAPERS))) ** 3
-    return f, power, dof * pieces * (2.0 / math.pi)
+    power = np.median(each, axis=0) / (1.0 - 2.0 / (9.0 * np.maximum(dof, 2.0 * TAPERS))) ** 3
+    quietest = np.argsort(np.log(np.maximum(each, 1e-300)) @ dof)[: max(1, pieces // 3)]
+    return f, power, dof * pieces * (2.0 / math.pi), each[quietest].mean(axis=0)
 
 
 def spectrum_bins(n: int, dt: float, lowest: float) -> tuple[Array, Array]:

@@ -20,7 +20,7 @@ from insemu.filters import (
     run_filter,
 )
 from insemu.gap.beliefs.nominal import Nominal
-from insemu.gap.data.log import Reduced, moving_spectrum
+from insemu.gap.data.log import Reduced, moving_spectra
 from insemu.gap.data.samples import Clipped, without_motion
 from insemu.gap.drive.shaking import steadied, without_shaking
 from insemu.gap.drive.signatures import Loop
@@ -309,8 +309,8 @@ def _fast_part(imu: ImuRecord, k: int, name: str) -> Reduced:
     values, dt = imu.rates()[:, k], imu.dt
     lowest = min(rules().motion_hz, 0.5 * 0.5 / dt)
     values = without_motion(values[1:], dt, 0.6 * lowest)
-    f, power, dof = moving_spectrum(values, dt, lowest)
-    return Reduced(name, "rad/s" if k < 3 else "m/s^2", dt, values, 1, np.zeros(0), f, power, dof)
+    f, power, dof, quiet = moving_spectra(values, dt, lowest)
+    return Reduced(name, "rad/s" if k < 3 else "m/s^2", dt, values, 1, np.zeros(0), f, power, dof, quiet=quiet)
 
 
 def _trimmed(model: NoiseModel, fast: Reduced, named: float | None) -> NoiseModel:

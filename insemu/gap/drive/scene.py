@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,11 +49,8 @@ class Scene:
         Number of columns of the catalogue.
     outside : slice
         Columns of the library; behind them stand the clipped stretches.
-    raw : (f, 6, c) array
-        Responses of the columns, then of the knots of slow errors (axis by axis), then of the windows.
     knots, starts : arrays
         Times in s.
-    steps_raw : (f, 6, 3 starts) array
     corrections : mapping of column index to number
         What was taken out of the data before the filter ran.
     windows : tuple of Window
@@ -69,10 +67,8 @@ class Scene:
     columns: list[Column]
     catalogue: int
     outside: slice
-    raw: Array
     knots: Array
     starts: Array
-    steps_raw: Array
     corrections: Mapping[int, float]
     windows: tuple[Window, ...] = ()
     noise: FixNoise | None = None
@@ -85,7 +81,7 @@ class Scene:
         corrections: Mapping[int, float] | None = None,
         windows: tuple[Window, ...] = (),
     ) -> Scene:
-        """Respond every column through the filter in the loop."""
+        """Collect every column; responses through the filter in the loop are worked out when they are asked for."""
         assert prepared.result.nodes is not None
         motion = Motion.of(prepared.imu, prepared.result.nav, prepared.result.nodes.epoch)
         loop = Loop.of(prepared.result)
@@ -96,12 +92,10 @@ class Scene:
         columns += library_columns(motion, t_fix, prepared.nominal.mounting)
         outside = slice(catalogue, len(columns))
         columns += clipped_columns(motion, prepared.clipped)
-        G, ramp = columns_response(loop, motion, columns)
         start, end = float(motion.t[0]), float(motion.t[-1])
         knots = knot_times(start, end, max(KNOT_S, (end - start) / KNOTS))
         step = float(np.median(np.diff(t_fix))) if t_fix.size > 1 else end - start
         starts = np.arange(start, end, max(step, (end - start) / STARTS)) + 1e-3
-        raw = np.concatenate([G, knot_response(loop, motion, ramp, knots), window_response(loop, windows)], axis=2)
         return cls(
             prepared,
             original or prepared,
@@ -111,10 +105,8 @@ class Scene:
             columns,
             catalogue,
             outside,
-            raw,
             knots,
             starts,
-            fix_step_response(loop, starts),
             dict(corrections or {}),
             windows,
         )
@@ -126,11 +118,48 @@ class Scene:
         k = self.knots.size
         return len(self.columns) + axis * k + np.arange(axes * k)
 
+    @property
+    def width(self) -> int:
+        """Number of columns, knots and windows."""
+        return len(self.columns) + 6 * self.knots.size + len(self.windows)
+
     @cached_property
     def always(self) -> tuple[Block, ...]:
         """What is uncertain whatever the effects are: the integrals of clipped stretches."""
         index = np.arange(self.outside.stop, len(self.columns))
         return ((index, np.diag([self.columns[i].scale for i in index])),) if index.size else ()
+
+    # -- responses --------------------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _answers(self) -> Array:
+        """Responses (f, 6, c) of the columns, then of the knots of slow errors, axis by axis."""
+        return self._responses(np.arange(len(self.columns) + 6 * self.knots.size))
+
+    @cached_property
+    def raw(self) -> Array:
+        """The same, and those of the windows behind them."""
+        return np.concatenate([self._answers, window_response(self.loop, self.windows)], axis=2)
+
+    @cached_property
+    def steps_raw(self) -> Array:
+        """Responses (f, 6, 3 starts) of steps in the position fixes."""
+        return fix_step_response(self.loop, self.starts)
+
+    def _responses(self, index: NDArray[np.int64]) -> Array:
+        """Responses (f, 6, k) of some columns and knots."""
+        c, k = len(self.columns), self.knots.size
+        own = np.unique(index[index < c])
+        G, ramp = columns_response(self.loop, self.motion, [self.columns[i] for i in own])
+        parts, places = [G], [own]
+        for axis in np.unique((index[(index >= c) & (index < c + 6 * k)] - c) // k):
+            parts.append(knot_response(self.loop, self.motion, ramp, self.knots, int(axis)))
+            places.append(c + axis * k + np.arange(k))
+        late = np.unique(index[index >= c + 6 * k])
+        parts.append(window_response(self.loop, [self.windows[i - c - 6 * k] for i in late]))
+        every = np.concatenate([*places, late])
+        together = np.concatenate(parts, axis=2)
+        return together if np.array_equal(every, index) else together[:, :, np.searchsorted(every, index)]
 
     # -- whitened data ----------------------------------------------------------------------------------------------------------------
 
@@ -160,10 +189,13 @@ class Scene:
     def data(self) -> Field:
         """The field of the whole recording; what was corrected is put back as its linear response about the corrected trajectory."""
         G = self.whitened(self.raw)
+        return self._field(G, G[:, list(self.corrections)])
+
+    def _field(self, G: Array, corrected: Array) -> Field:
+        """The field of some columns, what was corrected put back."""
         y = self.full_y.ravel()[self.loop.use.ravel()].copy()
         spread = float(np.clip((np.median(np.abs(y)) / 0.6745) ** 2, 0.9, 1.1))
-        for j, value in self.corrections.items():
-            y += G[:, j] * value
+        y += corrected @ np.array(list(self.corrections.values()))
         return Field(y, G, spread)
 
     @cached_property
@@ -175,15 +207,17 @@ class Scene:
 
     def with_window(self, window: Window) -> Scene:
         """The scene with one more column, a step in the fixes; its place is the last."""
-        return replace(
-            self,
-            windows=(*self.windows, window),
-            raw=np.concatenate([self.raw, window_response(self.loop, (window,))], axis=2),
-        )
+        return self._same(windows=(*self.windows, window))
 
     def coloured(self, noise: FixNoise) -> Scene:
         """The same responses whitened for other noise of the fixes."""
-        return replace(self, noise=noise)
+        return self._same(noise=noise)
+
+    def _same(self, **changes: Any) -> Scene:
+        """The scene with other windows or noise of the fixes; the responses that are known stay."""
+        scene = replace(self, **changes)
+        scene.__dict__.update({k: v for k, v in self.__dict__.items() if k in ("_answers", "steps_raw")})
+        return scene
 
     def rebuilt(
         self,
@@ -246,12 +280,19 @@ class Scene:
         """What blocks explain of the whitened innovations as they are after corrections, (f, 6)."""
         if not blocks and not self.corrections:
             return None
-        total = np.zeros(self.data.y.size)
+        corrected = np.array(list(self.corrections), dtype=np.int64)
+        if "data" in self.__dict__:
+            data, index, C = self.data, np.arange(self.data.G.shape[1]), self.data.G[:, corrected]
+        else:  # of a scene that may be rebuilt at once only what is asked for
+            index = np.unique(np.concatenate([corrected, *(i for i, _ in blocks)]))
+            G = self.whitened(self._responses(index))
+            C = G[:, np.searchsorted(index, corrected)]
+            data = self._field(G, C)
+        total = np.zeros(data.y.size)
         if blocks:
-            index, mean, _ = self.data.posterior(blocks)
-            total += self.data.G[:, index] @ mean
-        for j, value in self.corrections.items():
-            total -= self.data.G[:, j] * value
+            at, mean, _ = data.posterior([(np.searchsorted(index, i), root) for i, root in blocks])
+            total += data.G[:, at] @ mean
+        total -= C @ np.array(list(self.corrections.values()))
         full = np.zeros(self.loop.use.size)
         full[self.loop.use.ravel()] = total
         return full.reshape(-1, 6)

@@ -34,18 +34,23 @@ SHARES = (0.0, *np.geomspace(0.003, 1.0, 9))
 
 @dataclass(frozen=True)
 class _Excess:
-    """What an axis shows beyond the noise that is believed of it.
+    """What an axis shows beyond its noise: what is believed of it, and no more than it shows in the quietest third of the record.
+
+    A sensor is as noisy while the vehicle stands. What comes and goes hides below a belief that is too large and looks like a low-pass there.
 
     Parameters
     ----------
+    noise : (k,) array
+        PSD of the noise.
     ratio : (k,) array
-        Spectrum over the highest level that the belief allows.
+        Spectrum over the highest level that the tolerance allows.
     loud : (k,) array of bool
         Bins that exceed it beyond doubt.
     nats : float
         What a spectrum of its own is worth there.
     """
 
+    noise: Array
     ratio: Array
     loud: NDArray[np.bool_]
     nats: float
@@ -53,10 +58,13 @@ class _Excess:
     @classmethod
     def of(cls, data: Reduced, belief: NoiseModel) -> _Excess:
         """Bin by bin."""
-        ratio = data.power / (belief.psd(data.f, data.dt) * (1.0 + rules().tolerance) ** 2)
+        noise = (
+            belief.psd(data.f, data.dt) if data.quiet is None else np.minimum(belief.psd(data.f, data.dt), data.quiet)
+        )
+        ratio = data.power / (noise * (1.0 + rules().tolerance) ** 2)
         gain = 0.5 * data.dof * np.where(ratio > 1.0, ratio - 1.0 - np.log(ratio), 0.0)
         loud = gain > rules().shaking_bin
-        return cls(ratio, loud, float(gain[loud].sum()))
+        return cls(noise, ratio, loud, float(gain[loud].sum()))
 
 
 def without_shaking(parts: Mapping[str, Reduced], beliefs: Mapping[str, NoiseModel]) -> dict[str, Reduced]:
@@ -81,7 +89,7 @@ def without_shaking(parts: Mapping[str, Reduced], beliefs: Mapping[str, NoiseMod
     for name, data in heard.items():
         shared = max((together[name, o] for o in shakes if o != name), default=0.0) if name in shakes else 0.0
         if name in shakes and (len(shakes) >= rules().shaking_axes or shared > 0.0):
-            out[name] = replace(unheard(data), shaking=_told(data, excess[name], beliefs[name], shared))
+            out[name] = replace(unheard(data), shaking=_told(data, excess[name], shared))
         elif (edge := _tail(data, beliefs[name])) > 0:
             out[name] = _above(data, edge)
     return out
@@ -167,13 +175,13 @@ def _above(data: Reduced, edge: int) -> Reduced:
     lowest = float(data.f[min(edge + 1, data.f.size - 1)])
     values = without_motion(data.values, data.dt, 0.6 * lowest, whole=True)
     f, power, dof = moving_spectrum(values, data.dt, lowest)
-    return replace(data, values=values, f=f, power=power, dof=dof)
+    return replace(data, values=values, f=f, power=power, dof=dof, quiet=None)
 
 
-def _told(data: Reduced, e: _Excess, belief: NoiseModel, shared: float) -> InBand:
+def _told(data: Reduced, e: _Excess, shared: float) -> InBand:
     """An axis's motion above its noise, for the report."""
     width = np.gradient(data.f)
-    power = np.maximum(data.power - belief.psd(data.f, data.dt), 0.0) * width * e.loud
+    power = np.maximum(data.power - e.noise, 0.0) * width * e.loud
     total = float(power.sum())
     low, high = (
         float(data.f[np.searchsorted(np.cumsum(power), q * total).clip(max=data.f.size - 1)]) for q in (0.05, 0.95)

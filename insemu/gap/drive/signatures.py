@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from insemu.effects import Column, Motion
 from insemu.filters import FilterResult
-from insemu.gap.evidence import kernels
+from insemu.gap.evidence import error_kernels
 
 Array = NDArray[np.float64]
 
@@ -60,30 +61,50 @@ class Loop:
         """The first ``count`` fixes, for what looks at innovations only."""
         return Loop(self.result, self.lower[:count], self.white[:count], self.y[: 6 * count], self.use[:count])
 
-    def respond(self, columns: int, D: Array | None, M: Array | None) -> Array:
+    @cached_property
+    def machine(self) -> tuple[Array, Array, Array, NDArray[np.int64]]:
+        """Transitions, gains and Jacobians of what the fixes can tell apart, and the node of each fix."""
+        nodes, fixes = self.result.nodes, self.result.fixes
+        assert nodes is not None and fixes.K is not None and fixes.H is not None
+        H = np.where(self.use[:, :, None], np.nan_to_num(fixes.H), 0.0)
+        K = np.where(self.use[:, None, :], np.nan_to_num(fixes.K), 0.0)
+        sums = error_kernels.merged_states(nodes.Phi[1:], H)
+        first = sums.argmax(axis=1)
+        at = np.searchsorted(nodes.epoch, fixes.epoch)
+        return sums @ nodes.Phi[:, :, first], sums @ K, np.ascontiguousarray(H[:, :, first]), at
+
+    def respond(
+        self,
+        columns: int,
+        D: Array | None,
+        M: Array | None,
+        at: NDArray[np.int64] | None = None,
+        begin: NDArray[np.int64] | None = None,
+    ) -> Array:
         """Response of the innovations.
 
         Parameters
         ----------
         columns : int
-        D : (nodes, columns, 9) array, optional
+        D : (nodes, a, 9) array, optional
             Navigation errors built up since the node before.
         M : (f, 6, columns) array, optional
             Errors of the fixes.
+        at : (nodes, a) array of int, optional
+            Columns that the entries of ``D`` are added to; every entry to its own where it is not given.
+        begin : (columns,) array of int, optional
+            Node before which a column is zero, not decreasing.
 
         Returns
         -------
         (f, 6, columns) array
             Zero where a component is missing.
         """
-        nodes, fixes = self.result.nodes, self.result.fixes
-        assert nodes is not None and fixes.K is not None and fixes.H is not None
-        out, none = np.zeros((len(fixes), 6, columns)), np.zeros((0, 0, 0))
-        H = np.where(self.use[:, :, None], np.nan_to_num(fixes.H), 0.0)
-        K = np.where(self.use[:, None, :], np.nan_to_num(fixes.K), 0.0)
-        kernels.respond(
-            nodes.Phi, K, H, np.searchsorted(nodes.epoch, fixes.epoch), self.use, none if D is None else D,
-            none if M is None else M, out,
+        Phi, K, H, node = self.machine
+        out, none = np.zeros((node.size, 6, columns)), np.zeros((0, 0, 0))
+        error_kernels.respond(
+            Phi, K, H, node, self.use, none if D is None else D, np.arange(columns)[None] if at is None else at,
+            none if M is None else M, np.zeros(columns, dtype=np.int64) if begin is None else begin, out,
         )  # fmt: skip
         return out
 
@@ -144,7 +165,7 @@ def built_up(loop: Loop, motion: Motion, columns: Sequence[Column]) -> tuple[Arr
     u = np.ascontiguousarray(np.stack([e[2] for e in entries])) if entries else np.zeros((0, motion.t.size))
     axis = np.array([e[1] for e in entries], dtype=np.int64)
     column = np.array([e[0] for e in entries], dtype=np.int64)
-    kernels.integrate_inputs(
+    error_kernels.integrate_inputs(
         motion.t, np.ascontiguousarray(motion.C), motion.f_n, nodes.epoch, u, axis, column, D, ramp
     )
     for j, c in enumerate(columns):
@@ -159,8 +180,8 @@ def built_up(loop: Loop, motion: Motion, columns: Sequence[Column]) -> tuple[Arr
     return D, ramp, M
 
 
-def knot_response(loop: Loop, motion: Motion, ramp: Array, knots: Array) -> Array:
-    """Responses of slow sensor errors: linear between knots (s), one column per axis and knot, axis by axis.
+def knot_response(loop: Loop, motion: Motion, ramp: Array, knots: Array, axis: int) -> Array:
+    """Responses of slow errors of an axis of the sensors: linear between knots, one column per knot.
 
     Parameters
     ----------
@@ -172,28 +193,37 @@ def knot_response(loop: Loop, motion: Motion, ramp: Array, knots: Array) -> Arra
         From :func:`built_up`.
     knots : (k,) array
         Times, s.
+    axis : int
+        0 to 5.
 
     Returns
     -------
-    (f, 6, 6 knots) array
+    (f, 6, knots) array
     """
     nodes = loop.result.nodes
     assert nodes is not None
-    t = motion.t[nodes.epoch]
-    hats = np.stack([np.interp(t, knots, row) for row in np.eye(knots.size)], axis=1)  # (nodes, knots)
-    D = np.zeros((t.size, 6 * knots.size, 9))
-    for axis in range(6):
-        block = slice(axis * knots.size, (axis + 1) * knots.size)
-        start, rise = hats[:-1], np.diff(hats, axis=0)
-        D[1:, block] = start[:, :, None] * ramp[1:, axis, None, :] + rise[:, :, None] * ramp[1:, 6 + axis, None, :]
-    return loop.respond(D.shape[1], D, None)
+    t, count = motion.t[nodes.epoch], knots.size
+    hats = np.stack([np.interp(t, knots, row) for row in np.eye(count)], axis=1)  # (nodes, knots)
+    start, rise = np.zeros_like(hats), np.zeros_like(hats)
+    start[1:], rise[1:] = hats[:-1], np.diff(hats, axis=0)
+    # between two nodes only the knots around them count
+    touched = (start != 0.0) | (rise != 0.0)
+    first = np.where(touched.any(axis=1), touched.argmax(axis=1), 0)
+    last = np.where(touched.any(axis=1), count - 1 - touched[:, ::-1].argmax(axis=1), 0)
+    width = int(np.max(last - first)) + 1
+    at = np.minimum(first, count - width)[:, None] + np.arange(width)
+    start, rise = np.take_along_axis(start, at, axis=1), np.take_along_axis(rise, at, axis=1)
+    begin = np.where(touched.any(axis=0), touched.argmax(axis=0), t.size)
+    begin = np.minimum.accumulate(begin[::-1])[::-1]
+    D = start[:, :, None] * ramp[:, axis, None] + rise[:, :, None] * ramp[:, 6 + axis, None]
+    return loop.respond(count, D, None, at, begin)
 
 
 def fix_step_response(loop: Loop, starts: Array) -> Array:
     """Responses (f, 6, 3 starts) of unit steps in the position fixes from each start time on; north, east, down for each start."""
-    fixes = loop.result.fixes
+    fixes, node = loop.result.fixes, loop.machine[3]
     M = np.zeros((len(fixes), 6, 3 * starts.size))
-    for i, s in enumerate(starts):
-        for c in range(3):
-            M[fixes.t > s, c, 3 * i + c] = 1.0
-    return loop.respond(3 * starts.size, None, M)
+    for c in range(3):
+        M[:, c, c::3] = fixes.t[:, None] > starts
+    first = np.minimum(np.searchsorted(fixes.t, starts, side="right"), len(fixes) - 1)
+    return loop.respond(M.shape[2], None, M, begin=np.repeat(node[first], 3))

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.filters import FilterResult
-from insemu.gap.evidence import kernels
+from insemu.gap.evidence import error_kernels
+from insemu.gap.evidence.climb import laplace_together
 from insemu.gap.evidence.linear import log_mean_exp
-from insemu.gap.evidence.model import Free, laplace, level
+from insemu.gap.evidence.model import Free, Mode, level
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 
@@ -27,8 +28,20 @@ CLOSE_NATS = 0.03
 
 
 @dataclass(frozen=True)
+class FixNoise:
+    """Noise of the fixes beyond what the filter believed: levels (6,) as ratios to it, and a Gauss-Markov part."""
+
+    factor: Array
+    colour: Colour
+
+
+#: No Gauss-Markov part.
+PLAIN: Colour = (np.zeros(6), 1.0)
+
+
+@dataclass(frozen=True)
 class Surrogate:
-    """The nominal filter seen from outside: transitions, gains and noises per fix, ready for :func:`kernels.surrogate_filter`.
+    """The nominal filter seen from outside: transitions, gains and noises per fix, ready for :func:`error_kernels.surrogate_filter`.
 
     The noise of a fix counts as independent between its components; what the gyros' noise on the lever arm correlates is left out.
     """
@@ -48,25 +61,30 @@ class Surrogate:
         """From a stored run; nodes without a fix are joined to the next one with a fix."""
         nodes, fixes = result.nodes, result.fixes
         assert nodes is not None and fixes.K is not None and fixes.H is not None
-        n, f = result.layout.n, len(fixes)
-        Phi, Q = np.zeros((f, n, n)), np.zeros((f, n, n))
         use = np.isfinite(fixes.innovation) & fixes.accepted[:, None]
-        step = nodes.Phi[1:]
-        driven = nodes.P_before[1:] - step @ nodes.P_after[:-1] @ np.transpose(step, (0, 2, 1))
-        at = np.searchsorted(nodes.epoch, fixes.epoch)
-        before = 0
-        for k in range(f):
-            gone, noise = np.eye(n), np.zeros((n, n))
-            for j in range(before, at[k]):
-                noise = step[j] @ noise @ step[j].T + driven[j]
-                gone = step[j] @ gone
-            Phi[k], Q[k], before = gone, 0.5 * (noise + noise.T), max(before, at[k])
         H = np.where(use[:, :, None], np.nan_to_num(fixes.H), 0.0)
-        believed = np.einsum("kii->ki", np.nan_to_num(fixes.S)) - np.einsum("kij,kjl,kil->ki", H, nodes.P_before[at], H)
         K = np.where(use[:, None, :], np.nan_to_num(fixes.K), 0.0)
+        step = nodes.Phi[1:]
+        sums = error_kernels.merged_states(step, H)
+        n, f, first = sums.shape[0], len(fixes), sums.argmax(axis=1)
+        driven = nodes.P_before[1:] - step @ nodes.P_after[:-1] @ np.transpose(step, (0, 2, 1))
+        step, driven = sums @ step[:, :, first], sums @ driven @ sums.T
+        at = np.searchsorted(nodes.epoch, fixes.epoch)
+        since = np.diff(at, prepend=0)
+        Phi, Q = np.zeros((f, n, n)), np.zeros((f, n, n))
+        Phi[:] = np.eye(n)
+        single = np.flatnonzero(since == 1)
+        Phi[single], Q[single] = step[at[single] - 1], driven[at[single] - 1]
+        for k in np.flatnonzero(since > 1):
+            for j in range(at[k] - since[k], at[k]):
+                Q[k] = step[j] @ Q[k] @ step[j].T + driven[j]
+                Phi[k] = step[j] @ Phi[k]
+        Q = 0.5 * (Q + np.transpose(Q, (0, 2, 1)))
+        diagonal = np.einsum("kii->ki", np.nan_to_num(fixes.S))
+        believed = diagonal - np.sum((H @ nodes.P_before[at]) * H, axis=2)
         return cls(
-            fixes.t, Phi, Q, np.ascontiguousarray(K), np.ascontiguousarray(H), np.where(use, believed, 0.0), nodes.P_after[0].copy(),
-            np.where(use, np.nan_to_num(fixes.innovation), 0.0), use.astype(np.int64),
+            fixes.t, Phi, Q, np.ascontiguousarray(sums @ K), np.ascontiguousarray(H[:, :, first]), np.where(use, believed, 0.0),
+            sums @ nodes.P_after[0] @ sums.T, np.where(use, np.nan_to_num(fixes.innovation), 0.0), use.astype(np.int64),
         )  # fmt: skip
 
     def until(self, cut: float) -> Surrogate:
@@ -102,11 +120,11 @@ class Surrogate:
         log_likelihood : float
             Of the first column; minus infinity where it is not finite.
         """
-        sigma, tau = colour if colour is not None else (np.zeros(6), 1.0)
+        sigma, tau = PLAIN if colour is None else colour
         gap = np.diff(self.t, prepend=self.t[0])
         phi = np.exp(-gap / tau)[:, None] * np.ones(6)
         white = np.zeros_like(columns)
-        value = kernels.surrogate_filter(
+        value = error_kernels.surrogate_filter(
             self.Phi, self.Q, self.K, self.H, self.R, self.P0, np.ascontiguousarray(columns), self.use,
             np.ones(6) if factor is None else factor, phi, (1.0 - phi**2) * sigma**2, sigma**2, white,
         )  # fmt: skip
@@ -114,7 +132,29 @@ class Surrogate:
 
     def log_likelihood(self, factor: Array | None = None, colour: Colour | None = None) -> float:
         """Log-likelihood with other levels and a Gauss-Markov part of the fixes."""
-        return self.whiten(self.nu[:, :, None], factor, colour)[1]
+        noise = FixNoise(np.ones(6) if factor is None else factor, PLAIN if colour is None else colour)
+        return float(self.log_likelihoods([noise])[0])
+
+    def log_likelihoods(self, noises: Sequence[FixNoise]) -> Array:
+        """Log-likelihoods of several noises of the fixes, eight in one pass; minus infinity where one is not finite."""
+        sigma, rate = np.stack([n.colour[0] for n in noises]), np.array([1.0 / n.colour[1] for n in noises])
+        factor = np.stack([n.factor for n in noises])
+        lanes = error_kernels.LANES
+        # a pass carries a state for every component that one of its eight colours: like goes with like
+        order = np.argsort(np.count_nonzero(sigma, axis=1), kind="stable")
+        order = np.concatenate([order, np.repeat(order[-1:], -order.size % lanes)])
+        blocks = (order.size // lanes, lanes)
+        out = np.empty(blocks)
+        ratio, variance = (
+            np.ascontiguousarray(np.moveaxis(v[order].reshape(*blocks, 6) ** 2, 1, 2)) for v in (factor, sigma)
+        )
+        error_kernels.surrogate_likelihoods(
+            self.Phi, self.Q, self.K, self.H, self.R, self.P0, self.nu, self.use, np.diff(self.t, prepend=self.t[0]),
+            ratio, variance, rate[order].reshape(blocks), out,
+        )  # fmt: skip
+        values = np.empty(len(noises))
+        values[order] = out.ravel()
+        return np.where(np.isfinite(values), values, -math.inf)
 
 
 def level_derivatives(variance: Array, white: Array, groups: Sequence[Sequence[int]]) -> list[Array]:
@@ -195,7 +235,75 @@ def gnss_noise_fits(
     colour : optional
         Of the fixes, where it was found already.
     """
-    out: list[NoiseFit] = []
+    problems = _levels(s, white, y, trimmed, colour, skip)
+    coloured: list[_Weighed] = []
+    if colour is None and "gnss_correlated_noise" not in skip:
+        coloured = _colours(s)
+    tried = [(k, x) for k, p in enumerate([*problems, *coloured]) for x in p.starts]
+
+    def likelihoods(points: Sequence[tuple[int, Array]]) -> Array:
+        return s.log_likelihoods([problems[k].noise(x) for k, x in points])
+
+    problems += coloured
+    likely = likelihoods(tried) if tried else np.zeros(0)
+    starts: list[Array | None] = []
+    for k, p in enumerate(problems):
+        mine = [(v, x) for v, (i, x) in zip(likely, tried, strict=True) if i == k]
+        posterior = [v + sum(f.log_density(z) for f, z in zip(p.free, x, strict=True)) for v, x in mine]
+        top = int(np.argmax(posterior if p.is_level else [v for v, _ in mine]))
+        starts.append(mine[top][1] if p.is_level or mine[top][0] - base > -2.0 else None)
+    if (
+        coloured
+        and max(v for v, (i, _) in zip(likely, tried, strict=True) if problems[i] is coloured[0]) - base < -30.0
+    ):
+        starts = [
+            x if problems[k].is_level else None for k, x in enumerate(starts)
+        ]  # no part of it can be worth anything then
+    going = [k for k, x in enumerate(starts) if x is not None]
+    modes = laplace_together(
+        lambda points: likelihoods([(going[k], x) for k, x in points]),
+        [x for x in starts if x is not None],
+        [problems[k].free for k in going],
+        CLOSE_NATS,
+    )
+    fits = [problems[k].fitted(mode, base) for k, mode in zip(going, modes, strict=True)]
+    return [f for f in fits if f is not None]
+
+
+@dataclass(frozen=True)
+class _Weighed:
+    """One noise of the fixes with its free parameters: how they make levels and colours, and where its climb may start."""
+
+    effect: str
+    axes: tuple[str, ...]
+    free: tuple[Free, ...]
+    starts: Sequence[Array]
+    noise: Callable[[Array], FixNoise]
+
+    @property
+    def is_level(self) -> bool:
+        """Whether it is a level and no colour."""
+        return len(self.free) == 1
+
+    def fitted(self, mode: Mode, base: float) -> NoiseFit | None:
+        """What it is worth at its best; ``None`` for a level within its tolerance."""
+        noise, sd = self.noise(mode.x), np.sqrt(np.diag(mode.covariance))
+        if self.is_level:
+            if abs(mode.x[0]) < math.log1p(rules().tolerance):
+                return None
+            level = Value.positive("factor", math.exp(mode.x[0]), sd[0], "1")
+            return NoiseFit(self.effect, self.axes, mode.evidence - base, (level,), noise.factor, None)
+        sigma, tau = noise.colour
+        values = [Value.positive(f"sigma_{a}", sigma[NED.index(a)], sd[0], "m") for a in self.axes]
+        values.append(Value.positive("tau", tau, sd[1], "s"))
+        return NoiseFit(self.effect, self.axes, mode.evidence - base, tuple(values), noise.factor, noise.colour)
+
+
+def _levels(
+    s: Surrogate, white: Array, y: Array, trimmed: Array, colour: Colour | None, skip: Sequence[str]
+) -> list[_Weighed]:
+    """Levels of the positions and velocities that the score does not make hopeless."""
+    out = []
     free = Free("factor", rules().lowest_level, rules().highest_level)
     for effect, offset in (("gnss_noise_level", 0), ("gnss_velocity_noise", 3)):
         if effect in skip or not s.use[:, offset : offset + 3].any():
@@ -207,27 +315,18 @@ def gnss_noise_fits(
                 continue
             moved = float(np.mean(np.log(trimmed[rows])))
 
-            def factor(x: Array, rows: list[int] = rows, moved: float = moved) -> Array:
-                out = np.ones(6)
-                out[rows] = math.exp(x[0] - moved)
-                return out
-
-            def log_posterior(x: Array, factor: Callable[[Array], Array] = factor) -> float:
-                return s.log_likelihood(factor(x), colour) + free.log_density(x[0])
+            def noise(x: Array, rows: list[int] = rows, moved: float = moved) -> FixNoise:
+                factor = np.ones(6)
+                factor[rows] = math.exp(x[0] - moved)
+                return FixNoise(factor, PLAIN if colour is None else colour)
 
             # of the starts to either side the better one: the first step of a far level is a long one
             starts = [np.array([moved + sign * step]) for sign in (-1.0, 1.0) for step in (0.5, 1.5)]
-            mode = laplace(log_posterior, max(starts, key=log_posterior), (free,), close=CLOSE_NATS)
-            if abs(mode.x[0]) < math.log1p(rules().tolerance):
-                continue
-            value = Value.positive("factor", math.exp(mode.x[0]), math.sqrt(mode.covariance[0, 0]), "1")
-            out.append(NoiseFit(effect, axes, mode.evidence - base, (value,), factor(mode.x), colour))
-    if colour is None and "gnss_correlated_noise" not in skip:
-        out += _colours(s, base)
+            out.append(_Weighed(effect, axes, (free,), starts, noise))
     return out
 
 
-def _colours(s: Surrogate, base: float) -> list[NoiseFit]:
+def _colours(s: Surrogate) -> list[_Weighed]:
     """Gauss-Markov parts of the position fixes, in proportion to their believed standard deviations."""
     sigma0 = s.sigma()
     if not sigma0[:3].all():
@@ -235,41 +334,18 @@ def _colours(s: Surrogate, base: float) -> list[NoiseFit]:
     span = float(s.t[-1] - s.t[0])
     step = float(np.median(np.diff(s.t)))
     free = (Free("ratio", *rules().colour_sizes), Free("tau", 2.0 * step, 0.5 * span))
-    out: list[NoiseFit] = []
+    grid = [np.log([r, t]) for r in (0.3, 0.8, 2.5, 8.0) for t in np.geomspace(4.0 * step, 0.25 * span, 4)]
+    out = []
     for axes in GROUPS[:3]:
         rows = [NED.index(a) for a in axes]
 
-        def colour(x: Array, rows: list[int] = rows) -> Colour:
+        def noise(x: Array, rows: list[int] = rows) -> FixNoise:
             sigma = np.zeros(6)
             sigma[rows] = math.exp(x[0]) * sigma0[rows]
-            return sigma, math.exp(x[1])
+            return FixNoise(np.ones(6), (sigma, math.exp(x[1])))
 
-        def log_posterior(x: Array, colour: Callable[[Array], Colour] = colour) -> float:
-            prior = sum(f.log_density(v) for f, v in zip(free, x, strict=True))
-            return s.log_likelihood(None, colour(x)) + prior
-
-        grid = [np.log([r, t]) for r in (0.3, 0.8, 2.5, 8.0) for t in np.geomspace(4.0 * step, 0.25 * span, 4)]
-        likely = [s.log_likelihood(None, colour(x)) - base for x in grid]
-        if max(likely) < -2.0:
-            if axes == NED and max(likely) < -30.0:
-                break  # neither part of it can be worth anything then
-            continue
-        mode = laplace(log_posterior, grid[int(np.argmax(likely))], free, close=CLOSE_NATS)
-        sd = np.sqrt(np.diag(mode.covariance))
-        sigma, tau = colour(mode.x)
-        values = [Value.positive(f"sigma_{a}", sigma[r], sd[0], "m") for a, r in zip(axes, rows, strict=True)]
-        values.append(Value.positive("tau", tau, sd[1], "s"))
-        nats = mode.evidence - base
-        out.append(NoiseFit("gnss_correlated_noise", axes, nats, tuple(values), np.ones(6), (sigma, tau)))
+        out.append(_Weighed("gnss_correlated_noise", axes, free, grid, noise))
     return out
-
-
-@dataclass(frozen=True)
-class FixNoise:
-    """Noise of the fixes beyond what the filter believed: levels (6,) as ratios to it, and a Gauss-Markov part."""
-
-    factor: Array
-    colour: Colour
 
 
 def joint_noise(s: Surrogate, colour: Colour, factors: Array) -> FixNoise:
@@ -297,12 +373,11 @@ def joint_noise(s: Surrogate, colour: Colour, factors: Array) -> FixNoise:
             factor[rows] = math.exp(x[len(parts) + 1 + k])
         return FixNoise(factor, (sigma, colour[1] * math.exp(x[len(parts)])))
 
-    def log_posterior(x: Array) -> float:
-        noise = unpack(x)
-        prior = sum(f.log_density(v) for f, v in zip(free, x, strict=True))
-        return s.log_likelihood(noise.factor, noise.colour) + prior
+    def likelihoods(points: Sequence[tuple[int, Array]]) -> Array:
+        return s.log_likelihoods([unpack(x) for _, x in points])
 
-    return unpack(laplace(log_posterior, np.zeros(len(free)), free, close=CLOSE_NATS).x)
+    (mode,) = laplace_together(likelihoods, [np.zeros(len(free))], [free], CLOSE_NATS)
+    return unpack(mode.x)
 
 
 def pooled(fits: Sequence[NoiseFit]) -> float:

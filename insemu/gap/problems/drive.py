@@ -223,7 +223,10 @@ class DriveProblem:
         h, scene, self._changed = new.chosen, self.scene, False
         if (window := h.change.window) is not None:
             scene = scene.with_window(window)
-            block: Block = (np.array([scene.raw.shape[2] - 1]), np.array([[3.0 * abs(h.values[0].value)]]))
+            block: Block = (
+                np.array([scene.width - 1]),
+                np.array([[3.0 * abs(h.values[0].value)]]),
+            )
             new = replace(new, chosen=replace(h, change=replace(h.change, block=block)))
         elif h.effect == "gnss_outliers":
             self.found.append(new)
@@ -245,10 +248,8 @@ class DriveProblem:
         if h.effect != "gnss_outliers":
             self.found.append(new)
         if h.nats > rules().correct_nats and h.change.columns:
-            self._take(scene)
             scene = scene.rebuilt(corrections=self._corrections())
-        self._take(scene)
-        self._take(self.scene.trimmed(self.blocks(), self.cut))
+        self._take(scene.trimmed(self.blocks(), self.cut))
 
     def _corrections(self) -> dict[int, float]:
         """Best values of the strong shapes, to be taken out of the data."""
@@ -297,8 +298,7 @@ class DriveProblem:
         """Take back the noise of the fixes and what was found with it, from the ``first`` scene on."""
         self.found = [f for f in self.found if f.chosen.change.block is not None and f.chosen.change.window is None]
         self.gone, self.outsider = np.zeros(0), ""
-        self._take(first.rebuilt(corrections=self.scene.corrections))
-        self._take(self.scene.trimmed(self.blocks(), self.cut))
+        self._take(first.rebuilt(corrections=self.scene.corrections).trimmed(self.blocks(), self.cut))
 
     def hold_against_the_rest(self) -> None:
         """Weigh noise of the fixes against each effect that was weighed again without it, and structure outside the catalogue against shapes."""

@@ -1,0 +1,542 @@
+"""Compiled loops over the error of the nominal filter: how it builds up, how the filter answers it, what its innovations are worth.
+
+States that enter the motion alike and couple to nothing else (a turn-on bias and a random walk of the same axis) are one state here: only their
+sum shows, which makes transitions smaller by a third and changes nothing.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: Errors of position, velocity and attitude, which come first and are never merged.
+NAVIGATION = 9
+#: Relative difference of two columns of a transition that is rounding.
+ALIKE = 1e-12
+#: Sets of noise levels and colours that go through the filter side by side: as many numbers as two registers of the processor hold.
+LANES = 8
+
+
+@njit(cache=True, nogil=True)
+def integrate_inputs(
+    t: Array,
+    C: Array,
+    f_n: Array,
+    node: NDArray[np.int64],
+    u: Array,
+    axis: NDArray[np.int64],
+    column: NDArray[np.int64],
+    D: Array,
+    ramp: Array,
+) -> None:  # pragma: no cover - compiled
+    """Navigation errors that unit sensor errors build up between nodes.
+
+    Within an interval the errors start at zero and grow by ``v' = C df - [f_n x] phi``, ``phi' = C dw``, ``p' = v``; what the rotation of
+    the Earth adds over an interval of seconds is below a part in a thousand and belongs to the transition from node to node.
+
+    Parameters
+    ----------
+    t : (n,) array
+        IMU times; row k describes the interval that ends there.
+    C : (n, 3, 3), f_n : (n, 3) arrays
+        Attitude and specific force in NED for each interval.
+    node : (k,) array of int
+        IMU rows of the nodes, increasing.
+    u : (e, n) array
+        Unit sensor errors, rad/s or m/s^2.
+    axis, column : (e,) arrays of int
+        Axis 0..5 of each entry, and the column of ``D`` that it belongs to.
+    D : (k, columns, 9) array
+        Written to: what has built up at each node since the one before.
+    ramp : (k, 12, 9) array
+        Written to: the same for a constant (0..5) and for a ramp from 0 to 1 across the interval (6..11) on each axis.
+    """
+    entries = axis.size
+    columns = D.shape[1]
+    total = columns + 12
+    e = np.zeros((9, total))
+    add = np.zeros((6, total))
+    for i in range(1, node.size):
+        a, b = node[i - 1], node[i]
+        e[:, :] = 0.0
+        span = t[b] - t[a]
+        for k in range(a + 1, b + 1):
+            dt = t[k] - t[k - 1]
+            add[:, :columns] = 0.0
+            for m in range(entries):
+                x = u[m, k] * dt
+                if x != 0.0:
+                    c, j = column[m], axis[m]
+                    if j < 3:
+                        for r in range(3):
+                            add[3 + r, c] += C[k, r, j] * x
+                    else:
+                        for r in range(3):
+                            add[r, c] += C[k, r, j - 3] * x
+            part = (0.5 * (t[k] + t[k - 1]) - t[a]) / span
+            for j in range(3):
+                for r in range(3):
+                    x = C[k, r, j] * dt
+                    add[3 + r, columns + j] = x
+                    add[r, columns + 3 + j] = x
+                    add[3 + r, columns + 6 + j] = x * part
+                    add[r, columns + 9 + j] = x * part
+            fx, fy, fz = f_n[k, 0], f_n[k, 1], f_n[k, 2]
+            for c in range(total):
+                px = e[6, c] + 0.5 * add[3, c]
+                py = e[7, c] + 0.5 * add[4, c]
+                pz = e[8, c] + 0.5 * add[5, c]
+                vx = add[0, c] - (fy * pz - fz * py) * dt
+                vy = add[1, c] - (fz * px - fx * pz) * dt
+                vz = add[2, c] - (fx * py - fy * px) * dt
+                e[0, c] += (e[3, c] + 0.5 * vx) * dt
+                e[1, c] += (e[4, c] + 0.5 * vy) * dt
+                e[2, c] += (e[5, c] + 0.5 * vz) * dt
+                e[3, c] += vx
+                e[4, c] += vy
+                e[5, c] += vz
+                e[6, c] += add[3, c]
+                e[7, c] += add[4, c]
+                e[8, c] += add[5, c]
+        for c in range(columns):
+            for r in range(9):
+                D[i, c, r] = e[r, c]
+        for c in range(12):
+            for r in range(9):
+                ramp[i, c, r] = e[r, columns + c]
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def respond(
+    Phi: Array,
+    K: Array,
+    H: Array,
+    node: NDArray[np.int64],
+    use: NDArray[np.bool_],
+    D: Array,
+    at: NDArray[np.int64],
+    M: Array,
+    begin: NDArray[np.int64],
+    out: Array,
+) -> None:  # pragma: no cover - compiled
+    """Innovations that navigation errors and errors of the fixes cause in a filter in the loop.
+
+    ``e- = Phi e+ + D``, ``g = M - H e-``, ``e+ = e- + K g``. Transitions and Jacobians are mostly zeros, which are passed over, and so are
+    columns that have not begun.
+
+    Parameters
+    ----------
+    Phi : (nodes, n, n) array
+        Transition to each node from the one before.
+    K, H : (f, n, 6), (f, 6, n) arrays
+        Zero where a component was not used.
+    node : (f,) array of int
+        Node of each fix, not decreasing.
+    use : (f, 6) array of bool
+    D : (nodes, a, 9) array
+        Navigation errors built up since the node before; without rows where there are none.
+    at : (nodes, a) or (1, a) array of int
+        Column of each entry of ``D``; one row where it is the same at every node.
+    M : (f, 6, columns) array
+        Errors of the fixes; without rows where there are none.
+    begin : (columns,) array of int
+        Node before which a column is zero, not decreasing.
+    out : (f, 6, columns) array of zeros
+        Written to.
+    """
+    n, every = Phi.shape[1], out.shape[2]
+    e = np.zeros((n, every))
+    ahead = np.zeros((n, every))
+    k, cols = 0, 0
+    for i in range(Phi.shape[0]):
+        while cols < every and begin[cols] <= i:
+            cols += 1
+        if i > 0:
+            for r in range(n):
+                for c in range(cols):
+                    ahead[r, c] = 0.0
+                for q in range(n):
+                    w = Phi[i, r, q]
+                    if w != 0.0:
+                        for c in range(cols):
+                            ahead[r, c] += w * e[q, c]
+            e, ahead = ahead, e
+            if D.shape[0] > 0:
+                row = min(i, at.shape[0] - 1)
+                for c in range(D.shape[1]):
+                    for r in range(9):
+                        e[r, at[row, c]] += D[i, c, r]
+        while k < node.size and node[k] == i:
+            for m in range(6):
+                if not use[k, m]:
+                    continue
+                if M.shape[0] > 0:
+                    for c in range(cols):
+                        out[k, m, c] = M[k, m, c]
+                for q in range(n):
+                    w = H[k, m, q]
+                    if w != 0.0:
+                        for c in range(cols):
+                            out[k, m, c] -= w * e[q, c]
+            for m in range(6):
+                if not use[k, m]:
+                    continue
+                for q in range(n):
+                    w = K[k, q, m]
+                    if w != 0.0:
+                        for c in range(cols):
+                            e[q, c] += w * out[k, m, c]
+            k += 1
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def surrogate_filter(
+    Phi: Array,
+    Q: Array,
+    K: Array,
+    H: Array,
+    R: Array,
+    P0: Array,
+    nu: Array,
+    use: NDArray[np.int64],
+    factor: Array,
+    phi_g: Array,
+    q_g: Array,
+    p_g: Array,
+    white: Array,
+) -> float:  # pragma: no cover - compiled
+    """Log-likelihood of stored innovations when the true noise is other than the filter believed, and the innovations whitened for it.
+
+    The error of the nominal filter obeys ``e- = Phi e+ + w``, ``nu = -H e- + g + v``, ``e+ = e- + K nu`` with the known input ``K nu``; a Kalman
+    filter on e (and on a Gauss-Markov part g of the fixes) sees the innovations as its measurements. Everything is linear in the stored
+    innovations, so responses of effects go through the same filter.
+
+    Parameters
+    ----------
+    Phi, Q : (f, n, n) arrays
+        Transition and driving covariance to each fix.
+    K, H, R : (f, n, 6), (f, 6, n), (f, 6) arrays
+        Nominal gain (zero where the fix was not used), Jacobian, believed variances.
+    P0 : (n, n) array
+    nu : (f, 6, c) array
+        Innovations, and any number of responses beside them.
+    use : (f, 6) array of int
+        1 where a component was measured.
+    factor : (6,) array
+        Ratio of the true to the believed standard deviation of each component.
+    phi_g, q_g, p_g : (f, 6), (f, 6), (6,) arrays
+        Transition and driving variance of g to each fix, its initial variance; a zero in ``p_g``: no such part.
+    white : (f, 6, c) array
+        Written to: whitened columns, zero where missing.
+
+    Returns
+    -------
+    float
+        Of the first column, without the constant; NaN where a variance is not positive.
+    """
+    n = P0.shape[0]
+    f, _, cols = nu.shape
+    which = np.zeros(6, dtype=np.int64)
+    extra = 0
+    for i in range(6):
+        if p_g[i] > 0.0:
+            which[extra] = i
+            extra += 1
+    m = n + extra
+    P = np.zeros((m, m))
+    P[:n, :n] = P0
+    for j in range(extra):
+        P[n + j, n + j] = p_g[which[j]]
+    x = np.zeros((m, cols))
+    ahead = np.zeros((n, cols))
+    T = np.zeros((m, n))
+    g = np.zeros(m)
+    at = np.zeros(m, dtype=np.int64)
+    a = np.zeros(m)
+    total = 0.0
+    for k in range(f):
+        F = Phi[k]
+        # P = F P F' + Q, block by block: transitions and Jacobians are mostly zeros, so both products go by rows of what is not
+        for j in range(m):
+            for i in range(n):
+                T[j, i] = 0.0
+        for i in range(n):
+            for q in range(n):
+                w = F[i, q]
+                if w != 0.0:
+                    for j in range(m):
+                        T[j, i] += w * P[q, j]
+        for i in range(n):
+            for j in range(i + 1):
+                P[i, j] = Q[k, i, j]
+            for q in range(n):
+                w = F[i, q]
+                if w != 0.0:
+                    for j in range(i + 1):
+                        P[i, j] += w * T[q, j]
+            for j in range(i):
+                P[j, i] = P[i, j]
+            for j in range(extra):
+                v = T[n + j, i] * phi_g[k, which[j]]
+                P[i, n + j] = v
+                P[n + j, i] = v
+        for i in range(extra):
+            for j in range(extra):
+                P[n + i, n + j] *= phi_g[k, which[i]] * phi_g[k, which[j]]
+            P[n + i, n + i] += q_g[k, which[i]]
+        for i in range(n):
+            for c in range(cols):
+                ahead[i, c] = 0.0
+            for q in range(n):
+                w = F[i, q]
+                if w != 0.0:
+                    for c in range(cols):
+                        ahead[i, c] += w * x[q, c]
+        x[:n] = ahead
+        for j in range(extra):
+            for c in range(cols):
+                x[n + j, c] *= phi_g[k, which[j]]
+        for i in range(6):
+            if use[k, i] == 0:
+                continue
+            seen = 0
+            for j in range(n):
+                if H[k, i, j] != 0.0:
+                    at[seen], a[seen] = j, -H[k, i, j]
+                    seen += 1
+            for j in range(extra):
+                if which[j] == i:
+                    at[seen], a[seen] = n + j, 1.0
+                    seen += 1
+            g[:] = 0.0
+            for r in range(seen):
+                w = a[r]
+                for q in range(m):
+                    g[q] += w * P[at[r], q]
+            s = R[k, i] * factor[i] ** 2
+            for r in range(seen):
+                s += a[r] * g[at[r]]
+            if not s > 0.0:
+                return math.nan
+            root = math.sqrt(s)
+            for c in range(cols):
+                e = nu[k, i, c]
+                for r in range(seen):
+                    e -= a[r] * x[at[r], c]
+                white[k, i, c] = e / root
+            for j in range(m):
+                w = g[j] / root
+                for c in range(cols):
+                    x[j, c] += w * white[k, i, c]
+            total -= math.log(root) + 0.5 * white[k, i, 0] ** 2
+            for j in range(m):
+                w = g[j] / s
+                for q in range(m):
+                    P[j, q] -= w * g[q]
+        for i in range(6):
+            if use[k, i] == 1:
+                for j in range(n):
+                    w = K[k, j, i]
+                    if w != 0.0:
+                        for c in range(cols):
+                            x[j, c] += w * nu[k, i, c]
+    return total
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+def surrogate_likelihoods(
+    Phi: Array,
+    Q: Array,
+    K: Array,
+    H: Array,
+    R: Array,
+    P0: Array,
+    nu: Array,
+    use: NDArray[np.int64],
+    gap: Array,
+    ratio: Array,
+    sigma: Array,
+    rate: Array,
+    out: Array,
+) -> None:  # pragma: no cover - compiled
+    """The log-likelihoods of :func:`surrogate_filter` under many noises of the fixes, eight side by side.
+
+    Parameters
+    ----------
+    Phi, Q, K, H, R, P0, use : arrays
+        As there.
+    nu : (f, 6) array
+        Innovations.
+    gap : (f,) array
+        Time since the fix before, s.
+    ratio, sigma : (b, 6, LANES) arrays
+        Squared ratios of the true to the believed standard deviation; variances of the Gauss-Markov part, zero for none.
+    rate : (b, LANES) array
+        Its inverse correlation times, 1/s.
+    out : (b, LANES) array
+        Written to; NaN where a variance is not positive.
+    """
+    n = P0.shape[0]
+    which = np.zeros(6, dtype=np.int64)
+    at = np.zeros(n + 1, dtype=np.int64)
+    a = np.zeros(n + 1)
+    for block in range(ratio.shape[0]):
+        extra = 0
+        for i in range(6):
+            if sigma[block, i].max() > 0.0:
+                which[extra] = i
+                extra += 1
+        m = n + extra
+        # rows of P and of F P hold all lanes of an element side by side, so that both products are sums of long rows
+        P = np.zeros((m, m * LANES))
+        T = np.zeros((n, m * LANES))
+        turned = np.zeros((n, n * LANES))
+        x = np.zeros((m, LANES))
+        ahead = np.zeros((n, LANES))
+        g = np.zeros(m * LANES)
+        s, e, phi, total = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+        for i in range(n):
+            for j in range(n):
+                for c in range(LANES):
+                    P[i, j * LANES + c] = P0[i, j]
+        for j in range(extra):
+            for c in range(LANES):
+                P[n + j, (n + j) * LANES + c] = sigma[block, which[j], c]
+        for k in range(nu.shape[0]):
+            for c in range(LANES):
+                phi[c] = math.exp(-gap[k] * rate[block, c])
+            T[:, :] = 0.0
+            for i in range(n):
+                for q in range(n):
+                    w = Phi[k, i, q]
+                    if w != 0.0:
+                        for j in range(m * LANES):
+                            T[i, j] += w * P[q, j]
+            for i in range(n):
+                for q in range(n):
+                    for c in range(LANES):
+                        turned[q, i * LANES + c] = T[i, q * LANES + c]
+            for i in range(n):
+                for j in range(i + 1):
+                    for c in range(LANES):
+                        P[i, j * LANES + c] = Q[k, i, j]
+                for q in range(n):
+                    w = Phi[k, i, q]
+                    if w != 0.0:
+                        for j in range((i + 1) * LANES):
+                            P[i, j] += w * turned[q, j]
+                for j in range(i):
+                    for c in range(LANES):
+                        P[j, i * LANES + c] = P[i, j * LANES + c]
+                for j in range(extra):
+                    for c in range(LANES):
+                        v = T[i, (n + j) * LANES + c] * phi[c]
+                        P[i, (n + j) * LANES + c] = v
+                        P[n + j, i * LANES + c] = v
+            for i in range(extra):
+                for j in range(extra):
+                    for c in range(LANES):
+                        P[n + i, (n + j) * LANES + c] *= phi[c] * phi[c]
+                for c in range(LANES):
+                    P[n + i, (n + i) * LANES + c] += (1.0 - phi[c] * phi[c]) * sigma[block, which[i], c]
+                    x[n + i, c] *= phi[c]
+            for i in range(n):
+                for c in range(LANES):
+                    ahead[i, c] = 0.0
+                for q in range(n):
+                    w = Phi[k, i, q]
+                    if w != 0.0:
+                        for c in range(LANES):
+                            ahead[i, c] += w * x[q, c]
+            x[:n] = ahead
+            for i in range(6):
+                if use[k, i] == 0:
+                    continue
+                seen = 0
+                for j in range(n):
+                    if H[k, i, j] != 0.0:
+                        at[seen], a[seen] = j, -H[k, i, j]
+                        seen += 1
+                for j in range(extra):
+                    if which[j] == i:
+                        at[seen], a[seen] = n + j, 1.0
+                        seen += 1
+                g[:] = 0.0
+                for c in range(LANES):
+                    s[c] = R[k, i] * ratio[block, i, c]
+                    e[c] = nu[k, i]
+                for r in range(seen):
+                    w = a[r]
+                    for q in range(m * LANES):
+                        g[q] += w * P[at[r], q]
+                for r in range(seen):
+                    for c in range(LANES):
+                        s[c] += a[r] * g[at[r] * LANES + c]
+                        e[c] -= a[r] * x[at[r], c]
+                for c in range(LANES):
+                    total[c] -= 0.5 * (math.log(s[c]) + e[c] * e[c] / s[c]) if s[c] > 0.0 else math.nan
+                    s[c] = 1.0 / s[c]
+                    e[c] *= s[c]
+                for j in range(m):
+                    for c in range(LANES):
+                        x[j, c] += g[j * LANES + c] * e[c]
+                    for q in range(m):
+                        for c in range(LANES):
+                            P[j, q * LANES + c] -= g[j * LANES + c] * s[c] * g[q * LANES + c]
+            for i in range(6):
+                if use[k, i] == 1:
+                    for j in range(n):
+                        w = K[k, j, i] * nu[k, i]
+                        if w != 0.0:
+                            for c in range(LANES):
+                                x[j, c] += w
+        out[block] = total
+
+
+def merged_states(Phi: Array, H: Array) -> Array:
+    """The sums of states that count, (m, n) of zeros and ones: ``Phi`` of sums is a function of sums.
+
+    Two states are one where the transition takes them everywhere alike, neither feeds on another state and no fix sees them.
+
+    Parameters
+    ----------
+    Phi : (k, n, n) array
+        Transitions of the errors.
+    H : (f, 6, n) array
+        Jacobians of the fixes.
+    """
+    n = Phi.shape[1]
+    groups: list[list[int]] = [[i] for i in range(min(NAVIGATION, n))]
+    for i in range(len(groups), n):
+        mine = [g for g in groups[NAVIGATION:] if _alike(Phi, g[0], i)] if not H[:, :, i].any() else []
+        if mine:
+            mine[0].append(i)
+        else:
+            groups.append([i])
+    sums = np.zeros((len(groups), n))
+    for row, group in enumerate(groups):
+        sums[row, group] = 1.0
+    return sums
+
+
+def _alike(Phi: Array, i: int, j: int) -> bool:
+    """Whether two states are taken everywhere alike by every transition, each fed by itself only."""
+    if not Phi.shape[0]:
+        return False
+    middle = Phi[Phi.shape[0] // 2]
+    for some in (middle[None], Phi):  # most pairs differ at the first look
+        others = np.delete(np.arange(Phi.shape[1]), [i, j])
+        a, b = some[:, others, i], some[:, others, j]
+        if np.any(np.abs(a - b) > ALIKE * (np.abs(a) + np.abs(b))) or np.any(some[:, [i, j]][:, :, others] != 0.0):
+            return False
+        if np.any(some[:, i, j] != 0.0) or np.any(some[:, j, i] != 0.0):
+            return False
+        own = some[:, i, i], some[:, j, j]
+        if np.any(np.abs(own[0] - own[1]) > ALIKE * np.abs(own[0])):
+            return False
+    return True
