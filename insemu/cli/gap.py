@@ -52,6 +52,7 @@ def command(
 
     from insemu import units
     from insemu.cli.announce import announce
+    from insemu.cli.printing import STAGES, staged
     from insemu.effects import EFFECTS
     from insemu.errors import InputError, nearest
     from insemu.gap import applied, find_gap, from_its_start, load_measured, load_nominal, write_refined
@@ -70,14 +71,14 @@ def command(
     data = load_measured(measured, rate_hz=units.parse(rate, "Hz") if rate else None)
     if "recording" not in nominal.raw:  # a scenario of a recording tells times by the recording's clock
         data = from_its_start(data)
-    with console.status("reading") as status:
+    with staged(Console(stderr=True), STAGES) as say:
         report = find_gap(
             data,
             nominal,
             rng=np.random.default_rng(seed),
             without=tuple(without or ()),
             hold_out=hold_out,
-            progress=status.update if console.is_terminal else lambda text: typer.echo(text, err=True),
+            progress=say,
         )
     folder = Path(out) if out else Path("results") / f"gap_{Path(measured).stem}"
     chosen = applied(report, numbers) if numbers else report

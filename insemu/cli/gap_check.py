@@ -35,6 +35,7 @@ def command(
     from rich.console import Console
 
     from insemu.cli.announce import announce
+    from insemu.cli.printing import STAGES, staged
     from insemu.errors import InputError
     from insemu.gap import find_gap, from_its_start, load_measured, load_nominal
     from insemu.records import Recording
@@ -51,14 +52,7 @@ def command(
         data = from_its_start(data)
     if not isinstance(data, Recording):
         raise InputError("is a log at rest, expected a drive or flight with fixes", where=measured)
-    with console.status("reading") as status:
-
-        def say(text: str) -> None:
-            if console.is_terminal:
-                status.update(text)
-            elif not text.startswith("emulated recording"):
-                typer.echo(text, err=True)
-
+    with staged(Console(stderr=True), (recordings + 1) * len(models) + (STAGES if search else 0)) as say:
         checks = {
             name: check(data, m, recordings=recordings, seed=seed, workers=workers, progress=say)
             for name, m in models.items()

@@ -11,6 +11,14 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
 
+#: Columns that a table keeps on the narrowest terminal.
+LEAST = 3
+#: Characters of a stage's name beside its bar.
+STAGE = 34
+#: Stages of the gap workflow on a drive with one effect, for the time left.
+STAGES = 14
+
+
 def bars(console: Console) -> Progress:
     """Bars of progress with the time that has passed and the time left."""
     from rich.progress import (
@@ -71,7 +79,7 @@ def print_table(
 
     widths = [max(len(str(row[k])) for row in (header, *body)) for k in range(len(header))]
     shown = len(header)
-    while fit and shown > left + 1 and sum(widths[:shown]) + 2 * (shown - 1) > console.width:
+    while fit and shown > LEAST and sum(widths[:shown]) + 2 * (shown - 1) > console.width:
         shown -= 1
     table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="underline")
     for k, heading in enumerate(header[:shown]):
@@ -88,6 +96,47 @@ def print_table(
     if shown < len(header):
         missing = ", ".join(header[shown:])
         console.print(f"(a wider terminal shows also: {missing})", style="dim", soft_wrap=True, highlight=False)
+
+
+@contextmanager
+def counting(console: Console, label: str, total: int) -> Iterator[Callable[[str], None]]:
+    """One bar for work in ``total`` parts; what it yields is told of each part when it is finished.
+
+    Parameters
+    ----------
+    console : Console
+    label : str
+    total : int
+    """
+    with bars(console) as shown:
+        task = shown.add_task(label, total=total)
+        yield lambda what: shown.update(task, advance=1, description=f"{label} ({what})")
+
+
+@contextmanager
+def staged(console: Console, usual: int) -> Iterator[Callable[[str], None]]:
+    """One bar for work in stages; what it yields is told of each stage as it begins. The time left supposes the usual number of stages.
+
+    Parameters
+    ----------
+    console : Console
+        Where it is no terminal, stages are printed line by line.
+    usual : int
+        Stages that such work has; more are counted as they come.
+    """
+    with bars(console) as shown:
+        task = shown.add_task("reading", total=usual)
+        begun = 0
+
+        def say(text: str) -> None:
+            nonlocal begun
+            shown.update(task, completed=begun, total=max(usual, begun + 1), description=f"{text[:STAGE]:<{STAGE}}")
+            begun += 1
+            if not console.is_terminal and not text.startswith("emulated recording"):
+                console.print(text, soft_wrap=True, highlight=False, markup=False)
+
+        yield say
+        shown.update(task, completed=begun, total=max(begun, 1), description="finished")
 
 
 def print_items(console: Console, lines: Sequence[str]) -> None:

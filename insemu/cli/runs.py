@@ -45,6 +45,7 @@ def fit_many(
     import numpy as np
     from rich.console import Console
 
+    from insemu.cli.printing import staged
     from insemu.errors import InputError
     from insemu.fit import choose_model, fit_runs, save
     from insemu.noise import NoiseModel
@@ -57,7 +58,7 @@ def fit_many(
     found: dict[str, RunsFit] = {}
     choices: dict[str, list[Choice]] = {}
     children = np.random.default_rng(seed).spawn(len(axes))
-    with Console(stderr=True).status("fitting") as status:
+    with staged(Console(stderr=True), len(axes) * (bootstrap + 1)) as say:
         for axis, child in zip(axes, children, strict=True):
             series = [run[axis] for run in by_name]
             try:
@@ -70,7 +71,7 @@ def fit_many(
                     asked[0],
                     bootstrap=bootstrap,
                     rng=child,
-                    progress=lambda k, n, axis=axis: status.update(f"{axis}: draw {k} of {n}"),  # type: ignore[misc]
+                    progress=lambda k, n, axis=axis: say(f"{axis}: draw {k} of {n}"),  # type: ignore[misc]
                 )
             except InputError as error:
                 raise InputError(error.message, where=error.where or axis) from None

@@ -51,6 +51,7 @@ __all__ = [
     "read_recording",
     "read_static",
     "spell",
+    "split_header",
     "way_of",
     "write",
     "write_imu_binary",
