@@ -28,6 +28,7 @@ ROOMS = (
     "evaluate",
     "solve",
     "transfer",
+    "array",
     "gap",
     "units",
     "errors",

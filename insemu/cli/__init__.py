@@ -28,6 +28,7 @@ COMMANDS: dict[str, str] = {
     "characterise": "characterise",
     "fit": "fit",
     "select": "select",
+    "array": "array",
     "emulate": "emulate",
     "errors": "errors",
     "dead-reckon": "dead_reckon",

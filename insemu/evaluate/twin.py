@@ -76,6 +76,8 @@ class LinearTwin:
     designs : dict of str to LinearErrors
     stated : dict of str to (outages,) array
         Horizontal standard deviation that each design states at the ends of the outages, m.
+    noise : dict of str to (f, 6, 6) array
+        Covariance of the noise of every fix.
     left_out : str
         What the twin does not do that the full filter does, in words.
 
@@ -102,7 +104,7 @@ class LinearTwin:
         self.ends = np.searchsorted(t, ends - 1e-9).clip(0, t.size - 1).astype(np.int64)
         self.designs: dict[str, LinearErrors] = {}
         self.stated: dict[str, Array] = {}
-        self._noise: dict[str, Array] = {}
+        self.noise: dict[str, Array] = {}
         self._arm: dict[str, Array] = {}
         constants = augment({axis: RC(sigma=1.0) for axis in AXES}, 1.0 / world.rate_hz)
         models = {axis: m.at_rate(world.rate_hz) for axis, m in s.truth.models().items()}
@@ -117,7 +119,7 @@ class LinearTwin:
             ekf, run = on_ideal_data(ekf, record, nav, self._fixes, self._start, s.initial.sigma, t[self.ends])
             belief, nb = ekf.augmentation, 9 + ekf.augmentation.m
             joint = replace(beside(belief, constants), white=self.truth.white)
-            M, K, self._noise[name] = updates(ekf, run, record, nav, joint, self._fixes, sigma)
+            M, K, self.noise[name] = updates(ekf, run, record, nav, joint, self._fixes, sigma)
             C = belief.output()[None] if (belief.driver < 0).all() else np.stack([
                 belief.output(row) for row in np.hstack(belief.sensed(record)) / record.widths()
             ])  # fmt: skip
@@ -210,7 +212,7 @@ class LinearTwin:
             for f in interval.fixes:
                 drawn = rng.standard_normal((6, size))
                 for name, system in self.designs.items():
-                    fixed = _root(self._noise[name][f])
+                    fixed = _root(self.noise[name][f])
                     z[name] = (
                         system.M[f] @ z[name]
                         + system.N[f] @ (seen @ s)

@@ -104,6 +104,40 @@ class LinearErrors:
         _between(self.F, self.B, self.C, self.Phi, first, last, transition, gain)
         return transition, gain
 
+    def adjoint(self, row: int, L: Array) -> tuple[Array, Array, Array]:
+        """What every error of sensors, start and fixes contributes to some linear functionals of the errors at one row.
+
+        Parameters
+        ----------
+        row : int
+            Before a fix of that row.
+        L : (k, 9) array
+            The functionals of the navigation errors.
+
+        Returns
+        -------
+        gain : (row + 1, k, 6) array
+            Effect of each row's axis errors.
+        start : (k, 9) array
+            Effect of the initial navigation errors.
+        fixes : (f, k, 6) array
+            Effect of the noise of every fix.
+        """
+        left = np.hstack([L, np.zeros((L.shape[0], self.size - 9))])
+        gain, fixes = np.zeros((row + 1, L.shape[0], 6)), np.zeros((self.epoch.size, L.shape[0], 6))
+        last = row
+        for f in np.flatnonzero(self.epoch < row)[::-1]:
+            first = int(self.epoch[f])
+            transition, effect = self.between(first, last)
+            gain[first + 1 : last + 1] += left @ effect
+            left = left @ transition
+            gain[first] += left @ self.N[f]
+            fixes[f] = left @ self.K[f]
+            left, last = left @ self.M[f], first
+        transition, effect = self.between(0, last)
+        gain[1 : last + 1] += left @ effect
+        return gain, (left @ transition)[:, :9], fixes
+
 
 @njit(cache=True, nogil=True)
 def _matrices(t: Array, maps: Array, F: Array, B: Array) -> None:

@@ -1,5 +1,6 @@
 """Figures and one self-contained HTML page, for experiments, signals, fits and gaps."""
 
+from insemu.report.array import array_answer, render_array, weight_rows, weighting_rows
 from insemu.report.budget import budget_lines, render_budgets
 from insemu.report.characterise import characterise_answer, characterise_rows, render_characterisation
 from insemu.report.comparison import (
@@ -59,6 +60,7 @@ __all__ = [
     "FIGURES",
     "SMOOTHED",
     "SWEPT",
+    "array_answer",
     "beside",
     "budget_lines",
     "calibration_lines",
@@ -88,6 +90,7 @@ __all__ = [
     "ranked",
     "reason_rows",
     "regression_answer",
+    "render_array",
     "render_budgets",
     "render_characterisation",
     "render_check",
@@ -115,4 +118,6 @@ __all__ = [
     "transfer_answer",
     "variant_caption",
     "variant_rows",
+    "weight_rows",
+    "weighting_rows",
 ]

@@ -1,0 +1,162 @@
+"""``insemu array``: several IMUs on one mount made one sensor, weighed for the metres at the ends of outages."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from insemu.array import ArrayFit
+    from insemu.noise import NoiseModel
+    from insemu.records import Series
+
+
+def command(
+    files: list[str] = typer.Argument(  # noqa: B008
+        ...,
+        metavar="LOG...",
+        help="Static logs, one per IMU and sampled together, or one log whose columns name the IMU (gx_1, imu2_gyro_x).",
+    ),
+    model: str = typer.Option(
+        ..., "--model", "-m", help='Structure of every axis, for example "WN() + GM()"; shared=NAME is one in all IMUs.'
+    ),
+    scenario: str = typer.Option(
+        "shared_process",
+        "--scenario",
+        help="Flight with outages: a scenario file, or one that comes with insemu. Its first design says how the filter runs.",
+    ),
+    plus: str = typer.Option(
+        "",
+        "--plus",
+        help='What every IMU has beside its fit: "gyro=RC(sigma=0.1 deg/s), accel=RC(sigma=5 mg)", a turn-on bias.',
+    ),
+    rate: str = typer.Option("", "--rate", help='Sampling rate of a log that does not say it, for example "100 Hz".'),
+    skip: str = typer.Option("0 s", "--skip", help="Leave out the start of the record, for example 40 min of warm-up."),
+    take: str = typer.Option(
+        "metres", "--take", help="Weights that are written: metres, scale-wise, inverse or equal."
+    ),
+    out: str = typer.Option("", "--out", "-o", help="Write the virtual sensor's models (YAML) for a scenario."),
+    log: str = typer.Option("", "--log", help="Write the virtual sensor's static log (.npz or .csv), for insemu fit."),
+    page: str = typer.Option("", "--page", help="Write a page with figures (HTML)."),
+    seed: int = typer.Option(0, "--seed", min=0, help="Seed of the draws behind the intervals."),
+    as_json: bool = typer.Option(False, "--json", help="Print the result as JSON on standard output."),
+) -> None:
+    """Weigh the IMUs of an array: equally, by variance, scale-wise, and for the fewest metres at outage end."""
+    import json
+    from pathlib import Path
+
+    import numpy as np
+    from rich.console import Console
+
+    from insemu.array import EQUAL, INVERSE, METRES, SCALE_WISE, Flight, weigh
+    from insemu.cli.fit import write
+    from insemu.errors import InputError, nearest
+    from insemu.formats import write as write_log
+    from insemu.scenario import load, located
+
+    names = {"metres": METRES, "scale-wise": SCALE_WISE, "inverse": INVERSE, "equal": EQUAL}
+    if take not in names:
+        raise InputError(f"found '{take}'" + nearest(take, names), where="--take")
+    if log and Path(log).suffix not in (".npz", ".csv"):
+        raise InputError(f"found the suffix '{Path(log).suffix}', expected .npz or .csv", where="--log")
+    beside = _plus(plus)
+    path = located(scenario)
+    flight = Flight(load(path), path)
+    console = Console(stderr=as_json)
+    logs = _read(files, rate, skip)
+    with Console(stderr=True).status("reading") as status:
+        say = status.update if console.is_terminal else lambda text: typer.echo(text, err=True)
+        found = weigh(logs, model, flight, plus=beside, say=say, rng=np.random.default_rng(seed))
+    if as_json:
+        typer.echo(json.dumps(found.to_json(), indent=1, allow_nan=False))
+    else:
+        _tell(found, console)
+    if log:
+        Path(log).parent.mkdir(parents=True, exist_ok=True)
+        write_log(Path(log), found.virtual(names[take]))
+        console.print(f"log of the virtual sensor: {log}")
+    if out:
+        write(found.fitted(model, names[take]), out, "", console)
+    if page:
+        from insemu.report import render_array
+
+        console.print(f"page: {render_array(found, page, source=' '.join(files))}")
+
+
+def _read(files: list[str], rate: str, skip: str) -> dict[str, dict[str, Series]]:
+    """Static logs by IMU."""
+    from pathlib import Path
+
+    from insemu.array import by_unit
+    from insemu.cli.announce import announce
+    from insemu.cli.fit import read_static
+    from insemu.errors import InputError
+    from insemu.units import parse
+
+    if len(files) == 1:
+        return by_unit(read_static(files[0], rate, None, skip), files[0])
+    out: dict[str, dict[str, Series]] = {}
+    for file in files:
+        from rich.console import Console
+
+        announce(file, Console(stderr=True), rate_hz=parse(rate, "Hz") if rate else None)
+        name = Path(file).stem
+        if name in out:
+            name = file
+        if name in out:
+            raise InputError("is named twice, expected one log per IMU", where=file)
+        found = by_unit(read_static(file, rate, None, skip), file)
+        if len(found) > 1:
+            raise InputError(f"holds {len(found)} IMUs, expected one per log, or all in one log", where=file)
+        out[name] = next(iter(found.values()))
+    return out
+
+
+def _plus(text: str) -> dict[str, NoiseModel]:
+    """What is written beside the fits, by axis."""
+    from insemu.errors import InputError
+    from insemu.noise import NoiseModel, axis_unit
+    from insemu.records import AXES
+
+    out: dict[str, NoiseModel] = {}
+    for part in _parts(text):
+        name, found, model = part.partition("=")
+        axes = [a for a in AXES if name.strip() in (a, a.partition("_")[0])]
+        if not found or not axes:
+            raise InputError(f"found '{part.strip()}', expected gyro=MODEL or an axis", where="--plus")
+        for axis in axes:
+            out[axis] = NoiseModel.parse(model, axis_unit(axis))
+            if not out[axis].specified:
+                raise InputError(f"found '{model.strip()}', expected a model with values", where="--plus")
+    return out
+
+
+def _parts(text: str) -> list[str]:
+    """Parts between commas that stand in no brackets."""
+    depth, parts = 0, [""]
+    for letter in text:
+        depth += (letter == "(") - (letter == ")")
+        if letter == "," and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += letter
+    return [p for p in parts if p.strip()]
+
+
+def _tell(found: ArrayFit, console: Console) -> None:
+    """The answer on the terminal: metres of every weighting, weights of the units, pairs that are not independent."""
+    from insemu.cli.printing import print_table
+    from insemu.report import array_answer, weight_rows, weighting_rows
+
+    console.print(array_answer(found), highlight=False, style="bold")
+    print_table(console, "Horizontal error at the ends of the outages", *weighting_rows(found))
+    print_table(console, "Weights for the fewest metres", *weight_rows(found))
+    for axis, one, two, p in found.dependent:
+        console.print(
+            f"[yellow]beware[/yellow]: {axis} of {one} and {two} are not independent (p {p:.1g}); write shared=NAME on the process "
+            "that they share",
+            highlight=False,
+        )
