@@ -133,7 +133,7 @@ def show(console: Console, axes: Sequence[AxisReport]) -> None:
 
     first = axes[0]
     console.print(characterise_answer(axes), style="bold", highlight=False, markup=False)
-    title = f"{len(axes)} column(s), {first.samples} samples at {first.rate_hz:g} Hz ({duration(first.samples / first.rate_hz)})"
+    title = f"Readings: {len(axes)} column(s), {first.samples} samples at {first.rate_hz:g} Hz ({duration(first.samples / first.rate_hz)})"
     print_table(console, title, *characterise_rows(axes), left=3, fit=True)
     absent: dict[str, list[str]] = {}
     for axis in axes:
