@@ -70,7 +70,7 @@ def _chart(found: Transfer) -> Chart:
         Line("factor", [f.value for f in found.factors], INK, points=True, width=5.0, x=at, text=words),
         Line("static model", [1.0, 1.0], GREY, dashed=True, x=[-0.5, at[-1] + 0.5], text=["static model"] * 2),
     ]
-    ticks = [(p, f.name) for p, f in zip(at, found.factors, strict=True)]
+    ticks = [(p, f.name.replace(" ", "\n")) for p, f in zip(at, found.factors, strict=True)]
     view = View("Factors", "factor on the level", lines, log_y=True, ticks=ticks)
     caption = "By what the noise of the drive exceeds each level of the static model, with 95 % intervals; 1 is the static model."
     return Chart("Factors", caption, None, "level", [view], group="factors")
