@@ -22,7 +22,8 @@ from insemu.gap.data.log import block_differences, difference_covariance, reduce
 from insemu.gap.data.sources import static_of
 from insemu.gap.evidence import kernels
 from insemu.gap.evidence.band import Band
-from insemu.gap.evidence.model import Component, Explanation, Free, Likelihood, Regressors, Rolloff, regression_evidence
+from insemu.gap.evidence.linear import regression_evidence, stationary_score
+from insemu.gap.evidence.model import Component, Explanation, Free, Likelihood, Regressors, Rolloff
 from insemu.gap.problems.findings import is_doubtful, remainder
 from insemu.gap.problems.rest import reweighted, search_axis, weigh_all
 from insemu.gap.threshold import Tail, certain, tail_of, threshold_of
@@ -495,24 +496,31 @@ def test_a_weak_effect_must_beat_the_best_of_simulated_nominal_logs() -> None:
     assert all(s.nats >= calibrated.threshold_nats for s in calibrated.findings)
 
 
-def test_the_likelihood_of_a_stationary_vector_has_its_derivatives_by_the_autocovariance() -> None:
+@pytest.mark.parametrize("regressors", [0, 2])
+def test_the_likelihood_of_a_stationary_vector_has_its_derivatives_by_the_autocovariance(regressors: int) -> None:
     rng = np.random.default_rng(21)
     n = 40
     gamma = 0.8 ** np.arange(n) + 0.3 * (np.arange(n) == 0)
-    y, score = rng.standard_normal(n), np.empty(n)
+    rows, scales = rng.standard_normal((1 + regressors, n)), np.array([0.3, 2.0])[:regressors]
+    rows[0] += rows[1:].sum(axis=0)
 
     def value(g: np.ndarray) -> float:
         C = toeplitz(g)
-        return float(-0.5 * np.linalg.slogdet(C)[1] - 0.5 * y @ np.linalg.solve(C, y))
+        y, G = rows[0], rows[1:].T
+        plain = float(-0.5 * np.linalg.slogdet(C)[1] - 0.5 * y @ np.linalg.solve(C, y))
+        return plain + (
+            regression_evidence(G.T @ np.linalg.solve(C, G), G.T @ np.linalg.solve(C, y), scales) if regressors else 0.0
+        )
 
-    assert kernels.toeplitz_score(gamma, y, score) == pytest.approx(value(gamma), rel=1e-12)
+    known = stationary_score(gamma, rows, scales)
+    assert known is not None and known[0] == pytest.approx(value(gamma), rel=1e-12)
     slopes = [(value(gamma + 1e-6 * e) - value(gamma - 1e-6 * e)) / 2e-6 for e in np.eye(n)]
-    assert score == pytest.approx(np.array(slopes), abs=1e-6)
-    assert math.isnan(kernels.toeplitz_score(np.array([1.0, 2.0, 0.0]), y[:3], score[:3]))
+    assert known[1] == pytest.approx(np.array(slopes), abs=1e-6)
+    assert stationary_score(np.array([1.0, 2.0, 0.0]), rows[:, :3], scales) is None
 
 
-@pytest.mark.parametrize("low_pass", [False, True])
-def test_a_climb_knows_the_derivatives_of_what_it_climbs(low_pass: bool) -> None:
+@pytest.mark.parametrize(("low_pass", "ramp"), [(False, False), (True, False), (False, True)])
+def test_a_climb_knows_the_derivatives_of_what_it_climbs(low_pass: bool, ramp: bool) -> None:
     rng = np.random.default_rng(22)
     data = reduce(log_of(WN(1e-3).simulate(N, DT, rng) + GM(1e-3, 0.05).simulate(N, DT, rng)))
     wide = (Free("sigma", 1e-6, 1.0), Free("beta", 1e-4, 1.0))
@@ -523,11 +531,12 @@ def test_a_climb_knows_the_derivatives_of_what_it_climbs(low_pass: bool) -> None
     if low_pass:
         free = (Free("corner", 0.1, 20.0), Free("order", 0.6, 12.0))
         explanation = replace(explanation, rolloff=Rolloff("butterworth", (2.0, 2.0), free, floor=1e-11))
+    if ramp:
+        regressor = Regressors("ramp", ("R",), np.full((data.differences.size, 1), 10.0), np.array([1e-6]))
+        explanation = replace(explanation, regressors=(regressor,))
     along, x = Likelihood(data).along(explanation), explanation.start() + 0.01
     x[0] += 0.5  # outside of the tolerance, where the prior has a slope
     known = along.slope(x)
     assert known is not None and known[0] == pytest.approx(along(x), rel=1e-12)
     slopes = np.array([(along(x + 1e-5 * e) - along(x - 1e-5 * e)) / 2e-5 for e in np.eye(x.size)])
     assert known[1] == pytest.approx(slopes, rel=1e-3, abs=1e-2)
-    regressor = Regressors("ramp", ("R",), np.full((data.differences.size, 1), 10.0), np.array([1e-6]))
-    assert along.likelihood.along(replace(explanation, regressors=(regressor,))).slope(x) is None

@@ -73,7 +73,7 @@ class Expected(Likelihood):
             value += regression_evidence(G.T @ G, G.T @ e, scales)
         return value
 
-    def score_of(self, gamma: Array) -> None:
+    def score_of(self, gamma: Array, regressors: Sequence[Regressors] = ()) -> None:
         """Only values are known of an expectation: the derivatives of the likelihood of the data are not its own."""
 
 

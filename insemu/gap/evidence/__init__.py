@@ -3,7 +3,7 @@
 from insemu.gap.evidence.band import Band
 from insemu.gap.evidence.fixes import Colour, Surrogate
 from insemu.gap.evidence.kernels import toeplitz_whiten
-from insemu.gap.evidence.linear import log_mean_exp
+from insemu.gap.evidence.linear import log_mean_exp, regression_evidence
 from insemu.gap.evidence.model import (
     DEPTH,
     Component,
@@ -13,7 +13,6 @@ from insemu.gap.evidence.model import (
     Regressors,
     Rolloff,
     fit,
-    regression_evidence,
 )
 
 __all__ = [

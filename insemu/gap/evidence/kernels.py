@@ -66,27 +66,33 @@ def toeplitz_whiten(gamma: Array, columns: Array, out: Array) -> float:  # pragm
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
-def toeplitz_score(gamma: Array, y: Array, score: Array) -> float:  # pragma: no cover - compiled
-    """Log-likelihood of a stationary Gaussian vector and its derivative by the autocovariance.
+def toeplitz_solve(
+    gamma: Array, columns: Array, solved: Array, diagonals: Array
+) -> float:  # pragma: no cover - compiled
+    """Solve a stationary covariance for some columns, and sum the diagonals of its inverse.
 
-    The same recursion also builds ``u = C^-1 y`` and the first column ``x`` of the inverse, whose diagonals sum to
-    ``s_k = sum_i (n - k - 2 i) x_i x_(i+k) / x_0`` (Gohberg and Semencul 1972); a lag counts once on the diagonal and twice beside it.
+    The Durbin-Levinson recursion builds ``C^-1 columns`` and the first column ``x`` of the inverse, whose diagonals sum to
+    ``s_k = sum_i (n - k - 2 i) x_i x_(i+k) / x_0`` (Gohberg and Semencul 1972).
 
     Parameters
     ----------
-    gamma, y : (n,) arrays
-    score : (n,) array
-        Written to.
+    gamma : (n,) array
+        Autocovariance at lags 0 to n - 1.
+    columns, solved : (k, n) arrays
+        Data and regressors, one a row; what is written.
+    diagonals : (n,) array
+        Written to: sum of the k-th diagonal of the inverse.
 
     Returns
     -------
     float
-        ``-1/2 log det C - 1/2 y' C^-1 y``, or NaN where the autocovariance is not positive definite.
+        ``log det C``, or NaN where the autocovariance is not positive definite.
     """
-    n = y.size
-    phi, other, u = np.zeros(n), np.zeros(n), np.zeros(n)
-    back, past = gamma[::-1].copy(), y[::-1].copy()
-    v, value = gamma[0], 0.0
+    m, n = columns.shape
+    phi, other = np.zeros(n), np.zeros(n)
+    back, past = gamma[::-1].copy(), columns[:, ::-1].copy()
+    solved[:] = 0.0
+    v, logdet = gamma[0], 0.0
     for t in range(n):
         if t > 0:
             r = gamma[t]
@@ -102,26 +108,45 @@ def toeplitz_score(gamma: Array, y: Array, score: Array) -> float:  # pragma: no
             v *= (1.0 - kappa) * (1.0 + kappa)
         if not v > 0.0:
             return math.nan
-        e = y[t]
+        logdet += math.log(v)
         before = n - t
-        for j in range(t):
-            e -= phi[j] * past[before + j]
-        value -= 0.5 * (math.log(v) + e * e / v)
-        w = e / v
-        u[t] += w
-        for j in range(t):
-            u[t - 1 - j] -= phi[j] * w
+        for c in range(m):
+            e = columns[c, t]
+            for j in range(t):
+                e -= phi[j] * past[c, before + j]
+            w = e / v
+            solved[c, t] += w
+            for j in range(t):
+                solved[c, t - 1 - j] -= phi[j] * w
     x = np.empty(n)
     x[0] = 1.0 / v
     for j in range(n - 1):
         x[1 + j] = -phi[j] / v
     for k in range(n):
-        diagonals, squares = 0.0, 0.0
+        total = 0.0
         for i in range(n - k):
-            diagonals += (n - k - 2.0 * i) * x[i] * x[i + k]
-            squares += u[i] * u[i + k]
-        score[k] = (squares - diagonals * v) * (0.5 if k == 0 else 1.0)
-    return value
+            total += (n - k - 2.0 * i) * x[i] * x[i + k]
+        diagonals[k] = total * v
+    return logdet
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def lagged_products(rows: Array, out: Array) -> None:  # pragma: no cover - compiled
+    """Sums of products at every lag, over all rows.
+
+    Parameters
+    ----------
+    rows : (k, n) array
+    out : (n,) array
+        Written to.
+    """
+    m, n = rows.shape
+    for k in range(n):
+        total = 0.0
+        for c in range(m):
+            for i in range(n - k):
+                total += rows[c, i] * rows[c, i + k]
+        out[k] = total
 
 
 @njit(cache=True, nogil=True)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.gap.evidence import kernels
+from insemu.gap.policy import rules
 
 Array = NDArray[np.float64]
 #: Column indices and prior root: the coefficients are ``root @ z`` with z standard normal.
@@ -168,6 +169,70 @@ def log_mean_exp_columns(logs: Array) -> Array:
     """Logarithm of the mean of exponentials of each column."""
     top = logs.max(axis=0)
     return np.asarray(top + np.log(np.mean(np.exp(logs - top), axis=0)))
+
+
+def regression_evidence(A: Array, b: Array, scales: Array) -> float:
+    """Log Bayes factor of a linear effect against none, averaged over prior scales.
+
+    ``1/2 b' (A + L^-1)^-1 b - 1/2 log|I + L A|`` with ``L = diag((c scales)^2)`` for c in the policy's ``prior_scales``.
+
+    Parameters
+    ----------
+    A, b : (k, k), (k,) arrays
+        Normal matrix and right-hand side of the whitened regressors.
+    scales : (k,) array
+        Datasheet scale of each coefficient.
+    """
+    logs = quadratic_evidence(A, b[:, None], np.diag(scales), np.array(rules().prior_scales))
+    return log_mean_exp(logs[:, 0])
+
+
+def stationary_score(gamma: Array, rows: Array, scales: Array) -> tuple[float, Array] | None:
+    """Log-likelihood of a stationary Gaussian vector beside a linear effect, with its derivatives by the autocovariance.
+
+    With ``X = C^-1 [y G]``, m and M posterior mean and covariance of the coefficients at one prior scale, the derivative along dC is
+    ``1/2 (x_y - X_G m)' dC (x_y - X_G m) + 1/2 tr(M X_G' dC X_G) - 1/2 tr(C^-1 dC)``; prior scales count by their evidence.
+
+    Parameters
+    ----------
+    gamma : (n,) array
+        Autocovariance at lags 0 to n - 1.
+    rows : (1 + k, n) array
+        Data and regressors.
+    scales : (k,) array
+        Datasheet scale of each coefficient; none where there are no regressors.
+
+    Returns
+    -------
+    (float, (n,) array), optional
+        Nothing where the autocovariance is not positive definite.
+    """
+    solved, by_lag = np.empty_like(rows), np.empty(gamma.size)
+    logdet = kernels.toeplitz_solve(gamma, rows, solved, by_lag)
+    if not math.isfinite(logdet):
+        return None
+    normal = rows @ solved.T
+    value, mixed = -0.5 * (logdet + float(normal[0, 0])), solved[:1]
+    if scales.size:
+        A, b = normal[1:, 1:], normal[1:, 0]
+        amplitudes = np.array(rules().prior_scales)
+        logs = quadratic_evidence(A, b[:, None], np.diag(scales), amplitudes)[:, 0]
+        weights = np.exp(logs - logs.max())
+        value += log_mean_exp(logs)
+        W = np.zeros_like(normal)
+        for c, weight in zip(amplitudes, weights / weights.sum(), strict=True):
+            root = np.diag(c * scales)
+            M = root @ np.linalg.solve(np.eye(scales.size) + root @ A @ root, root)
+            residual = np.concatenate([[1.0], -M @ b])
+            W += weight * np.outer(residual, residual)
+            W[1:, 1:] += weight * M
+        values, vectors = np.linalg.eigh(0.5 * (W + W.T))
+        mixed = (vectors * np.sqrt(np.maximum(values, 0.0))).T @ solved
+    products = np.empty(gamma.size)
+    kernels.lagged_products(np.ascontiguousarray(mixed), products)
+    by_lag = products - by_lag
+    by_lag[0] *= 0.5  # a lag counts once on the diagonal and twice beside it
+    return value, by_lag
 
 
 # -- slow processes on knots ----------------------------------------------------------------------------------------------------------

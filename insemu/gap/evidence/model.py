@@ -19,7 +19,7 @@ from scipy import optimize
 
 from insemu.gap.data.log import Reduced, density, difference_covariance, of_unit_level
 from insemu.gap.evidence import kernels
-from insemu.gap.evidence.linear import log_mean_exp, quadratic_evidence
+from insemu.gap.evidence.linear import regression_evidence, stationary_score
 from insemu.gap.policy import rules
 from insemu.noise import NoiseModel, Process
 
@@ -280,10 +280,10 @@ class Likelihood:
         self._memory[key] = value
         return value
 
-    def score_of(self, gamma: Array) -> tuple[float, Array] | None:
-        """:meth:`low_of` without regressors, and its derivatives by the autocovariance; None where only values are known."""
-        by_lag = np.empty(gamma.size)
-        return kernels.toeplitz_score(gamma, self.data.differences, by_lag), by_lag
+    def score_of(self, gamma: Array, regressors: Sequence[Regressors] = ()) -> tuple[float, Array] | None:
+        """:meth:`low_of` and its derivatives by the autocovariance; ``None`` where that is not positive definite."""
+        rows = np.vstack([self.data.differences, *(r.columns.T for r in regressors)])
+        return stationary_score(gamma, rows, np.concatenate([np.empty(0), *(r.scales for r in regressors)]))
 
     def high(self, explanation: Explanation) -> float:
         """Whittle's log-likelihood of the spectrum."""
@@ -406,9 +406,7 @@ class Along:
         return total + (self.likelihood.low_of(covariance, self.explanation.regressors) if covariance.size else 0.0)
 
     def slope(self, x: Array) -> tuple[float, Array] | None:
-        """The same with its derivatives; ``None`` where regressors are integrated out, where only values are known, or where it is not finite."""
-        if self.explanation.regressors:
-            return None
+        """The same with its derivatives; ``None`` where it is not finite."""
         slopes: list[tuple[Array, Array]] = []
         psd, covariance = self._sum(x, slopes)
         value, out = 0.0, np.zeros(x.size)
@@ -428,28 +426,12 @@ class Along:
                 moved = np.asarray(self._gain(x + SHAPE_STEP * (np.arange(x.size) == k)))
                 out[k] += float(by_density @ (psd * (moved - gain))) / SHAPE_STEP
         if covariance.size:
-            scored = self.likelihood.score_of(covariance)
+            scored = self.likelihood.score_of(covariance, self.explanation.regressors)
             if scored is None:
                 return None
             value += scored[0]
             out[: len(slopes)] += [float(scored[1] @ d) for _, d in slopes]
         return (value, out) if math.isfinite(value) and np.isfinite(out).all() else None
-
-
-def regression_evidence(A: Array, b: Array, scales: Array) -> float:
-    """Log Bayes factor of a linear effect against none, averaged over prior scales.
-
-    ``1/2 b' (A + L^-1)^-1 b - 1/2 log|I + L A|`` with ``L = diag((c scales)^2)`` for c in the policy's ``prior_scales``.
-
-    Parameters
-    ----------
-    A, b : (k, k), (k,) arrays
-        Normal matrix and right-hand side of the whitened regressors.
-    scales : (k,) array
-        Datasheet scale of each coefficient.
-    """
-    logs = quadratic_evidence(A, b[:, None], np.diag(scales), np.array(rules().prior_scales))
-    return log_mean_exp(logs[:, 0])
 
 
 @dataclass(frozen=True)
@@ -485,7 +467,7 @@ def fit(likelihood: Likelihood, explanation: Explanation) -> Fitted:
     The evidence is Laplace's, with each parameter's posterior width limited to that of its prior.
     """
     along = likelihood.along(explanation)
-    found = laplace(along, explanation.start(), explanation.free, None if explanation.regressors else along.slope)
+    found = laplace(along, explanation.start(), explanation.free, along.slope)
     return Fitted(explanation.at(found.x), found.evidence, found.covariance, found.log_posterior)
 
 
