@@ -289,6 +289,7 @@ def test_fitted_models_are_the_truth(tmp_path: Path) -> None:
     save(both, models)
     target.write_text(first_scenario(target, Wish(model=str(models))), encoding="utf-8")
     scenario = load(target)
+    assert scenario.truth is not None
     assert scenario.truth.models()["gyro_y"] == both["gyro_y"]
     assert list(scenario.designs) == ["complete", "white noise"]
     save({a: NoiseModel((WN(1e-4),)) for a in AXES}, models)  # nothing to leave out
