@@ -6,13 +6,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+import re
+from collections.abc import Collection, Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from insemu.errors import InputError
+from insemu import units
+from insemu.errors import InputError, nearest
 from insemu.noise import COVARIATES, NoiseModel
 from insemu.records import AXES, ImuRecord, Recording
 
@@ -27,16 +29,18 @@ def needed(models: Iterable[NoiseModel]) -> set[str]:
     return {p.follows.covariate for model in models for p in model if p.follows is not None}
 
 
-def smoothed(x: Array, dt: float) -> Array:
-    """First-order causal low-pass of :data:`SMOOTHING_S` along the first axis; it starts from the mean of its first second.
+def smoothed(x: Array, dt: float, time: float = SMOOTHING_S) -> Array:
+    """First-order causal low-pass along the first axis; it starts from the mean of its first second.
 
     Parameters
     ----------
     x : (n, k) array
     dt : float
         Sampling interval, s.
+    time : float
+        Time constant, s.
     """
-    keep = np.exp(-dt / SMOOTHING_S)
+    keep = np.exp(-dt / time)
     start = x[: max(1, round(SMOOTHING_S / dt))].mean(axis=0, keepdims=True)
     out, _ = lfilter([1.0 - keep], [1.0, -keep], x, axis=0, zi=keep * start)
     return np.asarray(out)
@@ -125,3 +129,70 @@ def checked(names: Collection[str], there: Collection[str], where: str) -> None:
     missing = sorted(set(names) - set(there))
     if missing:
         raise InputError(f"no covariate '{missing[0]}', there are: {', '.join(sorted(there)) or 'none'}", where=where)
+
+
+_POWER = re.compile(r"^(.*\S)\s*\^\s*([1-9])$")
+_LAG = re.compile(r"^lag\((.*),([^,]*)\)$")
+
+
+def parts_of(text: str) -> list[str]:
+    """Parts of a text between commas that stand in no brackets; empty ones are left out."""
+    depth, parts = 0, [""]
+    for letter in text:
+        depth += (letter == "(") - (letter == ")")
+        if letter == "," and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += letter
+    return [p.strip() for p in parts if p.strip()]
+
+
+def regressors_of(text: str, there: Mapping[str, Array], n: int, dt: float, where: str) -> dict[str, Array]:
+    """Regressors that are written as ``temperature, temperature^2, lag(temperature, 300 s), time``.
+
+    A lag is a first-order one: what is behind a thermal resistance. Powers are of the deviation from the mean.
+
+    Parameters
+    ----------
+    text : str
+    there : mapping of str to (n,) array
+        What can be named, beside ``time``.
+    n : int
+        Samples.
+    dt : float
+        Sampling interval, s.
+    where : str
+        The option, for messages.
+
+    Returns
+    -------
+    dict of str to (n,) array
+
+    Raises
+    ------
+    InputError
+        An unknown name, a lag that is no time, one regressor twice, none at all.
+    """
+    columns = {**there, "time": dt * np.arange(n)}
+
+    def column(term: str) -> Array:
+        if found := _LAG.match(term):
+            time = units.parse(found[2], "s")
+            if time <= 0.0:
+                raise InputError(f"found the lag '{found[2].strip()}', expected a time above zero", where=where)
+            return smoothed(column(found[1].strip())[:, None], dt, time)[:, 0]
+        if found := _POWER.match(term):
+            base = column(found[1])
+            return np.asarray((base - base.mean()) ** int(found[2]))
+        if term not in columns:
+            raise InputError(f"no regressor '{term}'" + nearest(term, columns), where=where)
+        return np.asarray(columns[term], dtype=np.float64)
+
+    out: dict[str, Array] = {}
+    for term in parts_of(text):
+        if term in out:
+            raise InputError(f"found '{term}' twice", where=where)
+        out[term] = column(term)
+    if not out:
+        raise InputError("found nothing, expected names such as 'temperature, time'", where=where)
+    return out

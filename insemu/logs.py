@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from insemu import covariates, formats
 from insemu.errors import InputError, nearest
 from insemu.formats import AXIS_OF_COLUMN, Log
-from insemu.gap.data import at_rest
+from insemu.gap.data import at_rest, recorded_temperature
 from insemu.records import AXES, Series
 from insemu.variance import AxisReport, characterise, characterise_stream, wavelet_covariance
 from insemu.variance import findings as judge
@@ -85,6 +85,9 @@ def open_with_covariates(
         log = formats.read_log(path, rate_hz=rate_hz)
         everything = {AXIS_OF_COLUMN.get(s.name, s.name): s for s in log.series()}
         named = {("temperature" if k.lower() in _TEMPERATURE else k): s.values for k, s in everything.items()}
+        beside = recorded_temperature(path)
+        if beside is not None and beside.size == len(log):
+            named.setdefault("temperature", beside)
         found = covariates.of_columns(named, 1.0 / log.rate_hz)
         series = [s for k, s in everything.items() if k in AXES or len(everything) == 1]
         if not series:  # a log of one's own columns: everything that no level can follow by itself

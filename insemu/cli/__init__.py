@@ -29,6 +29,7 @@ COMMANDS: dict[str, str] = {
     "fit": "fit",
     "select": "select",
     "array": "array",
+    "watch": "watch",
     "emulate": "emulate",
     "errors": "errors",
     "dead-reckon": "dead_reckon",

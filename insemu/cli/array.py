@@ -117,33 +117,22 @@ def _read(files: list[str], rate: str, skip: str) -> dict[str, dict[str, Series]
 
 def _plus(text: str) -> dict[str, NoiseModel]:
     """What is written beside the fits, by axis."""
+    from insemu.covariates import parts_of
     from insemu.errors import InputError
     from insemu.noise import NoiseModel, axis_unit
     from insemu.records import AXES
 
     out: dict[str, NoiseModel] = {}
-    for part in _parts(text):
+    for part in parts_of(text):
         name, found, model = part.partition("=")
         axes = [a for a in AXES if name.strip() in (a, a.partition("_")[0])]
         if not found or not axes:
-            raise InputError(f"found '{part.strip()}', expected gyro=MODEL or an axis", where="--plus")
+            raise InputError(f"found '{part}', expected gyro=MODEL or an axis", where="--plus")
         for axis in axes:
             out[axis] = NoiseModel.parse(model, axis_unit(axis))
             if not out[axis].specified:
                 raise InputError(f"found '{model.strip()}', expected a model with values", where="--plus")
     return out
-
-
-def _parts(text: str) -> list[str]:
-    """Parts between commas that stand in no brackets."""
-    depth, parts = 0, [""]
-    for letter in text:
-        depth += (letter == "(") - (letter == ")")
-        if letter == "," and depth == 0:
-            parts.append("")
-        else:
-            parts[-1] += letter
-    return [p for p in parts if p.strip()]
 
 
 def _tell(found: ArrayFit, console: Console) -> None:

@@ -37,6 +37,11 @@ def command(
         help="Levels follow temperature, speed, rate, force, vibration or a column, over segments of the log or drive: NAME or NAME:SEGMENTS. All "
         'processes follow it, or those that say so: "WN(follows=temperature) + GM()".',
     ),
+    regress: str = typer.Option(
+        "",
+        "--regress",
+        help='Estimate together with the noise what the signal follows: "temperature, lag(temperature, 300 s), time, time^2", columns.',
+    ),
     alternatives: list[str] | None = typer.Option(  # noqa: B008
         None, "--or", help="Of several runs: another structure; the one that predicts runs left out best is taken."
     ),
@@ -108,7 +113,7 @@ def command(
 
     from insemu import units
     from insemu.cli.announce import announce
-    from insemu.cli.following import alone_with_covariate, fit_covariate
+    from insemu.cli.following import alone, fit_covariate
     from insemu.cli.printing import counting
     from insemu.fit import check_bootstrap
 
@@ -117,12 +122,18 @@ def command(
     file = files[0]
     for name in files:
         announce(name, Console(stderr=True), rate_hz=units.parse(rate, "Hz") if rate else None)
-    if covariate or "follows" in model:
-        others = {"method": method, "wavelet": wavelet, "robust": robust, "start": start, "bootstrap": bootstrap}
-        alone_with_covariate(
-            others | {"pooled": not per_axis, "kalibr": kalibr, "or": alternatives, "files": files[1:]}
+    scales = (tau_from, tau_to or math.inf)
+    others = {"method": method, "wavelet": wavelet, "robust": robust, "start": start, "bootstrap": bootstrap}
+    others |= {"pooled": not per_axis, "kalibr": kalibr, "or": alternatives, "files": files[1:]}
+    if regress:
+        from insemu.cli.regressors import fit_regressors
+
+        alone(others | {"covariate": covariate}, "--regress", "regressors and noise")
+        return fit_regressors(
+            file, model, regress, rate, skip, columns, scales, show=show, out=out, page=page, as_json=as_json
         )
-        scales = (tau_from, tau_to or math.inf)
+    if covariate or "follows" in model:
+        alone(others, "--covariate", "levels that follow a covariate")
         return fit_covariate(
             file, model, covariate, rate, skip, columns, scales, show=show, out=out, page=page, as_json=as_json
         )

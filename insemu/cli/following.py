@@ -13,18 +13,23 @@ if TYPE_CHECKING:
 
     from insemu.fit import FitResult, FollowingFit
     from insemu.noise import NoiseModel
+    from insemu.records import Series
 
 #: Segments that a log is cut into unless the user says how many.
 SEGMENTS = 12
 
 
-def alone_with_covariate(given: Mapping[str, object]) -> None:
-    """Raise ``InputError`` where an option of ``fit`` is given that a fit to segments does not have.
+def alone(given: Mapping[str, object], option: str, what: str) -> None:
+    """Raise ``InputError`` where an option of ``fit`` is given that another one does not go with.
 
     Parameters
     ----------
     given : mapping
         Name of the option to what it was given.
+    option : str
+        With which they do not go.
+    what : str
+        What is fitted by gmwm with the Haar filter only.
     """
     from insemu.errors import InputError
 
@@ -32,10 +37,23 @@ def alone_with_covariate(given: Mapping[str, object]) -> None:
     wrong = [name for name, value in given.items() if value and value != usual.get(name)]
     if wrong:
         named = "several files" if wrong[0] == "files" else f"--{wrong[0]}"
-        raise InputError(
-            f"found {named}; levels that follow a covariate are fitted to one log by gmwm with the Haar filter",
-            where="--covariate",
-        )
+        raise InputError(f"found {named}; {what} are fitted to one log by gmwm with the Haar filter", where=option)
+
+
+def chosen_axes(series: list[Series], columns: list[str] | None, file: str) -> list[Series]:
+    """Those that are asked for by name of column or axis; all where nothing is."""
+    from insemu.cli.logs import column_names
+    from insemu.errors import InputError, nearest
+    from insemu.formats import AXIS_OF_COLUMN
+
+    wanted = column_names(columns)
+    if wanted is None:
+        return series
+    names = [AXIS_OF_COLUMN.get(w, w) for w in wanted]
+    unknown = [w for w in names if w not in [s.name for s in series]]
+    if unknown:
+        raise InputError(f"has no column '{unknown[0]}'" + nearest(unknown[0], [s.name for s in series]), where=file)
+    return [s for s in series if s.name in names]
 
 
 def fit_covariate(
@@ -85,10 +103,9 @@ def fit_covariate(
     from rich.console import Console
 
     from insemu import units
-    from insemu.cli.logs import column_names
     from insemu.cli.printing import counting
     from insemu.covariates import checked, needed
-    from insemu.errors import InputError, nearest
+    from insemu.errors import InputError
     from insemu.fit import fit_following, save
     from insemu.logs import open_with_covariates
 
@@ -96,17 +113,7 @@ def fit_covariate(
     if count and not count.isdecimal():
         raise InputError(f"found '{count}' segments, expected a whole number as in temperature:12", where="--covariate")
     series, found = open_with_covariates(file, units.parse(rate, "Hz") if rate else None, units.parse(skip, "s"))
-    wanted = column_names(columns)
-    if wanted is not None:
-        from insemu.formats import AXIS_OF_COLUMN
-
-        names = [AXIS_OF_COLUMN.get(w, w) for w in wanted]
-        unknown = [w for w in names if w not in [s.name for s in series]]
-        if unknown:
-            raise InputError(
-                f"has no column '{unknown[0]}'" + nearest(unknown[0], [s.name for s in series]), where=file
-            )
-        series = [s for s in series if s.name in names]
+    series = chosen_axes(series, columns, file)
     console = Console(stderr=as_json)
     results: dict[str, FollowingFit] = {}
     with counting(Console(stderr=True), "fitting", len(series)) as finished:

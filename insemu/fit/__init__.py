@@ -18,6 +18,8 @@ from insemu.fit.covariance import covariance_of_curve, model_covariance
 from insemu.fit.following import FollowingFit, Segment, fit_following
 from insemu.fit.indirect import bootstrap_intervals, check_bootstrap
 from insemu.fit.likelihood import LARGE, fit_mli_pieces
+from insemu.fit.online import Alarm, OnlineFit, Update
+from insemu.fit.regressors import Coefficient, RegressedFit, fit_regressed
 from insemu.fit.result import LEAST_P, Criterion, Estimate, FitResult, GoodnessOfFit, kalibr, save
 from insemu.fit.robust import cleaned_curve
 from insemu.fit.runs import Choice, RunsFit, choose_model, fit_runs
@@ -44,16 +46,21 @@ __all__ = [
     "LARGE",
     "LEAST_P",
     "RANK_DOF",
+    "Alarm",
     "Choice",
+    "Coefficient",
     "Criterion",
     "Estimate",
     "FitResult",
     "FollowingFit",
     "GoodnessOfFit",
     "Method",
+    "OnlineFit",
     "Ranking",
+    "RegressedFit",
     "RunsFit",
     "Segment",
+    "Update",
     "bootstrap_intervals",
     "check_bootstrap",
     "choose_model",
@@ -62,6 +69,7 @@ __all__ = [
     "fit",
     "fit_following",
     "fit_mli_pieces",
+    "fit_regressed",
     "fit_runs",
     "fit_together",
     "kalibr",

@@ -24,7 +24,7 @@ from insemu.formats.opened import Opened, open_files
 from insemu.formats.programs import PROGRAMS, spell
 from insemu.formats.readers.imu_binary import LAYOUTS as IMU_BINARIES
 from insemu.formats.readers.imu_binary import write_imu_binary
-from insemu.formats.static import AXIS_OF_COLUMN, Log
+from insemu.formats.static import AXIS_OF_COLUMN, Log, round_rate
 from insemu.formats.table import Probe, known_readers, reader_of
 from insemu.formats.text import write_table
 from insemu.formats.tracks_out import Way, way_of, write_overlay, write_way
@@ -50,6 +50,7 @@ __all__ = [
     "read_log",
     "read_recording",
     "read_static",
+    "round_rate",
     "spell",
     "split_header",
     "way_of",

@@ -28,6 +28,7 @@ from insemu.report.gap import (
 )
 from insemu.report.plotting import plot
 from insemu.report.predictive import render_check
+from insemu.report.regressors import coefficient_rows, render_regressed
 from insemu.report.serve import server
 from insemu.report.solve import (
     calibration_lines,
@@ -67,6 +68,7 @@ __all__ = [
     "characterise_answer",
     "characterise_rows",
     "check_figure",
+    "coefficient_rows",
     "compared_rows",
     "comparison_answer",
     "comparison_rows",
@@ -100,6 +102,7 @@ __all__ = [
     "render_following",
     "render_gap",
     "render_reckoning",
+    "render_regressed",
     "render_regression",
     "render_solution",
     "render_sweep",

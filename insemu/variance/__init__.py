@@ -21,13 +21,21 @@ from insemu.variance.spectrum import (
     octave_psd,
     psd,
 )
-from insemu.variance.wavelet import WaveletVariance, stream_wavelet_variance, wavelet_coefficients, wavelet_variance
+from insemu.variance.wavelet import (
+    HaarAccumulator,
+    WaveletVariance,
+    curve_of_moments,
+    stream_wavelet_variance,
+    wavelet_coefficients,
+    wavelet_variance,
+)
 
 __all__ = [
     "FLICKER",
     "AllanVariance",
     "Autocorrelation",
     "AxisReport",
+    "HaarAccumulator",
     "Reading",
     "RobustWaveletVariance",
     "SameModel",
@@ -44,6 +52,7 @@ __all__ = [
     "compare_with_robust",
     "correlated_octaves",
     "curve_address",
+    "curve_of_moments",
     "duration",
     "eta3",
     "expected_variance",

@@ -432,7 +432,32 @@ def stream_wavelet_variance(
         if progress is not None:
             progress(accumulator.n_samples)
     value, used = accumulator.result()
-    return _finish(value, used, accumulator.n_samples, rate_hz, "haar", "modwt", confidence, intervals, None, 2)
+    return curve_of_moments(value, used, accumulator.n_samples, rate_hz, confidence=confidence, intervals=intervals)
+
+
+def curve_of_moments(
+    value: Array,
+    used: NDArray[np.int64],
+    n_samples: int,
+    rate_hz: float,
+    *,
+    confidence: float = 0.95,
+    intervals: Intervals = "edof",
+) -> WaveletVariance:
+    """The Haar curve of moments that were summed elsewhere (:class:`HaarAccumulator`, several stretches of one signal).
+
+    Parameters
+    ----------
+    value : (J,) array
+        Mean square of the coefficients of every octave.
+    used : (J,) array of int
+        Number of coefficients.
+    n_samples : int
+        Samples behind them.
+    rate_hz, confidence, intervals
+        As in :func:`wavelet_variance`.
+    """
+    return _finish(value, used, n_samples, rate_hz, "haar", "modwt", confidence, intervals, None, 2)
 
 
 class HaarAccumulator:

@@ -40,7 +40,7 @@ def load_measured(path: str | Path, *, rate_hz: float | None = None) -> StaticLo
         See :func:`insemu.formats.read`.
     """
     path = Path(path)
-    temperature = _temperature(path)
+    temperature = recorded_temperature(path)
     if path.suffix == ".npz" and path.is_file() and rate_hz is None:
         rate_hz = _stamped_rate(path)
     if formats.holds_recording(path):
@@ -117,7 +117,8 @@ def _even(
     return filled(values, missing, REST_S / dt, np.random.default_rng(missing.size)), temperature, missing
 
 
-def _temperature(path: Path) -> Array | None:
+def recorded_temperature(path: Path) -> Array | None:
+    """Temperatures that an archive holds beside its data, degC; None where there are none."""
     if path.suffix != ".npz" or not path.is_file():
         return None
     arrays = load_npz(path)
