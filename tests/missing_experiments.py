@@ -11,11 +11,13 @@ import time
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from insemu.fit import fit
 from insemu.noise import NoiseModel
 from insemu.records import Series
 from insemu.variance import wavelet_variance
+from insemu.variance.gaps import LEAST_SHARE, POSITIONS
 
 Array = NDArray[np.float64]
 
@@ -49,6 +51,31 @@ def lost(kind: str, n: int, rng: np.random.Generator, *, mean: float = 200.0) ->
         start = rng.integers(n)
         out[start : start + rng.geometric(1.0 / mean)] = True
     return out
+
+
+def covariance(model: NoiseModel, n: int) -> Array:
+    """Covariance (n, n) of the samples of stationary processes, and of random walks that began at the first sample."""
+    place = np.arange(n)
+    out = np.zeros((n, n))
+    for p in model:
+        if p.stationary:
+            out += p.autocovariance(place, 1.0 / RATE)[np.abs(np.subtract.outer(place, place))]
+        else:
+            out += p.block(1.0 / RATE).Q[0, 0] * np.minimum.outer(place, place)
+    return out
+
+
+def coefficients(missing: NDArray[np.bool_], octave: int) -> csr_array:
+    """Weights (coefficients, n) of the samples that are there in the coefficients of one octave, from 0."""
+    half = 1 << octave
+    first = np.arange(0, missing.size + 1 - 2 * half, max(half // POSITIONS, 1))
+    columns = first[:, None] + np.arange(2 * half)
+    there = ~missing[columns]
+    number = there.reshape(-1, 2, half).sum(axis=2)
+    good = (number >= LEAST_SHARE * half).all(axis=1)
+    weights = there[good] * np.repeat([-0.5, 0.5], half) / np.repeat(number[good], half, axis=1)
+    ends = np.arange(0, weights.size + 1, 2 * half)
+    return csr_array((weights.ravel(), columns[good].ravel(), ends), shape=(len(weights), missing.size))
 
 
 def coverage(

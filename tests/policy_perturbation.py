@@ -270,12 +270,12 @@ def search(
     return found
 
 
-def again(workers: int, log: Path | None) -> list[str]:
-    """Constants whose pin of the file moves nothing any more."""
+def again(constants: Sequence[str], workers: int, log: Path | None) -> list[str]:
+    """Constants among some, or all, whose pin of the file moves nothing any more."""
     pins = {
         c: Look(e["moves"], c, next(f for f in FACTORS if abs(f - e["factor"]) < 0.01))
         for c, e in kept().items()
-        if "moves" in e
+        if "moves" in e and (c in constants or not constants)
     }
     with _answers(workers, log) as answers:
         names = sorted({p.name for p in pins.values()})
@@ -294,7 +294,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="python -m tests.policy_perturbation", description=__doc__.split("\n")[0] if __doc__ else None
     )
     parser.add_argument(
-        "--constant", action="append", help="constants to move; may be repeated. Default: those that nothing moved yet"
+        "--constant",
+        action="append",
+        help="constants to move; may be repeated. Default: those that nothing moved yet, with --again all",
     )
     parser.add_argument("--only", default="", metavar="TEXT", help="recordings and tests whose name holds this")
     parser.add_argument("--minutes", type=float, default=math.inf, help="start no further round after so long")
@@ -302,7 +304,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--log", type=Path, help="keep answers in this file and go on from there")
     parser.add_argument("--show", action="store_true", help="only print what the file says")
     parser.add_argument(
-        "--again", action="store_true", help="look again at what pins each constant; 1 where one moves nothing"
+        "--again",
+        action="store_true",
+        help="look again at what pins each constant, or those that are named; 1 where one moves nothing",
     )
     given = parser.parse_args(arguments)
     unknown = [c for c in given.constant or () if c not in NAMES]
@@ -310,7 +314,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error(f"no constant of the policy: {', '.join(unknown)}")
     loose: list[str] = []
     if given.again:
-        loose = again(given.workers, given.log)
+        loose = again(given.constant or (), given.workers, given.log)
         print("\n".join(f"{c} is pinned no more" for c in loose) or "every pin holds")
     elif not given.show:
         tests = [f"{name}.py" for name in TESTS if FILE.with_name(f"{name}.py").exists()]

@@ -13,6 +13,7 @@ from insemu import strapdown
 from insemu.filters import Extras, FilterOptions, LooselyCoupledEKF
 from insemu.filters.reference import reference_run
 from tests import filter_cases as cases
+from tests.budget import chi_square, chi_square_power, statistical
 from tests.filter_cases import DT, MODEL_15, START_SIGMA
 from tests.test_filters import BOUNDS, agreement
 
@@ -64,27 +65,33 @@ def study(
     return whole, alone, missed
 
 
-def bounds(dof: int, confidence: float) -> tuple[float, float]:
-    low, high = stats.chi2.ppf([0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence], dof) / dof
-    return float(low), float(high)
-
-
 #: Latency in s, vibration in m/s^2, steps from fix to fix (5 Hz and 1 Hz).
 CASES = [(0.005, 0.0, 20), (0.08, 0.0, 20), (0.2, 0.0, 20), (0.15, 0.5, 20), (0.08, 0.0, 100), (0.2, 0.0, 100)]
 
 
+#: Share of false alarms of one case, its bounds (all errors, the latency alone, its mean), and its runs.
+SHARE, CELLS, RUNS = 2e-5, 3, 12
+
+
 @pytest.mark.parametrize(("latency", "vibration", "every"), CASES)
+@statistical(
+    SHARE,
+    CELLS,
+    power=min(
+        chi_square_power(13 * RUNS, SHARE, CELLS, 2.0),  # half the error variance believed
+        chi_square_power(RUNS, SHARE, CELLS, 9.0),  # a third of the latency's error believed
+        float(stats.norm.sf(stats.norm.isf(0.5 * SHARE / CELLS) - 2.0 * np.sqrt(RUNS))),  # all off by two sigmas
+    ),
+)
 def test_latency_with_lever_arm_is_consistent(latency, vibration, every):
-    runs = 12
-    whole, alone, missed = study(latency, vibration, every, runs)
-    # epochs of a run depend on each other: judged at the last one, at the share of false alarms of six cases and three figures
-    share = 1 - 0.01 / 18
-    low, high = bounds(13 * runs, share)
+    whole, alone, missed = study(latency, vibration, every, RUNS)
+    # epochs of a run depend on each other: judged at the last one
+    low, high = chi_square(13 * RUNS, SHARE, CELLS)
     assert low < whole[:, -1].mean() < high
-    low, high = bounds(runs, share)
+    low, high = chi_square(RUNS, SHARE, CELLS)
     assert low < alone[:, -1].mean() < high
-    stated = np.sqrt(np.mean(missed[:, -1] ** 2 / alone[:, -1]) / runs)
-    assert abs(missed[:, -1].mean()) < stats.norm.ppf(0.5 + 0.5 * share) * stated
+    stated = np.sqrt(np.mean(missed[:, -1] ** 2 / alone[:, -1]) / RUNS)
+    assert abs(missed[:, -1].mean()) < stats.norm.isf(0.5 * SHARE / CELLS) * stated
 
 
 def test_a_latency_beyond_belief_is_found_short():
@@ -119,5 +126,5 @@ if __name__ == "__main__":
         cells.append(" ".join(f"{1e3 * v:.1f}" for v in missed.mean(axis=0)))
         said = "" if case[3] else "  started at zero with 0.1 s"
         print(f"{1e3 * case[0]:>10g} {case[1]:>11g} {round(1 / (DT * case[2])):>3}  {'  '.join(cells)}{said}")
-    cells = [" to ".join(f"{v:.2f}" for v in bounds(dof * 40, 0.99)) for dof in (13, 1)]
+    cells = [" to ".join(f"{v:.2f}" for v in chi_square(dof * 40, 0.01)) for dof in (13, 1)]
     print(f"99 % bounds of one cell, 40 runs: {cells[0]}, {cells[1]}")

@@ -88,6 +88,10 @@ def test_given_values_are_held():
     assert result["WN1.N"].value == 0.1 and not result["WN1.N"].free
     assert result["GM1.beta"].value == pytest.approx(0.5)
     assert result["GM1.sigma"].value == pytest.approx(0.3, rel=0.1)
+    assert [e.label for e in result.parameters if e.free] == ["GM1.sigma", "RW1.K"]
+    result = fit(x, "WN() + GM(Tc=3 s)", "slopes", rate_hz=5.0)
+    assert result["GM1.beta"].value == pytest.approx(1.0 / 3.0) and not result["GM1.beta"].free
+    assert result["GM1.sigma"].value > 0.0
 
 
 @pytest.mark.parametrize(

@@ -54,6 +54,13 @@ def test_other_estimators_and_draws_say_what_is_missing():
         fit(np.random.default_rng(1).standard_normal(1000), "WN(follows=speed)", rate_hz=1.0)
 
 
+@pytest.mark.parametrize("text", ["BI(B=1", "PWC(sigma=1, T=5", "DR(R=1", "RC(sigma=1"])
+def test_what_has_no_driving_noise_of_its_own_is_not_drawn(text):
+    model = NoiseModel.parse(f"WN(N=1) + {text}, follows=speed, slope=0.1)")
+    with pytest.raises(InputError, match="cannot be drawn: it has no driving noise"):
+        model.simulate(10, 0.1, np.random.default_rng(1), {"speed": np.zeros(10)})
+
+
 def test_draws_have_the_gain():
     n = 40_000
     x = np.repeat([0.0, 2.0], n // 2)

@@ -86,6 +86,18 @@ def test_a_constant_is_tried_where_it_could_decide_otherwise_until_an_answer_mov
     assert len(looked) == before
 
 
+def test_pins_are_looked_at_again_of_the_constants_that_are_named(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.setattr(policy_perturbation, "look", stand_in)
+    monkeypatch.setattr(policy_perturbation, "FILE", tmp_path / "file.yaml")
+    pin = {"factor": 1.5, "moves": "rest-none-01", "was": "a", "now": "b", "commit": "c"}
+    policy_perturbation.write({"lead": pin, "leak": pin})
+    assert policy_perturbation.main(["--again", "--constant", "lead"]) == 0
+    assert "every pin holds" in capsys.readouterr().out
+    assert policy_perturbation.main(["--again", "--constant", "leak"]) == 1
+    assert policy_perturbation.main(["--again"]) == 1
+    assert "leak is pinned no more" in capsys.readouterr().out
+
+
 def test_a_workflow_that_fails_under_a_constant_has_said_something_else(monkeypatch) -> None:
     seen: list[float] = []
 

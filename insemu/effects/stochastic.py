@@ -14,7 +14,7 @@ from insemu.effects.base import BOTH, DEG, Effect, EffectParameter, EffectUse, G
 from insemu.effects.chain import Chain
 from insemu.effects.hiding import DriveLot, Hidden, RestLot
 from insemu.errors import InputError
-from insemu.noise import AR, BI, DR, GM, QN, RW, SIN, WN, Process
+from insemu.noise import AR, BI, DR, GM, QN, RW, SIN, WN, Follows, Process
 from insemu.noise.compiled import rational_filter, standard_normal
 
 Array = NDArray[np.float64]
@@ -435,47 +435,70 @@ class Telegraph(Effect):
         return {"amplitude": lot.on(9.0 * strength * lot.slow), "rate": lot.switching}
 
 
-class MotionNoise(Effect):
+class _FollowingNoise(Effect):
+    """White noise whose level follows a covariate by a law of the noise algebra."""
+
+    family, sensors, stage = "stochastic", BOTH, Stage.NOISE
+
+    def law(self, use: EffectUse) -> Follows:
+        """How the level that is given follows."""
+        raise NotImplementedError
+
+    def covariate(self, chain: Chain, use: EffectUse) -> Array:
+        """What it follows (n,)."""
+        raise NotImplementedError
+
+    def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
+        """Add white noise at the level of every sample."""
+        np.divide(self.law(use).gain(self.covariate(chain, use)), np.sqrt(chain.dt), out=chain.profile)
+        chain.add_shaped(use, "N", chain.profile, lambda: standard_normal(chain.work, rng))
+
+
+class MotionNoise(_FollowingNoise):
     """Noise that grows with speed."""
 
-    id, name, family, sensors = "motion_noise", "noise that grows with motion", "stochastic", BOTH
+    id, name = "motion_noise", "noise that grows with motion"
     formula = "e_k ~ N(0, (N v / v_0)^2 / dt), v speed, v_0 = 10 m/s"
     parameters = (_P("N", "{s}/sqrt(Hz)", 3, (0.05 * DEG, 5e-4 * G), None, "density at 10 m/s", True),)
     excitation, in_filter = "changing speed", "noise level scheduled with speed"
-    stage = Stage.NOISE
     absent = {
         "compensate": _RANDOM, "signature": _NO_MEAN, "candidate": "the map of a drive shows it against speed; no candidate names it yet",
         "refine": _NOT_FOUND, "trial": _NOT_FOUND,
     }  # fmt: skip
 
-    def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
-        """Add white noise in proportion to the speed."""
-        np.divide(chain.speed(use), 10.0 * np.sqrt(chain.dt), out=chain.profile)
-        chain.add_shaped(use, "N", chain.profile, lambda: standard_normal(chain.work, rng))
+    def law(self, use: EffectUse) -> Follows:
+        """In proportion to the speed."""
+        return Follows("speed", 1.0, 10.0, "power")
+
+    def covariate(self, chain: Chain, use: EffectUse) -> Array:
+        """The true speed, m/s."""
+        return chain.speed(use)
 
 
-class TemperatureNoise(Effect):
+class TemperatureNoise(_FollowingNoise):
     """Noise that grows with temperature."""
 
-    id, name, family, sensors = "temperature_noise", "noise that grows with temperature", "stochastic", BOTH
+    id, name = "temperature_noise", "noise that grows with temperature"
     formula = "e_k ~ N(0, (N max(0, T - T_0))^2 / dt)"
     parameters = (
         _P("N", "{s}/sqrt(Hz)", 3, (0.001 * DEG, 1e-5 * G), None, "density per kelvin", True),
         _P("T0", "degC", 1, (25.0,), 25.0, "temperature where it starts"),
     )
     excitation, in_filter = "a temperature sweep", "noise level scheduled with temperature"
-    stage, needs_temperature = Stage.NOISE, True
+    needs_temperature = True
     absent = {
         "compensate": _RANDOM, "signature": _NO_MEAN, "candidate": "no candidate schedules a level with temperature yet",
         "refine": _NOT_FOUND, "trial": _NOT_FOUND,
     }  # fmt: skip
 
-    def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
-        """Add white noise in proportion to the temperature above a threshold."""
-        np.subtract(chain.need_temperature(use), use.scalar("T0"), out=chain.profile)
-        np.maximum(0.0, chain.profile, out=chain.profile)
-        chain.profile /= np.sqrt(chain.dt)
-        chain.add_shaped(use, "N", chain.profile, lambda: standard_normal(chain.work, rng))
+    def law(self, use: EffectUse) -> Follows:
+        """In proportion to the temperature above the threshold, the given level at one kelvin above it."""
+        start = use.scalar("T0")
+        return Follows("temperature", 1.0, start + 1.0, "power", above=start)
+
+    def covariate(self, chain: Chain, use: EffectUse) -> Array:
+        """The temperature, degC."""
+        return chain.need_temperature(use)
 
 
 EFFECTS: tuple[Effect, ...] = (

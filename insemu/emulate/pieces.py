@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from insemu.augment import augment, true_states
 from insemu.emulate.errors import RecordedErrors
 from insemu.errors import InputError
-from insemu.noise import BI, WN, CommonDraws, NoiseModel
+from insemu.noise import WN, CommonDraws, NoiseModel
 from insemu.records import AXES
 
 Array = NDArray[np.float64]
@@ -125,8 +125,8 @@ def simulated_pieces(
     at = np.maximum((np.zeros(0, dtype=np.intp) if states_at is None else states_at) - 1, 0)
     # within a record: piece by piece, row 0 of the IMU takes the first sample of the piece
     places = (np.arange(per_record)[:, None] * intervals + at).ravel()
-    # flicker has no finite states; a removed mean belongs to no single process
-    single = at.size > 0 and record_s is None and not any(isinstance(p, BI) for model in ready for p in model)
+    # some processes have no finite states; a removed mean belongs to no single process
+    single = at.size > 0 and record_s is None and all(p.own_block for model in ready for p in model)
     names = augment(dict(zip(AXES, ready, strict=True)), 1.0 / rate_hz).layout.names[9:] if single else ()
     followed = {name: np.resize(x[1:], length) for name, x in (covariates or {}).items()}
     kept: dict[int, tuple[RecordedErrors, Array, Array]] = {}

@@ -46,6 +46,24 @@ def first_bad_pivot(P: Array, L: Array) -> int:
 
 
 @njit(cache=True, nogil=True)
+def against_earth(nav: Array, C: Array, rate: Array, out: Array) -> None:
+    """Rate of the body against the Earth from its rate against inertial space, rad/s in body axes.
+
+    Parameters
+    ----------
+    nav : (13,) array
+        State, of which the latitude counts.
+    C : (3, 3) array
+        Body to NED.
+    rate, out : (3,) arrays
+        ``out`` is overwritten, and may be ``rate``.
+    """
+    we_n, we_d = RATE * math.cos(nav[0]), -RATE * math.sin(nav[0])
+    for i in range(3):
+        out[i] = rate[i] - C[0, i] * we_n - C[2, i] * we_d
+
+
+@njit(cache=True, nogil=True)
 def fill_fix(
     nav: Array,
     nav_before: Array,
@@ -103,10 +121,10 @@ def fill_fix(
         acc[i] = (nav[3 + i] - nav_before[3 + i]) / dt
     # rate with respect to the Earth at the time of the fix: the last mean carried from the middle of its step
     shift = (0.5 * dt - min(tau, dt)) / dt
-    we_n, we_d = RATE * math.cos(nav[0]), -RATE * math.sin(nav[0])
     omega = np.empty(3)
     for i in range(3):
-        omega[i] = rate[i] + shift * (rate[i] - rate_before[i]) - C[0, i] * we_n - C[2, i] * we_d
+        omega[i] = rate[i] + shift * (rate[i] - rate_before[i])
+    against_earth(nav, C, omega, omega)
     turn = np.empty(3)
     turn[0] = omega[1] * lever[2] - omega[2] * lever[1]
     turn[1] = omega[2] * lever[0] - omega[0] * lever[2]

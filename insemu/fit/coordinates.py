@@ -94,6 +94,24 @@ class Coordinates:
             parts[k] = parts[k].with_parameters(change)
         return NoiseModel(tuple(parts))
 
+    def bounds(self, n: int, dt: float) -> tuple[Array, Array]:
+        """Least and largest coordinates: rates and times as a search of one axis has them, factors of e^20 for the others.
+
+        Parameters
+        ----------
+        n : int
+            Samples of the record.
+        dt : float
+            Sampling interval, s.
+        """
+        low, high = self.start - 20.0, self.start + 20.0
+        for at, (k, name) in enumerate(self.free):
+            meta = next(p for p in self.begin.processes[k].parameters_meta() if p.name == name)
+            if meta.domain in ("rate", "time"):
+                to_si = -math.log(dt) if meta.domain == "rate" else math.log(dt)
+                low[at], high[at] = (v + to_si for v in meta.bounds(n))
+        return low, high
+
     def slopes(self, at: Array) -> Array:
         """Derivative of each parameter by its coordinate."""
         out = np.ones(at.size)

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from insemu.errors import InputError
 from insemu.fit.gmwm import fit_curve
 from insemu.fit.result import Estimate, FitResult, estimates
-from insemu.noise import DR, NoiseModel, Process, StateBlock
+from insemu.noise import PROCESSES, NoiseModel, Process, StateBlock
 from insemu.records import Series
 from insemu.statespace import log_likelihood, smooth
 from insemu.variance import WaveletVariance, wavelet_variance
@@ -240,7 +240,7 @@ def fit_em(
     """
     if ramp not in get_args(Ramp):
         raise InputError(f"ramp is '{ramp}', expected one of: {', '.join(get_args(Ramp))}")
-    bad = [p.symbol for p in model if p.moving() is None and not isinstance(p, DR)]
+    bad = [p.symbol for p in model if p.moving() is None and not p.ramp]
     if bad:
         raise InputError(
             f"{bad[0]} cannot be fitted by em: it has no closed update; expected a sum of WN, RW, GM, AR1, AR and DR (or use gmwm)"
@@ -250,11 +250,11 @@ def fit_em(
     y = np.array(series.values)
     offset, slope, slope_error = ramp_of(y, dt)
     t = (np.arange(y.size) - 0.5 * (y.size - 1)) * dt
-    has_ramp = any(isinstance(p, DR) for p in model)
+    has_ramp = any(p.ramp for p in model)
     inside = has_ramp and ramp == "em"
     level = y - offset - (slope * t if has_ramp and ramp != "none" else 0.0)
     y = y - offset - (slope * t if has_ramp and ramp == "least_squares" else 0.0)
-    noise = NoiseModel(tuple(p for p in model if not isinstance(p, DR)))
+    noise = NoiseModel(tuple(p for p in model if not p.ramp))
     curve = wavelet_variance(level, series.rate_hz)
     begin, moments = _begin(noise, curve, start, check)
     spread = max(float(np.var(y)), 1e-300)
@@ -324,7 +324,7 @@ def _begin(
     if start is None:
         assert moments is not None
         return moments, moments
-    begin = NoiseModel(tuple(p for p in start.at_rate(curve.rate_hz) if not isinstance(p, DR)))
+    begin = NoiseModel(tuple(p for p in start.at_rate(curve.rate_hz) if not p.ramp))
     if [p.symbol for p in begin] != [p.symbol for p in noise] or not begin.specified:
         raise InputError(
             f"the starting model {start} has another structure than {noise} (or parameters without a value)"
@@ -336,18 +336,18 @@ def _with_ramp_error(parameters: tuple[Estimate, ...], error: float) -> tuple[Es
     z = 1.959963984540054
     return tuple(
         replace(e, standard_error=error, low=e.value - z * error, high=e.value + z * error, free=True)
-        if e.process == "DR"
+        if PROCESSES[e.process].ramp
         else e
         for e in parameters
     )
 
 
 def _place(model: NoiseModel, noise: NoiseModel, k: int) -> int:
-    return [i for i, p in enumerate(model) if not isinstance(p, DR)][k]
+    return [i for i, p in enumerate(model) if not p.ramp][k]
 
 
 def _slope_of(start: NoiseModel | None) -> float:
-    return sum((p.parameters["R"] for p in start if isinstance(p, DR)), start=0.0) if start is not None else 0.0
+    return sum((p.parameters[p.level.name] for p in start if p.ramp), start=0.0) if start is not None else 0.0
 
 
 def _positive(p: Process, spread: float, dt: float, n: int) -> Process:
@@ -489,13 +489,13 @@ def _with_ramp(
     parts = list(fitted.processes)
     out: list[Process] = []
     for p in model:
-        if isinstance(p, DR):
+        if p.ramp:
             if inside:
                 at = int(np.flatnonzero(found.space.free_u)[0])
                 rate = float(found.space.u[at]) / dt
-                out.append(DR(rate))
+                out.append(p.with_parameters({p.level.name: rate}))
             else:
-                out.append(DR(slope))
+                out.append(p.with_parameters({p.level.name: slope}))
         else:
             out.append(parts.pop(0))
     return NoiseModel(tuple(out))

@@ -173,7 +173,7 @@ class _Segments:
         tau_from: float,
         tau_to: float,
     ) -> _Segments:
-        n = len(series)
+        n = len(series.complete("a fit of segments"))
         named = {p.follows.covariate for p in model if p.follows is not None}
         if not named:
             raise InputError(f"no level of {model} follows a covariate; write for example WN(follows=temperature)")
@@ -281,11 +281,7 @@ class _Segments:
 
     def bounds(self, tied: Coordinates) -> tuple[Array, Array]:
         """Limits of the coordinates."""
-        low, high = tied.start - 20.0, tied.start + 20.0
-        for at, (k, name) in enumerate(tied.free):
-            meta = next(p for p in tied.begin.processes[k].parameters_meta() if p.name == name)
-            if meta.domain == "rate":
-                low[at], high[at] = (v - math.log(self.dt) for v in meta.bounds(self.whole.n_samples))
+        low, high = tied.bounds(self.whole.n_samples, self.dt)
         steep = np.full(len(self.following), STEEPEST)
         return np.append(low, -steep), np.append(high, steep)
 

@@ -21,7 +21,7 @@ from scipy.optimize import minimize_scalar, nnls
 
 from insemu.errors import InputError
 from insemu.fit.result import Estimate, FitResult, unit_of
-from insemu.noise import BI, DR, GM, NoiseModel, Process
+from insemu.noise import DR, NoiseModel, Process
 from insemu.records import Series
 from insemu.variance import (
     FLICKER,
@@ -94,10 +94,10 @@ def fit_slopes(series: Series, model: NoiseModel, *, source: Source = "allan") -
             raise InputError(
                 f"{kind} cannot be read off the {source} curve; expected a sum of {known}, one each (or use gmwm)"
             )
-        if any(isinstance(p, GM) and p.sigma is not None and p.beta is None for p in model):
-            raise InputError("a correlation time alone is not read; expected GM() or GM(Tc=...)")
         if kinds.count(kind) > 1:
             raise InputError(f"slopes cannot tell {kinds.count(kind)} {kind} apart; expected one of each (or use gmwm)")
+    if any(_searched(p) and p.given[p.level.name] is not None for p in model):
+        raise InputError("a correlation time alone is not read; expected GM() or GM(Tc=...)")
     if source == "allan":
         read = read_curve(allan_variance(series.values, series.rate_hz), series.unit)
         found = [(p, {}, "") if p.specified else _read_off(p, read, series) for p in model]
@@ -128,7 +128,7 @@ def assembled(
         for meta in p.parameters_meta():
             error, low, high = found[k][1].get(meta.name, (math.nan, math.nan, math.nan))
             unit = unit_of(meta, series.unit)
-            free = not model.processes[k].specified
+            free = model.processes[k].given[meta.name] is None
             parameters.append(
                 Estimate(p.symbol, index, meta.name, p.parameters[meta.name], unit, error, low, high, free)
             )
@@ -154,27 +154,32 @@ def assembled(
 
 def _read_off(p: Process, read: Mapping[str, Reading], series: Series) -> tuple[Process, Errors, str]:
     """A process with the values that the slopes give, the errors of its parameters, and what is to be said of them."""
-    if isinstance(p, GM):
-        B, Tc = read.get("B"), read.get("Tc")
-        if B is None or Tc is None:
-            return (
-                GM(0.0, 1.0 / series.dt / len(series)),
-                {},
-                "GM: no flat part or hump is visible; its variance is set to zero",
-            )
-        sigma, beta = FLICKER * B.si_value, 1.0 / Tc.si_value
-        spread = {"sigma": _relative(B, sigma)}
-        if Tc.low > 0 and math.isfinite(Tc.high):
-            low, high = beta * Tc.value / Tc.high, beta * Tc.value / Tc.low
-            spread["beta"] = ((high - low) / 3.92, low, high)
-        return GM(sigma, beta), spread, f"GM: its correlation time was read at the {Tc.note}" if Tc.note else ""
     name = p.level.name
+    if p.symbol == "GM":
+        return _hump(p, name, read, series)
     found = read.get(name)
     if found is None:
         zero = p.with_parameters({name: 0.0})
         return zero, {}, f"{p.symbol}: no part of the curve has its slope; its {name} is set to zero"
     note = f"{p.symbol}: {found.note}" if found.note else ""
     return p.with_parameters({name: found.si_value}), {name: _relative(found, found.si_value)}, note
+
+
+def _hump(p: Process, name: str, read: Mapping[str, Reading], series: Series) -> Read:
+    """A Gauss-Markov noise read off the flat part or hump of the curve; a correlation time that is given stays."""
+    B, Tc, time = read.get("B"), read.get("Tc"), _searched(p)
+    if B is None or (time and Tc is None):
+        said = "GM: no flat part or hump is visible; its variance is set to zero"
+        return _at(p, 0.0, 1.0 / series.dt / len(series)), {}, said
+    level = FLICKER * B.si_value
+    spread = {name: _relative(B, level)}
+    if not time or Tc is None:
+        return _at(p, level, math.nan), spread, ""
+    beta = 1.0 / Tc.si_value
+    if Tc.low > 0 and math.isfinite(Tc.high):
+        low, high = beta * Tc.value / Tc.high, beta * Tc.value / Tc.low
+        spread[time] = ((high - low) / 3.92, low, high)
+    return _at(p, level, beta), spread, f"GM: its correlation time was read at the {Tc.note}" if Tc.note else ""
 
 
 def _relative(reading: Reading, value: float) -> tuple[float, float, float]:
@@ -202,29 +207,30 @@ class _Seen:
 def _fit_laws(series: Series, model: NoiseModel, source: Source) -> list[Read]:
     """Weighted non-negative fit of the laws of all processes; a correlation time is searched."""
     ramp = math.nan
-    if source == "hadamard" and any(isinstance(p, DR) for p in model):
+    if source == "hadamard" and any(p.ramp for p in model):
         t = (np.arange(len(series)) - 0.5 * (len(series) - 1)) * series.dt
         ramp = float(t @ series.values / (t @ t))
-        series = Series(series.values - ramp * t, series.rate_hz, series.name, series.unit)
+        series = replace(series, values=series.values - ramp * t)
     seen = _spectrum(series) if source == "psd" else _variances(series, source)
-    laws = [p for p in model if not (isinstance(p, DR) and source == "hadamard")]
+    laws = [p for p in model if not (p.ramp and source == "hadamard")]
     held = sum((seen.expected(p) for p in laws if p.specified), start=np.zeros_like(seen.value))
     free = [p for p in laws if not p.specified]
     found = _joint(seen, free, held) if free else []
     by_kind = dict(zip([p.symbol for p in free], found, strict=True))
     if math.isfinite(ramp):
-        by_kind["DR"] = _ramp(ramp, [by_kind.get(p.symbol, (p, {}, ""))[0] for p in laws], len(series) * series.dt)
+        others = [by_kind.get(p.symbol, (p, {}, ""))[0] for p in laws]
+        by_kind["DR"] = _ramp(ramp, others, len(series), series.dt)
     return [(p, {}, "") if p.specified else by_kind[p.symbol] for p in model]
 
 
 def _joint(seen: _Seen, free: list[Process], held: Array) -> list[Read]:
     """The free processes with their values, weighed by the scatter of the fitted curve."""
     level = np.maximum(seen.value, 1e-300)
-    where = next((k for k, p in enumerate(free) if isinstance(p, GM) and p.beta is None), None)
+    where = next((k for k, p in enumerate(free) if _searched(p)), None)
 
     @cache
     def column(k: int, beta: float) -> Array:
-        return seen.expected(_unit(free[k], beta))
+        return seen.expected(_at(free[k], 1.0, beta))
 
     def basis(beta: float) -> Array:
         return np.column_stack([column(k, beta if k == where else 1.0) for k in range(len(free))])
@@ -281,7 +287,7 @@ def _joint(seen: _Seen, free: list[Process], held: Array) -> list[Read]:
         value = math.sqrt(coefficients[k])
         values, spread = {p.level.name: value}, {p.level.name: around(value, 0.5 * float(errors[visible.index(k)]))}
         if k == where:
-            values["beta"], spread["beta"] = beta, around(beta, float(errors[-1]))
+            values[_searched(p)], spread[_searched(p)] = beta, around(beta, float(errors[-1]))
         out.append((p.with_parameters(values), spread, ""))
     return out
 
@@ -292,23 +298,27 @@ def around(value: float, relative: float) -> tuple[float, float, float]:
     return value * relative, value / factor, value * factor
 
 
-def _unit(p: Process, beta: float) -> Process:
-    """The process at unit level."""
-    return p.with_parameters({p.level.name: 1.0, **({"beta": beta} if isinstance(p, GM) and p.beta is None else {})})
+def _searched(p: Process) -> str:
+    """Name of the inverse correlation time that is to be found; empty where there is none."""
+    return next((q.name for q in p.shape_parameters if q.domain == "rate" and p.given[q.name] is None), "")
+
+
+def _at(p: Process, level: float, beta: float) -> Process:
+    """The process at a level, and at an inverse correlation time where that is to be found."""
+    return p.with_parameters({p.level.name: level, **({name: beta} if (name := _searched(p)) else {})})
 
 
 def _zero(p: Process, seen: _Seen) -> Process:
-    search = isinstance(p, GM) and p.beta is None
-    return p.with_parameters({p.level.name: 0.0, **({"beta": 1.0 / seen.longest} if search else {})})
+    return _at(p, 0.0, 1.0 / seen.longest)
 
 
-def _ramp(slope: float, others: list[Process], duration: float) -> Read:
+def _ramp(slope: float, others: list[Process], n: int, dt: float) -> Read:
     """A ramp found by least squares, with the error that white noise, random walk and what is white over the record leave it.
 
     The slope of white noise of density N^2 has the variance 12 N^2 / T^3, that of a random walk 6 K^2 / (5 T).
     """
-    density = sum(p.parameters.get("N", 0.0) ** 2 for p in others)
-    density += sum(2.0 * p.parameters["sigma"] ** 2 / p.parameters["beta"] for p in others if isinstance(p, GM))
+    duration = n * dt
+    density = sum(float(p.psd(np.array([1e-9 / dt]), dt)[0]) for p in others if p.stationary)
     walk = sum(p.parameters.get("K", 0.0) ** 2 for p in others)
     error = math.sqrt(12.0 * density / duration**3 + 1.2 * walk / duration)
     value = abs(slope)
@@ -325,12 +335,10 @@ def _variances(series: Series, source: Source) -> _Seen:
 
     def expected(p: Process) -> Array:
         if source == "total":
-            if isinstance(p, DR):
+            if p.ramp:
                 t = (np.arange(len(series)) - 0.5 * (len(series) - 1)) * series.dt
                 return p.parameters["R"] ** 2 * allan_variance(t, series.rate_hz, kind="total", grid=m).value
             return p.allan_variance(m, series.dt) * (1.0 - _TOTAL_BIAS.get(p.symbol, 0.0) * m * series.dt / duration)
-        if isinstance(p, BI):
-            return np.full(m.size, p.parameters["B"] ** 2 * math.log(256.0 / 27.0) / (2.0 * math.pi))
         # a third of variance less covariance of differences of successive means
         pairs = np.array([p.difference_covariance(int(k), series.dt, 2) for k in m])
         return np.asarray((pairs[:, 0] - pairs[:, 1]) / 3.0)

@@ -131,14 +131,10 @@ class _Tied:
         return {a: c.model(x[self.place[a]]) for a, c in self.axes.items()}
 
     def bounds(self, n: int, dt: float) -> tuple[Array, Array]:
-        """Limits of the coordinates: rates and times as a search of one axis has them, factors of e^20 for the others."""
-        low, high = self.start - 20.0, self.start + 20.0
+        """Limits of the coordinates, see :meth:`~insemu.fit.coordinates.Coordinates.bounds`."""
+        low, high = np.empty(self.start.size), np.empty(self.start.size)
         for a, c in self.axes.items():
-            for (k, name), at in zip(c.free, self.place[a], strict=True):
-                meta = next(p for p in c.begin.processes[k].parameters_meta() if p.name == name)
-                if meta.domain in ("rate", "time"):
-                    to_si = -math.log(dt) if meta.domain == "rate" else math.log(dt)
-                    low[at], high[at] = (v + to_si for v in meta.bounds(n))
+            low[self.place[a]], high[self.place[a]] = replace(c, start=self.start[self.place[a]]).bounds(n, dt)
         return low, high
 
     def at(self, x: Array) -> _Tied:

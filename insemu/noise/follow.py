@@ -143,8 +143,8 @@ def fill(out: Array, block: StateBlock, gain: Array, rng: np.random.Generator) -
     out : (n,) array
     block : StateBlock
         At gain 1.
-    gain : (n,) array
-        Factor of the standard deviation of what drives sample k, and of its white noise; the start has that of sample 0.
+    gain : (n,) or (1,) array
+        Factor of the standard deviation of what drives sample k, and of its white noise, or of all; the start has the first.
     rng : Generator
     """
     root_Q, root_P = block.roots()

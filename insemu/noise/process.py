@@ -6,7 +6,6 @@ The two stand together because each makes the other: ``WN() + GM()`` is a sum, a
 
 from __future__ import annotations
 
-import math
 from abc import ABCMeta, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +19,7 @@ from insemu.errors import InputError, nearest
 from insemu.noise import follow, grammar
 from insemu.noise.block import StateBlock
 from insemu.noise.common import Common, common_keys
-from insemu.noise.compiled import curves, draws
+from insemu.noise.compiled import curves
 
 Array = NDArray[np.float64]
 
@@ -80,6 +79,10 @@ class Process(Common, metaclass=_WithTime):
     stationary: ClassVar[bool] = True
     #: Without driving noise: a record holds one draw, which is a signal rather than noise.
     single_draw: ClassVar[bool] = False
+    #: A straight line in time, which least squares can take off.
+    ramp: ClassVar[bool] = False
+    #: Whether the block is the process itself; else it stands for the process in a filter.
+    own_block: ClassVar[bool] = True
     #: Function of :data:`insemu.noise.compiled.curves.SIGNATURE` for the process with coefficient 1; None derives it.
     curve: ClassVar[Callable[..., None] | None] = None
 
@@ -185,12 +188,7 @@ class Process(Common, metaclass=_WithTime):
             Sampling interval, s.
         rng : Generator
         """
-        block = self.block(dt)
-        root_Q, root_P = block.roots()
-        state = root_P @ rng.standard_normal(block.n)
-        draws.standard_normal(out, rng)
-        out *= math.sqrt(block.white)
-        draws.driven(out, np.array(block.Phi), root_Q, np.array(block.c), state, np.ones(1), rng)
+        follow.fill(out, self.block(dt), np.ones(1), rng)
 
     def simulate(self, n: int, dt: float, rng: np.random.Generator) -> Array:
         """``n`` samples at interval ``dt`` (s), from a stationary start where there is one.
@@ -511,6 +509,10 @@ class NoiseModel:
         for row, p, child in zip(parts, self, rng.spawn(len(self)), strict=True):
             if p.follows is None:
                 p.fill(row, dt, child)
+            elif p.single_draw or not p.own_block:
+                raise InputError(
+                    f"{p} cannot be drawn: it has no driving noise of its own whose level could follow; expected GM, WN, RW, ..."
+                )
             else:
                 follow.fill(row, p.block(dt), p.follows.gain(p.follows.of(covariates, p.symbol)), child)
         return parts

@@ -18,7 +18,7 @@ from insemu.variance.wavelet import WaveletVariance, check_signal, wavelet_varia
 
 Array = NDArray[np.float64]
 
-#: A scale enters the test of independence where its estimate has at least this many degrees of freedom.
+#: A scale enters a test of two signals where its estimates have at least this many degrees of freedom.
 LEAST_DOF = 8.0
 
 

@@ -9,13 +9,11 @@ from numpy.typing import NDArray
 from scipy import special
 
 from insemu.errors import InputError
+from insemu.variance.cross import LEAST_DOF
 from insemu.variance.edof import noise_type, octave_correlation
 from insemu.variance.wavelet import WaveletVariance
 
 Array = NDArray[np.float64]
-
-#: A scale enters the test where both estimates have at least this many degrees of freedom.
-LEAST_DOF = 8.0
 
 
 @dataclass(frozen=True)

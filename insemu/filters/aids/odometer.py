@@ -8,8 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from insemu.earth import RATE
 from insemu.filters.aid import Aid, TrueMotion
+from insemu.filters.measurements import against_earth
 from insemu.rotation import dcm_from_rpy, scalar_dcm
 
 Array = NDArray[np.float64]
@@ -34,62 +34,52 @@ def _fill(
     R: Array,
 ) -> None:
     """Velocity of the wheel in vehicle axes; see :func:`insemu.filters.aids.fill_aid`."""
-    C, T = np.empty((3, 3)), np.empty((3, 3))
-    before, now = np.empty(3), np.empty(3)
-    _in_vehicle(nav_before, settings, C, T, before)
-    _in_vehicle(nav, settings, C, T, now)
-    omega = np.empty(3)  # against the Earth
+    C, M, T = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    before, now, omega = np.empty(3), np.empty(3), np.empty(3)
+    _mounting(settings, M)
+    _in_vehicle(nav_before, M, C, T, before)
+    _in_vehicle(nav, M, C, T, now)
+    against_earth(nav, C, mean_rate, omega)
+    by_rate = np.empty((3, 3))  # velocity of the wheel in vehicle axes by each rate, through the lever arm
     for i in range(3):
-        omega[i] = mean_rate[i] - C[0, i] * RATE * math.cos(nav[0]) + C[2, i] * RATE * math.sin(nav[0])
+        by_rate[i, 0] = M[i, 2] * settings[1] - M[i, 1] * settings[2]
+        by_rate[i, 1] = M[i, 0] * settings[2] - M[i, 2] * settings[0]
+        by_rate[i, 2] = M[i, 1] * settings[0] - M[i, 0] * settings[1]
     for i in range(3):
-        # row i of the vehicle's axes, in IMU axes, and what a rate does there through the lever arm
-        m0, m1, m2 = 0.0, 0.0, 0.0
-        for j in range(3):
-            m0 += T[i, j] * C[j, 0]
-            m1 += T[i, j] * C[j, 1]
-            m2 += T[i, j] * C[j, 2]
-        by_rate = (
-            m2 * settings[1] - m1 * settings[2],
-            m0 * settings[2] - m2 * settings[0],
-            m1 * settings[0] - m0 * settings[1],
-        )
-        turn = by_rate[0] * omega[0] + by_rate[1] * omega[1] + by_rate[2] * omega[2]
         # as it was tau seconds ago: velocity and axes change by what the last step changed
-        nu[i] = z[i] - (now[i] + tau / dt * (before[i] - now[i]) + turn)
-        for j in range(3):
-            H[i, 3 + j] = T[i, j]
+        nu[i] = z[i] - now[i] - tau / dt * (before[i] - now[i])
+        for k in range(3):
+            nu[i] -= by_rate[i, k] * omega[k]
+            H[i, 3 + k] = T[i, k]
+            for j in range(3):
+                R[i, j] += by_rate[i, k] * by_rate[j, k] * white[k] / count
         H[i, 6] = T[i, 1] * nav[5] - T[i, 2] * nav[4]
         H[i, 7] = T[i, 2] * nav[3] - T[i, 0] * nav[5]
         H[i, 8] = T[i, 0] * nav[4] - T[i, 1] * nav[3]
         for s in range(axis.size):
-            for k in range(3):
-                if axis[s] == k:
-                    H[i, 9 + s] = -c_of[s] * by_rate[k]
-        for j in range(3):
-            n0, n1, n2 = 0.0, 0.0, 0.0
-            for k in range(3):
-                n0 += T[j, k] * C[k, 0]
-                n1 += T[j, k] * C[k, 1]
-                n2 += T[j, k] * C[k, 2]
-            R[i, j] = (
-                by_rate[0] * (n2 * settings[1] - n1 * settings[2]) * white[0]
-                + by_rate[1] * (n0 * settings[2] - n2 * settings[0]) * white[1]
-                + by_rate[2] * (n1 * settings[0] - n0 * settings[1]) * white[2]
-            ) / count
+            if 0 <= axis[s] < 3:
+                H[i, 9 + s] = -c_of[s] * by_rate[i, axis[s]]
 
 
 @njit(cache=True, nogil=True)
-def _in_vehicle(nav: Array, settings: Array, C: Array, T: Array, v: Array) -> None:
-    """Body to NED ``C``, NED to vehicle ``T`` (both (3, 3)) and the velocity ``v`` (3,) of the IMU in vehicle axes, overwritten."""
-    scalar_dcm(nav[6:10], C)
+def _mounting(settings: Array, M: Array) -> None:
+    """IMU axes to vehicle axes ``M`` (3, 3), overwritten."""
     cr, cp, cy = math.cos(settings[3]), math.cos(settings[4]), math.cos(settings[5])
     sr, sp, sy = math.sin(settings[3]), math.sin(settings[4]), math.sin(settings[5])
-    for j in range(3):
-        T[0, j] = cp * cy * C[j, 0] + (sr * sp * cy - cr * sy) * C[j, 1] + (cr * sp * cy + sr * sy) * C[j, 2]
-        T[1, j] = cp * sy * C[j, 0] + (sr * sp * sy + cr * cy) * C[j, 1] + (cr * sp * sy - sr * cy) * C[j, 2]
-        T[2, j] = -sp * C[j, 0] + sr * cp * C[j, 1] + cr * cp * C[j, 2]
+    M[0, 0], M[0, 1], M[0, 2] = cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy
+    M[1, 0], M[1, 1], M[1, 2] = cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy
+    M[2, 0], M[2, 1], M[2, 2] = -sp, sr * cp, cr * cp
+
+
+@njit(cache=True, nogil=True)
+def _in_vehicle(nav: Array, M: Array, C: Array, T: Array, v: Array) -> None:
+    """Body to NED ``C``, NED to vehicle ``T`` (both (3, 3)) and the velocity ``v`` (3,) of the IMU in vehicle axes, overwritten."""
+    scalar_dcm(nav[6:10], C)
     for i in range(3):
-        v[i] = T[i, 0] * nav[3] + T[i, 1] * nav[4] + T[i, 2] * nav[5]
+        v[i] = 0.0
+        for j in range(3):
+            T[i, j] = M[i, 0] * C[j, 0] + M[i, 1] * C[j, 1] + M[i, 2] * C[j, 2]
+            v[i] += T[i, j] * nav[3 + j]
 
 
 def truth(motion: TrueMotion, settings: Array) -> Array:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu.earth import RATE
 from insemu.filters.aid import Aid
+from insemu.filters.measurements import against_earth
 from insemu.records import AidRecord
 from insemu.rotation import scalar_dcm
 
@@ -74,11 +75,13 @@ def _fill(
     """Zero velocity (rows 0..2) and zero mean angular rate (rows 3..5); see :func:`insemu.filters.aids.fill_aid`."""
     C = np.empty((3, 3))
     scalar_dcm(nav[6:10], C)
+    omega = np.empty(3)
+    against_earth(nav, C, mean_rate, omega)
     we_n, we_d = RATE * math.cos(nav[0]), -RATE * math.sin(nav[0])
     for i in range(3):
         nu[i] = -nav[3 + i]
         H[i, 3 + i] = 1.0
-        nu[3 + i] = -(mean_rate[i] - C[0, i] * we_n - C[2, i] * we_d)
+        nu[3 + i] = -omega[i]
         R[3 + i, 3 + i] = white[i] / count
         # the Earth's rate in body axes moves with the attitude error: -C' (w_ie x phi) ... = -[C' w_ie] as seen by phi
         H[3 + i, 6] = -(C[1, i] * we_d)

@@ -69,6 +69,7 @@ class BI(Process):
     }
     curve = staticmethod(_curve)
     stationary: ClassVar[bool] = False
+    own_block: ClassVar[bool] = False
 
     def allan_variance(self, m: ArrayLike, dt: float) -> Array:  # noqa: D102
         return np.full(np.shape(counts(m)), 2.0 * math.log(2.0) / math.pi * self.parameters["B"] ** 2)

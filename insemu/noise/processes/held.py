@@ -83,6 +83,7 @@ class PWC(Process):
     REFUSED: ClassVar[Mapping[str, str]] = {
         "mli": "it has no state block of its own, only one that stands for it in a filter; use gmwm"
     }
+    own_block: ClassVar[bool] = False
     curve = staticmethod(_curve)
 
     def _samples(self, dt: float) -> float:

@@ -97,6 +97,7 @@ class DR(Process):
     REFUSED: ClassVar[Mapping[str, str]] = {"mli": "its slope has one draw; remove the ramp"}
     stationary: ClassVar[bool] = False
     single_draw: ClassVar[bool] = True
+    ramp: ClassVar[bool] = True
     curve = staticmethod(_ramp)
 
     def allan_variance(self, m: ArrayLike, dt: float) -> Array:  # noqa: D102
