@@ -5,7 +5,7 @@ BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 WORKERS ?= 2
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-slow scoreboard scoreboard-release claims claims-nightly lint bench docs setup lock clean
+.PHONY: demo test test-slow scoreboard scoreboard-release claims claims-nightly lint bench docs links setup lock clean
 
 demo: $(STAMP)
 	$(BIN)/insemu run scenarios/table3_synthetic.yaml --workers $(WORKERS) --out results/table3_synthetic
@@ -41,6 +41,10 @@ bench: $(STAMP)
 
 docs: $(STAMP)
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs site
+
+# Every link of the pages to other sites, which CI without a network cannot ask for.
+links: $(STAMP)
+	$(BIN)/python -m sphinx -q -b linkcheck docs site/links
 
 # The last line of setup flies two realizations of the demo, which compiles the kernels that it uses, once for this processor.
 setup: $(STAMP)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -99,7 +99,12 @@ def open_with_covariates(
 
 
 def characterise_log(
-    log: Log, wanted: Sequence[str] | None = None, *, from_robust: bool = False, wavelet: str = "haar"
+    log: Log,
+    wanted: Sequence[str] | None = None,
+    *,
+    from_robust: bool = False,
+    wavelet: str = "haar",
+    progress: Callable[[str], None] = lambda name: None,
 ) -> list[AxisReport]:
     """Characterise columns of a log. Samples that are missing (NaN, gaps in time) are left out of the curves, and said.
 
@@ -112,6 +117,8 @@ def characterise_log(
         Read the coefficients off the robust curve.
     wavelet : str
         Filter of the wavelet variance; a log too long for memory has the Haar filter only.
+    progress : callable
+        Told the name of a column when it is finished.
 
     Raises
     ------
@@ -137,6 +144,7 @@ def characterise_log(
                     where=log.source,
                 )
             axes.append(characterise_stream(lambda k=k: log.chunks(k), log.rate_hz, name=name, unit=unit))  # type: ignore[misc]
+            progress(name)
             continue
         notes = judge.gap_report(gaps, log.rate_hz) + judge.missing_values(
             np.asarray(log.columns[k], dtype=np.float64), log.rate_hz
@@ -161,6 +169,7 @@ def characterise_log(
             filter=wavelet,
         )
         axes.append(replace(report, findings=notes + report.findings))
+        progress(name)
     judged = _unit_findings(log, axes)
     return [replace(a, findings=judged.get(AXIS_OF_COLUMN.get(a.name, a.name), []) + a.findings) for a in axes]
 

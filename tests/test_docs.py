@@ -12,7 +12,12 @@ import pytest
 from insemu.cli import main
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
-PAGES = sorted(page for folder in ("tutorials", "howto") for page in (DOCS / folder).glob("*.md"))
+#: Pages that fit and fly longer than the quick suite may take.
+SLOW = {"start"}
+PAGES = [
+    pytest.param(page, id=page.stem, marks=[pytest.mark.slow] if page.stem in SLOW else [])
+    for page in sorted(page for folder in ("tutorials", "howto") for page in (DOCS / folder).glob("*.md"))
+]
 #: A file with its name, or commands behind ``$``.
 BLOCK = re.compile(
     r"^```(?:\{code-block\} \w+\n:caption: (?P<name>\S+)\n\n?(?P<file>.*?)|console\n(?P<commands>.*?))^```",
@@ -31,7 +36,7 @@ def steps(page: str) -> list[tuple[str, str]]:
     return out
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)
+@pytest.mark.parametrize("page", PAGES)
 def test_page(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(tmp_path)
     asked = steps(page.read_text(encoding="utf-8"))

@@ -418,6 +418,11 @@ def test_track_files(tmp_path):
     np.testing.assert_allclose(back.vel_ned, track.vel_ned, atol=1e-9)
     made = load_flight(track=file)
     assert made.track is not None and made.flight.path.duration == pytest.approx(299.5)
+    rows = [f"2026-05-03T08:00:{k:02d}Z;{46.5 + 1e-4 * k};7.25;{400 + k};9" for k in range(20)]
+    file.write_text("\n".join(["UTC;Latitude;Longitude;Altitude MSL (m);Sats", *rows]))  # a logger's own names
+    logged = read_track(file)
+    np.testing.assert_allclose(logged.llh[:, 2], 400 + np.arange(20))
+    np.testing.assert_allclose(np.diff(logged.t), 1.0)
     file.write_text("t,lat,lon,hight\n0,1,2,3\n")
     with pytest.raises(InputError, match=r"track.csv:1: unknown column 'hight'.*'height'"):
         read_track(file)

@@ -279,3 +279,22 @@ def test_the_package_has_the_scenarios_where_it_looks() -> None:
 def test_the_shell_completes_commands_and_options(words: str, found: list[str]) -> None:
     env = {"_INSEMU_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)}
     assert CliRunner().invoke(app, [], prog_name="insemu", env=env).output.split() == found
+
+
+def test_fitted_models_are_the_truth(tmp_path: Path) -> None:
+    from insemu.noise import GM, WN, NoiseModel, save
+
+    target, models = tmp_path / "my.yaml", tmp_path / "sensor.yaml"
+    both = {a: NoiseModel((WN(1e-4), GM(sigma=1e-5, beta=0.01))) for a in AXES}
+    save(both, models)
+    target.write_text(first_scenario(target, Wish(model=str(models))), encoding="utf-8")
+    scenario = load(target)
+    assert scenario.truth is not None
+    assert scenario.truth.models()["gyro_y"] == both["gyro_y"]
+    assert list(scenario.designs) == ["complete", "white noise"]
+    save({a: NoiseModel((WN(1e-4),)) for a in AXES}, models)  # nothing to leave out
+    target.write_text(first_scenario(target, Wish(model=str(models))), encoding="utf-8")
+    assert list(load(target).designs) == ["complete", "double"]
+    save({a: NoiseModel((GM(sigma=1e-5, beta=0.01),)) for a in AXES}, models)
+    with pytest.raises(InputError, match="no white noise of the gyro"):
+        first_scenario(target, Wish(model=str(models)))

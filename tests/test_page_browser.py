@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import json
+import re
 import shlex
 import shutil
+import threading
 from collections.abc import Iterator
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +18,8 @@ import pytest
 import yaml
 
 from insemu.cli import main
-from insemu.report.charts import Chart, Line, View
+from insemu.report import server
+from insemu.report.charts import Chart, Line, View, asset
 from insemu.report.page import Card, Code, Folded, Items, Section, Table, Text, render
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -152,6 +157,15 @@ REST = {
     "designs": {"white": {"gyro": {"truth": True}, "accel": {"truth": True}}},
 }
 HUM = [{"effect": "vibration_line", "sensor": "accel", "axes": ["x"], "amplitude": "1 mg", "frequency": "17.3 Hz"}]
+#: A drive with outages of a minute, in which nothing is missing.
+DRIVE: dict[str, Any] = {
+    "title": "A drive",
+    "seed": 4,
+    "trajectory": {"builtin": "urban_drive_1", "rate": "20 Hz", "duration": "3 min"},
+    "truth": {"gyro": "WN(N=0.6 deg/sqrt(h))", "accel": "WN(N=300 ug/sqrt(Hz))"},
+    "gnss": {"position_sigma": "1 m", "velocity_sigma": "5 cm/s"},
+    "designs": {"static": {"gyro": {"truth": True}, "accel": {"truth": True}}},
+}
 #: Page -> the commands that make it, one after the other in one folder.
 KINDS = {
     "run/index.html": ["run flight.yaml --out run --workers 1"],
@@ -171,36 +185,92 @@ KINDS = {
     "fit.html": ["fit rest.npz --model WN() --page fit.html --workers 1"],
     "select.html": ["select rest.npz --general RW()+WN() --page select.html -c gyro_x,gyro_y --workers 1"],
     "gap/index.html": ["gap rest.yaml --measured rest.npz --out gap"],
+    "check/index.html": [
+        "emulate drive.yaml --out drive.npz",
+        "gap-check drive.yaml --measured drive.npz --recordings 20 --no-search --out check",
+    ],
+}
+#: Those that take longer.
+SLOW_KINDS = {
+    "transfer.html": [
+        "emulate drive.yaml --out drive.npz",
+        "transfer drive.yaml --drive drive.npz --no-why --page transfer.html",
+    ],
 }
 
 
-def make_pages(folder: Path) -> None:
-    """Make every kind of page by the commands, in a folder that is the current one."""
-    written = {"flight.yaml": FLIGHT, "rest.yaml": REST, "hum.yaml": REST | {"truth": REST["truth"] | {"effects": HUM}}}
+def make_pages(folder: Path, kinds: dict[str, list[str]]) -> dict[str, str]:
+    """Make pages by their commands, in a folder that is the current one; returns what each command printed."""
+    written = {
+        "flight.yaml": FLIGHT,
+        "rest.yaml": REST,
+        "hum.yaml": REST | {"truth": REST["truth"] | {"effects": HUM}},
+        "drive.yaml": DRIVE,
+    }
     for name, scenario in written.items():
         (folder / name).write_text(yaml.safe_dump(scenario, sort_keys=False), encoding="utf-8")
-    for commands in KINDS.values():
+    printed: dict[str, str] = {}
+    for commands in kinds.values():
         for command in commands:
-            with pytest.raises(SystemExit) as end:
+            out = io.StringIO()
+            with pytest.raises(SystemExit) as end, redirect_stdout(out), redirect_stderr(out):
                 main(shlex.split(command))
-            assert end.value.code in (0, None), command
+            assert end.value.code in (0, None), f"{command}\n{out.getvalue()}"
+            printed[command] = out.getvalue()
+    return printed
+
+
+def _made(folder: Path, kinds: dict[str, list[str]]) -> tuple[Path, dict[str, str]]:
+    if BROWSER is None:
+        pytest.skip("no Chromium is installed")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setenv("COLUMNS", "80")
+        return folder, make_pages(folder, kinds)
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def pages(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, str]]:
+    """Every kind of page, and what the commands printed."""
+    return _made(tmp_path_factory.mktemp("pages"), KINDS)
+
+
+@pytest.fixture(scope="module")
+def made(pages: tuple[Path, dict[str, str]]) -> Path:
     """Every kind of page."""
-    if BROWSER is None:
-        pytest.skip("no Chromium is installed")
-    folder = tmp_path_factory.mktemp("pages")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        make_pages(folder)
-    return folder
+    return pages[0]
+
+
+@pytest.fixture(scope="module")
+def made_slowly(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The kinds that take longer."""
+    return _made(tmp_path_factory.mktemp("slow_pages"), SLOW_KINDS)[0]
+
+
+def test_tables_on_the_terminal_keep_to_80_columns(pages: tuple[Path, dict[str, str]]) -> None:
+    wide = []
+    for command, text in pages[1].items():
+        for line in text.splitlines():
+            if len(line.rstrip()) > 80 and (re.search(r"\S {2,}\S", line) or re.search("[\u2500-\u257f]", line)):
+                wide.append(f"{command}: {line}")  # prose wraps, a table does not
+    assert wide == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [420, 768, 1280])
+@pytest.mark.parametrize("kind", SLOW_KINDS)
+def test_a_page_that_takes_longer_fits_too(browser: Any, made_slowly: Path, kind: str, width: int) -> None:
+    look_at(browser, made_slowly, kind, width)
 
 
 @pytest.mark.parametrize("width", [420, 768, 1280])
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_page_fits_is_silent_and_answers(browser: Any, made: Path, kind: str, width: int) -> None:
+    look_at(browser, made, kind, width)
+
+
+def look_at(browser: Any, made: Path, kind: str, width: int) -> None:
+    """Open a page at a width; everything of it must fit, and every chart answer the keyboard."""
     page = browser.new_page(viewport={"width": width, "height": 900})
     said: list[str] = []
     page.on("console", lambda message: said.append(message.text))
@@ -209,9 +279,12 @@ def test_every_kind_of_page_fits_is_silent_and_answers(browser: Any, made: Path,
     for folded in page.locator("details").all():
         folded.evaluate("e => { e.open = true; }")
     assert page.evaluate("document.documentElement.scrollWidth") <= width
+    if width == 1280:  # no table scrolls on a desk, and paper holds the page
+        cut = "[...document.querySelectorAll('.scroll')].filter(e => e.scrollWidth > e.clientWidth + 1).map(e => e.textContent.slice(0, 80))"
+        assert page.evaluate(cut) == []
     assert len(page.locator(".answer").text_content()) > 20
     about = json.loads(page.locator("#about").text_content())
-    assert about["kind"] in kind or kind.split("/")[0] in ("budget", "char", "track.html", "reckon.html")
+    assert about["kind"] in kind or kind.split("/")[0] in ("budget", "char", "check", "track.html", "reckon.html")
     assert ", insemu " in page.title() and ("yaml" in page.title() or "npz" in page.title())
     charts = page.locator(".chart").all()
     assert charts
@@ -244,9 +317,47 @@ def test_the_map_and_the_charts_over_time_share_the_cursor(browser: Any, made: P
     page.close()
 
 
-def test_a_run_prints_on_at_most_five_pages(browser: Any, made: Path) -> None:
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_page_prints_on_at_most_five_sheets(browser: Any, made: Path, kind: str) -> None:
     page = browser.new_page()
-    page.goto((made / "run/index.html").as_uri())
+    page.goto((made / kind).as_uri())
     document = page.pdf(prefer_css_page_size=True)
     assert 1 <= document.count(b"/Type /Page\n") <= 5
     page.close()
+
+
+@pytest.mark.parametrize("width", [420, 768, 1280])
+def test_the_list_of_pages_and_two_side_by_side_fit(browser: Any, made: Path, width: int) -> None:
+    with server(made) as running:
+        threading.Thread(target=running.serve_forever, daemon=True).start()
+        root = f"http://127.0.0.1:{running.server_address[1]}"
+        page = browser.new_page(viewport={"width": width, "height": 900})
+        said: list[str] = []
+        page.on("console", lambda message: said.append(message.text))
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.goto(root)
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert page.locator("a[href='/run/index.html']").count() >= 1
+        page.goto(f"{root}/side?left=run/index.html&right=compare/index.html")
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        for frame, title in zip(page.frames[1:], ("A short flight", "Designs beside each other"), strict=True):
+            assert title in frame.locator("h1").text_content()
+        assert said == []
+        page.close()
+        running.shutdown()
+
+
+def _luminance(colour: str) -> float:
+    parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    r, g, b = (x / 12.92 if x <= 0.04045 else ((x + 0.055) / 1.055) ** 2.4 for x in parts)
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b
+
+
+@pytest.mark.parametrize("scheme", [0, 1], ids=["light", "dark"])
+def test_text_stands_out_of_its_ground_by_wcag_aa(scheme: int) -> None:
+    block = re.findall(r":root \{(.*?)\}", asset("page.css"), re.S)[scheme]
+    colours = dict(re.findall(r"--(\w+): (#[0-9a-f]{6})", block))
+    for name in ("ink", "soft", "accent", "good", "warn", "bad"):
+        for ground in ("paper", "wash"):
+            high, low = sorted((_luminance(colours[name]), _luminance(colours[ground])), reverse=True)
+            assert (high + 0.05) / (low + 0.05) >= 4.5, (name, ground)

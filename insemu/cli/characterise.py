@@ -49,19 +49,19 @@ def command(
     from insemu import units
     from insemu.cli.announce import announce
     from insemu.cli.logs import column_names
+    from insemu.cli.printing import counting
     from insemu.formats import read_curves
     from insemu.logs import characterise_log, open_log, related_axes
     from insemu.whole import put
 
     console = Console(stderr=as_json)
-    if not console.is_terminal:
-        console.width = max(console.width, 100)  # a file or a pipe has no width to keep to
     rate_hz = units.parse(_number_or_text(rate), "Hz") if rate else None
     wanted = column_names(columns)
     others = read_curves(beside) if beside else []
     announce(file, Console(stderr=True), rate_hz=rate_hz, refuse=False)
     log = open_log(file, rate_hz)
-    axes = characterise_log(log, wanted, from_robust=robust, wavelet=wavelet)
+    with counting(Console(stderr=True), "characterising", len(wanted or log.names)) as finished:
+        axes = characterise_log(log, wanted, from_robust=robust, wavelet=wavelet, progress=finished)
     together = related_axes(log, [axis.name for axis in axes])
     content: dict[str, Any] = {"axes": {axis.name: axis.to_json() for axis in axes}, "related_axes": together}
     compared = compare(axes, characterise_log(open_log(same_as, rate_hz), wanted, wavelet=wavelet)) if same_as else {}
@@ -124,37 +124,21 @@ def _number_or_text(text: str) -> str | float:
 
 
 def show(console: Console, axes: Sequence[AxisReport]) -> None:
-    """Print readings and findings."""
-    from rich.box import SIMPLE_HEAD
+    """Print the answer, the readings and the findings."""
     from rich.markup import escape
-    from rich.table import Table
 
+    from insemu.cli.printing import print_table
+    from insemu.report import characterise_answer, characterise_rows
     from insemu.variance import duration, grouped_findings
 
     first = axes[0]
-    console.print(
-        f"{len(axes)} column(s), {first.samples} samples at {first.rate_hz:g} Hz ({duration(first.samples / first.rate_hz)})"
-    )
-    table = Table("axis", "reading", "value", "95 % interval", "unit", "read from (s)", box=SIMPLE_HEAD, padding=(0, 1))
-    for column in table.columns:
-        column.no_wrap = True
+    console.print(characterise_answer(axes), style="bold", highlight=False, markup=False)
+    title = f"Readings: {len(axes)} column(s), {first.samples} samples at {first.rate_hz:g} Hz ({duration(first.samples / first.rate_hz)})"
+    print_table(console, title, *characterise_rows(axes), left=3, fit=True)
     absent: dict[str, list[str]] = {}
     for axis in axes:
-        for name, r in axis.readings.items():
-            table.add_row(
-                escape(axis.name),
-                name,
-                f"{r.value:.4g}",
-                f"{r.low:.4g} to {r.high:.4g}",
-                r.unit,
-                f"{r.tau_from_s:.3g} to {r.tau_to_s:.3g}",
-            )
-        table.add_section()
         if axis.not_visible:
             absent.setdefault(", ".join(axis.not_visible), []).append(axis.name)
-    console.print("Readings" if table.rows else "Readings: none")
-    if table.rows:
-        console.print(table)
     for names, of in absent.items():
         console.print(f"Not visible in this record: {names} ({escape(', '.join(of))})", soft_wrap=True)
     found = grouped_findings(axes)

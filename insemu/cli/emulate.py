@@ -40,7 +40,14 @@ def command(
     recording = world.recording(realization, ideal=ideal)
     path = write(out, recording)
     if figure:
-        draw_track(world.flight, figure, track=world.track, source=scenario)
+        draw_track(
+            world.flight,
+            figure,
+            track=world.track,
+            source=scenario,
+            length_s=world.duration_s,
+            outages=world.outage_windows,
+        )
     gnss = recording.gnss
     start = [math.degrees(x) for x in world.reference.llh[0, :2]]
     place = f"{abs(start[0]):.5f} {'NS'[start[0] < 0]} {abs(start[1]):.5f} {'EW'[start[1] < 0]}"

@@ -114,7 +114,7 @@ def command(
     from insemu import units
     from insemu.cli.announce import announce
     from insemu.cli.following import alone, fit_covariate
-    from insemu.cli.printing import telling
+    from insemu.cli.printing import counting
     from insemu.fit import check_bootstrap
 
     if bootstrap and len(files) == 1:
@@ -151,12 +151,12 @@ def command(
     series = [] if streamed else read_static(file, rate, columns, skip)
     options = options_of(method, wavelet, weighting, seed, pattern, (tau_from, tau_to or math.inf))
     own = denoising(denoise, method, [s.name for s in series]) if denoise else {}
-    with telling(Console(stderr=True), f"fitting {len(series)} axes by {method}") as say:
+    with counting(Console(stderr=True), f"fitting by {method}", len(series)) as finished:
         if streamed:
             results = streamed
         elif per_axis:
             many = workers or os.cpu_count() or 1
-            results = fit_axes(series, model, method, start, robust, options, many, progress=say, own=own)
+            results = fit_axes(series, model, method, start, robust, options, many, progress=finished, own=own)
         else:
             results = fit_pooled(series, model, method, start, robust, options)
     if bootstrap:
@@ -174,8 +174,7 @@ def command(
         from insemu.report import fits_answer
 
         console.print(fits_answer(results), highlight=False, style="bold")
-        for axis, r in results.items():
-            show(console, axis, r)
+        show(console, results)
         show_shared(console, results)
     write(results, out, kalibr, console)
     if page:
@@ -293,7 +292,7 @@ def fit_axes(
     workers : int
         Axes at a time.
     progress : callable, optional
-        Told how many axes are finished.
+        Told the name of an axis when it is finished.
     own : mapping of axis to mapping, optional
         Options of one axis.
     """
@@ -306,7 +305,6 @@ def fit_axes(
     asked = parsed(model, series)
     if any(p.shared for m in asked.values() for p in m):
         return _fit_shared(series, asked, method, start, robust, options)
-    finished: list[str] = []
     # every axis its own child, whatever the order in which threads come to it
     children = options["rng"].spawn(len(series)) if "rng" in options else [None] * len(series)
 
@@ -322,9 +320,8 @@ def fit_axes(
         except InputError as error:
             known = error.where or error.message.startswith(s.name)
             raise InputError(error.message, where=error.where if known else s.name) from None
-        finished.append(s.name)
         if progress is not None:
-            progress(f"fitting by {method}: {len(finished)} of {len(series)} axes finished")
+            progress(s.name)
         return result
 
     with ThreadPoolExecutor(max_workers=min(workers, len(series))) as pool:
@@ -451,33 +448,27 @@ def fit_pooled(
     return out
 
 
-def show(console: Console, axis: str, result: FitResult) -> None:
-    """One table per axis, then the test of fit and what to beware of."""
-    from rich.table import Table
+def show(console: Console, results: Mapping[str, FitResult]) -> None:
+    """One table of all axes, then for each the test of fit and what to beware of."""
+    from insemu.cli.printing import print_table
 
-    table = Table(
-        title=f"{axis}: {result.structure}  ({result.method}, {result.n_samples} samples at {result.rate_hz:g} Hz)",
-        title_justify="left",
-    )
-    for heading in ("parameter", "estimate ± standard error", "95 % interval", "datasheet and discrete"):
-        table.add_column(heading, no_wrap=heading == "parameter")
-    for row in result.rows():
-        table.add_row(*row)
-    console.print(table)
-    if result.test is not None:
-        t = result.test
-        told = f"test of fit: chi-square {t.statistic:.2f} on {t.dof} degrees of freedom: {result.verdict}"
-        console.print(told, highlight=False, soft_wrap=True)
-    if result.criterion is not None:
-        console.print(
-            f"criterion: {result.criterion.value:.1f} ± {result.criterion.standard_error:.1f}", highlight=False
-        )
-    if "trace" in result.details:
-        trace = result.details["trace"]
-        state = "the stopping rule was met" if result.converged else "not converged"
-        console.print(f"log-likelihood {-result.objective:.3f} after {len(trace)} iterations: {state}", highlight=False)
-    for warning in result.warnings:
-        console.print(f"[yellow]beware[/yellow]: {warning}", highlight=False)
+    first = next(iter(results.values()))
+    title = f"{first.method}, {first.n_samples} samples at {first.rate_hz:g} Hz"
+    heads = ("axis", "parameter", "estimate ± standard error", "95 % interval", "SI and discrete")
+    body = [[axis if not k else "", *row] for axis, r in results.items() for k, row in enumerate(r.rows())]
+    print_table(console, title, heads, body, left=5, fit=True)
+    for axis, r in results.items():
+        said = f"{axis}: {r.structure}: {r.verdict}"
+        if r.test is not None:
+            said += f"; test of fit: chi-square {r.test.statistic:.2f} on {r.test.dof} degrees of freedom"
+        if r.criterion is not None:
+            said += f"; criterion: {r.criterion.value:.1f} ± {r.criterion.standard_error:.1f}"
+        if "trace" in r.details:
+            state = "the stopping rule was met" if r.converged else "not converged"
+            said += f"; log-likelihood {-r.objective:.3f} after {len(r.details['trace'])} iterations: {state}"
+        console.print(said, highlight=False, soft_wrap=True, markup=False)
+        for warning in r.warnings:
+            console.print(f"[yellow]beware[/yellow]: {warning}", highlight=False, soft_wrap=True)
 
 
 def show_shared(console: Console, results: Mapping[str, FitResult]) -> None:

@@ -65,7 +65,7 @@ def fit_covariate(
     columns: list[str] | None,
     tau: tuple[float, float],
     *,
-    show: Callable[[Console, str, FitResult], None],
+    show: Callable[[Console, Mapping[str, FitResult]], None],
     out: str,
     page: str,
     as_json: bool,
@@ -103,7 +103,7 @@ def fit_covariate(
     from rich.console import Console
 
     from insemu import units
-    from insemu.cli.printing import telling
+    from insemu.cli.printing import counting
     from insemu.covariates import checked, needed
     from insemu.errors import InputError
     from insemu.fit import fit_following, save
@@ -116,9 +116,8 @@ def fit_covariate(
     series = chosen_axes(series, columns, file)
     console = Console(stderr=as_json)
     results: dict[str, FollowingFit] = {}
-    with telling(Console(stderr=True), "fitting") as say:
-        for k, s in enumerate(series):
-            say(f"{s.name}: axis {k + 1} of {len(series)}")
+    with counting(Console(stderr=True), "fitting", len(series)) as finished:
+        for s in series:
             asked = followed(model, s.unit, name)
             checked(needed([asked]), found, file)
             try:
@@ -127,11 +126,12 @@ def fit_covariate(
                 )
             except InputError as error:
                 raise InputError(error.message, where=error.where or s.name) from None
+            finished(s.name)
     if as_json:
         typer.echo(json.dumps({"axes": {a: f.to_json() for a, f in results.items()}}, indent=1))
     else:
         for axis, fitted in results.items():
-            show(console, axis, fitted.result)
+            show(console, {axis: fitted.result})
             _show(console, axis, fitted)
     if out:
         save({axis: f.result for axis, f in results.items()}, out)

@@ -64,7 +64,7 @@ def command(
 
     from insemu import units
     from insemu.cli.announce import announce
-    from insemu.cli.printing import telling
+    from insemu.cli.printing import STAGES, staged
     from insemu.effects import EFFECTS
     from insemu.emulate import VEHICLES
     from insemu.errors import InputError, nearest
@@ -88,7 +88,7 @@ def command(
     data = load_measured(measured, rate_hz=units.parse(rate, "Hz") if rate else None)
     if "recording" not in nominal.raw:  # a scenario of a recording tells times by the recording's clock
         data = from_its_start(data)
-    with telling(console, "reading") as say:
+    with staged(Console(stderr=True), STAGES) as say:
         report = find_gap(
             data,
             nominal,

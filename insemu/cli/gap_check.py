@@ -35,7 +35,7 @@ def command(
     from rich.console import Console
 
     from insemu.cli.announce import announce
-    from insemu.cli.printing import telling
+    from insemu.cli.printing import STAGES, staged
     from insemu.errors import InputError
     from insemu.gap import find_gap, from_its_start, load_measured, load_nominal
     from insemu.records import Recording
@@ -52,7 +52,7 @@ def command(
         data = from_its_start(data)
     if not isinstance(data, Recording):
         raise InputError("is a log at rest, expected a drive or flight with fixes", where=measured)
-    with telling(console, "reading") as say:
+    with staged(Console(stderr=True), (recordings + 1) * len(models) + (STAGES if search else 0)) as say:
         checks = {
             name: check(data, m, recordings=recordings, seed=seed, workers=workers, progress=say)
             for name, m in models.items()

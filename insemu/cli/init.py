@@ -12,6 +12,9 @@ def command(
     sensor: str = typer.Option(
         "", "--sensor", help="Sensor of the truth: a name (insemu sensor) or the file of a card."
     ),
+    model: str = typer.Option(
+        "", "--model", help="Noise models of the truth in place of a card: the file of `insemu fit -o`."
+    ),
     track: str = typer.Option(
         "", "--track", help="Own motion: a track (recording, GPX, CSV with times) or waypoints (CSV, GeoJSON)."
     ),
@@ -41,15 +44,17 @@ def command(
     if like:
         from insemu.scenario import copy_shipped
 
-        if sensor or track:
-            raise InputError("--like copies a scenario as it is; expected it without --sensor and --track")
+        if sensor or model or track:
+            raise InputError("--like copies a scenario as it is; expected it without --sensor, --model and --track")
         written = copy_shipped(like, target, overwrite=force)
     else:
         from insemu.scenario import SENSOR, Wish, first_scenario
 
         if target.exists() and not force:
             raise InputError("exists already; --force replaces it", where=str(target))
-        text = first_scenario(target, Wish(sensor or SENSOR, track, vehicle))
+        if sensor and model:
+            raise InputError("names a card and models of the truth, expected one of them", where="--sensor, --model")
+        text = first_scenario(target, Wish(sensor or SENSOR, model, track, vehicle))
         put(target, text)
         written = [target]
     if as_json:

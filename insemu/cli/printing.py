@@ -11,6 +11,12 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
 
+#: Columns that a table keeps on the narrowest terminal.
+LEAST = 3
+#: Characters of a stage's name beside its bar.
+STAGE = 34
+#: Stages of the gap workflow on a drive with one effect, for the time left.
+STAGES = 14
 #: Where there is no terminal to draw on: seconds between two lines of progress that differ in numbers alone, and before the first line.
 EVERY_S, PATIENCE_S = 20.0, 2.0
 
@@ -22,28 +28,17 @@ def bars(console: Console) -> Progress:
     return Bars(console, EVERY_S)
 
 
-@contextmanager
-def telling(console: Console, first: str) -> Iterator[Callable[[str], None]]:
-    """Yield what is told of the work: one line that changes on a terminal, lines on standard error elsewhere.
+def _lines() -> Callable[[str], None]:
+    """What is told of the work, as lines on standard error.
 
-    There work that is done within :data:`PATIENCE_S` says nothing, and a text that repeats the last one with other numbers waits for
+    Work that is done within :data:`PATIENCE_S` says nothing, and a text that repeats the last one with other numbers waits for
     :data:`EVERY_S`.
-
-    Parameters
-    ----------
-    console : Console
-    first : str
-        What is said on a terminal until something else is.
     """
     import re
     import time
 
     import typer
 
-    if console.is_terminal:
-        with console.status(first) as status:
-            yield status.update
-        return
     began = when = time.monotonic()
     last = ""
 
@@ -54,7 +49,7 @@ def telling(console: Console, first: str) -> Iterator[Callable[[str], None]]:
             typer.echo(text, err=True)
             last, when = words, now
 
-    yield say
+    return say
 
 
 @contextmanager
@@ -94,7 +89,7 @@ def print_table(
 
     widths = [max(len(str(row[k])) for row in (header, *body)) for k in range(len(header))]
     shown = len(header)
-    while fit and shown > left + 1 and sum(widths[:shown]) + 2 * (shown - 1) > console.width:
+    while fit and shown > LEAST and sum(widths[:shown]) + 2 * (shown - 1) > console.width:
         shown -= 1
     table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="underline")
     for k, heading in enumerate(header[:shown]):
@@ -111,6 +106,48 @@ def print_table(
     if shown < len(header):
         missing = ", ".join(header[shown:])
         console.print(f"(a wider terminal shows also: {missing})", style="dim", soft_wrap=True, highlight=False)
+
+
+@contextmanager
+def counting(console: Console, label: str, total: int) -> Iterator[Callable[[str], None]]:
+    """One bar for work in ``total`` parts; what it yields is told of each part when it is finished.
+
+    Parameters
+    ----------
+    console : Console
+    label : str
+    total : int
+    """
+    with bars(console) as shown:
+        task = shown.add_task(label, total=total)
+        yield lambda what: shown.update(task, advance=1, description=f"{label} ({what})")
+
+
+@contextmanager
+def staged(console: Console, usual: int) -> Iterator[Callable[[str], None]]:
+    """One bar for work in stages; what it yields is told of each stage as it begins. The time left supposes the usual number of stages.
+
+    Parameters
+    ----------
+    console : Console
+        Where it is no terminal, stages are lines on standard error, at a steady rate.
+    usual : int
+        Stages that such work has; more are counted as they come.
+    """
+    if not console.is_terminal:
+        yield _lines()
+        return
+    with bars(console) as shown:
+        task = shown.add_task("reading", total=usual)
+        begun = 0
+
+        def stage(text: str) -> None:
+            nonlocal begun
+            shown.update(task, completed=begun, total=max(usual, begun + 1), description=f"{text[:STAGE]:<{STAGE}}")
+            begun += 1
+
+        yield stage
+        shown.update(task, completed=begun, total=max(begun, 1), description="finished")
 
 
 def print_items(console: Console, lines: Sequence[str]) -> None:

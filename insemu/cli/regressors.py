@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from rich.console import Console
 
@@ -23,7 +23,7 @@ def fit_regressors(
     columns: list[str] | None,
     tau: tuple[float, float],
     *,
-    show: Callable[[Console, str, FitResult], None],
+    show: Callable[[Console, Mapping[str, FitResult]], None],
     out: str,
     page: str,
     as_json: bool,
@@ -85,7 +85,7 @@ def fit_regressors(
         typer.echo(json.dumps(plain, indent=1, allow_nan=False))
     else:
         for axis, found in results.items():
-            show(console, axis, found.result)
+            show(console, {axis: found.result})
             _show(console, axis, found)
     if out:
         save({axis: f.result for axis, f in results.items()}, out)

@@ -45,7 +45,7 @@ def fit_many(
     import numpy as np
     from rich.console import Console
 
-    from insemu.cli.printing import telling
+    from insemu.cli.printing import staged
     from insemu.errors import InputError
     from insemu.fit import choose_model, fit_runs, save
     from insemu.noise import NoiseModel
@@ -58,7 +58,7 @@ def fit_many(
     found: dict[str, RunsFit] = {}
     choices: dict[str, list[Choice]] = {}
     children = np.random.default_rng(seed).spawn(len(axes))
-    with telling(Console(stderr=True), "fitting") as say:
+    with staged(Console(stderr=True), len(axes) * (bootstrap + 1)) as say:
         for axis, child in zip(axes, children, strict=True):
             series = [run[axis] for run in by_name]
             try:

@@ -59,7 +59,7 @@ def command(
     from insemu import units
     from insemu.cli.announce import announce
     from insemu.cli.fit import read_static, write
-    from insemu.cli.printing import telling
+    from insemu.cli.printing import counting
     from insemu.cluster import cluster as dask_cluster
     from insemu.fit import select_axes
     from insemu.noise import NoiseModel
@@ -69,13 +69,7 @@ def command(
     given = [NoiseModel.parse(c) for c in candidates] if candidates else None
     told = Console(stderr=True)
     many = workers or os.cpu_count() or 1
-    with dask_cluster(cluster, many) as pool, telling(told, f"0 of {len(series)} axes chosen") as say:
-        done: list[str] = []
-
-        def finished(name: str) -> None:
-            done.append(name)
-            say(f"{len(done)} of {len(series)} axes chosen")
-
+    with dask_cluster(cluster, many) as pool, counting(told, "choosing", len(series)) as finished:
         rankings = select_axes(
             series,
             NoiseModel.parse(general),
@@ -216,7 +210,7 @@ def show(console: Console, ranking: Ranking, rows: int) -> None:
             f"{vanished} more had a part without variance, which makes them one of the smaller models", highlight=False
         )
     console.print(ranking.verdict, highlight=False)
-    show_fit(console, ranking.name, ranking.fit)
+    show_fit(console, {ranking.name: ranking.fit})
 
 
 def as_plain(ranking: Ranking, checks: dict[str, dict[str, Any]]) -> dict[str, Any]:

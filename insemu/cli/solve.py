@@ -47,13 +47,13 @@ def command(
 
     from insemu import formats, intake
     from insemu.cli.announce import show_brief
-    from insemu.cli.printing import telling
+    from insemu.cli.printing import staged
     from insemu.evaluate import only_writer
     from insemu.report import render_solution
     from insemu.solve import candidates, compare_with, solve, summary, write
     from insemu.whole import put
 
-    console = Console(stderr=as_json, highlight=False)
+    console, told = Console(stderr=as_json, highlight=False), Console(stderr=True)
     arm = _lever_arm(lever_arm)
     beliefs = candidates(design or (), sensor, model, lever_arm_known=arm is not None)
     found = formats.open_files(file, gnss=gnss or None, maps=(column_map, gnss_map, ""))
@@ -61,14 +61,15 @@ def command(
     show_brief(card, console)
     card.check()
     threads = workers or os.cpu_count() or 1
-    with telling(console, "solving") as say:
+    # start, clock and noise, the design that the innovations ask for, two with calibration states, outages
+    with staged(told, len(beliefs) + 6) as say:
         solution = solve(
             found.recording(),
             card,
             beliefs,
             lever_arm=arm or (0.0, 0.0, 0.0),
             workers=threads,
-            say=lambda text: say(f"solving: {text}"),
+            say=say,
         )
         compared = compare_with(solution, against, workers=threads) if against else None
     folder = Path(out) if out else Path("results") / f"solve_{Path(file).name.split('.')[0]}"
@@ -115,6 +116,7 @@ def _show(console: Console, s: Solution, compared: Comparison | None, scenario: 
         "Outages at every second, against the fixes that were withheld",
         *report.outage_rows_of(s.taken.outages),
         left=1,
+        fit=True,
         gap=lambda row: False,
     )
     print_table(
@@ -134,6 +136,7 @@ def _show(console: Console, s: Solution, compared: Comparison | None, scenario: 
             f"Against {scenario}, the same {count} outages",
             *report.compared_rows(compared),
             left=1,
+            fit=True,
             gap=lambda row: False,
         )
     console.print()

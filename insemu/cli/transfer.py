@@ -22,6 +22,7 @@ def command(
     out: str = typer.Option(
         "", "--out", "-o", help="Write the models with the factors on them to this noise-model file."
     ),
+    page: str = typer.Option("", "--page", help="Write a page with figures (HTML)."),
     why: bool = typer.Option(True, "--why/--no-why", help="Look for the reasons (the gap workflow, a few minutes)."),
     seed: int = typer.Option(1, "--seed", min=0, help="Seed of the simulations of the gap workflow."),
     as_json: bool = typer.Option(False, "--json", help="Print the result as JSON on standard output."),
@@ -33,7 +34,7 @@ def command(
     from rich.console import Console
 
     from insemu.cli.announce import announce
-    from insemu.cli.printing import telling
+    from insemu.cli.printing import STAGES, staged
     from insemu.errors import InputError
     from insemu.gap import from_its_start, load_measured, load_nominal
     from insemu.noise import save
@@ -48,7 +49,7 @@ def command(
         data = from_its_start(data)
     if not isinstance(data, Recording):
         raise InputError("is a log at rest, expected a drive or flight with fixes", where=drive)
-    with telling(console, "reading") as say:
+    with staged(Console(stderr=True), STAGES if why else 4) as say:
         found = transfer(
             data,
             nominal,
@@ -58,41 +59,31 @@ def command(
         )
     if out:
         save(found.beliefs, out)
+    if page:
+        from insemu.report import render_transfer
+
+        render_transfer(found, page, drive)
     if as_json:
         typer.echo(json.dumps(found.to_json(), indent=1))
         return
     _tell(found, console)
     if out:
         console.print(f"Models for this drive: [bold]{out}[/bold]")
+    if page:
+        console.print(f"Page: [bold]{page}[/bold]")
 
 
 def _tell(found: Transfer, console: Console) -> None:
     """The answer on the terminal: does it help, the factors, the judge, the reasons."""
-    from rich.table import Table
+    from insemu import report
+    from insemu.cli.printing import print_table
 
-    by = {j.name: j for j in found.judged}
-    own, hand = by["transferred"], by["by hand"]
-    gain, sd = own.gain
-    word = "better" if gain > 1.96 * sd else "worse" if gain < -1.96 * sd else "no better for certain"
-    console.print(
-        f"[bold]{word}[/bold] than the static model in {own.outages} outages that the factors were not fitted on: "
-        f"{gain:+.2f} nats per outage (standard deviation {sd:.2f}); a factor of 10 by hand {hand.gain[0]:+.2f}",
-        highlight=False,
+    console.print(report.transfer_answer(found), style="bold", highlight=False, markup=False)
+    tables = (
+        ("Factors on the levels", report.factor_rows(found)),
+        ("Outages as the judge", report.judged_rows(found)),
+        ("Reasons", report.reason_rows(found)),
     )
-    table = Table("level", "factor", "95 % interval", "")
-    for f in found.factors:
-        table.add_row(
-            f.name, f"{f.value:.3g}", f"{f.low:.3g} to {f.high:.3g}", "" if f.told else "the drive cannot tell"
-        )
-    console.print(table)
-    table = Table("belief", "log density of the end", "horizontal, m rms", "inside 95 %")
-    for j in found.judged:
-        table.add_row(j.name, f"{j.score:.2f}", f"{j.metres:.1f}", f"{j.inside:.0%}")
-    console.print(table)
-    for name in found.rest:
-        parts = sorted(((s.shares[name], s.finding.effect) for s in found.reasons), reverse=True)
-        told = ", ".join(f"{effect} {share:.2g}" for share, effect in parts)
-        whole = next(f.value for f in found.factors if f.name == name)
-        console.print(
-            f"{name} x {whole:.2g}: " + (f"{told}, " if told else "") + f"rest {found.rest[name]:.2g}", highlight=False
-        )
+    for title, (header, rows) in tables:
+        if rows:
+            print_table(console, title, header, rows, left=1, fit=True, gap=lambda row: False)

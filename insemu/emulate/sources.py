@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +21,7 @@ from insemu.emulate.vehicle import odd_places
 from insemu.emulate.vehicle import vehicle as vehicle_of
 from insemu.emulate.waypoints import read_waypoints, route
 from insemu.errors import InputError
-from insemu.formats import layout_of, opened, read_recording
+from insemu.formats import layout_of, opened, read_recording, split_header
 
 Array = NDArray[np.float64]
 
@@ -114,7 +117,8 @@ def _load(
         flight = read_motion(motion)
         return Source(flight, odd_places(str(motion), flight.path.origin[None], vehicle_of(flight.vehicle)))
     assert track is not None
-    smoothed = smooth_track(read_track(track), vehicle, max_gap_s=max_gap_s)
+    recorded = read_track(track)  # its clock may count from 1970; a flight's begins with it
+    smoothed = smooth_track(replace(recorded, t=recorded.t - recorded.t[0]), vehicle, max_gap_s=max_gap_s)
     path = smoothed.path
     flight = Flight(path, vehicle, (Leg("track", path.start, path.end, False),))
     return Source(flight, smoothed.warnings, smoothed)
@@ -140,6 +144,20 @@ _ASSUMED = {"t": "s", "height": "m", "vn": "m/s", "ve": "m/s", "vd": "m/s"} | {
 }
 
 
+#: How much a heading resembles a name of :data:`_COLUMNS` that is misspelt: 'hight' does, 'utc' and 'sats' do not.
+_MISSPELT = 0.75
+
+
+def _of_others(path: Path, names: Mapping[str, str]) -> bool:
+    """Whether a table of positions has headings that are not ours, and none that is ours misspelt."""
+    if not path.exists() or layout_of(path) != "foreign":
+        return False
+    header = next((line for line in text_of(path, "track").splitlines() if line.strip() and line[0] != "#"), "")
+    words = [split_header(cell)[0].lower() for cell in re.split("[,;\t]", header)]
+    other = [w for w in words if w not in names and w.partition("_")[0] not in names]
+    return bool(other) and not any(get_close_matches(w, names, n=1, cutoff=_MISSPELT) for w in other if " " not in w)
+
+
 def read_track(path: str | Path) -> Track:
     """Read a recorded track.
 
@@ -148,7 +166,7 @@ def read_track(path: str | Path) -> Track:
     path : path
         Any file that ``insemu open`` reads (GPX, NMEA, a recording): its GNSS fixes, else its reference as a full pose. Or a ``.csv`` with a
         header that names ``t``, ``lat``, ``lon``, ``height`` and optionally ``vn, ve, vd`` and ``roll, pitch,
-        heading``, units in brackets (``height [ft]``).
+        heading``, units in brackets (``height [ft]``). A table with other names is read as ``insemu open`` does.
 
     Raises
     ------
@@ -156,7 +174,8 @@ def read_track(path: str | Path) -> Track:
         With file and line.
     """
     path = Path(path)
-    if path.suffix.lower() != ".csv":
+    names = {alias: key for key, aliases in _COLUMNS.items() for alias in aliases}
+    if path.suffix.lower() != ".csv" or _of_others(path, names):
         # fixes need no IMU beside them: GPX, NMEA, a receiver's .pos
         found = opened(path) if path.exists() and layout_of(path) == "foreign" else read_recording(path)
         if found.gnss is not None:
@@ -164,7 +183,6 @@ def read_track(path: str | Path) -> Track:
         if found.reference is not None:
             return Track.of(found.reference, path.stem)
         raise InputError("holds neither GNSS fixes nor a reference, so it has no track", where=str(path))
-    names = {alias: key for key, aliases in _COLUMNS.items() for alias in aliases}
     required = ("t", "lat", "lon", "height")
     rest = tuple(key for key in _COLUMNS if key not in required)
     data, lines = read_columns(text_of(path, "track"), str(path), names, _UNIT, _ASSUMED, required, rest)

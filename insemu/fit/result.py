@@ -67,6 +67,10 @@ class Estimate:
         return f"{process_label(self.process, self.index)}.{self.name}"
 
 
+#: Ratio of the ends of an interval from which it says nothing.
+UNDETERMINED = 1e6
+
+
 @dataclass(frozen=True)
 class GoodnessOfFit:
     """A test of the model against the curve: a chi-square statistic, its degrees of freedom, its p-value, the scales that it used (s)."""
@@ -240,23 +244,26 @@ class FitResult(Shown):
         return out
 
     def rows(self) -> list[tuple[str, str, str, str]]:
-        """For a table: parameter, SI value with standard error, interval, and what datasheets call it (with the discrete view)."""
+        """For a table: parameter, value with standard error and interval in datasheet units, and the SI value with the discrete view."""
         out = []
         discrete = discrete_view(self.model, self.dt)
         for e in self.parameters:
-            si = (
-                f"{e.value:.4g}"
-                + (f" ± {e.standard_error:.2g}" if math.isfinite(e.standard_error) else "")
-                + f" {_plain(e.unit)}"
-            )
-            interval = (
-                f"{e.low:.4g} … {e.high:.4g}"
-                if math.isfinite(e.low) and math.isfinite(e.high)
-                else ("held" if not e.free else "–")
-            )
-            familiar = "" if e.name != "beta" and units.datasheet(e.value, e.unit)[1] == e.unit else _familiar(e)
-            extra = discrete.get(e.label)
-            out.append((e.label, si.strip(), interval, ", ".join(t for t in (familiar, extra) if t)))
+            factor, unit = units.datasheet(1.0, e.unit)
+            shown, error, ends = factor * e.value, factor * e.standard_error, (factor * e.low, factor * e.high)
+            if e.name == "beta":  # the correlation time is what people know, to first order in the error
+                shown, error, ends, unit = (
+                    1.0 / e.value,
+                    e.standard_error / e.value**2,
+                    (1.0 / e.high, 1.0 / e.low),
+                    "s",
+                )
+            spread = f" ± {error:.2g}" if math.isfinite(error) else ""
+            value = f"{'Tc ' * (e.name == 'beta')}{shown:.4g}{spread} {_plain(unit)}".strip()
+            known = math.isfinite(ends[0]) and math.isfinite(ends[1])
+            interval = f"{ends[0]:.4g} … {ends[1]:.4g}" if known else ("held" if not e.free else "–")
+            interval = "not determined" if known and ends[1] > UNDETERMINED * ends[0] > 0.0 else interval
+            si = f"{e.value:.4g} {e.unit}" if unit != e.unit else ""
+            out.append((e.label, value, interval, ", ".join(t for t in (si, discrete.get(e.label)) if t)))
         return out
 
 

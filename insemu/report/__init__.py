@@ -2,7 +2,7 @@
 
 from insemu.report.array import array_answer, render_array, weight_rows, weighting_rows
 from insemu.report.budget import budget_lines, render_budgets
-from insemu.report.characterise import render_characterisation
+from insemu.report.characterise import characterise_answer, characterise_rows, render_characterisation
 from insemu.report.comparison import (
     COLUMNS,
     comparison_answer,
@@ -54,6 +54,7 @@ from insemu.report.tables import (
     variant_rows,
 )
 from insemu.report.track import check_figure, draw_track, render_reckoning
+from insemu.report.transfer import factor_rows, judged_rows, reason_rows, render_transfer, transfer_answer
 
 __all__ = [
     "COLUMNS",
@@ -64,6 +65,8 @@ __all__ = [
     "beside",
     "budget_lines",
     "calibration_lines",
+    "characterise_answer",
+    "characterise_rows",
     "check_figure",
     "coefficient_rows",
     "compared_rows",
@@ -74,17 +77,20 @@ __all__ = [
     "draw_gap",
     "draw_track",
     "effect_name",
+    "factor_rows",
     "finding_action",
     "finding_metres",
     "fits_answer",
     "following_answer",
     "gap_headline",
     "is_better",
+    "judged_rows",
     "outage_rows_of",
     "plot",
     "pooled_rank_line",
     "rank_lines",
     "ranked",
+    "reason_rows",
     "regression_answer",
     "render_array",
     "render_budgets",
@@ -100,6 +106,7 @@ __all__ = [
     "render_regression",
     "render_solution",
     "render_sweep",
+    "render_transfer",
     "segment_rows",
     "sensor_axes",
     "server",
@@ -111,6 +118,7 @@ __all__ = [
     "solve_rows",
     "sweep_answer",
     "sweep_rows",
+    "transfer_answer",
     "variant_caption",
     "variant_rows",
     "weight_rows",

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure as MplFigure
 from numpy.typing import NDArray
 
 from insemu.report.charts import Chart, Line, View
-from insemu.report.page import Card, Figure, Folded, Items, Section, Table, Text, render
+from insemu.report.page import Block, Card, Figure, Folded, Items, Section, Table, Text, render
 from insemu.report.style import COLOURS, style
 from insemu.units import conversion
 from insemu.variance import FLICKER, duration, grouped_findings
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _SHOWN = {"rad/s": "deg/h", "m/s^2": "mg"}
+#: Readings that the answer tells: white noise, flat part, random walk.
+MAIN = ("N", "B", "K")
 _SLOPES = {"Q": -1.0, "N": -0.5, "B": 0.0, "K": 0.5, "R": 1.0}
 
 
@@ -294,7 +296,7 @@ def allan_chart(axes: Sequence[AxisReport]) -> Chart | None:
             at = len(lines)
             lines += [
                 Line(axis.name, factor * np.sqrt(np.where(curve.value > 0, curve.value, np.nan)), colour),
-                Line(f"{axis.name}: 95 % low", low, colour, width=0.0, of=axis.name),
+                Line(f"{axis.name}: 95 %", low, colour, width=0.0, of=axis.name),
                 Line(f"{axis.name}: 95 % high", high, colour, width=0.0, fill_to=at + 1, of=axis.name),
             ]
         views.append(View(title, f"Allan deviation ({unit})", lines, log_y=True))
@@ -304,41 +306,86 @@ def allan_chart(axes: Sequence[AxisReport]) -> Chart | None:
 
 def _card(axis: AxisReport) -> Card:
     """What an axis is, in one card."""
-    read = [f"{name} {r.value:.3g} {_plain(r.unit)}" for name, r in axis.readings.items() if name in ("N", "B", "K")]
-    value = read[0] if read else "No straight part to read"
+    read = [
+        f"{name} {r.value:.3g} {_plain(r.unit)} ({r.low:.3g} to {r.high:.3g})"
+        for name, r in axis.readings.items()
+        if name in MAIN
+    ]
+    value = read[0].partition(" (")[0] if read else "No straight part to read"
+    absent = [name for name in axis.not_visible if name in MAIN]
+    notes = [*read, *axis.findings[:1], f"Not visible in this record: {', '.join(absent)}" if absent else ""]
+    return Card(
+        axis.name, value, verdict_of(axis).capitalize(), "warn" if axis.findings else "good", [n for n in notes if n]
+    )
+
+
+def verdict_of(axis: AxisReport) -> str:
+    """Whether something is wrong with an axis, in a few words."""
     count = len(axis.findings)
-    verdict = "Nothing wrong was found" if not count else f"{count} finding{'s' if count > 1 else ''}"
-    notes = [", ".join(read[1:]), *axis.findings[:1]]
-    absent = [name for name in axis.not_visible if name in ("N", "B", "K")]
-    if absent:
-        notes.append(f"Not visible in this record: {', '.join(absent)}")
-    return Card(axis.name, value, verdict, "warn" if count else "good", [n for n in notes if n])
+    return f"{count} finding{'s' if count > 1 else ''}" if count else "nothing wrong found"
+
+
+def characterise_answer(axes: Sequence[AxisReport]) -> str:
+    """The main readings of each kind of sensor, the range of its axes, and how much is wrong, in one sentence."""
+    told = []
+    for title, members in _groups(axes):
+        parts = []
+        for name in MAIN:
+            known = [a.readings[name] for a in members if name in a.readings]
+            if known:
+                low, high = f"{min(r.value for r in known):.3g}", f"{max(r.value for r in known):.3g}"
+                parts.append(f"{name} {low if low == high else f'{low} to {high}'} {_plain(known[0].unit)}")
+        told.append(f"{title}: {', '.join(parts) or 'no straight part to read'}")
+    found = len(grouped_findings(axes))
+    wrong = f"{found} finding{'s' if found > 1 else ''} to look at" if found else "nothing wrong was found"
+    return f"{'. '.join(told)}; {wrong}."
+
+
+def characterise_rows(axes: Sequence[AxisReport]) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of the table for the terminal: an axis, its verdict, and what was read with intervals."""
+    header = ["axis", "verdict", "reading", "value", "95 % interval", "unit", "read from (s)"]
+    rows = []
+    for axis in axes:
+        first = [axis.name, verdict_of(axis)]
+        if not axis.readings:
+            rows.append([*first, "none", "", "", "", ""])
+        for k, (name, r) in enumerate(axis.readings.items()):
+            values = [
+                f"{r.value:.4g}",
+                f"{r.low:.4g} to {r.high:.4g}",
+                r.unit,
+                f"{r.tau_from_s:.3g} to {r.tau_to_s:.3g}",
+            ]
+            rows.append([*(first if k == 0 else ("", "")), name, *values])
+    return header, rows
 
 
 def _plain(unit: str) -> str:
     return unit.replace("sqrt(h)", "√h").replace("sqrt(Hz)", "√Hz").replace("^2", "²").replace("h^1.5", "h^(3/2)")
 
 
-def _readings_table(axes: Sequence[AxisReport]) -> Table:
-    rows = []
+def _readings_table(axes: Sequence[AxisReport]) -> list[Block]:
+    """What was read, and what was not."""
+    rows = [
+        [
+            axis.name,
+            name,
+            f"{r.value:.4g}",
+            f"{r.low:.4g} to {r.high:.4g}",
+            r.unit,
+            f"{r.tau_from_s:.3g} to {r.tau_to_s:.3g}",
+            r.note,
+        ]
+        for axis in axes
+        for name, r in axis.readings.items()
+    ]
+    table = Table(["axis", "reading", "value", "95 %", "unit", "read from (s)", "note"], rows, left=2)
+    absent: dict[str, list[str]] = {}
     for axis in axes:
-        for name in ("Q", "N", "B", "K", "R", "Tc"):
-            r = axis.readings.get(name)
-            if r is None:
-                rows.append([axis.name, name, "not visible in this record", "", "", "", ""])
-            else:
-                rows.append(
-                    [
-                        axis.name,
-                        name,
-                        f"{r.value:.4g}",
-                        f"{r.low:.4g} to {r.high:.4g}",
-                        r.unit,
-                        f"{r.tau_from_s:.3g} to {r.tau_to_s:.3g}",
-                        r.note,
-                    ]
-                )
-    return Table(["axis", "reading", "value", "95 %", "unit", "read from (s)", "note"], rows, left=2)
+        if axis.not_visible:
+            absent.setdefault(", ".join(axis.not_visible), []).append(axis.name)
+    said = [f"Not visible in this record: {names} ({', '.join(of)})." for names, of in absent.items()]
+    return [*([table] if rows else []), *([Items(said)] if said else [])]
 
 
 def _comparison_table(axes: Sequence[AxisReport]) -> Table:
@@ -414,13 +461,6 @@ def render_characterisation(
     lead = f"{source}: {len(axes)} column(s), {first.samples} samples at {first.rate_hz:g} Hz ({length})."
     findings = [f"{names}: {finding}" for names, finding in grouped_findings(axes)]
     chart = allan_chart(varied) if varied else None
-    readings = sum(bool(axis.readings) for axis in axes)
-    answer = f"{readings} of {len(axes)} columns can be read; " if readings < len(axes) else ""
-    answer += (
-        f"{len(findings)} finding{'s' if len(findings) > 1 else ''} to look at."
-        if findings
-        else "nothing wrong was found."
-    )
     sections = [
         *(
             [Section("Allan deviation", [*([chart] if chart else []), _picture(figures["allan"], chart)])]
@@ -435,7 +475,7 @@ def render_characterisation(
                     "Units are those of datasheets. B is the flat part over 0.664; the flat part of a Gauss-Markov noise of standard "
                     "deviation s is at 0.617 s at most, so a model fitted with s = 0.664 B reads back as 0.617 B."
                 ),
-                _readings_table(axes),
+                *_readings_table(axes),
             ],
         ),
         *([Section("Wavelet variance", [figures["wavelet"]])] if "wavelet" in figures else []),
@@ -455,7 +495,7 @@ def render_characterisation(
         folder / "index.html",
         kind="characterise",
         source=source,
-        answer=answer[:1].upper() + answer[1:],
+        answer=characterise_answer(axes),
         lead=lead,
         cards=[_card(axis) for axis in axes],
     )

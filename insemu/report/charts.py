@@ -8,13 +8,15 @@ import json
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from insemu.units import datasheet
 
 #: Significant digits of the numbers in a page: a screen shows less. Points in a plane need more: a map is read to the metre.
 DIGITS, PLANE_DIGITS = 4, 6
@@ -183,6 +185,19 @@ class Chart:
             "group": self.group,
         }
         return embedded(plain)
+
+
+def familiar(lines: Sequence[Line], unit: str) -> tuple[list[Line], str]:
+    """Lines in the unit that datasheets use for an SI unit, and that unit; the file's own where nobody knows it.
+
+    Parameters
+    ----------
+    lines : sequence of Line
+    unit : str
+    """
+    factor, shown = datasheet(1.0, unit)
+    scaled = lines if shown == unit else [replace(line, y=factor * np.asarray(line.y, dtype=float)) for line in lines]
+    return list(scaled), shown or "unit of the file"
 
 
 def embedded(plain: Any) -> str:

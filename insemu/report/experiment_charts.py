@@ -300,7 +300,7 @@ def smoother_chart(results: Results) -> Chart:
             error, band = results[f"{of}error"][d, 0, inside, 0], 3.0 * results[f"{of}sigma"][d, 0, inside, 0]
             lines += [
                 Line(label, error, hue),
-                Line(f"{label}: -3 sigma", -band, hue, width=0.0, of=label),
+                Line(f"{label}: 3 sigma", -band, hue, width=0.0, of=label),
                 Line(f"{label}: +3 sigma", band, hue, width=0.0, fill_to=len(lines) + 1, of=label),
             ]
         views.append(View(name, "error north (m)", lines))

@@ -13,7 +13,7 @@ from insemu.fit import FitResult
 from insemu.noise import process_label
 from insemu.records import Series
 from insemu.report import page
-from insemu.report.charts import GREY, INK, RED, Chart, Line, View, positive
+from insemu.report.charts import GREY, INK, RED, Chart, Line, View, familiar, positive
 from insemu.report.style import COLOURS
 from insemu.variance import average_frequencies, expected_variance, longest_good_part, psd, wavelet_variance
 
@@ -72,7 +72,8 @@ def decomposition(results: Mapping[str, FitResult], rng: np.random.Generator, dr
             edges = (np.min(drawn, axis=0), np.max(drawn, axis=0))
             lines += _band(f"range of {draws} draws from the model", edges, GREY, len(lines))
         title = f"{axis}: {result.structure} by {result.method}"
-        views.append(View(title, f"wavelet deviation ({result.unit or 'unit'})", lines, log_y=True, x=curve.tau_s))
+        lines, unit = familiar(lines, result.unit)
+        views.append(View(title, f"wavelet deviation ({unit})", lines, log_y=True, x=curve.tau_s))
     caption = "Wavelet deviation of the signal with its interval, the model, each of its processes, and what draws from the model look like."
     return Chart("Wavelet deviation", caption, None, "scale (s)", views, log_x=True, group="scale")
 
@@ -109,7 +110,7 @@ def spectrum(results: Mapping[str, FitResult], series: Mapping[str, Series]) -> 
         lines += _band("95 % interval", (np.sqrt(averaged.low), np.sqrt(averaged.high)), INK, 1, of="signal (Welch)")
         if drawable(result):
             lines.append(Line("model", np.sqrt(positive(result.model.psd(averaged.f_hz, result.dt))), RED, width=2.2))
-        unit = f"{result.unit or 'unit'}/sqrt(Hz)"
+        lines, unit = familiar(lines, f"{result.unit or 'unit'}/sqrt(Hz)")
         views.append(View(axis, f"root of the two-sided PSD ({unit})", lines, log_y=True, x=averaged.f_hz))
     caption = "Power spectral density of the signal with its interval, and of the model."
     if any(s.missing for s in series.values()):
@@ -148,7 +149,7 @@ def _charts(results: Mapping[str, FitResult], series: Sequence[Series], rng: np.
 
 def _detail(axis: str, result: FitResult, ranking: Ranking | None) -> page.Folded:
     """Everything about one axis."""
-    header = ("parameter", "estimate ± standard error", "95 % interval", "datasheet and discrete")
+    header = ("parameter", "estimate ± standard error", "95 % interval", "SI and discrete")
     blocks: list[page.Block] = [
         page.Table(header, result.rows(), left=4, caption=f"{result.n_samples} samples at {result.rate_hz:g} Hz")
     ]

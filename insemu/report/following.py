@@ -127,7 +127,7 @@ def render_following(results: Mapping[str, FollowingFit], path: str | Path, *, s
         for axis, f in results.items()
     ]  # fmt: skip
     detail = []
-    header = ("parameter", "estimate ± standard error", "95 % interval", "datasheet and discrete")
+    header = ("parameter", "estimate ± standard error", "95 % interval", "SI and discrete")
     for axis, fitted in results.items():
         heading, rows = segment_rows(fitted)
         blocks: list[page.Block] = [page.Table(header, fitted.result.rows(), left=4), page.Table(heading, rows)]

@@ -368,7 +368,7 @@ def is_better(report: GapReport) -> tuple[str, str, str]:
         return "nothing was added", figures, "plain"
     if not math.isfinite(gain.value):
         return "not scored", figures, "plain"
-    figures += f"; {gain.value:+.2g} nats per fix or block [{gain.low:.2g}, {gain.high:.2g}]"
+    figures += f"; {gain.value:+.3g} nats per fix or block [{gain.low:.3g}, {gain.high:.3g}]"
     if gain.low > 0.0:
         return "yes", figures, "good"
     return ("no", figures, "bad") if gain.high < 0.0 else ("not shown", figures, "warn")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.report.charts import GREY, INK, Chart, Line, View, positive, strokes
+from insemu.report.charts import GREY, INK, Chart, Line, View, familiar, positive, strokes
 from insemu.report.style import COLOURS
 
 if TYPE_CHECKING:
@@ -45,7 +45,8 @@ def wavelet_chart(report: GapReport, names: Sequence[str], model: str) -> Chart:
             Line(label, np.sqrt(positive(c[measured])), INK, points=True, width=4.0),
             Line(model, np.sqrt(positive(c[model])), COLOURS[model == "nominal"], width=2.0),
         ]
-        views.append(View(axis_words(name), f"wavelet deviation ({c['unit']})", lines, log_y=True, x=c["tau_s"]))
+        lines, unit = familiar(lines, c["unit"])
+        views.append(View(axis_words(name), f"wavelet deviation ({unit})", lines, log_y=True, x=c["tau_s"]))
     caption = f"Wavelet deviation of the recording and of the {model} model."
     return Chart(f"Wavelet deviation, {model}", caption, None, "scale (s)", views, log_x=True, group="scale")
 
@@ -61,9 +62,8 @@ def spectrum_chart(report: GapReport, names: Sequence[str]) -> Chart:
             ("refined", "refined_psd", COLOURS[0]),
         )
         lines = [Line(label, np.sqrt(positive(c[key])), hue, dashed=label == "nominal") for label, key, hue in keys]
-        views.append(
-            View(axis_words(name), f"root of the two-sided PSD ({c['unit']}/sqrt(Hz))", lines, log_y=True, x=c["f"])
-        )
+        lines, unit = familiar(lines, f"{c['unit']}/sqrt(Hz)")
+        views.append(View(axis_words(name), f"root of the two-sided PSD ({unit})", lines, log_y=True, x=c["f"]))
     return Chart(
         "Spectrum", "Spectrum: measured, nominal, refined.", None, "frequency (Hz)", views, log_x=True, group="f"
     )

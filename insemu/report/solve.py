@@ -10,9 +10,10 @@ import numpy as np
 from insemu import earth, rotation
 from insemu.report.charts import GREY, INK, RED, Chart, Line, View
 from insemu.report.experiment_charts import colour
-from insemu.report.page import Card, Items, Section, Table, Text, render
+from insemu.report.page import Card, Folded, Items, Section, Table, Text, render
 from insemu.report.tables import short
 from insemu.solve import KNOWS, Comparison, Outages, Scored, Solution, worst_outages
+from insemu.units import datasheet
 
 #: Epochs of a chart at most.
 MOST_EPOCHS = 1500
@@ -39,13 +40,14 @@ def _knows(s: Scored) -> str:
 def solve_rows(tried: Sequence[Scored]) -> tuple[list[str], list[list[str]]]:
     """Header and rows of the table of designs."""
     horizons = tried[0].outages.horizons
+    known = [k for k in range(horizons.size) if any(np.isfinite(s.outages.rms(k)) for s in tried)]
     header = ["design", "states", "NIS/dof", "GNSS sigma x"]
-    header += [f"{what} {h:g} s" for h in horizons for what in ("rms m", "stated")] + ["NEES/dof", "log score"]
+    header += [f"{what} {horizons[k]:g} s" for k in known for what in ("rms m", "stated")] + ["NEES/dof", "log score"]
     rows = []
     for s in tried:
         o, c = s.outages, s.candidate
         last = max((k for k in range(o.horizons.size) if np.isfinite(o.rms(k))), default=0)
-        cells = [short(v) for k in range(o.horizons.size) for v in (o.rms(k), o.stated(k))]
+        cells = [short(v) for k in known for v in (o.rms(k), o.stated(k))]
         factor = short(c.position) + (f", {short(c.velocity)}" if s.run.fixes.dof.max(initial=0) > 3 else "")
         rows.append([c.name, str(s.run.layout.n), short(s.nis), factor, *cells, short(o.nees(last)), f"{s.score:.2f}"])
     return header, rows
@@ -53,7 +55,7 @@ def solve_rows(tried: Sequence[Scored]) -> tuple[list[str], list[list[str]]]:
 
 def outage_rows_of(o: Outages) -> tuple[list[str], list[list[str]]]:
     """Header and rows of the score: one row per length."""
-    header = ["without GNSS", "outages", "median m", "rms m", "95 % of the rms", "95 % below m", "stated m", "NEES/dof"]
+    header = ["without GNSS", "rms m", "95 % of the rms", "stated m", "NEES/dof", "median m", "95 % below m", "outages"]
     rows = []
     for k, seconds in enumerate(o.horizons):
         count = int(np.isfinite(o.error[:, k, 0]).sum())
@@ -61,8 +63,8 @@ def outage_rows_of(o: Outages) -> tuple[list[str], list[list[str]]]:
             continue
         (middle, high), (a, b) = o.quantiles(k), o.interval(k)
         spread = f"{short(a)} to {short(b)}" if np.isfinite(a) else "too short to say"
-        values = [short(middle), short(o.rms(k)), spread, short(high), short(o.stated(k)), short(o.nees(k))]
-        rows.append([f"{seconds:g} s", str(count), *values])
+        values = [short(o.rms(k)), spread, short(o.stated(k)), short(o.nees(k)), short(middle), short(high)]
+        rows.append([f"{seconds:g} s", *values, str(count)])
     return header, rows
 
 
@@ -201,14 +203,25 @@ def charts_over_time(s: Solution) -> list[Chart]:
     ]  # fmt: skip
 
 
+def _unit_of(state: str) -> str:
+    """SI unit of a state by its name; none where the name does not tell."""
+    axis, _, part = state.partition(".")
+    if part.startswith(("RW", "GM", "BI", "RC")):
+        return "rad/s" if axis.startswith("gyro") else "m/s^2"
+    if part.startswith("from_"):
+        return "rad"
+    return "m" if state.startswith("lever_arm") else "s" if state == "latency" else ""
+
+
 def _states(s: Solution) -> Table:
-    rows = [
-        [n, f"{v:.4g}", f"{sd:.3g}", f"{b:.3g}", f"{1 - sd / b:.0%}" if b > 0 else "-"] for n, v, sd, b in s.estimated
-    ]
-    caption = (
-        "At the end of the recording, SI (rad/s, m/s^2, rad, m, s). Learned: by how much the standard deviation shrank."
-    )
-    return Table(["state", "estimate", "sigma", "sigma at the start", "learned"], rows, caption)
+    rows = []
+    for name, *values, begun in s.estimated:
+        factor, unit = datasheet(1.0, _unit_of(name))
+        value, sigma, start = (factor * v for v in (*values, begun))
+        learned = f"{1 - sigma / start:.0%}" if start > 0 else "-"
+        rows.append([name, f"{value:.4g}", f"{sigma:.3g}", f"{start:.3g}", unit, learned])
+    caption = "At the end of the recording. Learned: by how much the standard deviation shrank."
+    return Table(["state", "estimate", "sigma", "sigma at the start", "unit", "learned"], rows, caption)
 
 
 def render_solution(s: Solution, folder: Path, compared: Comparison | None = None, scenario: str = "") -> Path:
@@ -256,7 +269,13 @@ def render_solution(s: Solution, folder: Path, compared: Comparison | None = Non
         Section("Calibration", [Items(calibration_lines(s)), _states(s)]),
         Section("Over time", charts_over_time(s)[1:]),
         Section("Does it know its error?", [Items(consistency_words_of(s))]),
-        Section("What was taken", [Items([*s.drive.said, *(str(line) for line in s.card.lines)])]),
+        Section(
+            "What was taken",
+            [
+                Items([str(line) for line in s.card.lines if line.level != "ok"]),
+                Folded("Everything", [Items([*s.drive.said, *(str(line) for line in s.card.lines)])]),
+            ],
+        ),
     ]
     cards = [
         Card(

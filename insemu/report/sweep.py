@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from insemu.report.charts import INK, Chart, Line, View
 from insemu.report.experiment_charts import colour
 from insemu.report.page import Block, Card, Folded, Section, Table, render
 from insemu.report.tables import Table as Cells
+from insemu.units import conversion
 
 #: What the columns are.
 SWEPT = (
@@ -55,7 +57,7 @@ def sweep_rows(sweep: Sweep, rows: Sequence[Row]) -> Cells:
 
 
 def _told(values: Mapping[str, str], keys: Sequence[str]) -> str:
-    return ", ".join(values[k] if k in ("outage", "trajectory", "sensor") else f"{k} {values[k]}" for k in keys)
+    return ", ".join(values[k] if k in ("trajectory", "sensor") else f"{k} {values[k]}" for k in keys)
 
 
 def _choice(sweep: Sweep, row: Row) -> str:
@@ -163,21 +165,24 @@ def _pareto(sweep: Sweep, rows: Sequence[Row]) -> Chart:
     )
 
 
-def _number(text: str) -> float | None:
-    try:
-        return float(text.split()[0])
-    except (ValueError, IndexError):
-        return None
+def _number(text: str) -> tuple[float, str]:
+    value, _, unit = text.partition(" ")
+    return float(value), unit.strip()
 
 
-def _numeric(sweep: Sweep, rows: Sequence[Row]) -> list[str]:
-    """Keys that take different numbers in one unit."""
-    out = []
+def _numeric(sweep: Sweep, rows: Sequence[Row]) -> dict[str, tuple[dict[str, float], str]]:
+    """Keys that take different numbers of one dimension: each text's value, and the unit, which is that of the first."""
+    out = {}
     for f in sweep.given:
-        texts = {r.values[f.key] for r in rows}
-        same = len({" ".join(t.split()[1:]) for t in texts}) == 1
-        if same and len(texts) > 1 and all(_number(t) is not None for t in texts):
-            out.append(f.key)
+        texts = list(dict.fromkeys(r.values[f.key] for r in rows))
+        try:
+            parsed = {text: _number(text) for text in texts}
+            unit = parsed[texts[0]][1]
+            values = {t: v * (conversion(u, unit) if u != unit else 1.0) for t, (v, u) in parsed.items()}
+        except ValueError:
+            continue
+        if len(texts) > 1:
+            out[f.key] = (values, unit)
     return out
 
 
@@ -186,12 +191,11 @@ def _against(sweep: Sweep, rows: Sequence[Row]) -> list[Block]:
     keys, designs = _numeric(sweep, rows), list(dict.fromkeys(r.design for r in rows))
     views: list[View] = []
     body = []
-    for key in keys:
-        unit = " ".join(rows[0].values[key].split()[1:])
+    for key, (values, unit) in keys.items():
         lines = []
         for d, design in enumerate(designs):
-            own = sorted((r for r in rows if r.design == design), key=lambda r: _number(r.values[key]) or 0.0)
-            x = [_number(r.values[key]) or 0.0 for r in own]
+            placed = sorted(((values[r.values[key]], r) for r in rows if r.design == design), key=itemgetter(0))
+            x, own = [at for at, _ in placed], [r for _, r in placed]
             text = [f"point {r.point}: {r.error_m:.3g} m, " + _told(r.values, list(r.values)) for r in own]
             lines.append(Line(design, [r.error_m for r in own], colour(d), points=True, width=5.0, x=x, text=text))
             found = spearmanr(x, [r.error_m for r in own]).statistic if len(own) > 2 else math.nan
@@ -205,7 +209,7 @@ def _against(sweep: Sweep, rows: Sequence[Row]) -> list[Block]:
         "Error against each key",
         "Mean planimetric error at outage end at every point.",
         None,
-        "value of the key",
+        views[0].name if len(views) == 1 else "value of the key",
         views,
         group="keys",
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,13 +23,15 @@ Array = NDArray[np.float64]
 
 #: Epochs of a path, and fixes, that a chart shows at most.
 MOST_EPOCHS = 1500
+#: Share of the largest error below which one is not shown on the logarithmic axis.
+SEEN = 1e-5
 
 
 def _thin(n: int, most: int = MOST_EPOCHS) -> slice:
     return slice(None, None, -(-n // most) or 1)
 
 
-def track_charts(flight: Flight, track: SmoothedTrack | None = None) -> list[Chart]:
+def track_charts(flight: Flight, track: SmoothedTrack | None = None, length_s: float = np.inf) -> list[Chart]:
     """Way seen from above with the outages; speed, height and turn rate; residuals of the fixes where there are any.
 
     Parameters
@@ -36,11 +40,14 @@ def track_charts(flight: Flight, track: SmoothedTrack | None = None) -> list[Cha
         The path with its outages.
     track : SmoothedTrack, optional
         The recorded track that the path was made from.
+    length_s : float
+        How much of it is flown.
     """
     from insemu.emulate import turn_rate
 
     path = flight.path
-    t = np.linspace(path.start, path.end, int(min(MOST_EPOCHS, max(400, path.duration * 10))))
+    end = min(path.end, path.start + length_s)
+    t = np.linspace(path.start, end, int(min(MOST_EPOCHS, max(400, (end - path.start) * 10))))
     k = path.kinematics(t)
     ned = earth.llh_to_ned(k.llh, k.llh[0])
 
@@ -103,7 +110,15 @@ def check_figure(file: str | Path) -> None:
         raise InputError(f"cannot draw '{suffix}' files, expected {', '.join(_FORMATS)}", where=str(file))
 
 
-def draw_track(flight: Flight, file: str | Path, *, track: SmoothedTrack | None = None, source: str = "") -> Path:
+def draw_track(
+    flight: Flight,
+    file: str | Path,
+    *,
+    track: SmoothedTrack | None = None,
+    source: str = "",
+    length_s: float = np.inf,
+    outages: Sequence[tuple[float, float]] | None = None,
+) -> Path:
     """Write :func:`track_charts` to a PNG, PDF or SVG file, or a page with them to an HTML file.
 
     Parameters
@@ -114,39 +129,45 @@ def draw_track(flight: Flight, file: str | Path, *, track: SmoothedTrack | None 
         The recorded track that the path was made from.
     source : str
         The scenario's file.
+    length_s : float
+        How much of the flight is flown.
+    outages : sequence of (start_s, duration_s), optional
+        In place of those that belong to the flight.
     """
+    flight = flight if outages is None else replace(flight, outages=tuple(outages))
     check_figure(file)
     path = Path(file)
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix.lower() in (".html", ".htm"):
-        return _page(flight, path, track, source)
+        return _page(flight, path, track, source, length_s)
     from insemu.report.static import DPI, draw
 
-    draw(*track_charts(flight, track)).savefig(path, dpi=DPI)
+    draw(*track_charts(flight, track, length_s)).savefig(path, dpi=DPI)
     return path
 
 
-def _page(flight: Flight, path: Path, track: SmoothedTrack | None, source: str) -> Path:
+def _page(flight: Flight, path: Path, track: SmoothedTrack | None, source: str, length_s: float) -> Path:
     from insemu.emulate import held_out_distance, turn_rate
 
     motion = flight.path
-    t = np.arange(motion.start, motion.end, 0.1)
+    seconds = min(motion.duration, length_s)
+    t = np.arange(motion.start, motion.start + seconds, 0.1)
     k = motion.kinematics(t)
     speed = np.hypot(k.vel_ned[:, 0], k.vel_ned[:, 1])
     length = float(np.trapezoid(np.linalg.norm(k.vel_ned, axis=1), t)) / 1000.0
     rows = [
-        ["duration", f"{motion.duration:.1f}", "s"],
+        ["duration", f"{seconds:.1f}", "s"],
         ["length", f"{length:.2f}", "km"],
         ["largest speed", f"{speed.max():.1f}", "m/s"],
         ["largest turn rate", f"{np.rad2deg(np.abs(turn_rate(motion, t)).max()):.1f}", "deg/s"],
         ["largest acceleration", f"{np.linalg.norm(k.acc_ned, axis=1).max():.2f}", "m/s^2"],
         ["heights", f"{k.llh[:, 2].min():.0f} to {k.llh[:, 2].max():.0f}", "m"],
     ]
-    blocks: list[Block] = [*track_charts(flight, track)]
+    blocks: list[Block] = [*track_charts(flight, track, length_s)]
     vehicle = flight.vehicle.replace("_", " ")
     outages = f"{len(flight.outages)} GNSS outage{'s' * (len(flight.outages) != 1)}"
     fastest = f"at most {speed.max():.1f} m/s"
-    answer = f"A {vehicle} moves {length:.2f} km in {motion.duration:.0f} s, {fastest}, with {outages}."
+    answer = f"A {vehicle} moves {length:.2f} km in {seconds:.0f} s, {fastest}, with {outages}."
     cards = []
     if track is not None:
         residual = 100 * track.residual_ned
@@ -185,7 +206,8 @@ def render_reckoning(result: DeadReckoning, path: str | Path) -> Path:
     labels = (("Position", "position error (m)", 1.0), ("Velocity", "velocity error (m/s)", 1.0))
     views = []
     for k, (name, label, factor) in enumerate((*labels, ("Attitude", "attitude error (deg)", 180.0 / np.pi))):
-        values = np.maximum(factor * result.errors[some, k], 1e-12)
+        values = factor * result.errors[some, k]
+        values[values < SEEN * np.max(values, initial=0.0)] = np.nan  # the start is exact
         views.append(View(name, label, [Line(name.lower(), values, INK)], log_y=True))
     caption = "Errors of the IMU navigated alone, against the reference (norms of the three components)."
     chart = Chart("Dead reckoning", caption, result.t[some], "time (s)", views)

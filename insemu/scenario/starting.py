@@ -5,12 +5,15 @@ from __future__ import annotations
 import os
 import shutil
 import textwrap
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from insemu import yamlfile
 from insemu.emulate import load_flight, read_track
 from insemu.errors import InputError
+from insemu.noise import WN, NoiseModel
+from insemu.noise import load as load_models
 from insemu.scenario.files import validated
 from insemu.scenario.schema import TrajectorySource
 from insemu.scenario.shipped import shipped_scenario
@@ -43,7 +46,7 @@ trajectory:
 # What the sensors really do. {about}
 {said}
 truth:
-  sensor: {sensor}{pad}# `insemu sensor` lists the names; a file of `insemu fit -o` goes by {{file: models.yaml}}
+  {truth}{pad}# {hint}
 
 # GNSS: what a receiver gives, and the spans without it.
 gnss:
@@ -73,6 +76,10 @@ _WHITE = """\
   white noise:                          # nine states: no bias that changes in flight
     gyro: {gyro}
     accel: {accel}"""
+_DOUBLE = """\
+  double:                               # twice the white noise of the truth
+    gyro: {gyro}
+    accel: {accel}"""
 _WORST = """\
   worst case:                           # the same sensor, its figures at their limits
     gyro: {{sensor: {sensor}, case: worst}}
@@ -87,6 +94,8 @@ class Wish:
     ----------
     sensor : str
         Name or file of a sensor card.
+    model : str
+        File of noise models in place of a card.
     track : str
         File of a track or of waypoints; empty: a built-in drive.
     vehicle : str
@@ -95,6 +104,7 @@ class Wish:
     """
 
     sensor: str = SENSOR
+    model: str = ""
     track: str = ""
     vehicle: str = "car"
     realizations: int = 8
@@ -112,38 +122,73 @@ def first_scenario(path: str | Path, wish: Wish) -> str:
     Raises
     ------
     InputError
-        An unknown sensor or vehicle, or a track that cannot be read or flown.
+        An unknown sensor or vehicle, or a track that cannot be read or flown; models without white noise.
     """
     path = Path(path)
     validated(TrajectorySource, yamlfile.Document("--vehicle", {"builtin": BUILTIN, "vehicle": wish.vehicle}, {}))
-    sensor = card(wish.sensor)
-    found = axis_models(sensor)
-    white = {}
+    motion, duration = _motion(path, wish)
+    common = {
+        "name": path.name,
+        "stem": path.stem,
+        "realizations": wish.realizations,
+        "motion": motion,
+        "outages": "\n".join(_outages(duration)),
+    }
+    if wish.model:
+        return _TEMPLATE.format(**common, **_of_models(path, wish.model))
+    return _TEMPLATE.format(**common, **_of_card(path, wish.sensor))
+
+
+def _white(models: Mapping[str, NoiseModel], name: str, factor: float = 1.0) -> dict[str, str]:
+    """The largest white noise of each triad, times a factor, as text; ``name`` is whose models they are."""
+    out = {}
     for kind, unit in (("gyro", "rad/s"), ("accel", "m/s^2")):
-        axes = [one for axis, one in found.items() if axis.startswith(kind)]
-        if not axes:
-            raise InputError(f"{sensor.name} has no figures of the {kind}; a truth needs gyroscopes and accelerometers")
-        worst = max(axes, key=lambda one: one.model.processes[0].parameters["N"])
-        white[kind] = spelled(type(worst.model)(worst.model.processes[:1]), unit)
+        if not any(axis.startswith(kind) for axis in models):
+            raise InputError(f"{name} has no figures of the {kind}; a truth needs gyroscopes and accelerometers")
+        levels = [p.parameters["N"] for a, m in models.items() if a.startswith(kind) for p in m if isinstance(p, WN)]
+        if not levels:
+            raise InputError(f"{name} has no white noise of the {kind}, which the second design would have")
+        out[kind] = spelled(NoiseModel((WN(factor * max(levels)),)), unit)
+    return out
+
+
+def _of_models(path: Path, file: str) -> dict[str, str]:
+    """What the template says of a file of noise models."""
+    models = load_models(file)
+    # models that are white noise alone have nothing to leave out
+    alone = all(len(m) == 1 for m in models.values())
+    truth = f"file: {os.path.relpath(file, path.parent)}"
+    said = [f"#   {axis}: {spelled(m, 'rad/s' if axis.startswith('gyro') else 'm/s^2')}" for axis, m in models.items()]
+    return {
+        "title": f"{Path(file).stem} through GNSS outages",
+        "about": f"The models of {Path(file).name}:",
+        "said": "\n".join(said),
+        "truth": truth,
+        "pad": " " * max(2, 28 - len(truth)),
+        "hint": "models that were fitted; `{sensor: NAME}` takes a card of `insemu sensor`",
+        "second": (_DOUBLE if alone else _WHITE).format(**_white(models, file, 2.0 if alone else 1.0)),
+    }
+
+
+def _of_card(path: Path, name: str) -> dict[str, str]:
+    """What the template says of a sensor card."""
+    sensor = card(name)
+    found = axis_models(sensor)
+    white = _white({axis: one.model for axis, one in found.items()}, sensor.name)
     said = dict.fromkeys(f"{axis.split('_')[0]}: {line}" for axis, one in found.items() for line in one.said)
     wrapped = [textwrap.fill(line, 110, initial_indent="#   ", subsequent_indent="#     ") for line in said]
     # a model that is white noise alone has nothing to leave out
     alone = all(len(one.model) == 1 for one in found.values())
-    motion, duration = _motion(path, wish)
-    named = wish.sensor if Path(wish.sensor).suffix == "" else os.path.relpath(wish.sensor, path.parent)
-    return _TEMPLATE.format(
-        name=path.name,
-        stem=path.stem,
-        title=f"{sensor.name} through GNSS outages",
-        realizations=wish.realizations,
-        motion=motion,
-        about=f"{sensor.name}: {', '.join(part for part in (sensor.maker, sensor.about) if part)}.",
-        said="\n".join(wrapped),
-        sensor=named,
-        pad=" " * max(2, 20 - len(named)),
-        outages="\n".join(_outages(duration)),
-        second=(_WORST if alone else _WHITE).format(sensor=named, **white),
-    )
+    named = name if Path(name).suffix == "" else os.path.relpath(name, path.parent)
+    return {
+        "title": f"{sensor.name} through GNSS outages",
+        "about": f"{sensor.name}: {', '.join(part for part in (sensor.maker, sensor.about) if part)}.",
+        "said": "\n".join(wrapped),
+        "truth": f"sensor: {named}",
+        "pad": " " * max(2, 20 - len(named)),
+        "hint": "`insemu sensor` lists the names; a file of `insemu fit -o` goes by {file: models.yaml}",
+        "second": (_WORST if alone else _WHITE).format(sensor=named, **white),
+    }
 
 
 def _outages(duration: float) -> list[str]:

@@ -12,6 +12,12 @@
   };
   const metres = (v) => (v == null ? "" : Number(v.toPrecision(6)).toString());
 
+  const dark = matchMedia("(prefers-color-scheme: dark)");
+  const tone = (colour) => { // on a dark page the colours of lines are lighter
+    if (!dark.matches || document.documentElement.classList.contains("printing")) return colour;
+    return "#" + [1, 3, 5].map((i) => Math.round(0.62 * parseInt(colour.slice(i, i + 2), 16) + 0.38 * 255).toString(16).padStart(2, "0")).join("");
+  };
+
   function shade(spans) { // outages, behind everything else
     return (u) => {
       const { ctx, bbox } = u;
@@ -46,14 +52,17 @@
     const log = (on) => (on ? { distr: 3, log: 10 } : {});
     const series = [{ label: spec.x_label, value: (u, v) => digits(v) }];
     const bands = [];
-    for (const s of view.series) {
+    const upper = new Map(); // line -> the line up to which the space above it is filled: one interval, told together
+    view.series.forEach((s, k) => { if (s.fill_to != null && s.of) upper.set(s.fill_to, k); });
+    view.series.forEach((s, k) => {
+      const told = (u, v, i, at) => digits(v) + (upper.has(k) && at != null && v != null ? " to " + digits(u.data[upper.get(k) + 1][at]) : "");
       series.push({
-        label: s.label, of: s.of, stroke: s.colour, width: s.width, dash: s.dash ? [6, 4] : undefined, spanGaps: !s.points,
-        points: { show: s.points, size: 3 + s.width, fill: s.colour, stroke: s.colour }, paths: s.points ? () => null : undefined,
-        value: (u, v) => digits(v), show: ![s.label, s.of].some((l) => groups.get(spec.group).hidden.has(l)),
+        label: s.label, of: s.of, stroke: tone(s.colour), width: s.width, dash: s.dash ? [6, 4] : undefined, spanGaps: !s.points,
+        points: { show: s.points, size: 3 + s.width, fill: tone(s.colour), stroke: tone(s.colour) }, paths: s.points ? () => null : undefined,
+        value: told, show: ![s.label, s.of].some((l) => groups.get(spec.group).hidden.has(l)),
       });
-      if (s.fill_to != null) bands.push({ series: [series.length - 1, s.fill_to + 1], fill: s.colour + "33" });
-    }
+      if (s.fill_to != null) bands.push({ series: [series.length - 1, s.fill_to + 1], fill: tone(s.colour) + "33" });
+    });
     const across = axis(spec.x_label, 44);
     if (view.ticks.length) {
       across.splits = () => view.ticks.map((t) => t[0]);
@@ -97,7 +106,7 @@
       for (const s of lines) for (const v of s[key]) if (finite(v) && (!log || v > 0)) { low = Math.min(low, v); high = Math.max(high, v); }
       if (log) return uPlot.rangeLog(low, high, 10, true);
       if (key === "x" && view.ticks.length) return [view.ticks[0][0] - 0.6, view.ticks[view.ticks.length - 1][0] + 0.6];
-      const rim = 0.05 * (high - low || 1);
+      const rim = 0.05 * (high - low) || 0.5 * Math.abs(high) || 1;
       return [low - rim, high + rim];
     };
     let u;
@@ -119,7 +128,7 @@
       ctx.beginPath(); ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height); ctx.clip();
       lines.forEach((s, k) => {
         if (!u.series[k + 1].show) return;
-        ctx.strokeStyle = ctx.fillStyle = s.colour;
+        ctx.strokeStyle = ctx.fillStyle = tone(s.colour);
         ctx.lineWidth = s.width * px;
         ctx.setLineDash(s.dash ? [6 * px, 4 * px] : []);
         ctx.beginPath();
@@ -253,7 +262,7 @@
       names.forEach((th, i) => {
         const line = view.series[i - (names.length - view.series.length)]; // a row of the x may stand in front
         if (!line) return;
-        if (!view.x && line.of) th.parentElement.hidden = true; // its name stands there already
+        if (line.of && (!view.x || line.fill_to != null)) th.parentElement.hidden = true; // its name stands there already
         th.tabIndex = 0;
         th.setAttribute("role", "button");
         th.onkeydown = (e) => { if (e.key === "Enter" || e.key === " ") { e.preventDefault(); th.click(); } };
@@ -295,7 +304,7 @@
   document.querySelectorAll(".chart").forEach(chart);
 
   const again = () => all.forEach((draw) => draw());
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", again);
+  dark.addEventListener("change", again);
   const printing = (on) => () => { document.documentElement.classList.toggle("printing", on); again(); };
   addEventListener("beforeprint", printing(true));
   addEventListener("afterprint", printing(false));
