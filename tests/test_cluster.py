@@ -57,7 +57,8 @@ def test_a_command_says_the_same_on_a_cluster(
         assert end.value.code in (0, None)
         said.append(json.loads(Path(written).read_text() if written else printed))
         assert bool(asked) == bool(more), "work goes to the cluster when it is asked for, and only then"
-    assert without_times(said[0]) == without_times(said[1])
+    plain, spread = (without_times(document) for document in said)
+    assert close(plain, spread) if name == "bootstrap" else plain == spread
 
 
 def _counted(monkeypatch: pytest.MonkeyPatch, asked: list[str]) -> None:
@@ -71,6 +72,15 @@ def _counted(monkeypatch: pytest.MonkeyPatch, asked: list[str]) -> None:
         return plain(self, fn, *arguments, **named)
 
     monkeypatch.setattr(ClusterPool, "submit", submit)
+
+
+def close(one: Any, other: Any) -> bool:
+    """Whether two documents agree to rounding: sums of a fit depend in their last bits on where its arrays lie in memory."""
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(close(v, other[k]) for k, v in one.items())
+    if isinstance(one, list):
+        return len(one) == len(other) and all(map(close, one, other))
+    return bool(one == pytest.approx(other, rel=1e-9))
 
 
 def without_times(document: Any) -> Any:

@@ -155,6 +155,7 @@ def starts(kind, runs):
     return [v for v in out if not v.refused]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", start_cases.KINDS)
 def test_starts_are_honest(kind):
     told = starts(kind, 4)

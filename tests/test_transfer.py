@@ -70,6 +70,7 @@ def test_the_search_finds_the_maximum_keeps_its_bound_and_survives_a_filter_that
         likeliest(run, np.array([3.0, 0.0]), 100.0)
 
 
+@pytest.mark.slow
 def test_outages_prefer_the_transferred_model(levels: Levels) -> None:
     by = {j.name: j for j in judge(levels)}
     assert by["transferred"].gain[0] > by["transferred"].gain[1] > 0.0

@@ -94,6 +94,7 @@ def test_coarse_draws_are_distributed_as_linear_ones(tmp_path: Path, record: str
         assert np.abs(np.log(ratio)).max() < 4.4 * np.sqrt(2.0 / n + 2.0 / 4000), ratio
 
 
+@pytest.mark.slow
 def test_a_control_variate_narrows_and_holds_the_mean_and_is_refused_without_correlation() -> None:
     rng = np.random.default_rng(7)
     held = [0, 0]

@@ -177,6 +177,8 @@ def server(folder: str | Path, port: int = 0) -> ThreadingHTTPServer:
                 self._answer(200, both.encode(), KINDS[".html"])
             elif path := shelf.file(address.path):
                 self._answer(200, path.read_bytes(), KINDS[path.suffix])
+            elif address.path == "/favicon.ico":  # every browser asks for one
+                self._answer(204, b"", "image/x-icon")
             else:
                 self._answer(404, b"there is no such page", "text/plain")
 
