@@ -11,6 +11,8 @@ if TYPE_CHECKING:
 
 #: Lines that a result prints at most.
 MOST_LINES = 10
+#: Smaller probabilities are not told apart.
+SMALL_P = 1e-12
 
 
 def few(lines: list[str], most: int = MOST_LINES) -> str:
@@ -18,6 +20,11 @@ def few(lines: list[str], most: int = MOST_LINES) -> str:
     return "\n".join(
         lines if len(lines) <= most else [*lines[: most - 1], f"... and {len(lines) - most + 1} more lines"]
     )
+
+
+def p_words(p: float) -> str:
+    """A p-value as a reader is told it."""
+    return f"p {p:.2g}" if p > SMALL_P else f"p below {SMALL_P:g}"
 
 
 class Shown:
