@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
 #: Lines that a result prints at most.
 MOST_LINES = 10
+#: Smaller probabilities are not told apart.
+SMALL_P = 1e-12
 
 
 def few(lines: list[str], most: int = MOST_LINES) -> str:
@@ -28,6 +30,11 @@ def finite(document: Any) -> Any:
     if isinstance(document, list | tuple):
         return [finite(v) for v in document]
     return None if isinstance(document, float) and not math.isfinite(document) else document
+
+
+def p_words(p: float) -> str:
+    """A p-value as a reader is told it."""
+    return f"p {p:.2g}" if p > SMALL_P else f"p below {SMALL_P:g}"
 
 
 class Shown:
