@@ -225,25 +225,26 @@ class Augmentation:
         return self.axis.size
 
     def coefficients(self, measured: ArrayLike | None = None) -> Array:
-        """How strongly each state is seen by its axis, ``c_s d_s``: (m,).
+        """How strongly each state is seen by its axis, ``c_s d_s``: (m,), or (..., m) for many measured rows.
 
         Parameters
         ----------
-        measured : (6,) or (12,) array_like, optional
-            A row of :meth:`sensed`, needed only where calibration states are carried.
+        measured : (..., 6) or (..., 12) array_like, optional
+            Rows of :meth:`sensed`, needed only where calibration states are carried.
         """
         driven = self.driver >= 0
         if not driven.any():
             return self.c
         if measured is None:
             raise InputError("calibration states are carried; give the measured rate and specific force")
-        return np.where(driven, self.c * np.asarray(measured, dtype=np.float64)[self.driver], self.c)
+        return np.where(driven, self.c * np.asarray(measured, dtype=np.float64)[..., self.driver], self.c)
 
     def output(self, measured: ArrayLike | None = None) -> Array:
-        """What the six axes see of the states, (6, m); ``measured`` as in :meth:`coefficients`."""
-        C = np.zeros((6, self.m))
-        seen = self.axis >= 0
-        C[self.axis[seen], np.nonzero(seen)[0]] = self.coefficients(measured)[seen]
+        """What the six axes see of the states, (6, m) or (..., 6, m); ``measured`` as in :meth:`coefficients`."""
+        c = self.coefficients(measured)
+        C = np.zeros((*c.shape[:-1], 6, self.m))
+        seen = np.flatnonzero(self.axis >= 0)
+        C[..., self.axis[seen], seen] = c[..., seen]
         return C
 
     def power(self, count: int) -> tuple[Array, Array]:

@@ -197,12 +197,11 @@ def sensor_errors(
         See :class:`insemu.emulate.pieces.TrueStates`; None: not known.
     """
     estimate = result.imu_states[rows]
-    axes, spread = np.full((len(rows), 6), np.nan), np.full((len(rows), 6, 6), np.nan)
-    for k in range(len(rows)):
-        C = augmentation.output(measured[k])
-        spread[k] = C @ covariance[k][9:, 9:] @ C.T
-        if true_axes is not None:
-            axes[k] = C @ estimate[k] - true_axes[k]
+    C = augmentation.output(measured)  # of every row where calibration states are carried, one for all elsewhere
+    spread = C @ covariance[:, 9:, 9:] @ np.swapaxes(C, -1, -2)
+    axes = np.full((len(rows), 6), np.nan)
+    if true_axes is not None:
+        axes = (C @ estimate[:, :, None])[:, :, 0] - true_axes
     states = np.full(estimate.shape, np.nan)
     if true_states is not None and augmentation.layout.names[9:] == tuple(true_names):
         states = estimate - true_states

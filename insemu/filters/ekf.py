@@ -158,12 +158,14 @@ class _Buffers:
         )
         at = self.node_at[:nodes]
         kept = (v[:nodes] for v in (self.node_nav, self.node_x, self.before, self.after, self.phi, self.node_dx))
-        out_rows = np.unique(np.append(np.arange(0, t.size, o.output_every), t.size - 1))
+        out_rows = np.arange(0, t.size, o.output_every)
+        if out_rows[-1] != t.size - 1:
+            out_rows = np.append(out_rows, t.size - 1)
         return FilterResult(
             layout=layout,
             t=t[out_rows],
             nav=self.nav,
-            sigma=np.sqrt(np.maximum(self.var, 0.0)),
+            sigma=np.sqrt(np.maximum(self.var, 0.0, out=self.var), out=self.var),
             imu_states=self.x,
             fixes=fixes,
             covariance_t=t[cov_epoch],
