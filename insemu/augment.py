@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_discrete_lyapunov
-from scipy.signal import lfilter
 
 from insemu.errors import InputError, nearest
 from insemu.noise import ARMA, DR, RC, Follows, NoiseModel, Process, StateBlock, shared_processes
@@ -406,6 +405,8 @@ def true_states(model: NoiseModel, components: ArrayLike, dt: float) -> Array:
         In the order of :func:`augment`. NaN where a process has states that its values do not tell (QN, SIN, MA, ARMA) and in the first p - 1
         samples of an AR(p).
     """
+    from scipy.signal import lfilter
+
     parts = np.asarray(components, dtype=np.float64)
     rows: list[Array] = [np.zeros((0, parts.shape[1]))]
     for process, values in zip(model.at_rate(1.0 / dt), parts, strict=True):

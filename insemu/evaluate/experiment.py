@@ -338,9 +338,7 @@ class Experiment:
             found |= {f"smoothed_{key}": value for key, value in asdict(smoothed).items()}
         used = run.fixes.accepted
         # the true states are those of the data as they came: they say nothing of what is left after a compensation
-        found |= self._sensors(
-            ekf, run, known.imu, rows, found["error"], true if known is recording else None, unaided
-        )
+        found |= self._sensors(ekf, run, known.imu, rows, found["error"], true if known is recording else None, unaided)
         lag_sum, lag_count = lag_products(run.fixes) if used.any() else (np.zeros(5), np.zeros(5))
         return found | {
             "states": run.layout.n,

@@ -125,7 +125,7 @@ class LinearTwin:
             joint = replace(beside(belief, constants), white=self.truth.white)
             M, K, self.noise[name] = updates(ekf, run, record, nav, joint, self._fixes, sigma)
             C = belief.output(np.hstack(belief.sensed(record)) / record.widths())
-            C = C.reshape(-1, *C.shape[-2:])
+            C = C if C.ndim == 3 else C[None]
             self.designs[name] = LinearErrors(
                 F, B, C, belief.Phi, run.fixes.epoch, M[:, :nb, :nb].copy(), M[:, :nb, nb:].copy(), K[:, :nb].copy()
             )

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from insemu import earth
 from insemu.augment import Augmentation, Belief, StateLayout, augment
@@ -390,7 +390,7 @@ class LooselyCoupledEKF:
         """Largest accepted normalised innovation squared by the number of components, (rows + 1,)."""
         out = np.full(rows + 1, np.inf)
         if self.options.gate is not None:
-            out[1:] = chi2.isf(self.options.gate, np.arange(1, rows + 1))
+            out[1:] = chdtri(np.arange(1, rows + 1), self.options.gate)
         return out
 
     def installation(self) -> tuple[int, int]:
