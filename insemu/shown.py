@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from html import escape
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,8 @@ if TYPE_CHECKING:
 
 #: Lines that a result prints at most.
 MOST_LINES = 10
+#: Smaller probabilities are not told apart.
+SMALL_P = 1e-12
 
 
 def few(lines: list[str], most: int = MOST_LINES) -> str:
@@ -18,6 +21,20 @@ def few(lines: list[str], most: int = MOST_LINES) -> str:
     return "\n".join(
         lines if len(lines) <= most else [*lines[: most - 1], f"... and {len(lines) - most + 1} more lines"]
     )
+
+
+def finite(document: Any) -> Any:
+    """The same document with numbers that are not finite as None, which JSON can say."""
+    if isinstance(document, dict):
+        return {k: finite(v) for k, v in document.items()}
+    if isinstance(document, list | tuple):
+        return [finite(v) for v in document]
+    return None if isinstance(document, float) and not math.isfinite(document) else document
+
+
+def p_words(p: float) -> str:
+    """A p-value as a reader is told it."""
+    return f"p {p:.2g}" if p > SMALL_P else f"p below {SMALL_P:g}"
 
 
 class Shown:

@@ -88,8 +88,9 @@ def test_the_page_holds_figures_tables_and_escaped_text(tmp_path: Path, capsys: 
     code, out, _ = run([str(path), "--out", str(tmp_path / "page"), "--beside", str(beside)], capsys)
     assert code == 0 and "Readings" in out
     html = (tmp_path / "page" / "index.html").read_text()
-    assert html.count("data:image/png;base64,") == 5 and "<b>odd</b>" not in html and "&lt;b&gt;odd&lt;/b&gt;" in html
-    assert (tmp_path / "page" / "figures" / "allan.png").stat().st_size > 10_000
+    assert html.count('<figure class="chart">') == 5 and "other sensors" in html
+    assert "<b>odd</b>" not in html and "&lt;b&gt;odd&lt;/b&gt;" in html
+    assert (tmp_path / "page" / "figures" / "allan_deviation_signal.png").stat().st_size > 10_000
     assert "axes" in json.loads((tmp_path / "page" / "characterise.json").read_text())
 
 

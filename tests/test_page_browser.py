@@ -127,6 +127,7 @@ def test_charts_answer_the_keyboard_and_have_names(browser: Any, tmp_path: Path)
     page.goto(a_page(tmp_path).as_uri())
     plot = page.locator(".chart .plot").first
     assert "Errors of two designs" in plot.get_attribute("aria-label")
+    assert "error (m) over time (min): one 1 to 54.6, largest at 20; two 1 to 3" in plot.get_attribute("aria-label")
     plot.focus()
     for _ in range(3):
         page.keyboard.press("ArrowRight")
@@ -156,6 +157,23 @@ REST = {
     "truth": {"gyro": "WN(N=0.3 deg/sqrt(h))", "accel": "WN(N=60 ug/sqrt(Hz))"},
     "designs": {"white": {"gyro": {"truth": True}, "accel": {"truth": True}}},
 }
+#: Two IMUs on one board, one with less noise, and their temperature: columns of one log, sampled together.
+BOARD = {"gx": ("deg/s", 0.05), "gy": ("deg/s", 0.05), "ax": ("m/s^2", 0.01), "ay": ("m/s^2", 0.01)}
+
+
+def write_board(path: Path) -> None:
+    """Write a log of ten minutes at 20 Hz, in which the mean and the noise of the first IMU follow the temperature."""
+    rng = np.random.default_rng(8)
+    t = np.arange(12_000) / 20.0
+    warm = 25.0 + 10.0 * np.sin(2 * np.pi * t / 300.0)
+    columns = {"t [s]": t, "temperature [degC]": warm}
+    for name, (unit, spread) in BOARD.items():
+        drift = 0.02 * spread * (warm - 25.0) if name == "gx" else 0.0
+        columns[f"{name}_1 [{unit}]"] = drift + spread * np.exp(0.05 * (warm - 25.0)) * rng.standard_normal(t.size)
+        columns[f"{name}_2 [{unit}]"] = 0.5 * spread * rng.standard_normal(t.size)
+    np.savetxt(path, np.column_stack(list(columns.values())), "%.8g", ",", header=",".join(columns), comments="")
+
+
 HUM = [{"effect": "vibration_line", "sensor": "accel", "axes": ["x"], "amplitude": "1 mg", "frequency": "17.3 Hz"}]
 #: A drive with outages of a minute, in which nothing is missing.
 DRIVE: dict[str, Any] = {
@@ -189,7 +207,12 @@ KINDS = {
         "emulate drive.yaml --out drive.npz",
         "gap-check drive.yaml --measured drive.npz --recordings 20 --no-search --out check",
     ],
+    "follow.html": ["fit board.csv --model WN() --covariate temperature:6 --page follow.html -c gx_1"],
+    "regressed.html": ["fit board.csv --model WN() --regress temperature,time --page regressed.html -c gx_1"],
+    "array.html": ["array board.csv --model WN() --scenario flight.yaml --page array.html"],
 }
+#: Pages whose name is not that of their command.
+OTHERWISE = ("budget", "char", "check", "track.html", "reckon.html", "follow.html", "regressed.html")
 #: Those that take longer.
 SLOW_KINDS = {
     "transfer.html": [
@@ -209,6 +232,7 @@ def make_pages(folder: Path, kinds: dict[str, list[str]]) -> dict[str, str]:
     }
     for name, scenario in written.items():
         (folder / name).write_text(yaml.safe_dump(scenario, sort_keys=False), encoding="utf-8")
+    write_board(folder / "board.csv")
     printed: dict[str, str] = {}
     for commands in kinds.values():
         for command in commands:
@@ -286,8 +310,8 @@ def look_at(browser: Any, made: Path, kind: str, width: int) -> None:
         assert page.evaluate(cut) == []
     assert len(page.locator(".answer").text_content()) > 20
     about = json.loads(page.locator("#about").text_content())
-    assert about["kind"] in kind or kind.split("/")[0] in ("budget", "char", "check", "track.html", "reckon.html")
-    assert ", insemu " in page.title() and ("yaml" in page.title() or "npz" in page.title())
+    assert about["kind"] in kind or kind.split("/")[0] in OTHERWISE
+    assert ", insemu " in page.title() and (re.search("yaml|npz|csv", page.title()))
     charts = page.locator(".chart").all()
     assert charts
     for chart in charts:

@@ -126,7 +126,7 @@ def test_a_sweep_flies_every_point_goes_on_and_says_the_same(
     over = "gnss.position_sigma=[5 cm, 1 m],outage=[5 s, 10 s]"
     assert run(str(file), "--over", over, "--out", str(tmp_path / "one"), "--workers", "1") == 0
     said = capsys.readouterr().out
-    assert "right is the one to take at" in said and "wrong is" not in said
+    assert "Take right at" in said and "wrong at" not in said
     rows = list(csv.DictReader((tmp_path / "one" / "sweep.csv").read_text().splitlines()))
     assert len(rows) == 8 and [r["gnss.position_sigma"] for r in rows[::2]] == ["5 cm", "5 cm", "1 m", "1 m"]
     last = load(file, changes={"gnss.position_sigma": "1 m", "outage": "5 s"})

@@ -113,8 +113,10 @@ def command(
 
     from insemu import units
     from insemu.cli.announce import announce
-    from insemu.cli.following import alone, fit_covariate
+    from insemu.cli.covariates import Request, alone
+    from insemu.cli.following import fit_covariate
     from insemu.cli.printing import counting
+    from insemu.cli.regressors import fit_regressors
     from insemu.fit import check_bootstrap
 
     if bootstrap and len(files) == 1:
@@ -125,18 +127,13 @@ def command(
     scales = (tau_from, tau_to or math.inf)
     others = {"method": method, "wavelet": wavelet, "robust": robust, "start": start, "bootstrap": bootstrap}
     others |= {"pooled": not per_axis, "kalibr": kalibr, "or": alternatives, "files": files[1:]}
-    if regress:
-        from insemu.cli.regressors import fit_regressors
-
-        alone(others | {"covariate": covariate}, "--regress", "regressors and noise")
-        return fit_regressors(
-            file, model, regress, rate, skip, columns, scales, show=show, out=out, page=page, as_json=as_json
-        )
-    if covariate or "follows" in model:
+    if regress or covariate or "follows" in model:
+        request = Request(file, model, rate, skip, columns, scales, show, out, page, as_json)
+        if regress:
+            alone(others | {"covariate": covariate}, "--regress", "regressors and noise")
+            return fit_regressors(request, regress)
         alone(others, "--covariate", "levels that follow a covariate")
-        return fit_covariate(
-            file, model, covariate, rate, skip, columns, scales, show=show, out=out, page=page, as_json=as_json
-        )
+        return fit_covariate(request, covariate)
     if len(files) > 1:
         from insemu.cli.runs import fit_many
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import count
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -58,6 +59,7 @@ def flying(console: Console, label: str, total: int) -> Iterator[Callable[[int, 
     with bars(console) as shown:
         task = shown.add_task(label, total=total)
         yield lambda done, of, what: shown.update(task, completed=done, total=of, description=f"{label} ({what})")
+        shown.update(task, description=label)
 
 
 def print_table(
@@ -118,9 +120,9 @@ def counting(console: Console, label: str, total: int) -> Iterator[Callable[[str
     label : str
     total : int
     """
-    with bars(console) as shown:
-        task = shown.add_task(label, total=total)
-        yield lambda what: shown.update(task, advance=1, description=f"{label} ({what})")
+    finished = count(1)
+    with flying(console, label, total) as step:
+        yield lambda what: step(next(finished), total, what)
 
 
 @contextmanager

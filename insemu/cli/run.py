@@ -313,24 +313,17 @@ def bar(console: Console, label: str, total: int) -> Iterator[tuple[Any, Any]]:
     label : str
     total : int
     """
-    from insemu.cli.printing import bars
+    from insemu.cli.printing import flying
 
-    with bars(console) as shown:
-        task = shown.add_task(label, total=total)
+    def say(text: str) -> None:
+        console.print(f"Warning: {text}.", soft_wrap=True, highlight=False, markup=False)
 
-        def step(finished: int, total: int, what: str) -> None:
-            shown.update(task, completed=finished, total=total, description=f"{label} ({what})")
-
-        def say(text: str) -> None:
-            console.print(f"Warning: {text}.", soft_wrap=True, highlight=False, markup=False)
-
-        try:
+    try:
+        with flying(console, label, total) as step:
             yield step, say
-        except KeyboardInterrupt:
-            shown.stop()
-            console.print("Interrupted. Finished realizations are kept; the same command goes on from there.")
-            raise
-        shown.update(task, description=label)
+    except KeyboardInterrupt:
+        console.print("Interrupted. Finished realizations are kept; the same command goes on from there.")
+        raise
 
 
 def flown(

@@ -24,7 +24,7 @@ from insemu.evaluate.errors import (
 from insemu.evaluate.tally import DURING, Ladder, Tally, end_index, tally
 from insemu.noise import NoiseModel
 from insemu.records import Trajectory
-from insemu.shown import Shown, few
+from insemu.shown import Shown, few, finite
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -550,15 +550,6 @@ def observability_end(results: Results, design: str) -> dict[str, float]:
     last = results.total.mean("observability", results.names.index(design))[-1]
     names = results.designs[design].state_names[9:]
     return {name: float(v) for name, v in zip(names, last, strict=False) if np.isfinite(v)}
-
-
-def finite(document: Any) -> Any:
-    """The same document with NaN (an error that has no reference) as None, which JSON can say."""
-    if isinstance(document, dict):
-        return {k: finite(v) for k, v in document.items()}
-    if isinstance(document, list | tuple):
-        return [finite(v) for v in document]
-    return None if isinstance(document, float) and not np.isfinite(document) else document
 
 
 def verdicts(results: Results) -> list[str]:

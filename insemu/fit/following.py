@@ -26,6 +26,7 @@ from insemu.fit.nonlinear import Moments, bias, minimised, slopes
 from insemu.fit.result import Estimate, FitResult, GoodnessOfFit, estimates
 from insemu.noise import Follows, NoiseModel, Process, process_label
 from insemu.records import Series
+from insemu.shown import finite
 from insemu.variance import WaveletVariance, wavelet_variance
 
 Array = NDArray[np.float64]
@@ -85,8 +86,8 @@ class FollowingFit:
     def to_json(self) -> dict[str, object]:
         """The stable machine-readable form."""
         return self.result.to_json() | {
-            "slope_p_values": dict(self.p_values),
-            "segments": [vars(s) for s in self.segments],
+            "slope_p_values": finite(dict(self.p_values)),
+            "segments": finite([vars(s) for s in self.segments]),
         }
 
 

@@ -17,7 +17,7 @@ from insemu import units
 from insemu.errors import InputError
 from insemu.formats import spell
 from insemu.noise import NoiseModel, Parameter, Spread, process_label
-from insemu.shown import Shown
+from insemu.shown import Shown, p_words
 from insemu.variance import WaveletVariance
 from insemu.whole import put
 
@@ -174,7 +174,7 @@ class FitResult(Shown):
         if self.test is None:
             return "not tested"
         said = "compatible with the data" if self.bears else "contradicted by the data"
-        return f"{said} (p {self.test.p_value:.2g})"
+        return f"{said} ({p_words(self.test.p_value)})"
 
     @property
     def words(self) -> str:

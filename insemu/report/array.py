@@ -8,7 +8,7 @@ import numpy as np
 
 from insemu.array import EQUAL, METRES, ArrayFit, Weighting
 from insemu.report import page
-from insemu.report.charts import GREY, INK, RED, Chart, Line, View, positive
+from insemu.report.charts import GREY, INK, RED, Chart, Line, View, familiar, positive
 from insemu.report.style import COLOURS
 from insemu.report.tables import short
 from insemu.variance import wavelet_variance
@@ -71,8 +71,8 @@ def _curves(found: ArrayFit) -> Chart:
             values = sum(a * s.values for a, s in zip(w.weights[axis], signals, strict=True))
             curve = wavelet_variance(np.asarray(values), signals[0].rate_hz, intervals="eta3")
             lines.append(Line(w.name, np.sqrt(positive(curve.value)), _colour(w.name, k), width=2.0))
-        unit = signals[0].unit
-        views.append(View(axis, f"wavelet deviation ({unit or 'unit'})", lines, log_y=True, x=curves[0].tau_s))
+        lines, unit = familiar(lines, signals[0].unit)
+        views.append(View(axis, f"wavelet deviation ({unit})", lines, log_y=True, x=curves[0].tau_s))
     caption = "Wavelet deviation of every unit, and of the virtual sensor under each weighting."
     return Chart("Units and virtual sensors", caption, None, "scale (s)", views, log_x=True, group="scale")
 

@@ -20,6 +20,8 @@ from insemu.units import datasheet
 
 #: Significant digits of the numbers in a page: a screen shows less. Points in a plane need more: a map is read to the metre.
 DIGITS, PLANE_DIGITS = 4, 6
+#: Lines whose values are told to those who cannot see the chart.
+MOST_SAID = 6
 #: Colours of what belongs to no design, and of what must be seen.
 GREY, INK, RED = "#8A94A0", "#5B6675", "#D00000"
 
@@ -160,6 +162,22 @@ class Chart:
         own = line.x if line.x is not None else view.x
         return np.asarray(self.x if own is None else own, dtype=np.float64)
 
+    @property
+    def said(self) -> str:
+        """The values of the first view in words, for readers who cannot see it: the range of every line and where it is largest."""
+        view = self.views[0]
+        told = []
+        for line in view.lines:
+            x, y = self.abscissae(view, line), np.asarray(line.y, dtype=np.float64)
+            if self.equal or line.of or line.width == 0 or not np.isfinite(y).any():
+                continue  # a map; bounds of another line
+            at = x[int(np.nanargmax(y))]
+            where = next((name.replace("\n", " ") for place, name in view.ticks if abs(place - at) < 0.5), f"{at:.3g}")
+            low, high = f"{np.nanmin(y):.3g}", f"{np.nanmax(y):.3g}"
+            told.append(f"{line.label} {low}" if low == high else f"{line.label} {low} to {high}, largest at {where}")
+        more = f"; and {len(told) - MOST_SAID} more" if len(told) > MOST_SAID else ""
+        return f"{view.y_label} over {self.x_label}: {'; '.join(told[:MOST_SAID])}{more}." if told else ""
+
     def to_json(self) -> str:
         """The chart as JSON that may stand inside a page: it closes no tag and holds no NaN."""
         views = [
@@ -177,6 +195,7 @@ class Chart:
         plain = {
             "name": self.name,
             "caption": self.caption,
+            "said": self.said,
             "x_label": self.x_label,
             "views": views,
             "spans": [[float(a), float(b)] for a, b in self.spans],

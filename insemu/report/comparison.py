@@ -56,13 +56,19 @@ def _difference(row: ComparisonRow) -> tuple[str, str]:
     return f"{found.ratio:.2f} times as large", "bad"
 
 
+def _against(row: ComparisonRow, base: str) -> str:
+    """The difference with the base's name."""
+    word = _difference(row)[0]
+    return f"{word} than {base}'s" if word.endswith("smaller") else f"{word} against {base}"
+
+
 def comparison_answer(rows: Sequence[ComparisonRow], base: str) -> str:
     """Which design has the smallest error over all outages, in one sentence."""
     pooled = [r for r in rows if r.outage is None] or list(rows)
     best = min(pooled, key=lambda r: r.rank)
     said = f"{best.design} has the smallest planimetric error at outage end: {best.mean_m:.3g} m"
     others = [f"{r.design} {r.mean_m:.3g} m ({_difference(r)[0]})" for r in pooled if r.design != best.design]
-    word = "" if best.design == base else f" ({_difference(best)[0]} against {base})"
+    word = "" if best.design == base else f" ({_against(best, base)})"
     return f"{said}{word}" + (f"; {', '.join(others)}." if others else ".")
 
 

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 LEAST_OF_SPECTRUM = 64
 #: Draws under the decomposition.
 DRAWS = 20
+#: Different models that the answer names.
+MOST_TOLD = 3
 
 
 def _band(name: str, edges: tuple[ArrayLike, ArrayLike], colour: str, at: int, of: str = "") -> list[Line]:
@@ -147,12 +149,29 @@ def _charts(results: Mapping[str, FitResult], series: Sequence[Series], rng: np.
     return out + ([likelihood_trace(traced)] if traced else [])
 
 
+def parameters_table(result: FitResult, caption: str = "") -> page.Table:
+    """Every parameter with its error and interval."""
+    header = ("parameter", "estimate ± standard error", "95 % interval", "SI and discrete")
+    return page.Table(header, result.rows(), left=4, caption=caption)
+
+
+def verdict_cards(results: Mapping[str, FitResult], values: Mapping[str, str] | None = None) -> list[page.Card]:
+    """One card an axis: the model (or what ``values`` says of the axis), whether the data bear it, its parameters."""
+    return [
+        page.Card(
+            axis,
+            values[axis] if values else str(r.structure),
+            r.verdict[:1].upper() + r.verdict[1:],
+            "good" if r.bears else "bad",
+            [r.words],
+        )
+        for axis, r in results.items()
+    ]
+
+
 def _detail(axis: str, result: FitResult, ranking: Ranking | None) -> page.Folded:
     """Everything about one axis."""
-    header = ("parameter", "estimate ± standard error", "95 % interval", "SI and discrete")
-    blocks: list[page.Block] = [
-        page.Table(header, result.rows(), left=4, caption=f"{result.n_samples} samples at {result.rate_hz:g} Hz")
-    ]
+    blocks: list[page.Block] = [parameters_table(result, f"{result.n_samples} samples at {result.rate_hz:g} Hz")]
     if result.test is not None:
         blocks.append(
             page.Text(
@@ -169,13 +188,27 @@ def _detail(axis: str, result: FitResult, ranking: Ranking | None) -> page.Folde
 def fits_answer(results: Mapping[str, FitResult]) -> str:
     """What the fits say together, in one sentence."""
     bad = [axis for axis, r in results.items() if not r.bears]
+    named = _models(results)
     tested = [axis for axis, r in results.items() if r.test is not None or not r.converged]
     if not tested:
-        return f"{len(results)} model{'s' * (len(results) > 1)} fitted; this method does not test whether the data bear them."
+        return f"{named}; this method does not test whether the data bear {'them' if len(results) > 1 else 'it'}."
     if not bad:
-        return f"The data bear the model on {'every axis' if len(tested) > 1 else tested[0]}."
+        return f"{named}: the data bear {'it' if len(tested) == 1 else 'the model on every axis'}."
     rest = f" and bear it on the other {len(tested) - len(bad)}" if len(bad) < len(tested) else ""
-    return f"The data contradict the model on {', '.join(bad)}{rest}."
+    return f"{named}: the data contradict the model on {', '.join(bad)}{rest}."
+
+
+def _models(results: Mapping[str, FitResult]) -> str:
+    """Which model on which axes; their number where the sentence would be long."""
+    axes: dict[str, list[str]] = {}
+    for axis, r in results.items():
+        axes.setdefault(str(r.structure), []).append(axis)
+    if len(axes) == 1:
+        model, on = next(iter(axes.items()))
+        return f"{model} on {on[0] if len(on) == 1 else 'both axes' if len(on) == 2 else f'all {len(on)} axes'}"
+    if len(axes) > MOST_TOLD:
+        return f"{len(axes)} models on {len(results)} axes"
+    return ", ".join(f"{model} on {', '.join(on)}" for model, on in axes.items())
 
 
 def render_fits(
@@ -209,12 +242,6 @@ def render_fits(
     Path
     """
     ranked = rankings or {}
-    cards = [
-        page.Card(
-            axis, str(r.structure), r.verdict[:1].upper() + r.verdict[1:], "good" if r.bears else "bad", [r.words]
-        )
-        for axis, r in results.items()
-    ]
     rows = [(axis, str(r.structure), r.words, r.verdict) for axis, r in results.items()]
     sections = [
         page.Section("Every axis", [page.Table(("axis", "model", "values", "verdict"), rows, left=4)]),
@@ -229,7 +256,7 @@ def render_fits(
         kind="select" if ranked else "fit",
         source=source,
         answer=fits_answer(results),
-        cards=cards,
+        cards=verdict_cards(results),
     )
 
 

@@ -11,19 +11,26 @@ import numpy as np
 from insemu.fit import LEAST_P, FollowingFit
 from insemu.noise import Follows, Process, process_label
 from insemu.report import page
-from insemu.report.charts import INK, RED, Chart, Line, View, positive
-from insemu.report.fit import residuals
+from insemu.report.charts import INK, RED, Chart, Line, View, familiar, positive
+from insemu.report.fit import parameters_table, residuals, verdict_cards
+from insemu.shown import p_words
+from insemu.units import datasheet
 
-#: Smaller probabilities are not told apart.
-SMALL_P = 1e-12
 #: Points of a law's curve.
 POINTS = 200
+#: Levels that the answer tells one by one.
+TOLD = 2
 
 
 def _followers(fitted: FollowingFit) -> list[tuple[str, Process, Follows]]:
     """Label, process and law of every level that follows."""
     model = fitted.result.model
     return [(process_label(p.symbol, index), p, p.follows) for index, p in model.indexed() if p.follows is not None]
+
+
+def _unit(fitted: FollowingFit, p: Process) -> str:
+    """SI unit of the level of a process."""
+    return p.level.unit_for(fitted.result.unit) if fitted.result.unit else ""
 
 
 def following_answer(fitted: FollowingFit) -> list[str]:
@@ -48,15 +55,11 @@ def following_answer(fitted: FollowingFit) -> list[str]:
         if not math.isfinite(p_value):
             verdict = "held"
         elif p_value < LEAST_P:
-            verdict = f"it follows {law.covariate} (p {_shown(p_value)})"
+            verdict = f"it follows {law.covariate} ({p_words(p_value)})"
         else:
-            verdict = f"no sign that it follows {law.covariate} (p {_shown(p_value)})"
+            verdict = f"no sign that it follows {law.covariate} ({p_words(p_value)})"
         out.append(f"{fitted.result.name}: {told}; {interval}: {verdict}")
     return out
-
-
-def _shown(p: float) -> str:
-    return f"{p:.2g}" if p > SMALL_P else f"below {SMALL_P:g}"
 
 
 def segment_rows(fitted: FollowingFit) -> tuple[list[str], list[tuple[str, ...]]]:
@@ -65,11 +68,13 @@ def segment_rows(fitted: FollowingFit) -> tuple[list[str], list[tuple[str, ...]]
     names = list(dict.fromkeys(law.covariate for *_, law in followers))
     units_of = {law.covariate: law.unit for *_, law in followers}
     heading = ["from, s", "to, s", *(f"{n}, {units_of[n]}".removesuffix(", ") for n in names)]
-    heading += [f"{label}.{p.level.name} (95 %)" for label, p, _ in followers]
+    scales = {label: datasheet(1.0, _unit(fitted, p)) for label, p, _ in followers}
+    heading += [f"{label}.{p.level.name}, {scales[label][1]} (95 %)" for label, p, _ in followers]
     rows = []
     for s in fitted.segments:
         row = [f"{s.start_s:.5g}", f"{s.end_s:.5g}", *(f"{s.covariate[n]:.4g}" for n in names)]
-        row += [f"{s.level[k]:.3g} ({s.low[k]:.3g} … {s.high[k]:.3g})" for k, _, _ in followers]
+        for k, (factor, _) in scales.items():
+            row.append(f"{factor * s.level[k]:.3g} ({factor * s.low[k]:.3g} … {factor * s.high[k]:.3g})")
         rows.append(tuple(row))
     return heading, rows
 
@@ -101,9 +106,8 @@ def level_chart(results: Mapping[str, FollowingFit]) -> Chart:
                 Line("95 % interval of a segment, high", positive(placed(high)), INK, points=True, width=2.5, of="segments"),
                 Line("fitted to all segments", positive(curve), RED, width=2.2),
             ]  # fmt: skip
-            meta = p.level
-            unit = meta.unit_for(fitted.result.unit) if fitted.result.unit else "unit"
-            views.append(View(f"{axis}: {label}", f"{label}.{meta.name} ({unit})", lines, log_y=True, x=x))
+            lines, unit = familiar(lines, _unit(fitted, p))
+            views.append(View(f"{axis}: {label}", f"{label}.{p.level.name} ({unit})", lines, log_y=True, x=x))
             label_x = f"{law.covariate} ({law.unit})" if law.unit else law.covariate
     caption = "Level of each process in every segment by itself, with its 95 % interval, and the law that was fitted to all of them together."
     return Chart("Level against covariate", caption, None, label_x, views, group="covariate")
@@ -122,29 +126,28 @@ def render_following(results: Mapping[str, FollowingFit], path: str | Path, *, s
         The log that was fitted.
     """
     sentences = [line for fitted in results.values() for line in following_answer(fitted)]
-    cards = [
-        page.Card(axis, str(f.result.structure), f.result.verdict.capitalize(), "good" if f.result.bears else "bad", [f.result.words])
-        for axis, f in results.items()
-    ]  # fmt: skip
+    fits = {axis: f.result for axis, f in results.items()}
     detail = []
-    header = ("parameter", "estimate ± standard error", "95 % interval", "SI and discrete")
     for axis, fitted in results.items():
         heading, rows = segment_rows(fitted)
-        blocks: list[page.Block] = [page.Table(header, fitted.result.rows(), left=4), page.Table(heading, rows)]
+        blocks: list[page.Block] = [parameters_table(fitted.result), page.Table(heading, rows)]
         detail.append(page.Folded(f"{axis}: parameters and segments", blocks))
     sections = [
         page.Section("Levels", [page.Items(sentences), level_chart(results)]),
-        page.Section("The whole record", [residuals({axis: f.result for axis, f in results.items()})]),
+        page.Section("The whole record", [residuals(fits)]),
         page.Section("Detail", detail),
     ]
     moving = sum(p < LEAST_P for f in results.values() for p in f.p_values.values())
     total = sum(len(f.p_values) for f in results.values())
+    answer = (
+        f"{moving} of {total} levels follow their covariate." if len(sentences) > TOLD else f"{'. '.join(sentences)}."
+    )
     return page.render(
         "Noise that follows a covariate" + (f": {Path(source).name}" if source else ""),
         sections,
         path,
         kind="fit",
         source=source,
-        answer=f"{moving} of {total} levels follow their covariate.",
-        cards=cards,
+        answer=answer,
+        cards=verdict_cards(fits),
     )

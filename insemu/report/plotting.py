@@ -12,7 +12,7 @@ from insemu.errors import InputError, nearest
 from insemu.evaluate import Results
 from insemu.fit import FitResult, Ranking
 from insemu.gap import GapReport
-from insemu.report.characterise import allan_chart
+from insemu.report.characterise_charts import allan_chart
 from insemu.report.charts import Chart
 from insemu.report.experiment_charts import error_chart
 from insemu.report.fit import decomposition
@@ -44,10 +44,10 @@ def chart_of(result: Any) -> Chart:
     if fits and all(r.curve is not None for r in fits.values()):
         return decomposition(fits, np.random.default_rng(0))
     axes = [a for a in members.values() if isinstance(a, AxisReport)]
-    if axes and (chart := allan_chart(axes)) is not None:
-        return chart
+    if axes:
+        return allan_chart(axes)
     raise InputError(
-        f"found {type(result).__name__}, expected a fit with its curve, a report of axes of one length, a run, a gap or a solution"
+        f"found {type(result).__name__}, expected a fit with its curve, a report of axes, a run, a gap or a solution"
     )
 
 

@@ -30,13 +30,14 @@ def render_check(checks: Mapping[str, Check], left: GapReport | None, folder: st
     """
     last = checks["after"]
     o = last.outages
+    chance = 0.05 * len(last.statistics)
     answer = (
-        f"{last.outside} of {len(last.statistics)} statistics of the recording are outside the 95 % band of {last.recordings} emulated ones, and "
-        f"{o.inside} of {o.starts.size} outages end inside their 90 % band."
+        f"{last.outside} of {len(last.statistics)} statistics of the recording are outside the 95 % band of {last.recordings} emulated ones "
+        f"(by chance {chance:.2g}), and {o.inside} of {o.starts.size} outages end inside their 90 % band."
     )
     cards = [
         Card(
-            f"The model {name}",
+            _named(name, checks),
             f"{c.outages.inside} of {c.outages.starts.size} outages inside",
             f"{c.outside} of {len(c.statistics)} statistics outside 95 %",
             "good" if c.outages.inside >= 0.85 * c.outages.starts.size else "warn",
@@ -53,12 +54,19 @@ def render_check(checks: Mapping[str, Check], left: GapReport | None, folder: st
     )
     sections = [
         Section("Metres", [_chart(checks)]),
-        Section("Statistics of the innovations", [told, *(_table(name, c) for name, c in checks.items())]),
+        Section(
+            "Statistics of the innovations", [told, *(_table(_named(name, checks), c) for name, c in checks.items())]
+        ),
     ]
     title = f"A recording among emulated ones: {Path(source).name}"
     return render(
         title, sections, Path(folder) / "index.html", kind="gap-check", source=source, answer=answer, cards=cards
     )
+
+
+def _named(name: str, checks: Mapping[str, Check]) -> str:
+    """A model as the page calls it."""
+    return f"The model {name}" if len(checks) > 1 else "The model"
 
 
 def _chart(checks: Mapping[str, Check]) -> Chart:
@@ -72,7 +80,7 @@ def _chart(checks: Mapping[str, Check]) -> Chart:
             Line("emulated, 95 %", o.high, COLOURS[0], fill_to=1),
             Line("emulated, median", o.middle, COLOURS[0], dashed=True),
         ]
-        views.append(View(f"model {name}", "horizontal error (m)", lines, log_y=True, x=o.starts))
+        views.append(View(_named(name, checks), "horizontal error (m)", lines, log_y=True, x=o.starts))
     caption = "Horizontal error after 60 s without fixes, outage by outage: measured, and the middle 90 % of what the model makes."
     return Chart("Outages", caption, None, "start of the outage (s)", views)
 
@@ -90,4 +98,4 @@ def _table(name: str, c: Check) -> Table:
     ]
     heads = ("statistic", "of", "measured", "emulated, 95 %", "percentile")
     strong = frozenset(k for k, s in enumerate(c.statistics) if s.outside)
-    return Table(heads, rows, f"The model {name}; outside the 95 % band in bold", left=2, strong=strong)
+    return Table(heads, rows, f"{name}; outside the 95 % band in bold", left=2, strong=strong)

@@ -15,6 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as MplFigure
+from matplotlib.ticker import NullLocator
 
 from insemu.report.charts import Chart, Line, View
 from insemu.report.style import OUTAGE, style
@@ -81,11 +82,19 @@ def draw_view(axes: Axes, chart: Chart, view: View) -> None:
     drawable = any(np.any(np.asarray(line.y, dtype=np.float64) > 0) for line in view.lines)
     if drawable:
         axes.set(xscale="log" if chart.log_x else "linear", yscale="log" if view.log_y else "linear")
+        _few_ticks(axes)
     if view.ticks:  # after the scale, which sets the ticks anew
         _named_ticks(axes, view.ticks)
     if chart.equal:
         axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel=chart.x_label, ylabel=view.y_label, title=textwrap.fill(view.name, ROW))
+
+
+def _few_ticks(axes: Axes) -> None:
+    """No minor ticks on a logarithmic axis of two decades or more, where the decades say enough: they are most of the time of a drawing."""
+    for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+        if axis.get_scale() == "log" and high >= 100.0 * low > 0.0:
+            axis.set_minor_locator(NullLocator())
 
 
 def _named_ticks(axes: Axes, ticks: Sequence[tuple[float, str]]) -> None:

@@ -91,8 +91,9 @@ def sweep_answer(sweep: Sweep, rows: Sequence[Row]) -> str:
     for best in found.values():
         count[_choice(sweep, best)] = count.get(_choice(sweep, best), 0) + 1
     first = max(count, key=lambda name: count[name])
+    metres = [best.error_m for best in found.values() if _choice(sweep, best) == first]
     return (
-        f"{first} is the one to take at {count[first]} of {len(found)} points"
+        f"Take {first} at {count[first]} of {len(found)} points ({min(metres):.3g} to {max(metres):.3g} m)"
         + ("; " + ", ".join(f"{name} at {n}" for name, n in count.items() if name != first) if len(count) > 1 else "")
         + "."
     )

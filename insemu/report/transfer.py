@@ -28,9 +28,11 @@ def transfer_answer(found: Transfer) -> str:
     """Whether the factors help, in one sentence."""
     by = {j.name: j for j in found.judged}
     own, hand = by["transferred"], by["by hand"]
+    word = transfer_word(found)[0]
     return (
-        f"{transfer_word(found)[0].capitalize()} than the static model in {own.outages} outages that the factors were not fitted on: "
-        f"{own.gain[0]:+.2f} nats per outage (standard deviation {own.gain[1]:.2f}); a factor of 10 by hand {hand.gain[0]:+.2f}."
+        f"{'Take the transferred' if word == 'better' else 'Keep the static'} model: the transferred one is {word} in {own.outages} outages that "
+        f"the factors were not fitted on: {own.gain[0]:+.2f} nats per outage (standard deviation {own.gain[1]:.2f}); "
+        f"a factor of 10 by hand {hand.gain[0]:+.2f}."
     )
 
 

@@ -11,9 +11,9 @@ import xarray as xr
 
 from insemu import formats, noise, rotation
 from insemu.errors import InputError
-from insemu.evaluate import finite
 from insemu.formats import Way, write_table, write_way
 from insemu.records import Recording
+from insemu.shown import finite
 from insemu.solve.against import Comparison
 from insemu.solve.outages import Outages
 from insemu.solve.solution import KNOWS, Solution

@@ -45,8 +45,9 @@
   };
 
   function options(spec, view, width) {
+    const paper = document.documentElement.classList.contains("printing"), font = `${paper ? 10 : 12}px system-ui`;
     const axis = (label, size) => ({
-      label, size, labelSize: 22, values: (u, splits) => splits.map(tick), stroke: css("--ink"), font: "12px system-ui", labelFont: "12px system-ui",
+      label, size, labelSize: 22, values: (u, splits) => splits.map(tick), stroke: css("--ink"), font, labelFont: font,
       grid: { stroke: css("--line"), width: 1 }, ticks: { stroke: css("--line"), width: 1 },
     });
     const log = (on) => (on ? { distr: 3, log: 10 } : {});
@@ -69,7 +70,7 @@
       across.values = () => view.ticks.map((t) => t[1]);
       across.grid = { show: false };
     }
-    const height = document.documentElement.classList.contains("printing") ? 190 : Math.max(240, Math.min(360, width * 0.45));
+    const height = paper ? 190 : Math.max(240, Math.min(360, width * 0.45));
     return {
       width, height: Math.round(spec.equal ? height * 1.3 : height), series, bands,
       scales: { x: { time: false, ...log(spec.log_x) }, y: log(view.log_y) },
@@ -288,7 +289,7 @@
     button("Picture (PNG)", () => plot.querySelector("canvas").toBlob((blob) => save(spec.name + ".png", blob)));
     plot.tabIndex = 0;
     plot.setAttribute("role", "img");
-    plot.setAttribute("aria-label", spec.name + ". " + spec.caption);
+    plot.setAttribute("aria-label", `${spec.name}. ${spec.caption} ${spec.said}`);
     plot.onkeydown = (e) => { // arrow keys move the cursor from value to value
       const step = { ArrowLeft: -1, ArrowRight: 1, PageUp: -10, PageDown: 10 }[e.key];
       if (!step || e.target !== plot) return;

@@ -1,0 +1,156 @@
+"""What ``insemu fit --covariate`` and ``--regress`` share: a log opened with its other columns, every axis fitted, results handed out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+
+    from rich.console import Console
+
+    from insemu.fit import FitResult
+    from insemu.records import Array, Series
+
+
+class _Fit(Protocol):
+    """A fit that stands on a noise model."""
+
+    @property
+    def result(self) -> FitResult: ...
+
+    def to_json(self) -> dict[str, Any]: ...
+
+
+F = TypeVar("F", bound=_Fit)
+
+
+def alone(given: Mapping[str, object], option: str, what: str) -> None:
+    """Raise ``InputError`` where an option of ``fit`` is given that another one does not go with.
+
+    Parameters
+    ----------
+    given : mapping
+        Name of the option to what it was given.
+    option : str
+        With which they do not go.
+    what : str
+        What is fitted by gmwm with the Haar filter only.
+    """
+    from insemu.errors import InputError
+
+    usual = {"method": "gmwm", "wavelet": "haar"}
+    wrong = [name for name, value in given.items() if value and value != usual.get(name)]
+    if wrong:
+        named = "several files" if wrong[0] == "files" else f"--{wrong[0]}"
+        raise InputError(f"found {named}; {what} are fitted to one log by gmwm with the Haar filter", where=option)
+
+
+@dataclass(frozen=True)
+class Request:
+    """A log, a structure and where the results go.
+
+    Parameters
+    ----------
+    file : str
+        Log or recording.
+    model : str
+        Structure.
+    rate, skip : str
+        Sampling rate of a log that does not say it, and what is left out at the start.
+    columns : list of str or None
+        Axes that are fitted.
+    tau : (float, float)
+        Scales to use, s.
+    show : callable
+        Prints the parameters of a fit.
+    out, page : str
+        Model file and page to write, or nothing.
+    as_json : bool
+        Print JSON on standard output.
+    """
+
+    file: str
+    model: str
+    rate: str
+    skip: str
+    columns: list[str] | None
+    tau: tuple[float, float]
+    show: Callable[[Console, Mapping[str, FitResult]], None]
+    out: str
+    page: str
+    as_json: bool
+
+    def opened(self) -> tuple[list[Series], Mapping[str, Array]]:
+        """The axes that are asked for, all where none is, and what else the log has."""
+        from insemu import units
+        from insemu.cli.logs import column_names
+        from insemu.errors import InputError, nearest
+        from insemu.formats import AXIS_OF_COLUMN
+        from insemu.logs import open_with_covariates
+
+        rate = units.parse(self.rate, "Hz") if self.rate else None
+        series, there = open_with_covariates(self.file, rate, units.parse(self.skip, "s"))
+        wanted = column_names(self.columns)
+        if wanted is None:
+            return series, there
+        names = [AXIS_OF_COLUMN.get(w, w) for w in wanted]
+        unknown = [w for w in names if w not in [s.name for s in series]]
+        if unknown:
+            message = f"has no column '{unknown[0]}'" + nearest(unknown[0], [s.name for s in series])
+            raise InputError(message, where=self.file)
+        return [s for s in series if s.name in names], there
+
+    def fitted(self, series: list[Series], fit: Callable[[Series], F]) -> dict[str, F]:
+        """Axis to fit, with a bar of progress; an error names its axis."""
+        from rich.console import Console
+
+        from insemu.cli.printing import counting
+        from insemu.errors import InputError
+
+        results = {}
+        with counting(Console(stderr=True), "fitting", len(series)) as finished:
+            for s in series:
+                try:
+                    results[s.name] = fit(s)
+                except InputError as error:
+                    raise InputError(error.message, where=error.where or s.name) from None
+                finished(s.name)
+        return results
+
+    def give(
+        self, results: dict[str, F], detail: Callable[[Console, str, F], None], render: Callable[..., Path]
+    ) -> None:
+        """Print the results, write models and page.
+
+        Parameters
+        ----------
+        results : mapping
+            Axis to fit.
+        detail : callable
+            Prints what a fit has beside its noise model.
+        render : callable
+            Writes the page.
+        """
+        import json
+
+        import typer
+        from rich.console import Console
+
+        from insemu.fit import save
+
+        console = Console(stderr=self.as_json)
+        if self.as_json:
+            plain = {"axes": {axis: f.to_json() for axis, f in results.items()}}
+            typer.echo(json.dumps(plain, indent=1, allow_nan=False))
+        else:
+            for axis, found in results.items():
+                self.show(console, {axis: found.result})
+                detail(console, axis, found)
+        if self.out:
+            save({axis: f.result for axis, f in results.items()}, self.out)
+            console.print(f"models: {self.out}")
+        if self.page:
+            console.print(f"page: {render(results, self.page, source=self.file)}")
