@@ -80,7 +80,7 @@ class Experiment:
         )
         code = [file for d in scenario.designs.values() if d.filter for file in user_filter_code(d.filter).items()]
         self.digest = digest(scenario, {**self.world.files, **dict(code)})
-        self._held: dict[str, tuple[bytes, tuple[LooselyCoupledEKF | NavigationFilter, Array]]] = {}
+        self._held: dict[str, tuple[bytes, tuple[NavigationFilter, Array]]] = {}
         _ = self.world.outage_windows  # what is wrong with them is said before anything is flown
         if isinstance(self.world, RecordedWorld):
             _ = self.world.alignment
@@ -355,7 +355,7 @@ class Experiment:
 
     def _ready(
         self, design: str, times: Array, rows: NDArray[np.intp], standstill: Standstill | None
-    ) -> tuple[LooselyCoupledEKF | NavigationFilter, Array]:
+    ) -> tuple[NavigationFilter, Array]:
         """The filter of a design with covariances at these times, and what its states would be known to without fixes: kept for the next realization.
 
         Its rows are the fewest in steps of one length that hold those rows: of twenty minutes at 100 Hz they would take 50 MB.
@@ -366,6 +366,7 @@ class Experiment:
         common, every = int(np.gcd.reduce(rows)), self.scenario.designs[design].options.covariance_every
         step = common // every if common and common % every == 0 else 1
         ekf = self.filter(design, output_every=step, covariance_at=times, standstill=standstill)
+        ready: tuple[NavigationFilter, Array]
         ready = ekf, unaided_sigma(ekf.augmentation, rows) if isinstance(ekf, LooselyCoupledEKF) else np.empty(0)
         if standstill is None:
             self._held[design] = asked, ready
