@@ -15,6 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as MplFigure
+from matplotlib.legend import Legend
 from matplotlib.ticker import NullLocator
 
 from insemu.report.charts import Chart, Line, View
@@ -28,6 +29,8 @@ ACROSS = 3
 DPI = 110
 #: Line of a legend at most, points: bars are drawn as wide lines.
 WIDEST = 6.0
+#: Names that a panel has room for; a longer legend stands below all panels.
+MOST_INSIDE = 5
 #: What fits below a panel.
 CHARACTERS = 50
 #: What fits into a row of a panel's title.
@@ -47,14 +50,26 @@ def draw(*charts: Chart) -> MplFigure:
         for panel in list(panels.flat)[len(views) :]:
             panel.set_visible(False)
         said: set[tuple[str, str]] = set()
+        below: dict[str, Any] = {}
         for panel, (chart, view) in zip(panels.flat, views, strict=False):
             draw_view(panel, chart, view)
             shown = {(line.label, line.colour) for line in view.lines if line.width > 0}
             if not shown <= said and len(shown) > 1:  # a legend wherever something new is shown
-                for handle in panel.legend(loc="upper right" if view.ticks else "best").get_lines():
-                    handle.set_linewidth(min(handle.get_linewidth(), WIDEST))
+                if len(shown) > MOST_INSIDE:
+                    handles, labels = panel.get_legend_handles_labels()
+                    below |= dict(zip(labels, handles, strict=True))
+                else:
+                    _thin(panel.legend(loc="upper right" if view.ticks else "best"))
             said |= shown
+        if below:
+            _thin(figure.legend(below.values(), below.keys(), loc="outside lower center", ncols=across + 1))
     return figure
+
+
+def _thin(legend: Legend) -> None:
+    """No line of a legend as wide as a bar."""
+    for handle in legend.get_lines():
+        handle.set_linewidth(min(handle.get_linewidth(), WIDEST))
 
 
 def draw_view(axes: Axes, chart: Chart, view: View) -> None:
