@@ -20,7 +20,7 @@ from tests.test_page_browser import BROWSER, KINDS, SLOW_KINDS, make_pages
 
 WIDTHS = (420, 768, 1280)
 #: Height of what is shown of a page, and by how much it is made smaller.
-HEIGHT, SCALE, COLOURS = 1200, 0.4, 48
+HEIGHT, SCALE, COLOURS = 1200, 0.4, 64
 TARGET = Path(__file__).resolve().parent.parent / "results" / "gallery" / "pages"
 
 
@@ -37,7 +37,10 @@ def sheet_of(browser: Browser, address: str, name: str) -> None:
         left += int(SCALE * (width + 20))
         page.close()
     file = TARGET / f"{name}.png"
-    sheet.quantize(COLOURS).save(file, optimize=True)
+    few = sheet.quantize(
+        COLOURS, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE
+    )  # thin lines keep their colours
+    few.save(file, optimize=True)
     print(f"{file.name}: {file.stat().st_size / 1e3:.0f} kB")
 
 

@@ -46,6 +46,7 @@ app = typer.Typer(
     help="Choose and trust the noise models of INS/GNSS filters: characterise, fit, emulate, filter, evaluate, close the gap.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # a unit in brackets is no markup
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -68,7 +69,8 @@ def _root(
 
 
 for _name, _module in COMMANDS.items():
-    app.command(_name)(import_module(f"insemu.cli.{_module}").command)
+    _command = import_module(f"insemu.cli.{_module}").command
+    app.command(_name, short_help=" ".join(_command.__doc__.partition("\n\n")[0].split()))(_command)  # whole, not cut
 
 
 def main(argv: list[str] | None = None) -> None:

@@ -72,7 +72,7 @@ def timing(t: Array, counts: Mapping[str, int], *, moving: bool = True) -> list[
     dt = float(np.median(step))
     rate = 1.0 / dt
     out = []
-    text = f"{t.size} samples at {rate:.6g} Hz from {t[0]:.6g} to {t[-1]:.6g} s"
+    text = f"{t.size} samples at {rate:.6g} Hz in {t[-1] - t[0]:.6g} s"
     spread = float(np.quantile(np.abs(step - dt), 0.9)) / dt
     text += f", steps within {100 * spread:.2g} %" if spread > 1e-3 else ", even steps"
     if not RATES[0] <= rate <= RATES[1]:
@@ -85,7 +85,7 @@ def timing(t: Array, counts: Mapping[str, int], *, moving: bool = True) -> list[
     lost = int(np.round(step[gaps] / dt - 1.0).sum()) if gaps.size else 0
     if gaps.size and spread <= 0.5:
         k = int(gaps[np.argmax(step[gaps])])
-        text = f"{gaps.size} gap(s), {lost} of {t.size + lost} samples lost, the longest {step[k]:.4g} s from {t[k]:.6g} to {t[k + 1]:.6g} s"
+        text = f"{gaps.size} gap(s), {lost} of {t.size + lost} samples lost, the longest {step[k]:.4g} s, {t[k] - t[0]:.6g} s after the start"
         long = moving and step[k] > max(0.5, 5.0 * dt)
         first, last = t[0], t[-1]
         half = f'--map "from={t[k + 1]:.6f} s"' if last - t[k + 1] > t[k] - first else f'--map "to={t[k]:.6f} s"'

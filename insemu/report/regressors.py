@@ -22,7 +22,7 @@ LEAST_P = 0.05
 def coefficient_rows(found: RegressedFit) -> tuple[list[str], list[list[str]]]:
     """Header and rows of the coefficients."""
     factor, unit = datasheet(1.0, found.result.unit)
-    header = ["regressor", "coefficient (per unit) \u00b1 standard error", "95 % interval", "p"]
+    header = ["regressor", "coefficient per unit \u00b1 error", "95 % interval", "p"]
     rows = [
         [
             c.name,
