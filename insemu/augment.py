@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_discrete_lyapunov
-from scipy.signal import lfilter
 
 from insemu.errors import InputError, nearest
 from insemu.noise import ARMA, DR, RC, Follows, NoiseModel, Process, StateBlock, shared_processes
@@ -225,25 +224,26 @@ class Augmentation:
         return self.axis.size
 
     def coefficients(self, measured: ArrayLike | None = None) -> Array:
-        """How strongly each state is seen by its axis, ``c_s d_s``: (m,).
+        """How strongly each state is seen by its axis, ``c_s d_s``: (m,), or (..., m) for many measured rows.
 
         Parameters
         ----------
-        measured : (6,) or (12,) array_like, optional
-            A row of :meth:`sensed`, needed only where calibration states are carried.
+        measured : (..., 6) or (..., 12) array_like, optional
+            Rows of :meth:`sensed`, needed only where calibration states are carried.
         """
         driven = self.driver >= 0
         if not driven.any():
             return self.c
         if measured is None:
             raise InputError("calibration states are carried; give the measured rate and specific force")
-        return np.where(driven, self.c * np.asarray(measured, dtype=np.float64)[self.driver], self.c)
+        return np.where(driven, self.c * np.asarray(measured, dtype=np.float64)[..., self.driver], self.c)
 
     def output(self, measured: ArrayLike | None = None) -> Array:
-        """What the six axes see of the states, (6, m); ``measured`` as in :meth:`coefficients`."""
-        C = np.zeros((6, self.m))
-        seen = self.axis >= 0
-        C[self.axis[seen], np.nonzero(seen)[0]] = self.coefficients(measured)[seen]
+        """What the six axes see of the states, (6, m) or (..., 6, m); ``measured`` as in :meth:`coefficients`."""
+        c = self.coefficients(measured)
+        C = np.zeros((*c.shape[:-1], 6, self.m))
+        seen = np.flatnonzero(self.axis >= 0)
+        C[..., self.axis[seen], seen] = c[..., seen]
         return C
 
     def power(self, count: int) -> tuple[Array, Array]:
@@ -405,6 +405,8 @@ def true_states(model: NoiseModel, components: ArrayLike, dt: float) -> Array:
         In the order of :func:`augment`. NaN where a process has states that its values do not tell (QN, SIN, MA, ARMA) and in the first p - 1
         samples of an AR(p).
     """
+    from scipy.signal import lfilter
+
     parts = np.asarray(components, dtype=np.float64)
     rows: list[Array] = [np.zeros((0, parts.shape[1]))]
     for process, values in zip(model.at_rate(1.0 / dt), parts, strict=True):

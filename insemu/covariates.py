@@ -11,7 +11,6 @@ from collections.abc import Collection, Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from insemu import units
 from insemu.errors import InputError, nearest
@@ -40,6 +39,8 @@ def smoothed(x: Array, dt: float, time: float = SMOOTHING_S) -> Array:
     time : float
         Time constant, s.
     """
+    from scipy.signal import lfilter
+
     keep = np.exp(-dt / time)
     start = x[: max(1, round(SMOOTHING_S / dt))].mean(axis=0, keepdims=True)
     out, _ = lfilter([1.0 - keep], [1.0, -keep], x, axis=0, zi=keep * start)

@@ -11,7 +11,6 @@ from typing import Literal, get_args
 import numpy as np
 import pywt
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import oaconvolve
 
 from insemu.errors import InputError, nearest
 
@@ -140,6 +139,8 @@ def delayed_approximation(x: ArrayLike, levels: int, delay: int, *, wavelet: str
     InputError
         Unknown wavelet, levels below 1, a delay that is negative or reaches past the filter's middle.
     """
+    from scipy.signal import oaconvolve
+
     if wavelet not in pywt.wavelist(kind="discrete"):
         raise InputError(f"unknown wavelet '{wavelet}'" + nearest(wavelet, pywt.wavelist(kind="discrete")))
     if not 1 <= levels <= 12:

@@ -15,6 +15,8 @@ import yaml
 from insemu.cli import main
 from tests.test_sweep import SCENARIO
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 #: Command line, and the file that it writes (none: it prints JSON).
 COMMANDS = {
     "compare": ("compare s.yaml --json", ""),
@@ -25,7 +27,7 @@ COMMANDS = {
     "gap-trial": ("gap-trial --recordings 2 --kind static --effect none --hours 0.2 --no-hold-out --json", ""),
 }
 #: Commands that take more than ten seconds here.
-LONG = ("compare", "gap-trial")
+LONG = ("compare", "gap-trial", "regress")
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,7 @@
 """The smoother against filterpy's, against chi-square bounds and against the filter in an outage."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
@@ -64,6 +66,54 @@ def test_smoothed_errors_are_what_the_smoother_says_and_half_of_the_filters():
     assert rms_s < 0.5 * rms_f
     # the negative twin: the filter's own covariance does not describe the smoothed error in the outage
     assert rms_s < 0.5 * r.sigma[45, :2].max()
+
+
+def test_states_without_variance_and_fully_correlated_states_smooth_as_the_dense_inverse():
+    """A known state gets no gain; two that are one share theirs, where a factorisation of the covariance fails."""
+    road = cases.drive(12.0)
+    r = LooselyCoupledEKF(MODEL_15, DT, options=OPTIONS).run(*flown(road, MODEL_15, 2, (4.0, 8.0)), START_SIGMA)
+    nodes, n = r.nodes, r.layout.n
+
+    def widened(P, known):  # one state nothing is unknown of, and the last state once more
+        out = np.zeros((len(P), n + 2, n + 2))
+        out[:, :n, :n] = P
+        out[:, n + 1, n + 1] = P[:, -1, -1] if known else 1.0 * (P[:, -1, -1] != 0)
+        if known:
+            out[:, n + 1, :n], out[:, :n, n + 1] = P[:, -1], P[:, :, -1]
+        return out
+
+    Phi = widened(nodes.Phi, False)
+    Phi[:, n, n] = 1.0
+    Phi[:, n + 1, n + 1] = nodes.Phi[:, -1, -1]
+    extra = {
+        "P_before": widened(nodes.P_before, True),
+        "P_after": widened(nodes.P_after, True),
+        "Phi": Phi,
+        "states": np.hstack([nodes.states, np.zeros((len(nodes), 1)), nodes.states[:, -1:]]),
+        "correction": np.hstack([nodes.correction, np.zeros((len(nodes), 1)), nodes.correction[:, -1:]]),
+    }
+    plain, wide = smooth(r), smooth(replace(r, nodes=replace(nodes, **extra)))
+    sd = np.maximum(plain.sigma, 1e-300)
+    np.testing.assert_allclose(wide.sigma[:, :n] / sd, 1.0, rtol=1e-6)
+    np.testing.assert_array_equal(wide.sigma[:, n], 0.0)
+    np.testing.assert_allclose(wide.sigma[:, n + 1], wide.sigma[:, n - 1], rtol=1e-6)
+    np.testing.assert_allclose(wide.nav, plain.nav, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(wide.imu_states[:, -1], plain.imu_states[:, -1], atol=1e-9 * np.abs(sd[:, -1]).max())
+
+
+def test_rows_that_are_asked_for_change_no_number():
+    """A fix between two epochs of a slow covariance, and rows of every epoch or of few: the same bits."""
+    road = cases.drive(6.0)
+    imu, gnss, start = flown(road, MODEL_15, 3, (0.0, 0.0))
+    gnss = replace(gnss, t=gnss.t + 3 * DT)
+    few, many = (
+        LooselyCoupledEKF(MODEL_15, DT, options=FilterOptions(covariance_every=10, output_every=k)).run(
+            imu, gnss, start, START_SIGMA
+        )
+        for k in (100, 10)
+    )
+    np.testing.assert_array_equal(few.nav, many.nav[np.isin(many.t, few.t)])
+    np.testing.assert_array_equal(few.sigma, many.sigma[np.isin(many.t, few.t)])
 
 
 def test_the_last_node_is_the_filters_and_nodes_are_needed():

@@ -36,7 +36,7 @@ def readings(model: NoiseModel, method: str, n: int, rate: float, **options: obj
         pytest.param(HUMP, "psd-slopes", 30_000, 5.0, {}, marks=pytest.mark.slow),
         pytest.param(HUMP, "hadamard-slopes", 30_000, 5.0, {}, marks=pytest.mark.slow),
         (NoiseModel((GM(0.3, 0.05),)), "autocorrelation", 60_000, 10.0, {}),
-        (GM(0.3, 0.05) + WN(0.1), "autocorrelation", 60_000, 10.0, {}),
+        pytest.param(GM(0.3, 0.05) + WN(0.1), "autocorrelation", 60_000, 10.0, {}, marks=pytest.mark.slow),
         (
             GM(0.3, 0.05) + WN(0.3),
             "autocorrelation",

@@ -593,7 +593,7 @@ def test_a_filter_starts_on_positions_alone() -> None:
     assert np.all(np.abs(off) < 4.0 * np.asarray(sigma.attitude))
 
 
-@pytest.mark.parametrize("reference", [True, False])
+@pytest.mark.parametrize("reference", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_errors_of_a_turned_sensor_are_named_in_its_own_axes_and_the_lever_arm_in_the_body(reference: bool) -> None:
     turned = use(effect="mounting", rpy=["100 deg", "-60 deg", "160 deg"])
     misaligned = use(effect="misalignment", sensor="gyro", value=[0, 0, 0, -0.01, 0, 0])  # y errs with z

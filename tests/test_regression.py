@@ -23,6 +23,8 @@ from insemu.evaluate.regression import (
 )
 from insemu.scenario import load
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 SCENARIO = {
     "title": "small flight",
     "seed": 3,

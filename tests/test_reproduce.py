@@ -18,6 +18,8 @@ from insemu.evaluate import Experiment, changed, differences, effort
 from insemu.scenario import load
 from tests.fuzz.commands import SCENARIO
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 RUNNER = CliRunner()
 
 

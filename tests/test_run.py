@@ -22,6 +22,8 @@ from insemu.evaluate import Experiment, run_experiment
 from insemu.evaluate.folder import only_writer
 from insemu.scenario import load
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 SCENARIO: dict[str, Any] = {
     "title": "small <b>flight</b>",
     "seed": 3,
@@ -57,6 +59,7 @@ def run(*arguments: str) -> int:
     return int(stop.value.code or 0)
 
 
+@pytest.mark.pictures
 def test_a_run_leaves_table_page_and_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert run(str(write(tmp_path)), "--workers", "2", "--variants", "--out", str(out), "--json") == 0
@@ -117,6 +120,7 @@ def test_realizations_are_the_same_alone_in_parallel_and_among_more(tmp_path: Pa
     assert not np.array_equal(few.error, other.error)
 
 
+@pytest.mark.pictures
 def test_smoother_budget_and_published_figures_come_with_a_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

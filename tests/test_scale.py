@@ -23,6 +23,8 @@ from insemu.evaluate.folder import only_writer
 from insemu.scenario import load
 from tests.test_run import SCENARIO, run, write
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 SIX = {"realizations": 6, "variants": {}, "fits": None, "designs": {"full": SCENARIO["designs"]["full"]}}
 
 

@@ -18,6 +18,8 @@ from insemu.evaluate import sweep as swept
 from insemu.evaluate.sweep import factors, points
 from insemu.scenario import load, with_changes
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 SCENARIO: dict[str, Any] = {
     "title": "which <b>sensor</b>",
     "seed": 3,

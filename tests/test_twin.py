@@ -15,6 +15,8 @@ from insemu.evaluate.control import controlled
 from insemu.scenario import load
 from tests.test_run import SCENARIO, run, write
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 TWO = {
     "variants": {},
     "fits": None,
@@ -46,7 +48,7 @@ def test_the_twin_errs_as_the_filter_does(tmp_path: Path) -> None:
             assert planimetric(found - expected).max() < 0.05 * planimetric(expected).max()
 
 
-@pytest.mark.parametrize("record", [None, "500 s"])
+@pytest.mark.parametrize("record", [None, pytest.param("500 s", marks=pytest.mark.slow)])
 def test_draws_have_the_covariance_of_the_analysis(tmp_path: Path, record: str | None) -> None:
     experiment = made(tmp_path, truth=SCENARIO["truth"] | {"record": record})
     twin = LinearTwin(experiment)
@@ -83,6 +85,7 @@ def test_the_coarse_twin_errs_as_the_filter_does_where_the_linear_one_does_not(t
     assert off["coarse"] < 0.1 * off["linear"], off
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("record", [None, "500 s"])
 def test_coarse_draws_are_distributed_as_linear_ones(tmp_path: Path, record: str | None) -> None:
     linear = LinearTwin(made(tmp_path, truth=SCENARIO["truth"] | {"record": record}))

@@ -14,6 +14,8 @@ from insemu.errors import InputError
 from insemu.evaluate import Goal, looks
 from tests.test_run import SCENARIO, run, write
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 
 @pytest.mark.parametrize(
     ("text", "message"),

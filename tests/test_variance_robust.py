@@ -89,7 +89,9 @@ def test_a_quantized_log_with_outliers_is_read_as_one(share: float, octaves: int
     assert (np.abs(ratio - 1.0)[:octaves] < 0.05).all()
 
 
-@pytest.mark.parametrize("efficiency", [0.5, 0.6, 0.9])
+@pytest.mark.parametrize(
+    "efficiency", [pytest.param(0.5, marks=pytest.mark.slow), 0.6, pytest.param(0.9, marks=pytest.mark.slow)]
+)
 def test_the_efficiency_is_the_one_asked_for(efficiency: float) -> None:
     c, k = biweight_constants(efficiency)
     rng = np.random.default_rng(21)

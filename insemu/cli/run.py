@@ -264,7 +264,7 @@ def run_all(
     failed : list of str
         What could not be made, in words.
     """
-    from insemu.evaluate import CACHE, check_not_fewer, finish, only_writer, resolved, write
+    from insemu.evaluate import CACHE, check_not_fewer, finish, only_writer, resolved, write, write_summary
     from insemu.report import render_experiment
     from insemu.whole import put
 
@@ -290,9 +290,9 @@ def run_all(
             put(target / "resolved.yaml", resolved(experiment.scenario))
             done[name] = results
         first = done[""]
-        done[""] = attempt("the error budget", lambda: with_budgets(experiments[""], first), first)
+        done[""] = attempt("the error budget", lambda: with_budgets(experiments[""], first, means[0]), first)
         if done[""].budgets:
-            write(done[""], folder)
+            write_summary(done[""], folder)
         others = {name: results for name, results in done.items() if name}
         source = main.published.source if main.published else ""
         text = {"question": main.question, "notes": main.notes, "source": source}
@@ -356,15 +356,23 @@ def flown(
         yield name, experiment, results
 
 
-def with_budgets(experiment: Experiment, results: Results) -> Results:
-    """The results with an error budget of every design that allows a covariance analysis."""
+def with_budgets(experiment: Experiment, results: Results, workers: int = 1) -> Results:
+    """The results with an error budget of every design that allows a covariance analysis.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    results : Results
+    workers : int
+        Threads.
+    """
     from dataclasses import replace
 
     from insemu.evaluate import analysable, analyse_designs, outage_budgets
 
     if not results.outages or not analysable(experiment)[0]:
         return results
-    return replace(results, budgets=outage_budgets(analyse_designs(experiment), results.outages))
+    return replace(results, budgets=outage_budgets(analyse_designs(experiment, workers=workers), results.outages))
 
 
 def forget_others(cache: Path, digests: set[str]) -> None:

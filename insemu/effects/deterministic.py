@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from insemu import earth, rotation
 from insemu.effects import passes
@@ -339,6 +338,8 @@ def lagged(temperature: Array, dt: float, lag_s: float) -> Array:
     -------
     (n,) array
     """
+    from scipy.signal import lfilter
+
     if lag_s <= 0.0:
         return temperature
     phi = float(np.exp(-dt / lag_s))

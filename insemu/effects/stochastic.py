@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, lfilter_zi
 
 from insemu.effects import passes
 from insemu.effects.base import BOTH, DEG, Effect, EffectParameter, EffectUse, G, Stage
@@ -351,6 +350,8 @@ class DecimationFilter(Effect):
 
     def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
         """Filter the rows; the filter starts in equilibrium with the first sample."""
+        from scipy.signal import butter, lfilter_zi
+
         cutoff = use.scalar("cutoff")
         if cutoff > 0:
             if cutoff >= 0.5 / chain.dt:

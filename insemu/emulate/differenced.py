@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.signal import correlate
 
 from insemu import rotation
 from insemu.errors import InputError
@@ -166,6 +165,8 @@ def _blocks(unit: ImuRecord) -> tuple[Array, Array, Array]:
 
 def _coarse(unit: ImuRecord, source: _Reference, search_s: float) -> tuple[float, float]:
     """Time offset at which the magnitudes of the turn rates correlate best, to the unit's interval, and that correlation."""
+    from scipy.signal import correlate
+
     own = np.linalg.norm(unit.rates()[:, :3], axis=1)
     at = np.arange(len(unit)) * unit.dt + unit.t[0]
     other = np.linalg.norm(source.means(at - unit.dt, at)[0], axis=1)

@@ -9,13 +9,13 @@ from insemu.evaluate.comparison import (
     outage_budgets,
     with_designs,
 )
-from insemu.evaluate.consistency import Verdict, lag_products, nis_test, whiteness_verdicts
+from insemu.evaluate.consistency import Verdict, chi_square_bounds, lag_products, nis_test, whiteness_verdicts
 from insemu.evaluate.control import Controlled, control, planimetric
 from insemu.evaluate.covariance import CovarianceAnalysis
 from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.errors import COMPONENTS, bootstrap_mean, navigation_error, paired_ratio, within_outage
 from insemu.evaluate.experiment import Experiment
-from insemu.evaluate.folder import CACHE, check_not_fewer, finish, only_writer, resolved, write
+from insemu.evaluate.folder import CACHE, check_not_fewer, finish, only_writer, resolved, write, write_summary
 from insemu.evaluate.provenance import changed, differences, surroundings
 from insemu.evaluate.recorded import BRIDGED_S
 from insemu.evaluate.regression import Alteration, Baseline, Change, check, smallest_detectable, trial
@@ -72,6 +72,7 @@ __all__ = [
     "check",
     "check_complete",
     "check_not_fewer",
+    "chi_square_bounds",
     "chosen",
     "compare",
     "conditions",
@@ -111,4 +112,5 @@ __all__ = [
     "with_designs",
     "within_outage",
     "write",
+    "write_summary",
 ]

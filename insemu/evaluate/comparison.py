@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -18,6 +19,7 @@ from insemu.evaluate.results import Results
 from insemu.filters import LooselyCoupledEKF
 from insemu.scenario import Design, Scenario, shipped_designs
 from insemu.strapdown import NavState
+from insemu.work import run_items
 
 
 @dataclass(frozen=True)
@@ -173,9 +175,17 @@ def analysable(experiment: Experiment, *, removes_means: bool = False) -> tuple[
 
 
 def analyse_designs(
-    experiment: Experiment, states: Sequence[str] = ("pos_n", "pos_e")
+    experiment: Experiment, states: Sequence[str] = ("pos_n", "pos_e"), *, workers: int = 1
 ) -> dict[str, CovarianceAnalysis]:
     """Covariance analysis of every design that allows it, with an error budget at the end of every outage.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    states : sequence of str
+        Navigation errors in the budget.
+    workers : int
+        Threads: the compiled loops free the GIL.
 
     Raises
     ------
@@ -192,8 +202,9 @@ def analyse_designs(
     ends = [start + duration for start, duration in world.outage_windows]
     plain = type(fixes)(fixes.t, fixes.llh, fixes.vel_ned)  # the filter's own sigmas, not those of perfect fixes
     truth = {axis: m.at_rate(experiment.rate_hz) for axis, m in s.truth.models().items()}
-    return {
-        name: analyse(
+
+    def analysed(name: str) -> CovarianceAnalysis:
+        return analyse(
             experiment.ekf(name),
             truth,
             world.imu,
@@ -205,8 +216,9 @@ def analyse_designs(
             budget_at=ends,
             budget_states=states,
         )
-        for name in able
-    }
+
+    with ThreadPoolExecutor(max_workers=max(1, workers)) as pool:
+        return run_items({name: name for name in able}, analysed, pool=pool)
 
 
 def outage_budgets(

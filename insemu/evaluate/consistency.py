@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
+from scipy.special import chdtr, chdtri, gammaincinv, ndtri
 
 from insemu.augment import Augmentation
 from insemu.errors import InputError
@@ -197,12 +197,11 @@ def sensor_errors(
         See :class:`insemu.emulate.pieces.TrueStates`; None: not known.
     """
     estimate = result.imu_states[rows]
-    axes, spread = np.full((len(rows), 6), np.nan), np.full((len(rows), 6, 6), np.nan)
-    for k in range(len(rows)):
-        C = augmentation.output(measured[k])
-        spread[k] = C @ covariance[k][9:, 9:] @ C.T
-        if true_axes is not None:
-            axes[k] = C @ estimate[k] - true_axes[k]
+    C = augmentation.output(measured)  # of every row where calibration states are carried, one for all elsewhere
+    spread = C @ covariance[:, 9:, 9:] @ np.swapaxes(C, -1, -2)
+    axes = np.full((len(rows), 6), np.nan)
+    if true_axes is not None:
+        axes = (C @ estimate[:, :, None])[:, :, 0] - true_axes
     states = np.full(estimate.shape, np.nan)
     if true_states is not None and augmentation.layout.names[9:] == tuple(true_names):
         states = estimate - true_states
@@ -231,6 +230,11 @@ def block_nees(errors: Array, covariance: Array, sensors: SensorErrors | None = 
             out[3 + i] = nees_per_dof(sensors.axes[:, s], sensors.axes_covariance[:, s, s], full=True)
         out[5] = nees_per_dof(sensors.states, covariance[:, 9:, 9:])
     return out
+
+
+def chi_square_bounds(tail: float, dof: int) -> tuple[float, float]:
+    """Values of a chi-square variable with this probability below the first and above the second."""
+    return 2.0 * float(gammaincinv(0.5 * dof, tail)), float(chdtri(dof, tail))
 
 
 def nees_test(
@@ -284,7 +288,7 @@ def nees_verdicts(
     """
     m = np.asarray(means, dtype=np.float64)
     tail = 0.5 * (1.0 - confidence) / m.size
-    low, high = stats.chi2.ppf(tail, dof * runs) / (dof * runs), stats.chi2.isf(tail, dof * runs) / (dof * runs)
+    low, high = (x / (dof * runs) for x in chi_square_bounds(tail, dof * runs))
     out = []
     for k, mean in enumerate(m / dof):
         name = subject if at is None else f"{subject} at {at[k]:g} s"
@@ -314,7 +318,7 @@ def nis_verdict(total: float, dof: int, *, confidence: float = 0.99) -> Verdict:
     if dof == 0:
         raise InputError("no accepted fix: there is no innovation to judge")
     tail = 0.5 * (1.0 - confidence)
-    low, high = stats.chi2.ppf(tail, dof) / dof, stats.chi2.isf(tail, dof) / dof
+    low, high = (x / dof for x in chi_square_bounds(tail, dof))
     return Verdict("NIS/dof", "innovations", total / dof, low, high, confidence, dof, _judge(total / dof, low, high))
 
 
@@ -366,7 +370,7 @@ def whiteness_verdicts(sums: ArrayLike, counts: ArrayLike, *, confidence: float 
         Of all lags together.
     """
     total, number = np.asarray(sums, dtype=np.float64), np.asarray(counts, dtype=np.float64)
-    z = stats.norm.isf(0.5 * (1.0 - confidence) / total.size)
+    z = -ndtri(0.5 * (1.0 - confidence) / total.size)
     out = []
     for lag, (s, n) in enumerate(zip(total, number, strict=True), start=1):
         if n == 0:
@@ -394,13 +398,15 @@ def coverage_test(
     confidence : float
         Of all states together.
     """
+    from scipy.stats import binom
+
     e, s = np.asarray(errors, dtype=np.float64), np.asarray(sigma, dtype=np.float64)
     if e.ndim != 3 or e.shape != s.shape or e.shape[2] != len(names) or e.shape[0] < 2:
         raise InputError(
             f"errors have shape {e.shape} and sigma {s.shape}, expected (runs, epochs, {len(names)}) both, of two runs or more"
         )
     runs, epochs, _ = e.shape
-    expected = float(stats.chi2.cdf(factor**2, 1))
+    expected = float(chdtr(1, factor**2))
     tail = 0.5 * (1.0 - confidence) / len(names)
     share = (np.abs(e) <= factor * s).mean(axis=(0, 1))
     inner = np.abs(e) <= np.sqrt(np.mean(e**2, axis=(0, 1)))
@@ -410,7 +416,7 @@ def coverage_test(
     out = []
     for i, name in enumerate(names):
         count = round(runs * epochs / float(design[i]))
-        low, high = stats.binom.ppf(tail, count, expected) / count, stats.binom.isf(tail, count, expected) / count
+        low, high = binom.ppf(tail, count, expected) / count, binom.isf(tail, count, expected) / count
         word = _judge(float(share[i]), low, high, larger="pessimistic", smaller="overconfident")
         out.append(Verdict(f"{factor:g}-sigma coverage", name, float(share[i]), low, high, confidence, count, word))
     return out

@@ -79,14 +79,16 @@ def labelled(
     variables : mapping
         Name to dimensions behind the leading ones, unit and meaning.
     """
-    data = xr.Dataset()
-    for name, values in arrays.items():
-        dims, unit, meaning = variables[name]
-        data[name] = ((*leading, *dims), np.asarray(values), {"long_name": meaning, "units": unit})
-    known = {**LABELS, **labels}
-    data = data.assign_coords({dim: list(known[dim]) for dim in data.dims if dim in known})
-    if "component" in data.dims:
-        data = data.assign_coords(component_unit=("component", list(COMPONENT_UNITS)))
+    said = {name: variables[name] for name in arrays}
+    made = {
+        name: ((*leading, *dims), np.asarray(arrays[name]), {"long_name": meaning, "units": unit})
+        for name, (dims, unit, meaning) in said.items()
+    }
+    used = dict.fromkeys(dim for dims, _, _ in made.values() for dim in dims)
+    coords: dict[str, Any] = {dim: list(values) for dim, values in {**LABELS, **labels}.items() if dim in used}
+    if "component" in used:
+        coords["component_unit"] = ("component", list(COMPONENT_UNITS))
+    data = xr.Dataset(made, coords)
     if "time" in data.coords:
         data["time"].attrs["units"] = "s"
     return data

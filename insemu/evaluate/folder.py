@@ -104,7 +104,7 @@ def write(results: Results, folder: Path) -> None:
         Made where it does not exist.
     """
     (folder / MARKER).unlink(missing_ok=True)
-    put(folder / "summary.json", json.dumps(summary(results), indent=1))
+    write_summary(results, folder)
     put(folder / "manifest.json", json.dumps(results.manifest, indent=1, default=str))
     rows = outage_rows(results)
     stream = io.StringIO(newline="")
@@ -117,6 +117,11 @@ def write(results: Results, folder: Path) -> None:
         results.to_dataset().to_netcdf(partial, engine="h5netcdf")
         results.runs.to_netcdf(partial, engine="h5netcdf", group="runs", mode="a")
         results.statistics.to_netcdf(partial, engine="h5netcdf", group="statistics", mode="a")
+
+
+def write_summary(results: Results, folder: Path) -> None:
+    """Write ``summary.json`` alone, which is all that error budgets are part of."""
+    put(folder / "summary.json", json.dumps(summary(results), indent=1))
 
 
 def _identity(scenario: Scenario) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm, qmc
+from scipy.special import ndtri
 
 from insemu import yamlfile
 from insemu.errors import InputError
@@ -156,6 +156,8 @@ def points(given: Sequence[Factor], latin: int, seed: int) -> list[dict[str, Any
         A range in a grid, or more than :data:`MOST` points.
     """
     if latin:
+        from scipy.stats import qmc
+
         shares = qmc.LatinHypercube(len(given), seed=np.random.default_rng(seed)).random(latin)
         return [{f.key: f.at(float(s)) for f, s in zip(given, row, strict=True)} for row in shares]
     if (ranged := next((f.key for f in given if not f.values), None)) is not None:
@@ -351,7 +353,7 @@ def _linear_rows(experiment: Experiment, realizations: int, step: Progress) -> l
     for name, errors in twin.draw(realizations, twin.rng).items():
         ends = np.hypot(errors[..., 0], errors[..., 1])
         pooled = ends.mean(axis=1)
-        mean, half = float(pooled.mean()), float(norm.isf(0.025) * pooled.std(ddof=1) / np.sqrt(realizations))
+        mean, half = float(pooled.mean()), float(-ndtri(0.025) * pooled.std(ddof=1) / np.sqrt(realizations))
         stated = float(np.sqrt((twin.stated[name] ** 2).mean()))
         factor = float(np.sqrt((ends**2).mean())) / stated
         knows = "yes" if 1.0 / MATERIAL <= factor <= MATERIAL else "optimistic" if factor > 1.0 else "pessimistic"

@@ -124,9 +124,8 @@ class LinearTwin:
             belief, nb = ekf.augmentation, 9 + ekf.augmentation.m
             joint = replace(beside(belief, constants), white=self.truth.white)
             M, K, self.noise[name] = updates(ekf, run, record, nav, joint, self._fixes, sigma)
-            C = belief.output()[None] if (belief.driver < 0).all() else np.stack([
-                belief.output(row) for row in np.hstack(belief.sensed(record)) / record.widths()
-            ])  # fmt: skip
+            C = belief.output(np.hstack(belief.sensed(record)) / record.widths())
+            C = C if C.ndim == 3 else C[None]
             self.designs[name] = LinearErrors(
                 F, B, C, belief.Phi, run.fixes.epoch, M[:, :nb, :nb].copy(), M[:, :nb, nb:].copy(), K[:, :nb].copy()
             )

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from insemu import earth
 from insemu.augment import Augmentation, Belief, StateLayout, augment
@@ -158,12 +158,14 @@ class _Buffers:
         )
         at = self.node_at[:nodes]
         kept = (v[:nodes] for v in (self.node_nav, self.node_x, self.before, self.after, self.phi, self.node_dx))
-        out_rows = np.unique(np.append(np.arange(0, t.size, o.output_every), t.size - 1))
+        out_rows = np.arange(0, t.size, o.output_every)
+        if out_rows[-1] != t.size - 1:
+            out_rows = np.append(out_rows, t.size - 1)
         return FilterResult(
             layout=layout,
             t=t[out_rows],
             nav=self.nav,
-            sigma=np.sqrt(np.maximum(self.var, 0.0)),
+            sigma=np.sqrt(np.maximum(self.var, 0.0, out=self.var), out=self.var),
             imu_states=self.x,
             fixes=fixes,
             covariance_t=t[cov_epoch],
@@ -388,7 +390,7 @@ class LooselyCoupledEKF:
         """Largest accepted normalised innovation squared by the number of components, (rows + 1,)."""
         out = np.full(rows + 1, np.inf)
         if self.options.gate is not None:
-            out[1:] = chi2.isf(self.options.gate, np.arange(1, rows + 1))
+            out[1:] = chdtri(np.arange(1, rows + 1), self.options.gate)
         return out
 
     def installation(self) -> tuple[int, int]:

@@ -139,7 +139,7 @@ class JointSystem:
         parts, axes, gained = np.zeros(sources), np.zeros(6), np.zeros(self.epoch.size)
         gyro, accel = s.sensed(imu)
         _backward(
-            imu.t, self.maps, row, initial, s.Phi, s.Q, s.axis, s.c, s.driver, gyro, accel, source, s.white, self.epoch,
+            imu.t, self.maps, row, initial, *_entries(s.Phi), *_entries(s.Q), s.axis, s.c, s.driver, gyro, accel, source, s.white, self.epoch,
             self.M, self.R, gained, parts, axes,
         )  # fmt: skip
         return initial, parts, axes, float(gained.sum())
@@ -242,14 +242,22 @@ def _forward(
             row += 1
 
 
+def _entries(matrix: Array) -> tuple[Ints, Array]:
+    """Places (k, 2) and values (k,) of what is not zero, row by row."""
+    at = np.argwhere(matrix)
+    return at, matrix[at[:, 0], at[:, 1]]
+
+
 @njit(cache=True, nogil=True)
 def _backward(
     t: Array,
     maps: Array,
     last: int,
     L: Array,
-    Phi: Array,
-    Q: Array,
+    phi_at: Ints,
+    phi: Array,
+    q_at: Ints,
+    q: Array,
     axis: Ints,
     c0: Array,
     driver: Ints,
@@ -264,7 +272,7 @@ def _backward(
     parts: Array,
     axes: Array,
 ) -> None:
-    """Adjoint of the joint system from epoch ``last`` to the start.
+    """Adjoint of the joint system from epoch ``last`` to the start; ``phi_at``, ``phi``, ``q_at``, ``q`` are those of :func:`_entries`.
 
     ``L`` (n,) holds the functional and is overwritten by what the initial errors contribute linearly. ``parts`` (sources,) collects the
     driving noise of the true states by source, ``axes`` (6,) the white noise of the axes, ``gained`` (f,) the noise of every fix.
@@ -327,16 +335,12 @@ def _backward(
                     raw = gyro[k, driver[s]] if driver[s] < 3 else accel[k, driver[s] - 3]
                     c *= raw / (2.0 * half)
                 L[9 + s] -= c * u[axis[s]]
-        for i in range(m):
-            for j in range(m):
-                if Q[i, j] != 0.0:
-                    parts[source[i]] += L[9 + i] * Q[i, j] * L[9 + j]
+        for e in range(q.size):
+            i, j = q_at[e, 0], q_at[e, 1]
+            parts[source[i]] += L[9 + i] * q[e] * L[9 + j]
         for j in range(m):
             next_x[j] = 0.0
-        for i in range(m):
-            x = L[9 + i]
-            for j in range(m):
-                if Phi[i, j] != 0.0:
-                    next_x[j] += x * Phi[i, j]
+        for e in range(phi.size):
+            next_x[phi_at[e, 1]] += L[9 + phi_at[e, 0]] * phi[e]
         for j in range(m):
             L[9 + j] = next_x[j]

@@ -6,12 +6,13 @@ minutes of a 24-state filter with a node per second take 20 MB instead of 2 GB.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
-from scipy import linalg
 
 from insemu.augment import StateLayout
 from insemu.errors import InputError
@@ -54,21 +55,144 @@ class SmootherResult:
         return trajectory_of(self.t, self.nav, "smoother")
 
 
-def _gain(after: Array, Phi: Array, before: Array) -> Array:
-    """``after Phi' before^-1``, with ``before`` scaled to correlations; states without any variance get no gain."""
+def _singular_gain(after: Array, Phi: Array, before: Array) -> Array:
+    """What :func:`_gain` writes, where states are fully correlated, for example of two sensors that share a constant."""
+    from scipy.linalg import pinvh
+
     sd = np.sqrt(np.diag(before))
-    live = sd > 0
-    scale = np.where(live, sd, 1.0)
-    correlation = before / np.outer(scale, scale)
-    right = (Phi @ after) / scale[:, None]
-    factor, failed = linalg.lapack.dpotrf(
-        correlation, lower=0, clean=0
-    )  # without the checks of cho_factor, which take twice its time
-    if failed:  # fully correlated states, for example two sensors that share a constant
-        solved = linalg.pinvh(correlation, rtol=1e-12) @ right
-    else:
-        solved, _ = linalg.lapack.dpotrs(factor, right, lower=0)
-    return np.asarray((solved / scale[:, None]).T)
+    scale = np.where(sd > 0, sd, 1.0)
+    solved = pinvh(before / np.outer(scale, scale), rtol=1e-12) @ ((Phi @ after) / scale[:, None])
+    return np.asarray(solved / scale[:, None])
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _gain(after: Array, Phi: Array, before: Array, scale: Array, U: Array, Dt: Array) -> bool:
+    """Write ``before^-1 Phi after``, the gain transposed, into ``Dt`` (n, n); False where ``before`` is singular.
+
+    ``before`` is scaled to correlations and factored (``U`` (n, n), Cholesky); states without any variance get no gain.
+    """
+    n = before.shape[0]
+    for i in range(n):
+        sd = math.sqrt(before[i, i]) if before[i, i] > 0.0 else 0.0
+        scale[i] = sd if sd > 0.0 else 1.0
+    for i in range(n):
+        row, D, less = U[i], Dt[i], 1.0 / scale[i]
+        for j in range(n):
+            row[j] = before[i, j] / (scale[i] * scale[j])
+            D[j] = 0.0
+        if row[i] == 0.0:
+            row[i] = 1.0
+        for k in range(n):
+            x = Phi[i, k] * less
+            if x != 0.0:
+                other = after[k]
+                for j in range(n):
+                    D[j] += x * other[j]
+    for k in range(n):
+        pivot = U[k, k]
+        if not pivot > 0.0:
+            return False
+        row, D, less = U[k], Dt[k], 1.0 / math.sqrt(pivot)
+        for j in range(n):
+            row[j] *= less
+            D[j] *= less
+        for i in range(k + 1, n):
+            x = row[i]
+            if x != 0.0:
+                other, E = U[i], Dt[i]
+                for j in range(n):
+                    other[j] -= x * row[j]
+                    E[j] -= x * D[j]
+    for k in range(n - 1, -1, -1):
+        D = Dt[k]
+        for i in range(k + 1, n):
+            x = U[k, i]
+            if x != 0.0:
+                other = Dt[i]
+                for j in range(n):
+                    D[j] -= x * other[j]
+        less = 1.0 / U[k, k]
+        for j in range(n):
+            D[j] *= less
+    for i in range(n):
+        D, less = Dt[i], 1.0 / scale[i]
+        for j in range(n):
+            D[j] *= less
+    return True
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _back(
+    i: int, Dt: Array, before: Array, correction: Array, P: Array, nav: Array, states: Array, error: Array, work: Array
+) -> None:
+    """Smooth node ``i`` by the node after it, whose covariance in ``P`` is smoothed already; ``Dt`` is the gain transposed."""
+    n = Dt.shape[0]
+    # what the update took off and the later data would take off, both as errors of the predicted state
+    told, W = work[0], work[1]
+    for a in range(n):
+        told[a] = correction[i + 1, a] + error[a]
+        error[a] = 0.0
+    for a in range(n):
+        x, D = told[a], Dt[a]
+        for j in range(n):
+            error[j] += x * D[j]
+    smoothed, predicted, here = P[i + 1], before[i + 1], P[i]
+    for a in range(n):  # row a of (P - before) D', which is all that row a of the gain needs
+        for j in range(n):
+            W[j] = 0.0
+        for b in range(n):
+            x, D = smoothed[a, b] - predicted[a, b], Dt[b]
+            for j in range(n):
+                W[j] += x * D[j]
+        for k in range(n):
+            x, row = Dt[a, k], here[k]
+            if x != 0.0:
+                for j in range(n):
+                    row[j] += x * W[j]
+    for a in range(n):
+        for b in range(a):
+            mean = 0.5 * (here[a, b] + here[b, a])
+            here[a, b] = mean
+            here[b, a] = mean
+    correct(nav[i], error)
+    for s in range(n - 9):
+        states[i, s] -= error[9 + s]
+
+
+@njit(cache=True, nogil=True)
+def _pass(
+    last: int,
+    before: Array,
+    after: Array,
+    Phi: Array,
+    correction: Array,
+    P: Array,
+    nav: Array,
+    states: Array,
+    error: Array,
+) -> int:
+    """The backward pass from node ``last`` to the first; returns the node whose gain is not defined, or -1 when it is through.
+
+    Parameters
+    ----------
+    last : int
+        Node to begin with; those after it are smoothed already.
+    before, after, Phi : (k, n, n) arrays
+        Covariances around the update of every node, transition from the node before.
+    correction : (k, n) array
+        Error that the update of every node took off.
+    P, nav, states : (k, n, n), (k, 10), (k, n - 9) arrays
+        Filtered ones, overwritten by the smoothed ones.
+    error : (n,) array
+        Estimated error of the prediction at the node after ``last``, overwritten.
+    """
+    n = P.shape[1]
+    U, Dt, scale, work = np.empty((n, n)), np.empty((n, n)), np.empty(n), np.empty((2, n))
+    for i in range(last, -1, -1):
+        if not _gain(after[i], Phi[i + 1], before[i + 1], scale, U, Dt):
+            return i
+        _back(i, Dt, before, correction, P, nav, states, error, work)
+    return -1
 
 
 def smooth(result: FilterResult) -> SmootherResult:
@@ -95,12 +219,11 @@ def smooth(result: FilterResult) -> SmootherResult:
     P = nodes.P_after.copy()
     nav, states = nodes.nav.copy(), nodes.states.copy()
     error = np.zeros(P.shape[1])  # of the filtered state, as the data after it tell
-    for i in range(k - 2, -1, -1):
-        D = _gain(nodes.P_after[i], nodes.Phi[i + 1], nodes.P_before[i + 1])
-        # what the update took off and the later data would take off, both as errors of the predicted state
-        error = D @ (nodes.correction[i + 1] + error)
-        change = D @ (P[i + 1] - nodes.P_before[i + 1]) @ D.T
-        P[i] += 0.5 * (change + change.T)
-        correct(nav[i], error[:9])
-        states[i] -= error[9:]
+    i = k - 2
+    while i >= 0:
+        i = _pass(i, nodes.P_before, nodes.P_after, nodes.Phi, nodes.correction, P, nav, states, error)
+        if i >= 0:
+            Dt = _singular_gain(nodes.P_after[i], nodes.Phi[i + 1], nodes.P_before[i + 1])
+            _back(i, Dt, nodes.P_before, nodes.correction, P, nav, states, error, np.empty((2, error.size)))
+            i -= 1
     return SmootherResult(result.layout, nodes.t, nav, states, P)

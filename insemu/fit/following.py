@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import linalg, special, stats
+from scipy import linalg, special
 
 from insemu.errors import InputError
 from insemu.fit.coordinates import Coordinates
@@ -413,7 +413,7 @@ def _answer(
             at = count + problem.following.index(k)
             error = math.sqrt(covariance[at, at]) if covariance[at, at] > 0 else math.nan
             p_values[process_label(p.symbol, index)] = (
-                float(2.0 * stats.norm.sf(abs(b) / error)) if error > 0 else math.nan
+                float(2.0 * special.ndtr(-abs(b) / error)) if error > 0 else math.nan
             )
         found.append(
             Estimate(

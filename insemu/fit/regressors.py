@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, stats
+from scipy import linalg
+from scipy.special import stdtr, stdtrit
 
 from insemu.errors import InputError
 from insemu.fit.gmwm import fit_curve
@@ -186,8 +187,8 @@ def fit_regressed(
 
 
 def _coefficient(name: str, value: float, error: float, dof: float, confidence: float) -> Coefficient:
-    half = float(stats.t.ppf(0.5 + 0.5 * confidence, dof)) * error
-    p = 2.0 * float(stats.t.sf(abs(value) / error, dof))
+    half = float(stdtrit(dof, 0.5 + 0.5 * confidence)) * error
+    p = 2.0 * float(stdtr(dof, -abs(value) / error))
     return Coefficient(name, value, error, value - half, value + half, dof, p)
 
 

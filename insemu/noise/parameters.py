@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -180,6 +180,11 @@ class Parametrised:
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = ()
     #: Estimators that cannot fit the process, and why.
     REFUSED: ClassVar[Mapping[str, str]] = {}
+    _structure: ClassVar[tuple[Parameter, ...]] = ()
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        cls._structure = tuple(p for p in cls.PARAMETERS if not p.optional)
 
     def __post_init__(self) -> None:
         for p in self.PARAMETERS:
@@ -211,7 +216,7 @@ class Parametrised:
 
     def parameters_meta(self) -> tuple[Parameter, ...]:
         """The parameters that make up the structure, in order."""
-        return tuple(p for p in self.PARAMETERS if not p.optional)
+        return self._structure
 
     @property
     def given(self) -> dict[str, float | None]:
@@ -227,10 +232,10 @@ class Parametrised:
     def parameters(self) -> dict[str, float]:
         """Names and values of the structural parameters (SI); raises where one is unknown."""
         given = self.given
-        missing = [name for name, value in given.items() if value is None]
-        if missing:
-            raise InputError(f"{self.symbol}: no value for {', '.join(missing)}; fit the model or give the parameters")
-        return {name: value for name, value in given.items() if value is not None}
+        if None in given.values():
+            missing = ", ".join(name for name, value in given.items() if value is None)
+            raise InputError(f"{self.symbol}: no value for {missing}; fit the model or give the parameters")
+        return cast("dict[str, float]", given)
 
     def with_parameters(self, values: Mapping[str, float | None]) -> Self:
         """The same structure with these parameter values."""

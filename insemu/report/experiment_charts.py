@@ -8,10 +8,9 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from insemu import earth
-from insemu.evaluate import Results, chosen, outage_table, within_outage
+from insemu.evaluate import Results, chi_square_bounds, chosen, outage_table, within_outage
 from insemu.report.charts import GREY, INK, RED, Chart, Line, View, positive, strokes
 from insemu.report.style import COLOURS
 
@@ -167,7 +166,7 @@ def nees_chart(results: Results, confidence: float = 0.99) -> Chart:
     at = _epochs(results)
     dof = results.nees_dof * results.realizations
     tail = 0.5 * (1.0 - confidence)
-    bounds = (stats.chi2.ppf(tail, dof) / dof, stats.chi2.isf(tail, dof) / dof)
+    bounds = [x / dof for x in chi_square_bounds(tail, dof)]
     lines = [
         Line(design, positive(results.total.mean("nees", d)[at] / 9.0), colour(d))
         for d, design in enumerate(results.names)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import math
+import os
 import textwrap
+import threading
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,7 @@ from matplotlib.ticker import NullLocator
 from insemu.report.charts import Chart, Line, View
 from insemu.report.style import OUTAGE, style
 from insemu.whole import put
+from insemu.work import processes, run_items
 
 #: Panels beside each other.
 ACROSS = 3
@@ -32,6 +35,8 @@ MOST_INSIDE = 5
 CHARACTERS = 50
 #: What fits into a row of a panel's title.
 ROW = 38
+#: Charts from which on processes draw them: one takes a second, a process starts in two where it is not forked.
+MANY = 4
 
 
 def draw(*charts: Chart) -> MplFigure:
@@ -125,7 +130,7 @@ def _stroke(line: Line) -> dict[str, Any]:
 
 
 def save(charts: Iterable[Chart], folder: Path, *, prefix: str = "") -> list[Path]:
-    """Write every chart as PNG and as SVG, called after its name.
+    """Write every chart as PNG and as SVG, called after its name; many are drawn by processes beside each other.
 
     Parameters
     ----------
@@ -140,15 +145,31 @@ def save(charts: Iterable[Chart], folder: Path, *, prefix: str = "") -> list[Pat
     list of Path
     """
     folder.mkdir(parents=True, exist_ok=True)
+    items = {f"{prefix}{chart.stem}": chart for chart in charts}
+    # a process that is made while threads run may wait for ever for what they hold
+    alone = threading.active_count() == 1
+    with processes(min(os.cpu_count() or 1, len(items)) if alone and len(items) >= MANY else 1) as pool:
+        drawn = run_items(items, pictures, pool=pool)
     out = []
-    for chart in charts:
-        figure = draw(chart)
-        with style():
-            for kind in ("png", "svg"):
-                buffer = io.BytesIO()
-                figure.savefig(buffer, format=kind, dpi=DPI, metadata={"Date": None} if kind == "svg" else None)
-                figure.set_layout_engine("none")  # the second picture has the layout of the first
-                out.append(folder / f"{prefix}{chart.stem}.{kind}")
-                put(out[-1], buffer.getvalue())
-        plt.close(figure)
+    for name, contents in drawn.items():
+        for kind, content in contents.items():
+            out.append(folder / f"{name}.{kind}")
+            put(out[-1], content)
+    return out
+
+
+def pictures(chart: Chart) -> dict[str, bytes]:
+    """A chart as the contents of its PNG and of its SVG file."""
+    figure = draw(chart)
+    out = {}
+    with style():
+        figure.set_dpi(DPI)
+        figure.draw_without_rendering()  # which lays it out
+        with plt.rc_context({"figure.constrained_layout.use": False}):
+            figure.set_layout_engine(None)  # else every picture would be drawn twice, to be laid out again
+        for kind in ("png", "svg"):
+            buffer = io.BytesIO()
+            figure.savefig(buffer, format=kind, dpi=DPI, metadata={"Date": None} if kind == "svg" else None)
+            out[kind] = buffer.getvalue()
+    plt.close(figure)
     return out

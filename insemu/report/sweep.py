@@ -8,7 +8,6 @@ from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import spearmanr
 
 from insemu.evaluate import Row, Sweep, best_of, conditions, front
 from insemu.report.charts import INK, Chart, Line, View
@@ -189,6 +188,8 @@ def _numeric(sweep: Sweep, rows: Sequence[Row]) -> dict[str, tuple[dict[str, flo
 
 def _against(sweep: Sweep, rows: Sequence[Row]) -> list[Block]:
     """Error against every key that is a number, and how much it depends on each."""
+    from scipy.stats import spearmanr
+
     keys, designs = _numeric(sweep, rows), list(dict.fromkeys(r.design for r in rows))
     views: list[View] = []
     body = []

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from insemu.errors import InputError
 from insemu.filters import log_density
@@ -174,6 +174,6 @@ def _judged(name: str, own: Array, static: Array) -> Judged:
     gain = own[:, 0] - static[:, 0]
     n = gain.size
     sd = float(np.std(gain, ddof=1) / math.sqrt(n)) if n > 1 else math.nan
-    inside = float(np.mean(own[:, 1] < chi2.ppf(0.95, 3)))
+    inside = float(np.mean(own[:, 1] < chdtri(3, 0.05)))
     metres = float(np.sqrt(np.mean(own[:, 2] ** 2)))
     return Judged(name, n, float(own[:, 0].mean()), (float(gain.mean()), sd), metres, inside)

@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy import fft, signal
+from scipy import fft
 
 from insemu.errors import InputError
 from insemu.variance import _covariance_kernel
@@ -193,10 +194,10 @@ def model_covariance_of_filter(
     out = np.empty((count, count))
     for j, hj in enumerate(filters):
         # cov(W_j[t + lag], W_k[t]) = sum_a sum_b hj[a] hk[b] gamma(lag - a + b)
-        seen = signal.fftconvolve(both, hj)
+        seen = scipy.signal.fftconvolve(both, hj)
         for k in range(j, count):
             hk = filters[k]
-            cross = signal.fftconvolve(seen, hk[::-1])
+            cross = scipy.signal.fftconvolve(seen, hk[::-1])
             lags = np.arange(hj.size - n_samples, n_samples - hk.size + 1)
             pairs = np.minimum(n_samples - 1, n_samples - 1 - lags) - np.maximum(hk.size - 1, hj.size - 1 - lags) + 1
             squares = cross[lags + gamma.size - 1 + hk.size - 1] ** 2

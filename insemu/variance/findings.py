@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import fdtri, stdtrit
 
 from insemu.variance.wavelet import wavelet_variance
 
@@ -151,12 +151,12 @@ def stationarity(x: Array, rate_hz: float, unit: str) -> list[str]:
         # adjacent differences share a window: 2/3 of a degree of freedom each
         freedom = steps[half:].size / 1.5
         share = FALSE_ALARM / (len(windows) * half)
-        ratio = np.abs(steps[:half]) / size / np.sqrt(stats.f.isf(share, 1, freedom))
+        ratio = np.abs(steps[:half]) / size / np.sqrt(_f_isf(share, 1, freedom))
         if ratio.max() > 1.0:
             last = int(np.flatnonzero(ratio > 1.0)[-1]) + 1
             early.append((last * width / rate_hz, float(np.abs(steps[:half]).max() / size), width / rate_hz))
         at = half + int(np.argmax(np.abs(steps[half:])))
-        beyond = abs(float(steps[at])) / spread / float(stats.t.isf(0.5 * share, freedom))
+        beyond = abs(float(steps[at])) / spread / -float(stdtrit(freedom, 0.5 * share))
         if beyond > 1.0:
             late.append((beyond, float(steps[at]), (at + 1) * width / rate_hz, width / rate_hz))
     if early:
@@ -172,6 +172,11 @@ def stationarity(x: Array, rate_hz: float, unit: str) -> list[str]:
         out.append(f"level shift: the mean over {window_s:.3g} s jumps by {jump:.3g} {unit} at about {at_s:.4g} s")
     out.extend(_noise_level(x, rate_hz))
     return out
+
+
+def _f_isf(share: float, above: float, below: float) -> float:
+    """What an F variable with these degrees of freedom exceeds with a probability of ``share``, however small."""
+    return 1.0 / float(fdtri(below, above, share))
 
 
 def _range(running: Array, rate_hz: float, until_s: float) -> float:
@@ -190,7 +195,7 @@ def _noise_level(x: Array, rate_hz: float) -> list[str]:
     if low <= 0.0:
         return []
     # a first octave of `width` samples has at least half as many degrees of freedom
-    limit = float(stats.f.isf(FALSE_ALARM / 28.0, width / 2.0, width / 2.0))
+    limit = _f_isf(FALSE_ALARM / 28.0, width / 2.0, width / 2.0)
     if high / low > max(limit, 1.1):
         where = int(np.argmax(first))
         return [

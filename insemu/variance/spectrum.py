@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy import fft, signal
+from scipy import fft
 from scipy.special import chdtri
 
 from insemu.errors import InputError
@@ -108,7 +109,7 @@ def psd(
         length = min(n, 1 << 20, max(8, 2 * n // 9)) if segment is None else int(segment)
         if not 8 <= length <= n:
             raise InputError(f"segment is {length} samples, expected 8 to {n}")
-        f, power = signal.welch(
+        f, power = scipy.signal.welch(
             values, rate_hz, window="hann", nperseg=length, noverlap=length // 2, detrend="constant"
         )
         pieces = 1 + (n - length) // (length - length // 2)
@@ -121,7 +122,7 @@ def psd(
         return _spectrum(f[1:], power[1:], np.full(f.size - 1, 2.0), method, confidence)
     if not 1.5 <= bandwidth <= n / 4:
         raise InputError(f"bandwidth is {bandwidth}, expected 1.5 to {n / 4:g}")
-    tapers = signal.windows.dpss(n, bandwidth, Kmax=int(2 * bandwidth) - 1)
+    tapers = scipy.signal.windows.dpss(n, bandwidth, Kmax=int(2 * bandwidth) - 1)
     power = np.mean([np.abs(fft.rfft(values * taper)) ** 2 for taper in tapers], axis=0) / rate_hz
     return _spectrum(f[1:], power[1:], np.full(f.size - 1, 2.0 * len(tapers)), method, confidence)
 

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from insemu import rotation
 from insemu.effects import EFFECTS, EffectUse
@@ -54,6 +53,8 @@ class Sideways:
     @classmethod
     def of(cls, prepared: Prepared) -> Sideways:
         """From a stored filter run."""
+        from scipy.signal import lfilter
+
         result = prepared.result
         k = result.fixes.epoch[result.fixes.accepted]
         C = rotation.dcm_from_quaternion(result.nav[k, 6:10])

@@ -9,8 +9,8 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy import stats
 
 from insemu import rotation
 from insemu.effects import Motion
@@ -47,13 +47,13 @@ def innovation_tests(scene: Scene, y: Array) -> list[Entry]:
             continue
         lags = np.arange(1, 11)
         rho = np.array([float(np.mean(z[k:] * z[:-k])) for k in lags]) / float(np.mean(z * z))
-        mean = float(2.0 * stats.norm.sf(abs(z.mean()) * math.sqrt(n)))
-        white = float(stats.chi2.sf(np.sum(rho**2 * (n - lags)), lags.size))
+        mean = float(2.0 * scipy.stats.norm.sf(abs(z.mean()) * math.sqrt(n)))
+        white = float(scipy.stats.chi2.sf(np.sum(rho**2 * (n - lags)), lags.size))
         out.append((f"{what} innovation mean", "gnss", axis, None, mean))
         left = max(left_over(2.0 * n, 1.0, slope, spent), rules().nis_left * 2.0 * n)
         out.append((f"{what} innovation NIS", "gnss", axis, None, chi_square_p(float(z @ z), n, left)))
         out.append((f"{what} innovation whiteness", "gnss", axis, 10.0 * step, white))
-        out.append((f"{what} innovation tails", "gnss", axis, None, float(stats.kurtosistest(z).pvalue)))
+        out.append((f"{what} innovation tails", "gnss", axis, None, float(scipy.stats.kurtosistest(z).pvalue)))
     return out
 
 
@@ -156,7 +156,7 @@ def regression_p(z: Array, X: Array) -> float:
         return 1.0
     z = z - z.mean()
     explained = float(np.sum((basis.T @ z) ** 2))
-    return float(stats.f.sf(explained / k / ((float(z @ z) - explained) / dof), k, dof))
+    return float(scipy.stats.f.sf(explained / k / ((float(z @ z) - explained) / dof), k, dof))
 
 
 def largest_p(z: Array) -> float:
@@ -164,7 +164,7 @@ def largest_p(z: Array) -> float:
     n = z.size
     g2 = float(np.max((z - z.mean()) ** 2)) / float(np.var(z, ddof=1))
     t2 = n * (n - 2) * g2 / max((n - 1) ** 2 - n * g2, 1e-12)
-    single = 2.0 * float(stats.t.sf(math.sqrt(t2), n - 2))
+    single = 2.0 * float(scipy.stats.t.sf(math.sqrt(t2), n - 2))
     return float(-math.expm1(n * math.log1p(-min(single, 1.0 - 1e-15))))
 
 
@@ -181,7 +181,7 @@ def _imu_entries(motion: Motion, fast: Mapping[str, AxisState], rng: np.random.G
         # each is a sample against its two neighbours: every third is independent of the one before
         residuals[name] = whitened(state)[1:-1]
         r = residuals[name][::3]
-        out.append(("tails", sensor, axis, state.data.dt, float(stats.kurtosistest(r).pvalue)))
+        out.append(("tails", sensor, axis, state.data.dt, float(scipy.stats.kurtosistest(r).pvalue)))
         out += _noise_with_motion(motion, state, sensor, axis)
     names = list(residuals)
     for i, a in enumerate(names):
@@ -216,7 +216,7 @@ def band_wavelet_p_values(state: AxisState, rng: np.random.Generator) -> list[tu
         weight /= weight.sum()
         z = np.log(simulated @ weight / level(simulated))
         measured = math.log(float(ratio @ weight) / own)
-        out.append((2.0 * m * data.dt, float(2.0 * stats.norm.sf(abs(measured - z.mean()) / z.std()))))
+        out.append((2.0 * m * data.dt, float(2.0 * scipy.stats.norm.sf(abs(measured - z.mean()) / z.std()))))
         m *= 2
     return out
 

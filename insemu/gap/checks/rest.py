@@ -10,8 +10,9 @@ from collections.abc import Callable, Mapping
 from itertools import pairwise
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy import linalg, stats
+from scipy import linalg
 
 from insemu.gap.candidates.axis import AxisState, whitened
 from insemu.gap.data.counts import lattice
@@ -176,7 +177,7 @@ def followed(variance: float, half: float) -> float:
     """Share of an estimate's variance that is left where it is clipped to ``half`` either way of the nominal value, truth uniform inside."""
     sd = math.sqrt(variance)
     x = np.linspace(half, half + 6.0 * sd, 400)
-    density = (stats.norm.cdf((x + half) / sd) - stats.norm.cdf((x - half) / sd)) / (2.0 * half)
+    density = (scipy.stats.norm.cdf((x + half) / sd) - scipy.stats.norm.cdf((x - half) / sd)) / (2.0 * half)
     return max(1.0 - 2.0 * float(np.trapezoid((x - half) ** 2 * density, x)) / variance, 0.0)
 
 
@@ -242,7 +243,7 @@ def chi_square_p(value: float, mean: float, variance: float) -> float:
     """
     dof = 2.0 * mean**2 / variance
     x = value / mean * dof
-    return float(min(1.0, 2.0 * min(stats.chi2.cdf(x, dof), stats.chi2.sf(x, dof))))
+    return float(min(1.0, 2.0 * min(scipy.stats.chi2.cdf(x, dof), scipy.stats.chi2.sf(x, dof))))
 
 
 def axis_tests(state: AxisState, spent: Array | None = None) -> list[tuple[str, float | None, float]]:
@@ -254,9 +255,9 @@ def axis_tests(state: AxisState, spent: Array | None = None) -> list[tuple[str, 
     out: list[tuple[str, float | None, float]] = []
     lags = np.arange(1, min(20, n // 5) + 1)
     rho = np.array([float(np.mean(e[k:] * e[:-k])) for k in lags]) / float(np.mean(e * e))
-    out.append(("whiteness", data.block_s, float(stats.chi2.sf(np.sum(rho**2 * (n - lags)), lags.size))))
+    out.append(("whiteness", data.block_s, float(scipy.stats.chi2.sf(np.sum(rho**2 * (n - lags)), lags.size))))
     out.append(("variance", data.block_s, chi_square_p(float(np.sum(e * e)), n, _volume_left(state, n, spent))))
-    out.append(("distribution", data.block_s, float(stats.kurtosistest(e).pvalue)))
+    out.append(("distribution", data.block_s, float(scipy.stats.kurtosistest(e).pvalue)))
     size = np.abs(e) - np.mean(np.abs(e))
     out.append(("volatility", data.block_s, correlation_p(size[1:], size[:-1])))
     if data.f.size:
@@ -278,7 +279,7 @@ def axis_tests(state: AxisState, spent: Array | None = None) -> list[tuple[str, 
         out += _stationarity(r, data)
         if lattice(data.values) == 0.0:
             kurtosis = float(np.mean(r**4) / np.mean(r * r) ** 2 - 3.0)
-            out.append(("tails", data.dt, float(2.0 * stats.norm.sf(abs(kurtosis) / math.sqrt(24.0 / r.size)))))
+            out.append(("tails", data.dt, float(2.0 * scipy.stats.norm.sf(abs(kurtosis) / math.sqrt(24.0 / r.size)))))
     if state.temperature is not None:
         steps = np.diff(state.temperature[: (n + 1) * data.block].reshape(n + 1, data.block).mean(axis=1))
         if np.std(steps) > 0:
@@ -289,7 +290,8 @@ def axis_tests(state: AxisState, spent: Array | None = None) -> list[tuple[str, 
             "time",
             data.duration_s,
             float(
-                2.0 * stats.norm.sf(abs(float(np.sum(t * (e * e - np.mean(e * e))))) / math.sqrt(2.0 * np.sum(t * t)))
+                2.0
+                * scipy.stats.norm.sf(abs(float(np.sum(t * (e * e - np.mean(e * e))))) / math.sqrt(2.0 * np.sum(t * t)))
             ),
         )
     )
@@ -329,7 +331,7 @@ def _spectrum_p(state: AxisState, groups: list[NDArray[np.intp]], z: Array, spen
         cov -= J @ spent @ J.T
     values, vectors = np.linalg.eigh(cov)
     kept = values > rules().statistic_left
-    return float(stats.chi2.sf(float(np.sum((vectors[:, kept].T @ z) ** 2 / values[kept])), int(kept.sum())))
+    return float(scipy.stats.chi2.sf(float(np.sum((vectors[:, kept].T @ z) ** 2 / values[kept])), int(kept.sum())))
 
 
 def correlation_p(a: Array, b: Array) -> float:
@@ -337,7 +339,7 @@ def correlation_p(a: Array, b: Array) -> float:
     if np.std(a) == 0 or np.std(b) == 0:
         return 1.0
     r = float(np.corrcoef(a, b)[0, 1])
-    return float(2.0 * stats.norm.sf(abs(math.atanh(min(abs(r), 0.999999))) * math.sqrt(a.size - 3)))
+    return float(2.0 * scipy.stats.norm.sf(abs(math.atanh(min(abs(r), 0.999999))) * math.sqrt(a.size - 3)))
 
 
 def _stationarity(r: Array, data: Reduced) -> list[tuple[str, float | None, float]]:
@@ -371,8 +373,8 @@ def _stationarity(r: Array, data: Reduced) -> list[tuple[str, float | None, floa
     dof = 2.0 * spectra.shape[1]
     zt = (total / total.mean() - 1.0) * math.sqrt(dof / 2.0)
     return [
-        ("stationarity", length * data.dt, float(stats.chi2.sf(z2, count))),
-        ("noise level over time", length * data.dt, float(stats.chi2.sf(float(zt @ zt), SEGMENTS - 1))),
+        ("stationarity", length * data.dt, float(scipy.stats.chi2.sf(z2, count))),
+        ("noise level over time", length * data.dt, float(scipy.stats.chi2.sf(float(zt @ zt), SEGMENTS - 1))),
     ]
 
 

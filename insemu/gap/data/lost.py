@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import toeplitz
-from scipy.signal import fftconvolve
 
 Array = NDArray[np.float64]
 
@@ -98,6 +97,8 @@ def _draw_by(
 
 def _slow(x: Array, present: Array, width: float) -> Array:
     """The value of a local parabola at every place, wider where too few samples are there."""
+    from scipy.signal import fftconvolve
+
     centre = float(x @ present / present.sum())
     y, out = (x - centre) * present, np.zeros(x.size)
     left = np.ones(x.size, dtype=np.bool_)

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy import signal
 from scipy.special import log_ndtr
 
 from insemu.gap.data.counts import lattice, pile_evidence
@@ -374,8 +374,8 @@ def without_motion(values: Array, dt: float, corner: float, whole: bool = False)
     whole : bool
         Whether the ends are kept.
     """
-    sections = signal.butter(6, corner, "highpass", fs=1.0 / dt, output="sos")
+    sections = scipy.signal.butter(6, corner, "highpass", fs=1.0 / dt, output="sos")
     edge = 0 if whole else min(round(6.0 / (corner * dt)), values.size // 20)
     single = spikes(values)
-    out = signal.sosfiltfilt(sections, values - single) + single
+    out = scipy.signal.sosfiltfilt(sections, values - single) + single
     return np.ascontiguousarray(out[edge : out.size - edge])

@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy import stats
 
 from insemu import rotation
 from insemu.filters import FilterResult
@@ -135,7 +135,7 @@ def _coherence(a: Array, b: Array) -> float:
     squared = np.minimum(cross[both] / (own[both] * other[both]), 1.0 - 1e-12)
     # of independent noise each is beta distributed; neighbouring ordinates share a window, so half of them count
     statistic = -(count - 1.0) * float(np.sum(np.log1p(-squared)))
-    if stats.gamma.sf(0.5 * statistic, 0.5 * both.sum()) > rules().shaking_p:
+    if scipy.stats.gamma.sf(0.5 * statistic, 0.5 * both.sum()) > rules().shaking_p:
         return 0.0
     weight = own[both] * other[both]
     return float(np.sum(weight * squared) / np.sum(weight))
@@ -150,7 +150,7 @@ def _alike(a: Array, b: Array) -> float:
     free = max(a.size * (1.0 - product) / (1.0 + product), 4.0)
     return (
         r * r
-        if r > 0.0 and stats.norm.sf(math.atanh(min(r, 1.0 - 1e-12)) * math.sqrt(free - 3.0)) < rules().shaking_p
+        if r > 0.0 and scipy.stats.norm.sf(math.atanh(min(r, 1.0 - 1e-12)) * math.sqrt(free - 3.0)) < rules().shaking_p
         else 0.0
     )
 

@@ -349,6 +349,13 @@ class Along:
         covariance = difference_covariance(process, data.block, data.dt, count) if count else np.zeros(0)
         return density(process, data.f, data.dt), covariance
 
+    def _moved(self, process: Process, names: Sequence[str], own: Sequence[float]) -> tuple[Array, Array]:
+        """As :meth:`_shape` at other shape parameters, which a climb hardly ever comes back to."""
+        data, count = self.likelihood.data, self._covariance.size
+        moved = process.with_parameters({n: math.exp(v) for n, v in zip(names, own, strict=True)})
+        covariance = moved.difference_covariance(data.block, data.dt, count) if count else np.zeros(0)
+        return moved.psd(data.f, data.dt), covariance
+
     def _unit(
         self,
         process: Process,
@@ -361,8 +368,7 @@ class Along:
         if key not in known:
             if len(known) > MOST_SHAPES:
                 known.clear()
-            values = {n: math.exp(v) for n, v in zip(names, own, strict=True)}
-            known[key] = self._shape(process.with_parameters(values) if values else process)
+            known[key] = self._moved(process, names, own) if names else self._shape(process)
         return known[key]
 
     def _sum(self, x: Array, slopes: list[tuple[Array, Array]] | None = None) -> tuple[Array, Array]:
