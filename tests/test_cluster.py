@@ -27,7 +27,7 @@ COMMANDS = {
     "gap-trial": ("gap-trial --recordings 2 --kind static --effect none --hours 0.2 --no-hold-out --json", ""),
 }
 #: Commands that take more than ten seconds here.
-LONG = ("compare", "gap-trial", "regress")
+LONG = ("compare", "gap-trial", "regress", "sweep")
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from insemu import rotation, strapdown
-from insemu.filters import Extras, FilterOptions, LooselyCoupledEKF, measurements
+from insemu import strapdown
+from insemu.filters import Extras, FilterOptions, LooselyCoupledEKF
 from insemu.filters.reference import reference_run
 from tests import filter_cases as cases
 from tests.budget import chi_square, chi_square_power, statistical
@@ -114,41 +114,6 @@ def test_the_reference_filter_moves_fixes_alike():
     # used at their own time, the latency that was learnt before the stamp
     late = (a.fixes.t - a.t[a.fixes.epoch])[-10:]
     assert np.abs(late - 0.143).max() < 0.02
-
-
-def test_an_update_turns_the_covariance_with_what_fixes_are_blind_to():
-    """Position plus C times the arm less v times the latency, and velocity less a times it, keep their covariance when C, v and a are moved."""
-    rng = np.random.default_rng(5)
-    axis, c_of = np.array([0, 1, 2, 3, 4, 5, -1, -1, -1, -1]), np.array([1.0] * 6 + [0.0] * 4)
-    n, lever, latency = 19, 15, 18
-    root = rng.standard_normal((n, n))
-    P, dx = root @ root.T, 1e-6 * rng.standard_normal(n)
-    C = rotation.dcm_from_rpy(np.array([0.1, -0.2, 0.7]))
-    v, force = rng.standard_normal((2, 3))
-    gravity = np.array([0.0, 0.0, 9.81])
-    trend = np.zeros(12)
-    trend[:3] = C @ force + gravity
-
-    def seen(C: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """What fixes see of position and velocity, as rows over all errors."""
-        out = np.zeros((6, n))
-        out[:, :6] = np.eye(6)
-        out[:3, lever : lever + 3] = C
-        out[:3, latency], out[3:, latency] = -v, -a
-        return out
-
-    before = seen(C, v, trend[:3])
-    expected = before @ P @ before.T
-    turned, change, moved = P.copy(), np.empty(9), np.append(np.zeros(6), [*rotation.quaternion_from_dcm(C), 0, 0, 0])
-    measurements.motion_change(C, dx, trend, c_of, axis, change)
-    measurements.turn_installation(turned, C, dx, change, lever, latency)
-    moved[3:6] = v
-    strapdown.correct(moved, dx)
-    C_now = rotation.dcm_from_quaternion(moved[6:10])
-    after = seen(C_now, moved[3:6], C_now @ (force + dx[12:15]) + gravity)
-    assert np.abs(after @ turned @ after.T - expected).max() < 1e-9 < np.abs(after @ P @ after.T - expected).max()
-    np.testing.assert_allclose(change[6:], dx[9:12])
-    np.testing.assert_allclose(turned, turned.T, atol=1e-12)
 
 
 if __name__ == "__main__":

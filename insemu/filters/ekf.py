@@ -23,12 +23,12 @@ from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
 
-#: Derivatives of a fix by lever arm and latency are taken from means over so many seconds: those of one step are mostly noise and vibration.
+#: The derivative of a fix by its latency is taken from means over so many seconds: those of one step are mostly noise and vibration.
 TREND_S = 0.3
 
 
 def trend_window(dt: float) -> int:
-    """Steps of ``dt`` seconds that the derivatives of a fix by lever arm and latency are taken from."""
+    """Steps of ``dt`` seconds that the derivative of a fix by its latency is taken from."""
     return 2 + max(3, round(TREND_S / dt))
 
 

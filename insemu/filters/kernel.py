@@ -28,9 +28,7 @@ from insemu.filters.measurements import (
     fill_fix,
     fill_trend,
     first_bad_pivot,
-    motion_change,
     take_off,
-    turn_installation,
     update,
 )
 from insemu.strapdown import fill_dynamics, step
@@ -178,7 +176,7 @@ def run(
     every, output_every : int
         Epochs from one propagation of the covariance, and from one row of the output, to the next.
     window : int
-        Steps that the derivatives of a fix by lever arm and latency are taken from.
+        Steps that the derivative of a fix by its latency is taken from.
     tolerance : float
         Times that are this close are the same, s.
     first_of : (kinds,) array of int
@@ -238,7 +236,7 @@ def run(
     mean_rate = np.zeros(3)
     upcoming = first_of.copy()
     past = np.zeros((window, 6))  # acceleration and rate of the last steps
-    trend, change = np.zeros(12), np.zeros(9)
+    trend = np.zeros(9)
     white_now = np.empty(6)
     lever = lever0.copy()
     c_of = np.zeros(m)
@@ -371,7 +369,7 @@ def run(
                     advance_transition(A, w, half, slots, diagonal, d, phi, c, work)
                 span, count = 0.0, 0
             step(nav, dth, dv, dth1, dv1, dt, dt if k == 1 else t[before] - t[before - 1], gravity)
-            if lever_at >= 0 or latency_at >= 0:
+            if latency_at >= 0:
                 now = k % window
                 for i in range(3):
                     past[now, i], past[now, 3 + i] = (nav[3 + i] - nav_before[3 + i]) / dt, rate[i]
@@ -408,11 +406,9 @@ def run(
                 if tau < tolerance:
                     tau = 0.0
                 in_time = tau <= LATE_STEPS * (t[k] - t[k - 1])
-            if kind == FIX and (lever_at >= 0 or latency_at >= 0):
                 fill_trend(past, k, (t[k] - t[0]) / k, trend)
             if in_time:
                 dt = t[k] - t[k - 1]
-                gather(E, place, P)
                 if kind == FIX:
                     for i in range(3):
                         lever[i] = lever0[i]
@@ -438,7 +434,8 @@ def run(
                         R,
                     )
                     if latency_at >= 0:
-                        add_curvature(trend, P[latency_at, latency_at], nu, R)
+                        at = place[latency_at]
+                        add_curvature(trend, E[at * LD + at], nu, R)
                 else:
                     for i in range(3):
                         mean_rate[i] = rate_sum[kind, i] / rate_count[kind]
@@ -464,6 +461,7 @@ def run(
                     if used[i]:
                         R[i, i] += event_var[event, i]
                         fix_nu[event, i] = nu[i]
+                gather(E, place, P)
                 nis, dof, ok = update(P, nu, H, R, used, thresholds, dx, fix_S[event], fix_K[event if store else 0])
                 if dof < 0:
                     return 2, -1 - dof
@@ -473,12 +471,6 @@ def run(
                         for j in range(n):
                             fix_H[event, i, j] = H[i, j]
                 if ok:
-                    if lever_at >= 0 or latency_at >= 0:
-                        motion_change(mid, dx, trend, c_of, axis, change)
-                        for j in range(window):
-                            for i in range(6):
-                                past[j, i] += change[3 + i]
-                        turn_installation(P, mid, dx, change, lever_at, latency_at)
                     bad = first_bad_pivot(P, L)
                     if bad >= 0:
                         return 1, bad

@@ -17,8 +17,6 @@ Ints = NDArray[np.int64]
 
 #: Code of a fix among the kinds of events; aids have codes from 1 on.
 FIX = 0
-#: The derivative by the lever arm is taken from the mean rate over so many steps, or as many as there are: fewer are noisy, more are late.
-ARM_STEPS = 10
 
 
 @njit(cache=True, nogil=True)
@@ -107,10 +105,8 @@ def fill_fix(
         What axis each augmented state is seen by, and how strongly.
     lever_at, latency_at : int
         First lever-arm state and latency state among all states, -1 where not carried.
-    trend : (12,) array
-        See :func:`fill_trend`; for the derivatives by lever arm and latency, unused where neither is carried. The noise of a single step
-        in ``nu`` and in ``H`` alike would be taken for information about the arm (errors in variables: by 0.7 standard deviations in a
-        minute of fixes at 5 Hz with 0.03 deg/s/sqrt(Hz)).
+    trend : (9,) array
+        See :func:`fill_trend`; for the derivative by the latency. The noise of a single step would be in ``H``.
     z : (6,) array
         Latitude, longitude, height, velocity NED.
     nu, H, R : (w,), (w, n), (w, w) arrays
@@ -190,17 +186,6 @@ def fill_fix(
             for j in range(3):
                 for k in range(3):
                     R[3 + i, 3 + j] += spread * white[k] * X[i, k] * X[j, k]
-    if lever_at >= 0 or latency_at >= 0:
-        # from here on derivatives: by a rate that has no noise in common with the innovation
-        against_earth(nav, C, trend[9:12], omega)
-        turn[0] = omega[1] * lever[2] - omega[2] * lever[1]
-        turn[1] = omega[2] * lever[0] - omega[0] * lever[2]
-        turn[2] = omega[0] * lever[1] - omega[1] * lever[0]
-        for i in range(3):
-            swing[i], omega_n[i] = 0.0, 0.0
-            for j in range(3):
-                swing[i] += C[i, j] * turn[j]
-                omega_n[i] += C[i, j] * omega[j]
     if lever_at >= 0:
         # C [w x], and its change with the age of the fix
         M = np.empty((3, 3))
@@ -233,8 +218,7 @@ def fill_trend(past: Array, k: int, dt: float, trend: Array) -> None:
 
     The straight line through the last steps, at this epoch, weighted by a Hann window: what is left of a vibration would be information about
     the latency that there is none of. The last two steps are left out: their rates are in the predicted velocity of the antenna, and noise
-    that a measurement shares with its derivative would be taken for latency (by 3 ms in a minute with 0.03 deg/s/sqrt(Hz) and 1.6 m) or
-    for lever arm.
+    that a measurement shares with its derivative would be taken for latency (by 3 ms in a minute with 0.03 deg/s/sqrt(Hz) and 1.6 m).
 
     Parameters
     ----------
@@ -244,15 +228,15 @@ def fill_trend(past: Array, k: int, dt: float, trend: Array) -> None:
         This epoch.
     dt : float
         s.
-    trend : (12,) array
-        Overwritten: acceleration (m/s^2), angular acceleration in body axes (rad/s^2), jerk (m/s^3), rate in body axes (rad/s).
+    trend : (9,) array
+        Overwritten: acceleration (m/s^2), angular acceleration in body axes (rad/s^2), jerk (m/s^3).
     """
     window = past.shape[0]
     trend[:] = 0.0
     count = min(window, k) - 2
     if count < 3:
         for i in range(3):
-            trend[i], trend[9 + i] = past[k % window, i], past[k % window, 3 + i]
+            trend[i] = past[k % window, i]
         return
     middle = 0.5 * (count - 1)
     total, spread = 0.0, 0.0
@@ -270,10 +254,6 @@ def fill_trend(past: Array, k: int, dt: float, trend: Array) -> None:
             trend[6 + i] += slope * past[at, i]
     for i in range(3):
         trend[i] += trend[6 + i] * (middle + 2.0) * dt
-    arm = min(ARM_STEPS, count)
-    for j in range(arm):
-        for i in range(3):
-            trend[9 + i] += past[(k - 2 - j) % window, 3 + i] / arm
 
 
 @njit(cache=True, nogil=True)
@@ -282,7 +262,7 @@ def add_curvature(trend: Array, variance: float, nu: Array, R: Array) -> None:
 
     Parameters
     ----------
-    trend : (12,) array
+    trend : (9,) array
         See :func:`fill_trend`.
     variance : float
     nu, R : (w,), (w, w) arrays
@@ -294,82 +274,6 @@ def add_curvature(trend: Array, variance: float, nu: Array, R: Array) -> None:
         for j in range(6):
             b = trend[j] if j < 3 else trend[3 + j]
             R[i, j] += 0.5 * a * b * variance * variance
-
-
-@njit(cache=True, nogil=True)
-def motion_change(C: Array, dx: Array, trend: Array, c_of: Array, axis: Ints, change: Array) -> None:
-    """By how much an update moves the estimates of velocity, acceleration and rate.
-
-    Parameters
-    ----------
-    C : (3, 3) array
-        Body to NED.
-    dx : (n,) array
-        Estimated error that is taken off.
-    trend : (12,) array
-        See :func:`fill_trend`.
-    c_of, axis : (m,) arrays
-        What axis each augmented state is seen by, and how strongly.
-    change : (9,) array
-        Overwritten: velocity and acceleration, NED, and rate, body axes.
-    """
-    f = (trend[0], trend[1], trend[2] - 9.81)
-    sensed = np.zeros(6)
-    for s in range(axis.size):
-        if axis[s] >= 0:
-            sensed[axis[s]] += c_of[s] * dx[9 + s]
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        change[i] = -dx[3 + i]
-        change[3 + i] = f[j] * dx[6 + k] - f[k] * dx[6 + j]
-        for q in range(3):
-            change[3 + i] += C[i, q] * sensed[3 + q]
-        change[6 + i] = sensed[i]
-
-
-@njit(cache=True, nogil=True)
-def turn_installation(P: Array, C: Array, dx: Array, change: Array, lever_at: int, latency_at: int) -> None:
-    """Keep what fixes do not tell of latency and lever arm untold when the estimates that they are linearized at change.
-
-    Positions do not see an error of the lever arm that goes with the error ``-C`` of the IMU's position, nor fixes one of the latency that goes
-    with ``v`` of position and ``a`` of velocity (all is late): the covariance stays large along these directions. An update moves the
-    estimates of attitude, ``v`` and ``a``, and fixes after it are blind along other directions. What lies between would be
-    taken for information (Huang, Mourikis, Roumeliotis 2010: observability-constrained EKF). So the covariance is turned along: that of the
-    position plus ``C`` times the arm less ``v`` times the latency, and of the velocity less ``a`` times it, stays as it is.
-
-    Parameters
-    ----------
-    P : (n, n) array
-        Covariance after an update, changed in place.
-    C : (3, 3) array
-        Body to NED.
-    dx : (n,) array
-        Estimated error that is taken off.
-    change : (9,) array
-        See :func:`motion_change`.
-    lever_at, latency_at : int
-        First lever-arm state and latency state among all states, -1 where not carried.
-    """
-    n = P.shape[0]
-    turn = np.zeros((6, 4))
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        if lever_at >= 0:
-            for q in range(3):
-                turn[i, q] = dx[6 + j] * C[k, q] - dx[6 + k] * C[j, q]
-        if latency_at >= 0:
-            turn[i, 3], turn[3 + i, 3] = change[i], change[3 + i]
-    at = (lever_at, lever_at + 1, lever_at + 2, latency_at)
-    for q in range(4):
-        if at[q] >= 0 and (q == 3 or lever_at >= 0):
-            for i in range(6):
-                for j in range(n):
-                    P[i, j] += turn[i, q] * P[at[q], j]
-    for q in range(4):
-        if at[q] >= 0 and (q == 3 or lever_at >= 0):
-            for i in range(6):
-                for j in range(n):
-                    P[j, i] += turn[i, q] * P[j, at[q]]
 
 
 @njit(cache=True, nogil=True)

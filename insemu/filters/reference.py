@@ -112,9 +112,7 @@ class _Flight:
     rate_before: Array = field(default_factory=lambda: np.zeros(3))
     seen: Array = field(default_factory=lambda: np.zeros(0))
     rates: list[Array] = field(default_factory=list)
-    motion: list[Array] = field(default_factory=list)  # acceleration and rate of the steps, as updates left them
-    known: Array = field(default_factory=lambda: np.zeros(12))
-    C: Array = field(default_factory=lambda: np.eye(3))
+    accelerations: list[Array] = field(default_factory=list)
     white: Array = field(default_factory=lambda: np.zeros(6))
 
     def predict(self, measured: Array, dt: float, power: Array) -> None:
@@ -129,7 +127,7 @@ class _Flight:
         self.rate = self.dtheta / dt
         if first:
             dtheta_before, dvel_before, self.rate_before = self.dtheta, self.dvel, self.rate
-        self.C = C = rotation.dcm_from_quaternion(self.nav[6:10]) @ (np.eye(3) + rotation.skew(0.5 * self.dtheta))
+        C = rotation.dcm_from_quaternion(self.nav[6:10]) @ (np.eye(3) + rotation.skew(0.5 * self.dtheta))
         F = np.empty((9, 9))
         strapdown.fill_dynamics(self.nav, C @ self.dvel / dt, gravity, F)
         self.kf.F, self.kf.Q = augmented(*step_matrices(F, C, dt), a.Phi, self.driving(power), C_x, self.white)
@@ -141,7 +139,7 @@ class _Flight:
         )
         self.dt = self.dt_before = dt
         self.rates.append(self.rate)
-        self.motion.append(np.concatenate([(self.nav - self.nav_before)[3:6] / dt, self.rate]))
+        self.accelerations.append((self.nav - self.nav_before)[3:6] / dt)
 
     def driving(self, power: Array) -> Array:
         """Driving covariance of the augmented states where levels follow covariates; the white noise of the step is kept."""
@@ -157,9 +155,9 @@ class _Flight:
     def trend(self, k: int, mean_dt: float) -> Array:
         """How acceleration and rate go on; see :func:`insemu.filters.measurements.fill_trend`."""
         window = trend_window(self.ekf.dt)
-        past, out = np.zeros((window, 6)), np.empty(12)
+        past, out = np.zeros((window, 6)), np.empty(9)
         for j in range(max(1, k - window + 1), k + 1):
-            past[j % window] = self.motion[j - 1 - k]
+            past[j % window] = np.concatenate([self.accelerations[j - 1], self.rates[j - 1]])
         measurements.fill_trend(past, k, mean_dt, out)
         return out
 
@@ -169,8 +167,7 @@ class _Flight:
         nu, H, R = np.empty(w), np.empty((w, 9 + a.m)), np.empty((w, w))
         if events.kind[at] == measurements.FIX:
             lever_at, latency_at = self.ekf.installation()
-            trend = self.trend(k, mean_dt) if lever_at >= 0 or latency_at >= 0 else np.zeros(12)
-            self.known = trend
+            trend = self.trend(k, mean_dt) if latency_at >= 0 else np.zeros(9)
             lever = self.ekf.lever_arm + (self.x[lever_at - 9 : lever_at - 6] if lever_at >= 0 else 0.0)
             measurements.fill_fix(
                 self.nav, self.nav_before, self.dt, tau, self.rate, self.rate_before, lever, self.white, self.seen, a.axis, lever_at,
@@ -190,14 +187,6 @@ class _Flight:
         """An accepted measurement; the filter's state is the error, so what is measured of it is predicted minus measured."""
         self.kf.update(-nu, R=R, H=H)
         self.kf.P = 0.5 * (self.kf.P + self.kf.P.T)
-        lever_at, latency_at = self.ekf.installation()
-        if lever_at >= 0 or latency_at >= 0:
-            change = np.empty(9)
-            C, P = np.ascontiguousarray(self.C), np.ascontiguousarray(self.kf.P)
-            measurements.motion_change(C, self.kf.x, self.known, self.seen, self.ekf.augmentation.axis, change)
-            self.motion = [m + change[3:] for m in self.motion[-trend_window(self.ekf.dt) :]]
-            measurements.turn_installation(P, C, self.kf.x, change, lever_at, latency_at)
-            self.kf.P = P
         measurements.take_off(self.nav, self.kf.x)
         self.x = self.x - self.kf.x[9:]
         self.kf.x = np.zeros(self.kf.x.size)

@@ -35,6 +35,8 @@ MOST_INSIDE = 5
 CHARACTERS = 50
 #: What fits into a row of a panel's title.
 ROW = 38
+#: Part of an axis that is left free for the labels of bars.
+ROOM = 0.12
 #: Charts from which on processes draw them: one takes a second, a process starts in two where it is not forked.
 MANY = 4
 
@@ -93,13 +95,17 @@ def draw_view(axes: Axes, chart: Chart, view: View) -> None:
         if line.fill_to is not None:
             axes.fill_between(x, y, np.asarray(view.lines[line.fill_to].y), color=line.colour, alpha=0.18, lw=0)
     for x0, y0, text in view.labels:
-        axes.annotate(text, (x0, y0), xytext=(4, 4), textcoords="offset points", fontsize=8)
+        # above its bar, beside its point
+        at = {"xytext": (0, 3), "ha": "center"} if view.ticks else {"xytext": (4, 4)}
+        axes.annotate(text, (x0, y0), textcoords="offset points", fontsize=8, **at)
     drawable = any(np.any(np.asarray(line.y, dtype=np.float64) > 0) for line in view.lines)
     if drawable:
         axes.set(xscale="log" if chart.log_x else "linear", yscale="log" if view.log_y else "linear")
         _few_ticks(axes)
     if view.ticks:  # after the scale, which sets the ticks anew
         _named_ticks(axes, view.ticks)
+        if view.labels and not view.log_y:
+            axes.margins(y=ROOM)
     if chart.equal:
         axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel=chart.x_label, ylabel=view.y_label, title=textwrap.fill(view.name, ROW))
