@@ -242,7 +242,7 @@ class AlteredExperiment(Experiment):
         self.__dict__.update(original.__dict__)
         self._alteration = alteration
         self.__dict__["beliefs"] = original.beliefs  # fitted once
-        self._held = {}
+        self._held = {}  # filters of the original believe what it does
 
     def altered(self, design: str, parts: FilterParts) -> FilterParts:
         """What a filter is made of, altered."""
