@@ -1,3 +1,5 @@
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from scipy.signal import get_window
@@ -333,3 +335,35 @@ def test_a_sensor_stands_for_its_axes(ideal):
     whole = drawn({"gyro": WN(1e-3), "accel": WN(1e-2), "gyro_y": WN(5e-3)})
     spelled = {a: WN(1e-3 if a.startswith("gyro") else 1e-2) for a in AXES} | {"gyro_y": WN(5e-3)}
     np.testing.assert_array_equal(whole, drawn(spelled))
+
+
+def test_pieces_of_a_simulated_record_are_the_same_whoever_asks_for_them():
+    """By several threads at once, out of order, twice, or in another process; a record that serves many is drawn once."""
+    model = {axis: WN(N=1e-3) + GM(sigma=1e-3, Tc=2.0) for axis in AXES}
+    drawn = []
+
+    def pieces():
+        return emulate.simulated_pieces(
+            model, 501, 50.0, record_s=40.0, rng=lambda record, axis: drawn.append((record, axis)) or np.random.default_rng([record, axis]),
+            states_at=np.array([0, 100, 500]),
+        )  # fmt: skip
+
+    one = pieces()
+    expected = [one.piece(k) for k in range(12)]
+    assert len(drawn) == 3 * 6  # three records of four pieces
+    record = np.concatenate([p[1:] for p, _ in expected[:4]])
+    np.testing.assert_allclose(record.mean(axis=0), 0.0, atol=1e-12)
+    drawn.clear()
+    other = pieces()
+    with ThreadPoolExecutor(8) as pool:
+        together = list(pool.map(other.piece, range(12)))
+    assert len(drawn) == 3 * 6
+    shipped = pieces()
+    state = shipped.draw.__getstate__()
+    assert "_lock" not in state and "_kept" not in state
+    shipped.draw.__setstate__(state)
+    for k in (7, 7, 0, 11, 3):
+        for found in (together[k], shipped.piece(k)):
+            np.testing.assert_array_equal(found[0], expected[k][0])
+            np.testing.assert_array_equal(found[1].axes, expected[k][1].axes)
+            assert found[1].states is None

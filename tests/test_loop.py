@@ -172,10 +172,11 @@ def test_the_true_errors_of_the_axes_are_kept_apart_from_white_noise(record: str
 
     def kept(**more: Any) -> tuple[Any, np.ndarray]:
         world = EmulatedWorld(Scenario.model_validate({**short, "truth": {**truth, **more}}))
-        imu = world.recording(1).imu
+        recording, known = world.realized(1)
+        imu = recording.imu
         rows = np.searchsorted(world.reference.t, world.output_times)
         added = np.hstack([imu.gyro - world.imu.gyro, imu.accel - world.imu.accel])[rows] / imu.dt
-        return world.true_states(1, imu), added
+        return known, added
 
     known, added = kept()
     np.testing.assert_allclose(known.axes[1:], added[1:], atol=1e-9)

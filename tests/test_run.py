@@ -337,8 +337,8 @@ def test_pieces_are_taken_in_the_order_asked_for(tmp_path: Path) -> None:
         tmp_path, "swapped.yaml", **RECORDED | {"truth": {"recorded": {"files": ["log.npz"], "order": [1, 0]}}}
     )
     one, two = (Experiment(load(p), p).world.pieces for p in (natural, swapped))
-    np.testing.assert_array_equal(one.piece(0), two.piece(1))
-    assert not np.array_equal(one.piece(0), one.piece(1))
+    np.testing.assert_array_equal(one.piece(0)[0], two.piece(1)[0])
+    assert not np.array_equal(one.piece(0)[0], one.piece(1)[0])
     wrong = write_named(
         tmp_path, "wrong.yaml", **RECORDED | {"truth": {"recorded": {"files": ["log.npz"], "order": [1, 2]}}}
     )

@@ -32,12 +32,12 @@ def preview(experiment: Experiment, realizations: int, console: Console, *, as_j
 
     from insemu.cli.printing import print_table
     from insemu.errors import InputError
-    from insemu.evaluate import LinearTwin, planimetric
+    from insemu.evaluate import LinearTwin, beyond_linear, planimetric
 
     if not experiment.world.outage_windows:
         raise InputError("the scenario has no outage at whose end errors could be told", where="--linear")
     twin = LinearTwin(experiment)
-    drawn = twin.draw(realizations, twin.rng)
+    drawn, beyond = twin.draw(realizations, twin.rng), beyond_linear(twin)
     rows: list[dict[str, Any]] = []
     for name, errors in drawn.items():
         for k, (start, duration) in enumerate(experiment.world.outage_windows):
@@ -62,6 +62,7 @@ def preview(experiment: Experiment, realizations: int, console: Console, *, as_j
             "linear": True,
             "left_out": twin.left_out,
             "realizations": realizations,
+            "beyond_linear": beyond,
         }
         typer.echo(json.dumps(document | {"rows": rows}, indent=1))
         return
@@ -78,6 +79,14 @@ def preview(experiment: Experiment, realizations: int, console: Console, *, as_j
     ]
     print_table(console, f"Planimetric error at outage end, {realizations} linear realizations", header, body)
     console.print(f"{SAID}{': ' + twin.left_out if twin.left_out else ''}.", soft_wrap=True, style="dim")
+    for name, correlation in beyond.items():
+        console.print(
+            f"{name} is not linear: flown at long steps under the same draws it errs otherwise (correlation {correlation:.2f}); for its figures "
+            "fly it, or help few flights with --control.",
+            soft_wrap=True,
+            highlight=False,
+            markup=False,
+        )
 
 
 def check_control(experiment: Experiment, *, until: bool) -> None:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from insemu.evaluate import Experiment, Results, Shard
+    from insemu.filters import Gpu
 
 
 def command(
@@ -40,6 +41,9 @@ def command(
     ),
     out: str = typer.Option("", "--out", help="Folder for results; default results/NAME beside the current folder."),
     cluster: str = typer.Option("", "--cluster", help="Fly on a Dask cluster: local, or tcp://HOST:PORT."),
+    gpu: bool = typer.Option(
+        False, "--gpu", help="Fly on this machine's GPU (pip install 'insemu[gpu]'), many realizations at a time."
+    ),
     shard: str = typer.Option(
         "",
         "--shard",
@@ -70,6 +74,7 @@ def command(
     from insemu.compiled import compiled_beside
     from insemu.errors import InputError
     from insemu.evaluate import Shard, effort
+    from insemu.filters import GPU_THREADS, Gpu
 
     # progress and warnings go to standard error: a closed pipe behind the tables costs no files
     told = Console(stderr=True)
@@ -82,13 +87,16 @@ def command(
     ]
     if len(ways) > 1:
         raise InputError(f"{' and '.join(ways)} exclude each other", where="insemu run")
+    if gpu and cluster:
+        raise InputError("--gpu and --cluster exclude each other", where="insemu run")
     part = Shard.parse(shard) if shard else None
-    many = workers or os.cpu_count() or 1
+    many = workers or (GPU_THREADS if gpu else os.cpu_count() or 1)
+    device = Gpu() if gpu else None
     with (
         compiled_beside("insemu.evaluate.kernels", "insemu.filters.kernel.run"),
         dask_cluster(cluster, many) as pool,
     ):
-        experiments = prepared(scenario, overrides, with_variants=variants, console=told)
+        experiments = prepared(scenario, overrides, with_variants=variants, console=told, gpu=device)
         if control:
             check_control(experiments[""], until=bool(until))
         if linear:
@@ -222,7 +230,7 @@ def fly_shard(
 
 
 def prepared(
-    scenario: str, overrides: Mapping[str, Any], *, with_variants: bool, console: Console
+    scenario: str, overrides: Mapping[str, Any], *, with_variants: bool, console: Console, gpu: Gpu | None = None
 ) -> dict[str, Experiment]:
     """The experiments by the name of the variant, "" first: everything is checked before anything is flown or written."""
     from insemu.cli.announce import announce_warnings, announce_world
@@ -230,9 +238,9 @@ def prepared(
     from insemu.scenario import load
 
     base = load(scenario, overrides=overrides)
-    experiments = {"": Experiment(base, scenario)}
+    experiments = {"": Experiment(base, scenario, gpu)}
     for name in base.variants if with_variants else ():
-        experiments[name] = Experiment(load(scenario, variant=name, overrides=overrides), scenario)
+        experiments[name] = Experiment(load(scenario, variant=name, overrides=overrides), scenario, gpu)
     announce_world(experiments[""].world.card, console)
     announce_warnings(experiments.values(), console)
     return experiments

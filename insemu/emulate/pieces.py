@@ -7,7 +7,10 @@ of 2014, section VI).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
+from threading import Lock
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +22,9 @@ from insemu.noise import WN, CommonDraws, NoiseModel
 from insemu.records import AXES
 
 Array = NDArray[np.float64]
+
+#: Pieces of simulated records that wait to be asked for, at least two records.
+WAITING = 16
 
 
 @dataclass(frozen=True)
@@ -50,18 +56,16 @@ class ErrorPieces:
     count : int or None
         Number of pieces there are; None: as many as asked for.
     draw : callable
-        Takes the index of a realization and returns the (n, 6) errors of the IMU rows.
-    tell : callable
-        Takes the index of a realization and returns its :class:`TrueStates`; None where errors are recorded.
+        Takes the index of a realization and returns the (n, 6) errors of the IMU rows, and its :class:`TrueStates`, None where errors are
+        recorded. Several threads may call it.
     """
 
     count: int | None
-    draw: Callable[[int], Array]
-    tell: Callable[[int], TrueStates] | None = None
+    draw: Callable[[int], tuple[Array, TrueStates | None]]
 
-    def piece(self, realization: int) -> Array:
+    def piece(self, realization: int) -> tuple[Array, TrueStates | None]:
         """The (n, 6) error signals of one realization, rad/s and m/s^2, columns in the order of
-        :data:`insemu.records.AXES`.
+        :data:`insemu.records.AXES`, and what they are made of.
 
         Row 0 belongs to the interval before the start, which nothing integrates; it repeats row 1.
 
@@ -72,8 +76,8 @@ class ErrorPieces:
         """
         if self.count is not None and realization >= self.count:
             raise InputError(f"realization {realization} asked for, but the recorded signals hold {self.count} pieces")
-        drawn = self.draw(realization)
-        return np.concatenate([drawn[:1], drawn])
+        drawn, states = self.draw(realization)
+        return np.concatenate([drawn[:1], drawn]), states
 
 
 def simulated_pieces(
@@ -111,82 +115,123 @@ def simulated_pieces(
     InputError
         A record shorter than the flight.
     """
-    intervals = n - 1
-
-    def ready_for(record: int) -> list[NoiseModel]:
-        own = models(record) if callable(models) else models
-        return [own[axis].at_rate(rate_hz) for axis in AXES]
-
-    ready = ready_for(0)
-    length = intervals if record_s is None else round(record_s * rate_hz)
-    if length < intervals:
-        raise InputError(f"the record of {record_s:g} s is shorter than the flight of {intervals / rate_hz:g} s")
-    per_record = length // intervals
+    length = n - 1 if record_s is None else round(record_s * rate_hz)
+    if length < n - 1:
+        raise InputError(f"the record of {record_s:g} s is shorter than the flight of {(n - 1) / rate_hz:g} s")
     at = np.maximum((np.zeros(0, dtype=np.intp) if states_at is None else states_at) - 1, 0)
-    # within a record: piece by piece, row 0 of the IMU takes the first sample of the piece
-    places = (np.arange(per_record)[:, None] * intervals + at).ravel()
-    # some processes have no finite states; a removed mean belongs to no single process
-    single = at.size > 0 and record_s is None and all(p.own_block for model in ready for p in model)
-    names = augment(dict(zip(AXES, ready, strict=True)), 1.0 / rate_hz).layout.names[9:] if single else ()
     followed = {name: np.resize(x[1:], length) for name, x in (covariates or {}).items()}
-    kept: dict[int, tuple[RecordedErrors, Array, Array]] = {}
-
-    def record_of(record: int) -> tuple[RecordedErrors, Array, Array]:
-        if record not in kept:
-            # neighbours are asked for together; an older record is drawn again if ever needed
-            while len(kept) >= (2 if record_s is not None else 16):
-                kept.pop(next(iter(kept)))
-            sensor = ready_for(record)
-            kept[record] = _recorded(
-                sensor,
-                lambda axis: sensor[axis].simulate_components(
-                    length, 1.0 / rate_hz, rng(record, axis), covariates=followed
-                ),
-                rate_hz, places, single, record, record_s is not None,
-            )  # fmt: skip
-        return kept[record]
-
-    def draw(realization: int) -> Array:
-        record, place = divmod(realization, per_record)
-        return record_of(record)[0].piece(place, intervals)
-
-    def tell(realization: int) -> TrueStates:
-        record, place = divmod(realization, per_record)
-        _, axes, states = record_of(record)
-        own = slice(place * at.size, (place + 1) * at.size)
-        return TrueStates(axes[own], states[own] if single else None, names)
-
-    return ErrorPieces(None, draw, tell if at.size else None)
+    return ErrorPieces(None, _Simulated(models, rng, rate_hz, n - 1, length, record_s is not None, at, followed))
 
 
-def _recorded(
-    models: Sequence[NoiseModel],
-    components: Callable[[int], Array],
-    rate_hz: float,
-    places: NDArray[np.intp],
-    single: bool,
-    record: int,
-    centred: bool,
-) -> tuple[RecordedErrors, Array, Array]:
-    """A simulated record, the errors of its axes without white noise at some places, and the states of its processes there."""
-    columns, states = [], []
-    common = CommonDraws(dict(zip(AXES, models, strict=True)))
-    axes = np.zeros((places.size, 6))
-    for axis, model in enumerate(models):
-        parts = components(axis)  # of one axis at a time: a record of hours is large
-        common.share(AXES[axis], parts)
-        columns.append(parts.sum(axis=0))
-        for process, part in zip(model, parts, strict=True):
-            if places.size and not isinstance(process, WN):
-                axes[:, axis] += part[places]
-        if single:
-            states.append(true_states(model, parts, 1.0 / rate_hz)[:, places])
-    values = np.column_stack(columns)
-    if centred:
-        axes -= values.mean(axis=0)
-    name = f"simulated record {record + 1}"
-    errors = RecordedErrors(values, rate_hz, "record" if centred else "none", name=name)
-    return errors, axes, np.concatenate(states).T if states else np.zeros((0, 0))
+Piece = tuple[Array, TrueStates | None]
+
+
+class _Simulated:
+    """Pieces of simulated records, drawn record by record; see :func:`simulated_pieces`.
+
+    A record of hours takes 12 MB an axis, so a piece that has been handed out is forgotten; asked for once more, its record is drawn again.
+
+    Parameters
+    ----------
+    models, rng, rate_hz, covariates
+        As in :func:`simulated_pieces`.
+    intervals, length : int
+        Samples of a piece and of a record.
+    centred : bool
+        Whether the mean of a record is taken off its pieces.
+    at : (k,) array of int
+        Samples of a piece at which true states are kept.
+    """
+
+    def __init__(
+        self,
+        models: Mapping[str, NoiseModel] | Callable[[int], Mapping[str, NoiseModel]],
+        rng: Callable[[int, int], np.random.Generator],
+        rate_hz: float,
+        intervals: int,
+        length: int,
+        centred: bool,
+        at: NDArray[np.intp],
+        covariates: Mapping[str, Array],
+    ) -> None:
+        self.models, self.rng, self.rate_hz, self.covariates = models, rng, rate_hz, covariates
+        self.intervals, self.length, self.centred, self.at = intervals, length, centred, at
+        ready = self.sensor(0)
+        # some processes have no finite states; a removed mean belongs to no single process
+        self.single = at.size > 0 and not centred and all(p.own_block for model in ready for p in model)
+        named = augment(dict(zip(AXES, ready, strict=True)), 1.0 / rate_hz).layout.names[9:] if self.single else ()
+        self.names = tuple(named)
+        self._kept: dict[int, Future[dict[int, Piece]]] = {}
+        self._lock = Lock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For another process, which draws its records itself."""
+        return {k: v for k, v in self.__dict__.items() if k not in ("_kept", "_lock")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _kept={}, _lock=Lock())
+
+    def sensor(self, record: int) -> list[NoiseModel]:
+        """The models of the axes in one record."""
+        own = self.models(record) if callable(self.models) else self.models
+        return [own[axis].at_rate(self.rate_hz) for axis in AXES]
+
+    def __call__(self, realization: int) -> Piece:
+        """One piece; threads that want pieces of one record wait for the one that draws it."""
+        count = self.length // self.intervals
+        record, place = divmod(realization, count)
+        while True:
+            with self._lock:
+                there = self._kept.get(record)
+                if mine := there is None:
+                    done = [k for k, v in self._kept.items() if v.done()]
+                    for k in done[: max(0, len(done) + 1 - max(2, WAITING // count))]:
+                        del self._kept[k]
+                    there = self._kept[record] = Future()
+            if mine:
+                try:
+                    there.set_result(self._drawn(record))
+                except BaseException as error:
+                    there.set_exception(error)
+            pieces = there.result()
+            with self._lock:
+                found = pieces.pop(place, None)
+                if not (found and pieces) and self._kept.get(record) is there:
+                    del self._kept[record]
+            if found is not None:
+                return found
+
+    def _drawn(self, record: int) -> dict[int, Piece]:
+        """The pieces of a record by their place in it."""
+        models, n, k = self.sensor(record), self.intervals, self.at.size
+        count, dt = self.length // n, 1.0 / self.rate_hz
+        # row 0 of the IMU takes the first sample of the piece
+        places = (np.arange(count)[:, None] * n + self.at).ravel()
+        pieces, states, axes = [np.empty((n, 6)) for _ in range(count)], [], np.zeros((places.size, 6))
+        common = CommonDraws(dict(zip(AXES, models, strict=True)))
+        for axis, model in enumerate(
+            models
+        ):  # of one axis at a time: all components of a record would not be kept either
+            parts = model.simulate_components(self.length, dt, self.rng(record, axis), covariates=self.covariates)
+            common.share(AXES[axis], parts)
+            values = parts.sum(axis=0)
+            for process, part in zip(model, parts, strict=True):
+                if k and not isinstance(process, WN):
+                    axes[:, axis] += part[places]
+            if self.single:
+                states.append(true_states(model, parts, dt)[:, places])
+            if self.centred:
+                mean = values.mean()
+                values -= mean
+                axes[:, axis] -= mean
+            for place, piece in enumerate(pieces):
+                piece[:, axis] = values[place * n : (place + 1) * n]
+        told = np.concatenate(states).T if states else None
+        own = [slice(place * k, (place + 1) * k) for place in range(count)]
+        return {
+            place: (piece, TrueStates(axes[s], None if told is None else told[s], self.names) if k else None)
+            for place, (piece, s) in enumerate(zip(pieces, own, strict=True))
+        }
 
 
 def recorded_pieces(
@@ -229,8 +274,8 @@ def recorded_pieces(
             )
         places = [places[k] for k in order]
 
-    def draw(realization: int) -> Array:
+    def draw(realization: int) -> tuple[Array, None]:
         record, k = places[realization]
-        return record.piece(k, n - 1)
+        return record.piece(k, n - 1), None
 
     return ErrorPieces(len(places), draw)

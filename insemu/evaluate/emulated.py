@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from functools import cached_property
 from pathlib import Path
-from threading import Lock
 from typing import Any
 from zlib import crc32
 
@@ -111,7 +110,6 @@ class EmulatedWorld:
         self.imu: ImuRecord = ideal.imu
         self.path_distance_m: float = ideal.path_distance_m
         self.warnings += self._missed_areas()
-        self._lock = Lock()
         count = self.pieces.count
         if count is not None and scenario.realizations > count:
             raise InputError(
@@ -123,14 +121,9 @@ class EmulatedWorld:
     def __getstate__(self) -> dict[str, Any]:
         """For another process: simulated records are drawn there again, what was read from files travels."""
         kept = self.__dict__.copy()
-        del kept["_lock"]
         if self.truth.recorded is None and not self.truth.spread:
             kept.pop("pieces", None)
         return kept
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._lock = Lock()
 
     @property
     def _name(self) -> str:
@@ -239,21 +232,36 @@ class EmulatedWorld:
         ideal : bool
             Perfect sensors instead: no errors on the IMU or the fixes, the outages kept.
         """
+        return self._given(realization, self.imu, ideal=True) if ideal else self.realized(realization)[0]
+
+    def realized(self, realization: int) -> tuple[Recording, TrueStates | None]:
+        """What the sensors give in one realization, and what their axes err by at the output epochs apart from white noise, where that is known.
+
+        Deterministic effects count. It is not known for recorded errors, for effects that are noise themselves or move the samples.
+        """
+        errors, known = self.pieces.piece(realization)
+        imu: ImuRecord = corrupt(
+            self.imu,
+            None,
+            stream(self.scenario.seed, "effects", realization),
+            effects=self.truth.effects,
+            reference=self.reference,
+            temperature=self.truth.temperature,
+            errors=errors,
+        ).imu
+        uses = [use for use in self.truth.effects if use.sensor != "gnss"]
+        if known is not None and uses:
+            if any(EFFECTS[use.id].family == "stochastic" for use in uses) or not np.array_equal(imu.t, self.imu.t):
+                known = None
+            else:
+                rows = np.searchsorted(self.reference.t, self.output_times)
+                added = np.hstack([imu.gyro - self.imu.gyro, imu.accel - self.imu.accel]) / imu.widths(0.0)
+                known = TrueStates(known.axes + added[rows] - errors[rows], None, known.names)
+        return self._given(realization, imu), known
+
+    def _given(self, realization: int, imu: ImuRecord, *, ideal: bool = False) -> Recording:
+        """A recording with this IMU."""
         s = self.scenario
-        uses = () if ideal else self.truth.effects
-        imu = self.imu
-        if not ideal:
-            with self._lock:  # a simulated record serves many pieces; one thread draws it
-                errors = self.pieces.piece(realization)
-            imu = corrupt(
-                self.imu,
-                None,
-                stream(s.seed, "effects", realization),
-                effects=uses,
-                reference=self.reference,
-                temperature=self.truth.temperature,
-                errors=errors,
-            ).imu
         fixes = self.fixes(stream(s.seed, "gnss", realization), ideal=ideal)
         aids = tuple(self._aid(use, None if ideal else realization) for use in s.aids)
         return Recording(imu, fixes, self.reference, f"{self.flight.name}, realization {realization}", aids)
@@ -288,24 +296,6 @@ class EmulatedWorld:
         return use.record(
             t, motion, None if realization is None else stream(self.scenario.seed, "aids", realization, name)
         )
-
-    def true_states(self, realization: int, imu: ImuRecord) -> TrueStates | None:
-        """What the axes of the corrupted ``imu`` err by at the output epochs, apart from white noise; None where that is not known.
-
-        Deterministic effects count. It is not known for recorded errors, for effects that are noise themselves or move the samples.
-        """
-        with self._lock:
-            if self.pieces.tell is None:
-                return None
-            known, errors = self.pieces.tell(realization), self.pieces.piece(realization)
-        uses = [use for use in self.truth.effects if use.sensor != "gnss"]
-        if not uses:
-            return known
-        if any(EFFECTS[use.id].family == "stochastic" for use in uses) or not np.array_equal(imu.t, self.imu.t):
-            return None
-        rows = np.searchsorted(self.reference.t, self.output_times)
-        total = (np.hstack([imu.gyro - self.imu.gyro, imu.accel - self.imu.accel]) / imu.widths(0.0))[rows]
-        return TrueStates(known.axes + total - errors[rows], None, known.names)
 
     @property
     def rate_hz(self) -> float:

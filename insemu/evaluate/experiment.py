@@ -29,6 +29,7 @@ from insemu.filters import (
     FilterOptions,
     FilterParts,
     FilterResult,
+    Gpu,
     InitialSigma,
     LooselyCoupledEKF,
     NavigationFilter,
@@ -63,6 +64,8 @@ class Experiment:
     scenario : Scenario
     file : path, optional
         Where it was read from; relative paths in it are relative to that file.
+    gpu : Gpu, optional
+        Flies what it can fly; several threads give it more to fly at a time.
 
     Raises
     ------
@@ -70,16 +73,17 @@ class Experiment:
         Missing or unusable input, an outage beyond the end, a signal shorter than the flight.
     """
 
-    def __init__(self, scenario: Scenario, file: str | Path | None = None) -> None:
+    def __init__(self, scenario: Scenario, file: str | Path | None = None, gpu: Gpu | None = None) -> None:
         self.scenario = scenario
         self.file = file
+        self.gpu = gpu
         if not scenario.designs:
             raise InputError("the key 'designs' is missing: there is nothing to fly", where=str(file or "scenario"))
         self.world: World = (
             RecordedWorld(scenario, file) if scenario.recording is not None else EmulatedWorld(scenario, file)
         )
         code = [file for d in scenario.designs.values() if d.filter for file in user_filter_code(d.filter).items()]
-        self.digest = digest(scenario, {**self.world.files, **dict(code)})
+        self.digest = digest(scenario, {**self.world.files, **dict(code)}, "gpu" if gpu else "")
         self._held: dict[str, tuple[bytes, tuple[NavigationFilter, Array]]] = {}
         _ = self.world.outage_windows  # what is wrong with them is said before anything is flown
         if isinstance(self.world, RecordedWorld):
@@ -89,7 +93,7 @@ class Experiment:
                 self._made(name, self._belief(name, {}))  # nor is a belief that no filter can carry
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"code": code_version(), "_held": {}}
+        return self.__dict__ | {"code": code_version(), "_held": {}, "gpu": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         if state.pop("code") != code_version():
@@ -145,7 +149,9 @@ class Experiment:
     def beliefs(self) -> dict[str, Belief]:
         """What every design believes, models fitted where the scenario says so."""
         done: dict[tuple[str, int], FitResult] = {}  # a log is fitted once per structure and method
-        return {name: self._belief(name, done) for name in self.scenario.designs}
+        found = {name: self._belief(name, done) for name in self.scenario.designs}
+        self.__dict__.pop("fit_logs", None)  # hours of samples that nobody asks for again
+        return found
 
     def _fitted_together(self, name: str, done: dict[tuple[str, int], FitResult]) -> None:
         """Fit the axes of a design whose models share processes, all at once."""
@@ -304,7 +310,11 @@ class Experiment:
         )
         try:
             parts = self.altered(design, parts)
-            return parts.own() if chosen.filter is None else parts.user(chosen.filter, chosen.settings)
+            if chosen.filter is not None:
+                return parts.user(chosen.filter, chosen.settings)
+            made = parts.own()
+            made.gpu = self.gpu
+            return made
         except InputError as error:
             hint = ""
             if isinstance(error, NotStationary):
@@ -313,9 +323,8 @@ class Experiment:
 
     def realization(self, index: int) -> xr.Dataset:
         """Fly every design through one realization; the variables are those of :data:`insemu.evaluate.dataset.VARIABLES`."""
-        recording = self.world.recording(index)
+        recording, true = self.world.realized(index)
         start, start_sigma = self.world.start(index, recording.imu)
-        true = self.world.true_states(index, recording.imu)
         flown = {name: self._flown(name, recording, start, start_sigma, true) for name in self.beliefs}
         return of_designs(flown, self.world.output_times)
 

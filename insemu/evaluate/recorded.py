@@ -174,8 +174,9 @@ class RecordedWorld:
         imu = cut(self.vehicle_imu, self.alignment)
         return Recording(imu, kept, self.reference, self.source.file, self.aids, self.known)
 
-    def true_states(self, realization: int, imu: ImuRecord) -> None:
-        """Nobody knows what the sensors of a recording really did."""
+    def realized(self, realization: int) -> tuple[Recording, None]:
+        """The recording; nobody knows what its sensors really did."""
+        return self.recording(realization), None
 
     def start(self, realization: int, imu: ImuRecord) -> tuple[NavState, InitialSigma]:
         """Where alignment says that the vehicle is."""

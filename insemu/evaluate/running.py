@@ -56,6 +56,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         "digest": experiment.digest,
         "seed": experiment.scenario.seed,
         **surroundings(experiment.world.files),
+        "gpu": None if experiment.gpu is None else experiment.gpu.name,
         "ideal_imu_distance_m": experiment.world.path_distance_m,
         "warnings": list(experiment.warnings),
         "intake": None if (card := experiment.world.card) is None else card.to_json(),

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -175,17 +176,33 @@ class LinearTwin:
         realizations : int
         rng : Generator
         """
-        intervals, removed = self._intervals(), self._constants()
+        intervals, removed = [self._placed(i) for i in self._intervals()], self._constants()
+        noise = {name: [self._there(root_of(v)) for v in values] for name, values in self.noise.items()}
         out = {name: np.empty((realizations, self.ends.size, 9)) for name in self.designs}
         for first in range(0, realizations, BATCH):
             size = min(BATCH, realizations - first)
-            self._batch(intervals, removed, rng, {n: v[first : first + size] for n, v in out.items()})
+            self._batch(intervals, removed, noise, rng, {n: v[first : first + size] for n, v in out.items()})
         return out
+
+    def _there(self, values: Array) -> Any:
+        """Where matrix products are made: the experiment's GPU, or here."""
+        return values if (gpu := self.experiment.gpu) is None else gpu.there(values)
+
+    def _here(self, values: Any) -> Array:
+        gpu = self.experiment.gpu
+        return np.asarray(values) if gpu is None else gpu.here(values)
+
+    def _placed(self, interval: Interval) -> Interval:
+        """An interval's matrices where products are made."""
+        matrices = {k: self._there(v) for k, v in interval.transition.items()}
+        effect, phi, root = (self._there(v) for v in (interval.effect, interval.phi, interval.root))
+        return replace(interval, transition=matrices, effect=effect, phi=phi, root=root)
 
     def _batch(
         self,
         intervals: Sequence[Interval],
         constant: Mapping[str, Array],
+        noise_of: Mapping[str, Sequence[Any]],
         rng: np.random.Generator,
         out: Mapping[str, Array],
     ) -> None:
@@ -203,8 +220,12 @@ class LinearTwin:
             y = transition @ np.vstack([s[:, mine], summed[:, mine]])
             y += root @ rng.standard_normal((root.shape[1], y.shape[1]))
             s[:, mine], summed[:, mine] = y[: truth.m], y[truth.m :]
+        there = self._there
+        seen, s, summed = there(seen), there(s), there(summed)
+        z = {name: there(v) for name, v in z.items()}
+        gains = {name: tuple(there(v) for v in (d.M, d.N, d.K)) for name, d in self.designs.items()}
         for interval in intervals:
-            noise = interval.root @ rng.standard_normal((interval.root.shape[1], size))
+            noise = interval.root @ there(rng.standard_normal((interval.root.shape[1], size)))
             added = interval.effect @ s + noise[truth.m :]
             s = interval.phi @ s + noise[: truth.m]
             summed += added[:6]
@@ -213,17 +234,14 @@ class LinearTwin:
                 z[name] = interval.transition[name] @ z[name] + added[at : at + system.size]
                 at += system.size
             for f in interval.fixes:
-                drawn = rng.standard_normal((6, size))
-                for name, system in self.designs.items():
-                    fixed = root_of(self.noise[name][f])
-                    z[name] = (
-                        system.M[f] @ z[name]
-                        + system.N[f] @ (seen @ s)
-                        + system.K[f] @ (fixed @ drawn[: fixed.shape[1]])
-                    )
+                drawn = there(rng.standard_normal((6, size)))
+                for name, (M, N, K) in gains.items():
+                    fixed = noise_of[name][f]
+                    z[name] = M[f] @ z[name] + N[f] @ (seen @ s) + K[f] @ (fixed @ drawn[: fixed.shape[1]])
             for o in np.flatnonzero(self.ends == interval.end):
                 for name in self.designs:
-                    out[name][:, o] = z[name][:9].T
+                    out[name][:, o] = self._here(z[name][:9]).T
+        s, summed = self._here(s), self._here(summed)
         for p, (transition, root) in enumerate(after):  # the mean of the whole record is taken off its pieces
             mine = slice(p, None, len(after))
             y = transition @ np.vstack([s[:, mine], summed[:, mine]])

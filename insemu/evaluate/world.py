@@ -206,12 +206,12 @@ class World(Protocol):
         """What the sensors give in one realization."""
         ...
 
-    def start(self, realization: int, imu: ImuRecord) -> tuple[NavState, InitialSigma]:
-        """Where the filters start."""
+    def realized(self, realization: int) -> tuple[Recording, TrueStates | None]:
+        """The same, and what the sensors really did at the output epochs; None where nobody knows."""
         ...
 
-    def true_states(self, realization: int, imu: ImuRecord) -> TrueStates | None:
-        """What the sensors really did at the output epochs; None where nobody knows."""
+    def start(self, realization: int, imu: ImuRecord) -> tuple[NavState, InitialSigma]:
+        """Where the filters start."""
         ...
 
     def rows(self, imu: ImuRecord, every: int) -> NDArray[np.intp]:

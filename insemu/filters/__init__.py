@@ -15,6 +15,7 @@ from insemu.filters.alignment import (
     sigma_of_fixes,
 )
 from insemu.filters.ekf import LooselyCoupledEKF, run_filter
+from insemu.filters.gpu import GPU_THREADS, Gpu
 from insemu.filters.joint import JointSystem, error_maps, ideal_fixes
 from insemu.filters.likeliest import Innovations, Likeliest, likeliest, uncertainty
 from insemu.filters.motion import align_in_motion
@@ -35,6 +36,7 @@ from insemu.filters.twin import LinearErrors, driven, step_matrices
 
 __all__ = [
     "AIDS",
+    "GPU_THREADS",
     "Aid",
     "AidUse",
     "Alignment",
@@ -43,6 +45,7 @@ __all__ = [
     "FilterParts",
     "FilterResult",
     "FixTable",
+    "Gpu",
     "InitialSigma",
     "Innovations",
     "JointSystem",

@@ -14,7 +14,7 @@ from scipy.special import chdtri
 from insemu import earth
 from insemu.augment import Augmentation, Belief, StateLayout, augment
 from insemu.errors import InputError
-from insemu.filters import expanded, following, kernel
+from insemu.filters import expanded, following, gpu, kernel
 from insemu.filters.events import FIX_ROWS, SAME_TIME, Events, GnssSigma, aid_events, fix_events, joined
 from insemu.filters.options import FilterOptions, InitialSigma, three_sigmas
 from insemu.filters.results import FilterResult, FixTable, Nodes
@@ -140,6 +140,15 @@ class _Buffers:
             np.empty((kept, m)), np.empty((kept, n)), before, after, phi, np.empty((n, n)),
         )  # fmt: skip
 
+    @classmethod
+    def flown(cls, f: gpu.Flown, events: Events) -> _Buffers:
+        """Those of a flight on a GPU, which stores no nodes."""
+        none = np.zeros((0, 0))
+        return cls(
+            f.nav, f.var, f.x, f.nu, f.S, f.nis, f.dof, f.ok, events.epoch.copy(), none, none, f.covariance,
+            np.zeros(0, dtype=np.int64), none, none, none, none, none, none, f.last,
+        )  # fmt: skip
+
     def result(
         self,
         layout: StateLayout,
@@ -226,12 +235,13 @@ class LooselyCoupledEKF:
             )
         )
         self._packed = pack(self.augmentation, self.options.covariance_every)
-
         self._belief = belief
+        #: Where flights are flown that it can fly; None: here.
+        self.gpu: gpu.Gpu | None = None
 
     def with_options(self, **changes: Any) -> LooselyCoupledEKF:
         """The same design with some options (fields of :class:`FilterOptions`) replaced."""
-        return LooselyCoupledEKF(
+        made = LooselyCoupledEKF(
             self._belief,
             self.dt,
             lever_arm=self.lever_arm,
@@ -239,6 +249,8 @@ class LooselyCoupledEKF:
             gnss_sigma=self.gnss_sigma,
             options=replace(self.options, **changes),
         )
+        made.gpu = self.gpu
+        return made
 
     @property
     def layout(self) -> StateLayout:
@@ -314,9 +326,17 @@ class LooselyCoupledEKF:
         lever_at, latency_at = self.installation()
         cov_epoch = self.covariance_epochs(t)
         node_epoch = self._node_epochs(t, cov_epoch, events, moving=latency_at >= 0)
-        b = _Buffers.of(self.layout.n, t.size, o, events, cov_epoch.size, node_epoch.size)
         gyro, accel = a.sensed(record)
         started = time.perf_counter()
+        if self.gpu is not None and not gpu.refused(a, latency_at, events, o.store == "fixes"):
+            design = gpu.Design(
+                a, self._gravity, self.lever_arm, lever_at, o.covariance_every, o.output_every, self.thresholds(), t, cov_epoch
+            )  # fmt: skip
+            flown = self.gpu.fly(design, gpu.Flight(np.hstack([gyro, accel]), nav, x0, P0, events))
+            self._check(flown.code, flown.detail)
+            b = _Buffers.flown(flown, events)
+            return b.result(self.layout, t, o, events, cov_epoch, 0, time.perf_counter() - started)
+        b = _Buffers.of(self.layout.n, t.size, o, events, cov_epoch.size, node_epoch.size)
         code, detail = kernel.run(
             t, gyro, accel, np.concatenate([nav, np.zeros(3)]), x0, P0, p.place, a.axis, a.c, a.driver, p.slots, p.diagonal,
             p.d, p.phi, p.offsets, p.mix, p.q_at, p.q, p.q_law, following.powers(a, imu),
@@ -327,13 +347,17 @@ class LooselyCoupledEKF:
             b.P, b.node_at, b.node_nav, b.node_x, b.before, b.after, b.phi, b.node_dx, b.last,
         )  # fmt: skip
         seconds = time.perf_counter() - started
+        self._check(code, detail)
+        return b.result(self.layout, t, o, events, cov_epoch, detail, seconds)
+
+    def _check(self, code: int, detail: int) -> None:
+        """Say what the loop stopped at."""
         if code == 1:
             raise InputError(f"the covariance is not positive semidefinite at the state '{self.layout.names[detail]}'")
         if code == 2:
             raise InputError(f"the innovation covariance is not positive definite in component {detail}")
         if code == 3:
             raise InputError("navigation diverged (the states are not finite); is the IMU record in rad/s and m/s^2?")
-        return b.result(self.layout, t, o, events, cov_epoch, detail, seconds)
 
     def checked(
         self, imu: ImuRecord, initial: NavState | Trajectory, initial_states: ArrayLike | None
