@@ -4,16 +4,17 @@ VENV ?= .venv
 BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 WORKERS ?= 2
 STAMP := $(VENV)/.installed
+FLOWN := $(VENV)/.flown
 
-.PHONY: demo test test-slow scoreboard scoreboard-release claims claims-nightly lint bench docs links setup lock clean
+.PHONY: demo test test-slow scoreboard scoreboard-release claims claims-nightly lint bench docs links setup smoke wheel lock clean
 
-demo: $(STAMP)
+demo: $(FLOWN)
 	$(BIN)/insemu run scenarios/table3_synthetic.yaml --workers $(WORKERS) --out results/table3_synthetic
 
-test: $(STAMP)
+test: $(FLOWN)
 	$(BIN)/python -m pytest -m "not slow" -n $(WORKERS) --dist loadfile
 
-test-slow: $(STAMP)
+test-slow: $(FLOWN)
 	$(BIN)/python -m pytest -m slow -n $(WORKERS)
 
 # Fixed blind recordings against tests/scoreboard.yaml: what moved, and failure where a score left its binomial bound.
@@ -42,18 +43,28 @@ bench: $(STAMP)
 docs: $(STAMP)
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs site
 
+# A short run of every scenario.
+smoke: $(FLOWN)
+	out=$$(mktemp -d) && trap 'rm -rf "$$out"' EXIT && $(BIN)/python .ci/smoke.py "$$out" $(WORKERS)
+
+wheel: $(STAMP)
+	.ci/wheel.sh $(BIN)/python
+
 # Every link of the pages to other sites, which CI without a network cannot ask for.
 links: $(STAMP)
 	$(BIN)/python -m sphinx -q -b linkcheck docs site/links
 
-# The last line of setup flies two realizations of the demo, which compiles the kernels that it uses, once for this processor.
-setup: $(STAMP)
+# Installs, and flies two realizations of the demo, which compiles the kernels that it uses, once for this processor.
+setup: $(FLOWN)
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit("insemu needs Python 3.11 or newer, found " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev,docs,cluster,files]"
-	$(BIN)/insemu run scenarios/table3_synthetic.yaml --workers $(WORKERS) --realizations 2 --out $(VENV)/first > /dev/null
+	touch $@
+
+$(FLOWN): $(STAMP)
+	$(BIN)/insemu run scenarios/table3_synthetic.yaml --workers $(WORKERS) --realizations 2 --no-pictures --out $(VENV)/first > /dev/null
 	touch $@
 
 # Renew the versions that were tested: install without constraints in a fresh environment, run the tests, then write what was there.

@@ -1,41 +1,73 @@
-"""Run every scenario with as few realizations as it allows; skip, saying so, those whose data is absent."""
+"""Run every scenario with as few realizations as it allows; skip, saying so, those whose data is absent.
+
+python .ci/smoke.py FOLDER [WORKERS]      scenarios beside each other, one unless given
+"""
 
 from __future__ import annotations
 
 import json
 import subprocess
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import yaml
 
-out = Path(sys.argv[1])
-failed = []
-for path in sorted(Path("scenarios").glob("*.yaml")):
-    document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    # one scenario may need what another one wrote: hidden truths are emulated before nominal models are held against them
-    command = [part.replace("{out}", str(out)) for part in document.get("smoke", ["run", "--realizations", "2"])]
-    run = subprocess.run(
-        [sys.executable, "-m", "insemu", command[0], str(path), *command[1:], "--out", str(out / path.stem), "--json"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if run.returncode == 2 and "shared data" in run.stderr:
-        print(f"smoke {path}: skipped, {run.stderr.strip()}")
-        continue
-    ok = run.returncode == 0
-    if ok:
+#: Of a scenario that does not say it itself.
+DEFAULT = ["run", "--realizations", "2"]
+#: What a command answers where data that is not in the repository is absent.
+ABSENT = "shared data"
+
+
+def insemu(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """A command of the program as a process of its own."""
+    return subprocess.run([sys.executable, "-m", "insemu", *arguments], capture_output=True, text=True, check=False)
+
+
+def smoke(path: Path, command: list[str], out: Path) -> tuple[str, str]:
+    """Run a scenario: passed, FAILED or skipped, and what was printed where it did not pass."""
+    run = insemu(command[0], str(path), *command[1:], "--out", str(out / path.stem), "--json")
+    if run.returncode == 2 and ABSENT in run.stderr:
+        return "skipped", run.stderr.strip()
+    if run.returncode == 0:
         json.loads(run.stdout)
-    if ok and command[0] == "gap":
-        # what was found is a scenario that runs
-        refined = [sys.executable, "-m", "insemu", "run", str(out / path.stem / "refined.yaml"), "--realizations", "1"]
-        run = subprocess.run(
-            [*refined, "--out", str(out / f"{path.stem}_run")], capture_output=True, text=True, check=False
-        )
-        ok = run.returncode == 0
-    print(f"smoke {path}: {'passed' if ok else 'FAILED'}")
-    if not ok:
-        print(run.stdout[-2000:], run.stderr[-4000:], sep="\n")
-        failed.append(path.name)
-sys.exit(f"smoke runs failed: {', '.join(failed)}" if failed else 0)
+        if command[0] == "gap":  # what was found is a scenario that runs
+            refined = str(out / path.stem / "refined.yaml")
+            run = insemu("run", refined, "--realizations", "1", "--no-pictures", "--out", str(out / f"{path.stem}_run"))
+    return ("FAILED", f"{run.stdout[-2000:]}\n{run.stderr[-4000:]}") if run.returncode else ("passed", "")
+
+
+def chains(documents: dict[Path, Any], out: Path) -> list[list[tuple[Path, list[str]]]]:
+    """Scenarios with their commands, those behind each other of which one reads what another wrote."""
+    found: dict[str, list[tuple[Path, list[str]]]] = {}
+    for path, document in documents.items():
+        command = document.get("smoke", DEFAULT)
+        reads = next((part.removeprefix("{out}/") for part in command if part.startswith("{out}/")), path.stem)
+        found.setdefault(reads, []).append((path, [part.replace("{out}", str(out)) for part in command]))
+    return list(found.values())
+
+
+def main(out: Path, workers: int) -> str:
+    """Run all; the names of those that failed."""
+    failed = []
+
+    def follow(chain: list[tuple[Path, list[str]]]) -> None:
+        for path, command in chain:
+            started = time.monotonic()
+            word, why = smoke(path, command, out)
+            print(f"smoke {path}: {word}, {time.monotonic() - started:.0f} s {why}".rstrip(), flush=True)
+            if word == "FAILED":
+                failed.append(path.name)
+
+    # a scenario that writes what another one reads stands before it in the alphabet: hidden truths before nominal models
+    documents = {p: yaml.safe_load(p.read_text(encoding="utf-8")) for p in sorted(Path("scenarios").glob("*.yaml"))}
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        list(pool.map(follow, chains(documents, out)))
+    return ", ".join(failed)
+
+
+if __name__ == "__main__":
+    names = main(Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 1)
+    sys.exit(f"smoke runs failed: {names}" if names else 0)

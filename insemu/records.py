@@ -31,7 +31,7 @@ def _frozen(value: ArrayLike, name: str, shape: tuple[int | None, ...], *, finit
     given = np.asarray(value)
     if given.dtype.kind not in "fiu":
         raise InputError(f"{name} has type {given.dtype}, expected real numbers")
-    array = np.asarray(given, dtype=np.float64)
+    array = np.asarray(given, dtype=np.float64, order="C")  # one layout: every other one has kernels compiled anew
     if array.ndim != len(shape) or any(
         want is not None and have != want for have, want in zip(array.shape, shape, strict=True)
     ):

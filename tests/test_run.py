@@ -88,6 +88,13 @@ def test_a_run_leaves_table_page_and_data(tmp_path: Path, capsys: pytest.Capture
     assert "small &lt;b&gt;flight&lt;/b&gt;" in page
     assert "<b>flight" not in page
     assert load(out / "resolved.yaml").truth.models() == load(tmp_path / "s.yaml").truth.models()
+    listed = json.loads((out / "complete.json").read_text())["files"]
+    assert any("flight.png" in name for name in listed)
+    # the same again without pictures: those that are there would belong to no run
+    assert run(str(tmp_path / "s.yaml"), "--workers", "1", "--no-pictures", "--out", str(out)) == 0
+    left = set(json.loads((out / "complete.json").read_text())["files"])
+    assert left == {name for name in listed if not name.startswith("figures")}
+    assert not list((out / "figures").iterdir())
 
 
 def test_warnings_come_before_the_flight_and_leave_json_alone(
@@ -284,7 +291,7 @@ def test_what_fails_after_flying_loses_no_results(
 
 def test_eighty_columns_show_what_decides(tmp_path: Path) -> None:
     path = write(tmp_path, variants={}, realizations=1, fits=None, designs={"full": SCENARIO["designs"]["full"]})
-    command = [sys.executable, "-m", "insemu", "run", str(path), "--out", str(tmp_path / "out")]
+    command = [sys.executable, "-m", "insemu", "run", str(path), "--no-pictures", "--out", str(tmp_path / "out")]
     environment = os.environ | {"COLUMNS": "80", "PYTHONIOENCODING": "ascii"}
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     assert done.returncode == 0, done.stderr

@@ -51,6 +51,9 @@ def command(
     ),
     as_json: bool = typer.Option(False, "--json", help="Print summary.json on standard output instead of report."),
     variants: bool = typer.Option(False, "--variants/--no-variants", help="Also run the scenario's variants."),
+    pictures: bool = typer.Option(
+        True, "--pictures/--no-pictures", help="Write the page's charts as PNG and SVG, too (without: older ones go)."
+    ),
     overwrite: bool = typer.Option(
         False, "--overwrite", help="Replace results of the same scenario with more realizations."
     ),
@@ -112,8 +115,9 @@ def command(
             controlled(experiments[""], found, control, folder, Console(stderr=as_json), as_json=as_json)
 
         results, failed = run_all(
-            experiments, folder, (many, pool), told, overwrite=overwrite, also=help_figures if control else None
-        )
+            experiments, folder, (many, pool), told, overwrite=overwrite, pictures=pictures,
+            also=help_figures if control else None,
+        )  # fmt: skip
     say_all(results, failed, folder, as_json=as_json)
 
 
@@ -249,6 +253,7 @@ def run_all(
     console: Console,
     *,
     overwrite: bool = False,
+    pictures: bool = True,
     also: Callable[[Results], None] | None = None,
 ) -> tuple[dict[str, Results], list[str]]:
     """Fly, and write every result as soon as it is there; then the error budget and the page, whose failures lose nothing.
@@ -263,6 +268,8 @@ def run_all(
         For progress, warnings and what failed.
     overwrite : bool
         Whether results of more realizations may be replaced.
+    pictures : bool
+        Whether the page's charts are written as files, too; those of an earlier run are deleted otherwise.
     also : callable, optional
         Given the scenario's results while the folder is held, before it is marked as complete.
 
@@ -304,7 +311,10 @@ def run_all(
         others = {name: results for name, results in done.items() if name}
         source = main.published.source if main.published else ""
         text = {"question": main.question, "notes": main.notes, "source": source}
-        attempt("the page", lambda: render_experiment(done[""], others, folder, text=text))
+        for name in () if pictures else ("*.png", "*.svg"):
+            for older in (folder / "figures").glob(name):
+                older.unlink()
+        attempt("the page", lambda: render_experiment(done[""], others, folder, text=text, pictures=pictures))
         if also is not None:
             also(done[""])
         finish(folder, main, done[""])

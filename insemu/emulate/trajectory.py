@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -191,6 +192,12 @@ TRAJECTORIES: dict[str, Callable[[], Flight]] = {
 }
 
 
+@lru_cache(maxsize=4)
+def _made(name: str) -> Flight:
+    """The splines of a flight take up to 1.3 s, and variants, fits and tests ask for the same one again; up to 80 MB are held for each."""
+    return TRAJECTORIES[name]()
+
+
 def built_in(name: str) -> Flight:
     """A built-in flight by name.
 
@@ -201,4 +208,4 @@ def built_in(name: str) -> Flight:
     """
     if name not in TRAJECTORIES:
         raise InputError(f"unknown trajectory '{name}'" + nearest(name, TRAJECTORIES))
-    return TRAJECTORIES[name]()
+    return _made(name)

@@ -244,7 +244,7 @@ def _forward(
 
 def _entries(matrix: Array) -> tuple[Ints, Array]:
     """Places (k, 2) and values (k,) of what is not zero, row by row."""
-    at = np.argwhere(matrix)
+    at = np.ascontiguousarray(np.argwhere(matrix))  # transposed otherwise, for which the loop is compiled once more
     return at, matrix[at[:, 0], at[:, 1]]
 
 

@@ -77,9 +77,14 @@ def _beliefs(results: Results) -> list[Block]:
 
 
 def render_experiment(
-    main: Results, variants: Mapping[str, Results], folder: Path, *, text: Mapping[str, str] | None = None
+    main: Results,
+    variants: Mapping[str, Results],
+    folder: Path,
+    *,
+    text: Mapping[str, str] | None = None,
+    pictures: bool = True,
 ) -> Path:
-    """Write ``index.html`` and its figures as PNG and SVG files.
+    """Write ``index.html``, and its figures as PNG and SVG files.
 
     Parameters
     ----------
@@ -91,6 +96,8 @@ def render_experiment(
         Where to write.
     text : mapping, optional
         ``question``, ``notes`` and ``source`` of the scenario.
+    pictures : bool
+        Whether the figures are written as files, too.
 
     Returns
     -------
@@ -118,7 +125,7 @@ def render_experiment(
         answer=said.sentence if said else "",
         lead=" ".join(part for part in (text.get("question", ""), f"{main.realizations} realizations.") if part),
         cards=[_card(s, main) for s in said.standings] if said else (),
-        pictures=True,
+        pictures=pictures,
     )
 
 

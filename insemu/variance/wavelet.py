@@ -323,13 +323,20 @@ def _finish(
     )
 
 
+def _read_only(values: Array) -> Array:
+    """A view that cannot be written to, as the values of a series: one signature, so that the loop is compiled once."""
+    view = values.view()
+    view.setflags(write=False)
+    return view
+
+
 def _haar_variance(values: Array, levels: int) -> tuple[Array, NDArray[np.int64]]:
     """Haar MODWT variances of a record in memory in one chunked pass."""
     full = IN_MEMORY_OVERLAP
     sums = np.zeros(levels)
     # the median of the first samples: an outlier there must not become the origin
     origin = float(np.median(values[:255]))
-    _kernel.haar_push(values, origin, 1, *_kernel.haar_state(levels, full), sums, full)
+    _kernel.haar_push(_read_only(values), origin, 1, *_kernel.haar_state(levels, full), sums, full)
     counts = _kernel.haar_counts(values.size, levels, full)
     return 0.25 * sums / counts, counts
 
@@ -504,7 +511,7 @@ class HaarAccumulator:
 
     def _run(self, values: Array) -> None:
         assert self._origin is not None
-        _kernel.haar_push(values, self._origin, self._pushed, *self._state, self._sums, self.full_overlap)
+        _kernel.haar_push(_read_only(values), self._origin, self._pushed, *self._state, self._sums, self.full_overlap)
         # what is not finite shows in the first octave, without a pass of its own
         if not np.isfinite(self._sums[0]) and not np.isfinite(values).all():
             first = int(np.argmin(np.isfinite(values)))

@@ -104,7 +104,7 @@ class Loop:
         out, none = np.zeros((node.size, 6, columns)), np.zeros((0, 0, 0))
         error_kernels.respond(
             Phi, K, H, node, self.use, none if D is None else D, np.arange(columns)[None] if at is None else at,
-            none if M is None else M, np.zeros(columns, dtype=np.int64) if begin is None else begin, out,
+            none if M is None else M, np.zeros(columns, dtype=np.int64) if begin is None else np.ascontiguousarray(begin), out,
         )  # fmt: skip
         return out
 
