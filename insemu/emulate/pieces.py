@@ -207,25 +207,30 @@ class _Simulated:
         count, dt = self.length // n, 1.0 / self.rate_hz
         # row 0 of the IMU takes the first sample of the piece
         places = (np.arange(count)[:, None] * n + self.at).ravel()
-        pieces, states, axes = [np.empty((n, 6)) for _ in range(count)], [], np.zeros((places.size, 6))
+        pieces, states, axes = np.empty((count, n, 6)), [], np.zeros((places.size, 6))
         common = CommonDraws(dict(zip(AXES, models, strict=True)))
-        for axis, model in enumerate(
-            models
-        ):  # of one axis at a time: all components of a record would not be kept either
-            parts = model.simulate_components(self.length, dt, self.rng(record, axis), covariates=self.covariates)
+        room = np.empty(
+            (max(1, *(len(model) for model in models)), self.length)
+        )  # one axis after the other: it is large
+        for axis, model in enumerate(models):
+            parts = room[: len(model)]
+            model.simulate_components(self.length, dt, self.rng(record, axis), parts, covariates=self.covariates)
             common.share(AXES[axis], parts)
-            values = parts.sum(axis=0)
             for process, part in zip(model, parts, strict=True):
                 if k and not isinstance(process, WN):
                     axes[:, axis] += part[places]
             if self.single:
                 states.append(true_states(model, parts, dt)[:, places])
+            values = room[0]  # becomes the sum
+            if not len(model):
+                values[:] = 0.0
+            for part in parts[1:]:
+                values += part
             if self.centred:
                 mean = values.mean()
                 values -= mean
                 axes[:, axis] -= mean
-            for place, piece in enumerate(pieces):
-                piece[:, axis] = values[place * n : (place + 1) * n]
+            pieces[:, :, axis] = values[: count * n].reshape(count, n)
         told = np.concatenate(states).T if states else None
         own = [slice(place * k, (place + 1) * k) for place in range(count)]
         return {
