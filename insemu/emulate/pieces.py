@@ -23,9 +23,6 @@ from insemu.records import AXES
 
 Array = NDArray[np.float64]
 
-#: Pieces of simulated records that wait to be asked for, at least two records.
-WAITING = 16
-
 
 @dataclass(frozen=True)
 class TrueStates:
@@ -184,14 +181,18 @@ class _Simulated:
             with self._lock:
                 there = self._kept.get(record)
                 if mine := there is None:
+                    # where realizations follow each other few pieces of a record are left when the next one is wanted; here and there, most
                     done = [k for k, v in self._kept.items() if v.done()]
-                    for k in done[: max(0, len(done) + 1 - max(2, WAITING // count))]:
-                        del self._kept[k]
+                    for k in done:
+                        if k != done[-1] or len(self._kept[k].result()) > count / 2:
+                            del self._kept[k]
                     there = self._kept[record] = Future()
             if mine:
                 try:
                     there.set_result(self._drawn(record))
                 except BaseException as error:
+                    with self._lock:
+                        del self._kept[record]
                     there.set_exception(error)
             pieces = there.result()
             with self._lock:
