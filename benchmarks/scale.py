@@ -98,15 +98,21 @@ def grown(path: str, count: int, folder: str) -> None:
     print(json.dumps(found | {"disk": size_of(Path(folder)), "epochs": results.t.size}))
 
 
+def _grown(path: Path, count: int, folder: Path) -> dict[str, float]:
+    """A run in a process of its own, see :func:`grown`."""
+    command = [sys.executable, __file__, "grown", str(path), str(count), str(folder / str(count))]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    found: dict[str, float] = json.loads(said.splitlines()[-1])
+    return found
+
+
 def growth(most: int) -> None:
     """Cost, memory and disk from 24 realizations on, and what they come to at 10,000 flights of 20 minutes."""
     found = {}
     with tempfile.TemporaryDirectory() as kept:
         path = scenario(Path(kept))
         for count in sorted({24, 240, most}):
-            command = [sys.executable, __file__, "grown", str(path), str(count), str(Path(kept) / str(count))]
-            said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-            found[count] = json.loads(said.splitlines()[-1])
+            found[count] = _grown(path, count, Path(kept))
             print(f"  {count} realizations: " + ", ".join(f"{k} {v:.4g}" for k, v in found[count].items()), flush=True)
     low, high = found[24], found[most]
     row(
@@ -123,12 +129,11 @@ def growth(most: int) -> None:
     with tempfile.TemporaryDirectory() as kept:
         outages = [{"start": f"{k} min", "duration": "60 s"} for k in (7, 11, 15)]
         path = scenario(Path(kept), trajectory=LONG, gnss=SHORT["gnss"] | {"outages": outages})
-        command = [sys.executable, __file__, "grown", str(path), str(PILOT), str(Path(kept) / "out")]
-        long = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()[-1])
+        long = _grown(path, PILOT, Path(kept))
         print(f"  {PILOT} realizations: " + ", ".join(f"{k} {v:.4g}" for k, v in long.items()), flush=True)
-        with xr.open_dataset(Path(kept) / "out" / "errors.nc", group="runs") as runs:
+        with xr.open_dataset(Path(kept) / str(PILOT) / "errors.nc", group="runs") as runs:
             each = runs.nbytes / PILOT  # bytes of the values that every realization adds
-        node = max(f.stat().st_size for f in (Path(kept) / "out" / CACHE).glob("*/*+*"))
+        node = max(f.stat().st_size for f in (Path(kept) / str(PILOT) / CACHE).glob("*/*+*"))
     held = sum(int(digit) for digit in np.base_repr(LINEAR, 8))  # nodes that 10,000 realizations end in
     disk = (
         long["disk"] + ((held - 2) * node + 2 * each * LINEAR + 300 * LINEAR) / 1e6
@@ -138,15 +143,21 @@ def growth(most: int) -> None:
         disk < 200,
         f"{disk:.0f} MB: {each / 1e3:.2f} kB each, {held} nodes of at most {node / 1e6:.1f} MB",
     )
-    memory = (long["peak"] * 2**20 + 3 * each * LINEAR) / 1e6  # whole, being put together, and as a dataset
+    with tempfile.TemporaryDirectory() as kept:  # what so many realizations add, on flights of a minute
+        outages = [{"start": f"{k} s", "duration": "3 s"} for k in (20, 35, 50)]
+        trajectory = SHORT["trajectory"] | {"rate": LONG["rate"]}
+        path = scenario(Path(kept), trajectory=trajectory, gnss=SHORT["gnss"] | {"outages": outages})
+        few, many = (_grown(path, count, Path(kept)) for count in (PILOT, LINEAR))
+    added = many["peak"] - few["peak"]
+    print(f"  {LINEAR} flights of a minute take {added:.0f} MiB more than {PILOT}", flush=True)
+    memory = (long["peak"] + added) * 2**20 / 1e6
     row(
         "and under 300 MB of a process's own memory",
         memory < 300,
         f"{memory:.0f} MB; resident with shared libraries {long['resident']:.0f} MiB",
     )
     with tempfile.TemporaryDirectory() as kept:
-        command = [sys.executable, __file__, "grown", str(SCENARIO), str(FULL + 1), str(Path(kept) / "out")]
-        full = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()[-1])
+        full = _grown(SCENARIO, FULL + 1, Path(kept))
     row(
         "Table III at 100 Hz, records of 4 h: under 300 MB of a process's own memory",
         full["peak"] * 2**20 / 1e6 < 300,
