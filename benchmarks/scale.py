@@ -28,7 +28,16 @@ from scipy.stats import binom
 
 from insemu.cluster import cluster
 from insemu.compiled import wait_for_kernels
-from insemu.evaluate import CACHE, Experiment, LinearTwin, analyse_designs, planimetric, run_experiment, write
+from insemu.evaluate import (
+    CACHE,
+    Experiment,
+    LinearTwin,
+    analyse_designs,
+    planimetric,
+    previewed,
+    run_experiment,
+    write,
+)
 from insemu.evaluate.control import control
 from insemu.evaluate.running import FULL
 from insemu.scenario import load
@@ -213,15 +222,18 @@ def twin(flights: int) -> None:
     linear = LinearTwin(experiment)
     made = time.process_time() - started
     started = time.process_time()
-    drawn = linear.draw(LINEAR, linear.rng)
+    told = previewed(linear, LINEAR)
+    drawn = told.errors
     seconds = made + time.process_time() - started
     started = time.process_time()
-    cells_of = control(first, linear, drawn)
-    helping = seconds + time.process_time() - started
+    cells_of = control(first, linear, linear.draw(LINEAR, linear.rng))
+    helping = made + time.process_time() - started
     print(
-        f"  {flights} flights {flights * per_flight:.0f} CPU s, linear {seconds:.0f}, pairs and coarse runs for {few} {helping - seconds:.0f}",
+        f"  {flights} flights {flights * per_flight:.0f} CPU s, preview {seconds:.0f}, help for {few} {helping:.0f}",
         flush=True,
     )
+    for name, correlation in told.beyond.items():
+        print(f"  {name} is not linear (correlation {correlation:.3f}): {len(drawn[name])} runs at long steps")
     times = LINEAR * per_flight / seconds
     row(
         f"{LINEAR} linear realizations at least 60 times cheaper",
@@ -247,7 +259,7 @@ def twin(flights: int) -> None:
             narrower += own >= 3.0 * found.mean.width
             expected += equal >= 3.0 * found.mean.width
             cells += 1
-            error = np.hypot(ours.std(ddof=1) / np.sqrt(flights), many.std(ddof=1) / np.sqrt(LINEAR))
+            error = np.hypot(ours.std(ddof=1) / np.sqrt(flights), many.std(ddof=1) / np.sqrt(many.size))
             q = float(np.quantile(many, 0.95))
             quantile = _quantile_interval(ours)
             inside = quantile[0] <= q <= quantile[1]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from insemu.errors import InputError
-from insemu.evaluate import Experiment, LinearTwin, analyse_designs, beyond_linear, planimetric
+from insemu.evaluate import Experiment, LinearTwin, analyse_designs, beyond_linear, planimetric, previewed
 from insemu.evaluate.coarse import CoarseTwin
 from insemu.evaluate.control import controlled
 from insemu.scenario import load
@@ -77,6 +77,8 @@ def test_the_coarse_twin_errs_as_the_filter_does_where_the_linear_one_does_not(t
     coarse = CoarseTwin(linear, ["white"])
     assert coarse.rows == 10  # 0.2 s at 50 Hz
     assert list(beyond_linear(linear)) == ["white"]  # and not "full", which knows its errors
+    told = previewed(linear, 400)
+    assert {name: len(errors) for name, errors in told.errors.items()} == {"white": 100, "full": 400}
     at = np.searchsorted(experiment.world.output_times, experiment.world.imu.t[linear.ends] - 1e-9)
     off = {"linear": 0.0, "coarse": 0.0}
     for r in range(4):

@@ -32,20 +32,22 @@ def preview(experiment: Experiment, realizations: int, console: Console, *, as_j
 
     from insemu.cli.printing import print_table
     from insemu.errors import InputError
-    from insemu.evaluate import LinearTwin, beyond_linear, planimetric
+    from insemu.evaluate import LinearTwin, planimetric, previewed
 
     if not experiment.world.outage_windows:
         raise InputError("the scenario has no outage at whose end errors could be told", where="--linear")
     twin = LinearTwin(experiment)
-    drawn, beyond = twin.draw(realizations, twin.rng), beyond_linear(twin)
+    told = previewed(twin, realizations)
     rows: list[dict[str, Any]] = []
-    for name, errors in drawn.items():
+    for name, errors in told.errors.items():
         for k, (start, duration) in enumerate(experiment.world.outage_windows):
             e = planimetric(errors[:, k])
             half = 1.96 * float(e.std(ddof=1)) / np.sqrt(e.size)
             rows.append(
                 {
                     "design": name,
+                    "by": "coarse" if name in told.beyond else "linear",
+                    "realizations": len(e),
                     "outage": k + 1,
                     "start_s": start,
                     "duration_s": duration,
@@ -62,14 +64,15 @@ def preview(experiment: Experiment, realizations: int, console: Console, *, as_j
             "linear": True,
             "left_out": twin.left_out,
             "realizations": realizations,
-            "beyond_linear": beyond,
+            "beyond_linear": told.beyond,
         }
         typer.echo(json.dumps(document | {"rows": rows}, indent=1))
         return
-    header = ["design", "outage", "mean m", "95 %", "quantile 95 %", "rms m", "stated"]
+    header = ["design", "by", "outage", "mean m", "95 %", "quantile 95 %", "rms m", "stated"]
     body = [
         [
             r["design"] if r["outage"] == 1 else "",
+            r["by"] if r["outage"] == 1 else "",
             str(r["outage"]),
             f"{r['mean_m']:.3g}",
             f"{r['ci95_m'][0]:.3g}-{r['ci95_m'][1]:.3g}",
@@ -79,10 +82,10 @@ def preview(experiment: Experiment, realizations: int, console: Console, *, as_j
     ]
     print_table(console, f"Planimetric error at outage end, {realizations} linear realizations", header, body)
     console.print(f"{SAID}{': ' + twin.left_out if twin.left_out else ''}.", soft_wrap=True, style="dim")
-    for name, correlation in beyond.items():
+    for name, correlation in told.beyond.items():
         console.print(
-            f"{name} is not linear: flown at long steps under the same draws it errs otherwise (correlation {correlation:.2f}); for its figures "
-            "fly it, or help few flights with --control.",
+            f"{name} is not linear: under the same draws its errors correlate with the linear ones to {correlation:.2f} only. Its figures are "
+            f"those of {len(told.errors[name])} runs of the filter at long steps (coarse).",
             soft_wrap=True,
             highlight=False,
             markup=False,

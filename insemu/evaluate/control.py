@@ -24,6 +24,8 @@ COARSE = 80
 #: Smallest correlation at which linear errors stand for the design's own (they differ by less than 14 % of their spread), and realizations that tell.
 #: Table III with 12: 0.976 where the filter is far too sure of itself (0.81 with 24), 0.9997 and more elsewhere.
 LINEAR, CHECKED = 0.99, 12
+#: Linear realizations for one at long steps, in a preview: these take a hundred times as long.
+PREVIEW = 4
 #: Level of the quantile that is reported, and points of the linear distribution and resamples from which it is made.
 LEVEL, POINTS, RESAMPLES = 0.95, 400, 400
 
@@ -204,6 +206,38 @@ def beyond_linear(twin: LinearTwin) -> dict[str, float]:
         if not found >= LINEAR:
             out[name] = found
     return out
+
+
+@dataclass(frozen=True)
+class Preview:
+    """Errors of many cheap runs.
+
+    Parameters
+    ----------
+    errors : mapping of design to (N, outages, 9) array
+        Navigation errors at the ends of the outages.
+    beyond : mapping of design to float
+        Designs that are not linear, and their correlation (:func:`beyond_linear`): theirs are a quarter as many runs at long steps.
+    """
+
+    errors: Mapping[str, Array]
+    beyond: Mapping[str, float]
+
+
+def previewed(twin: LinearTwin, realizations: int) -> Preview:
+    """Draw linear realizations, and filters at long steps where a design is not linear.
+
+    Parameters
+    ----------
+    twin : LinearTwin
+    realizations : int
+    """
+    beyond = beyond_linear(twin)
+    errors = twin.draw(realizations, twin.rng)
+    if beyond:
+        coarse = CoarseTwin(twin, list(beyond))
+        errors |= coarse.draw(max(2, realizations // PREVIEW), coarse.rng)
+    return Preview(errors, beyond)
 
 
 def _cells(
