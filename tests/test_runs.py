@@ -96,7 +96,7 @@ def test_from_logs_to_a_scenario_whose_sensor_is_another_each_time(tmp_path, cap
     def levels(truth: dict) -> np.ndarray:
         path.write_text(yaml.safe_dump({**scenario, "truth": truth}))
         world = EmulatedWorld(load(path), path)
-        return np.array([world.pieces.piece(k).std(axis=0) for k in range(6)])
+        return np.array([world.pieces.piece(k)[0].std(axis=0) for k in range(6)])
 
     drawn, fixed = levels(scenario["truth"]), levels({"file": "models.yaml"})
     assert np.log(drawn).std(axis=0).mean() > 2.0 * np.log(fixed).std(axis=0).mean()
