@@ -351,6 +351,7 @@ def test_pieces_of_a_simulated_record_are_the_same_whoever_asks_for_them():
     one = pieces()
     expected = [one.piece(k) for k in range(12)]
     assert len(drawn) == 3 * 6  # three records of four pieces
+    assert not one.draw._kept  # all handed out, none held
     record = np.concatenate([p[1:] for p, _ in expected[:4]])
     np.testing.assert_allclose(record.mean(axis=0), 0.0, atol=1e-12)
     drawn.clear()

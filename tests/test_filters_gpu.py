@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import ctypes
+import json
 import shutil
 import subprocess
+from collections import Counter
 from dataclasses import replace
+from threading import Lock
 
 import numpy as np
 import pytest
@@ -16,6 +19,7 @@ from insemu.filters import Extras, FilterOptions, LooselyCoupledEKF, Standstill,
 from insemu.records import GnssRecord
 from tests import filter_cases as cases
 from tests.filter_cases import DT, MODEL_15, MODEL_24, MODEL_27, MODEL_RW, START_SIGMA
+from tests.test_run import SCENARIO, run, write
 
 LEVER = (1.2, -0.4, -0.9)
 
@@ -24,7 +28,8 @@ class Host(gpu.Gpu):
     """The kernel as plain C++ on this processor: one lane, one flight after the other."""
 
     def __init__(self, library: ctypes.CDLL) -> None:
-        self._library, self.asked = library, 0
+        self._library, self.asked, self.name = library, 0, "this processor"
+        self._lock, self._shared, self.left = Lock(), 227 * 1024, Counter()  # those of an H100
 
     def fly(self, design: gpu.Design, flight: gpu.Flight) -> gpu.Flown:
         return self.fly_all(design, [flight])[0]
@@ -32,7 +37,7 @@ class Host(gpu.Gpu):
     def fly_all(self, design, flights):
         self.asked += len(flights)
         inputs, empty = gpu.arguments(design, flights)
-        assert inputs[gpu.IMU].shape == (len(flights), *flights[0].imu.shape)
+        inputs[gpu.IMU] = np.stack([flight.imu for flight in flights])
         outputs = [np.full(shape, fill, dtype=kind) for shape, fill, kind in empty]
         pool = np.full(design.pool_size + 16, np.nan)
         for k in range(len(flights)):
@@ -144,6 +149,37 @@ def test_designs_that_it_cannot_fly_are_flown_here(host, road):
         before, ekf.gpu = host.asked, host
         ekf.run(imu, fixes, start, START_SIGMA)
         assert host.asked == before
+    assert set(host.left) == {"a smoother", "the latency as a state", "measurements other than fixes"}
+
+
+def test_a_design_without_room_on_the_device_is_flown_here(host, road):
+    ekf, imu, fixes, start = case(road, MODEL_15)
+    small = Host(host._library)
+    small._shared = 8 * 1024
+    ekf.gpu = small
+    ekf.run(imu, fixes, start, START_SIGMA)
+    assert small.asked == 0 and any("shared memory" in why for why in small.left)
+
+
+@pytest.mark.usefixtures("without_pictures")
+def test_a_run_on_a_gpu_has_the_figures_of_one_without(host, tmp_path, monkeypatch, capsys):
+    host = Host(host._library)
+    monkeypatch.setattr("insemu.filters.Gpu", lambda: host)
+    path = write(tmp_path, variants={}, fits=None, realizations=2, designs={"full": SCENARIO["designs"]["full"]})
+    found = {}
+    for name, options in (("here", ()), ("there", ("--gpu",))):
+        before = host.asked
+        assert run(str(path), *options, "--workers", "2", "--out", str(tmp_path / name)) == 0
+        assert host.asked == before + (2 if options else 0)
+        found[name] = json.loads((tmp_path / name / "summary.json").read_text())
+    assert found["here"]["digest"] != found["there"]["digest"]
+    one, other = (f["designs"]["full"]["outages"][0]["planimetric_end_m"]["per_realization"] for f in found.values())
+    np.testing.assert_allclose(other, one, rtol=1e-9)
+    capsys.readouterr()
+    path = write(tmp_path, variants={}, fits=None, smoother=True, designs={"full": SCENARIO["designs"]["full"]})
+    assert run(str(path), "--gpu", "--out", str(tmp_path / "smoothed")) == 2
+    assert "expected 'smoother: false' with --gpu" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "smoothed").exists()
 
 
 def test_without_a_gpu_the_way_to_one_is_named():

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from insemu.errors import InputError
-from insemu.evaluate import Experiment, LinearTwin, analyse_designs, beyond_linear, planimetric, previewed
+from insemu.evaluate import Experiment, LinearTwin, analyse_designs, planimetric, previewed
 from insemu.evaluate.coarse import CoarseTwin
-from insemu.evaluate.control import controlled
+from insemu.evaluate.control import beyond_linear, controlled
 from insemu.scenario import load
 from tests.test_run import SCENARIO, run, write
 

@@ -102,6 +102,11 @@ def command(
         if linear:
             preview(experiments[""], linear, Console(), as_json=as_json)
             return
+        if gpu and experiments[""].scenario.smoother:
+            raise InputError(
+                "a smoother needs the covariances at every fix, which a GPU does not keep; expected 'smoother: false' with --gpu",
+                where=scenario,
+            )
         told.print(f"Ahead: {effort(list(experiments.values()), many)}.", soft_wrap=True, highlight=False)
         if part is not None:
             run: dict[str, Any] = {"scenario": str(Path(scenario).resolve()) if Path(scenario).exists() else scenario}
@@ -118,6 +123,8 @@ def command(
             experiments, folder, (many, pool), told, overwrite=overwrite, pictures=pictures,
             also=help_figures if control else None,
         )  # fmt: skip
+    for why, count in device.left.items() if device else ():
+        told.print(f"Flown on the processor: {count} flights with {why}.", soft_wrap=True, highlight=False)
     say_all(results, failed, folder, as_json=as_json)
 
 

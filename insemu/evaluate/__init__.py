@@ -10,7 +10,7 @@ from insemu.evaluate.comparison import (
     with_designs,
 )
 from insemu.evaluate.consistency import Verdict, chi_square_bounds, lag_products, nis_test, whiteness_verdicts
-from insemu.evaluate.control import Controlled, beyond_linear, control, planimetric, previewed
+from insemu.evaluate.control import Controlled, control, planimetric, previewed
 from insemu.evaluate.covariance import CovarianceAnalysis
 from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.errors import COMPONENTS, bootstrap_mean, navigation_error, paired_ratio, within_outage
@@ -67,7 +67,6 @@ __all__ = [
     "analyse_designs",
     "answer",
     "best_of",
-    "beyond_linear",
     "bootstrap_mean",
     "changed",
     "check",

@@ -22,9 +22,9 @@ CORRELATED = 0.9
 #: section 3: the root of rho^2 / (1 - rho^2) times the ratio of the costs); half of that costs little of it and half the time.
 COARSE = 80
 #: Smallest correlation at which linear errors stand for the design's own (they differ by less than 14 % of their spread), and realizations that tell.
-#: Table III with 12: 0.976 where the filter is far too sure of itself (0.81 with 24), 0.9997 and more elsewhere.
+#: Table III with 12: 0.976 where the filter is far too sure of itself (``benchmarks/scale.py twin``), above 0.999 elsewhere.
 LINEAR, CHECKED = 0.99, 12
-#: Linear realizations for one at long steps, in a preview: these take a hundred times as long.
+#: Linear realizations for one at long steps, in a preview: a quarter as many cost about as much again.
 PREVIEW = 4
 #: Level of the quantile that is reported, and points of the linear distribution and resamples from which it is made.
 LEVEL, POINTS, RESAMPLES = 0.95, 400, 400

@@ -129,7 +129,7 @@ class _Buffers:
         """Arrays for ``n`` states, so many epochs, whole covariances and nodes beside those of fixes."""
         f, w = events.z.shape
         stored = o.store == "fixes"
-        rows = (epochs - 1) // o.output_every + 1 + ((epochs - 1) % o.output_every != 0)
+        rows = o.rows(epochs).size
         kept, g = (nodes + f, f) if stored else (0, 1)
         m = n - 9
         before, after, phi = (np.empty((kept, n, n)) for _ in range(3))
@@ -167,12 +167,9 @@ class _Buffers:
         )
         at = self.node_at[:nodes]
         kept = (v[:nodes] for v in (self.node_nav, self.node_x, self.before, self.after, self.phi, self.node_dx))
-        out_rows = np.arange(0, t.size, o.output_every)
-        if out_rows[-1] != t.size - 1:
-            out_rows = np.append(out_rows, t.size - 1)
         return FilterResult(
             layout=layout,
-            t=t[out_rows],
+            t=t[o.rows(t.size)],
             nav=self.nav,
             sigma=np.sqrt(np.maximum(self.var, 0.0, out=self.var), out=self.var),
             imu_states=self.x,
@@ -328,14 +325,13 @@ class LooselyCoupledEKF:
         node_epoch = self._node_epochs(t, cov_epoch, events, moving=latency_at >= 0)
         gyro, accel = a.sensed(record)
         started = time.perf_counter()
-        if self.gpu is not None and not gpu.refused(a, latency_at, events, o.store == "fixes"):
-            design = gpu.Design(
-                a, self._gravity, self.lever_arm, lever_at, o.covariance_every, o.output_every, self.thresholds(), t, cov_epoch
-            )  # fmt: skip
-            flown = self.gpu.fly(design, gpu.Flight(np.hstack([gyro, accel]), nav, x0, P0, events))
-            self._check(flown.code, flown.detail)
-            b = _Buffers.flown(flown, events)
-            return b.result(self.layout, t, o, events, cov_epoch, 0, time.perf_counter() - started)
+        if self.gpu is not None:
+            design = gpu.Design(a, self._gravity, self.lever_arm, lever_at, o, self.thresholds(), t, cov_epoch)
+            if self.gpu.takes(design, latency_at, events):
+                flown = self.gpu.fly(design, gpu.Flight(np.hstack([gyro, accel]), nav, x0, P0, events))
+                self._check(flown.code, flown.detail)
+                b = _Buffers.flown(flown, events)
+                return b.result(self.layout, t, o, events, cov_epoch, 0, time.perf_counter() - started)
         b = _Buffers.of(self.layout.n, t.size, o, events, cov_epoch.size, node_epoch.size)
         code, detail = kernel.run(
             t, gyro, accel, np.concatenate([nav, np.zeros(3)]), x0, P0, p.place, a.axis, a.c, a.driver, p.slots, p.diagonal,

@@ -107,6 +107,11 @@ class FilterOptions:
     standstill: Standstill | None = None
     imposed_gnss_sigma: bool = False
 
+    def rows(self, epochs: int) -> NDArray[np.int64]:
+        """The IMU epochs of so many that have a row in the result: every ``output_every``-th and the last."""
+        at = np.arange(0, epochs, self.output_every)
+        return at if at[-1] == epochs - 1 else np.append(at, epochs - 1)
+
     def __post_init__(self) -> None:
         for name in ("covariance_every", "output_every"):
             value = getattr(self, name)

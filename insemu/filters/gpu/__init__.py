@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ from insemu.augment import Augmentation
 from insemu.errors import InputError
 from insemu.filters.events import FIX_ROWS, Events
 from insemu.filters.measurements import FIX
+from insemu.filters.options import FilterOptions
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -56,8 +58,7 @@ class Design:
         m, body axes.
     lever_at : int
         Place of the first lever-arm state, -1 where there is none.
-    every, output_every : int
-        Epochs from one propagation of the covariance, and from one row of the output, to the next.
+    options : FilterOptions
     thresholds : (7,) array
         Largest accepted normalised innovation squared by the number of components.
     t : (N,) array
@@ -70,8 +71,7 @@ class Design:
     gravity: int
     lever_arm: Array
     lever_at: int
-    every: int
-    output_every: int
+    options: FilterOptions
     thresholds: Array
     t: Array
     cov_epoch: Ints
@@ -84,8 +84,7 @@ class Design:
     @property
     def rows(self) -> int:
         """Rows of the output."""
-        last = self.t.size - 1
-        return last // self.output_every + 1 + (last % self.output_every != 0)
+        return self.options.rows(self.t.size).size
 
     @property
     def pool_size(self) -> int:
@@ -98,19 +97,20 @@ class Design:
     def constants(self) -> list[NDArray[Any]]:
         """The arguments of ``flight.cu`` that are the same for all flights but for the first, in its order."""
         a = self.augmentation
-        powers = [a.power(p + 1) for p in range(self.every)]
+        o, raw = self.options, 12 if a.thermal else 6
+        powers = [a.power(p + 1) for p in range(o.covariance_every)]
         row, column = np.nonzero(np.any([Phi != 0 for Phi, _ in powers], axis=0))
         q_row, q_column = np.nonzero(np.any([Q != 0 for _, Q in powers], axis=0))
         first = np.searchsorted(row, np.arange(a.m + 1))
         diagonal = bool((row == column).all()) and row.size == a.m
-        self_ = [self.n, diagonal, self.gravity, self.lever_at, self.every, self.output_every, row.size, q_row.size]
-        self_.append(12 if a.thermal else 6)
+        every = o.covariance_every, o.output_every
+        numbers = [self.n, diagonal, self.gravity, self.lever_at, *every, row.size, q_row.size, raw]
         ints = [np.array(v, dtype=np.int32) for v in (a.axis, a.driver, first, column, q_row, q_column, self.cov_epoch)]
         reals = [a.c, [Phi[row, column] for Phi, _ in powers], [Q[q_row, q_column] for _, Q in powers]]
         doubles = [
             np.ascontiguousarray(v, dtype=np.float64) for v in (*reals, a.white, self.lever_arm, self.thresholds)
         ]
-        return [np.array(self_, dtype=np.int32), self.t, *ints, *doubles]
+        return [np.array(numbers, dtype=np.int32), self.t, *ints, *doubles]
 
     @cached_property
     def key(self) -> bytes:
@@ -167,23 +167,21 @@ class Flown:
     detail: int
 
 
-def refused(augmentation: Augmentation, latency_at: int, events: Events, stored: bool) -> str:
-    """Why a flight cannot be flown on a GPU, in words; empty where it can.
+def refused(design: Design, latency_at: int, events: Events) -> str:
+    """What of a flight no GPU can fly, in words; empty where there is nothing.
 
     Parameters
     ----------
-    augmentation : Augmentation
+    design : Design
     latency_at : int
         Place of the latency state, -1 where there is none.
     events : Events
-    stored : bool
-        Whether nodes are kept for the smoother.
     """
-    if stored:
+    if design.options.store != "none":
         return "a smoother"
     if latency_at >= 0:
         return "the latency as a state"
-    if augmentation.laws:
+    if design.augmentation.laws:
         return "noise that follows a covariate"
     if (events.kind != FIX).any() or events.z.shape[1] != FIX_ROWS:
         return "measurements other than fixes"
@@ -195,16 +193,16 @@ IMU = 15
 
 
 def arguments(
-    design: Design, flights: Sequence[Flight], *, stacked: bool = True
+    design: Design, flights: Sequence[Flight]
 ) -> tuple[list[NDArray[Any]], list[tuple[tuple[int, ...], float, type]]]:
     """Inputs of ``flight.cu`` in its order, and of its outputs shape, first value and kind.
+
+    The place of the records (:data:`IMU`) is empty: put together on the way they would be copied once more.
 
     Parameters
     ----------
     design : Design
     flights : sequence of Flight
-    stacked : bool
-        Whether the records are put together, which copies all of them; else their place (:data:`IMU`) is empty.
     """
     count, n, m, most = len(flights), design.n, design.n - 9, max(f.events.t.size for f in flights)
 
@@ -219,7 +217,7 @@ def arguments(
     inputs = [
         np.concatenate([sizes, design.constants[0]]),
         *design.constants[1:],
-        np.stack([f.imu for f in flights]) if stacked else np.empty(0),
+        np.empty(0),
         np.stack([np.concatenate([f.nav, np.zeros(3)]) for f in flights]),
         np.stack([f.x0 for f in flights]),
         np.stack([f.P0 for f in flights]),
@@ -285,6 +283,8 @@ class Gpu:
         Of the device.
     kernel_s : float
         Time that the last list of flights took on the GPU alone, s.
+    left : Counter of str
+        Flights that were not taken, by the reason.
     """
 
     def __init__(self) -> None:
@@ -306,7 +306,27 @@ class Gpu:
         self._pool = ThreadPoolExecutor(STREAMS, thread_name_prefix="gpu")
         self._own = threading.local()  # a stream for each thread, whose memory is used again
         self._room = SHARE * properties["totalGlobalMem"]
+        self._shared = properties["sharedMemPerBlockOptin"]
         self.kernel_s = 0.0
+        self.left: Counter[str] = Counter()
+
+    def takes(self, design: Design, latency_at: int, events: Events) -> bool:
+        """Whether a flight can be flown here; where not, the reason is counted.
+
+        Parameters
+        ----------
+        design : Design
+        latency_at : int
+            Place of the latency state, -1 where there is none.
+        events : Events
+        """
+        why = refused(design, latency_at, events)
+        if not why and 8 * design.pool_size > self._shared:
+            why = f"{design.n} states, more than find room in the GPU's shared memory"
+        if why:
+            with self._lock:
+                self.left[why] += 1
+        return not why
 
     def there(self, values: Array) -> Any:
         """An array on the GPU."""
@@ -341,7 +361,7 @@ class Gpu:
             time.sleep(GATHER_S)
         with self._lock:
             taken = self._waiting.pop(key)
-        design, size = taken[0][0], self._most(taken[0][0])
+        design, size = taken[0][0], self._most(*taken[0][:2])
         for first in range(0, len(taken), size):
             part = taken[first : first + size]
             try:
@@ -353,10 +373,10 @@ class Gpu:
             for (_, _, asked), one in zip(part, flown, strict=True):
                 asked.set_result(one)
 
-    def _most(self, design: Design) -> int:
-        """Flights that find room at a time."""
-        n, rows = design.n, design.rows
-        each = 8 * (6 * design.t.size + rows * (1 + 2 * n) + (design.cov_epoch.size + 2) * n * n + design.t.size)
+    def _most(self, design: Design, flight: Flight) -> int:
+        """Flights like this one that find room at a time."""
+        n = design.n
+        each = 8 * (flight.imu.size + design.rows * (1 + 2 * n) + (design.cov_epoch.size + 2) * n * n)
         return max(1, int(self._room / each))
 
     def fly_all(self, design: Design, flights: Sequence[Flight]) -> list[Flown]:
@@ -368,7 +388,7 @@ class Gpu:
         flights : sequence of Flight
         """
         cupy = self._cupy
-        inputs, empty = arguments(design, flights, stacked=False)
+        inputs, empty = arguments(design, flights)
         if not hasattr(self._own, "stream"):
             self._own.stream = cupy.cuda.Stream(non_blocking=True)
         with self._own.stream as stream:
