@@ -257,9 +257,7 @@ def _settled(problem: _Runs, starts: Array) -> _Settled:
     came out low, and their minimum may be without the slow process. The starts are tried again under the first covariance.
     """
     structure = problem.structure
-    roots = [
-        np.diag(np.sqrt(0.5 * c.edof) / m) for c, m in zip(problem.curves, _means(problem.curves), strict=True)
-    ]
+    roots = [np.diag(np.sqrt(0.5 * c.edof) / m) for c, m in zip(problem.curves, _means(problem.curves), strict=True)]
     best = problem.minimum(roots, starts)
     V = problem.covariance(structure.specified(best.coefficients, best.shapes))
     for step in range(STEPS):
