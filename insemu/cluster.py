@@ -16,6 +16,17 @@ from insemu.errors import InputError
 KEPT = 16
 #: Workers that may be lost under one item before it is taken for the cause.
 LOST = 20
+#: Settings of Dask for the processes of ``local``. By its own ones every array above 128 KiB goes back to the system as it is freed and is asked for
+#: again: thousands of page faults in a realization. Profiles, ticks and the use of disks, which nobody reads here, take time of every process.
+LOCAL: dict[str, Any] = {
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
+    "distributed.worker.profile.enabled": False,
+    "distributed.worker.memory.monitor-interval": "1s",
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.tick.cycle": "10s",
+    "distributed.admin.system-monitor.interval": "10s",
+    "distributed.admin.system-monitor.disk": False,
+}
 
 
 @contextmanager
@@ -49,11 +60,13 @@ def cluster(address: str, workers: int) -> Iterator[Executor | None]:
     with ExitStack() as stack:
         stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": LOST}))
         if address == "local":
-            engine: Any = stack.enter_context(
-                LocalCluster(
+            stack.enter_context(dask.config.set(LOCAL))
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", "Port .* is already in use", UserWarning)  # it takes another one
+                started = LocalCluster(
                     n_workers=workers, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs=50
                 )
-            )
+            engine: Any = stack.enter_context(started)
         else:
             engine = address
         try:
