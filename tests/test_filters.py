@@ -153,7 +153,7 @@ def test_the_jacobian_of_a_fix_is_its_derivative():
             r = rate - error[9:12]
             nu, H, R = np.empty(6), np.empty((6, 16)), np.empty((6, 6))
             z = np.concatenate([nav[:3], nav[3:6]])
-            trend = np.concatenate([acceleration, np.zeros(6)])
+            trend = np.concatenate([acceleration, np.zeros(6), r])
             measurements.fill_fix(
                 moved,
                 before,

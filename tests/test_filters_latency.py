@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from insemu import strapdown
-from insemu.filters import Extras, FilterOptions, LooselyCoupledEKF
+from insemu import rotation, strapdown
+from insemu.filters import Extras, FilterOptions, LooselyCoupledEKF, measurements
 from insemu.filters.reference import reference_run
 from tests import filter_cases as cases
 from tests.budget import chi_square, chi_square_power, statistical
@@ -114,6 +114,45 @@ def test_the_reference_filter_moves_fixes_alike():
     # used at their own time, the latency that was learnt before the stamp
     late = (a.fixes.t - a.t[a.fixes.epoch])[-10:]
     assert np.abs(late - 0.143).max() < 0.02
+
+
+def test_the_rate_for_the_derivative_is_neither_late_nor_of_the_innovation():
+    """Exact for a rate that changes linearly, at any age of the fix, whatever the two steps measured whose rates the innovation uses."""
+    t = np.arange(60) * DT
+    rise, seen = np.array([0.7, -0.2, 1.1]), np.array([0.01, 0.02, -0.03, 0.0, 0.0, 0.0])
+    true = 0.1 + np.outer(t - 0.5 * DT, rise)  # means over the steps to the epochs
+    window, around, rate = 32, 3, np.empty(3)
+    for k, tau in ((30, 0.0), (30, 0.4 * DT), (40, 2.4 * DT), (4, 0.3 * DT), (57, 0.9 * DT), (58, 0.0)):
+        gyro, past = (true + seen[:3]) * DT, np.zeros((window, 6))
+        for j in range(max(1, k - window + 1), k + 1):
+            past[j % window, 3:] = true[j]
+        for j in (k, k - 1):
+            gyro[j], past[j % window] = 9.0, 9.0
+        measurements.fill_rate(t, gyro, seen, past, k, tau, around, rate)
+        np.testing.assert_allclose(rate, 0.1 + rise * (t[k] - tau), rtol=1e-12)
+    # the end of a record: the mean of the steps before
+    measurements.fill_rate(t, gyro, seen, past, 59, 0.0, around, rate)
+    np.testing.assert_allclose(rate, past[[(59 - 2 - j) % window for j in range(3)], 3:].mean(axis=0))
+
+
+def test_what_a_fix_sees_keeps_its_covariance_when_the_estimates_move():
+    rng = np.random.default_rng(5)
+    n, lever, latency = 19, 15, 18
+    root = rng.standard_normal((n, n))
+    P, (H, H_after) = root @ root.T, np.zeros((2, 6, n))
+    C, v = rotation.dcm_from_rpy(rng.standard_normal((2, 3)) * 0.2), rng.standard_normal((2, 6))
+    for i, jacobian in enumerate((H, H_after)):
+        jacobian[:, :6], jacobian[:, latency] = np.eye(6), -v[i]
+        jacobian[:3, lever : lever + 3] = C[i]
+        jacobian[3:, 6:9] = rng.standard_normal((3, 3))
+    for rows in (np.ones(6, dtype=bool), np.arange(6) < 3):
+        turned = P.copy()
+        measurements.turn(turned, H, H_after, rows)
+        expected = (H @ P @ H.T)[np.ix_(rows, rows)]
+        np.testing.assert_allclose((H_after @ turned @ H_after.T)[np.ix_(rows, rows)], expected, rtol=1e-10)
+        assert np.abs((H_after @ P @ H_after.T)[np.ix_(rows, rows)] - expected).max() > 0.1
+        np.testing.assert_array_equal(turned[6:, 6:], P[6:, 6:])
+        np.testing.assert_allclose(turned, turned.T, atol=1e-12)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from insemu.errors import InputError
 from insemu.filters import LooselyCoupledEKF
 from insemu.filters.reference import reference_run
 from insemu.fit import fit, fit_following
+from insemu.fit.following import _Segments
 from insemu.noise import GM, WN, Follows, NoiseModel, load, save
 from insemu.records import Series, Trajectory
 from tests import filter_cases as cases
@@ -70,6 +71,33 @@ def test_draws_have_the_gain():
     slow = NoiseModel((GM(1.0, 0.5, follows=Follows("x", 0.5)),)).simulate(n, 1.0, np.random.default_rng(1), {"x": x})
     step = slow[1:] - np.exp(-0.5) * slow[:-1]
     assert abs(np.log(step[n // 2 :].std() / step[: n // 2 - 1].std()) - 1.0) < 4.0 / np.sqrt(n / 2)
+
+
+def test_the_covariance_of_the_moments_is_that_of_the_record() -> None:
+    """Against the exact one of a stationary signal (Isserlis over all pairs of coefficients): segments and the longer scales of the whole."""
+    n, segments, dt = 512, 4, 1.0
+    truth = NoiseModel.parse("WN(N=1, follows=x, slope=0, at=0) + GM(sigma=1, beta=0.05)")
+    x = Series(np.random.default_rng(3).standard_normal(n), 1.0 / dt, "rad/s", "gyro_x")
+    problem = _Segments.of(x, {"x": np.linspace(-1.0, 1.0, n)}, truth, segments, 0.0, np.inf)
+    a, length = np.exp(-0.05 * dt), n // segments
+    signal = np.eye(n) + a ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+
+    def coefficients(scale: int, begin: int, end: int) -> np.ndarray:
+        step = np.repeat([-1.0, 1.0], scale // 2) / scale
+        return np.array([np.pad(step, (k, n - scale - k)) for k in range(begin, end - scale + 1)])
+
+    short, long = problem.curves[0].scale_samples[problem.keep], problem.whole.scale_samples[problem.rest]
+    rows = [coefficients(j, s * length, (s + 1) * length) for s in range(segments) for j in short]
+    rows += [coefficients(j, 0, n) for j in long]
+    exact = np.array([[2.0 * np.mean((p @ signal @ q.T) ** 2) for q in rows] for p in rows])
+    found = problem.covariance(truth)
+    size = np.sqrt(np.outer(np.diag(exact), np.diag(exact)))
+    assert short.size >= 4 and long.size >= 3
+    np.testing.assert_allclose(np.diag(found) / np.diag(exact), 1.0, atol=1e-4)
+    across = np.s_[: segments * short.size, segments * short.size :]
+    assert (exact / size)[across].max() > 0.2  # the correlation that matters
+    np.testing.assert_allclose((found / size)[across], (exact / size)[across], atol=0.07)
+    assert np.linalg.eigvalsh(found / size).min() > 0.0
 
 
 @pytest.mark.slow

@@ -25,11 +25,18 @@ Array = NDArray[np.float64]
 
 #: The derivative of a fix by its latency is taken from means over so many seconds: those of one step are mostly noise and vibration.
 TREND_S = 0.3
+#: Where the latency is a state, the derivative of a fix by the lever arm is taken from means over so many seconds on each side of it.
+AROUND_S = 0.03
 
 
 def trend_window(dt: float) -> int:
     """Steps of ``dt`` seconds that the derivative of a fix by its latency is taken from."""
     return 2 + max(3, round(TREND_S / dt))
+
+
+def steps_around(dt: float) -> int:
+    """Steps of ``dt`` seconds on each side of a fix that its derivative by the lever arm is taken from; at most the trend's."""
+    return max(1, round(AROUND_S / dt))
 
 
 @dataclass(frozen=True)
@@ -337,7 +344,8 @@ class LooselyCoupledEKF:
             t, gyro, accel, np.concatenate([nav, np.zeros(3)]), x0, P0, p.place, a.axis, a.c, a.driver, p.slots, p.diagonal,
             p.d, p.phi, p.offsets, p.mix, p.q_at, p.q, p.q_law, following.powers(a, imu),
             following.of_speed(a), a.white_of, a.white, self._gravity, self.lever_arm, lever_at, latency_at,
-            self.thresholds(events.z.shape[1]), o.covariance_every, o.output_every, trend_window(self.dt), SAME_TIME * self.dt,
+            self.thresholds(events.z.shape[1]), o.covariance_every, o.output_every, trend_window(self.dt), steps_around(self.dt),
+            SAME_TIME * self.dt,
             events.first_of, events.next_alike, events.t, events.epoch, events.kind, events.since, events.tau, events.z, events.var,
             events.settings, cov_epoch, node_epoch, o.store == "fixes", b.nav, b.var, b.x, b.nu, b.S, b.nis, b.dof, b.ok, b.epoch, b.K, b.H,
             b.P, b.node_at, b.node_nav, b.node_x, b.before, b.after, b.phi, b.node_dx, b.last,

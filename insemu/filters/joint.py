@@ -52,7 +52,7 @@ def ideal_fixes(ekf: LooselyCoupledEKF, imu: ImuRecord, nav: Array, gnss: GnssRe
         here = np.concatenate([nav[k, :3], nav[k, 3:6]])
         fill_fix(
             np.append(nav[k], zero), np.append(nav[k - 1], zero), dt,
-            events.tau[i], *rates, ekf.lever_arm, np.zeros(6), np.zeros(0), none, -1, -1, np.zeros(9), here, nu, H, R
+            events.tau[i], *rates, ekf.lever_arm, np.zeros(6), np.zeros(0), none, -1, -1, np.zeros(12), here, nu, H, R
         )  # fmt: skip
         predicted = np.concatenate([earth.move(nav[k, :3], -nu[:3]), nav[k, 3:6] - nu[3:]])
         z[i] = np.where(np.isfinite(z[i]), predicted, np.nan)

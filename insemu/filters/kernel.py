@@ -26,9 +26,12 @@ from insemu.filters.measurements import (
     FIX,
     add_curvature,
     fill_fix,
+    fill_rate,
     fill_trend,
     first_bad_pivot,
+    motion_change,
     take_off,
+    turn,
     update,
 )
 from insemu.strapdown import fill_dynamics, step
@@ -98,6 +101,7 @@ def run(
     every: int,
     output_every: int,
     window: int,
+    around: int,
     tolerance: float,
     first_of: Ints,
     event_next: Ints,
@@ -177,6 +181,8 @@ def run(
         Epochs from one propagation of the covariance, and from one row of the output, to the next.
     window : int
         Steps that the derivative of a fix by its latency is taken from.
+    around : int
+        Steps on each side of a fix that its derivative by the lever arm is taken from, where the latency is a state.
     tolerance : float
         Times that are this close are the same, s.
     first_of : (kinds,) array of int
@@ -236,7 +242,7 @@ def run(
     mean_rate = np.zeros(3)
     upcoming = first_of.copy()
     past = np.zeros((window, 6))  # acceleration and rate of the last steps
-    trend = np.zeros(9)
+    trend = np.zeros(12)
     white_now = np.empty(6)
     lever = lever0.copy()
     c_of = np.zeros(m)
@@ -244,6 +250,8 @@ def run(
     node_total = np.zeros(n)
     width = event_z.shape[1]
     nu, H, R = np.zeros(width), np.zeros((width, n)), np.zeros((width, width))
+    nu_after, H_after, R_after = np.zeros(width), np.zeros((width, n)), np.zeros((width, width))
+    moved = np.zeros(6)
     used = np.zeros(width, dtype=np.bool_)
     L = np.zeros((n, n))
     driven = False
@@ -407,6 +415,7 @@ def run(
                     tau = 0.0
                 in_time = tau <= LATE_STEPS * (t[k] - t[k - 1])
                 fill_trend(past, k, (t[k] - t[0]) / k, trend)
+                fill_rate(t, gyro, seen, past, k, tau, around, trend[9:])
             if in_time:
                 dt = t[k] - t[k - 1]
                 if kind == FIX:
@@ -471,13 +480,50 @@ def run(
                         for j in range(n):
                             fix_H[event, i, j] = H[i, j]
                 if ok:
+                    take_off(nav, dx)
+                    for s in range(m):
+                        x[place[9 + s]] -= dx[9 + s]
+                    if latency_at >= 0:
+                        take_off(nav_before, dx)
+                        motion_change(mid, f_n, dx, c_of, axis, moved)
+                        for i in range(3):
+                            rate[i] += moved[3 + i]
+                            rate1[i] += moved[3 + i]
+                            seen[i] -= moved[3 + i]
+                        for j in range(window):
+                            for i in range(6):
+                                past[j, i] += moved[i]
+                        if kind == FIX:
+                            for i in range(3):
+                                lever[i] = lever0[i]
+                                if lever_at >= 0:
+                                    lever[i] += x[place[lever_at + i]]
+                                trend[i] += moved[i]
+                                trend[9 + i] += moved[3 + i]
+                            fill_fix(
+                                nav,
+                                nav_before,
+                                dt,
+                                tau,
+                                rate,
+                                rate1,
+                                lever,
+                                white_step,
+                                c_of,
+                                axis,
+                                lever_at,
+                                latency_at,
+                                trend,
+                                event_z[event],
+                                nu_after,
+                                H_after,
+                                R_after,
+                            )
+                            turn(P, H, H_after, used)
                     bad = first_bad_pivot(P, L)
                     if bad >= 0:
                         return 1, bad
                     scatter(P, place, E)
-                    take_off(nav, dx)
-                    for s in range(m):
-                        x[place[9 + s]] -= dx[9 + s]
                     for i in range(n):
                         node_total[i] += dx[i]
         if is_node:

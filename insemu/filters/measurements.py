@@ -105,8 +105,8 @@ def fill_fix(
         What axis each augmented state is seen by, and how strongly.
     lever_at, latency_at : int
         First lever-arm state and latency state among all states, -1 where not carried.
-    trend : (9,) array
-        See :func:`fill_trend`; for the derivative by the latency. The noise of a single step would be in ``H``.
+    trend : (12,) array
+        See :func:`fill_trend` and :func:`fill_rate`; for the derivatives by lever arm and latency where the latency is a state.
     z : (6,) array
         Latitude, longitude, height, velocity NED.
     nu, H, R : (w,), (w, n), (w, w) arrays
@@ -186,6 +186,17 @@ def fill_fix(
             for j in range(3):
                 for k in range(3):
                     R[3 + i, 3 + j] += spread * white[k] * X[i, k] * X[j, k]
+    if latency_at >= 0:
+        # from here on derivatives: by a rate whose noise is not in the innovation
+        against_earth(nav, C, trend[9:12], omega)
+        turn[0] = omega[1] * lever[2] - omega[2] * lever[1]
+        turn[1] = omega[2] * lever[0] - omega[0] * lever[2]
+        turn[2] = omega[0] * lever[1] - omega[1] * lever[0]
+        for i in range(3):
+            swing[i], omega_n[i] = 0.0, 0.0
+            for j in range(3):
+                swing[i] += C[i, j] * turn[j]
+                omega_n[i] += C[i, j] * omega[j]
     if lever_at >= 0:
         # C [w x], and its change with the age of the fix
         M = np.empty((3, 3))
@@ -228,11 +239,11 @@ def fill_trend(past: Array, k: int, dt: float, trend: Array) -> None:
         This epoch.
     dt : float
         s.
-    trend : (9,) array
-        Overwritten: acceleration (m/s^2), angular acceleration in body axes (rad/s^2), jerk (m/s^3).
+    trend : (12,) array
+        Overwritten but for the last three: acceleration (m/s^2), angular acceleration in body axes (rad/s^2), jerk (m/s^3).
     """
     window = past.shape[0]
-    trend[:] = 0.0
+    trend[:9] = 0.0
     count = min(window, k) - 2
     if count < 3:
         for i in range(3):
@@ -257,6 +268,55 @@ def fill_trend(past: Array, k: int, dt: float, trend: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
+def fill_rate(t: Array, gyro: Array, seen: Array, past: Array, k: int, tau: float, around: int, rate: Array) -> None:
+    """The rate of the body when a fix was valid, from the steps on both sides of the two whose rates predict its velocity.
+
+    The noise of a rate that both the innovation and its derivative by the lever arm are made of would be taken for information about the
+    arm (errors in variables). A straight line between the means of as many steps before and after has no noise in common with the
+    innovation and is not late. At the end of a record there are fewer steps after, or none.
+
+    Parameters
+    ----------
+    t : (epochs,) array
+        s.
+    gyro : (epochs, 3) array
+        Increments over the steps to the epochs, rad.
+    seen : (3+,) array
+        What the axes see of the estimated states, rad/s.
+    past : (window, 6) array
+        See :func:`fill_trend`.
+    k : int
+        This epoch.
+    tau : float
+        Age of the fix, s.
+    around : int
+        Steps on each side, at most ``window`` less two.
+    rate : (3,) array
+        Overwritten: against inertial space, body axes, rad/s.
+    """
+    window = past.shape[0]
+    before, after = max(min(around, k - 2), 0), min(around, t.size - 1 - k)
+    dt = t[k] - t[k - 1]
+    share = (2.0 + 0.5 * before - tau / dt) / (2.0 + 0.5 * (before + after))  # of the steps after
+    if after == 0:
+        share = 0.0
+    if before == 0:
+        share = 1.0
+    for i in range(3):
+        if before + after == 0:
+            rate[i] = past[k % window, 3 + i]
+            continue
+        rate[i] = 0.0
+        for j in range(before):
+            rate[i] += (1.0 - share) * past[(k - 2 - j) % window, 3 + i] / before
+        if after > 0:
+            total = 0.0
+            for j in range(after):
+                total += gyro[k + 1 + j, i]
+            rate[i] += share * (total / (t[k + after] - t[k]) - seen[i])
+
+
+@njit(cache=True, nogil=True)
 def add_curvature(trend: Array, variance: float, nu: Array, R: Array) -> None:
     """What a latency of this variance (s^2) does beyond the linear: the mean and the covariance of the second-order terms.
 
@@ -274,6 +334,65 @@ def add_curvature(trend: Array, variance: float, nu: Array, R: Array) -> None:
         for j in range(6):
             b = trend[j] if j < 3 else trend[3 + j]
             R[i, j] += 0.5 * a * b * variance * variance
+
+
+@njit(cache=True, nogil=True)
+def motion_change(C: Array, f_n: Array, dx: Array, c_of: Array, axis: Ints, change: Array) -> None:
+    """By how much an update moves the estimates of acceleration and rate.
+
+    Parameters
+    ----------
+    C : (3, 3) array
+        Body to NED.
+    f_n : (3,) array
+        Specific force, NED, m/s^2.
+    dx : (n,) array
+        Estimated error that is taken off.
+    c_of, axis : (m,) arrays
+        What axis each augmented state is seen by, and how strongly.
+    change : (6,) array
+        Overwritten: acceleration, NED, m/s^2, and rate, body axes, rad/s.
+    """
+    sensed = np.zeros(6)
+    for s in range(axis.size):
+        if axis[s] >= 0:
+            sensed[axis[s]] += c_of[s] * dx[9 + s]
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        change[i] = f_n[j] * dx[6 + k] - f_n[k] * dx[6 + j]
+        for q in range(3):
+            change[i] += C[i, q] * sensed[3 + q]
+        change[3 + i] = sensed[i]
+
+
+@njit(cache=True, nogil=True)
+def turn(P: Array, H: Array, H_after: Array, used: NDArray[np.bool_]) -> None:
+    """Keep what a fix does not tell untold when the estimates that it is linearized at change.
+
+    A fix sees position and velocity of the antenna at its own time. An update moves the estimates of attitude, velocity, lever arm and latency,
+    so that fixes after it see another combination of the errors, and what lies between the two would be taken for information that there
+    is none of (Huang, Mourikis, Roumeliotis 2010). So the covariance of what the fix sees stays as the update left it, and the errors of
+    position and velocity take up the difference.
+
+    Parameters
+    ----------
+    P : (n, n) array
+        Covariance after an update, changed in place.
+    H, H_after : (w, n) arrays
+        Jacobian of the fix at the estimates before and after the update, w >= 6.
+    used : (w,) array of bool
+    """
+    n = P.shape[0]
+    for side in range(2):
+        for i in range(6):
+            for s in range(6, n):
+                by = H[i, s] - H_after[i, s]
+                if used[i] and by != 0.0:
+                    for j in range(n):
+                        if side == 0:
+                            P[i, j] += by * P[s, j]
+                        else:
+                            P[j, i] += by * P[j, s]
 
 
 @njit(cache=True, nogil=True)

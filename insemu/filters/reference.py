@@ -19,7 +19,7 @@ from insemu import earth, rotation, strapdown
 from insemu.errors import InputError
 from insemu.filters import following, measurements
 from insemu.filters.aids import fill_aid
-from insemu.filters.ekf import LooselyCoupledEKF, trend_window
+from insemu.filters.ekf import LooselyCoupledEKF, steps_around, trend_window
 from insemu.filters.events import FIX_ROWS, SAME_TIME, Events
 from insemu.filters.kernel import LATE_STEPS
 from insemu.filters.options import InitialSigma
@@ -103,6 +103,8 @@ class _Flight:
     kf: KalmanFilter
     nav: Array
     x: Array
+    t: Array
+    gyro: Array
     nav_before: Array = field(default_factory=lambda: np.zeros(13))
     dt: float = 0.0
     dt_before: float = 0.0
@@ -111,8 +113,11 @@ class _Flight:
     rate: Array = field(default_factory=lambda: np.zeros(3))
     rate_before: Array = field(default_factory=lambda: np.zeros(3))
     seen: Array = field(default_factory=lambda: np.zeros(0))
+    known: Array = field(default_factory=lambda: np.zeros(6))  # what the axes saw of the estimated states
     rates: list[Array] = field(default_factory=list)
-    accelerations: list[Array] = field(default_factory=list)
+    motion: list[Array] = field(default_factory=list)  # acceleration and rate of the last steps, as updates left them
+    C: Array = field(default_factory=lambda: np.eye(3))
+    f_n: Array = field(default_factory=lambda: np.zeros(3))
     white: Array = field(default_factory=lambda: np.zeros(6))
 
     def predict(self, measured: Array, dt: float, power: Array) -> None:
@@ -121,15 +126,17 @@ class _Flight:
         first = not self.rates
         C_x, self.seen = a.output(measured / dt), a.coefficients(measured / dt)
         self.x = a.Phi @ self.x
-        corrected = measured[:6] - C_x @ self.x * dt
+        self.known = C_x @ self.x
+        corrected = measured[:6] - self.known * dt
         dtheta_before, dvel_before, self.rate_before = self.dtheta, self.dvel, self.rate
         self.dtheta, self.dvel = corrected[:3].copy(), corrected[3:].copy()
         self.rate = self.dtheta / dt
         if first:
             dtheta_before, dvel_before, self.rate_before = self.dtheta, self.dvel, self.rate
-        C = rotation.dcm_from_quaternion(self.nav[6:10]) @ (np.eye(3) + rotation.skew(0.5 * self.dtheta))
+        self.C = C = rotation.dcm_from_quaternion(self.nav[6:10]) @ (np.eye(3) + rotation.skew(0.5 * self.dtheta))
+        self.f_n = C @ self.dvel / dt
         F = np.empty((9, 9))
-        strapdown.fill_dynamics(self.nav, C @ self.dvel / dt, gravity, F)
+        strapdown.fill_dynamics(self.nav, self.f_n, gravity, F)
         self.kf.F, self.kf.Q = augmented(*step_matrices(F, C, dt), a.Phi, self.driving(power), C_x, self.white)
         self.kf.predict()
         self.kf.P = 0.5 * (self.kf.P + self.kf.P.T)
@@ -139,7 +146,8 @@ class _Flight:
         )
         self.dt = self.dt_before = dt
         self.rates.append(self.rate)
-        self.accelerations.append((self.nav - self.nav_before)[3:6] / dt)
+        acceleration = (self.nav - self.nav_before)[3:6] / dt
+        self.motion = [*self.motion[1 - trend_window(self.ekf.dt) :], np.concatenate([acceleration, self.rate])]
 
     def driving(self, power: Array) -> Array:
         """Driving covariance of the augmented states where levels follow covariates; the white noise of the step is kept."""
@@ -152,13 +160,14 @@ class _Flight:
         gain = np.where(a.law_of >= 0, np.sqrt(now)[a.law_of], 1.0)
         return np.asarray(a.Q * np.outer(gain, gain))
 
-    def trend(self, k: int, mean_dt: float) -> Array:
-        """How acceleration and rate go on; see :func:`insemu.filters.measurements.fill_trend`."""
+    def trend(self, k: int, mean_dt: float, tau: float) -> Array:
+        """How acceleration and rate go on, and the rate; see ``fill_trend`` and ``fill_rate`` of :mod:`insemu.filters.measurements`."""
         window = trend_window(self.ekf.dt)
-        past, out = np.zeros((window, 6)), np.empty(9)
+        past, out = np.zeros((window, 6)), np.empty(12)
         for j in range(max(1, k - window + 1), k + 1):
-            past[j % window] = np.concatenate([self.accelerations[j - 1], self.rates[j - 1]])
+            past[j % window] = self.motion[j - 1 - k]
         measurements.fill_trend(past, k, mean_dt, out)
+        measurements.fill_rate(self.t, self.gyro, self.known, past, k, tau, steps_around(self.ekf.dt), out[9:])
         return out
 
     def measurement(self, events: Events, at: int, tau: float, k: int, mean_dt: float) -> tuple[Array, Array, Array]:
@@ -167,7 +176,7 @@ class _Flight:
         nu, H, R = np.empty(w), np.empty((w, 9 + a.m)), np.empty((w, w))
         if events.kind[at] == measurements.FIX:
             lever_at, latency_at = self.ekf.installation()
-            trend = self.trend(k, mean_dt) if latency_at >= 0 else np.zeros(9)
+            trend = self.trend(k, mean_dt, tau) if latency_at >= 0 else np.zeros(12)
             lever = self.ekf.lever_arm + (self.x[lever_at - 9 : lever_at - 6] if lever_at >= 0 else 0.0)
             measurements.fill_fix(
                 self.nav, self.nav_before, self.dt, tau, self.rate, self.rate_before, lever, self.white, self.seen, a.axis, lever_at,
@@ -187,9 +196,17 @@ class _Flight:
         """An accepted measurement; the filter's state is the error, so what is measured of it is predicted minus measured."""
         self.kf.update(-nu, R=R, H=H)
         self.kf.P = 0.5 * (self.kf.P + self.kf.P.T)
-        measurements.take_off(self.nav, self.kf.x)
-        self.x = self.x - self.kf.x[9:]
-        self.kf.x = np.zeros(self.kf.x.size)
+        dx, latency_at = self.kf.x, self.ekf.installation()[1]
+        measurements.take_off(self.nav, dx)
+        self.x = self.x - dx[9:]
+        self.kf.x = np.zeros(dx.size)
+        if latency_at >= 0:
+            change, axis = np.empty(6), self.ekf.augmentation.axis
+            measurements.take_off(self.nav_before, dx)
+            measurements.motion_change(np.ascontiguousarray(self.C), self.f_n, dx, self.seen, axis, change)
+            self.motion = [m + change for m in self.motion]
+            self.rate, self.rate_before = self.rate + change[3:], self.rate_before + change[3:]
+            self.known = self.known - np.append(change[3:], np.zeros(3))
 
 
 def _due(flight: _Flight, events: Events, waiting: list[int], t: Array, k: int) -> tuple[int, float] | None:
@@ -248,7 +265,7 @@ def reference_run(
     kf = KalmanFilter(dim_x=n, dim_z=FIX_ROWS)
     kf.x, kf.P = np.zeros(n), ekf.initial_covariance(initial_sigma, imu, nav)
     power = following.powers(ekf.augmentation, imu)
-    flight = _Flight(ekf, kf, np.concatenate([nav, np.zeros(3)]), x0)
+    flight = _Flight(ekf, kf, np.concatenate([nav, np.zeros(3)]), x0, t, record.gyro)
     events = ekf.events(t, gnss, aids)
     f, w = events.z.shape
     thresholds = ekf.thresholds(w)
@@ -271,8 +288,8 @@ def reference_run(
             used = np.isfinite(events.z[at]) & np.isfinite(events.var[at])
             if not used.any() or tau > LATE_STEPS * flight.dt:
                 continue
-            nu, H, R = flight.measurement(events, at, tau, k, (t[k] - t[0]) / k)
-            nu, H, R = nu[used], H[used], R[np.ix_(used, used)]
+            nu, H_all, R = flight.measurement(events, at, tau, k, (t[k] - t[0]) / k)
+            nu, H, R = nu[used], H_all[used], R[np.ix_(used, used)]
             S = H @ kf.P @ H.T + R
             fixes.innovation[at, used] = nu
             fixes.S[at][np.ix_(used, used)] = S
@@ -280,6 +297,10 @@ def reference_run(
             fixes.accepted[at] = fixes.nis[at] <= thresholds[fixes.dof[at]]
             if fixes.accepted[at]:
                 flight.update(nu, H, R)
+                if events.kind[at] == measurements.FIX and ekf.installation()[1] >= 0:
+                    after = flight.measurement(events, at, tau, k, (t[k] - t[0]) / k)[1]
+                    kf.P = np.ascontiguousarray(kf.P)
+                    measurements.turn(kf.P, H_all, after, used)
         if k in wanted:
             kept.append(kf.P.copy())
         if k % o.output_every == 0 or k == t.size - 1:

@@ -247,15 +247,24 @@ class _Segments:
         return NoiseModel(tuple(replace(p, follows=None).scaled(g) for p, g in parts))
 
     def covariance(self, model: NoiseModel) -> Array:
-        """Covariance of all moments; segments are independent, and so are the whole record's longer scales."""
-        scale = self.curves[0].scale_samples[self.keep]
-        blocks = [
-            model_covariance(self.constant(model, s), c.n_samples, scale, self.dt) for s, c in enumerate(self.curves)
-        ]
-        if self.rest.any():
-            long = self.whole.scale_samples[self.rest]
-            blocks.append(model_covariance(self.constant(model, -1), self.whole.n_samples, long, self.dt))
-        return np.asarray(linalg.block_diag(*blocks))
+        """Covariance of all moments of a Gaussian signal whose levels change slowly.
+
+        Segments are independent of each other, but not of the longer scales of the whole record, which are means over the segments: with the
+        covariance ``V_s`` of a whole record that is throughout like segment s, the moments of s covary with the longer scales by ``V_s``, and
+        those among each other by the mean of ``V_s`` over the segments.
+        """
+        scale, n = self.curves[0].scale_samples[self.keep], self.whole.n_samples
+        here = [self.constant(model, s) for s in range(len(self.curves))]
+        out = linalg.block_diag(
+            *(model_covariance(m, c.n_samples, scale, self.dt) for m, c in zip(here, self.curves, strict=True))
+        )
+        if not self.rest.any():
+            return np.asarray(out)
+        every = np.append(scale, self.whole.scale_samples[self.rest])
+        through = np.array([model_covariance(m, n, every, self.dt) for m in here])
+        k = scale.size
+        across = through[:, :k, k:].reshape(-1, every.size - k)
+        return np.block([[out, across], [across.T, through[:, k:, k:].mean(axis=0)]])
 
     # -- coordinates ----------------------------------------------------------------------------------------------------------------
 

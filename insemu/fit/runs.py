@@ -30,6 +30,8 @@ Array = NDArray[np.float64]
 
 #: Draws from the confidence distribution of a spread.
 DRAWS = 4000
+#: How many times the weights of the common model are renewed.
+STEPS = 2
 #: A logarithm of a parameter with a larger standard error says nothing of the spread.
 UNKNOWN = 1.0
 
@@ -223,40 +225,67 @@ def fit_runs(
         fit_curve(c, model, unit=s.unit, name=s.name, weighting="asymptotic")
         for c, s in zip(problem.curves, runs, strict=True)
     )
-    joint, best, V = _joint(problem, runs[0])
-    roots = [root_of_inverse(v) for v in V]
-    best = problem.minimum(roots, best.shapes[None, :])
-    statistic = _statistic(problem, roots, best)
+    found = _settled(problem, problem.structure.starts(problem.longest))
+    joint = _joint(problem, runs[0], found)
+    statistic = _statistic(problem, found)
     p = math.nan
     if bootstrap:
         above = 0
         for k, child in enumerate(rng.spawn(bootstrap)):
             drawn = _drawn(problem, joint.model, child)
-            again = drawn.minimum(roots, best.shapes[None, :])
-            above += _statistic(drawn, roots, again) >= statistic
+            above += _statistic(drawn, _settled(drawn, found.best.shapes[None, :])) >= statistic
             if progress is not None:
                 progress(k + 1, bootstrap)
         p = (above + 1) / (bootstrap + 1)
     spreads, covariance, uncertainty = _spreads(each, joint, rng)
-    return RunsFit(joint, each, spreads, _curve(problem, V, rng), covariance, uncertainty, statistic, p)
+    return RunsFit(joint, each, spreads, _curve(problem, found.V, rng), covariance, uncertainty, statistic, p)
 
 
-def _joint(problem: _Runs, first: Series) -> tuple[FitResult, Solution, list[Array]]:
-    """The common model, weighed by the covariance of every run under it."""
+@dataclass(frozen=True)
+class _Settled:
+    """The common model, the weights of its last step, and the covariance of every run under it."""
+
+    best: Solution
+    roots: list[Array]
+    V: list[Array]
+
+
+def _settled(problem: _Runs, starts: Array) -> _Settled:
+    """The common model, weighed by the covariance of every run under it, which is renewed :data:`STEPS` times.
+
+    The first weights are the widths of the runs' curves around their common mean: widths around each run's own curve count a scale for more where it
+    came out low, and their minimum may be without the slow process. The starts are tried again under the first covariance.
+    """
     structure = problem.structure
-    starts = structure.starts(problem.longest)
-    widths = [np.diag(np.sqrt(0.5 * c.edof) / c.value) for c in problem.curves]
-    best = problem.minimum(widths, starts)
+    roots = [np.diag(np.sqrt(0.5 * c.edof) / m) for c, m in zip(problem.curves, _means(problem.curves), strict=True)]
+    best = problem.minimum(roots, starts)
     V = problem.covariance(structure.specified(best.coefficients, best.shapes))
-    for _ in range(2):
-        best = problem.minimum([root_of_inverse(v) for v in V], best.shapes[None, :])
+    for step in range(STEPS):
+        roots = [root_of_inverse(v) for v in V]
+        best = problem.minimum(roots, best.shapes[None, :] if step else np.vstack([best.shapes, starts]))
         V = problem.covariance(structure.specified(best.coefficients, best.shapes))
+    return _Settled(best, roots, V)
+
+
+def _means(curves: Sequence[WaveletVariance]) -> list[Array]:
+    """For every run the mean curve of the runs that have the scale, by degrees of freedom."""
+    longest = max(len(c) for c in curves)
+    total, freedom = np.zeros(longest), np.zeros(longest)
+    for c in curves:
+        total[: len(c)] += c.edof * c.value
+        freedom[: len(c)] += c.edof
+    return [(total / freedom)[: len(c)] for c in curves]
+
+
+def _joint(problem: _Runs, first: Series, found: _Settled) -> FitResult:
+    """All runs as one."""
+    structure, best, V = problem.structure, found.best, found.V
     model = structure.specified(best.coefficients, best.shapes)
     W, whole = linalg.block_diag(*(root_of_inverse(v) for v in V)), linalg.block_diag(*V)
     D, free = natural_jacobian(model, structure, problem.scale / 2.0)
     C, lost = parameter_covariance(D, W, whole)
     curve = max(problem.curves, key=lambda c: c.n_samples)
-    result = FitResult(
+    return FitResult(
         name=first.name,
         method="gmwm",
         structure=structure.model,
@@ -273,15 +302,15 @@ def _joint(problem: _Runs, first: Series) -> tuple[FitResult, Solution, list[Arr
         warnings=("the runs do not determine all parameters",) if lost else (),
         details={"free": free, "weighting": "asymptotic"},
     )
-    return result, best, V
 
 
-def _statistic(problem: _Runs, roots: Sequence[Array], joint: Solution) -> float:
-    """How much nearer every run's own model, sought from the common one, is than the common one.
+def _statistic(problem: _Runs, found: _Settled) -> float:
+    """How much nearer every run's own model, sought from the common one, is than the common one, in one metric.
 
-    Measured and drawn runs are searched alike: a better search of the measured ones alone would make every sensor look unsteady.
+    Measured and drawn runs go the same way, weights included: a better search of the measured ones alone would make every sensor look unsteady, and
+    so would weights that scatter with the measured curves against weights that are known of the drawn ones.
     """
-    return joint.objective - sum(own.objective for own in problem.each(roots, joint.shapes))
+    return found.best.objective - sum(own.objective for own in problem.each(found.roots, found.best.shapes))
 
 
 def _drawn(problem: _Runs, model: NoiseModel, rng: np.random.Generator) -> _Runs:
