@@ -349,18 +349,6 @@ def register(process: type[Process]) -> type[Process]:
     return process
 
 
-def _draw(p: Process, out: Array, dt: float, rng: np.random.Generator, covariates: Mapping[str, Array] | None) -> None:
-    """Fill an array with a process, whose level may follow a covariate."""
-    if p.follows is None:
-        p.fill(out, dt, rng)
-    elif p.single_draw or not p.own_block:
-        raise InputError(
-            f"{p} cannot be drawn: it has no driving noise of its own whose level could follow; expected GM, WN, RW, ..."
-        )
-    else:
-        follow.fill(out, p.block(dt), p.follows.gain(p.follows.of(covariates, p.symbol)), rng)
-
-
 @dataclass(frozen=True)
 class NoiseModel:
     """A sum of independent processes.
@@ -519,7 +507,7 @@ class NoiseModel:
         """
         parts = np.empty((len(self), n)) if out is None else out
         for row, p, child in zip(parts, self, rng.spawn(len(self)), strict=True):
-            _draw(p, row, dt, child, covariates)
+            follow.draw(p, row, dt, child, covariates)
         return parts
 
     def simulate(
@@ -541,7 +529,7 @@ class NoiseModel:
         """
         total, part = np.zeros(n), np.empty(n)
         for place, (p, child) in enumerate(zip(self, rng.spawn(len(self)), strict=True)):
-            _draw(p, part, dt, child, covariates)
+            follow.draw(p, part, dt, child, covariates)
             each(place, part)
             total += part
         return total
