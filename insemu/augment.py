@@ -405,23 +405,33 @@ def true_states(model: NoiseModel, components: ArrayLike, dt: float) -> Array:
         In the order of :func:`augment`. NaN where a process has states that its values do not tell (QN, SIN, MA, ARMA) and in the first p - 1
         samples of an AR(p).
     """
+    parts = np.asarray(components, dtype=np.float64)
+    rows = [process_states(p, values, dt) for p, values in zip(model.at_rate(1.0 / dt), parts, strict=True)]
+    return np.concatenate([np.zeros((0, parts.shape[1])), *rows])
+
+
+def process_states(process: Process, values: Array, dt: float) -> Array:
+    """The states of one process; see :func:`true_states`.
+
+    Parameters
+    ----------
+    process : Process
+        With its rate.
+    values : (n,) array
+        What it drew.
+    dt : float
+        s.
+    """
     from scipy.signal import lfilter
 
-    parts = np.asarray(components, dtype=np.float64)
-    rows: list[Array] = [np.zeros((0, parts.shape[1]))]
-    for process, values in zip(model.at_rate(1.0 / dt), parts, strict=True):
-        n = process.block(dt).n
-        if isinstance(process, ARMA) and n > 1 and not process.ma:
-            weights = _moving_average(process, dt)[1]
-            rows.append(np.stack([lfilter(w, [1.0], values) for w in weights]))
-            rows[-1][:, : n - 1] = np.nan
-        elif isinstance(process, DR):
-            rows.append(np.stack([values, np.full_like(values, process.parameters["R"])]))
-        elif n > 1:
-            rows.append(np.full((n, values.size), np.nan))
-        elif n == 1:
-            rows.append(values[None])
-    return np.concatenate(rows)
+    n = process.block(dt).n
+    if isinstance(process, ARMA) and n > 1 and not process.ma:
+        found = np.stack([lfilter(w, [1.0], values) for w in _moving_average(process, dt)[1]])
+        found[:, : n - 1] = np.nan
+        return found
+    if isinstance(process, DR):
+        return np.stack([values, np.full_like(values, process.parameters["R"])])
+    return np.full((n, values.size), np.nan) if n > 1 else values[None][:n]
 
 
 def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmentation:

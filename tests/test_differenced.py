@@ -98,7 +98,7 @@ designs:
 """
     )
     world = Experiment(scenario.load(tmp_path / "s.yaml"), tmp_path / "s.yaml").world
-    piece, _ = world.pieces.draw(1)
+    piece = world.pieces.piece(1)[0][1:]
     want = errors[-20_000:][len(piece) : 2 * len(piece)]
     assert piece.shape == want.shape
     for axis in range(6):

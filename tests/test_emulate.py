@@ -1,3 +1,6 @@
+import errno
+import io
+import os
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -8,7 +11,7 @@ from insemu import earth, emulate, rotation, strapdown
 from insemu.emulate.gnss import antenna, state_at
 from insemu.emulate.path import sensor_motion
 from insemu.errors import InputError
-from insemu.noise import GM, WN
+from insemu.noise import GM, WN, NoiseModel
 from insemu.records import AXES, Trajectory
 
 
@@ -337,6 +340,25 @@ def test_a_sensor_stands_for_its_axes(ideal):
     np.testing.assert_array_equal(whole, drawn(spelled))
 
 
+def test_a_record_without_room_is_said(monkeypatch):
+    """Records lie in temporary files; on a full disk the folder and what to do are named."""
+
+    class Full(io.BytesIO):
+        def write(self, data):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("tempfile.TemporaryFile", lambda **_: Full())
+    pieces = emulate.simulated_pieces(
+        {axis: NoiseModel((WN(N=1e-3),)) for axis in AXES},
+        501,
+        50.0,
+        record_s=40.0,
+        rng=lambda *key: np.random.default_rng(key),
+    )
+    with pytest.raises(InputError, match=r"0\.096 MB cannot be written \(No space left on device\); TMPDIR"):
+        pieces.piece(0)
+
+
 def test_pieces_of_a_simulated_record_are_the_same_whoever_asks_for_them():
     """By several threads at once, out of order, twice, or in another process; a record that serves many is drawn once."""
     model = {axis: WN(N=1e-3) + GM(sigma=1e-3, Tc=2.0) for axis in AXES}
@@ -351,7 +373,7 @@ def test_pieces_of_a_simulated_record_are_the_same_whoever_asks_for_them():
     one = pieces()
     expected = [one.piece(k) for k in range(12)]
     assert len(drawn) == 3 * 6  # three records of four pieces
-    assert not one.draw._kept  # all handed out, none held
+    assert len(one.draw._kept) == 2  # the last one that was done, and the one drawn after it
     record = np.concatenate([p[1:] for p, _ in expected[:4]])
     np.testing.assert_allclose(record.mean(axis=0), 0.0, atol=1e-12)
     drawn.clear()

@@ -6,6 +6,8 @@ of 2014, section VI).
 
 from __future__ import annotations
 
+import tempfile
+import weakref
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -15,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.augment import augment, true_states
+from insemu.augment import augment, process_states
 from insemu.emulate.errors import RecordedErrors
 from insemu.errors import InputError
 from insemu.noise import WN, CommonDraws, NoiseModel
@@ -53,12 +55,15 @@ class ErrorPieces:
     count : int or None
         Number of pieces there are; None: as many as asked for.
     draw : callable
-        Takes the index of a realization and returns the (n, 6) errors of the IMU rows, and its :class:`TrueStates`, None where errors are
-        recorded. Several threads may call it.
+        Takes the index of a realization and an array for the (n, 6) errors of the IMU rows after the first one, and returns its
+        :class:`TrueStates`, None where errors are recorded. Several threads may call it.
+    rows : int
+        Rows of the IMU record.
     """
 
     count: int | None
-    draw: Callable[[int], tuple[Array, TrueStates | None]]
+    draw: Callable[[int, Array], TrueStates | None]
+    rows: int
 
     def piece(self, realization: int) -> tuple[Array, TrueStates | None]:
         """The (n, 6) error signals of one realization, rad/s and m/s^2, columns in the order of
@@ -73,8 +78,10 @@ class ErrorPieces:
         """
         if self.count is not None and realization >= self.count:
             raise InputError(f"realization {realization} asked for, but the recorded signals hold {self.count} pieces")
-        drawn, states = self.draw(realization)
-        return np.concatenate([drawn[:1], drawn]), states
+        errors = np.empty((self.rows, 6))
+        states = self.draw(realization, errors[1:])
+        errors[0] = errors[1]
+        return errors, states
 
 
 def simulated_pieces(
@@ -110,23 +117,55 @@ def simulated_pieces(
     Raises
     ------
     InputError
-        A record shorter than the flight.
+        A record shorter than the flight. Drawing raises it where there is no room for the temporary file of a record.
     """
     length = n - 1 if record_s is None else round(record_s * rate_hz)
     if length < n - 1:
         raise InputError(f"the record of {record_s:g} s is shorter than the flight of {(n - 1) / rate_hz:g} s")
     at = np.maximum((np.zeros(0, dtype=np.intp) if states_at is None else states_at) - 1, 0)
     followed = {name: np.resize(x[1:], length) for name, x in (covariates or {}).items()}
-    return ErrorPieces(None, _Simulated(models, rng, rate_hz, n - 1, length, record_s is not None, at, followed))
+    return ErrorPieces(None, _Simulated(models, rng, rate_hz, n - 1, length, record_s is not None, at, followed), n)
 
 
-Piece = tuple[Array, TrueStates | None]
+class _Record:
+    """Samples of a record, axis after axis in a temporary file: of six axes, four hours at 100 Hz are 69 MB.
+
+    Parameters
+    ----------
+    length : int
+        Samples of an axis.
+    """
+
+    def __init__(self, length: int) -> None:
+        self._length, self._lock = length, Lock()
+        self._file = tempfile.TemporaryFile(prefix="insemu-record-")
+        weakref.finalize(self, self._file.close)
+        #: True states of its pieces, in their order.
+        self.states: list[TrueStates | None] = []
+
+    def add(self, values: Array) -> None:
+        """Write the samples of the next axis."""
+        try:
+            self._file.write(values.data)
+            self._file.flush()
+        except OSError as error:
+            raise InputError(
+                f"a simulated record of {6 * values.nbytes / 1e6:.3g} MB cannot be written ({error.strerror}); TMPDIR names another folder",
+                where=tempfile.gettempdir(),
+            ) from None
+
+    def read(self, first: int, out: Array) -> None:
+        """Samples of all axes from one on, into an (n, 6) array."""
+        part = np.empty(len(out))
+        for axis in range(6):
+            with self._lock:
+                self._file.seek((axis * self._length + first) * part.itemsize)
+                self._file.readinto(part.data)
+            out[:, axis] = part
 
 
 class _Simulated:
     """Pieces of simulated records, drawn record by record; see :func:`simulated_pieces`.
-
-    A record of hours takes 12 MB an axis, so a piece that has been handed out is forgotten; asked for once more, its record is drawn again.
 
     Parameters
     ----------
@@ -158,7 +197,7 @@ class _Simulated:
         self.single = at.size > 0 and not centred and all(p.own_block for model in ready for p in model)
         named = augment(dict(zip(AXES, ready, strict=True)), 1.0 / rate_hz).layout.names[9:] if self.single else ()
         self.names = tuple(named)
-        self._kept: dict[int, Future[dict[int, Piece]]] = {}
+        self._kept: dict[int, Future[_Record]] = {}
         self._lock = Lock()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -173,71 +212,55 @@ class _Simulated:
         own = self.models(record) if callable(self.models) else self.models
         return [own[axis].at_rate(self.rate_hz) for axis in AXES]
 
-    def __call__(self, realization: int) -> Piece:
+    def __call__(self, realization: int, out: Array) -> TrueStates | None:
         """One piece; threads that want pieces of one record wait for the one that draws it."""
-        count = self.length // self.intervals
-        record, place = divmod(realization, count)
-        while True:
-            with self._lock:
-                there = self._kept.get(record)
-                if mine := there is None:
-                    # where realizations follow each other few pieces of a record are left when the next one is wanted; here and there, most
-                    done = [k for k, v in self._kept.items() if v.done()]
-                    for k in done:
-                        if k != done[-1] or len(self._kept[k].result()) > count / 2:
-                            del self._kept[k]
-                    there = self._kept[record] = Future()
-            if mine:
-                try:
-                    there.set_result(self._drawn(record))
-                except BaseException as error:
-                    with self._lock:
-                        del self._kept[record]
-                    there.set_exception(error)
-            pieces = there.result()
-            with self._lock:
-                found = pieces.pop(place, None)
-                if not (found and pieces) and self._kept.get(record) is there:
-                    del self._kept[record]
-            if found is not None:
-                return found
+        number, place = divmod(realization, self.length // self.intervals)
+        with self._lock:
+            there = self._kept.get(number)
+            if mine := there is None:
+                # realizations follow each other: what is older than the last record that is done is wanted no more
+                for old in [k for k, v in self._kept.items() if v.done()][:-1]:
+                    del self._kept[old]
+                there = self._kept[number] = Future()
+        if mine:
+            try:
+                there.set_result(self._drawn(number))
+            except BaseException as error:
+                with self._lock:
+                    del self._kept[number]
+                there.set_exception(error)
+        record = there.result()
+        record.read(place * self.intervals, out)
+        return record.states[place]
 
-    def _drawn(self, record: int) -> dict[int, Piece]:
-        """The pieces of a record by their place in it."""
-        models, n, k = self.sensor(record), self.intervals, self.at.size
+    def _drawn(self, number: int) -> _Record:
+        """A record, axis by axis and process by process: each of them is large."""
+        models, n, k = self.sensor(number), self.intervals, self.at.size
         count, dt = self.length // n, 1.0 / self.rate_hz
         # row 0 of the IMU takes the first sample of the piece
         places = (np.arange(count)[:, None] * n + self.at).ravel()
-        pieces, states, axes = np.empty((count, n, 6)), [], np.zeros((places.size, 6))
+        record, states, axes = _Record(self.length), [], np.zeros((places.size, 6))
         common = CommonDraws(dict(zip(AXES, models, strict=True)))
-        room = np.empty(
-            (max(1, *(len(model) for model in models)), self.length)
-        )  # one axis after the other: it is large
         for axis, model in enumerate(models):
-            parts = room[: len(model)]
-            model.simulate_components(self.length, dt, self.rng(record, axis), parts, covariates=self.covariates)
-            common.share(AXES[axis], parts)
-            for process, part in zip(model, parts, strict=True):
-                if k and not isinstance(process, WN):
+
+            def each(place: int, part: Array, axis: int = axis, model: NoiseModel = model) -> None:
+                common.share(AXES[axis], part[None], place)
+                if k and not isinstance(model.processes[place], WN):
                     axes[:, axis] += part[places]
-            if self.single:
-                states.append(true_states(model, parts, dt)[:, places])
-            values = room[0]  # becomes the sum
-            if not len(model):
-                values[:] = 0.0
-            for part in parts[1:]:
-                values += part
+                if self.single:
+                    states.append(process_states(model.processes[place], part, dt)[:, places])
+
+            values = model.simulate(self.length, dt, self.rng(number, axis), self.covariates, each)
             if self.centred:
                 mean = values.mean()
                 values -= mean
                 axes[:, axis] -= mean
-            pieces[:, :, axis] = values[: count * n].reshape(count, n)
+            record.add(values)
         told = np.concatenate(states).T if states else None
-        own = [slice(place * k, (place + 1) * k) for place in range(count)]
-        return {
-            place: (piece, TrueStates(axes[s], None if told is None else told[s], self.names) if k else None)
-            for place, (piece, s) in enumerate(zip(pieces, own, strict=True))
-        }
+        for place in range(count):
+            own = slice(place * k, (place + 1) * k)
+            record.states.append(TrueStates(axes[own], None if told is None else told[own], self.names) if k else None)
+        return record
 
 
 def recorded_pieces(
@@ -280,8 +303,8 @@ def recorded_pieces(
             )
         places = [places[k] for k in order]
 
-    def draw(realization: int) -> tuple[Array, None]:
+    def draw(realization: int, out: Array) -> None:
         record, k = places[realization]
-        return record.piece(k, n - 1), None
+        out[:] = record.piece(k, n - 1)
 
-    return ErrorPieces(len(places), draw)
+    return ErrorPieces(len(places), draw, n)

@@ -138,9 +138,11 @@ class Experiment:
             if (
                 model not in drawn or not alone
             ):  # axes with one truth share one log, as one sensor type has one calibration
-                parts = model.simulate_components(n, 1.0 / rate, stream(self.scenario.seed, "fits", index))
-                common.share(axis, parts)
-                values = parts.sum(axis=0)
+
+                def each(place: int, part: Array, axis: str = axis) -> None:
+                    common.share(axis, part[None], place)
+
+                values = model.simulate(n, 1.0 / rate, stream(self.scenario.seed, "fits", index), each=each)
                 drawn[model] = Series(values - values.mean(), rate, axis_unit(axis), axis)
             out[axis] = [drawn[model]]
         return out

@@ -121,7 +121,9 @@ def write(results: Results, folder: Path) -> None:
 
 def write_summary(results: Results, folder: Path) -> None:
     """Write ``summary.json`` alone, which is all that error budgets are part of."""
-    put(folder / "summary.json", json.dumps(summary(results), indent=1))
+    folder.mkdir(parents=True, exist_ok=True)
+    with replacing(folder / "summary.json") as partial, partial.open("w", encoding="utf-8", newline="\n") as file:
+        json.dump(summary(results), file, indent=1)  # piece by piece: with thousands of realizations the text is large
 
 
 def _identity(scenario: Scenario) -> str:

@@ -86,7 +86,7 @@ def run_experiment(
     realizations : int, optional
         Number to run; default the scenario's.
     workers : int
-        Threads (the compiled filter frees the GIL).
+        Threads (the compiled filter frees the GIL); one is the thread that calls.
     executor : Executor, optional
         Any ``concurrent.futures`` executor instead, for example a cluster's; the experiment must be picklable there.
     cache : path, optional
@@ -255,7 +255,11 @@ def fly(
     store = None if cache is None else kept(experiment, cache, say)
     keys = {_node(1, r): r for r in realizations}
     with ExitStack() as stack:
-        pool = executor or stack.enter_context(ThreadPoolExecutor(max_workers=max(1, workers)))
+        pool = executor
+        if (
+            pool is None and workers > 1
+        ):  # one worker is this thread: what was freed here is used again, another thread has memory of its own
+            pool = stack.enter_context(ThreadPoolExecutor(max_workers=workers))
         window = AHEAD * max(workers, getattr(pool, "width", 1))
         for _, item in stream_items(keys, experiment.realization, pool=pool, store=store, done=step, window=window):
             yield item

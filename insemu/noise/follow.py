@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,9 @@ from insemu.errors import InputError, nearest
 from insemu.noise import grammar
 from insemu.noise.block import StateBlock
 from insemu.noise.compiled import draws
+
+if TYPE_CHECKING:
+    from insemu.noise.process import Process
 
 Array = NDArray[np.float64]
 Law = Literal["exp", "power"]
@@ -152,3 +155,34 @@ def fill(out: Array, block: StateBlock, gain: Array, rng: np.random.Generator) -
     draws.standard_normal(out, rng)
     out *= math.sqrt(block.white) * gain
     draws.driven(out, np.array(block.Phi), root_Q, np.array(block.c), state, np.ascontiguousarray(gain), rng)
+
+
+def draw(
+    process: Process, out: Array, dt: float, rng: np.random.Generator, covariates: Mapping[str, Array] | None
+) -> None:
+    """Overwrite ``out`` with a draw of a process, whose level may follow a covariate.
+
+    Parameters
+    ----------
+    process : Process
+    out : (n,) array
+    dt : float
+        Sampling interval, s.
+    rng : Generator
+    covariates : mapping of str to (n,) array, or None
+        What levels follow, SI.
+
+    Raises
+    ------
+    InputError
+        A process that follows a covariate and has no driving noise of its own, or the covariate is not given.
+    """
+    if process.follows is None:
+        process.fill(out, dt, rng)
+    elif process.single_draw or not process.own_block:
+        raise InputError(
+            f"{process} cannot be drawn: it has no driving noise of its own whose level could follow; expected GM, WN, RW, ..."
+        )
+    else:
+        gain = process.follows.gain(process.follows.of(covariates, process.symbol))
+        fill(out, process.block(dt), gain, rng)

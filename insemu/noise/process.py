@@ -507,21 +507,32 @@ class NoiseModel:
         """
         parts = np.empty((len(self), n)) if out is None else out
         for row, p, child in zip(parts, self, rng.spawn(len(self)), strict=True):
-            if p.follows is None:
-                p.fill(row, dt, child)
-            elif p.single_draw or not p.own_block:
-                raise InputError(
-                    f"{p} cannot be drawn: it has no driving noise of its own whose level could follow; expected GM, WN, RW, ..."
-                )
-            else:
-                follow.fill(row, p.block(dt), p.follows.gain(p.follows.of(covariates, p.symbol)), child)
+            follow.draw(p, row, dt, child, covariates)
         return parts
 
     def simulate(
-        self, n: int, dt: float, rng: np.random.Generator, covariates: Mapping[str, Array] | None = None
+        self,
+        n: int,
+        dt: float,
+        rng: np.random.Generator,
+        covariates: Mapping[str, Array] | None = None,
+        each: Callable[[int, Array], None] = lambda place, part: None,
     ) -> Array:
-        """Draw ``n`` samples of the sum at interval ``dt`` (s); arguments as of :meth:`simulate_components`."""
-        return np.asarray(self.simulate_components(n, dt, rng, covariates=covariates).sum(axis=0))
+        """Draw ``n`` samples of the sum; one process is held at a time.
+
+        Parameters
+        ----------
+        n, dt, rng, covariates
+            As of :meth:`simulate_components`.
+        each : callable
+            Given the place of every process and what it drew, (n,), before it is added; may change it.
+        """
+        total, part = np.zeros(n), np.empty(n)
+        for place, (p, child) in enumerate(zip(self, rng.spawn(len(self)), strict=True)):
+            follow.draw(p, part, dt, child, covariates)
+            each(place, part)
+            total += part
+        return total
 
     # -- text ---------------------------------------------------------------------------------------------------------------------
 

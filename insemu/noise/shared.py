@@ -104,17 +104,22 @@ class CommonDraws:
                     self._of.setdefault(seen.axis, []).append((name, seen))
         self._unit: dict[str, Array] = {}
 
-    def share(self, axis: str, parts: Array) -> None:
+    def share(self, axis: str, parts: Array, first: int = 0) -> None:
         """Replace the draws of an axis's shared processes, in place.
 
         Parameters
         ----------
         axis : str
         parts : (processes, n) array
-            Of :meth:`~insemu.noise.NoiseModel.simulate_components`.
+            Of :meth:`~insemu.noise.NoiseModel.simulate_components`, or some of its rows.
+        first : int
+            Process of the axis's model that row 0 belongs to.
         """
         for name, seen in self._of.get(axis, ()):
+            if not first <= seen.place < first + len(parts):
+                continue
+            drawn = parts[seen.place - first]
             if name in self._unit:
-                np.multiply(self._unit[name], seen.weight, out=parts[seen.place])
+                np.multiply(self._unit[name], seen.weight, out=drawn)
             else:
-                self._unit[name] = parts[seen.place] / seen.weight
+                self._unit[name] = drawn / seen.weight
