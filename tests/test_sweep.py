@@ -110,7 +110,7 @@ def test_keys_lead_into_the_scenario(file: Path) -> None:
 
 
 def row(design: str, states: int, error: float, knows: str = "yes", spread: float = 0.1) -> Row:
-    return Row(1, {}, design, states, error, error - spread, error + spread, 2 * error, error, knows)
+    return Row(1, {}, design, states, error, error - spread, error + spread, 2 * error, error, knows, "flights")
 
 
 def test_what_to_take_and_the_front() -> None:
@@ -162,10 +162,26 @@ def test_to_first_order_and_in_a_hypercube(file: Path, tmp_path: Path, capsys: p
     assert run(str(file), "--over", over, "--latin", "4", "--linear", "200", "--out", str(out), "--json") == 0
     document = json.loads(capsys.readouterr().out)
     own = [r for r in document["rows"] if r["design"] == "right"]
-    assert document["linear"] and len(own) == 4 and all(r["knows"] == "yes" for r in own)
+    assert document["linear"] and len(own) == 4 and all(r["knows"] == "yes" and r["by"] == "linear" for r in own)
     order = np.argsort([float(r["gnss.position_sigma"].split()[0]) for r in own])
     assert list(np.argsort([r["error_m"] for r in own])) == list(order)  # worse fixes, larger errors
     assert "rank correlation" in (out / "index.html").read_text()
+
+
+def test_a_design_that_is_not_linear_is_flown_at_long_steps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As in the preview of a single run (tests/test_twin.py)."""
+    truth = {
+        "gyro": "WN(N=0.03 deg/s/sqrt(Hz)) + GM(sigma=300 deg/h, Tc=100 s)",
+        "accel": "WN(N=90 ug/sqrt(Hz)) + GM(sigma=40 mg, Tc=4000 s)",
+    }
+    designs = {"right": SCENARIO["designs"]["right"], "white": {axis: m.split(" +")[0] for axis, m in truth.items()}}
+    path, out = tmp_path / "bent.yaml", tmp_path / "bent"
+    path.write_text(yaml.safe_dump(SCENARIO | {"truth": truth, "designs": designs}, sort_keys=False), encoding="utf-8")
+    over = "gnss.position_sigma=[5 cm, 10 cm]"
+    assert run(str(path), "--over", over, "--linear", "200", "--out", str(out), "--json") == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    assert {r["design"]: r["by"] for r in rows} == {"right": "linear", "white": "coarse"}
+    assert "white, not linear: a quarter as many runs" in (out / "index.html").read_text()
 
 
 def test_bad_points_are_refused_before_anything_is_flown(

@@ -17,6 +17,7 @@ from scipy.special import ndtri
 
 from insemu import yamlfile
 from insemu.errors import InputError
+from insemu.evaluate.control import previewed
 from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.results import Results
 from insemu.evaluate.running import Progress, run_experiment, silent
@@ -194,6 +195,8 @@ class Row:
         Root mean square of the stated horizontal standard deviation there, m.
     knows : str
         ``yes``, ``optimistic`` or ``pessimistic``.
+    by : str
+        What the errors are of: ``flights``, ``linear`` realizations, or ``coarse`` runs at long steps (a design that is not linear).
     """
 
     point: int
@@ -206,6 +209,7 @@ class Row:
     quantile_95_m: float
     stated_m: float
     knows: str
+    by: str
 
     def flat(self) -> dict[str, Any]:
         """As a line of a table."""
@@ -338,6 +342,7 @@ def _flown_rows(results: Results) -> list[dict[str, Any]]:
             "quantile_95_m": float(np.quantile(results.planimetric_ends(s.design), 0.95)),
             "stated_m": s.stated_m,
             "knows": s.knows,
+            "by": "flights",
         }
         for s in standings(results)
     ]
@@ -349,17 +354,18 @@ def _linear_rows(experiment: Experiment, realizations: int, step: Progress) -> l
     step(0, realizations, "linear errors")
     twin = LinearTwin(experiment)
     step(0, realizations, "realizations")
-    out = []
-    for name, errors in twin.draw(realizations, twin.rng).items():
+    out, told = [], previewed(twin, realizations)
+    for name, errors in told.errors.items():
         ends = np.hypot(errors[..., 0], errors[..., 1])
         pooled = ends.mean(axis=1)
-        mean, half = float(pooled.mean()), float(-ndtri(0.025) * pooled.std(ddof=1) / np.sqrt(realizations))
+        mean, half = float(pooled.mean()), float(-ndtri(0.025) * pooled.std(ddof=1) / np.sqrt(pooled.size))
         stated = float(np.sqrt((twin.stated[name] ** 2).mean()))
         factor = float(np.sqrt((ends**2).mean())) / stated
         knows = "yes" if 1.0 / MATERIAL <= factor <= MATERIAL else "optimistic" if factor > 1.0 else "pessimistic"
         out.append({
             "design": name, "states": experiment.ekf(name).layout.n, "error_m": mean, "low_m": mean - half, "high_m": mean + half,
             "quantile_95_m": float(np.quantile(ends, 0.95)), "stated_m": stated, "knows": knows,
+            "by": "coarse" if name in told.beyond else "linear",
         })  # fmt: skip
     return out
 

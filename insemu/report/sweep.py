@@ -247,6 +247,8 @@ def render_sweep(sweep: Sweep, rows: Sequence[Row], folder: str | Path) -> Path:
     way = (
         f"{sweep.linear} realizations to first order" if sweep.linear else f"{sweep.scenario.realizations} realizations"
     )
+    if beyond := sorted({r.design for r in rows if r.by == "coarse"}):
+        way += f" ({', '.join(beyond)}, not linear: a quarter as many runs at long steps)"
     sections = []
     if grid:
         sections.append(Section("Which choice for which condition", _heat_maps(sweep, rows)))
