@@ -48,8 +48,8 @@ from insemu.scenario import load
 
 SCENARIO = Path(__file__).parents[1] / "scenarios" / "table3_synthetic.yaml"
 LINEAR = 10_000
-#: Rounds in which one process, a cluster of one and of two take turns.
-ROUNDS = 5
+#: Rounds in which one process, a cluster of one and of two take turns; turns of few realizations that tell what a cluster costs.
+ROUNDS, TURNS, FEW = 5, 40, 8
 #: Flights that the control variate helps; the spread of a flight alone is that of all flights.
 HELPED = 50
 #: Realizations of the flight that shows what twenty minutes take (one node of 64, one of 8), and its motion.
@@ -205,47 +205,55 @@ def _alone(count: int) -> None:
 def workers(count: int) -> None:
     """Throughput of one and two processes of a cluster, of two processes without one, and what the cluster costs beside the work.
 
-    A processor's speed wanders by a tenth within minutes, so they take turns, and the middle of the ratios of the rounds is told. Two processes
-    that know nothing of each other tell what the machine's second core is worth.
+    A processor's speed wanders by a tenth within minutes, so they take turns: for the cost of a cluster many short ones, first one and then the
+    other in front. Two processes that know nothing of each other tell what the machine's second core is worth.
     """
     with ExitStack() as stack:
         kept = stack.enter_context(tempfile.TemporaryDirectory())
-        one, two = (stack.enter_context(cluster("local", k)) for k in (1, 2))
+        one = stack.enter_context(cluster("local", 1))
         path = scenario(Path(kept), trajectory=SHORT["trajectory"] | {"duration": "10 min", "rate": "100 Hz"})
         experiment = Experiment(load(path), path)
         ways: dict[str, dict[str, Any]] = {
             "here": {"workers": 1},
             "one": {"workers": 1, "executor": one},
-            "two": {"workers": 2, "executor": two},
         }
-        seconds: dict[str, list[float]] = {name: [] for name in (*ways, "apart")}
+
+        def seconds(name: str, many: int) -> float:
+            started = time.perf_counter()
+            if name in ways:
+                run_experiment(experiment, realizations=many, **ways[name])
+            else:
+                wait([process.submit(_alone, many // 2) for process in apart])
+            return time.perf_counter() - started
+
+        for name in ways:  # kernels and inputs get there
+            seconds(name, 2)
+        pairs = [[seconds(name, FEW) for name in ("here", "one")[:: 1 - 2 * (k % 2)]] for k in range(TURNS)]
+        ratios = np.array([np.log(pair[1] / pair[0]) * (1 - 2 * (k % 2)) for k, pair in enumerate(pairs)])
+        cost, error = 100 * ratios.mean(), 100 * ratios.std(ddof=1) / np.sqrt(TURNS)
+        row(
+            "Dask costs less than 3 %",
+            bool(cost < 3),
+            f"{cost:+.1f} % of the time without it, standard error {error:.1f}",
+        )
+        ways["two"] = {"workers": 2, "executor": stack.enter_context(cluster("local", 2))}
         apart = [
             stack.enter_context(ProcessPoolExecutor(1, get_context("spawn"), initializer=_made, initargs=(path,)))
             for _ in range(2)
         ]
-        for k in range(1 + ROUNDS):
-            for name, spent in seconds.items():
-                started = time.perf_counter()
-                if name in ways:
-                    run_experiment(experiment, realizations=count, **ways[name])
-                else:
-                    wait([process.submit(_alone, count // 2) for process in apart])
-                if k:  # in the first round kernels and inputs get there
-                    spent.append(time.perf_counter() - started)
-        found = {name: np.array(s) for name, s in seconds.items()}
-        middle = ", ".join(f"{name} {np.median(s):.2f} s" for name, s in found.items())
-        print(f"  {count} realizations, {ROUNDS} rounds: {middle}; load {os.getloadavg()[0]:.1f}")
-        more, cost = found["one"] / found["two"], found["one"] / found["here"] - 1
-        own = np.median(found["here"] / found["apart"])
+        for name in ("two", "apart"):
+            seconds(name, 4)
+        rounds = np.array([[seconds(name, count) for name in ("here", "one", "two", "apart")] for _ in range(ROUNDS)])
+        middle = np.median(rounds, axis=0)
+        print(
+            f"  {count} realizations, {ROUNDS} rounds: here {middle[0]:.2f} s, one {middle[1]:.2f}, two {middle[2]:.2f}, "
+            f"apart {middle[3]:.2f}; load {os.getloadavg()[0]:.1f}"
+        )
+        more, own = rounds[:, 1] / rounds[:, 2], np.median(rounds[:, 0] / rounds[:, 3])
         row(
             "a second worker gives at least 1.8 times the throughput",
             bool(np.median(more) >= 1.8),
             f"{np.median(more):.2f}, rounds from {more.min():.2f} to {more.max():.2f}; two processes without a cluster {own:.2f}",
-        )
-        row(
-            "Dask costs less than 3 %",
-            bool(np.median(cost) < 0.03),
-            f"{100 * np.median(cost):+.1f} % of the time without it, rounds from {100 * cost.min():+.1f} to {100 * cost.max():+.1f}",
         )
 
 
