@@ -10,9 +10,10 @@ import tempfile
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import dataclass
 from threading import Lock
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,7 +140,7 @@ class _Record:
     def __init__(self, length: int) -> None:
         self._length, self._lock = length, Lock()
         self._file = tempfile.TemporaryFile(prefix="insemu-record-")
-        weakref.finalize(self, self._file.close)
+        weakref.finalize(self, _closed, self._file)
         #: True states of its pieces, in their order.
         self.states: list[TrueStates | None] = []
 
@@ -162,6 +163,12 @@ class _Record:
                 self._file.seek((axis * self._length + first) * part.itemsize)
                 self._file.readinto(part.data)
             out[:, axis] = part
+
+
+def _closed(file: IO[bytes]) -> None:
+    """Close a file whose last bytes may have found no room: that has been said."""
+    with suppress(OSError):
+        file.close()
 
 
 class _Simulated:

@@ -25,7 +25,8 @@ Array = NDArray[np.float64]
 
 #: The derivative of a fix by its latency is taken from means over so many seconds: those of one step are mostly noise and vibration.
 TREND_S = 0.3
-#: Where the latency is a state, the derivative of a fix by the lever arm is taken from means over so many seconds on each side of it.
+#: Where the latency is a state, the derivative of a fix by the lever arm is taken from means over so many seconds on each side of it; judged by
+#: ``python -m tests.test_filters_latency``.
 AROUND_S = 0.03
 
 
@@ -35,7 +36,7 @@ def trend_window(dt: float) -> int:
 
 
 def steps_around(dt: float) -> int:
-    """Steps of ``dt`` seconds on each side of a fix that its derivative by the lever arm is taken from; at most the trend's."""
+    """Steps of ``dt`` seconds on each side of a fix that its derivative by the lever arm is taken from; fewer than those of the trend."""
     return max(1, round(AROUND_S / dt))
 
 

@@ -367,7 +367,7 @@ def motion_change(C: Array, f_n: Array, dx: Array, c_of: Array, axis: Ints, chan
 
 @njit(cache=True, nogil=True)
 def turn(P: Array, H: Array, H_after: Array, used: NDArray[np.bool_]) -> None:
-    """Keep what a fix does not tell untold when the estimates that it is linearized at change.
+    """Keep the covariance of what a fix sees when the estimates that it is linearized at change.
 
     A fix sees position and velocity of the antenna at its own time. An update moves the estimates of attitude, velocity, lever arm and latency,
     so that fixes after it see another combination of the errors, and what lies between the two would be taken for information that there
