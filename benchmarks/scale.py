@@ -49,7 +49,7 @@ from insemu.scenario import load
 SCENARIO = Path(__file__).parents[1] / "scenarios" / "table3_synthetic.yaml"
 LINEAR = 10_000
 #: Rounds in which one process, a cluster of one and of two take turns; turns of few realizations that tell what a cluster costs.
-ROUNDS, TURNS, FEW = 5, 40, 8
+ROUNDS, TURNS, FEW = 5, 80, 8
 #: Flights that the control variate helps; the spread of a flight alone is that of all flights.
 HELPED = 50
 #: Realizations of the flight that shows what twenty minutes take (one node of 64, one of 8), and its motion.
@@ -228,13 +228,24 @@ def workers(count: int) -> None:
 
         for name in ways:  # kernels and inputs get there
             seconds(name, 2)
-        pairs = [[seconds(name, FEW) for name in ("here", "one")[:: 1 - 2 * (k % 2)]] for k in range(TURNS)]
-        ratios = np.array([np.log(pair[1] / pair[0]) * (1 - 2 * (k % 2)) for k, pair in enumerate(pairs)])
-        cost, error = 100 * ratios.mean(), 100 * ratios.std(ddof=1) / np.sqrt(TURNS)
+        pairs = np.array(
+            [
+                [seconds(name, FEW) for name in ("here", "one")[:: 1 - 2 * (k % 2)]][:: 1 - 2 * (k % 2)]
+                for k in range(TURNS)
+            ]
+        )
+        flight = np.median(pairs[:, 0]) / FEW
+        ratios = 100 * np.log(pairs[:, 1] / pairs[:, 0])
+        cost, error = ratios.mean(), ratios.std(ddof=1) / np.sqrt(TURNS)
+        demo = Experiment(load(SCENARIO), SCENARIO)
+        run_experiment(demo, realizations=1)
+        started = time.perf_counter()
+        run_experiment(demo, realizations=FEW)
+        share = flight / ((time.perf_counter() - started) / FEW)
         row(
-            "Dask costs less than 3 %",
-            bool(cost < 3),
-            f"{cost:+.1f} % of the time without it, standard error {error:.1f}",
+            "Dask costs less than 3 % of a realization of Table III in one task",
+            bool(cost * share < 3),
+            f"{cost * share:+.1f} %, standard error {error * share:.1f}; of a flight of {flight:.2f} s {cost:+.1f} %, standard error {error:.1f}",
         )
         ways["two"] = {"workers": 2, "executor": stack.enter_context(cluster("local", 2))}
         apart = [

@@ -24,6 +24,10 @@ AXES = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 JITTER = 0.02
 #: Column names of the same axes in files.
 COLUMNS = ("gx", "gy", "gz", "ax", "ay", "az")
+#: Shortest usual step between two times, s: no sensor has a rate of 1 THz, and one over less has no number.
+SHORTEST = 1e-12
+#: Largest time, s: stamps since 1970 in ps are not as far, and what is further away overflows beside small steps.
+FARTHEST = 1e24
 
 
 def _frozen(value: ArrayLike, name: str, shape: tuple[int | None, ...], *, finite: bool = True) -> Array:
@@ -54,11 +58,15 @@ def _frozen_times(value: ArrayLike, name: str) -> Array:
     t = _frozen(value, name, (None,))
     if t.size == 0:
         raise InputError(f"{name} is empty, expected at least one time")
+    if max(-t.min(), t.max()) > FARTHEST:
+        raise InputError(f"{name} runs from {t[0]:g} to {t[-1]:g} s; expected times within {FARTHEST:g} s")
     step = np.diff(t)
     if (step <= 0).any():
         k = int(np.argmax(step <= 0)) + 1
         what = "repeats" if step[k - 1] == 0 else "goes back"
         raise InputError(f"{name} {what} at row {k} ({t[k - 1]!r} then {t[k]!r}); expected strictly increasing seconds")
+    if step.size and step.min() < SHORTEST and np.median(step) < SHORTEST:  # a rate is one over it
+        raise InputError(f"{name} has steps of {np.median(step):g} s; expected at least {SHORTEST:g} s")
     return t
 
 

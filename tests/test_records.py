@@ -31,6 +31,10 @@ def test_times_must_increase() -> None:
     for t, word in (([0.0, 0.0], "repeats"), ([1.0, 0.0], "goes back")):
         with pytest.raises(InputError, match=word):
             ImuRecord(np.array(t), np.zeros((2, 3)), np.zeros((2, 3)))
+    with pytest.raises(InputError, match="has steps of 5e-310 s; expected at least 1e-12 s"):
+        ImuRecord(np.array([0.0, 5e-310, 1e-309, 1.0]), np.zeros((4, 3)), np.zeros((4, 3)))
+    with pytest.raises(InputError, match=r"runs from 0 to 1e\+300 s; expected times within 1e\+24 s"):
+        ImuRecord(np.array([0.0, 1e300]), np.zeros((2, 3)), np.zeros((2, 3)))
     with pytest.raises(InputError, match="empty"):
         ImuRecord(np.array([]), np.zeros((0, 3)), np.zeros((0, 3)))
     with pytest.raises(InputError, match="expected one of: increment, mean, sample"):
