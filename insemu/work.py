@@ -234,7 +234,8 @@ class Files(Generic[R]):
             self._folder / f"{key}.partial-{platform.node()}-{os.getpid()}"
         )  # of this process, on whatever machine
         with partial.open("wb") as handle:
-            handle.write(self._head(key, content) + b"\n" + content)
+            handle.write(self._head(key, content) + b"\n")
+            handle.write(content)
         if (self._folder / key).is_dir():  # whatever it is, it is no item
             (self._folder / key).rename(self._folder / f"{key}.not-an-item-{os.getpid()}")
         partial.replace(self._folder / key)

@@ -93,15 +93,6 @@ class Tally:
     sums: Mapping[str, Array]
     sketch: sparse.csr_array
 
-    def __add__(self, other: Tally) -> Tally:
-        """Together with the realizations that follow."""
-        return Tally(
-            self.count + other.count,
-            {k: np.concatenate([v, other.runs[k]], axis=1) for k, v in self.runs.items()},
-            {k: v + other.sums[k] for k, v in self.sums.items()},
-            self.sketch + other.sketch,
-        )
-
     def to_bytes(self) -> bytes:
         """As it is kept."""
         arrays = {f"runs {k}": v for k, v in self.runs.items()} | {f"sums {k}": v for k, v in self.sums.items()}
@@ -222,6 +213,31 @@ def _during(error: Array, t: Array, outages: Sequence[tuple[float, float]]) -> d
     return out
 
 
+class _Open:
+    """Nodes that follow each other, on the way to a larger one: sums are added at once, values of each realization joined at its end."""
+
+    def __init__(self, begin: int) -> None:
+        self.begin, self.count = begin, 0
+        self.sums: Mapping[str, Array] = {}
+        self.sketch: sparse.csr_array | None = None
+        self.runs: list[dict[str, Array]] = []
+
+    def add(self, node: Tally) -> None:
+        self.sums = {k: self.sums[k] + v if self.count else v for k, v in node.sums.items()}
+        self.sketch = node.sketch if self.sketch is None else self.sketch + node.sketch
+        self.runs.append(dict(node.runs))
+        self.count += node.count
+
+    def joined(self) -> Tally:
+        """All of them as one; each figure of the parts goes as it is joined, so that there is never twice of everything."""
+        assert self.sketch is not None
+        parts = self.runs
+        runs = (
+            parts[0] if len(parts) == 1 else {k: np.concatenate([p.pop(k) for p in parts], axis=1) for k in [*parts[0]]}
+        )
+        return Tally(self.count, runs, self.sums, self.sketch)
+
+
 class Ladder:
     """Tallies of realizations that follow each other, added along the tree.
 
@@ -237,31 +253,30 @@ class Ladder:
         self, start: int = 0, made: Callable[[int, int, Tally], None] = lambda size, first, node: None
     ) -> None:
         self._next, self._made = start, made
-        self._open: dict[int, tuple[int, Tally]] = {}
+        self._open: dict[int, _Open] = {}
 
     def push(self, node: Tally) -> None:
         """Add the next realization, or the next node."""
-        first = self._next
+        first, size = self._next, node.count * BASE
         self._next += node.count
-        self._add(node.count * BASE, first, node)
-
-    def _add(self, size: int, first: int, node: Tally) -> None:
-        begin, held = first, node
-        if size in self._open:
-            begin, before = self._open.pop(size)
-            held = before + node
-        if (first + node.count) % size:
-            self._open[size] = begin, held
-        elif begin % size == 0:
-            self._made(size, begin, held)
-            self._add(size * BASE, begin, held)
+        while True:
+            held = self._open.setdefault(size, _Open(first))
+            held.add(node)
+            if self._next % size:
+                return
+            del self._open[size]
+            if held.begin % size:
+                return
+            first, node = held.begin, held.joined()
+            self._made(size, first, node)
+            size *= BASE
 
     def total(self) -> Tally:
-        """Of everything that was pushed."""
-        largest, *others = (self._open[size][1] for size in sorted(self._open, reverse=True))
-        for other in others:
-            largest = largest + other
-        return largest
+        """Of everything that was pushed; nothing can be pushed any more."""
+        whole = _Open(0)
+        for size in sorted(self._open, reverse=True):
+            whole.add(self._open.pop(size).joined())
+        return whole.joined()
 
 
 def pieces(span: range, held: Callable[[int, int], bool]) -> list[tuple[int, int]]:
