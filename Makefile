@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 WORKERS ?= 2
+SCORERS ?= $(WORKERS)
 STAMP := $(VENV)/.installed
 FLOWN := $(VENV)/.flown
 
@@ -19,7 +20,7 @@ test-slow: $(FLOWN)
 
 # Fixed blind recordings against tests/scoreboard.yaml: what moved, and failure where a score left its binomial bound.
 scoreboard: $(STAMP)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.scoreboard --workers $(WORKERS)
+	OPENBLAS_NUM_THREADS=1 nice $(BIN)/python -m tests.scoreboard --workers $(SCORERS)
 
 scoreboard-release: $(STAMP)
 	mkdir -p results && OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.scoreboard --release 1000 --workers $(WORKERS) --log results/scoreboard_release.jsonl
@@ -60,7 +61,7 @@ setup: $(FLOWN)
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit("insemu needs Python 3.11 or newer, found " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev,docs,cluster,files]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt --editable ".[dev,docs,cluster,files]"
 	touch $@
 
 $(FLOWN): $(STAMP)

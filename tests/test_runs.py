@@ -38,6 +38,7 @@ def test_one_sensor_is_near_stationary_and_its_joint_fit_is_sharper() -> None:
     assert all(s.log_low < s.next_low and s.next_high < s.log_high for s in found.spreads)
 
 
+@pytest.mark.slow
 def test_runs_that_differ_are_said_to_and_their_spread_is_found() -> None:
     found = fit_runs(runs(0.4, count=6), WN() + GM(), bootstrap=39, rng=np.random.default_rng(1))
     assert found.p_value == pytest.approx(1 / 40)

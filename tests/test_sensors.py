@@ -63,7 +63,7 @@ def test_limits_are_worst_cases_and_a_correlation_time_belongs_to_the_figures_be
 
 
 def test_any_text_gives_positive_figures_or_a_clear_error() -> None:
-    """20,000 texts of the words, numbers and signs of datasheets in any order; and long ones in a moment."""
+    """5,000 texts of the words, numbers and signs of datasheets in any order; and long ones in a moment."""
     rng = np.random.default_rng(5)
     words = [
         *"ARW VRW RRW Tc B = < max ± -3 0 0.34 8 1e400 1e-320 deg/sqrt(h) °/√hr deg/h mg ug/sqrt(Hz) m/s/√h s ( ) , ; | √ ^ / and with % Hz".split(),
@@ -79,7 +79,7 @@ def test_any_text_gives_positive_figures_or_a_clear_error() -> None:
         ),
     ]
     read = 0
-    for _ in range(20_000):
+    for _ in range(5_000):
         text = " ".join(rng.choice(words, rng.integers(1, 14)))
         try:
             figures = read_figures(text)
@@ -87,7 +87,7 @@ def test_any_text_gives_positive_figures_or_a_clear_error() -> None:
             continue
         read += 1
         assert all(0.0 < one.value < math.inf for kinds in figures.values() for one in kinds.values())
-    assert read > 150
+    assert read > 40
     for text in ("ARW " + "1" * 190_000, "ARW 1 " * 30_000, "ARW 0.3 deg/sqrt(h) " * 9_000):
         started = time.process_time()
         with contextlib.suppress(InputError):

@@ -36,6 +36,7 @@ def levels() -> Levels:
     return Levels(cases.corrupt(ideal.imu, TRUE, rng), cases.fixes(ideal, rng), start, static, np.zeros(3))
 
 
+@pytest.mark.slow
 def test_known_factors_come_back_inside_their_intervals(levels: Levels) -> None:
     found = {f.name: f for f in estimated(levels).factors}
     for sensor in ("gyro", "accel"):
