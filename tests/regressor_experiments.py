@@ -2,7 +2,7 @@
 
 ``python -m tests.regressor_experiments [N] [--model gm|walk] [--hours H]``: of N emulated logs of two hours with a warm-up, how often 95 %
 intervals hold the coefficients of temperature and time and the parameters of the noise; beside them the coefficients of ordinary least
-squares with white errors.
+squares with white errors. 400 logs tell a coverage to 2 points (95 %), in some 2 CPU min; a hundred only to 4.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def signal_of(model: NoiseModel, samples: int, rng: np.random.Generator) -> tupl
 def main() -> None:
     """Print the coverage."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("count", nargs="?", type=int, default=100)
+    parser.add_argument("count", nargs="?", type=int, default=400)
     parser.add_argument("--model", choices=sorted(MODELS), default="gm")
     parser.add_argument("--hours", type=float, default=2.0)
     parser.add_argument("--seed", type=int, default=18)
