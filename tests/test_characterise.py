@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -187,6 +188,22 @@ def test_noise_with_stationary_increments_is_not_called_warm_up(model: Any) -> N
     rng = np.random.default_rng(6)
     alarms = sum(bool(judge.stationarity(model.simulate(8000, 1.0, rng), 1.0, "")) for _ in range(60))
     assert alarms <= 2  # a few in a thousand
+
+
+@pytest.mark.parametrize("model", [WN(N=1.0), RW(K=1.0), GM(sigma=20.0, beta=0.03) + WN(N=0.1)], ids=str)
+def test_a_line_is_named_with_its_amplitude_and_no_noise_is_one(model: Any) -> None:
+    rng = np.random.default_rng(11)
+    noises = [model.simulate(40_000, 100.0, rng) for _ in range(40)]
+    assert not [said for noise in noises for said in judge.lines(noise, 100.0, "")]
+    white = rng.standard_normal(40_000)
+    t = np.arange(40_000) / 100.0
+    (said,) = judge.lines(white + 0.2 * np.sin(2 * np.pi * 17.3 * t), 100.0, "m/s^2")
+    found = re.search(r"amplitude (\S+) m/s\^2 at (\S+) Hz$", said)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(0.2, rel=0.1)
+    assert float(found[2]) == pytest.approx(17.3, abs=0.01)
+    wandering = 0.5 * np.sin(2 * np.pi * np.cumsum(17.3 + 0.05 * np.sin(0.1 * t)) / 100.0)
+    assert judge.lines(white + wandering, 100.0, "")[0].count("Hz") == 1
 
 
 def test_a_long_record_is_read_in_one_pass() -> None:

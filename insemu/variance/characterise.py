@@ -205,6 +205,7 @@ def characterise(
             f"outliers: heavy tails raise the plain wavelet variance up to {contamination.ratio[worst]:.3g} times the robust one "
             f"(at {wavelet.tau_s[worst]:.3g} s){limit}"
         )
+    found += judge.lines(part, rate_hz, unit)
     reported = wavelet if filter == "haar" else wavelet_variance(x, rate_hz, filter=filter, gaps=True)
     spectrum = average_frequencies(psd(part, rate_hz), 12) if part.size >= 64 else None
     trend_t, trend = _trend(x, rate_hz)

@@ -1,7 +1,8 @@
 """What is wrong or worth knowing about a static log: each finding is one sentence that begins with its kind.
 
 Kinds: ``NaN``, ``gap``, ``missing``, ``units``,
-``warm-up``, ``level shift``, ``noise level``, ``quantization``, ``saturation``, ``stuck``, ``outliers``.
+``warm-up``, ``level shift``, ``noise level``, ``quantization``, ``saturation``, ``stuck``, ``outliers``,
+``line``.
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import fdtri, stdtrit
+from scipy.special import chdtri, fdtri, stdtrit
 
+from insemu.variance.spectrum import psd
 from insemu.variance.wavelet import wavelet_variance
 
 Array = NDArray[np.float64]
@@ -20,6 +22,14 @@ Array = NDArray[np.float64]
 #: One false alarm in this many clean records for each test below.
 FALSE_ALARM = 1e-3
 _GRAVITY = 9.80665
+#: Resolutions in which lines are looked for: parts of the record. One part finds what keeps its frequency, many what wanders.
+PARTS = (1, 16, 256)
+#: Bins over which the spectrum around a line is taken; blocks at the lowest frequencies, where it may be steep, that are left out.
+AROUND, STEEP = 256, 4
+#: Share of its frequency by which a source may wander.
+WANDER = 0.02
+#: Lines that are said one by one.
+SAID = 3
 
 
 def longest_good_part(columns: Sequence[Array], breaks: Sequence[int]) -> tuple[int, int]:
@@ -241,4 +251,59 @@ def resolution(x: Array, unit: str) -> list[str]:
         where = int(np.argmax(runs))
         start = int(same[where - 1]) + 1 if where > 0 else 0
         out.append(f"stuck: the value stays the same for {longest} samples from row {start} on")
+    return out
+
+
+def lines(x: Array, rate_hz: float, unit: str) -> list[str]:
+    """Detect sinusoids: bins of the spectrum far above those around them, at :data:`FALSE_ALARM` shared over bins and resolutions.
+
+    What is around is the median of :data:`AROUND` bins, between such blocks on a straight line in log density. Its own error is given away
+    four times over, so that the rate of false alarms holds.
+
+    Parameters
+    ----------
+    x : (n,) array
+        Signal.
+    rate_hz : float
+        Sampling rate.
+    unit : str
+        SI unit of the signal.
+    """
+    found: list[tuple[float, float]] = []  # amplitude, frequency
+    for parts in PARTS:
+        if x.size < 4 * (STEEP + 2) * AROUND * parts:
+            break
+        for line in _lines(x, rate_hz, x.size // parts):
+            same = [k for k, (_, f) in enumerate(found) if abs(f - line[1]) < WANDER * f]
+            found = [f for k, f in enumerate(found) if k not in same] + [max([line, *(found[k] for k in same)])]
+    if not found:
+        return []
+    found.sort(reverse=True)
+    said = ", ".join(f"{amplitude:.3g} {unit}".rstrip() + f" at {f:.4g} Hz" for amplitude, f in found[:SAID])
+    more = f" and {len(found) - SAID} weaker" if len(found) > SAID else ""
+    return [f"line: vibration or electrical disturbance, amplitude {said}{more}"]
+
+
+def _lines(x: Array, rate_hz: float, segment: int) -> list[tuple[float, float]]:
+    """Amplitude and frequency of what stands out in the spectrum of segments, what wanders as one."""
+    spectrum = psd(x, rate_hz, segment=segment)
+    f, density, freedom = spectrum.f_hz, spectrum.psd, float(spectrum.edof[0])
+    count = density.size // AROUND
+    # a median of chi-square variables tells their mean
+    median = np.median(density[: count * AROUND].reshape(count, AROUND), axis=1)
+    middle = median * freedom / float(chdtri(freedom, 0.5))
+    if middle.min() <= 0.0:
+        return []
+    level = np.exp(np.interp(np.arange(density.size), (np.arange(count) + 0.5) * AROUND - 0.5, np.log(middle)))
+    share = FALSE_ALARM / (len(PARTS) * density.size)
+    uncertain = 1.25 * np.sqrt(2.0 / freedom / AROUND)
+    high = density > level * float(chdtri(freedom, share)) / freedom * (1.0 + 4.0 * uncertain)
+    high[: STEEP * AROUND] = False
+    bins = np.flatnonzero(high)
+    out = []
+    for group in np.split(bins, np.flatnonzero(f[bins[1:]] > f[bins[:-1]] * (1.0 + WANDER)) + 1) if bins.size else []:
+        # the main lobe of a Hann window is four bins wide
+        lobe = np.unique(np.clip(group[:, None] + np.arange(-2, 3), 0, density.size - 1))
+        power = 2.0 * rate_hz / segment * float(np.sum(density[lobe] - level[lobe]))
+        out.append((float(np.sqrt(2.0 * max(power, 0.0))), float(f[group[np.argmax(density[group])]])))
     return out
