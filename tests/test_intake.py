@@ -184,9 +184,18 @@ def test_three_files_become_one_recording_by_the_command(tmp_path: Path) -> None
 def test_a_map_is_kept_beside_the_file_and_used_by_all(tmp_path: Path) -> None:
     path = mapped_csv(tmp_path).path
     assert run("open", path, "--map", "gyro=om_*[deg/s], accel=s_*[g], time=stamp[ns]", "--save-map") == 0
+    kept = path.with_name(path.name + ".map.yaml")
+    assert kept.is_file()
     log = formats.read_log(path)
     assert log.rate_hz == 50.0
     np.testing.assert_allclose(log.columns[3], drive().imu.accel[:, 0], atol=1e-6)
+
+
+def test_a_refused_name_of_the_result_leaves_no_map(tmp_path: Path) -> None:
+    path = mapped_csv(tmp_path).path
+    said = ("--map", "gyro=om_*[deg/s], accel=s_*[g], time=stamp[ns]", "--save-map")
+    assert run("open", path, *said, "--out", tmp_path / "a.tum") == 2
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
 def test_what_contradicts_physics_is_refused_and_nothing_written(

@@ -241,6 +241,24 @@ def test_one_folder_has_one_writer(tmp_path: Path) -> None:
         other.communicate()
 
 
+@pytest.mark.skipif(os.name == "nt", reason="a process of Windows leaves no lock to those that it started")
+def test_what_a_killed_writer_left_behind_is_waited_for(tmp_path: Path) -> None:
+    code = """
+import os, pathlib, sys, time
+from insemu.evaluate.folder import only_writer
+with only_writer(pathlib.Path(sys.argv[1])):
+    if os.fork():
+        os._exit(9)
+    time.sleep(1.5)
+    os._exit(0)
+"""
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)
+    started = time.monotonic()
+    with only_writer(tmp_path):
+        assert 0.2 < time.monotonic() - started < 15.0
+        assert f"process {os.getpid()} " in (tmp_path / ".writer").read_text()
+
+
 def test_writers_that_come_and_go_are_never_two_at_a_time(tmp_path: Path) -> None:
     # each takes the folder 200 times, and the lock is removed each time: whoever loses an update was not alone
     values = [0]

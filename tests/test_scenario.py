@@ -133,6 +133,8 @@ def test_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert resolve_path("shared:data.csv") == tmp_path / "data.csv"
     with pytest.raises(InputError, match="no such file"):
         resolve_path("other.csv", tmp_path / "s.yaml")
+    with pytest.raises(InputError, match="name too long: xxx"):
+        resolve_path("x" * 5000, tmp_path / "s.yaml")
     with pytest.raises(InputError, match="shared data absent: other"):
         resolve_path("shared:other.csv")
 

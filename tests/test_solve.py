@@ -146,6 +146,8 @@ def test_designs_that_need_a_fit_are_refused() -> None:
         candidates(["GMWM"])
     with pytest.raises(InputError, match="no design 'pohne'"):
         candidates(["pohne"])
+    with pytest.raises(InputError, match="--sensor: no sensor 'nan' comes with insemu"):
+        candidates(sensor="nan")
 
 
 def test_a_fitted_model_gets_a_turn_on_bias(tmp_path: Path) -> None:

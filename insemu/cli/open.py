@@ -64,11 +64,11 @@ def command(
     else:
         show(console, card)
     card.check()
+    if out:  # first: what it refuses leaves no map either
+        console.print(f"wrote: {write(found, Path(out))}", markup=False)
     if save_map:
         preset = write_preset(Path(file), parse_map(line))
         console.print(f"map: {preset}", markup=False)
-    if out:
-        console.print(f"wrote: {write(found, Path(out))}", markup=False)
 
 
 def read(file: Path, gnss: str, truth: str, maps: tuple[str, str, str]) -> tuple[Opened | None, Card]:

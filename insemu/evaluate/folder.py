@@ -8,11 +8,12 @@ import io
 import json
 import os
 import platform
+import re
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import portalocker
 import yaml
@@ -27,6 +28,8 @@ from insemu.whole import put, replacing
 MARKER = "complete.json"
 #: What is locked, and beside it who locked it.
 LOCK, WRITER = ".lock", ".writer"
+#: How long the processes that a killed writer leaves are waited for, s: they draw a picture or fly a realization.
+LEFT = 20.0
 CACHE = "cache"
 
 
@@ -47,22 +50,16 @@ def only_writer(folder: Path, *, shared: bool = False) -> Iterator[None]:
     """
     folder.mkdir(parents=True, exist_ok=True)
     path, writer = folder / LOCK, folder / WRITER
-    with path.open("a+", encoding="utf-8") as handle:
-        try:
-            portalocker.lock(handle, portalocker.LOCK_NB | (portalocker.LOCK_SH if shared else portalocker.LOCK_EX))
-            held = os.path.samestat(path.stat(), os.fstat(handle.fileno()))  # else the last holder removed it meanwhile
-        except (portalocker.AlreadyLocked, FileNotFoundError):
-            held = False
-        except portalocker.LockException as error:
-            raise InputError(
-                f"is on a file system that cannot lock files ({error}); choose another folder (--out)",
-                where=str(folder),
-            ) from None
-        if not held:
+    until = time.monotonic() + LEFT
+    while (held := _held(path, shared)) is None:
+        # a process that was killed leaves those that it had started, which end by themselves and hold the lock so long
+        if not _ended(writer) or time.monotonic() > until:
             raise InputError(
                 f"is being written by {_named(writer)}; wait for it, or choose another folder (--out)",
                 where=str(folder),
             )
+        time.sleep(0.05)
+    with held as handle:
         try:
             put(writer, f"process {os.getpid()} on {platform.node()} since {time.strftime('%Y-%m-%d %H:%M:%S')}\n")
             yield
@@ -75,6 +72,39 @@ def only_writer(folder: Path, *, shared: bool = False) -> Iterator[None]:
     if os.name == "nt" and not shared:  # refused where another process has opened it meanwhile
         with suppress(OSError):
             path.unlink()
+
+
+def _held(path: Path, shared: bool) -> TextIO | None:
+    """The lock, open and held, or None where another process holds it."""
+    handle = path.open("a+", encoding="utf-8")
+    try:
+        portalocker.lock(handle, portalocker.LOCK_NB | (portalocker.LOCK_SH if shared else portalocker.LOCK_EX))
+        if os.path.samestat(path.stat(), os.fstat(handle.fileno())):  # else the last holder removed it meanwhile
+            return handle
+    except (portalocker.AlreadyLocked, FileNotFoundError):
+        pass
+    except portalocker.LockException as error:
+        handle.close()
+        raise InputError(
+            f"is on a file system that cannot lock files ({error}); choose another folder (--out)",
+            where=str(path.parent),
+        ) from None
+    handle.close()
+    return None
+
+
+def _ended(writer: Path) -> bool:
+    """Whether the process that is named as the writer was one of this machine and is no more."""
+    found = re.match(r"process (\d+) on (\S+) since", _named(writer))
+    if found is None or found[2] != platform.node() or os.name == "nt":
+        return False
+    try:
+        os.kill(int(found[1]), 0)
+    except ProcessLookupError:
+        return True
+    except (OSError, OverflowError):
+        pass
+    return False
 
 
 def _named(writer: Path) -> str:

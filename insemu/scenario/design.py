@@ -37,23 +37,32 @@ from insemu.scenario.fields import (
     per_axis,
 )
 
+#: Largest standard deviation of a constant state, SI: its square is a number, and nothing that flies is as wrong.
+LARGEST = 1e6
+
 
 class StateKeys(Section):
     """Further states, each a random constant of this standard deviation; 0 leaves it out."""
 
-    gyro_scale: Ratio = Field(default=0.0, ge=0, description="scale factors of the gyroscopes, for example 300 ppm")
-    accel_scale: Ratio = Field(default=0.0, ge=0, description="scale factors of the accelerometers")
-    gyro_misalignment: Radians = Field(default=0.0, ge=0, description="angles between the gyroscopes' axes")
-    accel_misalignment: Radians = Field(default=0.0, ge=0, description="angles between the accelerometers' axes")
+    gyro_scale: Ratio = Field(
+        default=0.0, ge=0, le=LARGEST, description="scale factors of the gyroscopes, for example 300 ppm"
+    )
+    accel_scale: Ratio = Field(default=0.0, ge=0, le=LARGEST, description="scale factors of the accelerometers")
+    gyro_misalignment: Radians = Field(default=0.0, ge=0, le=LARGEST, description="angles between the gyroscopes' axes")
+    accel_misalignment: Radians = Field(
+        default=0.0, ge=0, le=LARGEST, description="angles between the accelerometers' axes"
+    )
     gyro_scale_temperature: PerKelvin = Field(
         default=0.0,
         ge=0,
+        le=LARGEST,
         examples=["50 ppm/K"],
         description="change of the gyroscopes' scale factors with the recorded temperature",
     )
     accel_scale_temperature: PerKelvin = Field(
         default=0.0,
         ge=0,
+        le=LARGEST,
         examples=["20 ppm/K"],
         description="change of the accelerometers' scale factors with the recorded temperature",
     )
@@ -62,8 +71,10 @@ class StateKeys(Section):
         examples=[20.0],
         description="temperature at which the states per kelvin change nothing, degC",
     )
-    lever_arm: Length = Field(default=0.0, ge=0, description="each component of the way from IMU to antenna")
-    latency: Seconds = Field(default=0.0, ge=0, description="time by which the fixes come late")
+    lever_arm: Length = Field(
+        default=0.0, ge=0, le=LARGEST, description="each component of the way from IMU to antenna"
+    )
+    latency: Seconds = Field(default=0.0, ge=0, le=LARGEST, description="time by which the fixes come late")
 
 
 class AxisSource(Section):

@@ -171,9 +171,12 @@ def resolve_path(text: str, scenario_file: str | Path | None = None) -> Path:
             f"shared data absent: {relative} (set INSEMU_SHARED to the folder that holds it; looked in {roots[0]})"
         )
     path = base / text
-    if not path.exists():
-        raise InputError(f"{path}: no such file")
-    return path
+    try:
+        if path.exists():
+            return path
+    except OSError as error:  # a name that is too long
+        raise InputError(f"{error.strerror}: {text[:80]}...") from None
+    raise InputError(f"{path}: no such file")
 
 
 @cache

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 from scipy.optimize import minimize_scalar
 
 from insemu.augment import TURN_ON, Extras, per_axis, with_turn_on
@@ -113,7 +114,10 @@ def candidates(
             )
         out.append(Candidate(name, {a: s for a, s in sources.items() if isinstance(s, NoiseModel)}, extras))
     if sensor:
-        of_card = Design.model_validate({"sensor": sensor}).sources()
+        try:
+            of_card = Design.model_validate({"sensor": sensor}).sources()
+        except ValidationError as error:
+            raise InputError(str(error.errors()[0]["ctx"]["error"]), where="--sensor") from None
         out.append(_with_turn_on(sensor, {a: s for a, s in of_card.items() if isinstance(s, NoiseModel)}, extras))
     if model:
         out.append(_with_turn_on(model, load(model), extras))

@@ -221,7 +221,8 @@ def prepare(what: str, folder: Path) -> Callable[[random.Random], None]:
             pass
         except Exception as error:
             known = {}
-            raise type(error)(f"{error} of {line}").with_traceback(error.__traceback__) from None
+            error.add_note(f"of {line}")
+            raise
         now = _state(here)
         changed = sorted(k for k in now.keys() | known.keys() if now.get(k) != known.get(k))
         if changed:
