@@ -3,7 +3,6 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 WORKERS ?= 2
-SCORERS ?= $(WORKERS)
 STAMP := $(VENV)/.installed
 FLOWN := $(VENV)/.flown
 
@@ -20,7 +19,7 @@ test-slow: $(FLOWN)
 
 # Fixed blind recordings against tests/scoreboard.yaml: what moved, and failure where a score left its binomial bound.
 scoreboard: $(STAMP)
-	OPENBLAS_NUM_THREADS=1 nice $(BIN)/python -m tests.scoreboard --workers $(SCORERS)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.scoreboard --workers $(WORKERS)
 
 scoreboard-release: $(STAMP)
 	mkdir -p results && OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.scoreboard --release 1000 --workers $(WORKERS) --log results/scoreboard_release.jsonl

@@ -203,6 +203,12 @@ def _alone(count: int) -> None:
 
 
 def workers(count: int) -> None:
+    """See :func:`throughput`; on flights of twenty minutes, which large runs fly, and of ten, of which a cluster takes a larger share."""
+    for trajectory in (LONG, SHORT["trajectory"] | {"duration": "10 min"}):
+        throughput(trajectory | {"rate": "100 Hz"}, count)
+
+
+def throughput(trajectory: dict[str, Any], count: int) -> None:
     """Throughput of one and two processes of a cluster, of two processes without one, and what the cluster costs beside the work.
 
     A processor's speed wanders by a tenth within minutes, so they take turns: for the cost of a cluster many short ones, first one and then the
@@ -211,8 +217,9 @@ def workers(count: int) -> None:
     with ExitStack() as stack:
         kept = stack.enter_context(tempfile.TemporaryDirectory())
         one = stack.enter_context(cluster("local", 1))
-        path = scenario(Path(kept), trajectory=LONG | {"rate": "100 Hz"})
+        path = scenario(Path(kept), trajectory=trajectory)
         experiment = Experiment(load(path), path)
+        minutes = float(np.ptp(experiment.world.imu.t)) / 60.0
         ways: dict[str, dict[str, Any]] = {
             "here": {"workers": 1},
             "one": {"workers": 1, "executor": one},
@@ -238,7 +245,7 @@ def workers(count: int) -> None:
         ratios = 100 * np.log(pairs[:, 1] / pairs[:, 0])
         cost, error = ratios.mean(), ratios.std(ddof=1) / np.sqrt(TURNS)
         row(
-            "Dask costs less than 3 % at one realization of 20 min in a task",
+            f"Dask costs less than 3 % at one realization of {minutes:.0f} min in a task",
             bool(cost < 3),
             f"{cost:+.1f} %, standard error {error:.1f}, of {flight:.2f} s",
         )
@@ -257,7 +264,7 @@ def workers(count: int) -> None:
         )
         more, own = rounds[:, 1] / rounds[:, 2], np.median(rounds[:, 0] / rounds[:, 3])
         row(
-            "a second worker gives at least 1.8 times the throughput",
+            f"a second worker gives at least 1.8 times the throughput with flights of {minutes:.0f} min",
             bool(np.median(more) >= 1.8),
             f"{np.median(more):.2f}, rounds from {more.min():.2f} to {more.max():.2f}; two processes without a cluster {own:.2f}",
         )

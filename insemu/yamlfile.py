@@ -50,7 +50,9 @@ class Document:
     lines: Mapping[Place, int]
 
     def where(self, place: Place = ()) -> str:
-        """``file:line: key`` of a place; of what is not there the line of what it would stand in."""
+        """``file:line: key`` of a place; of what is not there the line of what it would stand in. An option has no lines: its name."""
+        if not self.lines:
+            return ": ".join([self.name, *([".".join(str(part) for part in place)] if place else [])])
         known = place
         while known and known not in self.lines:
             known = known[:-1]

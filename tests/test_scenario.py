@@ -135,6 +135,8 @@ def test_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         resolve_path("other.csv", tmp_path / "s.yaml")
     with pytest.raises(InputError, match="name too long: xxx"):
         resolve_path("x" * 5000, tmp_path / "s.yaml")
+    with pytest.raises(InputError, match="name too long: xxx"):
+        resolve_path("shared:" + "x" * 5000)
     with pytest.raises(InputError, match="shared data absent: other"):
         resolve_path("shared:other.csv")
 

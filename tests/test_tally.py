@@ -53,9 +53,8 @@ def test_the_sums_are_those_of_plain_arrays_and_their_bits_do_not_depend_on_the_
     plain = items[0]["error"] ** 2
     for item in items[1:]:
         plain = plain + item["error"] ** 2
-    assert (
-        plain != whole.sums["error_square"]
-    ).any()  # the order of sums does matter: without the tree the bits are others
+    # the order of sums does matter: without the tree the bits are others
+    assert (plain != whole.sums["error_square"]).any()
 
 
 def test_a_part_that_starts_in_the_middle_makes_the_nodes_that_it_can() -> None:

@@ -46,7 +46,8 @@ def only_writer(folder: Path, *, shared: bool = False) -> Iterator[None]:
     Raises
     ------
     InputError
-        Another process writes into it; names that process. Or the file system cannot lock.
+        Another process writes into it; names that process. Or the file system cannot lock. Those that a killed writer had started are waited
+        for, at most :data:`LEFT` seconds.
     """
     folder.mkdir(parents=True, exist_ok=True)
     path, writer = folder / LOCK, folder / WRITER

@@ -165,18 +165,23 @@ def resolve_path(text: str, scenario_file: str | Path | None = None) -> Path:
         root = os.environ.get("INSEMU_SHARED")
         roots = [Path(root)] if root else [parent / "shared" for parent in (Path.cwd().parent, *list(base.parents)[:3])]
         for candidate in roots:
-            if (candidate / relative).exists():
+            if _exists(candidate / relative):
                 return candidate / relative
         raise InputError(
             f"shared data absent: {relative} (set INSEMU_SHARED to the folder that holds it; looked in {roots[0]})"
         )
     path = base / text
+    if not _exists(path):
+        raise InputError(f"{path}: no such file")
+    return path
+
+
+def _exists(path: Path) -> bool:
+    """Whether there is such a file; raises ``InputError`` for a name that no file can have."""
     try:
-        if path.exists():
-            return path
-    except OSError as error:  # a name that is too long
-        raise InputError(f"{error.strerror}: {text[:80]}...") from None
-    raise InputError(f"{path}: no such file")
+        return path.exists()
+    except OSError as error:
+        raise InputError(f"{error.strerror}: {path.name[:80]}...") from None
 
 
 @cache

@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 from scipy.optimize import minimize_scalar
 
+from insemu import yamlfile
 from insemu.augment import TURN_ON, Extras, per_axis, with_turn_on
 from insemu.errors import InputError
 from insemu.filters import FilterOptions, InitialSigma, Innovations, LooselyCoupledEKF, likeliest
 from insemu.noise import RW, WN, NoiseModel, load
 from insemu.records import GnssRecord
-from insemu.scenario import Design, shipped_designs
+from insemu.scenario import Design, shipped_designs, validated
 from insemu.solve.drive import Drive
 
 Array = NDArray[np.float64]
@@ -114,10 +114,7 @@ def candidates(
             )
         out.append(Candidate(name, {a: s for a, s in sources.items() if isinstance(s, NoiseModel)}, extras))
     if sensor:
-        try:
-            of_card = Design.model_validate({"sensor": sensor}).sources()
-        except ValidationError as error:
-            raise InputError(str(error.errors()[0]["ctx"]["error"]), where="--sensor") from None
+        of_card = validated(Design, yamlfile.Document("--sensor", {"sensor": sensor}, {})).sources()
         out.append(_with_turn_on(sensor, {a: s for a, s in of_card.items() if isinstance(s, NoiseModel)}, extras))
     if model:
         out.append(_with_turn_on(model, load(model), extras))

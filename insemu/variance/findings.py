@@ -24,9 +24,10 @@ FALSE_ALARM = 1e-3
 _GRAVITY = 9.80665
 #: Resolutions in which lines are looked for: parts of the record. One part finds what keeps its frequency, many what wanders.
 PARTS = (1, 16, 256)
-#: Bins over which the spectrum around a line is taken; blocks at the lowest frequencies, where it may be steep, that are left out.
+#: Bins over which the spectrum around a line is taken: their median is known to 8 %. Blocks at the lowest frequencies that are left out: in
+#: the next one a density that falls with f^-2 changes by a third, which the straight line follows.
 AROUND, STEEP = 256, 4
-#: Share of its frequency by which a source may wander.
+#: Share of its frequency by which a source (a fan, a supply) may wander and still be one.
 WANDER = 0.02
 #: Lines that are said one by one.
 SAID = 3
@@ -274,8 +275,8 @@ def lines(x: Array, rate_hz: float, unit: str) -> list[str]:
         if x.size < 4 * (STEEP + 2) * AROUND * parts:
             break
         for line in _lines(x, rate_hz, x.size // parts):
-            same = [k for k, (_, f) in enumerate(found) if abs(f - line[1]) < WANDER * f]
-            found = [f for k, f in enumerate(found) if k not in same] + [max([line, *(found[k] for k in same)])]
+            same = [other for other in found if abs(other[1] - line[1]) < WANDER * other[1]]
+            found = [*(other for other in found if other not in same), max([line, *same])]
     if not found:
         return []
     found.sort(reverse=True)
