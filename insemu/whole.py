@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,6 +21,13 @@ def replacing(path: Path | str) -> Iterator[Path]:
         raise OSError(error.errno, error.strerror, str(path)) from None  # nobody knows the other name
     finally:
         partial.unlink(missing_ok=True)
+
+
+def clear_partials(folder: Path) -> None:
+    """Remove what processes that were killed left half written in a folder, and in those inside, into which nobody else writes."""
+    for path in folder.rglob(".*.partial*"):
+        if re.fullmatch(r"\..+\.\d+\.partial(\.\w+)?", path.name):
+            path.unlink(missing_ok=True)
 
 
 def put(path: Path | str, content: str | bytes) -> None:

@@ -11,8 +11,10 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
-from multiprocessing import active_children
+from multiprocessing import active_children, parent_process
+from multiprocessing.connection import wait as wait_for
 from pathlib import Path
+from threading import Thread
 from typing import Any, Generic, Protocol, TypeVar
 from zipfile import BadZipFile
 
@@ -115,12 +117,15 @@ def run_items(
 
 @contextmanager
 def processes(workers: int) -> Iterator[Executor | None]:
-    """Processes to work on items; none where one is enough. Ctrl-C ends them at once: what they are at is lost in any case."""
+    """Processes to work on items; none where one is enough.
+
+    Ctrl-C ends them at once, for what they are at is lost in any case, and so does the end of the first process, however it comes.
+    """
     if workers <= 1:
         yield None
         return
     others = set(active_children())
-    with ProcessPoolExecutor(workers, initializer=_without_interrupts) as pool:
+    with ProcessPoolExecutor(workers, initializer=_begin) as pool:
         try:
             yield pool
         except KeyboardInterrupt:
@@ -130,9 +135,18 @@ def processes(workers: int) -> Iterator[Executor | None]:
             raise
 
 
-def _without_interrupts() -> None:
-    """Ctrl-C reaches every process of a terminal; only the first one answers it."""
+def _begin() -> None:
+    """Ctrl-C reaches every process of a terminal; only the first one answers it. A process whose parent was killed ends with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    # Without this it would wait for ever to hand on its result, and hold every file and lock that it was started with.
+    parent = parent_process()
+    if parent is not None:
+        wait_for([parent.sentinel])
+        os._exit(1)
 
 
 class Lines(Generic[R]):

@@ -241,6 +241,17 @@ def test_one_folder_has_one_writer(tmp_path: Path) -> None:
         other.communicate()
 
 
+def test_what_a_killed_writer_left_half_written_is_removed(tmp_path: Path) -> None:
+    (tmp_path / "late").mkdir()
+    for name in (".errors.nc.17.partial.nc", "late/.summary.json.17.partial.json", ".partial", "my.partial.nc"):
+        (tmp_path / name).write_bytes(b"half")
+    with only_writer(tmp_path, shared=True):
+        assert (tmp_path / ".errors.nc.17.partial.nc").exists()  # of somebody else, perhaps
+    with only_writer(tmp_path):
+        pass
+    assert {p.name for p in tmp_path.rglob("*") if p.is_file()} - {".lock", ".writer"} == {".partial", "my.partial.nc"}
+
+
 @pytest.mark.skipif(os.name == "nt", reason="a process of Windows leaves no lock to those that it started")
 def test_what_a_killed_writer_left_behind_is_waited_for(tmp_path: Path) -> None:
     code = """

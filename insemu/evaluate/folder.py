@@ -22,7 +22,7 @@ from insemu.errors import InputError
 from insemu.evaluate.provenance import CRATE, crate, sha256
 from insemu.evaluate.results import Results, outage_rows, summary
 from insemu.scenario import Scenario
-from insemu.whole import put, replacing
+from insemu.whole import clear_partials, put, replacing
 
 #: Says that everything beside it is there: scenario, realizations and the sha256 of every file. Absent: the folder is not finished.
 MARKER = "complete.json"
@@ -35,7 +35,7 @@ CACHE = "cache"
 
 @contextmanager
 def only_writer(folder: Path, *, shared: bool = False) -> Iterator[None]:
-    """Hold a folder of results; it is made where it does not exist.
+    """Hold a folder of results; it is made where it does not exist, and what a killed writer left half written is removed.
 
     Parameters
     ----------
@@ -62,6 +62,8 @@ def only_writer(folder: Path, *, shared: bool = False) -> Iterator[None]:
         time.sleep(0.05)
     with held as handle:
         try:
+            if not shared:
+                clear_partials(folder)
             put(writer, f"process {os.getpid()} on {platform.node()} since {time.strftime('%Y-%m-%d %H:%M:%S')}\n")
             yield
         finally:
