@@ -15,8 +15,10 @@ from multiprocessing import active_children, parent_process
 from multiprocessing.connection import wait as wait_for
 from pathlib import Path
 from threading import Thread
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, BinaryIO, Generic, Protocol, TypeVar
 from zipfile import BadZipFile
+
+import portalocker
 
 from insemu.errors import InputError
 
@@ -163,7 +165,7 @@ class Lines(Generic[R]):
     Raises
     ------
     InputError
-        A line that is none of these.
+        A line that is none of these; where an item is added, a file that another process adds to.
     """
 
     def __init__(
@@ -171,9 +173,9 @@ class Lines(Generic[R]):
     ) -> None:
         self._path, self._encode = path, encode
         self._kept: dict[str, R] = {}
-        if not path.exists():
-            return
-        text = path.read_bytes()
+        self._file: BinaryIO | None = None  # once something is added
+        text = path.read_bytes() if path.exists() else b""
+        self._size = len(text)
         lines = text.split(b"\n")
         for number, line in enumerate(lines[:-1], start=1):
             try:
@@ -181,8 +183,7 @@ class Lines(Generic[R]):
                 self._kept[plain["job"]] = decode(plain)
             except (ValueError, KeyError, TypeError):
                 raise InputError(f"expected a line of JSON of {what}", where=f"{path}:{number}") from None
-        if lines[-1]:
-            os.truncate(path, len(text) - len(lines[-1]))
+        self._whole = len(text) - len(lines[-1])
 
     def get(self, key: str) -> R | None:
         """Return a finished item, or None."""
@@ -190,9 +191,33 @@ class Lines(Generic[R]):
 
     def put(self, key: str, result: R) -> None:
         """Add a line."""
+        if self._file is None:
+            self._file = self._held()
+        self._file.write(json.dumps({"job": key, **self._encode(result)}).encode() + b"\n")
+
+    def __del__(self) -> None:
+        """Let go of the file."""
+        if (file := getattr(self, "_file", None)) is not None:
+            file.close()
+
+    def _held(self) -> BinaryIO:
+        """The file, open and held as long as this object lives: two processes at the same items would each add them."""
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        with self._path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps({"job": key, **self._encode(result)}) + "\n")
+        file = self._path.open("ab", buffering=0)
+        taken = False
+        try:
+            portalocker.lock(file, portalocker.LOCK_EX | portalocker.LOCK_NB)
+        except portalocker.AlreadyLocked:
+            taken = True
+        except portalocker.LockException:  # a file system that cannot lock
+            pass
+        if taken or os.fstat(file.fileno()).st_size != self._size:
+            file.close()
+            raise InputError(
+                "another process adds to this file; wait for it, or choose another file", where=str(self._path)
+            )
+        file.truncate(self._whole)
+        return file
 
 
 class Files(Generic[R]):

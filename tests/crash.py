@@ -12,6 +12,7 @@ import contextlib
 import hashlib
 import io
 import json
+import math
 import os
 import random
 import re
@@ -209,7 +210,10 @@ def full_disk(folder: Path, line: str, outputs: tuple[str, ...], rng: random.Ran
 
 def small_disk(folder: Path, line: str, outputs: tuple[str, ...], rng: random.Random, seconds: float) -> str:
     """A disk that is full after some kilobytes; what it held is there when there is room again."""
-    with tempfile.TemporaryDirectory() as name, _mounted(Path(name), f"size={rng.choice((4, 16, 64, 200))}k"):
+    page = resource.getpagesize()
+    inputs = sum(math.ceil(p.stat().st_size / page) * page for p in folder.iterdir() if p.is_file())
+    room = inputs + 1024 * rng.choice((4, 16, 64, 200))
+    with tempfile.TemporaryDirectory() as name, _mounted(Path(name), f"size={room}"):
         for source in folder.iterdir():
             if source.is_file():
                 shutil.copy2(source, name)

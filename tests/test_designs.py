@@ -284,6 +284,7 @@ def test_the_papers_scenario_flies_the_shipped_designs():
 
 #: White noise, walk and turn-on bias of a unit in the middle of each grade.
 UNITS = {
+    "UAV MEMS": ("0.05 deg/s/sqrt(Hz)", "2e-3 deg/s*sqrt(Hz)", "1 deg/s", "6 mg/sqrt(Hz)", "200 ug*sqrt(Hz)", "50 mg"),
     "phone": ("0.01 deg/s/sqrt(Hz)", "2e-3 deg/s*sqrt(Hz)", "1 deg/s", "200 ug/sqrt(Hz)", "200 ug*sqrt(Hz)", "50 mg"),
     "consumer MEMS": ("0.01 deg/s/sqrt(Hz)", "6e-4 deg/s*sqrt(Hz)", "0.5 deg/s", "200 ug/sqrt(Hz)", "40 ug*sqrt(Hz)", "25 mg"),
     "industrial MEMS": ("4e-3 deg/s/sqrt(Hz)", "1e-4 deg/s*sqrt(Hz)", "0.1 deg/s", "60 ug/sqrt(Hz)", "8 ug*sqrt(Hz)", "5 mg"),

@@ -21,8 +21,11 @@ from insemu.formats import write as write_recording
 from insemu.records import GnssRecord, ImuRecord, Recording
 from insemu.scenario import load
 from insemu.solve import Solution, candidates, cut_everywhere, prepared, solve, summary, write
+from insemu.solve.beliefs import adapted, clock_offset
 from insemu.solve.drive import velocity_lag
 from insemu.solve.outages import Outages
+from insemu.solve.solution import flown
+from tests.shared_data import shared
 
 LATE, ARM = 0.12, np.array([0.6, -0.3, -1.1])
 MOUNTING = np.deg2rad([170.0, -6.0, 20.0])
@@ -170,6 +173,36 @@ def test_files_are_read_back(solution: Solution, tmp_path: Path) -> None:
     assert noise.load(str(tmp_path / "models.yaml")).keys() == dict(solution.taken.candidate.belief).keys()
     assert len((tmp_path / "outages.csv").read_text().splitlines()) == 1 + solution.taken.outages.start.size
     json.dumps(summary(solution), allow_nan=False)
+
+
+def test_an_axis_that_is_shaken_more_is_found(recording: Recording) -> None:
+    rng, imu = np.random.default_rng(4), recording.imu
+    shaken = imu.gyro.copy()
+    shaken[:, 1] += (
+        np.deg2rad(0.2) * np.sqrt(imu.dt) * rng.standard_normal(len(imu))
+    )  # increments; the others have a tenth
+    late = replace(recording, imu=replace(imu, t=imu.t - LATE, gyro=shaken))
+    drive = prepared(late).started()
+    own = adapted(next(c for c in candidates() if c.name == "consumer MEMS"), drive)
+    each = adapted(own, drive, by_axis=True)
+    N = {a: each.belief[a].processes[0].parameters["N"] for a in ("gyro_x", "gyro_y", "gyro_z")}
+    assert 0.1 < np.degrees(N["gyro_y"]) < 0.4
+    assert N["gyro_y"] > 2.5 * max(N["gyro_x"], N["gyro_z"])
+    assert min(each.position, each.velocity) >= 1.0
+    assert each.about.count("likelihood") == 1 and "gyro_y white noise" in each.about
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "grade"),
+    [("rtkexp_drive", "phone"), ("ublox_mixed_nominal", "industrial MEMS"), ("thor75_uav_flight", "UAV MEMS")],
+)
+def test_a_generic_grade_knows_its_error_on_every_real_drive(name: str, grade: str) -> None:
+    drive = prepared(read_recording(shared(f"real/{name}.npz"))).started()
+    believed = next(c for c in candidates() if c.name == grade)
+    drive = drive.shifted(clock_offset(believed, drive)[0]).started()
+    fixes = flown(believed.filter(drive, output_every=100), drive, believed).fixes
+    assert 0.3 < float(fixes.nis[fixes.accepted].sum() / fixes.dof[fixes.accepted].sum()) < 3.0
 
 
 def test_solved_tracks_are_exported(solution: Solution, tmp_path: Path) -> None:

@@ -88,6 +88,20 @@ def test_a_line_that_was_cut_off_is_done_again_and_another_file_is_refused(tmp_p
         lines(path)
 
 
+def test_a_file_of_lines_has_one_writer(tmp_path) -> None:
+    path = tmp_path / "log"
+    first, second, third = lines(path), lines(path), lines(path)
+    first.put("a", 1)
+    with pytest.raises(InputError, match="another process adds to this file"):
+        second.put("a", 1)
+    del first
+    with pytest.raises(InputError, match="another process adds to this file"):
+        third.put("a", 1)  # who wrote has ended, but what it wrote is not known here
+    assert path.read_text() == '{"job": "a", "square": 1}\n'
+    lines(path).put("b", 4)
+    assert lines(path).get("b") == 4
+
+
 def test_a_kept_item_that_does_not_match_is_said_and_made_again(tmp_path) -> None:
     said: list[str] = []
 

@@ -14,14 +14,14 @@ from insemu.augment import TURN_ON, Extras, per_axis, with_turn_on
 from insemu.errors import InputError
 from insemu.filters import FilterOptions, InitialSigma, Innovations, LooselyCoupledEKF, likeliest
 from insemu.noise import RW, WN, NoiseModel, load
-from insemu.records import GnssRecord
+from insemu.records import AXES, GnssRecord
 from insemu.scenario import Design, shipped_designs, validated
 from insemu.solve.drive import Drive
 
 Array = NDArray[np.float64]
 
 #: Designs that work on a unit of which nothing is known.
-GRADES = ("phone", "consumer MEMS", "industrial MEMS", "tactical grade", "navigation grade")
+GRADES = ("UAV MEMS", "phone", "consumer MEMS", "industrial MEMS", "tactical grade", "navigation grade")
 #: Calibration states that are tried, and how uncertain the lever arm is where nobody states it, m.
 CALIBRATION = {"gyro_scale": 0.01, "accel_scale": 0.01, "gyro_misalignment": 0.0175, "accel_misalignment": 0.0175}
 LEVER_ARM = 0.5
@@ -29,6 +29,8 @@ LEVER_ARM = 0.5
 OFFSETS, OFFSET_STEP = 0.4, 0.05
 #: The likelihood is taken over so many seconds at most, with the covariance propagated every so many seconds.
 LIKELIHOOD_S, STEP_S = 900.0, 0.1
+#: How factors were found, in words.
+HOW = "by maximum likelihood of the innovations"
 #: The logarithm of a factor is weighed like a normal deviate of this width.
 PRIOR = 3.0
 
@@ -187,34 +189,43 @@ def clock_offset(candidate: Candidate, drive: Drive) -> tuple[float, float]:
     return late, float(1.0 / np.sqrt(bend)) if bend > 0 else np.inf
 
 
-def adapted(base: Candidate, drive: Drive) -> Candidate:
-    """White noise and walk of gyroscopes and accelerometers and the noise of the fixes as the innovations ask for, from a generic grade.
+def adapted(base: Candidate, drive: Drive, *, by_axis: bool = False) -> Candidate:
+    """White noise and walk of gyroscopes and accelerometers and the noise of the fixes as the innovations ask for.
 
-    Four factors on the grade and two on the stated standard deviations of the fixes, by maximum likelihood of the innovations. The latter are
+    Factors on a belief, and two on the stated standard deviations of the fixes, by maximum likelihood of the innovations. The latter are
     at least 1: innovations do not show errors that last, which a receiver that smooths its fixes states.
 
     Parameters
     ----------
     base : Candidate
-        Of white noise and a random walk on every axis.
+        Of white noise and a random walk on every axis: a generic grade, or what was adapted before.
     drive : Drive
         With a start.
+    by_axis : bool
+        One factor on the white noise of each axis, for a vehicle shakes some more than others; else one for each kind of sensor.
     """
     run = innovations_of(drive)
     with_velocity = drive.gnss.vel_std_ned is not None
+    axes = AXES if by_axis else ("gyro", "accel")
+    words = (*(f"{a} white noise" for a in axes), "gyro walk", "accel walk")
 
     def at(x: Array) -> Candidate:
-        f = np.exp(x)
-        white, walk = {"gyro": f[0], "accel": f[1]}, {"gyro": f[2], "accel": f[3]}
-        belief = {a: _scaled(m, white[a.split("_")[0]], walk[a.split("_")[0]]) for a, m in base.belief.items()}
-        position, velocity = (base.position * f[4], base.velocity * f[5] if with_velocity else 1.0)
-        return replace(base, name="adapted", belief=belief, position=float(position), velocity=float(velocity))
+        f = dict(zip((*words, "position", "velocity"), np.exp(x).tolist(), strict=False))
+        belief = {
+            a: _scaled(m, f[f"{a if by_axis else a.split('_')[0]} white noise"], f[f"{a.split('_')[0]} walk"])
+            for a, m in base.belief.items()
+        }
+        position, velocity = base.position * f["position"], base.velocity * f.get("velocity", 1.0)
+        name = "adapted by axis" if by_axis else "adapted"
+        return replace(base, name=name, belief=belief, position=position, velocity=velocity)
 
-    least = np.array([-np.inf] * 4 + [0.0] * (1 + with_velocity))
+    # what was adapted before has its factors on the fixes already
+    least = np.array([-np.inf] * len(words) + [-np.log(base.position), -np.log(base.velocity)][: 1 + with_velocity])
     found = likeliest(lambda x: run(at(x)), np.zeros(least.size), PRIOR, least).x
-    words = ("gyro white noise", "accel white noise", "gyro walk", "accel walk")
     factors = ", ".join(f"{w} x {np.exp(v):.2g}" for w, v in zip(words, found, strict=False))
-    return replace(at(found), about=f"{base.name} with {factors}, by maximum likelihood of the innovations")
+    before = base.about.removesuffix(f", {HOW}")
+    about = f"{before}, then {factors}" if by_axis and before else f"{base.name} with {factors}"
+    return replace(at(found), about=f"{about}, {HOW}")
 
 
 def _scaled(model: NoiseModel, white: float, walk: float) -> NoiseModel:

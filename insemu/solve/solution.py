@@ -232,7 +232,8 @@ def solve(
         except InputError as error:
             refused.append(error.message)
 
-    for one in (own, *beliefs):
+    say("noise of each axis")
+    for one in (own, adapted(own, drive, by_axis=True), *beliefs):
         say(f"design {one.name}")
         believed = replace(
             one, position=own.position, velocity=own.velocity
