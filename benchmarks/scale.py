@@ -48,8 +48,8 @@ from insemu.scenario import load
 
 SCENARIO = Path(__file__).parents[1] / "scenarios" / "table3_synthetic.yaml"
 LINEAR = 10_000
-#: Rounds in which one process, a cluster of one and of two take turns; turns of few realizations that tell what a cluster costs.
-ROUNDS, TURNS, FEW = 5, 60, 4
+#: Rounds in which one process, a cluster of one and of two take turns; turns of two ways that tell what a cluster costs.
+ROUNDS, TURNS = 5, 16
 #: Flights that the control variate helps; the spread of a flight alone is that of all flights.
 HELPED = 50
 #: Realizations of the flight that shows what twenty minutes take (one node of 64, one of 8), and its motion.
@@ -211,8 +211,9 @@ def workers(count: int) -> None:
 def throughput(trajectory: dict[str, Any], count: int) -> None:
     """Throughput of one and two processes of a cluster, of two processes without one, and what the cluster costs beside the work.
 
-    A processor's speed wanders by a tenth within minutes, so they take turns: for the cost of a cluster many short ones, first one and then the
-    other in front. Two processes that know nothing of each other tell what the machine's second core is worth.
+    A processor's speed wanders by a tenth within minutes, so they take turns: for the cost of a cluster many, first one and then the other in
+    front. A turn is a run of ``count``: in turns of four, the way of the first and the last one counts, too. Two processes that know nothing
+    of each other tell what the machine's second core is worth.
     """
     with ExitStack() as stack:
         kept = stack.enter_context(tempfile.TemporaryDirectory())
@@ -237,11 +238,11 @@ def throughput(trajectory: dict[str, Any], count: int) -> None:
             seconds(name, 2)
         pairs = np.array(
             [
-                [seconds(name, FEW) for name in ("here", "one")[:: 1 - 2 * (k % 2)]][:: 1 - 2 * (k % 2)]
+                [seconds(name, count) for name in ("here", "one")[:: 1 - 2 * (k % 2)]][:: 1 - 2 * (k % 2)]
                 for k in range(TURNS)
             ]
         )
-        flight = np.median(pairs[:, 0]) / FEW
+        flight = np.median(pairs[:, 0]) / count
         ratios = 100 * np.log(pairs[:, 1] / pairs[:, 0])
         cost, error = ratios.mean(), ratios.std(ddof=1) / np.sqrt(TURNS)
         row(

@@ -9,8 +9,10 @@ import platform
 import re
 import subprocess
 from collections.abc import Mapping
+from functools import cache
 from importlib import metadata
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -48,22 +50,23 @@ def git_revision() -> str | None:
     return found.stdout.strip() or None if found.returncode == 0 else None
 
 
-def locked() -> dict[str, str]:
-    """Version of every installed package that insemu needs, directly or through another."""
+@cache
+def locked() -> Mapping[str, str]:
+    """Version of every installed package that insemu needs, directly or through another; looked up once."""
     out: dict[str, str] = {}
     todo = ["insemu"]
     while todo:
-        name = todo.pop()
+        if (key := re.sub(r"[-_.]+", "-", todo.pop()).lower()) in out:
+            continue
         try:
-            found = metadata.distribution(name)
+            found = metadata.distribution(key).metadata  # parsed at every look
         except metadata.PackageNotFoundError:  # a marker of another system or Python
             continue
-        if (key := re.sub(r"[-_.]+", "-", found.metadata["Name"]).lower()) in out:
-            continue
-        out[key] = found.version
-        todo += [m[0] for r in found.requires or () if "extra ==" not in r and (m := re.match(r"[\w.-]+", r))]
+        out[key] = found["Version"]
+        needs = found.get_all("Requires-Dist") or ()
+        todo += [m[0] for r in needs if "extra ==" not in r and (m := re.match(r"[\w.-]+", r))]
     out.pop("insemu", None)
-    return dict(sorted(out.items()))
+    return MappingProxyType(dict(sorted(out.items())))
 
 
 def surroundings(inputs: Mapping[str, Path]) -> dict[str, Any]:
@@ -79,7 +82,7 @@ def surroundings(inputs: Mapping[str, Path]) -> dict[str, Any]:
         "source_sha256": code_version(),
         "git": git_revision(),
         "python": platform.python_version(),
-        "packages": locked(),
+        "packages": dict(locked()),
         "machine": {"system": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
         "inputs": {name: sha256(path) for name, path in sorted(inputs.items()) if path.is_file()},
     }
