@@ -8,6 +8,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+#: Levels below a folder of results in which files are written (``variants/NAME/figures``); a user may choose a folder that holds much else.
+DEEPEST = 3
+
 
 @contextmanager
 def replacing(path: Path | str) -> Iterator[Path]:
@@ -24,10 +27,11 @@ def replacing(path: Path | str) -> Iterator[Path]:
 
 
 def clear_partials(folder: Path) -> None:
-    """Remove what processes that were killed left half written in a folder, and in those inside, into which nobody else writes."""
-    for path in folder.rglob(".*.partial*"):
-        if re.fullmatch(r"\..+\.\d+\.partial(\.\w+)?", path.name):
-            path.unlink(missing_ok=True)
+    """Remove what killed processes left half written in a folder, and at most :data:`DEEPEST` below it, into which nobody else writes."""
+    for depth in range(DEEPEST + 1):
+        for path in folder.glob("*/" * depth + ".*.partial*"):
+            if re.fullmatch(r"\..+\.\d+\.partial(\.\w+)?", path.name):
+                path.unlink(missing_ok=True)
 
 
 def put(path: Path | str, content: str | bytes) -> None:

@@ -242,8 +242,9 @@ def test_one_folder_has_one_writer(tmp_path: Path) -> None:
 
 
 def test_what_a_killed_writer_left_half_written_is_removed(tmp_path: Path) -> None:
-    (tmp_path / "late").mkdir()
-    for name in (".errors.nc.17.partial.nc", "late/.summary.json.17.partial.json", ".partial", "my.partial.nc"):
+    (tmp_path / "variants" / "late" / "figures").mkdir(parents=True)
+    deep = "variants/late/figures/.end.png.17.partial.png"
+    for name in (".errors.nc.17.partial.nc", deep, ".partial", "my.partial.nc"):
         (tmp_path / name).write_bytes(b"half")
     with only_writer(tmp_path, shared=True):
         assert (tmp_path / ".errors.nc.17.partial.nc").exists()  # of somebody else, perhaps

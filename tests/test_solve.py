@@ -178,9 +178,8 @@ def test_files_are_read_back(solution: Solution, tmp_path: Path) -> None:
 def test_an_axis_that_is_shaken_more_is_found(recording: Recording) -> None:
     rng, imu = np.random.default_rng(4), recording.imu
     shaken = imu.gyro.copy()
-    shaken[:, 1] += (
-        np.deg2rad(0.2) * np.sqrt(imu.dt) * rng.standard_normal(len(imu))
-    )  # increments; the others have a tenth
+    noise = np.deg2rad(0.2)  # per root hertz; the other axes have a tenth
+    shaken[:, 1] += noise * np.sqrt(imu.dt) * rng.standard_normal(len(imu))  # increments
     late = replace(recording, imu=replace(imu, t=imu.t - LATE, gyro=shaken))
     drive = prepared(late).started()
     own = adapted(next(c for c in candidates() if c.name == "consumer MEMS"), drive)
