@@ -29,6 +29,27 @@ class InputError(ValueError):
         super().__init__(f"{where}: {message}" if where else message)
 
 
+#: Characters of a value in a message, and members of a list or mapping that are spelt.
+LONGEST, MEMBERS = 80, 20
+
+
+def shown(value: object) -> str:
+    """A value that was found as a message shows it: printable, and never longer than a line.
+
+    >>> shown("rate"), shown(list(range(50)))
+    ("'rate'", 'list of 50')
+    """
+    if isinstance(value, int) and not isinstance(value, bool) and value.bit_length() > 128:
+        return f"an integer of {value.bit_length()} bits"  # Python refuses to print very long ones
+    if isinstance(value, list | tuple | dict) and len(value) >= MEMBERS:
+        return f"{type(value).__name__} of {len(value)}"
+    try:
+        text = repr(value)
+    except ValueError:  # a very long integer inside
+        text = f"{type(value).__name__}"
+    return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."
+
+
 def nearest(name: str, candidates: Iterable[str]) -> str:
     """Return a hint such as ``" (did you mean 'rate'?)"``, or the list of what exists.
 

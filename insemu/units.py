@@ -16,7 +16,7 @@ from fractions import Fraction
 from functools import lru_cache
 from numbers import Real
 
-from insemu.errors import InputError, nearest
+from insemu.errors import InputError, nearest, shown
 
 #: Standard gravity, the ``g`` of datasheets, m/s^2.
 STANDARD_GRAVITY = 9.80665
@@ -125,24 +125,18 @@ _TOKEN = re.compile(r"\s*(?:(?P<name>[A-Za-zµμ°%]+)|(?P<number>\d+(?:\.\d+)?|
 _QUANTITY = re.compile(r"(?P<value>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>.*)", re.DOTALL)
 
 
-def _shown(text: object) -> str:
-    """What was found, short and printable."""
-    shown = repr(text)
-    return shown if len(shown) <= 60 else shown[:57] + "..."
-
-
 class _Parser:
     """Recursive descent over ``unit := factor (('*' | '/' | blank) factor)*``, ``factor := atom ('^'? number)?``."""
 
     def __init__(self, text: str) -> None:
-        self.text = _shown(text)
+        self.text = shown(text)
         self.tokens: list[str] = []
         position, depth = 0, 0
         stripped = _RAISED.sub(lambda m: f"^({m.group().translate(_SUPERSCRIPTS)})", text.rstrip())
         while position < len(stripped):
             match = _TOKEN.match(stripped, position)
             if match is None:
-                raise InputError(f"cannot read the unit {self.text} at {_shown(stripped[position:])}")
+                raise InputError(f"cannot read the unit {self.text} at {shown(stripped[position:])}")
             token = match.group().strip()
             depth += (token == "(") - (token == ")")
             if depth > DEEPEST:
@@ -232,11 +226,11 @@ def _parsed(text: str) -> Unit:
     try:
         value = parser.unit()
     except (OverflowError, ZeroDivisionError):
-        raise InputError(f"cannot read the unit {_shown(text)}: its size is no number") from None
+        raise InputError(f"cannot read the unit {shown(text)}: its size is no number") from None
     if parser.peek() is not None:
-        raise InputError(f"cannot read the unit {_shown(text)} at '{parser.peek()}'")
+        raise InputError(f"cannot read the unit {shown(text)} at '{parser.peek()}'")
     if not (math.isfinite(value.factor) and value.factor > 0.0):
-        raise InputError(f"cannot read the unit {_shown(text)}: its size is no number")
+        raise InputError(f"cannot read the unit {shown(text)}: its size is no number")
     return value
 
 
@@ -249,10 +243,10 @@ def parse_unit(text: str) -> Unit:
         An unknown unit, malformed text, or no text.
     """
     if not isinstance(text, str):
-        raise InputError(f"found {_shown(text)}, expected a unit as text")
+        raise InputError(f"found {shown(text)}, expected a unit as text")
     if len(text) > LONGEST:
         raise InputError(
-            f"cannot read {_shown(text)} as a unit: it has {len(text)} characters, at most {LONGEST} are read"
+            f"cannot read {shown(text)} as a unit: it has {len(text)} characters, at most {LONGEST} are read"
         )
     return _parsed(text.strip()) if text.strip() else _ONE
 
@@ -267,17 +261,17 @@ def scaled_unit(text: str) -> Unit:
     """
     value, unit = _split(text) if isinstance(text, str) and text.strip()[:1] in "0123456789.+-" else (1.0, text)
     if not (math.isfinite(value) and value != 0.0):
-        raise InputError(f"cannot read {_shown(text)} as a unit: its size is no number")
+        raise InputError(f"cannot read {shown(text)} as a unit: its size is no number")
     return _times(value, parse_unit(unit))
 
 
 def _split(quantity: str) -> tuple[float, str]:
     """The number in front, and the rest."""
     if len(quantity) > LONGEST:
-        raise InputError(f"cannot read {_shown(quantity)} as a quantity: at most {LONGEST} characters are read")
+        raise InputError(f"cannot read {shown(quantity)} as a quantity: at most {LONGEST} characters are read")
     match = _QUANTITY.fullmatch(quantity.strip())
     if match is None:
-        raise InputError(f"cannot read {_shown(quantity)} as a quantity; expected a number and a unit")
+        raise InputError(f"cannot read {shown(quantity)} as a quantity; expected a number and a unit")
     return float(match["value"]), match["unit"]
 
 
@@ -303,7 +297,7 @@ def parse(quantity: str | float | int, unit: str) -> float:
     0.000290888
     """
     if isinstance(quantity, bool) or not isinstance(quantity, str | Real):
-        raise InputError(f"found {_shown(quantity)}, expected a quantity in {unit or 'plain numbers'}")
+        raise InputError(f"found {shown(quantity)}, expected a quantity in {unit or 'plain numbers'}")
     if isinstance(quantity, str):
         try:
             value, given = _split(quantity)
@@ -317,7 +311,7 @@ def parse(quantity: str | float | int, unit: str) -> float:
             value = math.inf
     result = value * conversion(given, unit) if given else value
     if not math.isfinite(result):
-        raise InputError(f"found {_shown(quantity)}, expected a finite number")
+        raise InputError(f"found {shown(quantity)}, expected a finite number")
     return result
 
 

@@ -612,7 +612,7 @@ def test_what_is_no_mapping_is_said(mapping):
             {"effect": "turn_on_bias", "sensor": "gyro", "value": {"x": 1}},
             "found {'x': 1}, expected a quantity in rad/s",
         ),
-        ({"effect": "turn_on_bias", "sensor": ["gyro"], "value": 1}, r"has the sensor '\['gyro'\]'"),
+        ({"effect": "turn_on_bias", "sensor": ["gyro"], "value": 1}, r"has the sensor \['gyro'\]"),
     ],
 )
 def test_implausible_and_odd_values_are_named(mapping, message):

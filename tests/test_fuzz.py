@@ -16,9 +16,11 @@ import pytest
 from typer.testing import CliRunner
 
 from insemu.cli import app
-from insemu.errors import InputError
+from insemu.errors import InputError, shown
 from insemu.formats import open_files, read, read_log
+from insemu.scenario import load
 from tests.fuzz import TARGETS, Batch, Outcome, Target, run_batch
+from tests.fuzz.commands import SCENARIO
 
 
 def _run(name: str, count: int, seed: int) -> Outcome:
@@ -112,6 +114,45 @@ def test_an_archive_writes_nothing_outside(tmp_path: Path) -> None:
     with pytest.raises(InputError):
         open_files(path)
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["in", "phone.zip"]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [["emulate", "s.yaml", "--out", ""], ["serve", ""], ["export", "", "-o", "a.tum"], ["fit", "", "-m", "WN()"]],
+)
+def test_an_empty_text_names_no_file_and_no_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "s.yaml").write_text(SCENARIO)
+    ran = CliRunner().invoke(app, line)
+    assert isinstance(ran.exception, InputError) and "found an empty text" in str(ran.exception)
+    assert [p.name for p in tmp_path.iterdir()] == ["s.yaml"]
+
+
+def test_a_refused_file_leaves_no_folder_behind(tmp_path: Path) -> None:
+    (tmp_path / "track.gpx").write_text(
+        '<gpx xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>'
+        + "".join(
+            f'<trkpt lat="{47 + k * 1e-4}" lon="8"><time>2024-01-01T00:00:{k:02d}Z</time></trkpt>' for k in range(40)
+        )
+        + "</trkseg></trk></gpx>"
+    )
+    ran = CliRunner().invoke(
+        app, ["export", str(tmp_path / "track.gpx"), "-o", str(tmp_path / "deep" / "er" / "a.tum")]
+    )
+    assert isinstance(ran.exception, InputError) and "has no attitude" in str(ran.exception)
+    assert [p.name for p in tmp_path.iterdir()] == ["track.gpx"]
+
+
+def test_a_value_in_a_message_is_no_longer_than_a_line(tmp_path: Path) -> None:
+    path = tmp_path / "s.yaml"
+    path.write_text(SCENARIO.replace("start: 30 s", "start: {" + ", ".join(f"key{k}: text" for k in range(900)) + "}"))
+    with pytest.raises(InputError, match="dict of 900") as refused:
+        load(path)
+    assert len(str(refused.value)) < 300
+    for value in ("x" * 999, 10**5000, [10**5000], {k: k for k in range(99)}):
+        assert len(shown(value)) <= 80
 
 
 @pytest.mark.parametrize("options", [["--bootstrap", "10"], ["--bootstrap", "50", "--method", "mli"]])

@@ -8,8 +8,12 @@ from __future__ import annotations
 import io
 import sys
 from importlib import import_module
+from typing import Any
 
 import typer
+import typer.core
+
+from insemu.errors import InputError
 
 #: Command name -> module of this package whose function ``command`` it calls, in the order of ``insemu --help``.
 COMMANDS: dict[str, str] = {
@@ -68,15 +72,32 @@ def _root(
     pass
 
 
+class _Command(typer.core.TyperCommand):
+    """A command that refuses an empty text, such as a variable of the shell that is not set, where a value is needed."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        rest = super().parse_args(ctx, args)
+        for parameter in self.params:
+            name, option = parameter.name or "", parameter.opts[0]
+            argument = not option.startswith("-")
+            source = ctx.get_parameter_source(name)
+            if (argument or parameter.required) and source and source.name == "COMMANDLINE":
+                given = ctx.params[name]
+                if "" in (given if isinstance(given, list | tuple) else [given]):
+                    raise InputError("found an empty text", where=name.upper() if argument else option)
+        return rest
+
+
 for _name, _module in COMMANDS.items():
     _command = import_module(f"insemu.cli.{_module}").command
-    app.command(_name, short_help=" ".join(_command.__doc__.partition("\n\n")[0].split()))(_command)  # whole, not cut
+    app.command(_name, short_help=" ".join(_command.__doc__.partition("\n\n")[0].split()), cls=_Command)(
+        _command
+    )  # whole, not cut
 
 
 def main(argv: list[str] | None = None) -> None:
     """Run the command line; the entry point of the ``insemu`` script."""
     from insemu.blas import one_thread_by_default
-    from insemu.errors import InputError
 
     one_thread_by_default()
     for stream in (sys.stdout, sys.stderr):

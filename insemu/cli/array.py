@@ -75,7 +75,6 @@ def command(
     else:
         _tell(found, console)
     if log:
-        Path(log).parent.mkdir(parents=True, exist_ok=True)
         write_log(Path(log), found.virtual(names[take]))
         console.print(f"log of the virtual sensor: {log}")
     if out:

@@ -67,7 +67,6 @@ def _models(file: str, target: Path, to: str, rate: str, record: str) -> None:
     if not to:
         raise InputError(f"says no program; expected one of: {', '.join(PROGRAMS)}", where="--to")
     text, notes = spell(noise.load(file), to, rate_hz=units.parse(rate, "Hz"), record_s=units.parse(record, "s"))
-    target.parent.mkdir(parents=True, exist_ok=True)
     put(target, text)
     for note in notes:
         typer.echo(f"beware: {note}", err=True)

@@ -500,13 +500,11 @@ def write(results: Mapping[str, FitResult], out: str, kalibr_path: str, console:
 
     if out:
         target: Path = Path(out)
-        target.parent.mkdir(parents=True, exist_ok=True)
         save(results, target)
         console.print(f"models: {target}")
     if kalibr_path:
         text, warnings = kalibr(results)
         target = Path(kalibr_path)
-        target.parent.mkdir(parents=True, exist_ok=True)
         put(target, text)
         for warning in warnings:
             console.print(f"[yellow]beware[/yellow]: {warning}", highlight=False)

@@ -99,7 +99,6 @@ def command(
         )
     folder = Path(out) if out else Path("results") / f"gap_{Path(measured).stem}"
     chosen = applied(report, numbers) if numbers else report
-    folder.mkdir(parents=True, exist_ok=True)
     refined = write_refined(nominal, chosen, folder / "refined.yaml", data)
     text = json.dumps(report.to_json(), indent=1, allow_nan=False)
     put(folder / "gap.json", text + "\n")

@@ -63,7 +63,6 @@ def command(
                 data, models["after"], rng=np.random.default_rng(seed), hold_out=False, pictures=False, progress=say
             )
     folder = Path(out) if out else Path("results") / f"check_{Path(measured).stem}"
-    folder.mkdir(parents=True, exist_ok=True)
     result = {name: c.to_json() for name, c in checks.items()}
     if left is not None:
         result["search"] = left.to_json()

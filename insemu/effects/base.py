@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import units
-from insemu.errors import InputError, nearest
+from insemu.errors import InputError, nearest, shown
 from insemu.noise import Process
 
 if TYPE_CHECKING:
@@ -428,7 +428,7 @@ class EffectUse:
         """
         if not isinstance(mapping, Mapping):
             raise InputError(
-                f"found {_shown(mapping)}, expected an effect as a mapping such as {{effect: scale_factor, ...}}"
+                f"found {shown(mapping)}, expected an effect as a mapping such as {{effect: scale_factor, ...}}"
             )
         given = dict(mapping)
         if "effect" not in given:
@@ -449,7 +449,7 @@ class EffectUse:
                 chosen = list(axes) if isinstance(axes, list | tuple) else [axes]
                 for axis in chosen:
                     if axis not in XYZ:
-                        raise InputError(f"effect '{effect.id}': unknown axis '{_shown(axis)}' (expected x, y or z)")
+                        raise InputError(f"effect '{effect.id}': unknown axis {shown(axis)} (expected x, y or z)")
                 numbers = tuple(numbers[0] if axis in chosen else 0.0 for axis in XYZ)
             values[name] = numbers
         return cls(effect.id, sensor, values)
@@ -462,18 +462,10 @@ class EffectUse:
         return out
 
 
-def _shown(value: object) -> str:
-    """A value as a message shows it, cut where it is long."""
-    if isinstance(value, int) and not isinstance(value, bool) and value.bit_length() > 128:
-        return f"an integer of {value.bit_length()} bits"  # python refuses to print very long ones
-    text = str(value)
-    return text if len(text) <= 40 else text[:37] + "..."
-
-
 def _check_sensor(effect: Effect, sensor: Any) -> None:
     if sensor not in effect.sensors:
         raise InputError(
-            f"effect '{effect.id}' has the sensor '{_shown(sensor)}', expected {' or '.join(repr(s) for s in effect.sensors)}"
+            f"effect '{effect.id}' has the sensor {shown(sensor)}, expected {' or '.join(repr(s) for s in effect.sensors)}"
         )
 
 
@@ -485,7 +477,7 @@ def _parsed(effect: Effect, p: EffectParameter, quantity: Any, sensor: str) -> t
     for item in items:
         if isinstance(item, bool) or not isinstance(item, str | int | float | np.number):
             raise InputError(
-                f"effect '{effect.id}', '{p.name}': found {_shown(item)}, expected a quantity in {unit or 'plain numbers'}"
+                f"effect '{effect.id}', '{p.name}': found {shown(item)}, expected a quantity in {unit or 'plain numbers'}"
             )
         try:
             numbers.append(units.parse(item if isinstance(item, str) else float(item), unit))
@@ -493,7 +485,7 @@ def _parsed(effect: Effect, p: EffectParameter, quantity: Any, sensor: str) -> t
             raise InputError(f"effect '{effect.id}', '{p.name}': {error.message}") from None
         except OverflowError:
             raise InputError(
-                f"effect '{effect.id}', '{p.name}': found {_shown(item)}, expected a finite number"
+                f"effect '{effect.id}', '{p.name}': found {shown(item)}, expected a finite number"
             ) from None
     return tuple(numbers)
 
@@ -508,7 +500,7 @@ def _numbers(effect: Effect, p: EffectParameter, given: Any) -> tuple[float, ...
     try:
         numbers = tuple(float(x) for x in ((given,) if isinstance(given, int | float) else given))
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{where}: found {_shown(given)}, expected {_count(p.size)} number(s)") from None
+        raise InputError(f"{where}: found {shown(given)}, expected {_count(p.size)} number(s)") from None
     if len(numbers) == 1 and p.size in (3, 9):
         numbers *= 3
     if len(numbers) == 3 and p.size == 9:
@@ -532,6 +524,7 @@ def _count(size: int) -> str:
 def effect_of(effect_id: Any) -> Effect:
     """Effect by id; ``InputError`` with the nearest id where there is none."""
     if not isinstance(effect_id, str) or effect_id not in EFFECTS:
-        shown = _shown(effect_id)
-        raise InputError(f"unknown effect '{shown}'" + nearest(shown, EFFECTS))
+        raise InputError(
+            f"unknown effect {shown(effect_id)}" + nearest(effect_id if isinstance(effect_id, str) else "", EFFECTS)
+        )
     return EFFECTS[effect_id]

@@ -287,12 +287,10 @@ def write(path: str | Path, data: Data) -> Path:
     if isinstance(data, Recording):
         if path.suffix not in (".npz", ""):
             raise InputError(f"cannot write '{path.suffix}' files, expected .npz or a folder", where=str(path))
-        path.parent.mkdir(parents=True, exist_ok=True)
         recording.write_recording(path, data)
         return path
     if path.suffix != ".npz" and not static.is_text(path):
         raise InputError(f"cannot write '{path.suffix}' files, expected .npz or .csv", where=str(path))
-    path.parent.mkdir(parents=True, exist_ok=True)
     static.write_log(path, data)
     return path
 

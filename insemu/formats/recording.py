@@ -26,7 +26,7 @@ from insemu.formats.npz import keys_of, load_npy, load_npz, numbers, texts
 from insemu.formats.text import read_table, write_table
 from insemu.records import COLUMNS, AidRecord, GnssRecord, ImuKind, ImuRecord, InitialState, Recording, Trajectory
 from insemu.units import parse_unit
-from insemu.whole import replacing
+from insemu.whole import replacing, replacing_folder
 
 Array = NDArray[np.float64]
 _LOGGER = logging.getLogger(__name__)
@@ -369,15 +369,16 @@ def write_recording(path: Path, data: Recording) -> None:
         with replacing(path) as partial:
             np.savez(partial, **arrays)  # type: ignore[arg-type]
         return
-    path.mkdir(parents=True, exist_ok=True)
-    (path / "imu_kind.txt").write_text(imu.kind + "\n", encoding="utf-8")
-    for group, keys in _GROUPS.items():
-        present = {k: names for k, names in keys.items() if k in arrays and not k.endswith("_neu")}
-        if present:
-            header = [_with_unit(n, imu.kind) for names in present.values() for n in names]
-            write_table(path / f"{group}.csv", header, np.column_stack([arrays[k] for k in present]))
-    for key in (k for k in arrays if k.startswith(("initial_", "aid_"))):
-        np.save(path / f"{key}.npy", arrays[key])
+    groups = tuple(f"{group}.csv" for group in _GROUPS)
+    with replacing_folder(path, "imu.csv", (*groups, "imu_kind.txt", "initial_*.npy", "aid_*.npy")) as partial:
+        (partial / "imu_kind.txt").write_text(imu.kind + "\n", encoding="utf-8")
+        for group, keys in _GROUPS.items():
+            present = {k: names for k, names in keys.items() if k in arrays and not k.endswith("_neu")}
+            if present:
+                header = [_with_unit(n, imu.kind) for names in present.values() for n in names]
+                write_table(partial / f"{group}.csv", header, np.column_stack([arrays[k] for k in present]))
+        for key in (k for k in arrays if k.startswith(("initial_", "aid_"))):
+            np.save(partial / f"{key}.npy", arrays[key])
 
 
 def _with_unit(name: str, kind: ImuKind) -> str:

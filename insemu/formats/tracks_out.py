@@ -255,6 +255,5 @@ def write_way(way: Way, path: Path) -> Path:
     writer = WRITERS.get(path.suffix.lower())
     if writer is None:
         raise InputError(f"cannot write '{path.suffix}' tracks, expected {', '.join(WRITERS)}", where=str(path))
-    path.parent.mkdir(parents=True, exist_ok=True)
     writer(way, path)
     return path

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
-from insemu.errors import InputError
+from insemu.errors import InputError, shown
 from insemu.noise import grammar
 from insemu.noise.follow import KEYS, KNOWN, Follows
 from insemu.noise.parameters import Parametrised
@@ -29,15 +29,13 @@ class Common(Parametrised):
         super().__post_init__()
         self.check_shared()
         if self.follows is not None and not isinstance(self.follows, Follows):
-            raise InputError(
-                f"{self.symbol}: follows is {grammar.shown(self.follows)}, expected Follows(covariate, slope)"
-            )
+            raise InputError(f"{self.symbol}: follows is {shown(self.follows)}, expected Follows(covariate, slope)")
 
     def check_shared(self) -> None:
         """Raise ``InputError`` where the name of a shared process is none."""
         if self.shared and not (isinstance(self.shared, str) and _NAME.fullmatch(self.shared)):
             raise InputError(
-                f"{self.symbol}: shared is {grammar.shown(self.shared)}, expected a name such as warmth, or -warmth for the other sign"
+                f"{self.symbol}: shared is {shown(self.shared)}, expected a name such as warmth, or -warmth for the other sign"
             )
 
     @property

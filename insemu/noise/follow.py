@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from insemu.errors import InputError, nearest
-from insemu.noise import grammar
+from insemu.errors import InputError, nearest, shown
 from insemu.noise.block import StateBlock
 from insemu.noise.compiled import draws
 
@@ -65,10 +64,10 @@ class Follows:
     def __post_init__(self) -> None:
         if not (isinstance(self.covariate, str) and self.covariate.replace("_", "a").isalnum()):
             raise InputError(
-                f"follows is {grammar.shown(self.covariate)}, expected a covariate ({', '.join(KNOWN)}) or the name of a column"
+                f"follows is {shown(self.covariate)}, expected a covariate ({', '.join(KNOWN)}) or the name of a column"
             )
         if self.law not in get_args(Law):
-            raise InputError(f"law is {grammar.shown(self.law)}" + nearest(str(self.law)[:40], get_args(Law)))
+            raise InputError(f"law is {shown(self.law)}" + nearest(str(self.law)[:40], get_args(Law)))
         for name in ("slope", "at", "above"):
             value = getattr(self, name)
             if value is not None and not math.isfinite(value):

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 from insemu import units
-from insemu.errors import InputError, nearest
+from insemu.errors import InputError, nearest, shown
 
 #: What the field calls a process, with its parameter: the name of the process.
 ALIASES: Mapping[str, str] = {"ARW": "WN", "VRW": "WN", "RRW": "RW"}
@@ -22,18 +22,6 @@ _TERM = re.compile(
 
 #: A whole number of an order.
 _WHOLE = re.compile("[0-9]{1,9}")
-
-
-def shown(value: object) -> str:
-    """A value as a message shows it: never longer than a line."""
-    if isinstance(value, int) and abs(value) > 10**20:  # Python refuses to print the largest
-        return "a whole number of more than 20 digits"
-    text = (
-        repr(value)
-        if not isinstance(value, list | tuple | dict) or len(value) < 20
-        else f"{type(value).__name__} of {len(value)}"
-    )
-    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def _split(text: str, separator: str) -> list[str]:

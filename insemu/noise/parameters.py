@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Literal, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.errors import InputError, nearest
+from insemu.errors import InputError, nearest, shown
 from insemu.noise import grammar
 
 Array = NDArray[np.float64]
@@ -196,7 +196,7 @@ class Parametrised:
                 except (TypeError, ValueError, OverflowError):
                     number = p.of_text(value)
                 if number is None:
-                    found = grammar.shown(value)
+                    found = shown(value)
                     raise InputError(
                         f"{self.symbol}: {p.name} ({p.meaning}) is {found}, expected a finite number, or text with a unit of a rate or of a "
                         "specific force"
@@ -363,7 +363,7 @@ class Parametrised:
         """
         if orders:
             raise InputError(
-                f"found an unnamed argument in {cls.__name__} of the model {grammar.shown(text)}; expected name=quantity"
+                f"found an unnamed argument in {cls.__name__} of the model {shown(text)}; expected name=quantity"
             )
         return cls.from_mapping(given, signal_unit)
 
@@ -378,7 +378,7 @@ class Parametrised:
         unknown = [k for k in given if k not in known]
         if unknown:
             raise InputError(
-                f"unknown key {grammar.shown(unknown[0])}" + nearest(str(unknown[0])[:40], known), where=cls.__name__
+                f"unknown key {shown(unknown[0])}" + nearest(str(unknown[0])[:40], known), where=cls.__name__
             )
         return cls(
             **{k: grammar.quantity(v, known[k].unit_for(signal_unit), f"{cls.__name__}.{k}") for k, v in given.items()}

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from insemu.errors import InputError, nearest
+from insemu.errors import InputError, nearest, shown
 from insemu.noise import follow, grammar
 from insemu.noise.block import StateBlock
 from insemu.noise.common import Common, common_keys
@@ -322,7 +322,7 @@ def process_of(item: Mapping[str, Any], signal_unit: str) -> Process:
     name = grammar.ALIASES.get(name, name) if isinstance(name, str) else None
     common = common_keys(given)
     if name not in PROCESSES:
-        found = grammar.shown(item.get("process"))
+        found = shown(item.get("process"))
         raise InputError(f"unknown process {found}" + nearest(name or "", PROCESSES), where="process")
     return replace(PROCESSES[name].from_mapping(given, signal_unit), **common)
 
@@ -338,7 +338,7 @@ def register(process: type[Process]) -> type[Process]:
         No subclass of :class:`Process`, one that is not whole, or a name that another process has.
     """
     if not (isinstance(process, type) and issubclass(process, Process)):
-        raise InputError(f"found {grammar.shown(process)}, expected a subclass of insemu.noise.Process")
+        raise InputError(f"found {shown(process)}, expected a subclass of insemu.noise.Process")
     missing = sorted(getattr(process, "__abstractmethods__", ()))
     if missing or not process.PARAMETERS:
         raise InputError(f"the process {process.__name__} has no {', '.join(missing) or 'PARAMETERS'}")
@@ -393,10 +393,10 @@ class NoiseModel:
 
     def __rmul__(self, count: int) -> NoiseModel:
         if not isinstance(count, int) or isinstance(count, bool) or count < 1:
-            raise InputError(f"found {grammar.shown(count)} times a noise model, expected a whole number of at least 1")
+            raise InputError(f"found {shown(count)} times a noise model, expected a whole number of at least 1")
         if count * len(self.processes) > grammar.MOST_PROCESSES:
             raise InputError(
-                f"found {grammar.shown(count)} times a noise model, expected at most {grammar.MOST_PROCESSES} processes"
+                f"found {shown(count)} times a noise model, expected at most {grammar.MOST_PROCESSES} processes"
             )
         return NoiseModel(self.processes * count)
 
@@ -589,9 +589,7 @@ class NoiseModel:
         if isinstance(items, str):
             return cls.parse(items, signal_unit)
         if not isinstance(items, Sequence) or not all(isinstance(item, Mapping) for item in items):
-            raise InputError(
-                f"found {grammar.shown(items)}, expected a list of processes such as [{{process: WN, N: 1e-3}}]"
-            )
+            raise InputError(f"found {shown(items)}, expected a list of processes such as [{{process: WN, N: 1e-3}}]")
         if len(items) > grammar.MOST_PROCESSES:
             raise InputError(f"found {len(items)} processes, expected at most {grammar.MOST_PROCESSES}")
         return cls(tuple(process_of(item, signal_unit) for item in items if isinstance(item, Mapping)))

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from insemu import yamlfile
-from insemu.errors import InputError, nearest
+from insemu.errors import InputError, nearest, shown
 from insemu.records import AXES
 from insemu.scenario.sensor_keys import with_sensors
 
@@ -44,7 +44,7 @@ def spell_out(value: Any) -> Any:
     if not isinstance(value, Mapping) or value.get("design") is None:
         return value
     if not isinstance(value["design"], str):
-        raise InputError(f"found {value['design']!r}, expected the name of a design")
+        raise InputError(f"found {shown(value['design'])}, expected the name of a design")
     own = {key: given for key, given in value.items() if given is not None}
     base = shipped(own["design"])
     for sensor in ("gyro", "accel"):

@@ -29,7 +29,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from insemu import units
 from insemu.effects import EFFECTS, EffectUse
-from insemu.errors import InputError, nearest
+from insemu.errors import InputError, nearest, shown
 from insemu.filters import AIDS, AidUse
 from insemu.noise import NoiseModel
 from insemu.records import AXES
@@ -98,7 +98,7 @@ def computed(read: Callable[[Any], Any], value: Any) -> Any:
     try:
         return read(value)
     except ArithmeticError as error:
-        raise InputError(f"found {value!r}, whose value is beyond double precision ({error})") from None
+        raise InputError(f"found {shown(value)}, whose value is beyond double precision ({error})") from None
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ class Made:
 def number(value: Any, unit: str) -> float:
     """A quantity as written in YAML, in SI; anything but a number or text is refused."""
     if isinstance(value, bool) or not isinstance(value, str | int | float):
-        raise InputError(f"found {value!r}, expected a quantity such as '1 {unit}'")
+        raise InputError(f"found {shown(value)}, expected a quantity such as '1 {unit}'")
     return float(computed(lambda given: units.parse(given, unit), value))
 
 
@@ -235,16 +235,16 @@ Name = Annotated[str, AfterValidator(_name)]
 def _items(value: Any, key: str) -> list[Mapping[str, Any]]:
     """A list of mappings whose values are texts, numbers or lists of them."""
     if not isinstance(value, list | tuple) or not all(isinstance(item, Mapping) for item in value):
-        raise InputError(f"found {value!r}, expected a list of mappings with the key '{key}'")
+        raise InputError(f"found {shown(value)}, expected a list of mappings with the key '{key}'")
     if len(value) > MAX_ITEMS:
         raise InputError(f"found {len(value)} mappings with the key '{key}', expected at most {MAX_ITEMS}")
     for item in value:
         for name, given in item.items():
             some = given if isinstance(given, list | tuple) else [given]
             if not all(isinstance(v, str | int | float) for v in some):
-                raise InputError(f"found {given!r} under '{name}', expected a text, a number or a list of them")
+                raise InputError(f"found {shown(given)} under '{name}', expected a text, a number or a list of them")
         if not isinstance(item.get(key), str):
-            raise InputError(f"found {dict(item)!r}, expected a mapping with the key '{key}'")
+            raise InputError(f"found {shown(dict(item))}, expected a mapping with the key '{key}'")
     return list(value)
 
 
@@ -331,7 +331,9 @@ def _aids(value: Any) -> tuple[AidUse, ...]:
         return tuple(value)
     emulated = {name: aid for name, aid in AIDS.items() if aid.truth is not None}
     if not isinstance(value, Mapping) or not all(isinstance(v, Mapping) and _plain(v) for v in value.values()):
-        raise InputError(f"found {value!r}, expected the name of an aid with its rate and sigma: {', '.join(emulated)}")
+        raise InputError(
+            f"found {shown(value)}, expected the name of an aid with its rate and sigma: {', '.join(emulated)}"
+        )
     for name in value:
         if name not in emulated:
             raise InputError(f"no aid '{name}' to emulate" + nearest(str(name), emulated))

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 import insemu
 from insemu import noise, yamlfile
-from insemu.errors import InputError, nearest
+from insemu.errors import InputError, nearest, shown
 from insemu.records import AXES
 from insemu.scenario.fields import Made
 from insemu.scenario.schema import Scenario
@@ -143,7 +143,7 @@ def _named(error: ValidationError, section: type[BaseModel], document: yamlfile.
         return InputError(f"the key '{first['loc'][-1]}' is missing", where=document.where(place[:-1]))
     if first["type"] == "value_error":
         return InputError(str(first["ctx"]["error"]), where=where)
-    return InputError(f"found {first['input']!r}, {first['msg'][:1].lower()}{first['msg'][1:]}", where=where)
+    return InputError(f"found {shown(first['input'])}, {first['msg'][:1].lower()}{first['msg'][1:]}", where=where)
 
 
 _UNION_TAGS = frozenset({"AxisSource", "str", "Signal", "list"})

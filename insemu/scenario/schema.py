@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from insemu.emulate import TRAJECTORIES, AreaOutage, Mounting, Outage, TemperatureProfile
-from insemu.errors import InputError, nearest
+from insemu.errors import InputError, nearest, shown
 from insemu.filters import InitialSigma
 from insemu.noise import NoiseModel
 from insemu.records import AXES
@@ -159,7 +159,7 @@ class RecordedSignal(Section):
         known = ("record", "piece", "none")
         if value in known or (isinstance(value, list | tuple) and len(value) == 2):
             return value
-        raise InputError(f"found {value!r}, expected one of: {', '.join(known)}; or a span [from, to]")
+        raise InputError(f"found {shown(value)}, expected one of: {', '.join(known)}; or a span [from, to]")
 
 
 class SensorModels(Section):

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from insemu.errors import InputError
+from insemu.errors import InputError, shown
 from insemu.noise import axis_unit
 from insemu.records import AXES
 from insemu.sensors import models
@@ -67,5 +67,5 @@ def with_sensors(value: Any) -> Any:
 def _models(source: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
     name, case = source["sensor"], source.get("case") or "typical"
     if not isinstance(name, str):
-        raise InputError(f"found {name!r}, expected the name of a sensor (insemu sensor lists them)")
+        raise InputError(f"found {shown(name)}, expected the name of a sensor (insemu sensor lists them)")
     return {axis: model.to_list(axis_unit(axis)) for axis, model in models(name, case).items()}

@@ -29,7 +29,7 @@ _WORK = (
     "insemu.work.run_items", "insemu.fit.fit", "insemu.fit.fit_mli_pieces", "insemu.fit.bootstrap_intervals", "insemu.fit.selection.select",
     "insemu.gap.find_gap", "insemu.gap.find_static_gap", "insemu.evaluate.analyse_designs", "insemu.emulate.dead_reckon",
     "insemu.evaluate.run_experiment", "insemu.trial.run_trial", "insemu.report.render_fits", "insemu.report.render_characterisation",
-    "insemu.report.render_experiment",
+    "insemu.report.render_experiment", "insemu.report.server",
 )  # fmt: skip
 SCENARIO = """
 title: small

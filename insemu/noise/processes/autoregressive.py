@@ -12,12 +12,12 @@ from numba import carray, njit
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
-from insemu.errors import InputError, nearest
+from insemu.errors import InputError, nearest, shown
 from insemu.noise.block import StateBlock
 from insemu.noise.compiled import draws
 from insemu.noise.compiled.curves import STEP
 from insemu.noise.compiled.doubling import arma, coefficients_of
-from insemu.noise.grammar import quantity, shown, whole
+from insemu.noise.grammar import quantity, whole
 from insemu.noise.parameters import Parameter
 from insemu.noise.process import SAME_RATE, MarkovParts, NotStationary, Process, counts
 from insemu.noise.processes.gauss_markov import first_order
