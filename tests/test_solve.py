@@ -122,6 +122,23 @@ def test_spread_counts_outages_that_overlap_once() -> None:
     assert width(slow) > 3 * width(fast)
 
 
+def test_two_filters_are_compared_by_the_outages_that_they_share() -> None:
+    rng = np.random.default_rng(5)
+    start, horizons, size = np.arange(1200.0), np.array([30.0]), np.repeat(rng.exponential(1.0, (40, 1)), 30, axis=0)
+
+    def of(e: np.ndarray) -> Outages:
+        return Outages(start, horizons, e[:, None], np.tile(np.eye(2), (1200, 1, 1, 1)), np.zeros((1200, 1, 2)))
+
+    error = size * rng.standard_normal((1200, 2))
+    one = of(error)
+    assert one.ratio(one, 0) == (1.0, 1.0, 1.0)
+    worse = of(1.1 * error + 0.1 * rng.standard_normal((1200, 2)))
+    ratio, low, high = worse.ratio(one, 0)
+    assert 1.0 < low < ratio < high and ratio == pytest.approx(worse.rms(0) / one.rms(0))
+    assert one.interval(0)[1] > worse.interval(0)[0]  # apart, their intervals overlap
+    assert all(np.isnan(one.rows(start < 100).ratio(worse.rows(start < 100), 0)))  # fewer than two blocks
+
+
 def test_late_velocities_are_recognised(recording: Recording) -> None:
     assert recording.gnss is not None and velocity_lag(recording.gnss) is None
     t = np.arange(0.0, 120.0, 0.25)

@@ -69,17 +69,23 @@ def outage_rows_of(o: Outages) -> tuple[list[str], list[list[str]]]:
 
 
 def compared_rows(found: Comparison) -> tuple[list[str], list[list[str]]]:
-    """Header and rows of the solution against the designs of a scenario, at the same outages."""
+    """Header and rows of the solution against the designs of a scenario, at the same outages; ratios of the rms with 95 % intervals."""
     o = found.solved
     header = [
         "design",
-        *(f"{what} {h:g} s" for h in o.horizons for what in ("median m", "rms m")),
+        *(f"{what} {h:g} s" for what in ("rms m", "over solved's", "median m") for h in o.horizons),
         "NEES/dof at the last",
     ]
     rows = []
     for name, one in (("solved", o), *found.designs.items()):
         last = max((k for k in range(o.horizons.size) if np.isfinite(one.rms(k))), default=0)
-        cells = [short(v) for k in range(o.horizons.size) for v in (one.quantiles(k)[0], one.rms(k))]
+        every = range(o.horizons.size)
+        ratios = [(np.nan,) * 3 if one is o else one.ratio(o, k) for k in every]
+        cells = [
+            *(short(one.rms(k)) for k in every),
+            *(f"{r:.2f} ({low:.2f} to {high:.2f})" if np.isfinite(r) else "" for r, low, high in ratios),
+            *(short(one.quantiles(k)[0]) for k in every),
+        ]
         rows.append([name, *cells, short(one.nees(last))])
     return header, rows
 
@@ -262,7 +268,14 @@ def render_solution(s: Solution, folder: Path, compared: Comparison | None = Non
         sections.append(
             Section(
                 f"Against {scenario}",
-                [Table(*compared_rows(compared), "The same outages.", left=1, strong=frozenset({0}))],
+                [
+                    Table(
+                        *compared_rows(compared),
+                        "The same outages; ratios of the rms with 95 % intervals.",
+                        left=1,
+                        strong=frozenset({0}),
+                    )
+                ],
             )
         )
     sections += [

@@ -51,7 +51,13 @@ def summary(solution: Solution, compared: Comparison | None = None) -> dict[str,
     }
     if compared is not None:
         rows = {"solved": compared.solved, **compared.designs}
-        document["against"] = {n: o.figures() for n, o in rows.items()}
+        document["against"] = {
+            name: [
+                entry | {"rms_over_solved": list(one.ratio(compared.solved, k))}
+                for k, entry in enumerate(one.figures())
+            ]
+            for name, one in rows.items()
+        }
     return dict(finite(document))
 
 

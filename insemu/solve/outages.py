@@ -55,9 +55,12 @@ class Outages:
 
     def rms(self, at: int) -> float:
         """Horizontal root mean square error at a horizon, the fixes' own variance subtracted, m; NaN without any outage of that length."""
-        known = np.isfinite(self.error[:, at, 0])
-        squares = (self.error[known, at] ** 2 - self.fix_variance[known, at]).sum(axis=1)
-        return float(np.sqrt(max(float(squares.mean()), 0.0))) if known.any() else np.nan
+        squares = self._horizontal(at)[np.isfinite(self.error[:, at, 0])]
+        return float(np.sqrt(max(float(squares.mean()), 0.0))) if squares.size else np.nan
+
+    def _horizontal(self, at: int) -> Array:
+        """Squared horizontal error of every outage less the fix's own variance, m^2, (k,)."""
+        return (self.error[:, at] ** 2 - self.fix_variance[:, at]).sum(axis=1)
 
     def stated(self, at: int) -> float:
         """What the filter states of it, m."""
@@ -97,16 +100,48 @@ class Outages:
         seed, draws : int
             Of the bootstrap.
         """
-        known = np.isfinite(self.error[:, at, 0])
-        n, length = int(known.sum()), int(2 * self.horizons[at] / max(self.step, 1e-9)) + 1
-        if n < 2 * length:
+        squares = self._horizontal(at)[np.isfinite(self.error[:, at, 0])]
+        rows = self._blocks(squares.size, at, seed, draws)
+        if rows is None:
             return np.nan, np.nan
-        squares = (self.error[known, at] ** 2 - self.fix_variance[known, at]).sum(axis=1)
-        rng = np.random.default_rng(seed)
-        first = rng.integers(0, n - length + 1, (draws, -(-n // length)))
-        rows = (first[:, :, None] + np.arange(length)).reshape(draws, -1)[:, :n]
         low, high = np.quantile(np.sqrt(np.maximum(squares[rows].mean(axis=1), 0.0)), (0.025, 0.975))
         return float(low), float(high)
+
+    def ratio(self, other: Outages, at: int, *, seed: int = 0, draws: int = 1000) -> tuple[float, float, float]:
+        """The rms over that of another filter at the same outages, with its 95 % interval: both are drawn with the same blocks.
+
+        Parameters
+        ----------
+        other : Outages
+            That begin at the same seconds.
+        at : int
+            Which horizon.
+        seed, draws : int
+            Of the bootstrap, as in :meth:`interval`.
+
+        Returns
+        -------
+        ratio, low, high : float
+            NaN where there are too few outages, or where the other filter errs by no more than its fixes.
+        """
+        known = np.isfinite(self.error[:, at, 0]) & np.isfinite(other.error[:, at, 0])
+        pairs = np.column_stack([self._horizontal(at)[known], other._horizontal(at)[known]])
+        rows = self._blocks(len(pairs), at, seed, draws)
+        if rows is None or pairs[:, 1].sum() <= 0.0:
+            return np.nan, np.nan, np.nan
+        drawn = np.maximum(pairs[rows].mean(axis=1), 0.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            low, high = np.nanquantile(np.sqrt(drawn[:, 0] / drawn[:, 1]), (0.025, 0.975))
+        one, two = np.maximum(pairs.mean(axis=0), 0.0)
+        return float(np.sqrt(one / two)), float(low), float(high)
+
+    def _blocks(self, n: int, at: int, seed: int, draws: int) -> NDArray[np.int64] | None:
+        """Rows of n outages that the bootstrap draws, (draws, n): blocks of twice the horizon; None where there are not two of them."""
+        length = int(2 * self.horizons[at] / max(self.step, 1e-9)) + 1
+        if n < 2 * length:
+            return None
+        first = np.random.default_rng(seed).integers(0, n - length + 1, (draws, -(-n // length)))
+        return (first[:, :, None] + np.arange(length)).reshape(draws, -1)[:, :n]
 
     def figures(self) -> list[dict[str, Any]]:
         """The score as plain data, one entry per horizon."""
