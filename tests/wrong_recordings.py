@@ -1,7 +1,12 @@
-"""Recordings that are right, and recordings that are declared wrongly on purpose, each with what the card must say."""
+"""Recordings that are right, and recordings that are declared wrongly on purpose, each with what the card must say.
+
+python -m tests.wrong_recordings [ROUNDS]    on other stretches with other noise than the tests: how many are named, how many right ones refused
+"""
 
 from __future__ import annotations
 
+import re
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -10,6 +15,7 @@ import numpy as np
 
 from insemu import emulate, rotation
 from insemu.formats import Opened
+from insemu.intake import examine
 from insemu.records import GnssRecord, ImuRecord
 
 
@@ -41,6 +47,8 @@ def flown(
 
 
 Spoil = Callable[[Opened], Opened]
+#: How much later a round's stretches begin than the round's before, s.
+STRETCH_S = 15.0
 
 
 @dataclass(frozen=True)
@@ -174,7 +182,7 @@ WRONG: tuple[Wrong, ...] = (
 )
 
 
-def right() -> dict[str, Opened]:
+def right(again: int = 0) -> dict[str, Opened]:
     """Forty recordings that are right: vehicles, rates, receivers, grades, mountings that are on purpose."""
     out: dict[str, Opened] = {}
     ways = (
@@ -187,12 +195,47 @@ def right() -> dict[str, Opened]:
         "lemniscate",
         "static",
     )
+    kinds: dict[str, dict[str, object]] = {
+        "": {"seconds": 150.0},
+        ", positions only": {"seconds": 150.0, "sigma": 2.0, "velocity": False, "grade": 3.0, "seed": 2},
+        ", increments, later": {
+            "start": 100.0, "seconds": 120.0, "rate": 100.0, "fixes": 4.0, "sigma": 0.02, "grade": 0.1, "kind": "increment", "seed": 3,
+        },
+        ", 20 Hz": {"seconds": 150.0, "rate": 20.0, "fixes": 0.5, "sigma": 5.0, "grade": 2.0, "seed": 4},
+    }  # fmt: skip
     for which in ways:
-        out[which] = flown(which, seconds=150.0)
-        out[f"{which}, positions only"] = flown(which, seconds=150.0, sigma=2.0, velocity=False, grade=3.0, seed=2)
-        out[f"{which}, increments, later"] = flown(
-            which, start=100.0, seconds=120.0, rate=100.0, fixes=4.0, sigma=0.02, grade=0.1, kind="increment", seed=3
-        )
-        out[f"{which}, 20 Hz"] = flown(which, seconds=150.0, rate=20.0, fixes=0.5, sigma=5.0, grade=2.0, seed=4)
-        out[f"{which}, no fixes"] = replace(flown(which, seconds=150.0), gnss=None)
+        for name, options in kinds.items():
+            out[f"{which}{name}"] = flown(which, **_other(options, again))  # type: ignore[arg-type]
+        out[f"{which}, no fixes"] = replace(out[which], gnss=None)
     return out
+
+
+def _other(options: dict[str, object], again: int) -> dict[str, object]:
+    """The options of another stretch of the same way with other noise; 0: as they are."""
+    start, seed = float(str(options.get("start", 0.0))), int(str(options.get("seed", 1)))
+    return options | {"start": start + STRETCH_S * again, "seed": seed + 1000 * again} if again else options
+
+
+def named(wrong: Wrong, again: int = 0) -> tuple[bool, str]:
+    """Whether the card of a wrong recording says what it must, and the card."""
+    card = examine(wrong.spoil(flown(**_other(wrong.base, again))))  # type: ignore[arg-type]
+    pattern = "|".join(re.escape(part) for part in wrong.says.split("|"))
+    return re.search(pattern, card.text(("odd", "wrong"))) is not None, card.text()
+
+
+def main(rounds: int) -> None:
+    """Print, for every round, how many wrong recordings are named and how many right ones are refused or odd."""
+    for again in range(1, rounds + 1):
+        missed = [wrong.name for wrong in WRONG if not named(wrong, again)[0]]
+        cards = {name: examine(data) for name, data in right(again).items()}
+        refused, odd = ([n for n, card in cards.items() if card.of(word)] for word in ("wrong", "odd"))
+        print(
+            f"round {again}: {len(WRONG) - len(missed)} of {len(WRONG)} wrong recordings named"
+            f"{'; not ' + ', '.join(missed) if missed else ''}; of {len(cards)} right ones {len(refused)} refused"
+            f"{' (' + ', '.join(refused) + ')' if refused else ''}, {len(odd)} odd{' (' + ', '.join(odd) + ')' if odd else ''}",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 5)

@@ -225,11 +225,12 @@ def turn_of(imu: ImuRecord, track: Track) -> Turn | None:
     found = [fit(s) for s in fine]
     k = int(np.argmax([abs(f[1]) for f in found]))
     slope, correlation, keep = found[k]
-    # without an offset, on the same intervals
-    x, w = parts(0.0)
-    at_zero = _partial(x, change * w, (end - start) * w, keep & (w > 0))[1]
+    # without an offset, on the same intervals: those that the offset leaves out count as well, for they may be what speaks against it
+    both = [parts(at) for at in (0.0, float(fine[k]))]
+    same = (both[0][1] > 0) & (both[1][1] > 0)
+    without, with_it = (_partial(x, change * w, (end - start) * w, same)[1] for x, w in both)
+    gain = 0.5 * same.sum() * np.log(max(1e-12, 1.0 - without**2) / max(1e-12, 1.0 - with_it**2))
     count = int(keep.sum())
-    gain = 0.5 * count * np.log(max(1e-12, 1.0 - at_zero**2) / max(1e-12, 1.0 - correlation**2))
     x, w = parts(float(fine[k]))
     spread = float(np.std((change * w - slope * x)[keep]))
     near = float(fine[k]) + np.arange(-1.0, 1.0 + 1e-9, 0.1)  # an arm moves the best offset
