@@ -60,7 +60,8 @@ class Outages:
 
     def _horizontal(self, at: int) -> Array:
         """Squared horizontal error of every outage less the fix's own variance, m^2, (k,)."""
-        return (self.error[:, at] ** 2 - self.fix_variance[:, at]).sum(axis=1)
+        squares: Array = (self.error[:, at] ** 2 - self.fix_variance[:, at]).sum(axis=1)
+        return squares
 
     def stated(self, at: int) -> float:
         """What the filter states of it, m."""
