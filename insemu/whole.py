@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import shutil
@@ -20,6 +21,8 @@ def replacing(path: Path | str) -> Iterator[Path]:
     The folder of ``path`` is made where it does not exist, and is gone, too, where nothing was written into it.
     """
     path = Path(path)
+    if path.is_dir():  # said before the work whose result could not be put there
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     partial = _beside(path, path.suffix)
     made = [] if path.parent.exists() else [folder for folder in path.parents if not folder.exists()]
     try:

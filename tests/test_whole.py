@@ -48,6 +48,15 @@ def test_the_current_folder_can_be_written(tmp_path: Path, monkeypatch: pytest.M
     assert Path("mark").read_text() == "new"
 
 
+@pytest.mark.parametrize("name", [".", "..", "/", "folder"])
+def test_a_folder_is_not_replaced_by_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(IsADirectoryError, match="irectory"):
+        put(name, "text")
+    assert [p.name for p in tmp_path.rglob("*")] == ["folder"]
+
+
 def test_files_of_an_earlier_recording_are_not_read_with_the_new_one(tmp_path: Path) -> None:
     drive = file_samples.drive(20.0)
     assert drive.gnss is not None and drive.reference is not None
