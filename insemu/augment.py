@@ -246,6 +246,13 @@ class Augmentation:
         C[..., self.axis[seen], seen] = c[..., seen]
         return C
 
+    def start_sigma(self) -> Array:
+        """Standard deviations of what the six axes err by at the start beside white noise and what is measured, (6,), SI."""
+        C = np.zeros((6, self.m))
+        own = np.flatnonzero((self.axis >= 0) & (self.driver < 0))
+        C[self.axis[own], own] = self.c[own]
+        return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", C, self.P0, C)))
+
     def power(self, count: int) -> tuple[Array, Array]:
         """Transition and driving covariance over ``count`` samples."""
         Phi, Q = np.eye(self.m), np.zeros((self.m, self.m))

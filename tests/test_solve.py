@@ -88,8 +88,8 @@ def test_the_smoothed_way_is_the_true_one(solution: Solution, recording: Recordi
 def test_an_outage_is_what_a_filter_without_fixes_does(solution: Solution) -> None:
     """From the middle of the drive the filter is run again, the fixes withheld: the same error, the same covariance."""
     drive, taken = solution.drive, solution.taken
-    imu, gnss = drive.flown()
     o, c = taken.outages, taken.candidate
+    imu, gnss = drive.flown(c.filter(drive))
     k = int(np.searchsorted(o.start, o.start[0] + 60.0))
     begin = float(o.start[k])
     kept = c.fixes(gnss.rows(gnss.t <= begin + 0.5))
@@ -236,10 +236,10 @@ def test_a_short_record_and_a_lost_filter_are_told(recording: Recording) -> None
     short = replace(recording, imu=recording.imu.rows(recording.imu.t < drive.aligned.t + 35.0))
     with pytest.raises(InputError, match=r"the filter can start at .* expected at least 40 s between"):
         solve(short, intake.examine(short), candidates()[2:3])
-    imu, gnss = drive.flown()
-    few = imu.rows(imu.t < imu.t[0] + 20.0)
     good = candidates()[1]
     ekf = good.filter(drive, store="fixes", node_every=1.0)
+    imu, gnss = drive.flown(ekf)
+    few = imu.rows(imu.t < imu.t[0] + 20.0)
     run = ekf.run(few, good.fixes(gnss), drive.aligned.state, drive.aligned.sigma)
     with pytest.raises(InputError, match="room for an outage"):
         cut_everywhere(ekf, run, few, good.fixes(gnss))

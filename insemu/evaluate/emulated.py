@@ -32,7 +32,7 @@ from insemu.errors import InputError
 from insemu.evaluate.consistency import nees
 from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.world import OUTPUT_INTERVAL, Estimate, Scored, input_files, nearest_rows, static_logs, stream
-from insemu.filters import AidUse, InitialSigma, Standstill, TrueMotion
+from insemu.filters import AidUse, InitialSigma, NavigationFilter, Standstill, TrueMotion
 from insemu.noise import NoiseModel, load_spread
 from insemu.records import AXES, AidRecord, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Scenario
@@ -326,6 +326,10 @@ class EmulatedWorld:
         r = self.reference
         k = np.searchsorted(r.t, self.output_times)
         return Trajectory(r.t[k], r.llh[k], r.vel_ned[k], r.rpy[k], r.name)
+
+    def imu_for(self, imu: ImuRecord, ekf: NavigationFilter) -> ImuRecord:
+        """The data as they are."""
+        return imu
 
     def start(self, realization: int, imu: ImuRecord) -> tuple[NavState, InitialSigma]:
         """The filter's start: the truth moved by a draw from the sigmas that the filter believes."""

@@ -340,7 +340,8 @@ class Experiment:
         times = known.imu.t[rows]
         ekf, unaided = self._ready(name, times, rows, self._rests(name, known))
         aids = {"aids": recording.aids} if recording.aids else {}  # a user's filter need not know of them
-        run = ekf.run(self._prefiltered(name, known.imu), self.believed(name, known.gnss), start, start_sigma, **aids)
+        imu = self._prefiltered(name, self.world.imu_for(known.imu, ekf))
+        run = ekf.run(imu, self.believed(name, known.gnss), start, start_sigma, **aids)
         if (users := self.scenario.designs[name].filter) is not None:
             check_result(users, run, times, smoother=self.scenario.smoother)
         found = asdict(self.world.score(Estimate.of_filter(run, times), times))

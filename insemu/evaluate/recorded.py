@@ -15,7 +15,16 @@ from insemu.errors import InputError
 from insemu.evaluate.consistency import nees
 from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.world import Estimate, Scored, input_files, nearest_rows
-from insemu.filters import Alignment, InitialSigma, Standstill, cut, rests, sigma_of_fixes
+from insemu.filters import (
+    Alignment,
+    InitialSigma,
+    LooselyCoupledEKF,
+    NavigationFilter,
+    Standstill,
+    cut,
+    rests,
+    sigma_of_fixes,
+)
 from insemu.filters import start as start_of
 from insemu.formats import read_recording
 from insemu.intake import Card, examine
@@ -173,6 +182,15 @@ class RecordedWorld:
         kept = gnss.rows((gnss.t > self.alignment.t) & ~withheld)
         imu = cut(self.vehicle_imu, self.alignment)
         return Recording(imu, kept, self.reference, self.source.file, self.aids, self.known)
+
+    def imu_for(self, imu: ImuRecord, ekf: NavigationFilter) -> ImuRecord:
+        """The data of :meth:`recording` as one filter flies them: a bias that it knows better than the alignment is put back."""
+        if not isinstance(ekf, LooselyCoupledEKF):
+            return imu
+        believed = ekf.augmentation.start_sigma()[:3]
+        back = self.alignment.bias_beyond() - self.alignment.bias_beyond(believed)
+        step = np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1])[:, None]
+        return replace(imu, gyro=imu.gyro + back * step)
 
     def realized(self, realization: int) -> tuple[Recording, None]:
         """The recording; nobody knows what its sensors really did."""

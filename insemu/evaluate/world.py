@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from insemu.emulate import TrueStates
 from insemu.errors import InputError
-from insemu.filters import FilterResult, InitialSigma, SmootherResult, Standstill
+from insemu.filters import FilterResult, InitialSigma, NavigationFilter, SmootherResult, Standstill
 from insemu.formats import read_recording, read_static
 from insemu.intake import Card
 from insemu.noise import axis_unit
@@ -180,6 +180,10 @@ class World(Protocol):
     @property
     def standstill(self) -> Standstill | None:
         """Known rests that are fed to every filter."""
+        ...
+
+    def imu_for(self, imu: ImuRecord, ekf: NavigationFilter) -> ImuRecord:
+        """What one filter is given of the IMU data."""
         ...
 
     @property

@@ -35,6 +35,9 @@ TRACK_REACH = (1.0, 2.0, 4.0, 8.0)
 #: A heading that is carried back from the first motion to a rest may have become uncertain by this much, rad.
 LARGEST_HEADING_SIGMA = np.deg2rad(15.0)
 
+#: A bias this many standard deviations from what is believed contradicts it.
+CONTRADICTED = 5.0
+
 
 @dataclass(frozen=True)
 class Alignment:
@@ -68,6 +71,25 @@ class Alignment:
             return None
         return self.gyro_bias, np.diag(self.gyro_bias_sigma**2)
 
+    def bias_beyond(self, believed: Array | None = None) -> Array:
+        """The part of the gyroscope bias that is taken off the data of a filter, (3,), rad/s; zero where nothing tells it.
+
+        A bias that is found to ``s`` and believed to be within ``b`` of zero at the start is most likely the share ``b^2 / (b^2 + s^2)`` of what
+        was found: of a sensor that is better than the alignment can see, almost nothing. A belief that the bias contradicts does not know of
+        it (a fit to a log at rest removes it), so that all of it is taken off.
+
+        Parameters
+        ----------
+        believed : (3,) array, optional
+            Standard deviation of the bias at the start as the filter believes it, rad/s; all of the bias is taken off where it is left out.
+        """
+        found = np.nan_to_num(self.gyro_bias)
+        if believed is None:
+            return found
+        own, total = believed**2, believed**2 + np.nan_to_num(self.gyro_bias_sigma) ** 2
+        known = np.abs(found) <= CONTRADICTED * np.sqrt(total)
+        return np.asarray(np.where(known, found * own / np.maximum(total, np.finfo(float).tiny), found))
+
 
 def level(f_b: ArrayLike) -> tuple[float, float]:
     """Roll and pitch (rad) of a body at rest from its mean specific force (m/s^2) in body axes."""
@@ -75,11 +97,11 @@ def level(f_b: ArrayLike) -> tuple[float, float]:
     return float(np.arctan2(-fy, -fz)), float(np.arctan2(fx, np.hypot(fy, fz)))
 
 
-def cut(imu: ImuRecord, start: Alignment) -> ImuRecord:
-    """The record from an alignment on, as increments, with the gyroscope bias found there taken off."""
+def cut(imu: ImuRecord, start: Alignment, believed: Array | None = None) -> ImuRecord:
+    """The record from an alignment on, as increments, less :meth:`Alignment.bias_beyond`."""
     r = imu.as_increments()
     step = np.diff(r.t, prepend=2 * r.t[0] - r.t[1])[:, None]
-    return replace(r, gyro=r.gyro - np.nan_to_num(start.gyro_bias) * step).rows(slice(start.row, None))
+    return replace(r, gyro=r.gyro - start.bias_beyond(believed) * step).rows(slice(start.row, None))
 
 
 #: Standard deviations that are assumed at least where the fixes state none, m and m/s: data tell the noise, not errors that last.

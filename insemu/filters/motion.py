@@ -38,10 +38,12 @@ STRETCHES = (5.0, 10.0, 20.0, 40.0, 80.0)
 AGAIN_S = 40.0
 #: A stretch is long enough when the heading's standard deviation is below this, rad; the filter goes on to the second, or ends at the third.
 COARSE, FINE, WORST = np.deg2rad([8.0, 2.0, 5.0])
-#: Normalised innovations squared per degree of freedom from which the filter is on a wrong solution.
+#: Normalised residuals or innovations squared per degree of freedom from which least squares or the filter is on a wrong solution.
 LOST = 9.0
 #: Standard deviation of a bias of the accelerometers, m/s^2 (consumer MEMS, 30 mg).
 ACCEL_BIAS = 0.3
+#: A solution with a bias of more than this many of those standard deviations is a wrong one.
+IMPLAUSIBLE = 10.0
 #: Errors of positions that last (ionosphere, multipath) move by their standard deviation in so many seconds.
 DRIFT_S = 30.0
 #: Unknowns: place, velocity, attitude at the start, biases of gyroscopes and accelerometers, drift of the fixes.
@@ -167,6 +169,12 @@ class _Fit:
     def heading_sigma(self) -> float:
         """Standard deviation of the heading at the end, rad, as scaled by the residuals."""
         return float(np.sqrt(self.end_covariance()[8, 8]))
+
+    @property
+    def plausible(self) -> bool:
+        """Whether residuals and biases are of a size that a right solution has."""
+        biases = np.abs(self.x[9:15]) / np.repeat([BIAS_SIGMA, ACCEL_BIAS], 3)
+        return bool(self.chi2 <= LOST * max(self.dof, 1) and biases.max() <= IMPLAUSIBLE)
 
     def scale(self) -> float:
         """Factor on variances: residuals larger than stated, and :data:`CAUTION`."""
@@ -403,7 +411,7 @@ def align_in_motion(
             stretch = _stretch(_thinned(r), fixes, start, stop, arm, gravity, noise)
             fit, margin = stretch.best(prior)
             said = f"its standard deviation after {stretch.t[-1]:.0f} s is {np.rad2deg(min(fit.heading_sigma, np.pi)):.1f} deg"
-            if fit.heading_sigma <= COARSE and margin > WORSE:
+            if fit.heading_sigma <= COARSE and margin > WORSE and fit.plausible:
                 found = _refined(fit, stretch, r, fixes, arm, gravity, noise, longest)
                 if found is not None:
                     return replace(found, standstill=tuple((q.start, q.end) for q in quiet if q.still))

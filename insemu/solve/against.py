@@ -61,8 +61,9 @@ def compare_with(solution: Solution, scenario: str | Path, *, workers: int = 1) 
     for name in read.designs:
         ekf = experiment.ekf(name)
         ekf = ekf.with_options(store="fixes", node_every=1.0, output_every=ekf.options.covariance_every * 100)
-        run = ekf.run(flown.imu, flown.gnss, start, sigma, aids=flown.aids)
-        found[name] = cut_everywhere(ekf, run, flown.imu, fixes, workers=workers)
+        imu = world.imu_for(flown.imu, ekf)
+        run = ekf.run(imu, flown.gnss, start, sigma, aids=flown.aids)
+        found[name] = cut_everywhere(ekf, run, imu, fixes, workers=workers)
     same = set.intersection(*(set(_seconds(o)) for o in (solution.taken.outages, *found.values())))
     if not same:
         raise InputError("no outage of the solution lies in this scenario's time", where=str(scenario))

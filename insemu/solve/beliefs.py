@@ -141,18 +141,18 @@ def innovations_of(drive: Drive) -> Callable[..., Innovations]:
     It raises ``InputError`` where the filter diverges. The fixes are the same whatever the offset, and the start is as uncertain as the
     offset makes it.
     """
-    imu, gnss = drive.flown()
-    part = imu.rows(imu.t <= imu.t[0] + LIKELIHOOD_S)
-    gnss = gnss.rows((gnss.t > part.t[0] + OFFSETS) & (gnss.t < part.t[-1] - OFFSETS))
-    every = max(1, round(STEP_S / imu.dt))
+    every = max(1, round(STEP_S / drive.imu.dt))
+    drive = replace(drive, imu=drive.imu.rows(drive.imu.t <= drive.aligned.t + LIKELIHOOD_S))
 
     def run(candidate: Candidate, late: float = 0.0) -> Innovations:
         ekf = candidate.filter(drive, covariance_every=every, output_every=1000 * every)
+        imu, gnss = drive.flown(ekf)
+        gnss = gnss.rows((gnss.t > imu.t[0] + OFFSETS) & (gnss.t < imu.t[-1] - OFFSETS))
         sigma = candidate.start_sigma(drive)
         moved = np.abs(drive.aligned.state.vel_ned) * OFFSETS
         sigma = replace(sigma, position=np.hypot(sigma.position, moved))
         fixes = candidate.fixes(replace(gnss, t=gnss.t + late))
-        found = ekf.run(part, fixes, drive.aligned.state, sigma, aids=drive.aids).fixes
+        found = ekf.run(imu, fixes, drive.aligned.state, sigma, aids=drive.aids).fixes
         return Innovations.of(found).rows(found.accepted)
 
     return run

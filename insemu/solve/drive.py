@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from insemu import earth
 from insemu.errors import InputError
 from insemu.evaluate import BRIDGED_S
-from insemu.filters import Alignment, cut, sigma_of_fixes
+from insemu.filters import Alignment, LooselyCoupledEKF, cut, sigma_of_fixes
 from insemu.filters import start as start_of
 from insemu.intake import Card
 from insemu.records import AidRecord, GnssRecord, ImuRecord, InitialState, Recording
@@ -92,9 +92,10 @@ class Drive:
         inside = (self.gnss.t > imu.t[0]) & (self.gnss.t <= imu.t[-1])
         return replace(self, imu=imu, gnss=self.gnss.rows(inside), clock=self.clock + late, known=known, start=None)
 
-    def flown(self) -> tuple[ImuRecord, GnssRecord]:
-        """IMU from the start on, the bias at rest taken off, and the fixes after the start."""
-        return cut(self.imu, self.aligned), self.gnss.rows(self.gnss.t > self.aligned.t)
+    def flown(self, ekf: LooselyCoupledEKF) -> tuple[ImuRecord, GnssRecord]:
+        """IMU from the start on, less the bias that a filter does not know better, and the fixes after the start."""
+        imu = cut(self.imu, self.aligned, ekf.augmentation.start_sigma()[:3])
+        return imu, self.gnss.rows(self.gnss.t > self.aligned.t)
 
 
 def prepared(recording: Recording, lever_arm: ArrayLike = (0.0, 0.0, 0.0)) -> Drive:

@@ -279,8 +279,8 @@ def scored(candidate: Candidate, drive: Drive, every: float, workers: int) -> Sc
     InputError
         Navigation diverges, or the run is too short for an outage.
     """
-    imu, gnss = drive.flown()
-    ekf = candidate.filter(drive, store="fixes", node_every=1.0, output_every=max(1, round(1.0 / imu.dt)))
+    ekf = candidate.filter(drive, store="fixes", node_every=1.0, output_every=max(1, round(1.0 / drive.imu.dt)))
+    imu, gnss = drive.flown(ekf)
     run = flown(ekf, drive, candidate)
     return Scored(candidate, run, cut_everywhere(ekf, run, imu, candidate.fixes(gnss), every=every, workers=workers))
 
@@ -296,7 +296,7 @@ def flown(ekf: LooselyCoupledEKF, drive: Drive, candidate: Candidate) -> FilterR
     candidate : Candidate
         Whose standard deviations of the fixes are used.
     """
-    imu, gnss = drive.flown()
+    imu, gnss = drive.flown(ekf)
     return ekf.run(imu, candidate.fixes(gnss), drive.aligned.state, candidate.start_sigma(drive), aids=drive.aids)
 
 
