@@ -17,6 +17,7 @@ from insemu.intake import Card
 from insemu.records import Recording
 from insemu.shown import Shown, few
 from insemu.solve.beliefs import (
+    AWAY,
     GRADES,
     Candidate,
     adapted,
@@ -223,6 +224,7 @@ def solve(
             break
         drive = drive.shifted(late).started(card)
         own = adapted(base, drive)
+    own = max((own, adapted(base, drive, away=AWAY)), key=likelihood_of(drive))
     tried: list[Scored] = []
     refused: list[str] = []
 
