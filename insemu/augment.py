@@ -246,12 +246,14 @@ class Augmentation:
         C[..., self.axis[seen], seen] = c[..., seen]
         return C
 
-    def start_sigma(self) -> Array:
-        """Standard deviations of what the six axes err by at the start beside white noise and what is measured, (6,), SI."""
-        C = np.zeros((6, self.m))
-        own = np.flatnonzero((self.axis >= 0) & (self.driver < 0))
-        C[self.axis[own], own] = self.c[own]
-        return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", C, self.P0, C)))
+    def turn_on_sigma(self) -> Array:
+        """Standard deviations of the constants with which the six axes begin, (6,), SI; NaN where the belief has none, as a fit to a log at rest."""
+        constant = (self.axis >= 0) & (self.driver < 0) & (np.diag(self.Phi) == 1.0) & (np.diag(self.P0) > 0.0)
+        out = np.full(6, np.nan)
+        for axis in np.unique(self.axis[constant]):
+            own = np.flatnonzero(constant & (self.axis == axis))
+            out[axis] = np.sqrt(self.c[own] @ self.P0[np.ix_(own, own)] @ self.c[own])
+        return out
 
     def power(self, count: int) -> tuple[Array, Array]:
         """Transition and driving covariance over ``count`` samples."""

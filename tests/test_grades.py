@@ -7,7 +7,7 @@ import pytest
 
 from insemu.augment import Extras, augment
 from insemu.filters import Alignment, InitialSigma
-from insemu.noise import GM, RC, WN
+from insemu.noise import GM, RC, RW, WN
 from insemu.strapdown import NavState
 from tests.grades import RECEIVERS, SIZES, Case, grades
 
@@ -18,10 +18,10 @@ def found(bias: list[float], sigma: list[float]) -> Alignment:
     return Alignment(0.0, 0, state, InitialSigma(1.0, 1.0, (0.1, 0.1, 0.1)), np.array(bias), np.array(sigma), ())
 
 
-def test_what_axes_err_by_at_the_start() -> None:
-    belief = {"gyro": WN(N=1e-4) + GM(sigma=3e-4, beta=0.01) + RC(sigma=4e-4), "accel": WN(N=1e-3)}
-    sigma = augment(belief, 0.01, Extras(gyro_scale=0.01, lever_arm=0.5)).start_sigma()
-    assert sigma == pytest.approx([5e-4, 5e-4, 5e-4, 0.0, 0.0, 0.0])
+def test_with_what_constants_axes_begin() -> None:
+    belief = {"gyro": WN(N=1e-4) + GM(sigma=3e-4, beta=0.01), "gyro_z": RW(K=1e-6, sigma0=3e-4) + RC(sigma=4e-4)}
+    sigma = augment(belief, 0.01, Extras(gyro_scale=0.01, lever_arm=0.5)).turn_on_sigma()
+    np.testing.assert_allclose(sigma, [np.nan, np.nan, 5e-4, np.nan, np.nan, np.nan])
 
 
 def test_a_bias_is_taken_off_as_far_as_the_filter_does_not_know_it() -> None:
@@ -29,6 +29,7 @@ def test_a_bias_is_taken_off_as_far_as_the_filter_does_not_know_it() -> None:
     start = found([1e-3, 1e-3, 5e-2], [1e-3, 1e-3, 1e-3])
     assert start.bias_beyond() == pytest.approx([1e-3, 1e-3, 5e-2])
     assert start.bias_beyond(np.array([1e-6, 1e-3, 1e-3])) == pytest.approx([1e-9, 5e-4, 5e-2], rel=1e-3)
+    assert start.bias_beyond(np.full(3, np.nan)) == pytest.approx([1e-3, 1e-3, 5e-2])
     nothing = found([np.nan] * 3, [np.nan] * 3)
     assert not nothing.bias_beyond(np.full(3, 1e-3)).any() and not nothing.bias_beyond().any()
     assert not found([0.0] * 3, [0.0] * 3).bias_beyond(np.zeros(3)).any()

@@ -187,7 +187,7 @@ class RecordedWorld:
         """The data of :meth:`recording` as one filter flies them: a bias that it knows better than the alignment is put back."""
         if not isinstance(ekf, LooselyCoupledEKF):
             return imu
-        believed = ekf.augmentation.start_sigma()[:3]
+        believed = ekf.augmentation.turn_on_sigma()[:3]
         back = self.alignment.bias_beyond() - self.alignment.bias_beyond(believed)
         step = np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1])[:, None]
         return replace(imu, gyro=imu.gyro + back * step)

@@ -75,20 +75,21 @@ class Alignment:
         """The part of the gyroscope bias that is taken off the data of a filter, (3,), rad/s; zero where nothing tells it.
 
         A bias that is found to ``s`` and believed to be within ``b`` of zero at the start is most likely the share ``b^2 / (b^2 + s^2)`` of what
-        was found: of a sensor that is better than the alignment can see, almost nothing. A belief that the bias contradicts does not know of
-        it (a fit to a log at rest removes it), so that all of it is taken off.
+        was found: of a sensor that is better than the alignment can see, almost nothing. A bias that contradicts the belief is taken off
+        wholly.
 
         Parameters
         ----------
         believed : (3,) array, optional
-            Standard deviation of the bias at the start as the filter believes it, rad/s; all of the bias is taken off where it is left out.
+            Standard deviation of the turn-on bias as the filter believes it, rad/s; where it is NaN or left out the filter knows of none, and all
+            of the bias is taken off.
         """
         found = np.nan_to_num(self.gyro_bias)
         if believed is None:
             return found
         own, total = believed**2, believed**2 + np.nan_to_num(self.gyro_bias_sigma) ** 2
-        known = np.abs(found) <= CONTRADICTED * np.sqrt(total)
-        return np.asarray(np.where(known, found * own / np.maximum(total, np.finfo(float).tiny), found))
+        likely = np.abs(found) <= CONTRADICTED * np.sqrt(total)  # not where it is NaN
+        return np.asarray(np.where(likely, found * own / np.maximum(total, np.finfo(float).tiny), found))
 
 
 def level(f_b: ArrayLike) -> tuple[float, float]:
