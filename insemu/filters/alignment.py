@@ -99,7 +99,15 @@ def level(f_b: ArrayLike) -> tuple[float, float]:
 
 
 def cut(imu: ImuRecord, start: Alignment, believed: Array | None = None) -> ImuRecord:
-    """The record from an alignment on, as increments, less :meth:`Alignment.bias_beyond`."""
+    """The record from an alignment on, as increments, less the gyroscope bias found there.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+    start : Alignment
+    believed : (3,) array, optional
+        As in :meth:`Alignment.bias_beyond`.
+    """
     r = imu.as_increments()
     step = np.diff(r.t, prepend=2 * r.t[0] - r.t[1])[:, None]
     return replace(r, gyro=r.gyro - start.bias_beyond(believed) * step).rows(slice(start.row, None))
