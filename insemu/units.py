@@ -21,9 +21,6 @@ from insemu.errors import InputError, nearest, shown
 #: Standard gravity, the ``g`` of datasheets, m/s^2.
 STANDARD_GRAVITY = 9.80665
 
-#: Longest text of a unit, characters.
-MAX_TEXT = 200
-
 Dimension = tuple[Fraction, Fraction, Fraction, Fraction]  # exponents of angle, length, time, temperature
 
 
@@ -207,7 +204,7 @@ class _Parser:
         if token in ("sqrt", "√", "rt", "root"):
             return self.atom() ** Fraction(1, 2)
         found = _named(token)
-        if found is None and token.startswith(("rt", "sqrt", "root")):  # rtHz
+        if found is None:  # rtHz
             inner = _named(token.removeprefix("sqrt").removeprefix("root").removeprefix("rt"))
             found = None if inner is None else inner ** Fraction(1, 2)
         if found is None:

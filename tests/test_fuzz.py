@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import faulthandler
 import gzip
+import inspect
 import os
 import random
 import signal
@@ -13,9 +14,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.main import get_command
 from typer.testing import CliRunner
 
-from insemu.cli import app
+from insemu.cli import app, main
 from insemu.errors import InputError, shown
 from insemu.formats import open_files, read, read_log
 from insemu.scenario import load
@@ -172,3 +174,43 @@ def test_a_bootstrap_that_cannot_be_is_refused_before_the_fit(
     monkeypatch.setattr("insemu.cli.fit.read_static", fitted)
     ran = CliRunner().invoke(app, ["fit", str(tmp_path / "log.npz"), "-m", "WN()", *options])
     assert isinstance(ran.exception, InputError), ran.output
+
+
+#: Whole numbers that are no counts, or whose limit the library tells.
+_NO_COUNTS = ("seed", "realization of export", "latin of sweep")
+
+
+def test_every_count_has_a_limit() -> None:
+    counts = {}
+    for command, found in get_command(app).commands.items():  # type: ignore[attr-defined]
+        for name, parameter in inspect.signature(inspect.unwrap(found.callback)).parameters.items():
+            if parameter.annotation in ("int", "int | None") and not {name, f"{name} of {command}"} & set(_NO_COUNTS):
+                counts[f"{command}: {name}"] = parameter.default.max
+    assert len(counts) > 15
+    assert not [name for name, limit in counts.items() if limit is None]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["run", "S", "--linear", str(10**20)],
+        ["sweep", "S", "--over", "outage=[5 s, 10 s]", "--latin", str(10**20)],
+        ["emulate", "S", "--out", "a.txt"],
+        ["open", "S", "--out", "a.xyz"],
+        ["compare", "S", "a", "--base", "b"],
+    ],
+)
+def test_what_cannot_be_is_refused_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
+) -> None:
+    def begun(*arguments: object, **options: object) -> None:
+        raise AssertionError("the work began")
+
+    for place in ("insemu.evaluate.Experiment", "insemu.evaluate.EmulatedWorld", "insemu.cli.open.read"):
+        monkeypatch.setattr(place, begun)
+    (tmp_path / "s.yaml").write_text(SCENARIO)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        main([w.replace("S", "s.yaml") if w == "S" else w for w in words])
+    assert stop.value.code == 2
+    assert os.listdir() == ["s.yaml"]

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from insemu.cli.counts import DRAWS, WORKERS
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -25,10 +27,10 @@ def command(
         False, "--analytic", help="Covariance analysis and error budgets instead of flying (a truth of noise models)."
     ),
     by: str = typer.Option("process", "--by", help="Parts of the budget: source, axis or process."),
-    realizations: int | None = typer.Option(None, "--realizations", min=2, help="Default the scenario's."),
+    realizations: int | None = typer.Option(None, "--realizations", min=2, max=DRAWS, help="Default the scenario's."),
     seed: int | None = typer.Option(None, "--seed", min=0, help="Default the scenario's."),
     workers: int | None = typer.Option(
-        None, "--workers", min=1, help="Realizations flown at a time; default the cores."
+        None, "--workers", min=1, max=WORKERS, help="Realizations flown at a time; default the cores."
     ),
     cluster: str = typer.Option("", "--cluster", help="Fly on a Dask cluster: local, or tcp://HOST:PORT."),
     out: str = typer.Option("", "--out", help="Folder for the page; with --analytic default results/NAME-compare."),
@@ -57,11 +59,12 @@ def command(
     console = Console(stderr=as_json)
     given = {"seed": seed, "realizations": realizations}
     names = [d.strip() for d in designs.split(",") if d.strip()]
-    experiment = Experiment(with_designs(load(scenario, variant=variant, overrides=given), names), scenario)
+    asked = with_designs(load(scenario, variant=variant, overrides=given), names)
+    if base and base not in asked.designs:
+        raise InputError(f"no design '{base}'" + nearest(base, asked.designs), where="--base")
+    experiment = Experiment(asked, scenario)
     announce_world(experiment.world.card, Console(stderr=True))
     announce_warnings([experiment], Console(stderr=True))
-    if base and base not in experiment.scenario.designs:
-        raise InputError(f"no design '{base}'" + nearest(base, experiment.scenario.designs), where="--base")
     if analytic:
         document = _analytic(
             console, experiment, by, Path(out) if out else Path("results") / f"{Path(scenario).stem}-compare"

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import typer
 
+from insemu.cli.counts import DRAWS
+
 
 def command(
     scenario: str = typer.Argument(..., metavar="SCENARIO", help="Scenario file (YAML)."),
     out: str = typer.Option(..., "--out", help="Recording to write: a .npz file or a folder."),
-    realization: int = typer.Option(0, "--realization", min=0, help="Which realization of the scenario."),
+    realization: int = typer.Option(0, "--realization", min=0, max=DRAWS, help="Which realization of the scenario."),
     seed: int | None = typer.Option(None, "--seed", min=0, help="Seed of all random draws; default the scenario's."),
     variant: str | None = typer.Option(None, "--variant", help="Name of one of the scenario's variants."),
     ideal: bool = typer.Option(False, "--ideal", help="Perfect sensors: no errors on the IMU or the fixes."),
@@ -26,9 +28,10 @@ def command(
     import math
 
     from insemu.evaluate import EmulatedWorld
-    from insemu.formats import write
+    from insemu.formats import check_target, write
     from insemu.scenario import load
 
+    check_target(out, log=False)
     if figure:
         from insemu.report import check_figure, draw_track
 

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from insemu.cli.counts import DRAWS, WORKERS
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
@@ -85,7 +87,7 @@ def command(
     ),
     pattern: str = typer.Option("uniform", "--pattern", help="Of mli: uniform or log."),
     workers: int | None = typer.Option(
-        None, "--workers", min=1, help="Axes fitted at a time; default the number of cores."
+        None, "--workers", min=1, max=WORKERS, help="Axes fitted at a time; default the number of cores."
     ),
     cluster: str = typer.Option(
         "", "--cluster", help="Simulate and refit for --bootstrap on a Dask cluster: local, or tcp://HOST:PORT."
@@ -94,6 +96,7 @@ def command(
         0,
         "--bootstrap",
         min=0,
+        max=DRAWS,
         help="Intervals and information criterion from so many simulated signals (gmwm); 0: closed form. Of several runs: draws of the test "
         "of near-stationarity.",
     ),

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from insemu.cli.counts import DRAWS, WORKERS
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -18,11 +20,11 @@ def command(
     ),
     measured: str = typer.Option(..., "--measured", metavar="RECORDING", help="The drive or flight with fixes."),
     before: str = typer.Option("", "--before", metavar="MODEL", help="The nominal model, checked beside it."),
-    recordings: int = typer.Option(200, "--recordings", min=20, help="Recordings emulated from each model."),
+    recordings: int = typer.Option(200, "--recordings", min=20, max=DRAWS, help="Recordings emulated from each model."),
     search: bool = typer.Option(
         True, "--search/--no-search", help="Also look for what the model lacks, as 'insemu gap' does."
     ),
-    workers: int = typer.Option(1, "--workers", min=1, help="Processes."),
+    workers: int = typer.Option(1, "--workers", min=1, max=WORKERS, help="Processes."),
     seed: int = typer.Option(1, "--seed", min=0, help="Seed of the emulated recordings."),
     out: str = typer.Option("", "--out", help="Folder for the page and check.json; default results/check_NAME."),
     as_json: bool = typer.Option(False, "--json", help="Print the result as JSON on standard output."),

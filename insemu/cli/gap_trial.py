@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from insemu.cli.counts import DRAWS, WORKERS
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -16,7 +18,9 @@ if TYPE_CHECKING:
 
 
 def command(
-    recordings: int = typer.Option(58, "--recordings", min=1, help="Number of recordings; effects take turns."),
+    recordings: int = typer.Option(
+        58, "--recordings", min=1, max=DRAWS, help="Number of recordings; effects take turns."
+    ),
     kind: str = typer.Option(
         "both", "--kind", help="dynamic (drives and flights), static (logs at rest) or both in turns."
     ),
@@ -28,7 +32,7 @@ def command(
     hours: float = typer.Option(1.0, "--hours", min=0.2, max=8.0, help="Length of each log at rest, h."),
     minutes: float = typer.Option(10.0, "--minutes", min=3.0, max=60.0, help="Length of each drive or flight, min."),
     seed: int = typer.Option(1, "--seed", min=0, help="Seed of the whole trial."),
-    workers: int = typer.Option(1, "--workers", min=1, help="Recordings looked at a time."),
+    workers: int = typer.Option(1, "--workers", min=1, max=WORKERS, help="Recordings looked at a time."),
     cluster: str = typer.Option(
         "", "--cluster", help="Look at recordings on a Dask cluster: local, or tcp://HOST:PORT."
     ),

@@ -46,7 +46,7 @@ def command(
     from rich.console import Console
 
     from insemu.errors import InputError
-    from insemu.formats import parse_map, write_preset
+    from insemu.formats import check_target, parse_map, write_preset
 
     console = Console(stderr=as_json, soft_wrap=True, highlight=False)
     if formats:
@@ -57,6 +57,8 @@ def command(
         return
     if not file:
         raise InputError("names no file; `insemu open --formats` lists the kinds that are read", where="insemu open")
+    if out:
+        check_target(out)
     line = ", ".join(part for part in (column_map, f"rate={rate}" if rate else "") if part)
     found, card = read(Path(file), gnss, truth, (line, gnss_map, truth_map))
     if as_json:

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from insemu.cli.counts import DRAWS, WORKERS
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -21,10 +23,10 @@ def command(
     designs: str = typer.Option(
         "", "--designs", help="Only these designs (the scenario's, or those of insemu designs), separated by commas."
     ),
-    realizations: int | None = typer.Option(None, "--realizations", min=2, help="Default the scenario's."),
+    realizations: int | None = typer.Option(None, "--realizations", min=2, max=DRAWS, help="Default the scenario's."),
     seed: int | None = typer.Option(None, "--seed", min=0, help="Default the scenario's."),
     workers: int | None = typer.Option(
-        None, "--workers", min=1, help="Realizations flown at a time; default the cores."
+        None, "--workers", min=1, max=WORKERS, help="Realizations flown at a time; default the cores."
     ),
     cluster: str = typer.Option(
         "", "--cluster", help="record and check: fly on a Dask cluster: local, or tcp://HOST:PORT."
@@ -32,7 +34,7 @@ def command(
     false_alarm: float = typer.Option(
         0.01, "--false-alarm", help="Probability of reporting designs that did not change."
     ),
-    trials: int = typer.Option(50, "--trials", min=1, help="Trials of each case (trial)."),
+    trials: int = typer.Option(50, "--trials", min=1, max=DRAWS, help="Trials of each case (trial)."),
     out: str = typer.Option("", "--out", help="Write a page with what changed (check; HTML)."),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on standard output."),
 ) -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import typer
 
+from insemu.cli.counts import WORKERS
+
 
 def command(
     folder: str = typer.Argument(..., metavar="DIR", help="Folder of a result of insemu run."),
     workers: int | None = typer.Option(
-        None, "--workers", min=1, help="Realizations flown at a time; default the cores."
+        None, "--workers", min=1, max=WORKERS, help="Realizations flown at a time; default the cores."
     ),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on standard output."),
 ) -> None:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from insemu.cli.counts import DRAWS, LINEAR, WORKERS
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from concurrent.futures import Executor
@@ -21,11 +23,11 @@ if TYPE_CHECKING:
 def command(
     scenario: str = typer.Argument(..., metavar="SCENARIO", help="Scenario file (YAML)."),
     realizations: int | None = typer.Option(
-        None, "--realizations", min=1, help="Number of realizations; default the scenario's."
+        None, "--realizations", min=1, max=DRAWS, help="Number of realizations; default the scenario's."
     ),
     seed: int | None = typer.Option(None, "--seed", min=0, help="Seed of all random draws; default the scenario's."),
     workers: int | None = typer.Option(
-        None, "--workers", min=1, help="Realizations flown at a time; default the number of cores."
+        None, "--workers", min=1, max=WORKERS, help="Realizations flown at a time; default the number of cores."
     ),
     until: str = typer.Option(
         "",
@@ -34,10 +36,18 @@ def command(
         help="Fly on until 'planimetric_end ratio DESIGN/DESIGN within 5 %' or '... mean DESIGN ...'.",
     ),
     linear: int = typer.Option(
-        0, "--linear", min=0, help="Fly nothing: a preview from so many realizations to first order, for example 10000."
+        0,
+        "--linear",
+        min=0,
+        max=LINEAR,
+        help="Fly nothing: a preview from so many realizations to first order, for example 10000.",
     ),
     control: int = typer.Option(
-        0, "--control", min=0, help="Help means and quantiles with so many linear realizations, for example 10000."
+        0,
+        "--control",
+        min=0,
+        max=LINEAR,
+        help="Help means and quantiles with so many linear realizations, for example 10000.",
     ),
     out: str = typer.Option("", "--out", help="Folder for results; default results/NAME beside the current folder."),
     cluster: str = typer.Option("", "--cluster", help="Fly on a Dask cluster: local, or tcp://HOST:PORT."),

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from insemu.cli.counts import DRAWS, WORKERS
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -39,9 +41,9 @@ def command(
         "0 s", "--skip", help='Leave out the start of every record, for example "40 min" of warm-up.'
     ),
     detail: bool = typer.Option(False, "--detail", help="Print candidates and parameters of every axis, too."),
-    rows: int = typer.Option(8, "--rows", min=1, help="Candidates to list per axis (--detail)."),
+    rows: int = typer.Option(8, "--rows", min=1, max=DRAWS, help="Candidates to list per axis (--detail)."),
     workers: int | None = typer.Option(
-        None, "--workers", min=1, help="Work items at a time; default the number of cores."
+        None, "--workers", min=1, max=WORKERS, help="Work items at a time; default the number of cores."
     ),
     cluster: str = typer.Option("", "--cluster", help="Fit candidates on a Dask cluster: local, or tcp://HOST:PORT."),
     seed: int = typer.Option(0, "--seed", min=0, help="Seed of the draws on the page."),

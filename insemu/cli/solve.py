@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from insemu.cli.counts import WORKERS
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -31,7 +33,7 @@ def command(
     ),
     against: str = typer.Option("", "--against", help="Score the designs of this scenario by the same outages."),
     out: str = typer.Option("", "--out", "-o", help="Folder for the results; default results/solve_NAME."),
-    workers: int = typer.Option(0, "--workers", min=0, help="Threads; 0: one per core."),
+    workers: int = typer.Option(0, "--workers", min=0, max=WORKERS, help="Threads; 0: one per core."),
     as_json: bool = typer.Option(False, "--json", help="Print summary.json on standard output."),
 ) -> None:
     """Solve a recording: trajectory with standard deviations, calibration, and what 10, 30 and 60 s without GNSS cost.

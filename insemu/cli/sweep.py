@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from insemu.cli.counts import DRAWS, LINEAR, WORKERS
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
@@ -28,14 +30,14 @@ def command(
         help="So many points of a Latin hypercube instead of all combinations; keys may then have ranges, LOW..HIGH.",
     ),
     linear: int = typer.Option(
-        0, "--linear", min=0, help="Fly nothing: so many realizations to first order at each point."
+        0, "--linear", min=0, max=LINEAR, help="Fly nothing: so many realizations to first order at each point."
     ),
     realizations: int | None = typer.Option(
-        None, "--realizations", min=2, help="At each point; default the scenario's."
+        None, "--realizations", min=2, max=DRAWS, help="At each point; default the scenario's."
     ),
     seed: int | None = typer.Option(None, "--seed", min=0, help="The same at every point; default the scenario's."),
     workers: int | None = typer.Option(
-        None, "--workers", min=1, help="Realizations flown at a time; default the cores."
+        None, "--workers", min=1, max=WORKERS, help="Realizations flown at a time; default the cores."
     ),
     cluster: str = typer.Option("", "--cluster", help="Fly on a Dask cluster: local, or tcp://HOST:PORT."),
     out: str = typer.Option("", "--out", help="Folder for results; default results/NAME-sweep."),

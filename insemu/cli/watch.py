@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from insemu.cli.counts import DRAWS
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -28,8 +30,8 @@ def command(
     false_alarms: float = typer.Option(
         1e-3, "--false-alarms", help="Probability that a window of an axis alarms wrongly."
     ),
-    learn: int = typer.Option(10, "--learn", min=1, help="Windows before the first comparison."),
-    every: int = typer.Option(10, "--every", min=1, help="Windows from one fit to the next."),
+    learn: int = typer.Option(10, "--learn", min=1, max=DRAWS, help="Windows before the first comparison."),
+    every: int = typer.Option(10, "--every", min=1, max=DRAWS, help="Windows from one fit to the next."),
     columns: list[str] | None = typer.Option(  # noqa: B008
         None, "--columns", "--column", "-c", help="Only these columns, separated by commas (gx or gyro_x)."
     ),

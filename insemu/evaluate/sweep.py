@@ -156,6 +156,8 @@ def points(given: Sequence[Factor], latin: int, seed: int) -> list[dict[str, Any
     InputError
         A range in a grid, or more than :data:`MOST` points.
     """
+    if latin > MOST:
+        raise InputError(f"found {latin} points, expected at most {MOST}", where="--latin")
     if latin:
         from scipy.stats import qmc
 

@@ -38,6 +38,7 @@ __all__ = [
     "NamedCurve",
     "Opened",
     "Way",
+    "check_target",
     "holds_recording",
     "known_readers",
     "load_npz",
@@ -285,14 +286,34 @@ def write(path: str | Path, data: Data) -> Path:
     """
     path = Path(path)
     if isinstance(data, Recording):
-        if path.suffix not in (".npz", ""):
-            raise InputError(f"cannot write '{path.suffix}' files, expected .npz or a folder", where=str(path))
+        check_target(path, log=False)
         recording.write_recording(path, data)
-        return path
-    if path.suffix != ".npz" and not static.is_text(path):
-        raise InputError(f"cannot write '{path.suffix}' files, expected .npz or .csv", where=str(path))
-    static.write_log(path, data)
+    else:
+        check_target(path, recording=False)
+        static.write_log(path, data)
     return path
+
+
+def check_target(path: str | Path, *, log: bool = True, recording: bool = True) -> None:
+    """Whether :func:`write` knows the suffix of a path; commands ask before their work.
+
+    Parameters
+    ----------
+    path : path
+    log, recording : bool
+        What may be written: a static log, a recording.
+
+    Raises
+    ------
+    InputError
+        A suffix of neither.
+    """
+    path = Path(path)
+    if path.suffix == ".npz" or (recording and not path.suffix) or (log and static.is_text(path)):
+        return
+    known = [".npz", *([".csv"] if log else []), *(["a folder"] if recording else [])]
+    expected = f"{', '.join(known[:-1])} or {known[-1]}"
+    raise InputError(f"cannot write '{path.suffix}' files, expected {expected}", where=str(path))
 
 
 def holds_recording(path: str | Path) -> bool:
