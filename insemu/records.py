@@ -137,8 +137,7 @@ class _Timed:
 
     def __repr__(self) -> str:
         kind = getattr(self, "kind", "")
-        span = f" from {self.t[0]:g} to {self.t[-1]:g} s" if self.t.size else ""
-        return f"{type(self).__name__}: {self.t.size} {kind + ' ' if kind else ''}rows{span}"
+        return f"{type(self).__name__}: {self.t.size} {kind + ' ' if kind else ''}rows from {self.t[0]:g} to {self.t[-1]:g} s"
 
 
 @dataclass(frozen=True, repr=False)

@@ -2,7 +2,8 @@
 
 ``python -m tests.mutants --sample 160 --seed 1`` draws mutants at random from the rooms below (one change of the syntax tree each: an operator, a
 comparison, a condition turned round, a number moved, ``and`` for ``or``), runs the quick tests of their room with kernels uncompiled until one fails,
-gives what survives all tests of the room that are not slow (not with ``--quick``), and prints the share that survived with its interval.
+gives what survives all tests of the room that are not slow, then those of the rooms that use it (neither with ``--quick``), and prints the share that
+survived with its interval.
 ``--room noise`` draws from one room, ``--only FILE:LINE`` takes the mutants of a line. A mutant that was read and found to change nothing that anyone
 can see stands with its reason in ``tests/mutants.yaml`` and counts as equivalent.
 
@@ -33,22 +34,25 @@ from scipy.stats import beta
 
 ROOT = Path(__file__).resolve().parents[1]
 READ = ROOT / "tests" / "mutants.yaml"
-#: Rooms and the tests that should see what goes wrong in them.
+#: Rooms, the tests that should see what goes wrong in them, and tests of the rooms above that would see it, too.
 ROOMS = {
-    "noise": (["noise"], ["noise", "noise_derived"]),
+    "noise": (["noise"], ["noise", "noise_derived"], ["augment", "fit_methods", "fit_gmwm", "gap_beliefs_any_process"]),
     "variance": (
         ["variance"],
         ["variance_wavelet", "variance_allan", "variance_reading", "variance_filtered", "variance_robust"],
+        ["fit_gmwm", "fit_readings", "characterise", "online"],
     ),
-    "augment": (["augment.py"], ["augment"]),
-    "effects": (["effects"], ["effects", "compensation"]),
-    "units": (["units.py"], ["units"]),
-    "records": (["records.py"], ["records", "formats"]),
-    "scenario": (["scenario"], ["scenario", "scenario_fuzz"]),
-    "formats": (["formats"], ["formats", "files", "export"]),
+    "augment": (["augment.py"], ["augment"], ["designs", "filters", "together", "covariance"]),
+    "effects": (["effects"], ["effects", "compensation"], ["effect_matrix", "gap_dynamic"]),
+    "units": (["units.py"], ["units"], ["sensors", "formats"]),
+    "records": (["records.py"], ["records", "formats"], ["filters", "aids", "emulate_cli", "files"]),
+    "scenario": (["scenario"], ["scenario", "scenario_fuzz"], ["init", "sweep", "designs", "run"]),
+    "formats": (["formats"], ["formats", "files", "export"], ["intake", "recorded", "emulate_cli"]),
 }
 #: Processor seconds of a test that takes part in the first look; of one mutant, or this many times what its tests take of the code as it is.
 QUICK, MOST, LONGER = 1.0, 20.0, 5.0
+#: Processor seconds of a mutant in the further looks.
+FURTHER = 300.0
 _SWAPS: dict[type[ast.AST], tuple[type[ast.AST], ...]] = {
     ast.Add: (ast.Sub,), ast.Sub: (ast.Add,), ast.Mult: (ast.Div,), ast.Div: (ast.Mult,), ast.Pow: (ast.Mult,), ast.FloorDiv: (ast.Div,),
     ast.Mod: (ast.Mult,), ast.Lt: (ast.LtE, ast.Gt), ast.LtE: (ast.Lt, ast.Gt), ast.Gt: (ast.GtE, ast.Lt), ast.GtE: (ast.Gt, ast.Lt),
@@ -252,7 +256,7 @@ class Bench:
         for name in ("insemu", "tests", "docs", "scenarios", "results"):
             if (ROOT / name).exists():
                 shutil.copytree(
-                    ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__", "cache", "*.nc", "*.png")
+                    ROOT / name, folder / name, ignore=shutil.ignore_patterns("*.pyc", "cache", "*.nc", "*.png")
                 )
         for name in ("pyproject.toml", "README.md", "CHANGELOG.md"):
             shutil.copy(ROOT / name, folder / name)
@@ -280,18 +284,29 @@ class Bench:
         return self.quick[room]
 
     def seen(self, mutant: Mutant, whole: bool) -> bool:
-        """Whether a test fails; ``whole`` gives what survives the quick tests all others, compiled."""
+        """Whether a test fails; ``whole`` gives what survives the quick tests the others of the room, then those above it, compiled."""
         names, usual = self.tests(mutant.room)
         target = self.folder / mutant.file
-        held = target.read_text(encoding="utf-8")
         try:
             target.write_text(mutated(mutant), encoding="utf-8")
             code, _ = _forked(self.folder, ["-x", *names], None, max(MOST, LONGER * usual), True)
             if code == 0 and whole:
-                code, _ = _forked(self.folder, ["-x", *self.files(mutant.room)], None, 120.0, False)
+                code, _ = _forked(self.folder, ["-x", *self.files(mutant.room)], None, FURTHER, False)
+            if code == 0 and whole:
+                above = [f"tests/test_{name}.py" for name in ROOMS[mutant.room][2]]
+                code, _ = _forked(self.folder, ["-x", *above], None, FURTHER, False)
         finally:
-            target.write_text(held, encoding="utf-8")
+            # with its time, by which its compiled kernels are known
+            shutil.copy2(ROOT / mutant.file, target)
+            if "njit" in target.read_text(encoding="utf-8"):
+                self._compiled_again()
         return code != 0
+
+    def _compiled_again(self) -> None:
+        """Put the compiled kernels back that went when a file with kernels was changed."""
+        for cached in (ROOT / "insemu").rglob("__pycache__"):
+            for file in (*cached.glob("*.nb?"), *cached.glob("*.stamp")):
+                shutil.copy2(file, self.folder / file.relative_to(ROOT))
 
 
 def equivalent() -> dict[str, str]:

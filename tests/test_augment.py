@@ -1,12 +1,14 @@
 """States generated from beliefs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from insemu.augment import Extras, StateLayout, augment, per_axis, true_states
+from insemu.augment import TURN_ON, Extras, StateLayout, augment, per_axis, true_states, with_turn_on
 from insemu.errors import InputError
-from insemu.noise import AR, AR1, DR, GM, QN, RC, RW, WN, NoiseModel
-from insemu.records import ImuRecord
+from insemu.noise import AR, AR1, DR, GM, QN, RC, RW, WN, Follows, NoiseModel
+from insemu.records import AXES, ImuRecord
 
 DT = 0.01
 
@@ -167,3 +169,126 @@ def test_scale_factors_per_kelvin_are_driven_by_signal_and_temperature():
         a.sensed(ImuRecord(t, gyro, accel))
     with pytest.raises(InputError, match="gyro_scale_temperature is -1"):
         Extras(gyro_scale_temperature=-1.0)
+
+
+def test_places_of_states_are_found_by_name():
+    layout = augment({"gyro": WN(N=1.0) + RC(sigma=1.0)}, DT, Extras(lever_arm=1.0)).layout
+    assert layout.navigation == slice(0, 9)
+    assert (layout.position, layout.velocity, layout.attitude) == (slice(0, 3), slice(3, 6), slice(6, 9))
+    assert layout["gyro_x.RC1"] == slice(9, 10) == layout["gyro_x"]
+    assert layout["lever_arm"] == slice(12, 15) and layout["lever_arm_y"] == slice(13, 14)
+    assert (layout.index("pos_n"), layout.index("lever_arm_z"), layout.n) == (0, 14, 15)
+    with pytest.raises(InputError, match=r"no state 'gyro_x\.RC2'.*did you mean 'gyro_x\.RC1'"):
+        layout.index("gyro_x.RC2")
+    with pytest.raises(InputError, match="no state or group of states 'lever'"):
+        layout["lever"]
+    with pytest.raises(InputError, match="the state 'b' exists twice"):
+        StateLayout(("a", "b", "b"), {})
+
+
+def test_a_turn_on_bias_is_a_constant_that_an_axis_begins_with():
+    belief = {
+        "gyro": WN(N=1.0) + RC(sigma=3.0) + GM(sigma=7.0, beta=0.1),
+        "gyro_z": RC(sigma=3.0) + RW(K=1.0, sigma0=4.0),
+        "accel": GM(sigma=2.0, beta=0.1),
+        "accel_y": 2 * RC(sigma=1.0) + RW(K=1.0),
+    }
+    a = augment(belief, DT, Extras(accel_scale=1e-3, lever_arm=5.0))
+    found = a.turn_on_sigma()
+    assert found[[0, 1, 2, 4]] == pytest.approx([3.0, 3.0, 5.0, np.sqrt(2.0)])
+    assert np.isnan(found[[3, 5]]).all()  # neither a walk from zero, nor a scale factor, nor a lever arm is one
+    assert np.isnan(augment({"gyro": WN(N=1.0)}, DT).turn_on_sigma()).all()
+
+
+def test_every_axis_without_an_unknown_start_gets_one():
+    found = with_turn_on({"gyro": WN(N=1.0), "gyro_x": WN(N=1.0) + RC(sigma=2.0), "accel": RW(K=1.0, sigma0=1.0)})
+    assert [len(found[axis]) for axis in AXES] == [2, 2, 2, 1, 1, 1]
+    assert augment(found, DT).turn_on_sigma() == pytest.approx([2.0, TURN_ON["gyro"], TURN_ON["gyro"], 1.0, 1.0, 1.0])
+    # a process that settles begins where it will be
+    assert len(with_turn_on({"accel": GM(sigma=1.0, beta=1.0)})["accel_x"]) == 2
+
+
+def test_extras_are_deviations_that_are_not_negative():
+    assert Extras(reference_temperature=-40.0).reference_temperature == -40.0
+    for name in ("gyro_scale", "latency", "accel_misalignment"):
+        for value in (-1e-9, np.nan, np.inf):
+            with pytest.raises(InputError, match=name):
+                Extras(**{name: value})
+    with pytest.raises(InputError, match="reference_temperature"):
+        Extras(reference_temperature=np.nan)
+    for dt in (-0.01, np.nan, np.inf):
+        with pytest.raises(InputError, match="positive number of seconds"):
+            augment({}, dt)
+
+
+def test_every_calibration_state_has_its_place_driver_and_start():
+    extras = Extras(1e-3, 2e-3, 3e-3, 4e-3, 5.0, 0.06, 7e-5, 8e-5)
+    a = augment({"gyro": RC(sigma=0.1)}, DT, extras)
+    place = {name: k for k, name in enumerate(a.layout.names[9:])}
+    for k, axis in enumerate(AXES):
+        triad, letter = axis.split("_")
+        others = [o for o in "xyz" if o != letter]
+        for state, driver, sigma in (
+            (f"{axis}.scale", k, getattr(extras, f"{triad}_scale")),
+            (f"{axis}.scale_temperature", 6 + k, getattr(extras, f"{triad}_scale_temperature")),
+            (f"{axis}.from_{others[0]}", AXES.index(f"{triad}_{others[0]}"), getattr(extras, f"{triad}_misalignment")),
+            (f"{axis}.from_{others[1]}", AXES.index(f"{triad}_{others[1]}"), getattr(extras, f"{triad}_misalignment")),
+        ):
+            at = place[state]
+            assert (a.axis[at], a.driver[at], a.c[at]) == (k, driver, 1.0)
+            assert np.sqrt(a.P0[at, at]) == pytest.approx(sigma) and a.Phi[at, at] == 1.0 and a.Q[at, at] == 0.0
+        own = [n for n in a.layout.names if n.startswith(axis)]
+        assert a.layout.names[a.layout[axis]] == tuple(own)
+    for name, sigma in (("lever_arm_x", 5.0), ("lever_arm_z", 5.0), ("latency", 0.06)):
+        at = place[name]
+        assert (a.axis[at], a.driver[at], a.c[at], a.P0[at, at]) == (-1, -1, 0.0, pytest.approx(sigma**2))
+    assert a.layout["latency"] == slice(a.layout.n - 1, a.layout.n)
+    assert place["gyro_x.RC1"] == 0 and a.driver[0] == -1
+    assert a.layout.n == 9 + a.m == 9 + 3 + 6 * 4 + 4
+    # many rows at once, each with its own signal
+    rows = np.arange(24.0).reshape(2, 12)
+    assert a.output(rows).shape == (2, 6, a.m)
+    np.testing.assert_array_equal(a.output(rows)[1], a.output(rows[1]))
+    assert augment({"gyro": RC(sigma=0.1)}, DT).coefficients().tolist() == [1.0, 1.0, 1.0]
+
+
+def test_axes_share_a_process_by_their_weights():
+    def seen(sigma, name):
+        return replace(GM(sigma=sigma, beta=0.5), shared=name)
+
+    belief = {
+        "gyro_x": WN(N=1.0) + seen(2.0, "g"),
+        "gyro_y": RC(sigma=1.0) + seen(1.0, "-g"),
+        "gyro_z": seen(0.0, "g"),
+        "accel_x": seen(3.0, "a"),
+    }
+    a = augment(belief, DT)
+    at = {name: k for k, name in enumerate(a.layout.names[9:])}
+    x, y = at["gyro_x.GM1"], at["gyro_y.GM1"]
+    for matrix in (a.P0, a.Q):
+        assert matrix[x, y] == pytest.approx(-0.5 * matrix[x, x]) and matrix[y, x] == matrix[x, y]
+        assert matrix[y, y] == pytest.approx(0.25 * matrix[x, x])
+        assert np.count_nonzero(matrix - np.diag(np.diag(matrix))) == 2
+    with pytest.raises(InputError, match="white noise that axes share has no state to carry it"):
+        augment({"gyro": replace(WN(N=1.0), shared="w")}, DT)
+
+
+def test_levels_that_follow_a_covariate_are_told_apart():
+    law = Follows("temperature", 0.02)
+    other = Follows("temperature", 0.05)
+    belief = {
+        "gyro_x": WN(N=1.0) + replace(WN(N=2.0), follows=law) + replace(GM(sigma=1.0, beta=1.0), follows=other),
+        "accel_z": replace(GM(sigma=1.0, beta=1.0), follows=law) + RC(sigma=1.0),
+    }
+    a = augment(belief, DT)
+    assert a.laws == (law, other)
+    assert dict(zip(a.layout.names[9:], a.law_of.tolist(), strict=True)) == {
+        "gyro_x.GM1": 1, "accel_z.GM1": 0, "accel_z.RC1": -1,
+    }  # fmt: skip
+    assert a.white_of[0] == pytest.approx([4.0 / DT, 0, 0, 0, 0, 0]) and not a.white_of[1].any()
+    assert a.white == pytest.approx([1.0 / DT, 0, 0, 0, 0, 0])
+    with pytest.raises(InputError, match="the budget takes noise of constant level, found a level that follows temp"):
+        a.require_constant("the budget")
+    plain = augment({"gyro": WN(N=1.0)}, DT)
+    plain.require_constant("the budget")
+    assert plain.laws == () and plain.white_of.shape == (0, 6)
