@@ -395,7 +395,7 @@ def evidence() -> list[str]:
 
 def limits() -> list[str]:
     """Limits of size, from the constants that the code checks."""
-    from insemu import units, yamlfile
+    from insemu import yamlfile
     from insemu.emulate import commands as motion
     from insemu.emulate import gnss, table
     from insemu.evaluate import ahead, emulated
@@ -413,7 +413,6 @@ def limits() -> list[str]:
         ("processes of an axis, effects of a scenario", fields.MAX_ITEMS, "scenario.fields.MAX_ITEMS"),
         ("processes of a model that is written as text", grammar.MOST_PROCESSES, "noise.grammar.MOST_PROCESSES"),
         ("characters of that text", grammar.LONGEST_TEXT, "noise.grammar.LONGEST_TEXT"),
-        ("characters of a unit", units.MAX_TEXT, "units.MAX_TEXT"),
         ("rate of an IMU, Hz", MAX_RATE, "scenario.schema.MAX_RATE"),
         ("length of an emulated or simulated record, s", MAX_DURATION, "scenario.schema.MAX_DURATION"),
         ("realizations", MAX_REALIZATIONS, "scenario.schema.MAX_REALIZATIONS"),
