@@ -6,6 +6,9 @@ WORKERS ?= 2
 STAMP := $(VENV)/.installed
 FLOWN := $(VENV)/.flown
 
+# Containers often ask Python to keep no compiled modules; then each start compiles 1,500 of them again, 4 s.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo test test-slow scoreboard scoreboard-release claims claims-nightly lint bench docs links setup smoke wheel lock clean
 
 demo: $(FLOWN)

@@ -31,6 +31,8 @@ _WORK = (
     "insemu.evaluate.run_experiment", "insemu.trial.run_trial", "insemu.report.render_fits", "insemu.report.render_characterisation",
     "insemu.report.render_experiment", "insemu.report.server",
 )  # fmt: skip
+#: Samples of a flight that ``emulate`` still writes here: more is seconds of work on an accepted input.
+_MOST_SAMPLES = 20_000
 SCENARIO = """
 title: small
 seed: 1
@@ -83,7 +85,7 @@ class _Accepted(BaseException):
 
 
 def _stop_at_work() -> None:
-    """Let every function of ``_WORK`` end the command, under whatever name a module has it."""
+    """Let every function of ``_WORK`` end the command, under whatever name a module has it, and ``emulate`` where its flight is long."""
 
     def stop(*args: Any, **options: Any) -> None:
         raise _Accepted
@@ -94,6 +96,15 @@ def _stop_at_work() -> None:
         for loaded in [m for n, m in sys.modules.items() if n.startswith("insemu")]:
             for key in [k for k, v in vars(loaded).items() if v is original]:
                 setattr(loaded, key, stop)
+    from insemu.evaluate import emulated
+
+    made = emulated.ideal_imu
+
+    def short(path: Any, rate_hz: float, *, span: tuple[float, float] | None = None, **options: Any) -> Any:
+        first, last = span or (path.start, path.end)
+        return stop() if (last - first) * rate_hz > _MOST_SAMPLES else made(path, rate_hz, span=span, **options)
+
+    emulated.ideal_imu = short  # type: ignore[assignment]
 
 
 def _make(folder: Path) -> None:
