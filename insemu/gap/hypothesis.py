@@ -6,8 +6,9 @@ A :class:`Hypothesis` carries its change to the model; only the problem that it 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -18,6 +19,24 @@ from insemu.gap.verdict import Member, Value
 
 Array = NDArray[np.float64]
 C = TypeVar("C")
+
+
+class Later(Generic[C]):
+    """A change that costs enough to be worked out only where the effect is added.
+
+    Parameters
+    ----------
+    make : callable
+        Works it out.
+    """
+
+    def __init__(self, make: Callable[[], C]) -> None:
+        self._make = make
+
+    @cached_property
+    def value(self) -> C:
+        """What was made, once."""
+        return self._make()
 
 
 @dataclass(frozen=True)
@@ -32,8 +51,8 @@ class Hypothesis(Generic[C]):
         Log evidence over the current model, averaged over the ways in which the effect may be present.
     values : tuple of Value
         Its parameters.
-    change
-        What the problem does to its model where the effect is added.
+    what
+        What the problem does to its model where the effect is added, or :class:`Later`; read it as ``change``.
     variant : str
         Which of its shapes.
     sensor, axes
@@ -43,10 +62,15 @@ class Hypothesis(Generic[C]):
     effect: str
     nats: float
     values: tuple[Value, ...]
-    change: C
+    what: C | Later[C]
     variant: str = ""
     sensor: str = ""
     axes: tuple[str, ...] = ()
+
+    @property
+    def change(self) -> C:
+        """What the problem does to its model where the effect is added."""
+        return self.what.value if isinstance(self.what, Later) else self.what
 
 
 @dataclass(frozen=True)

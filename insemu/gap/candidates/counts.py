@@ -16,7 +16,7 @@ from insemu.gap.candidates.axis import (
 )
 from insemu.gap.data.counts import lattice, pile_evidence
 from insemu.gap.evidence.model import Component, Free, fit
-from insemu.gap.hypothesis import Hypothesis
+from insemu.gap.hypothesis import Hypothesis, Later
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 from insemu.noise import QN, WN
@@ -63,7 +63,9 @@ def held_samples(state: AxisState) -> list[AxisHypothesis]:
     sd = 1.0 / math.sqrt(held.size)
     values = (Value.positive("probability", share, sd, "1"),)
     mended = np.interp(np.arange(y.size), np.delete(np.arange(y.size), held), np.delete(y, held))
-    return [Hypothesis("dropped_samples", nats, values, cleaned(state, mended, "dropped_samples"), "held")]
+    return [
+        Hypothesis("dropped_samples", nats, values, Later(lambda: cleaned(state, mended, "dropped_samples")), "held")
+    ]
 
 
 def saturation(state: AxisState) -> list[AxisHypothesis]:

@@ -18,12 +18,14 @@ from insemu.gap.candidates.axis import (
 from insemu.gap.candidates.noise import white_noise
 from insemu.gap.data.counts import lattice
 from insemu.gap.evidence.model import Free, laplace, level
-from insemu.gap.hypothesis import Hypothesis
+from insemu.gap.hypothesis import Hypothesis, Later
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 from insemu.noise import WN
 
 Array = NDArray[np.float64]
+#: Steps in which the sizes of residuals up to 6 are counted.
+STEPS = 240
 
 
 def outliers(state: AxisState) -> list[AxisHypothesis]:
@@ -33,9 +35,13 @@ def outliers(state: AxisState) -> list[AxisHypothesis]:
     if lattice(state.data.values) > 3.0 * state.white / math.sqrt(state.data.dt):
         return []  # counts wider than the noise are no Gaussian with tails
     r = np.abs(whitened(state))
-    edges = np.concatenate([np.linspace(0.0, 6.0, 241), np.geomspace(6.2, max(7.0, 1.01 * float(r.max())), 60)])
-    count = np.histogram(r, edges)[0].astype(np.float64)
-    square = np.histogram(r, edges, weights=r * r)[0]
+    # in equal steps up to 6, then in growing ones up to the largest
+    growing = np.concatenate([[6.0], np.geomspace(6.2, max(7.0, 1.01 * float(r.max())), 60)])
+    place = (r * (STEPS / 6.0)).astype(np.int64)
+    far = np.flatnonzero(place >= STEPS)
+    place[far] = STEPS + np.maximum(np.searchsorted(growing, r[far], side="right") - 1, 0)
+    count = np.asarray(np.bincount(place), dtype=np.float64)
+    square = np.asarray(np.bincount(place, weights=r * r), dtype=np.float64)
     if not state.data.differences.size:
         # neighbours share noise: these residuals are worth 1 / (1 + 2 (2/3)^2 + 2 (1/6)^2) independent ones each
         count, square = count / 1.944, square / 1.944
@@ -98,7 +104,7 @@ def outliers(state: AxisState) -> list[AxisHypothesis]:
     # an outlying sample is shrunk to the size of its neighbours, so that the level of the rest is what is left
     values_clean = state.data.values.copy()
     values_clean[outlying] -= (1.0 - 1.0 / k) * signed[outlying] * fitted_n / math.sqrt(state.data.dt)
-    return [Hypothesis("outliers", nats, values, cleaned(state, values_clean, "outliers"))]
+    return [Hypothesis("outliers", nats, values, Later(lambda: cleaned(state, values_clean, "outliers")))]
 
 
 def evident_outliers(state: AxisState) -> AxisHypothesis | None:
@@ -172,4 +178,4 @@ def _outliers_in_motion(
             state.data.unit,
         ),
     )
-    return [Hypothesis("outliers", nats, given, cleaned(state, values, "outliers"))]
+    return [Hypothesis("outliers", nats, given, Later(lambda: cleaned(state, values, "outliers")))]

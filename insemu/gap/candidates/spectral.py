@@ -19,7 +19,7 @@ from insemu.gap.candidates.axis import (
 from insemu.gap.evidence.band import Band
 from insemu.gap.evidence.linear import log_mean_exp
 from insemu.gap.evidence.model import DEPTH, HALF_POWER, Component, Free, Rolloff
-from insemu.gap.hypothesis import Hypothesis
+from insemu.gap.hypothesis import Hypothesis, Later
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 
@@ -112,7 +112,7 @@ def vibration_line(state: AxisState) -> list[AxisHypothesis]:
     n, dt = data.values.size, data.dt
     y = data.values - data.values.mean()
     m = FINER * n
-    spectrum = np.abs(np.fft.rfft(y, m)) ** 2 * (dt / n)
+    spectrum = data.remembered("periodogram", lambda: _periodogram(y, m, dt))
     f = np.arange(spectrum.size) / (m * dt)
     inside = (f >= data.f[0]) & (f < 0.5 / dt * (1.0 - 4.0 / n))
     S = state.explanation.psd(f[inside], dt)
@@ -134,15 +134,23 @@ def vibration_line(state: AxisState) -> list[AxisHypothesis]:
         if nats < 0.0:
             return []
     amplitude = math.hypot(a, b)
-    t = np.arange(n) * dt
-    rest = data.values - a * np.cos(2.0 * math.pi * frequency * t) - b * np.sin(2.0 * math.pi * frequency * t)
+
+    def without() -> AxisState:
+        turn = 2.0 * math.pi * frequency * dt * np.arange(n)
+        return cleaned(state, data.values - a * np.cos(turn) - b * np.sin(turn), "vibration_line")
+
     sigma = math.sqrt(2.0 * float(state.explanation.psd(np.array([frequency]), dt)[0]) / (n * dt))
     df = math.sqrt(6.0) / math.pi * sigma / amplitude / (n * dt)
     values = (
         Value.normal("amplitude", amplitude, sigma, data.unit),
         Value.normal("frequency", frequency, df, "Hz"),
     )
-    return [Hypothesis("vibration_line", nats, values, cleaned(state, rest, "vibration_line"))]
+    return [Hypothesis("vibration_line", nats, values, Later(without))]
+
+
+def _periodogram(y: Array, m: int, dt: float) -> Array:
+    z = np.fft.rfft(y, m)
+    return (z.real**2 + z.imag**2) * (dt / y.size)
 
 
 def _height(y: Array, dt: float, f0: float) -> float:
@@ -179,7 +187,13 @@ def _sinusoid(y: Array, dt: float, f0: float, resolution: float) -> tuple[float,
     """Least-squares frequency near ``f0`` with its cosine and sine amplitudes."""
     # turned back by the first guess the signal is slow: near that frequency sums of a few hundred samples say it all
     block = max(1, y.size // SUMS)
-    turned = np.add.reduceat(y * np.exp((-2j * math.pi * f0 * dt) * np.arange(y.size)), np.arange(0, y.size, block))
+    turn = -2j * math.pi * f0 * dt
+    whole = y.size // block * block
+    inside = np.exp(turn * np.arange(block))
+    turned = y[:whole].reshape(-1, block) @ inside
+    if whole < y.size:
+        turned = np.append(turned, y[whole:] @ inside[: y.size - whole])
+    turned = turned * np.exp((turn * block) * np.arange(turned.size))
     t = np.minimum(np.arange(turned.size) * block + 0.5 * (block - 1), y.size - 1.0) * dt
 
     def project(f: float) -> complex:

@@ -18,7 +18,7 @@ from insemu.gap.candidates.axis import (
 from insemu.gap.candidates.noise import gauss_markov
 from insemu.gap.evidence import kernels
 from insemu.gap.evidence.model import Free, laplace
-from insemu.gap.hypothesis import Hypothesis
+from insemu.gap.hypothesis import Hypothesis, Later
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 from insemu.noise import Process
@@ -74,7 +74,11 @@ def telegraph(state: AxisState) -> list[AxisHypothesis]:
         return [Hypothesis("telegraph", nats, values, added(state, fitted, "telegraph"))]
     levels = np.repeat(a * (2.0 * best.path - 1.0), best.block)
     levels = np.concatenate([levels, np.full(data.values.size - levels.size, levels[-1])])
-    return [Hypothesis("telegraph", nats, values, cleaned(state, data.values - levels, "telegraph"), "levels")]
+    return [
+        Hypothesis(
+            "telegraph", nats, values, Later(lambda: cleaned(state, data.values - levels, "telegraph")), "levels"
+        )
+    ]
 
 
 def _switching(state: AxisState, block: int, sigma: float, rate: float) -> _Switching | None:

@@ -160,4 +160,4 @@ def _less(w: AxisHypothesis, state: AxisState, signal: Array) -> AxisHypothesis:
         return w
     data = replace(apart, differences=state.data.differences)  # the block band keeps the regressors
     fitted = fit(Likelihood(data), explanation)
-    return replace(w, nats=w.nats + after - before, change=replace(w.change, data=data, fitted=fitted))
+    return replace(w, nats=w.nats + after - before, what=replace(w.change, data=data, fitted=fitted))

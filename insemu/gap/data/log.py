@@ -8,8 +8,8 @@ likelihood. Below the split the same multitaper likelihood would leak (Riedel an
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -68,6 +68,21 @@ class Reduced:
     weight: Array | None = None
     shaking: InBand | None = None
     quiet: Array | None = None
+    _memory: dict[str, Array] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def remembered(self, name: str, make: Callable[[], Array]) -> Array:
+        """What follows from the samples alone, worked out once.
+
+        Parameters
+        ----------
+        name : str
+            Of the answer.
+        make : callable
+            Works it out.
+        """
+        if name not in self._memory:
+            self._memory[name] = make()
+        return self._memory[name]
 
     @property
     def counted(self) -> Array:
@@ -148,9 +163,11 @@ def spectrum(y: Array, dt: float, lowest: float) -> tuple[Array, Array, Array]:
 
 
 def _each_taper(n: int) -> Iterator[Array]:
-    t = np.arange(1, n + 1)
-    for k in range(1, TAPERS + 1):
-        yield math.sqrt(2.0 / (n + 1)) * np.sin(np.pi * k * t / (n + 1))
+    angle = np.pi * np.arange(1, n + 1) / (n + 1)
+    before, taper, turn = np.zeros(n), math.sqrt(2.0 / (n + 1)) * np.sin(angle), 2.0 * np.cos(angle)
+    for _ in range(TAPERS):
+        yield taper
+        before, taper = taper, turn * taper - before  # sines of the multiples of an angle follow from each other
 
 
 @lru_cache(maxsize=8)

@@ -227,7 +227,7 @@ class DriveProblem:
                 np.array([scene.width - 1]),
                 np.array([[3.0 * abs(h.values[0].value)]]),
             )
-            new = replace(new, chosen=replace(h, change=replace(h.change, block=block)))
+            new = replace(new, chosen=replace(h, what=replace(h.change, block=block)))
         elif h.effect == "gnss_outliers":
             self.found.append(new)
             times, _ = outlying_fixes(scene, h, unexplained_innovations(scene, self.blocks()))
