@@ -1,9 +1,11 @@
 """Mutation testing: small faults put into the code, one at a time, and whether a test sees them.
 
+``python -m tests.mutants --cover`` runs the quick suite once and notes which tests run which line (some minutes; kept in ``.mutants``).
 ``python -m tests.mutants --sample 160 --seed 1`` draws mutants at random from the rooms below (one change of the syntax tree each: an operator, a
-comparison, a condition turned round, a number moved, ``and`` for ``or``), runs the quick tests of their room with kernels uncompiled until one fails,
-gives what survives all tests of the room that are not slow, then those of the rooms that use it (neither with ``--quick``), and prints the share that
-survived with its interval.
+comparison, a condition turned round, a number moved, ``and`` for ``or``) and gives each the tests that run its line, the quickest first, until one
+fails. What lies in compiled code or outside of functions, which no trace sees, is given the quick tests of its room with kernels uncompiled, then
+all tests of the room that are not slow and those of the rooms that use it (neither with ``--quick``). The share that survived is printed with its
+interval.
 ``--room noise`` draws from one room, ``--only FILE:LINE`` takes the mutants of a line. A mutant that was read and found to change nothing that anyone
 can see stands with its reason in ``tests/mutants.yaml`` and counts as equivalent.
 
@@ -16,6 +18,7 @@ from __future__ import annotations
 import argparse
 import ast
 import copy
+import json
 import os
 import random
 import resource
@@ -34,6 +37,7 @@ from scipy.stats import beta
 
 ROOT = Path(__file__).resolve().parents[1]
 READ = ROOT / "tests" / "mutants.yaml"
+COVER = ROOT / ".mutants" / "cover.json"
 #: Rooms, the tests that should see what goes wrong in them, and tests of the rooms above that would see it, too.
 ROOMS = {
     "noise": (["noise"], ["noise", "noise_derived"], ["augment", "fit_methods", "fit_gmwm", "gap_beliefs_any_process"]),
@@ -51,8 +55,8 @@ ROOMS = {
 }
 #: Processor seconds of a test that takes part in the first look; of one mutant, or this many times what its tests take of the code as it is.
 QUICK, MOST, LONGER = 1.0, 20.0, 5.0
-#: Processor seconds of a mutant in the further looks.
-FURTHER = 300.0
+#: Processor seconds of a mutant in the further looks, and of the tests that run its line, as they take of the code as it is.
+FURTHER, COVERED = 300.0, 90.0
 _SWAPS: dict[type[ast.AST], tuple[type[ast.AST], ...]] = {
     ast.Add: (ast.Sub,), ast.Sub: (ast.Add,), ast.Mult: (ast.Div,), ast.Div: (ast.Mult,), ast.Pow: (ast.Mult,), ast.FloorDiv: (ast.Div,),
     ast.Mod: (ast.Mult,), ast.Lt: (ast.LtE, ast.Gt), ast.LtE: (ast.Lt, ast.Gt), ast.Gt: (ast.GtE, ast.Lt), ast.GtE: (ast.Gt, ast.Lt),
@@ -242,6 +246,113 @@ def _forked(
     return (os.WEXITSTATUS(status) if os.WIFEXITED(status) else -1), took
 
 
+class _Watch:
+    """A plugin of pytest: tells the trace which test function runs, and notes how long each took."""
+
+    def __init__(self, trace: Any) -> None:
+        self.trace, self.seconds = trace, dict[str, float]()
+
+    def pytest_runtest_setup(self, item: Any) -> None:
+        self.trace.switch_context(item.nodeid.split("[")[0])
+
+    def pytest_runtest_logreport(self, report: Any) -> None:
+        name = report.nodeid.split("[")[0]
+        self.seconds[name] = self.seconds.get(name, 0.0) + report.duration
+
+
+def _traced(files: Sequence[str], target: Path) -> None:
+    """Run test files with a trace of the rooms; write what ran which line."""
+    import coverage
+    import pytest
+
+    places = [
+        str(ROOT / "insemu" / part / ("*" if "." not in part else "")).rstrip("/")
+        for r in ROOMS.values()
+        for part in r[0]
+    ]
+    trace = coverage.Coverage(data_file=None, include=places, config_file=False)
+    watch = _Watch(trace)
+    trace.start()
+    pytest.main(
+        ["-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-m", "not slow", "--no-header", *files], plugins=[watch]
+    )
+    trace.stop()
+    data = trace.get_data()
+    lines = {
+        Path(file).relative_to(ROOT).as_posix(): {
+            line: sorted(c for c in names if c) for line, names in data.contexts_by_lineno(file).items()
+        }
+        for file in data.measured_files()
+    }
+    target.write_text(json.dumps({"seconds": watch.seconds, "lines": lines}), encoding="utf-8")
+
+
+def cover(workers: int) -> None:
+    """Note for every line of the rooms which tests run it."""
+    files = sorted(str(p.relative_to(ROOT)) for p in (ROOT / "tests").glob("test_*.py"))
+    with tempfile.TemporaryDirectory() as folder:
+        parts = [Path(folder) / str(k) for k in range(workers)]
+        children = []
+        for k, part in enumerate(parts):
+            pid = os.fork()
+            if pid == 0:
+                try:
+                    _traced(files[k::workers], part)
+                    os._exit(0)
+                except BaseException as error:
+                    print(f"{type(error).__name__}: {error}", file=sys.stderr, flush=True)
+                    os._exit(1)
+            children.append(pid)
+        if any(os.waitpid(pid, 0)[1] for pid in children):
+            raise SystemExit("a part of the tests could not be traced")
+        seconds: dict[str, float] = {}
+        lines: dict[str, dict[str, list[str]]] = {}
+        for part in parts:
+            found = json.loads(part.read_text(encoding="utf-8"))
+            seconds |= found["seconds"]
+            for file, by_line in found["lines"].items():
+                for line, names in by_line.items():
+                    lines.setdefault(file, {}).setdefault(line, []).extend(names)
+    COVER.parent.mkdir(exist_ok=True)
+    COVER.write_text(json.dumps({"seconds": seconds, "lines": lines}), encoding="utf-8")
+
+
+class Covering:
+    """Which tests run which line, where that was noted."""
+
+    def __init__(self) -> None:
+        known = json.loads(COVER.read_text(encoding="utf-8")) if COVER.exists() else {"seconds": {}, "lines": {}}
+        self.seconds: dict[str, float] = known["seconds"]
+        self.lines: dict[str, dict[str, list[str]]] = known["lines"]
+
+    def tests(self, mutant: Mutant) -> list[str] | None:
+        """Test functions that run the mutant's line, the room's own and the quickest first; ``None`` where a trace cannot tell."""
+        by_line = self.lines.get(mutant.file)
+        if by_line is None:
+            return None
+        tree = ast.parse((ROOT / mutant.file).read_text(encoding="utf-8"))
+        inside = [
+            n
+            for n in ast.walk(tree)
+            if isinstance(n, ast.stmt) and n.lineno <= mutant.line <= (n.end_lineno or n.lineno)
+        ]
+        functions = [n for n in inside if isinstance(n, ast.FunctionDef)]
+        text = (ROOT / mutant.file).read_text(encoding="utf-8").splitlines()
+        if not functions or any("compiled" in "".join(text[f.lineno - 1 : f.body[0].lineno - 1]) for f in functions):
+            return None
+        statement = max(inside, key=lambda n: n.lineno)
+        names = by_line.get(str(mutant.line)) or by_line.get(str(statement.lineno), [])
+        own = {f"tests/test_{name}.py" for name in ROOMS[mutant.room][1]}
+        ordered = sorted(names, key=lambda n: (n.split("::")[0] not in own, self.seconds.get(n, 0.0)))
+        taken, total = [], 0.0
+        for name in ordered:
+            total += self.seconds.get(name, 0.0)
+            if taken and total > COVERED:
+                break
+            taken.append(name)
+        return taken
+
+
 class Bench:
     """A copy of the tree in which one file at a time is changed.
 
@@ -263,6 +374,7 @@ class Bench:
         if "INSEMU_SHARED" not in os.environ:
             os.environ["INSEMU_SHARED"] = str(ROOT.parent / "shared")
         self.quick: dict[str, tuple[list[str], float]] = {}
+        self.covering = Covering()
 
     def files(self, room: str) -> list[str]:
         """The test files of a room."""
@@ -285,22 +397,25 @@ class Bench:
 
     def seen(self, mutant: Mutant, whole: bool) -> bool:
         """Whether a test fails; ``whole`` gives what survives the quick tests the others of the room, then those above it, compiled."""
-        names, usual = self.tests(mutant.room)
         target = self.folder / mutant.file
+        covering = self.covering.tests(mutant)
+        names, usual = self.tests(mutant.room) if covering is None else ([], 0.0)
         try:
             target.write_text(mutated(mutant), encoding="utf-8")
+            if covering is not None:
+                return bool(covering) and _forked(self.folder, ["-x", *covering], None, FURTHER, False)[0] != 0
             code, _ = _forked(self.folder, ["-x", *names], None, max(MOST, LONGER * usual), True)
             if code == 0 and whole:
                 code, _ = _forked(self.folder, ["-x", *self.files(mutant.room)], None, FURTHER, False)
             if code == 0 and whole:
                 above = [f"tests/test_{name}.py" for name in ROOMS[mutant.room][2]]
                 code, _ = _forked(self.folder, ["-x", *above], None, FURTHER, False)
+            return code != 0
         finally:
             # with its time, by which its compiled kernels are known
             shutil.copy2(ROOT / mutant.file, target)
             if "njit" in target.read_text(encoding="utf-8"):
                 self._compiled_again()
-        return code != 0
 
     def _compiled_again(self) -> None:
         """Put the compiled kernels back that went when a file with kernels was changed."""
@@ -322,7 +437,12 @@ def main() -> int:
     parser.add_argument("--room", choices=ROOMS, action="append")
     parser.add_argument("--only", metavar="FILE:LINE")
     parser.add_argument("--quick", action="store_true", help="do not give survivors the tests that are not quick")
+    parser.add_argument("--cover", action="store_true", help="note which tests run which line, and end")
+    parser.add_argument("--workers", type=int, default=2, help="with --cover")
     given = parser.parse_args()
+    if given.cover:
+        cover(given.workers)
+        return 0
     import hypothesis
     import numba
     import pandas

@@ -1,6 +1,7 @@
 """Closed forms of every process against what follows from its state block, and the forms that estimators use against both."""
 
 import math
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from insemu.errors import InputError
 from insemu.fit import fit
 from insemu.fit.structure import Structure, natural_jacobian
 from insemu.noise import AR, AR1, ARMA, BI, DR, GM, MA, PROCESSES, QN, RC, RW, SIN, WN, NoiseModel, Process
+from insemu.noise.parameters import LONGEST_RECORDS
+from insemu.noise.shared import shared_processes
 
 DT = 0.01
 RATE = 100.0
@@ -244,3 +247,123 @@ def test_rates_that_differ_by_rounding_are_one() -> None:
     assert len(AR1(0.9, 1e-6, 20.0) + AR1(0.5, 1e-6, 20.0 * (1.0 + 1e-12))) == 2
     with pytest.raises(InputError, match="different rates"):
         AR1(0.9, 1e-6, 20.0) + AR1(0.5, 1e-6, 20.001)
+
+
+def test_the_mixing_vector_holds_levels_with_their_signs_and_roots_of_variances() -> None:
+    models = {
+        "x": NoiseModel.parse("GM(sigma=0.2, Tc=10 s, shared=warmth) + WN(N=0.1)", "rad/s"),
+        "y": NoiseModel.parse("WN(N=0.1) + GM(sigma=0.3, Tc=10 s, shared=-warmth)", "rad/s"),
+        "z": NoiseModel((AR((0.5,), sigma2=4.0, rate_hz=RATE, shared="-own"),)),
+    }
+    found = shared_processes(models)
+    assert {name: [(m.axis, m.place, round(m.weight, 12)) for m in members] for name, members in found.items()} == {
+        "warmth": [("x", 0, 0.2), ("y", 1, -0.3)],
+        "own": [("z", 0, -2.0)],
+    }
+
+
+@pytest.mark.parametrize(
+    ("y", "message"),
+    [
+        (
+            "GM(sigma=0.3, Tc=10 s, shared=a) + GM(sigma=0.1, Tc=10 s, shared=-a)",
+            "'a' stands twice in the model .* of y",
+        ),
+        (
+            "GM(sigma=0.3, Tc=11 s, shared=a)",
+            r"'a' is .* on x and .* on y, expected one process at different levels \(sigma\)",
+        ),
+        ("RW(K=0.3, shared=a)", "expected one process at different levels"),
+    ],
+)
+def test_a_shared_process_is_one(y: str, message: str) -> None:
+    models = {a: NoiseModel.parse(t, "rad/s") for a, t in (("x", "GM(sigma=0.2, Tc=10 s, shared=a)"), ("y", y))}
+    with pytest.raises(InputError, match=message):
+        shared_processes(models)
+
+
+@pytest.mark.parametrize("a", [1e-6, 1e-3, 0.1, 1.0, 5.0])
+def test_the_second_order_block_is_that_of_the_continuous_process(a: float) -> None:
+    """Transition and driving covariance from the differential equation, by its power series in whole fractions."""
+    step = Fraction(a)  # in units of the rate; the second state is the derivative over it
+    F = np.array([[Fraction(0), step], [-step, -2 * step]], dtype=object)
+    term = Phi = np.array([[Fraction(1), Fraction(0)], [Fraction(0), Fraction(1)]], dtype=object)
+    for k in range(1, 60):
+        term = term @ F / k
+        Phi = Phi + term
+    Q = np.eye(2, dtype=int) - Phi @ Phi.T
+    block = PROCESSES["GM2"](2.0, a / DT).block(DT)
+    np.testing.assert_allclose(block.Phi, Phi.astype(np.float64), rtol=1e-13, atol=1e-15)
+    np.testing.assert_allclose(block.Q, 4.0 * Q.astype(np.float64), rtol=1e-11)
+    np.testing.assert_array_equal(block.P0, 4.0 * np.eye(2))
+
+
+@pytest.mark.parametrize(
+    ("ar", "ma"), [((0.6,), (0.5, -0.4, 0.3)), ((1.2, -0.5, 0.1), (0.4,)), ((), (0.9, 0.5)), ((0.8,), ())]
+)
+def test_the_first_samples_of_a_draw_have_the_autocovariance_already(
+    ar: tuple[float, ...], ma: tuple[float, ...]
+) -> None:
+    """3,000 records of 6 samples: every product of two samples within five standard errors of the autocovariance."""
+    process = ARMA(ar, ma, 1.5, RATE)
+    x = np.array([process.simulate(6, DT, r) for r in np.random.default_rng(8).spawn(3000)])
+    gamma = process.autocovariance(np.arange(6), DT)
+    for i in range(6):
+        for j in range(i + 1):
+            products = x[:, i] * x[:, j]
+            assert abs(products.mean() - gamma[i - j]) < 5.0 * products.std() / math.sqrt(3000)
+
+
+def test_search_limits_hold_what_a_record_could_show() -> None:
+    """From far beyond the record to below a sample, whatever the parameter is called."""
+    n = 10_000
+
+    def limits(process: Process, name: str) -> tuple[float, float]:
+        meta = next(p for p in process.parameters_meta() if p.name == name)
+        low, high = (meta.of_shape(v, DT) for v in meta.bounds(n))
+        assert meta.bounds(10 * n)[1 if name in ("T", "phi") else 0] != meta.bounds(n)[1 if name in ("T", "phi") else 0]
+        for value in (
+            np.geomspace(low * 1.001, high * 0.999, 7) if low > 0 else np.linspace(low * 0.999, high * 0.999, 7)
+        ):
+            assert meta.of_shape(meta.shape(value, DT, "X"), DT) == pytest.approx(value, rel=1e-9)
+        return low, high
+
+    low, high = limits(GM(1.0, 1.0), "beta")
+    assert 1.0 / low == pytest.approx(LONGEST_RECORDS * n * DT) and high * DT == pytest.approx(6.0)
+    low, high = limits(PROCESSES["PWC"](1.0, 1.0), "T")
+    assert (low, high) == pytest.approx((DT, n * DT))
+    low, high = limits(AR1(0.5, 1.0, RATE), "phi")
+    assert low == pytest.approx(-math.tanh(4.0)) and -1.0 / math.log(high) == pytest.approx(
+        LONGEST_RECORDS * n, rel=1e-3
+    )
+    low, high = limits(SIN(1.0, 1.0), "f")
+    assert low == pytest.approx(0.25 / (n * DT), rel=1e-4) and 0.99 * 0.5 * RATE < high < 0.5 * RATE
+    for order in (1, 2, 4):
+        free = ARMA((0.1,) * order, (0.2,), 1.0, RATE)
+        assert len(free.shape_bounds(n)) == order + 1 == len(free.coordinates(DT)[1])
+        assert all(len(point) == order + 1 for point in free.shape_grid(n, 1, np.random.default_rng(1)))
+
+
+@pytest.mark.parametrize(
+    "process", [AR1(0.5, 1.0, RATE), AR((0.5, 0.2), sigma2=1.0, rate_hz=RATE), GM(1.0, 2.0), RW(1.0)], ids=str
+)
+def test_what_moves_in_a_transition_is_what_the_parameters_move(process: Process) -> None:
+    moving = process.moving()
+    assert moving is not None
+    here = process.block(DT)
+    changed = [np.zeros_like(m) for m in moving]
+    for name, value in process.parameters.items():
+        there = process.with_parameters({name: 1.01 * value}).block(DT)
+        changed[0] |= there.Phi != here.Phi
+        changed[1] |= there.Q != here.Q
+    for found, said in zip(changed, moving, strict=True):
+        np.testing.assert_array_equal(found, said)
+    back = process.of_transition(here.Phi, here.Q, DT)
+    for name, value in process.parameters.items():
+        assert back.parameters[name] == pytest.approx(value, rel=1e-9)
+
+
+def test_a_discrete_process_keeps_the_rate_that_it_has() -> None:
+    for process in (AR1(0.5, 1.0, 20.0), ARMA((0.5,), (0.2,), 1.0, 20.0)):
+        assert process.at_rate(RATE).carried_rate_hz == 20.0
+    assert ARMA((0.5,), (0.2,), 1.0).at_rate(RATE).carried_rate_hz == RATE
