@@ -13,7 +13,7 @@ from scipy.signal import butter, lfilter
 from scipy.stats import binom
 
 from insemu import earth, effects, emulate, rotation, units
-from insemu.effects import CROSS, EFFECTS, EffectUse, lagged
+from insemu.effects import CROSS, EFFECTS, EffectUse, join_of, lagged
 from insemu.effects.stochastic import band_coefficients
 from insemu.emulate.sensor import TemperatureProfile
 from insemu.errors import InputError
@@ -618,3 +618,11 @@ def test_what_is_no_mapping_is_said(mapping):
 def test_implausible_and_odd_values_are_named(mapping, message):
     with pytest.raises(InputError, match=message):
         EffectUse.from_mapping(mapping)
+
+
+def test_every_number_of_a_finding_knows_how_two_finds_add_up() -> None:
+    for effect in EFFECTS.values():
+        for p in effect.parameters:
+            for label in p.labels(effect.axes):
+                assert join_of(effect.id, label) == p.join, (effect.id, label)
+    assert join_of("lever_arm", "nothing") == join_of("no effect", "value_x") == ""

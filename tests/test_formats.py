@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from insemu.errors import InputError
-from insemu.formats import read, read_log, read_recording, read_static, write
+from insemu.formats import opened, read, read_log, read_recording, read_static, write
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Series, Trajectory
 from tests.shared_data import shared
 
@@ -300,3 +301,49 @@ def test_real_layouts_are_read() -> None:
     np.testing.assert_allclose(
         drive.gnss.vel_ned[0] if drive.gnss.vel_ned is not None else 0, [0.01, -0.002, -0.009], rtol=1e-6
     )
+
+
+def test_degrees_minutes_and_seconds_keep_their_sign_where_the_degrees_are_zero(tmp_path: Path) -> None:
+    """RTKLIB writes -0 for what lies less than one degree south or west."""
+    file = tmp_path / "rover.pos"
+    rows = [(51, 28, 40.12 + k * 1e-3, "-0", 0, 5.31 - k * 1e-3, 70.0 + k) for k in range(20)]
+    text = "".join(
+        f"2024/05/01 10:00:{k:02d}.000  {a} {b:02d} {c:08.5f}  {d} {e:02d} {f:08.5f}  {h:.3f} 1 9 0.01 0.02 0.03 0 0 0 0 0\n"
+        for k, (a, b, c, d, e, f, h) in enumerate(rows)
+    )
+    header = """%  GPST  latitude(d'") longitude(d'")  height(m)  Q  ns  sdn(m)  sde(m)  sdu(m)  sdne(m)  sdeu(m)  sdun(m) age(s)  ratio\n"""
+    file.write_text(header + text)
+    llh = opened(file).gnss.llh
+    np.testing.assert_allclose(
+        np.rad2deg(llh[:, 0]), [a + b / 60 + c / 3600 for a, b, c, *_ in rows], rtol=0, atol=1e-11
+    )
+    np.testing.assert_allclose(
+        np.rad2deg(llh[:, 1]), [-(e / 60 + f / 3600) for *_, e, f, _ in rows], rtol=0, atol=1e-11
+    )
+    np.testing.assert_allclose(llh[:, 2], [h for *_, h in rows])
+
+
+@pytest.mark.parametrize("height", [True, False])
+@pytest.mark.parametrize("shape", ["LineString", "MultiLineString", "Point"])
+@pytest.mark.parametrize("scale", [1, 1000])
+def test_geojson_tracks(tmp_path: Path, shape: str, height: bool, scale: int) -> None:
+    """Each kind of geometry, with and without heights, with stamps in s from zero or in ms of Unix time."""
+    first = 1_714_557_600_000 if scale == 1000 else 0
+    places = [[7.0 + 1e-4 * k, 46.0 + 2e-4 * k, *([400.0 + k] if height else [])] for k in range(12)]
+    times = [first + scale * k for k in range(12)]
+    if shape == "Point":
+        features = [
+            {"type": "Feature", "geometry": {"type": "Point", "coordinates": p}, "properties": {"time": t}}
+            for p, t in zip(places, times, strict=True)
+        ]
+    else:
+        many = shape == "MultiLineString"
+        geometry = {"type": shape, "coordinates": [places[:5], places[5:]] if many else places}
+        given = {"coordTimes": [times[:5], times[5:]] if many else times}
+        features = [{"type": "Feature", "geometry": geometry, "properties": given}]
+    file = tmp_path / "track.geojson"
+    file.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    gnss = opened(file).gnss
+    np.testing.assert_allclose(gnss.t - gnss.t[0], np.arange(12.0), atol=1e-6)
+    np.testing.assert_allclose(np.rad2deg(gnss.llh[:, :2]), [[p[1], p[0]] for p in places], rtol=0, atol=1e-11)
+    np.testing.assert_allclose(gnss.llh[:, 2], [400.0 + k if height else 0.0 for k in range(12)])

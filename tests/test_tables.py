@@ -15,7 +15,18 @@ from insemu.scenario.schema import Scenario
 
 TABLES = Path(__file__).with_name("tables.yaml")
 #: What the schema says of a key that changes what a scenario means.
-_SAID = ("default", "exclusiveMinimum", "exclusiveMaximum", "minimum", "maximum", "minItems", "maxItems", "maxLength", "enum", "const")
+_SAID = (
+    "default",
+    "exclusiveMinimum",
+    "exclusiveMaximum",
+    "minimum",
+    "maximum",
+    "minItems",
+    "maxItems",
+    "maxLength",
+    "enum",
+    "const",
+)
 
 
 def _limits(found: Any) -> Any:
@@ -25,7 +36,9 @@ def _limits(found: Any) -> Any:
     if not isinstance(found, dict):
         return None
     out = {word: found[word] for word in _SAID if word in found}
-    out |= {word: _limits(found[word]) for word in ("anyOf", "items", "additionalProperties") if _limits(found.get(word))}
+    out |= {
+        word: _limits(found[word]) for word in ("anyOf", "items", "additionalProperties") if _limits(found.get(word))
+    }
     return out
 
 
@@ -57,7 +70,11 @@ def tables() -> dict[str, Any]:
 
 def _compared(found: Any, held: Any, where: str) -> list[str]:
     if isinstance(found, dict) and isinstance(held, dict):
-        return [line for key in sorted({*found, *held}) for line in _compared(found.get(key), held.get(key), f"{where}.{key}")]
+        return [
+            line
+            for key in sorted({*found, *held})
+            for line in _compared(found.get(key), held.get(key), f"{where}.{key}")
+        ]
     return [] if found == held else [f"{where[1:]}: {found}, {TABLES.name} has {held}"]
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from insemu.errors import InputError
 from insemu.noise import GM, QN, RW, WN
 from insemu.variance import (
+    filters,
     level1_autocovariance,
     model_covariance,
     model_edof,
@@ -119,6 +120,13 @@ def test_every_filter_satisfies_equation_3(name: str) -> None:
     for m in range(1, h.size // 2):
         assert abs(np.dot(h[2 * m :], h[: -2 * m])) < 1e-14
     assert abs(g.sum() - 1.0) < 1e-14
+
+
+@pytest.mark.parametrize("name", filters._TABLES)
+def test_a_printed_filter_moves_by_no_more_than_its_last_digits(name: str) -> None:
+    """A wrong digit of a table would be mended to another orthonormal filter."""
+    printed = np.array(filters._TABLES[name])
+    np.testing.assert_allclose(np.sqrt(2.0) * modwt_filters(name)[1], printed, rtol=0, atol=6e-7)
 
 
 @pytest.mark.parametrize("length", [6, 8, 14, 22])

@@ -61,7 +61,7 @@ def _read(path: Path, settings: Mapping[str, str]) -> list[Table]:
     for k, row in enumerate(rows):
         table[k, : min(width, len(row))] = row[:width]
     if sexagesimal:
-        signs = np.where(table[:, [0, 3]] < 0, -1.0, 1.0)
+        signs = np.copysign(1.0, table[:, [0, 3]])  # RTKLIB writes -0 west of Greenwich
         angles = signs * (np.abs(table[:, [0, 3]]) + table[:, [1, 4]] / 60 + table[:, [2, 5]] / 3600)
         table = np.column_stack([angles, table[:, 6:]])
     columns = {"time": np.array(times), **{n: table[:, k] for k, n in enumerate(names)}}

@@ -98,7 +98,8 @@ def _read_geojson(path: Path, settings: Mapping[str, str]) -> list[Table]:
         nested = properties.get("coordinateProperties")
         times = properties.get("coordTimes") or properties.get("times") or (nested or {}).get("times") or []
         if geometry.get("type") == "Point":
-            points, times = [points], [properties.get("time") or properties.get("timestamp")]
+            time = properties.get("time")
+            points, times = [points], [properties.get("timestamp") if time is None else time]
         elif geometry.get("type") == "MultiLineString":
             points = [p for line in points for p in line]
             times = [t for part in times for t in (part if isinstance(part, list) else [part])]
@@ -111,7 +112,7 @@ def _read_geojson(path: Path, settings: Mapping[str, str]) -> list[Table]:
             stamp = (
                 _stamp(when)
                 if isinstance(when, str)
-                else (float(when) * (1e-3 if when > 1e11 else 1.0) if when else np.nan)
+                else (np.nan if when is None else float(when) * (1e-3 if when > 1e11 else 1.0))
             )
             rows.append((stamp, float(point[1]), float(point[0]), float(point[2]) if len(point) > 2 else 0.0))
     return _table(path, rows, settings)
