@@ -330,14 +330,14 @@ class Covering:
         by_line = self.lines.get(mutant.file)
         if by_line is None:
             return None
-        tree = ast.parse((ROOT / mutant.file).read_text(encoding="utf-8"))
+        source = (ROOT / mutant.file).read_text(encoding="utf-8")
         inside = [
             n
-            for n in ast.walk(tree)
+            for n in ast.walk(ast.parse(source))
             if isinstance(n, ast.stmt) and n.lineno <= mutant.line <= (n.end_lineno or n.lineno)
         ]
         functions = [n for n in inside if isinstance(n, ast.FunctionDef)]
-        text = (ROOT / mutant.file).read_text(encoding="utf-8").splitlines()
+        text = source.splitlines()
         if not functions or any("compiled" in "".join(text[f.lineno - 1 : f.body[0].lineno - 1]) for f in functions):
             return None
         statement = max(inside, key=lambda n: n.lineno)
