@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from insemu.gap.candidates.axis import CANDIDATES, AxisState
 from insemu.gap.checks.rest import block_innovations
 from insemu.gap.data.log import Reduced, reduce
-from insemu.gap.drive.preparation import LEVEL_GROUPS
 from insemu.gap.drive.scene import Scene
-from insemu.gap.evidence.fixes import level_derivatives, level_scores
+from insemu.gap.evidence.fixes import LEVEL_GROUPS, level_derivatives, level_scores
 from insemu.gap.evidence.linear import Block
 from insemu.gap.evidence.model import Component, Explanation, Likelihood, fit
 from insemu.gap.verdict import Interval

@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS, having
@@ -26,6 +27,8 @@ from insemu.gap.verdict import Value
 
 Array = NDArray[np.float64]
 
+#: A position that is not followed has this many times its standard deviation; rounds in which outliers and filter are told apart; steps of a mixture.
+LOOSE, MOST_ROUNDS, MIXTURE_STEPS = 1e3, 5, 30
 #: A level is estimated together with a colour, not beside it.
 _LEVELS = having("level")
 
@@ -225,17 +228,17 @@ def gnss_outliers(scene: Scene, nu: Array, cut: float | None) -> list[DriveHypot
     return [Hypothesis("gnss_outliers", nats, values, Change(), "", "gnss", NED)]
 
 
-def outlying_fixes(scene: Scene, outliers: DriveHypothesis, nu: Array) -> tuple[Array, Array]:
+def outlying_fixes(outliers: DriveHypothesis, t: Array, v: Array, S: Array) -> tuple[Array, Array]:
     """Times of the fixes that are more likely outliers than not, and the log density that each has as one.
 
     Parameters
     ----------
-    scene : Scene
-        The recording with its responses.
     outliers : DriveHypothesis
         From :func:`gnss_outliers`.
-    nu : (f, 6) array
-        Innovations less what is explained, m and m/s.
+    t : (k,) array
+        Times of the fixes, s.
+    v, S : (k, 3), (k, 3, 3) arrays
+        Innovations of their positions less what is explained, m, and their covariances, m^2.
 
     Returns
     -------
@@ -245,12 +248,80 @@ def outlying_fixes(scene: Scene, outliers: DriveHypothesis, nu: Array) -> tuple[
         Log density of each, its probability as an outlier included.
     """
     given = {v.name: v.value for v in outliers.values}
-    at, v, S = position_innovations(scene, nu, None)
     p = given["probability"]
-    added = np.diag([given[f"sigma_{a}"] ** 2 for a in NED])
-    wide = log_density(v, S + added)
+    wide = log_density(v, S + np.diag([given[f"sigma_{a}"] ** 2 for a in NED]))
     odds = math.log(p / (1.0 - p)) + wide - log_density(v, S)
-    return np.asarray(scene.prepared.result.fixes.t[at[odds > 0.0]]), math.log(p) + wide[odds > 0.0]
+    return np.asarray(t[odds > 0.0]), math.log(p) + wide[odds > 0.0]
+
+
+def without_outliers(scene: Scene, outliers: DriveHypothesis, nu: Array, cut: float | None) -> tuple[Array, DriveHypothesis]:
+    """Which positions are outliers, and how many and how large they are, as a filter sees them that does not follow them.
+
+    The filter that named them was led astray by each, and took fixes after it for outliers too. It runs again without those, and looks at all.
+
+    Parameters
+    ----------
+    scene : Scene
+        The recording with its responses.
+    outliers : DriveHypothesis
+        From :func:`gnss_outliers`.
+    nu : (f, 6) array
+        Innovations less what is explained already, m and m/s.
+    cut : float or None
+        Share and size are estimated on the fixes up to this time (s); ``None``: on all.
+
+    Returns
+    -------
+    times : (k,) array
+        Of the outliers, s.
+    outliers : DriveHypothesis
+        With share and size estimated again.
+    """
+    at, v, S = position_innovations(scene, nu, None)
+    t = scene.prepared.result.fixes.t[at]
+    gone, _ = outlying_fixes(outliers, t, v, S)
+    for _ in range(MOST_ROUNDS):
+        v, S = _innovations_without(scene, gone, at)
+        early = slice(None) if cut is None else slice(int(np.searchsorted(t, cut, side="right")))
+        outliers = _share_and_size(outliers, v[early], S[early])
+        before, gone = gone, outlying_fixes(outliers, t, v, S)[0]
+        if np.array_equal(before, gone):
+            break
+    return gone, outliers
+
+
+def _innovations_without(scene: Scene, gone: Array, at: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Innovations (k, 3) of some positions and their covariances, of a filter that does not follow those at the times ``gone``."""
+    prepared = scene.prepared
+    assert prepared.gnss.pos_std_ned is not None
+    loose = np.where(np.isin(prepared.gnss.t, gone)[:, None], LOOSE, 1.0)
+    fixes = prepared.again(gnss=replace(prepared.gnss, pos_std_ned=prepared.gnss.pos_std_ned * loose)).result.fixes
+    S = fixes.S[at][:, :3, :3].copy()
+    rows = np.searchsorted(prepared.gnss.t, fixes.t[at])
+    stated = prepared.gnss.pos_std_ned[rows] * prepared.factors[:3]
+    S -= ((loose[rows] ** 2 - 1.0) * stated**2)[:, :, None] * np.eye(3)
+    return fixes.innovation[at][:, :3], S
+
+
+def _share_and_size(outliers: DriveHypothesis, v: Array, S: Array) -> DriveHypothesis:
+    """Outliers with share and size from innovations that they did not disturb: expectation and maximization on a mixture of two normals."""
+    given = {x.name: x.value for x in outliers.values}
+    p, sigma = given["probability"], np.array([given[f"sigma_{a}"] for a in NED])
+    sigma0 = np.sqrt(np.median(np.einsum("kii->ki", S), axis=0))
+    ratio, plain = float(np.mean(sigma / sigma0)), log_density(v, S)
+    for _ in range(MIXTURE_STEPS):
+        wide = log_density(v, S + np.diag((ratio * sigma0) ** 2))
+        share = 1.0 / (1.0 + np.exp(np.clip(math.log((1.0 - p) / p) + plain - wide, -50.0, 50.0)))
+        count = max(float(share.sum()), 0.5)
+        p = min(count / v.shape[0], rules().most_outliers)
+        own = np.sum(v**2 / sigma0**2, axis=1) / 3.0 - 1.0
+        ratio = math.sqrt(max(float(share @ own) / count, 1.0))
+    # the share of a count that is binomial (Jeffreys' interval), and the scatter of a variance of three components
+    low, high = scipy.stats.beta.ppf((0.025, 0.975), count + 0.5, v.shape[0] - count + 0.5)
+    sd = 1.0 / math.sqrt(6.0 * count)
+    values = (Value("probability", p, float(low), float(high), "1"),)
+    values += tuple(Value.positive(f"sigma_{a}", float(ratio * s), sd, "m") for a, s in zip(NED, sigma0, strict=True))
+    return replace(outliers, values=values)
 
 
 def unexplained_innovations(scene: Scene, blocks: Sequence[Block]) -> Array:

@@ -16,9 +16,8 @@ from insemu import rotation
 from insemu.effects import Motion
 from insemu.gap.candidates.axis import AxisState, whitened
 from insemu.gap.checks.rest import DRAWS, Entry, chi_square_p, correlation_p, followed, left_over
-from insemu.gap.drive.preparation import LEVEL_GROUPS
 from insemu.gap.drive.scene import Scene
-from insemu.gap.evidence.fixes import level_derivatives, level_scores
+from insemu.gap.evidence.fixes import LEVEL_GROUPS, level_derivatives, level_scores
 from insemu.gap.policy import rules
 
 Array = NDArray[np.float64]

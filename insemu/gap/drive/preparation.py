@@ -22,9 +22,9 @@ from insemu.filters import (
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.data.log import Reduced, moving_spectra
 from insemu.gap.data.samples import Clipped, without_motion
-from insemu.gap.drive.shaking import steadied, without_shaking
+from insemu.gap.drive.shaking import rectified, steadied, without_shaking
 from insemu.gap.drive.signatures import Loop
-from insemu.gap.evidence.fixes import Surrogate, level_scores
+from insemu.gap.evidence.fixes import LEVEL_GROUPS, Surrogate, level_scores
 from insemu.gap.evidence.model import Explanation, Likelihood, fit
 from insemu.gap.policy import rules
 from insemu.noise import BI, WN, NoiseModel, Process
@@ -33,10 +33,10 @@ from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
 
+#: Standard deviations of the fixes over the stated ones where it is asked what shaking does to velocities: position, then velocity.
+LOOSE = np.array([10.0, 10.0, 10.0, 1.0, 1.0, 1.0])
 #: Knots of slow processes are this many seconds apart.
 NODE_S = 10.0
-#: Components of the fixes that share one level: horizontal and vertical position, horizontal and vertical velocity.
-LEVEL_GROUPS = ((0, 1), (2,), (3, 4), (5,))
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,8 @@ class Prepared:
         Stretches of the IMU that were filled in.
     levels : (6,) array
         Levels of the fixes that were named, as ratios; the trimming stays within its tolerance of them.
+    rectified : (n, 2) array, optional
+        See :func:`insemu.gap.drive.shaking.rectified`.
     """
 
     imu: ImuRecord
@@ -76,6 +78,7 @@ class Prepared:
     nominal: Nominal
     clipped: tuple[Clipped, ...] = ()
     levels: Array = field(default_factory=lambda: np.ones(6))
+    rectified: Array | None = None
 
     def again(
         self,
@@ -106,7 +109,7 @@ class Prepared:
     def on(self, recording: Recording) -> Prepared:
         """The same filter on another recording of the same motion, started as that recording lets it."""
         imu, gnss, initial, sigma = starting_state(recording, self.nominal)
-        return replace(self, start=(initial, sigma)).again(imu=imu, gnss=with_sigma(gnss, self.nominal))
+        return replace(self, start=(initial, sigma), rectified=None).again(imu=imu, gnss=with_sigma(gnss, self.nominal))
 
     def without_positions(self, t: Array) -> Prepared:
         """The same filter without the positions of some fixes."""
@@ -181,15 +184,16 @@ def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], le
     beliefs = {name: _trimmed(nominal.beliefs[name], fast[name], levels.get(name)) for name in AXES}
     start = (initial, sigma)
     lever = np.array(nominal.gnss.lever_arm)
-    result = _run(imu, gnss, start, beliefs, lever)
     recorded = gnss
     for _ in range(3):  # a filter that trusted shaken velocities has larger innovations than they alone would give it
-        steady = steadied(imu, recorded, gnss, result, lever)
+        # nor may it follow positions that are off for other reasons
+        loose = _run(imu, scaled_fixes(gnss, LOOSE), start, beliefs, lever)
+        steady = steadied(imu, recorded, gnss, loose, lever)
         if steady is gnss or (gnss is not recorded and _as_sure(steady, gnss)):
             break
         gnss = steady
-        result = _run(imu, gnss, start, beliefs, lever)
-    prepared = Prepared(imu, gnss, result, beliefs, fast, lever, np.ones(6), start, nominal)
+    result = _run(imu, gnss, start, beliefs, lever)
+    prepared = Prepared(imu, gnss, result, beliefs, fast, lever, np.ones(6), start, nominal, rectified=rectified(imu, fast))
     for _ in range(2):
         loop = Loop.of(prepared.result)
         factors = trimmed_factors(prepared, loop, Surrogate.of(prepared.result), loop.y.reshape(-1, 6))

@@ -48,7 +48,7 @@ class Scene:
     catalogue : int
         Number of columns of the catalogue.
     outside : slice
-        Columns of the library; behind them stand the clipped stretches.
+        Columns of the library; behind them stand the clipped stretches and what the vehicle's shaking rectifies.
     knots, starts : arrays
         Times in s.
     corrections : mapping of column index to number
@@ -92,6 +92,7 @@ class Scene:
         columns += library_columns(motion, t_fix, prepared.nominal.mounting)
         outside = slice(catalogue, len(columns))
         columns += clipped_columns(motion, prepared.clipped)
+        columns += rectified_columns(prepared.rectified)
         start, end = float(motion.t[0]), float(motion.t[-1])
         knots = knot_times(start, end, max(KNOT_S, (end - start) / KNOTS))
         step = float(np.median(np.diff(t_fix))) if t_fix.size > 1 else end - start
@@ -125,7 +126,7 @@ class Scene:
 
     @cached_property
     def always(self) -> tuple[Block, ...]:
-        """What is uncertain whatever the effects are: the integrals of clipped stretches."""
+        """What is uncertain whatever the effects are: the integrals of clipped stretches, coning and sculling of what shakes."""
         index = np.arange(self.outside.stop, len(self.columns))
         return ((index, np.diag([self.columns[i].scale for i in index])),) if index.size else ()
 
@@ -225,6 +226,7 @@ class Scene:
         factors: Array | None = None,
         levels: Array | None = None,
         gone: Array | None = None,
+        whole: GnssRecord | None = None,
         corrections: Mapping[int, float] | None = None,
         beliefs: dict[str, NoiseModel] | None = None,
     ) -> Scene:
@@ -236,12 +238,14 @@ class Scene:
             As those of :class:`insemu.gap.drive.preparation.Prepared`.
         gone : (k,) array, optional
             Times of the position fixes that are left out, s.
+        whole : GnssRecord, optional
+            The fixes with all positions, which takes back what was left out before.
         corrections : mapping of int to float, optional
             Column and its coefficient, taken out of the data; those of this scene where they are not given.
         beliefs : mapping of axis to NoiseModel, optional
             Other noise of the IMU.
         """
-        original = self.original
+        original = self.original if whole is None else replace(self.original, gnss=whole)
         if gone is not None and gone.size:
             original = original.without_positions(gone)
         if factors is not None:
@@ -394,6 +398,18 @@ def clipped_columns(motion: Motion, clipped: Sequence[Clipped]) -> list[Column]:
             sensor, unit = ("gyro", "rad") if c.axis < 3 else ("accel", "m/s")
             out.append(Column("clipped", sensor, "integral", ("xyz"[c.axis % 3],), c.sigma, unit, ((c.axis, signal),)))
     return out
+
+
+def rectified_columns(scales: Array | None) -> list[Column]:
+    """What shaking may leave on each axis, its size (n, 2) of gyroscopes and accelerometers given."""
+    if scales is None:
+        return []
+    kinds = (("gyro", 0), ("accel", 3))
+    return [
+        Column("rectified", sensor, a, (a,), 1.0, "1", ((first + k, u),))
+        for (sensor, first), u in zip(kinds, np.ascontiguousarray(scales.T), strict=True)
+        for k, a in enumerate("xyz")
+    ]
 
 
 def first_rows(data: Field, rows_t: Array, cut: float | None) -> Field:

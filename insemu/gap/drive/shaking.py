@@ -22,7 +22,7 @@ from insemu.gap.data.samples import without_motion
 from insemu.gap.policy import rules
 from insemu.gap.verdict import InBand
 from insemu.noise import NoiseModel
-from insemu.records import GnssRecord, ImuRecord
+from insemu.records import AXES, GnssRecord, ImuRecord
 
 Array = NDArray[np.float64]
 
@@ -187,6 +187,40 @@ def _told(data: Reduced, e: _Excess, shared: float) -> InBand:
         float(data.f[np.searchsorted(np.cumsum(power), q * total).clip(max=data.f.size - 1)]) for q in (0.05, 0.95)
     )
     return InBand(data.name, math.sqrt(2.0 * total), data.unit, low, high, shared)
+
+
+# -- what shaking does to the integrals of the IMU ---------------------------------------------------------------------------------------
+
+
+def rectified(imu: ImuRecord, fast: Mapping[str, Reduced]) -> Array | None:
+    """What shaking may leave in the mean rate and specific force, (n, 2) in rad/s and m/s^2; None where the vehicle does not shake.
+
+    Turns and accelerations of the same vibration rectify: coning and sculling. Of frequencies near half the sampling rate a strapdown algorithm
+    takes off little, beyond it nothing. The size follows the loudness, the direction is fixed in the body: a column per axis at these scales.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+    fast : mapping of axis to Reduced
+        The band above the motion; ``shaking`` says which axes shake.
+
+    References
+    ----------
+    .. [1] Savage (1998); Titterton and Weston (2004), sections 11.3.2 and 11.4.2.
+    """
+    corner = 0.6 * min(rules().motion_hz, 0.25 / imu.dt)
+    half, power = max(1, round(PIECE_S / imu.dt)), np.zeros((len(imu), 2))
+    for k, name in enumerate(AXES):
+        if fast[name].shaking is not None:
+            total = np.cumsum(without_motion(imu.rates()[:, k], imu.dt, corner, whole=True) ** 2)
+            at = np.arange(len(imu))
+            low, high = np.maximum(at - half, 0), np.minimum(at + half, len(imu) - 1)
+            power[:, k // 3] += (total[high] - total[low]) / (high - low)
+    if not power.any():
+        return None
+    gyro, accel = power.T
+    # half the product of angle and acceleration, of angle and rate; the angle is at most the rate times a sampling interval or so up there
+    return np.stack([imu.dt * gyro, imu.dt * np.sqrt(gyro * accel)], axis=1)
 
 
 # -- what shaking does to the velocity of the antenna ----------------------------------------------------------------------------------

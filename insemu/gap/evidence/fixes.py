@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 #: Standard deviations (6,) in m and m/s and correlation time in s of a Gauss-Markov part of the fixes.
 Colour = tuple[Array, float]
 NED = ("north", "east", "down")
+#: Components of the fixes that share one level: horizontal and vertical position, horizontal and vertical velocity.
+LEVEL_GROUPS = ((0, 1), (2,), (3, 4), (5,))
 #: Axes that may have a level or a colour of their own.
 GROUPS = (NED, ("north", "east"), ("down",), ("north",), ("east",))
 #: Gain of a step at which a climb of the noise of the fixes ends, nats: a hundredth of the 3 nats that decide; each step costs filter runs.
@@ -33,6 +35,11 @@ class FixNoise:
 
     factor: Array
     colour: Colour
+
+    def loudness(self, sigma: Array) -> Array:
+        """Standard deviations (6,) of the fixes, colour included, over those that the filter believed, ``sigma`` (m, m/s; 0 where unknown)."""
+        known = sigma > 0.0
+        return np.where(known, np.hypot(self.factor, self.colour[0] / np.where(known, sigma, 1.0)), 1.0)
 
 
 #: No Gauss-Markov part.
@@ -348,8 +355,26 @@ def _colours(s: Surrogate) -> list[_Weighed]:
     return out
 
 
-def joint_noise(s: Surrogate, colour: Colour, factors: Array) -> FixNoise:
+@dataclass(frozen=True)
+class JointNoise:
+    """Colour and levels of the fixes together.
+
+    Parameters
+    ----------
+    noise : FixNoise
+        The most likely.
+    sd : mapping of str to float
+        Standard deviations of the logarithms of ``sigma_north`` ... and ``tau``; of those that are coloured.
+    """
+
+    noise: FixNoise
+    sd: dict[str, float]
+
+
+def joint_noise(s: Surrogate, colour: Colour, factors: Array, *, known: bool = False) -> JointNoise:
     """Most likely colour together with the levels inside their tolerance: a level that was trimmed without the colour took some of it.
+
+    The velocities' too: a filter that follows coloured positions is wrong about them.
 
     Parameters
     ----------
@@ -359,25 +384,34 @@ def joint_noise(s: Surrogate, colour: Colour, factors: Array) -> FixNoise:
         To begin with; its axes stay, horizontal and vertical standard deviation and the correlation time are refined.
     factors : (6,) array
         By what the filter's levels were moved already, as ratios to what was named or believed.
+    known : bool
+        Whether the colour is known and stays as it is.
     """
-    groups = ([0, 1], [2])
-    parts = [rows for rows in groups if any(colour[0][r] > 0.0 for r in rows)]
+    groups = [list(g) for g in LEVEL_GROUPS if s.use[:, list(g)].any()]
+    parts = [rows for rows in groups if any(colour[0][r] > 0.0 for r in rows)] if not known else []
+    count = len(parts) + (not known)
     levels = [level("factor", 1.0 / float(np.exp(np.mean(np.log(factors[rows]))))) for rows in groups]
-    free = (*(Free("ratio", 0.03, 30.0) for _ in (*parts, "tau")), *levels)
+    free = (*(Free("ratio", 0.03, 30.0) for _ in range(count)), *levels)
 
     def unpack(x: Array) -> FixNoise:
-        sigma, factor = colour[0].copy(), np.ones(6)
+        sigma, tau, factor = colour[0].copy(), colour[1], np.ones(6)
         for k, rows in enumerate(parts):
             sigma[rows] *= math.exp(x[k])
+        if not known:
+            tau *= math.exp(x[len(parts)])
         for k, rows in enumerate(groups):
-            factor[rows] = math.exp(x[len(parts) + 1 + k])
-        return FixNoise(factor, (sigma, colour[1] * math.exp(x[len(parts)])))
+            factor[rows] = math.exp(x[count + k])
+        return FixNoise(factor, (sigma, tau))
 
     def likelihoods(points: Sequence[tuple[int, Array]]) -> Array:
         return s.log_likelihoods([unpack(x) for _, x in points])
 
     (mode,) = laplace_together(likelihoods, [np.zeros(len(free))], [free], CLOSE_NATS)
-    return unpack(mode.x)
+    spread = np.sqrt(np.diag(mode.covariance))
+    sd = {f"sigma_{NED[r]}": float(spread[k]) for k, rows in enumerate(parts) for r in rows if r < 3}
+    if not known:
+        sd["tau"] = float(spread[len(parts)])
+    return JointNoise(unpack(mode.x), sd)
 
 
 def pooled(fits: Sequence[NoiseFit]) -> float:

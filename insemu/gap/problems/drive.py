@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 from insemu.effects import EFFECTS
 from insemu.errors import InputError
 from insemu.gap.beliefs.nominal import Nominal
-from insemu.gap.candidates.fixes import covariance_hypotheses, multipath_step, outlying_fixes, unexplained_innovations
+from insemu.gap.candidates.fixes import (
+    covariance_hypotheses,
+    multipath_step,
+    outlying_fixes,
+    position_innovations,
+    unexplained_innovations,
+    without_outliers,
+)
 from insemu.gap.candidates.shapes import (
     ONCE,
     PROCESSES,
@@ -33,7 +40,7 @@ from insemu.gap.data.log import Reduced, unheard
 from insemu.gap.data.samples import coarse, mend, with_counts
 from insemu.gap.drive.preparation import Flown, Prepared, fast_parts, prepare
 from insemu.gap.drive.scene import Scene, first_rows
-from insemu.gap.evidence.fixes import NED, FixNoise, joint_noise
+from insemu.gap.evidence.fixes import NED, Colour, JointNoise, joint_noise
 from insemu.gap.evidence.linear import Block, Field
 from insemu.gap.holdout import score_drive
 from insemu.gap.hypothesis import Found, class_of, probabilities
@@ -120,6 +127,7 @@ class DriveProblem:
         self.cut, self.threshold, self.without = cut, threshold, without
         self.found: list[Found[Change]] = []
         self.gone, self.outsider, self._changed = np.zeros(0), "", False
+        self.recorded = scene.original.gnss
         self._take(scene)
 
     def _take(self, scene: Scene) -> None:
@@ -229,17 +237,15 @@ class DriveProblem:
             )
             new = replace(new, chosen=replace(h, what=replace(h.change, block=block)))
         elif h.effect == "gnss_outliers":
-            self.found.append(new)
-            times, _ = outlying_fixes(scene, h, unexplained_innovations(scene, self.blocks()))
+            times, sized = without_outliers(scene, h, unexplained_innovations(scene, self.blocks()), self.cut)
+            self.found.append(replace(new, chosen=sized))
             self.gone = np.union1d(self.gone, times)
             scene = scene.rebuilt(gone=self.gone)
         elif (level := h.change.noise) is not None and level.colour is not None:
-            s = replace(scene.surrogate, nu=unexplained_innovations(scene, self.blocks()))
-            moved = scene.original.factors / scene.original.levels
-            noise = joint_noise(s if self.cut is None else s.until(self.cut), level.colour, moved)
-            scene = scene.coloured(noise)
-            sigma = dict(zip((f"sigma_{a}" for a in NED), noise.colour[0], strict=False))
-            values = tuple(v.scaled(sigma.get(v.name, noise.colour[1]) / v.value) for v in h.values)
+            scene, joint = self._under_colour(level.colour)
+            sigma, tau = joint.noise.colour
+            told = {**dict(zip((f"sigma_{a}" for a in NED), sigma, strict=False)), "tau": tau}
+            values = tuple(Value.positive(v.name, told[v.name], joint.sd[v.name], v.unit) for v in h.values)
             new = replace(new, chosen=replace(h, values=values))
         elif level is not None:
             factors = scene.original.factors * level.factor
@@ -250,6 +256,27 @@ class DriveProblem:
         if h.nats > rules().correct_nats and h.change.columns:
             scene = scene.rebuilt(corrections=self._corrections())
         self._take(scene.trimmed(self.blocks(), self.cut))
+
+    def _under_colour(self, colour: Colour) -> tuple[Scene, JointNoise]:
+        """The scene with a colour of the fixes: flown by a filter that is not led astray by it, which tells outliers again where there are any."""
+        scene = self.scene
+
+        def likeliest() -> JointNoise:
+            s = replace(scene.surrogate, nu=unexplained_innovations(scene, self.blocks()))
+            moved = scene.original.factors / scene.original.levels
+            return joint_noise(s if self.cut is None else s.until(self.cut), colour, moved)
+
+        joint = likeliest()
+        known = next((f for f in self.found if f.chosen.effect == "gnss_outliers"), None)
+        scene = scene.rebuilt(factors=scene.original.factors * joint.noise.loudness(scene.surrogate.sigma()), whole=self.recorded)
+        if known is not None:
+            nu = unexplained_innovations(scene, self.blocks())
+            self.gone, sized = without_outliers(scene, known.chosen, nu, self.cut)
+            self.found = [replace(f, chosen=sized) if f is known else f for f in self.found]
+            scene = scene.rebuilt(gone=self.gone)
+        colour = joint.noise.colour
+        joint = likeliest()
+        return scene.coloured(joint.noise), joint
 
     def _corrections(self) -> dict[int, float]:
         """Best values of the strong shapes, to be taken out of the data."""
@@ -373,7 +400,9 @@ def held_out(scene: Scene, named: Named, cut: float) -> tuple[Interval, Interval
     density = 0.0
     if outliers is not None:
         # positions that were left out are scored as the outliers that they are said to be
-        times, logs = outlying_fixes(scene, outliers, np.where(scene.surrogate.use == 1, scene.surrogate.nu, 0.0))
+        plain = np.where(scene.surrogate.use == 1, scene.surrogate.nu, 0.0)
+        at, v, S = position_innovations(scene, plain, None)
+        times, logs = outlying_fixes(outliers, scene.prepared.result.fixes.t[at], v, S)
         density = float(np.sum(logs[np.isin(times, named.gone) & (times > cut)]))
     return score_drive(scene, final, blocks, cut, density)
 
@@ -487,9 +516,12 @@ def find_dynamic_gap(
     at = _Drive.of(recording, nominal, without, flown, say)
     say("responding every effect through the filter")
     scene = Scene.of(at.prepared)
+    scene = scene.trimmed(scene.always) if scene.always else scene
     colour = colour_of(nominal.effects)
     if colour is not None:
-        scene, without = scene.coloured(FixNoise(np.ones(6), colour)), (*without, "gnss_correlated_noise")
+        moved = scene.original.factors / scene.original.levels
+        scene = scene.coloured(joint_noise(scene.surrogate, colour, moved, known=True).noise)
+        without = (*without, "gnss_correlated_noise")
     competing = [v for v in bank(scene) if v.effect not in without]
     threshold = max(rules().least_nats, null_threshold(competing, scene.data, rng, always=scene.always))
     named = find_effects(scene, None, threshold, without, say)
