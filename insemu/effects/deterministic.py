@@ -121,6 +121,7 @@ class ScaleAsymmetry(_OnOneAxis):
         _P("value", "", 3, (1e-3,), None, "half of the difference of the scale factors of either sign", join="sum"),
     )
     excitation, in_filter = "both signs of s_i", "random constant per axis times |s_i|"
+    traits = frozenset({"second_order"})
     stage, size = Stage.RESPONSE, "value"
 
     def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
@@ -303,6 +304,7 @@ class GSquaredSensitivity(_OnOneAxis):
             join="sum",
         ),
     )
+    traits = frozenset({"second_order"})
     excitation, in_filter = (
         "specific force that changes much (tilts, loops, vibration)",
         "random constant per axis times f_i^2",
@@ -510,6 +512,8 @@ class Saturation(Effect):
     formula = "y = clip(s, -limit, limit)"
     parameters = (_P("limit", "{s}", 3, (250.0 * DEG, 4.0 * G), None, "full scale", True, join="smaller", nothing=1e6),)
     excitation, in_filter = "motion beyond the full scale", "epochs flagged"
+    traits = frozenset({"second_order"})
+    traits = frozenset({"second_order"})
     traits = frozenset({"samples", "evident"})
     stage = Stage.CLIP
     absent = {"compensate": "what was clipped is lost", "signature": _SAMPLES}

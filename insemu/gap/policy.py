@@ -66,7 +66,13 @@ class Policy:
         (0.1, 0.3, 1.0, 3.0, 10.0), "datasheet scale", "one", "Prior standard deviations of a coefficient; evidence is averaged over them."
     )
     wider_scales: tuple[float, ...] = _decides(
-        (30.0, 100.0), "datasheet scale", "one", "Further sizes of shapes in a drive: a wrong antenna or stamp may be far off its datasheet."
+        (30.0,), "datasheet scale", "one", "Further sizes of shapes in a drive: a sensor may be of another class than it is taken for."
+    )
+    far_scales: tuple[float, ...] = _decides(
+        (100.0,), "datasheet scale", "foreign", "Further sizes of timing, fixes and model of the Earth: a wrong antenna or stamp has no datasheet."
+    )
+    second_order: float = _decides(
+        1.4, "nats", "foreign", "Log prior odds, 4 to 1, against asymmetries, squares and thermal matrices: the plain error is more common."
     )
     widest_scales: tuple[float, ...] = _decides(
         (300.0, 1000.0), "datasheet scale", "one", "Further slopes in a drive: a random walk of any size follows a slope."

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 
 #: A position that is not followed has this many times its standard deviation; rounds in which outliers and filter are told apart; steps of a mixture.
 LOOSE, MOST_ROUNDS, MIXTURE_STEPS = 1e3, 5, 30
+#: Parts of a gap between two fixes in which a step may begin.
+GAP_PARTS = 20
 #: A level is estimated together with a colour, not beside it.
 _LEVELS = having("level")
 
@@ -61,27 +63,32 @@ def multipath_step(
     scale = EFFECTS["gnss_multipath_step"].scale("value", "gnss")
     t_fix = scene.prepared.result.fixes.t
     shortest = rules().shortest_step * float(np.median(np.diff(t_fix)))
-    logs, best = _scan_steps(data, G, given, s, scale, shortest)
-    nats = log_mean_exp(logs)
-    fine = None
-    top, c, i0, j0, width = best
-    if nats > -2.0:
+    coarse = _scan_steps(data, G, given, s, scale, shortest)
+    nats = log_mean_exp(coarse.logs)
+    c, i, j, width = coarse.best
+    if coarse.top > -2.0:
         # the scan is coarse: try every start and end near the best with columns of their own
         spacing = float(s[1] - s[0])
-        near = np.concatenate([t_fix[np.abs(t_fix - x) <= spacing] for x in (s[i0], s[j0])]) + 1e-3
-        starts = np.unique(near)[:120]
+        starts = np.unique(np.concatenate([t_fix[np.abs(t_fix - x) <= spacing] for x in (s[i], s[j])]) + 1e-3)[:120]
         if starts.size >= 4:
-            fine = _scan_steps(
-                data, scene.whitened(_axis_steps(scene, starts, c))[rows], given, starts, scale, shortest, axes=1
-            )
-            if fine[1][0] > top:
-                nats += fine[1][0] - top
-                _, _, i0, j0, width = fine[1]
-                s, G = starts, scene.whitened(_axis_steps(scene, starts, c))[rows]
-                column = G[:, i0] - G[:, j0]
-                return [_step_hypothesis(data, given, nats, c, column, s, i0, j0, width)]
-    column = G[:, 3 * i0 + c] - G[:, 3 * j0 + c]
-    return [_step_hypothesis(data, given, nats, c, column, s, i0, j0, width)]
+            columns = scene.whitened(_axis_steps(scene, starts, c))[rows]
+            fine = _scan_steps(data, columns, given, starts, scale, shortest, axes=1)
+            if fine.top > coarse.top:
+                _, i, j, width = fine.best
+                when = _when(fine, starts, t_fix)
+                return [
+                    _step_hypothesis(
+                        data, given, nats + fine.top - coarse.top, c, columns[:, i] - columns[:, j], when, width
+                    )
+                ]
+    column = G[:, 3 * i + c] - G[:, 3 * j + c]
+    half = 0.6 * float(s[1] - s[0])
+    start, duration = float(s[i]), float(s[j] - s[i])
+    when = (
+        Value("start", start, start - half, start + half, "s"),
+        Value("duration", duration, duration - 2.0 * half, duration + 2.0 * half, "s"),
+    )
+    return [_step_hypothesis(data, given, nats, c, column, when, width)]
 
 
 def _axis_steps(scene: Scene, starts: Array, axis: int) -> Array:
@@ -92,7 +99,24 @@ def _axis_steps(scene: Scene, starts: Array, axis: int) -> Array:
     return scene.loop.respond(starts.size, None, M)
 
 
-_Scan = tuple[Array, tuple[float, int, int, int, float]]
+@dataclass(frozen=True)
+class _Scan:
+    """Evidence of steps: of every axis, width of the prior and pair of a start and an end that was tried, and the best of them.
+
+    Parameters
+    ----------
+    logs : (axes * widths * pairs,) array
+    i, j : (pairs,) arrays of int
+        Starts and ends.
+    top : float
+    best : (axis, start, end, width of the prior)
+    """
+
+    logs: Array
+    i: NDArray[np.int64]
+    j: NDArray[np.int64]
+    top: float
+    best: tuple[int, int, int, float]
 
 
 def _scan_steps(
@@ -115,9 +139,8 @@ def _scan_steps(
         near &= s[j] - s[i] <= (s[-1] - s[0]) / 2.5
     i, j = i[near], j[near]
     if not i.size:
-        return np.full(1, -math.inf), (-math.inf, 0, 0, 0, 1.0)
-    logs = []
-    best: tuple[float, int, int, int, float] = (-math.inf, 0, 0, 0, 1.0)
+        return _Scan(np.full(1, -math.inf), i, j, -math.inf, (0, 0, 0, 1.0))
+    logs, top, best = [], -math.inf, (0, 0, 0, 1.0)
     for c in range(axes):
         at = axes * np.arange(s.size) + c
         A = G[:, at].T @ G[:, at] / data.variance
@@ -131,13 +154,49 @@ def _scan_steps(
             each = 0.5 * bw / (aw + 1.0 / prior) - 0.5 * np.log1p(prior * aw)
             logs.append(each)
             k = int(np.argmax(each))
-            if each[k] > best[0]:
-                best = (float(each[k]), c, int(i[k]), int(j[k]), scale * factor)
-    return np.concatenate(logs), best
+            if each[k] > top:
+                top, best = float(each[k]), (c, int(i[k]), int(j[k]), scale * factor)
+    return _Scan(np.concatenate(logs), i, j, top, best)
+
+
+def _when(scan: _Scan, starts: Array, t_fix: Array) -> tuple[Value, Value]:
+    """Start and duration of a step with their intervals: it began, and ended, anywhere between two fixes, and both gaps may be others.
+
+    Parameters
+    ----------
+    scan : _Scan
+        Of one axis.
+    starts : (k,) array
+        Times just behind fixes, s.
+    t_fix : (f,) array
+        Of all fixes, s.
+    """
+    pairs = np.logaddexp.reduce(scan.logs.reshape(-1, scan.i.size), axis=0)
+    weight = np.exp(pairs - pairs.max())
+    near = weight > 1e-4
+    i, j, weight = scan.i[near], scan.j[near], weight[near]
+    after = t_fix[np.minimum(np.searchsorted(t_fix, starts), t_fix.size - 1)]
+    gap = np.maximum(after - starts, 0.0)
+    inside = (np.arange(GAP_PARTS) + 0.5) / GAP_PARTS
+    begins = starts[i, None, None] + gap[i, None, None] * inside[:, None]
+    lasts = starts[j, None, None] + gap[j, None, None] * inside - begins
+    share = np.broadcast_to(weight[:, None, None], lasts.shape).ravel()
+    _, k, m, _ = scan.best
+    start = float(starts[k] + 0.5 * gap[k])
+    values = []
+    for name, best, x in (
+        ("start", start, np.broadcast_to(begins, lasts.shape).ravel()),
+        ("duration", float(starts[m] + 0.5 * gap[m]) - start, lasts.ravel()),
+    ):
+        order = np.argsort(x)
+        reached = np.cumsum(share[order]) / share.sum()
+        low, high = (float(x[order][np.searchsorted(reached, q)]) for q in (0.025, 0.975))
+        values.append(Value(name, best, min(low, best), max(high, best), "s"))
+    return values[0], values[1]
 
 
 def _step_hypothesis(
-    data: Field, given: Sequence[Block], nats: float, c: int, column: Array, s: Array, i0: int, j0: int, width: float
+    data: Field, given: Sequence[Block], nats: float, c: int, column: Array, when: tuple[Value, Value], width: float
 ) -> DriveHypothesis:
     wide = Field(data.y, np.column_stack([data.G, column]), data.variance) if nats > -1.0 else None
     if wide is None:
@@ -145,15 +204,9 @@ def _step_hypothesis(
     block: Block = (np.array([data.G.shape[1]]), np.array([[width]]))
     _, mean, covariance = wide.posterior([block, *given])
     m, sd = float(mean[0]), math.sqrt(float(covariance[0, 0]))
-    half = 0.6 * float(s[1] - s[0])
-    start, duration = float(s[i0]), float(s[j0] - s[i0])
-    values = (
-        Value.normal("value", m, sd, "m"),
-        Value("start", start, start - half, start + half, "s"),
-        Value("duration", duration, duration - 2 * half, duration + 2 * half, "s"),
-    )
+    change = Change(window=(c, when[0].value, when[0].value + when[1].value))
     return Hypothesis(
-        "gnss_multipath_step", nats, values, Change(window=(c, start, start + duration)), "step", "gnss", (NED[c],)
+        "gnss_multipath_step", nats, (Value.normal("value", m, sd, "m"), *when), change, "step", "gnss", (NED[c],)
     )
 
 
@@ -254,7 +307,9 @@ def outlying_fixes(outliers: DriveHypothesis, t: Array, v: Array, S: Array) -> t
     return np.asarray(t[odds > 0.0]), math.log(p) + wide[odds > 0.0]
 
 
-def without_outliers(scene: Scene, outliers: DriveHypothesis, nu: Array, cut: float | None) -> tuple[Array, DriveHypothesis]:
+def without_outliers(
+    scene: Scene, outliers: DriveHypothesis, nu: Array, cut: float | None
+) -> tuple[Array, DriveHypothesis]:
     """Which positions are outliers, and how many and how large they are, as a filter sees them that does not follow them.
 
     The filter that named them was led astray by each, and took fixes after it for outliers too. It runs again without those, and looks at all.
@@ -319,7 +374,7 @@ def _share_and_size(outliers: DriveHypothesis, v: Array, S: Array) -> DriveHypot
     # the share of a count that is binomial (Jeffreys' interval), and the scatter of a variance of three components
     low, high = scipy.stats.beta.ppf((0.025, 0.975), count + 0.5, v.shape[0] - count + 0.5)
     sd = 1.0 / math.sqrt(6.0 * count)
-    values = (Value("probability", p, float(low), float(high), "1"),)
+    values: tuple[Value, ...] = (Value("probability", p, float(low), float(high), "1"),)
     values += tuple(Value.positive(f"sigma_{a}", float(ratio * s), sd, "m") for a, s in zip(NED, sigma0, strict=True))
     return replace(outliers, values=values)
 

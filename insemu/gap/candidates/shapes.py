@@ -33,6 +33,8 @@ Array = NDArray[np.float64]
 AMPLITUDES = 40
 #: Effects of one number that only one description can have.
 ONCE = having("once")
+_OF_SENSORS = frozenset(e.id for e in EFFECTS.values() if e.family == "deterministic")
+_SECOND_ORDER = having("second_order")
 #: Slow random processes, and the parameter that is their size.
 PROCESSES = {e.id: e.size for e in EFFECTS.values() if "process" in e.traits}
 _SENSORS = (("gyro", 0), ("accel", 3))
@@ -80,9 +82,10 @@ class Change:
 DriveHypothesis = Hypothesis[Change]
 
 
-def sizes() -> tuple[float, ...]:
-    """Sizes of shapes that are tried, in the datasheet's. What a fix can see of a slope or of structure outside the catalogue is far above it."""
-    return (*rules().prior_scales, *rules().wider_scales)
+def sizes(effect: str = "") -> tuple[float, ...]:
+    """Sizes that are tried of an effect of known shape, or of structure outside the catalogue, in the datasheet's."""
+    far = () if effect in _OF_SENSORS else rules().far_scales
+    return (*rules().prior_scales, *rules().wider_scales, *far)
 
 
 def bank(scene: Scene) -> list[Variant]:
@@ -92,14 +95,13 @@ def bank(scene: Scene) -> list[Variant]:
 
 def _shapes(columns: Sequence[Column]) -> list[Variant]:
     out: list[Variant] = []
-    amplitudes = np.array(sizes())
     for key in dict.fromkeys((c.effect, c.sensor) for c in columns):
         mine = [i for i, c in enumerate(columns) if (c.effect, c.sensor) == key]
         for axes, label, members in EFFECTS[key[0]].subsets([columns[i] for i in mine]):
             if members:
                 index = np.array(mine)[members]
                 unit = np.diag([columns[i].scale for i in index])
-                out.append(Variant(*key, axes, label, index, (((), unit),), amplitudes))
+                out.append(Variant(*key, axes, label, index, (((), unit),), np.array(sizes(key[0]))))
     return out
 
 
@@ -193,7 +195,8 @@ def pooled_evidence(variants: Sequence[Variant], logs: Sequence[Sequence[Array]]
     for key, rows in own.items():
         # a variant that was passed over counts as one that explains nothing
         share = len(rows) / (len(rows) + passed.get(key, 0))
-        out[key] = log_mean_exp_columns(np.stack(rows)) + math.log(share)
+        rarer = rules().second_order if key[0] in _SECOND_ORDER else 0.0
+        out[key] = log_mean_exp_columns(np.stack(rows)) + math.log(share) - rarer
     return out
 
 

@@ -193,7 +193,9 @@ def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], le
             break
         gnss = steady
     result = _run(imu, gnss, start, beliefs, lever)
-    prepared = Prepared(imu, gnss, result, beliefs, fast, lever, np.ones(6), start, nominal, rectified=rectified(imu, fast))
+    prepared = Prepared(
+        imu, gnss, result, beliefs, fast, lever, np.ones(6), start, nominal, rectified=rectified(imu, fast)
+    )
     for _ in range(2):
         loop = Loop.of(prepared.result)
         factors = trimmed_factors(prepared, loop, Surrogate.of(prepared.result), loop.y.reshape(-1, 6))

@@ -268,7 +268,9 @@ class DriveProblem:
 
         joint = likeliest()
         known = next((f for f in self.found if f.chosen.effect == "gnss_outliers"), None)
-        scene = scene.rebuilt(factors=scene.original.factors * joint.noise.loudness(scene.surrogate.sigma()), whole=self.recorded)
+        scene = scene.rebuilt(
+            factors=scene.original.factors * joint.noise.loudness(scene.surrogate.sigma()), whole=self.recorded
+        )
         if known is not None:
             nu = unexplained_innovations(scene, self.blocks())
             self.gone, sized = without_outliers(scene, known.chosen, nu, self.cut)
