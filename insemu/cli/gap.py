@@ -151,6 +151,7 @@ def _tell(report: GapReport, console: Console) -> None:
         effect_name,
         finding_action,
         finding_metres,
+        finding_nees,
         gap_headline,
         is_better,
         ranked,
@@ -162,12 +163,20 @@ def _tell(report: GapReport, console: Console) -> None:
     word, figures, _ = is_better(report)
     console.print(f"Is the refined model better? {word}: {figures}", highlight=False, markup=False)
     if report.findings:
-        heads = ("", "effect", "m after 60 s", "nats", "sure", "where")
+        heads = ("", "effect", "m after 60 s", "NEES", "nats", "sure", "where")
         body, most = [], ranked(report)[:MOST_ROWS]
         for n, s in most:
             where = sensor_axes(s.sensor, s.axes)
             body.append(
-                [str(n), effect_name(s.effect), finding_metres(s), f"{s.nats:.1f}", f"{s.confidence:.3f}", where]
+                [
+                    str(n),
+                    effect_name(s.effect),
+                    finding_metres(s),
+                    finding_nees(report, s),
+                    f"{s.nats:.1f}",
+                    f"{s.confidence:.3f}",
+                    where,
+                ]
             )
         print_table(console, "What is missing, most metres first", heads, body, left=2, fit=True, gap=lambda row: False)
         for n, s in most:

@@ -289,6 +289,8 @@ class GapReport(Shown):
         What is left unexplained beside the findings, in words; empty where nothing is.
     band : tuple of InBand
         How the vehicle shakes above its motion.
+    stated_60s : float
+        Horizontal standard deviation that the nominal filter states at the end of a minute without fixes, m; NaN of a log at rest.
     """
 
     verdict: VerdictName
@@ -305,6 +307,14 @@ class GapReport(Shown):
     curves: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
     remainder: str = ""
     band: tuple[InBand, ...] = ()
+    stated_60s: float = math.nan
+
+    def nees(self, finding: Finding) -> float:
+        """NEES of the horizontal position per degree of freedom at the end of a minute without fixes, of a filter that lacks this finding alone.
+
+        One and what the finding is worth over what the filter states, as squares; NaN where either is not known.
+        """
+        return 1.0 + (finding.metres / self.stated_60s) ** 2
 
     def __str__(self) -> str:
         index = f"gap index {self.gap_before.value:.3f} to {self.gap_after.value:.3f}"
@@ -360,7 +370,10 @@ class GapReport(Shown):
         held = self.held_out.to_json()
         return {
             "verdict": self.verdict,
-            "steps": [s.to_json() for s in self.findings],
+            "steps": [
+                {**s.to_json(), "nees_60s": n if math.isfinite(n := self.nees(s)) else None} for s in self.findings
+            ],
+            "stated_60s": self.stated_60s if math.isfinite(self.stated_60s) else None,
             "where": [w.to_json() for w in self.where],
             "gap_index": {"before": self.gap_before.to_json(), "after": self.gap_after.to_json()},
             "held_out": {"gain_nats_per_fix": held["value"], "low": held["low"], "high": held["high"]},

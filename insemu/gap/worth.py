@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS, Column, FixGeometry, Motion
+from insemu.filters import FilterResult
 from insemu.gap.drive.preparation import Prepared
 from insemu.gap.drive.signatures import Loop, built_up
 from insemu.gap.verdict import Finding
@@ -97,6 +98,30 @@ def worth_of_settled(prepared: Prepared, finding: Finding) -> float:
     values = {v.name: v.value for v in finding.parameters}
     columns = [c for c in effect.columns(motion, at) if c.label in values]
     return worth_in_motion(loop, motion, columns, [values[c.label] for c in columns])
+
+
+def stated_in_outages(result: FilterResult) -> float:
+    """Horizontal standard deviation, m, that a filter states at the end of a minute without fixes: root mean square over starts all along a run.
+
+    The covariance of the stored run is carried on by its own transitions and noise, without the fixes.
+    """
+    nodes, fixes = result.nodes, result.fixes
+    if nodes is None:
+        return math.nan
+    t, step = result.t[nodes.epoch], nodes.Phi
+    fixed = np.searchsorted(nodes.epoch, fixes.epoch)
+    starts = [int(k) for k in np.searchsorted(t, np.arange(t[0] + OUTAGE_S, t[-1] - OUTAGE_S, APART_S))]
+    ends = []
+    for k in starts:
+        last = int(np.searchsorted(t, t[k] + OUTAGE_S))
+        if last >= t.size or not np.any((fixed > k) & (fixed <= last)):
+            continue
+        P = nodes.P_after[k]
+        for j in range(k + 1, last + 1):
+            driven = nodes.P_before[j] - step[j] @ nodes.P_after[j - 1] @ step[j].T
+            P = step[j] @ P @ step[j].T + driven
+        ends.append(float(P[0, 0] + P[1, 1]))
+    return math.sqrt(sum(ends) / len(ends)) if ends else math.nan
 
 
 def worth_in_motion(

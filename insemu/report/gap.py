@@ -85,6 +85,18 @@ def finding_metres(finding: Finding) -> str:
     return f"{finding.metres:.3g}" if math.isfinite(finding.metres) else "-"
 
 
+def finding_nees(report: GapReport, finding: Finding) -> str:
+    """NEES per degree of freedom without a finding, in words; a dash where nobody says.
+
+    Parameters
+    ----------
+    report : GapReport
+    finding : Finding
+    """
+    nees = report.nees(finding)
+    return f"{nees:.3g}" if math.isfinite(nees) else "-"
+
+
 def gap_headline(report: GapReport) -> str:
     """The verdict in one sentence."""
     if report.verdict == "nothing missing":
@@ -239,11 +251,22 @@ def _suspects(report: GapReport, names: Sequence[str]) -> list[Section]:
             f"{s.nats:.1f}",
             f"{s.confidence:.3f}",
             finding_metres(s),
+            finding_nees(report, s),
             finding_action(s),
         ]
         for number, s in ranked(report)
     ]
-    heads = ("", "effect", "shape", "axes", "evidence, nats", "confidence", "m after 60 s without fixes", "what to do")
+    heads = (
+        "",
+        "effect",
+        "shape",
+        "axes",
+        "evidence, nats",
+        "confidence",
+        "m after 60 s without fixes",
+        "NEES then",
+        "what to do",
+    )
     suspects: list[Block] = [Table(heads, rows, left=4)]
     classes = [s for s in report.findings if s.is_class]
     if classes:

@@ -65,6 +65,8 @@ class Prepared:
         Levels of the fixes that were named, as ratios; the trimming stays within its tolerance of them.
     rectified : (n, 2) array, optional
         See :func:`insemu.gap.drive.shaking.rectified`.
+    swings : bool
+        Whether the antenna swings on its lever arm as the vehicle shakes, which the standard deviations of the velocities hold.
     """
 
     imu: ImuRecord
@@ -79,6 +81,7 @@ class Prepared:
     clipped: tuple[Clipped, ...] = ()
     levels: Array = field(default_factory=lambda: np.ones(6))
     rectified: Array | None = None
+    swings: bool = False
 
     def again(
         self,

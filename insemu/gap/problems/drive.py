@@ -69,7 +69,7 @@ from insemu.gap.problems.findings import (
 from insemu.gap.problems.known import colour_of
 from insemu.gap.search import Again, search
 from insemu.gap.verdict import Confusable, Finding, GapReport, Interval, Member, Value, Where, judged
-from insemu.gap.worth import white_levels, worth_in_motion, worth_in_noise
+from insemu.gap.worth import stated_in_outages, white_levels, worth_in_motion, worth_in_noise
 from insemu.records import AXES, Recording
 
 Array = NDArray[np.float64]
@@ -551,6 +551,7 @@ def find_dynamic_gap(
     return GapReport(
         judged(findings, left), tuple(findings), where, rest, before, after, held, dict(nominal.beliefs), refined, threshold,
         recording.source, remainder=left, band=tuple(d.shaking for d in at.parts.values() if d.shaking is not None),
+        stated_60s=stated_in_outages(at.prepared.result),
     )  # fmt: skip
 
 
