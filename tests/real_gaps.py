@@ -20,21 +20,28 @@ def belief(after: str) -> str:
     return "\n".join(line[4:] for line in block[0].splitlines()) + "\n"
 
 
+def cases(folder: Path) -> dict[str, Path]:
+    """What is believed of each drive: the file, made in ``folder`` where the page shows it."""
+    shown = {
+        "rtkexp_drive": belief("The key `vehicle` says"),
+        "thor75_uav_flight": belief("than both intervals leave open.\n"),
+    }
+    for name, text in shown.items():
+        (folder / f"{name}.yaml").write_text(text, encoding="utf-8")
+    return {
+        "rtkexp_drive": folder / "rtkexp_drive.yaml",
+        "ublox_mixed_nominal": ROOT / "scenarios" / "real_drive_ublox.yaml",
+        "thor75_uav_flight": folder / "thor75_uav_flight.yaml",
+    }
+
+
 def main() -> int:
     """Print what the command says of each drive."""
     wrong = 0
     with tempfile.TemporaryDirectory() as folder:
-        cases: dict[str, str] = {
-            "rtkexp_drive": belief("The key `vehicle` says"),
-            "ublox_mixed_nominal": "",
-            "thor75_uav_flight": belief("than both intervals leave open.\n"),
-        }
-        for name, text in cases.items():
-            file = Path(folder) / f"{name}.yaml"
-            file.write_text(text, encoding="utf-8")
-            said = str(file) if text else str(ROOT / "scenarios" / "real_drive_ublox.yaml")
+        for name, said in cases(Path(folder)).items():
             measured = str(root() / "real" / f"{name}.npz")
-            words = ["gap", said, "--measured", measured, "--out", str(Path(folder) / name)]
+            words = ["gap", str(said), "--measured", measured, "--out", str(Path(folder) / name)]
             wrong += subprocess.run([sys.executable, "-m", "insemu", *words], check=False).returncode != 0
     return int(bool(wrong))
 

@@ -120,6 +120,17 @@ class World:
     extra: dict[str, Array] = field(default_factory=dict)
 
 
+def draw_unit(rng: np.random.Generator) -> Unit:
+    """Draw the noise of an IMU and of a receiver, and where its antenna sits."""
+    gyro, accel = 10.0 ** rng.uniform(-0.7, 0.7, 2)
+    position = 10.0 ** rng.uniform(-1.7, 0.0) * np.array([1.0, 1.0, rng.uniform(1.2, 2.0)])
+    velocity = 10.0 ** rng.uniform(-1.7, -1.0) * np.array([1.0, 1.0, rng.uniform(1.0, 1.6)])
+    return Unit(
+        gyro * 5e-5, accel * 1e-3, gyro * 5e-4, accel * 0.02, gyro * 2e-6, accel * 5e-5, position, velocity,
+        rng.normal(0.0, (0.6, 0.3, 0.6)), float(rng.choice([1.0, 1.0, 4.0])),
+    )  # fmt: skip
+
+
 def draw_world(seed: int, seconds: float, vibration: bool, vehicle: str = "") -> World:
     """Draw vehicle, way, vibration (0.02 to 0.3 g and 0.2 to 5 deg/s, root mean square) and sensors.
 
@@ -139,13 +150,7 @@ def draw_world(seed: int, seconds: float, vibration: bool, vehicle: str = "") ->
         float(np.exp(rng.uniform(np.log(0.2), np.log(5.0)))) * DEG,
     )
     made = ride(rng, vehicle, seconds, shake if vibration else None)
-    gyro, accel = 10.0 ** rng.uniform(-0.7, 0.7, 2)
-    position = 10.0 ** rng.uniform(-1.7, 0.0) * np.array([1.0, 1.0, rng.uniform(1.2, 2.0)])
-    velocity = 10.0 ** rng.uniform(-1.7, -1.0) * np.array([1.0, 1.0, rng.uniform(1.0, 1.6)])
-    unit = Unit(
-        gyro * 5e-5, accel * 1e-3, gyro * 5e-4, accel * 0.02, gyro * 2e-6, accel * 5e-5, position, velocity,
-        rng.normal(0.0, (0.6, 0.3, 0.6)), float(rng.choice([1.0, 1.0, 4.0])),
-    )  # fmt: skip
+    unit = draw_unit(rng)
     reference = vehicle not in ("car", "train") or bool(rng.integers(2))
     return World(seed, vehicle, made, sense(made), unit, reference)
 

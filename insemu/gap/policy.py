@@ -150,7 +150,7 @@ class Policy:
     lowest_level: float = _decides(0.05, "1", "real-drives", "Receivers state up to 20 times the scatter from fix to fix: they mean slow errors.")
     highest_level: float = _decides(8.0, "1", "one", "Largest ratio of a level of the fixes to what is stated.")
     colour_sizes: tuple[float, float] = _decides((0.1, 30.0), "1", "one", "Slow errors of the fixes over their stated standard deviation.")
-    nis_left: float = _decides(0.5, "1", "null", "Share of its variance that a NIS keeps: levels are moved in steps.")
+    nis_left: float = _decides(0.75, "1", "foreign", "Share of its variance that a NIS keeps: a level of two components follows neither.")
     statistic_left: float = _decides(0.1, "1", "rest-map", "Share of its variance that any other statistic keeps of what a fit follows.")
     heading_speed: float = _decides(3.0, "m/s", "tests-drive", "Speed below which a track or a velocity says nothing of the heading.")
     start_tilt: float = _decides(0.035, "rad", "tests-drive", "Least uncertainty of a start that is levelled in motion.")

@@ -308,7 +308,7 @@ def outlying_fixes(outliers: DriveHypothesis, t: Array, v: Array, S: Array) -> t
 
 
 def without_outliers(
-    scene: Scene, outliers: DriveHypothesis, nu: Array, cut: float | None
+    scene: Scene, outliers: DriveHypothesis, cut: float | None, seen: Scene, nu: Array
 ) -> tuple[Array, DriveHypothesis]:
     """Which positions are outliers, and how many and how large they are, as a filter sees them that does not follow them.
 
@@ -317,13 +317,15 @@ def without_outliers(
     Parameters
     ----------
     scene : Scene
-        The recording with its responses.
+        The recording with its responses, the fixes at the levels that they have but for the outliers.
     outliers : DriveHypothesis
         From :func:`gnss_outliers`.
-    nu : (f, 6) array
-        Innovations less what is explained already, m and m/s.
     cut : float or None
         Share and size are estimated on the fixes up to this time (s); ``None``: on all.
+    seen : Scene
+        In which the outliers were named.
+    nu : (f, 6) array
+        Innovations there less what is explained already, m and m/s.
 
     Returns
     -------
@@ -332,7 +334,7 @@ def without_outliers(
     outliers : DriveHypothesis
         With share and size estimated again.
     """
-    at, v, S = position_innovations(scene, nu, None)
+    at, v, S = position_innovations(seen, nu, None)
     t = scene.prepared.result.fixes.t[at]
     gone, _ = outlying_fixes(outliers, t, v, S)
     for _ in range(MOST_ROUNDS):

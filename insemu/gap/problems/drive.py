@@ -203,7 +203,15 @@ class DriveProblem:
             )
             new = replace(new, chosen=replace(h, what=replace(h.change, block=block)))
         elif h.effect == "gnss_outliers":
-            times, sized = without_outliers(scene, h, unexplained_innovations(scene, self.blocks()), self.cut)
+            nu = unexplained_innovations(scene, self.blocks())
+            # a level that was named before stood for them
+            level = next((f for f in self.found if f.chosen.effect == "gnss_noise_level"), None)
+            if level is not None:
+                self.found.remove(level)
+                h = replace(h, nats=h.nats + level.chosen.nats)
+                nominal = np.where(np.arange(6) < 3, 1.0, [scene.original.factors, scene.original.levels])
+                scene = scene.rebuilt(factors=nominal[0], levels=nominal[1])
+            times, sized = without_outliers(scene, h, self.cut, self.scene, nu)
             self.found.append(replace(new, chosen=sized))
             self.gone = np.union1d(self.gone, times)
             scene = scene.rebuilt(gone=self.gone)
@@ -239,7 +247,7 @@ class DriveProblem:
         )
         if known is not None:
             nu = unexplained_innovations(scene, self.blocks())
-            self.gone, sized = without_outliers(scene, known.chosen, nu, self.cut)
+            self.gone, sized = without_outliers(scene, known.chosen, self.cut, scene, nu)
             self.found = [replace(f, chosen=sized) if f is known else f for f in self.found]
             scene = scene.rebuilt(gone=self.gone)
         colour = joint.noise.colour

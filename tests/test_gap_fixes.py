@@ -1,0 +1,125 @@
+"""Noise of the fixes beside itself: colour with levels, outliers under a filter that does not follow them, when a step began."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from insemu.effects import EffectUse
+from insemu.gap import GapReport, Nominal, find_gap
+from insemu.gap.candidates.fixes import _Scan, _when
+from insemu.gap.evidence.fixes import FixNoise, Surrogate, joint_noise
+from insemu.gap.verdict import Finding
+from insemu.gap.worth import stated_in_outages
+from insemu.records import GnssRecord, Recording
+from insemu.scenario import Gnss
+from tests.test_gap_dynamic import BELIEF, LEVER, flown, nominal_run, recording, use
+
+Array = NDArray[np.float64]
+SIGMA = (0.05, 0.05, 0.1)
+
+
+def looked(made: Recording) -> GapReport:
+    gnss = Gnss(position_sigma=SIGMA, velocity_sigma=(0.05, 0.05, 0.05), lever_arm=LEVER)
+    nominal = Nominal(dict(BELIEF), gnss)
+    return find_gap(made, nominal, rng=np.random.default_rng(1), hold_out=False, pictures=False)
+
+
+def values(finding: Finding) -> dict[str, Any]:
+    return {v.name: v for v in finding.parameters}
+
+
+def with_outliers(made: Recording, share: float, sigma: float, seed: int = 5) -> tuple[Recording, Array]:
+    """A recording with outliers of positions, and at which fixes."""
+    rng = np.random.default_rng(seed)
+    fixes = made.gnss
+    assert isinstance(fixes, GnssRecord)
+    hit = rng.random(len(fixes)) < share
+    metres = hit[:, None] * rng.standard_normal((len(fixes), 3)) * sigma
+    llh = fixes.llh + metres * np.array([1.0, 1.3, -1.0]) / np.array([6.37e6, 6.37e6, 1.0])
+    return replace(made, gnss=replace(fixes, llh=llh)), hit
+
+
+def test_outliers_are_as_many_and_as_large_as_they_are() -> None:
+    """A filter that follows each outlier takes the fixes after it for outliers too."""
+    made, hit = with_outliers(recording(), 0.06, 3.0)
+    report = looked(made)
+    found = values(report.findings[0])
+    assert report.findings[0].effect == "gnss_outliers"
+    # as far as those that are not smaller than the noise can be counted
+    assert found["probability"].value == pytest.approx(hit.mean(), rel=0.15)
+    assert found["probability"].low < 0.06 < found["probability"].high
+    assert found["sigma_north"].low < 3.0 < found["sigma_north"].high
+    assert report.verdict == "named" and len(report.findings) == 1
+
+
+def test_the_velocities_of_a_filter_that_followed_coloured_positions_are_not_blamed() -> None:
+    """Levels that were raised without the colour come back beside it: otherwise the NIS of the velocities would call it unexplained."""
+    colour = (np.array([0.4, 0.4, 0.6, 0.0, 0.0, 0.0]), 10.0)
+    s = Surrogate.of(flown(recording(use(effect="gnss_correlated_noise", sigma=[0.4, 0.4, 0.6], tau=10.0))))
+    raised = replace(s, R=s.R * 1.22**2)  # as a filter has them that trimmed its levels
+    joint = joint_noise(raised, colour, np.full(6, 1.22))
+    # a filter that follows errors of eight standard deviations is no linear one any more; where levels stay as they were trimmed this is 1.22
+    assert joint.noise.factor * 1.22 == pytest.approx(np.ones(6), abs=0.2)
+    assert joint.noise.factor[3:] * 1.22 == pytest.approx(np.ones(3), abs=0.15)
+    assert set(joint.sd) == {"sigma_north", "sigma_east", "sigma_down", "tau"}
+    known = joint_noise(raised, colour, np.full(6, 1.22), known=True)
+    assert known.noise.colour[1] == 10.0 and not known.sd
+    assert known.noise.factor[3:] * 1.22 == pytest.approx(np.ones(3), abs=0.15)
+
+
+def test_the_loudness_of_coloured_fixes_is_the_root_of_the_sum_of_squares() -> None:
+    noise = FixNoise(np.full(6, 0.8), (np.array([0.3, 0.3, 0.0, 0.0, 0.0, 0.0]), 5.0))
+    sigma = np.array([0.5, 0.5, 0.5, 0.1, 0.1, 0.0])
+    assert noise.loudness(sigma) == pytest.approx([1.0, 1.0, 0.8, 0.8, 0.8, 1.0])
+
+
+@pytest.mark.parametrize(("share", "low", "high"), [(1e-9, 2.025, 2.975), (0.2, 2.03, 3.85)])
+def test_a_step_began_between_two_fixes(share: float, low: float, high: float) -> None:
+    """All that is known of its start is the gap that it lies in; a second gap with a sixth of the posterior widens the interval into it."""
+    fixes = np.arange(20.0)
+    starts = fixes[:10] + 1e-3
+    i, j = np.array([2, 3]), np.array([8, 8])
+    scan = _Scan(np.log(np.array([1.0, share])), i, j, 0.0, (0, 2, 8, 1.0))
+    start, duration = _when(scan, starts, fixes)
+    assert (start.value, duration.value) == (pytest.approx(2.5, abs=1e-3), pytest.approx(6.0, abs=1e-3))
+    assert start.low == pytest.approx(low, abs=0.06) and start.high == pytest.approx(high, abs=0.06)
+    # the difference of two times that are even over a second each is within 0.78 s of its middle in 95 % of cases
+    assert duration.high == pytest.approx(6.78, abs=0.06)
+    assert duration.low == pytest.approx(5.22 if share < 0.1 else 4.5, abs=0.25)
+
+
+def test_what_the_filter_states_after_a_minute_is_what_it_states_without_the_fixes() -> None:
+    """Carried along the stored transitions, against a filter to which the fixes of that minute are not given."""
+    result, _, _ = nominal_run()
+    made = recording()
+    assert made.gnss is not None
+    squares = []
+    for start in np.arange(result.t[0] + 60.0, result.t[-1] - 60.0, 30.0):
+        keep = (made.gnss.t <= start) | (made.gnss.t > start + 60.0)
+        fixes = made.gnss
+        assert fixes.vel_ned is not None and fixes.pos_std_ned is not None and fixes.vel_std_ned is not None
+        cut = GnssRecord(
+            fixes.t[keep], fixes.llh[keep], fixes.vel_ned[keep], fixes.pos_std_ned[keep], fixes.vel_std_ned[keep]
+        )
+        without = flown(replace(made, gnss=cut))
+        assert without.nodes is not None
+        end = int(np.searchsorted(without.t[without.nodes.epoch], start + 60.0))
+        P = without.nodes.P_before[end]
+        squares.append(P[0, 0] + P[1, 1])
+    assert stated_in_outages(result) == pytest.approx(float(np.sqrt(np.mean(squares))), rel=0.02)
+
+
+def test_nees_counts_what_a_finding_adds_to_what_is_stated() -> None:
+    finding = SimpleNamespace(metres=6.0)
+    report = SimpleNamespace(stated_60s=3.0)
+    assert GapReport.nees(report, finding) == pytest.approx(5.0)  # type: ignore[arg-type]
+    made: EffectUse = use(effect="lever_arm", value=[1.0, 0.0, 0.0])
+    face = looked(recording(made)).to_json()
+    (step,) = face["steps"]
+    assert step["nees_60s"] == pytest.approx(1.0 + (step["metres_60s"] / face["stated_60s"]) ** 2)
