@@ -275,6 +275,11 @@ def scatter_of_filter(noise: NoiseType, filter: str, levels: int, n_samples: int
         units = np.array([_unit(kind, tc, filter, j)[1] for _, (kind, tc, _) in parts])
         weights = np.array([w for _, (_, _, w) in parts])
 
+        # long octaves see next to nothing of quantization noise: only the shape counts, and squares must not underflow
+        if not (level := weights @ units[:, 0]) > 0.0:
+            continue
+        units = units / level
+
         def freedom(w: Array, at: Octave = at, units: Array = units) -> float:
             s = w @ units
             return float(2.0 * s[0] ** 2 / _variance_of_mean(np.concatenate([s, s]), at, n_samples))
@@ -285,7 +290,7 @@ def scatter_of_filter(noise: NoiseType, filter: str, levels: int, n_samples: int
             step[k] = 1e-3 * weights[k]
             slopes[j - 1, k] = (np.log(freedom(weights + step)) - np.log(freedom(weights - step))) / (2.0 * step[k])
         # third cumulant of a mean of squares in the limit of long records, over that of a chi-square
-        seen = at.gain * sum(w * _spectrum_of(kind, tc, filter, j) for _, (kind, tc, w) in parts)
+        seen = at.gain * sum(w / level * _spectrum_of(kind, tc, filter, j) for _, (kind, tc, w) in parts)
         one, two, three = (float(np.sum(at.weight * seen**power)) for power in (1, 2, 3))
         skew[j - 1] = three**2 * one**2 / two**4
     follows = np.zeros(levels)
