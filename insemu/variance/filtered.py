@@ -199,9 +199,9 @@ def _bins(filter: str, scale: int) -> tuple[Array, Array]:
     which = np.maximum(np.floor(np.log2(f * scale) * BINS_PER_OCTAVE).astype(np.int64), -8 * BINS_PER_OCTAVE)
     _, at_bin = np.unique(which, return_inverse=True)
     total = np.bincount(at_bin, weight)
-    centre = np.bincount(at_bin, weight * f) / np.maximum(total, 1e-300)
+    centre: Array = np.bincount(at_bin, weight * f) / np.maximum(total, 1e-300)
     keep = total > 0.0
-    return centre[keep], total[keep]
+    return centre[keep], np.asarray(total[keep], dtype=np.float64)
 
 
 def curve_address(process: Process, filter: str, dt: float) -> tuple[int, object]:
