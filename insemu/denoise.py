@@ -2,6 +2,9 @@
 
 With a static signal it leaves the slow errors for an autocorrelation or an AR model to be seen in; with a dynamic one it must stop at the
 octave where the vehicle's motion begins (Quinchia et al. 2013, sections 4.5, 5.2 and 5.6; table 7 uses db4, soft, SURE, 6 or 7 levels at 100 Hz).
+
+Wavelet packets, which that paper proposes, adapt the decomposition to the signal: an octave is divided into narrower bands where that tells motion
+from noise better (rule "packets").
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from insemu.errors import InputError, nearest
 
 Array = NDArray[np.float64]
-Rule = Literal["sure", "universal", "approximation"]
+Rule = Literal["sure", "universal", "approximation", "packets"]
 Mode = Literal["soft", "hard"]
 Noise = Literal["per-level", "white"]
 
@@ -57,8 +60,10 @@ def denoise(
         Octaves whose details are shrunk; 0 returns the signal.
     wavelet : str
         A discrete wavelet of PyWavelets, such as ``"db4"``.
-    rule : {"sure", "universal", "approximation"}
-        Threshold: least estimated risk per level (default), or ``sqrt(2 ln n)``; or keep the approximation only, no details.
+    rule : {"sure", "universal", "approximation", "packets"}
+        Threshold: least estimated risk per level (default), or ``sqrt(2 ln n)``; or keep the approximation only, no details; or
+        least estimated risk per band of the wavelet packets whose decomposition has the least risk (Coifman and Wickerhauser 1992), the
+        noise of an octave being the median over its narrowest bands, which a vibration in some of them does not raise.
     mode : {"soft", "hard"}
         Shrink towards zero, or keep or kill.
     noise : {"per-level", "white"}
@@ -102,8 +107,17 @@ def _denoise(signal: Array, levels: int, wavelet: str, rule: Rule, mode: Mode, n
     # the offset (gravity) is taken out so that the ends, continued by reflection, do not ring at its size
     offset = float(signal.mean())
     approximation, *details = pywt.wavedec(signal - offset, wavelet, mode="symmetric", level=levels)
-    first = _deviation(details[-1])
-    shrunk = [_shrunk(d, first if noise == "white" else _deviation(d), rule, mode) for d in details]
+    # the octave j of "levels" may be divided until its bands are as narrow as the approximation's
+    depths = list(range(levels)) if rule == "packets" else [0] * levels
+    sigmas = [_deviation_of_bands(d, wavelet, depth) for d, depth in zip(details, depths, strict=True)]
+    if noise == "white":
+        sigmas = [sigmas[-1]] * levels
+    shrunk = [
+        _divided(d / sigma, wavelet, depth, mode, d.size)[1] * sigma
+        if rule == "packets" and sigma > 0.0
+        else _shrunk(d, sigma, rule, mode)
+        for d, sigma, depth in zip(details, sigmas, depths, strict=True)
+    ]
     return np.asarray(pywt.waverec([approximation, *shrunk], wavelet, mode="symmetric")[: signal.size]) + offset
 
 
@@ -115,6 +129,42 @@ def _shrunk(d: Array, sigma: float, rule: Rule, mode: Mode) -> Array:
         return d
     t = sure_threshold(d / sigma) if rule == "sure" else float(np.sqrt(2.0 * np.log(d.size)))
     return np.asarray(pywt.threshold(d, t * sigma, mode=mode))
+
+
+def _divided(d: Array, wavelet: str, depth: int, mode: Mode, octave: int) -> tuple[float, Array]:
+    """Least estimated risk of a band in unit noise, divided up to ``depth`` times or not, and its coefficients after shrinkage.
+
+    Parameters
+    ----------
+    d : (n,) array
+        Coefficients of the band.
+    wavelet : str
+    depth : int
+        How often it may still be divided.
+    mode : {"soft", "hard"}
+    octave : int
+        Coefficients of the whole octave, for the threshold of a band that holds little but noise (Donoho and Johnstone 1995: the least
+        estimate of the risk finds a poor one there).
+    """
+    sparse = np.mean(d * d) - 1.0 <= np.log2(d.size) ** 1.5 / np.sqrt(d.size)
+    t = float(np.sqrt(2.0 * np.log(octave))) if sparse else sure_threshold(d)
+    risk = float(d.size - 2.0 * np.count_nonzero(np.abs(d) <= t) + np.sum(np.minimum(d * d, t * t)))
+    whole = risk, np.asarray(pywt.threshold(d, t, mode=mode))
+    if depth == 0:
+        return whole
+    halves = [_divided(half, wavelet, depth - 1, mode, octave) for half in pywt.dwt(d, wavelet, mode="symmetric")]
+    together = halves[0][0] + halves[1][0]
+    if together >= risk:
+        return whole
+    return together, np.asarray(pywt.idwt(halves[0][1], halves[1][1], wavelet, mode="symmetric")[: d.size])
+
+
+def _deviation_of_bands(d: Array, wavelet: str, depth: int) -> float:
+    """Standard deviation of the noise in an octave: the median over the bands into which it is divided ``depth`` times."""
+    bands = [d]
+    for _ in range(depth):
+        bands = [half for band in bands for half in pywt.dwt(band, wavelet, mode="symmetric")]
+    return float(np.median([_deviation(band) for band in bands]))
 
 
 def delayed_approximation(x: ArrayLike, levels: int, delay: int, *, wavelet: str = "db4") -> Array:

@@ -64,10 +64,11 @@ def road():
     return cases.drive(40.0)
 
 
-def case(road, model, *, lever=(0.0, 0.0, 0.0), **changes):
+def case(road, model, *, lever=(0.0, 0.0, 0.0), earlier=0.0, **changes):
     rng = np.random.default_rng(1)
     imu = replace(cases.corrupt(road.imu, model, rng), temperature=20.0 + 0.3 * road.t)
     fixes = cases.fixes(road, rng, outages=((15.0, 22.0),), lever_arm=lever)
+    fixes = replace(fixes, t=fixes.t - earlier)
     ekf = LooselyCoupledEKF(model, DT, lever_arm=lever, options=FilterOptions(covariance_at=(10.0, 40.0), **changes))
     return ekf, imu, fixes, cases.start(road, rng)
 
@@ -81,6 +82,10 @@ def case(road, model, *, lever=(0.0, 0.0, 0.0), **changes):
         (MODEL_RW, {"covariance_every": 5, "output_every": 10}),
         (MODEL_27, {"gate": 0.01}),
         (MODEL_15, {"lever": LEVER, "extras": Extras(gyro_scale=1e-3, accel_misalignment=1e-3, lever_arm=0.1)}),
+        (
+            MODEL_RW,
+            {"extras": Extras(lever_arm=0.3), "earlier": 0.004, "gate": 0.01, "covariance_every": 5, "output_every": 5},
+        ),
         (MODEL_15, {"extras": Extras(gyro_scale_temperature=1e-3, accel_scale_temperature=1e-3)}),
     ],
     ids=[
@@ -90,6 +95,7 @@ def case(road, model, *, lever=(0.0, 0.0, 0.0), **changes):
         "walks, five steps at a time",
         "27, gate",
         "calibration states",
+        "lever arm as a state, fixes between epochs",
         "temperature",
     ],
 )
@@ -111,7 +117,7 @@ def test_kernel_gives_the_numbers_of_the_compiled_loop(host, road, model, settin
 
 
 def test_flights_of_one_list_have_their_own_fixes(host, road):
-    ekf, imu, fixes, start = case(road, MODEL_15)
+    ekf, imu, fixes, start = case(road, MODEL_15, extras=Extras(lever_arm=0.3))
     few = GnssRecord(
         fixes.t[::3] - 0.004, fixes.llh[::3], pos_std_ned=None if fixes.pos_std_ned is None else fixes.pos_std_ned[::3]
     )

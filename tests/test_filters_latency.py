@@ -1,9 +1,11 @@
-"""Latency estimated together with the lever arm: the filter knows its error however old a fix is at its stamp.
+"""Lever arm estimated alone and together with the latency: the filter knows its error however old a fix is at its stamp.
 
 ``python -m tests.test_filters_latency`` prints the table for the cases below.
 """
 
 from __future__ import annotations
+
+import argparse
 
 import numpy as np
 import pytest
@@ -27,42 +29,53 @@ BELIEVED = 0.05
 
 
 def study(
-    latency: float, vibration: float, every: int, runs: int, *, skip: float = 5.0, matched: bool = True
+    latency: float | None, vibration: float, every: int, runs: int, *, skip: float = 5.0, matched: bool = True
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """NEES of navigation, lever arm and latency (13 errors), (runs, epochs), of the latency alone, and the errors of the latency.
+    """NEES of navigation, lever arm and latency, (runs, epochs), of the latency alone, and the errors of the latency.
 
+    ``latency``: None where fixes are stamped when they are valid and the lever arm alone is estimated; then NEES of the arm alone and its error
+    along itself (negative: pulled towards zero).
     ``matched``: latencies are drawn as the filter believes them, about ``latency``. Otherwise all are ``latency`` and the filter starts at zero with
     0.1 s: what it has not learnt of a latency that is large for its belief is an error that it does not know.
     """
     sigma = BELIEVED if matched else 0.1
     road = cases.later(cases.drive(60.0 + skip, vibration=vibration), skip)
-    ekf = LooselyCoupledEKF(
-        MODEL_15,
-        DT,
-        lever_arm=LEVER,
-        options=FilterOptions(extras=Extras(lever_arm=0.1, latency=sigma), covariance_at=AT, output_every=1000),
-    )
+    extras = Extras(lever_arm=0.1) if latency is None else Extras(lever_arm=0.1, latency=sigma)
+    options = FilterOptions(extras=extras, covariance_at=AT, output_every=1000)
+    ekf = LooselyCoupledEKF(MODEL_15, DT, lever_arm=LEVER, options=options)
     rows = np.round(np.array(AT) / DT).astype(int)
     at = [*range(9), *range(ekf.layout["lever_arm"].start, ekf.layout.n)]
     whole, alone, missed = (np.empty((runs, len(AT))) for _ in range(3))
     first = np.zeros(ekf.layout.n - 9)
-    first[-1] = latency if matched else 0.0
+    if latency is not None and matched:
+        first[-1] = latency
     for run, child in enumerate(np.random.default_rng(11).spawn(runs)):
         true_arm = np.array(LEVER) + 0.1 * child.standard_normal(3)
         imu = cases.corrupt(road.imu, MODEL_15, child)
-        late = latency + BELIEVED * child.standard_normal() if matched else latency
+        late = latency or 0.0
+        if latency is not None and matched:
+            late += BELIEVED * child.standard_normal()
         gnss = cases.late_fixes(road, child, latency=late, lever_arm=tuple(true_arm), every=every)
         r = ekf.run(imu, gnss, cases.start(road, child), START_SIGMA, initial_states=first)
         pick = np.searchsorted(r.t, np.array(AT) - 1e-9)
         error = np.zeros((len(AT), ekf.layout.n))
         error[:, :9] = strapdown.navigation_errors(r.nav[pick], road.nav[rows])
-        error[:, at[9:12]] = r.imu_states[pick][:, -4:-1] + LEVER - true_arm
-        error[:, at[12]] = r.imu_states[pick][:, -1] - late
+        arm = at[9] - 9
+        error[:, at[9:12]] = r.imu_states[pick][:, arm : arm + 3] + LEVER - true_arm
+        if latency is not None:
+            error[:, at[12]] = r.imu_states[pick][:, -1] - late
         P = r.covariance[:, at][:, :, at]
-        whole[run] = np.einsum("ki,kij,kj->k", error[:, at], np.linalg.inv(P), error[:, at]) / len(at)
-        alone[run] = error[:, at[12]] ** 2 / P[:, 12, 12]
-        missed[run] = error[:, at[12]]
+        whole[run] = _nees(error[:, at], P)
+        alone[run] = (
+            _nees(error[:, at[9:12]], P[:, 9:12, 9:12]) if latency is None else _nees(error[:, at[12:]], P[:, 12:, 12:])
+        )
+        missed[run] = error[:, at[9:12]] @ true_arm / np.linalg.norm(true_arm) if latency is None else error[:, at[12]]
     return whole, alone, missed
+
+
+def _nees(error: np.ndarray, P: np.ndarray) -> np.ndarray:
+    """Over the number of errors."""
+    return np.asarray(np.einsum("ki,kij,kj->k", error, np.linalg.inv(P), error)) / error.shape[1]
 
 
 #: Latency in s, vibration in m/s^2, steps from fix to fix (5 Hz and 1 Hz).
@@ -94,26 +107,49 @@ def test_latency_with_lever_arm_is_consistent(latency, vibration, every):
     assert abs(missed[:, -1].mean()) < stats.norm.isf(0.5 * SHARE / CELLS) * stated
 
 
+#: Runs of the test of the lever arm alone, at 10 Hz, where what is asked is hardest.
+ARM_RUNS = 20
+
+
+@statistical(
+    SHARE,
+    2,
+    power=min(
+        chi_square_power(12 * ARM_RUNS, SHARE, 2, 1.8),  # what it was with the gyroscopes' noise in the derivative
+        chi_square_power(3 * ARM_RUNS, SHARE, 2, 4.0),
+    ),
+)
+def test_the_lever_arm_alone_is_consistent():
+    whole, alone, _ = study(None, 0.0, 10, ARM_RUNS)
+    low, high = chi_square(12 * ARM_RUNS, SHARE, 2)
+    assert low < whole[:, -1].mean() < high
+    low, high = chi_square(3 * ARM_RUNS, SHARE, 2)
+    assert low < alone[:, -1].mean() < high
+
+
 def test_a_latency_beyond_belief_is_found_short():
     """Two standard deviations from where the filter starts, at 1 Hz: short by more than its standard error, less and less."""
     missed = study(0.2, 0.0, 100, 12, matched=False)[2].mean(axis=0)
     assert missed[0] < -0.02 and missed[0] < missed[-1] < 0.0
 
 
-def test_the_reference_filter_moves_fixes_alike():
+@pytest.mark.parametrize("sigma", [0.0, 0.1])
+def test_the_reference_filter_moves_fixes_alike(sigma):
+    """With the latency as a state and without it, where only the lever arm is one."""
+    late = 0.143 if sigma else 0.0
     road = cases.drive(12.0)
     rng = np.random.default_rng(4)
     imu = cases.corrupt(road.imu, MODEL_15, rng)
-    gnss = cases.late_fixes(road, rng, latency=0.143, lever_arm=LEVER)
-    options = FilterOptions(extras=Extras(lever_arm=0.1, latency=0.1), covariance_at=(2.0, 6.0, 12.0))
+    gnss = cases.late_fixes(road, rng, latency=late, lever_arm=LEVER)
+    options = FilterOptions(extras=Extras(lever_arm=0.1, latency=sigma), covariance_at=(2.0, 6.0, 12.0))
     ekf = LooselyCoupledEKF(MODEL_15, DT, lever_arm=LEVER, options=options)
     start = cases.start(road, rng)
     a, b = (f(imu, gnss, start, START_SIGMA) for f in (ekf.run, lambda *x: reference_run(ekf, *x)))
     np.testing.assert_array_equal(a.fixes.epoch, b.fixes.epoch)
     assert (np.array(agreement(a, b)) < BOUNDS).all()
     # used at their own time, the latency that was learnt before the stamp
-    late = (a.fixes.t - a.t[a.fixes.epoch])[-10:]
-    assert np.abs(late - 0.143).max() < 0.02
+    used = (a.fixes.t - a.t[a.fixes.epoch])[-10:]
+    assert np.abs(used - late).max() < 0.02
 
 
 def test_the_rate_for_the_derivative_is_neither_late_nor_of_the_innovation():
@@ -133,6 +169,13 @@ def test_the_rate_for_the_derivative_is_neither_late_nor_of_the_innovation():
     # the end of a record: the mean of the steps before
     measurements.fill_rate(t, gyro, seen, past, 59, 0.0, around, rate)
     np.testing.assert_allclose(rate, past[[(59 - 2 - j) % window for j in range(3)], 3:].mean(axis=0))
+
+
+def _row(every: int, nees: np.ndarray, own: np.ndarray, missed: np.ndarray) -> str:
+    """One line of the table, from the fixes' rate on."""
+    cells = [" ".join(f"{v:.2f}" for v in figures.mean(axis=0)) for figures in (nees, own)]
+    cells.append(" ".join(f"{1e3 * v:.1f}" for v in missed.mean(axis=0)))
+    return f"{round(1 / (DT * every)):>3}  {'  '.join(cells)}"
 
 
 def test_what_a_fix_sees_keeps_its_covariance_when_the_estimates_move():
@@ -156,14 +199,21 @@ def test_what_a_fix_sees_keeps_its_covariance_when_the_estimates_move():
 
 
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--runs", type=int, default=40)
+    asked = parser.parse_args()
     print(
         f"{'latency ms':>10} {'shake m/s^2':>11} {'Hz':>3}  NEES / 13 at {', '.join(f'{t:g}' for t in AT)} s; of the latency alone; mean error, ms"
     )
     for case in [*((*c, True) for c in CASES), (0.2, 0.0, 100, False)]:
-        nees, own, missed = study(*case[:3], 40, matched=case[3])
-        cells = [" ".join(f"{v:.2f}" for v in figures.mean(axis=0)) for figures in (nees, own)]
-        cells.append(" ".join(f"{1e3 * v:.1f}" for v in missed.mean(axis=0)))
+        nees, own, missed = study(*case[:3], asked.runs, matched=case[3])
         said = "" if case[3] else "  started at zero with 0.1 s"
-        print(f"{1e3 * case[0]:>10g} {case[1]:>11g} {round(1 / (DT * case[2])):>3}  {'  '.join(cells)}{said}")
-    cells = [" to ".join(f"{v:.2f}" for v in chi_square(dof * 40, 0.01)) for dof in (13, 1)]
-    print(f"99 % bounds of one cell, 40 runs: {cells[0]}, {cells[1]}")
+        print(f"{1e3 * case[0]:>10g} {case[1]:>11g} {_row(case[2], nees, own, missed)}{said}")
+    print(
+        "the lever arm alone: NEES / 12; of the arm / 3; mean error along the arm, mm (negative: pulled towards zero)"
+    )
+    for every in (10, 20, 100):
+        print(f"{'known':>10} {0:>11} {_row(every, *study(None, 0.0, every, 4 * asked.runs))}", flush=True)
+    for runs, errors in ((asked.runs, (13, 1)), (4 * asked.runs, (12, 3))):
+        cells = [f"{dof} errors " + " to ".join(f"{v:.2f}" for v in chi_square(dof * runs, 0.01)) for dof in errors]
+        print(f"99 % bounds of one cell, {runs} runs: {'; '.join(cells)}")

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from insemu.augment import Extras
 from insemu.cli import app
 from insemu.errors import InputError
 from insemu.filters import Innovations, likeliest, uncertainty
 from insemu.noise import GM, RC, WN, NoiseModel, save
 from insemu.records import AXES
-from insemu.transfer import Levels, estimated, judge
+from insemu.transfer import CONSTANTS, Levels, estimated, judge
 from tests import filter_cases as cases
 
 TRUE = {"gyro": NoiseModel((WN(1e-3), GM(3e-4, 0.01))), "accel": NoiseModel((WN(1e-2), GM(5e-3, 0.02)))}
@@ -21,19 +23,34 @@ TRUE = {"gyro": NoiseModel((WN(1e-3), GM(3e-4, 0.01))), "accel": NoiseModel((WN(
 FACTOR = 7.0
 
 
-@pytest.fixture(scope="module")
-def levels() -> Levels:
-    """Six minutes of a vehicle that turns; the static white noise is too small."""
-    ideal = cases.drive(360.0, seed=3)
-    rng = np.random.default_rng(5)
-    start = cases.start(ideal, rng), cases.START_SIGMA
+def drive_of(quieter: float, scale: float = 0.0, across: float = 0.0, seed: int = 5) -> Levels:
+    """Six minutes of a vehicle that turns; the white noise, so much quieter than ``TRUE``, is believed too small.
+
+    ``scale``: error of gyro z. ``across``: what accelerometer z sees of x, rad.
+    """
+    true = {
+        sensor: NoiseModel(tuple(p.scaled(1.0 / quieter) if isinstance(p, WN) else p for p in model))
+        for sensor, model in TRUE.items()
+    }
     static = {
         axis: NoiseModel(
-            tuple(p.scaled(1.0 / FACTOR) if isinstance(p, WN) else p for p in TRUE[axis.partition("_")[0]])
+            tuple(p.scaled(1.0 / FACTOR) if isinstance(p, WN) else p for p in true[axis.partition("_")[0]])
         )
         for axis in AXES
     }
-    return Levels(cases.corrupt(ideal.imu, TRUE, rng), cases.fixes(ideal, rng), start, static, np.zeros(3))
+    ideal = cases.later(cases.drive(365.0, seed=3), 5.0)
+    rng = np.random.default_rng(seed)
+    start = cases.start(ideal, rng), cases.START_SIGMA
+    gyro, accel = ideal.imu.gyro.copy(), ideal.imu.accel.copy()
+    gyro[:, 2] *= 1.0 + scale
+    accel[:, 2] += across * ideal.imu.accel[:, 0]
+    imu = cases.corrupt(replace(ideal.imu, gyro=gyro, accel=accel), true, rng)
+    return Levels(imu, cases.fixes(ideal, rng), start, static, np.zeros(3))
+
+
+@pytest.fixture(scope="module")
+def levels() -> Levels:
+    return drive_of(1.0)
 
 
 @pytest.mark.slow
@@ -46,6 +63,40 @@ def test_known_factors_come_back_inside_their_intervals(levels: Levels) -> None:
         assert factor.low > 4.0
     for name in ("fixes position", "fixes velocity"):
         assert found[name].low < 1.0 < found[name].high
+
+
+#: Scale of gyro z, what accelerometer z sees of x (rad): true errors of the unit.
+SCALE, ACROSS = 0.012, -0.02
+
+
+@pytest.fixture(scope="module")
+def skewed() -> Levels:
+    """A quiet unit with errors of scale and alignment, whose filter estimates them."""
+    return replace(drive_of(10.0, SCALE, ACROSS), extras=CONSTANTS)
+
+
+def test_constants_of_the_imu_are_estimated_with_the_factors(levels: Levels, skewed: Levels) -> None:
+    assert levels.constants([1.0] * len(levels.names)) == ()
+    true = [FACTOR if name.endswith("white") else 1.0 for name in skewed.names]
+    found = {c.name: c for c in skewed.constants(true)}
+    assert len(found) == 3 + 3 + 6
+    for name, value in (("gyro_z.scale", SCALE), ("accel_z.from_x", ACROSS)):
+        c = found[name]
+        assert abs(c.value - value) < 4.0 * c.sigma and c.sigma < 0.5 * c.before
+        assert abs(c.value) > 3.0 * c.sigma
+    for c in found.values():
+        assert c.before == pytest.approx(0.01 if c.name.endswith("scale") else 0.0175)
+
+
+@pytest.mark.slow
+def test_noise_and_constants_are_tuned_together(skewed: Levels) -> None:
+    """The innovations are likelier with the constants, which no factor can stand for, and the factors are the true ones."""
+    found = estimated(skewed)
+    together = {f.name: f for f in found.factors}
+    alone = estimated(replace(skewed, extras=Extras()), at=found.log)
+    for name in ("gyro slow", "accel slow", "fixes position", "fixes velocity"):
+        assert together[name].low < 1.0 < together[name].high
+    assert found.value > alone.value + 10.0
 
 
 def test_the_search_finds_the_maximum_keeps_its_bound_and_survives_a_filter_that_diverges() -> None:

@@ -2,6 +2,7 @@
 
 ``python -m tests.transfer_experiments factors [N]``: 95 % intervals of factors that are known, on N emulated drives.
 ``python -m tests.transfer_experiments causes [N]``: the main reason where one effect was hidden in an emulated drive.
+``python -m tests.transfer_experiments together [N]``: noise and constants of the IMU tuned together, on N drives.
 ``python -m tests.transfer_experiments real``: the static model of each real drive's longest rest, judged in outages of the drive.
 """
 
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from insemu.augment import Extras
 from insemu.errors import InputError
 from insemu.filters import rests
 from insemu.fit import fit
@@ -21,10 +23,11 @@ from insemu.gap import Nominal, load_nominal
 from insemu.noise import WN, NoiseModel
 from insemu.records import AXES, Recording, Series
 from insemu.scenario import Gnss
-from insemu.transfer import fitted, judge, levels_of, transfer
+from insemu.transfer import CONSTANTS, estimated, fitted, judge, levels_of, transfer
 from insemu.trial.drives import stage
 from insemu.trial.run import Job, moving_recording
 from tests.shared_data import shared
+from tests.test_transfer import ACROSS, SCALE, drive_of
 
 #: Factors by which the noise of an emulated drive exceeds what is believed.
 FACTORS = (1.0, 2.0, 7.0)
@@ -129,6 +132,28 @@ def real() -> None:
             )
 
 
+def together(count: int) -> None:
+    """Print what tuning constants of the IMU with the noise gains, and the constants and the slow noise of the gyroscopes (truly 1) it finds."""
+    held = 0
+    for seed in range(count):
+        skewed = replace(drive_of(10.0, SCALE, ACROSS, seed), extras=CONSTANTS)
+        found = estimated(skewed)
+        alone = estimated(replace(skewed, extras=Extras()), at=found.log)
+        slow, slow_alone = (next(f for f in e.factors if f.name == "gyro slow") for e in (found, alone))
+        scale = next(c for c in skewed.constants(np.exp(found.log).tolist()) if c.name == "gyro_z.scale")
+        held += abs(scale.value - SCALE) < 1.96 * scale.sigma
+        levels = [f"{f.value:.2f} ({f.low:.2f} to {f.high:.2f})" for f in (slow, slow_alone)]
+        gained = f"{found.value - alone.value:+.1f} nats with the constants"
+        constant = f"scale of gyro z {100 * scale.value:.2f} +- {100 * scale.sigma:.2f} %"
+        print(f"drive {seed}: {gained}; {constant}; slow noise {levels[0]}, without {levels[1]}", flush=True)
+    print(f"95 % intervals that hold the scale: {held} of {count}")
+
+
 if __name__ == "__main__":
     what, number = sys.argv[1] if len(sys.argv) > 1 else "factors", int(sys.argv[2]) if len(sys.argv) > 2 else 24
-    {"factors": lambda: factors(number), "causes": lambda: causes(number), "real": real}[what]()
+    {
+        "factors": lambda: factors(number),
+        "causes": lambda: causes(number),
+        "real": real,
+        "together": lambda: together(number),
+    }[what]()

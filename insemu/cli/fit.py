@@ -82,7 +82,7 @@ def command(
     denoise: str = typer.Option(
         "",
         "--denoise",
-        help="Of burg and autocorrelation: rule and octaves that are de-noised first, sure:6, universal:6 or "
+        help="Of burg and autocorrelation: rule and octaves that are de-noised first, sure:6, universal:6, packets:6 or "
         "approximation:7,accel_y=6 (axes that differ).",
     ),
     pattern: str = typer.Option("uniform", "--pattern", help="Of mli: uniform or log."),

@@ -24,6 +24,9 @@ def command(
     ),
     page: str = typer.Option("", "--page", help="Write a page with figures (HTML)."),
     why: bool = typer.Option(True, "--why/--no-why", help="Look for the reasons (the gap workflow, a few minutes)."),
+    calibrate: bool = typer.Option(
+        False, "--calibrate", help="Tune scale factors and misalignments of the IMU together with the noise."
+    ),
     seed: int = typer.Option(1, "--seed", min=0, help="Seed of the simulations of the gap workflow."),
     as_json: bool = typer.Option(False, "--json", help="Print the result as JSON on standard output."),
 ) -> None:
@@ -55,6 +58,7 @@ def command(
             nominal,
             rng=np.random.default_rng(seed),
             why=why,
+            calibrate=calibrate,
             say=say,
         )
     if out:
@@ -81,6 +85,7 @@ def _tell(found: Transfer, console: Console) -> None:
     console.print(report.transfer_answer(found), style="bold", highlight=False, markup=False)
     tables = (
         ("Factors on the levels", report.factor_rows(found)),
+        ("Constants tuned with them", report.constant_rows(found)),
         ("Outages as the judge", report.judged_rows(found)),
         ("Reasons", report.reason_rows(found)),
     )

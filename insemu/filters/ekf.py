@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 #: The derivative of a fix by its latency is taken from means over so many seconds: those of one step are mostly noise and vibration.
 TREND_S = 0.3
-#: Where the latency is a state, the derivative of a fix by the lever arm is taken from means over so many seconds on each side of it; judged by
+#: The derivatives of a fix by lever arm and latency are taken from mean rates over so many seconds on each side of it; judged by
 #: ``python -m tests.test_filters_latency``.
 AROUND_S = 0.03
 
@@ -334,7 +334,8 @@ class LooselyCoupledEKF:
         gyro, accel = a.sensed(record)
         started = time.perf_counter()
         if self.gpu is not None:
-            design = gpu.Design(a, self._gravity, self.lever_arm, lever_at, o, self.thresholds(), t, cov_epoch)
+            around = steps_around(self.dt) if lever_at >= 0 else 0
+            design = gpu.Design(a, self._gravity, self.lever_arm, lever_at, around, o, self.thresholds(), t, cov_epoch)
             if self.gpu.takes(design, latency_at, events):
                 flown = self.gpu.fly(design, gpu.Flight(np.hstack([gyro, accel]), nav, x0, P0, events))
                 self._check(flown.code, flown.detail)

@@ -182,7 +182,7 @@ def run(
     window : int
         Steps that the derivative of a fix by its latency is taken from.
     around : int
-        Steps on each side of a fix that its derivative by the lever arm is taken from, where the latency is a state.
+        Steps on each side of a fix that its derivatives by lever arm and latency are taken from.
     tolerance : float
         Times that are this close are the same, s.
     first_of : (kinds,) array of int
@@ -245,6 +245,7 @@ def run(
     trend = np.zeros(12)
     white_now = np.empty(6)
     lever = lever0.copy()
+    installed = lever_at >= 0 or latency_at >= 0
     c_of = np.zeros(m)
     dx = np.zeros(n)
     node_total = np.zeros(n)
@@ -377,7 +378,7 @@ def run(
                     advance_transition(A, w, half, slots, diagonal, d, phi, c, work)
                 span, count = 0.0, 0
             step(nav, dth, dv, dth1, dv1, dt, dt if k == 1 else t[before] - t[before - 1], gravity)
-            if latency_at >= 0:
+            if installed:
                 now = k % window
                 for i in range(3):
                     past[now, i], past[now, 3 + i] = (nav[3 + i] - nav_before[3 + i]) / dt, rate[i]
@@ -415,6 +416,7 @@ def run(
                     tau = 0.0
                 in_time = tau <= LATE_STEPS * (t[k] - t[k - 1])
                 fill_trend(past, k, (t[k] - t[0]) / k, trend)
+            if kind == FIX and installed:
                 fill_rate(t, gyro, seen, past, k, tau, around, trend[9:])
             if in_time:
                 dt = t[k] - t[k - 1]
@@ -483,7 +485,7 @@ def run(
                     take_off(nav, dx)
                     for s in range(m):
                         x[place[9 + s]] -= dx[9 + s]
-                    if latency_at >= 0:
+                    if installed:
                         take_off(nav_before, dx)
                         motion_change(mid, f_n, dx, c_of, axis, moved)
                         for i in range(3):

@@ -106,7 +106,7 @@ def fill_fix(
     lever_at, latency_at : int
         First lever-arm state and latency state among all states, -1 where not carried.
     trend : (12,) array
-        See :func:`fill_trend` and :func:`fill_rate`; for the derivatives by lever arm and latency where the latency is a state.
+        See :func:`fill_trend` (where the latency is a state) and :func:`fill_rate`; for the derivatives by lever arm and latency.
     z : (6,) array
         Latitude, longitude, height, velocity NED.
     nu, H, R : (w,), (w, n), (w, w) arrays
@@ -186,7 +186,7 @@ def fill_fix(
             for j in range(3):
                 for k in range(3):
                     R[3 + i, 3 + j] += spread * white[k] * X[i, k] * X[j, k]
-    if latency_at >= 0:
+    if lever_at >= 0 or latency_at >= 0:
         # from here on derivatives: by a rate whose noise is not in the innovation
         against_earth(nav, C, trend[9:12], omega)
         turn[0] = omega[1] * lever[2] - omega[2] * lever[1]

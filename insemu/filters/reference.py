@@ -120,6 +120,11 @@ class _Flight:
     f_n: Array = field(default_factory=lambda: np.zeros(3))
     white: Array = field(default_factory=lambda: np.zeros(6))
 
+    @property
+    def installed(self) -> bool:
+        """Whether lever arm or latency is a state."""
+        return max(self.ekf.installation()) >= 0
+
     def predict(self, measured: Array, dt: float, power: Array) -> None:
         """One IMU step: augmented states first, then the covariance, then the navigation; ``power`` holds squared gains of what follows."""
         a, gravity = self.ekf.augmentation, earth.gravity_code(self.ekf.gravity)
@@ -176,7 +181,7 @@ class _Flight:
         nu, H, R = np.empty(w), np.empty((w, 9 + a.m)), np.empty((w, w))
         if events.kind[at] == measurements.FIX:
             lever_at, latency_at = self.ekf.installation()
-            trend = self.trend(k, mean_dt, tau) if latency_at >= 0 else np.zeros(12)
+            trend = self.trend(k, mean_dt, tau) if self.installed else np.zeros(12)
             lever = self.ekf.lever_arm + (self.x[lever_at - 9 : lever_at - 6] if lever_at >= 0 else 0.0)
             measurements.fill_fix(
                 self.nav, self.nav_before, self.dt, tau, self.rate, self.rate_before, lever, self.white, self.seen, a.axis, lever_at,
@@ -196,11 +201,11 @@ class _Flight:
         """An accepted measurement; the filter's state is the error, so what is measured of it is predicted minus measured."""
         self.kf.update(-nu, R=R, H=H)
         self.kf.P = 0.5 * (self.kf.P + self.kf.P.T)
-        dx, latency_at = self.kf.x, self.ekf.installation()[1]
+        dx = self.kf.x
         measurements.take_off(self.nav, dx)
         self.x = self.x - dx[9:]
         self.kf.x = np.zeros(dx.size)
-        if latency_at >= 0:
+        if self.installed:
             change, axis = np.empty(6), self.ekf.augmentation.axis
             measurements.take_off(self.nav_before, dx)
             measurements.motion_change(np.ascontiguousarray(self.C), self.f_n, dx, self.seen, axis, change)
@@ -297,7 +302,7 @@ def reference_run(
             fixes.accepted[at] = fixes.nis[at] <= thresholds[fixes.dof[at]]
             if fixes.accepted[at]:
                 flight.update(nu, H, R)
-                if events.kind[at] == measurements.FIX and ekf.installation()[1] >= 0:
+                if events.kind[at] == measurements.FIX and flight.installed:
                     after = flight.measurement(events, at, tau, k, (t[k] - t[0]) / k)[1]
                     kf.P = np.ascontiguousarray(kf.P)
                     measurements.turn(kf.P, H_all, after, used)

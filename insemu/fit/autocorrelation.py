@@ -38,7 +38,7 @@ def fit_autocorrelation(
         ``GM()``, or ``GM() + WN()``: white noise then is what the variance has more at lag 0.
     denoise_levels : int
         Octaves that are de-noised first; the line begins where the noise of the longest of them ends.
-    denoise_rule : {"sure", "universal", "approximation"}
+    denoise_rule : {"sure", "universal", "approximation", "packets"}
         What becomes of their details, see :func:`insemu.denoise.denoise`.
     wavelet : str
         Of the de-noising.

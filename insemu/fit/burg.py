@@ -116,7 +116,7 @@ def fit_burg(
         One ``AR(p)`` or ``AR1()``; the order is the highest one where ``choose`` is set.
     denoise_levels : int
         Octaves that are de-noised first (6 and 7 in Quinchia et al. 2013).
-    denoise_rule : {"sure", "universal", "approximation"}
+    denoise_rule : {"sure", "universal", "approximation", "packets"}
         What becomes of their details, see :func:`insemu.denoise.denoise`. Table 2 of Quinchia et al. 2013 comes from ``"approximation"``.
     wavelet : str
         Of the de-noising.

@@ -55,7 +55,14 @@ from insemu.report.tables import (
     variant_rows,
 )
 from insemu.report.track import check_figure, draw_track, render_reckoning
-from insemu.report.transfer import factor_rows, judged_rows, reason_rows, render_transfer, transfer_answer
+from insemu.report.transfer import (
+    constant_rows,
+    factor_rows,
+    judged_rows,
+    reason_rows,
+    render_transfer,
+    transfer_answer,
+)
 
 __all__ = [
     "COLUMNS",
@@ -75,6 +82,7 @@ __all__ = [
     "comparison_rows",
     "consistency_lines",
     "consistency_words_of",
+    "constant_rows",
     "draw_gap",
     "draw_track",
     "effect_name",

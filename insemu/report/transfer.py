@@ -45,6 +45,12 @@ def factor_rows(found: Transfer) -> Cells:
     return ["level", "factor", "95 % interval", ""], rows
 
 
+def constant_rows(found: Transfer) -> Cells:
+    """Header and rows: constants of the IMU that were tuned together with the factors."""
+    rows = [[c.name, f"{c.value:+.2e}", f"{c.sigma:.1e}", f"{c.before:.1e}"] for c in found.constants]
+    return ["constant (1 or rad)", "estimate", "standard deviation", "before the drive"], rows
+
+
 def judged_rows(found: Transfer) -> Cells:
     """Header and rows: how every belief stood in the outages."""
     rows = [[j.name, f"{j.metres:.1f}", f"{j.inside:.0%}", f"{j.score:.2f}"] for j in found.judged]
@@ -111,6 +117,11 @@ def render_transfer(found: Transfer, path: str | Path, source: str) -> Path:
             ],
         ),
     ]
+    if found.constants:
+        caption = (
+            "Scale factors and misalignments at the end of the drive, by the filter whose innovations gave the factors."
+        )
+        sections.insert(1, Section("Constants", [Table(*constant_rows(found), caption)]))
     if found.rest:
         caption = "Each factor is the product of what the named effects explain and the rest."
         sections.append(Section("Reasons", [Table(*reason_rows(found), caption, left=3, wrap=True)]))

@@ -11,6 +11,7 @@ from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, field_va
 from pydantic_core import CoreSchema, core_schema
 
 from insemu.augment import Extras
+from insemu.denoise import Rule
 from insemu.effects import EFFECTS, EffectUse
 from insemu.errors import InputError, nearest
 from insemu.filters import Standstill
@@ -173,9 +174,10 @@ class Prefilter(Section):
         description="octaves that are shrunk, one number or one per axis (gyro_x: 7, ...)"
     )
     wavelet: str = Field(default="db4", description="name of an orthogonal wavelet of PyWavelets")
-    rule: Literal["sure", "universal", "approximation"] = Field(
+    rule: Rule = Field(
         default="sure",
-        description="how the threshold of an octave is found; approximation: the octaves are dropped whole",
+        description="how the threshold of an octave is found; approximation: the octaves are dropped whole; packets: an octave is divided into "
+        "narrower bands where that tells motion from noise better",
     )
     mode: Literal["soft", "hard"] = Field(default="soft", description="coefficients are shrunk, or kept and dropped")
     delay: Seconds | None = Field(

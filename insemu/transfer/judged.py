@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from insemu.augment import Extras
 from insemu.errors import InputError
 from insemu.filters import log_density
 from insemu.transfer.levels import Estimate, Levels, estimated
@@ -137,6 +138,7 @@ def judge(levels: Levels, say: Callable[[str], None] = lambda _: None) -> tuple[
     Parameters
     ----------
     levels : Levels
+        Constants of the IMU are carried with the fitted factors only.
     say : callable, optional
         Told what is being done.
 
@@ -145,7 +147,7 @@ def judge(levels: Levels, say: Callable[[str], None] = lambda _: None) -> tuple[
     InputError
         A drive too short for outages in two stretches.
     """
-    t = levels.gnss.t
+    t, alone = levels.gnss.t, replace(levels, extras=Extras())
     edges = np.append(np.arange(float(t[0]) + LEARNT_S, float(t[-1]), TURN_S), float(t[-1]) + 1.0).tolist()
     stretches = list(pairwise(edges))
     start = (float(t[0]), edges[0])
@@ -155,13 +157,13 @@ def judge(levels: Levels, say: Callable[[str], None] = lambda _: None) -> tuple[
         if not cuts:
             continue
         found, _ = fitted(levels, [start, *own], say)
-        tried: Mapping[str, Sequence[float]] = {
-            "static": [1.0] * len(levels.names),
-            "by hand": [BY_HAND if not name.startswith("fixes") else 1.0 for name in levels.names],
-            "transferred": np.exp(found.log).tolist(),
+        tried: Mapping[str, tuple[Levels, Sequence[float]]] = {
+            "static": (alone, [1.0] * len(levels.names)),
+            "by hand": (alone, [BY_HAND if not name.startswith("fixes") else 1.0 for name in levels.names]),
+            "transferred": (levels, np.exp(found.log).tolist()),
         }
-        for name, factors in tried.items():
-            rows[name] += [ends(levels, factors, cut) for cut in cuts]
+        for name, (carried, factors) in tried.items():
+            rows[name] += [ends(carried, factors, cut) for cut in cuts]
     if not rows["static"]:
         raise InputError(
             f"the fixes last {t[-1] - t[0]:.0f} s, expected at least {LEARNT_S + 2 * OUTAGE_S:.0f} s to hold outages out"

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.augment import with_turn_on
+from insemu.augment import Extras, augment, with_turn_on
 from insemu.errors import InputError
 from insemu.filters import (
     FilterOptions,
+    FilterResult,
     FixTable,
     InitialSigma,
     Innovations,
@@ -52,6 +53,16 @@ class Factor:
 
 
 @dataclass(frozen=True)
+class Constant:
+    """One constant of the IMU, estimated with the factors: its value with standard deviations after and before the drive (SI)."""
+
+    name: str
+    value: float
+    sigma: float
+    before: float
+
+
+@dataclass(frozen=True)
 class Levels:
     """A drive, a belief, and the run of a filter for any factors on the belief's levels.
 
@@ -64,6 +75,8 @@ class Levels:
         Static models of the six axes.
     lever_arm : (3,) array
         m, body axes.
+    extras : Extras
+        Constants of the IMU that the filter estimates beside: the likelihood of the factors is then that of noise and constants together.
     """
 
     imu: ImuRecord
@@ -71,6 +84,7 @@ class Levels:
     start: tuple[NavState, InitialSigma]
     beliefs: dict[str, NoiseModel]
     lever_arm: Array
+    extras: Extras = field(default_factory=Extras)
 
     def __post_init__(self) -> None:
         if missing := [a for a in AXES if a not in self.beliefs]:
@@ -119,6 +133,31 @@ class Levels:
         withheld : (f,) array of bool, optional
             Fixes that the filter does not get.
         """
+        return self._run(factors, withheld).fixes
+
+    def constants(self, factors: Sequence[float]) -> tuple[Constant, ...]:
+        """The constants of :attr:`extras` at the end of the drive, with factors on the levels in the order of :attr:`names`."""
+        run, P0 = self._run(factors, None), self._filter(factors).augmentation.P0
+        noise = augment(self.beliefs, self.imu.dt).layout.names
+        own = [k for k, name in enumerate(run.layout.names) if name not in noise]
+        return tuple(
+            Constant(
+                run.layout.names[k],
+                float(run.imu_states[-1, k - 9]),
+                float(run.sigma[-1, k]),
+                math.sqrt(P0[k - 9, k - 9]),
+            )
+            for k in own
+        )
+
+    def _filter(self, factors: Sequence[float]) -> LooselyCoupledEKF:
+        every = max(1, round(COVARIANCE_S / self.imu.dt))
+        rows = every * max(1, len(self.imu) // every)
+        options = FilterOptions(covariance_every=every, output_every=rows, extras=self.extras)
+        return LooselyCoupledEKF(self.scaled(factors), self.imu.dt, lever_arm=self.lever_arm, options=options)
+
+    def _run(self, factors: Sequence[float], withheld: NDArray[np.bool_] | None) -> FilterResult:
+        """The filter with factors on its levels, as :meth:`fixes` takes them."""
         by = dict(zip(self.names, factors, strict=True))
         gnss = self.gnss
         if gnss.pos_std_ned is not None:
@@ -127,10 +166,7 @@ class Levels:
             gnss = replace(gnss, vel_std_ned=gnss.vel_std_ned * by["fixes velocity"])
         if withheld is not None:
             gnss = gnss.rows(~withheld)
-        every = max(1, round(COVARIANCE_S / self.imu.dt))
-        options = FilterOptions(covariance_every=every, output_every=every * max(1, len(self.imu) // every))
-        filter_ = LooselyCoupledEKF(self.scaled(factors), self.imu.dt, lever_arm=self.lever_arm, options=options)
-        return filter_.run(self.imu, gnss, *self.start).fixes
+        return self._filter(factors).run(self.imu, gnss, *self.start)
 
 
 @dataclass(frozen=True)

@@ -38,10 +38,12 @@ class Octave:
 
     Parameters
     ----------
+    j : int
+        From 1.
     f : (k,) array
         Frequencies in cycles per sample, evenly from 0.
     gain : (k,) array
-        Squared gain there.
+        Squared gain there, the first just beside 0.
     weight : (k,) array
         Weights of the integral over both signs of the frequency.
     stride : float
@@ -50,6 +52,7 @@ class Octave:
         Samples that a coefficient sees.
     """
 
+    j: int
     f: Array
     gain: Array
     weight: Array
@@ -65,21 +68,37 @@ class Octave:
 @lru_cache(maxsize=64)
 def octave(filter: str, j: int) -> Octave:
     """The octave ``j`` (from 1) of a filter by name."""
-    h, g = modwt_filters(filter)
+    h, _ = modwt_filters(filter)
     scale = 1 << j
     stride = max(1.0, scale / (2.0 * HIGHEST))
     reach = (scale - 1) * (h.size - 1) + 1
     count = fft.next_fast_len(int(2.2 * (reach + TAIL * scale) / stride) + 16, real=True)
     count += count % 2
     f = np.arange(count // 2 + 1) / (count * stride)
-    gain = np.abs(_response(h, f * (scale // 2))) ** 2
-    for i in range(j - 1):
-        gain *= np.abs(_response(g, f * (1 << i))) ** 2
+    gain = _gain(filter, j, _beside_zero(f))
     weight = np.full(f.size, 2.0 * f[1])
     weight[0] = weight[-1] = f[1]
     for a in (f, gain, weight):
         a.setflags(write=False)
-    return Octave(f, gain, weight, stride, reach)
+    return Octave(j, f, gain, weight, stride, reach)
+
+
+def _gain(filter: str, j: int, f: Array) -> Array:
+    """Squared gain of an octave at frequencies in cycles per sample."""
+    h, g = modwt_filters(filter)
+    gain = np.abs(_response(h, f * (1 << (j - 1)))) ** 2
+    for i in range(j - 1):
+        gain *= np.abs(_response(g, f * (1 << i))) ** 2
+    return gain
+
+
+def _beside_zero(f: Array) -> Array:
+    """Even frequencies from 0 on, the first of which is moved a little: a random walk is infinite there, and a filter of one vanishing moment
+    lets through a finite share of it.
+    """
+    out = f.copy()
+    out[0] = 1e-3 * f[1]
+    return out
 
 
 def _response(taps: Array, f: Array) -> NDArray[np.complex128]:
@@ -87,10 +106,8 @@ def _response(taps: Array, f: Array) -> NDArray[np.complex128]:
 
 
 def _spectrum(process: Process | NoiseModel, at: Octave, dt: float = 1.0) -> Array:
-    """Spectrum in unit^2 per cycle and sample; what is infinite at zero is taken just beside it, where the filters let nothing through."""
-    f = at.f.copy()
-    f[0] = 1e-3 * f[1]
-    return np.asarray(process.psd(f / dt, dt) / dt, dtype=np.float64)
+    """Spectrum in unit^2 per cycle and sample, where the gain is taken."""
+    return np.asarray(process.psd(_beside_zero(at.f) / dt, dt) / dt, dtype=np.float64)
 
 
 def expected_variance(model: Process | NoiseModel, filter: str, scale_samples: ArrayLike, dt: float = 1.0) -> Array:
@@ -168,7 +185,7 @@ def filter_covariance(
         for k in range(i + 1, len(grids)):
             other = grids[k]
             # the longer octave passes lower frequencies: both gains on its grid
-            near = np.interp(other.f, at.f, at.gain)
+            near = _gain(filter, at.j, _beside_zero(other.f))
             both = np.sum(other.weight * near * other.gain * spectra[k] ** 2)
             out[i, k] = out[k, i] = 2.0 * both / max(n_samples - at.reach + 1, 1)
     return out
@@ -178,13 +195,13 @@ def filter_covariance(
 def _bins(filter: str, scale: int) -> tuple[Array, Array]:
     """Frequencies and weights (squared gain included) of an octave, gathered in narrow bins: a quadrature for smooth spectra."""
     at = octave(filter, round(math.log2(scale)))
-    f, weight = at.f[1:], (at.weight * at.gain)[1:]
+    f, weight = _beside_zero(at.f), at.weight * at.gain
     which = np.maximum(np.floor(np.log2(f * scale) * BINS_PER_OCTAVE).astype(np.int64), -8 * BINS_PER_OCTAVE)
     _, at_bin = np.unique(which, return_inverse=True)
     total = np.bincount(at_bin, weight)
-    centre = np.bincount(at_bin, weight * f) / np.maximum(total, 1e-300)
-    keep = total > 1e-12 * total.max()
-    return centre[keep], total[keep]
+    centre: Array = np.bincount(at_bin, weight * f) / np.maximum(total, 1e-300)
+    keep = total > 0.0
+    return centre[keep], np.asarray(total[keep], dtype=np.float64)
 
 
 def curve_address(process: Process, filter: str, dt: float) -> tuple[int, object]:
@@ -275,6 +292,11 @@ def scatter_of_filter(noise: NoiseType, filter: str, levels: int, n_samples: int
         units = np.array([_unit(kind, tc, filter, j)[1] for _, (kind, tc, _) in parts])
         weights = np.array([w for _, (_, _, w) in parts])
 
+        # long octaves see next to nothing of quantization noise: only the shape counts, and squares must not underflow
+        if not (level := weights @ units[:, 0]) > 0.0:
+            continue
+        units = units / level
+
         def freedom(w: Array, at: Octave = at, units: Array = units) -> float:
             s = w @ units
             return float(2.0 * s[0] ** 2 / _variance_of_mean(np.concatenate([s, s]), at, n_samples))
@@ -285,7 +307,7 @@ def scatter_of_filter(noise: NoiseType, filter: str, levels: int, n_samples: int
             step[k] = 1e-3 * weights[k]
             slopes[j - 1, k] = (np.log(freedom(weights + step)) - np.log(freedom(weights - step))) / (2.0 * step[k])
         # third cumulant of a mean of squares in the limit of long records, over that of a chi-square
-        seen = at.gain * sum(w * _spectrum_of(kind, tc, filter, j) for _, (kind, tc, w) in parts)
+        seen = at.gain * sum(w / level * _spectrum_of(kind, tc, filter, j) for _, (kind, tc, w) in parts)
         one, two, three = (float(np.sum(at.weight * seen**power)) for power in (1, 2, 3))
         skew[j - 1] = three**2 * one**2 / two**4
     follows = np.zeros(levels)

@@ -58,6 +58,8 @@ class Design:
         m, body axes.
     lever_at : int
         Place of the first lever-arm state, -1 where there is none.
+    around : int
+        Steps on each side of a fix that its derivative by the lever arm is taken from.
     options : FilterOptions
     thresholds : (7,) array
         Largest accepted normalised innovation squared by the number of components.
@@ -71,6 +73,7 @@ class Design:
     gravity: int
     lever_arm: Array
     lever_at: int
+    around: int
     options: FilterOptions
     thresholds: Array
     t: Array
@@ -91,7 +94,22 @@ class Design:
         """Doubles of working space of one flight, as ``flight.cu`` cuts it."""
         n = self.n
         side = n + 6
-        return side * (side | 1) + n * n + 25 * n + 3 * (n - 9) + 26 + 6 + 7 * 3 + 6 + 46 + 6 + 3 * 36 + 6 + 13 * CHUNK
+        return (
+            side * (side | 1)
+            + n * n
+            + 25 * n
+            + 3 * (n - 9)
+            + 26
+            + 6
+            + 7 * 3
+            + 6
+            + 46
+            + 6
+            + 3 * 36
+            + 6
+            + 13 * CHUNK
+            + 3 * (self.around + 4)
+        )
 
     @cached_property
     def constants(self) -> list[NDArray[Any]]:
@@ -104,7 +122,7 @@ class Design:
         first = np.searchsorted(row, np.arange(a.m + 1))
         diagonal = bool((row == column).all()) and row.size == a.m
         every = o.covariance_every, o.output_every
-        numbers = [self.n, diagonal, self.gravity, self.lever_at, *every, row.size, q_row.size, raw]
+        numbers = [self.n, diagonal, self.gravity, self.lever_at, *every, row.size, q_row.size, raw, self.around]
         ints = [np.array(v, dtype=np.int32) for v in (a.axis, a.driver, first, column, q_row, q_column, self.cov_epoch)]
         reals = [a.c, [Phi[row, column] for Phi, _ in powers], [Q[q_row, q_column] for _, Q in powers]]
         doubles = [

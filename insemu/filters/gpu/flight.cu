@@ -285,9 +285,41 @@ DEVICE void apply_map(const double* w, double half, double* E, int stride) {
   E[8 * stride] = ad1;
 }
 
-// insemu.filters.measurements.fill_fix without states of the latency; H (6, n) is zero at the start
+// insemu.filters.measurements.fill_rate; past holds the rates of the last around + 2 steps, imu and t are those of the whole record
+DEVICE void fill_rate(const double* t, const double* imu, int width, int N, const double* seen, const double* past, int k, double tau, int around,
+                      double* out) {
+  const int window = around + 2, first = k - 2 < around ? k - 2 : around, last = N - 1 - k;
+  const int before = first > 0 ? first : 0, after = last < around ? last : around;
+  const double dt = t[k] - t[k - 1];
+  double share = (2.0 + 0.5 * before - tau / dt) / (2.0 + 0.5 * (before + after));
+  if (after == 0) share = 0.0;
+  if (before == 0) share = 1.0;
+  for (int i = 0; i < 3; i++) {
+    if (before + after == 0) {
+      out[i] = past[k % window * 3 + i];
+      continue;
+    }
+    out[i] = 0.0;
+    for (int j = 0; j < before; j++) out[i] += (1.0 - share) * past[(k - 2 - j) % window * 3 + i] / before;
+    if (after > 0) {
+      double total = 0.0;
+      for (int j = 0; j < after; j++) total += imu[(Int)(k + 1 + j) * width + i];
+      out[i] += share * (total / (t[k + after] - t[k]) - seen[i]);
+    }
+  }
+}
+
+// insemu.filters.measurements.motion_change: the rate's part alone is needed without states of the latency
+DEVICE void rate_change(const double* dx, const double* c, const int* axis, int m, double* change) {
+  for (int i = 0; i < 3; i++) change[i] = 0.0;
+  for (int s = 0; s < m; s++)
+    if (axis[s] >= 0 && axis[s] < 3) change[axis[s]] += c[s] * dx[9 + s];
+}
+
+// insemu.filters.measurements.fill_fix without states of the latency; H (6, n) is zero at the start, own is from fill_rate
 DEVICE void fill_fix(const double* nav, const double* before, double dt, double tau, const double* rate, const double* rate1, const double* lever,
-                     const double* white, const double* c, const int* axis, int m, int lever_at, const double* z, double* nu, double* H, int n, double* R) {
+                     const double* white, const double* c, const int* axis, int m, int lever_at, const double* own, const double* z, double* nu,
+                     double* H, int n, double* R) {
   double C[3][3], rm, rn, acc[3], omega[3], turn[3], arm[3], swing[3], omega_n[3], twice[3];
   dcm(nav + 6, C);
   radii(sin(nav[0]), rm, rn);
@@ -351,7 +383,9 @@ DEVICE void fill_fix(const double* nav, const double* before, double dt, double 
       for (int j = 0; j < 3; j++)
         for (int k = 0; k < 3; k++) R[(3 + i) * 6 + 3 + j] += spread * white[k] * X[i][k] * X[j][k];
   }
-  if (lever_at >= 0)
+  if (lever_at >= 0) {
+    for (int i = 0; i < 3; i++) omega[i] = own[i] - C[0][i] * we_n - C[2][i] * we_d;
+    for (int i = 0; i < 3; i++) omega_n[i] = C[i][0] * omega[0] + C[i][1] * omega[1] + C[i][2] * omega[2];
     for (int j = 0; j < 3; j++) {
       double M[3], carried[3];
       for (int i = 0; i < 3; i++) M[i] = C[i][(j + 1) % 3] * omega[(j + 2) % 3] - C[i][(j + 2) % 3] * omega[(j + 1) % 3];
@@ -361,6 +395,7 @@ DEVICE void fill_fix(const double* nav, const double* before, double dt, double 
         H[(3 + i) * n + lever_at + j] = M[i] - tau * carried[i];
       }
     }
+  }
 }
 
 // Element (i, j) of the filter's covariance in the layout's order
@@ -396,7 +431,7 @@ DEVICE int first_bad_pivot(double* E, int ld, int n, double* L, int lane) {
 }
 
 struct Design {
-  int n, diagonal, gravity, lever_at, every, output_every, nnz, entries;
+  int n, diagonal, gravity, lever_at, every, output_every, nnz, entries, around;
 };
 
 // Doubles of working space of one flight: insemu.filters.gpu.pool_size
@@ -496,7 +531,7 @@ extern "C" void fly(Int flight, double* pool,
   const int lane = 0;
 #endif
   const int N = sizes[0], fixes = sizes[1], covariances = sizes[2], rows = sizes[3], width = sizes[12];
-  const Design o = {sizes[4], sizes[5], sizes[6], sizes[7], sizes[8], sizes[9], sizes[10], sizes[11]};
+  const Design o = {sizes[4], sizes[5], sizes[6], sizes[7], sizes[8], sizes[9], sizes[10], sizes[11], sizes[13]};
   const int n = o.n, m = n - 9, ne = 15 + m, ld = ne | 1;
   double* here = pool;
   double *E = cut(here, ne * ld), *W = cut(here, n * n), *H = cut(here, 6 * n), *G = cut(here, 6 * n), *K = cut(here, 6 * n), *D = cut(here, 6 * n);
@@ -504,6 +539,7 @@ extern "C" void fly(Int flight, double* pool,
   double *seen = cut(here, 6), *dth = cut(here, 3), *dv = cut(here, 3), *dth1 = cut(here, 3), *dv1 = cut(here, 3), *rate = cut(here, 3);
   double *rate1 = cut(here, 3), *lever = cut(here, 3), *white_now = cut(here, 6), *w = cut(here, 46), *nu = cut(here, 6), *S = cut(here, 36);
   double *L = cut(here, 36), *R = cut(here, 36), *y = cut(here, 6), *record = cut(here, width * CHUNK), *times = cut(here, CHUNK);
+  double *past = cut(here, 3 * (o.around + 2)), *own = cut(here, 3), *change = cut(here, 3);
   const double* imu = imu_all + flight * N * width;
   const double *tau_of = tau_all + flight * fixes, *z_of = z_all + flight * fixes * 6, *var_of = var_all + flight * fixes * 6;
   const int *epoch_of = epoch_all + flight * fixes, count_of = count_all[flight];
@@ -529,7 +565,7 @@ extern "C" void fly(Int flight, double* pool,
     c[s] = c0[s];
   }
   EACH(i, 3) {
-    dth[i] = dv[i] = rate[i] = 0.0;
+    dth[i] = dv[i] = rate[i] = own[i] = 0.0;
     lever[i] = lever0[i];
   }
   if (lane == 0) status[0] = status[1] = 0;
@@ -619,6 +655,7 @@ extern "C" void fly(Int flight, double* pool,
           fill_map(nav, f, mid, span, o.gravity, w);
         }
         step(nav, dth, dv, dth1, dv1, dt, k == 1 ? dt : dt1, o.gravity);
+        for (int i = 0; i < 3; i++) past[k % (o.around + 2) * 3 + i] = rate[i];
       }
       SYNC;
       if (due) {
@@ -637,7 +674,8 @@ extern "C" void fly(Int flight, double* pool,
       SYNC;
       if (lane == 0) {
         for (int i = 0; i < 3; i++) lever[i] = lever0[i] + (o.lever_at >= 0 ? x[o.lever_at - 9 + i] : 0.0);
-        fill_fix(nav, before, dt, tau_of[event], rate, rate1, lever, white, c, axis, m, o.lever_at, z, nu, H, n, R);
+        if (o.lever_at >= 0) fill_rate(t, imu, width, N, seen, past, k, tau_of[event], o.around, own);
+        fill_fix(nav, before, dt, tau_of[event], rate, rate1, lever, white, c, axis, m, o.lever_at, own, z, nu, H, n, R);
         for (int a = 0; a < q; a++) {
           R[used[a] * 7] += var[used[a]];
           fix_nu[6 * event + used[a]] = nu[used[a]];
@@ -745,14 +783,49 @@ extern "C" void fly(Int flight, double* pool,
         }
       }
       SYNC;
+      if (lane == 0) take_off(nav, dx);
+      EACH(s, m) x[s] -= dx[9 + s];
+      SYNC;
+      if (o.lever_at >= 0) {  // what the fix saw keeps its covariance: insemu.filters.measurements.turn
+        EACH(i, 6 * n) D[i] = 0.0;
+        SYNC;
+        if (lane == 0) {
+          take_off(before, dx);
+          rate_change(dx, c, axis, m, change);
+          for (int i = 0; i < 3; i++) {
+            rate[i] += change[i];
+            rate1[i] += change[i];
+            seen[i] -= change[i];
+            own[i] += change[i];
+            for (int j = 0; j < o.around + 2; j++) past[3 * j + i] += change[i];
+            lever[i] = lever0[i] + x[o.lever_at - 9 + i];
+          }
+          fill_fix(nav, before, dt, tau_of[event], rate, rate1, lever, white, c, axis, m, o.lever_at, own, z, y, D, n, L);
+        }
+        SYNC;
+        EACH(e, q * n) {
+          const int i = used[e / n], j = e % n;
+          double total = at(E, ld, i, j);
+          for (int s = 6; s < n; s++) total += (H[i * n + s] - D[i * n + s]) * at(E, ld, s, j);
+          W[i * n + j] = total;
+        }
+        SYNC;
+        EACH(e, q * n) {
+          const int i = used[e / n], j = e % n;
+          bool also = false;
+          for (int a = 0; a < q; a++) also = also || used[a] == j;
+          double total = W[i * n + j];
+          if (also)
+            for (int s = 6; s < n; s++) total += (H[j * n + s] - D[j * n + s]) * W[i * n + s];
+          if (!also || i <= j) put(E, ld, i, j, total);
+        }
+        SYNC;
+      }
       bad = first_bad_pivot(E, ld, n, W, lane);
       if (bad >= 0) {
         if (lane == 0) status[0] = 1, status[1] = bad;
         return;
       }
-      if (lane == 0) take_off(nav, dx);
-      EACH(s, m) x[s] -= dx[9 + s];
-      SYNC;
     }
     if (cov < covariances && cov_epoch[cov] == k) {
       EACH(e, n * n) out_P[(Int)cov * n * n + e] = at(E, ld, e / n, e % n);
