@@ -113,13 +113,14 @@ def left_out(column: str) -> list[float]:
 @app.command("adis")
 def print_adis() -> None:
     """ADIS16405, one run left out after another (the first 50 min warm up)."""
+    every = []
     for column in ("gx", "gy", "gz", "ax", "ay", "az"):
-        print(
-            f"{column}: "
-            + ", ".join(
-                f"run {k + 1} held at {100 * share:.0f} % of scales" for k, share in enumerate(left_out(column))
-            )
-        )
+        shares = left_out(column)
+        every += shares
+        held = (f"run {k + 1} held at {100 * share:.0f} % of scales" for k, share in enumerate(shares))
+        print(f"{column}: " + ", ".join(held))
+    least = sum(share >= 0.9 for share in every)
+    print(f"together: held at {100 * np.mean(every):.1f} % of scales, {least} of {len(every)} curves at 90 % or more")
 
 
 if __name__ == "__main__":

@@ -38,9 +38,17 @@ SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"
 
 
 def emulated(seed: int) -> tuple[Recording, Nominal, dict[str, float]]:
-    """A drive, a belief whose white noise is too small by a known factor, and the true factors of its levels."""
+    """A drive, a belief whose white noise is too small by a known factor, and the true factors of its levels.
+
+    What is stated of the fixes is off by the same on all axes, for a level has one factor.
+    """
     rng = np.random.default_rng([seed, 9])
     s = stage(seed, 15.0, 50.0)
+    position, velocity = (
+        sigma * (stated[0] / sigma[0]) for sigma, stated in zip((s.sigma, s.sigma_v), s.stated, strict=True)
+    )
+    gnss = s.nominal.gnss.model_copy(update={"position_sigma": tuple(position), "velocity_sigma": tuple(velocity)})
+    s = replace(s, stated=(position, velocity), nominal=replace(s.nominal, gnss=gnss))
     by = {sensor: float(rng.choice(FACTORS)) for sensor in ("gyro", "accel")}
     beliefs = {
         a: NoiseModel(tuple(p.scaled(1.0 / by[a.partition("_")[0]]) if isinstance(p, WN) else p for p in m))
@@ -64,7 +72,11 @@ def factors(count: int) -> None:
         for f in found.factors:
             if f.name in true:
                 inside.setdefault(f.name, []).append(f.low <= true[f.name] <= f.high)
-        said = ", ".join(f"{f.name} {f.value:.2f} ({true[f.name]:.2f})" for f in found.factors if f.name in true)
+        said = ", ".join(
+            f"{f.name} {f.value:.2f} [{f.low:.2f}, {f.high:.2f}] ({true[f.name]:.2f})"
+            for f in found.factors
+            if f.name in true
+        )
         print(f"{seed}: every {interval:g} s; {said}", flush=True)
     for name, held in inside.items():
         print(f"{name}: {sum(held)} of {len(held)} intervals hold the factor")

@@ -120,7 +120,7 @@ def _show(console: Console, axis: str, r: RunsFit, choices: Sequence[Choice]) ->
     if r.p_value == r.p_value:
         verdict = (
             "the runs differ by more than one set of parameters allows"
-            if r.p_value < 0.05
+            if r.p_value <= 0.05
             else "one set of parameters is enough"
         )
         console.print(f"near-stationarity: p = {r.p_value:.3g}: {verdict}", highlight=False)

@@ -2,7 +2,7 @@
 
 The common model minimises the distance of the wavelet moments of all runs together, each at its own scales and weights (Radi et al. 2018,
 Bakalli et al. 2017). Where the runs differ by more than they scatter, the logarithms of their parameters are taken as normal around the common
-ones; what is said of the next run comes from the confidence distribution of their spread (Nagashima et al. 2019).
+ones, and intervals for the next run are Student's (Hartung and Knapp 2001).
 """
 
 from __future__ import annotations
@@ -10,11 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, special
+from scipy import linalg, optimize, special
 
 from insemu.errors import InputError
 from insemu.fit.covariance import covariance_of_curve
@@ -28,8 +29,12 @@ from insemu.variance import WaveletVariance, wavelet_variance
 
 Array = NDArray[np.float64]
 
-#: Draws from the confidence distribution of a spread.
-DRAWS = 4000
+#: Standard normal deviate of 95 % intervals.
+NORMAL = float(special.ndtri(0.975))
+#: Cells of the quadrature over a chi-square: coverage to 0.1 %.
+CELLS = 1000
+#: Spread over the scatter of a log beyond which the scatter no longer matters.
+WIDEST = 20.0
 #: How many times the weights of the common model are renewed.
 STEPS = 2
 #: A logarithm of a parameter with a larger standard error says nothing of the spread.
@@ -237,8 +242,8 @@ def fit_runs(
             if progress is not None:
                 progress(k + 1, bootstrap)
         p = (above + 1) / (bootstrap + 1)
-    spreads, covariance, uncertainty = _spreads(each, joint, rng)
-    return RunsFit(joint, each, spreads, _curve(problem, found.V, rng), covariance, uncertainty, statistic, p)
+    spreads, covariance, uncertainty = _spreads(each, joint)
+    return RunsFit(joint, each, spreads, _curve(problem, found.V), covariance, uncertainty, statistic, p)
 
 
 @dataclass(frozen=True)
@@ -324,9 +329,7 @@ def _drawn(problem: _Runs, model: NoiseModel, rng: np.random.Generator) -> _Runs
 # -- the spread between runs -----------------------------------------------------------------------------------------------------------------
 
 
-def _spreads(
-    each: Sequence[FitResult], joint: FitResult, rng: np.random.Generator
-) -> tuple[tuple[Between, ...], Array, Array]:
+def _spreads(each: Sequence[FitResult], joint: FitResult) -> tuple[tuple[Between, ...], Array, Array]:
     """Every parameter's spread, and the covariance of their logarithms from run to run and of the common ones."""
     labels = [e.label for e in joint.parameters if e.free]
     p, R = len(labels), len(each)
@@ -338,7 +341,7 @@ def _spreads(
             y[k] = np.log(np.abs(value))
         weak = ~(np.sqrt(np.diag(C[k])) < UNKNOWN)
         y[k, weak] = np.nan
-    rows = [_spread(labels[i], y[:, i], C[:, i, i], joint[labels[i]].value, rng) for i in range(p)]
+    rows = [_spread(labels[i], y[:, i], C[:, i, i], joint[labels[i]].value) for i in range(p)]
     known = np.isfinite(y)
     counts = known.T.astype(float) @ known
     own = np.where(known[:, :, None] & known[:, None, :], C, 0.0).sum(axis=0) / np.maximum(counts, 1.0)
@@ -362,19 +365,24 @@ def _positive(matrix: Array) -> Array:
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
-def _curve(problem: _Runs, V: Sequence[Array], rng: np.random.Generator) -> tuple[Between, ...]:
+def _curve(problem: _Runs, V: Sequence[Array]) -> tuple[Between, ...]:
     """The wavelet variance from run to run, scale by scale."""
     out = []
     for j in range(min(len(c) for c in problem.curves)):
         y = np.log([c.value[j] for c in problem.curves])
         expected = float(np.exp(y.mean()))
         variance = np.array([v[j, j] for v in V]) / expected**2
-        out.append(_spread(f"{problem.curves[0].tau_s[j]:.4g} s", y, variance, expected, rng))
+        out.append(_spread(f"{problem.curves[0].tau_s[j]:.4g} s", y, variance, expected))
     return tuple(out)
 
 
-def _spread(label: str, y: Array, variance: Array, joint: float, rng: np.random.Generator) -> Between:
-    """One parameter over the runs: random effects with the confidence distribution of their variance (Nagashima et al. 2019)."""
+def _spread(label: str, y: Array, variance: Array, joint: float) -> Between:
+    """One parameter over the runs: random effects, with intervals that hold as often as they say whatever the spread.
+
+    The mean has Student's interval with the scatter as it is (Hartung and Knapp 2001), and so has what the next log will show: neither needs to
+    know what part of the scatter is spread, which few runs do not tell. The next run itself scatters less than its log by what logs scatter; see
+    :func:`scatter_taken_off`.
+    """
     known = np.isfinite(y)
     y, v = y[known], variance[known]
     if y.size < 2:
@@ -387,27 +395,60 @@ def _spread(label: str, y: Array, variance: Array, joint: float, rng: np.random.
         return float(np.sum(w * (y - w @ y / w.sum()) ** 2))
 
     most = float(np.var(y)) * 1e4 + 1e-12
-    here = scatter(0.0)
-    # the sum of squares falls with the variance: a table of its inverse
-    table = np.concatenate([[0.0], np.geomspace(1e-8, 1.0, 400) * most])
-    fallen = np.array([scatter(t) for t in table])
 
-    def inverse(q: Array) -> Array:
-        return np.where(q >= here, 0.0, np.interp(-q, -fallen, table))
+    def inverse(q: float) -> float:
+        """The variance between runs at which the scatter, which falls with it, is q."""
+        return 0.0 if q >= scatter(0.0) else float(optimize.brentq(lambda t2: scatter(t2) - q, 0.0, most))
 
-    t2 = inverse(rng.chisquare(dof, DRAWS))
-    w = 1.0 / (v[None, :] + t2[:, None])
-    mean = (w @ y) / w.sum(axis=1)
-    middle = mean + rng.standard_normal(DRAWS) / np.sqrt(w.sum(axis=1))
-    new = middle + np.sqrt(t2) * rng.standard_normal(DRAWS)
-    shown = new + math.sqrt(float(np.mean(v))) * rng.standard_normal(DRAWS)
-    size2 = float(inverse(np.array([float(dof)]))[0])  # where the scatter is what it should be (Paule and Mandel 1982)
-    at = 1.0 / (v + size2)
-    quantiles = [tuple(np.exp(np.quantile(x, [0.025, 0.975]))) for x in (middle, new, shown)]
-    common = math.copysign(math.exp(float(at @ y / at.sum())), joint)
-    (low, high), (a, b), (c, d) = (tuple(sorted(math.copysign(float(x), joint) for x in q)) for q in quantiles)
-    bound = float(inverse(np.array([float(special.chdtri(dof, 0.95))]))[0])
-    return Between(label, common, low, high, math.sqrt(size2), math.sqrt(bound), a, b, c, d, int(y.size))
+    size2 = inverse(float(dof))  # where the scatter is what it should be (Paule and Mandel 1982)
+    w = 1.0 / (v + size2)
+    middle, of_mean = float(w @ y / w.sum()), 1.0 / float(w.sum())
+    excess = scatter(size2) / dof  # one, or less where the runs scatter less than they should
+    student, own = float(special.stdtrit(dof, 0.975)) ** 2, float(v.mean())
+    of_middle = student * excess * of_mean
+    of_log = student * excess * (of_mean + size2 + own)
+    of_next = max(of_log - scatter_taken_off(y.size) * NORMAL**2 * own, of_middle)
+
+    def ends(square: float) -> tuple[float, float]:
+        low, high = sorted(math.copysign(math.exp(middle + side * math.sqrt(square)), joint) for side in (-1.0, 1.0))
+        return low, high
+
+    common = math.copysign(math.exp(middle), joint)
+    bound = inverse(float(special.chdtri(dof, 0.95)))
+    return Between(
+        label, common, *ends(of_middle), math.sqrt(size2), math.sqrt(bound), *ends(of_next), *ends(of_log), int(y.size)
+    )
+
+
+@cache
+def scatter_taken_off(runs: int) -> float:
+    """What part of the scatter of a log is taken off the squared interval of the next log to get that of the next run.
+
+    All of it (1) is right for many runs. With few the scatter is hardly known, and less must go (as in the expansion of Welch 1947). It is the part
+    with which the coverage strays least from 95 % over all spreads from none to :data:`WIDEST` times the scatter of a log, where all logs scatter
+    alike: quadrature over the chi-square of the sum of squares.
+
+    Parameters
+    ----------
+    runs : int
+        At least two.
+    """
+    dof = runs - 1
+    cells = (np.arange(CELLS) + 0.5) / CELLS
+    own = special.chdtri(dof, 1.0 - cells) / dof  # sum of squares per degree of freedom, of logs that scatter by 1
+    student = float(special.stdtrit(dof, 0.975)) ** 2
+    total = np.concatenate([[0.0], np.geomspace(0.1, WIDEST, 30)])[:, None] ** 2 + 1.0
+    sd = np.sqrt(total * (1.0 + 1.0 / runs) - 1.0)
+
+    def strays(part: float) -> float:
+        """How much further coverage strays upwards than downwards."""
+        square = np.maximum(student * own * total * (1.0 + 1.0 / runs) - part * NORMAL**2, student * own * total / runs)
+        held = np.mean(2.0 * special.ndtr(np.sqrt(square) / sd) - 1.0, axis=1)
+        return float(held.max() - 0.95 - (0.95 - held.min()))
+
+    if strays(1.0) >= 0.0:
+        return 1.0
+    return float(optimize.brentq(strays, 0.0, 1.0, xtol=1e-4)) if strays(0.0) > 0.0 else 0.0
 
 
 # -- which model ---------------------------------------------------------------------------------------------------------------------------
