@@ -205,10 +205,10 @@ class DriveProblem:
         elif h.effect == "gnss_outliers":
             nu = unexplained_innovations(scene, self.blocks())
             # a level that was named before stood for them
-            level = next((f for f in self.found if f.chosen.effect == "gnss_noise_level"), None)
-            if level is not None:
-                self.found.remove(level)
-                h = replace(h, nats=h.nats + level.chosen.nats)
+            stood = next((f for f in self.found if f.chosen.effect == "gnss_noise_level"), None)
+            if stood is not None:
+                self.found.remove(stood)
+                h = replace(h, nats=h.nats + stood.chosen.nats)
                 nominal = np.where(np.arange(6) < 3, 1.0, [scene.original.factors, scene.original.levels])
                 scene = scene.rebuilt(factors=nominal[0], levels=nominal[1])
             times, sized = without_outliers(scene, h, self.cut, self.scene, nu)
