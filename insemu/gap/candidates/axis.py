@@ -21,10 +21,10 @@ from insemu.gap.evidence.model import (
     Component,
     Explanation,
     Fitted,
-    Free,
     Likelihood,
     fit,
 )
+from insemu.gap.evidence.modes import Free
 from insemu.gap.hypothesis import Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
@@ -145,7 +145,7 @@ def best_of(
             break
     fits: list[Fitted] = []
     for e in chosen:
-        fits.append(fit(likelihood, e))
+        fits.append(fit(likelihood, e, fits))
         if fits[0].evidence < state.fitted.evidence - HOPELESS:
             break  # the most promising one leads to nothing
     if not fits:

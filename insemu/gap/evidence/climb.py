@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.gap.evidence.model import CURVATURE_STEP, Free, Mode
+from insemu.gap.evidence.modes import CURVATURE_STEP, Free, Mode
 
 Array = NDArray[np.float64]
 #: Log likelihoods of points, each a parameter vector of one of several problems.
