@@ -356,15 +356,15 @@ class Along:
         return total + (self.likelihood.low_of(covariance, self.explanation.regressors) if covariance.size else 0.0)
 
     def slope(self, x: Array) -> Slope | None:
-        """The same with its derivatives and how it bends, roughly; ``None`` where it is not finite."""
+        """The same with its derivatives and expected curvature; ``None`` where it is not finite."""
         by = (np.zeros((x.size, self._psd.size)), np.zeros((x.size, self._covariance.size)))
         psd, covariance = self._sum(x, by)
-        value, gradient, bend = 0.0, np.zeros(x.size), np.zeros((x.size, x.size))
+        value, gradient, information = 0.0, np.zeros(x.size), np.zeros((x.size, x.size))
         for k, (v, (low, high, edge, width)) in enumerate(zip(x.tolist(), self._prior, strict=True)):
             outside = max(low - v, v - high, 0.0)
             value -= width + 0.5 * (outside / edge) ** 2
             gradient[k] = math.copysign(outside, low - v if v < low else low - high) / edge**2
-            bend[k, k] = 1.0 / edge**2 if outside else 0.0
+            information[k, k] = 1.0 / edge**2 if outside else 0.0
         if psd.size:
             rolloff, gain = self.explanation.rolloff, self._gain(x)
             S = psd * gain + (rolloff.floor if rolloff else 0.0)
@@ -377,22 +377,15 @@ class Along:
                 moved = np.asarray(self._gain(x + SHAPE_STEP * (np.arange(x.size) == k)))
                 relative[k] = psd * (moved - gain) / (SHAPE_STEP * S)
             gradient += relative @ (0.5 * counted * (ratio - 1.0))
-            bend += (relative * (0.5 * counted * _log_mean(ratio))) @ relative.T
+            information += (relative * (0.5 * counted)) @ relative.T
         if covariance.size:
             scored = self.likelihood.score_of(covariance, self.explanation.regressors)
             if scored is None:
                 return None
             value += scored[0]
             gradient += by[1] @ scored[1]
-            bend += _asymptotic_information(covariance, by[1])
-        return Slope(value, gradient, bend) if math.isfinite(value) and np.isfinite(gradient).all() else None
-
-
-def _log_mean(ratio: Array) -> Array:
-    """Curvature, in log, of a chi-square's likelihood between where the measured over the modelled power is ``ratio`` and where it is one."""
-    away = ratio - 1.0
-    near = np.abs(away) < 1e-3
-    return np.asarray(np.where(near, 1.0 + 0.5 * away, away / np.log(np.where(near, 2.0, np.maximum(ratio, 1e-12)))))
+            information += _asymptotic_information(covariance, by[1])
+        return Slope(value, gradient, information) if math.isfinite(value) and np.isfinite(gradient).all() else None
 
 
 #: Share of its largest value below which a density of the differences counts as that: sampled covariances do not resolve less.

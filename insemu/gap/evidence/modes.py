@@ -92,7 +92,7 @@ class Mode:
     @cached_property
     def precision(self) -> Array:
         """Inverse of the covariance."""
-        return np.linalg.inv(self.covariance)
+        return np.asarray(np.linalg.inv(self.covariance), dtype=np.float64)
 
 
 def reach(free: Sequence[Free]) -> tuple[Array, Array]:
@@ -105,6 +105,8 @@ def reach(free: Sequence[Free]) -> tuple[Array, Array]:
 
 def inside(x: Array, free: Sequence[Free]) -> Array:
     """The nearest point that no prior's edge touches."""
+    if not x.size:
+        return x
     return np.clip(x, [math.log(f.low) for f in free], [math.log(f.high) for f in free])
 
 
@@ -137,33 +139,33 @@ def weighed(x: Array, log_posterior: float, H: Array, free: Sequence[Free]) -> M
 
 @dataclass(frozen=True)
 class Slope:
-    """A log posterior with its derivatives, and roughly how it bends.
+    """A log posterior with its derivatives and its expected curvature.
 
     Parameters
     ----------
     value : float
     gradient : (k,) array
-    bend : (k, k) array
-        Positive semidefinite, near the second derivatives of the negative log posterior; a climb corrects it by what it meets.
+    information : (k, k) array
+        Fisher's, that of the prior's edges included: what the second derivatives of the negative log posterior are on average.
     """
 
     value: float
     gradient: Array
-    bend: Array
+    information: Array
 
 
-#: Longest step in log, halvings of a step that goes downhill, steps of a climb and how many of the last ones correct the bend.
-LONGEST_STEP, HALVINGS, MOST_STEPS, CORRECTIONS = 1.5, 8, 60, 8
+#: Longest step in log, tries of one step, steps of a climb.
+LONGEST_STEP, TRIES, MOST_STEPS = 0.5, 12, 60
 #: A climb ends where a step promises less, nats; the step by which the curvature at a mode is taken from derivatives, in log.
-PROMISED_NATS, SLOPE_STEP = 1e-4, 1e-3
-#: Squared distance, in standard deviations of a known mode, within which a climb will end there.
+PROMISED_NATS, SLOPE_STEP = 1e-3, 1e-3
+#: Squared distance in standard deviations, and nats, from a known mode within which a climb will end there.
 SAME_MODE = 0.1
 #: What stands for the log posterior where there is none.
 NONE = -1e12
 
 
 def ascend(look: Callable[[Array], Slope | None], x0: Array, free: Sequence[Free], known: Sequence[Mode] = ()) -> Mode:
-    """Climb to a mode and weigh it, by damped quasi-Newton steps that begin with the bend that the slope knows.
+    """Climb to a mode and weigh it: steps of Fisher's scoring, shortened as Levenberg and Marquardt do.
 
     Parameters
     ----------
@@ -175,70 +177,62 @@ def ascend(look: Callable[[Array], Slope | None], x0: Array, free: Sequence[Free
     known : sequence of Mode
         Modes of the same posterior: a climb that comes near one ends there.
     """
-    x = inside(x0, free) if x0.size else x0
+    x = inside(x0, free)
     here = look(x)
     if here is None:
         return weighed(x, NONE, np.zeros((x.size, x.size)), free)
-    low, high = reach(free)
-    floor = np.diag([1.0 / f.sigma**2 for f in free])
-    pairs: list[tuple[Array, Array]] = []
+    limits, floor, damping = reach(free), np.diag([1.0 / f.sigma**2 for f in free]), FIRST_DAMPING
     for _ in range(MOST_STEPS if x.size else 0):
-        step = _newton_step(x, here.gradient, _corrected(here.bend + floor, pairs), low, high)
-        if 0.5 * float(here.gradient @ step) < PROMISED_NATS:
+        bend = here.information + floor
+        if 0.5 * float(here.gradient @ _step(x, here.gradient, bend, limits)) < PROMISED_NATS:
             break
-        new = _uphill(look, x, here, step)
-        if new is None:
-            if not pairs:
-                break
-            pairs = []  # what was met on the way misleads here
-            continue
-        moved, there = new
-        pairs = [*pairs[1 - CORRECTIONS :], (moved - x, here.gradient - there.gradient)]
-        x, here = moved, there
+        damping, taken = _damped(look, x, here, bend, damping, limits)
+        if taken is None:
+            break
+        x, here = taken
         for mode in known:
-            if float((x - mode.x) @ mode.precision @ (x - mode.x)) < SAME_MODE:
+            off = x - mode.x
+            if abs(here.value - mode.log_posterior) < SAME_MODE and float(off @ mode.precision @ off) < SAME_MODE:
                 return mode
     return weighed(x, here.value, _bend_at(look, x, here, free), free)
 
 
-def _newton_step(x: Array, gradient: Array, bend: Array, low: Array, high: Array) -> Array:
-    """The step to the top of the parabola, no longer than the longest and inside the bounds; what pushes against one stays there."""
+#: Damping of a first step, and by how much one that fails, that gains less than a quarter, or more than three quarters of its promise, changes it.
+FIRST_DAMPING, FAILED, POOR, GOOD = 1e-3, 8.0, 2.0, 0.2
+
+
+def _damped(
+    look: Callable[[Array], Slope | None],
+    x: Array,
+    here: Slope,
+    bend: Array,
+    damping: float,
+    limits: tuple[Array, Array],
+) -> tuple[float, tuple[Array, Slope] | None]:
+    """The next point uphill and the damping to go on with; no point where none was found."""
+    ridge = np.diag(np.diag(bend))
+    for _ in range(TRIES):
+        step = _step(x, here.gradient, bend + damping * ridge, limits)
+        there, rate = look(x + step), float(here.gradient @ step)
+        if there is not None and there.value - here.value > 1e-4 * rate:
+            kept = (there.value - here.value) / max(rate - 0.5 * float(step @ bend @ step), 1e-300)
+            return damping * (GOOD if kept > 0.75 else POOR if kept < 0.25 else 1.0), (x + step, there)
+        damping = max(damping * FAILED, FIRST_DAMPING)
+    return damping, None
+
+
+def _step(x: Array, gradient: Array, bend: Array, limits: tuple[Array, Array]) -> Array:
+    """The step to the top of the parabola, no longer than the longest and inside the limits; what pushes against one stays there."""
+    low, high = limits
     held = ((x <= low) & (gradient < 0.0)) | ((x >= high) & (gradient > 0.0))
-    for _ in range(x.size):
-        go = ~held
-        step = np.zeros(x.size)
-        if go.any():
-            step[go] = np.linalg.solve(bend[np.ix_(go, go)], gradient[go])
-        step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
-        clipped = np.clip(x + step, low, high) - x
-        more = go & (clipped == 0.0) & (step != 0.0)
-        if not more.any():
-            return np.asarray(clipped)
-        held |= more
-    return np.zeros(x.size)
-
-
-def _corrected(bend: Array, pairs: Sequence[tuple[Array, Array]]) -> Array:
-    """A bend that agrees with how the derivatives changed over the last steps (Broyden, Fletcher, Goldfarb and Shanno)."""
-    for s, y in pairs:
-        along, Bs = float(s @ y), bend @ s
-        bent = float(s @ Bs)
-        if along > 1e-8 * bent > 0.0:
-            bend = bend + np.outer(y, y) / along - np.outer(Bs, Bs) / bent
-    return bend
-
-
-def _uphill(look: Callable[[Array], Slope | None], x: Array, here: Slope, step: Array) -> tuple[Array, Slope] | None:
-    """The first point along a step that is uphill enough, halving it as a parabola through both ends says."""
-    rate, size = float(here.gradient @ step), 1.0
-    for _ in range(HALVINGS):
-        moved = x + size * step
-        there = look(moved)
-        if there is not None and there.value >= here.value + 1e-4 * size * rate:
-            return moved, there
-        drop = 2.0 * (size * rate - (there.value - here.value)) if there is not None else math.inf
-        size *= min(max(size * rate / drop, 0.1), 0.5)
-    return None
+    go = ~held
+    step = np.zeros(x.size)
+    if go.all():
+        step = np.asarray(np.linalg.solve(bend, gradient), dtype=np.float64)
+    elif go.any():
+        step[go] = np.linalg.solve(bend[np.ix_(go, go)], gradient[go])
+    step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
+    return np.asarray(np.clip(x + step, low, high) - x)
 
 
 def _bend_at(look: Callable[[Array], Slope | None], x: Array, here: Slope, free: Sequence[Free]) -> Array:
@@ -247,7 +241,7 @@ def _bend_at(look: Callable[[Array], Slope | None], x: Array, here: Slope, free:
     for i, f in enumerate(free):
         side = 1.0 if x[i] < 0.5 * math.log(f.low * f.high) else -1.0
         beside = look(x + side * SLOPE_STEP * (np.arange(x.size) == i))
-        H[i] = here.bend[i] if beside is None else (here.gradient - beside.gradient) / (side * SLOPE_STEP)
+        H[i] = here.information[i] if beside is None else (here.gradient - beside.gradient) / (side * SLOPE_STEP)
     return 0.5 * (H + H.T)
 
 
