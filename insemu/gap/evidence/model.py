@@ -239,11 +239,34 @@ class Likelihood:
 
     def log_posterior(self, explanation: Explanation) -> float:
         """Log-likelihood plus log prior density of the free parameters."""
-        x = explanation.start()
+        return self.log_posteriors([explanation])[0]
+
+    def log_posteriors(self, explanations: Sequence[Explanation]) -> list[float]:
+        """The same of several explanations; what a component that they share contributes is worked out once."""
+        parts: dict[int, tuple[Array, Array]] = {}
+        return [self._log_posterior(e, parts) for e in explanations]
+
+    def _log_posterior(self, explanation: Explanation, parts: dict[int, tuple[Array, Array]]) -> float:
+        x, data, count = explanation.start(), self.data, self.data.differences.size
         if any(not f.admits(v) for f, v in zip(explanation.free, x, strict=True)):
             return -math.inf
-        prior = sum(f.log_density(v) for f, v in zip(explanation.free, x, strict=True))
-        return self.low(explanation) + self.high(explanation) + prior
+        total = sum(f.log_density(v) for f, v in zip(explanation.free, x, strict=True))
+        psd, covariance = np.zeros_like(data.f), np.zeros(count)
+        for c in explanation.components:
+            if id(c) not in parts:
+                parts[id(c)] = (
+                    density(c.process, data.f, data.dt),
+                    difference_covariance(c.process, data.block, data.dt, count),
+                )
+            psd += parts[id(c)][0]
+            covariance += parts[id(c)][1]
+        if count:
+            total += self.low_of(covariance, explanation.regressors)
+        if psd.size:
+            low_pass = explanation.rolloff
+            S = psd * low_pass.gain(data.f, data.dt) + low_pass.floor if low_pass else psd
+            total += self.high_of(S, explanation.seen(data))
+        return total
 
     def coefficients(self, explanation: Explanation) -> tuple[Array, Array]:
         """Posterior mean and covariance of the regressors' coefficients at the explanation's parameters."""
