@@ -51,6 +51,10 @@ class Free:
         outside = max(math.log(self.low) - x, x - math.log(self.high), 0.0)
         return -math.log(self.width) - 0.5 * (outside / self.edge) ** 2
 
+    def slope(self, x: float) -> float:
+        """Derivative of :meth:`log_density`: none inside the bounds."""
+        return (max(math.log(self.low) - x, 0.0) - max(x - math.log(self.high), 0.0)) / self.edge**2
+
     def admits(self, x: float) -> bool:
         """Whether the logarithm ``x`` is inside the bounds or no more than six edges outside."""
         return math.log(self.low) - 6.0 * self.edge <= x <= math.log(self.high) + 6.0 * self.edge
@@ -157,7 +161,7 @@ class Slope:
 #: Longest step in log, tries of one step, steps of a climb.
 LONGEST_STEP, TRIES, MOST_STEPS = 0.5, 12, 60
 #: A climb ends where a step promises less, nats; the step by which the curvature at a mode is taken from derivatives, in log.
-PROMISED_NATS, SLOPE_STEP = 1e-3, 1e-3
+PROMISED_NATS, SLOPE_STEP = 1e-4, 1e-3
 #: Squared distance in standard deviations, and nats, from a known mode within which a climb will end there.
 SAME_MODE = 0.1
 #: What stands for the log posterior where there is none.
@@ -194,9 +198,19 @@ def ascend(look: Callable[[Array], Slope | None], x0: Array, free: Sequence[Free
             off = x - mode.x
             if abs(here.value - mode.log_posterior) < SAME_MODE and float(off @ mode.precision @ off) < SAME_MODE:
                 return mode
-    return weighed(x, here.value, _bend_at(look, x, here, free), free)
+    if not x.size:
+        return weighed(x, here.value, np.zeros((0, 0)), free)
+    H = _bend_at(look, x, here, free)
+    values, vectors = np.linalg.eigh(H)
+    last = (vectors / np.maximum(values, float(floor.diagonal().min()))) @ (vectors.T @ here.gradient)
+    gain = 0.5 * float(here.gradient @ last)
+    if not 0.0 <= gain < CLOSE * PROMISED_NATS:  # a climb that was given up
+        return weighed(x, here.value, H, free)
+    return weighed(np.clip(x + last, *limits), here.value + gain, H, free)
 
 
+#: A last step, to the top of the parabola, is taken where it promises no more than this over what a climb ends for.
+CLOSE = 10.0
 #: Damping of a first step, and by how much one that fails, that gains less than a quarter, or more than three quarters of its promise, changes it.
 FIRST_DAMPING, FAILED, POOR, GOOD = 1e-3, 8.0, 2.0, 0.2
 
@@ -236,12 +250,18 @@ def _step(x: Array, gradient: Array, bend: Array, limits: tuple[Array, Array]) -
 
 
 def _bend_at(look: Callable[[Array], Slope | None], x: Array, here: Slope, free: Sequence[Free]) -> Array:
-    """Second derivatives of the negative log posterior at a mode: differences of the derivatives, to the middle of the prior."""
+    """Second derivatives of the negative log posterior at a mode.
+
+    Those of the likelihood by differences of its derivatives, to the middle of the prior. The prior's edge has a kink, whose place the mode knows
+    to less than what a level there is uncertain by: its curvature is the mean over the step by which every curvature is taken.
+    """
     H = np.empty((x.size, x.size))
     for i, f in enumerate(free):
-        side = 1.0 if x[i] < 0.5 * math.log(f.low * f.high) else -1.0
-        beside = look(x + side * SLOPE_STEP * (np.arange(x.size) == i))
-        H[i] = here.information[i] if beside is None else (here.gradient - beside.gradient) / (side * SLOPE_STEP)
+        h = SLOPE_STEP if x[i] < 0.5 * math.log(f.low * f.high) else -SLOPE_STEP
+        beside = look(x + h * (np.arange(x.size) == i))
+        H[i] = here.information[i] if beside is None else (here.gradient - beside.gradient) / h
+        H[i, i] -= (f.slope(x[i]) - f.slope(x[i] + h)) / h if beside is not None else 0.0
+        H[i, i] += (f.slope(x[i] - CURVATURE_STEP) - f.slope(x[i] + CURVATURE_STEP)) / (2.0 * CURVATURE_STEP)
     return 0.5 * (H + H.T)
 
 
