@@ -90,7 +90,7 @@ class _Climb:
 def laplace_together(
     log_likelihoods: Likelihoods, starts: Sequence[Array], free: Sequence[Sequence[Free]], close: float
 ) -> list[Mode]:
-    """Climb to the posterior mode of several problems by damped Newton steps and weigh each as :func:`insemu.gap.evidence.model.laplace` does.
+    """Climb to the posterior mode of several problems by damped Newton steps and weigh each as :func:`insemu.gap.evidence.modes.laplace` does.
 
     Parameters
     ----------
