@@ -5,7 +5,8 @@ import numpy as np
 
 from insemu.gap import find_static_gap, register
 from insemu.gap.candidates.axis import AxisHypothesis, AxisState, best_of
-from insemu.gap.evidence.model import Component, Free
+from insemu.gap.evidence.model import Component
+from insemu.gap.evidence.modes import Free
 from insemu.noise import GM, WN, NoiseModel
 from insemu.records import Series
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from insemu.effects import EffectUse, having
 from insemu.gap.data.log import Reduced, block_differences, block_length
-from insemu.gap.evidence.model import Explanation, Free, Likelihood, Regressors, fit
+from insemu.gap.evidence.model import Explanation, Likelihood, Regressors, fit
+from insemu.gap.evidence.modes import Free
 from insemu.noise import BI, GM, RW, Process
 from insemu.trial.expected import GAUSSIAN, Log, component
 

@@ -15,8 +15,8 @@ from insemu.gap import Policy, find_static_gap, search, session
 from insemu.gap.candidates import axis
 from insemu.gap.data import log
 from insemu.gap.drive import scene
-from insemu.gap.evidence import model
-from insemu.gap.evidence.model import Free
+from insemu.gap.evidence import modes
+from insemu.gap.evidence.modes import Free
 from insemu.gap.policy import RUNS, rules, under
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import Series
@@ -107,11 +107,11 @@ REST, FLIGHT = "rest-one-04", "flight-three-01"
     ("recording", "module", "refined"),
     [
         (REST, log, {"BLOCK_S": 5.0, "MOST_BLOCKS": 1000, "FEWEST_BLOCKS": 240}),
-        (REST, model, {"EDGE": 0.15, "TOLERANCE_EDGE": 0.01}),
+        (REST, modes, {"EDGE": 0.15, "TOLERANCE_EDGE": 0.01}),
         (REST, axis, {"HOPELESS": 8.0}),
         (REST, search, {"MOST_EFFECTS": 24}),
         (FLIGHT, scene, {"KNOT_S": 5.0, "KNOTS": 120}),
-        (FLIGHT, model, {"EDGE": 0.15, "TOLERANCE_EDGE": 0.01}),
+        (FLIGHT, modes, {"EDGE": 0.15, "TOLERANCE_EDGE": 0.01}),
         (FLIGHT, session, {"MOST_PASSES": 4}),
     ],
     ids=lambda x: x if isinstance(x, str) else "+".join(x) if isinstance(x, dict) else "",
@@ -121,6 +121,6 @@ def test_a_finer_precision_leaves_the_answer(recording, module, refined, monkeyp
     for name, value in refined.items():
         assert getattr(module, name) != value
         monkeypatch.setattr(module, name, value)
-    if module is model:
+    if module is modes:
         monkeypatch.setattr(Free.__init__, "__defaults__", (refined["EDGE"],))
     assert sentences(entry.job.run()) == entry.said

@@ -25,7 +25,8 @@ from insemu.gap.data.counts import lattice
 from insemu.gap.data.log import moving_spectrum, reduce
 from insemu.gap.data.samples import clipped, coarse, mend, spikes
 from insemu.gap.data.sources import static_of
-from insemu.gap.evidence.model import Explanation, level
+from insemu.gap.evidence.model import Explanation
+from insemu.gap.evidence.modes import level
 from insemu.gap.hypothesis import Found, Hypothesis
 from insemu.gap.problems import rest
 from insemu.gap.problems.rest import is_slow

@@ -23,7 +23,8 @@ from insemu.gap.data.sources import static_of
 from insemu.gap.evidence import kernels
 from insemu.gap.evidence.band import Band
 from insemu.gap.evidence.linear import regression_evidence, stationary_score
-from insemu.gap.evidence.model import Component, Explanation, Free, Likelihood, Regressors, Rolloff
+from insemu.gap.evidence.model import Component, Explanation, Likelihood, Regressors, Rolloff
+from insemu.gap.evidence.modes import Free
 from insemu.gap.problems.findings import is_doubtful, remainder
 from insemu.gap.problems.rest import reweighted, search_axis, weigh_all
 from insemu.gap.threshold import Tail, certain, tail_of, threshold_of
@@ -537,6 +538,6 @@ def test_a_climb_knows_the_derivatives_of_what_it_climbs(low_pass: bool, ramp: b
     along, x = Likelihood(data).along(explanation), explanation.start() + 0.01
     x[0] += 0.5  # outside of the tolerance, where the prior has a slope
     known = along.slope(x)
-    assert known is not None and known[0] == pytest.approx(along(x), rel=1e-12)
+    assert known is not None and known.value == pytest.approx(along(x), rel=1e-12)
     slopes = np.array([(along(x + 1e-5 * e) - along(x - 1e-5 * e)) / 2e-5 for e in np.eye(x.size)])
-    assert known[1] == pytest.approx(slopes, rel=1e-3, abs=1e-2)
+    assert known.gradient == pytest.approx(slopes, rel=1e-3, abs=1e-2)

@@ -21,10 +21,10 @@ from insemu.gap.evidence.model import (
     Component,
     Explanation,
     Fitted,
-    Free,
     Likelihood,
     fit,
 )
+from insemu.gap.evidence.modes import Free
 from insemu.gap.hypothesis import Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
@@ -135,9 +135,10 @@ def best_of(
         One, or none where there is no start.
     """
     likelihood = state.likelihood
-    scored = sorted(((likelihood.log_posterior(e), i, e) for i, e in enumerate(starts)), key=lambda item: -item[0])
+    starts = list(starts)
+    order = np.argsort(-np.array(likelihood.log_posteriors(starts)), kind="stable")
     chosen: list[Explanation] = []
-    for _, _, explanation in scored:
+    for explanation in (starts[k] for k in order):
         # a neighbour of a chosen start leads to the same optimum
         if all(np.max(np.abs(explanation.start() - other.start())) > apart for other in chosen):
             chosen.append(explanation)
@@ -145,7 +146,7 @@ def best_of(
             break
     fits: list[Fitted] = []
     for e in chosen:
-        fits.append(fit(likelihood, e))
+        fits.append(fit(likelihood, e, fits))
         if fits[0].evidence < state.fitted.evidence - HOPELESS:
             break  # the most promising one leads to nothing
     if not fits:
@@ -317,7 +318,7 @@ def whitened(state: AxisState) -> Array:
             r = np.zeros(n)
             r[1:-1] = x[1:-1] - 0.5 * (x[2:] + x[:-2])
             return r / (1.4826 * max(float(np.median(np.abs(r))), 1e-300))
-        y = np.fft.rfft(data.values - data.values.mean())
+        y = data.remembered("transform", lambda: np.fft.rfft(data.values - data.values.mean()))
         f, S = _spectral_weight(state.explanation, n, data.dt)
         # beyond an output filter there is nothing but what leaks there: it must not be blown up
         least = LEAST_POWER * float(np.median(S))

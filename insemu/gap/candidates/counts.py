@@ -15,7 +15,8 @@ from insemu.gap.candidates.axis import (
     cleaned,
 )
 from insemu.gap.data.counts import lattice, pile_evidence
-from insemu.gap.evidence.model import Component, Free, fit
+from insemu.gap.evidence.model import Component, fit
+from insemu.gap.evidence.modes import Free
 from insemu.gap.hypothesis import Hypothesis, Later
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value

@@ -21,7 +21,8 @@ from insemu.gap.candidates.axis import (
     spread_of,
 )
 from insemu.gap.evidence.linear import log_mean_exp
-from insemu.gap.evidence.model import Component, Explanation, Free, fit
+from insemu.gap.evidence.model import Component, Explanation, fit
+from insemu.gap.evidence.modes import Free
 from insemu.gap.hypothesis import Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value

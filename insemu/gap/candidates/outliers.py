@@ -17,7 +17,7 @@ from insemu.gap.candidates.axis import (
 )
 from insemu.gap.candidates.noise import white_noise
 from insemu.gap.data.counts import lattice
-from insemu.gap.evidence.model import Free, laplace, level
+from insemu.gap.evidence.modes import Free, laplace, level
 from insemu.gap.hypothesis import Hypothesis, Later
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value

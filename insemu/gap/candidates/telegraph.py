@@ -17,7 +17,7 @@ from insemu.gap.candidates.axis import (
 )
 from insemu.gap.candidates.noise import gauss_markov
 from insemu.gap.evidence import kernels
-from insemu.gap.evidence.model import Free, laplace
+from insemu.gap.evidence.modes import Free, laplace
 from insemu.gap.hypothesis import Hypothesis, Later
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value

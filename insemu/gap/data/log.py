@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,9 +69,9 @@ class Reduced:
     weight: Array | None = None
     shaking: InBand | None = None
     quiet: Array | None = None
-    _memory: dict[str, Array] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _memory: dict[str, NDArray[Any]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
-    def remembered(self, name: str, make: Callable[[], Array]) -> Array:
+    def remembered(self, name: str, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
         """What follows from the samples alone, worked out once.
 
         Parameters

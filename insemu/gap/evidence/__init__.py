@@ -8,12 +8,12 @@ from insemu.gap.evidence.model import (
     DEPTH,
     Component,
     Explanation,
-    Free,
     Likelihood,
     Regressors,
     Rolloff,
     fit,
 )
+from insemu.gap.evidence.modes import Free
 
 __all__ = [
     "DEPTH",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
@@ -12,6 +13,20 @@ from numpy.typing import ArrayLike, NDArray
 from insemu.noise import AR, WN, Parameter, Process, StateBlock
 
 Array = NDArray[np.float64]
+
+
+#: Most frequencies whose sines and cosines are remembered: a search asks for the same bins thousands of times.
+MOST_REMEMBERED = 8192
+
+
+def _turned(f: Array, dt: float) -> tuple[Array, Array]:
+    angle = (2.0 * math.pi * dt) * f
+    return np.cos(angle), np.sin(angle)
+
+
+@lru_cache(maxsize=16)
+def _turns(f: bytes, dt: float) -> tuple[Array, Array]:
+    return _turned(np.frombuffer(f), dt)
 
 
 @dataclass(frozen=True)
@@ -42,8 +57,11 @@ class Band(Process):
 
     def psd(self, f: ArrayLike, dt: float) -> Array:  # noqa: D102
         phi1, phi2, sigma2 = self.coefficients(dt)
-        z = np.exp(-2j * np.pi * np.asarray(f, dtype=np.float64) * dt)
-        return np.asarray(sigma2 * dt / np.abs(1.0 - phi1 * z - phi2 * z**2) ** 2)
+        at = np.asarray(f, dtype=np.float64)
+        cosine, sine = _turns(at.tobytes(), dt) if at.size <= MOST_REMEMBERED else _turned(at, dt)
+        # |1 - phi1 z - phi2 z^2|^2 with z turned back by its angle: nothing cancels near the resonance
+        distance = ((1.0 - phi2) * cosine - phi1) ** 2 + ((1.0 + phi2) * sine) ** 2
+        return np.asarray(sigma2 * dt / distance).reshape(at.shape)
 
     def allan_variance(self, m: ArrayLike, dt: float) -> Array:
         """By the low-frequency density: exact for averages much longer than the resonance's memory, where alone it is used."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.gap.evidence.model import CURVATURE_STEP, Free, Mode
+from insemu.gap.evidence.modes import CURVATURE_STEP, Free, Mode
 
 Array = NDArray[np.float64]
 #: Log likelihoods of points, each a parameter vector of one of several problems.
@@ -90,7 +90,7 @@ class _Climb:
 def laplace_together(
     log_likelihoods: Likelihoods, starts: Sequence[Array], free: Sequence[Sequence[Free]], close: float
 ) -> list[Mode]:
-    """Climb to the posterior mode of several problems by damped Newton steps and weigh each as :func:`insemu.gap.evidence.model.laplace` does.
+    """Climb to the posterior mode of several problems by damped Newton steps and weigh each as :func:`insemu.gap.evidence.modes.laplace` does.
 
     Parameters
     ----------

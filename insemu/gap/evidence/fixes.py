@@ -13,7 +13,7 @@ from insemu.filters import FilterResult
 from insemu.gap.evidence import error_kernels
 from insemu.gap.evidence.climb import laplace_together
 from insemu.gap.evidence.linear import log_mean_exp
-from insemu.gap.evidence.model import Free, Mode, level
+from insemu.gap.evidence.modes import Free, Mode, level
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 

@@ -11,82 +11,18 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize
 
 from insemu.gap.data.log import Reduced, density, difference_covariance, of_unit_level
 from insemu.gap.evidence import kernels
 from insemu.gap.evidence.linear import regression_evidence, stationary_score
+from insemu.gap.evidence.modes import Free, Mode, Slope, ascend, level
 from insemu.gap.policy import rules
 from insemu.noise import NoiseModel, Process
 
 Array = NDArray[np.float64]
-
-#: Softness, in log, of the bounds of a free parameter and of the border of a nominal level's tolerance: Laplace's approximation needs a slope.
-EDGE, TOLERANCE_EDGE = 0.3, 0.02
-#: Finding of the differences that give the curvature at a mode, in log.
-CURVATURE_STEP = 5e-3
-
-
-@dataclass(frozen=True)
-class Free:
-    """A positive free parameter: flat prior in its logarithm between two bounds, with Gaussian edges of width ``edge``.
-
-    Parameters
-    ----------
-    name : str
-        Parameter of the process.
-    low, high : float
-        Bounds, in the parameter's own unit.
-    edge : float
-        Softness of the bounds, in log.
-    """
-
-    name: str
-    low: float
-    high: float
-    edge: float = EDGE
-
-    @property
-    def width(self) -> float:
-        """Mass-equivalent width of the prior, in log."""
-        return math.log(self.high / self.low) + self.edge * math.sqrt(2.0 * math.pi)
-
-    def log_density(self, x: float) -> float:
-        """Log prior density of the logarithm ``x``."""
-        outside = max(math.log(self.low) - x, x - math.log(self.high), 0.0)
-        return -math.log(self.width) - 0.5 * (outside / self.edge) ** 2
-
-    def admits(self, x: float) -> bool:
-        """Whether the logarithm ``x`` is inside the bounds or no more than six edges outside."""
-        return math.log(self.low) - 6.0 * self.edge <= x <= math.log(self.high) + 6.0 * self.edge
-
-    @property
-    def sigma(self) -> float:
-        """Standard deviation of the prior, in log: the most that an estimate can be uncertain."""
-        return self.width / math.sqrt(12.0)
-
-
-def level(name: str, value: float, uncertainty: float | None = None, power: int = 1) -> Free:
-    """A nominal level that may be wrong by ``uncertainty`` (relative); as much as the policy says where it is not given.
-
-    Parameters
-    ----------
-    name : str
-        Parameter.
-    value : float
-        Its nominal value, in its own unit.
-    uncertainty : float, optional
-        Of the signal.
-    power : int
-        Power of the signal in the parameter: 2 for a variance.
-    """
-    uncertainty = rules().tolerance if uncertainty is None else uncertainty
-    factor = (1.0 + uncertainty) ** power
-    return Free(name, value / factor, value * factor, TOLERANCE_EDGE * power)
 
 
 @dataclass(frozen=True)
@@ -303,11 +239,34 @@ class Likelihood:
 
     def log_posterior(self, explanation: Explanation) -> float:
         """Log-likelihood plus log prior density of the free parameters."""
-        x = explanation.start()
+        return self.log_posteriors([explanation])[0]
+
+    def log_posteriors(self, explanations: Sequence[Explanation]) -> list[float]:
+        """The same of several explanations; what a component that they share contributes is worked out once."""
+        parts: dict[int, tuple[Array, Array]] = {}
+        return [self._log_posterior(e, parts) for e in explanations]
+
+    def _log_posterior(self, explanation: Explanation, parts: dict[int, tuple[Array, Array]]) -> float:
+        x, data, count = explanation.start(), self.data, self.data.differences.size
         if any(not f.admits(v) for f, v in zip(explanation.free, x, strict=True)):
             return -math.inf
-        prior = sum(f.log_density(v) for f, v in zip(explanation.free, x, strict=True))
-        return self.low(explanation) + self.high(explanation) + prior
+        total = sum(f.log_density(v) for f, v in zip(explanation.free, x, strict=True))
+        psd, covariance = np.zeros_like(data.f), np.zeros(count)
+        for c in explanation.components:
+            if id(c) not in parts:
+                parts[id(c)] = (
+                    density(c.process, data.f, data.dt),
+                    difference_covariance(c.process, data.block, data.dt, count),
+                )
+            psd += parts[id(c)][0]
+            covariance += parts[id(c)][1]
+        if count:
+            total += self.low_of(covariance, explanation.regressors)
+        if psd.size:
+            low_pass = explanation.rolloff
+            S = psd * low_pass.gain(data.f, data.dt) + low_pass.floor if low_pass else psd
+            total += self.high_of(S, explanation.seen(data))
+        return total
 
     def coefficients(self, explanation: Explanation) -> tuple[Array, Array]:
         """Posterior mean and covariance of the regressors' coefficients at the explanation's parameters."""
@@ -320,6 +279,10 @@ class Likelihood:
         scales = np.concatenate([r.scales for r in explanation.regressors]) * max(rules().prior_scales)
         covariance = np.linalg.inv(G.T @ G + np.diag(1.0 / scales**2))
         return covariance @ (G.T @ white[:, 0]), covariance
+
+
+#: Derivatives of density (k, bins) and covariance (k, lags) by k parameters.
+Slopes = tuple[Array, Array]
 
 
 class Along:
@@ -371,25 +334,29 @@ class Along:
             known[key] = self._moved(process, names, own) if names else self._shape(process)
         return known[key]
 
-    def _sum(self, x: Array, slopes: list[tuple[Array, Array]] | None = None) -> tuple[Array, Array]:
-        """Density before the roll-off and covariance at ``x``; their derivatives by each parameter are appended to ``slopes``."""
-        psd, covariance, k = self._psd, self._covariance, 0
+    def _sum(self, x: Array, by: Slopes | None = None) -> tuple[Array, Array]:
+        """Density before the roll-off and covariance at ``x``; their derivatives by each parameter are written to ``by``."""
+        psd, covariance, k = self._psd.copy(), self._covariance.copy(), 0
         for process, names, at, known in self._moving:
             own = x[k : k + len(names)].tolist()
             power = 2 // process.level.power
             size = math.exp(power * own.pop(at)) if at >= 0 else 1.0
             others = [n for i, n in enumerate(names) if i != at]
             unit = self._unit(process, others, own, known)
-            psd, covariance = psd + size * unit[0], covariance + size * unit[1]
-            if slopes is not None:
-                mine = []
-                for i in range(len(own)):
+            here = (size * unit[0], size * unit[1])
+            psd += here[0]
+            covariance += here[1]
+            if by is not None:
+                rows = [k + i for i in range(len(names)) if i != at]
+                for i, row in enumerate(rows):
                     moved = [v + SHAPE_STEP * (n == i) for n, v in enumerate(own)]
                     more = self._unit(process, others, moved, known)
-                    mine.append(tuple(size / SHAPE_STEP * (a - b) for a, b in zip(more, unit, strict=True)))
+                    for out, a, b in zip(by, more, unit, strict=True):
+                        np.subtract(a, b, out=out[row])
+                        out[row] *= size / SHAPE_STEP
                 if at >= 0:
-                    mine.insert(at, (power * size * unit[0], power * size * unit[1]))
-                slopes += [(a, b) for a, b in mine]
+                    for out, part in zip(by, here, strict=True):
+                        np.multiply(part, float(power), out=out[k + at])
             k += len(names)
         return psd, covariance
 
@@ -411,33 +378,59 @@ class Along:
             total += self.likelihood.high_of(psd * self._gain(x) + floor, self._seen)
         return total + (self.likelihood.low_of(covariance, self.explanation.regressors) if covariance.size else 0.0)
 
-    def slope(self, x: Array) -> tuple[float, Array] | None:
-        """The same with its derivatives; ``None`` where it is not finite."""
-        slopes: list[tuple[Array, Array]] = []
-        psd, covariance = self._sum(x, slopes)
-        value, out = 0.0, np.zeros(x.size)
-        for k, (v, (low, high, edge, width)) in enumerate(zip(x, self._prior, strict=True)):
+    def slope(self, x: Array) -> Slope | None:
+        """The same with its derivatives and expected curvature; ``None`` where it is not finite."""
+        by = (np.zeros((x.size, self._psd.size)), np.zeros((x.size, self._covariance.size)))
+        psd, covariance = self._sum(x, by)
+        value, gradient, information = 0.0, np.zeros(x.size), np.zeros((x.size, x.size))
+        for k, (v, (low, high, edge, width)) in enumerate(zip(x.tolist(), self._prior, strict=True)):
             outside = max(low - v, v - high, 0.0)
             value -= width + 0.5 * (outside / edge) ** 2
-            out[k] = math.copysign(outside, low - v if v < low else low - high) / edge**2
+            gradient[k] = math.copysign(outside, low - v if v < low else low - high) / edge**2
+            information[k, k] = 1.0 / edge**2 if outside else 0.0
         if psd.size:
             rolloff, gain = self.explanation.rolloff, self._gain(x)
             S = psd * gain + (rolloff.floor if rolloff else 0.0)
             if not (S > 0).all():
                 return None
-            value += self.likelihood.high_of(S, self._seen)
-            by_density = -0.5 * self.likelihood.data.counted * (1.0 - self._seen / S) / S
-            out[: len(slopes)] += [float(by_density @ (gain * d)) for d, _ in slopes]
-            for k in range(len(slopes), x.size):
+            counted, ratio = self.likelihood.data.counted, self._seen / S
+            value += float(-0.5 * (counted @ (np.log(S) + ratio)))
+            relative = by[0] * (gain / S)
+            for k in range(x.size - len(rolloff.free) if rolloff else x.size, x.size):
                 moved = np.asarray(self._gain(x + SHAPE_STEP * (np.arange(x.size) == k)))
-                out[k] += float(by_density @ (psd * (moved - gain))) / SHAPE_STEP
+                relative[k] = psd * (moved - gain) / (SHAPE_STEP * S)
+            gradient += relative @ (0.5 * counted * (ratio - 1.0))
+            information += (relative * (0.5 * counted)) @ relative.T
         if covariance.size:
             scored = self.likelihood.score_of(covariance, self.explanation.regressors)
             if scored is None:
                 return None
             value += scored[0]
-            out[: len(slopes)] += [float(scored[1] @ d) for _, d in slopes]
-        return (value, out) if math.isfinite(value) and np.isfinite(out).all() else None
+            gradient += by[1] @ scored[1]
+            information += _asymptotic_information(covariance, by[1])
+        return Slope(value, gradient, information) if math.isfinite(value) and np.isfinite(gradient).all() else None
+
+
+#: Share of its largest value below which a density of the differences counts as that: sampled covariances do not resolve less.
+LEAST_DENSITY = 1e-4
+
+
+def _asymptotic_information(covariance: Array, by: Array) -> Array:
+    """Information of a stationary Gaussian vector on its parameters, as that of its spectrum (Whittle 1953).
+
+    Parameters
+    ----------
+    covariance : (n,) array
+        At lags 0 to n - 1.
+    by : (k, n) array
+        Its derivatives by each parameter.
+    """
+    n = covariance.size
+    size = 1 << (2 * n - 1).bit_length()
+    rows = np.vstack([covariance, by])
+    density = 2.0 * np.fft.rfft(rows, size).real - rows[:, :1]
+    relative = density[1:] / np.maximum(density[0], LEAST_DENSITY * float(density[0].max()))
+    return np.asarray(0.5 * n / relative.shape[1] * (relative @ relative.T))
 
 
 @dataclass(frozen=True)
@@ -448,18 +441,27 @@ class Fitted:
     ----------
     explanation : Explanation
         With the most probable parameters.
-    evidence : float
-        Log evidence, nats.
-    covariance : (k, k) array
-        Of the logarithms of the free parameters.
-    log_posterior : float
-        At the optimum.
+    mode : Mode
+        The optimum in the logarithms of the free parameters.
     """
 
     explanation: Explanation
-    evidence: float
-    covariance: Array
-    log_posterior: float
+    mode: Mode
+
+    @property
+    def evidence(self) -> float:
+        """Log evidence, nats."""
+        return self.mode.evidence
+
+    @property
+    def covariance(self) -> Array:
+        """Of the logarithms of the free parameters, (k, k)."""
+        return self.mode.covariance
+
+    @property
+    def log_posterior(self) -> float:
+        """At the optimum."""
+        return self.mode.log_posterior
 
     @cached_property
     def sigma(self) -> Array:
@@ -467,122 +469,19 @@ class Fitted:
         return np.sqrt(np.diag(self.covariance))
 
 
-def fit(likelihood: Likelihood, explanation: Explanation) -> Fitted:
+def fit(likelihood: Likelihood, explanation: Explanation, known: Sequence[Fitted] = ()) -> Fitted:
     """Refine an explanation from its current parameters and weigh it.
 
     The evidence is Laplace's, with each parameter's posterior width limited to that of its prior.
-    """
-    along = likelihood.along(explanation)
-    found = laplace(along, explanation.start(), explanation.free, along.slope)
-    return Fitted(explanation.at(found.x), found.evidence, found.covariance, found.log_posterior)
-
-
-@dataclass(frozen=True)
-class Mode:
-    """A posterior mode: logarithms of the parameters, their covariance, log posterior there, log evidence."""
-
-    x: Array
-    covariance: Array
-    log_posterior: float
-    evidence: float
-
-
-def laplace(
-    log_posterior: Callable[[Array], float],
-    x0: Array,
-    free: Sequence[Free],
-    slope: Callable[[Array], tuple[float, Array] | None] | None = None,
-    close: float = 0.0,
-) -> Mode:
-    """Climb to a mode and weigh it; no direction counts as wider than its prior.
 
     Parameters
     ----------
-    log_posterior : callable
-        Of the logarithms of the parameters.
-    x0 : (k,) array
-        Where to start.
-    free : sequence of Free
-    slope : callable, optional
-        The log posterior with its derivatives, or ``None`` where it has none; by differences where it is not given.
-    close : float
-        The climb ends where a step gains less, nats: a likelihood that is a run of a filter is worth stopping early.
+    likelihood : Likelihood
+    explanation : Explanation
+    known : sequence of Fitted
+        Explanations of the same form at their optimum: one of them is returned where the climb leads there.
     """
-    admitted = [(math.log(f.low) - 6.0 * f.edge, math.log(f.high) + 6.0 * f.edge) for f in free]
-
-    def cost(x: Array) -> float:
-        if any(not low <= v <= high for v, (low, high) in zip(x, admitted, strict=True)):
-            return 1e12 + float(np.sum((x - x0) ** 2))  # however strong the evidence
-        value = -log_posterior(x)
-        return value if math.isfinite(value) else 1e12
-
-    if not x0.size:
-        top = log_posterior(x0)
-        return Mode(x0, np.zeros((0, 0)), top, top)
-    x0 = np.clip(x0, [math.log(f.low) for f in free], [math.log(f.high) for f in free])
-    # curvatures differ by orders of magnitude (a million samples against a handful of blocks): climb in standardised coordinates
-    prior = np.array([1.0 / f.sigma**2 for f in free])
-    centre, step = cost(x0), 3e-3
-    bend = np.array([(cost(x0 + e) + cost(x0 - e) - 2.0 * centre) / step**2 for e in np.eye(x0.size) * step])
-    unit = 1.0 / np.sqrt(np.maximum(np.where(np.isfinite(bend), bend, 0.0), prior))
-    # so far inside the bounds that the curvature is not taken across them
-    beyond = [6.0 * f.edge - 1.1 * CURVATURE_STEP for f in free]
-    reach = [
-        ((math.log(f.low) - b - c) / u, (math.log(f.high) + b - c) / u)
-        for f, b, c, u in zip(free, beyond, x0, unit, strict=True)
-    ]
-
-    def sloped(z: Array) -> tuple[float, Array]:
-        """Cost and its derivatives; by differences, they are forward ones, backward at the edge."""
-        known = slope(x0 + unit * z) if slope is not None else None
-        if known is not None:
-            return -known[0], -unit * known[1]
-        here, out = cost(x0 + unit * z), np.empty(z.size)
-        for i in range(z.size):
-            moved = z.copy()
-            moved[i] += 1e-3 if z[i] + 1e-3 <= reach[i][1] else -1e-3
-            out[i] = (cost(x0 + unit * moved) - here) / (moved[i] - z[i])
-        return here, out
-
-    minimize: Any = optimize.minimize
-    result = minimize(
-        sloped,
-        np.zeros(x0.size),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=reach,
-        options={"maxiter": 60, "ftol": max(1e-9, close / max(abs(centre), 1.0))},
-    )
-    x, best = x0 + unit * np.asarray(result.x, dtype=np.float64), float(result.fun)
-    H = _hessian(cost, x, best, slope)
-    scale = np.array([1.0 / f.sigma for f in free])
-    eigenvalues, vectors = np.linalg.eigh(H / scale[:, None] / scale[None, :])
-    eigenvalues = np.maximum(eigenvalues, 1.0)
-    covariance = (vectors / eigenvalues) @ vectors.T / scale[:, None] / scale[None, :]
-    logdet = float(np.sum(np.log(eigenvalues)) + 2.0 * np.sum(np.log(scale)))
-    return Mode(x, covariance, -best, -best + 0.5 * x.size * math.log(2.0 * math.pi) - 0.5 * logdet)
-
-
-def _hessian(
-    cost: Callable[[Array], float],
-    x: Array,
-    centre: float,
-    slope: Callable[[Array], tuple[float, Array] | None] | None,
-) -> Array:
-    """Second derivatives of a cost: differences of the derivatives where there are any, else of the cost itself."""
-    n, h = x.size, CURVATURE_STEP
-    H = np.empty((n, n))
-    steps = np.eye(n) * h
-    if slope is not None:
-        sides = [(slope(x - s), slope(x + s)) for s in steps]
-        if all(a is not None and b is not None for a, b in sides):
-            H = np.stack([(a[1] - b[1]) / (2.0 * h) for a, b in sides if a is not None and b is not None])
-            return 0.5 * (H + H.T)
-    plus = np.array([cost(x + s) for s in steps])
-    minus = np.array([cost(x - s) for s in steps])
-    for i in range(n):
-        H[i, i] = (plus[i] + minus[i] - 2.0 * centre) / h**2
-        for j in range(i):
-            both = cost(x + steps[i] + steps[j])
-            H[i, j] = H[j, i] = (both - plus[i] - plus[j] + centre) / h**2
-    return H
+    along = likelihood.along(explanation)
+    found = ascend(along.slope, explanation.start(), explanation.free, [f.mode for f in known])
+    same = next((f for f in known if f.mode is found), None)
+    return same or Fitted(explanation.at(found.x), found)

@@ -16,7 +16,8 @@ from insemu.gap.candidates.tones import wandering, without_tones
 from insemu.gap.data.log import Reduced
 from insemu.gap.data.samples import advanced
 from insemu.gap.drive.preparation import Prepared, fixes_score, prepare
-from insemu.gap.evidence.model import Component, Explanation, Free
+from insemu.gap.evidence.model import Component, Explanation
+from insemu.gap.evidence.modes import Free
 from insemu.gap.hypothesis import Found, Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.problems.findings import AxisResult, with_process

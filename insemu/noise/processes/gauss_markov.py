@@ -16,7 +16,7 @@ from insemu.noise.block import StateBlock
 from insemu.noise.compiled import draws
 from insemu.noise.grammar import quantity
 from insemu.noise.parameters import Parameter
-from insemu.noise.process import MarkovParts, Process, counts, of_structure
+from insemu.noise.process import MarkovParts, Process, counts
 
 Array = NDArray[np.float64]
 
@@ -139,9 +139,12 @@ class GM(Process):
     def difference_covariance(self, m: int, dt: float, count: int) -> Array:  # noqa: D102
         a, variance = self.parameters["beta"] * dt, self.parameters["sigma"] ** 2
         # covariance of neighbouring means; every further mean multiplies by exp(-m a)
-        near = variance * math.exp(-a) * (math.expm1(-m * a) / math.expm1(-a) / m) ** 2
-        structure = 2.0 * float(self.allan_variance(m, dt)) - 2.0 * near * np.expm1(-np.arange(count) * m * a)
-        return of_structure(structure)
+        near, lost = variance * math.exp(-a) * (math.expm1(-m * a) / math.expm1(-a) / m) ** 2, -math.expm1(-m * a)
+        allan = (
+            2.0 * variance * float(first_order_wavelet(a, np.array([float(m)]))[0])
+        )  # half the variance of a difference
+        far = -near * lost**2 * np.exp(np.arange(max(count - 2, 0)) * (-m * a))
+        return np.concatenate([[2.0 * allan, near * lost - allan][:count], far])
 
     def block(self, dt: float) -> StateBlock:  # noqa: D102
         phi, q = self.discrete(dt)

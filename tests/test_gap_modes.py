@@ -1,0 +1,105 @@
+"""The climb to a posterior mode with derivatives: where it ends, what it weighs, and what is shared between starts."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from insemu.gap.data.log import reduce
+from insemu.gap.evidence.band import Band
+from insemu.gap.evidence.model import Component, Explanation, Likelihood, Rolloff, fit
+from insemu.gap.evidence.modes import NONE, Free, Slope, ascend, laplace, level
+from insemu.noise import GM, RW, WN, NoiseModel
+from insemu.records import Series
+
+Array = NDArray[np.float64]
+WIDE = (Free("a", 0.01, 100.0), Free("b", 0.01, 100.0))
+
+
+def variances(x: Array, free: tuple[Free, ...]) -> Slope:
+    """Two variances and their estimates, coupled; the information is what the curvature is where both agree."""
+    z = x - np.array([0.4, -0.7])
+    value = float(-200.0 * np.sum(2.0 * z + np.exp(-2.0 * z)) - 30.0 * z[0] * z[1])
+    gradient = -400.0 * (1.0 - np.exp(-2.0 * z)) - 30.0 * z[::-1]
+    value += sum(f.log_density(v) for f, v in zip(free, x, strict=True))
+    gradient = gradient + np.array([f.slope(v) for f, v in zip(free, x, strict=True)])
+    return Slope(value, gradient, 800.0 * np.eye(2))
+
+
+@pytest.mark.parametrize("free", [WIDE, (level("a", math.exp(0.1)), Free("b", 0.01, 100.0))], ids=["inside", "edge"])
+@pytest.mark.parametrize("start", [(3.0, -3.0), (-2.0, 2.0)])
+def test_a_climb_with_derivatives_ends_where_one_without_does(
+    free: tuple[Free, ...], start: tuple[float, float]
+) -> None:
+    x0 = np.array(start)
+    found = ascend(lambda x: variances(x, free), x0, free)
+    expected = laplace(lambda x: variances(x, free).value, x0, free)
+    np.testing.assert_allclose(found.x, expected.x, atol=1e-3)
+    assert variances(found.x, free).gradient == pytest.approx(np.zeros(2), abs=0.02)
+    np.testing.assert_allclose(found.covariance, expected.covariance, rtol=0.02, atol=1e-6)
+    assert found.evidence == pytest.approx(expected.evidence, abs=0.01)
+
+
+def test_a_climb_ends_at_a_known_mode_that_it_comes_near() -> None:
+    first = ascend(lambda x: variances(x, WIDE), np.array([3.0, -3.0]), WIDE)
+    looks = []
+
+    def look(x: Array) -> Slope:
+        looks.append(x)
+        return variances(x, WIDE)
+
+    assert ascend(look, np.array([-2.0, 2.0]), WIDE, [first]) is first
+    known = len(looks)
+    again = ascend(look, np.array([-2.0, 2.0]), WIDE)
+    assert again is not first and known < len(looks) - known
+
+
+def test_where_there_is_no_posterior_a_climb_is_worth_nothing() -> None:
+    assert ascend(lambda _: None, np.zeros(2), WIDE).log_posterior == NONE
+
+
+def test_starts_share_what_their_common_parts_contribute() -> None:
+    rng = np.random.default_rng(3)
+    data = reduce(Series(WN(1e-3).simulate(40_000, 0.1, rng), 10.0, "rad/s", "gyro_x"))
+    base = Explanation.nominal(NoiseModel((WN(1e-3), RW(1e-5))))
+    free = (Free("sigma", 1e-8, 1.0), Free("beta", 1e-4, 1.0))
+    starts = [base.with_component(Component(GM(a, 0.01), free, "gauss_markov")) for a in (1e-6, 1e-4)]
+    starts.append(
+        Explanation(base.components, Rolloff("exponential", (2.0,), (Free("corner", 0.1, 5.0),), floor=1e-11))
+    )
+    likelihood = Likelihood(data)
+    got = likelihood.log_posteriors(starts)
+    for value, e in zip(got, starts, strict=True):
+        prior = sum(f.log_density(v) for f, v in zip(e.free, e.start(), strict=True))
+        assert value == pytest.approx(likelihood.low(e) + likelihood.high(e) + prior, rel=1e-12)
+    assert len(set(got)) == 3
+
+
+def test_a_fit_ends_where_the_posterior_is_flat() -> None:
+    rng = np.random.default_rng(4)
+    truth = WN(1e-3) + GM(1e-3, 0.05)
+    data = reduce(Series(truth.simulate(40_000, 0.1, rng), 10.0, "rad/s", "gyro_x"))
+    free = (Free("sigma", 1e-6, 1.0), Free("beta", 1e-4, 1.0))
+    start = Explanation.nominal(NoiseModel((WN(1.1e-3),))).with_component(
+        Component(GM(1e-5, 0.5), free, "gauss_markov")
+    )
+    likelihood = Likelihood(data)
+    found = fit(likelihood, start)
+    slope = likelihood.along(start).slope(found.mode.x)
+    assert slope is not None
+    # what one more step would gain
+    assert 0.5 * float(slope.gradient @ found.covariance @ slope.gradient) < 1e-3
+    assert found.mode.x[1:] == pytest.approx(np.log([1e-3, 0.05]), abs=0.5)
+
+
+def test_a_band_has_the_density_of_its_autoregression() -> None:
+    band, dt = Band(2.0, 10.0, 0.01), 0.01
+    phi1, phi2, variance = band.coefficients(dt)
+    f = np.concatenate([[0.0], np.geomspace(0.05, 49.9, 200), [10.0]])
+    z = np.exp(-2j * np.pi * f * dt)
+    expected = variance * dt / np.abs(1.0 - phi1 * z - phi2 * z**2) ** 2
+    np.testing.assert_allclose(band.psd(f, dt), expected, rtol=1e-9)
+    assert float(band.psd(0.0, dt)) == pytest.approx(expected[0], rel=1e-9)
