@@ -40,7 +40,7 @@ READ = ROOT / "tests" / "mutants.yaml"
 COVER = ROOT / ".mutants" / "cover.json"
 #: Rooms, the tests that should see what goes wrong in them, and tests of the rooms above that would see it, too.
 ROOMS = {
-    "noise": (["noise"], ["noise", "noise_derived"], ["augment", "fit_methods", "fit_gmwm", "gap_beliefs_any_process"]),
+    "noise": (["noise"], ["noise", "noise_derived", "noise_pins"], ["augment", "fit_methods", "fit_gmwm", "gap_beliefs_any_process"]),
     "variance": (
         ["variance"],
         [
@@ -54,7 +54,7 @@ ROOMS = {
         ["fit_gmwm", "fit_readings", "characterise", "online"],
     ),
     "augment": (["augment.py"], ["augment"], ["designs", "filters", "together", "covariance"]),
-    "effects": (["effects"], ["effects", "compensation"], ["effect_matrix", "gap_dynamic"]),
+    "effects": (["effects"], ["effects", "effects_passes", "compensation"], ["effect_matrix", "gap_dynamic"]),
     "units": (["units.py"], ["units"], ["sensors", "formats"]),
     "records": (["records.py"], ["records", "formats"], ["filters", "aids", "emulate_cli", "files"]),
     "scenario": (["scenario"], ["scenario", "scenario_fuzz"], ["init", "sweep", "designs", "run"]),
