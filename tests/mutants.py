@@ -40,7 +40,11 @@ READ = ROOT / "tests" / "mutants.yaml"
 COVER = ROOT / ".mutants" / "cover.json"
 #: Rooms, the tests that should see what goes wrong in them, and tests of the rooms above that would see it, too.
 ROOMS = {
-    "noise": (["noise"], ["noise", "noise_derived", "noise_pins"], ["augment", "fit_methods", "fit_gmwm", "gap_beliefs_any_process"]),
+    "noise": (
+        ["noise"],
+        ["noise", "noise_derived", "noise_pins"],
+        ["augment", "fit_methods", "fit_gmwm", "gap_beliefs_any_process"],
+    ),
     "variance": (
         ["variance"],
         [
@@ -481,6 +485,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--room", choices=ROOMS, action="append")
     parser.add_argument("--only", metavar="FILE:LINE")
+    parser.add_argument("--minutes", type=float, default=1e6, help="begin no mutant after this time")
     parser.add_argument("--quick", action="store_true", help="do not give survivors the tests that are not quick")
     parser.add_argument("--cover", action="store_true", help="note which tests run which line, and end")
     parser.add_argument(
@@ -507,12 +512,15 @@ def main() -> int:
         chosen = [m for m in every if f"{m.file}:{m.line}" == given.only]
     else:
         chosen = random.Random(given.seed).sample(every, min(given.sample, len(every)))
-    chosen.sort(key=lambda m: list(ROOMS).index(m.room))
+    end = time.monotonic() + 60.0 * given.minutes
     reasons = equivalent()
     survived, apart = [], 0
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(Path(folder))
         for k, mutant in enumerate(chosen):
+            if time.monotonic() > end:
+                chosen = chosen[:k]  # the first of a random order are a random sample, too
+                break
             if bench.seen(mutant, not given.quick):
                 continue
             reason = reasons.get(f"{mutant.file}: {mutant.change}")
