@@ -89,7 +89,12 @@ class Mutant:
     change: str
 
     def __str__(self) -> str:
-        return f"{self.file}:{self.line} [{self.number}] {self.change}"
+        return f"{self.file}:{self.line} [{self.number}] {self.change}  in  {self.text}"
+
+    @property
+    def text(self) -> str:
+        """The line as it stands."""
+        return (ROOT / self.file).read_text(encoding="utf-8").splitlines()[self.line - 1].strip()
 
 
 def _changes(node: ast.AST) -> list[tuple[str, Any]]:
@@ -474,7 +479,7 @@ class Bench:
 
 
 def equivalent() -> dict[str, str]:
-    """Mutants that were read and change nothing anyone can see, with the reason, by file and change."""
+    """Mutants that were read and change nothing anyone can see, with the reason, by file, change and line."""
     return (yaml.safe_load(READ.read_text(encoding="utf-8")) or {}) if READ.exists() else {}
 
 
@@ -523,7 +528,7 @@ def main() -> int:
                 break
             if bench.seen(mutant, not given.quick):
                 continue
-            reason = reasons.get(f"{mutant.file}: {mutant.change}")
+            reason = reasons.get(f"{mutant.file}: {mutant.change}  in  {mutant.text}")
             apart += reason is not None
             if reason is None:
                 survived.append(mutant)
