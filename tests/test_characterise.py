@@ -278,3 +278,18 @@ def test_real_logs(name: str) -> None:
         assert any(f.startswith("warm-up") for axis in ("ax", "az") for f in reports[axis].findings)
         floor = [np.rad2deg(reports[g].readings["B"].si_value) * 0.664 for g in ("gx", "gy", "gz")]
         assert all(0.005 < f < 0.009 for f in floor)  # deg/s, as the data's notes say
+
+
+def test_a_file_of_curves_without_a_rate_is_at_one_hertz_and_axes_are_told_by_their_names(tmp_path: Path) -> None:
+    path = tmp_path / "curves.json"
+    names = {"Gyro. X": True, "gz": True, "Accel. Y": False, "ax": False, "Temperature": None}
+    entry = {"wvar": {name: {"variance": [3.0, 2.0, 1.0]} for name in names} | {"broken": 3}}
+    path.write_text(json.dumps({"S": entry, "T": entry | {"freq": [100.0]}, "U": 3, "V": {"wvar": 3}}))
+    found = formats.read_curves(path)
+    assert [c.label for c in found] == [f"{sensor} {name}" for sensor in "ST" for name in names]
+    assert [c.is_gyro for c in found] == list(names.values()) * 2
+    for curve in found:
+        np.testing.assert_array_equal(
+            curve.tau_s, np.array([2.0, 4.0, 8.0]) / (1.0 if curve.label[0] == "S" else 100.0)
+        )
+        np.testing.assert_array_equal(curve.value, [3.0, 2.0, 1.0])

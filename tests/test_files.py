@@ -171,6 +171,26 @@ def test_headers_with_nested_brackets_are_split_in_linear_time() -> None:
 # --------------------------------------------------------------------------------------------------------------------- clocks
 
 
+@pytest.mark.parametrize(("gps", "unix"), [(1.0e9, 1_315_964_785.0), (1.2e9, 1_515_964_782.0), (0.5e9, 815_964_790.0)])
+def test_gps_time_and_utc_are_those_of_the_almanac(gps: float, unix: float) -> None:
+    """GPS seconds 1,000,000,000 were 2011-09-14 01:46:25 UTC; each year has its leap seconds."""
+    t = gps + np.array([0.0, 0.5, 60.0])
+    out, said = clock.converted(t, "gps", "unix", unix)
+    np.testing.assert_array_equal(out, t - gps + unix)
+    assert f"with {clock.leap_seconds(unix)} leap seconds" in said
+    back, _ = clock.converted(out, "unix", "gps", gps)
+    np.testing.assert_array_equal(back, t)
+    week = np.floor(gps / clock.WEEK)
+    of_week, _ = clock.converted(t, "gps", "sow", gps - week * clock.WEEK)
+    np.testing.assert_array_equal(of_week, t - week * clock.WEEK)
+    again, _ = clock.converted(of_week, "sow", "gps", gps)
+    np.testing.assert_array_equal(again, t)
+    there, _ = clock.converted(of_week, "sow", "unix", unix)
+    np.testing.assert_array_equal(there, out)
+    of_unix, _ = clock.converted(out, "unix", "sow", gps - week * clock.WEEK)
+    np.testing.assert_array_equal(of_unix, of_week)
+
+
 @pytest.mark.parametrize(
     ("unix", "leap"), [(315_964_800.0, 0), (1_483_228_799.0, 17), (1_483_228_800.0, 18), (1_700_000_000.0, 18)]
 )
