@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from benchmarks.foreign import sensors
 from benchmarks.foreign.judge import calibration, taken
 from insemu.gap import GapReport, find_gap
-from insemu.gap.checks.drive import _beyond
+from insemu.gap.checks.drive import _beyond, innovation_tests
 from insemu.gap.data.log import Reduced, moving_spectra
 from insemu.gap.drive import preparation
+from insemu.gap.drive.preparation import Flown
+from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.shaking import rectified, without_shaking
 from insemu.gap.verdict import Finding, InBand, Member, Value, judged
 from insemu.noise import WN, NoiseModel
@@ -173,3 +175,14 @@ def test_a_shaken_vehicle_whose_vibration_rectifies_lacks_nothing(monkeypatch: p
 def test_the_nis_of_shaken_velocities_has_the_tolerance_of_a_level() -> None:
     edge = 1.22**2
     assert [_beyond(x) for x in (1.3, 1.0 / 1.3, 2.0 * edge, 0.5 / edge)] == pytest.approx([1.0, 1.0, 2.0, 0.5])
+
+
+def test_velocities_of_an_antenna_on_an_arm_are_not_asked_for_a_white_spectrum_where_the_vehicle_shakes() -> None:
+    for lever, expected in ((np.array([0.5, 0.2, -0.3]), True), (np.zeros(3), False)):
+        world = sensors.draw_world(6, 100.0, True, "quadrotor")
+        world = replace(world, unit=replace(world.unit, lever=lever))
+        prepared = Flown.of(*taken(world, ())).prepared
+        assert prepared.swings == expected
+        tested = {name for name, *_ in innovation_tests(Scene.of(prepared), Scene.of(prepared).data.y)}
+        assert ("velocity innovation whiteness" in tested) != expected
+        assert "position innovation whiteness" in tested

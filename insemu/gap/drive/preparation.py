@@ -66,7 +66,7 @@ class Prepared:
     rectified : (n, 2) array, optional
         See :func:`insemu.gap.drive.shaking.rectified`.
     swings : bool
-        Whether the antenna swings on its lever arm as the vehicle shakes, which the standard deviations of the velocities hold.
+        Whether the antenna swings on its lever arm as the vehicle shakes: velocities hold what fixes sample of that at their own rate.
     """
 
     imu: ImuRecord
@@ -196,9 +196,11 @@ def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], le
             break
         gnss = steady
     result = _run(imu, gnss, start, beliefs, lever)
+    left = rectified(imu, fast)
     prepared = Prepared(
-        imu, gnss, result, beliefs, fast, lever, np.ones(6), start, nominal, rectified=rectified(imu, fast)
-    )
+        imu, gnss, result, beliefs, fast, lever, np.ones(6), start, nominal,
+        rectified=left, swings=left is not None and bool(np.any(lever)),
+    )  # fmt: skip
     for _ in range(2):
         loop = Loop.of(prepared.result)
         factors = trimmed_factors(prepared, loop, Surrogate.of(prepared.result), loop.y.reshape(-1, 6))
