@@ -28,7 +28,7 @@ from insemu.gap.evidence import (
     Likelihood,
     Regressors,
     Rolloff,
-    fit,
+    laplace,
     log_mean_exp,
     regression_evidence,
     toeplitz_whiten,
@@ -75,6 +75,11 @@ class Expected(Likelihood):
 
     def score_of(self, gamma: Array, regressors: Sequence[Regressors] = ()) -> None:
         """Only values are known of an expectation: the derivatives of the likelihood of the data are not its own."""
+
+
+def _evidence(likelihood: Expected, explanation: Explanation) -> float:
+    """Log evidence at the optimum of an expectation, which is known by its values alone."""
+    return laplace(likelihood.along(explanation), explanation.start(), explanation.free).evidence
 
 
 def trace_of_ratio(gamma: Array, true: Array) -> float:
@@ -192,15 +197,15 @@ class Log:
             return self._of_samples(use, self.explained(others)[0])
         full, mean = self.explained([*others, use])
         likelihood = self.expected(full, mean)
-        with_it = fit(likelihood, full)
+        with_it = _evidence(likelihood, full)
         less, _ = self.explained(others)
         if use.id == "white_noise":
             less = replace(less, components=(*self.nominal().components, *less.components[len(self.truth.processes) :]))
-        without = max((fit(likelihood, e) for e in _starts(less)), key=lambda f: f.evidence)
+        without = max(_evidence(likelihood, e) for e in _starts(less))
         # the expectation of a maximum is half a nat above the maximum of the expectation for every parameter
         more = len(full.free) - len(less.free) + sum(len(r.names) for r in full.regressors if r.effect == use.id)
         rare = rules().telegraph_rarer if use.id == "telegraph" else 0.0
-        return with_it.evidence - without.evidence + 0.5 * more - rare
+        return with_it - without + 0.5 * more - rare
 
     def _of_samples(self, use: EffectUse, rest: Explanation) -> float:
         given = {k: v[self.axis if len(v) > 1 else 0] for k, v in use.values.items()}

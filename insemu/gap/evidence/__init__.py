@@ -13,7 +13,7 @@ from insemu.gap.evidence.model import (
     Rolloff,
     fit,
 )
-from insemu.gap.evidence.modes import Free
+from insemu.gap.evidence.modes import Free, laplace
 
 __all__ = [
     "DEPTH",
@@ -27,6 +27,7 @@ __all__ = [
     "Rolloff",
     "Surrogate",
     "fit",
+    "laplace",
     "log_mean_exp",
     "regression_evidence",
     "toeplitz_whiten",
