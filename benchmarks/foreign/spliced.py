@@ -48,7 +48,7 @@ WORTH = 20.0
 #: Seconds of another program's motion.
 SPAN_S = 360.0
 DEG = math.pi / 180.0
-#: Effects that are spliced: as many real drives as made ones record no temperature.
+#: Effects that are spliced: neither the real drives nor the made motion record a temperature.
 SHAPES = [key for key in sensors.SHAPED if key[0] != "temperature"]
 
 
