@@ -10,6 +10,7 @@ import pytest
 from scipy import stats
 
 from insemu import earth
+from insemu.effects import having
 from insemu.errors import InputError
 from insemu.gap import session
 from insemu.gap.beliefs.nominal import Nominal
@@ -118,6 +119,11 @@ def test_sizes_of_shapes_reach_from_a_tenth_of_a_datasheet_to_thirty_a_hundred_a
     assert [np.log10([x[0], x[-1]]) for x in tried] == [
         pytest.approx([-1.0, top], abs=0.1) for top in (math.log10(30.0), 2.0, 3.0)
     ]
+
+
+def test_refinements_of_plainer_errors_are_these():
+    thermal = {"temperature_scale_factor", "temperature_misalignment"}
+    assert having("second_order") == {"scale_asymmetry", "g2_sensitivity", *thermal}
 
 
 @pytest.mark.parametrize(("lead", "first"), [(1.1, "scale_factor"), (1.7, "scale_asymmetry")])

@@ -432,6 +432,7 @@ class _Warmed(_OnOneAxis):
 
     excitation = "the signals of the effect without temperature, during a temperature sweep"
     in_filter = "compensation by the recorded temperature"
+    traits = frozenset({"second_order"})
     stage, size, needs_temperature = Stage.RESPONSE, "value", True
 
     def per_kelvin(self, use: EffectUse) -> Array:
@@ -512,8 +513,6 @@ class Saturation(Effect):
     formula = "y = clip(s, -limit, limit)"
     parameters = (_P("limit", "{s}", 3, (250.0 * DEG, 4.0 * G), None, "full scale", True, join="smaller", nothing=1e6),)
     excitation, in_filter = "motion beyond the full scale", "epochs flagged"
-    traits = frozenset({"second_order"})
-    traits = frozenset({"second_order"})
     traits = frozenset({"samples", "evident"})
     stage = Stage.CLIP
     absent = {"compensate": "what was clipped is lost", "signature": _SAMPLES}
