@@ -122,8 +122,7 @@ def test_sizes_of_shapes_reach_from_a_tenth_of_a_datasheet_to_thirty_a_hundred_a
 
 
 def test_refinements_of_plainer_errors_are_these():
-    thermal = {"temperature_scale_factor", "temperature_misalignment"}
-    assert having("second_order") == {"scale_asymmetry", "g2_sensitivity", *thermal}
+    assert having("second_order") == {"scale_asymmetry", "g2_sensitivity"}
 
 
 @pytest.mark.parametrize(("lead", "first"), [(1.1, "scale_factor"), (1.7, "scale_asymmetry")])
