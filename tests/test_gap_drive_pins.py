@@ -27,6 +27,7 @@ from insemu.gap.evidence.linear import Field
 from insemu.gap.evidence.model import Explanation
 from insemu.gap.hypothesis import Found, Hypothesis, class_of
 from insemu.gap.problems import band, drive, rest
+from insemu.gap.problems import named as problem_named
 from insemu.gap.problems.findings import VARYING, rejected, remainder
 from insemu.gap.verdict import Finding, Member, Where
 from insemu.noise import WN, NoiseModel
@@ -194,13 +195,13 @@ def test_strong_effects_of_fixes_and_timing_together_ask_for_a_second_pass(nats,
 def test_a_rival_of_a_tenth_of_the_repetitions_is_told(share, told, monkeypatch):
     shares = {("scale_factor", "gyro"): 1.0, ("misalignment", "gyro"): share}
     repetitions = SimpleNamespace(of=lambda *_: SimpleNamespace(shares=lambda *_: shares))
-    monkeypatch.setattr(drive, "Repetitions", repetitions)
-    monkeypatch.setattr(drive, "bank", lambda _: [])
+    monkeypatch.setattr(problem_named, "Repetitions", repetitions)
+    monkeypatch.setattr(problem_named, "bank", lambda _: [])
     f = found("scale_factor", 30.0, block=(np.array([0]), np.eye(1)), columns=(0,))
     data = SimpleNamespace(posterior=lambda _: (np.array([0]), np.ones(1), np.eye(1)))
     named = SimpleNamespace(scene=SimpleNamespace(data=data), found=(f,), blocks=[])
     finding = Finding("scale_factor", "", "gyro", ("x",), (), 1.0, 30.0, ())
-    (out,) = drive.with_confusable([finding], named, (), np.random.default_rng(1))
+    (out,) = problem_named.with_confusable([finding], named, (), np.random.default_rng(1))
     assert bool(out.confusable) == told
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from insemu.effects import EffectUse
 from insemu.gap import GapReport, Nominal, find_gap
 from insemu.gap.candidates.fixes import _Scan, _when
-from insemu.gap.evidence.fixes import FixNoise, Surrogate, joint_noise
+from insemu.gap.evidence.fixes import FixNoise, Surrogate, joint_noise, level_beside
 from insemu.gap.verdict import Finding
 from insemu.gap.worth import stated_in_outages
 from insemu.records import GnssRecord, Recording
@@ -71,6 +71,42 @@ def test_the_velocities_of_a_filter_that_followed_coloured_positions_are_not_bla
     known = joint_noise(raised, colour, np.full(6, 1.22), known=True)
     assert known.noise.colour[1] == 10.0 and not known.sd
     assert known.noise.factor[3:] * 1.22 == pytest.approx(np.ones(3), abs=0.15)
+
+
+def coloured(factor: float) -> Surrogate:
+    """Fixes that are coloured and have ``factor`` times the stated scatter."""
+    effects = [use(effect="gnss_correlated_noise", sigma=[0.4, 0.4, 0.6], tau=10.0)]
+    if factor != 1.0:
+        effects.insert(0, use(effect="gnss_noise_level", factor=factor))
+    return Surrogate.of(flown(recording(*effects)))
+
+
+def test_a_level_beside_a_colour_is_told_and_leaves_the_colour_as_it_is() -> None:
+    colour = (np.array([0.6, 0.6, 0.6, 0.0, 0.0, 0.0]), 6.0)  # as a search finds it that has to explain the level, too
+    assert not level_beside(coloured(1.0), colour, np.ones(6))
+    fits = level_beside(coloured(3.0), colour, np.ones(6))
+    best = max(fits, key=lambda f: f.nats)
+    (level,) = best.values
+    assert best.axes == ("north", "east", "down") and best.nats > 10.0
+    assert level.low < 3.0 < level.high
+    assert best.colour is not None and 10.0 / 3.0 < best.colour[1] < 30.0
+    # by what the filter was trimmed already does not count twice
+    assert max(level_beside(coloured(3.0), colour, np.full(6, 1.2)), key=lambda f: f.nats).values[0].value == (
+        pytest.approx(1.2 * level.value, rel=0.02)
+    )
+
+
+def test_a_level_and_a_step_are_no_colour() -> None:
+    """A colour explains both together; once the step is known it is weighed against the level again."""
+    step = use(effect="gnss_multipath_step", value=[0.0, 1.2, 0.0], start=120.0, duration=40.0)
+    report = looked(recording(use(effect="gnss_noise_level", factor=2.5), step))
+    found = {f.effect: values(f) for f in report.findings}
+    assert set(found) == {"gnss_noise_level", "gnss_multipath_step"} and report.verdict == "named"
+    assert found["gnss_noise_level"]["factor"].low < 2.5 < found["gnss_noise_level"]["factor"].high
+    step_found = found["gnss_multipath_step"]
+    assert all(
+        step_found[k].low < v < step_found[k].high for k, v in (("value", 1.2), ("start", 120.0), ("duration", 40.0))
+    )
 
 
 def test_the_loudness_of_coloured_fixes_is_the_root_of_the_sum_of_squares() -> None:

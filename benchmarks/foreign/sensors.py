@@ -320,11 +320,13 @@ def _fixes(world: World, hidden: Sequence[Hidden], stated: float) -> dict[str, N
     t, n = sensed.t[at], at.size
     first, second, third, fourth = (rng.standard_normal((n, 3)) for _ in range(4))
     chance = rng.random(n)
-    position, velocity = first * unit.position, second * unit.velocity
+    white, velocity = first * unit.position, second * unit.velocity
+    position = white.copy()
     for h in hidden:
         v, sigma = h.values, unit.position
         if h.effect == "gnss_noise_level":
-            position *= v["factor"]
+            # of the noise alone: neither a step nor a colour that is hidden beside it grows
+            position += (v["factor"] - 1.0) * white
         elif h.effect == "gnss_correlated_noise":
             a = np.exp(-1.0 / (unit.fix_rate * v["tau"]))
             state = np.zeros((n, 3))

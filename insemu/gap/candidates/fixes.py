@@ -10,12 +10,12 @@ import numpy as np
 import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
 
-from insemu.effects import EFFECTS, having
+from insemu.effects import EFFECTS
 from insemu.filters import log_density
 from insemu.gap.candidates.shapes import Change, DriveHypothesis
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop
-from insemu.gap.evidence.fixes import NED, NoiseFit, gnss_noise_fits, pooled
+from insemu.gap.evidence.fixes import LEVEL_ROWS, NED, JointNoise, NoiseFit, gnss_noise_fits, level_beside, pooled
 from insemu.gap.evidence.linear import (
     Block,
     Field,
@@ -31,8 +31,6 @@ Array = NDArray[np.float64]
 LOOSE, MOST_ROUNDS, MIXTURE_STEPS = 1e3, 5, 30
 #: Parts of a gap between two fixes in which a step may begin.
 GAP_PARTS = 20
-#: A level is estimated together with a colour, not beside it.
-_LEVELS = having("level")
 
 
 def multipath_step(
@@ -381,17 +379,6 @@ def _share_and_size(outliers: DriveHypothesis, v: Array, S: Array) -> DriveHypot
     return replace(outliers, values=values)
 
 
-def unexplained_innovations(scene: Scene, blocks: Sequence[Block]) -> Array:
-    """Innovations (f, 6) in m and m/s less what blocks explain."""
-    nu = np.where(scene.surrogate.use == 1, scene.surrogate.nu, 0.0)
-    if scene.noise is not None:
-        return nu
-    explained = scene.explained(blocks)
-    if explained is None:
-        return nu
-    return np.asarray(nu - np.einsum("kij,kj->ki", scene.loop.lower, explained))
-
-
 def covariance_hypotheses(
     scene: Scene, given: Sequence[Block], skip: Collection[str], cut: float | None
 ) -> list[DriveHypothesis]:
@@ -408,25 +395,22 @@ def covariance_hypotheses(
     cut : float or None
         Fixes after this time (s) are not looked at; ``None``: all are.
     """
-    nu = unexplained_innovations(scene, given)
+    nu = scene.unexplained(given)
     surrogate = replace(scene.surrogate, nu=nu)
     if cut is not None:
         surrogate = surrogate.until(cut)
     k = surrogate.t.size
     loop: Loop = scene.loop
     y = np.einsum("kij,kj->ki", loop.white[:k], surrogate.nu)
-    colour = scene.noise.colour if scene.noise is not None else None
-    base = surrogate.log_likelihood(scene.noise.factor if scene.noise is not None else None, colour)
+    moved = scene.original.factors / scene.original.levels
+    if scene.noise is None:
+        found = gnss_noise_fits(
+            surrogate, surrogate.log_likelihood(), loop.white[:k], y, trimmed=moved, skip=tuple(skip)
+        )
+    else:
+        found = [] if "gnss_noise_level" in skip else level_beside(surrogate, scene.noise.colour, moved)
     fits: dict[str, list[NoiseFit]] = {}
-    for fit in gnss_noise_fits(
-        surrogate,
-        base,
-        loop.white[:k],
-        y,
-        trimmed=scene.original.factors / scene.original.levels,
-        colour=colour,
-        skip=(*skip, *(_LEVELS if colour is not None else ())),
-    ):
+    for fit in found:
         fits.setdefault(fit.effect, []).append(fit)
     out = []
     for effect, tried in fits.items():
@@ -435,3 +419,34 @@ def covariance_hypotheses(
     if "gnss_outliers" not in skip and scene.noise is None:
         out += gnss_outliers(scene, nu, cut)
     return out
+
+
+def as_joint(h: DriveHypothesis, scene: Scene, joint: JointNoise) -> DriveHypothesis:
+    """A colour or a level of the fixes as they were estimated together; anything else as it is."""
+    if h.effect == "gnss_correlated_noise":
+        sigma, tau = joint.noise.colour
+        told = {**dict(zip((f"sigma_{a}" for a in NED), sigma, strict=False)), "tau": tau}
+        return replace(
+            h, values=tuple(Value.positive(v.name, told[v.name], joint.sd[v.name], v.unit) for v in h.values)
+        )
+    return at_level(h, scene.original.factors * joint.noise.factor)
+
+
+def at_level(h: DriveHypothesis, factors: Array) -> DriveHypothesis:
+    """A level of the fixes at what the standard deviations of the fixes (6,) were found to be over the stated ones; anything else as it is."""
+    if (first := LEVEL_ROWS.get(h.effect)) is None:
+        return h
+    (level,) = h.values
+    value = float(np.exp(np.mean(np.log(factors[[first + NED.index(a) for a in h.axes]]))))
+    return replace(
+        h,
+        values=(
+            replace(level, value=value, low=value * level.low / level.value, high=value * level.high / level.value),
+        ),
+    )
+
+
+def placed(step: DriveHypothesis, column: int) -> DriveHypothesis:
+    """A step in the fixes as a column of the scene."""
+    block: Block = (np.array([column]), np.array([[3.0 * abs(step.values[0].value)]]))
+    return replace(step, what=replace(step.change, block=block))

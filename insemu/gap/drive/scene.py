@@ -206,9 +206,9 @@ class Scene:
 
     # -- other scenes of the same recording -------------------------------------------------------------------------------------------
 
-    def with_window(self, window: Window) -> Scene:
-        """The scene with one more column, a step in the fixes; its place is the last."""
-        return self._same(windows=(*self.windows, window))
+    def with_windows(self, windows: tuple[Window, ...]) -> Scene:
+        """The scene with a column for each of these steps in the fixes, behind all the others."""
+        return self._same(windows=windows)
 
     def coloured(self, noise: FixNoise) -> Scene:
         """The same responses whitened for other noise of the fixes."""
@@ -284,22 +284,36 @@ class Scene:
         """What blocks explain of the whitened innovations as they are after corrections, (f, 6)."""
         if not blocks and not self.corrections:
             return None
-        corrected = np.array(list(self.corrections), dtype=np.int64)
-        if "data" in self.__dict__:
-            data, index, C = self.data, np.arange(self.data.G.shape[1]), self.data.G[:, corrected]
-        else:  # of a scene that may be rebuilt at once only what is asked for
-            index = np.unique(np.concatenate([corrected, *(i for i, _ in blocks)]))
-            G = self.whitened(self._responses(index))
-            C = G[:, np.searchsorted(index, corrected)]
-            data = self._field(G, C)
-        total = np.zeros(data.y.size)
-        if blocks:
-            at, mean, _ = data.posterior([(np.searchsorted(index, i), root) for i, root in blocks])
-            total += data.G[:, at] @ mean
-        total -= C @ np.array(list(self.corrections.values()))
+        index, coefficients = self._explaining(blocks)
+        G = self.data.G[:, index] if "data" in self.__dict__ else self.whitened(self._responses(index))
         full = np.zeros(self.loop.use.size)
-        full[self.loop.use.ravel()] = total
+        full[self.loop.use.ravel()] = G @ coefficients
         return full.reshape(-1, 6)
+
+    def unexplained(self, blocks: Sequence[Block]) -> Array:
+        """Innovations (f, 6) in m and m/s less what blocks explain of them; zero where missing."""
+        use = self.surrogate.use == 1
+        nu = np.where(use, self.surrogate.nu, 0.0)
+        if not blocks and not self.corrections:
+            return nu
+        index, coefficients = self._explaining(blocks)
+        return np.where(use, nu - self._responses(index) @ coefficients, 0.0)
+
+    def _explaining(self, blocks: Sequence[Block]) -> tuple[NDArray[np.int64], Array]:
+        """Columns that explain innovations after corrections, and their coefficients: those of the blocks less what was corrected."""
+        corrected = np.array(list(self.corrections), dtype=np.int64)
+        index = np.unique(np.concatenate([corrected, *(i for i, _ in blocks)]))
+        coefficients = np.zeros(index.size)
+        if blocks and "data" in self.__dict__:
+            at, mean, _ = self.data.posterior(blocks)
+            np.add.at(coefficients, np.searchsorted(index, at), mean)
+        elif blocks:  # of a scene that may be rebuilt at once only what is asked for
+            G = self.whitened(self._responses(index))
+            data = self._field(G, G[:, np.searchsorted(index, corrected)])
+            at, mean, _ = data.posterior([(np.searchsorted(index, i), root) for i, root in blocks])
+            np.add.at(coefficients, at, mean)
+        coefficients[np.searchsorted(index, corrected)] -= np.array(list(self.corrections.values()))
+        return index, coefficients
 
 
 def window_response(loop: Loop, windows: Sequence[Window]) -> Array:

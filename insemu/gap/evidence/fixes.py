@@ -23,8 +23,12 @@ Colour = tuple[Array, float]
 NED = ("north", "east", "down")
 #: Components of the fixes that share one level: horizontal and vertical position, horizontal and vertical velocity.
 LEVEL_GROUPS = ((0, 1), (2,), (3, 4), (5,))
+#: Levels by effect, with the first of the three components that they are about.
+LEVEL_ROWS = {"gnss_noise_level": 0, "gnss_velocity_noise": 3}
 #: Axes that may have a level or a colour of their own.
 GROUPS = (NED, ("north", "east"), ("down",), ("north",), ("east",))
+#: Share of its tolerance beyond which a level beside a colour is at the edge, and one of any size is tried.
+AT_EDGE = 0.9
 #: Gain of a step at which a climb of the noise of the fixes ends, nats: a hundredth of the 3 nats that decide; each step costs filter runs.
 CLOSE_NATS = 0.03
 
@@ -224,10 +228,9 @@ def gnss_noise_fits(
     y: Array,
     *,
     trimmed: Array,
-    colour: Colour | None = None,
     skip: Sequence[str] = (),
 ) -> list[NoiseFit]:
-    """Weigh other GNSS noise levels, other velocity noise and coloured position noise.
+    """Weigh other GNSS noise levels, other velocity noise and coloured position noise, where no colour was found yet.
 
     Parameters
     ----------
@@ -239,12 +242,10 @@ def gnss_noise_fits(
         See :func:`level_scores`: levels that the score makes hopeless are not computed.
     trimmed : (6,) array
         By what the filter's standard deviations were trimmed already: the levels that count are relative to the nominal ones.
-    colour : optional
-        Of the fixes, where it was found already.
     """
-    problems = _levels(s, white, y, trimmed, colour, skip)
+    problems = _levels(s, white, y, trimmed, skip)
     coloured: list[_Weighed] = []
-    if colour is None and "gnss_correlated_noise" not in skip:
+    if "gnss_correlated_noise" not in skip:
         coloured = _colours(s)
     tried = [(k, x) for k, p in enumerate([*problems, *coloured]) for x in p.starts]
 
@@ -306,13 +307,11 @@ class _Weighed:
         return NoiseFit(self.effect, self.axes, mode.evidence - base, tuple(values), noise.factor, noise.colour)
 
 
-def _levels(
-    s: Surrogate, white: Array, y: Array, trimmed: Array, colour: Colour | None, skip: Sequence[str]
-) -> list[_Weighed]:
+def _levels(s: Surrogate, white: Array, y: Array, trimmed: Array, skip: Sequence[str]) -> list[_Weighed]:
     """Levels of the positions and velocities that the score does not make hopeless."""
     out = []
     free = Free("factor", rules().lowest_level, rules().highest_level)
-    for effect, offset in (("gnss_noise_level", 0), ("gnss_velocity_noise", 3)):
+    for effect, offset in LEVEL_ROWS.items():
         if effect in skip or not s.use[:, offset : offset + 3].any():
             continue
         for axes in GROUPS:
@@ -325,7 +324,7 @@ def _levels(
             def noise(x: Array, rows: list[int] = rows, moved: float = moved) -> FixNoise:
                 factor = np.ones(6)
                 factor[rows] = math.exp(x[0] - moved)
-                return FixNoise(factor, PLAIN if colour is None else colour)
+                return FixNoise(factor, PLAIN)
 
             # of the starts to either side the better one: the first step of a far level is a long one
             starts = [np.array([moved + sign * step]) for sign in (-1.0, 1.0) for step in (0.5, 1.5)]
@@ -340,7 +339,7 @@ def _colours(s: Surrogate) -> list[_Weighed]:
         return []
     span = float(s.t[-1] - s.t[0])
     step = float(np.median(np.diff(s.t)))
-    free = (Free("ratio", *rules().colour_sizes), Free("tau", 2.0 * step, 0.5 * span))
+    free = (Free("ratio", *rules().colour_sizes), *_times(s))
     grid = [np.log([r, t]) for r in (0.3, 0.8, 2.5, 8.0) for t in np.geomspace(4.0 * step, 0.25 * span, 4)]
     out = []
     for axes in GROUPS[:3]:
@@ -364,14 +363,22 @@ class JointNoise:
     noise : FixNoise
         The most likely.
     sd : mapping of str to float
-        Standard deviations of the logarithms of ``sigma_north`` ... and ``tau``; of those that are coloured.
+        Standard deviations of the logarithms of ``sigma_north`` ... and ``tau``; of those that are coloured; ``factor`` of a level of any size.
+    evidence : float
+        Log evidence, nats.
+    beyond : (6,) array of bool
+        Components whose level is at the edge of its tolerance.
     """
 
     noise: FixNoise
     sd: dict[str, float]
+    evidence: float
+    beyond: NDArray[np.bool_]
 
 
-def joint_noise(s: Surrogate, colour: Colour, factors: Array, *, known: bool = False) -> JointNoise:
+def joint_noise(
+    s: Surrogate, colour: Colour, factors: Array, *, known: bool = False, wide: Sequence[int] = ()
+) -> JointNoise:
     """Most likely colour together with the levels inside their tolerance: a level that was trimmed without the colour took some of it.
 
     The velocities' too: a filter that follows coloured positions is wrong about them.
@@ -386,12 +393,19 @@ def joint_noise(s: Surrogate, colour: Colour, factors: Array, *, known: bool = F
         By what the filter's levels were moved already, as ratios to what was named or believed.
     known : bool
         Whether the colour is known and stays as it is.
+    wide : sequence of int
+        Components with a common level of any size; one within its tolerance where there are none.
     """
-    groups = [list(g) for g in LEVEL_GROUPS if s.use[:, list(g)].any()]
+    groups = [list(g) for g in LEVEL_GROUPS if s.use[:, list(g)].any() and not set(g) & set(wide)]
+    groups += [list(wide)] if wide else []
     parts = [rows for rows in groups if any(colour[0][r] > 0.0 for r in rows)] if not known else []
     count = len(parts) + (not known)
-    levels = [level("factor", 1.0 / float(np.exp(np.mean(np.log(factors[rows]))))) for rows in groups]
-    free = (*(Free("ratio", 0.03, 30.0) for _ in range(count)), *levels)
+    usual = np.array([-float(np.mean(np.log(factors[rows]))) for rows in groups])
+    levels = [level("factor", math.exp(u)) for u in usual]
+    if wide:
+        low, high = (bound * math.exp(usual[-1]) for bound in (rules().lowest_level, rules().highest_level))
+        levels[-1] = Free("factor", low, high)
+    free = (*(Free("ratio", 0.03, 30.0) for _ in parts), *(_times(s, colour[1]) if not known else ()), *levels)
 
     def unpack(x: Array) -> FixNoise:
         sigma, tau, factor = colour[0].copy(), colour[1], np.ones(6)
@@ -408,10 +422,48 @@ def joint_noise(s: Surrogate, colour: Colour, factors: Array, *, known: bool = F
 
     (mode,) = laplace_together(likelihoods, [np.zeros(len(free))], [free], CLOSE_NATS)
     spread = np.sqrt(np.diag(mode.covariance))
+    beyond = np.zeros(6, dtype=bool)
+    for rows, x, u in zip(groups, mode.x[count:], usual, strict=True):
+        beyond[rows] = abs(x - u) > AT_EDGE * math.log1p(rules().tolerance)
     sd = {f"sigma_{NED[r]}": float(spread[k]) for k, rows in enumerate(parts) for r in rows if r < 3}
     if not known:
         sd["tau"] = float(spread[len(parts)])
-    return JointNoise(unpack(mode.x), sd)
+    if wide:
+        sd["factor"] = float(spread[-1])
+    return JointNoise(unpack(mode.x), sd, mode.evidence, beyond)
+
+
+def _times(s: Surrogate, tau: float = 1.0) -> tuple[Free]:
+    """Correlation times that fixes show, over ``tau``: from two intervals to half of their span."""
+    return (Free("tau", 2.0 * float(np.median(np.diff(s.t))) / tau, 0.5 * float(s.t[-1] - s.t[0]) / tau),)
+
+
+def level_beside(s: Surrogate, colour: Colour, factors: Array) -> list[NoiseFit]:
+    """Other levels of the positions than the nominal ones beside a colour of the fixes, which is estimated again with them.
+
+    Parameters
+    ----------
+    s, colour, factors : Surrogate, Colour, (6,) array
+        As :func:`joint_noise` takes them.
+
+    Returns
+    -------
+    list of NoiseFit
+        None where the levels within their tolerance do not reach its edge.
+    """
+    within, out = joint_noise(s, colour, factors), []
+    for axes in GROUPS[:3]:
+        rows = [NED.index(a) for a in axes]
+        if not within.beyond[rows].all():
+            continue
+        found = joint_noise(s, colour, factors, wide=rows)
+        ratio = float(found.noise.factor[rows[0]] * np.exp(np.mean(np.log(factors[rows]))))
+        if abs(math.log(ratio)) > math.log1p(rules().tolerance):
+            value = Value.positive("factor", ratio, found.sd["factor"], "1")
+            noise = found.noise
+            nats = found.evidence - within.evidence
+            out.append(NoiseFit("gnss_noise_level", axes, nats, (value,), noise.factor, noise.colour))
+    return out
 
 
 def pooled(fits: Sequence[NoiseFit]) -> float:

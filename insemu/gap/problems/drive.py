@@ -13,9 +13,11 @@ from insemu.effects import EFFECTS
 from insemu.errors import InputError
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.candidates.fixes import (
+    as_joint,
+    at_level,
     covariance_hypotheses,
     multipath_step,
-    unexplained_innovations,
+    placed,
     without_outliers,
 )
 from insemu.gap.candidates.shapes import (
@@ -33,7 +35,6 @@ from insemu.gap.candidates.shapes import (
 )
 from insemu.gap.checks.drive import drive_map, innovation_tests
 from insemu.gap.checks.rest import corrected
-from insemu.gap.confusion import Repetitions
 from insemu.gap.data.log import Reduced, unheard
 from insemu.gap.data.samples import coarse, mend, with_counts
 from insemu.gap.drive.preparation import Flown, Prepared, fast_parts, prepare
@@ -63,13 +64,15 @@ from insemu.gap.problems.findings import (
     with_effect,
 )
 from insemu.gap.problems.known import colour_of
-from insemu.gap.problems.named import Named, believing, blocks_of, held_out
+from insemu.gap.problems.named import Named, believing, blocks_of, held_out, with_confusable
 from insemu.gap.search import Again, search
-from insemu.gap.verdict import Confusable, Finding, GapReport, Interval, Member, Value, Where, judged
+from insemu.gap.verdict import Finding, GapReport, Interval, Member, Value, Where, judged
 from insemu.gap.worth import stated_in_outages, white_levels, worth_in_motion, worth_in_noise
 from insemu.records import AXES, Recording
 
 Array = NDArray[np.float64]
+#: Times that colour and what is explained are estimated in turns, and the change of the log correlation time at which that ends.
+MOST_LOOKS, AS_LONG = 5, 0.1
 
 
 # -- the search -----------------------------------------------------------------------------------------------------------------------
@@ -196,14 +199,10 @@ class DriveProblem:
         """The scene as it is with the effect: a column more, positions left out, other noise of the fixes, or the data corrected."""
         h, scene, self._changed = new.chosen, self.scene, False
         if (window := h.change.window) is not None:
-            scene = scene.with_window(window)
-            block: Block = (
-                np.array([scene.width - 1]),
-                np.array([[3.0 * abs(h.values[0].value)]]),
-            )
-            new = replace(new, chosen=replace(h, what=replace(h.change, block=block)))
+            scene = scene.with_windows((*scene.windows, window))
+            new = replace(new, chosen=placed(h, scene.width - 1))
         elif h.effect == "gnss_outliers":
-            nu = unexplained_innovations(scene, self.blocks())
+            nu = scene.unexplained(self.blocks())
             # a level that was named before stood for them
             stood = next((f for f in self.found if f.chosen.effect == "gnss_noise_level"), None)
             if stood is not None:
@@ -216,11 +215,13 @@ class DriveProblem:
             self.gone = np.union1d(self.gone, times)
             scene = scene.rebuilt(gone=self.gone)
         elif (level := h.change.noise) is not None and level.colour is not None:
+            if h.effect == "gnss_noise_level":
+                named = scene.original.levels.copy()
+                named[[NED.index(a) for a in h.axes]] = h.values[0].value
+                self.scene = scene.rebuilt(levels=named)
             scene, joint = self._under_colour(level.colour)
-            sigma, tau = joint.noise.colour
-            told = {**dict(zip((f"sigma_{a}" for a in NED), sigma, strict=False)), "tau": tau}
-            values = tuple(Value.positive(v.name, told[v.name], joint.sd[v.name], v.unit) for v in h.values)
-            new = replace(new, chosen=replace(h, values=values))
+            self.found = [replace(f, chosen=as_joint(f.chosen, scene, joint)) for f in self.found]
+            new = replace(new, chosen=as_joint(h, scene, joint))
         elif level is not None:
             factors = scene.original.factors * level.factor
             levels = np.where(level.factor == 1.0, scene.original.levels, factors)
@@ -236,7 +237,7 @@ class DriveProblem:
         scene = self.scene
 
         def likeliest() -> JointNoise:
-            s = replace(scene.surrogate, nu=unexplained_innovations(scene, self.blocks()))
+            s = replace(scene.surrogate, nu=scene.unexplained(self.blocks()))
             moved = scene.original.factors / scene.original.levels
             return joint_noise(s if self.cut is None else s.until(self.cut), colour, moved)
 
@@ -246,12 +247,16 @@ class DriveProblem:
             factors=scene.original.factors * joint.noise.loudness(scene.surrogate.sigma()), whole=self.recorded
         )
         if known is not None:
-            nu = unexplained_innovations(scene, self.blocks())
+            nu = scene.unexplained(self.blocks())
             self.gone, sized = without_outliers(scene, known.chosen, self.cut, scene, nu)
             self.found = [replace(f, chosen=sized) if f is known else f for f in self.found]
             scene = scene.rebuilt(gone=self.gone)
-        colour = joint.noise.colour
-        joint = likeliest()
+        for _ in range(MOST_LOOKS):
+            # what the other findings explain is another under the colour
+            scene, colour = scene.coloured(joint.noise), joint.noise.colour
+            joint = likeliest()
+            if abs(math.log(joint.noise.colour[1] / colour[1])) < AS_LONG:
+                break
         return scene.coloured(joint.noise), joint
 
     def _corrections(self) -> dict[int, float]:
@@ -287,27 +292,58 @@ class DriveProblem:
         """Take a finding back."""
         self.found, self._changed = [g for g in self.found if g is not old], True
 
+    def settle(self) -> bool:
+        """Noise and steps of the fixes as they are beside everything that was found since; whether a colour moved enough to look again."""
+        colour = next((f.chosen for f in self.found if f.chosen.effect == "gnss_correlated_noise"), None)
+        moved = False
+        if colour is None:
+            self.found = [replace(f, chosen=at_level(f.chosen, self.scene.original.factors)) for f in self.found]
+        elif self.scene.noise is not None and colour is not self.found[-1].chosen:
+            before = self.scene.noise.colour
+            scene, joint = self._under_colour(before)
+            self.found = [replace(f, chosen=as_joint(f.chosen, scene, joint)) for f in self.found]
+            self._take(scene)
+            moved = abs(math.log(joint.noise.colour[1] / before[1])) > math.log1p(rules().tolerance)
+        self._settle_steps()
+        return moved
+
+    def _settle_steps(self) -> None:
+        """Look for each step in the fixes once more, beside everything that was found since."""
+        for old in [f for f in self.found if f.chosen.change.window is not None]:
+            assert old.chosen.change.block is not None
+            own = next(iter(multipath_step(self.scene, self.data, self.rows, self.blocks(old))), None)
+            if own is None or own.nats < min(self.threshold, rules().keep_nats):
+                self.found = [f for f in self.found if f is not old]
+                continue
+            if own.change.window is None:
+                continue
+            column, windows = int(old.chosen.change.block[0][0]), list(self.scene.windows)
+            windows[column - self.scene.width] = own.change.window
+            rivals = linear_hypotheses(self.scene, self.variants, self.data, self.blocks(old), self._skip(old))
+            new = Found(placed(own, column), tuple(_sorted([*rivals, own])))
+            self.found = [new if f is old else f for f in self.found]
+            if tuple(windows) != self.scene.windows:
+                self._take(self.scene.with_windows(tuple(windows)))
+
     def noise_came_early(self) -> bool:
         """Whether noise of the fixes was named before something strong that it could have stood for."""
         noise = next((k for k, f in enumerate(self.found) if f.chosen.change.block is None), None)
         return noise is not None and any(
-            f.chosen.nats > rules().correct_nats
-            and f.chosen.change.block is not None
-            and f.chosen.change.window is None
-            for f in self.found[noise + 1 :]
+            f.chosen.nats > rules().correct_nats and f.chosen.change.block is not None for f in self.found[noise + 1 :]
         )
 
     def noise_again(self, first: Scene) -> None:
         """Take back the noise of the fixes and what was found with it, from the ``first`` scene on."""
-        self.found = [f for f in self.found if f.chosen.change.block is not None and f.chosen.change.window is None]
+        self.found = [f for f in self.found if f.chosen.change.block is not None]
         self.gone, self.outsider = np.zeros(0), ""
+        first = first.with_windows(self.scene.windows)
         self._take(first.rebuilt(corrections=self.scene.corrections).trimmed(self.blocks(), self.cut))
 
     def hold_against_the_rest(self) -> None:
         """Weigh noise of the fixes against each effect that was weighed again without it, and structure outside the catalogue against shapes."""
         for k, f in enumerate(self.found):
             h, others = f.chosen, self.blocks(f)
-            if h.change.block is not None and not any(r.sensor == "gnss" and r.change.block is None for r in f.ranked):
+            if h.change.block is not None and not any(r.change.noise is not None for r in f.ranked):
                 rivals = covariance_hypotheses(self.scene, others, self._skip(f), self.cut)
                 self.found[k] = f = replace(f, ranked=tuple(_sorted([*f.ranked, *rivals])))
             if h.change.columns:
@@ -337,6 +373,10 @@ def find_effects(
         progress("the noise of the fixes again, beside what was found since")
         problem.noise_again(scene)
         search(problem, progress)
+    if problem.settle():
+        progress("once more, with the colour of the fixes as it is beside the rest")
+        search(problem, progress)
+        problem.settle()
     if cut is None:
         problem.hold_against_the_rest()
     return problem.named()
@@ -529,40 +569,3 @@ def _finding(f: Found[Change], named: Named) -> Finding:
     text = f"a recording with more of: {needs}" if needs else ""
     found = Finding(h.effect, h.variant, h.sensor, h.axes, values, confidence, h.nats, members, text, others)
     return replace(found, metres=metres if h.change.columns else worth_in_noise(found))
-
-
-def with_confusable(
-    findings: Sequence[Finding], named: Named, without: Collection[str], rng: np.random.Generator
-) -> list[Finding]:
-    """The findings of the search with what each would be confused with if the recording were repeated; those without columns as they are.
-
-    Parameters
-    ----------
-    findings, named, without, rng : sequence of Finding, Named, collection of str, Generator
-        One finding for each entry of ``named.found``; what was found; effects taken out of the catalogue; for the repetitions.
-    """
-    scene, out = named.scene, []
-    repetitions: Repetitions | None = None
-    for finding, f in zip(findings, named.found, strict=True):
-        h = f.chosen
-        if h.change.block is None or h.change.window is not None:
-            out.append(finding)
-            continue
-        repetitions = repetitions or Repetitions.of(scene.data, rng)
-        others = [g.chosen for g in named.found if g is not f]
-        given = [g.change.block for g in others if g.change.block is not None]
-        passed = {*without, *(g.effect for g in others if g.effect in ONCE)}
-        index, root = h.change.block
-        if h.effect in PROCESSES:
-            coefficients = root @ rng.standard_normal((root.shape[1], repetitions.noise.shape[1]))
-        else:
-            at, mean, _ = scene.data.posterior(named.blocks)
-            coefficients = np.array([mean[np.flatnonzero(at == i)[0]] for i in index])
-        shares = repetitions.shares([v for v in bank(scene) if v.effect not in passed], index, coefficients, given)
-        rivals = [
-            Confusable(*key, share)
-            for key, share in shares.items()
-            if share >= rules().confusable and key != (h.effect, h.sensor)
-        ]
-        out.append(replace(finding, confusable=tuple(sorted(rivals, key=lambda c: -c.share))))
-    return out

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from insemu.gap.candidates.fixes import outlying_fixes, position_innovations
-from insemu.gap.candidates.shapes import PROCESSES, Change
+from insemu.gap.candidates.shapes import ONCE, PROCESSES, Change, bank
+from insemu.gap.confusion import Repetitions
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.linear import Block
 from insemu.gap.holdout import score_drive
 from insemu.gap.hypothesis import Found
+from insemu.gap.policy import rules
 from insemu.gap.problems.findings import with_process
-from insemu.gap.verdict import Interval
+from insemu.gap.verdict import Confusable, Finding, Interval
 
 Array = NDArray[np.float64]
 
@@ -90,3 +92,40 @@ def held_out(scene: Scene, named: Named, cut: float) -> tuple[Interval, Interval
         times, logs = outlying_fixes(outliers, scene.prepared.result.fixes.t[at], v, S)
         density = float(np.sum(logs[np.isin(times, named.gone) & (times > cut)]))
     return score_drive(scene, final, blocks, cut, density)
+
+
+def with_confusable(
+    findings: Sequence[Finding], named: Named, without: Collection[str], rng: np.random.Generator
+) -> list[Finding]:
+    """The findings of the search with what each would be confused with if the recording were repeated; those without columns as they are.
+
+    Parameters
+    ----------
+    findings, named, without, rng : sequence of Finding, Named, collection of str, Generator
+        One finding for each entry of ``named.found``; what was found; effects taken out of the catalogue; for the repetitions.
+    """
+    scene, out = named.scene, []
+    repetitions: Repetitions | None = None
+    for finding, f in zip(findings, named.found, strict=True):
+        h = f.chosen
+        if h.change.block is None or h.change.window is not None:
+            out.append(finding)
+            continue
+        repetitions = repetitions or Repetitions.of(scene.data, rng)
+        others = [g.chosen for g in named.found if g is not f]
+        given = [g.change.block for g in others if g.change.block is not None]
+        passed = {*without, *(g.effect for g in others if g.effect in ONCE)}
+        index, root = h.change.block
+        if h.effect in PROCESSES:
+            coefficients = root @ rng.standard_normal((root.shape[1], repetitions.noise.shape[1]))
+        else:
+            at, mean, _ = scene.data.posterior(named.blocks)
+            coefficients = np.array([mean[np.flatnonzero(at == i)[0]] for i in index])
+        shares = repetitions.shares([v for v in bank(scene) if v.effect not in passed], index, coefficients, given)
+        rivals = [
+            Confusable(*key, share)
+            for key, share in shares.items()
+            if share >= rules().confusable and key != (h.effect, h.sensor)
+        ]
+        out.append(replace(finding, confusable=tuple(sorted(rivals, key=lambda c: -c.share))))
+    return out
