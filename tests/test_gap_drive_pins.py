@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -363,3 +364,23 @@ def test_a_swinging_antenna_must_explain_ten_nats(gain, swings, monkeypatch):
     gnss = GnssRecord(imu.t[k], np.zeros((n, 3)), np.zeros((n, 3)), np.ones((n, 3)), np.ones((n, 3)))
     out = shaking.steadied(imu, gnss, gnss, SimpleNamespace(fixes=fix, nav=nav), np.array([0.5, 0.0, 0.0]))
     assert (out is not gnss) == swings
+
+
+@pytest.mark.parametrize(("worth", "apart"), [(31.5, True), (30.5, False)])
+def test_a_finding_of_three_axes_gives_way_to_simpler_ones_that_now_explain_more(worth, apart, monkeypatch):
+    """Three axes of a bias that is worth 30 nats, against three effects that are worth more together beside everything else."""
+    wide = found("turn_on_bias", 30.0, block=(np.array([0, 1, 2]), np.eye(3)))
+    wide = replace(wide, chosen=replace(wide.chosen, axes=("x", "y", "z")))
+    single = found("scale_factor", 20.0, block=(np.array([3]), np.eye(1))).chosen
+    asked = []
+
+    def greedy(_self, _variants, beside):
+        asked.append(beside)
+        return single, worth, 3
+
+    monkeypatch.setattr(drive.DriveProblem, "_greedy", greedy)
+    problem = object.__new__(drive.DriveProblem)
+    problem.found, problem.variants = [wide], []
+    assert problem.split() == apart
+    assert problem.found[0].chosen is (single if apart else wide.chosen)
+    assert asked[0] is wide  # weighed without itself

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -73,6 +74,7 @@ def test_the_velocities_of_a_filter_that_followed_coloured_positions_are_not_bla
     assert known.noise.factor[3:] * 1.22 == pytest.approx(np.ones(3), abs=0.15)
 
 
+@cache
 def coloured(factor: float) -> Surrogate:
     """Fixes that are coloured and have ``factor`` times the stated scatter."""
     effects = [use(effect="gnss_correlated_noise", sigma=[0.4, 0.4, 0.6], tau=10.0)]
@@ -83,17 +85,19 @@ def coloured(factor: float) -> Surrogate:
 
 def test_a_level_beside_a_colour_is_told_and_leaves_the_colour_as_it_is() -> None:
     colour = (np.array([0.6, 0.6, 0.6, 0.0, 0.0, 0.0]), 6.0)  # as a search finds it that has to explain the level, too
-    assert not level_beside(coloured(1.0), colour, np.ones(6))
-    fits = level_beside(coloured(3.0), colour, np.ones(6))
+    within = {k: joint_noise(coloured(k), colour, np.ones(6)).noise for k in (1.0, 3.0)}
+    assert not level_beside(coloured(1.0), within[1.0], np.ones(6))
+    fits = level_beside(coloured(3.0), within[3.0], np.ones(6))
     best = max(fits, key=lambda f: f.nats)
     (level,) = best.values
     assert best.axes == ("north", "east", "down") and best.nats > 10.0
     assert level.low < 3.0 < level.high
     assert best.colour is not None and 10.0 / 3.0 < best.colour[1] < 30.0
-    # by what the filter was trimmed already does not count twice
-    assert max(level_beside(coloured(3.0), colour, np.full(6, 1.2)), key=lambda f: f.nats).values[0].value == (
-        pytest.approx(1.2 * level.value, rel=0.02)
-    )
+    # what the filter was trimmed by already does not count twice
+    trimmed = replace(within[3.0], factor=within[3.0].factor / 1.2)
+    s = replace(coloured(3.0), R=coloured(3.0).R * 1.2**2)
+    again = max(level_beside(s, trimmed, np.full(6, 1.2)), key=lambda f: f.nats)
+    assert again.values[0].value == pytest.approx(level.value, rel=0.02)
 
 
 def test_a_level_and_a_step_are_no_colour() -> None:

@@ -408,7 +408,7 @@ def covariance_hypotheses(
             surrogate, surrogate.log_likelihood(), loop.white[:k], y, trimmed=moved, skip=tuple(skip)
         )
     else:
-        found = [] if "gnss_noise_level" in skip else level_beside(surrogate, scene.noise.colour, moved)
+        found = [] if "gnss_noise_level" in skip else level_beside(surrogate, scene.noise, moved)
     fits: dict[str, list[NoiseFit]] = {}
     for fit in found:
         fits.setdefault(fit.effect, []).append(fit)

@@ -366,14 +366,11 @@ class JointNoise:
         Standard deviations of the logarithms of ``sigma_north`` ... and ``tau``; of those that are coloured; ``factor`` of a level of any size.
     evidence : float
         Log evidence, nats.
-    beyond : (6,) array of bool
-        Components whose level is at the edge of its tolerance.
     """
 
     noise: FixNoise
     sd: dict[str, float]
     evidence: float
-    beyond: NDArray[np.bool_]
 
 
 def joint_noise(
@@ -422,15 +419,12 @@ def joint_noise(
 
     (mode,) = laplace_together(likelihoods, [np.zeros(len(free))], [free], CLOSE_NATS)
     spread = np.sqrt(np.diag(mode.covariance))
-    beyond = np.zeros(6, dtype=bool)
-    for rows, x, u in zip(groups, mode.x[count:], usual, strict=True):
-        beyond[rows] = abs(x - u) > AT_EDGE * math.log1p(rules().tolerance)
     sd = {f"sigma_{NED[r]}": float(spread[k]) for k, rows in enumerate(parts) for r in rows if r < 3}
     if not known:
         sd["tau"] = float(spread[len(parts)])
     if wide:
         sd["factor"] = float(spread[-1])
-    return JointNoise(unpack(mode.x), sd, mode.evidence, beyond)
+    return JointNoise(unpack(mode.x), sd, mode.evidence)
 
 
 def _times(s: Surrogate, tau: float = 1.0) -> tuple[Free]:
@@ -438,31 +432,34 @@ def _times(s: Surrogate, tau: float = 1.0) -> tuple[Free]:
     return (Free("tau", 2.0 * float(np.median(np.diff(s.t))) / tau, 0.5 * float(s.t[-1] - s.t[0]) / tau),)
 
 
-def level_beside(s: Surrogate, colour: Colour, factors: Array) -> list[NoiseFit]:
+def level_beside(s: Surrogate, noise: FixNoise, factors: Array) -> list[NoiseFit]:
     """Other levels of the positions than the nominal ones beside a colour of the fixes, which is estimated again with them.
 
     Parameters
     ----------
-    s, colour, factors : Surrogate, Colour, (6,) array
+    s, factors : Surrogate, (6,) array
         As :func:`joint_noise` takes them.
+    noise : FixNoise
+        Colour and levels as they are inside their tolerance.
 
     Returns
     -------
     list of NoiseFit
         None where the levels within their tolerance do not reach its edge.
     """
-    within, out = joint_noise(s, colour, factors), []
-    for axes in GROUPS[:3]:
+    edge = math.log1p(rules().tolerance)
+    beyond = np.abs(np.log(noise.factor * factors)) > AT_EDGE * edge
+    tried = [axes for axes in GROUPS[:3] if beyond[[NED.index(a) for a in axes]].all()]
+    out: list[NoiseFit] = []
+    within = joint_noise(s, noise.colour, factors).evidence if tried else 0.0
+    for axes in tried:
         rows = [NED.index(a) for a in axes]
-        if not within.beyond[rows].all():
-            continue
-        found = joint_noise(s, colour, factors, wide=rows)
+        found = joint_noise(s, noise.colour, factors, wide=rows)
         ratio = float(found.noise.factor[rows[0]] * np.exp(np.mean(np.log(factors[rows]))))
-        if abs(math.log(ratio)) > math.log1p(rules().tolerance):
+        if abs(math.log(ratio)) > edge:
             value = Value.positive("factor", ratio, found.sd["factor"], "1")
-            noise = found.noise
-            nats = found.evidence - within.evidence
-            out.append(NoiseFit("gnss_noise_level", axes, nats, (value,), noise.factor, noise.colour))
+            gain, joint = found.evidence - within, found.noise
+            out.append(NoiseFit("gnss_noise_level", axes, gain, (value,), joint.factor, joint.colour))
     return out
 
 

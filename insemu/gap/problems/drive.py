@@ -143,21 +143,31 @@ class DriveProblem:
             return None
         return Found(pair or self._apart(best), tuple(ranked))
 
-    def _apart(self, best: DriveHypothesis) -> DriveHypothesis:
+    def split(self) -> bool:
+        """Put the first of two or three simpler effects in the place of a finding where they now explain more than it does; whether that was so."""
+        for old in self.found:
+            first = self._apart(old.chosen, old)
+            if first is not old.chosen:
+                self.found = [Found(first, old.ranked) if f is old else f for f in self.found]
+                return True
+        return False
+
+    def _apart(self, best: DriveHypothesis, beside: Found[Change] | None = None) -> DriveHypothesis:
         """The first of two or three simpler effects, where they explain more than the best single one does.
 
         Of an effect of several axes those of one axis; of a slow process, which follows anything slow, those of known shape of its sensor.
+        ``beside`` is the finding that it is, where it was found already.
         """
-        if best.change.block is None:
+        if best.change.block is None or best.change.window is not None:
             return best
         single = [v for v in self.variants if len(v.axes) < 2]
         if len(best.axes) > 1:
-            first, total, count = self._greedy(single)
+            first, total, count = self._greedy(single, beside)
             # as many numbers must say more; with fewer it is enough to say as much
             if first is not None and total > best.nats + (1.0 if count >= len(best.axes) else -rules().keep_nats):
-                return self._apart(first)
+                return self._apart(first, beside)
         if best.effect in PROCESSES:
-            first, total, _ = self._greedy([v for v in single if not v.process and v.sensor == best.sensor])
+            first, total, _ = self._greedy([v for v in single if not v.process and v.sensor == best.sensor], beside)
             if first is not None and total > best.nats + rules().lead:
                 return first
         return best
@@ -181,12 +191,14 @@ class DriveProblem:
         own = [v for v in ones if v.index[0] == first[0][0]]
         return next(iter(linear_hypotheses(self.scene, own, self.data, [*given, second], skip)), None)
 
-    def _greedy(self, variants: Sequence[Variant]) -> tuple[DriveHypothesis | None, float, int]:
+    def _greedy(
+        self, variants: Sequence[Variant], beside: Found[Change] | None
+    ) -> tuple[DriveHypothesis | None, float, int]:
         """The best of some variants, what it is worth together with the two that follow it, and how many of them are worth anything."""
-        given, total, count = self.blocks(), 0.0, 0
+        given, total, count = self.blocks(beside), 0.0, 0
         first: DriveHypothesis | None = None
         for _ in range(3):
-            tried = linear_hypotheses(self.scene, variants, self.data, given, self._skip())
+            tried = linear_hypotheses(self.scene, variants, self.data, given, self._skip(beside))
             top = max(tried, key=lambda h: h.nats, default=None)
             if top is None or top.change.block is None or top.nats < self.threshold:
                 break
@@ -372,6 +384,9 @@ def find_effects(
     if problem.noise_came_early():
         progress("the noise of the fixes again, beside what was found since")
         problem.noise_again(scene)
+        search(problem, progress)
+    if problem.split():
+        progress("once more, with simpler effects in the place of a wide one")
         search(problem, progress)
     if problem.settle():
         progress("once more, with the colour of the fixes as it is beside the rest")
