@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 #: Longest time over which noise is taken out of what an error of the sensor is held to be proportional to, s.
 QUIET_S = 40.0
+#: Mean rates over so many seconds on each side of a fix give the angular acceleration there: those of one step are mostly noise.
+TURNING_S = 0.03
 #: A temperature that varies less than this shows nothing, K.
 STEADY_K = 1e-3
 
@@ -195,8 +197,8 @@ class FixGeometry:
         From the IMU to the antenna, m, in the axes of the IMU.
     body_axes : (3, 3) array
         Rows: the axes of the body, in those of the IMU.
-    velocity, acceleration, rate : (f, 3) arrays
-        Of the IMU with respect to the Earth: NED, NED, sensor axes.
+    velocity, acceleration, rate, turning : (f, 3) arrays
+        Of the IMU with respect to the Earth: NED, NED, sensor axes; and the derivative of the last, rad/s^2.
     C : (f, 3, 3) array
         Attitude of the IMU.
     """
@@ -207,6 +209,7 @@ class FixGeometry:
     velocity: Array
     acceleration: Array
     rate: Array
+    turning: Array
     C: Array
 
     @classmethod
@@ -230,11 +233,23 @@ class FixGeometry:
         w_ie = earth.earth_rate(motion.llh[k, 0])
         omega = 0.5 * (motion.rate[k] + motion.rate[k + 1]) - np.einsum("nji,nj->ni", motion.C[k], w_ie)
         body = rotation.dcm_from_rpy(np.asarray(mounting, dtype=float))
-        return cls(t, np.asarray(lever_arm, dtype=float), body, v, accel, omega, motion.C[k])
+        return cls(t, np.asarray(lever_arm, dtype=float), body, v, accel, omega, _turning(motion, k), motion.C[k])
 
     @property
     def moved(self) -> Array:
         """What a second between IMU and fixes makes of position and velocity of the antenna, (f, 6)."""
-        swing = np.einsum("nij,nj->ni", self.C, np.cross(self.rate, self.lever_arm))
-        swing_rate = np.gradient(swing, self.t, axis=0) if self.t.size > 2 else np.zeros_like(swing)
+        arm = self.lever_arm
+        around = np.cross(self.rate, arm)
+        swing = np.einsum("nij,nj->ni", self.C, around)
+        # from one fix to the next an antenna on a shaking vehicle swings to and fro, which a difference of the fixes would not show
+        swing_rate = np.einsum("nij,nj->ni", self.C, np.cross(self.turning, arm) + np.cross(self.rate, around))
         return np.hstack([self.velocity + swing, self.acceleration + swing_rate])
+
+
+def _turning(motion: Motion, k: NDArray[np.int64]) -> Array:
+    """Angular acceleration (f, 3) at rows of a motion, rad/s^2, from mean rates on each side."""
+    dt, n = float(motion.t[1] - motion.t[0]), motion.t.size
+    m = min(max(1, round(TURNING_S / dt)), (n - 1) // 2)
+    sums = np.cumsum(motion.rate, axis=0)
+    k = np.clip(k, m, n - 1 - m)
+    return np.asarray((sums[k + m] - 2.0 * sums[k] + sums[k - m]) / (m * m * dt))
