@@ -163,3 +163,14 @@ def test_nees_counts_what_a_finding_adds_to_what_is_stated() -> None:
     face = looked(recording(made)).to_json()
     (step,) = face["steps"]
     assert step["nees_60s"] == pytest.approx(1.0 + (step["metres_60s"] / face["stated_60s"]) ** 2)
+
+
+def test_a_level_and_outliers_are_told_apart() -> None:
+    """Outliers told at the nominal level would be every large error, and what is left would follow the errors before it: a colour."""
+    made, hit = with_outliers(recording(use(effect="gnss_noise_level", factor=3.0)), 0.05, 3.0, seed=8)
+    report = looked(made)
+    found = {f.effect: values(f) for f in report.findings}
+    assert set(found) == {"gnss_noise_level", "gnss_outliers"} and report.verdict == "named"
+    assert found["gnss_noise_level"]["factor"].low < 3.0 < found["gnss_noise_level"]["factor"].high
+    share = found["gnss_outliers"]["probability"]
+    assert share.low < hit.mean() < share.high

@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 
 #: A position that is not followed has this many times its standard deviation; rounds in which outliers and filter are told apart; steps of a mixture.
 LOOSE, MOST_ROUNDS, MIXTURE_STEPS = 1e3, 5, 30
+#: Median of the absolute value of a standard normal; change of the logarithm of a level at which it is settled.
+NORMAL_MEDIAN, SAME_LEVEL = 0.6745, 0.03
 #: Parts of a gap between two fixes in which a step may begin.
 GAP_PARTS = 20
 
@@ -305,9 +307,28 @@ def outlying_fixes(outliers: DriveHypothesis, t: Array, v: Array, S: Array) -> t
     return np.asarray(t[odds > 0.0]), math.log(p) + wide[odds > 0.0]
 
 
+@dataclass(frozen=True)
+class Separated:
+    """Outliers told from the other fixes.
+
+    Parameters
+    ----------
+    times : (k,) array
+        Of the outliers, s.
+    outliers : DriveHypothesis
+        With share and size as they are estimated beside each other.
+    level : float
+        Of the positions that are none, over the nominal one.
+    """
+
+    times: Array
+    outliers: DriveHypothesis
+    level: float
+
+
 def without_outliers(
-    scene: Scene, outliers: DriveHypothesis, cut: float | None, seen: Scene, nu: Array
-) -> tuple[Array, DriveHypothesis]:
+    scene: Scene, outliers: DriveHypothesis, cut: float | None, seen: Scene, nu: Array, level: float | None = None
+) -> Separated:
     """Which positions are outliers, and how many and how large they are, as a filter sees them that does not follow them.
 
     The filter that named them was led astray by each, and took fixes after it for outliers too. It runs again without those, and looks at all.
@@ -324,36 +345,41 @@ def without_outliers(
         In which the outliers were named.
     nu : (f, 6) array
         Innovations there less what is explained already, m and m/s.
-
-    Returns
-    -------
-    times : (k,) array
-        Of the outliers, s.
-    outliers : DriveHypothesis
-        With share and size estimated again.
+    level : float, optional
+        A level of the positions over that of the scene which was named before the outliers: it may have stood for them, and is estimated with them.
+        Outliers told at the nominal level would be every large error, and those left be such as follow the errors before.
     """
     at, v, S = position_innovations(seen, nu, None)
     t = scene.prepared.result.fixes.t[at]
     gone, _ = outlying_fixes(outliers, t, v, S)
+    early = slice(None) if cut is None else slice(int(np.searchsorted(t, cut, side="right")))
+    now = 1.0 if level is None else level
     for _ in range(MOST_ROUNDS):
-        v, S = _innovations_without(scene, gone, at)
-        early = slice(None) if cut is None else slice(int(np.searchsorted(t, cut, side="right")))
+        v, S = _innovations_without(scene, gone, at, now)
         outliers = _share_and_size(outliers, v[early], S[early])
         before, gone = gone, outlying_fixes(outliers, t, v, S)[0]
-        if np.array_equal(before, gone):
+        scatter = 1.0
+        if level is not None:
+            # the median hardly sees the outliers
+            y = v[early] / np.sqrt(np.einsum("kii->ki", S[early]))
+            scatter = float(np.median(np.abs(y))) / NORMAL_MEDIAN
+            now *= scatter
+        if np.array_equal(before, gone) and abs(math.log(scatter)) < SAME_LEVEL:
             break
-    return gone, outliers
+    return Separated(gone, outliers, now)
 
 
-def _innovations_without(scene: Scene, gone: Array, at: NDArray[np.int64]) -> tuple[Array, Array]:
+def _innovations_without(scene: Scene, gone: Array, at: NDArray[np.int64], level: float) -> tuple[Array, Array]:
     """Innovations (k, 3) of some positions and their covariances, of a filter that does not follow those at the times ``gone``."""
     prepared = scene.prepared
     assert prepared.gnss.pos_std_ned is not None
+    factors = prepared.factors * np.where(np.arange(6) < 3, level, 1.0)
     loose = np.where(np.isin(prepared.gnss.t, gone)[:, None], LOOSE, 1.0)
-    fixes = prepared.again(gnss=replace(prepared.gnss, pos_std_ned=prepared.gnss.pos_std_ned * loose)).result.fixes
+    own = replace(prepared.gnss, pos_std_ned=prepared.gnss.pos_std_ned * loose)
+    fixes = prepared.again(gnss=own, factors=factors).result.fixes
     S = fixes.S[at][:, :3, :3].copy()
     rows = np.searchsorted(prepared.gnss.t, fixes.t[at])
-    stated = prepared.gnss.pos_std_ned[rows] * prepared.factors[:3]
+    stated = prepared.gnss.pos_std_ned[rows] * factors[:3]
     S -= ((loose[rows] ** 2 - 1.0) * stated**2)[:, :, None] * np.eye(3)
     return fixes.innovation[at][:, :3], S
 
@@ -422,7 +448,17 @@ def covariance_hypotheses(
 
 
 def as_joint(h: DriveHypothesis, scene: Scene, joint: JointNoise) -> DriveHypothesis:
-    """A colour or a level of the fixes as they were estimated together; anything else as it is."""
+    """A colour or a level of the fixes as they were estimated together; anything else as it is.
+
+    Parameters
+    ----------
+    h : DriveHypothesis
+        What was named.
+    scene : Scene
+        In which they were estimated.
+    joint : JointNoise
+        The estimate, levels relative to those of the scene's filter.
+    """
     if h.effect == "gnss_correlated_noise":
         sigma, tau = joint.noise.colour
         told = {**dict(zip((f"sigma_{a}" for a in NED), sigma, strict=False)), "tau": tau}

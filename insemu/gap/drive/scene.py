@@ -210,8 +210,8 @@ class Scene:
         """The scene with a column for each of these steps in the fixes, behind all the others."""
         return self._same(windows=windows)
 
-    def coloured(self, noise: FixNoise) -> Scene:
-        """The same responses whitened for other noise of the fixes."""
+    def coloured(self, noise: FixNoise | None) -> Scene:
+        """The same responses whitened for other noise of the fixes, or for that which the filter believed."""
         return self._same(noise=noise)
 
     def _same(self, **changes: Any) -> Scene:

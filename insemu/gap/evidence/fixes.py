@@ -445,7 +445,7 @@ def level_beside(s: Surrogate, noise: FixNoise, factors: Array) -> list[NoiseFit
     Returns
     -------
     list of NoiseFit
-        None where the levels within their tolerance do not reach its edge.
+        None where the levels within their tolerance do not reach its edge; without a colour where the level leaves it nothing to explain.
     """
     edge = math.log1p(rules().tolerance)
     beyond = np.abs(np.log(noise.factor * factors)) > AT_EDGE * edge
@@ -454,12 +454,17 @@ def level_beside(s: Surrogate, noise: FixNoise, factors: Array) -> list[NoiseFit
     within = joint_noise(s, noise.colour, factors).evidence if tried else 0.0
     for axes in tried:
         rows = [NED.index(a) for a in axes]
-        found = joint_noise(s, noise.colour, factors, wide=rows)
+        found, colour = joint_noise(s, noise.colour, factors, wide=rows), True
+        plain = joint_noise(s, PLAIN, factors, known=True, wide=rows)
+        if plain.evidence > found.evidence - rules().keep_nats:
+            found, colour = plain, False
         ratio = float(found.noise.factor[rows[0]] * np.exp(np.mean(np.log(factors[rows]))))
         if abs(math.log(ratio)) > edge:
             value = Value.positive("factor", ratio, found.sd["factor"], "1")
             gain, joint = found.evidence - within, found.noise
-            out.append(NoiseFit("gnss_noise_level", axes, gain, (value,), joint.factor, joint.colour))
+            out.append(
+                NoiseFit("gnss_noise_level", axes, gain, (value,), joint.factor, joint.colour if colour else None)
+            )
     return out
 
 

@@ -75,9 +75,6 @@ Array = NDArray[np.float64]
 MOST_LOOKS, AS_LONG = 5, 0.1
 
 
-# -- the search -----------------------------------------------------------------------------------------------------------------------
-
-
 class DriveProblem:
     """The innovations of one recording, whole or up to a time.
 
@@ -214,18 +211,8 @@ class DriveProblem:
             scene = scene.with_windows((*scene.windows, window))
             new = replace(new, chosen=placed(h, scene.width - 1))
         elif h.effect == "gnss_outliers":
-            nu = scene.unexplained(self.blocks())
-            # a level that was named before stood for them
-            stood = next((f for f in self.found if f.chosen.effect == "gnss_noise_level"), None)
-            if stood is not None:
-                self.found.remove(stood)
-                h = replace(h, nats=h.nats + stood.chosen.nats)
-                nominal = np.where(np.arange(6) < 3, 1.0, [scene.original.factors, scene.original.levels])
-                scene = scene.rebuilt(factors=nominal[0], levels=nominal[1])
-            times, sized = without_outliers(scene, h, self.cut, self.scene, nu)
-            self.found.append(replace(new, chosen=sized))
-            self.gone = np.union1d(self.gone, times)
-            scene = scene.rebuilt(gone=self.gone)
+            scene, new = self._apart_from_outliers(new)
+            h = new.chosen
         elif (level := h.change.noise) is not None and level.colour is not None:
             if h.effect == "gnss_noise_level":
                 named = scene.original.levels.copy()
@@ -235,14 +222,40 @@ class DriveProblem:
             self.found = [replace(f, chosen=as_joint(f.chosen, scene, joint)) for f in self.found]
             new = replace(new, chosen=as_joint(h, scene, joint))
         elif level is not None:
+            # a colour that was named before stood for the level
+            stood = [f for f in self.found if f.chosen.effect == "gnss_correlated_noise"]
+            self.found = [f for f in self.found if f not in stood]
+            h = replace(h, nats=h.nats + sum(f.chosen.nats for f in stood))
+            scene, new = scene.coloured(None), replace(new, chosen=h)
             factors = scene.original.factors * level.factor
             levels = np.where(level.factor == 1.0, scene.original.levels, factors)
             scene = scene.rebuilt(factors=factors, levels=levels)
-        if h.effect != "gnss_outliers":
-            self.found.append(new)
+        self.found.append(new)
         if h.nats > rules().correct_nats and h.change.columns:
             scene = scene.rebuilt(corrections=self._corrections())
         self._take(scene.trimmed(self.blocks(), self.cut))
+
+    def _apart_from_outliers(self, new: Found[Change]) -> tuple[Scene, Found[Change]]:
+        """The scene without the positions that are outliers, and these with share and size; a level that stood for them goes, or changes."""
+        h, scene, nu = new.chosen, self.scene, self.scene.unexplained(self.blocks())
+        stood = next((f for f in self.found if f.chosen.effect == "gnss_noise_level"), None)
+        level: float | None = None
+        if stood is not None and self.scene.noise is None:
+            nominal = np.where(np.arange(6) < 3, 1.0, [scene.original.factors, scene.original.levels])
+            level = stood.chosen.values[0].value
+            scene = scene.rebuilt(factors=nominal[0], levels=nominal[1])
+        told = without_outliers(scene, h, self.cut, self.scene, nu, level)
+        self.gone, sized = np.union1d(self.gone, told.times), told.outliers
+        if stood is not None and level is not None:
+            if abs(math.log(told.level)) < math.log1p(rules().tolerance):
+                self.found.remove(stood)
+                sized = replace(sized, nats=h.nats + stood.chosen.nats)
+            else:
+                rows = [NED.index(a) for a in stood.chosen.axes]
+                factors, levels = scene.original.factors.copy(), scene.original.levels.copy()
+                factors[rows] = levels[rows] = told.level
+                scene = scene.rebuilt(factors=factors, levels=levels)
+        return scene.rebuilt(gone=self.gone), replace(new, chosen=sized)
 
     def _under_colour(self, colour: Colour) -> tuple[Scene, JointNoise]:
         """The scene with a colour of the fixes: flown by a filter that is not led astray by it, which tells outliers again where there are any."""
@@ -260,8 +273,9 @@ class DriveProblem:
         )
         if known is not None:
             nu = scene.unexplained(self.blocks())
-            self.gone, sized = without_outliers(scene, known.chosen, self.cut, scene, nu)
-            self.found = [replace(f, chosen=sized) if f is known else f for f in self.found]
+            told = without_outliers(scene, known.chosen, self.cut, scene, nu)
+            self.gone = told.times
+            self.found = [replace(f, chosen=told.outliers) if f is known else f for f in self.found]
             scene = scene.rebuilt(gone=self.gone)
         for _ in range(MOST_LOOKS):
             # what the other findings explain is another under the colour
