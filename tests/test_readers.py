@@ -126,7 +126,9 @@ def test_rtklib_as_a_baseline_needs_an_origin(tmp_path: Path) -> None:
     ],
 )
 def test_what_is_no_rtklib_solution_is_refused(tmp_path: Path, rows: str, said: str) -> None:
-    head = "%  GPST  latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)  age(s)  ratio  x\n".replace("  x", "")
+    head = "%  GPST  latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)  age(s)  ratio  x\n".replace(
+        "  x", ""
+    )
     with pytest.raises(InputError) as caught:
         open_files(files(tmp_path, {"a.pos": head + rows}))
     assert str(caught.value).endswith(said.replace("expected 11", "expected 10"))
@@ -179,7 +181,13 @@ def test_kf_gins(tmp_path: Path) -> None:
     ],
 )
 def test_what_kf_gins_would_not_write_is_not_taken_for_it(tmp_path: Path, name: str, change: dict[str, Any]) -> None:
-    used = {"first": 302400.0, "step": 0.005, "dtheta": "1e-4 2e-4 0", "dvel": "0.001 -0.002 -0.049", "count": 6} | change
+    used = {
+        "first": 302400.0,
+        "step": 0.005,
+        "dtheta": "1e-4 2e-4 0",
+        "dvel": "0.001 -0.002 -0.049",
+        "count": 6,
+    } | change
     rows = [
         f"{used['first'] + used['step'] * k:.3f} {used['dtheta']} {used['dvel']}\n" for k in range(int(used["count"]))
     ]
@@ -245,9 +253,7 @@ def test_gnss_ins_sim(tmp_path: Path) -> None:
         accel=[[0.1, 0.2, -9.8], [0.3, 0.4, -9.7], [0.5, 0.6, -9.6]],
         kind="sample",
     )
-    same(
-        found.gnss, t=[0, 0.01], llh=llh((46.5, 7, 400), (46.6, 7.1, 401)), vel_ned=[[1, 2, 3], [4, 5, 6]]
-    )
+    same(found.gnss, t=[0, 0.01], llh=llh((46.5, 7, 400), (46.6, 7.1, 401)), vel_ned=[[1, 2, 3], [4, 5, 6]])
     same(
         found.reference,
         t=[0, 0.01, 0.02],
@@ -266,7 +272,9 @@ def test_gnss_ins_sim_in_metres_and_without_fixes(tmp_path: Path) -> None:
 
 
 def test_gnss_ins_sim_leaves_out_fixes_of_zero_and_takes_the_run_that_is_asked_for(tmp_path: Path) -> None:
-    texts = _gnss_ins_sim(**{"gps-0.csv": "lat (rad),lon (rad),alt (m),vx (m/s),vy (m/s),vz (m/s)\n0,0,0,0,0,0\n0.5,0.25,401,4,5,6\n"})
+    texts = _gnss_ins_sim(
+        **{"gps-0.csv": "lat (rad),lon (rad),alt (m),vx (m/s),vy (m/s),vz (m/s)\n0,0,0,0,0,0\n0.5,0.25,401,4,5,6\n"}
+    )
     texts |= {"gyro-1.csv": texts["gyro-0.csv"].replace("9", "90"), "accel-1.csv": texts["accel-0.csv"]}
     files(tmp_path, texts)
     found = open_files(tmp_path)
@@ -279,10 +287,22 @@ def test_gnss_ins_sim_leaves_out_fixes_of_zero_and_takes_the_run_that_is_asked_f
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
-        ("gyro-0.csv", "x (deg/s),y (deg/s)\n1,2\n1,2\n1,2\n", "gyro-0.csv: has 2 columns, expected 3 as long as time.csv"),
+        (
+            "gyro-0.csv",
+            "x (deg/s),y (deg/s)\n1,2\n1,2\n1,2\n",
+            "gyro-0.csv: has 2 columns, expected 3 as long as time.csv",
+        ),
         ("accel-0.csv", "x,y,z\n1,2,3\n1,2,3\n", "accel-0.csv: has 3 columns, expected 3 as long as time.csv"),
-        ("gps-0.csv", "a,b,c,d,e\n1,2,3,4,5\n1,2,3,4,5\n", "gps-0.csv: expected latitude, longitude, height and velocity at the times of gps_time.csv"),
-        ("gps_time.csv", "t\n1\n2\n3\n", "gps-0.csv: expected latitude, longitude, height and velocity at the times of gps_time.csv"),
+        (
+            "gps-0.csv",
+            "a,b,c,d,e\n1,2,3,4,5\n1,2,3,4,5\n",
+            "gps-0.csv: expected latitude, longitude, height and velocity at the times of gps_time.csv",
+        ),
+        (
+            "gps_time.csv",
+            "t\n1\n2\n3\n",
+            "gps-0.csv: expected latitude, longitude, height and velocity at the times of gps_time.csv",
+        ),
         ("ref_vel.csv", "a,b\n1,2\n1,2\n1,2\n", "ref_vel.csv: expected 3 columns as long as time.csv"),
         ("ref_vel.csv", "a,b,c\n1,2,3\n1,2,3\n", "ref_vel.csv: expected 3 columns as long as time.csv"),
     ],
@@ -306,7 +326,9 @@ def test_gnss_ins_sim_without_the_run_that_is_asked_for_is_refused(tmp_path: Pat
 def test_ppc(tmp_path: Path) -> None:
     imu = "GPS TOW (s),GPS Week,Acc X (m/s^2),Acc Y (m/s^2),Acc Z (m/s^2),Ang Rate X (deg/s),Ang Rate Y (deg/s),Ang Rate Z (deg/s)\n"
     imu += "".join(f"{302400 + 0.01 * k:.2f},2299,0.1,0.2,-9.8,{k},2,3\n" for k in range(3))
-    head = "GPS TOW (s),GPS Week,Latitude (deg),Longitude (deg),Ellipsoid Height (m),Roll (deg),Pitch (deg),Heading (deg)"
+    head = (
+        "GPS TOW (s),GPS Week,Latitude (deg),Longitude (deg),Ellipsoid Height (m),Roll (deg),Pitch (deg),Heading (deg)"
+    )
     velocity = ",East Velocity (m/s),North Velocity (m/s),Up Velocity (m/s)"
     rows = [f"{302400 + k},2299,46.5,7,{400 + k},10,20,{30 + k}" for k in range(3)]
     files(
@@ -315,7 +337,12 @@ def test_ppc(tmp_path: Path) -> None:
     )
     found = open_files(tmp_path)
     assert found.imu is not None
-    same(found.imu, t=GPS + 0.01 * np.arange(3), gyro=np.array([[k, 2, 3] for k in range(3)]) * DEG, accel=[[0.1, 0.2, -9.8]] * 3)
+    same(
+        found.imu,
+        t=GPS + 0.01 * np.arange(3),
+        gyro=np.array([[k, 2, 3] for k in range(3)]) * DEG,
+        accel=[[0.1, 0.2, -9.8]] * 3,
+    )
     same(
         found.reference,
         t=GPS + np.arange(3),
@@ -326,7 +353,9 @@ def test_ppc(tmp_path: Path) -> None:
     files(tmp_path, {"reference.csv": "\n".join([head, *rows]) + "\n"})
     found = open_files(tmp_path)
     assert found.reference is not None
-    np.testing.assert_allclose(found.reference.vel_ned, [[0, 0, -1.0]] * 3, atol=1e-8)  # heights rise by a metre a second
+    np.testing.assert_allclose(
+        found.reference.vel_ned, [[0, 0, -1.0]] * 3, atol=1e-8
+    )  # heights rise by a metre a second
     assert found.notes == ("velocities of the truth are differences of its positions",)
 
 
@@ -340,7 +369,9 @@ def test_px4_csv(tmp_path: Path, new: bool) -> None:
     place = "latitude_deg,longitude_deg,altitude_msl_m" if new else "lat,lon,alt"
     values = "46.5,-7.25,400.5" if new else "465000000,-72500000,400500"
     head = f"timestamp,{place},vel_n_m_s,vel_e_m_s,vel_d_m_s,eph,epv,s_variance_m_s,fix_type\n"
-    rows = [f"{1_000_000 + 200_000 * k},{values},1,2,3,{math.sqrt(2)!r},4,0.5,{fix}\n" for k, fix in enumerate((1, 2, 3))]
+    rows = [
+        f"{1_000_000 + 200_000 * k},{values},1,2,3,{math.sqrt(2)!r},4,0.5,{fix}\n" for k, fix in enumerate((1, 2, 3))
+    ]
     files(tmp_path, {"log_sensor_combined_0.csv": imu, "log_vehicle_gps_position_0.csv": head + "".join(rows)})
     found = open_files(tmp_path)
     same(
@@ -476,9 +507,7 @@ def test_nmea_with_dates_and_standard_deviations(tmp_path: Path) -> None:
     plain = open_files(files(tmp_path, {"b.nmea": text.replace(text.split("\r\n")[2] + "\r\n", "")}))
     assert plain.gnss is not None
     np.testing.assert_allclose(plain.gnss.pos_std_ned, [[0.02, 0.02, 0.03], [0.5, 0.5, 0.75]])
-    assert plain.assumed == (
-        "standard deviations from the quality of each fix: single 5 m, float 0.5 m, fixed 0.02 m",
-    )
+    assert plain.assumed == ("standard deviations from the quality of each fix: single 5 m, float 0.5 m, fixed 0.02 m",)
 
 
 def test_nmea_without_dates_over_midnight(tmp_path: Path) -> None:
@@ -557,7 +586,11 @@ def test_ubx(tmp_path: Path, form: str) -> None:
         "the IMU's own clock is 302395.000 s behind GPS time, from the order in which messages arrived",
     )
     alone = b"".join(
-        _ubx(0x10, 0x03, bytes(4) + b"".join(struct.pack("<II", (a << 24) | (c & 0xFFFFFF), 10 * k) for a, c in _counts(k)))
+        _ubx(
+            0x10,
+            0x03,
+            bytes(4) + b"".join(struct.pack("<II", (a << 24) | (c & 0xFFFFFF), 10 * k) for a, c in _counts(k)),
+        )
         for k in range(3)
     )
     imu = open_files(files(tmp_path, {"b.ubx": alone})).imu
@@ -614,7 +647,9 @@ def test_tum_trajectories(tmp_path: Path) -> None:
     x, y, z, w = Rotation.from_euler("ZYX", [90.0, 0.0, 10.0], degrees=True).as_quat().tolist()
     rows = ["# timestamp tx ty tz qx qy qz qw", "100.0 0 0 0 0 0 0 1", f"100.5 0 0 2 {x!r} {y!r} {z!r} {w!r}"]
     path = files(tmp_path, {"a.tum": "\n".join([*rows, "101 0 0 4 0 0 0 1"]) + "\n"})
-    imu = files(tmp_path, {"i.csv": "t,gx,gy,gz,ax,ay,az\n" + "".join(f"{100 + k / 4},1,2,3,4,5,6\n" for k in range(4))})
+    imu = files(
+        tmp_path, {"i.csv": "t,gx,gy,gz,ax,ay,az\n" + "".join(f"{100 + k / 4},1,2,3,4,5,6\n" for k in range(4))}
+    )
     found = open_files(imu, truth=path, maps=("", "", "origin=46.5 7 400")).reference
     assert found is not None
     np.testing.assert_allclose(found.t, [100, 100.5, 101])
@@ -641,7 +676,11 @@ def test_binary_records(tmp_path: Path, kind: str, gyro: float, accel: float) ->
     found = open_files(path, maps=(f"imu={kind.lower()}", "", ""))
     values = np.array(counts, dtype=float)
     same(
-        found.imu, t=302400 + 0.01 * np.arange(6), gyro=values[:, :3] * gyro, accel=values[:, 3:] * accel, kind="increment"
+        found.imu,
+        t=302400 + 0.01 * np.arange(6),
+        gyro=values[:, :3] * gyro,
+        accel=values[:, 3:] * accel,
+        kind="increment",
     )
     assert found.notes == (f"3 bytes at the end are no whole record of {kind}",)
     assert found.assumed == ()
@@ -668,7 +707,15 @@ def test_binary_records_that_fit_nothing_are_refused(tmp_path: Path) -> None:
 # -------------------------------------------------------------------------------------------------------------------- bags
 
 
-def _bag(folder: Path, fixes: list[tuple[float, int]], twists: list[tuple[float, float]], *, names: tuple[str, ...] = ("imu",), ros: int = 2, more: str = "") -> Path:
+def _bag(
+    folder: Path,
+    fixes: list[tuple[float, int]],
+    twists: list[tuple[float, float]],
+    *,
+    names: tuple[str, ...] = ("imu",),
+    ros: int = 2,
+    more: str = "",
+) -> Path:
     """Six IMU rows at 100 Hz, fixes of (time, status) and twists of (time, velocity east)."""
     from rosbags.typesys import Stores, get_typestore
 
@@ -728,7 +775,17 @@ def test_bags(tmp_path: Path, ros: int, names: tuple[str, ...]) -> None:
     """Messages of one length and of several; fixes without status or covariance; the twist nearest to a fix within 20 ms."""
     fixes = [(0.0, 0), (1.0, 2), (2.0, -1), (3.0, 0), (4.0, 0), (5.0, 1)]
     # each fix has one twist before and one behind it: at the fix, before is nearer, behind is nearer, both too far
-    twists = [(0.0, 10.0), (0.99, 20.0), (1.015, 21.0), (2.0, 30.0), (2.985, 40.0), (3.004, 41.0), (3.95, 50.0), (4.021, 51.0), (4.992, 60.0)]
+    twists = [
+        (0.0, 10.0),
+        (0.99, 20.0),
+        (1.015, 21.0),
+        (2.0, 30.0),
+        (2.985, 40.0),
+        (3.004, 41.0),
+        (3.95, 50.0),
+        (4.021, 51.0),
+        (4.992, 60.0),
+    ]
     found = open_files(_bag(tmp_path, fixes, twists[::-1], names=names, ros=ros))
     same(
         found.imu,
