@@ -139,7 +139,8 @@ def test_what_is_no_rtklib_solution_is_refused(tmp_path: Path, rows: str, said: 
 
 def test_kf_gins(tmp_path: Path) -> None:
     imu = "".join(f"{302400 + 0.005 * k:.3f} 1e-4 -2e-4 {k}e-5 0.001 -0.002 -0.049\n" for k in range(5))
-    pos = "302400.0 46.5 7.25 400.5 0.1 0.2 0.3\n302401.0 46.6 7.35 401.5 0.4 0.5 0.6\n302402.0 46.7 7.35 401.5 0.4 0.5 0.6\n302403.0 46.7 7.35 401.5 0.4 0.5 0.6\n"
+    pos = "302400.0 46.5 7.25 400.5 0.1 0.2 0.3\n302401.0 46.6 7.35 401.5 0.4 0.5 0.6\n"
+    pos += "".join(f"30240{k}.0 46.7 7.35 401.5 0.4 0.5 0.6\n" for k in (2, 3))
     nav = "".join(f"2299 {302400 + k}.0 46.5 7.25 {400 + k} 1 2 3 {k} -2 3{k}0\n" for k in range(4))
     path = files(tmp_path, {"a.txt": imu, "a.pos": pos, "a.nav": nav})
     found = open_files(path, gnss=tmp_path / "a.pos", truth=tmp_path / "a.nav")
@@ -206,7 +207,8 @@ def test_euroc_with_its_reference(tmp_path: Path) -> None:
     head = "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n"
     imu = head + "".join(f"{1706702382000000000 + 5_000_000 * k},0.{k},0.2,-0.3,9.5,0.4,-0.5\n" for k in range(4))
     quaternion = Rotation.from_euler("ZYX", [30.0, 20.0, 10.0], degrees=True).as_quat()
-    pose = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], v_RS_R_x [m s^-1], v_RS_R_y [m s^-1], v_RS_R_z [m s^-1]\n"
+    pose = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], "
+    pose += "v_RS_R_x [m s^-1], v_RS_R_y [m s^-1], v_RS_R_z [m s^-1]\n"
     x, y, z, w = (2.0 * quaternion).tolist()  # of any length
     pose += "".join(
         f"{1706702382000000000 + 10_000_000 * k},0,0,{5 * k},{w!r},{x!r},{y!r},{z!r},1.5,-2.5,{k}\n" for k in range(3)
@@ -402,7 +404,8 @@ def test_phyphox(tmp_path: Path) -> None:
     gyro = "\n".join([f'"Time (s)","{axes[0]}","{axes[1]}","{axes[2]}"', *(f"{0.01 * k},1,2,{k}" for k in range(5))])
     accel = '"Time (s)","Acceleration x (m/s^2)","Acceleration y (m/s^2)","Acceleration z (m/s^2)"\n'
     accel += "".join(f"{0.02 * k - 0.01},{k},0.5,9.8\n" for k in range(3))
-    place = '"Time (s)","Latitude (°)","Longitude (°)","Height (m)","Velocity (m/s)","Direction (°)","Horizontal Accuracy (m)","Vertical Accuracy (m)"\n'
+    place = '"Time (s)","Latitude (°)","Longitude (°)","Height (m)","Velocity (m/s)",'
+    place += '"Direction (°)","Horizontal Accuracy (m)","Vertical Accuracy (m)"\n'
     place += f"0.0,46.5,7.25,400.5,3,90,{math.sqrt(2)!r},2\n1.0,46.6,7.35,401.5,4,91,{math.sqrt(8)!r},5\n"
     files(tmp_path, {"Gyroscope.csv": gyro + "\n", "Accelerometer.csv": accel, "Location.csv": place})
     found = open_files(tmp_path)
