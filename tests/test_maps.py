@@ -397,6 +397,7 @@ def test_the_time_is_told_by_its_values_where_several_are_called_so() -> None:
     names = ["time", "t", "stamp", "gx"]
     still, coarse, fine = np.zeros(20), np.floor(np.arange(20) / 4), np.arange(20) * 0.01
     assert "time" not in guess_map(["time"], [still]).picks
+    assert "time" in guess_map(["time"], [coarse]).picks
     assert "time" not in guess_map(["time"], [np.arange(20.0)[::-1]]).picks
     (pick,) = guess_map(names, [still, coarse, fine, still]).picks["time"]
     assert pick.column == "stamp"
