@@ -483,7 +483,7 @@ def test_states_are_told_from_the_structure() -> None:
     )
     found = structures(s.designs["b"], s)
     assert {axis: None if m is None else [p.symbol for p in m] for axis, m in found.items()} == {
-        **dict.fromkeys(AXES[:3], ["GM", "AR", "RC"]), **dict.fromkeys(AXES[3:], None),
+        **{axis: ["GM", "AR", "RC"] for axis in AXES[:3]}, **dict.fromkeys(AXES[3:], None),
     }  # fmt: skip
     assert state_names(s.designs["b"], s) is None
     assert structures(s.designs["a"])["gyro_x"] is None and state_names(s.designs["a"]) is None
