@@ -59,7 +59,7 @@ ROOMS = {
         ["fit_gmwm", "fit_readings", "characterise", "online"],
     ),
     "augment": (["augment.py"], ["augment"], ["designs", "filters", "together", "covariance"]),
-    "effects": (["effects"], ["effects", "effects_passes", "compensation", "tables"], ["effect_matrix", "gap_dynamic"]),
+    "effects": (["effects"], ["effects", "effects_passes", "compensation", "effects_pins", "tables"], ["effect_matrix", "gap_dynamic"]),
     "units": (["units.py"], ["units"], ["sensors", "formats"]),
     "records": (["records.py"], ["records", "formats"], ["filters", "aids", "emulate_cli", "files"]),
     "scenario": (["scenario"], ["scenario", "scenario_sections", "tables", "scenario_fuzz"], ["init", "sweep", "designs", "run"]),
