@@ -59,11 +59,23 @@ ROOMS = {
         ["fit_gmwm", "fit_readings", "characterise", "online"],
     ),
     "augment": (["augment.py"], ["augment"], ["designs", "filters", "together", "covariance"]),
-    "effects": (["effects"], ["effects", "effects_passes", "compensation", "effects_pins", "tables"], ["effect_matrix", "gap_dynamic"]),
+    "effects": (
+        ["effects"],
+        ["effects", "effects_passes", "compensation", "effects_pins", "tables"],
+        ["effect_matrix", "gap_dynamic"],
+    ),
     "units": (["units.py"], ["units"], ["sensors", "formats"]),
     "records": (["records.py"], ["records", "formats"], ["filters", "aids", "emulate_cli", "files"]),
-    "scenario": (["scenario"], ["scenario", "scenario_sections", "tables", "scenario_fuzz"], ["init", "sweep", "designs", "run"]),
-    "formats": (["formats"], ["formats", "files", "readers", "maps", "export"], ["intake", "recorded", "emulate_cli"]),
+    "scenario": (
+        ["scenario"],
+        ["scenario", "scenario_sections", "tables", "scenario_fuzz"],
+        ["init", "sweep", "designs", "run"],
+    ),
+    "formats": (
+        ["formats"],
+        ["formats", "files", "readers", "maps", "written", "arrays", "export"],
+        ["intake", "recorded", "emulate_cli"],
+    ),
 }
 #: Processor seconds of a test that takes part in the first look; of one mutant, or this many times what its tests take of the code as it is.
 QUICK, MOST, LONGER = 1.0, 20.0, 5.0
