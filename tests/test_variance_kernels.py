@@ -11,7 +11,7 @@ from scipy.linalg import toeplitz
 
 from insemu import variance as v
 from insemu.noise import AR1, GM, QN, RW, WN
-from insemu.variance import _covariance_kernel, _kernel, edof, filtered
+from insemu.variance import _covariance_kernel, _kernel, edof, filtered, gaps
 from tests.pins import numbers
 
 Array = NDArray[np.float64]
@@ -306,3 +306,120 @@ def test_degrees_of_freedom_are_those_of_all_pairs(model: Any) -> None:
         weight = np.maximum(1 - lags / count, 0.0) * np.where(lags == 0, 1.0, 2.0)
         np.testing.assert_allclose(covariance[j, j], 2.0 / count * np.sum(weight * s**2), rtol=2e-3)
         np.testing.assert_allclose(v.expected_variance(model, "d4", [2.0 ** (j + 1)], dt), s[0], rtol=1e-3)
+
+
+# ----------------------------------------------------------------------------------------------------------- missing samples
+
+
+def _lost(n: int = 40) -> tuple[Array, Array, NDArray[np.int64]]:
+    """A signal with missing samples, its running sums and counts."""
+    x = numbers(n, 6) + 3.0
+    x[[4, 5, 6, 11, 13, 20, 21, 22, 23, 24, 33]] = np.nan
+    sums, there = np.empty(n + 1), np.empty(n + 1, dtype=np.int64)
+    gaps._running(x, 3.0, sums, there)
+    return x, sums, there
+
+
+def _coefficients(x: Array, half: int) -> tuple[Array, NDArray[np.int64]]:
+    """Weights of the samples in every coefficient of which at least half of each half is there, and where it begins."""
+    good = np.isfinite(x)
+    rows, first = [], []
+    for k in range(x.size - 2 * half + 1):
+        one, two = good[k : k + half], good[k + half : k + 2 * half]
+        if min(one.sum(), two.sum()) >= 0.5 * half:
+            w = np.zeros(x.size)
+            w[k : k + half], w[k + half : k + 2 * half] = -0.5 * one / one.sum(), 0.5 * two / two.sum()
+            rows.append(w)
+            first.append(k)
+    return np.array(rows), np.array(first)
+
+
+@pytest.mark.parametrize("half", [1, 2, 4, 8])
+def test_coefficients_with_gaps_are_differences_of_the_means_that_are_there(half: int) -> None:
+    x, sums, there = _lost()
+    known = np.where(np.isfinite(x), x - 3.0, 0.0)
+    np.testing.assert_allclose(sums, np.concatenate([[0], np.cumsum(known)]))
+    np.testing.assert_array_equal(there, np.concatenate([[0], np.cumsum(np.isfinite(x))]))
+    w, first = _coefficients(x, half)
+    for step in (1, 3):
+        total, number = gaps._squares(sums, there, half, step, 0.5 * half)
+        chosen = first % step == 0
+        assert number == chosen.sum()
+        np.testing.assert_allclose(0.25 * total, np.sum((w[chosen] @ known) ** 2))
+        lags, share = np.array([0, 1, 2, 5, 37]), np.empty(5)
+        gaps._pairs(there, half, step, 0.5 * half, lags, share)
+        np.testing.assert_allclose(share, [np.isin(first[chosen] + lag, first).sum() / chosen.sum() for lag in lags])
+    own = np.empty(2 * half)
+    gaps._mean_weights(there, int(first[3]), half, own)
+    np.testing.assert_allclose(own, w[3][first[3] : first[3] + 2 * half])
+
+
+@pytest.mark.parametrize("half", [1, 2, 4])
+def test_variances_and_covariances_of_coefficients_with_gaps_are_sums_over_samples(half: int) -> None:
+    x, _, there = _lost()
+    w, first = _coefficients(x, half)
+    variogram = np.array([0.0, *np.log1p(np.arange(1.0, 80.0))])
+    lag = np.abs(np.subtract.outer(np.arange(x.size), np.arange(x.size)))
+    exact = -w @ variogram[lag] @ w.T
+    weights = gaps._pair_weights(there, half, 0.5 * half)
+    np.testing.assert_allclose(weights @ variogram[: weights.size], np.mean(np.diag(exact)))
+    for step in (1, 2):
+        near = [
+            (i, j)
+            for i in range(first.size)
+            for j in range(i, first.size)
+            if first[i] % step == 0 and first[j] < first[i] + 6 * half
+        ]
+        often = np.array([1.0 if i == j else 2.0 for i, j in near])
+        whole = np.zeros(x.size)
+        one = np.repeat([-0.5 / half, 0.5 / half], half)
+        level = variogram + 0.3 * (np.arange(variogram.size) > 0)
+        for k in range(6 * half):
+            apart = np.abs(k + np.subtract.outer(np.arange(2 * half), np.arange(2 * half)))
+            whole[k] = -one @ level[apart] @ one
+        found = gaps._short_pairs(there, half, step, 0.5 * half, variogram, 0.3)
+        same = [whole[first[j] - first[i]] for i, j in near]
+        np.testing.assert_allclose(found, [often @ [exact[i, j] ** 2 for i, j in near], often @ np.square(same)])
+
+
+@pytest.mark.parametrize("kind", ["WN", "QN", "RW", "GM"])
+@pytest.mark.parametrize("size", [1, 2, 5])
+def test_mean_variograms_of_parts_are_means_over_pairs(kind: str, size: int) -> None:
+    h = np.arange(60.0)
+    own = {"WN": (h > 0) * 1.0, "QN": np.where(h == 1, 3.0, 2.0) * (h > 0), "RW": 0.5 * h, "GM": -np.expm1(-h / 7.0)}[
+        kind
+    ]
+    found = gaps._variogram(kind, 7.0, size, 4)
+    inside = np.arange(size)
+    for parts in range(4):
+        apart = np.abs(parts * size + np.subtract.outer(inside, inside))
+        pairs = own[apart[apart > 0]] if parts == 0 else own[apart]
+        if pairs.size:
+            np.testing.assert_allclose(found[parts], pairs.mean())
+
+
+@pytest.mark.parametrize("name", ["haar", "d4"])
+def test_another_filter_weighs_every_pair_that_is_there(name: str) -> None:
+    """Equation (9) of Mondal and Percival (2010): squared differences by the autocorrelation of the filter."""
+    x, _, _ = _lost()
+    haar = gaps.haar_with_gaps(x, 3.0, 5)
+    assert haar is not None
+    found = gaps.filter_with_gaps(x, 3.0, name, haar)
+    assert found is not None
+    impulse = (np.arange(201) == 100).astype(float)
+    for j in range(found.value.size):
+        taps = v.wavelet_coefficients(impulse, filter=name, levels=j + 1)[j]
+        own = np.correlate(taps, taps, "full")[taps.size - 1 :]
+        squares = [np.nanmean((x[k:] - x[:-k]) ** 2) if k < x.size - 2 else 0.0 for k in range(1, x.size)]
+        wanted = -np.sum(own[1 : x.size][: len(squares)] * squares[: own.size - 1])
+        np.testing.assert_allclose(found.value[j], wanted, rtol=1e-9)
+
+
+def test_whole_records_have_the_same_curve_with_and_without_the_door_for_gaps() -> None:
+    x = numbers(600, 8)
+    found, whole = gaps.haar_with_gaps(x, 0.0, 5), v.wavelet_variance(x, levels=5)
+    assert found is not None
+    np.testing.assert_allclose(found.value[:4], whole.value[:4], rtol=1e-9)
+    np.testing.assert_array_equal(found.terms[:4], 600 - 2 ** np.arange(1, 5) + 1)
+    np.testing.assert_allclose(found.inflation, 1.0)
+    np.testing.assert_allclose(found.scatter.edof, whole.edof, rtol=0.02)
