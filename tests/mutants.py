@@ -38,42 +38,44 @@ from scipy.stats import beta
 ROOT = Path(__file__).resolve().parents[1]
 READ = ROOT / "tests" / "mutants.yaml"
 COVER = ROOT / ".mutants" / "cover.json"
-#: Rooms, the tests that should see what goes wrong in them, and tests of the rooms above that would see it, too.
+#: Rooms, the tests that should see what goes wrong in them (first those that see most of it), and tests of the rooms above that would see it, too.
 ROOMS = {
     "noise": (
         ["noise"],
-        ["noise", "noise_derived", "noise_pins"],
+        ["noise_pins", "noise", "noise_derived"],
         ["augment", "fit_methods", "fit_gmwm", "gap_beliefs_any_process"],
     ),
     "variance": (
         ["variance"],
         [
             "variance_kernels",
+            "variance_exact",
+            "exact_pins",
+            "variance_pins",
             "variance_wavelet",
             "variance_allan",
             "variance_reading",
             "variance_filtered",
             "variance_robust",
-            "variance_pins",
         ],
         ["fit_gmwm", "fit_readings", "characterise", "online"],
     ),
     "augment": (["augment.py"], ["augment"], ["designs", "filters", "together", "covariance"]),
     "effects": (
         ["effects"],
-        ["effects", "effects_passes", "compensation", "effects_pins", "tables"],
+        ["tables", "effects_pins", "effects", "effects_passes", "compensation"],
         ["effect_matrix", "gap_dynamic"],
     ),
     "units": (["units.py"], ["units"], ["sensors", "formats"]),
     "records": (["records.py"], ["records", "formats"], ["filters", "aids", "emulate_cli", "files"]),
     "scenario": (
         ["scenario"],
-        ["scenario", "scenario_sections", "tables", "scenario_fuzz"],
+        ["tables", "scenario_sections", "scenario", "scenario_fuzz"],
         ["init", "sweep", "designs", "run"],
     ),
     "formats": (
         ["formats"],
-        ["formats", "files", "readers", "maps", "written", "arrays", "export"],
+        ["maps", "readers", "arrays", "written", "formats", "files", "export"],
         ["intake", "recorded", "emulate_cli"],
     ),
 }

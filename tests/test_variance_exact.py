@@ -1,0 +1,125 @@
+"""Readings of curves that are exact: what was put into a curve is what is read from it, with no draw in between."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from insemu import variance as v
+from insemu.noise import BI, DR, GM, QN, RW, WN, NoiseModel
+from insemu.variance import reading
+from insemu.variance.allan import AllanVariance
+
+DT = 0.01
+
+
+def curve(model: NoiseModel, octaves: int = 17, *, most: float = 4000.0) -> AllanVariance:
+    """The Allan variance of a model at octaves of a record of two more; degrees of freedom fall as the number of averages."""
+    m = 2 ** np.arange(octaves, dtype=np.int64)
+    n = 4 << octaves
+    edof = np.minimum(most, np.maximum(n / m / 2.0, 1.0))
+    value = model.allan_variance(m, DT)
+    return AllanVariance(m, m * DT, value, 0.9 * value, 1.1 * value, edof, n, 1.0 / DT)
+
+
+EXACT: dict[str, tuple[NoiseModel, dict[str, float]]] = {
+    "white": (NoiseModel((WN(2e-4),)), {"N": 2e-4}),
+    "walk": (NoiseModel((RW(3e-5),)), {"K": 3e-5}),
+    "rounding": (NoiseModel((QN(4e-6),)), {"Q": 4e-6}),
+    "drift": (WN(2e-4) + DR(1e-4), {"N": 2e-4, "R": 1e-4}),
+    "white and walk": (WN(2e-4) + RW(3e-5), {"N": 2e-4, "K": 3e-5}),
+    "rounding and white": (QN(4e-5) + WN(2e-4), {"Q": 4e-5, "N": 2e-4}),
+    "rounding, white and walk": (QN(4e-5) + WN(2e-4) + RW(1e-5), {"Q": 4e-5, "N": 2e-4, "K": 1e-5}),
+}
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_exact_power_laws_are_read_back(name: str) -> None:
+    """IEEE Std 952: 3 Q^2 / tau^2, N^2 / tau, K^2 tau / 3, R^2 tau^2 / 2."""
+    model, wanted = EXACT[name]
+    found = v.read_curve(curve(model))
+    assert set(wanted) <= set(found) <= {*wanted, "B", "Tc"}
+    for key, value in wanted.items():
+        np.testing.assert_allclose(found[key].si_value, value, rtol=5e-3)
+        assert found[key].low <= found[key].value * (1 + 1e-9) and found[key].high >= found[key].value * (1 - 1e-9)
+        assert found[key].high / found[key].low < 2.0
+
+
+@pytest.mark.parametrize("size", [1e-3, 1e-6, 1e3])
+def test_intervals_do_not_depend_on_the_size_of_the_signal(size: float) -> None:
+    """Of quiet sensors the squares are below any absolute tolerance."""
+    one = curve(QN(4e-5) + WN(2e-4) + RW(1e-5))
+    other = AllanVariance(
+        one.m, one.tau_s, size**2 * one.value, one.low, one.high, one.edof, one.n_samples, one.rate_hz
+    )
+    big, small = v.read_curve(one), v.read_curve(other)
+    assert set(big) == set(small) >= {"Q", "N", "K"}
+    for key in ("Q", "N", "K"):
+        a, b = big[key], small[key]
+        np.testing.assert_allclose(np.array([b.value, b.low, b.high]) / size, [a.value, a.low, a.high], rtol=3e-4)
+
+
+def test_units_of_readings() -> None:
+    """1 rad/s is 206264.806 deg/h; a square root of an hour is 60 of a second."""
+    c = curve(QN(4e-5) + WN(2e-4) + RW(1e-5))
+    si, gyro, accel = (v.read_curve(c, unit) for unit in ("", "rad/s", "m/s^2"))
+    deg = 180.0 / np.pi
+    factors = {"Q": (deg, 1.0), "N": (deg * 60.0, 60.0), "K": (deg * 216_000.0, 216_000.0)}
+    units = {
+        "Q": ("1*s", "deg", "m/s"),
+        "N": ("1/sqrt(Hz)", "deg/sqrt(h)", "m/s/sqrt(h)"),
+        "K": ("1*sqrt(Hz)", "deg/h^1.5", "m/s/h^1.5"),
+    }
+    for key, pair in factors.items():
+        assert tuple(r[key].unit for r in (si, gyro, accel)) == units[key]
+        for other, factor in zip((gyro, accel), pair, strict=True):
+            np.testing.assert_allclose(
+                [other[key].value, other[key].low, other[key].high],
+                factor * np.array([si[key].value, si[key].low, si[key].high]),
+            )
+            assert other[key].si_value == si[key].si_value == si[key].value
+
+
+def test_a_hump_is_read_as_its_highest_point() -> None:
+    """The Allan deviation of a Gauss-Markov noise is at most 0.6174 sigma, at 1.8926 Tc; B divides the flat by 0.664."""
+    sigma, tc = 3e-4, 20.0
+    found = v.read_curve(curve(WN(2e-5) + GM(sigma, 1.0 / tc), 19))
+    assert {"N", "Tc"} <= set(found)
+    np.testing.assert_allclose(found["Tc"].value, tc, rtol=0.1)
+    assert found["Tc"].unit == "s" and found["Tc"].note == "from the hump at 1.89 Tc"
+    assert found["Tc"].low < tc < found["Tc"].high
+    flicker = v.read_curve(curve(WN(2e-4) + BI(1e-4), 19))
+    np.testing.assert_allclose(flicker["B"].si_value, 1e-4, rtol=0.05)
+    np.testing.assert_allclose(reading.FLICKER, np.sqrt(2 * np.log(2) / np.pi), rtol=1e-12)
+    m = np.arange(1, 4000)
+    height = np.sqrt(NoiseModel((GM(1.0, 1e-3),)).allan_variance(m, 1.0))
+    np.testing.assert_allclose(
+        [m[np.argmax(height)] / 1000.0, height.max()], [reading.GM_PEAK_TIME, reading.GM_PEAK], rtol=1e-3
+    )
+
+
+def test_too_little_is_not_read() -> None:
+    c = curve(NoiseModel((WN(1.0),)), 3)
+    assert v.read_curve(c) == {}
+    assert reading._above_white(c, c.tau_s[0], 0.0)
+    white = curve(NoiseModel((WN(1.0),)), 9)
+    assert not reading._above_white(white, white.tau_s[5], float(white.value[5]))
+    assert reading._above_white(curve(WN(1.0) + RW(30.0), 9), white.tau_s[8], 1e9)
+
+
+def _spans(*runs: tuple[int, int], size: int = 80) -> Any:
+    out = np.zeros(size, dtype=bool)
+    for a, b in runs:
+        out[a : b + 1] = True
+    return out
+
+
+def test_straight_parts_are_runs_of_some_octaves() -> None:
+    everywhere = np.ones(80, dtype=bool)
+    assert reading._spans(_spans((0, 8), (10, 17), (70, 79)), everywhere, 1.0) == [(0, 8), (70, 79)]
+    assert reading._spans(_spans((0, 16)), _spans((5, 40)), 1.0) == [(5, 16)]
+    assert reading._spans(_spans((3, 10)), everywhere, 1.0) == [] and reading._spans(
+        _spans((3, 11)), everywhere, 1.0
+    ) == [(3, 11)]
