@@ -407,6 +407,12 @@ def test_the_time_is_told_by_its_values_where_several_are_called_so() -> None:
     assert pick.column == "time"
     (pick,) = guess_map(["time", "field.header.stamp"], [fine, fine]).picks["time"]
     assert pick.column == "field.header.stamp"
+    # a stamp goes before a time, unless it repeats: three in nineteen are as much as 4.7 words behind
+    repeats = np.repeat(np.arange(17.0), [4, *[1] * 16])
+    (pick,) = guess_map(["t", "stamp"], [fine, repeats]).picks["time"]
+    assert pick.column == "t"
+    (pick,) = guess_map(["t", "stamp"], [fine, fine]).picks["time"]
+    assert pick.column == "stamp"
     jumps = fine.copy()
     jumps[10:] -= 1.0  # one of nineteen steps goes back
     assert "time" in guess_map(["time"], [jumps]).picks

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from insemu.errors import InputError
 from insemu.formats import open_files
-from insemu.formats.opened import Opened
+from tests.file_samples import KINDS
 
 G = 9.80665
 DEG = np.pi / 180.0
@@ -394,6 +394,18 @@ def test_px4_csv(tmp_path: Path, new: bool) -> None:
     assert found.notes == (("heights are above mean sea level, not above the ellipsoid",) if new else ())
     with pytest.raises(InputError, match="holds neither the columns of sensor_combined nor of a GNSS topic"):
         open_files(files(tmp_path, {"b_sensor_combined_0.csv": "timestamp,a\n1,2\n3,4\n"}))
+
+
+def test_a_ulog_that_is_read_in_part_says_so(tmp_path: Path) -> None:
+    """Where bytes are zero or lacking, the decoder goes on at the next mark that it knows."""
+    whole = KINDS["PX4 ULog"](tmp_path).path
+    data = whole.read_bytes()
+    note = "parts of the file are corrupt and were left out"
+    assert open_files(whole).notes == ()
+    for at, put in ((0.3, bytes(40)), (0.5, b""), (0.7, bytes(40))):
+        k = int(at * len(data))
+        found = open_files(files(tmp_path, {"part.ulg": data[:k] + put + data[k + max(len(put), 7) :]}))
+        assert note in found.notes and found.imu is not None and len(found.imu) < 3000
 
 
 # ------------------------------------------------------------------------------------------------------------------- phones
@@ -816,5 +828,17 @@ def test_of_several_twists_none_is_taken(tmp_path: Path) -> None:
     assert apart.gnss is not None and apart.gnss.vel_ned is not None
 
 
-def opened(path: Path, line: str = "") -> Opened:
-    return open_files(path, maps=(line, "", ""))
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("topic=/imu/x", "has no topic '/imu/x' (did you mean '/imu'?)"),
+        ("gnss_topic=/gnss/fx", "has no topic '/gnss/fx' (did you mean '/gnss/fix'?)"),
+    ],
+)
+def test_topics_that_are_not_there_are_refused(tmp_path: Path, line: str, said: str) -> None:
+    path = _bag(tmp_path, [(0.0, 0), (1.0, 0)], [])
+    with pytest.raises(InputError) as caught:
+        open_files(path, maps=(line, "", ""))
+    assert str(caught.value).endswith(said)
+    turned = open_files(path, maps=("axes=FRD", "", ""))
+    assert turned.imu is not None and turned.imu.accel[0].tolist() == [0.4, 0.5, 9.8] and turned.assumed == ()
