@@ -11,6 +11,8 @@ from insemu import variance as v
 from insemu.noise import BI, DR, GM, QN, RW, WN, NoiseModel
 from insemu.variance import reading
 from insemu.variance.allan import AllanVariance
+from insemu.variance.characterise import _correlation, _trend
+from tests.pins import numbers
 
 DT = 0.01
 
@@ -123,3 +125,26 @@ def test_straight_parts_are_runs_of_some_octaves() -> None:
     assert reading._spans(_spans((3, 10)), everywhere, 1.0) == [] and reading._spans(
         _spans((3, 11)), everywhere, 1.0
     ) == [(3, 11)]
+
+
+def test_the_trend_is_means_of_blocks_and_the_correlation_goes_up_to_a_tenth_of_the_record() -> None:
+    x = np.arange(1000.0)
+    x[[4, 7]] = np.nan
+    x[9:12] = np.nan
+    t, means = _trend(x, 10.0)
+    k = np.delete(np.arange(333), 3)  # of width 3; the fourth has no sample
+    np.testing.assert_allclose(t, (3 * k + 1.5) / 10.0)
+    wanted = 3.0 * k + 1.0
+    wanted[1], wanted[2] = (3.0 + 5.0) / 2.0, (6.0 + 8.0) / 2.0
+    np.testing.assert_allclose(means, wanted)
+    assert _trend(np.ones(10), 1.0, 3)[0].tolist() == [1.5, 4.5, 7.5]
+    y = numbers(9000, 4) + np.sin(np.arange(9000) / 80.0)
+    found = _correlation(y, 100.0)
+    assert (found["lag_s"][0], found["raw"][0], found["de-noised"][0], found["lag_s"].size) == (0.0, 1.0, 1.0, 400)
+    np.testing.assert_allclose(found["lag_s"][-1], 9.0)
+    # a sine of period 2 pi 80 samples; without its white noise it is nearly a cosine
+    at = int(np.argmin(np.abs(found["lag_s"] - 1.6 * np.pi)))
+    assert found["de-noised"][at] > 0.9 > 0.5 > found["raw"][at] > 0.25
+    assert _correlation(y[:1023], 100.0) == {} and _correlation(np.ones(2000), 1.0) == {}
+    assert set(_correlation(y[:1024], 100.0)) == {"lag_s", "raw", "de-noised"}
+    np.testing.assert_allclose(_correlation(np.tile(y, 2), 1.0)["lag_s"][-1], 600.0)
