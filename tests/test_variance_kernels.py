@@ -45,6 +45,7 @@ def test_the_pyramid_sums_squares_of_plain_differences(n: int, full: int) -> Non
     for piece in np.split(x, [n // 3, n // 3 + 1, n // 2]):
         found.push(piece)
     value, counts = found.result()
+    np.testing.assert_array_equal(found.result()[0], value)
     s = np.cumsum(np.concatenate([[0.0], x - 100.0]))
     for j in range(levels):
         m = 1 << j
