@@ -23,6 +23,8 @@ MODELS: dict[str, NoiseModel] = {
     "flicker and walk": WN(2e-4) + BI(1e-4) + RW(1e-6),
     "hidden hump": WN(2e-4) + GM(1e-4, 1 / 50.0) + RW(4e-6),
     "all": QN(4e-6) + WN(2e-4) + GM(1e-4, 1 / 50.0) + RW(4e-6) + DR(1e-7),
+    "slow hump": WN(2e-5) + GM(3e-4, 1 / 300.0),
+    "slower hump": WN(2e-5) + GM(3e-3, 1 / 3000.0),
     "flat first": NoiseModel((GM(1e-3, 1 / 0.05),)),
 }
 

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.special import ndtr, ndtri
 
 from insemu import variance as v
 from insemu.noise import BI, DR, GM, QN, RW, WN, NoiseModel
-from insemu.variance import reading
+from insemu.variance import reading, robust
 from insemu.variance.allan import AllanVariance
 from insemu.variance.characterise import _correlation, _trend
+from insemu.variance.robust import _core, _heavy, _scale
 from tests.pins import numbers
 
 DT = 0.01
@@ -148,3 +152,69 @@ def test_the_trend_is_means_of_blocks_and_the_correlation_goes_up_to_a_tenth_of_
     assert _correlation(y[:1023], 100.0) == {} and _correlation(np.ones(2000), 1.0) == {}
     assert set(_correlation(y[:1024], 100.0)) == {"lag_s", "raw", "de-noised"}
     np.testing.assert_allclose(_correlation(np.tile(y, 2), 1.0)["lag_s"][-1], 600.0)
+
+
+# ---------------------------------------------------------------------------------------------------------------------- robust
+
+
+def test_curves_differ_where_their_ratio_is_beyond_what_the_efficiency_explains() -> None:
+    """Hausman: the variance of the difference of two estimates is the difference of their variances, 2 (1 - e) / edof of logarithms."""
+    x = numbers(2000, 3)
+    plain, other = v.wavelet_variance(x, levels=4), v.robust_wavelet_variance(x, levels=4)
+    edof, share = np.array([50.0, 100.0, 200.0, 400.0]), 0.6
+    other = replace(
+        other, edof=edof, efficiency=share, contaminated=True, protected=np.array([True, True, True, False])
+    )
+    bound = np.exp(3.3 * np.sqrt(2.0 * (1.0 - share) / edof))
+    for times, wanted in ((bound * 1.001, True), (bound * 0.999, False), (0.999 / bound, True), (1.001 / bound, False)):
+        found = v.compare_with_robust(replace(plain, value=times * other.value), other)
+        np.testing.assert_allclose(found.ratio, times)
+        assert found.significant.tolist() == [wanted] * 4
+        assert found.contaminated == bool(wanted and times[0] > 1)
+    alone = np.array([1.0, 1.0, 1.0, 3.0])  # the only octave that differs is not protected
+    assert not v.compare_with_robust(replace(plain, value=alone * other.value), other).contaminated
+    small = replace(other, edof=1e6 * edof)
+    for factor, wanted in ((1.051, True), (1.049, False)):
+        assert v.compare_with_robust(replace(plain, value=factor * other.value), small).contaminated == wanted
+        assert not v.compare_with_robust(
+            replace(plain, value=factor * other.value), replace(small, contaminated=False)
+        ).contaminated
+
+
+def test_heavy_tails_are_more_values_far_out_than_gaussian_ones() -> None:
+    n = 2000
+    even = ndtri((np.arange(n) + 0.5) / n)
+    assert not _heavy(even, 1.0, 2) and _heavy(1.5 * even, 1.0, 2) and not _heavy(1.5 * even, 2.25, 2)
+    limit = math.sqrt(2.0 * math.log(n) + 2.0 * math.log(1e4))
+    for factor, wanted in ((1.001, True), (0.999, False)):
+        assert _heavy(np.append(even[1:], factor * limit), 1.0, 2) == wanted
+    quiet = np.clip(even, -2.0, 2.0)
+    for at, beyond in ((3.2, 3.0), (3.7, 3.5), (4.2, 4.0)):
+        expected = 2.0 * ndtr(-beyond) * n
+        most = math.floor(1.05 * expected + 5.0 * math.sqrt(max(expected, 1.0) * 2) + 4.0 * 2)
+        for count, wanted in ((most, False), (most + 1, True)):
+            x = quiet.copy()
+            x[:count] = -at
+            lower = [b for b in (3.0, 3.5) if b < beyond]
+            fits = all(
+                count <= 1.05 * 2 * ndtr(-b) * n + 5 * math.sqrt(max(2 * ndtr(-b) * n, 1.0) * 2) + 8 for b in lower
+            )
+            assert _heavy(x, 1.0, 2) == wanted or not fits
+    assert (
+        not _heavy(np.full(99, 9.0), 1.0, 2)
+        and _heavy(np.full(100, 9.0), 1.0, 2)
+        and not _heavy(np.full(100, 9.0), 0.0, 2)
+    )
+
+
+def test_scales_of_gaussian_values_are_their_variance() -> None:
+    even = 3.0 * ndtri((np.arange(20_000) + 0.5) / 20_000)
+    for efficiency in (0.4, 0.6, 0.95):
+        c, k = robust.biweight_constants(efficiency)
+        s2 = _scale(even, c, k)
+        np.testing.assert_allclose(s2, 9.0, rtol=2e-3)
+        weight = np.maximum(1.0 - even**2 / (c * c * s2), 0.0) ** 2
+        np.testing.assert_allclose(np.sum(weight * even**2) / np.sum(weight), k * s2, rtol=1e-6)
+    np.testing.assert_allclose(_core(even, 9.0), 9.0, rtol=2e-3)
+    np.testing.assert_allclose(_core(np.append(even, [1e3] * 50), 9.0), 9.0, rtol=2e-3)
+    assert _scale(np.array([0.0, 0.0, 0.0, 4.0]), 3.0, 0.6) == 4.0  # more than half are equal
