@@ -504,3 +504,11 @@ def test_a_preset_beside_the_file_stands_behind_what_is_said(tmp_path: Path) -> 
             InputError, match=r"x\.csv\.map\.yaml: expected roles and settings, such as 'gyro: omega_\*\[deg/s\]'"
         ):
             open_files(path)
+
+
+def test_the_unit_of_stamps_is_told_by_those_that_are_there(tmp_path: Path) -> None:
+    path = table(tmp_path, rows=6, a=["nan", 1e12 + 10, 1e12 + 20, "nan", 1e12 + 40, 1e12 + 50])
+    found = open_files(path, maps=("time=a, gyro=b c d[rad/s], accel=e f g[m/s^2]", "", ""))
+    assert found.imu is not None and found.missing == 2
+    np.testing.assert_allclose(found.imu.t - 1e9, [0.01, 0.02, 0.04, 0.05], atol=2e-7)
+    assert found.assumed[0] == "stamps in ms: the first stamp, 1e+12, is a date in ms"
