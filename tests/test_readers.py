@@ -573,7 +573,7 @@ def test_ubx(tmp_path: Path, form: str) -> None:
     """Counts of 2^-12 deg/s and 2^-10 m/s^2; the IMU's clock is told by the fix that came before."""
     data = b""
     for k in range(4):
-        data += _pvt(302_400_000 + 1000 * k)
+        data += _pvt(302_400_000 + 1000 * k, fix=2 + k % 2)  # in two dimensions, in three
         words = [(kind << 24) | (count & 0xFFFFFF) for kind, count in _counts(k)]
         tag = 5000 + 1000 * k
         if form == "ESF-RAW":
