@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from insemu import effects, emulate, rotation
+from insemu.denoise import outstanding
 from insemu.effects import EFFECTS, EffectUse
 from insemu.effects.base import Effect
 from insemu.effects.chain import FixErrors
 from insemu.effects.hiding import DriveLot, RestLot
-from insemu.effects.motion import FixGeometry, Motion
+from insemu.effects.motion import FixGeometry, Motion, _quiet
 from insemu.errors import InputError
 from insemu.records import GnssRecord, ImuRecord, Trajectory
 from tests.pins import differences, kept, plain
@@ -180,3 +181,32 @@ KEPT = kept("effects")
 @pytest.mark.parametrize("name", CASES)
 def test_an_effect_is_as_it_was(name: str) -> None:
     assert not differences(plain(CASES[name]()), KEPT.get(name))
+
+
+def test_a_search_tries_each_column_alone_and_all_together() -> None:
+    effect = EFFECTS["scale_factor"]
+    columns = effect.columns(motion(), geometry())[:3]
+    assert [rows for _, _, rows in effect.subsets(columns)] == [[0], [1], [2], [0, 1, 2]]
+    assert effect.subsets(columns[:2]) == [(("x",), "", [0]), (("y",), "", [1]), (("x", "y"), "all", [0, 1])]
+    assert effect.subsets(columns[:1]) == [(("x",), "", [0])]
+
+
+def test_motion_is_taken_from_octaves_of_a_sixteenth_of_the_record_and_of_forty_seconds() -> None:
+    x = np.cumsum(RNG(2).standard_normal((1024, 3)), axis=0)
+    for rows, dt, levels in (
+        (1024, 0.01, 6),
+        (1023, 0.01, 5),
+        (1024, 2.5, 4),
+        (1024, 2.6, 3),
+        (40, 0.01, 1),
+        (20, 0.01, 1),
+    ):
+        np.testing.assert_array_equal(_quiet(x[:rows], dt), outstanding(x[:rows], levels))
+
+
+def test_a_low_pass_ends_below_half_of_the_rate() -> None:
+    half = 0.5 / imu().dt
+    for cutoff in (half, 1.1 * half):
+        with pytest.raises(InputError, match="is not below half of the rate, 25 Hz"):
+            _imu(EffectUse("decimation_filter", "gyro", {"cutoff": (cutoff,), "order": (2.0,)}), "mean")
+    _imu(EffectUse("decimation_filter", "gyro", {"cutoff": (0.99 * half,), "order": (2.0,)}), "mean")
