@@ -12,7 +12,7 @@ from scipy.special import ndtr, ndtri
 
 from insemu import variance as v
 from insemu.noise import BI, DR, GM, QN, RW, WN, NoiseModel
-from insemu.variance import reading, robust
+from insemu.variance import findings, reading, robust
 from insemu.variance.allan import AllanVariance
 from insemu.variance.characterise import _correlation, _trend
 from insemu.variance.robust import _core, _heavy, _scale
@@ -218,3 +218,34 @@ def test_scales_of_gaussian_values_are_their_variance() -> None:
     np.testing.assert_allclose(_core(even, 9.0), 9.0, rtol=2e-3)
     np.testing.assert_allclose(_core(np.append(even, [1e3] * 50), 9.0), 9.0, rtol=2e-3)
     assert _scale(np.array([0.0, 0.0, 0.0, 4.0]), 3.0, 0.6) == 4.0  # more than half are equal
+
+
+@pytest.mark.parametrize(
+    ("magnitude", "reason"),
+    [
+        (0.981 * 9.80665, None), (1.019 * 9.80665, None), (0.979 * 9.80665, "expected 9.8 m/s^2"), (1.021 * 9.80665, "expected 9.8 m/s^2"),
+        (0.91, "the values are in g"), (1.09, "the values are in g"), (0.89, "expected 9.8 m/s^2"), (1.11, "expected 9.8 m/s^2"),
+        (0.91 * 96.17, "the values were m/s^2 already, not g"), (1.09 * 96.17, "the values were m/s^2 already, not g"),
+        (0.89 * 96.17, "expected 9.8 m/s^2"), (1.11 * 96.17, "expected 9.8 m/s^2"),
+        (901.0, "the values are in mg"), (1099.0, "the values are in mg"), (899.0, "expected 9.8 m/s^2"), (1101.0, "expected 9.8 m/s^2"),
+        (0.49, "gravity was removed or the sensor fell"), (0.51, "expected 9.8 m/s^2"),
+    ],
+)  # fmt: skip
+def test_gravity_tells_the_unit_of_accelerometers(magnitude: float, reason: str | None) -> None:
+    axes = ("accel_x", "accel_y", "accel_z")
+    means = dict(zip(axes, magnitude * np.array([0.6, 0.0, -0.8]), strict=True))
+    found = findings.unit_report(means, {}, dict.fromkeys(axes, "m/s^2"))
+    for axis in axes:
+        if reason is None:
+            assert found[axis] == []
+        else:
+            assert len(found[axis]) == 1 and found[axis][0].endswith(reason)
+
+
+@pytest.mark.parametrize(
+    ("rate", "noise", "count"), [(0.19, 0.0, 0), (-0.21, 0.0, 1), (0.0, 19.9, 0), (0.0, 20.1, 1), (0.3, 30.0, 1)]
+)
+def test_rates_and_noise_that_no_gyroscope_has_are_said(rate: float, noise: float, count: int) -> None:
+    found = findings.unit_report({"gyro_y": rate}, {"gyro_y": np.deg2rad(noise) / 60.0}, {"gyro_y": "rad/s"})
+    assert len(found["gyro_y"]) == count
+    assert all("the values may be in deg/s" in line for line in found["gyro_y"])
