@@ -375,6 +375,8 @@ def test_axes_of_all_right_handed_triples() -> None:
         ("time ang_rate_x ang_rate_y ang_rate_z specific_force_x specific_force_y specific_force_z",
          "time=time, gyro=ang_rate_x ang_rate_y ang_rate_z, accel=specific_force_x specific_force_y specific_force_z"),
         ("time rotation_rate_x rotation_rate_y rotation_rate_z", "time=time, gyro=rotation_rate_x rotation_rate_y rotation_rate_z"),
+        ("time w_x w_y w_z", "time=time, gyro=w_x w_y w_z"),
+        ("time imu_b_w_x imu_b_w_y imu_b_w_z", "time=time, gyro=imu_b_w_x imu_b_w_y imu_b_w_z"),
         ("time gyrox gyroy gyroz accx accy accz", "time=time, gyro=gyrox gyroy gyroz, accel=accx accy accz"),
         ("time mag_x mag_y mag_z gyro_bias_x gyro_bias_y gyro_bias_z", "time=time"),
         ("tow latitude longitude ellipsoid_height altitude speed course",
