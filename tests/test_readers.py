@@ -519,8 +519,9 @@ def test_nmea_with_dates_and_standard_deviations(tmp_path: Path) -> None:
         llh=llh((46.5, -7.25, 400.5), (-46.6, 7.35, 401.5)),
         pos_std_ned=[[0.1, 0.2, 0.3], [np.nan] * 3],
     )
+    assert found.notes == ("1 line(s) are no NMEA sentence or fail their checksum",)
     plain = open_files(files(tmp_path, {"b.nmea": text.replace(text.split("\r\n")[2] + "\r\n", "")}))
-    assert plain.gnss is not None
+    assert plain.gnss is not None and plain.notes == ()
     np.testing.assert_allclose(plain.gnss.pos_std_ned, [[0.02, 0.02, 0.03], [0.5, 0.5, 0.75]])
     assert plain.assumed == ("standard deviations from the quality of each fix: single 5 m, float 0.5 m, fixed 0.02 m",)
 
