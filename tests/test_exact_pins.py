@@ -51,6 +51,10 @@ def _cases() -> dict[str, Callable[[], Any]]:
         NoiseType([("WN", 0.0, 1.0), ("GM", 5.0, 2.0)], np.zeros((2, 0))).variance(np.array([1.0, 2.0, 8.0])),
     ]
     big = np.round(30.0 * numbers(450_001, 9))
+    out["total"] = lambda: [
+        v.allan_variance(numbers(1024, 3), kind="total", grid=[1, 2, 63, 64, 65, 128, 256, 400, 500, 512]),
+        v.allan_variance(np.cumsum(numbers(1024, 3)), kind="total", grid=[1, 2, 63, 64, 65, 128, 256, 400, 500, 512]),
+    ]
     out["long"] = lambda: [
         findings.resolution(big, "rad/s"),
         findings.resolution(big / 30.0, ""),

@@ -249,3 +249,10 @@ def test_rates_and_noise_that_no_gyroscope_has_are_said(rate: float, noise: floa
     found = findings.unit_report({"gyro_y": rate}, {"gyro_y": np.deg2rad(noise) / 60.0}, {"gyro_y": "rad/s"})
     assert len(found["gyro_y"]) == count
     assert all("the values may be in deg/s" in line for line in found["gyro_y"])
+
+
+def test_the_range_of_block_means_goes_up_to_a_time() -> None:
+    blocks = np.array([0.0, 1.0, 5.0, -2.0, *[9.0] * 252])
+    running = np.concatenate([[0.0], np.cumsum(np.repeat(blocks, 4))])
+    for until, wanted in ((0.0, 1.0), (0.8, 5.0), (1.2, 7.0)):  # of 0.4 s each; the block that a time ends in counts
+        assert findings._range(running, 10.0, until) == wanted
