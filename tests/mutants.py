@@ -4,8 +4,8 @@
 ``python -m tests.mutants --sample 160 --seed 1`` draws mutants at random from the rooms below (one change of the syntax tree each: an operator, a
 comparison, a condition turned round, a number moved, ``and`` for ``or``) and gives each the tests that run its line, the quickest first, until one
 fails that passes on the code as it is. What no trace sees (compiled code, what is outside of functions or in their heads, other processes) is given
-the quick tests of its room with kernels uncompiled, then all tests of the room that are not slow and those of the rooms that use it (neither with
-``--quick``). The share that survived is printed with its interval.
+the quick tests of its room (uncompiled, where its file has kernels), then all tests of the room that are not slow and those of the rooms that use it
+(neither with ``--quick``). The share that survived is printed with its interval.
 ``--room noise`` draws from one room, ``--only FILE:LINE`` takes the mutants of a line. A mutant that was read and found to change nothing that anyone
 can see stands with its reason in ``tests/mutants.yaml`` and counts as equivalent.
 
@@ -38,31 +38,46 @@ from scipy.stats import beta
 ROOT = Path(__file__).resolve().parents[1]
 READ = ROOT / "tests" / "mutants.yaml"
 COVER = ROOT / ".mutants" / "cover.json"
-#: Rooms, the tests that should see what goes wrong in them, and tests of the rooms above that would see it, too.
+#: Rooms, the tests that should see what goes wrong in them (first those that see most of it), and tests of the rooms above that would see it, too.
 ROOMS = {
     "noise": (
         ["noise"],
-        ["noise", "noise_derived", "noise_pins"],
+        ["noise_pins", "noise", "noise_derived"],
         ["augment", "fit_methods", "fit_gmwm", "gap_beliefs_any_process"],
     ),
     "variance": (
         ["variance"],
         [
+            "variance_kernels",
+            "variance_exact",
+            "exact_pins",
+            "variance_pins",
             "variance_wavelet",
             "variance_allan",
             "variance_reading",
             "variance_filtered",
             "variance_robust",
-            "variance_pins",
         ],
         ["fit_gmwm", "fit_readings", "characterise", "online"],
     ),
     "augment": (["augment.py"], ["augment"], ["designs", "filters", "together", "covariance"]),
-    "effects": (["effects"], ["effects", "effects_passes", "compensation"], ["effect_matrix", "gap_dynamic"]),
+    "effects": (
+        ["effects"],
+        ["tables", "effects_pins", "effects", "effects_passes", "compensation"],
+        ["effect_matrix", "gap_dynamic"],
+    ),
     "units": (["units.py"], ["units"], ["sensors", "formats"]),
     "records": (["records.py"], ["records", "formats"], ["filters", "aids", "emulate_cli", "files"]),
-    "scenario": (["scenario"], ["scenario", "scenario_fuzz"], ["init", "sweep", "designs", "run"]),
-    "formats": (["formats"], ["formats", "files", "export"], ["intake", "recorded", "emulate_cli"]),
+    "scenario": (
+        ["scenario"],
+        ["tables", "scenario_sections", "scenario", "scenario_fuzz"],
+        ["init", "sweep", "designs", "run"],
+    ),
+    "formats": (
+        ["formats"],
+        ["maps", "readers", "arrays", "written", "formats", "files", "export"],
+        ["intake", "recorded", "emulate_cli"],
+    ),
 }
 #: Processor seconds of a test that takes part in the first look; of one mutant, or this many times what its tests take of the code as it is.
 QUICK, MOST, LONGER = 1.0, 20.0, 5.0
@@ -371,7 +386,10 @@ class Covering:
         statement = max(inside, key=lambda n: n.lineno)
         names = by_line.get(str(mutant.line)) or by_line.get(str(statement.lineno), [])
         own = {f"tests/test_{name}.py" for name in ROOMS[mutant.room][1]}
-        ordered = sorted(names, key=lambda n: (n.split("::")[0] not in own, self.seconds.get(n, 0.0)))
+        # pins hold most results of a room, and the first of them that moved ends the look
+        ordered = sorted(
+            names, key=lambda n: (n.split("::")[0] not in own, "_pins.py" not in n, self.seconds.get(n, 0.0))
+        )
         taken, total = list[str](), 0.0
         for name in ordered:
             total += self.seconds.get(name, 0.0)
@@ -401,7 +419,7 @@ class Bench:
             shutil.copy(ROOT / name, folder / name)
         if "INSEMU_SHARED" not in os.environ:
             os.environ["INSEMU_SHARED"] = str(ROOT.parent / "shared")
-        self.quick: dict[str, tuple[list[str], float]] = {}
+        self.quick: dict[tuple[str, bool], tuple[list[str], float]] = {}
         self.sound, self.unsound, self.interpreted = set[str](), set[str](), False
         self.covering = Covering()
 
@@ -409,20 +427,20 @@ class Bench:
         """The test files of a room."""
         return [f"tests/test_{name}.py" for name in ROOMS[room][1]]
 
-    def tests(self, room: str) -> tuple[list[str], float]:
-        """The quick tests of a room and the processor seconds that they take together."""
-        if room not in self.quick:
-            note = self.folder / f"quick_{room}.txt"
+    def tests(self, room: str, interpreted: bool) -> tuple[list[str], float]:
+        """The quick tests of a room, with kernels compiled or not, and the processor seconds that they take together."""
+        if (room, interpreted) not in self.quick:
+            note = self.folder / f"quick_{room}_{interpreted}.txt"
             note.touch()
-            _forked(self.folder, self.files(room), note, 90.0, True)
+            _forked(self.folder, self.files(room), note, 90.0, interpreted)
             names = note.read_text(encoding="utf-8").splitlines()
-            code, took = _forked(self.folder, ["-x", *names], None, 200.0, True)
+            code, took = _forked(self.folder, ["-x", *names], None, 200.0, interpreted)
             print(
                 f"{room}: {len(names)} quick tests, {took:.1f} s{'' if code == 0 else f', exit code {code}'}",
                 flush=True,
             )
-            self.quick[room] = names, took
-        return self.quick[room]
+            self.quick[room, interpreted] = names, took
+        return self.quick[room, interpreted]
 
     def seen(self, mutant: Mutant, whole: bool) -> bool:
         """Whether a test fails that passes on the code as it is.
@@ -448,12 +466,13 @@ class Bench:
         """The test that fails; empty where the change keeps tests from running or ending, ``None`` where all pass."""
         target = self.folder / mutant.file
         covering = self.covering.tests(mutant)
-        names, usual = self.tests(mutant.room) if covering is None else ([], 0.0)
+        kernels = "njit" in target.read_text(encoding="utf-8")
+        names, usual = self.tests(mutant.room, kernels) if covering is None else ([], 0.0)
         if covering is not None:
             looks = [(covering, FURTHER, False)]
         else:
             above = [f"tests/test_{name}.py" for name in ROOMS[mutant.room][2]]
-            looks = [(names, max(MOST, LONGER * usual), True)]
+            looks = [(names, max(MOST, LONGER * usual), kernels)]
             looks += [(self.files(mutant.room), FURTHER, False), (above, FURTHER, False)] if whole else []
         try:
             target.write_text(mutated(mutant), encoding="utf-8")

@@ -292,3 +292,8 @@ def test_levels_that_follow_a_covariate_are_told_apart():
     plain = augment({"gyro": WN(N=1.0)}, DT)
     plain.require_constant("the budget")
     assert plain.laws == () and plain.white_of.shape == (0, 6)
+
+
+def test_true_states_of_a_process_without_a_rate_are_at_the_interval():
+    values = np.array([[1.0, 0.4, -0.3]])
+    np.testing.assert_array_equal(true_states(NoiseModel((AR1(0.5, 1.0),)), values, 0.01), values)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -30,6 +32,8 @@ from insemu.noise import (
 )
 from insemu.noise.block import StateBlock
 from insemu.noise.compiled import draws
+from insemu.noise.follow import Follows
+from insemu.noise.grammar import whole
 
 DT = 0.01
 CASES = {
@@ -377,3 +381,36 @@ def test_filter_in_place_is_that_of_scipy(order):
     draws.rational_filter(x, b, a, start)
     np.testing.assert_allclose(x, expected, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(start, end, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("law", ["exp", "power"])
+def test_a_covariate_that_is_no_number_is_refused_by_every_law(law: Any) -> None:
+    follows = Follows("temperature", 0.5, at=20.0, law=law)
+    for x in ([20.0, np.nan, 30.0, np.nan], np.nan):
+        with pytest.raises(InputError, match="of temperature are no number, the first at row"):
+            follows.gain(x)
+    with pytest.raises(InputError, match=r"2 of 4 values of temperature are no number, the first at row 1; a level"):
+        WN(1.0, follows=follows).under({"temperature": [20.0, np.nan, 30.0, np.nan]})
+    gain = {"exp": np.exp(0.5 * np.array([-30.0, -20.0, 0.0, 4.0])), "power": np.sqrt([0.0, 0.0, 1.0, 1.2])}[law]
+    np.testing.assert_allclose(follows.gain([-10.0, 0.0, 20.0, 24.0]), gain)
+    np.testing.assert_array_equal(Follows("temperature", 0.0, at=20.0, law=law).gain([-10.0, 0.0, np.inf]), 1.0)
+
+
+def test_a_first_order_process_has_a_coefficient_inside_its_bounds() -> None:
+    for phi in (0.0, 1.0, -0.5, 1.5):
+        with pytest.raises(InputError, match="expected a number between 0 and 1"):
+            GM.of_discrete(phi, 1.0, DT)
+    found = GM.of_discrete(0.5, 0.75, 2.0).parameters
+    np.testing.assert_allclose([found["sigma"], found["beta"]], [1.0, np.log(2.0) / 2.0])
+    for phi, kept in ((0.3, 0.3), (-2.0, -1.0), (2.0, 1.0)):
+        back = AR1(0.5, 1.0, 100.0).of_transition(np.array([[phi]]), np.array([[0.2]]), DT).parameters
+        assert abs(back["phi"]) < 1.0 and back["phi"] == pytest.approx(kept, abs=1e-11) and back["sigma2"] == 0.2
+
+
+def test_whole_numbers_and_names_of_covariates() -> None:
+    assert [whole(v) for v in (0, 7, "12", 10**9 - 1)] == [0, 7, 12, 10**9 - 1]
+    assert [whole(v) for v in (-1, 10**9, True, 1.0, "1.5", "", None, "-1")] == [None] * 8
+    for name in ("a b", "", "a-b", 3, None, ["a"]):
+        with pytest.raises(InputError, match="expected a covariate"):
+            Follows(name)  # type: ignore[arg-type]
+    assert Follows("engine_1").covariate == "engine_1"

@@ -439,12 +439,11 @@ def _check_latitude(llh: Array, part: Columns) -> None:
     largest = np.nanmax(np.abs(llh[:, 0]), initial=0.0)
     if largest <= np.pi / 2 + 1e-12:
         return
-    lon = np.nanmax(np.abs(llh[:, 1]), initial=0.0)
     degrees = np.rad2deg(largest)
-    if np.deg2rad(degrees) > 2 * np.pi and np.rad2deg(lon) > 720.0:
-        hint = 'the unit is degrees, not rad: --map "pos_unit=deg"'
-    elif degrees > 1e4:
+    if degrees > 1e4:
         hint = 'is it in 1e-7 deg? --map "pos_unit=1e-7 deg"'
+    elif degrees > 360.0:  # no longitude in its place is as large
+        hint = 'the unit is degrees, not rad: --map "pos_unit=deg"'
     else:
         hint = 'latitude and longitude are swapped: --map "latlon=swapped"'
     raise InputError(f"a latitude of {degrees:.6g} deg is beyond 90; {hint}", where=part.table.name)

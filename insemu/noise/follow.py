@@ -105,13 +105,24 @@ class Follows:
             return np.asarray(np.log(np.maximum(x - self.above, 0.0) / (self.origin - self.above)))
 
     def gain(self, x: ArrayLike) -> Array:
-        """Factor of the level at covariates ``x``; raises ``InputError`` where the slope is not known."""
+        """Factor of the level at covariates ``x``; with a slope of 0 it is 1 everywhere.
+
+        Raises
+        ------
+        InputError
+            The slope is not known; a covariate that is no number, at which no law says a level.
+        """
         if self.slope is None:
             raise InputError(f"no slope by which the level follows {self.covariate}; fit the model or give one")
-        if self.law == "exp":
-            return np.asarray(np.exp(np.minimum(self.slope * self.stretched(x), LARGEST_LOG_GAIN)))
+        lost = np.isnan(np.asarray(x, dtype=np.float64))
+        if lost.any():
+            raise InputError(
+                f"{int(lost.sum())} of {lost.size} values of {self.covariate} are no number, the first at row {int(np.argmax(lost))}; "
+                "a level that follows it needs all of them"
+            )
         with np.errstate(invalid="ignore"):
-            u = np.nan_to_num(self.slope * self.stretched(x), nan=0.0, posinf=LARGEST_LOG_GAIN, neginf=-np.inf)
+            u = self.slope * self.stretched(x)
+        u = np.where(np.isnan(u), 0.0, u)  # a slope of 0 times an infinite logarithm
         return np.asarray(np.exp(np.minimum(u, LARGEST_LOG_GAIN)))
 
     def of(self, covariates: Mapping[str, Any] | None, what: str) -> Any:

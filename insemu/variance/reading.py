@@ -306,7 +306,9 @@ def _likely(target: Array, neighbours: Array, aim: Array) -> Array:
 def _end(growth: Callable[[float], float], value: float, reach: float, tail: float) -> float:
     """The end of a chi-square interval whose standard deviation is where the distance has grown as for one."""
     far = growth(reach) - _CHI_SQUARE
-    sigma = (float(brentq(lambda x: growth(x) - _CHI_SQUARE, 0.0, reach, rtol=1e-4)) if far > 0 else reach) / 1.96
+    # as a share of the reach: the solver's tolerance is absolute, and squares of quiet sensors are below it
+    share = float(brentq(lambda u: growth(u * reach) - _CHI_SQUARE, 0.0, 1.0, rtol=1e-4)) if far > 0 else 1.0
+    sigma = share * reach / 1.96
     freedom = 2.0 * value**2 / sigma**2
     return float(value * freedom / chdtri(freedom, tail))
 

@@ -526,7 +526,7 @@ class HaarAccumulator:
             raise InputError(f"signal has {self.n_samples} samples, expected at least 3")
         if self._rest.size:
             self._run(self._rest)
-            self._rest = np.empty(0)
+            self._rest = self._rest[:0]
         levels = min(max_levels(self.n_samples), self._most)
         counts = _kernel.haar_counts(self.n_samples, levels, self.full_overlap)
         return 0.25 * self._sums[:levels] / counts, counts

@@ -21,16 +21,17 @@ def _sniff(probe: Probe) -> bool:
 
 
 def _read(path: Path, settings: Mapping[str, str]) -> list[Table]:
-    from pynmeagps import ERR_IGNORE, VALCKSUM, NMEAReader
+    from pynmeagps import ERR_LOG, VALCKSUM, NMEAReader
 
     rows: list[list[float]] = []
     sigmas: dict[float, tuple[float, float, float]] = {}
     day: date | None = None
-    broken = 0
+    broken: list[Exception] = []
     with open_binary(path) as file:
-        for raw, message in NMEAReader(file, quitonerror=ERR_IGNORE, validate=VALCKSUM, nmeaonly=False):
-            if message is None or not hasattr(message, "msgID"):
-                broken += raw is not None
+        for _, message in NMEAReader(
+            file, quitonerror=ERR_LOG, errorhandler=broken.append, validate=VALCKSUM, nmeaonly=False
+        ):
+            if not hasattr(message, "msgID"):
                 continue
             if message.msgID in ("RMC", "ZDA"):
                 day = _date(message) or day
@@ -54,7 +55,7 @@ def _read(path: Path, settings: Mapping[str, str]) -> list[Table]:
         columns |= {n: spread[:, k] for k, n in enumerate(("std_n", "std_e", "std_d"))}
         line += ", pos_std_ned=std_n std_e std_d[m]"
     notes = [] if dated else ["no sentence has a date: times are seconds of the day (UTC)"]
-    notes += [f"{broken} line(s) are no NMEA sentence or fail their checksum"] if broken else []
+    notes += [f"{len(broken)} line(s) are no NMEA sentence or fail their checksum"] if broken else []
     return [Table(path.name, columns, {}, parse_map(line), "unix" if dated else "", (), tuple(notes))]
 
 

@@ -90,7 +90,7 @@ def _read_ulog(path: Path, settings: Mapping[str, str]) -> list[Table]:
     from pyulog import ULog
 
     # pyulog prints what it finds corrupt, and leaves a file open that it opened itself
-    with _Bounded(path) as file, contextlib.redirect_stdout(io.StringIO()) as said:
+    with _Bounded(path) as file, contextlib.redirect_stdout(io.StringIO()):
         log = ULog(file, [*_IMU_TOPICS, *_GNSS_TOPICS])
     wanted = int(settings.get("instance", "0") or 0)
     tables: dict[str, Table] = {}
@@ -102,7 +102,7 @@ def _read_ulog(path: Path, settings: Mapping[str, str]) -> list[Table]:
             tables.setdefault("imu" if "gyro" in table.map.picks else "gnss", table)
     if not tables:
         raise InputError("holds neither sensor_combined nor a GNSS topic", where=str(path))
-    if "orrupt" in said.getvalue():
+    if log.file_corruption:
         first = next(iter(tables))
         note = "parts of the file are corrupt and were left out"
         tables[first] = replace(tables[first], notes=(*tables[first].notes, note))

@@ -144,9 +144,12 @@ def _fixes(bag: Any, topic: str, topics: Mapping[str, str]) -> Table:
     if len(twists) == 1:
         tv, v = _block(bag, twists[0], _twist_row)
         order = np.argsort(tv, kind="stable")
-        near = np.clip(np.searchsorted(tv[order], t), 0, tv.size - 1)
-        matched = np.abs(tv[order][near] - t) < 0.02
-        columns |= {n: np.where(matched, v[order][near, k], np.nan) for k, n in enumerate(("ve", "vn", "vu"))}
+        tv, v = tv[order], v[order]
+        near = np.searchsorted(
+            0.5 * (tv[1:] + tv[:-1]), t
+        )  # bounds halfway between stamps: the nearest, before a fix or behind it
+        matched = np.abs(tv[near] - t) < 0.02
+        columns |= {n: np.where(matched, v[near, k], np.nan) for k, n in enumerate(("ve", "vn", "vu"))}
         line += ", vel_enu=ve vn vu[m/s]"
     return Table(topic, columns, {}, parse_map(line), "unix")
 
