@@ -54,6 +54,9 @@ class Packed:
     q_at: NDArray[np.int64]
     q: Array
     q_law: NDArray[np.int64]
+    time_at: NDArray[np.int64]
+    time_law: NDArray[np.int64]
+    time_of: Array
 
 
 def pack(aug: Augmentation, powers: int) -> Packed:
@@ -93,6 +96,21 @@ def pack(aug: Augmentation, powers: int) -> Packed:
             at = expanded.FIRST + 8 * k
             mix[:, row, at : at + 8] = phi[:, k, k - o]
     rows, columns = np.nonzero((Qs != 0).any(axis=0))
+    start = expanded.LD + phi[0].size, expanded.LD + phi[0].size + mix[0].size  # of mix and of q behind d and phi
+    at, law, values = [], [], []
+    for first, of, F, V in following.tables(aug, powers):
+        for i, j in np.ndindex(F.shape[2:]):
+            a, b = first + i, first + j
+            own = np.flatnonzero((rows == a) & (columns == b))
+            places = [start[1] + int(k) for k in own]
+            given = [V[:, :, i, j]] * len(places)
+            offset = np.flatnonzero(offsets == slot[a] - slot[b])
+            if offset.size and F[:, :, i, j].any():
+                places.append(expanded.LD + int(np.ravel_multi_index((slot[a], slot[b], lanes[a]), phi[0].shape)))
+                places.append(start[0] + int(offset[0]) * expanded.LD + int(extra[a]))
+                places += [int(extra[a])] if i == j else []
+                given += [F[:, :, i, j]] * (len(places) - len(given))
+            at, law, values = at + places, law + [of] * len(places), values + given
     return Packed(
         place,
         slots,
@@ -104,6 +122,9 @@ def pack(aug: Augmentation, powers: int) -> Packed:
         extra[rows] * expanded.LD + extra[columns],
         np.ascontiguousarray(Qs[:, rows, columns]),
         aug.law_of[rows] if aug.laws else np.zeros(0, dtype=np.int64),
+        np.array(at, dtype=np.int64),
+        np.array(law, dtype=np.int64),
+        np.ascontiguousarray(np.stack(values, axis=2)) if values else np.zeros((1, 1, 0)),
     )
 
 
@@ -271,7 +292,7 @@ class LooselyCoupledEKF:
         ----------
         initial_sigma : InitialSigma or (n, n) covariance
         imu, nav : ImuRecord, (10,) array, optional
-            Record and state at the start, from which levels that follow a covariate begin; without them those at gain 1.
+            Record and state at the start, from which what follows a covariate begins; without them as at gain 1.
         """
         n = self.layout.n
         if not isinstance(initial_sigma, InitialSigma):
@@ -283,7 +304,7 @@ class LooselyCoupledEKF:
         P[:9, :9] = np.diag(initial_sigma.to_array() ** 2)
         P[9:, 9:] = self.augmentation.P0
         if imu is not None and nav is not None:
-            P[9:, 9:] = following.started(self.augmentation, P[9:, 9:], imu, float(np.linalg.norm(nav[3:6])))
+            P[9:, 9:] = following.started(self.augmentation, imu, float(np.linalg.norm(nav[3:6])))
         return P
 
     def run(
@@ -344,7 +365,8 @@ class LooselyCoupledEKF:
         b = _Buffers.of(self.layout.n, t.size, o, events, cov_epoch.size, node_epoch.size)
         code, detail = kernel.run(
             t, gyro, accel, np.concatenate([nav, np.zeros(3)]), x0, P0, p.place, a.axis, a.c, a.driver, p.slots, p.diagonal,
-            p.d, p.phi, p.offsets, p.mix, p.q_at, p.q, p.q_law, following.powers(a, imu),
+            p.d, p.phi, p.offsets, p.mix, p.q_at, p.q, p.q_law, p.time_at, p.time_law, p.time_of,
+            following.powers(a, imu),
             following.of_speed(a), a.white_of, a.white, self._gravity, self.lever_arm, lever_at, latency_at,
             self.thresholds(events.z.shape[1]), o.covariance_every, o.output_every, trend_window(self.dt), steps_around(self.dt),
             SAME_TIME * self.dt,
