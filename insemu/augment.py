@@ -553,7 +553,8 @@ def _laws(
     models: Mapping[str, NoiseModel], first: Mapping[tuple[str, int], int], dt: float, m: int
 ) -> tuple[tuple[Follows, ...], NDArray[np.int64], Array, tuple[Timed, ...]]:
     """Laws of a belief, the law of the level of what drives each of its ``m`` states (-1: none), the white noise (laws, 6) that follows each, and
-    the states whose correlation times follow one."""
+    the states whose correlation times follow one.
+    """
     laws: list[Follows] = []
     timed: list[Timed] = []
     law_of, white_of = np.full(m, -1, dtype=np.int64), []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -96,21 +97,6 @@ def pack(aug: Augmentation, powers: int) -> Packed:
             at = expanded.FIRST + 8 * k
             mix[:, row, at : at + 8] = phi[:, k, k - o]
     rows, columns = np.nonzero((Qs != 0).any(axis=0))
-    start = expanded.LD + phi[0].size, expanded.LD + phi[0].size + mix[0].size  # of mix and of q behind d and phi
-    at, law, values = [], [], []
-    for first, of, F, V in following.tables(aug, powers):
-        for i, j in np.ndindex(F.shape[2:]):
-            a, b = first + i, first + j
-            own = np.flatnonzero((rows == a) & (columns == b))
-            places = [start[1] + int(k) for k in own]
-            given = [V[:, :, i, j]] * len(places)
-            offset = np.flatnonzero(offsets == slot[a] - slot[b])
-            if offset.size and F[:, :, i, j].any():
-                places.append(expanded.LD + int(np.ravel_multi_index((slot[a], slot[b], lanes[a]), phi[0].shape)))
-                places.append(start[0] + int(offset[0]) * expanded.LD + int(extra[a]))
-                places += [int(extra[a])] if i == j else []
-                given += [F[:, :, i, j]] * (len(places) - len(given))
-            at, law, values = at + places, law + [of] * len(places), values + given
     return Packed(
         place,
         slots,
@@ -122,10 +108,53 @@ def pack(aug: Augmentation, powers: int) -> Packed:
         extra[rows] * expanded.LD + extra[columns],
         np.ascontiguousarray(Qs[:, rows, columns]),
         aug.law_of[rows] if aug.laws else np.zeros(0, dtype=np.int64),
-        np.array(at, dtype=np.int64),
-        np.array(law, dtype=np.int64),
-        np.ascontiguousarray(np.stack(values, axis=2)) if values else np.zeros((1, 1, 0)),
+        *_following_times(aug, powers, (slot, lanes, extra), phi[0].shape, offsets, (rows, columns)),
     )
+
+
+def _following_times(
+    aug: Augmentation,
+    powers: int,
+    lain: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]],
+    shape: tuple[int, ...],
+    offsets: NDArray[np.int64],
+    driven: tuple[NDArray[np.intp], NDArray[np.intp]],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Places in d, phi, mix and q one after the other of what follows correlation times, their laws and values: see :func:`kernel.run`.
+
+    Parameters
+    ----------
+    aug, powers
+        As of :func:`pack`.
+    lain : tuple of (m,) arrays of int
+        Slot, lane and row of the expanded covariance of every state.
+    shape : tuple of int
+        Of phi.
+    offsets : (k,) array of int
+        Distances of slots that mix.
+    driven : tuple of (l,) arrays of int
+        Rows and columns of the entries of q.
+    """
+    slot, lanes, row = lain
+    mix_from = expanded.LD + math.prod(shape)
+    q_from = mix_from + offsets.size * expanded.LD
+    places: list[int] = []
+    laws: list[int] = []
+    values: list[Array] = []
+    for first, law, F, V in following.tables(aug, powers):
+        for i, j in np.ndindex(F.shape[2:]):
+            a, b = first + i, first + j
+            own = [q_from + int(k) for k in np.flatnonzero((driven[0] == a) & (driven[1] == b))]
+            given = [V[:, :, i, j]] * len(own)
+            offset = np.flatnonzero(offsets == slot[a] - slot[b])
+            if offset.size and F[:, :, i, j].any():
+                moved = [expanded.LD + int(np.ravel_multi_index((slot[a], slot[b], lanes[a]), shape))]
+                moved += [mix_from + int(offset[0]) * expanded.LD + int(row[a])]
+                moved += [int(row[a])] if i == j else []
+                own, given = own + moved, given + [F[:, :, i, j]] * len(moved)
+            places, laws, values = places + own, laws + [law] * len(own), values + given
+    table = np.ascontiguousarray(np.stack(values, axis=2)) if values else np.zeros((1, 1, 0))
+    return np.array(places, dtype=np.int64), np.array(laws, dtype=np.int64), table
 
 
 @dataclass(frozen=True)

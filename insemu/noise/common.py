@@ -67,7 +67,7 @@ class Common(Parametrised):
         raise InputError(_TIMELESS.format(self.symbol))
 
     def timed(self, factor: Array, dt: float) -> tuple[Array, Array, Array]:
-        """Steps of :meth:`~insemu.noise.Process.carried` where the correlation times are multiplied: ``x_k = Phi_k x_(k-1) + scale_k drive w_k``, ``c`` stays.
+        """Steps of ``carried`` where the correlation times are multiplied: ``x_k = Phi_k x_(k-1) + scale_k drive w_k``; c stays.
 
         Parameters
         ----------

@@ -96,9 +96,7 @@ def rational_filter(out: Array, b: Array, a: Array, memory: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def moved(
-    out: Array, Phi: Array, drive: Array, scale: Array, c: Array, state: Array, rng: np.random.Generator
-) -> None:
+def moved(out: Array, Phi: Array, drive: Array, scale: Array, c: Array, state: Array, rng: np.random.Generator) -> None:
     """Fill (n,) with ``c x_k``, where ``x_k = Phi_k x_(k-1) + scale_k drive w_k``.
 
     Parameters
