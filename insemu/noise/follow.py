@@ -13,7 +13,7 @@ Any process may follow one covariate x by a gain g(x), which is 1 at ``x = at``:
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -153,6 +153,17 @@ class Follows:
         extra: dict[str, Any] = {"law": self.law, "above": self.above} if self.law == "power" else {}
         extra |= {"what": self.what} if self.what != "level" else {}
         return {k: v for k, v in (out | extra).items() if v is not None}
+
+
+def require_constant(models: Iterable[Iterable[Process]], what: str) -> None:
+    """Raise ``InputError`` where a process of some models follows a covariate, which ``what`` does not know."""
+    for model in models:
+        for process in model:
+            if process.follows is not None:
+                raise InputError(
+                    f"{what} takes constant noise, and {process} follows {process.follows.covariate}; "
+                    f"write it as it is at one {process.follows.covariate} (in Python NoiseModel.under)"
+                )
 
 
 def fill(out: Array, block: StateBlock, gain: Array, rng: np.random.Generator) -> None:

@@ -47,7 +47,7 @@ from insemu.gap.search import Again, search
 from insemu.gap.threshold import certain, nominal_tail, threshold_of, usual_tail
 from insemu.gap.verdict import GapReport, Interval, Where, judged
 from insemu.gap.worth import white_levels, worth_in_noise
-from insemu.noise import NoiseModel
+from insemu.noise import NoiseModel, require_constant
 from insemu.records import Series
 
 Array = NDArray[np.float64]
@@ -443,6 +443,7 @@ class _Log:
 def _check(log: Sequence[Series], beliefs: Mapping[str, NoiseModel], temperature: Array | None) -> None:
     if not log:
         raise InputError("the log has no axis")
+    require_constant(beliefs.values(), "insemu gap of a log at rest")
     for s in log:
         if s.name not in beliefs:
             raise InputError(
