@@ -249,7 +249,7 @@ def reweighted(state: AxisState) -> AxisState:
     z2 = data.dof / 2.0 * (state.explanation.seen(data) / state.explanation.psd(data.f, data.dt) - 1.0) ** 2
     octave = np.log2(data.f)
     misfit = np.array([float(np.mean(z2[np.abs(octave - o) <= 0.5])) for o in octave])
-    weighted = replace(data, weight=1.0 / np.maximum(misfit, 1.0))
+    weighted = data.weighed(1.0 / np.maximum(misfit, 1.0))
     return replace(state, data=weighted, fitted=fit(Likelihood(weighted), state.explanation), memory={})
 
 
