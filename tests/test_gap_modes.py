@@ -108,24 +108,6 @@ def test_a_band_has_the_density_of_its_autoregression() -> None:
     assert float(band.psd(0.0, dt)) == pytest.approx(expected[0], rel=1e-9)
 
 
-def test_what_only_has_to_lose_is_not_weighed_to_the_digit() -> None:
-    looks = []
-
-    def beside(x: Array) -> Slope:
-        looks.append(x)
-        return variances(x, WIDE)
-
-    def look(x: Array) -> Slope:
-        return variances(x, WIDE)
-
-    exact = ascend(look, np.zeros(2), WIDE, beside=beside)
-    assert len(looks) == 2
-    same = ascend(look, np.zeros(2), WIDE, beside=beside, least=exact.evidence - 5.0)
-    assert same.evidence == exact.evidence and len(looks) == 4
-    rough = ascend(look, np.zeros(2), WIDE, beside=beside, least=exact.evidence + 5.0)
-    assert len(looks) == 4 and rough.evidence == pytest.approx(exact.evidence, abs=1.0)
-
-
 def test_a_slope_without_information_is_the_same_slope() -> None:
     rng = np.random.default_rng(5)
     data = reduce(Series((WN(1e-3) + GM(1e-3, 0.05)).simulate(20_000, 0.1, rng), 10.0, "rad/s", "gyro_x"))

@@ -33,8 +33,6 @@ from insemu.noise import WN, Process
 Array = NDArray[np.float64]
 #: A start that refines to so many nats less than nothing ends a candidate: the next ones are worse.
 HOPELESS = 4.0
-#: Nats by which the evidence with Fisher's information for the curvature may be wrong at most, where it only has to lose.
-ROUGH = 5.0
 
 
 @dataclass(frozen=True)
@@ -148,9 +146,7 @@ def best_of(
             break
     fits: list[Fitted] = []
     for e in chosen:
-        # what leads to nothing, and what loses against a known optimum, is not weighed to the digit
-        least = max((f.evidence for f in fits), default=state.fitted.evidence - HOPELESS)
-        fits.append(fit(likelihood, e, fits, least - ROUGH))
+        fits.append(fit(likelihood, e, fits))
         if fits[0].evidence < state.fitted.evidence - HOPELESS:
             break  # the most promising one leads to nothing
     if not fits:

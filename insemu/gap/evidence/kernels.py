@@ -32,25 +32,25 @@ def toeplitz_whiten(gamma: Array, columns: Array, out: Array) -> float:  # pragm
         ``log det C``, or NaN where the autocovariance is not positive definite.
     """
     n, k = columns.shape
-    phi, mirror = np.zeros(n), np.zeros(n)
+    phi = np.zeros(n)
+    other = np.zeros(n)
     # reversed and contiguous, so that both inner products run forwards over memory
     back = gamma[::-1].copy()
     past = np.zeros((k, n))
     v = gamma[0]
     logdet = 0.0
     for t in range(n):
-        first = n - t
         if t > 0:
             r = gamma[t]
+            first = n - t
             for j in range(t - 1):
                 r -= phi[j] * back[first + j]
             kappa = r / v
             for j in range(t - 1):
-                a, b = phi[j], mirror[first + 1 + j]
-                phi[j] = a - kappa * b
-                mirror[first + 1 + j] = b - kappa * a
+                other[j] = phi[j] - kappa * phi[t - 2 - j]
+            for j in range(t - 1):
+                phi[j] = other[j]
             phi[t - 1] = kappa
-            mirror[first] = kappa
             v *= (1.0 - kappa) * (1.0 + kappa)
         if not v > 0.0:
             return math.nan
@@ -59,7 +59,7 @@ def toeplitz_whiten(gamma: Array, columns: Array, out: Array) -> float:  # pragm
         for c in range(k):
             e = columns[t, c]
             for j in range(t):
-                e -= phi[j] * past[c, first + j]
+                e -= phi[j] * past[c, n - t + j]
             out[t, c] = e * s
             past[c, n - 1 - t] = columns[t, c]
     return logdet
@@ -89,46 +89,43 @@ def toeplitz_solve(
         ``log det C``, or NaN where the autocovariance is not positive definite.
     """
     m, n = columns.shape
-    # predictor and its mirror at the end of ``mirror``, so that every loop runs forwards over memory
-    phi, mirror = np.zeros(n), np.zeros(n)
+    phi, other = np.zeros(n), np.zeros(n)
     back, past = gamma[::-1].copy(), columns[:, ::-1].copy()
     solved[:] = 0.0
     v, logdet = gamma[0], 0.0
     for t in range(n):
-        first = n - t
         if t > 0:
             r = gamma[t]
+            first = n - t
             for j in range(t - 1):
                 r -= phi[j] * back[first + j]
             kappa = r / v
             for j in range(t - 1):
-                a, b = phi[j], mirror[first + 1 + j]
-                phi[j] = a - kappa * b
-                mirror[first + 1 + j] = b - kappa * a
+                other[j] = phi[j] - kappa * phi[t - 2 - j]
+            for j in range(t - 1):
+                phi[j] = other[j]
             phi[t - 1] = kappa
-            mirror[first] = kappa
             v *= (1.0 - kappa) * (1.0 + kappa)
         if not v > 0.0:
             return math.nan
         logdet += math.log(v)
+        before = n - t
         for c in range(m):
             e = columns[c, t]
             for j in range(t):
-                e -= phi[j] * past[c, first + j]
+                e -= phi[j] * past[c, before + j]
             w = e / v
             solved[c, t] += w
             for j in range(t):
-                solved[c, j] -= mirror[first + j] * w
-    x, falling = np.empty(n), np.empty(n)
+                solved[c, t - 1 - j] -= phi[j] * w
+    x = np.empty(n)
     x[0] = 1.0 / v
     for j in range(n - 1):
         x[1 + j] = -phi[j] / v
-    for j in range(n):
-        falling[j] = 2.0 * j * x[j]
     for k in range(n):
-        total, left = 0.0, float(n - k)
+        total = 0.0
         for i in range(n - k):
-            total += (left * x[i] - falling[i]) * x[i + k]
+            total += (n - k - 2.0 * i) * x[i] * x[i + k]
         diagonals[k] = total * v
     return logdet
 

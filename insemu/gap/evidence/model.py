@@ -475,9 +475,7 @@ class Fitted:
         return np.sqrt(np.diag(self.covariance))
 
 
-def fit(
-    likelihood: Likelihood, explanation: Explanation, known: Sequence[Fitted] = (), least: float = -math.inf
-) -> Fitted:
+def fit(likelihood: Likelihood, explanation: Explanation, known: Sequence[Fitted] = ()) -> Fitted:
     """Refine an explanation from its current parameters and weigh it.
 
     The evidence is Laplace's, with each parameter's posterior width limited to that of its prior.
@@ -488,11 +486,9 @@ def fit(
     explanation : Explanation
     known : sequence of Fitted
         Explanations of the same form at their optimum: one of them is returned where the climb leads there.
-    least : float
-        Log evidence below which it is not worked out exactly.
     """
     along = likelihood.along(explanation)
     modes = [f.mode for f in known]
-    found = ascend(along.slope, explanation.start(), explanation.free, modes, beside=along.gradient, least=least)
+    found = ascend(along.slope, explanation.start(), explanation.free, modes, beside=along.gradient)
     same = next((f for f in known if f.mode is found), None)
     return same or Fitted(explanation.at(found.x), found)

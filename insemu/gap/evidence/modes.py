@@ -160,10 +160,10 @@ class Slope:
 
 #: Longest step in log, tries of one step, steps of a climb.
 LONGEST_STEP, TRIES, MOST_STEPS = 0.5, 12, 60
-#: A climb ends where a step promises less, nats (the last one, by the curvature there, is added); the step by which that is taken, in log.
-PROMISED_NATS, SLOPE_STEP = 3e-3, 1e-3
+#: A climb ends where a step promises less, nats; the step by which the curvature at a mode is taken from derivatives, in log.
+PROMISED_NATS, SLOPE_STEP = 1e-4, 1e-3
 #: Squared distance in standard deviations, and nats, from a known mode within which a climb will end there.
-SAME_MODE = 1.0
+SAME_MODE = 0.1
 #: What stands for the log posterior where there is none.
 NONE = -1e12
 
@@ -175,7 +175,6 @@ def ascend(
     known: Sequence[Mode] = (),
     *,
     beside: Callable[[Array], Slope | None] | None = None,
-    least: float = -math.inf,
 ) -> Mode:
     """Climb to a mode and weigh it: steps of Fisher's scoring, shortened as Levenberg and Marquardt do.
 
@@ -190,8 +189,6 @@ def ascend(
         Modes of the same posterior: a climb that comes near one ends there.
     beside : callable, optional
         As ``look``, where the information is not needed.
-    least : float
-        Log evidence below which nobody asks how much it is: Fisher's information then stands for the curvature.
     """
     x = inside(x0, free)
     here = look(x)
@@ -212,9 +209,6 @@ def ascend(
                 return mode
     if not x.size:
         return weighed(x, here.value, np.zeros((0, 0)), free)
-    rough = weighed(x, here.value, here.information, free)
-    if rough.evidence < least:
-        return rough
     H = _bend_at(beside or look, x, here, free)
     values, vectors = np.linalg.eigh(H)
     last = (vectors / np.maximum(values, float(floor.diagonal().min()))) @ (vectors.T @ here.gradient)
