@@ -15,10 +15,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import solve_discrete_lyapunov
 
 from insemu.errors import InputError, nearest
-from insemu.noise import ARMA, DR, RC, Follows, NoiseModel, Process, StateBlock, shared_processes
+from insemu.noise import ARMA, DR, LARGEST_LOG_TIME, RC, Follows, NoiseModel, Process, StateBlock, shared_processes
 from insemu.records import AXES, ImuRecord
 
 Array = NDArray[np.float64]
@@ -141,6 +140,25 @@ class Extras:
 
 
 @dataclass(frozen=True)
+class Timed:
+    """States whose correlation times follow a covariate.
+
+    Parameters
+    ----------
+    first : int
+        Place of the first of them among the augmented states.
+    law : int
+        Place of their law.
+    process : Process
+        At gain 1, with its rate.
+    """
+
+    first: int
+    law: int
+    process: Process
+
+
+@dataclass(frozen=True)
 class Augmentation:
     """The discrete model of the augmented states, after the nine of navigation.
 
@@ -161,13 +179,15 @@ class Augmentation:
     white : (6,) array
         Variance of the samples' own white noise, (rad/s)^2 and (m/s^2)^2, as far as it is constant.
     laws : tuple of Follows
-        Laws by which levels follow covariates; Q, P0 and ``white_of`` of what follows one are those at gain 1.
+        Laws by which levels or correlation times follow covariates; Phi, Q, P0 and ``white_of`` of what follows one are those at gain 1.
     law_of : (m,) array of int
         Law of the noise that drives each state, -1 where it is constant.
     white_of : (laws, 6) array
         White noise that follows each law.
     reference_temperature : float
         Of the states that follow the temperature, degC.
+    timed : tuple of Timed
+        States whose transition follows a law.
     """
 
     layout: StateLayout
@@ -183,13 +203,34 @@ class Augmentation:
     law_of: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     white_of: Array = field(default_factory=lambda: np.zeros((0, 6)))
     reference_temperature: float = 25.0
+    timed: tuple[Timed, ...] = ()
 
     def require_constant(self, what: str) -> None:
-        """Raise ``InputError`` where a level follows a covariate, which ``what`` does not know."""
+        """Raise ``InputError`` where a level or a correlation time follows a covariate, which ``what`` does not know."""
         if self.laws:
-            raise InputError(
-                f"{what} takes noise of constant level, found a level that follows {self.laws[0].covariate}"
-            )
+            law = self.laws[0]
+            kind, found = ("level", "a level") if law.what == "level" else ("correlation time", "a correlation time")
+            raise InputError(f"{what} takes noise of constant {kind}, found {found} that follows {law.covariate}")
+
+    def moved(self, gain: Array) -> tuple[Array, Array]:
+        """Transition and driving covariance, (m, m) each, of a step at gains (laws,) of the correlation times; levels stay at gain 1."""
+        Phi, Q = self.Phi.copy(), self.Q.copy()
+        for one in self.timed:
+            F, drive, scale = one.process.timed(np.array([_within(gain[one.law])]), self.dt)
+            at = slice(one.first, one.first + drive.size)
+            Phi[at, at], Q[at, at] = F[0], scale[0] ** 2 * np.outer(drive, drive)
+        return Phi, Q
+
+    def started(self, gain: Array) -> Array:
+        """Covariance (m, m) of the states at the start, at gains (laws,) of levels and correlation times."""
+        P0 = self.P0.copy()
+        for one in self.timed:
+            own = one.process.slowed(_within(gain[one.law])).carried(self.dt).P0
+            P0[one.first : one.first + len(own), one.first : one.first + len(own)] = own
+        if not self.laws:
+            return P0
+        level = np.where(self.law_of >= 0, gain[self.law_of], 1.0)
+        return np.asarray(P0 * np.outer(level, level))
 
     @property
     def thermal(self) -> bool:
@@ -263,6 +304,11 @@ class Augmentation:
         return Phi, Q
 
 
+def _within(gain: float) -> float:
+    """A gain of correlation times within its limits."""
+    return float(np.clip(gain, math.exp(-LARGEST_LOG_TIME), math.exp(LARGEST_LOG_TIME)))
+
+
 def per_axis(belief: Belief) -> dict[str, NoiseModel]:
     """Spell a belief out: keys ``gyro`` and ``accel`` stand for their three axes; a single process is a model; an axis left out has no error.
 
@@ -309,51 +355,11 @@ def _begins_anywhere(process: Process) -> bool:
     return not process.stationary and float(block.c @ block.P0 @ block.c) > 0.0
 
 
-def _cascade(process: ARMA, dt: float) -> StateBlock:
-    """An autoregression as a chain of first-order (complex poles: second-order) sections, fast poles first.
-
-    The companion form hides small numbers in differences of large ones: with three poles near 1, as in error models of de-noised signals,
-    its covariance loses six digits. In the chain every state is a further smoothing of the one before, and nothing cancels.
-    """
-    process.require_stationary()
-    poles = sorted(process.poles, key=abs)
-    n = len(poles)
-    Phi, drive = np.zeros((n, n)), np.zeros(n)
-    row, gain = np.zeros(n), 1.0  # what enters the next section: of the old states, and of the innovation
-    at = 0
-    c = np.zeros(n)
-    while at < n:
-        pole = poles[at]
-        if abs(pole.imag) <= 1e-12 * abs(pole):
-            Phi[at] = row
-            Phi[at, at] += pole.real
-            drive[at] = gain
-            c = np.eye(n)[at]
-            at += 1
-        else:  # coupled form of a conjugate pair (adjacent, for their moduli are equal); p + cot(angle) q is the section's output
-            re, im = pole.real, abs(pole.imag)
-            Phi[at], Phi[at + 1] = row, 0.0
-            Phi[at, at : at + 2] += re, -im
-            Phi[at + 1, at : at + 2] += im, re
-            drive[at] = gain
-            c = np.zeros(n)
-            c[at : at + 2] = 1.0, re / im
-            at += 2
-        row, gain = c @ Phi, float(c @ drive)
-    Q = np.outer(drive, drive) * process.parameters["sigma2"]
-    P0 = np.asarray(solve_discrete_lyapunov(Phi, Q), dtype=np.float64)
-    names = tuple(f"{process.symbol}.{i + 1}" for i in range(n))
-    return StateBlock(names, Phi, Q, c, 0.5 * P0 + 0.5 * P0.T, 0.0, dt)
-
-
 def _blocks(model: NoiseModel, dt: float) -> list[StateBlock]:
     """State blocks of a model's processes, autoregressions of higher order in coordinates that keep their digits."""
     blocks = []
     for index, process in model.indexed():
-        if isinstance(process, ARMA) and len(process.ar) > 1 and not process.ma:
-            b = _cascade(process, dt)
-        else:
-            b = process.block(dt)
+        b = process.carried(dt)
         names = tuple(name.replace(process.symbol, f"{process.symbol}{index}", 1) for name in b.names)
         blocks.append(StateBlock(names, b.Phi, b.Q, b.c, b.P0, b.white, dt))
     return blocks
@@ -387,7 +393,7 @@ def _moving_average(process: ARMA, dt: float) -> tuple[StateBlock, Array]:
 
     With ``y = w / A(z)`` and states ``B_i(z) w / A(z)`` the states are ``B_i(z) y``: the responses of the states to one innovation, times A.
     """
-    b = _cascade(process, dt)
+    b = process.carried(dt)
     drive = b.Q[:, 0] / process.parameters["sigma2"]  # the first state takes the innovation as it is
     response = np.empty((b.n, b.n))
     for k in range(b.n):
@@ -411,8 +417,8 @@ def true_states(model: NoiseModel, components: ArrayLike, dt: float) -> Array:
     Returns
     -------
     (states, n) array
-        In the order of :func:`augment`. NaN where a process has states that its values do not tell (QN, SIN, MA, ARMA) and in the first p - 1
-        samples of an AR(p).
+        In the order of :func:`augment`. NaN where a process has states that its values do not tell (QN, SIN, MA, ARMA, an AR(p) whose correlation
+        times follow a covariate) and in the first p - 1 samples of an AR(p).
     """
     parts = np.asarray(components, dtype=np.float64)
     rows = [process_states(p, values, dt) for p, values in zip(model.at_rate(1.0 / dt), parts, strict=True)]
@@ -434,7 +440,8 @@ def process_states(process: Process, values: Array, dt: float) -> Array:
     from scipy.signal import lfilter
 
     n = process.block(dt).n
-    if isinstance(process, ARMA) and n > 1 and not process.ma:
+    moving = process.follows is not None and process.follows.what == "time"
+    if isinstance(process, ARMA) and n > 1 and not process.ma and not moving:
         found = np.stack([lfilter(w, [1.0], values) for w in _moving_average(process, dt)[1]])
         found[:, : n - 1] = np.nan
         return found
@@ -522,7 +529,7 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
             axis_of += [-1] * count
             driver += [-1] * count
 
-    laws, law_of, white_of = _laws(models, first, dt, len(axis_of))
+    laws, law_of, white_of, timed = _laws(models, first, dt, len(axis_of))
     stacked = _share(models, first, StateBlock.stack(blocks, dt))
     return Augmentation(
         layout=StateLayout(tuple(names), slices),
@@ -538,14 +545,18 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
         law_of=law_of,
         white_of=white_of,
         reference_temperature=extras.reference_temperature,
+        timed=timed,
     )
 
 
 def _laws(
     models: Mapping[str, NoiseModel], first: Mapping[tuple[str, int], int], dt: float, m: int
-) -> tuple[tuple[Follows, ...], NDArray[np.int64], Array]:
-    """Laws of a belief, the law of what drives each of its ``m`` states (-1: none), and the white noise (laws, 6) that follows each."""
+) -> tuple[tuple[Follows, ...], NDArray[np.int64], Array, tuple[Timed, ...]]:
+    """Laws of a belief, the law of the level of what drives each of its ``m`` states (-1: none), the white noise (laws, 6) that follows each, and
+    the states whose correlation times follow one.
+    """
     laws: list[Follows] = []
+    timed: list[Timed] = []
     law_of, white_of = np.full(m, -1, dtype=np.int64), []
     for a, (axis, model) in enumerate(models.items()):
         for place, process in enumerate(model):
@@ -557,6 +568,14 @@ def _laws(
                 laws.append(law)
                 white_of.append(np.zeros(6))
             block, at = process.block(dt), first[axis, place]
+            if law.what == "time":
+                if process.shared:
+                    raise InputError(
+                        f"{process} is shared, and its correlation times follow {law.covariate}: the filter takes one or the other",
+                        where=f"belief of {axis}",
+                    )
+                timed.append(Timed(at, laws.index(law), process))
+                continue
             law_of[at : at + block.n] = laws.index(law)
             white_of[laws.index(law)][a] += block.white
-    return tuple(laws), law_of, np.array(white_of).reshape(len(laws), 6)
+    return tuple(laws), law_of, np.array(white_of).reshape(len(laws), 6), tuple(timed)

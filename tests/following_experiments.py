@@ -14,7 +14,7 @@ import typer
 from insemu.effects import EffectUse
 from insemu.emulate import TemperatureProfile, corrupt
 from insemu.fit import fit_following
-from insemu.noise import WN, NoiseModel
+from insemu.noise import WN, Follows, NoiseModel
 from insemu.records import ImuRecord, Series, Trajectory
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
@@ -28,13 +28,25 @@ TRUTH = {
     "both follow": "WN(N=1e-3, follows=temperature, slope={b}, at=25) + GM(sigma=1e-3, beta=0.2, follows=temperature, slope={b}, at=25)",
     "random walk follows": "WN(N=1e-3) + RW(K=1e-3, follows=temperature, slope={b}, at=25)",
 }
-#: Slope of the logarithm of the level, 1/K: a factor of 2.5 over the range.
+#: The same where correlation times follow.
+TIMES = {
+    "GM's time follows": "WN(N=1e-4) + GM(sigma=1e-3, beta=0.2, follows=temperature, slope={b}, at=25, what=time)",
+    "AR1's time follows": "AR1(phi=0.9, sigma2=1e-6, rate_hz=10, follows=temperature, slope={b}, at=25, what=time)",
+    "AR(2)'s times follow": "AR(ar=[1.5, -0.7], sigma2=1e-6, rate_hz=10, follows=temperature, slope={b}, at=25, what=time)",
+}
+#: Slope of the logarithm of the level or time, 1/K: a factor of 2.5 over the range.
 SLOPE = 0.03
 
 
 def structure_of(model: NoiseModel) -> str:
     """The model without its values."""
-    return " + ".join(f"{p.symbol}({'follows=temperature, at=25' if p.follows else ''})" for p in model)
+    return " + ".join(
+        f"{p.symbol}({', '.join(([str(p.order)] if p.symbol == 'AR' else []) + _law_of(p.follows))})" for p in model
+    )
+
+
+def _law_of(law: Follows | None) -> list[str]:
+    return [] if law is None else ["follows=temperature", "at=25", f"what={law.what}"]
 
 
 def coverage(text: str, slope: float, logs: int, seed: int = 1801) -> tuple[dict[str, float], float]:
@@ -57,7 +69,7 @@ def coverage(text: str, slope: float, logs: int, seed: int = 1801) -> tuple[dict
 @app.command("coverage")
 def print_coverage(logs: int = 200, only: str = "") -> None:
     """Coverage of 95 % intervals; at slope 0 that of the slope is how often "does not follow" is accepted at 5 %."""
-    for name, text in TRUTH.items():
+    for name, text in (TRUTH | TIMES).items():
         if only not in name:
             continue
         for slope in (SLOPE, 0.0):

@@ -150,7 +150,11 @@ def test_a_walk_that_was_not_found_is_no_zero() -> None:
 
 @pytest.mark.parametrize(
     ("models", "program", "said"),
-    [({"gyro": SLOW}, "kalib", "did you mean 'kalibr'"), ({"temperature": SLOW}, "kalibr", "no axis")],
+    [
+        ({"gyro": SLOW}, "kalib", "did you mean 'kalibr'"),
+        ({"temperature": SLOW}, "kalibr", "no axis"),
+        ({"gyro": NoiseModel.parse("GM(sigma=1, beta=1, follows=speed, slope=1)")}, "kalibr", "follows speed"),
+    ],
 )
 def test_bad_exports_are_refused(models: dict[str, NoiseModel], program: str, said: str) -> None:
     with pytest.raises(InputError, match=said):

@@ -14,7 +14,7 @@ from insemu.errors import InputError
 from insemu.filters import LooselyCoupledEKF
 from insemu.filters.reference import reference_run
 from insemu.fit import fit, fit_following
-from insemu.fit.following import _Segments
+from insemu.fit.segments import Segments
 from insemu.noise import GM, WN, Follows, NoiseModel, load, save
 from insemu.records import Series, Trajectory
 from tests import filter_cases as cases
@@ -78,7 +78,7 @@ def test_the_covariance_of_the_moments_is_that_of_the_record() -> None:
     n, segments, dt = 512, 4, 1.0
     truth = NoiseModel.parse("WN(N=1, follows=x, slope=0, at=0) + GM(sigma=1, beta=0.05)")
     x = Series(np.random.default_rng(3).standard_normal(n), 1.0 / dt, "rad/s", "gyro_x")
-    problem = _Segments.of(x, {"x": np.linspace(-1.0, 1.0, n)}, truth, segments, 0.0, np.inf)
+    problem = Segments.of(x, {"x": np.linspace(-1.0, 1.0, n)}, truth, segments, 0.0, np.inf)
     a, length = np.exp(-0.05 * dt), n // segments
     signal = np.eye(n) + a ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
 

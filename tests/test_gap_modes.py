@@ -7,8 +7,11 @@ import math
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import linalg
 
+from insemu.gap.candidates.spectral import _cells
 from insemu.gap.data.log import reduce
+from insemu.gap.evidence import kernels
 from insemu.gap.evidence.band import Band
 from insemu.gap.evidence.model import Component, Explanation, Likelihood, Rolloff, fit
 from insemu.gap.evidence.modes import NONE, Free, Slope, ascend, laplace, level
@@ -103,3 +106,52 @@ def test_a_band_has_the_density_of_its_autoregression() -> None:
     expected = variance * dt / np.abs(1.0 - phi1 * z - phi2 * z**2) ** 2
     np.testing.assert_allclose(band.psd(f, dt), expected, rtol=1e-9)
     assert float(band.psd(0.0, dt)) == pytest.approx(expected[0], rel=1e-9)
+
+
+def test_a_slope_without_information_is_the_same_slope() -> None:
+    rng = np.random.default_rng(5)
+    data = reduce(Series((WN(1e-3) + GM(1e-3, 0.05)).simulate(20_000, 0.1, rng), 10.0, "rad/s", "gyro_x"))
+    along = Likelihood(data).along(Explanation.nominal(NoiseModel((WN(1e-3), GM(1e-3, 0.05)))))
+    x = along.explanation.start() + 0.05
+    whole, alone = along.slope(x), along.gradient(x)
+    assert whole is not None and alone is not None
+    assert whole.value == alone.value and np.array_equal(whole.gradient, alone.gradient)
+    assert alone.information.max() == 0.0 < whole.information.min()
+
+
+def test_toeplitz_kernels_solve_what_the_matrix_does() -> None:
+    n, rng = 60, np.random.default_rng(6)
+    gamma = 0.9 ** np.arange(n) + 0.5 * (np.arange(n) == 0)
+    C = linalg.toeplitz(gamma)
+    rows = rng.standard_normal((3, n))
+    solved, diagonals, white = np.empty((3, n)), np.empty(n), np.empty((n, 3))
+    logdet = kernels.toeplitz_solve(gamma, rows, solved, diagonals)
+    inverse = np.linalg.inv(C)
+    np.testing.assert_allclose(solved, rows @ inverse, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(diagonals, [np.trace(inverse, k) for k in range(n)], rtol=1e-8, atol=1e-10)
+    assert logdet == pytest.approx(np.linalg.slogdet(C)[1], rel=1e-12)
+    assert kernels.toeplitz_whiten(gamma, np.ascontiguousarray(rows.T), white) == pytest.approx(logdet, rel=1e-12)
+    np.testing.assert_allclose(white.T @ white, rows @ inverse @ rows.T, rtol=1e-9, atol=1e-10)
+
+
+def test_cells_keep_the_largest_ordinates() -> None:
+    n, dt = 30_000, 0.01
+    y = np.random.default_rng(7).standard_normal(n) + 0.2 * np.sin(2.0 * np.pi * 12.3456 * dt * np.arange(n))
+    f, top, count = _cells(y, 4 * n, dt, 0.05, 49.9)
+    spectrum = np.abs(np.fft.rfft(y, 4 * n)) ** 2 * dt / n
+    every = np.arange(spectrum.size) / (4 * n * dt)
+    inside = (every >= 0.05) & (every < 49.9)
+    assert count.sum() == inside.sum() and top.max() == pytest.approx(spectrum[inside].max(), rel=1e-12)
+    assert f[np.argmax(top)] == pytest.approx(12.3456, abs=1.0 / (n * dt))
+    np.testing.assert_allclose(top, spectrum[np.round(f * 4 * n * dt).astype(int)])
+    slope = (1.0 / every[inside]) ** 2
+    found, exact = np.max(top * f**2), np.max(spectrum[inside] / slope)
+    assert found == pytest.approx(exact, rel=2e-3)
+
+
+def test_values_that_are_not_checked_make_the_same_process() -> None:
+    free = GM(1.0, 0.1)
+    assert free.level.name == "sigma"
+    moved = free.unchecked({"beta": 0.3})
+    assert moved == GM(1.0, 0.3) and free == GM(1.0, 0.1)
+    assert np.array_equal(moved.psd(np.array([0.1, 1.0]), 0.1), GM(1.0, 0.3).psd(np.array([0.1, 1.0]), 0.1))

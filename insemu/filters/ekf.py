@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -54,6 +55,9 @@ class Packed:
     q_at: NDArray[np.int64]
     q: Array
     q_law: NDArray[np.int64]
+    time_at: NDArray[np.int64]
+    time_law: NDArray[np.int64]
+    time_of: Array
 
 
 def pack(aug: Augmentation, powers: int) -> Packed:
@@ -104,7 +108,53 @@ def pack(aug: Augmentation, powers: int) -> Packed:
         extra[rows] * expanded.LD + extra[columns],
         np.ascontiguousarray(Qs[:, rows, columns]),
         aug.law_of[rows] if aug.laws else np.zeros(0, dtype=np.int64),
+        *_following_times(aug, powers, (slot, lanes, extra), phi[0].shape, offsets, (rows, columns)),
     )
+
+
+def _following_times(
+    aug: Augmentation,
+    powers: int,
+    lain: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]],
+    shape: tuple[int, ...],
+    offsets: NDArray[np.int64],
+    driven: tuple[NDArray[np.intp], NDArray[np.intp]],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Places in d, phi, mix and q one after the other of what follows correlation times, their laws and values: see :func:`kernel.run`.
+
+    Parameters
+    ----------
+    aug, powers
+        As of :func:`pack`.
+    lain : tuple of (m,) arrays of int
+        Slot, lane and row of the expanded covariance of every state.
+    shape : tuple of int
+        Of phi.
+    offsets : (k,) array of int
+        Distances of slots that mix.
+    driven : tuple of (l,) arrays of int
+        Rows and columns of the entries of q.
+    """
+    slot, lanes, row = lain
+    mix_from = expanded.LD + math.prod(shape)
+    q_from = mix_from + offsets.size * expanded.LD
+    places: list[int] = []
+    laws: list[int] = []
+    values: list[Array] = []
+    for first, law, F, V in following.tables(aug, powers):
+        for i, j in np.ndindex(F.shape[2:]):
+            a, b = first + i, first + j
+            own = [q_from + int(k) for k in np.flatnonzero((driven[0] == a) & (driven[1] == b))]
+            given = [V[:, :, i, j]] * len(own)
+            offset = np.flatnonzero(offsets == slot[a] - slot[b])
+            if offset.size and F[:, :, i, j].any():
+                moved = [expanded.LD + int(np.ravel_multi_index((slot[a], slot[b], lanes[a]), shape))]
+                moved += [mix_from + int(offset[0]) * expanded.LD + int(row[a])]
+                moved += [int(row[a])] if i == j else []
+                own, given = own + moved, given + [F[:, :, i, j]] * len(moved)
+            places, laws, values = places + own, laws + [law] * len(own), values + given
+    table = np.ascontiguousarray(np.stack(values, axis=2)) if values else np.zeros((1, 1, 0))
+    return np.array(places, dtype=np.int64), np.array(laws, dtype=np.int64), table
 
 
 @dataclass(frozen=True)
@@ -271,7 +321,7 @@ class LooselyCoupledEKF:
         ----------
         initial_sigma : InitialSigma or (n, n) covariance
         imu, nav : ImuRecord, (10,) array, optional
-            Record and state at the start, from which levels that follow a covariate begin; without them those at gain 1.
+            Record and state at the start, from which what follows a covariate begins; without them as at gain 1.
         """
         n = self.layout.n
         if not isinstance(initial_sigma, InitialSigma):
@@ -283,7 +333,7 @@ class LooselyCoupledEKF:
         P[:9, :9] = np.diag(initial_sigma.to_array() ** 2)
         P[9:, 9:] = self.augmentation.P0
         if imu is not None and nav is not None:
-            P[9:, 9:] = following.started(self.augmentation, P[9:, 9:], imu, float(np.linalg.norm(nav[3:6])))
+            P[9:, 9:] = following.started(self.augmentation, imu, float(np.linalg.norm(nav[3:6])))
         return P
 
     def run(
@@ -344,7 +394,8 @@ class LooselyCoupledEKF:
         b = _Buffers.of(self.layout.n, t.size, o, events, cov_epoch.size, node_epoch.size)
         code, detail = kernel.run(
             t, gyro, accel, np.concatenate([nav, np.zeros(3)]), x0, P0, p.place, a.axis, a.c, a.driver, p.slots, p.diagonal,
-            p.d, p.phi, p.offsets, p.mix, p.q_at, p.q, p.q_law, following.powers(a, imu),
+            p.d, p.phi, p.offsets, p.mix, p.q_at, p.q, p.q_law, p.time_at, p.time_law, p.time_of,
+            following.powers(a, imu),
             following.of_speed(a), a.white_of, a.white, self._gravity, self.lever_arm, lever_at, latency_at,
             self.thresholds(events.z.shape[1]), o.covariance_every, o.output_every, trend_window(self.dt), steps_around(self.dt),
             SAME_TIME * self.dt,

@@ -1,4 +1,4 @@
-"""Noise levels of a filter that follow covariates: squared gains, epoch by epoch, before the compiled loop and in it."""
+"""Noise levels and correlation times of a filter that follow covariates: squared gains, epoch by epoch, before the compiled loop and in it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from insemu import covariates
 from insemu.augment import Augmentation
-from insemu.noise import LARGEST_LOG_GAIN
+from insemu.noise import LARGEST_LOG_GAIN, LARGEST_LOG_TIME
 from insemu.records import ImuRecord
 
 Array = NDArray[np.float64]
@@ -18,6 +18,8 @@ Ints = NDArray[np.int64]
 
 #: Codes of the laws that follow the filter's own speed; every other law is known beforehand.
 KNOWN, EXP, POWER = 0, 1, 2
+#: Nodes of the logarithm of the gain of correlation times: what lies between two is off by 5e-5 of 1 - phi at most.
+NODES, FIRST_NODE, STEP_NODE = 601, -LARGEST_LOG_TIME, LARGEST_LOG_TIME / 300
 
 
 def powers(aug: Augmentation, imu: ImuRecord) -> Array:
@@ -48,24 +50,62 @@ def of_speed(aug: Augmentation) -> Array:
     return np.array(rows, dtype=np.float64).reshape(len(rows), 4)
 
 
-def started(aug: Augmentation, P0: Array, imu: ImuRecord, speed: float) -> Array:
+def started(aug: Augmentation, imu: ImuRecord, speed: float) -> Array:
     """Initial covariance (m, m) of the augmented states at the first values of the covariates.
 
     Parameters
     ----------
     aug : Augmentation
-    P0 : (m, m) array
-        At gain 1.
     imu : ImuRecord
     speed : float
         At the start, m/s.
     """
     if not aug.laws:
-        return P0
+        return aug.P0
     first = powers(aug, imu)[0]
     add_speed(first, of_speed(aug), speed)
-    gain = np.where(aug.law_of >= 0, np.sqrt(first)[aug.law_of], 1.0)
-    return np.asarray(P0 * np.outer(gain, gain))
+    return aug.started(np.sqrt(first))
+
+
+def tables(aug: Augmentation, powers: int) -> list[tuple[int, int, Array, Array]]:
+    """First state, law, transition and driving covariance of what has correlation times that follow, at the nodes of the gain.
+
+    The two matrices are (powers, nodes, k, k): over 1 to ``powers`` samples at one gain.
+    """
+    factor = np.exp(FIRST_NODE + STEP_NODE * np.arange(NODES))
+    out = []
+    for one in aug.timed:
+        F, drive, scale = one.process.timed(factor, aug.dt)
+        V = (scale**2)[:, None, None] * np.outer(drive, drive)
+        Phi, Q = np.empty((2, powers, *F.shape))
+        Phi[0], Q[0] = F, V
+        for p in range(1, powers):
+            Phi[p] = F @ Phi[p - 1]
+            Q[p] = F @ Q[p - 1] @ F.transpose(0, 2, 1) + V
+        out.append((one.first, one.law, Phi, Q))
+    return out
+
+
+@njit(cache=True, nogil=True)
+def take_times(out: Array, at: Ints, law: Ints, table: Array, power: Array) -> None:
+    """Write entries of matrices that follow a correlation time, linear between the nodes of the logarithm of its gain.
+
+    Parameters
+    ----------
+    out : (w,) array
+        Matrices one after the other, changed in place.
+    at, law : (v,) arrays of int
+        Place and law of each entry that follows.
+    table : (nodes, v) array
+        Their values at the nodes.
+    power : (laws,) array
+        Squared gains.
+    """
+    for v in range(at.size):
+        x = (0.5 * math.log(max(power[law[v]], 1e-30)) - FIRST_NODE) / STEP_NODE
+        x = min(max(x, 0.0), NODES - 1.0)
+        k = min(int(x), NODES - 2)
+        out[at[v]] = table[k, v] + (x - k) * (table[k + 1, v] - table[k, v])
 
 
 @njit(cache=True, nogil=True)

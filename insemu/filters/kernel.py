@@ -21,7 +21,7 @@ from insemu.filters.expanded import (
     reset_transition,
     scatter,
 )
-from insemu.filters.following import add_speed
+from insemu.filters.following import add_speed, take_times
 from insemu.filters.measurements import (
     FIX,
     add_curvature,
@@ -89,6 +89,9 @@ def run(
     q_at: Ints,
     q_of: Array,
     q_law: Ints,
+    time_at: Ints,
+    time_law: Ints,
+    time_of: Array,
     power: Array,
     laws: Array,
     white_of: Array,
@@ -165,6 +168,8 @@ def run(
         As there.
     q_law : (l,) array of int
         Law that each entry of ``q`` follows, -1 for none; empty where nothing follows a covariate.
+    time_at, time_law, time_of : (v,), (v,), (powers, nodes, v) arrays
+        Places among d, phi, mix and q one after the other of what follows a correlation time, its law, its values at the nodes.
     power, laws, white_of : (N, g), (g, 4), (g, 6) arrays
         Squared gains at the epochs and laws that follow the speed (:mod:`insemu.filters.following`), white noise that follows each law.
     white : (6,) array
@@ -259,7 +264,7 @@ def run(
     groups = laws.shape[0]
     power_now, power_sum = np.ones(groups), np.zeros(groups)
     white_step = white.copy()
-    q_now = np.zeros(q_law.size)
+    timed = time_at.size > 0
     for i in range(n):
         for j in range(n):  # an assignment of slices would compile three seconds of messages
             P[i, j] = P0[i, j]
@@ -277,6 +282,15 @@ def run(
 
     d_one, phi_one = d_of[0], phi_of[0]
     d, phi, mix, q = d_one, phi_one, mix_of[0], q_of[0]
+    phi_end = LD + phi.size
+    mix_end = phi_end + mix.size
+    # matrices that follow covariates, one after the other: of one sample and of a step
+    of_one = np.concatenate((d, phi.ravel(), mix.ravel(), np.zeros(q_law.size)))
+    of_step = of_one.copy()
+    q_now = of_step[mix_end:]
+    if timed:
+        d_one, phi_one = of_one[:LD], of_one[LD:phi_end].reshape(phi.shape)
+        d, phi, mix = of_step[:LD], of_step[LD:phi_end].reshape(phi.shape), of_step[phi_end:mix_end].reshape(mix.shape)
     bad = first_bad_pivot(P, L)
     if bad >= 0:
         return 1, bad
@@ -308,6 +322,8 @@ def run(
                         white_step[i] += power_now[g] * white_of[g, i]
                 for g in range(groups):
                     power_sum[g] += power_now[g]
+                if timed:
+                    take_times(of_one, time_at, time_law, time_of[0], power_now)
             _states_ahead(x, seen, slots, diagonal, d_one, phi_one, c, work)
             for i in range(3):
                 dth1[i], dv1[i], rate1[i] = dth[i], dv[i], rate[i]
@@ -364,12 +380,24 @@ def run(
                 fill_dynamics(nav, f_n, gravity, F)
                 fill_map(F, mid, span, w)
                 half = 0.5 * span
-                if every > 1:
+                if every > 1 and timed:
+                    for i in range(LD):
+                        d[i] = d_of[count - 1, i]
+                    phi_flat, mix_flat = phi_of[count - 1].ravel(), mix_of[count - 1].ravel()
+                    for i in range(phi_flat.size):
+                        of_step[LD + i] = phi_flat[i]
+                    for i in range(mix_flat.size):
+                        of_step[phi_end + i] = mix_flat[i]
+                elif every > 1:
                     d, phi, mix, q = d_of[count - 1], phi_of[count - 1], mix_of[count - 1], q_of[count - 1]
                 if groups > 0:
                     for i in range(q_law.size):
                         level = power_sum[q_law[i]] / count if q_law[i] >= 0 else 1.0
                         q_now[i] = q_of[count - 1, i] * level
+                    for g in range(groups):
+                        power_sum[g] /= count
+                    if timed:
+                        take_times(of_step, time_at, time_law, time_of[count - 1], power_sum)
                     for g in range(groups):
                         power_sum[g] = 0.0
                     q = q_now

@@ -130,7 +130,8 @@ class _Flight:
         a, gravity = self.ekf.augmentation, earth.gravity_code(self.ekf.gravity)
         first = not self.rates
         C_x, self.seen = a.output(measured / dt), a.coefficients(measured / dt)
-        self.x = a.Phi @ self.x
+        Phi, Q = self.moving(power)
+        self.x = Phi @ self.x
         self.known = C_x @ self.x
         corrected = measured[:6] - self.known * dt
         dtheta_before, dvel_before, self.rate_before = self.dtheta, self.dvel, self.rate
@@ -142,7 +143,7 @@ class _Flight:
         self.f_n = C @ self.dvel / dt
         F = np.empty((9, 9))
         strapdown.fill_dynamics(self.nav, self.f_n, gravity, F)
-        self.kf.F, self.kf.Q = augmented(*step_matrices(F, C, dt), a.Phi, self.driving(power), C_x, self.white)
+        self.kf.F, self.kf.Q = augmented(*step_matrices(F, C, dt), Phi, Q, C_x, self.white)
         self.kf.predict()
         self.kf.P = 0.5 * (self.kf.P + self.kf.P.T)
         self.nav_before = self.nav.copy()
@@ -154,16 +155,17 @@ class _Flight:
         acceleration = (self.nav - self.nav_before)[3:6] / dt
         self.motion = [*self.motion[1 - trend_window(self.ekf.dt) :], np.concatenate([acceleration, self.rate])]
 
-    def driving(self, power: Array) -> Array:
-        """Driving covariance of the augmented states where levels follow covariates; the white noise of the step is kept."""
+    def moving(self, power: Array) -> tuple[Array, Array]:
+        """Transition and driving covariance of the augmented states where they follow covariates; the white noise of the step is kept."""
         a, now = self.ekf.augmentation, power.copy()
         self.white = a.white
         if not a.laws:
-            return a.Q
+            return a.Phi, a.Q
         following.add_speed(now, following.of_speed(a), float(np.linalg.norm(self.nav[3:6])))
         self.white = a.white + now @ a.white_of
+        Phi, Q = a.moved(np.sqrt(now))
         gain = np.where(a.law_of >= 0, np.sqrt(now)[a.law_of], 1.0)
-        return np.asarray(a.Q * np.outer(gain, gain))
+        return Phi, np.asarray(Q * np.outer(gain, gain))
 
     def trend(self, k: int, mean_dt: float, tau: float) -> Array:
         """How acceleration and rate go on, and the rate; see ``fill_trend`` and ``fill_rate`` of :mod:`insemu.filters.measurements`."""

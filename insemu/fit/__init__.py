@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from insemu import CalledRoom
 from insemu.errors import InputError, nearest
 from insemu.fit.covariance import covariance_of_curve, model_covariance
-from insemu.fit.following import FollowingFit, Segment, fit_following
+from insemu.fit.following import Followed, FollowingFit, Segment, fit_following, followed
 from insemu.fit.indirect import bootstrap_intervals, check_bootstrap
 from insemu.fit.likelihood import LARGE, fit_mli_pieces
 from insemu.fit.online import Alarm, OnlineFit, Update
@@ -52,6 +52,7 @@ __all__ = [
     "Criterion",
     "Estimate",
     "FitResult",
+    "Followed",
     "FollowingFit",
     "GoodnessOfFit",
     "Method",
@@ -72,6 +73,7 @@ __all__ = [
     "fit_regressed",
     "fit_runs",
     "fit_together",
+    "followed",
     "kalibr",
     "model_covariance",
     "prediction_distance",

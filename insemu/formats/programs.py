@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from insemu.errors import InputError, nearest
-from insemu.noise import NoiseModel
+from insemu.noise import NoiseModel, require_constant
 from insemu.units import conversion
 
 #: Correlation time that stands for none in programs that want one, s: longer than any mission.
@@ -66,10 +66,11 @@ def reduce_models(
     Raises
     ------
     InputError
-        No axis of either sensor; a rate or length that is not positive.
+        No axis of either sensor; a rate or length that is not positive; a process that follows a covariate.
     """
     if not (rate_hz > 0 and record_s > 0):
         raise InputError(f"the rate is {rate_hz} Hz and the record {record_s} s long, expected positive numbers")
+    require_constant(models.values(), "another program")
     out: dict[str, Triad] = {}
     notes: list[str] = []
     for sensor in ("gyro", "accel"):

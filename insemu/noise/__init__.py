@@ -7,7 +7,7 @@ Sums come free: ``2*GM() + WN()``.
 from insemu.noise.block import StateBlock
 from insemu.noise.files import axis_unit, load, save
 from insemu.noise.follow import KNOWN as COVARIATES
-from insemu.noise.follow import LARGEST_LOG_GAIN, Follows
+from insemu.noise.follow import LARGEST_LOG_GAIN, LARGEST_LOG_TIME, Follows, require_constant
 from insemu.noise.parameters import Parameter
 from insemu.noise.process import PROCESSES, SAME_RATE, NoiseModel, NotStationary, Process, register
 from insemu.noise.processes.autoregressive import AR, AR1, ARMA, MA
@@ -28,6 +28,7 @@ __all__ = [
     "DR",
     "GM",
     "LARGEST_LOG_GAIN",
+    "LARGEST_LOG_TIME",
     "MA",
     "PROCESSES",
     "QN",
@@ -50,6 +51,7 @@ __all__ = [
     "load_spread",
     "process_label",
     "register",
+    "require_constant",
     "save",
     "shared_processes",
     "with_factors",

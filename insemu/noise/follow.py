@@ -1,13 +1,19 @@
-"""A level that follows a covariate: noise that depends on temperature, speed, angular rate, specific force or vibration.
+"""A level or correlation times that follow a covariate: noise that depends on temperature, speed, angular rate, specific force or vibration.
 
-Any process may follow one covariate x: the standard deviation of its driving noise and of its white noise is multiplied by a gain g(x), so that
-its ``Q`` follows x while its correlation times stay. The level that is written is that at ``x = at``, where the gain is 1.
+Any process may follow one covariate x by a gain g(x), which is 1 at ``x = at``: what is written holds there. What follows is one of two:
+
+- its level (``what=level``): the standard deviation of its driving noise and of its white noise is multiplied by g(x), so that its ``Q`` follows x
+  while its correlation times stay;
+- its correlation times (``what=time``, of GM, AR1 and AR): the time in which each pole forgets is multiplied by g(x), so that its ``Phi``
+  follows x. A pole p becomes ``p |p|^(1/g - 1)``: its angle, the frequency of a pair, stays, and the process is stationary at any x. The other
+  parameters stay as they are written: of GM the standard deviation, of AR1 and AR the innovation variance (the non-stationary AR1 of Balamuta et al.
+  2016, section IV-B, with ``rho(x) = exp(-exp(-a - b x))``).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -23,18 +29,21 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Law = Literal["exp", "power"]
+What = Literal["level", "time"]
 
 #: Covariates that emulator, filter and recordings know, with their SI units; a log's own columns may have other names.
 KNOWN = {"temperature": "degC", "speed": "m/s", "rate": "rad/s", "force": "m/s^2", "vibration": "m/s^2"}
 #: Keys of a process that say how it follows, in text and YAML.
-KEYS = ("follows", "slope", "at", "law", "above")
+KEYS = ("follows", "slope", "at", "law", "above", "what")
 #: Largest logarithm of a gain: beyond, a law is far outside the covariates that it was fitted to.
 LARGEST_LOG_GAIN = 20.0
+#: The same of correlation times, in both directions: 400 times shorter or longer.
+LARGEST_LOG_TIME = 6.0
 
 
 @dataclass(frozen=True)
 class Follows:
-    """How a level follows a covariate.
+    """How a level or the correlation times of a process follow a covariate.
 
     Parameters
     ----------
@@ -48,6 +57,8 @@ class Follows:
         ``exp``: gain exp(b (x - at)), a level of exp(a + b x). ``power``: gain ((x - above) / (at - above))^b, zero up to ``above``.
     above : float
         Of ``power``: the covariate at which the level vanishes.
+    what : {"level", "time"}
+        What is multiplied by the gain: the level, or the correlation times.
 
     Raises
     ------
@@ -60,6 +71,7 @@ class Follows:
     at: float | None = None
     law: Law = "exp"
     above: float = 0.0
+    what: What = "level"
 
     def __post_init__(self) -> None:
         if not (isinstance(self.covariate, str) and self.covariate.replace("_", "a").isalnum()):
@@ -68,6 +80,8 @@ class Follows:
             )
         if self.law not in get_args(Law):
             raise InputError(f"law is {shown(self.law)}" + nearest(str(self.law)[:40], get_args(Law)))
+        if self.what not in get_args(What):
+            raise InputError(f"what is {shown(self.what)}" + nearest(str(self.what)[:40], get_args(What)))
         for name in ("slope", "at", "above"):
             value = getattr(self, name)
             if value is not None and not math.isfinite(value):
@@ -105,24 +119,26 @@ class Follows:
             return np.asarray(np.log(np.maximum(x - self.above, 0.0) / (self.origin - self.above)))
 
     def gain(self, x: ArrayLike) -> Array:
-        """Factor of the level at covariates ``x``; with a slope of 0 it is 1 everywhere.
+        """Factor of what follows at covariates ``x``; with a slope of 0 it is 1 everywhere.
 
         Raises
         ------
         InputError
-            The slope is not known; a covariate that is no number, at which no law says a level.
+            The slope is not known; a covariate that is no number, at which no law says anything.
         """
         if self.slope is None:
-            raise InputError(f"no slope by which the level follows {self.covariate}; fit the model or give one")
+            raise InputError(f"no slope by which the {self.what} follows {self.covariate}; fit the model or give one")
         lost = np.isnan(np.asarray(x, dtype=np.float64))
         if lost.any():
             raise InputError(
                 f"{int(lost.sum())} of {lost.size} values of {self.covariate} are no number, the first at row {int(np.argmax(lost))}; "
-                "a level that follows it needs all of them"
+                f"a {self.what} that follows it needs all of them"
             )
         with np.errstate(invalid="ignore"):
             u = self.slope * self.stretched(x)
         u = np.where(np.isnan(u), 0.0, u)  # a slope of 0 times an infinite logarithm
+        if self.what == "time":
+            return np.asarray(np.exp(np.clip(u, -LARGEST_LOG_TIME, LARGEST_LOG_TIME)))
         return np.asarray(np.exp(np.minimum(u, LARGEST_LOG_GAIN)))
 
     def of(self, covariates: Mapping[str, Any] | None, what: str) -> Any:
@@ -137,15 +153,27 @@ class Follows:
         out = [f"follows={self.covariate}"]
         out += [] if self.slope is None else [f"slope={self.slope!r}"]
         out += [] if self.at is None else [f"at={self.at!r}"]
-        return (
-            out + ([f"law={self.law}"] if self.law != "exp" else []) + ([f"above={self.above!r}"] if self.above else [])
-        )
+        out += [f"law={self.law}"] if self.law != "exp" else []
+        out += [f"above={self.above!r}"] if self.above else []
+        return out + ([f"what={self.what}"] if self.what != "level" else [])
 
     def to_mapping(self) -> dict[str, Any]:
         """As plain data for YAML, numbers in SI."""
         out = {"follows": self.covariate, "slope": self.slope, "at": self.at}
-        extra = {"law": self.law, "above": self.above} if self.law == "power" else {}
+        extra: dict[str, Any] = {"law": self.law, "above": self.above} if self.law == "power" else {}
+        extra |= {"what": self.what} if self.what != "level" else {}
         return {k: v for k, v in (out | extra).items() if v is not None}
+
+
+def require_constant(models: Iterable[Iterable[Process]], what: str) -> None:
+    """Raise ``InputError`` where a process of some models follows a covariate, which ``what`` does not know."""
+    for model in models:
+        for process in model:
+            if process.follows is not None:
+                raise InputError(
+                    f"{what} takes constant noise, and {process} follows {process.follows.covariate}; "
+                    f"write it as it is at one {process.follows.covariate} (in Python NoiseModel.under)"
+                )
 
 
 def fill(out: Array, block: StateBlock, gain: Array, rng: np.random.Generator) -> None:
@@ -167,10 +195,39 @@ def fill(out: Array, block: StateBlock, gain: Array, rng: np.random.Generator) -
     draws.driven(out, np.array(block.Phi), root_Q, np.array(block.c), state, np.ascontiguousarray(gain), rng)
 
 
+#: Samples that a draw with moving coefficients holds the transitions of.
+_PIECE = 65_536
+
+
+def fill_timed(out: Array, process: Process, dt: float, gain: Array, rng: np.random.Generator) -> None:
+    """Overwrite ``out`` with a draw of a process whose correlation times are multiplied by a gain, sample by sample.
+
+    Parameters
+    ----------
+    out : (n,) array
+    process : Process
+        At gain 1.
+    dt : float
+        Sampling interval, s.
+    gain : (n,) or (1,) array
+        Factor of the correlation times at sample k, or at all; it starts as it would be at the first for ever.
+    rng : Generator
+    """
+    gain = np.broadcast_to(gain, out.shape)
+    block = process.slowed(float(gain[0])).carried(dt)
+    state = block.roots()[1] @ rng.standard_normal(block.n)
+    c = np.array(block.c)
+    out[0] = c @ state
+    for first in range(1, out.size, _PIECE):
+        rows = slice(first, min(first + _PIECE, out.size))
+        Phi, drive, scale = process.timed(gain[rows], dt)
+        draws.moved(out[rows], Phi, drive, scale, c, state, rng)
+
+
 def draw(
     process: Process, out: Array, dt: float, rng: np.random.Generator, covariates: Mapping[str, Array] | None
 ) -> None:
-    """Overwrite ``out`` with a draw of a process, whose level may follow a covariate.
+    """Overwrite ``out`` with a draw of a process, whose level or correlation times may follow a covariate.
 
     Parameters
     ----------
@@ -180,7 +237,7 @@ def draw(
         Sampling interval, s.
     rng : Generator
     covariates : mapping of str to (n,) array, or None
-        What levels follow, SI.
+        What processes follow, SI.
 
     Raises
     ------
@@ -194,5 +251,8 @@ def draw(
             f"{process} cannot be drawn: it has no driving noise of its own whose level could follow; expected GM, WN, RW, ..."
         )
     else:
-        gain = process.follows.gain(process.follows.of(covariates, process.symbol))
-        fill(out, process.block(dt), gain, rng)
+        gain = np.atleast_1d(process.follows.gain(process.follows.of(covariates, process.symbol)))
+        if process.follows.what == "time":
+            fill_timed(out, process, dt, gain, rng)
+        else:
+            fill(out, process.block(dt), gain, rng)

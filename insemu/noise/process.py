@@ -90,6 +90,10 @@ class Process(Common, metaclass=_WithTime):
     def block(self, dt: float) -> StateBlock:
         """State block at sampling interval ``dt`` (s)."""
 
+    def carried(self, dt: float) -> StateBlock:
+        """State block at interval ``dt`` (s) as a filter carries it, in coordinates that keep their digits: :meth:`block` where nothing is better."""
+        return self.block(dt)
+
     # -- derived from the block ---------------------------------------------------------------------------------------------------
 
     def allan_variance(self, m: ArrayLike, dt: float) -> Array:
@@ -474,7 +478,7 @@ class NoiseModel:
     # -- draws --------------------------------------------------------------------------------------------------------------------
 
     def under(self, covariates: Mapping[str, float]) -> NoiseModel:
-        """The model at some values of its covariates, whose levels follow nothing."""
+        """The model at some values of its covariates, which follows nothing."""
         return NoiseModel(tuple(p.under(covariates) for p in self))
 
     def simulate_components(
@@ -555,7 +559,8 @@ class NoiseModel:
         ----------
         text : str
             A sum of ``[count*]NAME(arguments)``; arguments are ``name=quantity``, for AR, MA and ARMA the orders, ``shared=name`` for a process
-            that several axes see (:mod:`insemu.noise.shared`), ``follows=temperature, slope=0.02, at=25`` for a level that follows a covariate.
+            that several axes see (:mod:`insemu.noise.shared`), ``follows=temperature, slope=0.02, at=25`` for a level that follows a covariate,
+            with ``what=time`` for correlation times that do (:mod:`insemu.noise.follow`).
         signal_unit : str
             SI unit of the signal (``rad/s``, ``m/s^2``), needed only where arguments carry units.
 

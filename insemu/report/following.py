@@ -1,4 +1,4 @@
-"""The page of a fit whose levels follow a covariate: each level against it, segment by segment, with the law that was fitted."""
+"""The page of a fit whose levels or correlation times follow a covariate: each against it, segment by segment, with the law that was fitted."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from insemu.fit import LEAST_P, FollowingFit
-from insemu.noise import Follows, Process, process_label
+from insemu.fit import LEAST_P, Followed, FollowingFit, followed
+from insemu.noise import Follows, process_label
 from insemu.report import page
 from insemu.report.charts import INK, RED, Chart, Line, View, familiar, positive
 from insemu.report.fit import parameters_table, residuals, verdict_cards
@@ -22,30 +22,29 @@ POINTS = 200
 TOLD = 2
 
 
-def _followers(fitted: FollowingFit) -> list[tuple[str, Process, Follows]]:
-    """Label, process and law of every level that follows."""
-    model = fitted.result.model
-    return [(process_label(p.symbol, index), p, p.follows) for index, p in model.indexed() if p.follows is not None]
-
-
-def _unit(fitted: FollowingFit, p: Process) -> str:
-    """SI unit of the level of a process."""
-    return p.level.unit_for(fitted.result.unit) if fitted.result.unit else ""
+def _followers(fitted: FollowingFit) -> list[tuple[str, Followed, Follows]]:
+    """Label of every process that follows, what of it does, and its law."""
+    result = fitted.result
+    return [
+        (process_label(p.symbol, index), followed(p, result.unit, 1.0 / result.rate_hz), p.follows)
+        for index, p in result.model.indexed()
+        if p.follows is not None
+    ]
 
 
 def following_answer(fitted: FollowingFit) -> list[str]:
-    """What every level does with its covariate, one sentence each."""
+    """What every level or correlation time does with its covariate, one sentence each."""
     out = []
     for label, p, law in _followers(fitted):
         estimate = fitted.result[f"{label}.slope"]
         low = min(s.lowest[law.covariate] for s in fitted.segments)
         high = max(s.highest[law.covariate] for s in fitted.segments)
-        first, last = (float(g) ** p.level.power for g in law.gain(np.array([low, high])))
+        first, last = (float(g) ** p.power for g in law.gain(np.array([low, high])))
         p_value = fitted.p_values.get(label, math.nan)
         unit = f" {law.unit}" if law.unit else ""
         span = f"from {low:.4g} to {high:.4g}{unit}"
         told = (
-            f"{label}.{p.level.name} changes by a factor of {last / first:.3g} {span}"
+            f"{label}.{p.name} changes by a factor of {last / first:.3g} {span}"
             if first > 0
             else f"{label} follows {span}"
         )
@@ -68,8 +67,8 @@ def segment_rows(fitted: FollowingFit) -> tuple[list[str], list[tuple[str, ...]]
     names = list(dict.fromkeys(law.covariate for *_, law in followers))
     units_of = {law.covariate: law.unit for *_, law in followers}
     heading = ["from, s", "to, s", *(f"{n}, {units_of[n]}".removesuffix(", ") for n in names)]
-    scales = {label: datasheet(1.0, _unit(fitted, p)) for label, p, _ in followers}
-    heading += [f"{label}.{p.level.name}, {scales[label][1]} (95 %)" for label, p, _ in followers]
+    scales = {label: datasheet(1.0, p.unit) for label, p, _ in followers}
+    heading += [f"{label}.{p.name}, {scales[label][1]} (95 %)" for label, p, _ in followers]
     rows = []
     for s in fitted.segments:
         row = [f"{s.start_s:.5g}", f"{s.end_s:.5g}", *(f"{s.covariate[n]:.4g}" for n in names)]
@@ -99,17 +98,20 @@ def level_chart(results: Mapping[str, FollowingFit]) -> Chart:
                 out[there] = values
                 return out
 
-            curve = p.parameters[p.level.name] * law.gain(x) ** p.level.power
+            curve = p.value * law.gain(x) ** p.power
             lines = [
                 Line("segments", positive(placed(level)), INK, points=True, width=6.0),
                 Line("95 % interval of a segment, low", positive(placed(low)), INK, points=True, width=2.5, of="segments"),
                 Line("95 % interval of a segment, high", positive(placed(high)), INK, points=True, width=2.5, of="segments"),
                 Line("fitted to all segments", positive(curve), RED, width=2.2),
             ]  # fmt: skip
-            lines, unit = familiar(lines, _unit(fitted, p))
-            views.append(View(f"{axis}: {label}", f"{label}.{p.level.name} ({unit})", lines, log_y=True, x=x))
+            lines, unit = familiar(lines, p.unit)
+            views.append(View(f"{axis}: {label}", f"{label}.{p.name} ({unit})", lines, log_y=True, x=x))
             label_x = f"{law.covariate} ({law.unit})" if law.unit else law.covariate
-    caption = "Level of each process in every segment by itself, with its 95 % interval, and the law that was fitted to all of them together."
+    caption = (
+        "Level, or longest correlation time, of each process in every segment by itself, with its 95 % interval, and the law that was fitted to all "
+        "of them together."
+    )
     return Chart("Level against covariate", caption, None, label_x, views, group="covariate")
 
 
@@ -140,7 +142,9 @@ def render_following(results: Mapping[str, FollowingFit], path: str | Path, *, s
     moving = sum(p < LEAST_P for f in results.values() for p in f.p_values.values())
     total = sum(len(f.p_values) for f in results.values())
     answer = (
-        f"{moving} of {total} levels follow their covariate." if len(sentences) > TOLD else f"{'. '.join(sentences)}."
+        f"{moving} of {total} levels and correlation times follow their covariate."
+        if len(sentences) > TOLD
+        else f"{'. '.join(sentences)}."
     )
     return page.render(
         "Noise that follows a covariate" + (f": {Path(source).name}" if source else ""),

@@ -103,6 +103,8 @@ NEAR_LINE = 12
 SUMS = 4096
 #: Frequencies at which a line is looked for, per independent one.
 FINER = 4
+#: Relative width of the cells of a periodogram of which the largest ordinate is kept.
+CELL = 1e-3
 
 
 def vibration_line(state: AxisState) -> list[AxisHypothesis]:
@@ -113,22 +115,24 @@ def vibration_line(state: AxisState) -> list[AxisHypothesis]:
     n, dt = data.values.size, data.dt
     y = data.values - data.values.mean()
     m = FINER * n
-    spectrum = data.remembered("periodogram", lambda: _periodogram(y, m, dt))
-    f = np.arange(spectrum.size) / (m * dt)
-    inside = (f >= data.f[0]) & (f < 0.5 / dt * (1.0 - 4.0 / n))
-    S = state.explanation.psd(f[inside], dt)
+    f, top, count = data.remembered("line", lambda: _cells(y, m, dt, float(data.f[0]), 0.5 / dt * (1.0 - 4.0 / n)))
+    if not f.size:
+        return []
     # beyond an output filter there is nothing but what leaks there, and no line stands out of that
-    least = LEAST_POWER * float(np.median(S))
-    ratio = np.zeros(spectrum.size)
-    ratio[inside] = spectrum[inside] / np.maximum(S, least)
+    S = state.explanation.psd(f, dt)
+    order = np.argsort(S)
+    half = np.searchsorted(np.cumsum(count[order]), 0.5 * count.sum())
+    least = LEAST_POWER * float(S[order[half]])
+    ratio = top / np.maximum(S, least)
     k = int(np.argmax(ratio))
+    at = float(f[k])
     # a line between two frequencies of the grid is worth what it is at its own
-    peak = max(float(ratio[k]), _height(y, dt, f[k]) / max(float(state.explanation.psd(f[[k]], dt)[0]), least))
-    looked = float(inside.sum()) / FINER
+    peak = max(float(ratio[k]), _height(y, dt, at) / max(float(S[k]), least))
+    looked = float(count.sum()) / FINER
     nats = _line_nats(peak, looked)
     if nats < 0.0:
         return [Hypothesis("vibration_line", nats, (), state)]
-    frequency, a, b = _sinusoid(y, dt, f[k], 1.0 / (n * dt))
+    frequency, a, b = _sinusoid(y, dt, at, 1.0 / (n * dt))
     if not data.differences.size:
         # how loud a moving sensor is changes with the motion
         nats = min(nats, _line_nats(_steady_power(y, dt, frequency), looked))
@@ -149,9 +153,40 @@ def vibration_line(state: AxisState) -> list[AxisHypothesis]:
     return [Hypothesis("vibration_line", nats, values, Later(without))]
 
 
-def _periodogram(y: Array, m: int, dt: float) -> Array:
+def _cells(y: Array, m: int, dt: float, low: float, high: float) -> Array:
+    """The largest ordinates of a periodogram in cells so narrow that no density moves within one.
+
+    Parameters
+    ----------
+    y : (n,) array
+    m : int
+        Samples that it is filled up to with zeros.
+    dt : float
+        Sampling interval, s.
+    low, high : float
+        Frequencies between which they lie, Hz.
+
+    Returns
+    -------
+    (3, k) array
+        Frequency (Hz) and value (unit^2/Hz) of the largest ordinate of each cell, and how many it has.
+    """
     z = np.fft.rfft(y, m)
-    return (z.real**2 + z.imag**2) * (dt / y.size)
+    spectrum = (z.real**2 + z.imag**2) * (dt / y.size)
+    first = max(math.ceil(low * m * dt - 1e-9), 1)
+    last = min(math.ceil(high * m * dt - 1e-9), spectrum.size)
+    if last <= first:
+        return np.zeros((3, 0))
+    # single ordinates as long as they are further apart than a cell is wide
+    edges = np.unique(np.geomspace(first, last, math.ceil(math.log(last / first) / CELL) + 2).astype(np.int64))
+    edges = edges[edges < last]
+    top = np.maximum.reduceat(spectrum[:last], edges)
+    count = np.diff(np.append(edges, last))
+    cell = np.repeat(np.arange(edges.size), count)
+    best = np.flatnonzero(spectrum[first:last] == top[cell])
+    at = np.zeros(edges.size)
+    at[cell[best]] = first + best
+    return np.stack([at / (m * dt), top, count])
 
 
 def _height(y: Array, dt: float, f0: float) -> float:

@@ -85,6 +85,12 @@ class Reduced:
             self._memory[name] = make()
         return self._memory[name]
 
+    def weighed(self, weight: Array) -> Reduced:
+        """The same samples, with bins that count only so far (k,); what follows from the samples is kept."""
+        out = replace(self, weight=weight)
+        out._memory.update(self._memory)
+        return out
+
     @property
     def counted(self) -> Array:
         """Degrees of freedom that the likelihood counts."""

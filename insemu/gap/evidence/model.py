@@ -315,7 +315,7 @@ class Along:
     def _moved(self, process: Process, names: Sequence[str], own: Sequence[float]) -> tuple[Array, Array]:
         """As :meth:`_shape` at other shape parameters, which a climb hardly ever comes back to."""
         data, count = self.likelihood.data, self._covariance.size
-        moved = process.with_parameters({n: math.exp(v) for n, v in zip(names, own, strict=True)})
+        moved = process.unchecked({n: math.exp(v) for n, v in zip(names, own, strict=True)})
         covariance = moved.difference_covariance(data.block, data.dt, count) if count else np.zeros(0)
         return moved.psd(data.f, data.dt), covariance
 
@@ -378,8 +378,12 @@ class Along:
             total += self.likelihood.high_of(psd * self._gain(x) + floor, self._seen)
         return total + (self.likelihood.low_of(covariance, self.explanation.regressors) if covariance.size else 0.0)
 
-    def slope(self, x: Array) -> Slope | None:
-        """The same with its derivatives and expected curvature; ``None`` where it is not finite."""
+    def gradient(self, x: Array) -> Slope | None:
+        """As :meth:`slope`, the expected curvature that of the prior's edges alone."""
+        return self.slope(x, informed=False)
+
+    def slope(self, x: Array, informed: bool = True) -> Slope | None:
+        """The same with its derivatives and, where ``informed``, expected curvature; ``None`` where it is not finite."""
         by = (np.zeros((x.size, self._psd.size)), np.zeros((x.size, self._covariance.size)))
         psd, covariance = self._sum(x, by)
         value, gradient, information = 0.0, np.zeros(x.size), np.zeros((x.size, x.size))
@@ -400,14 +404,16 @@ class Along:
                 moved = np.asarray(self._gain(x + SHAPE_STEP * (np.arange(x.size) == k)))
                 relative[k] = psd * (moved - gain) / (SHAPE_STEP * S)
             gradient += relative @ (0.5 * counted * (ratio - 1.0))
-            information += (relative * (0.5 * counted)) @ relative.T
+            if informed:
+                information += (relative * (0.5 * counted)) @ relative.T
         if covariance.size:
             scored = self.likelihood.score_of(covariance, self.explanation.regressors)
             if scored is None:
                 return None
             value += scored[0]
             gradient += by[1] @ scored[1]
-            information += _asymptotic_information(covariance, by[1])
+            if informed:
+                information += _asymptotic_information(covariance, by[1])
         return Slope(value, gradient, information) if math.isfinite(value) and np.isfinite(gradient).all() else None
 
 
@@ -482,6 +488,7 @@ def fit(likelihood: Likelihood, explanation: Explanation, known: Sequence[Fitted
         Explanations of the same form at their optimum: one of them is returned where the climb leads there.
     """
     along = likelihood.along(explanation)
-    found = ascend(along.slope, explanation.start(), explanation.free, [f.mode for f in known])
+    modes = [f.mode for f in known]
+    found = ascend(along.slope, explanation.start(), explanation.free, modes, beside=along.gradient)
     same = next((f for f in known if f.mode is found), None)
     return same or Fitted(explanation.at(found.x), found)

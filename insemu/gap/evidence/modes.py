@@ -168,7 +168,14 @@ SAME_MODE = 0.1
 NONE = -1e12
 
 
-def ascend(look: Callable[[Array], Slope | None], x0: Array, free: Sequence[Free], known: Sequence[Mode] = ()) -> Mode:
+def ascend(
+    look: Callable[[Array], Slope | None],
+    x0: Array,
+    free: Sequence[Free],
+    known: Sequence[Mode] = (),
+    *,
+    beside: Callable[[Array], Slope | None] | None = None,
+) -> Mode:
     """Climb to a mode and weigh it: steps of Fisher's scoring, shortened as Levenberg and Marquardt do.
 
     Parameters
@@ -180,6 +187,8 @@ def ascend(look: Callable[[Array], Slope | None], x0: Array, free: Sequence[Free
     free : sequence of Free
     known : sequence of Mode
         Modes of the same posterior: a climb that comes near one ends there.
+    beside : callable, optional
+        As ``look``, where the information is not needed.
     """
     x = inside(x0, free)
     here = look(x)
@@ -200,7 +209,7 @@ def ascend(look: Callable[[Array], Slope | None], x0: Array, free: Sequence[Free
                 return mode
     if not x.size:
         return weighed(x, here.value, np.zeros((0, 0)), free)
-    H = _bend_at(look, x, here, free)
+    H = _bend_at(beside or look, x, here, free)
     values, vectors = np.linalg.eigh(H)
     last = (vectors / np.maximum(values, float(floor.diagonal().min()))) @ (vectors.T @ here.gradient)
     gain = 0.5 * float(here.gradient @ last)

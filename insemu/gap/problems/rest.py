@@ -47,7 +47,7 @@ from insemu.gap.search import Again, search
 from insemu.gap.threshold import certain, nominal_tail, threshold_of, usual_tail
 from insemu.gap.verdict import GapReport, Interval, Where, judged
 from insemu.gap.worth import white_levels, worth_in_noise
-from insemu.noise import NoiseModel
+from insemu.noise import NoiseModel, require_constant
 from insemu.records import Series
 
 Array = NDArray[np.float64]
@@ -249,7 +249,7 @@ def reweighted(state: AxisState) -> AxisState:
     z2 = data.dof / 2.0 * (state.explanation.seen(data) / state.explanation.psd(data.f, data.dt) - 1.0) ** 2
     octave = np.log2(data.f)
     misfit = np.array([float(np.mean(z2[np.abs(octave - o) <= 0.5])) for o in octave])
-    weighted = replace(data, weight=1.0 / np.maximum(misfit, 1.0))
+    weighted = data.weighed(1.0 / np.maximum(misfit, 1.0))
     return replace(state, data=weighted, fitted=fit(Likelihood(weighted), state.explanation), memory={})
 
 
@@ -443,6 +443,7 @@ class _Log:
 def _check(log: Sequence[Series], beliefs: Mapping[str, NoiseModel], temperature: Array | None) -> None:
     if not log:
         raise InputError("the log has no axis")
+    require_constant(beliefs.values(), "insemu gap of a log at rest")
     for s in log:
         if s.name not in beliefs:
             raise InputError(

@@ -96,6 +96,42 @@ def rational_filter(out: Array, b: Array, a: Array, memory: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
+def moved(out: Array, Phi: Array, drive: Array, scale: Array, c: Array, state: Array, rng: np.random.Generator) -> None:
+    """Fill (n,) with ``c x_k``, where ``x_k = Phi_k x_(k-1) + scale_k drive w_k``.
+
+    Parameters
+    ----------
+    out : (n,) array
+        Overwritten.
+    Phi : (n, states, states) array
+        Transition to every sample.
+    drive : (states,) array
+        How one white number enters the states.
+    scale : (n,) array
+        Its standard deviation at every sample.
+    c : (states,) array
+        What a sample sees of the state.
+    state : (states,) array
+        State before the first sample, overwritten by that at the last.
+    rng : Generator
+    """
+    n = state.size
+    old = np.empty(n)
+    for k in range(out.size):
+        w = scale[k] * rng.standard_normal()
+        for i in range(n):
+            old[i] = state[i]
+        seen = 0.0
+        for i in range(n):
+            total = drive[i] * w
+            for j in range(n):
+                total += Phi[k, i, j] * old[j]
+            state[i] = total
+            seen += c[i] * total
+        out[k] = seen
+
+
+@njit(cache=True, nogil=True)
 def driven(out: Array, Phi: Array, root: Array, c: Array, state: Array, gain: Array, rng: np.random.Generator) -> None:
     """Add ``c x_k`` to (n,), where ``x_k = Phi x_(k-1) + g_k root w_k``; ``state`` holds ``x_0`` and is left at the last sample.
 

@@ -14,6 +14,7 @@ from scipy import linalg
 
 from insemu.errors import InputError, nearest, shown
 from insemu.noise.block import StateBlock
+from insemu.noise.chain import sections, slower
 from insemu.noise.compiled import draws
 from insemu.noise.compiled.curves import STEP
 from insemu.noise.compiled.doubling import arma, coefficients_of
@@ -117,6 +118,7 @@ class AR1(Process):
         Parameter("sigma2", "({u})^2", "positive", "innovation variance"),
     )
     curve = staticmethod(_curve_of_one)
+    slows: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -197,6 +199,16 @@ class AR1(Process):
         time = self.correlation_time(dt)
         return None if time is None else MarkovParts(decay=(dt / time,), variance=(self.variance,))
 
+    def slowed(self, factor: float) -> Self:
+        """The innovation variance stays."""
+        phi = float(slower([self.parameters["phi"]], factor)[0].real)
+        return replace(self, phi=phi, follows=None)
+
+    def timed(self, factor: Array, dt: float) -> tuple[Array, Array, Array]:  # noqa: D102
+        _carried_rate(self, dt)
+        Phi = slower([self.parameters["phi"]], factor).real[:, :, None]
+        return Phi, np.ones(1), np.full(factor.size, math.sqrt(self.parameters["sigma2"]))
+
     def moving(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:  # noqa: D102
         return np.ones((1, 1), dtype=bool), np.ones((1, 1), dtype=bool)
 
@@ -233,7 +245,7 @@ class ARMA(Process):
             if any(v is not None and not math.isfinite(v) for v in given):
                 raise InputError(f"{self.symbol}: {name} is {given}, expected finite coefficients")
             object.__setattr__(self, name, given)
-        self.check_shared()
+        self.check_common()
         _check_rate(self)
         if self.sigma2 is not None and not (math.isfinite(self.sigma2) and self.sigma2 >= 0):
             raise InputError(
@@ -390,6 +402,17 @@ class ARMA(Process):
         names = tuple(f"{self.symbol}.{i + 1}" for i in range(n))
         return StateBlock(names, Phi, Q, np.eye(n)[0], np.asarray(0.5 * (P0 + P0.T), dtype=np.float64), 0.0, dt)
 
+    def carried(self, dt: float) -> StateBlock:
+        """Without a moving average a chain of sections of first and second order (:mod:`insemu.noise.chain`)."""
+        if len(self.ar) < 2 or self.ma:
+            return self.block(dt)
+        self.require_stationary()
+        Phi, drive, c = sections(self.poles, np.ones(1))
+        Q = np.outer(drive, drive) * self.parameters["sigma2"]
+        P0 = np.asarray(linalg.solve_discrete_lyapunov(Phi[0], Q), dtype=np.float64)
+        names = tuple(f"{self.symbol}.{i + 1}" for i in range(len(self.ar)))
+        return StateBlock(names, Phi[0], Q, c, 0.5 * P0 + 0.5 * P0.T, 0.0, dt)
+
     def psd(self, f: ArrayLike, dt: float) -> Array:  # noqa: D102
         _carried_rate(self, dt)
         ar, ma = self._polynomials()
@@ -473,6 +496,17 @@ class AR(ARMA):
     """Autoregression of order p: ``AR(2)`` is the structure, ``AR((1.5, -0.6), sigma2=..., rate_hz=...)`` the process."""
 
     POLYNOMIALS: ClassVar[tuple[str, ...]] = ("ar",)
+    slows: ClassVar[bool] = True
+
+    def slowed(self, factor: float) -> Self:
+        """The innovation variance stays, and the angle of every pole."""
+        moved = np.poly(slower(self.poles, factor))
+        return replace(self, ar=tuple(float(v) for v in -np.real(moved)[1:]), follows=None)
+
+    def timed(self, factor: Array, dt: float) -> tuple[Array, Array, Array]:  # noqa: D102
+        _carried_rate(self, dt)
+        Phi, drive, _ = sections(self.poles, factor)
+        return Phi, drive, np.full(factor.size, math.sqrt(self.parameters["sigma2"]))
 
     def moving(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:  # noqa: D102
         n = len(self.ar)

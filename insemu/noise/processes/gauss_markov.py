@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -91,6 +91,7 @@ class GM(Process):
         Parameter("beta", "1/s", "rate", "inverse correlation time"),
     )
     curve = staticmethod(_curve)
+    slows: ClassVar[bool] = True
 
     @classmethod
     def of_driving_density(cls, q: float, beta: float) -> GM:
@@ -150,6 +151,15 @@ class GM(Process):
         phi, q = self.discrete(dt)
         p0 = self.parameters["sigma"] ** 2
         return StateBlock(("GM",), np.array([[phi]]), np.array([[q]]), np.ones(1), np.array([[p0]]), 0.0, dt)
+
+    def slowed(self, factor: float) -> Self:
+        """The standard deviation stays."""
+        return replace(self, beta=self.parameters["beta"] / factor, follows=None)
+
+    def timed(self, factor: Array, dt: float) -> tuple[Array, Array, Array]:  # noqa: D102
+        p = self.parameters
+        a = p["beta"] * dt / factor
+        return np.exp(-a)[:, None, None], np.ones(1), p["sigma"] * np.sqrt(-np.expm1(-2.0 * a))
 
     def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
         phi, q = self.discrete(dt)
