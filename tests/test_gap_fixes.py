@@ -174,3 +174,15 @@ def test_a_level_and_outliers_are_told_apart() -> None:
     assert found["gnss_noise_level"]["factor"].low < 3.0 < found["gnss_noise_level"]["factor"].high
     share = found["gnss_outliers"]["probability"]
     assert share.low < hit.mean() < share.high
+
+
+def test_outliers_are_told_where_a_colour_stood_for_them() -> None:
+    """Both together are best explained by a colour, beside which outliers were not asked for: a quarter of the fixes in the tails, unexplained."""
+    colour = use(effect="gnss_correlated_noise", sigma=[0.2, 0.2, 0.4], tau=10.0)
+    made, hit = with_outliers(recording(colour), 0.06, 5.0)
+    report = looked(made)
+    found = {f.effect: values(f) for f in report.findings}
+    assert set(found) == {"gnss_correlated_noise", "gnss_outliers"} and report.verdict == "named"
+    share = found["gnss_outliers"]["probability"]
+    assert share.low < hit.mean() < share.high
+    assert found["gnss_correlated_noise"]["tau"].low < 10.0 < found["gnss_correlated_noise"]["tau"].high

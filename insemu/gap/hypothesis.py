@@ -85,6 +85,11 @@ class Found(Generic[C]):
     instead: str = ""
 
 
+def best_first(hypotheses: Sequence[Hypothesis[C]]) -> list[Hypothesis[C]]:
+    """Those whose evidence is finite, best first."""
+    return sorted((h for h in hypotheses if math.isfinite(h.nats)), key=lambda h: -h.nats)
+
+
 def probabilities(nats: Sequence[float]) -> Array:
     """Probability of each of some effects and, last, of none: all of them together and none weigh alike before the data."""
     logs = np.array([*nats, math.log(max(len(nats), 1))])

@@ -442,7 +442,7 @@ def covariance_hypotheses(
     for effect, tried in fits.items():
         top = max(tried, key=lambda f: f.nats)
         out.append(Hypothesis(effect, pooled(tried), top.values, Change(noise=top), "", "gnss", top.axes))
-    if "gnss_outliers" not in skip and scene.noise is None:
+    if "gnss_outliers" not in skip:
         out += gnss_outliers(scene, nu, cut)
     return out
 
@@ -468,18 +468,20 @@ def as_joint(h: DriveHypothesis, scene: Scene, joint: JointNoise) -> DriveHypoth
     return at_level(h, scene.original.factors * joint.noise.factor)
 
 
+def about(level: DriveHypothesis) -> NDArray[np.bool_]:
+    """Components (6,) of the fixes that a level is about; none of anything else."""
+    first = LEVEL_ROWS.get(level.effect, 6)
+    return np.isin(np.arange(6), [first + NED.index(a) for a in level.axes if a in NED])
+
+
 def at_level(h: DriveHypothesis, factors: Array) -> DriveHypothesis:
     """A level of the fixes at what the standard deviations of the fixes (6,) were found to be over the stated ones; anything else as it is."""
-    if (first := LEVEL_ROWS.get(h.effect)) is None:
+    if not (own := about(h)).any():
         return h
     (level,) = h.values
-    value = float(np.exp(np.mean(np.log(factors[[first + NED.index(a) for a in h.axes]]))))
-    return replace(
-        h,
-        values=(
-            replace(level, value=value, low=value * level.low / level.value, high=value * level.high / level.value),
-        ),
-    )
+    grown = float(np.exp(np.mean(np.log(factors[own])))) / level.value
+    value = replace(level, value=grown * level.value, low=grown * level.low, high=grown * level.high)
+    return replace(h, values=(value,))
 
 
 def placed(step: DriveHypothesis, column: int) -> DriveHypothesis:

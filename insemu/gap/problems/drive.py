@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.effects import EFFECTS
 from insemu.errors import InputError
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.candidates.fixes import (
+    about,
     as_joint,
     at_level,
     covariance_hypotheses,
@@ -31,7 +31,6 @@ from insemu.gap.candidates.shapes import (
     library_evidence,
     linear_hypotheses,
     null_threshold,
-    shape_values,
 )
 from insemu.gap.checks.drive import drive_map, innovation_tests
 from insemu.gap.checks.rest import corrected
@@ -39,9 +38,9 @@ from insemu.gap.data.log import Reduced, unheard
 from insemu.gap.data.samples import coarse, mend, with_counts
 from insemu.gap.drive.preparation import Flown, Prepared, fast_parts, prepare
 from insemu.gap.drive.scene import Scene, first_rows
-from insemu.gap.evidence.fixes import NED, Colour, JointNoise, joint_noise
+from insemu.gap.evidence.fixes import Colour, JointNoise, Surrogate, joint_noise
 from insemu.gap.evidence.linear import Block, Field
-from insemu.gap.hypothesis import Found, class_of, probabilities
+from insemu.gap.hypothesis import Found, best_first, probabilities
 from insemu.gap.policy import rules
 from insemu.gap.problems.band import (
     WANDERING,
@@ -64,10 +63,10 @@ from insemu.gap.problems.findings import (
     with_effect,
 )
 from insemu.gap.problems.known import colour_of
-from insemu.gap.problems.named import Named, believing, blocks_of, held_out, with_confusable
+from insemu.gap.problems.named import Named, believing, blocks_of, held_out, told, with_confusable
 from insemu.gap.search import Again, search
-from insemu.gap.verdict import Finding, GapReport, Interval, Member, Value, Where, judged
-from insemu.gap.worth import stated_in_outages, white_levels, worth_in_motion, worth_in_noise
+from insemu.gap.verdict import Finding, GapReport, Interval, Where, judged
+from insemu.gap.worth import stated_in_outages, white_levels, worth_in_noise
 from insemu.records import AXES, Recording
 
 Array = NDArray[np.float64]
@@ -116,7 +115,9 @@ class DriveProblem:
         """Effects that are not asked for: those taken out, and those found that are there once."""
         chosen = [f.chosen for f in self.found if f is not without]
         once = {h.effect for h in chosen if h.effect in (*ONCE, "gnss_outliers") or h.change.noise is not None}
-        return set(self.without) | once
+        # outliers are told by a filter without a colour, which one that is known does not go from
+        known = {"gnss_outliers"} if self.scene.noise is not None and "gnss_correlated_noise" in self.without else set()
+        return set(self.without) | once | known
 
     def rank(self) -> list[DriveHypothesis]:
         """Every effect that the innovations can show beside what was found."""
@@ -125,7 +126,7 @@ class DriveProblem:
         if "gnss_multipath_step" not in skip:
             out += multipath_step(self.scene, self.data, self.rows, given)
         out += covariance_hypotheses(self.scene, given, skip, self.cut)
-        return _sorted(out)
+        return best_first(out)
 
     def choose(self, ranked: Sequence[DriveHypothesis]) -> Found[Change] | None:
         """The best effect, or the first of several that explain more together."""
@@ -215,21 +216,19 @@ class DriveProblem:
             h = new.chosen
         elif (level := h.change.noise) is not None and level.colour is not None:
             if h.effect == "gnss_noise_level":
-                named = scene.original.levels.copy()
-                named[[NED.index(a) for a in h.axes]] = h.values[0].value
-                self.scene = scene.rebuilt(levels=named)
+                self.scene = scene.rebuilt(levels=np.where(about(h), h.values[0].value, scene.original.levels))
+            elif not self._needs_a_level(level.colour):
+                h = replace(h, nats=h.nats + self._take_back("gnss_noise_level"))
+                self.scene = scene.rebuilt(levels=np.where(np.arange(6) < 3, 1.0, scene.original.levels))
             scene, joint = self._under_colour(level.colour)
             self.found = [replace(f, chosen=as_joint(f.chosen, scene, joint)) for f in self.found]
             new = replace(new, chosen=as_joint(h, scene, joint))
         elif level is not None:
             # a colour that was named before stood for the level
-            stood = [f for f in self.found if f.chosen.effect == "gnss_correlated_noise"]
-            self.found = [f for f in self.found if f not in stood]
-            h = replace(h, nats=h.nats + sum(f.chosen.nats for f in stood))
-            scene, new = scene.coloured(None), replace(new, chosen=h)
+            new = replace(new, chosen=replace(h, nats=h.nats + self._take_back("gnss_correlated_noise")))
+            scene = scene.coloured(None)
             factors = scene.original.factors * level.factor
-            levels = np.where(level.factor == 1.0, scene.original.levels, factors)
-            scene = scene.rebuilt(factors=factors, levels=levels)
+            scene = scene.rebuilt(factors=factors, levels=np.where(about(h), factors, scene.original.levels))
         self.found.append(new)
         if h.nats > rules().correct_nats and h.change.columns:
             scene = scene.rebuilt(corrections=self._corrections())
@@ -237,34 +236,53 @@ class DriveProblem:
 
     def _apart_from_outliers(self, new: Found[Change]) -> tuple[Scene, Found[Change]]:
         """The scene without the positions that are outliers, and these with share and size; a level that stood for them goes, or changes."""
-        h, scene, nu = new.chosen, self.scene, self.scene.unexplained(self.blocks())
+        h, seen, nu = new.chosen, self.scene, self.scene.unexplained(self.blocks())
+        if seen.noise is not None:
+            # a colour may have stood for them, with a level beside it: what there is of both is found again
+            h = replace(h, nats=h.nats + self._take_back("gnss_correlated_noise", "gnss_noise_level"))
         stood = next((f for f in self.found if f.chosen.effect == "gnss_noise_level"), None)
-        level: float | None = None
-        if stood is not None and self.scene.noise is None:
+        scene, level = seen, None if stood is None else stood.chosen.values[0].value
+        if seen.noise is not None or stood is not None:
             nominal = np.where(np.arange(6) < 3, 1.0, [scene.original.factors, scene.original.levels])
-            level = stood.chosen.values[0].value
-            scene = scene.rebuilt(factors=nominal[0], levels=nominal[1])
-        told = without_outliers(scene, h, self.cut, self.scene, nu, level)
+            scene = scene.coloured(None).rebuilt(factors=nominal[0], levels=nominal[1])
+        told = without_outliers(scene, h, self.cut, seen, nu, level)
         self.gone, sized = np.union1d(self.gone, told.times), told.outliers
         if stood is not None and level is not None:
             if abs(math.log(told.level)) < math.log1p(rules().tolerance):
                 self.found.remove(stood)
                 sized = replace(sized, nats=h.nats + stood.chosen.nats)
             else:
-                rows = [NED.index(a) for a in stood.chosen.axes]
-                factors, levels = scene.original.factors.copy(), scene.original.levels.copy()
-                factors[rows] = levels[rows] = told.level
+                at, own = scene.original, about(stood.chosen)
+                factors, levels = (np.where(own, told.level, x) for x in (at.factors, at.levels))
                 scene = scene.rebuilt(factors=factors, levels=levels)
         return scene.rebuilt(gone=self.gone), replace(new, chosen=sized)
+
+    def _take_back(self, *effects: str) -> float:
+        """What findings of some effects were worth, nats; they are none any more."""
+        back = [f for f in self.found if f.chosen.effect in effects]
+        self.found = [f for f in self.found if f not in back]
+        return sum(f.chosen.nats for f in back)
+
+    def _fixes(self, scene: Scene) -> Surrogate:
+        """Innovations less what is explained."""
+        s = replace(scene.surrogate, nu=scene.unexplained(self.blocks()))
+        return s if self.cut is None else s.until(self.cut)
+
+    def _needs_a_level(self, colour: Colour) -> bool:
+        """Whether a level of the positions that was named still explains something beside a colour."""
+        level = next((f.chosen for f in self.found if f.chosen.effect == "gnss_noise_level"), None)
+        if level is None:
+            return True
+        s, factors = self._fixes(self.scene), self.scene.original.factors
+        beside = joint_noise(s, colour, factors, wide=np.flatnonzero(about(level)).tolist())
+        return beside.evidence > joint_noise(s, colour, factors).evidence + rules().keep_nats
 
     def _under_colour(self, colour: Colour) -> tuple[Scene, JointNoise]:
         """The scene with a colour of the fixes: flown by a filter that is not led astray by it, which tells outliers again where there are any."""
         scene = self.scene
 
         def likeliest() -> JointNoise:
-            s = replace(scene.surrogate, nu=scene.unexplained(self.blocks()))
-            moved = scene.original.factors / scene.original.levels
-            return joint_noise(s if self.cut is None else s.until(self.cut), colour, moved)
+            return joint_noise(self._fixes(scene), colour, scene.original.factors / scene.original.levels)
 
         joint = likeliest()
         known = next((f for f in self.found if f.chosen.effect == "gnss_outliers"), None)
@@ -302,7 +320,7 @@ class DriveProblem:
         h = old.chosen
         if h.change.block is None or h.change.window is not None:
             return None
-        ranked = _sorted(linear_hypotheses(self.scene, self.variants, self.data, self.blocks(old), self._skip(old)))
+        ranked = best_first(linear_hypotheses(self.scene, self.variants, self.data, self.blocks(old), self._skip(old)))
         kept = next((r for r in ranked if (r.effect, r.sensor) == (h.effect, h.sensor)), replace(h, nats=-math.inf))
         idle = ranked[0].nats < min(self.threshold, rules().keep_nats)
         return Again(kept, tuple(ranked), ranked[0], idle)
@@ -320,8 +338,7 @@ class DriveProblem:
 
     def settle(self) -> bool:
         """Noise and steps of the fixes as they are beside everything that was found since; whether a colour moved enough to look again."""
-        colour = next((f.chosen for f in self.found if f.chosen.effect == "gnss_correlated_noise"), None)
-        moved = False
+        colour, moved = next((f.chosen for f in self.found if f.chosen.effect == "gnss_correlated_noise"), None), False
         if colour is None:
             self.found = [replace(f, chosen=at_level(f.chosen, self.scene.original.factors)) for f in self.found]
         elif self.scene.noise is not None and colour is not self.found[-1].chosen:
@@ -346,17 +363,16 @@ class DriveProblem:
             column, windows = int(old.chosen.change.block[0][0]), list(self.scene.windows)
             windows[column - self.scene.width] = own.change.window
             rivals = linear_hypotheses(self.scene, self.variants, self.data, self.blocks(old), self._skip(old))
-            new = Found(placed(own, column), tuple(_sorted([*rivals, own])))
+            new = Found(placed(own, column), tuple(best_first([*rivals, own])))
             self.found = [new if f is old else f for f in self.found]
             if tuple(windows) != self.scene.windows:
                 self._take(self.scene.with_windows(tuple(windows)))
 
     def noise_came_early(self) -> bool:
         """Whether noise of the fixes was named before something strong that it could have stood for."""
-        noise = next((k for k, f in enumerate(self.found) if f.chosen.change.block is None), None)
-        return noise is not None and any(
-            f.chosen.nats > rules().correct_nats and f.chosen.change.block is not None for f in self.found[noise + 1 :]
-        )
+        chosen = [f.chosen for f in self.found]
+        noise = next((k for k, h in enumerate(chosen) if h.change.block is None), len(chosen))
+        return any(h.nats > rules().correct_nats and h.change.block is not None for h in chosen[noise + 1 :])
 
     def noise_again(self, first: Scene) -> None:
         """Take back the noise of the fixes and what was found with it, from the ``first`` scene on."""
@@ -371,16 +387,12 @@ class DriveProblem:
             h, others = f.chosen, self.blocks(f)
             if h.change.block is not None and not any(r.change.noise is not None for r in f.ranked):
                 rivals = covariance_hypotheses(self.scene, others, self._skip(f), self.cut)
-                self.found[k] = f = replace(f, ranked=tuple(_sorted([*f.ranked, *rivals])))
+                self.found[k] = f = replace(f, ranked=tuple(best_first([*f.ranked, *rivals])))
             if h.change.columns:
                 own = [v for v in self.variants if (v.effect, v.sensor) == (h.effect, h.sensor)]
                 beyond, what = library_evidence(self.scene, self.data, others)
                 if beyond > max(w.nats for w in linear_hypotheses(self.scene, own, self.data, others, ())):
                     self.found[k] = replace(f, instead=what)
-
-
-def _sorted(hypotheses: Sequence[DriveHypothesis]) -> list[DriveHypothesis]:
-    return sorted((h for h in hypotheses if math.isfinite(h.nats)), key=lambda h: -h.nats)
 
 
 def find_effects(
@@ -545,7 +557,7 @@ def find_dynamic_gap(
         at.fast, named.found, at.parts, at.nominal, max(threshold, rules().fast_nats), without, at.clipped
     )
     rest = corrected([*tests, *drive_map(final, residual, {name: r.end for name, r in fast}, drawn)])
-    each = with_confusable([_finding(f, named) for f in named.found], named, without, repeated)
+    each = with_confusable([told(f, named) for f in named.found], named, without, repeated)
     findings, left = _doubted(each, named, fast, at, failed)
     refined = dict(nominal.beliefs)
     for s in findings:
@@ -576,25 +588,3 @@ def _doubted(
     beyond = " and ".join(dict.fromkeys(filter(None, (named.outsider, *sorted(set(instead))))))
     left = remainder(failed, {**({("the fixes", ""): beyond} if beyond else {}), **changing})
     return sorted([*joined(own), *heard, *at.noticed], key=lambda s: -s.nats), left
-
-
-def _finding(f: Found[Change], named: Named) -> Finding:
-    """A finding as it is reported: values from everything together, members of its class, runners-up."""
-    h, scene, values, metres = f.chosen, named.scene, f.chosen.values, math.nan
-    if h.change.block is not None and (h.change.columns or h.change.window is not None):
-        index, mean, covariance = scene.data.posterior(named.blocks)
-        # two blocks may share a column: what it explains is their sum
-        sums = (index[None, :] == h.change.block[0][:, None]).astype(np.float64)
-        mean, covariance = sums @ mean, sums @ covariance @ sums.T
-        if h.change.columns:
-            values = shape_values(scene, h.change.block[0], mean, covariance)
-            metres = worth_in_motion(scene.loop, scene.motion, [scene.columns[i] for i in h.change.columns], mean)
-        else:
-            values = (Value.normal("value", float(mean[0]), math.sqrt(float(covariance[0, 0])), "m"), *values[1:])
-    own = next((k for k, r in enumerate(f.ranked) if (r.effect, r.sensor) == (h.effect, h.sensor)), 0)
-    rivals = [Member(r.effect, r.sensor, h.axes if k == own else r.axes, r.nats) for k, r in enumerate(f.ranked)]
-    members, others, confidence = class_of(rivals, own)
-    needs = "; ".join(dict.fromkeys(EFFECTS[m.effect].excitation for m in members)) if len(members) > 1 else ""
-    text = f"a recording with more of: {needs}" if needs else ""
-    found = Finding(h.effect, h.variant, h.sensor, h.axes, values, confidence, h.nats, members, text, others)
-    return replace(found, metres=metres if h.change.columns else worth_in_noise(found))

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu.effects import EFFECTS
 from insemu.gap.candidates.fixes import outlying_fixes, position_innovations
-from insemu.gap.candidates.shapes import ONCE, PROCESSES, Change, bank
+from insemu.gap.candidates.shapes import ONCE, PROCESSES, Change, bank, shape_values
 from insemu.gap.confusion import Repetitions
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.linear import Block
 from insemu.gap.holdout import score_drive
-from insemu.gap.hypothesis import Found
+from insemu.gap.hypothesis import Found, class_of
 from insemu.gap.policy import rules
 from insemu.gap.problems.findings import with_process
-from insemu.gap.verdict import Confusable, Finding, Interval
+from insemu.gap.verdict import Confusable, Finding, Interval, Member, Value
+from insemu.gap.worth import worth_in_motion, worth_in_noise
 
 Array = NDArray[np.float64]
 
@@ -92,6 +95,34 @@ def held_out(scene: Scene, named: Named, cut: float) -> tuple[Interval, Interval
         times, logs = outlying_fixes(outliers, scene.prepared.result.fixes.t[at], v, S)
         density = float(np.sum(logs[np.isin(times, named.gone) & (times > cut)]))
     return score_drive(scene, final, blocks, cut, density)
+
+
+def told(f: Found[Change], named: Named) -> Finding:
+    """A finding as it is reported: values from everything together, members of its class, runners-up.
+
+    Parameters
+    ----------
+    f, named : Found, Named
+        One of what was found, and all of it.
+    """
+    h, scene, values, metres = f.chosen, named.scene, f.chosen.values, math.nan
+    if h.change.block is not None and (h.change.columns or h.change.window is not None):
+        index, mean, covariance = scene.data.posterior(named.blocks)
+        # two blocks may share a column: what it explains is their sum
+        sums = (index[None, :] == h.change.block[0][:, None]).astype(np.float64)
+        mean, covariance = sums @ mean, sums @ covariance @ sums.T
+        if h.change.columns:
+            values = shape_values(scene, h.change.block[0], mean, covariance)
+            metres = worth_in_motion(scene.loop, scene.motion, [scene.columns[i] for i in h.change.columns], mean)
+        else:
+            values = (Value.normal("value", float(mean[0]), math.sqrt(float(covariance[0, 0])), "m"), *values[1:])
+    own = next((k for k, r in enumerate(f.ranked) if (r.effect, r.sensor) == (h.effect, h.sensor)), 0)
+    rivals = [Member(r.effect, r.sensor, h.axes if k == own else r.axes, r.nats) for k, r in enumerate(f.ranked)]
+    members, others, confidence = class_of(rivals, own)
+    needs = "; ".join(dict.fromkeys(EFFECTS[m.effect].excitation for m in members)) if len(members) > 1 else ""
+    text = f"a recording with more of: {needs}" if needs else ""
+    found = Finding(h.effect, h.variant, h.sensor, h.axes, values, confidence, h.nats, members, text, others)
+    return replace(found, metres=metres if h.change.columns else worth_in_noise(found))
 
 
 def with_confusable(
