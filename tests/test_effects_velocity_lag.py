@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from insemu import earth
-from insemu.effects import EffectUse, compensated
+from insemu.effects import EffectUse, FixGeometry, Motion, compensated
 from insemu.emulate import built_in, gnss_fixes, ideal_imu
 from insemu.gap import find_gap
 from insemu.gap.candidates.timing import find_times
@@ -101,3 +101,23 @@ def test_a_small_lag_is_named_by_its_signature(drive) -> None:
     assert report.verdict == "named"
     (lag,) = report.findings[0].parameters
     assert lag.low - 0.02 < 0.15 < lag.high + 0.02
+
+
+def test_an_antenna_that_swings_between_fixes_is_ahead_by_its_own_acceleration() -> None:
+    """Yaw to and fro at 2.3 Hz under fixes at 1 Hz: a difference from fix to fix would alias, here the derivative of the swing is known."""
+    dt, amplitude, w = 0.01, 0.1, 2.0 * np.pi * 2.3
+    t = np.arange(0.0, 30.0, dt)
+    yaw, rate = amplitude * np.sin(w * t), amplitude * w * np.cos(w * (t - 0.5 * dt))
+    zero, rates = np.zeros((t.size, 3)), np.column_stack([np.zeros(t.size), np.zeros(t.size), rate])
+    C = np.array([[[np.cos(a), -np.sin(a), 0.0], [np.sin(a), np.cos(a), 0.0], [0.0, 0.0, 1.0]] for a in yaw])
+    # at the pole the rotation of the Earth is about the same axis; its 7e-5 rad/s are far below the swing
+    llh = np.tile([np.pi / 2.0 - 1e-3, 0.0, 0.0], (t.size, 1))
+    motion = Motion(t, C, rates, zero, zero, zero, llh, None, np.arange(2))
+    at = t[300:2700:100]
+    moved = FixGeometry.of(motion, at, [2.0, 0.0, 0.0]).moved
+    angle, turn, spin = (amplitude * f for f in (np.sin(w * at), w * np.cos(w * at), -(w**2) * np.sin(w * at)))
+    along, across = np.column_stack([np.cos(angle), np.sin(angle)]), np.column_stack([-np.sin(angle), np.cos(angle)])
+    swing = 2.0 * (spin[:, None] * across - turn[:, None] ** 2 * along)
+    # gravity of a motion without forces is what is left of the acceleration
+    fall = FixGeometry.of(motion, at, [0.0, 0.0, 0.0]).moved[:, 3:5]
+    np.testing.assert_allclose(moved[:, 3:5] - fall, swing, atol=0.1 * np.abs(swing).max())
