@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from insemu.effects import EffectUse
 from insemu.gap import GapReport, Nominal, find_gap
 from insemu.gap.candidates.fixes import _Scan, _when
+from insemu.gap.drive.preparation import Flown
+from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.fixes import FixNoise, Surrogate, joint_noise, level_beside
 from insemu.gap.verdict import Finding
 from insemu.gap.worth import stated_in_outages
@@ -186,3 +188,21 @@ def test_outliers_are_told_where_a_colour_stood_for_them() -> None:
     share = found["gnss_outliers"]["probability"]
     assert share.low < hit.mean() < share.high
     assert found["gnss_correlated_noise"]["tau"].low < 10.0 < found["gnss_correlated_noise"]["tau"].high
+
+
+@pytest.mark.parametrize("ours", [True, False])
+def test_velocities_that_were_raised_for_the_shaking_come_back_without_a_finding(ours: bool) -> None:
+    """Standard deviations 1.7 times too large: our own doing, or a level that the search has to name."""
+    gnss = Gnss(position_sigma=SIGMA, velocity_sigma=(0.05, 0.05, 0.05), lever_arm=LEVER)
+    prepared = Flown.of(recording(), Nominal(dict(BELIEF), gnss)).prepared
+    fixes = prepared.gnss
+    assert fixes.vel_std_ned is not None
+    loud = prepared.again(gnss=replace(fixes, vel_std_ned=1.7 * fixes.vel_std_ned))
+    raised = np.where(np.arange(6) < 3, 1.0, 1.7) if ours else np.ones(6)
+    scene = Scene.of(replace(loud, raised=raised)).trimmed([])
+    if ours:
+        assert scene.original.factors[3:] == pytest.approx(np.full(3, 1.0 / 1.7), rel=0.12)
+        assert scene.original.levels[3:] == pytest.approx(scene.original.factors[3:], rel=0.05)
+    else:
+        assert scene.original.factors[3:] == pytest.approx(np.full(3, 1.0 / 1.22), rel=0.03)
+        assert scene.original.levels == pytest.approx(np.ones(6))

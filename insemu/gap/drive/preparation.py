@@ -67,6 +67,8 @@ class Prepared:
         See :func:`insemu.gap.drive.shaking.rectified`.
     swings : bool
         Whether the antenna swings on its lever arm as the vehicle shakes: velocities hold what fixes sample of that at their own rate.
+    raised : (6,) array
+        By what standard deviations were raised for that: other errors may have had a part in it, so that they may come back.
     """
 
     imu: ImuRecord
@@ -82,6 +84,7 @@ class Prepared:
     levels: Array = field(default_factory=lambda: np.ones(6))
     rectified: Array | None = None
     swings: bool = False
+    raised: Array = field(default_factory=lambda: np.ones(6))
 
     def again(
         self,
@@ -112,7 +115,9 @@ class Prepared:
     def on(self, recording: Recording) -> Prepared:
         """The same filter on another recording of the same motion, started as that recording lets it."""
         imu, gnss, initial, sigma = starting_state(recording, self.nominal)
-        return replace(self, start=(initial, sigma), rectified=None).again(imu=imu, gnss=with_sigma(gnss, self.nominal))
+        return replace(self, start=(initial, sigma), rectified=None, raised=np.ones(6)).again(
+            imu=imu, gnss=with_sigma(gnss, self.nominal)
+        )
 
     def without_positions(self, t: Array) -> Prepared:
         """The same filter without the positions of some fixes."""
@@ -199,7 +204,7 @@ def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], le
     left = rectified(imu, fast)
     prepared = Prepared(
         imu, gnss, result, beliefs, fast, lever, np.ones(6), start, nominal,
-        rectified=left, swings=left is not None and bool(np.any(lever)),
+        rectified=left, swings=left is not None and bool(np.any(lever)), raised=_raised(recorded, gnss),
     )  # fmt: skip
     for _ in range(2):
         loop = Loop.of(prepared.result)
@@ -295,6 +300,14 @@ def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, G
         )
     imu, state, sigma = on_track(imu, fixed, track, believed)
     return imu, gnss, state, sigma
+
+
+def _raised(recorded: GnssRecord, steady: GnssRecord) -> Array:
+    """Median ratio of the standard deviations of fixes to those that were recorded, (6,): position, then velocity."""
+    out, a, b = np.ones(6), steady.vel_std_ned, recorded.vel_std_ned
+    if a is not None and b is not None and a is not b:
+        out[3:] = np.maximum(np.nanmedian(a / b, axis=0), 1.0)
+    return out
 
 
 def _as_sure(one: GnssRecord, other: GnssRecord) -> bool:

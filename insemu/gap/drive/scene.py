@@ -277,7 +277,10 @@ class Scene:
             moved = trimmed_factors(scene.original, scene.loop.until(k), use, y[:k])
             if not np.max(np.abs(np.log(moved / scene.original.factors))) > 0.02:
                 break
-            scene = scene.rebuilt(factors=moved)
+            # what was raised before the search may come back: it is no level that a finding names
+            at = scene.original
+            ours = (at.levels <= 1.0) & (at.levels >= 1.0 / at.raised) & (at.raised > 1.0)
+            scene = scene.rebuilt(factors=moved, levels=np.where(ours, np.clip(moved, 1.0 / at.raised, 1.0), at.levels))
         return scene
 
     def explained(self, blocks: Sequence[Block]) -> Array | None:
