@@ -14,9 +14,12 @@ from numpy.typing import NDArray
 from insemu.effects import EffectUse
 from insemu.gap import GapReport, Nominal, find_gap
 from insemu.gap.candidates.fixes import _Scan, _when
+from insemu.gap.candidates.shapes import Change
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.fixes import FixNoise, Surrogate, joint_noise, level_beside
+from insemu.gap.hypothesis import Found, Hypothesis
+from insemu.gap.problems.drive import DriveProblem
 from insemu.gap.verdict import Finding
 from insemu.gap.worth import stated_in_outages
 from insemu.records import GnssRecord, Recording
@@ -206,3 +209,32 @@ def test_velocities_that_were_raised_for_the_shaking_come_back_without_a_finding
     else:
         assert scene.original.factors[3:] == pytest.approx(np.full(3, 1.0 / 1.22), rel=0.03)
         assert scene.original.levels == pytest.approx(np.ones(6))
+
+
+def searched(made: Recording, effect: str) -> DriveProblem:
+    """A search of a drive that has found one effect."""
+    gnss = Gnss(position_sigma=SIGMA, velocity_sigma=(0.05, 0.05, 0.05), lever_arm=LEVER)
+    problem = DriveProblem(Scene.of(Flown.of(made, Nominal(dict(BELIEF), gnss)).prepared), None, 3.0, ())
+    best = next(h for h in problem.rank() if h.effect == effect)
+    problem.apply(Found(best, (best,)))
+    return problem
+
+
+def test_a_colour_that_explains_nothing_any_more_is_taken_back() -> None:
+    """As after a step that was found since: what the colour was worth is the level's."""
+    problem = searched(recording(use(effect="gnss_noise_level", factor=2.5)), "gnss_noise_level")
+    (level,) = problem.found
+    colour = (np.array([0.01, 0.01, 0.02, 0.0, 0.0, 0.0]), 10.0)
+    idle = Hypothesis("gnss_correlated_noise", 40.0, (), Change(), "", "gnss", ("north", "east", "down"))
+    problem.found.append(Found(idle, (idle,)))
+    scene = problem._without_colour(problem.scene.coloured(FixNoise(np.ones(6), colour)), colour)
+    assert scene is not None and scene.noise is None
+    assert [f.chosen.effect for f in problem.found] == ["gnss_noise_level"]
+    assert problem.found[0].chosen.nats == pytest.approx(level.chosen.nats + 40.0)
+    assert scene.original.factors[:3] == pytest.approx(np.full(3, 2.5), rel=0.15)
+    # one that does explain the fixes stays
+    needed = searched(
+        recording(use(effect="gnss_correlated_noise", sigma=[0.2, 0.2, 0.3], tau=10.0)), "gnss_correlated_noise"
+    )
+    assert needed.scene.noise is not None
+    assert needed._without_colour(needed.scene, needed.scene.noise.colour) is None and len(needed.found) == 1

@@ -18,7 +18,6 @@ from insemu.gap.candidates.fixes import (
     covariance_hypotheses,
     multipath_step,
     placed,
-    without_outliers,
 )
 from insemu.gap.candidates.shapes import (
     ONCE,
@@ -38,7 +37,7 @@ from insemu.gap.data.log import Reduced, unheard
 from insemu.gap.data.samples import coarse, mend, with_counts
 from insemu.gap.drive.preparation import Flown, Prepared, fast_parts, prepare
 from insemu.gap.drive.scene import Scene, first_rows
-from insemu.gap.evidence.fixes import Colour, JointNoise, Surrogate, joint_noise
+from insemu.gap.evidence.fixes import joint_noise
 from insemu.gap.evidence.linear import Block, Field
 from insemu.gap.hypothesis import Found, best_first, probabilities
 from insemu.gap.policy import rules
@@ -64,17 +63,16 @@ from insemu.gap.problems.findings import (
 )
 from insemu.gap.problems.known import colour_of
 from insemu.gap.problems.named import Named, believing, blocks_of, held_out, told, with_confusable
+from insemu.gap.problems.noise_of_fixes import NoiseOfFixes
 from insemu.gap.search import Again, search
 from insemu.gap.verdict import Finding, GapReport, Interval, Where, judged
 from insemu.gap.worth import stated_in_outages, white_levels, worth_in_noise
 from insemu.records import AXES, Recording
 
 Array = NDArray[np.float64]
-#: Times that colour and what is explained are estimated in turns, and the change of the log correlation time at which that ends.
-MOST_LOOKS, AS_LONG = 5, 0.1
 
 
-class DriveProblem:
+class DriveProblem(NoiseOfFixes):
     """The innovations of one recording, whole or up to a time.
 
     Parameters
@@ -234,75 +232,6 @@ class DriveProblem:
             scene = scene.rebuilt(corrections=self._corrections())
         self._take(scene.trimmed(self.blocks(), self.cut))
 
-    def _apart_from_outliers(self, new: Found[Change]) -> tuple[Scene, Found[Change]]:
-        """The scene without the positions that are outliers, and these with share and size; a level that stood for them goes, or changes."""
-        h, seen, nu = new.chosen, self.scene, self.scene.unexplained(self.blocks())
-        if seen.noise is not None:
-            # a colour may have stood for them, with a level beside it: what there is of both is found again
-            h = replace(h, nats=h.nats + self._take_back("gnss_correlated_noise", "gnss_noise_level"))
-        stood = next((f for f in self.found if f.chosen.effect == "gnss_noise_level"), None)
-        scene, level = seen, None if stood is None else stood.chosen.values[0].value
-        if seen.noise is not None or stood is not None:
-            nominal = np.where(np.arange(6) < 3, 1.0, [scene.original.factors, scene.original.levels])
-            scene = scene.coloured(None).rebuilt(factors=nominal[0], levels=nominal[1])
-        told = without_outliers(scene, h, self.cut, seen, nu, level)
-        self.gone, sized = np.union1d(self.gone, told.times), told.outliers
-        if stood is not None and level is not None:
-            if abs(math.log(told.level)) < math.log1p(rules().tolerance):
-                self.found.remove(stood)
-                sized = replace(sized, nats=h.nats + stood.chosen.nats)
-            else:
-                at, own = scene.original, about(stood.chosen)
-                factors, levels = (np.where(own, told.level, x) for x in (at.factors, at.levels))
-                scene = scene.rebuilt(factors=factors, levels=levels)
-        return scene.rebuilt(gone=self.gone), replace(new, chosen=sized)
-
-    def _take_back(self, *effects: str) -> float:
-        """What findings of some effects were worth, nats; they are none any more."""
-        back = [f for f in self.found if f.chosen.effect in effects]
-        self.found = [f for f in self.found if f not in back]
-        return sum(f.chosen.nats for f in back)
-
-    def _fixes(self, scene: Scene) -> Surrogate:
-        """Innovations less what is explained."""
-        s = replace(scene.surrogate, nu=scene.unexplained(self.blocks()))
-        return s if self.cut is None else s.until(self.cut)
-
-    def _needs_a_level(self, colour: Colour) -> bool:
-        """Whether a level of the positions that was named still explains something beside a colour."""
-        level = next((f.chosen for f in self.found if f.chosen.effect == "gnss_noise_level"), None)
-        if level is None:
-            return True
-        s, factors = self._fixes(self.scene), self.scene.original.factors
-        beside = joint_noise(s, colour, factors, wide=np.flatnonzero(about(level)).tolist())
-        return beside.evidence > joint_noise(s, colour, factors).evidence + rules().keep_nats
-
-    def _under_colour(self, colour: Colour) -> tuple[Scene, JointNoise]:
-        """The scene with a colour of the fixes: flown by a filter that is not led astray by it, which tells outliers again where there are any."""
-        scene = self.scene
-
-        def likeliest() -> JointNoise:
-            return joint_noise(self._fixes(scene), colour, scene.original.factors / scene.original.levels)
-
-        joint = likeliest()
-        known = next((f for f in self.found if f.chosen.effect == "gnss_outliers"), None)
-        scene = scene.rebuilt(
-            factors=scene.original.factors * joint.noise.loudness(scene.surrogate.sigma()), whole=self.recorded
-        )
-        if known is not None:
-            nu = scene.unexplained(self.blocks())
-            told = without_outliers(scene, known.chosen, self.cut, scene, nu)
-            self.gone = told.times
-            self.found = [replace(f, chosen=told.outliers) if f is known else f for f in self.found]
-            scene = scene.rebuilt(gone=self.gone)
-        for _ in range(MOST_LOOKS):
-            # what the other findings explain is another under the colour
-            scene, colour = scene.coloured(joint.noise), joint.noise.colour
-            joint = likeliest()
-            if abs(math.log(joint.noise.colour[1] / colour[1])) < AS_LONG:
-                break
-        return scene.coloured(joint.noise), joint
-
     def _corrections(self) -> dict[int, float]:
         """Best values of the strong shapes, to be taken out of the data."""
         index, mean, _ = self.data.posterior(self.blocks())
@@ -345,8 +274,11 @@ class DriveProblem:
             before = self.scene.noise.colour
             scene, joint = self._under_colour(before)
             self.found = [replace(f, chosen=as_joint(f.chosen, scene, joint)) for f in self.found]
-            self._take(scene)
-            moved = abs(math.log(joint.noise.colour[1] / before[1])) > math.log1p(rules().tolerance)
+            plain = self._without_colour(scene, joint.noise.colour)
+            self._take(plain or scene)
+            moved = plain is not None or abs(math.log(joint.noise.colour[1] / before[1])) > math.log1p(
+                rules().tolerance
+            )
         self._settle_steps()
         return moved
 
