@@ -6,7 +6,7 @@ import math
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +15,13 @@ import yaml
 from numpy.typing import NDArray
 
 from benchmarks.foreign import sensors
+from insemu.filters import FixTable
 from insemu.gap import Finding, Nominal, find_gap, load_measured, load_nominal
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.drive.scene import Scene
-from insemu.records import GnssRecord, Recording
+from insemu.gap.evidence.fixes import PLAIN, FixNoise, Surrogate
+from insemu.records import Recording
 from insemu.trial.score import interval
-from insemu.trial.worth import whitened_difference
 
 Array = NDArray[np.float64]
 #: What is hidden in the recordings of each kind.
@@ -34,6 +35,13 @@ KINDS: dict[str, tuple[str, ...]] = {
 }
 #: Effects of one size are made so large that they are worth between these, nats.
 WORTH = (25.0, 250.0)
+#: Factor on the vibration of the world in which an effect's worth is measured: in the innovations of a shaken vehicle hardly two runs are alike
+#: that sample the vibration a millisecond apart, which tells nobody anything.
+CALM = 1e-4
+#: Factor on its usual size beyond which the motion does not show an effect.
+MOST_SCALE = 30.0
+#: Times that an effect is scaled to its worth, which is no square of its size everywhere, and how near is near enough.
+MOST_SCALED, NEAR = 4, 0.05
 #: A probability below this counts as this in the log score.
 FLOOR = 1e-3
 
@@ -56,16 +64,15 @@ class Job:
 
 
 def drawn(job: Job) -> tuple[sensors.World, list[sensors.Hidden], list[float]]:
-    """A world, what is hidden in it, and what each is worth alone: half the squared whitened difference of the innovations, nats."""
+    """A world, what is hidden in it, and what each is worth by itself, beside the noise of the fixes that is hidden too: see :class:`Ruler`."""
     world = sensors.draw_world(job.seed, job.seconds, job.vibration)
     rng = np.random.default_rng([job.seed, 6])
     hidden: list[sensors.Hidden] = []
     worth: list[float] = []
+    targets: list[float] = []
     if not KINDS[job.kind]:
         return world, hidden, worth
-    clean, nominal = taken(world, ())
-    assert clean.gnss is not None
-    flown = Flown.of(clean, nominal)
+    ruler = Ruler.of(job, world)
     for what in KINDS[job.kind]:
         for _ in range(20):
             kind = str(rng.choice(["shaped", "shaped", "drawn"])) if what == "fixes" else what
@@ -73,29 +80,92 @@ def drawn(job: Job) -> tuple[sensors.World, list[sensors.Hidden], list[float]]:
             target = float(np.exp(rng.uniform(*np.log(WORTH))))
             if any(o.effect == h.effect for o in hidden):
                 continue
-            half = _half(flown, clean.gnss, world, h) if what != "band" else math.nan
+            half = ruler.half(h) if what != "band" else math.nan
             if kind in ("shaped", "outside"):
-                factor = math.sqrt(target / max(half, 1e-9))
-                if factor > 30.0:
+                scaled, half = ruler.scaled(h, target)
+                if abs(scaled.values["value"] / h.values["value"]) > MOST_SCALE:
                     continue  # the motion does not show it
-                h, half = h.scaled(factor), target
+                h = scaled
             hidden.append(h)
             worth.append(half)
+            targets.append(target)
             break
+    ruler = ruler.under(hidden)
+    for k, target in enumerate(targets):
+        if hidden[k].size is not None and KINDS[job.kind][k] != "band":
+            worth[k] = ruler.half(hidden[k])
+            if worth[k] < WORTH[0]:
+                hidden[k], worth[k] = ruler.scaled(hidden[k], target)
     return world, hidden, worth
 
 
-def _half(flown: Flown, gnss: GnssRecord, world: sensors.World, h: sensors.Hidden) -> float:
-    """What an effect shifts the innovations of the nominal filter by, started alike: half of the squared whitened difference."""
-    seen, _ = taken(world, (h,))
-    own = flown.prepared
-    imu, n = seen.imu, len(own.imu)
-    imu = replace(imu, t=imu.t[-n:], gyro=imu.gyro[-n:], accel=imu.accel[-n:], temperature=None)
-    assert seen.gnss is not None
-    fixes = own.gnss
-    assert fixes.vel_ned is not None and gnss.vel_ned is not None and seen.gnss.vel_ned is not None
-    moved = replace(fixes, llh=seen.gnss.llh, vel_ned=fixes.vel_ned + seen.gnss.vel_ned - gnss.vel_ned)
-    return whitened_difference(own.result, own.again(imu=imu, gnss=moved).result)
+@dataclass(frozen=True)
+class Ruler:
+    """What an effect shifts the innovations of the nominal filter by, in nats.
+
+    Parameters
+    ----------
+    flown : Flown
+        The nominal filter on the ride with nothing hidden.
+    calm : sensors.World
+        The same ride with hardly any vibration.
+    still : Recording
+        That ride with nothing hidden.
+    noise : FixNoise
+        Noise of the fixes beyond what is believed.
+    """
+
+    flown: Flown
+    calm: sensors.World
+    still: Recording
+    noise: FixNoise = field(default_factory=lambda: FixNoise(np.ones(6), PLAIN))
+
+    @classmethod
+    def of(cls, job: Job, world: sensors.World) -> Ruler:
+        """The ruler of a recording."""
+        calm = sensors.draw_world(job.seed, job.seconds, job.vibration, calm=CALM)
+        return cls(Flown.of(*taken(world, ())), calm, taken(calm, ())[0])
+
+    def under(self, hidden: Sequence[sensors.Hidden]) -> Ruler:
+        """The ruler under the noise of the fixes that is hidden too: behind a colour of ten standard deviations nothing else could be seen."""
+        factor, colour = np.ones(6), PLAIN
+        for h in hidden:
+            if h.effect == "gnss_noise_level":
+                factor[:3] = h.values["factor"]
+            elif h.effect == "gnss_correlated_noise":
+                sigma = h.values["sigma"] * self.calm.unit.position
+                colour = (np.concatenate([sigma, np.zeros(3)]), h.values["tau"])
+        return replace(self, noise=FixNoise(factor, colour))
+
+    def half(self, h: sensors.Hidden) -> float:
+        """Half of the squared whitened difference of two runs of a calm ride, one with the effect, nats."""
+        without, seen = self._fixes(self.still), self._fixes(taken(self.calm, (h,))[0])
+        _, here, there = np.intersect1d(without.t, seen.t, return_indices=True)
+        moved = np.zeros((len(without), 6, 1))
+        moved[here, :, 0] = np.nan_to_num(seen.innovation[there] - without.innovation[here])
+        seen_by = Surrogate.of(self.flown.prepared.result)
+        white, _ = seen_by.whiten(moved, self.noise.factor, self.noise.colour)
+        return 0.5 * float(np.sum(white**2))
+
+    def scaled(self, h: sensors.Hidden, target: float) -> tuple[sensors.Hidden, float]:
+        """An effect at the size at which it is worth ``target``, and what it is worth; at most so large that it is drawn."""
+        total, half = 1.0, self.half(h)
+        for _ in range(MOST_SCALED):
+            factor = math.sqrt(target / max(half, 1e-9))
+            if abs(math.log(factor)) < 0.5 * NEAR or total > MOST_SCALE:
+                break
+            h, total = h.scaled(factor), total * factor
+            half = self.half(h)
+        return h, half
+
+    def _fixes(self, recording: Recording) -> FixTable:
+        """Fixes of the filter as it was flown, on another recording of the same ride, started alike."""
+        own, imu = self.flown.prepared, recording.imu
+        n = len(own.imu)
+        imu = replace(imu, t=imu.t[-n:], gyro=imu.gyro[-n:], accel=imu.accel[-n:], temperature=None)
+        assert recording.gnss is not None
+        gnss = replace(own.gnss, llh=recording.gnss.llh, vel_ned=recording.gnss.vel_ned)
+        return own.again(imu=imu, gnss=gnss).result.fixes
 
 
 def taken(world: sensors.World, hidden: Sequence[sensors.Hidden]) -> tuple[Recording, Nominal]:

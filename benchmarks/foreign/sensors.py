@@ -55,9 +55,15 @@ class Hidden:
     axis: str
     values: dict[str, float]
 
+    @property
+    def size(self) -> float | None:
+        """What it is proportional to; None where its size is no amplitude of what the fixes show."""
+        return self.values.get("value", self.values.get("K"))
+
     def scaled(self, factor: float) -> Hidden:
         """With its one size times a factor."""
-        return replace(self, values={**self.values, "value": factor * self.values["value"]})
+        name = "value" if "value" in self.values else "K"
+        return replace(self, values={**self.values, name: float(factor * self.values[name])})
 
     def plain(self) -> dict[str, Any]:
         """As plain data."""
@@ -131,7 +137,7 @@ def draw_unit(rng: np.random.Generator) -> Unit:
     )  # fmt: skip
 
 
-def draw_world(seed: int, seconds: float, vibration: bool, vehicle: str = "") -> World:
+def draw_world(seed: int, seconds: float, vibration: bool, vehicle: str = "", calm: float = 1.0) -> World:
     """Draw vehicle, way, vibration (0.02 to 0.3 g and 0.2 to 5 deg/s, root mean square) and sensors.
 
     Parameters
@@ -142,12 +148,14 @@ def draw_world(seed: int, seconds: float, vibration: bool, vehicle: str = "") ->
         Whether a machine and the road shake the vehicle besides its own way of moving.
     vehicle : str
         One of the vehicles; drawn where it is empty.
+    calm : float
+        Factor on the vibration that was drawn; everything else stays as it is.
     """
     rng = np.random.default_rng([seed, 1])
     vehicle = vehicle or str(rng.choice(VEHICLES))
     shake = (
-        float(np.exp(rng.uniform(np.log(0.02), np.log(0.3)))) * G,
-        float(np.exp(rng.uniform(np.log(0.2), np.log(5.0)))) * DEG,
+        float(np.exp(rng.uniform(np.log(0.02), np.log(0.3)))) * G * calm,
+        float(np.exp(rng.uniform(np.log(0.2), np.log(5.0)))) * DEG * calm,
     )
     made = ride(rng, vehicle, seconds, shake if vibration else None)
     unit = draw_unit(rng)
