@@ -133,3 +133,19 @@ def test_a_delayed_approximation_is_that_of_the_window_that_has_come_in(delay: i
 def test_a_delay_longer_than_the_filter_is_refused() -> None:
     with pytest.raises(InputError, match="expected 0 to 64"):
         delayed_approximation(np.zeros(100), 3, 65)
+
+
+def test_what_is_known_of_the_noise_keeps_slow_motion_behind_vibration() -> None:
+    rng = np.random.default_rng(4)
+    t = np.arange(8192) * 0.01
+    gust = 0.1 * np.sin(2.0 * np.pi * 0.5 * t)
+    shaken = gust + 2.0 * np.sin(2.0 * np.pi * 33.0 * t) + 1e-3 * rng.standard_normal(t.size)
+    judged, known = (outstanding(shaken[:, None], 9, noise=n)[:, 0] for n in (None, np.array([1e-3])))
+
+    def seen(x: np.ndarray) -> float:
+        return float(x @ gust / (gust @ gust))
+
+    assert abs(seen(judged)) < 0.05 and seen(known) == pytest.approx(1.0, abs=0.02)
+    # noise that is louder than known is judged by the first octave still
+    rest = 1e-3 * rng.standard_normal((t.size, 1))
+    assert np.ptp(outstanding(rest, 9, noise=np.array([1e-2]))) < 1e-6

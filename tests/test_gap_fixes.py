@@ -211,10 +211,10 @@ def test_velocities_that_were_raised_for_the_shaking_come_back_without_a_finding
         assert scene.original.levels == pytest.approx(np.ones(6))
 
 
-def searched(made: Recording, effect: str) -> DriveProblem:
+def searched(made: Recording, effect: str, cut: float | None = None) -> DriveProblem:
     """A search of a drive that has found one effect."""
     gnss = Gnss(position_sigma=SIGMA, velocity_sigma=(0.05, 0.05, 0.05), lever_arm=LEVER)
-    problem = DriveProblem(Scene.of(Flown.of(made, Nominal(dict(BELIEF), gnss)).prepared), None, 3.0, ())
+    problem = DriveProblem(Scene.of(Flown.of(made, Nominal(dict(BELIEF), gnss)).prepared), cut, 3.0, ())
     best = next(h for h in problem.rank() if h.effect == effect)
     problem.apply(Found(best, (best,)))
     return problem
@@ -238,3 +238,28 @@ def test_a_colour_that_explains_nothing_any_more_is_taken_back() -> None:
     )
     assert needed.scene.noise is not None
     assert needed._without_colour(needed.scene, needed.scene.noise.colour) is None and len(needed.found) == 1
+
+
+def test_a_process_that_bends_the_filter_is_taken_out_of_the_data() -> None:
+    """A random walk that turns a drive by degrees: what its linear response leaves was taken for other effects."""
+    problem = searched(recording(use(effect="random_walk", sensor="gyro", axes=["y"], K=1e-4)), "random_walk")
+    (first,) = problem.found
+    knots = problem.scene.slow(1)
+    assert set(knots) == set(problem.scene.corrections)
+    assert np.mean(problem.scene.full_y[:, :3] ** 2) == pytest.approx(1.0, abs=0.15)
+    again = problem.again(first)
+    assert again is not None and again.kept.nats > first.chosen.nats + 100.0
+    (size,) = again.kept.values
+    assert size.low < 1e-4 < size.high
+    assert problem.rank()[0].nats < 3.0
+
+
+def test_what_comes_after_the_cut_corrects_nothing_before_it() -> None:
+    made = recording(use(effect="random_walk", sensor="gyro", axes=["y"], K=3e-5))
+    fixes = made.gnss
+    assert isinstance(fixes, GnssRecord)
+    cut = float(fixes.t[len(fixes) // 2])
+    late = replace(fixes, llh=fixes.llh + 1e-6 * (fixes.t > cut)[:, None] * np.sin(fixes.t)[:, None])
+    ours, other = (searched(r, "random_walk", cut).scene.corrections for r in (made, replace(made, gnss=late)))
+    assert ours.keys() == other.keys() and ours
+    assert list(ours.values()) == pytest.approx(list(other.values()), rel=0.05, abs=1e-6)

@@ -23,8 +23,9 @@ Array = NDArray[np.float64]
 
 #: Longest time over which noise is taken out of what an error of the sensor is held to be proportional to, s.
 QUIET_S = 40.0
-#: Mean rates over so many seconds on each side of a fix give the angular acceleration there: those of one step are mostly noise.
-TURNING_S = 0.03
+#: Acceleration and angular acceleration at a fix are those of so many seconds on each side of it. Of one step they are mostly vibration and
+#: noise, which an offset of some milliseconds does not follow: it is then estimated as half of what it is, and found a tenth as surely.
+AROUND_S = 0.03
 #: A temperature that varies less than this shows nothing, K.
 STEADY_K = 1e-3
 
@@ -121,7 +122,7 @@ class Motion:
     summed: bool = True
 
     @classmethod
-    def of(cls, imu: ImuRecord, nav: Array, node: NDArray[np.int64]) -> Motion:
+    def of(cls, imu: ImuRecord, nav: Array, node: NDArray[np.int64], noise: Array | None = None) -> Motion:
         """From a filter's run.
 
         Parameters
@@ -131,6 +132,9 @@ class Motion:
             Latitude, longitude (rad), height (m), velocity (m/s), quaternion at every row.
         node : (k,) array of int
             Rows of the filter's nodes.
+        noise : (6,) array, optional
+            Standard deviations of the noise of mean rates (rad/s) and specific forces (m/s^2) over an interval, where they are known: a
+            vehicle that shakes hides them, and its own motion behind the shaking is no noise.
         """
         t = imu.t
         step = np.diff(t, prepend=2 * t[0] - t[1])
@@ -140,7 +144,8 @@ class Motion:
         # attitude in the middle of the interval: back by half of the turn
         middle = C @ rotation.dcm_from_quaternion(rotation.quaternion_from_vector(-0.5 * increments.gyro))
         f_n = np.einsum("nij,nj->ni", middle, force)
-        rate, force = _quiet(rate, imu.dt), _quiet(force, imu.dt)
+        known = (None, None) if noise is None else (noise[:3], noise[3:])
+        rate, force = _quiet(rate, imu.dt, known[0]), _quiet(force, imu.dt, known[1])
         summed = imu.kind == "increment"
         return cls(t, middle, rate, force, f_n, nav[:, 3:6], nav[:, :3], imu.temperature, node, summed)
 
@@ -165,14 +170,14 @@ class Motion:
         return np.array([0.0, 0.0, 1.0]) * earth.gravity(self.llh[:, 0], self.llh[:, 2])[:, None]
 
 
-def _quiet(signal: Array, dt: float) -> Array:
+def _quiet(signal: Array, dt: float, noise: Array | None = None) -> Array:
     """Measured motion less what is noise.
 
     The noise of an axis that hardly moves is its own error: a column that goes with it would explain the innovations that this noise makes, as
     a scale factor of tens of per cent.
     """
     levels = max(1, math.floor(math.log2(min(QUIET_S / dt, signal.shape[0] / 16))))
-    return outstanding(signal, levels)
+    return outstanding(signal, levels, noise=noise)
 
 
 def first_axis(sensor: str) -> int:
@@ -228,12 +233,13 @@ class FixGeometry:
         """
         k = np.clip(np.searchsorted(motion.t, t), 1, motion.t.size - 2)
         a = motion.acceleration
-        accel = 0.5 * (a[k] + a[k + 1])
-        v = motion.vel[k] - accel * (motion.t[k] - t)[:, None]
+        v = motion.vel[k] - 0.5 * (a[k] + a[k + 1]) * (motion.t[k] - t)[:, None]
         w_ie = earth.earth_rate(motion.llh[k, 0])
         omega = 0.5 * (motion.rate[k] + motion.rate[k + 1]) - np.einsum("nji,nj->ni", motion.C[k], w_ie)
         body = rotation.dcm_from_rpy(np.asarray(mounting, dtype=float))
-        return cls(t, np.asarray(lever_arm, dtype=float), body, v, accel, omega, _turning(motion, k), motion.C[k])
+        accel, _ = _around(a, k, motion.t)
+        _, turning = _around(motion.rate, k, motion.t)
+        return cls(t, np.asarray(lever_arm, dtype=float), body, v, accel, omega, turning, motion.C[k])
 
     @property
     def moved(self) -> Array:
@@ -246,10 +252,11 @@ class FixGeometry:
         return np.hstack([self.velocity + swing, self.acceleration + swing_rate])
 
 
-def _turning(motion: Motion, k: NDArray[np.int64]) -> Array:
-    """Angular acceleration (f, 3) at rows of a motion, rad/s^2, from mean rates on each side."""
-    dt, n = float(motion.t[1] - motion.t[0]), motion.t.size
-    m = min(max(1, round(TURNING_S / dt)), (n - 1) // 2)
-    sums = np.cumsum(motion.rate, axis=0)
+def _around(signal: Array, k: NDArray[np.int64], t: Array) -> tuple[Array, Array]:
+    """Mean and slope (f, 3) of a signal (n, 3), the mean over each step to a time of ``t``, around rows of it."""
+    dt, n = float(t[1] - t[0]), t.size
+    m = min(max(1, round(AROUND_S / dt)), (n - 1) // 2)
+    sums = np.cumsum(signal, axis=0)
     k = np.clip(k, m, n - 1 - m)
-    return np.asarray((sums[k + m] - 2.0 * sums[k] + sums[k - m]) / (m * m * dt))
+    before, after = sums[k] - sums[k - m], sums[k + m] - sums[k]
+    return (before + after) / (2 * m), (after - before) / (m * m * dt)

@@ -46,8 +46,8 @@ class Problem(Protocol[C]):
     def choose(self, ranked: Sequence[Hypothesis[C]]) -> Found[C] | None:
         """What to add, or ``None`` where the search ends."""
 
-    def apply(self, new: Found[C]) -> None:
-        """Change the model as a hypothesis says, and keep it among what was found."""
+    def apply(self, new: Found[C]) -> bool:
+        """Change the model as a hypothesis says, and keep it among what was found; whether even it is to be weighed again at once."""
 
     def again(self, old: Found[C]) -> Again[C] | None:
         """An earlier finding beside all the others; ``None`` where it is not asked for again."""
@@ -80,8 +80,7 @@ def search(problem: Problem[C], say: Callable[[str], None]) -> None:
         if new is None:
             break
         say(f"{new.chosen.effect} {new.chosen.nats:.1f} nats")
-        problem.apply(new)
-        if len(problem.found) > 1:
+        if problem.apply(new) or len(problem.found) > 1:
             reconsider(problem)
 
 

@@ -88,12 +88,10 @@ def worth_of_settled(prepared: Prepared, finding: Finding) -> float:
 
     NaN for one without columns.
     """
-    nodes = prepared.result.nodes
     effect = EFFECTS[finding.effect]
-    if nodes is None or not effect.does("columns"):
+    if prepared.result.nodes is None or not effect.does("columns"):
         return math.nan
-    loop = Loop.of(prepared.result)
-    motion = Motion.of(prepared.imu, prepared.result.nav, nodes.epoch)
+    loop, motion = Loop.of(prepared.result), prepared.motion
     at = FixGeometry.of(motion, prepared.result.fixes.t, prepared.lever_arm, prepared.nominal.mounting)
     values = {v.name: v.value for v in finding.parameters}
     columns = [c for c in effect.columns(motion, at) if c.label in values]

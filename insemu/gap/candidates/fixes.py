@@ -421,7 +421,7 @@ def covariance_hypotheses(
     cut : float or None
         Fixes after this time (s) are not looked at; ``None``: all are.
     """
-    nu = scene.unexplained(given)
+    nu = scene.unexplained(given, cut)
     surrogate = replace(scene.surrogate, nu=nu)
     if cut is not None:
         surrogate = surrogate.until(cut)

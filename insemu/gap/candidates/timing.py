@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from insemu.effects import EFFECTS, FixGeometry, Motion
+from insemu.effects import EFFECTS, FixGeometry
 from insemu.filters import FixTable
 from insemu.gap.drive.preparation import Flown, Prepared
 from insemu.gap.drive.signatures import Loop, columns_response
@@ -155,8 +155,7 @@ def _tried(prepared: Prepared, with_lag: bool) -> _Tried:
     plain = -0.5 * (dof * math.log(total / dof) + volume)
     if not with_lag or not loop.use[:, 3:].any():
         return _Tried(plain, -math.inf, total / dof, total / dof)
-    assert prepared.result.nodes is not None
-    motion = Motion.of(prepared.imu, prepared.result.nav, prepared.result.nodes.epoch)
+    motion = prepared.motion
     at = FixGeometry.of(motion, fixes.t, prepared.lever_arm, prepared.nominal.mounting)
     g = loop.whiten(columns_response(loop, motion, EFFECTS[LAG].columns(motion, at))[0])[:, 0]
     size = float(g @ g)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu.effects import Motion
 from insemu.errors import InputError
 from insemu.filters import (
     FilterOptions,
@@ -118,6 +119,14 @@ class Prepared:
         return replace(self, start=(initial, sigma), rectified=None, raised=np.ones(6)).again(
             imu=imu, gnss=with_sigma(gnss, self.nominal)
         )
+
+    @property
+    def motion(self) -> Motion:
+        """The motion that the filter estimated, less the noise that is believed."""
+        imu, nodes = self.imu, self.result.nodes
+        assert nodes is not None
+        noise = np.sqrt([float(self.beliefs[name].allan_variance([1], imu.dt)[0]) for name in AXES])
+        return Motion.of(imu, self.result.nav, nodes.epoch, noise)
 
     def without_positions(self, t: Array) -> Prepared:
         """The same filter without the positions of some fixes."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -17,6 +17,7 @@ from insemu.gap.drive.preparation import Prepared, trimmed_factors
 from insemu.gap.drive.signatures import Loop, columns_response, fix_step_response, knot_response
 from insemu.gap.evidence.fixes import FixNoise, Surrogate
 from insemu.gap.evidence.linear import Block, Field, knot_times
+from insemu.gap.policy import rules
 from insemu.noise import NoiseModel
 from insemu.records import GnssRecord, ImuRecord
 
@@ -27,6 +28,8 @@ Window = tuple[int, float, float]
 
 #: Knots of slow processes: at least so far apart, s, and about so many in a long recording; between them a process is a straight line.
 KNOT_S, KNOTS = 10.0, 60
+#: Times that the filter runs again on corrected data before its errors are believed small: 2 to 3 do.
+MOST_LOOKS = 5
 #: Starts of steps in the fixes that are tried first.
 STARTS = 120
 
@@ -82,8 +85,7 @@ class Scene:
         windows: tuple[Window, ...] = (),
     ) -> Scene:
         """Collect every column; responses through the filter in the loop are worked out when they are asked for."""
-        assert prepared.result.nodes is not None
-        motion = Motion.of(prepared.imu, prepared.result.nav, prepared.result.nodes.epoch)
+        motion = prepared.motion
         loop = Loop.of(prepared.result)
         t_fix = prepared.result.fixes.t
         fixes = FixGeometry.of(motion, t_fix, prepared.lever_arm, prepared.nominal.mounting)
@@ -94,7 +96,7 @@ class Scene:
         columns += clipped_columns(motion, prepared.clipped)
         columns += rectified_columns(prepared.rectified)
         start, end = float(motion.t[0]), float(motion.t[-1])
-        knots = knot_times(start, end, max(KNOT_S, (end - start) / KNOTS))
+        knots = slow_knots(start, end)
         step = float(np.median(np.diff(t_fix))) if t_fix.size > 1 else end - start
         starts = np.arange(start, end, max(step, (end - start) / STARTS)) + 1e-3
         return cls(
@@ -269,7 +271,7 @@ class Scene:
             if scene.noise is not None:
                 break
             y = scene.full_y
-            explained = scene.explained(blocks)
+            explained = scene.explained(blocks, cut)
             if explained is not None:
                 y = y - explained
             use = scene.surrogate if cut is None else scene.surrogate.until(cut)
@@ -283,36 +285,54 @@ class Scene:
             scene = scene.rebuilt(factors=moved, levels=np.where(ours, np.clip(moved, 1.0 / at.raised, 1.0), at.levels))
         return scene
 
-    def explained(self, blocks: Sequence[Block]) -> Array | None:
-        """What blocks explain of the whitened innovations as they are after corrections, (f, 6)."""
+    def linear_about(self, blocks: Sequence[Block], strong: Collection[int], cut: float | None = None) -> Scene:
+        """The filter run again on data without ``strong`` columns at their best values, until what is left of these is small enough to be linear."""
+        scene = self
+        for _ in range(MOST_LOOKS if strong else 0):
+            index, away = scene._explaining(blocks, cut)
+            own = np.isin(index, list(strong))
+            left = scene._columns(index[own]) @ away[own]
+            if not 0.5 * float(left @ left) > rules().correct_nats:
+                break
+            values = dict(scene.corrections)
+            for i, v in zip(index[own], away[own], strict=True):
+                values[int(i)] = values.get(int(i), 0.0) + float(v)
+            scene = scene.rebuilt(corrections=values)
+        return scene
+
+    def explained(self, blocks: Sequence[Block], cut: float | None = None) -> Array | None:
+        """What blocks explain of the whitened innovations as they are after corrections, (f, 6); judged by those up to a time."""
         if not blocks and not self.corrections:
             return None
-        index, coefficients = self._explaining(blocks)
-        G = self.data.G[:, index] if "data" in self.__dict__ else self.whitened(self._responses(index))
+        index, coefficients = self._explaining(blocks, cut)
         full = np.zeros(self.loop.use.size)
-        full[self.loop.use.ravel()] = G @ coefficients
+        full[self.loop.use.ravel()] = self._columns(index) @ coefficients
         return full.reshape(-1, 6)
 
-    def unexplained(self, blocks: Sequence[Block]) -> Array:
-        """Innovations (f, 6) in m and m/s less what blocks explain of them; zero where missing."""
+    def _columns(self, index: NDArray[np.int64]) -> Array:
+        """Some columns of the field, (r, k)."""
+        return self.data.G[:, index] if "data" in self.__dict__ else self.whitened(self._responses(index))
+
+    def unexplained(self, blocks: Sequence[Block], cut: float | None = None) -> Array:
+        """Innovations (f, 6) in m and m/s less what blocks explain of them, judged by those up to a time; zero where missing."""
         use = self.surrogate.use == 1
         nu = np.where(use, self.surrogate.nu, 0.0)
         if not blocks and not self.corrections:
             return nu
-        index, coefficients = self._explaining(blocks)
+        index, coefficients = self._explaining(blocks, cut)
         return np.where(use, nu - self._responses(index) @ coefficients, 0.0)
 
-    def _explaining(self, blocks: Sequence[Block]) -> tuple[NDArray[np.int64], Array]:
+    def _explaining(self, blocks: Sequence[Block], cut: float | None) -> tuple[NDArray[np.int64], Array]:
         """Columns that explain innovations after corrections, and their coefficients: those of the blocks less what was corrected."""
         corrected = np.array(list(self.corrections), dtype=np.int64)
         index = np.unique(np.concatenate([corrected, *(i for i, _ in blocks)]))
         coefficients = np.zeros(index.size)
         if blocks and "data" in self.__dict__:
-            at, mean, _ = self.data.posterior(blocks)
+            at, mean, _ = first_rows(self.data, self.rows_t, cut).posterior(blocks)
             np.add.at(coefficients, np.searchsorted(index, at), mean)
         elif blocks:  # of a scene that may be rebuilt at once only what is asked for
             G = self.whitened(self._responses(index))
-            data = self._field(G, G[:, np.searchsorted(index, corrected)])
+            data = first_rows(self._field(G, G[:, np.searchsorted(index, corrected)]), self.rows_t, cut)
             at, mean, _ = data.posterior([(np.searchsorted(index, i), root) for i, root in blocks])
             np.add.at(coefficients, at, mean)
         coefficients[np.searchsorted(index, corrected)] -= np.array(list(self.corrections.values()))
@@ -328,6 +348,11 @@ def window_response(loop: Loop, windows: Sequence[Window]) -> Array:
     return loop.respond(len(windows), None, M) if windows else M
 
 
+def slow_knots(start: float, end: float) -> Array:
+    """Times of the knots of slow errors in a recording from ``start`` to ``end``, s."""
+    return knot_times(start, end, max(KNOT_S, (end - start) / KNOTS))
+
+
 def corrected_data(
     prepared: Prepared, columns: Sequence[Column], values: Mapping[int, float], t_fix: Array
 ) -> tuple[ImuRecord, GnssRecord]:
@@ -340,7 +365,7 @@ def corrected_data(
     columns : sequence of Column
         Unit errors of the sensors and of the fixes.
     values : mapping of int to float
-        Coefficient of each column that is taken out.
+        Coefficient of each column that is taken out; behind the columns stand the knots of slow errors, axis by axis.
     t_fix : (f,) array
         Times of the fixes that the columns are about, s.
     """
@@ -351,12 +376,19 @@ def corrected_data(
     signals = np.hstack([imu.gyro, imu.accel])
     shift = np.zeros((len(gnss), 6))
     at = np.searchsorted(gnss.t, t_fix)
+    knots = slow_knots(float(imu.t[0]), float(imu.t[-1]))
+    slow = np.zeros((6, knots.size))
     for j, value in values.items():
+        if j >= len(columns):
+            slow.ravel()[j - len(columns)] = value
+            continue
         for axis, u in columns[j].inputs:
             signals[:, axis] -= value * u * width
         moved = columns[j].fixes
         if moved is not None:
             shift[at] -= value * moved
+    for k in np.flatnonzero(slow.any(axis=1)):
+        signals[:, k] -= np.interp(imu.t, knots, slow[k]) * width
     llh = gnss.llh.copy()
     there = np.isfinite(llh).all(axis=1)
     llh[there] = earth.move(llh[there], shift[there, :3])

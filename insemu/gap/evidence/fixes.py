@@ -339,7 +339,7 @@ def _colours(s: Surrogate) -> list[_Weighed]:
         return []
     span = float(s.t[-1] - s.t[0])
     step = float(np.median(np.diff(s.t)))
-    free = (Free("ratio", *rules().colour_sizes), *_times(s))
+    free = (Free("ratio", *rules().colour_sizes), _times(s))
     grid = [np.log([r, t]) for r in (0.3, 0.8, 2.5, 8.0) for t in np.geomspace(4.0 * step, 0.25 * span, 4)]
     out = []
     for axes in GROUPS[:3]:
@@ -391,7 +391,7 @@ def joint_noise(
     known : bool
         Whether the colour is known and stays as it is.
     wide : sequence of int
-        Components with a common level of any size; one within its tolerance where there are none.
+        Components with a common level, which may have any size; without them each level stays within its tolerance.
     """
     groups = [list(g) for g in LEVEL_GROUPS if s.use[:, list(g)].any() and not set(g) & set(wide)]
     groups += [list(wide)] if wide else []
@@ -402,7 +402,7 @@ def joint_noise(
     if wide:
         low, high = (bound * math.exp(usual[-1]) for bound in (rules().lowest_level, rules().highest_level))
         levels[-1] = Free("factor", low, high)
-    free = (*(Free("ratio", 0.03, 30.0) for _ in parts), *(_times(s, colour[1]) if not known else ()), *levels)
+    free = (*(Free("ratio", 0.03, 30.0) for _ in parts), *(() if known else (_times(s, colour[1]),)), *levels)
 
     def unpack(x: Array) -> FixNoise:
         sigma, tau, factor = colour[0].copy(), colour[1], np.ones(6)
@@ -427,9 +427,9 @@ def joint_noise(
     return JointNoise(unpack(mode.x), sd, mode.evidence)
 
 
-def _times(s: Surrogate, tau: float = 1.0) -> tuple[Free]:
+def _times(s: Surrogate, tau: float = 1.0) -> Free:
     """Correlation times that fixes show, over ``tau``: from two intervals to half of their span."""
-    return (Free("tau", 2.0 * float(np.median(np.diff(s.t))) / tau, 0.5 * float(s.t[-1] - s.t[0]) / tau),)
+    return Free("tau", 2.0 * float(np.median(np.diff(s.t))) / tau, 0.5 * float(s.t[-1] - s.t[0]) / tau)
 
 
 def level_beside(s: Surrogate, noise: FixNoise, factors: Array) -> list[NoiseFit]:

@@ -203,9 +203,9 @@ class DriveProblem(NoiseOfFixes):
             given = [*given, top.change.block]
         return first, total, count
 
-    def apply(self, new: Found[Change]) -> None:
+    def apply(self, new: Found[Change]) -> bool:
         """The scene as it is with the effect: a column more, positions left out, other noise of the fixes, or the data corrected."""
-        h, scene, self._changed = new.chosen, self.scene, False
+        h, scene = new.chosen, self.scene
         if (window := h.change.window) is not None:
             scene = scene.with_windows((*scene.windows, window))
             new = replace(new, chosen=placed(h, scene.width - 1))
@@ -228,21 +228,21 @@ class DriveProblem(NoiseOfFixes):
             factors = scene.original.factors * level.factor
             scene = scene.rebuilt(factors=factors, levels=np.where(about(h), factors, scene.original.levels))
         self.found.append(new)
-        if h.nats > rules().correct_nats and h.change.columns:
-            scene = scene.rebuilt(corrections=self._corrections())
-        self._take(scene.trimmed(self.blocks(), self.cut))
+        corrected = scene.linear_about(self.blocks(), self._strong(), self.cut)
+        self._changed = corrected is not scene
+        self._take(corrected.trimmed(self.blocks(), self.cut))
+        return self._changed
 
-    def _corrections(self) -> dict[int, float]:
-        """Best values of the strong shapes, to be taken out of the data."""
-        index, mean, _ = self.data.posterior(self.blocks())
-        strong = {
-            c
-            for f in self.found
-            if f.chosen.nats > rules().correct_nats
-            for c in f.chosen.change.columns
-            if not self.scene.columns[c].runs
+    def _strong(self) -> set[int]:
+        """Columns and knots of the strong findings, which are taken out of the data."""
+        columns = self.scene.columns
+        return {
+            int(c)
+            for h in (f.chosen for f in self.found)
+            if h.nats > rules().correct_nats and h.change.block is not None and h.change.window is None
+            for c in h.change.block[0]
+            if c >= len(columns) or not columns[c].runs
         }
-        return {int(i): float(m) for i, m in zip(index, mean, strict=True) if int(i) in strong}
 
     def again(self, old: Found[Change]) -> Again[Change] | None:
         """An effect of the IMU or of timing beside all the others."""
@@ -267,7 +267,7 @@ class DriveProblem(NoiseOfFixes):
 
     def settle(self) -> bool:
         """Noise and steps of the fixes as they are beside everything that was found since; whether a colour moved enough to look again."""
-        colour, moved = next((f.chosen for f in self.found if f.chosen.effect == "gnss_correlated_noise"), None), False
+        colour, moved = self._named("gnss_correlated_noise"), False
         if colour is None:
             self.found = [replace(f, chosen=at_level(f.chosen, self.scene.original.factors)) for f in self.found]
         elif self.scene.noise is not None and colour is not self.found[-1].chosen:
@@ -301,7 +301,7 @@ class DriveProblem(NoiseOfFixes):
                 self._take(self.scene.with_windows(tuple(windows)))
 
     def noise_came_early(self) -> bool:
-        """Whether noise of the fixes was named before something strong that it could have stood for."""
+        """Whether noise of the fixes was named before something strong that it could have stood for, a step in the fixes included."""
         chosen = [f.chosen for f in self.found]
         noise = next((k for k, h in enumerate(chosen) if h.change.block is None), len(chosen))
         return any(h.nats > rules().correct_nats and h.change.block is not None for h in chosen[noise + 1 :])

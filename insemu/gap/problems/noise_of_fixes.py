@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.gap.candidates.fixes import about, without_outliers
-from insemu.gap.candidates.shapes import Change
+from insemu.gap.candidates.shapes import Change, DriveHypothesis
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.fixes import PLAIN, Colour, JointNoise, Surrogate, joint_noise
 from insemu.gap.evidence.linear import Block
@@ -23,7 +24,7 @@ Array = NDArray[np.float64]
 MOST_LOOKS, AS_LONG = 5, 0.1
 
 
-class NoiseOfFixes:
+class NoiseOfFixes(ABC):
     """What a drive's problem does to the noise of its fixes.
 
     Attributes
@@ -42,18 +43,22 @@ class NoiseOfFixes:
     gone: Array
     recorded: GnssRecord
 
+    @abstractmethod
     def blocks(self, without: Found[Change] | None = None) -> Sequence[Block]:
         """How the findings enter the linear model of the innovations, all or all but one, and what is uncertain in any case."""
-        raise NotImplementedError
+
+    def _named(self, effect: str) -> DriveHypothesis | None:
+        """What was found of an effect that is there once."""
+        return next((f.chosen for f in self.found if f.chosen.effect == effect), None)
 
     def _apart_from_outliers(self, new: Found[Change]) -> tuple[Scene, Found[Change]]:
         """The scene without the positions that are outliers, and these with share and size; a level that stood for them goes, or changes."""
-        h, seen, nu = new.chosen, self.scene, self.scene.unexplained(self.blocks())
+        h, seen, nu = new.chosen, self.scene, self.scene.unexplained(self.blocks(), self.cut)
         if seen.noise is not None:
             # a colour may have stood for them, with a level beside it: what there is of both is found again
             h = replace(h, nats=h.nats + self._take_back("gnss_correlated_noise", "gnss_noise_level"))
-        stood = next((f for f in self.found if f.chosen.effect == "gnss_noise_level"), None)
-        scene, level = seen, None if stood is None else stood.chosen.values[0].value
+        stood = self._named("gnss_noise_level")
+        scene, level = seen, None if stood is None else stood.values[0].value
         if seen.noise is not None or stood is not None:
             nominal = np.where(np.arange(6) < 3, 1.0, [scene.original.factors, scene.original.levels])
             scene = scene.coloured(None).rebuilt(factors=nominal[0], levels=nominal[1])
@@ -61,10 +66,9 @@ class NoiseOfFixes:
         self.gone, sized = np.union1d(self.gone, told.times), told.outliers
         if stood is not None and level is not None:
             if abs(math.log(told.level)) < math.log1p(rules().tolerance):
-                self.found.remove(stood)
-                sized = replace(sized, nats=h.nats + stood.chosen.nats)
+                sized = replace(sized, nats=h.nats + self._take_back("gnss_noise_level"))
             else:
-                at, own = scene.original, about(stood.chosen)
+                at, own = scene.original, about(stood)
                 factors, levels = (np.where(own, told.level, x) for x in (at.factors, at.levels))
                 scene = scene.rebuilt(factors=factors, levels=levels)
         return scene.rebuilt(gone=self.gone), replace(new, chosen=sized)
@@ -77,17 +81,18 @@ class NoiseOfFixes:
 
     def _fixes(self, scene: Scene) -> Surrogate:
         """Innovations less what is explained."""
-        s = replace(scene.surrogate, nu=scene.unexplained(self.blocks()))
+        s = replace(scene.surrogate, nu=scene.unexplained(self.blocks(), self.cut))
         return s if self.cut is None else s.until(self.cut)
 
     def _needs_a_level(self, colour: Colour) -> bool:
         """Whether a level of the positions that was named still explains something beside a colour."""
-        level = next((f.chosen for f in self.found if f.chosen.effect == "gnss_noise_level"), None)
+        level = self._named("gnss_noise_level")
         if level is None:
             return True
-        s, factors = self._fixes(self.scene), self.scene.original.factors
-        beside = joint_noise(s, colour, factors, wide=np.flatnonzero(about(level)).tolist())
-        return beside.evidence > joint_noise(s, colour, factors).evidence + rules().keep_nats
+        s, wide = self._fixes(self.scene), np.flatnonzero(about(level)).tolist()
+        usual = _apart_from_named(self.scene, level)
+        beside = joint_noise(s, colour, usual, wide=wide)
+        return beside.evidence > joint_noise(s, colour, usual).evidence + rules().keep_nats
 
     def _under_colour(self, colour: Colour) -> tuple[Scene, JointNoise]:
         """The scene with a colour of the fixes: flown by a filter that is not led astray by it, which tells outliers again where there are any."""
@@ -97,15 +102,15 @@ class NoiseOfFixes:
             return joint_noise(self._fixes(scene), colour, scene.original.factors / scene.original.levels)
 
         joint = likeliest()
-        known = next((f for f in self.found if f.chosen.effect == "gnss_outliers"), None)
+        known = self._named("gnss_outliers")
         scene = scene.rebuilt(
             factors=scene.original.factors * joint.noise.loudness(scene.surrogate.sigma()), whole=self.recorded
         )
         if known is not None:
-            nu = scene.unexplained(self.blocks())
-            told = without_outliers(scene, known.chosen, self.cut, scene, nu)
+            nu = scene.unexplained(self.blocks(), self.cut)
+            told = without_outliers(scene, known, self.cut, scene, nu)
             self.gone = told.times
-            self.found = [replace(f, chosen=told.outliers) if f is known else f for f in self.found]
+            self.found = [replace(f, chosen=told.outliers) if f.chosen is known else f for f in self.found]
             scene = scene.rebuilt(gone=self.gone)
         for _ in range(MOST_LOOKS):
             # what the other findings explain is another under the colour
@@ -117,17 +122,21 @@ class NoiseOfFixes:
 
     def _without_colour(self, scene: Scene, colour: Colour) -> Scene | None:
         """The scene without a colour that explains nothing any more beside the levels and the rest, which is no finding then; else None."""
-        level = next((f for f in self.found if f.chosen.effect == "gnss_noise_level"), None)
-        own = about(level.chosen) if level is not None else np.zeros(6, dtype=bool)
-        s, factors, wide = self._fixes(scene), scene.original.factors, np.flatnonzero(own).tolist()
-        # named levels count at any size, as they do where they are weighed beside the colour
-        usual = factors / np.where(own, 1.0, scene.original.levels)
+        level = self._named("gnss_noise_level")
+        own = about(level) if level is not None else np.zeros(6, dtype=bool)
+        s, usual, wide = self._fixes(scene), _apart_from_named(scene, level), np.flatnonzero(own).tolist()
         plain = joint_noise(s, PLAIN, usual, known=True, wide=wide)
         if joint_noise(s, colour, usual, wide=wide).evidence > plain.evidence + rules().keep_nats:
             return None
         worth = self._take_back("gnss_correlated_noise")
         if level is not None:
-            new = replace(level, chosen=replace(level.chosen, nats=level.chosen.nats + worth))
-            self.found = [new if f is level else f for f in self.found]
-        factors = factors * plain.noise.factor
+            new = replace(level, nats=level.nats + worth)
+            self.found = [replace(f, chosen=new) if f.chosen is level else f for f in self.found]
+        factors = scene.original.factors * plain.noise.factor
         return scene.coloured(None).rebuilt(factors=factors, levels=np.where(own, factors, scene.original.levels))
+
+
+def _apart_from_named(scene: Scene, level: DriveHypothesis | None) -> Array:
+    """By what the filter's levels (6,) were moved, as ratios to the nominal one of a level that is in question and to the other named ones."""
+    at = scene.original
+    return at.factors / np.where(about(level) if level is not None else False, 1.0, at.levels)

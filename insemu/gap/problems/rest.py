@@ -107,7 +107,7 @@ class AxisProblem:
             return None
         return self._of_known_shape(ranked) or Found(best, tuple(ranked))
 
-    def apply(self, new: Found[AxisState]) -> None:
+    def apply(self, new: Found[AxisState]) -> bool:
         """The axis as it is with the effect; where its spectrum then changes with time, a fast band that counts less."""
         self.found.append(new)
         self.state = new.chosen.change
@@ -120,6 +120,7 @@ class AxisProblem:
             self.state = reweighted(self.state)
         elif self.state.data.weight is not None:
             self.state = reweighted(self.state)  # what was missing there is explained now
+        return False
 
     def _of_known_shape(self, ranked: Sequence[AxisHypothesis]) -> Found[AxisState] | None:
         """An effect of known shape (temperature, ramp) that is worth adding although a slow process alone would explain more.
