@@ -15,7 +15,7 @@ from insemu.effects import EFFECTS, EffectUse
 from insemu.effects.base import Effect
 from insemu.effects.chain import FixErrors
 from insemu.effects.hiding import DriveLot, RestLot
-from insemu.effects.motion import FixGeometry, Motion, _quiet
+from insemu.effects.motion import FixGeometry, Motion, _quiet, steady
 from insemu.errors import InputError
 from insemu.records import GnssRecord, ImuRecord, Trajectory
 from tests.pins import differences, kept, plain
@@ -201,7 +201,23 @@ def test_motion_is_taken_from_octaves_of_a_sixteenth_of_the_record_and_of_forty_
         (40, 0.01, 1),
         (20, 0.01, 1),
     ):
-        np.testing.assert_array_equal(_quiet(x[:rows], dt), outstanding(x[:rows], levels))
+        np.testing.assert_array_equal(_quiet(x[:rows], dt), steady(outstanding(x[:rows], levels), dt))
+
+
+def test_motion_is_slower_than_eight_hertz_and_not_late() -> None:
+    t = np.arange(6000) * 0.01
+    at = slice(500, -500)
+
+    def kept(hertz: float) -> float:
+        wave = np.sin(2.0 * np.pi * hertz * t)[:, None]
+        return float(np.sum(steady(wave, 0.01)[at] * wave[at]) / np.sum(wave[at] ** 2))
+
+    assert [kept(f) for f in (0.5, 4.0)] == pytest.approx([1.0, 1.0], abs=0.01)
+    assert kept(8.0) < 0.1 and abs(kept(12.0)) < 1e-3
+    # nothing is faster where samples are that far apart
+    x = np.cumsum(RNG(3).standard_normal((64, 3)), axis=0)
+    np.testing.assert_array_equal(steady(x, 0.1), x)
+    np.testing.assert_allclose(steady(np.vstack([np.zeros((1, 3)), np.ones((63, 3))]), 0.01), 1.0, atol=1e-9)
 
 
 def test_a_low_pass_ends_below_half_of_the_rate() -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from benchmarks.foreign import sensors
 from insemu.filters import FixTable
 from insemu.gap import Finding, Nominal, find_gap, load_measured, load_nominal
-from insemu.gap.drive.preparation import Flown
+from insemu.gap.drive.preparation import Flown, starting_state
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.fixes import PLAIN, FixNoise, Surrogate
 from insemu.records import Recording
@@ -159,11 +159,11 @@ class Ruler:
         return h, half
 
     def _fixes(self, recording: Recording) -> FixTable:
-        """Fixes of the filter as it was flown, on another recording of the same ride, started alike."""
-        own, imu = self.flown.prepared, recording.imu
-        n = len(own.imu)
-        imu = replace(imu, t=imu.t[-n:], gyro=imu.gyro[-n:], accel=imu.accel[-n:], temperature=None)
+        """Fixes of the filter as it was flown, on another recording of the same ride."""
         assert recording.gnss is not None
+        own = self.flown.prepared
+        imu, _, *start = starting_state(recording, own.nominal)
+        own = replace(own, start=tuple(start))
         gnss = replace(own.gnss, llh=recording.gnss.llh, vel_ned=recording.gnss.vel_ned)
         return own.again(imu=imu, gnss=gnss).result.fixes
 

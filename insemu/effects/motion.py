@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy.signal
 from numpy.typing import ArrayLike, NDArray
 
 from insemu import earth, rotation
@@ -23,9 +24,10 @@ Array = NDArray[np.float64]
 
 #: Longest time over which noise is taken out of what an error of the sensor is held to be proportional to, s.
 QUIET_S = 40.0
-#: Acceleration and angular acceleration at a fix are those of so many seconds on each side of it. Of one step they are mostly vibration and
-#: noise, which an offset of some milliseconds does not follow: it is then estimated as half of what it is, and found a tenth as surely.
-AROUND_S = 0.03
+#: Lowest frequency at which a moving IMU shows vibration and noise rather than its motion, Hz. What errors are held to be proportional to is
+#: slower: vibration that is sampled by fixes tells nothing about an offset of milliseconds, and goes with the wrong swing of an antenna as much
+#: as with any sensor.
+MOTION_HZ = 8.0
 #: A temperature that varies less than this shows nothing, K.
 STEADY_K = 1e-3
 
@@ -50,6 +52,8 @@ class Column:
         Unit errors of the fixes, measured minus true.
     runs : bool
         Whether the position also runs away by the velocity.
+    start : (6,) array, optional
+        Unit errors of position and velocity where the filter starts, estimated minus true, m and m/s NED.
     """
 
     effect: str
@@ -61,6 +65,7 @@ class Column:
     inputs: tuple[tuple[int, Array], ...] = ()
     fixes: Array | None = None
     runs: bool = False
+    start: Array | None = None
 
     @classmethod
     def of(
@@ -72,6 +77,7 @@ class Column:
         inputs: tuple[tuple[int, Array], ...] = (),
         fixes: Array | None = None,
         runs: bool = False,
+        start: Array | None = None,
     ) -> Column:
         """A column at the datasheet's scale.
 
@@ -81,12 +87,12 @@ class Column:
         sensor : str
         label : str
             Begins with the name of the parameter.
-        axes, inputs, fixes, runs
+        axes, inputs, fixes, runs, start
             See :class:`Column`.
         """
         parameter = label.partition("_")[0]
         scale, unit = effect.scale(parameter, sensor), effect.unit(parameter, sensor)
-        return cls(effect.id, sensor, label, axes, scale, unit, inputs, fixes, runs)
+        return cls(effect.id, sensor, label, axes, scale, unit, inputs, fixes, runs, start)
 
 
 @dataclass(frozen=True)
@@ -99,7 +105,7 @@ class Motion:
     C : (n, 3, 3) array
         Attitude for each interval.
     rate, force : (n, 3) arrays
-        Mean angular rate and specific force over each interval, sensor axes, less what is noise.
+        Mean angular rate and specific force over each interval, sensor axes, less what is noise or vibration.
     f_n : (n, 3) array
         Specific force in NED.
     vel : (n, 3), llh : (n, 3) arrays
@@ -171,13 +177,24 @@ class Motion:
 
 
 def _quiet(signal: Array, dt: float, noise: Array | None = None) -> Array:
-    """Measured motion less what is noise.
+    """Measured motion less what is noise or vibration.
 
     The noise of an axis that hardly moves is its own error: a column that goes with it would explain the innovations that this noise makes, as
     a scale factor of tens of per cent.
     """
     levels = max(1, math.floor(math.log2(min(QUIET_S / dt, signal.shape[0] / 16))))
-    return outstanding(signal, levels, noise=noise)
+    return steady(outstanding(signal, levels, noise=noise), dt)
+
+
+def steady(signal: Array, dt: float) -> Array:
+    """A signal (n, k) without what is faster than motion, not delayed."""
+    corner = 0.8 * MOTION_HZ
+    if corner > 0.4 / dt:
+        return signal
+    sections = scipy.signal.butter(6, corner, fs=1.0 / dt, output="sos")
+    # the first row may be no whole interval
+    x = np.concatenate([signal[1:2], signal[1:]])
+    return np.asarray(scipy.signal.sosfiltfilt(sections, x, axis=0, padlen=min(round(1.0 / (corner * dt)), len(x) - 1)))
 
 
 def first_axis(sensor: str) -> int:
@@ -206,6 +223,8 @@ class FixGeometry:
         Of the IMU with respect to the Earth: NED, NED, sensor axes; and the derivative of the last, rad/s^2.
     C : (f, 3, 3) array
         Attitude of the IMU.
+    start : (6,) array
+        What a second between IMU and fixes makes of position and velocity of the IMU where the filter starts, NED.
     """
 
     t: Array
@@ -216,6 +235,7 @@ class FixGeometry:
     rate: Array
     turning: Array
     C: Array
+    start: Array
 
     @classmethod
     def of(cls, motion: Motion, t: Array, lever_arm: ArrayLike, mounting: ArrayLike = (0.0, 0.0, 0.0)) -> FixGeometry:
@@ -231,15 +251,16 @@ class FixGeometry:
         mounting : (3,) array
             Roll, pitch, yaw of the IMU in the body, rad.
         """
-        k = np.clip(np.searchsorted(motion.t, t), 1, motion.t.size - 2)
+        k, dt = np.clip(np.searchsorted(motion.t, t), 1, motion.t.size - 2), float(motion.t[1] - motion.t[0])
         a = motion.acceleration
+        smooth, turning = steady(a, dt), np.gradient(motion.rate, dt, axis=0)
         v = motion.vel[k] - 0.5 * (a[k] + a[k + 1]) * (motion.t[k] - t)[:, None]
         w_ie = earth.earth_rate(motion.llh[k, 0])
         omega = 0.5 * (motion.rate[k] + motion.rate[k + 1]) - np.einsum("nji,nj->ni", motion.C[k], w_ie)
         body = rotation.dcm_from_rpy(np.asarray(mounting, dtype=float))
-        accel, _ = _around(a, k, motion.t)
-        _, turning = _around(motion.rate, k, motion.t)
-        return cls(t, np.asarray(lever_arm, dtype=float), body, v, accel, omega, turning, motion.C[k])
+        accel, turning = (0.5 * (x[k] + x[k + 1]) for x in (smooth, turning))
+        start = np.concatenate([motion.vel[0], smooth[0]])
+        return cls(t, np.asarray(lever_arm, dtype=float), body, v, accel, omega, turning, motion.C[k], start)
 
     @property
     def moved(self) -> Array:
@@ -250,13 +271,3 @@ class FixGeometry:
         # from one fix to the next an antenna on a shaking vehicle swings to and fro, which a difference of the fixes would not show
         swing_rate = np.einsum("nij,nj->ni", self.C, np.cross(self.turning, arm) + np.cross(self.rate, around))
         return np.hstack([self.velocity + swing, self.acceleration + swing_rate])
-
-
-def _around(signal: Array, k: NDArray[np.int64], t: Array) -> tuple[Array, Array]:
-    """Mean and slope (f, 3) of a signal (n, 3), the mean over each step to a time of ``t``, around rows of it."""
-    dt, n = float(t[1] - t[0]), t.size
-    m = min(max(1, round(AROUND_S / dt)), (n - 1) // 2)
-    sums = np.cumsum(signal, axis=0)
-    k = np.clip(k, m, n - 1 - m)
-    before, after = sums[k] - sums[k - m], sums[k + m] - sums[k]
-    return (before + after) / (2 * m), (after - before) / (m * m * dt)

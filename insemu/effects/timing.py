@@ -38,8 +38,8 @@ class TimeOffset(Effect):
         return t - use.scalar("offset")
 
     def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
-        """The fixes are ahead by velocity and acceleration of the antenna."""
-        return [Column.of(self, "imu", "offset", (), fixes=fixes.moved)]
+        """The fixes, and the start, which is known in their time, are ahead by velocity and acceleration."""
+        return [Column.of(self, "imu", "offset", (), fixes=fixes.moved, start=fixes.start)]
 
     def hidden(self, lot: DriveLot) -> Hidden:
         """A constant."""

@@ -14,6 +14,8 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from insemu.effects.motion import MOTION_HZ
+
 #: The runs that calibrate: what each of them is, as a command or as the file of tests that pins the constant.
 RUNS = {
     "null": "insemu gap-trial --hidden 0 --no-hold-out --recordings 500",
@@ -118,7 +120,7 @@ class Policy:
     pile_nats: float = _decides(20.0, "nats", "real-drives", "What a pile on a lattice must be worth: steady manoeuvres make piles too.")
     most_lost: float = _decides(0.2, "1", "tests-rest", "Share of samples that a static log may miss.")
     # -- the band above the motion --------------------------------------------------------------------------------------------------
-    motion_hz: float = _decides(8.0, "Hz", "one", "Lowest frequency at which a moving IMU shows its noise rather than its motion.")
+    motion_hz: float = _decides(MOTION_HZ, "Hz", "one", "Lowest frequency at which a moving IMU shows its noise rather than its motion.")
     fast_nats: float = _decides(6.0, "nats", "null", "Least evidence there: manoeuvres leave some nats; nominal drives stay below 2 on every axis.")
     evident: float = _decides(10.0, "sigma", "one", "Residual of a sample that stands out by itself.")
     alike: float = _decides(0.8, "1", "one", "Share of such residuals that must look like single samples.")

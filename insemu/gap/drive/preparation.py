@@ -70,6 +70,8 @@ class Prepared:
         Whether the antenna swings on its lever arm as the vehicle shakes: velocities hold what fixes sample of that at their own rate.
     raised : (6,) array
         By what standard deviations were raised for that: other errors may have had a part in it, so that they may come back.
+    on_fixes : bool
+        Whether the start is that of the first fix, with its errors.
     """
 
     imu: ImuRecord
@@ -86,6 +88,7 @@ class Prepared:
     rectified: Array | None = None
     swings: bool = False
     raised: Array = field(default_factory=lambda: np.ones(6))
+    on_fixes: bool = False
 
     def again(
         self,
@@ -214,6 +217,7 @@ def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], le
     prepared = Prepared(
         imu, gnss, result, beliefs, fast, lever, np.ones(6), start, nominal,
         rectified=left, swings=left is not None and bool(np.any(lever)), raised=_raised(recorded, gnss),
+        on_fixes=recording.reference is None,
     )  # fmt: skip
     for _ in range(2):
         loop = Loop.of(prepared.result)

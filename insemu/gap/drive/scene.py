@@ -20,6 +20,7 @@ from insemu.gap.evidence.linear import Block, Field, knot_times
 from insemu.gap.policy import rules
 from insemu.noise import NoiseModel
 from insemu.records import GnssRecord, ImuRecord
+from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
 
@@ -92,6 +93,8 @@ class Scene:
         columns = catalogue_columns(motion, fixes)
         catalogue = len(columns)
         columns += library_columns(motion, t_fix, prepared.nominal.mounting)
+        if prepared.on_fixes:
+            columns = [c if c.fixes is None else replace(c, start=c.fixes[0]) for c in columns]
         outside = slice(catalogue, len(columns))
         columns += clipped_columns(motion, prepared.clipped)
         columns += rectified_columns(prepared.rectified)
@@ -257,10 +260,9 @@ class Scene:
         if beliefs is not None:
             original = replace(original, beliefs=beliefs)
         values = dict(self.corrections if corrections is None else corrections)
-        imu, gnss = corrected_data(original, self.columns, values, self.prepared.result.fixes.t)
-        scene = Scene.of(
-            replace(original, result=self.prepared.result).again(imu=imu, gnss=gnss), original, values, self.windows
-        )
+        imu, gnss, state = corrected_data(original, self.columns, values, self.prepared.result.fixes.t)
+        run = replace(original, result=self.prepared.result, start=(state, original.start[1]))
+        scene = Scene.of(run.again(imu=imu, gnss=gnss), original, values, self.windows)
         scene.noise = self.noise
         return scene
 
@@ -355,8 +357,8 @@ def slow_knots(start: float, end: float) -> Array:
 
 def corrected_data(
     prepared: Prepared, columns: Sequence[Column], values: Mapping[int, float], t_fix: Array
-) -> tuple[ImuRecord, GnssRecord]:
-    """The records with effects taken out, each as its column says.
+) -> tuple[ImuRecord, GnssRecord, NavState]:
+    """The records and the start with effects taken out, each as its column says.
 
     Parameters
     ----------
@@ -369,9 +371,9 @@ def corrected_data(
     t_fix : (f,) array
         Times of the fixes that the columns are about, s.
     """
-    imu, gnss = prepared.imu, prepared.gnss
+    imu, gnss, state = prepared.imu, prepared.gnss, prepared.start[0]
     if not values:
-        return imu, gnss
+        return imu, gnss, state
     width = imu.widths(0.0)[:, 0]
     signals = np.hstack([imu.gyro, imu.accel])
     shift = np.zeros((len(gnss), 6))
@@ -387,13 +389,18 @@ def corrected_data(
         moved = columns[j].fixes
         if moved is not None:
             shift[at] -= value * moved
+        begun = columns[j].start
+        if begun is not None:
+            llh, vel = earth.move(state.llh, -value * begun[:3]), state.vel_ned - value * begun[3:]
+            state = replace(state, llh=llh, vel_ned=vel)
     for k in np.flatnonzero(slow.any(axis=1)):
         signals[:, k] -= np.interp(imu.t, knots, slow[k]) * width
     llh = gnss.llh.copy()
     there = np.isfinite(llh).all(axis=1)
     llh[there] = earth.move(llh[there], shift[there, :3])
-    vel = None if gnss.vel_ned is None else gnss.vel_ned + shift[:, 3:]
-    return replace(imu, gyro=signals[:, :3], accel=signals[:, 3:]), replace(gnss, llh=llh, vel_ned=vel)
+    vel_ned = None if gnss.vel_ned is None else gnss.vel_ned + shift[:, 3:]
+    corrected = replace(imu, gyro=signals[:, :3], accel=signals[:, 3:])
+    return corrected, replace(gnss, llh=llh, vel_ned=vel_ned), state
 
 
 def library_columns(motion: Motion, t_fix: Array, mounting: Sequence[float] = (0.0, 0.0, 0.0)) -> list[Column]:

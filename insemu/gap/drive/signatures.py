@@ -151,7 +151,7 @@ def built_up(loop: Loop, motion: Motion, columns: Sequence[Column]) -> tuple[Arr
     Returns
     -------
     D : (nodes, columns, 9) array
-        Navigation errors built up since the node before.
+        Navigation errors built up since the node before; of the first node those of the start.
     ramp : (nodes, 12, 9) array
         The same for constants and ramps on each axis.
     M : (f, 6, columns) array
@@ -169,6 +169,8 @@ def built_up(loop: Loop, motion: Motion, columns: Sequence[Column]) -> tuple[Arr
         motion.t, np.ascontiguousarray(motion.C), motion.f_n, nodes.epoch, u, axis, column, D, ramp
     )
     for j, c in enumerate(columns):
+        if c.start is not None:
+            D[0, j, :6] = c.start
         if c.runs:
             way = np.cumsum(motion.vel * np.diff(motion.t, prepend=motion.t[0])[:, None], axis=0)[nodes.epoch]
             D[1:, j, :3] += np.diff(way, axis=0)

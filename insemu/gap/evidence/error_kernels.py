@@ -126,8 +126,8 @@ def respond(
 ) -> None:  # pragma: no cover - compiled
     """Innovations that navigation errors and errors of the fixes cause in a filter in the loop.
 
-    ``e- = Phi e+ + D``, ``g = M - H e-``, ``e+ = e- + K g``. Transitions and Jacobians are mostly zeros, which are passed over, and so are
-    columns that have not begun.
+    ``e- = Phi e+ + D``, ``g = M - H e-``, ``e+ = e- + K g``; the first ``D`` is the error of the start. Transitions and Jacobians are mostly
+    zeros, which are passed over, and so are columns that have not begun.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def respond(
         Node of each fix, not decreasing.
     use : (f, 6) array of bool
     D : (nodes, a, 9) array
-        Navigation errors built up since the node before; without rows where there are none.
+        Navigation errors built up since the node before, or there at the first; without rows where there are none.
     at : (nodes, a) or (1, a) array of int
         Column of each entry of ``D``; one row where it is the same at every node.
     M : (f, 6, columns) array
@@ -166,11 +166,11 @@ def respond(
                         for c in range(cols):
                             ahead[r, c] += w * e[q, c]
             e, ahead = ahead, e
-            if D.shape[0] > 0:
-                row = min(i, at.shape[0] - 1)
-                for c in range(D.shape[1]):
-                    for r in range(9):
-                        e[r, at[row, c]] += D[i, c, r]
+        if D.shape[0] > 0:
+            row = min(i, at.shape[0] - 1)
+            for c in range(D.shape[1]):
+                for r in range(9):
+                    e[r, at[row, c]] += D[i, c, r]
         while k < node.size and node[k] == i:
             for m in range(6):
                 if not use[k, m]:
