@@ -98,6 +98,9 @@ def test_a_level_beside_a_colour_is_told_and_leaves_the_colour_as_it_is() -> Non
     assert best.axes == ("north", "east", "down") and best.nats > 10.0
     assert level.low < 3.0 < level.high
     assert best.colour is not None and 10.0 / 3.0 < best.colour[1] < 30.0
+    # a colour may hide the level of one axis: all are weighed where one reaches the edge of its tolerance
+    hidden = replace(within[3.0], factor=np.where(np.arange(6) == 2, 1.0, within[3.0].factor))
+    assert ("north", "east", "down") in {f.axes for f in level_beside(coloured(3.0), hidden, np.ones(6))}
     # what the filter was trimmed by already does not count twice
     trimmed = replace(within[3.0], factor=within[3.0].factor / 1.2)
     s = replace(coloured(3.0), R=coloured(3.0).R * 1.2**2)

@@ -449,7 +449,7 @@ def level_beside(s: Surrogate, noise: FixNoise, factors: Array) -> list[NoiseFit
     """
     edge = math.log1p(rules().tolerance)
     beyond = np.abs(np.log(noise.factor * factors)) > AT_EDGE * edge
-    tried = [axes for axes in GROUPS[:3] if beyond[[NED.index(a) for a in axes]].all()]
+    tried = [axes for axes in GROUPS[:3] if beyond[[NED.index(a) for a in axes]].any()]
     out: list[NoiseFit] = []
     within = joint_noise(s, noise.colour, factors).evidence if tried else 0.0
     for axes in tried:
