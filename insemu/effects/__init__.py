@@ -37,7 +37,7 @@ from insemu.effects.compensation import added_signal, columns_without, compensat
 from insemu.effects.deterministic import lagged
 from insemu.effects.gnss import LONGEST_ARM
 from insemu.effects.hiding import DriveLot, Hidden, RestLot
-from insemu.effects.motion import Column, FixGeometry, Motion
+from insemu.effects.motion import MOTION_HZ, Column, FixGeometry, Motion
 
 EFFECTS.update({e.id: e for family in (stochastic, deterministic, timing, gnss, model) for e in family.EFFECTS})
 
@@ -100,6 +100,7 @@ __all__ = [
     "CROSS",
     "EFFECTS",
     "LONGEST_ARM",
+    "MOTION_HZ",
     "NED",
     "RPY",
     "SIGNAL_UNITS",

@@ -14,7 +14,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from insemu.effects.motion import MOTION_HZ
+from insemu.effects import MOTION_HZ
 
 #: The runs that calibrate: what each of them is, as a command or as the file of tests that pins the constant.
 RUNS = {

@@ -288,7 +288,17 @@ class Scene:
         return scene
 
     def linear_about(self, blocks: Sequence[Block], strong: Collection[int], cut: float | None = None) -> Scene:
-        """The filter run again on data without ``strong`` columns at their best values, until what is left of these is small enough to be linear."""
+        """The filter run again on data without some columns at their best values, until what is left of these is small enough to be linear.
+
+        Parameters
+        ----------
+        blocks : sequence of Block
+            What is explained.
+        strong : collection of int
+            Columns and knots that are taken out of the data.
+        cut : float, optional
+            Fixes after this time (s) are not looked at.
+        """
         scene = self
         for _ in range(MOST_LOOKS if strong else 0):
             index, away = scene._explaining(blocks, cut)
