@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 
 from insemu.effects import EffectUse
 from insemu.gap import GapReport, Nominal, find_gap
-from insemu.gap.candidates.fixes import _Scan, _when
+from insemu.gap.candidates.fixes import _Scan, _share_and_size, _when
 from insemu.gap.candidates.shapes import Change
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.drive.scene import Scene
-from insemu.gap.evidence.fixes import FixNoise, Surrogate, joint_noise, level_beside
+from insemu.gap.evidence.fixes import NED, FixNoise, Surrogate, joint_noise, level_beside
 from insemu.gap.hypothesis import Found, Hypothesis
+from insemu.gap.policy import rules
 from insemu.gap.problems.drive import DriveProblem
-from insemu.gap.verdict import Finding
+from insemu.gap.verdict import Finding, Value
 from insemu.gap.worth import stated_in_outages
 from insemu.records import GnssRecord, Recording
 from insemu.scenario import Gnss
@@ -62,6 +63,18 @@ def test_outliers_are_as_many_and_as_large_as_they_are() -> None:
     assert found["probability"].low < 0.06 < found["probability"].high
     assert found["sigma_north"].low < 3.0 < found["sigma_north"].high
     assert report.verdict == "named" and len(report.findings) == 1
+
+
+def test_a_share_of_outliers_at_its_limit_is_inside_its_interval() -> None:
+    """A third of the fixes are wide, which are more than are called outliers: the interval was that of all of them, 0.17 to 0.26 about 0.1."""
+    rng = np.random.default_rng(3)
+    v = rng.standard_normal((400, 3)) * np.where(np.arange(400) % 3 == 0, 6.0, 1.0)[:, None]
+    given = tuple(
+        Value.positive(n, x, 0.1, "1") for n, x in (("probability", 0.05), *((f"sigma_{a}", 6.0) for a in NED))
+    )
+    told = _share_and_size(Hypothesis("gnss_outliers", 1.0, given, Change()), v, np.eye(3) * np.ones((400, 1, 1)))
+    (share, *_) = told.values
+    assert share.value == rules().most_outliers and share.low < share.value < share.high
 
 
 def test_the_velocities_of_a_filter_that_followed_coloured_positions_are_not_blamed() -> None:

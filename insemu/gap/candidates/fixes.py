@@ -397,6 +397,7 @@ def _share_and_size(outliers: DriveHypothesis, v: Array, S: Array) -> DriveHypot
         p = min(count / v.shape[0], rules().most_outliers)
         own = np.sum(v**2 / sigma0**2, axis=1) / 3.0 - 1.0
         ratio = math.sqrt(max(float(share @ own) / count, 1.0))
+    count = p * v.shape[0]
     # the share of a count that is binomial (Jeffreys' interval), and the scatter of a variance of three components
     low, high = scipy.stats.beta.ppf((0.025, 0.975), count + 0.5, v.shape[0] - count + 0.5)
     sd = 1.0 / math.sqrt(6.0 * count)
