@@ -148,7 +148,7 @@ class Ruler:
         return 0.5 * float(np.sum(white**2))
 
     def scaled(self, h: sensors.Hidden, target: float) -> tuple[sensors.Hidden, float]:
-        """An effect at the size at which it is worth ``target``, and what it is worth; at most so large that it is drawn."""
+        """An effect at the size at which it is worth ``target``, and what it is worth; scaling ends beyond :data:`MOST_SCALE`."""
         total, half = 1.0, self.half(h)
         for _ in range(MOST_SCALED):
             factor = math.sqrt(target / max(half, 1e-9))

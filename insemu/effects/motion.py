@@ -28,6 +28,9 @@ QUIET_S = 40.0
 #: slower: vibration that is sampled by fixes tells nothing about an offset of milliseconds, and goes with the wrong swing of an antenna as much
 #: as with any sensor.
 MOTION_HZ = 8.0
+#: Order and corner, over that frequency, of the low-pass run both ways: it passes 0.99 at half of it and less than a tenth at all of it
+#: (tests/test_effects_pins.py).
+ORDER, CORNER = 6, 0.8
 #: A temperature that varies less than this shows nothing, K.
 STEADY_K = 1e-3
 
@@ -187,11 +190,11 @@ def _quiet(signal: Array, dt: float, noise: Array | None = None) -> Array:
 
 
 def steady(signal: Array, dt: float) -> Array:
-    """A signal (n, k) without what is faster than motion, not delayed."""
-    corner = 0.8 * MOTION_HZ
+    """A signal (n, k) without what is faster than motion, not delayed; as it is where samples are too far apart to hold anything faster."""
+    corner = CORNER * MOTION_HZ
     if corner > 0.4 / dt:
         return signal
-    sections = scipy.signal.butter(6, corner, fs=1.0 / dt, output="sos")
+    sections = scipy.signal.butter(ORDER, corner, fs=1.0 / dt, output="sos")
     # the first row may be no whole interval
     x = np.concatenate([signal[1:2], signal[1:]])
     return np.asarray(scipy.signal.sosfiltfilt(sections, x, axis=0, padlen=min(round(1.0 / (corner * dt)), len(x) - 1)))

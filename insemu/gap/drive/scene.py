@@ -29,8 +29,8 @@ Window = tuple[int, float, float]
 
 #: Knots of slow processes: at least so far apart, s, and about so many in a long recording; between them a process is a straight line.
 KNOT_S, KNOTS = 10.0, 60
-#: Times that the filter runs again on corrected data before its errors are believed small: 2 to 3 do.
-MOST_LOOKS = 5
+#: Times that the filter runs again on corrected data at the most, until its errors are small: a bound, so that a search ends.
+MOST_RUNS = 5
 #: Starts of steps in the fixes that are tried first.
 STARTS = 120
 
@@ -300,7 +300,7 @@ class Scene:
             Fixes after this time (s) are not looked at.
         """
         scene = self
-        for _ in range(MOST_LOOKS if strong else 0):
+        for _ in range(MOST_RUNS if strong else 0):
             index, away = scene._explaining(blocks, cut)
             own = np.isin(index, list(strong))
             left = scene._columns(index[own]) @ away[own]
