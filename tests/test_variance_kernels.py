@@ -11,7 +11,7 @@ from scipy.linalg import toeplitz
 
 from insemu import variance as v
 from insemu.noise import AR1, GM, QN, RW, WN
-from insemu.variance import _covariance_kernel, _kernel, edof, filtered, gaps
+from insemu.variance import _covariance_kernel, _gaps_kernel, _kernel, edof, filtered, gaps
 from tests.pins import numbers
 
 Array = NDArray[np.float64]
@@ -312,12 +312,12 @@ def test_degrees_of_freedom_are_those_of_all_pairs(model: Any) -> None:
 # ----------------------------------------------------------------------------------------------------------- missing samples
 
 
-def _lost(n: int = 40) -> tuple[Array, Array, NDArray[np.int64]]:
+def _lost(n: int = 40) -> tuple[Array, Array, Array]:
     """A signal with missing samples, its running sums and counts."""
     x = numbers(n, 6) + 3.0
     x[[4, 5, 6, 11, 13, 20, 21, 22, 23, 24, 33]] = np.nan
-    sums, there = np.empty(n + 1), np.empty(n + 1, dtype=np.int64)
-    gaps._running(x, 3.0, sums, there)
+    sums, there = np.empty(n + 1), np.empty(n + 1)
+    _gaps_kernel.running(x, 3.0, sums, there)
     return x, sums, there
 
 
@@ -342,16 +342,17 @@ def test_coefficients_with_gaps_are_differences_of_the_means_that_are_there(half
     np.testing.assert_allclose(sums, np.concatenate([[0], np.cumsum(known)]))
     np.testing.assert_array_equal(there, np.concatenate([[0], np.cumsum(np.isfinite(x))]))
     w, first = _coefficients(x, half)
-    for step in (1, 3):
-        total, number = gaps._squares(sums, there, half, step, 0.5 * half)
+    for step in (1, 2, 3):
         chosen = first % step == 0
-        assert number == chosen.sum()
-        np.testing.assert_allclose(0.25 * total, np.sum((w[chosen] @ known) ** 2))
+        if half % step == 0:
+            total, number = _gaps_kernel.squares(sums[::step].copy(), there[::step].copy(), half // step, 0.5 * half)
+            assert number == chosen.sum()
+            np.testing.assert_allclose(0.25 * total, np.sum((w[chosen] @ known) ** 2))
         lags, share = np.array([0, 1, 2, 5, 37]), np.empty(5)
-        gaps._pairs(there, half, step, 0.5 * half, lags, share)
+        _gaps_kernel.pairs(there, half, step, 0.5 * half, lags, share)
         np.testing.assert_allclose(share, [np.isin(first[chosen] + lag, first).sum() / chosen.sum() for lag in lags])
     own = np.empty(2 * half)
-    gaps._mean_weights(there, int(first[3]), half, own)
+    _gaps_kernel.mean_weights(there, int(first[3]), half, own)
     np.testing.assert_allclose(own, w[3][first[3] : first[3] + 2 * half])
 
 
@@ -362,7 +363,8 @@ def test_variances_and_covariances_of_coefficients_with_gaps_are_sums_over_sampl
     variogram = np.array([0.0, *np.log1p(np.arange(1.0, 80.0))])
     lag = np.abs(np.subtract.outer(np.arange(x.size), np.arange(x.size)))
     exact = -w @ variogram[lag] @ w.T
-    weights = gaps._pair_weights(there, half, 0.5 * half)
+    weights = np.empty(2 * half)
+    assert _gaps_kernel.pair_weights(there, half, 1, 0.5 * half, weights) == first.size
     np.testing.assert_allclose(weights @ variogram[: weights.size], np.mean(np.diag(exact)))
     for step in (1, 2):
         near = [
@@ -378,7 +380,7 @@ def test_variances_and_covariances_of_coefficients_with_gaps_are_sums_over_sampl
         for k in range(6 * half):
             apart = np.abs(k + np.subtract.outer(np.arange(2 * half), np.arange(2 * half)))
             whole[k] = -one @ level[apart] @ one
-        found = gaps._short_pairs(there, half, step, 0.5 * half, variogram, 0.3)
+        found = _gaps_kernel.short_pairs(there, half, step, 0.5 * half, variogram, 0.3)
         same = [whole[first[j] - first[i]] for i, j in near]
         np.testing.assert_allclose(found, [often @ [exact[i, j] ** 2 for i, j in near], often @ np.square(same)])
 

@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import fft
 
+from insemu.variance import _gaps_kernel
 from insemu.variance.edof import (
     Kept,
     NoiseType,
@@ -70,118 +70,7 @@ class GapCurve:
     inflation: Array
 
 
-@njit(cache=True, nogil=True)
-def _running(x: Array, origin: float, sums: Array, there: Ints) -> None:  # pragma: no cover - compiled
-    """Running sums and numbers of the samples that are finite."""
-    total, number = 0.0, 0
-    sums[0] = 0.0
-    there[0] = 0
-    for i in range(x.size):
-        d = x[i] - origin
-        if np.isfinite(d):
-            total += d
-            number += 1
-        sums[i + 1] = total
-        there[i + 1] = number
-
-
-@njit(cache=True, nogil=True)
-def _squares(
-    sums: Array, there: Ints, half: int, step: int, least: float
-) -> tuple[float, int]:  # pragma: no cover - compiled
-    """Sum of squared differences of the means of adjoining halves, and their number."""
-    total, number = 0.0, 0
-    inverse = np.empty(half + 1)
-    inverse[0] = 0.0
-    for i in range(1, half + 1):
-        inverse[i] = 1.0 / i
-    for i in range(0, there.size - 2 * half, step):
-        one = there[i + half] - there[i]
-        two = there[i + 2 * half] - there[i + half]
-        # without a branch: where samples are missing at random, it would be guessed wrong every second time
-        there_too = int(one >= least) & int(two >= least)
-        d = (sums[i + 2 * half] - sums[i + half]) * inverse[two] - (sums[i + half] - sums[i]) * inverse[one]
-        total += there_too * (d * d)
-        number += there_too
-    return total, number
-
-
-@njit(cache=True, nogil=True)
-def _is_there(there: Ints, i: int, half: int, least: float) -> bool:  # pragma: no cover - compiled
-    return bool(there[i + half] - there[i] >= least and there[i + 2 * half] - there[i + half] >= least)
-
-
-@njit(cache=True, nogil=True)
-def _pairs(
-    there: Ints, half: int, step: int, least: float, lags: Ints, share: Array
-) -> None:  # pragma: no cover - compiled
-    """Pairs of coefficients that far apart over the number of coefficients, from positions ``step`` apart."""
-    last = there.size - 1 - 2 * half
-    number = 0
-    share[:] = 0.0
-    for i in range(0, last + 1, step):
-        if not _is_there(there, i, half, least):
-            continue
-        number += 1
-        for k in range(lags.size):
-            if i + lags[k] > last:
-                break
-            if _is_there(there, i + lags[k], half, least):
-                share[k] += 1.0
-    share /= max(number, 1)
-
-
-@njit(cache=True, nogil=True)
-def _mean_weights(there: Ints, i: int, half: int, weight: Array) -> None:  # pragma: no cover - compiled
-    """Weights of the samples from ``i`` on in the coefficient that begins there."""
-    one = there[i + half] - there[i]
-    two = there[i + 2 * half] - there[i + half]
-    for k in range(2 * half):
-        sign = -0.5 / one if k < half else 0.5 / two
-        weight[k] = sign * (there[i + k + 1] - there[i + k])
-
-
-@njit(cache=True, nogil=True)
-def _short_pairs(
-    there: Ints, half: int, step: int, least: float, variogram: Array, white: float
-) -> tuple[float, float]:  # pragma: no cover - compiled
-    """Squared covariances of neighbouring coefficients summed: each pair with the samples that it has, and as if all had the same.
-
-    ``variogram`` is that of the noise from lag 0, and ``white`` what missing samples add on average (unit^2 per sample).
-    """
-    last = there.size - 1 - 2 * half
-    reach = 6 * half
-    mine, other = np.empty(2 * half), np.empty(2 * half)
-    # covariance of two whole coefficients that far apart
-    whole = np.zeros(reach)
-    for lag in range(reach):
-        for a in range(2 * half):
-            for b in range(2 * half):
-                sign = 1.0 if (a < half) == (b < half) else -1.0
-                distance = abs(lag + b - a)
-                level = variogram[distance] + (white if distance > 0 else 0.0)
-                whole[lag] -= sign * level / (4.0 * half * half)
-    exact, same = 0.0, 0.0
-    for i in range(0, last + 1, step):
-        if not _is_there(there, i, half, least):
-            continue
-        _mean_weights(there, i, half, mine)
-        for lag in range(min(reach, last - i + 1)):
-            if not _is_there(there, i + lag, half, least):
-                continue
-            _mean_weights(there, i + lag, half, other)
-            total = 0.0
-            for a in range(2 * half):
-                if mine[a] != 0.0:
-                    for b in range(2 * half):
-                        total -= mine[a] * other[b] * variogram[abs(lag + b - a)]
-            often = 1.0 if lag == 0 else 2.0
-            exact += often * total * total
-            same += often * whole[lag] * whole[lag]
-    return exact, same
-
-
-def _differs(there: Ints, scales: int, white: Array, noise: NoiseType) -> Array:
+def _differs(there: Array, scales: int, white: Array, noise: NoiseType) -> Array:
     """By how much the coefficients of short scales scatter more because each has other samples; 1 for long scales."""
     out = np.ones(scales)
     lags = np.arange(8 * SHORT)
@@ -196,7 +85,7 @@ def _differs(there: Ints, scales: int, white: Array, noise: NoiseType) -> Array:
     while half <= min(SHORT, 1 << (scales - 1)):
         j = half.bit_length() - 1
         step = max((there.size - 2 * half) // (PAIRS // 4), 1)
-        exact, same = _short_pairs(there, half, step, LEAST_SHARE * half, variogram, float(white[j]))
+        exact, same = _gaps_kernel.short_pairs(there, half, step, LEAST_SHARE * half, variogram, float(white[j]))
         out[j] = exact / same if same > 0 else 1.0
         half *= 2
     return out
@@ -215,28 +104,26 @@ def haar_with_gaps(x: Array, origin: float, levels: int) -> GapCurve | None:
         The most octaves.
     """
     n = x.size
-    sums, there = np.empty(n + 1), np.empty(n + 1, dtype=np.int64)
-    _running(x, origin, sums, there)
+    sums, there = np.empty(n + 1), np.empty(n + 1)
+    _gaps_kernel.running(x, origin, sums, there)
+    on_grid, there_on_grid, step = sums, there, 1
     value, terms, weights = [], [], []
     lags: list[Array] = []
     share: list[Array] = []
     for j in range(levels):
         half = 1 << j
-        step, least = max(half // POSITIONS, 1), LEAST_SHARE * half
-        total, number = _squares(sums, there, half, step, least)
+        least = LEAST_SHARE * half
+        if half > POSITIONS:
+            on_grid, there_on_grid, step = on_grid[::2].copy(), there_on_grid[::2].copy(), 2 * step
+        total, number = _gaps_kernel.squares(on_grid, there_on_grid, half // step, least)
         if number < 2 or total <= 0.0:
             break
         value.append(0.25 * total / number)
         terms.append(number * step)
         weights.append(_pair_weights(there, half, least))
-        apart = np.unique(
-            np.concatenate([[0, 1, 2, 3, half, 2 * half], 1.6 ** np.arange(3.0, np.log(n) / np.log(1.6))]).astype(
-                np.int64
-            )
-        )
-        apart = apart[apart <= n]
+        apart = _lags_of_pairs(half, n)
         seen = np.empty(apart.size)
-        _pairs(there, half, max((n - 2 * half) // PAIRS, 1), least, apart, seen)
+        _gaps_kernel.pairs(there, half, max((n - 2 * half) // PAIRS, 1), least, apart, seen)
         lags.append(apart.astype(np.float64))
         share.append(seen)
     if not value:
@@ -244,42 +131,33 @@ def haar_with_gaps(x: Array, origin: float, levels: int) -> GapCurve | None:
     return _calibrated(np.array(value), np.array(terms), weights, lags, share, there)
 
 
-def _pair_weights(there: Ints, half: int, least: float) -> Array:
+@lru_cache(maxsize=64)
+def _lags_of_pairs(half: int, n: int) -> Ints:
+    """Lags (samples) at which pairs of coefficients are counted, ascending."""
+    geometric = 1.6 ** np.arange(3.0, np.log(n) / np.log(1.6))
+    apart = np.unique(np.concatenate([[0, 1, 2, 3, half, 2 * half], geometric]).astype(np.int64))
+    return np.asarray(apart[apart <= n])
+
+
+def _pair_weights(there: Array, half: int, least: float) -> Array:
     """How much the mean of coefficients weighs the variogram at each distance, by number of parts of a half (0: within a part)."""
     parts = min(half, PARTS)
-    first = np.arange(0, there.size - 2 * half, max((there.size - 2 * half) // LOOKED_AT, 1))
-    bounds = first[:, None] + np.arange(0, 2 * half + 1, half // parts)
-    counts = np.diff(there[bounds], axis=1).astype(np.float64)
-    one, two = counts[:, :parts], counts[:, parts:]
-    n1, n2 = one.sum(axis=1), two.sum(axis=1)
-    good = (n1 >= least) & (n2 >= least)
-    if not good.any():  # the few that there are lie between those that were looked at
-        return _whole_weights(parts, half // parts)
-    return _weights_of(one[good], two[good], n1[good], n2[good])
+    out = np.empty(2 * parts)
+    step = max((there.size - 2 * half) // LOOKED_AT, 1)
+    if _gaps_kernel.pair_weights(there, half, step, least, out):
+        return out
+    # the few that there are lie between those that were looked at
+    return _whole_weights(parts, half // parts)
 
 
 @lru_cache(maxsize=128)
 def _whole_weights(parts: int, size: int) -> Array:
     """The same of coefficients without missing samples."""
-    full, number = np.full((1, parts), float(size)), np.full(1, float(parts * size))
-    return _weights_of(full, full, number, number)
+    half, out = parts * size, np.empty(2 * parts)
+    _gaps_kernel.pair_weights(np.arange(2.0 * half + 1.0), half, 1, float(half), out)
+    return out
 
 
-def _weights_of(one: Array, two: Array, n1: Array, n2: Array) -> Array:
-    parts = one.shape[1]
-    out = np.zeros(2 * parts)
-    apart = np.subtract.outer(np.arange(parts), np.arange(parts))
-    cross = np.einsum("ti,tj->ij", two / n2[:, None], one / n1[:, None]) / n1.size
-    np.add.at(out, parts + apart, 2.0 * cross)
-    for counted, number in ((one, n1), (two, n2)):
-        within = np.einsum("ti,tj->ij", counted / number[:, None], counted / number[:, None]) / number.size
-        # a sample has no distance from itself
-        within[np.diag_indices(parts)] = np.mean(counted * (counted - 1.0) / number[:, None] ** 2, axis=0)
-        np.add.at(out, np.abs(apart), -within)
-    return 0.25 * out
-
-
-@lru_cache(maxsize=2048)
 def _variogram(kind: str, tc: float, size: int, reach: int) -> Array:
     """Mean variogram of a unit component between samples of parts of ``size`` samples 0, 1, 2.. parts apart."""
     apart = np.arange(reach, dtype=np.float64)
@@ -305,33 +183,36 @@ def _variogram(kind: str, tc: float, size: int, reach: int) -> Array:
     return out
 
 
-def _ratios(weights: list[Array], kinds: tuple[tuple[str, float], ...]) -> Array:
-    """Variance of the coefficients that are there over that of whole ones, for scales and unit components."""
-    out = np.empty((len(weights), len(kinds)))
-    for j, weight in enumerate(weights):
-        half = 1 << j
-        parts = min(half, PARTS)
-        whole = _whole_weights(parts, half // parts)
-        for k, (kind, tc) in enumerate(kinds):
-            seen = _variogram(kind, tc, half // parts, 2 * parts)
-            out[j, k] = (weight @ seen) / (whole @ seen)
-    return out
+@lru_cache(maxsize=16)
+def _unit_table(scales: int, kinds: tuple[tuple[str, float], ...]) -> tuple[Array, Array]:
+    """Of unit components: wavelet variances of whole coefficients (J, K), and mean variograms over the whole coefficient's own
+    sum, (J, K, 2 parts), which pair weights make the ratio to it.
+    """
+    half = np.exp2(np.arange(scales, dtype=np.float64))
+    whole = np.column_stack([component_variance(kind, tc, half) for kind, tc in kinds])
+    near = np.zeros((scales, len(kinds), 2 * PARTS))
+    for j in range(scales):
+        parts = min(1 << j, PARTS)
+        size = (1 << j) // parts
+        own = np.array([_variogram(kind, tc, size, 2 * parts) for kind, tc in kinds])
+        near[j, :, : 2 * parts] = own / (own @ _whole_weights(parts, size))[:, None]
+    return whole, near
 
 
 def _calibrated(
-    mean_square: Array, terms: Ints, weights: list[Array], lags: list[Array], share: list[Array], there: Ints
+    mean_square: Array, terms: Ints, weights: list[Array], lags: list[Array], share: list[Array], there: Array
 ) -> GapCurve:
     """The curve from the mean squares of the coefficients that are there."""
     n = there.size - 1
     scale = 2 ** np.arange(1, mean_square.size + 1, dtype=np.int64)
     m = scale / 2.0
-    known: dict[tuple[tuple[str, float], ...], tuple[Array, Array]] = {}
+    weighed = np.zeros((m.size, 2 * PARTS))
+    for own, weight in zip(weighed, weights, strict=True):
+        own[: weight.size] = weight
 
     def curves(kinds: tuple[tuple[str, float], ...]) -> tuple[Array, Array]:
-        if kinds not in known:
-            whole = np.column_stack([component_variance(kind, tc, m) for kind, tc in kinds])
-            known[kinds] = whole, whole * _ratios(weights, kinds)
-        return known[kinds]
+        whole, near = _unit_table(m.size, kinds)
+        return whole, whole * np.einsum("jkd,jd->jk", near, weighed)
 
     noise = noise_type(scale, mean_square, n, unit_curves=lambda kinds: curves(kinds)[1])
     if all(kind != "WN" for kind, _, _ in noise.parts):
