@@ -15,7 +15,7 @@ from insemu.errors import InputError
 from insemu.filters import Innovations, likeliest, uncertainty
 from insemu.noise import GM, RC, WN, NoiseModel, save
 from insemu.records import AXES
-from insemu.transfer import CONSTANTS, Levels, estimated, judge
+from insemu.transfer import CONSTANTS, Factor, Levels, estimated, judge
 from tests import filter_cases as cases
 
 TRUE = {"gyro": NoiseModel((WN(1e-3), GM(3e-4, 0.01))), "accel": NoiseModel((WN(1e-2), GM(5e-3, 0.02)))}
@@ -136,6 +136,20 @@ def test_a_static_model_without_turn_on_bias_gets_one(levels: Levels) -> None:
         assert sum(isinstance(p, RC) for p in levels.beliefs[axis]) == 1
     own = Levels(levels.imu, levels.gnss, levels.start, levels.beliefs, levels.lever_arm)
     assert own.beliefs == levels.beliefs
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "asks"),
+    [
+        (3.0, 2.0, 4.0, True),
+        (0.3, 0.2, 0.5, True),
+        (1.2, 1.1, 1.3, False),
+        (1.8, 0.9, 3.6, False),
+        (9.0, 2.0, 40.0, False),
+    ],
+)
+def test_reasons_are_looked_for_where_a_factor_is_not_1(value: float, low: float, high: float, asks: bool) -> None:
+    assert Factor("gyro white", value, low, high).asks is asks
 
 
 def test_thinned_fixes_are_that_far_apart(levels: Levels) -> None:

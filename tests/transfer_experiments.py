@@ -1,7 +1,7 @@
 """The carrying of static models to drives, measured.
 
 ``python -m tests.transfer_experiments factors [N]``: 95 % intervals of factors that are known, on N emulated drives.
-``python -m tests.transfer_experiments causes [N]``: the main reason where one effect was hidden in an emulated drive.
+``python -m tests.transfer_experiments causes [N [SEED]]``: the main reason where one effect was hidden in an emulated drive.
 ``python -m tests.transfer_experiments together [N]``: noise and constants of the IMU tuned together, on N drives.
 ``python -m tests.transfer_experiments real``: the static model of each real drive's longest rest, judged in outages of the drive.
 """
@@ -84,10 +84,10 @@ def factors(count: int) -> None:
     print(f"together: {sum(every)} of {len(every)} ({np.mean(every):.1%})")
 
 
-def causes(count: int) -> None:
-    """Print how often the effect that was hidden is the main reason."""
+def causes(count: int, first: int) -> None:
+    """Print how often the effect that was hidden is the main reason, from seed ``first`` on."""
     right = asked = 0
-    for seed in range(count):
+    for seed in range(first, first + count):
         effect = CAUSES[seed % len(CAUSES)]
         made = moving_recording(Job("dynamic", (effect,), STRENGTH, 500 + seed, minutes=10.0))
         found = transfer(made.recording, made.stage.nominal, rng=np.random.default_rng(seed))
@@ -163,9 +163,10 @@ def together(count: int) -> None:
 
 if __name__ == "__main__":
     what, number = sys.argv[1] if len(sys.argv) > 1 else "factors", int(sys.argv[2]) if len(sys.argv) > 2 else 24
+    begin = int(sys.argv[3]) if len(sys.argv) > 3 else 0
     {
         "factors": lambda: factors(number),
-        "causes": lambda: causes(number),
+        "causes": lambda: causes(number, begin),
         "real": real,
         "together": lambda: together(number),
     }[what]()

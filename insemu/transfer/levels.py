@@ -31,6 +31,8 @@ Array = NDArray[np.float64]
 PRIOR_FACTOR = 10.0
 #: An interval wider than this from end to end says nothing that a choice could rest on.
 TOO_WIDE = 10.0
+#: A factor nearer to 1 than this has no reasons to be looked for.
+WORTH_REASONS = 1.5
 #: Stamps this near to each other are the same, s.
 SAME_S = 1e-3
 #: Seconds between updates of the covariance.
@@ -50,6 +52,12 @@ class Factor:
     def told(self) -> bool:
         """Whether the interval is narrow enough to rest a choice on."""
         return self.high <= TOO_WIDE * self.low
+
+    @property
+    def asks(self) -> bool:
+        """Whether there is something to explain: a factor that is told, far from 1, and not 1 by its interval."""
+        far = max(self.value, 1.0 / self.value) > WORTH_REASONS
+        return self.told and far and not self.low <= 1.0 <= self.high
 
 
 @dataclass(frozen=True)

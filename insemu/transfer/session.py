@@ -21,8 +21,6 @@ from insemu.solve import CALIBRATION
 from insemu.transfer.judged import Judged, fitted, judge
 from insemu.transfer.levels import Constant, Estimate, Factor, Levels, estimated
 
-#: A factor nearer to 1 than this has no reasons to be looked for.
-WORTH_REASONS = 1.5
 #: Reasons at the most: each costs a fit of the factors.
 MOST_REASONS = 6
 #: Constants of the IMU that may be tuned with the noise. Misalignments of the accelerometers against the gyroscopes: a rotation of all axes alike is
@@ -167,7 +165,7 @@ def _reasons(
     say: Callable[[str], None],
 ) -> tuple[tuple[Share, ...], dict[str, float]]:
     """Findings of the gap workflow, taken off one after the other, and by what factor each level falls at each."""
-    factors = {f.name: f.value for f in found.factors if f.told and max(f.value, 1.0 / f.value) > WORTH_REASONS}
+    factors = {f.name: f.value for f in found.factors if f.asks}
     if not factors:
         return (), {}
     say("looking for reasons")
