@@ -115,6 +115,22 @@ def test_the_allan_variance_is_twice_the_curve() -> None:
         allan_variance(x, RATE, kind="modified", gaps=True)
 
 
+@pytest.mark.parametrize("period", [3, 7, 20])
+def test_samples_lost_in_a_rhythm_do_not_bias_the_curve(period: int) -> None:
+    """A walk against its own complete record, of lengths at which coefficients looked at evenly would meet the losses in step."""
+    for n in (512 * period + 300, 1024 * period + 400):
+        x = np.random.default_rng(4).normal(size=n).cumsum() + 1e3
+        whole = wavelet_variance(x, RATE, levels=6)
+        x[1::period] = np.nan
+        np.testing.assert_allclose(wavelet_variance(x, RATE, gaps=True, levels=6).value, whole.value, rtol=0.06)
+
+
+def test_a_beginning_that_is_lost_changes_nothing() -> None:
+    x = np.random.default_rng(4).normal(size=4000).cumsum() + 1e3
+    curve, late = (wavelet_variance(np.append(np.full(n, np.nan), x), RATE, gaps=True, levels=6) for n in (1, 2048))
+    np.testing.assert_allclose(late.value, curve.value, rtol=0.01)
+
+
 def test_gaps_are_never_taken_in_silence() -> None:
     x = np.random.default_rng(2).normal(size=2000)
     x[100] = np.nan

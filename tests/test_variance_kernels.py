@@ -343,14 +343,15 @@ def test_coefficients_with_gaps_are_differences_of_the_means_that_are_there(half
     np.testing.assert_array_equal(there, np.concatenate([[0], np.cumsum(np.isfinite(x))]))
     w, first = _coefficients(x, half)
     for step in (1, 2, 3):
-        chosen = first % step == 0
+        chosen, places = first % step == 0, np.arange(0, x.size - 2 * half + 1, step)
         if half % step == 0:
             total, number = _gaps_kernel.squares(sums[::step].copy(), there[::step].copy(), half // step, 0.5 * half)
             assert number == chosen.sum()
             np.testing.assert_allclose(0.25 * total, np.sum((w[chosen] @ known) ** 2))
         lags, share = np.array([0, 1, 2, 5, 37]), np.empty(5)
-        _gaps_kernel.pairs(there, half, step, 0.5 * half, lags, share)
+        _gaps_kernel.pairs(there, half, places, 0.5 * half, lags, share)
         np.testing.assert_allclose(share, [np.isin(first[chosen] + lag, first).sum() / chosen.sum() for lag in lags])
+    np.testing.assert_array_equal(_gaps_kernel.every_second(sums.copy()), sums[::2])
     own = np.empty(2 * half)
     _gaps_kernel.mean_weights(there, int(first[3]), half, own)
     np.testing.assert_allclose(own, w[3][first[3] : first[3] + 2 * half])
@@ -364,7 +365,7 @@ def test_variances_and_covariances_of_coefficients_with_gaps_are_sums_over_sampl
     lag = np.abs(np.subtract.outer(np.arange(x.size), np.arange(x.size)))
     exact = -w @ variogram[lag] @ w.T
     weights = np.empty(2 * half)
-    assert _gaps_kernel.pair_weights(there, half, 1, 0.5 * half, weights) == first.size
+    assert _gaps_kernel.pair_weights(there, half, np.arange(x.size - 2 * half + 1), 0.5 * half, weights) == first.size
     np.testing.assert_allclose(weights @ variogram[: weights.size], np.mean(np.diag(exact)))
     for step in (1, 2):
         near = [
@@ -380,7 +381,8 @@ def test_variances_and_covariances_of_coefficients_with_gaps_are_sums_over_sampl
         for k in range(6 * half):
             apart = np.abs(k + np.subtract.outer(np.arange(2 * half), np.arange(2 * half)))
             whole[k] = -one @ level[apart] @ one
-        found = _gaps_kernel.short_pairs(there, half, step, 0.5 * half, variogram, 0.3)
+        places = np.arange(0, x.size - 2 * half + 1, step)
+        found = _gaps_kernel.short_pairs(there, half, places, 0.5 * half, variogram, 0.3)
         same = [whole[first[j] - first[i]] for i, j in near]
         np.testing.assert_allclose(found, [often @ [exact[i, j] ** 2 for i, j in near], often @ np.square(same)])
 

@@ -19,6 +19,31 @@ BLOCK = 1024
 
 
 @njit(cache=True, nogil=True)
+def _known(x: Array, origin: float, value: Array, known: Array) -> None:  # pragma: no cover - compiled
+    """Fill samples less ``origin``, 0 where they are not finite, and 1 where they are, 0 elsewhere."""
+    for i in range(x.size):
+        d = x[i] - origin
+        finite = abs(d) < np.inf
+        value[i] = d if finite else 0.0
+        known[i] = 1.0 if finite else 0.0
+
+
+@njit(cache=True, nogil=True)
+def every_second(values: Array) -> Array:  # pragma: no cover - compiled
+    """Move every second number from the first on to the front, and return those.
+
+    Parameters
+    ----------
+    values : (n,) array
+        Overwritten.
+    """
+    size = (values.size + 1) // 2
+    for i in range(size):
+        values[i] = values[2 * i]
+    return values[:size]
+
+
+@njit(cache=True, nogil=True)
 def running(x: Array, origin: float, sums: Array, there: Array) -> None:  # pragma: no cover - compiled
     """Fill running sums, with ``origin`` subtracted, and numbers of the samples that are finite.
 
@@ -35,13 +60,16 @@ def running(x: Array, origin: float, sums: Array, there: Array) -> None:  # prag
     """
     total, number = 0.0, 0.0
     sums[0] = there[0] = 0.0
-    for i in range(x.size):
-        d = x[i] - origin
-        known = np.isfinite(d)
-        total += d if known else 0.0
-        number += 1.0 if known else 0.0
-        sums[i + 1] = total
-        there[i + 1] = number
+    value, known = np.empty(BLOCK), np.empty(BLOCK)
+    for begin in range(0, x.size, BLOCK):
+        size = min(BLOCK, x.size - begin)
+        _known(x[begin : begin + size], origin, value, known)
+        sums_here, there_here = sums[begin + 1 : begin + 1 + size], there[begin + 1 : begin + 1 + size]
+        for i in range(size):
+            total += value[i]
+            number += known[i]
+            sums_here[i] = total
+            there_here[i] = number
 
 
 @njit(cache=True, nogil=True)
@@ -128,9 +156,9 @@ def is_there(there: Array, i: int, half: int, least: float) -> bool:  # pragma: 
 
 @njit(cache=True, nogil=True)
 def pairs(
-    there: Array, half: int, step: int, least: float, lags: Ints, share: Array
+    there: Array, half: int, places: Ints, least: float, lags: Ints, share: Array
 ) -> None:  # pragma: no cover - compiled
-    """Fill the pairs of coefficients that far apart over the number of coefficients, from positions ``step`` apart; lags ascend.
+    """Fill the pairs of coefficients that far apart over the number of coefficients; lags ascend.
 
     Parameters
     ----------
@@ -138,8 +166,8 @@ def pairs(
         Running numbers of the samples that are there.
     half : int
         Samples of half a coefficient.
-    step : int
-        Distance of the coefficients that are looked at.
+    places : (p,) array of int
+        Where the coefficients that are looked at begin.
     least : float
         Samples of a half that must be there.
     lags : (k,) array of int
@@ -150,7 +178,7 @@ def pairs(
     last = there.size - 1 - 2 * half
     number = 0
     share[:] = 0.0
-    for i in range(0, last + 1, step):
+    for i in places:
         if not is_there(there, i, half, least):
             continue
         number += 1
@@ -160,10 +188,10 @@ def pairs(
 
 
 @njit(cache=True, nogil=True)
-def pair_weights(there: Array, half: int, step: int, least: float, out: Array) -> int:  # pragma: no cover - compiled
+def pair_weights(there: Array, half: int, places: Ints, least: float, out: Array) -> int:  # pragma: no cover - compiled
     """Fill how much the mean of coefficients weighs the variogram at each distance, and return their number.
 
-    Each half is counted in parts; ``out[d]`` is of samples in parts ``d`` apart, (2 parts,). Coefficients begin ``step`` apart.
+    Each half is counted in parts; ``out[d]`` is of samples in parts ``d`` apart, (2 parts,).
 
     Parameters
     ----------
@@ -171,8 +199,8 @@ def pair_weights(there: Array, half: int, step: int, least: float, out: Array) -
         Running numbers of the samples that are there.
     half : int
         Samples of half a coefficient.
-    step : int
-        Distance of the coefficients that are looked at.
+    places : (p,) array of int
+        Where the coefficients that are looked at begin.
     least : float
         Samples of a half that must be there.
     out : (2 parts,) array
@@ -183,7 +211,7 @@ def pair_weights(there: Array, half: int, step: int, least: float, out: Array) -
     weight = np.empty(2 * parts)
     out[:] = 0.0
     number = 0
-    for i in range(0, there.size - 2 * half, step):
+    for i in places:
         if not is_there(there, i, half, least):
             continue
         number += 1
@@ -225,7 +253,7 @@ def mean_weights(there: Array, i: int, half: int, weight: Array) -> None:  # pra
 
 @njit(cache=True, nogil=True)
 def short_pairs(
-    there: Array, half: int, step: int, least: float, variogram: Array, white: float
+    there: Array, half: int, places: Ints, least: float, variogram: Array, white: float
 ) -> tuple[float, float]:  # pragma: no cover - compiled
     """Squared covariances of neighbouring coefficients summed: each pair with the samples that it has, and as if all had the same.
 
@@ -235,8 +263,8 @@ def short_pairs(
         Running numbers of the samples that are there.
     half : int
         Samples of half a coefficient.
-    step : int
-        Distance of the coefficients that are looked at.
+    places : (p,) array of int
+        Where the coefficients that are looked at begin.
     least : float
         Samples of a half that must be there.
     variogram : (m,) array
@@ -259,7 +287,7 @@ def short_pairs(
     # covariance of a coefficient with each sample from its first on
     sample = np.empty(reach + 2 * half)
     exact, same = 0.0, 0.0
-    for i in range(0, last + 1, step):
+    for i in places:
         if not is_there(there, i, half, least):
             continue
         mean_weights(there, i, half, mine)

@@ -12,6 +12,7 @@ but may be negative at long scales, where a curve to be fitted must not be. Othe
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -44,6 +45,8 @@ LOOKED_AT = 512
 PARTS = 8
 #: Positions per scale at which pairs of coefficients are counted.
 PAIRS = 1024
+#: Multiples of it fill the interval from 0 to 1 evenly without ever repeating, less 1 wherever they leave it.
+GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 #: Halves up to this many samples: coefficients with few samples differ much from each other, and each pair is taken as it is.
 SHORT = 8
 
@@ -84,8 +87,8 @@ def _differs(there: Array, scales: int, white: Array, noise: NoiseType) -> Array
     half = 2
     while half <= min(SHORT, 1 << (scales - 1)):
         j = half.bit_length() - 1
-        step = max((there.size - 2 * half) // (PAIRS // 4), 1)
-        exact, same = _gaps_kernel.short_pairs(there, half, step, LEAST_SHARE * half, variogram, float(white[j]))
+        places = _places(there.size - 1 - 2 * half, PAIRS // 4)
+        exact, same = _gaps_kernel.short_pairs(there, half, places, LEAST_SHARE * half, variogram, float(white[j]))
         out[j] = exact / same if same > 0 else 1.0
         half *= 2
     return out
@@ -106,7 +109,7 @@ def haar_with_gaps(x: Array, origin: float, levels: int) -> GapCurve | None:
     n = x.size
     sums, there = np.empty(n + 1), np.empty(n + 1)
     _gaps_kernel.running(x, origin, sums, there)
-    on_grid, there_on_grid, step = sums, there, 1
+    on_grid, step = there, 1
     value, terms, weights = [], [], []
     lags: list[Array] = []
     share: list[Array] = []
@@ -114,8 +117,11 @@ def haar_with_gaps(x: Array, origin: float, levels: int) -> GapCurve | None:
         half = 1 << j
         least = LEAST_SHARE * half
         if half > POSITIONS:
-            on_grid, there_on_grid, step = on_grid[::2].copy(), there_on_grid[::2].copy(), 2 * step
-        total, number = _gaps_kernel.squares(on_grid, there_on_grid, half // step, least)
+            # the numbers at every sample are needed on, the sums are not
+            sums = _gaps_kernel.every_second(sums)
+            on_grid = there[::2].copy() if step == 1 else _gaps_kernel.every_second(on_grid)
+            step *= 2
+        total, number = _gaps_kernel.squares(sums, on_grid, half // step, least)
         if number < 2 or total <= 0.0:
             break
         value.append(0.25 * total / number)
@@ -123,12 +129,24 @@ def haar_with_gaps(x: Array, origin: float, levels: int) -> GapCurve | None:
         weights.append(_pair_weights(there, half, least))
         apart = _lags_of_pairs(half, n)
         seen = np.empty(apart.size)
-        _gaps_kernel.pairs(there, half, max((n - 2 * half) // PAIRS, 1), least, apart, seen)
+        _gaps_kernel.pairs(there, half, _places(n - 2 * half, PAIRS), least, apart, seen)
         lags.append(apart.astype(np.float64))
         share.append(seen)
     if not value:
         return None
     return _calibrated(np.array(value), np.array(terms), weights, lags, share, there)
+
+
+@lru_cache(maxsize=64)
+def _places(last: int, number: int) -> Ints:
+    """At least ``number`` of the samples 0 to ``last``, one of each stretch of equal length, all where there are fewer.
+
+    Their distances are irregular: samples that are lost in a rhythm are not met in step with it.
+    """
+    step = max(last // number, 1)
+    k = np.arange(last // step + 1)
+    places = k * step + (step * (k * GOLDEN % 1.0)).astype(np.int64)
+    return np.asarray(places[places <= last])
 
 
 @lru_cache(maxsize=64)
@@ -143,8 +161,7 @@ def _pair_weights(there: Array, half: int, least: float) -> Array:
     """How much the mean of coefficients weighs the variogram at each distance, by number of parts of a half (0: within a part)."""
     parts = min(half, PARTS)
     out = np.empty(2 * parts)
-    step = max((there.size - 2 * half) // LOOKED_AT, 1)
-    if _gaps_kernel.pair_weights(there, half, step, least, out):
+    if _gaps_kernel.pair_weights(there, half, _places(there.size - 1 - 2 * half, LOOKED_AT), least, out):
         return out
     # the few that there are lie between those that were looked at
     return _whole_weights(parts, half // parts)
@@ -154,7 +171,7 @@ def _pair_weights(there: Array, half: int, least: float) -> Array:
 def _whole_weights(parts: int, size: int) -> Array:
     """The same of coefficients without missing samples."""
     half, out = parts * size, np.empty(2 * parts)
-    _gaps_kernel.pair_weights(np.arange(2.0 * half + 1.0), half, 1, float(half), out)
+    _gaps_kernel.pair_weights(np.arange(2.0 * half + 1.0), half, np.zeros(1, dtype=np.int64), float(half), out)
     return out
 
 

@@ -237,7 +237,7 @@ def _of_gaps(
         raise InputError(f"signal has {there} samples that are finite, expected at least 3")
     length = modwt_filters(filter)[0].size
     count = check_levels(levels, max_levels(x.size, length), x.size)
-    origin = float(np.median(x[~lost][:255]))
+    origin = _middle_of_first(x, lost)
     curve = with_gaps.haar_with_gaps(x, origin, count)
     if curve is not None and filter != "haar":
         curve = with_gaps.filter_with_gaps(x, origin, filter, curve)
@@ -265,6 +265,15 @@ def _of_gaps(
         lost,
         curve.inflation,
     )
+
+
+def _middle_of_first(x: Array, lost: NDArray[np.bool_]) -> float:
+    """Median of the first 255 samples that are there; looks through the whole signal only where its beginning has fewer."""
+    for size in (1024, x.size):
+        there = x[:size][~lost[:size]]
+        if there.size >= 255:
+            break
+    return float(np.median(there[:255]))
 
 
 def _finish(
