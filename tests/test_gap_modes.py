@@ -15,7 +15,7 @@ from insemu.gap.evidence import kernels
 from insemu.gap.evidence.band import Band
 from insemu.gap.evidence.model import Component, Explanation, Likelihood, Rolloff, fit
 from insemu.gap.evidence.modes import NONE, Free, Slope, ascend, laplace, level
-from insemu.noise import GM, RW, WN, NoiseModel
+from insemu.noise import BI, GM, RW, WN, NoiseModel, Process
 from insemu.records import Series
 
 Array = NDArray[np.float64]
@@ -108,15 +108,24 @@ def test_a_band_has_the_density_of_its_autoregression() -> None:
     assert float(band.psd(0.0, dt)) == pytest.approx(expected[0], rel=1e-9)
 
 
-def test_a_slope_without_information_is_the_same_slope() -> None:
+@pytest.mark.parametrize(
+    "process", [GM(1e-3, 0.05), RW(2e-5), BI(1e-4), Band(1e-3, 3.5, 0.5)], ids=lambda p: type(p).__name__
+)
+def test_slope_and_bend_are_derivatives_of_the_posterior(process: Process) -> None:
     rng = np.random.default_rng(5)
     data = reduce(Series((WN(1e-3) + GM(1e-3, 0.05)).simulate(20_000, 0.1, rng), 10.0, "rad/s", "gyro_x"))
-    along = Likelihood(data).along(Explanation.nominal(NoiseModel((WN(1e-3), GM(1e-3, 0.05)))))
-    x = along.explanation.start() + 0.05
-    whole, alone = along.slope(x), along.gradient(x)
-    assert whole is not None and alone is not None
-    assert whole.value == alone.value and np.array_equal(whole.gradient, alone.gradient)
-    assert alone.information.max() == 0.0 < whole.information.min()
+    free = [Free(name, 0.1 * v, 10.0 * v) for name, v in process.parameters.items()]
+    explanation = Explanation.nominal(NoiseModel((WN(1e-3),))).with_component(Component(process, tuple(free), "any"))
+    along = Likelihood(data).along(explanation)
+    x = explanation.start() + 0.02
+    here, bend, h, steps = along.slope(x), along.bend(x), 1e-4, np.eye(x.size)
+    assert here is not None and bend is not None
+    assert here.value == pytest.approx(along(x), rel=1e-12)
+    moved = [(along(x + h * e) - along(x - h * e)) / (2.0 * h) for e in steps]
+    np.testing.assert_allclose(here.gradient, moved, rtol=1e-4, atol=1e-4 * np.abs(moved).max())
+    slopes = [(along.slope(x + h * e), along.slope(x - h * e)) for e in steps]
+    bent = np.array([(b.gradient - a.gradient) / (2.0 * h) for a, b in slopes if a and b])
+    np.testing.assert_allclose(bend, bent, rtol=2e-3, atol=2e-3 * np.abs(bent).max())
 
 
 def test_toeplitz_kernels_solve_what_the_matrix_does() -> None:

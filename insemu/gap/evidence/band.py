@@ -8,6 +8,7 @@ from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.noise import AR, WN, Parameter, Process, StateBlock
@@ -24,9 +25,55 @@ def _turned(f: Array, dt: float) -> tuple[Array, Array]:
     return np.cos(angle), np.sin(angle)
 
 
+#: Frequency zero.
+_ZERO = np.zeros(1).tobytes()
+
+
 @lru_cache(maxsize=16)
 def _turns(f: bytes, dt: float) -> tuple[Array, Array]:
     return _turned(np.frombuffer(f), dt)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[call-arg]  # not in its types
+def resonance(a: float, angle: float, cosine: Array, sine: Array, out: Array) -> None:  # pragma: no cover - compiled
+    """Density over ``sigma^2 dt`` of a resonance that decays by ``a`` and turns by ``angle`` per sample, with its derivatives.
+
+    It is ``tanh(a) (sinh(a)^2 + sin(angle)^2) / ((cosh(a) c - cos(angle))^2 + (sinh(a) s)^2)``.
+
+    Parameters
+    ----------
+    a, angle : float
+        rad per sample.
+    cosine, sine : (n,) arrays
+        c and s: of the frequencies, rad per sample.
+    out : (6, n) array
+        Written to: the density; its derivatives by the logarithms of the frequency (a and angle together) and of the bandwidth (a alone); the
+        second ones, by both frequencies, both, and both bandwidths.
+    """
+    C, S, x, y = math.cosh(a), math.sinh(a), math.cos(angle), math.sin(angle)
+    Q, tanh = S * S + y * y, S / C
+    # logarithm of what does not depend on c and s
+    top_a, top_p = 1.0 / (S * C) + 2.0 * S * C / Q, 2.0 * x * y / Q
+    top_aa = -(C * C + S * S) / (S * C) ** 2 + 2.0 * (C * C + S * S) / Q - (2.0 * S * C / Q) ** 2
+    top_ap = -4.0 * S * C * x * y / Q**2
+    top_pp = 2.0 * (x * x - y * y) / Q - top_p**2
+    for i in range(cosine.size):
+        c, s = cosine[i], sine[i]
+        near = C * c - x
+        E = near * near + (S * s) ** 2
+        ea, ep = 2.0 * S * (C - c * x) / E, 2.0 * y * near / E
+        g = tanh * Q / E
+        ha, hp = a * (top_a - ea), angle * (top_p - ep)
+        haa = a * a * (top_aa - (2.0 * C * (C - c * x) + 2.0 * S * S) / E + ea * ea)
+        hap = a * angle * (top_ap - 2.0 * S * c * y / E + ea * ep)
+        hpp = angle * angle * (top_pp - 2.0 * (x * near + y * y) / E + ep * ep)
+        hf = ha + hp
+        out[0, i] = g
+        out[1, i] = g * hf
+        out[2, i] = g * ha
+        out[3, i] = g * (hf * hf + haa + 2.0 * hap + hpp + hf)
+        out[4, i] = g * (hf * ha + haa + hap + ha)
+        out[5, i] = g * (ha * ha + haa + ha)
 
 
 @dataclass(frozen=True)
@@ -62,6 +109,27 @@ class Band(Process):
         # |1 - phi1 z - phi2 z^2|^2 with z turned back by its angle: nothing cancels near the resonance
         distance = ((1.0 - phi2) * cosine - phi1) ** 2 + ((1.0 + phi2) * sine) ** 2
         return np.asarray(sigma2 * dt / distance).reshape(at.shape)
+
+    @staticmethod
+    def slopes(f0: float, ratio: float, f: Array, dt: float) -> Array:
+        """Density (6, k + 1) of a band of unit level at ``f`` and at zero, with its derivatives by the logarithms of centre and ratio.
+
+        Parameters
+        ----------
+        f0 : float
+            Centre frequency, Hz.
+        ratio : float
+            Full width at half power over centre frequency.
+        f : (k,) array
+            Hz.
+        dt : float
+            Sampling interval, s.
+        """
+        cosine, sine = _turns(f.tobytes() + _ZERO, dt)
+        out = np.empty((6, cosine.size))
+        resonance(math.pi * ratio * f0 * dt, 2.0 * math.pi * f0 * dt, cosine, sine, out)
+        out *= dt
+        return out
 
     def allan_variance(self, m: ArrayLike, dt: float) -> Array:
         """By the low-frequency density: exact for averages much longer than the resonance's memory, where alone it is used."""

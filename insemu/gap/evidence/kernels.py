@@ -12,6 +12,44 @@ Array = NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def _longer(
+    t: int, kappa: float, phi: Array, mirror: Array, back: Array, past: Array
+) -> tuple[float, float]:  # pragma: no cover - compiled
+    """Take the predictor of Durbin and Levinson from ``t - 1`` to ``t`` coefficients, and what it predicts, in one pass over memory.
+
+    Parameters
+    ----------
+    t : int
+        At least 1.
+    kappa : float
+        The new coefficient (partial autocorrelation).
+    phi, mirror : (n,) arrays
+        The predictor at the beginning, and reversed at the end; updated.
+    back, past : (n,) arrays
+        Autocovariance and data, reversed.
+
+    Returns
+    -------
+    float, float
+        Predictions of sample t and of the autocovariance at lag t + 1 (which there is none of for the last t).
+    """
+    n = phi.size
+    start = max(n - t - 1, 0)
+    p, q, data, lags = phi[: t - 1], mirror[n - t + 1 :], past[n - t :], back[start:]
+    sample, lag = 0.0, 0.0
+    for j in range(t - 1):
+        a, b = p[j], q[j]
+        c = a - kappa * b
+        q[j] = b - kappa * a
+        p[j] = c
+        sample += c * data[j]
+        lag += c * lags[j]
+    phi[t - 1] = kappa
+    mirror[n - t] = kappa
+    return sample + kappa * past[n - 1], lag + kappa * lags[t - 1]
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
 def toeplitz_whiten(gamma: Array, columns: Array, out: Array) -> float:  # pragma: no cover - compiled
     """Whiten the columns of a stationary Gaussian vector by the Durbin-Levinson recursion.
 
@@ -32,36 +70,25 @@ def toeplitz_whiten(gamma: Array, columns: Array, out: Array) -> float:  # pragm
         ``log det C``, or NaN where the autocovariance is not positive definite.
     """
     n, k = columns.shape
-    phi = np.zeros(n)
-    other = np.zeros(n)
-    # reversed and contiguous, so that both inner products run forwards over memory
-    back = gamma[::-1].copy()
-    past = np.zeros((k, n))
-    v = gamma[0]
-    logdet = 0.0
+    phi, mirror, back = np.zeros(n), np.zeros(n), gamma[::-1].copy()
+    past = columns[::-1].T.copy()
+    v, logdet, lag = gamma[0], 0.0, 0.0
     for t in range(n):
+        first = 0.0
         if t > 0:
-            r = gamma[t]
-            first = n - t
-            for j in range(t - 1):
-                r -= phi[j] * back[first + j]
-            kappa = r / v
-            for j in range(t - 1):
-                other[j] = phi[j] - kappa * phi[t - 2 - j]
-            for j in range(t - 1):
-                phi[j] = other[j]
-            phi[t - 1] = kappa
+            kappa = (gamma[t] - lag) / v
+            first, lag = _longer(t, kappa, phi, mirror, back, past[0])
             v *= (1.0 - kappa) * (1.0 + kappa)
         if not v > 0.0:
             return math.nan
         logdet += math.log(v)
         s = 1.0 / math.sqrt(v)
-        for c in range(k):
-            e = columns[t, c]
+        out[t, 0] = (columns[t, 0] - first) * s
+        for c in range(1, k):
+            e, data = columns[t, c], past[c, n - t :]
             for j in range(t):
-                e -= phi[j] * past[c, n - t + j]
+                e -= phi[j] * data[j]
             out[t, c] = e * s
-            past[c, n - 1 - t] = columns[t, c]
     return logdet
 
 
@@ -89,44 +116,43 @@ def toeplitz_solve(
         ``log det C``, or NaN where the autocovariance is not positive definite.
     """
     m, n = columns.shape
-    phi, other = np.zeros(n), np.zeros(n)
-    back, past = gamma[::-1].copy(), columns[:, ::-1].copy()
+    phi, mirror, back = np.zeros(n), np.zeros(n), gamma[::-1].copy()
+    past = columns[:, ::-1].copy()
     solved[:] = 0.0
-    v, logdet = gamma[0], 0.0
+    v, logdet, lag = gamma[0], 0.0, 0.0
     for t in range(n):
+        first = 0.0
         if t > 0:
-            r = gamma[t]
-            first = n - t
-            for j in range(t - 1):
-                r -= phi[j] * back[first + j]
-            kappa = r / v
-            for j in range(t - 1):
-                other[j] = phi[j] - kappa * phi[t - 2 - j]
-            for j in range(t - 1):
-                phi[j] = other[j]
-            phi[t - 1] = kappa
+            kappa = (gamma[t] - lag) / v
+            first, lag = _longer(t, kappa, phi, mirror, back, past[0])
             v *= (1.0 - kappa) * (1.0 + kappa)
         if not v > 0.0:
             return math.nan
         logdet += math.log(v)
-        before = n - t
+        predictor = mirror[n - t :]
         for c in range(m):
-            e = columns[c, t]
+            e = columns[c, t] - first
+            if c > 0:
+                e, data = columns[c, t], past[c, n - t :]
+                for j in range(t):
+                    e -= phi[j] * data[j]
+            w, before = e / v, solved[c, :t]
+            solved[c, t] = w
             for j in range(t):
-                e -= phi[j] * past[c, before + j]
-            w = e / v
-            solved[c, t] += w
-            for j in range(t):
-                solved[c, t - 1 - j] -= phi[j] * w
-    x = np.empty(n)
+                before[j] -= predictor[j] * w
+    x, moment = np.empty(n), np.empty(n)
     x[0] = 1.0 / v
     for j in range(n - 1):
         x[1 + j] = -phi[j] / v
+    for j in range(n):
+        moment[j] = 2.0 * j * x[j]
     for k in range(n):
-        total = 0.0
+        later = x[k:]
+        total, less = 0.0, 0.0
         for i in range(n - k):
-            total += (n - k - 2.0 * i) * x[i] * x[i + k]
-        diagonals[k] = total * v
+            total += x[i] * later[i]
+            less += moment[i] * later[i]
+        diagonals[k] = ((n - k) * total - less) * v
     return logdet
 
 
@@ -147,6 +173,60 @@ def lagged_products(rows: Array, out: Array) -> None:  # pragma: no cover - comp
             for i in range(n - k):
                 total += rows[c, i] * rows[c, i + k]
         out[k] = total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[call-arg]  # not in its types
+def gauss_markov_slopes(
+    a: float, m: int, square: Array, allan: Array, density: Array, covariance: Array
+) -> None:  # pragma: no cover - compiled
+    """A first-order process of unit variance with its derivatives by the logarithm of its rate.
+
+    Its density over dt is ``sinh(a) / (2 (sinh(a / 2)^2 + sin(w / 2)^2))``; differences of block means go together by ``(1 - exp(-m a))^2``
+    times the covariance of neighbouring means, less by exp(-m a) with every further block.
+
+    Parameters
+    ----------
+    a : float
+        Rate times sampling interval.
+    m : int
+        Samples per block.
+    square : (k,) array
+        Squared sines of half the frequencies, rad per sample.
+    allan : (3,) array
+        Allan variance of block means, its derivative, the second one.
+    density : (3, k) array
+        Written to: density over the sampling interval, its derivative, the second one.
+    covariance : (3, n) array
+        Written to: covariance of the block differences at lags 0 to n - 1, its derivative, the second one.
+    """
+    S, C, half = math.sinh(a), math.cosh(a), math.sinh(0.5 * a) ** 2
+    for i in range(square.size):
+        E = 2.0 * (half + square[i])
+        slope = a * (C / S - S / E)
+        bend = slope + a * a * (-1.0 / (S * S) - C / E + (S / E) ** 2)
+        g = S / E
+        density[0, i], density[1, i], density[2, i] = g, g * slope, g * (slope * slope + bend)
+    n = covariance.shape[1]
+    if n == 0:
+        return
+    lost, kept = -math.expm1(-m * a), math.exp(-m * a)
+    near = math.exp(-a) * (lost / math.expm1(-a) / m) ** 2
+    # derivatives of the logarithms of lost (twice) and near
+    turn, one = 2.0 * m * a * kept / lost, 2.0 * a * math.exp(-a) / -math.expm1(-a)
+    slope, turned = turn - a - one, turn * (1.0 - m * a / lost)
+    bend = turned - a - one * (1.0 + a / math.expm1(-a))
+    for i in range(3):
+        covariance[i, 0] = 2.0 * allan[i]
+    if n > 1:
+        value, up = near * lost, slope + 0.5 * turn
+        covariance[0, 1], covariance[1, 1] = value - allan[0], value * up - allan[1]
+        covariance[2, 1] = value * (up * up + bend + 0.5 * turned) - allan[2]
+    far = -near * lost * lost
+    for k in range(n - 2):
+        later = k * m * a
+        value, up = far * math.exp(-later), slope + turn - later
+        covariance[0, k + 2], covariance[1, k + 2] = value, value * up
+        covariance[2, k + 2] = value * (up * up + bend + turned - later)
 
 
 @njit(cache=True, nogil=True)

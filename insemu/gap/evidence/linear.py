@@ -187,7 +187,7 @@ def regression_evidence(A: Array, b: Array, scales: Array) -> float:
     return log_mean_exp(logs[:, 0])
 
 
-def stationary_score(gamma: Array, rows: Array, scales: Array) -> tuple[float, Array] | None:
+def stationary_score(gamma: Array, rows: Array, scales: Array) -> tuple[float, Array, Array] | None:
     """Log-likelihood of a stationary Gaussian vector beside a linear effect, with its derivatives by the autocovariance.
 
     With ``X = C^-1 [y G]``, m and M posterior mean and covariance of the coefficients at one prior scale, the derivative along dC is
@@ -204,8 +204,9 @@ def stationary_score(gamma: Array, rows: Array, scales: Array) -> tuple[float, A
 
     Returns
     -------
-    (float, (n,) array), optional
-        Nothing where the autocovariance is not positive definite.
+    (float, (n,) array, (n,) array), optional
+        Log-likelihood, derivatives, and sums of products at every lag of what ``C^-1`` makes of the data. Nothing where the autocovariance is not
+        positive definite.
     """
     solved, by_lag = np.empty_like(rows), np.empty(gamma.size)
     logdet = kernels.toeplitz_solve(gamma, rows, solved, by_lag)
@@ -232,7 +233,7 @@ def stationary_score(gamma: Array, rows: Array, scales: Array) -> tuple[float, A
     kernels.lagged_products(np.ascontiguousarray(mixed), products)
     by_lag = products - by_lag
     by_lag[0] *= 0.5  # a lag counts once on the diagonal and twice beside it
-    return value, by_lag
+    return value, by_lag, products
 
 
 # -- slow processes on knots ----------------------------------------------------------------------------------------------------------

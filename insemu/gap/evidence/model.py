@@ -8,9 +8,10 @@ the data leave undetermined is never worth more than its prior's width.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from insemu.gap.data.log import Reduced, density, difference_covariance, of_unit
 from insemu.gap.evidence import kernels
 from insemu.gap.evidence.linear import regression_evidence, stationary_score
 from insemu.gap.evidence.modes import Free, Mode, Slope, ascend, level
+from insemu.gap.evidence.shapes import Shaping, derivatives, pairs, spectrum_of
 from insemu.gap.policy import rules
 from insemu.noise import NoiseModel, Process
 
@@ -97,8 +99,6 @@ class Regressors:
     )
 
 
-#: Shapes of one process that a climb remembers; the step in log by which a shape parameter is moved for a derivative.
-MOST_SHAPES, SHAPE_STEP = 64, 1e-6
 #: Frequencies up to which a spectrum is worked out at each, and the relative distance of those between which it is interpolated beyond.
 MOST_EXACT, NEARNESS = 32_768, 2e-4
 
@@ -216,8 +216,8 @@ class Likelihood:
         self._memory[key] = value
         return value
 
-    def score_of(self, gamma: Array, regressors: Sequence[Regressors] = ()) -> tuple[float, Array] | None:
-        """:meth:`low_of` and its derivatives by the autocovariance; ``None`` where that is not positive definite."""
+    def score_of(self, gamma: Array, regressors: Sequence[Regressors] = ()) -> tuple[float, Array, Array] | None:
+        """:meth:`low_of` with what :func:`stationary_score` says of it; ``None`` where the autocovariance is not positive definite."""
         rows = np.vstack([self.data.differences, *(r.columns.T for r in regressors)])
         return stationary_score(gamma, rows, np.concatenate([np.empty(0), *(r.scales for r in regressors)]))
 
@@ -281,162 +281,237 @@ class Likelihood:
         return covariance @ (G.T @ white[:, 0]), covariance
 
 
-#: Derivatives of density (k, bins) and covariance (k, lags) by k parameters.
-Slopes = tuple[Array, Array]
-
-
 class Along:
     """The log posterior of an explanation as a function of the logarithms of its free parameters, inside their bounds.
 
-    What does not depend on them is worked out once, and the shape of a process again only where one of its shape parameters moves.
+    Density and covariance are sums over rows: one of what does not depend on the parameters, and for every component with free ones those of its
+    :class:`Shape`, times its level. A component's rows are worked out again only where one of its shape parameters moves.
     """
 
     def __init__(self, likelihood: Likelihood, explanation: Explanation) -> None:
         self.likelihood, self.explanation = likelihood, explanation
-        data = likelihood.data
-        self._psd, self._covariance = np.zeros_like(data.f), np.zeros(data.differences.size)
-        self._moving: list[tuple[Process, list[str], int, dict[tuple[float, ...], tuple[Array, Array]]]] = []
-        for c in explanation.components:
-            names = [f.name for f in c.free]
-            at = names.index(c.process.level.name) if c.process.level.name in names else -1
-            if names:
-                self._moving.append((of_unit_level(c.process) if at >= 0 else c.process, names, at, {}))
-            else:
-                psd, covariance = self._shape(c.process)
-                self._psd, self._covariance = self._psd + psd, self._covariance + covariance
+        data, count = likelihood.data, likelihood.data.differences.size
         self._seen = explanation.seen(data)
         self._prior = [(math.log(f.low), math.log(f.high), f.edge, math.log(f.width)) for f in explanation.free]
+        self._low_pass = len(explanation.rolloff.free) if explanation.rolloff else 0
+        still = [Shaping(data, c.process).plain() for c in explanation.components if not c.free]
+        self._moving = list(_moving(data, explanation.components))
+        self._places = _Places(self._moving)
+        self._density = np.zeros((self._places.rows, data.f.size))
+        self._covariance = np.zeros((self._places.rows, count))
+        self._density[0] = sum((psd for psd, _ in still), np.zeros(data.f.size))
+        self._covariance[0] = sum((covariance for _, covariance in still), np.zeros(count))
+        self._spectrum = spectrum_of(self._covariance)
 
-    def _shape(self, process: Process) -> tuple[Array, Array]:
-        data, count = self.likelihood.data, self._covariance.size
-        covariance = difference_covariance(process, data.block, data.dt, count) if count else np.zeros(0)
-        return density(process, data.f, data.dt), covariance
-
-    def _moved(self, process: Process, names: Sequence[str], own: Sequence[float]) -> tuple[Array, Array]:
-        """As :meth:`_shape` at other shape parameters, which a climb hardly ever comes back to."""
-        data, count = self.likelihood.data, self._covariance.size
-        moved = process.unchecked({n: math.exp(v) for n, v in zip(names, own, strict=True)})
-        covariance = moved.difference_covariance(data.block, data.dt, count) if count else np.zeros(0)
-        return moved.psd(data.f, data.dt), covariance
-
-    def _unit(
-        self,
-        process: Process,
-        names: Sequence[str],
-        own: Sequence[float],
-        known: dict[tuple[float, ...], tuple[Array, Array]],
-    ) -> tuple[Array, Array]:
-        """Density and covariance of a process at unit level and these logarithms of its shape parameters."""
-        key = tuple(own)
-        if key not in known:
-            if len(known) > MOST_SHAPES:
-                known.clear()
-            known[key] = self._moved(process, names, own) if names else self._shape(process)
-        return known[key]
-
-    def _sum(self, x: Array, by: Slopes | None = None) -> tuple[Array, Array]:
-        """Density before the roll-off and covariance at ``x``; their derivatives by each parameter are written to ``by``."""
-        psd, covariance, k = self._psd.copy(), self._covariance.copy(), 0
-        for process, names, at, known in self._moving:
-            own = x[k : k + len(names)].tolist()
-            power = 2 // process.level.power
-            size = math.exp(power * own.pop(at)) if at >= 0 else 1.0
-            others = [n for i, n in enumerate(names) if i != at]
-            unit = self._unit(process, others, own, known)
-            here = (size * unit[0], size * unit[1])
-            psd += here[0]
-            covariance += here[1]
-            if by is not None:
-                rows = [k + i for i in range(len(names)) if i != at]
-                for i, row in enumerate(rows):
-                    moved = [v + SHAPE_STEP * (n == i) for n, v in enumerate(own)]
-                    more = self._unit(process, others, moved, known)
-                    for out, a, b in zip(by, more, unit, strict=True):
-                        np.subtract(a, b, out=out[row])
-                        out[row] *= size / SHAPE_STEP
-                if at >= 0:
-                    for out, part in zip(by, here, strict=True):
-                        np.multiply(part, float(power), out=out[k + at])
-            k += len(names)
-        return psd, covariance
-
-    def _gain(self, x: Array) -> Array | float:
-        rolloff, data = self.explanation.rolloff, self.likelihood.data
-        if rolloff is None:
-            return 1.0
-        at = x[x.size - len(rolloff.free) :]
-        return replace(rolloff, values=tuple(math.exp(v) for v in at)).gain(data.f, data.dt)
+    def _gain(self, at: Sequence[float]) -> Array:
+        """Power gain of the roll-off at the logarithms of its parameters."""
+        assert self.explanation.rolloff is not None
+        data = self.likelihood.data
+        return replace(self.explanation.rolloff, values=tuple(math.exp(v) for v in at)).gain(data.f, data.dt)
 
     def __call__(self, x: Array) -> float:
         """Log likelihood plus log prior density."""
-        psd, covariance = self._sum(x)
+        psd, covariance = self._density[0], self._covariance[0]
+        for part in self._moving:
+            size, own = part.split(x)
+            unit = part.shaping.plain(own)
+            psd, covariance = psd + size * unit[0], covariance + size * unit[1]
         total = 0.0
         for v, (low, high, edge, width) in zip(x, self._prior, strict=True):
             total -= width + 0.5 * (max(low - v, v - high, 0.0) / edge) ** 2
         if psd.size:
-            floor = self.explanation.rolloff.floor if self.explanation.rolloff else 0.0
-            total += self.likelihood.high_of(psd * self._gain(x) + floor, self._seen)
+            rolloff = self.explanation.rolloff
+            S = psd * self._gain(x[x.size - self._low_pass :].tolist()) + rolloff.floor if rolloff else psd
+            total += self.likelihood.high_of(S, self._seen)
         return total + (self.likelihood.low_of(covariance, self.explanation.regressors) if covariance.size else 0.0)
 
-    def gradient(self, x: Array) -> Slope | None:
-        """As :meth:`slope`, the expected curvature that of the prior's edges alone."""
-        return self.slope(x, informed=False)
+    def _filled(self, x: Array) -> Array:
+        """Write the rows at ``x``; what the level of each component multiplies by, one first for what does not move."""
+        sizes = [1.0]
+        for k, part in enumerate(self._moving):
+            size, own = part.split(x)
+            sizes.append(size)
+            if part.at != own:
+                part.at, shape = own, part.shaping.at(own)
+                rows = self._places.of[k]
+                self._density[rows], self._covariance[rows] = shape.density, shape.covariance
+                self._spectrum[rows.start : rows.start + len(shape.spectrum)] = shape.spectrum
+        return np.array(sizes)
 
-    def slope(self, x: Array, informed: bool = True) -> Slope | None:
-        """The same with its derivatives and, where ``informed``, expected curvature; ``None`` where it is not finite."""
-        by = (np.zeros((x.size, self._psd.size)), np.zeros((x.size, self._covariance.size)))
-        psd, covariance = self._sum(x, by)
-        value, gradient, information = 0.0, np.zeros(x.size), np.zeros((x.size, x.size))
+    @property
+    def powers(self) -> Array:
+        """Power of each free parameter in the density; none of those that change its shape."""
+        out = np.zeros(len(self._prior))
+        for part in self._moving:
+            if part.level:
+                out[part.own[0]] = part.power
+        return out
+
+    def slope(self, x: Array) -> Slope | None:
+        """The same with its derivatives, expected and observed curvature; ``None`` where it is not finite."""
+        value, gradient, expected = 0.0, np.zeros(x.size), np.zeros((x.size, x.size))
         for k, (v, (low, high, edge, width)) in enumerate(zip(x.tolist(), self._prior, strict=True)):
             outside = max(low - v, v - high, 0.0)
             value -= width + 0.5 * (outside / edge) ** 2
             gradient[k] = math.copysign(outside, low - v if v < low else low - high) / edge**2
-            information[k, k] = 1.0 / edge**2 if outside else 0.0
-        if psd.size:
-            rolloff, gain = self.explanation.rolloff, self._gain(x)
-            S = psd * gain + (rolloff.floor if rolloff else 0.0)
-            if not (S > 0).all():
+            expected[k, k] = 1.0 / edge**2 if outside else 0.0
+        sizes, observed = self._filled(x), expected.copy()
+        if self._density.shape[1]:
+            looked = self._spectral(x, sizes, gradient, expected, observed)
+            if looked is None:
                 return None
-            counted, ratio = self.likelihood.data.counted, self._seen / S
-            value += float(-0.5 * (counted @ (np.log(S) + ratio)))
-            relative = by[0] * (gain / S)
-            for k in range(x.size - len(rolloff.free) if rolloff else x.size, x.size):
-                moved = np.asarray(self._gain(x + SHAPE_STEP * (np.arange(x.size) == k)))
-                relative[k] = psd * (moved - gain) / (SHAPE_STEP * S)
-            gradient += relative @ (0.5 * counted * (ratio - 1.0))
-            if informed:
-                information += (relative * (0.5 * counted)) @ relative.T
-        if covariance.size:
-            scored = self.likelihood.score_of(covariance, self.explanation.regressors)
+            value += looked
+        if self._covariance.shape[1]:
+            scored = self._scored(sizes @ self._covariance[self._places.values])
             if scored is None:
                 return None
             value += scored[0]
-            gradient += by[1] @ scored[1]
-            if informed:
-                information += _asymptotic_information(covariance, by[1])
-        return Slope(value, gradient, information) if math.isfinite(value) and np.isfinite(gradient).all() else None
+            gradient[self._places.own] += self._by_parameter(sizes, self._covariance) @ scored[1]
+            self._informed(sizes, scored[1], scored[2], expected, observed)
+        if not (math.isfinite(value) and np.isfinite(gradient).all()):
+            return None
+        return Slope(value, gradient, expected, observed)
+
+    def bend(self, x: Array) -> Array | None:
+        """Second derivatives of the negative log likelihood; ``None`` where it is not finite.
+
+        Those of the block differences from the differences of their score along the few directions in which the covariance moves.
+        """
+        places, H = self._places, np.zeros((x.size, x.size))
+        sizes = self._filled(x)
+        if self._density.shape[1] and self._spectral(x, sizes, np.zeros(x.size), np.zeros_like(H), H) is None:
+            return None
+        if self._covariance.shape[1]:
+            gamma, by = sizes @ self._covariance[places.values], self._by_parameter(sizes, self._covariance)
+            turned, lengths, directions = np.linalg.svd(by, full_matrices=False)
+            few = lengths > LEAST_LENGTH * lengths[0]
+            steps = lengths[few, None] * directions[few]
+            scores = [self._scored(gamma + sign * BEND_STEP * d) for d in steps for sign in (1.0, 0.0, -1.0)]
+            if any(scored is None for scored in scores):
+                return None
+            plus, here, minus = (np.array([scored[1] for scored in scores[k::3] if scored]) for k in range(3))
+            bent = by @ ((minus - plus) / (2.0 * BEND_STEP)).T @ turned[:, few].T
+            H[np.ix_(places.own, places.own)] += 0.5 * (bent + bent.T)
+            self._less_bent(sizes, here[0], H)
+        return H
+
+    def _scored(self, gamma: Array) -> tuple[float, Array, Array] | None:
+        return self.likelihood.score_of(gamma, self.explanation.regressors)
+
+    def _by_parameter(self, sizes: Array, rows: Array) -> Array:
+        """Derivatives of curves by the parameters, in the order of the places."""
+        return (self._places.power * sizes[self._places.part])[:, None] * rows[self._places.row]
+
+    def _less_bent(self, sizes: Array, score: Array, H: Array) -> None:
+        """Take what the second derivatives of the covariance make of its score off a curvature."""
+        i, j, row, power, part = self._places.twice
+        bent = power * sizes[part] * (self._covariance[row] @ score)
+        H[i, j] -= bent
+        H[j[i != j], i[i != j]] -= bent[i != j]
+
+    def _informed(self, sizes: Array, score: Array, products: Array, expected: Array, observed: Array) -> None:
+        """Curvatures of the block differences, those of their spectrum (Whittle 1953), are added to what is given."""
+        own, n = np.ix_(self._places.own, self._places.own), self._covariance.shape[1]
+        density, relative = sizes @ self._spectrum[self._places.values], self._by_parameter(sizes, self._spectrum)
+        relative /= np.maximum(density, LEAST_DENSITY * float(density.max()))
+        half = 0.5 * n / density.size
+        information = half * (relative @ relative.T)
+        expected[own] += information
+        # what the inverse covariance makes of the data has this spectrum times the density, one on average
+        ratio = spectrum_of(products[None, :])[0] * density / n
+        observed[own] += 2.0 * half * ((relative * ratio) @ relative.T) - information
+        self._less_bent(sizes, score, observed)
+
+    def _spectral(self, x: Array, sizes: Array, gradient: Array, expected: Array, observed: Array) -> float | None:
+        """Whittle's log likelihood; its derivatives, expected and observed curvature are added to what is given."""
+        places, rolloff, m = self._places, self.explanation.rolloff, self._low_pass
+        psd = sizes @ self._density[places.values]
+        gains = derivatives(self._gain, x[x.size - m :].tolist()) if rolloff else np.ones((1, 1))
+        S = psd * gains[0] + (rolloff.floor if rolloff else 0.0)
+        if not (S > 0).all():
+            return None
+        half, ratio = 0.5 * self.likelihood.data.counted, self._seen / S
+        weight = half * (ratio - 1.0) / S  # derivative of the value by the density
+        relative, H = np.empty((x.size, S.size)), np.zeros((x.size, x.size))
+        relative[places.own] = self._by_parameter(sizes, self._density)
+        if rolloff:
+            last = np.arange(x.size - m, x.size)
+            H[np.ix_(places.own, last)] = relative[places.own] @ (weight * gains[1 : 1 + m]).T
+            H[np.ix_(last, places.own)] = H[np.ix_(places.own, last)].T
+            for (a, b), bent in zip(pairs(m), gains[1 + m :] @ (weight * psd), strict=True):
+                H[last[a], last[b]] = H[last[b], last[a]] = bent
+            relative[places.own] *= gains[0]
+            relative[last] = gains[1 : 1 + m] * psd
+        gradient += relative @ weight
+        i, j, row, power, part = places.twice
+        H[i, j] = H[j, i] = power * sizes[part] * (self._density @ (weight * gains[0]))[row]
+        relative /= S
+        information = (relative * half) @ relative.T
+        expected += information
+        observed += 2.0 * (relative * (half * ratio)) @ relative.T - information - H
+        return float(-(half @ (np.log(S) + ratio)))
+
+
+@dataclass
+class _Moving:
+    """A component with free parameters: which of all they are (the level first where it is free), its power in the density, its shapes."""
+
+    own: list[int]
+    level: bool
+    power: int
+    shaping: Shaping
+    at: list[float] | None = None
+
+    def split(self, x: Array) -> tuple[float, list[float]]:
+        """What the level multiplies by, and the logarithms of the shape parameters."""
+        own = x[self.own].tolist()
+        return (math.exp(self.power * own.pop(0)) if self.level else 1.0), own
+
+
+def _moving(data: Reduced, components: Sequence[Component]) -> Iterator[_Moving]:
+    k = 0
+    for c in components:
+        level = c.process.level
+        order = sorted(range(len(c.free)), key=lambda i: c.free[i].name != level.name)
+        free = any(f.name == level.name for f in c.free)
+        if c.free:
+            names = [c.free[i].name for i in order[free:]]
+            shaping = Shaping(data, of_unit_level(c.process) if free else c.process, names)
+            yield _Moving([k + i for i in order], free, 2 // level.power, shaping)
+        k += len(c.free)
+
+
+class _Places:
+    """Where in the rows of :class:`Along` the components and parameters are.
+
+    Parameters
+    ----------
+    moving : sequence of _Moving
+    """
+
+    def __init__(self, moving: Sequence[_Moving]) -> None:
+        shapes = [len(c.shaping.names) for c in moving]
+        starts = np.cumsum([1, *(1 + m + len(pairs(m)) for m in shapes)]).tolist()
+        self.rows, self.values = starts[-1], np.array([0, *starts[:-1]])
+        self.of = [slice(a, b) for a, b in pairwise(starts)]
+        once: list[tuple[int, int, int, int]] = []
+        twice: list[tuple[int, int, int, int, int]] = []
+        for part, (c, m, at) in enumerate(zip(moving, shapes, starts, strict=False), start=1):
+            own = c.own[c.level :]
+            if c.level:
+                once.append((c.own[0], at, c.power, part))
+                twice.append((c.own[0], c.own[0], at, c.power**2, part))
+                twice += [(c.own[0], i, at + 1 + n, c.power, part) for n, i in enumerate(own)]
+            once += [(i, at + 1 + n, 1, part) for n, i in enumerate(own)]
+            twice += [(own[i], own[j], at + 1 + m + n, 1, part) for n, (i, j) in enumerate(pairs(m))]
+        self.own, self.row, self.power, self.part = np.array(once, dtype=np.intp).reshape(-1, 4).T
+        self.twice = np.array(twice, dtype=np.intp).reshape(-1, 5).T
 
 
 #: Share of its largest value below which a density of the differences counts as that: sampled covariances do not resolve less.
 LEAST_DENSITY = 1e-4
-
-
-def _asymptotic_information(covariance: Array, by: Array) -> Array:
-    """Information of a stationary Gaussian vector on its parameters, as that of its spectrum (Whittle 1953).
-
-    Parameters
-    ----------
-    covariance : (n,) array
-        At lags 0 to n - 1.
-    by : (k, n) array
-        Its derivatives by each parameter.
-    """
-    n = covariance.size
-    size = 1 << (2 * n - 1).bit_length()
-    rows = np.vstack([covariance, by])
-    density = 2.0 * np.fft.rfft(rows, size).real - rows[:, :1]
-    relative = density[1:] / np.maximum(density[0], LEAST_DENSITY * float(density[0].max()))
-    return np.asarray(0.5 * n / relative.shape[1] * (relative @ relative.T))
+#: Step along a direction of the covariance for its curvature, in logs of parameters; share of the longest direction below which there is none.
+BEND_STEP, LEAST_LENGTH = 1e-3, 1e-9
 
 
 @dataclass(frozen=True)
@@ -489,6 +564,6 @@ def fit(likelihood: Likelihood, explanation: Explanation, known: Sequence[Fitted
     """
     along = likelihood.along(explanation)
     modes = [f.mode for f in known]
-    found = ascend(along.slope, explanation.start(), explanation.free, modes, beside=along.gradient)
+    found = ascend(along.slope, explanation.start(), explanation.free, modes, powers=along.powers, bend=along.bend)
     same = next((f for f in known if f.mode is found), None)
     return same or Fitted(explanation.at(found.x), found)

@@ -151,11 +151,14 @@ class Slope:
     gradient : (k,) array
     information : (k, k) array
         Fisher's, that of the prior's edges included: what the second derivatives of the negative log posterior are on average.
+    curvature : (k, k) array, optional
+        These themselves, as far as they are known.
     """
 
     value: float
     gradient: Array
     information: Array
+    curvature: Array | None = None
 
 
 #: Longest step in log, tries of one step, steps of a climb.
@@ -174,9 +177,10 @@ def ascend(
     free: Sequence[Free],
     known: Sequence[Mode] = (),
     *,
-    beside: Callable[[Array], Slope | None] | None = None,
+    powers: Array | None = None,
+    bend: Callable[[Array], Array | None] | None = None,
 ) -> Mode:
-    """Climb to a mode and weigh it: steps of Fisher's scoring, shortened as Levenberg and Marquardt do.
+    """Climb to a mode and weigh it: steps of Fisher's scoring, near the top of Newton's, shortened as Levenberg and Marquardt do.
 
     Parameters
     ----------
@@ -187,19 +191,27 @@ def ascend(
     free : sequence of Free
     known : sequence of Mode
         Modes of the same posterior: a climb that comes near one ends there.
-    beside : callable, optional
-        As ``look``, where the information is not needed.
+    powers : (k,) array, optional
+        As :class:`Steps` has them.
+    bend : callable, optional
+        Second derivatives (k, k) of the negative log likelihood; by differences where there is none or it has none.
     """
     x = inside(x0, free)
     here = look(x)
     if here is None:
         return weighed(x, NONE, np.zeros((x.size, x.size)), free)
-    limits, floor, damping = reach(free), np.diag([1.0 / f.sigma**2 for f in free]), FIRST_DAMPING
+    steps, damping = Steps(free, powers), FIRST_DAMPING
+    floor = np.diag([1.0 / f.sigma**2 for f in free])
     for _ in range(MOST_STEPS if x.size else 0):
-        bend = here.information + floor
-        if 0.5 * float(here.gradient @ _step(x, here.gradient, bend, limits)) < PROMISED_NATS:
+        curve = here.information + floor
+        promised = steps.promised(x, here.gradient, curve)
+        if here.curvature is not None and promised < NEAR_NATS:
+            observed = here.curvature + floor + np.diag(steps.powers * here.gradient)
+            if _alike(observed, curve):
+                curve, promised = observed, steps.promised(x, here.gradient, observed)
+        if promised < PROMISED_NATS:
             break
-        damping, taken = _damped(look, x, here, bend, damping, limits)
+        damping, taken = _damped(look, x, here, curve, damping, steps)
         if taken is None:
             break
         x, here = taken
@@ -209,69 +221,166 @@ def ascend(
                 return mode
     if not x.size:
         return weighed(x, here.value, np.zeros((0, 0)), free)
-    H = _bend_at(beside or look, x, here, free)
+    known_bend = bend(x) if bend is not None else None
+    H = (_bend_at(look, x, here, free) if known_bend is None else known_bend) + np.diag(_edges(x, free))
     values, vectors = np.linalg.eigh(H)
     last = (vectors / np.maximum(values, float(floor.diagonal().min()))) @ (vectors.T @ here.gradient)
     gain = 0.5 * float(here.gradient @ last)
     if not 0.0 <= gain < CLOSE * PROMISED_NATS:  # a climb that was given up
         return weighed(x, here.value, H, free)
-    return weighed(np.clip(x + last, *limits), here.value + gain, H, free)
+    return weighed(np.clip(x + last, *steps.limits), here.value + gain, H, free)
 
 
 #: A last step, to the top of the parabola, is taken where it promises no more than this over what a climb ends for.
 CLOSE = 10.0
 #: Damping of a first step, and by how much one that fails, that gains less than a quarter, or more than three quarters of its promise, changes it.
 FIRST_DAMPING, FAILED, POOR, GOOD = 1e-3, 8.0, 2.0, 0.2
+#: Promise, nats, from which on the observed curvature says where the top is, if it is more than this share of the expected one in every direction.
+NEAR_NATS, LEAST_SHARE = 100.0, 0.02
+#: Times that a step is worked out again because it ends on another side of a prior's bounds than was assumed.
+SIDES = 4
+
+
+def _alike(observed: Array, expected: Array) -> bool:
+    """Whether an observed curvature is positive in every direction, as the expected one is."""
+    try:
+        np.linalg.cholesky(observed - LEAST_SHARE * expected)
+    except np.linalg.LinAlgError:
+        return False
+    return True
+
+
+class Steps:
+    """Steps of a climb, along which levels change their part of the density, and not its logarithm, in proportion.
+
+    A process that takes over what another explains is a straight way there and a bent one in logarithms. Priors are flat with parabolas beyond
+    their bounds, so a step that crosses one is worked out for the side on which it ends.
+
+    Parameters
+    ----------
+    free : sequence of Free
+    powers : (k,) array, optional
+        Power of each parameter in the density, none where it changes the shape: then its logarithm moves in proportion.
+    """
+
+    def __init__(self, free: Sequence[Free], powers: Array | None = None) -> None:
+        self.powers = np.zeros(len(free)) if powers is None else powers
+        self.low = np.array([math.log(f.low) for f in free])
+        self.high = np.array([math.log(f.high) for f in free])
+        self.stiff = np.array([f.edge**-2 for f in free])
+        self.limits = reach(free) if free else (np.zeros(0), np.zeros(0))
+        self._level = self.powers > 0.0
+        self._unit = np.where(self._level, self.powers, 1.0)
+        self._longest = (
+            self._proportion(np.full(len(free), LONGEST_STEP)),
+            -self._proportion(np.full(len(free), -LONGEST_STEP)),
+        )
+
+    def _proportion(self, d: Array) -> Array:
+        """Changes in proportion of changes in log."""
+        return np.where(self._level, np.expm1(self._unit * d) / self._unit, d)
+
+    def _sides(self, x: Array) -> NDArray[np.int64]:
+        return (x > self.high).astype(np.int64) - (x < self.low)
+
+    def _edges(self, side: NDArray[np.int64], x: Array) -> tuple[Array, Array]:
+        """Slope and curvature at ``x`` of the parabolas of these sides."""
+        stiff = np.where(side != 0, self.stiff, 0.0)
+        return stiff * (np.where(side < 0, self.low, self.high) - x), stiff
+
+    def _solved(self, x: Array, gradient: Array, bend: Array) -> Array:
+        """To the top of the parabola; what pushes against a limit stays there."""
+        low, high = self.limits
+        go = ~(((x <= low) & (gradient < 0.0)) | ((x >= high) & (gradient > 0.0)))
+        if go.all():
+            return np.asarray(np.linalg.solve(bend, gradient), dtype=np.float64)
+        s = np.zeros(x.size)
+        if go.any():
+            s[go] = np.linalg.solve(bend[np.ix_(go, go)], gradient[go])
+        return s
+
+    def _taken(self, x: Array, s: Array) -> tuple[Array, Array]:
+        """Where a change in proportion ends, no longer than the longest and inside the limits, and what is left of it."""
+        up, down = self._longest
+        s = s * min(1.0, float(np.min(np.where(s > 0.0, up, down) / np.maximum(np.abs(s), 1e-300), initial=1.0)))
+        end = np.clip(x + np.where(self._level, np.log1p(self._unit * s) / self._unit, s), *self.limits)
+        return end, self._proportion(end - x)
+
+    def promised(self, x: Array, gradient: Array, bend: Array) -> float:
+        """What a step would gain by the parabola, nats.
+
+        Parameters
+        ----------
+        x : (k,) array
+            Where it starts, logarithms of the parameters.
+        gradient, bend : (k,), (k, k) arrays
+            Slope and curvature of the log posterior.
+        """
+        return 0.5 * float(gradient @ self._solved(x, gradient, bend))
+
+    def step(self, x: Array, gradient: Array, bend: Array, damping: float) -> tuple[Array, float]:
+        """Where a damped step ends, and what it promises; priors count as they are there.
+
+        Parameters
+        ----------
+        x : (k,) array
+            Where it starts, logarithms of the parameters.
+        gradient, bend : (k,), (k, k) arrays
+            Slope and curvature of the log posterior.
+        damping : float
+            Share of the curvature's diagonal that is added.
+        """
+        side = start = self._sides(x)
+        pull, stiff = self._edges(start, x)
+        slope, curve = gradient - pull, bend - np.diag(stiff)
+        s = np.zeros(x.size)
+        for _ in range(SIDES):
+            pull, stiff = self._edges(side, x)
+            H = curve + np.diag(stiff)
+            s = self._solved(x, slope + pull, H + damping * np.diag(np.diag(H)))
+            ends = self._sides(x + s)
+            if np.array_equal(ends, side):
+                break
+            side = ends
+        end, s = self._taken(x, s)
+        outside = [self.stiff * np.maximum(np.maximum(self.low - at, at - self.high), 0.0) ** 2 for at in (end, x)]
+        gain = float(slope @ s) - 0.5 * (float(s @ curve @ s) + float(np.sum(outside[0] - outside[1])))
+        return end, gain
 
 
 def _damped(
-    look: Callable[[Array], Slope | None],
-    x: Array,
-    here: Slope,
-    bend: Array,
-    damping: float,
-    limits: tuple[Array, Array],
+    look: Callable[[Array], Slope | None], x: Array, here: Slope, bend: Array, damping: float, steps: Steps
 ) -> tuple[float, tuple[Array, Slope] | None]:
     """The next point uphill and the damping to go on with; no point where none was found."""
-    ridge = np.diag(np.diag(bend))
     for _ in range(TRIES):
-        step = _step(x, here.gradient, bend + damping * ridge, limits)
-        there, rate = look(x + step), float(here.gradient @ step)
-        if there is not None and there.value - here.value > 1e-4 * rate:
-            kept = (there.value - here.value) / max(rate - 0.5 * float(step @ bend @ step), 1e-300)
-            return damping * (GOOD if kept > 0.75 else POOR if kept < 0.25 else 1.0), (x + step, there)
+        end, gain = steps.step(x, here.gradient, bend, damping)
+        there = look(end)
+        got = there.value - here.value if there is not None else -math.inf
+        if there is not None and got > max(1e-4 * gain, 0.0):
+            kept = got / max(gain, 1e-300)
+            return damping * (GOOD if kept > 0.75 else POOR if kept < 0.25 else 1.0), (end, there)
         damping = max(damping * FAILED, FIRST_DAMPING)
     return damping, None
 
 
-def _step(x: Array, gradient: Array, bend: Array, limits: tuple[Array, Array]) -> Array:
-    """The step to the top of the parabola, no longer than the longest and inside the limits; what pushes against one stays there."""
-    low, high = limits
-    held = ((x <= low) & (gradient < 0.0)) | ((x >= high) & (gradient > 0.0))
-    go = ~held
-    step = np.zeros(x.size)
-    if go.all():
-        step = np.asarray(np.linalg.solve(bend, gradient), dtype=np.float64)
-    elif go.any():
-        step[go] = np.linalg.solve(bend[np.ix_(go, go)], gradient[go])
-    step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
-    return np.asarray(np.clip(x + step, low, high) - x)
-
-
 def _bend_at(look: Callable[[Array], Slope | None], x: Array, here: Slope, free: Sequence[Free]) -> Array:
-    """Second derivatives of the negative log posterior at a mode.
-
-    Those of the likelihood by differences of its derivatives, to the middle of the prior. The prior's edge has a kink, whose place the mode knows
-    to less than what a level there is uncertain by: its curvature is the mean over the step by which every curvature is taken.
-    """
+    """Second derivatives of the negative log likelihood at a mode, by differences of its derivatives, to the middle of the prior."""
     H = np.empty((x.size, x.size))
     for i, f in enumerate(free):
         h = SLOPE_STEP if x[i] < 0.5 * math.log(f.low * f.high) else -SLOPE_STEP
         beside = look(x + h * (np.arange(x.size) == i))
         H[i] = here.information[i] if beside is None else (here.gradient - beside.gradient) / h
         H[i, i] -= (f.slope(x[i]) - f.slope(x[i] + h)) / h if beside is not None else 0.0
-        H[i, i] += (f.slope(x[i] - CURVATURE_STEP) - f.slope(x[i] + CURVATURE_STEP)) / (2.0 * CURVATURE_STEP)
     return 0.5 * (H + H.T)
+
+
+def _edges(x: Array, free: Sequence[Free]) -> Array:
+    """Curvatures of the priors' edges at a mode.
+
+    An edge has a kink, whose place the mode knows to less than what a level there is uncertain by: the mean over a step.
+    """
+    h = CURVATURE_STEP
+    return np.array([(f.slope(v - h) - f.slope(v + h)) / (2.0 * h) for f, v in zip(free, x, strict=True)])
 
 
 # -- without derivatives ------------------------------------------------------------------------------------------------------------
