@@ -45,7 +45,7 @@ LOOKED_AT = 512
 PARTS = 8
 #: Positions per scale at which pairs of coefficients are counted.
 PAIRS = 1024
-#: Multiples of it fill the interval from 0 to 1 evenly without ever repeating, less 1 wherever they leave it.
+#: Golden ratio less 1: the fractional parts of its multiples lie evenly between 0 and 1 and never repeat.
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 #: Halves up to this many samples: coefficients with few samples differ much from each other, and each pair is taken as it is.
 SHORT = 8

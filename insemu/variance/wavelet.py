@@ -32,6 +32,8 @@ from insemu.variance.filters import modwt_filters
 Array = NDArray[np.float64]
 Transform = Literal["modwt", "dwt"]
 
+#: Samples at the beginning of a record whose median is subtracted, so that an offset costs no digits.
+ORIGIN_SAMPLES = 255
 #: Scales of a record in memory up to this many samples use every coefficient (longer ones: see :func:`stream_wavelet_variance`).
 IN_MEMORY_OVERLAP = 1 << 23
 
@@ -268,12 +270,12 @@ def _of_gaps(
 
 
 def _middle_of_first(x: Array, lost: NDArray[np.bool_]) -> float:
-    """Median of the first 255 samples that are there; looks through the whole signal only where its beginning has fewer."""
-    for size in (1024, x.size):
+    """Median of the first samples that are there; looks through the whole signal only where its beginning has fewer."""
+    for size in (4 * ORIGIN_SAMPLES, x.size):
         there = x[:size][~lost[:size]]
-        if there.size >= 255:
+        if there.size >= ORIGIN_SAMPLES:
             break
-    return float(np.median(there[:255]))
+    return float(np.median(there[:ORIGIN_SAMPLES]))
 
 
 def _finish(
@@ -344,7 +346,7 @@ def _haar_variance(values: Array, levels: int) -> tuple[Array, NDArray[np.int64]
     full = IN_MEMORY_OVERLAP
     sums = np.zeros(levels)
     # the median of the first samples: an outlier there must not become the origin
-    origin = float(np.median(values[:255]))
+    origin = float(np.median(values[:ORIGIN_SAMPLES]))
     _kernel.haar_push(_read_only(values), origin, 1, *_kernel.haar_state(levels, full), sums, full)
     counts = _kernel.haar_counts(values.size, levels, full)
     return 0.25 * sums / counts, counts
@@ -507,7 +509,7 @@ class HaarAccumulator:
         if values.size == 0:
             return
         if self._origin is None:
-            middle = float(np.median(values[:255]))
+            middle = float(np.median(values[:ORIGIN_SAMPLES]))
             self._origin = middle if np.isfinite(middle) else 0.0
             # before the first sample the running sum is zero: an origin in front stands for it
             self._rest = np.array([self._origin])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import ClassVar
@@ -110,26 +111,18 @@ class Band(Process):
         distance = ((1.0 - phi2) * cosine - phi1) ** 2 + ((1.0 + phi2) * sine) ** 2
         return np.asarray(sigma2 * dt / distance).reshape(at.shape)
 
-    @staticmethod
-    def slopes(f0: float, ratio: float, f: Array, dt: float) -> Array:
-        """Density (6, k + 1) of a band of unit level at ``f`` and at zero, with its derivatives by the logarithms of centre and ratio.
-
-        Parameters
-        ----------
-        f0 : float
-            Centre frequency, Hz.
-        ratio : float
-            Full width at half power over centre frequency.
-        f : (k,) array
-            Hz.
-        dt : float
-            Sampling interval, s.
-        """
+    def log_slopes(  # noqa: D102
+        self, names: Sequence[str], f: Array, dt: float, m: int, count: int
+    ) -> tuple[Array, Array] | None:
+        if tuple(names) != ("f", "ratio"):
+            return None
+        p = self.parameters
         cosine, sine = _turns(f.tobytes() + _ZERO, dt)
-        out = np.empty((6, cosine.size))
-        resonance(math.pi * ratio * f0 * dt, 2.0 * math.pi * f0 * dt, cosine, sine, out)
-        out *= dt
-        return out
+        rows = np.empty((6, cosine.size))
+        resonance(math.pi * p["ratio"] * p["f"] * dt, 2.0 * math.pi * p["f"] * dt, cosine, sine, rows)
+        rows *= p["sigma"] ** 2 * dt
+        # the last is that at zero: block differences see white noise of that density
+        return rows[:, :-1], rows[:, -1:] * WN(1.0).difference_covariance(m, dt, count)
 
     def allan_variance(self, m: ArrayLike, dt: float) -> Array:
         """By the low-frequency density: exact for averages much longer than the resonance's memory, where alone it is used."""

@@ -175,60 +175,6 @@ def lagged_products(rows: Array, out: Array) -> None:  # pragma: no cover - comp
         out[k] = total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[call-arg]  # not in its types
-def gauss_markov_slopes(
-    a: float, m: int, square: Array, allan: Array, density: Array, covariance: Array
-) -> None:  # pragma: no cover - compiled
-    """A first-order process of unit variance with its derivatives by the logarithm of its rate.
-
-    Its density over dt is ``sinh(a) / (2 (sinh(a / 2)^2 + sin(w / 2)^2))``; differences of block means go together by ``(1 - exp(-m a))^2``
-    times the covariance of neighbouring means, less by exp(-m a) with every further block.
-
-    Parameters
-    ----------
-    a : float
-        Rate times sampling interval.
-    m : int
-        Samples per block.
-    square : (k,) array
-        Squared sines of half the frequencies, rad per sample.
-    allan : (3,) array
-        Allan variance of block means, its derivative, the second one.
-    density : (3, k) array
-        Written to: density over the sampling interval, its derivative, the second one.
-    covariance : (3, n) array
-        Written to: covariance of the block differences at lags 0 to n - 1, its derivative, the second one.
-    """
-    S, C, half = math.sinh(a), math.cosh(a), math.sinh(0.5 * a) ** 2
-    for i in range(square.size):
-        E = 2.0 * (half + square[i])
-        slope = a * (C / S - S / E)
-        bend = slope + a * a * (-1.0 / (S * S) - C / E + (S / E) ** 2)
-        g = S / E
-        density[0, i], density[1, i], density[2, i] = g, g * slope, g * (slope * slope + bend)
-    n = covariance.shape[1]
-    if n == 0:
-        return
-    lost, kept = -math.expm1(-m * a), math.exp(-m * a)
-    near = math.exp(-a) * (lost / math.expm1(-a) / m) ** 2
-    # derivatives of the logarithms of lost (twice) and near
-    turn, one = 2.0 * m * a * kept / lost, 2.0 * a * math.exp(-a) / -math.expm1(-a)
-    slope, turned = turn - a - one, turn * (1.0 - m * a / lost)
-    bend = turned - a - one * (1.0 + a / math.expm1(-a))
-    for i in range(3):
-        covariance[i, 0] = 2.0 * allan[i]
-    if n > 1:
-        value, up = near * lost, slope + 0.5 * turn
-        covariance[0, 1], covariance[1, 1] = value - allan[0], value * up - allan[1]
-        covariance[2, 1] = value * (up * up + bend + 0.5 * turned) - allan[2]
-    far = -near * lost * lost
-    for k in range(n - 2):
-        later = k * m * a
-        value, up = far * math.exp(-later), slope + turn - later
-        covariance[0, k + 2], covariance[1, k + 2] = value, value * up
-        covariance[2, k + 2] = value * (up * up + bend + turned - later)
-
-
 @njit(cache=True, nogil=True)
 def switching_log_likelihood(
     y: Array, white: float, phi: float, q: float, p0: float, amplitude: float, stay: float, path: Array

@@ -7,18 +7,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations_with_replacement
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from insemu.gap.data.log import Reduced, density, difference_covariance
-from insemu.gap.evidence import kernels
-from insemu.gap.evidence.band import Band
-from insemu.noise import GM, WN, Process
+from insemu.noise import Process
 
 Array = NDArray[np.float64]
 
-#: Step in log by which a parameter is moved for derivatives where they have no closed form.
+#: Step in log by which a parameter is moved for derivatives without a closed form: truncation (its square) and rounding of second differences
+#: (1e-16 over its square) are alike.
 STEP = 1e-4
 
 
@@ -68,6 +68,33 @@ def spectrum_of(covariances: Array) -> Array:
     return np.asarray(2.0 * np.fft.rfft(covariances, size).real - covariances[:, :1])
 
 
+@runtime_checkable
+class Sloped(Protocol):
+    """A process that knows its derivatives in closed form, at least by some of its parameters."""
+
+    def log_slopes(self, names: Sequence[str], f: Array, dt: float, m: int, count: int) -> tuple[Array, Array] | None:
+        """Density and covariance with first and second derivatives by logarithms of parameters; ``None`` where there is no closed form.
+
+        Parameters
+        ----------
+        names : sequence of str
+            The parameters.
+        f : (k,) array
+            Hz.
+        dt : float
+            Sampling interval, s.
+        m : int
+            Samples per block.
+        count : int
+            Lags of the covariance of the block differences.
+
+        Returns
+        -------
+        density, covariance : (1 + n + n (n + 1) / 2, k), (..., count) arrays
+            For n parameters, in the order of :func:`derivatives`.
+        """
+
+
 @dataclass(frozen=True)
 class Shape:
     """A process at unit level with its derivatives by the logarithms of m shape parameters.
@@ -111,26 +138,14 @@ class Shaping:
 
     def at(self, own: Sequence[float]) -> Shape:
         """The shape at these logarithms of the shape parameters."""
-        data, process = self.data, self.process
-        if isinstance(process, Band) and self.names == ("f", "ratio"):
-            rows = process.slopes(math.exp(own[0]), math.exp(own[1]), data.f, data.dt)
-            # its low end is white noise
-            covariance, spectrum = _white(data.block, data.dt, data.differences.size)
-            return Shape(rows[:, :-1], rows[:, -1:] * covariance, rows[:3, -1:] * spectrum)
-        if (
-            isinstance(process, GM)
-            and self.names == ("beta",)
-            and process.level.name == "sigma"
-            and process.sigma == 1.0
-        ):
-            return _first_order(data, own[0])
-        if not self.names:
-            density, own_covariance = self.plain()
-            rows, covariance = density[None, :], own_covariance[None, :]
-        else:
-            rows = derivatives(lambda x: self.plain(x)[0], own)
-            covariance = derivatives(lambda x: self.plain(x)[1], own)
-        return Shape(rows, covariance, spectrum_of(covariance[: 1 + len(own)]))
+        data, rows = self.data, None
+        if self.names and isinstance(self.process, Sloped):
+            moved = self.process.unchecked({n: math.exp(v) for n, v in zip(self.names, own, strict=True)})
+            rows = moved.log_slopes(self.names, data.f, data.dt, data.block, data.differences.size)
+        if rows is None and self.names:
+            rows = derivatives(lambda x: self.plain(x)[0], own), derivatives(lambda x: self.plain(x)[1], own)
+        density, covariance = rows or (a[None, :] for a in self.plain())
+        return Shape(density, covariance, spectrum_of(covariance[: 1 + len(own)]))
 
     def _covariance(self, process: Process, remembered: bool = False) -> Array:
         data, count = self.data, self.data.differences.size
@@ -139,25 +154,3 @@ class Shaping:
         if remembered:
             return difference_covariance(process, data.block, data.dt, count)
         return process.difference_covariance(data.block, data.dt, count)
-
-
-def _first_order(data: Reduced, log_beta: float) -> Shape:
-    """Shape of a Gauss-Markov process of unit variance in closed form; only its Allan variance at a block by differences."""
-    dt, count = data.dt, data.differences.size
-    square = data.remembered("half turns", lambda: np.asarray(np.sin(math.pi * dt * data.f) ** 2))
-    low, here, high = (
-        float(GM(1.0, math.exp(log_beta + s)).allan_variance(data.block, dt)) if count else 0.0
-        for s in (-STEP, 0.0, STEP)
-    )
-    density, covariance = np.empty((3, data.f.size)), np.empty((3, count))
-    allan = np.array([here, (high - low) / (2.0 * STEP), (high + low - 2.0 * here) / STEP**2])
-    kernels.gauss_markov_slopes(math.exp(log_beta) * dt, data.block, square, allan, density, covariance)
-    density *= dt
-    return Shape(density, covariance, spectrum_of(covariance[:2]))
-
-
-@lru_cache(maxsize=16)
-def _white(block: int, dt: float, count: int) -> tuple[Array, Array]:
-    """Covariance and spectrum of the block differences of white noise of unit density."""
-    covariance = difference_covariance(WN(1.0), block, dt, count) if count else np.zeros(0)
-    return covariance, spectrum_of(covariance[None, :])[0]

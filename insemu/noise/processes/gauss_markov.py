@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
@@ -19,6 +19,9 @@ from insemu.noise.parameters import Parameter
 from insemu.noise.process import MarkovParts, Process, counts
 
 Array = NDArray[np.float64]
+
+#: Step in log of the rate for derivatives of an Allan variance by differences: truncation (its square) and rounding (1e-16 over it) are alike.
+SLOPE_STEP = 1e-4
 
 
 @njit(cache=True, nogil=True)
@@ -60,6 +63,60 @@ def first_order(m: Array, a: float, b: Array, db: Array) -> None:  # pragma: no 
         top = f + 2.0 * m[i] * excess
         b[i] = top / d
         db[i] = (2.0 * u * e * e + 2.0 * m[i] * a * slope_excess) / d - b[i] * ratio
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[call-arg]  # not in its types
+def first_order_slopes(
+    a: float, m: int, square: Array, allan: Array, density: Array, covariance: Array
+) -> None:  # pragma: no cover - compiled
+    """A first-order process of unit variance with its derivatives by the logarithm of its rate.
+
+    Its density over dt is ``sinh(a) / (2 (sinh(a / 2)^2 + sin(w / 2)^2))``; differences of block means go together by ``(1 - exp(-m a))^2``
+    times the covariance of neighbouring means, less by exp(-m a) with every further block.
+
+    Parameters
+    ----------
+    a : float
+        Rate times sampling interval.
+    m : int
+        Samples per block.
+    square : (k,) array
+        Squared sines of half the frequencies, rad per sample.
+    allan : (3,) array
+        Allan variance of block means, its derivative, the second one.
+    density : (3, k) array
+        Written to: density over the sampling interval, its derivative, the second one.
+    covariance : (3, n) array
+        Written to: covariance of the block differences at lags 0 to n - 1, its derivative, the second one.
+    """
+    S, C, half = math.sinh(a), math.cosh(a), math.sinh(0.5 * a) ** 2
+    for i in range(square.size):
+        E = 2.0 * (half + square[i])
+        slope = a * (C / S - S / E)
+        bend = slope + a * a * (-1.0 / (S * S) - C / E + (S / E) ** 2)
+        g = S / E
+        density[0, i], density[1, i], density[2, i] = g, g * slope, g * (slope * slope + bend)
+    n = covariance.shape[1]
+    if n == 0:
+        return
+    lost, kept = -math.expm1(-m * a), math.exp(-m * a)
+    near = math.exp(-a) * (lost / math.expm1(-a) / m) ** 2
+    # derivatives of the logarithms of lost (twice) and near
+    turn, one = 2.0 * m * a * kept / lost, 2.0 * a * math.exp(-a) / -math.expm1(-a)
+    slope, turned = turn - a - one, turn * (1.0 - m * a / lost)
+    bend = turned - a - one * (1.0 + a / math.expm1(-a))
+    for i in range(3):
+        covariance[i, 0] = 2.0 * allan[i]
+    if n > 1:
+        value, up = near * lost, slope + 0.5 * turn
+        covariance[0, 1], covariance[1, 1] = value - allan[0], value * up - allan[1]
+        covariance[2, 1] = value * (up * up + bend + 0.5 * turned) - allan[2]
+    far = -near * lost * lost
+    for k in range(n - 2):
+        later = k * m * a
+        value, up = far * math.exp(-later), slope + turn - later
+        covariance[0, k + 2], covariance[1, k + 2] = value, value * up
+        covariance[2, k + 2] = value * (up * up + bend + turned - later)
 
 
 def _curve(
@@ -146,6 +203,21 @@ class GM(Process):
         )  # half the variance of a difference
         far = -near * lost**2 * np.exp(np.arange(max(count - 2, 0)) * (-m * a))
         return np.concatenate([[2.0 * allan, near * lost - allan][:count], far])
+
+    def log_slopes(  # noqa: D102
+        self, names: Sequence[str], f: Array, dt: float, m: int, count: int
+    ) -> tuple[Array, Array] | None:
+        if tuple(names) != ("beta",):
+            return None
+        a, variance = self.parameters["beta"] * dt, self.parameters["sigma"] ** 2
+        low, here, high = (
+            2.0 * float(first_order_wavelet(a * math.exp(step), np.array([float(m)]))[0])
+            for step in (-SLOPE_STEP, 0.0, SLOPE_STEP)
+        )
+        allan = np.array([here, (high - low) / (2.0 * SLOPE_STEP), (high + low - 2.0 * here) / SLOPE_STEP**2])
+        density, covariance = np.empty((3, f.size)), np.empty((3, count))
+        first_order_slopes(a, m, np.sin(np.pi * dt * f) ** 2, allan, density, covariance)
+        return variance * dt * density, variance * covariance
 
     def block(self, dt: float) -> StateBlock:  # noqa: D102
         phi, q = self.discrete(dt)
