@@ -88,7 +88,7 @@ def ride(rng: np.random.Generator, vehicle: str, seconds: float, shake: tuple[fl
     way = heading + crab
     velocity = np.stack([speed * np.cos(way), speed * np.sin(way), -climb], axis=1)
     place = np.cumsum(velocity, axis=0) * DT
-    rpy = np.stack([roll, pitch, heading], axis=1)
+    rpy = shaken = np.stack([roll, pitch, heading], axis=1)
     measured = {"accel": 0.0, "gyro": 0.0}
     if shake is not None:
         loud = speed / max(float(np.max(speed)), 1e-9)
@@ -100,13 +100,13 @@ def ride(rng: np.random.Generator, vehicle: str, seconds: float, shake: tuple[fl
         a = np.diff(moved, 2, axis=0) / DT**2
         w = np.diff(turned, axis=0) / DT
         factor = shake[0] / float(np.sqrt(np.mean(a**2))), shake[1] / float(np.sqrt(np.mean(w**2)))
-        place, rpy = place + factor[0] * moved, rpy + factor[1] * turned
+        place, shaken = place + factor[0] * moved, rpy + factor[1] * turned
         measured = {"accel": shake[0], "gyro": shake[1]}
-    # the IMU does not sit where the body turns about
+    # the IMU does not sit where the vehicle turns about; what shakes it is stated where it sits
     off = rng.normal(0.0, (0.5, 0.3, 0.2))
     place = place + rotate(rpy, off) - rotate(rpy[:1], off)
     origin = np.array([rng.uniform(-1.1, 1.1), rng.uniform(-3.0, 3.0), rng.uniform(20.0, 600.0)])
-    return Ride(place, rpy, origin, measured)
+    return Ride(place, shaken, origin, measured)
 
 
 def _shaken(rng: np.random.Generator, t: Array, level: Array, loud: Array, rotor: bool) -> tuple[Array, Array]:
