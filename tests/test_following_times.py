@@ -112,6 +112,7 @@ def test_the_state_goes_on_where_the_coefficient_changes():
     assert np.ptp(drawn[1000:1100]) < 0.1 and abs(drawn[1000] - drawn[999]) < 0.1 < np.std(drawn)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TIMES)
 @pytest.mark.parametrize("slope", [SLOPE, 0.0])
 def test_a_fit_finds_the_slope(name, slope):

@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 
 from insemu.effects import EffectUse
 from insemu.gap import GapReport, Nominal, find_gap
-from insemu.gap.candidates.fixes import _Scan, _share_and_size, _when
+from insemu.gap.candidates.fixes import (
+    _Scan,
+    _share_and_size,
+    _step_anywhere,
+    _when,
+    gnss_outliers,
+    multipath_step,
+    without_outliers,
+)
 from insemu.gap.candidates.shapes import Change
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.drive.scene import Scene
@@ -52,6 +60,7 @@ def with_outliers(made: Recording, share: float, sigma: float, seed: int = 5) ->
     return replace(made, gnss=replace(fixes, llh=llh)), hit
 
 
+@pytest.mark.slow
 def test_outliers_are_as_many_and_as_large_as_they_are() -> None:
     """A filter that follows each outlier takes the fixes after it for outliers too."""
     made, hit = with_outliers(recording(), 0.06, 3.0)
@@ -155,6 +164,87 @@ def test_a_step_began_between_two_fixes(share: float, low: float, high: float) -
     assert duration.low == pytest.approx(5.22 if share < 0.1 else 4.5, abs=0.25)
 
 
+def test_a_step_may_lie_where_it_was_looked_for_less_closely() -> None:
+    """As likely at the other place: the interval reaches it."""
+    fixes = np.arange(20.0)
+    scan = _Scan(np.zeros(1), np.array([2]), np.array([8]), 0.0, (0, 2, 8, 1.0))
+    start, duration = _when(scan, fixes[:10] + 1e-3, fixes, (np.array([[2.5, 15.0]]), np.zeros(1), 0.5))
+    assert start.high < 3.1 and duration.low < 6.0 and 12.0 < duration.high < 13.6
+    far = _when(scan, fixes[:10] + 1e-3, fixes, (np.array([[2.5, 15.0]]), np.full(1, -9.0), 0.5))[1]
+    assert far.high < 7.0
+
+
+def noise_of(s: Surrogate) -> FixNoise:
+    return FixNoise(np.linspace(0.8, 1.3, 6), (np.array([0.3, 0.0, 0.5, 0.0, 0.0, 0.0]), 7.0))
+
+
+def test_innovations_less_what_is_said_of_them_are_what_whitening_divides() -> None:
+    s = Surrogate.of(nominal_run()[0])
+    noise = noise_of(s)
+    v, S = s.ahead(s.nu, noise, np.ones((s.t.size, 6)))
+    white = s.whiten(s.nu[:, :, None], noise.factor, noise.colour)[0][:, :, 0]
+    for k in range(s.t.size):
+        rows = s.use[k] == 1
+        L = np.linalg.cholesky(S[k][np.ix_(rows, rows)])
+        np.testing.assert_allclose(np.linalg.solve(L, v[k][rows]), white[k][rows], rtol=1e-7, atol=1e-9)
+
+
+def test_a_loose_fix_says_nothing_of_those_behind_it_and_keeps_its_own_covariance() -> None:
+    s = Surrogate.of(nominal_run()[0])
+    noise, loose, use = noise_of(s), np.ones((s.t.size, 6)), s.use.copy()
+    loose[5, :3], use[5, :3] = 1e3, 0
+    v, S = s.ahead(s.nu, noise, loose)
+    # one that is missing; the nominal filter followed it all the same, which is in the known input
+    its = replace(s, use=use).ahead(s.nu, noise, np.ones_like(loose))[1]
+    before, its_before = s.ahead(s.nu, noise, np.ones_like(loose))
+    np.testing.assert_allclose(v[:6], before[:6], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(S[:6], its_before[:6], rtol=1e-6, atol=1e-9)
+    assert np.abs(v[6:] - before[6:]).max() > 1e-3
+    np.testing.assert_allclose(S[6:], its[6:], rtol=1e-4, atol=1e-8)
+
+
+def behind_a_colour(made: Recording) -> Scene:
+    """The scene of a recording with fixes of known colour: four times their white scatter, for 20 s."""
+    gnss = Gnss(position_sigma=SIGMA, velocity_sigma=(0.05, 0.05, 0.05), lever_arm=LEVER)
+    scene = Scene.of(Flown.of(made, Nominal(dict(BELIEF), gnss)).prepared)
+    loud = np.where(np.arange(6) < 3, 17.0**0.5, 1.0)
+    return scene.rebuilt(factors=loud).coloured(FixNoise(1.0 / loud, (np.array([0.2, 0.2, 0.4, 0.0, 0.0, 0.0]), 20.0)))
+
+
+COLOUR = use(effect="gnss_correlated_noise", sigma=[0.2, 0.2, 0.4], tau=20.0)
+
+
+def test_a_step_behind_a_colour_is_found_at_its_edges() -> None:
+    """Evenly spaced times miss them: a step of 8 white standard deviations was not seen."""
+    step = use(effect="gnss_multipath_step", value=[0.0, 0.4, 0.0], start=121.4, duration=41.0)
+    scene = behind_a_colour(recording(COLOUR, step))
+    given, rows = list(scene.always), np.ones(scene.rows_t.size, dtype=bool)
+    (found,) = multipath_step(scene, scene.data, rows, given)
+    told = {v.name: v for v in found.values}
+    assert found.axes == ("east",) and found.nats > 10.0
+    assert told["start"].low < 121.4 < told["start"].high and told["start"].high - told["start"].low < 1.5
+    assert told["duration"].low < 41.0 < told["duration"].high and told["value"].low < 0.4 < told["value"].high
+    assert _step_anywhere(scene, scene.data, rows, given).nats < found.nats - 8.0
+    quiet = behind_a_colour(recording(COLOUR))
+    (none,) = multipath_step(quiet, quiet.data, rows, list(quiet.always))
+    assert none.nats < rules().least_nats
+
+
+def test_outliers_that_a_colour_hides_are_told_by_what_the_fixes_before_say() -> None:
+    """Of 10 white standard deviations in a colour of 4: hardly larger than its scatter, but fixes before and after know it."""
+    made, hit = with_outliers(recording(COLOUR), 0.05, 0.5, seed=8)
+    scene = behind_a_colour(made)
+    (named,) = gnss_outliers(scene, scene.unexplained(scene.always, None), None)
+    told = without_outliers(scene, named, None, scene, scene.unexplained(scene.always, None))
+    share = told.outliers.values[0]
+    assert made.gnss is not None
+    assert np.isin(made.gnss.t[hit], told.times).all() and told.times.size <= hit.sum() + 2
+    assert share.low < hit.mean() < share.high
+    blind = scene.coloured(None)
+    (seen,) = gnss_outliers(blind, blind.unexplained(blind.always, None), None)
+    assert seen.nats < named.nats - 10.0
+
+
 def test_what_the_filter_states_after_a_minute_is_what_it_states_without_the_fixes() -> None:
     """Carried along the stored transitions, against a filter to which the fixes of that minute are not given."""
     result, _, _ = nominal_run()
@@ -176,6 +266,7 @@ def test_what_the_filter_states_after_a_minute_is_what_it_states_without_the_fix
     assert stated_in_outages(result) == pytest.approx(float(np.sqrt(np.mean(squares))), rel=0.02)
 
 
+@pytest.mark.slow
 def test_nees_counts_what_a_finding_adds_to_what_is_stated() -> None:
     finding = SimpleNamespace(metres=6.0)
     report = SimpleNamespace(stated_60s=3.0)
@@ -186,6 +277,7 @@ def test_nees_counts_what_a_finding_adds_to_what_is_stated() -> None:
     assert step["nees_60s"] == pytest.approx(1.0 + (step["metres_60s"] / face["stated_60s"]) ** 2)
 
 
+@pytest.mark.slow
 def test_a_level_and_outliers_are_told_apart() -> None:
     """Outliers told at the nominal level would be every large error, and what is left would follow the errors before it: a colour."""
     made, hit = with_outliers(recording(use(effect="gnss_noise_level", factor=3.0)), 0.05, 3.0, seed=8)
@@ -197,6 +289,7 @@ def test_a_level_and_outliers_are_told_apart() -> None:
     assert share.low < hit.mean() < share.high
 
 
+@pytest.mark.slow
 def test_outliers_are_told_where_a_colour_stood_for_them() -> None:
     """Both together are best explained by a colour, beside which outliers were not asked for: a quarter of the fixes in the tails, unexplained."""
     colour = use(effect="gnss_correlated_noise", sigma=[0.2, 0.2, 0.4], tau=10.0)

@@ -33,6 +33,8 @@ LOOSE, MOST_ROUNDS, MIXTURE_STEPS = 1e3, 5, 30
 NORMAL_MEDIAN, SAME_LEVEL = 0.6745, 0.03
 #: Parts of a gap between two fixes in which a step may begin.
 GAP_PARTS = 20
+#: Behind a colour a step shows at its edges only: fixes that surprise most, before which edges are looked for, and fixes to either side of each.
+SURPRISES, BESIDE = 16, 2
 
 
 def multipath_step(
@@ -56,14 +58,25 @@ def multipath_step(
     list of DriveHypothesis
         One, or none where there are fewer than four times at which a step may start.
     """
-    s = scene.starts
-    if s.size < 4:
+    if scene.starts.size < 4:
         return []
-    G = scene.step_columns[rows]
-    scale = EFFECTS["gnss_multipath_step"].scale("value", "gnss")
-    t_fix = scene.prepared.result.fixes.t
-    shortest = rules().shortest_step * float(np.median(np.diff(t_fix)))
-    coarse = _scan_steps(data, G, given, s, scale, shortest)
+    step = _step_anywhere(scene, data, rows, given)
+    at_edges = _step_at_edges(scene, data, rows, given) if scene.noise is not None else None
+    return [step if at_edges is None or step.nats > at_edges.nats else at_edges]
+
+
+def _shortest(t_fix: Array) -> float:
+    """Duration of the shortest step, s."""
+    return rules().shortest_step * float(np.median(np.diff(t_fix)))
+
+
+def _step_anywhere(
+    scene: Scene, data: Field, rows: NDArray[np.bool_] | slice, given: Sequence[Block]
+) -> DriveHypothesis:
+    """The best step of those that start and end at evenly spaced times, refined around it."""
+    s, G, t_fix = scene.starts, scene.step_columns[rows], scene.prepared.result.fixes.t
+    shortest = _shortest(t_fix)
+    coarse = _scan_steps(data, G, given, s, shortest)
     nats = log_mean_exp(coarse.logs)
     c, i, j, width = coarse.best
     if coarse.top > -2.0:
@@ -72,15 +85,12 @@ def multipath_step(
         starts = np.unique(np.concatenate([t_fix[np.abs(t_fix - x) <= spacing] for x in (s[i], s[j])]) + 1e-3)[:120]
         if starts.size >= 4:
             columns = scene.whitened(_axis_steps(scene, starts, c))[rows]
-            fine = _scan_steps(data, columns, given, starts, scale, shortest, axes=1)
+            fine = _scan_steps(data, columns, given, starts, shortest, axes=1)
             if fine.top > coarse.top:
                 _, i, j, width = fine.best
-                when = _when(fine, starts, t_fix)
-                return [
-                    _step_hypothesis(
-                        data, given, nats + fine.top - coarse.top, c, columns[:, i] - columns[:, j], when, width
-                    )
-                ]
+                when = _when(fine, starts, t_fix, _elsewhere(coarse, s, starts))
+                gained = nats + fine.top - coarse.top
+                return _step_hypothesis(data, given, gained, c, columns[:, i] - columns[:, j], when, width)
     column = G[:, 3 * i + c] - G[:, 3 * j + c]
     half = 0.6 * float(s[1] - s[0])
     start, duration = float(s[i]), float(s[j] - s[i])
@@ -88,7 +98,32 @@ def multipath_step(
         Value("start", start, start - half, start + half, "s"),
         Value("duration", duration, duration - 2.0 * half, duration + 2.0 * half, "s"),
     )
-    return [_step_hypothesis(data, given, nats, c, column, when, width)]
+    return _step_hypothesis(data, given, nats, c, column, when, width)
+
+
+def _step_at_edges(
+    scene: Scene, data: Field, rows: NDArray[np.bool_] | slice, given: Sequence[Block]
+) -> DriveHypothesis | None:
+    """The best step between fixes that surprise: evenly spaced times miss the edges, where alone it shows behind a colour."""
+    t_fix, use = scene.prepared.result.fixes.t, scene.loop.use.ravel()
+    residual, _ = data.residual(given)
+    fix, component = (np.repeat(np.arange(t_fix.size), 6)[use][rows], np.tile(np.arange(6), t_fix.size)[use][rows])
+    surprise = np.bincount(fix, np.where(component < 3, residual**2, 0.0), t_fix.size)
+    top = np.argsort(surprise)[-SURPRISES:, None] - 1 + np.arange(-BESIDE, BESIDE + 1)
+    last = int(fix[-1]) if fix.size else 0
+    before = np.unique(top[(top >= 0) & (top < last)])
+    starts = t_fix[before] + 1e-3
+    if starts.size < 4:
+        return None
+    columns = [scene.whitened(_axis_steps(scene, starts, c))[rows] for c in range(3)]
+    scans = [_scan_steps(data, own, given, starts, _shortest(t_fix), axes=1) for own in columns]
+    c = int(np.argmax([scan.top for scan in scans]))
+    # all pairs of fixes are as likely as these
+    widths, pairs = scans[c].logs.size // max(scans[c].i.size, 1), 0.5 * last * (last - 1)
+    nats = float(np.logaddexp.reduce(np.concatenate([scan.logs for scan in scans]))) - math.log(3.0 * widths * pairs)
+    _, i, j, width = scans[c].best
+    when = _when(scans[c], starts, t_fix)
+    return _step_hypothesis(data, given, nats, c, columns[c][:, i] - columns[c][:, j], when, width)
 
 
 def _axis_steps(scene: Scene, starts: Array, axis: int) -> Array:
@@ -119,10 +154,8 @@ class _Scan:
     best: tuple[int, int, int, float]
 
 
-def _scan_steps(
-    data: Field, G: Array, given: Sequence[Block], s: Array, scale: float, shortest: float, axes: int = 3
-) -> _Scan:
-    y = data.y
+def _scan_steps(data: Field, G: Array, given: Sequence[Block], s: Array, shortest: float, axes: int = 3) -> _Scan:
+    y, scale = data.y, EFFECTS["gnss_multipath_step"].scale("value", "gnss")
     cross = None
     if given:
         index, root, L, _ = data._solved(given)
@@ -159,7 +192,34 @@ def _scan_steps(
     return _Scan(np.concatenate(logs), i, j, top, best)
 
 
-def _when(scan: _Scan, starts: Array, t_fix: Array) -> tuple[Value, Value]:
+#: Places (k, 2) of start and end of steps, s, their evidence (k,), and how far either may be from its place, s.
+Elsewhere = tuple[Array, Array, float]
+NOWHERE: Elsewhere = (np.zeros((0, 2)), np.zeros(0), 0.0)
+
+
+def _elsewhere(coarse: _Scan, s: Array, starts: Array) -> Elsewhere:
+    """Steps of the best axis far from the best one.
+
+    Parameters
+    ----------
+    coarse : _Scan
+        Of all axes.
+    s : (n,) array
+        Times at which it looked, evenly spaced, s.
+    starts : (m,) array
+        Times that are looked at more closely.
+    """
+    c, i, j, _ = coarse.best
+    spacing = float(s[1] - s[0])
+    logs = np.logaddexp.reduce(coarse.logs.reshape(3, -1, coarse.i.size)[c], axis=0)
+    far = (np.abs(s[coarse.i] - s[i]) > spacing) | (np.abs(s[coarse.j] - s[j]) > spacing)
+    # a place stands for all closer ones around it
+    closer = [max(int(np.count_nonzero(np.abs(starts - s[k]) <= 0.5 * spacing)), 1) for k in (i, j)]
+    logs = logs[far] + math.log(closer[0]) + math.log(closer[1])
+    return np.stack([s[coarse.i[far]], s[coarse.j[far]]], axis=1), logs, 0.5 * spacing
+
+
+def _when(scan: _Scan, starts: Array, t_fix: Array, elsewhere: Elsewhere = NOWHERE) -> tuple[Value, Value]:
     """Start and duration of a step with their intervals: it began, and ended, anywhere between two fixes, and both gaps may be others.
 
     Parameters
@@ -170,17 +230,23 @@ def _when(scan: _Scan, starts: Array, t_fix: Array) -> tuple[Value, Value]:
         Times just behind fixes, s.
     t_fix : (f,) array
         Of all fixes, s.
+    elsewhere : Elsewhere, optional
+        Steps that were looked at less closely.
     """
-    pairs = np.logaddexp.reduce(scan.logs.reshape(-1, scan.i.size), axis=0)
-    weight = np.exp(pairs - pairs.max())
-    near = weight > 1e-4
-    i, j, weight = scan.i[near], scan.j[near], weight[near]
     after = t_fix[np.minimum(np.searchsorted(t_fix, starts), t_fix.size - 1)]
     gap = np.maximum(after - starts, 0.0)
+    places, logs, half = elsewhere
+    # first moments at which it may have begun and ended, and how long each lasts
+    began = np.concatenate([starts[scan.i], places[:, 0] - half])
+    ended = np.concatenate([starts[scan.j], places[:, 1] - half])
+    wide = [np.concatenate([gap[k], np.full(logs.size, 2.0 * half)]) for k in (scan.i, scan.j)]
+    pairs = np.concatenate([np.logaddexp.reduce(scan.logs.reshape(-1, scan.i.size), axis=0), logs])
+    weight = np.exp(pairs - pairs.max())
+    near = weight > 1e-4
     inside = (np.arange(GAP_PARTS) + 0.5) / GAP_PARTS
-    begins = starts[i, None, None] + gap[i, None, None] * inside[:, None]
-    lasts = starts[j, None, None] + gap[j, None, None] * inside - begins
-    share = np.broadcast_to(weight[:, None, None], lasts.shape).ravel()
+    begins = began[near, None, None] + wide[0][near, None, None] * inside[:, None]
+    lasts = ended[near, None, None] + wide[1][near, None, None] * inside - begins
+    share = np.broadcast_to(weight[near, None, None], lasts.shape).ravel()
     _, k, m, _ = scan.best
     start = float(starts[k] + 0.5 * gap[k])
     values = []
@@ -211,7 +277,7 @@ def _step_hypothesis(
 
 
 def position_innovations(scene: Scene, nu: Array, cut: float | None) -> tuple[NDArray[np.int64], Array, Array]:
-    """Fixes with a whole position, their innovations (k, 3) and covariances (k, 3, 3).
+    """Fixes with a whole position, their innovations (k, 3) and covariances (k, 3, 3): under a colour, less what the fixes before say of it.
 
     Parameters
     ----------
@@ -236,7 +302,18 @@ def position_innovations(scene: Scene, nu: Array, cut: float | None) -> tuple[ND
     if cut is not None:
         there = there & (fixes.t <= cut)
     at = np.flatnonzero(there)
+    if scene.noise is not None:
+        return at, *_coloured_positions(scene, nu, at, np.zeros(0))
     return at, nu[at][:, :3], fixes.S[at][:, :3, :3]
+
+
+def _coloured_positions(scene: Scene, nu: Array, at: NDArray[np.int64], gone: Array) -> tuple[Array, Array]:
+    """Innovations (k, 3) and covariances (k, 3, 3) of some positions under the scene's colour, which those at the times ``gone`` say nothing of."""
+    s, noise = scene.surrogate, scene.noise
+    assert noise is not None
+    loose = np.where(np.isin(s.t, gone)[:, None] & (np.arange(6) < 3), LOOSE, 1.0)
+    v, S = s.ahead(nu, noise, loose)
+    return v[at][:, :3], S[at][:, :3, :3]
 
 
 def gnss_outliers(scene: Scene, nu: Array, cut: float | None) -> list[DriveHypothesis]:
@@ -332,6 +409,7 @@ def without_outliers(
     """Which positions are outliers, and how many and how large they are, as a filter sees them that does not follow them.
 
     The filter that named them was led astray by each, and took fixes after it for outliers too. It runs again without those, and looks at all.
+    Under a colour, which it would follow, the filter on its error does that.
 
     Parameters
     ----------
@@ -355,7 +433,11 @@ def without_outliers(
     early = slice(None) if cut is None else slice(int(np.searchsorted(t, cut, side="right")))
     now = 1.0 if level is None else level
     for _ in range(MOST_ROUNDS):
-        v, S = _innovations_without(scene, gone, at, now)
+        v, S = (
+            _innovations_without(scene, gone, at, now)
+            if scene.noise is None
+            else _coloured_positions(scene, nu, at, gone)
+        )
         outliers = _share_and_size(outliers, v[early], S[early])
         before, gone = gone, outlying_fixes(outliers, t, v, S)[0]
         scatter = 1.0

@@ -209,6 +209,8 @@ def surrogate_filter(
     q_g: Array,
     p_g: Array,
     white: Array,
+    ahead: Array,
+    S: Array,
 ) -> float:  # pragma: no cover - compiled
     """Log-likelihood of stored innovations when the true noise is other than the filter believed, and the innovations whitened for it.
 
@@ -233,6 +235,8 @@ def surrogate_filter(
         Transition and driving variance of g to each fix, its initial variance; a zero in ``p_g``: no such part.
     white : (f, 6, c) array
         Written to: whitened columns, zero where missing.
+    ahead, S : (f, 6), (f, 6, 6) arrays
+        Written to: the first column less what the fixes before say of it, with its covariance; nothing where they are empty.
 
     Returns
     -------
@@ -253,7 +257,7 @@ def surrogate_filter(
     for j in range(extra):
         P[n + j, n + j] = p_g[which[j]]
     x = np.zeros((m, cols))
-    ahead = np.zeros((n, cols))
+    moved = np.zeros((n, cols))
     T = np.zeros((m, n))
     g = np.zeros(m)
     at = np.zeros(m, dtype=np.int64)
@@ -291,16 +295,36 @@ def surrogate_filter(
             P[n + i, n + i] += q_g[k, which[i]]
         for i in range(n):
             for c in range(cols):
-                ahead[i, c] = 0.0
+                moved[i, c] = 0.0
             for q in range(n):
                 w = F[i, q]
                 if w != 0.0:
                     for c in range(cols):
-                        ahead[i, c] += w * x[q, c]
-        x[:n] = ahead
+                        moved[i, c] += w * x[q, c]
+        x[:n] = moved
         for j in range(extra):
             for c in range(cols):
                 x[n + j, c] *= phi_g[k, which[j]]
+        for i in range(6 if S.size else 0):
+            ahead[k, i] = nu[k, i, 0]
+            for j in range(n):
+                ahead[k, i] += H[k, i, j] * x[j, 0]
+            for j in range(6):
+                S[k, i, j] = 0.0
+                for q in range(n):
+                    if H[k, i, q] != 0.0:
+                        for r in range(n):
+                            S[k, i, j] += H[k, i, q] * P[q, r] * H[k, j, r]
+            S[k, i, i] += R[k, i] * factor[i] ** 2
+        for i in range(extra if S.size else 0):
+            ahead[k, which[i]] -= x[n + i, 0]
+            for j in range(extra):
+                S[k, which[i], which[j]] += P[n + i, n + j]
+            for j in range(6):
+                for q in range(n):
+                    w = H[k, j, q] * P[q, n + i]
+                    S[k, which[i], j] -= w
+                    S[k, j, which[i]] -= w
         for i in range(6):
             if use[k, i] == 0:
                 continue

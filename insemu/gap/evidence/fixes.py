@@ -131,15 +131,39 @@ class Surrogate:
         log_likelihood : float
             Of the first column; minus infinity where it is not finite.
         """
-        sigma, tau = PLAIN if colour is None else colour
+        white = np.zeros_like(columns)
+        noise = FixNoise(np.ones(6) if factor is None else factor, PLAIN if colour is None else colour)
+        value = self._filtered(columns, noise, white, np.empty((0, 6)), np.empty((0, 6, 6)))
+        return white, value if math.isfinite(value) else -math.inf
+
+    def ahead(self, nu: Array, noise: FixNoise, loose: Array) -> tuple[Array, Array]:
+        """Innovations less what the fixes before say of them under a noise of the fixes, (f, 6), and their covariances, (f, 6, 6).
+
+        Parameters
+        ----------
+        nu : (f, 6) array
+            Innovations, m and m/s.
+        noise : FixNoise
+        loose : (f, 6) array
+            Factors on the standard deviations of fixes that say little of those behind them; their own covariances are those without it.
+        """
+        out, S = np.zeros((len(nu), 6)), np.zeros((len(nu), 6, 6))
+        columns = np.ascontiguousarray(nu[:, :, None])
+        replace(self, R=self.R * loose**2)._filtered(columns, noise, np.zeros_like(columns), out, S)
+        S -= ((loose**2 - 1.0) * self.R * noise.factor**2)[:, :, None] * np.eye(6)
+        return out, S
+
+    def _filtered(self, columns: Array, noise: FixNoise, white: Array, ahead: Array, S: Array) -> float:
+        """Columns through :func:`error_kernels.surrogate_filter`."""
+        sigma, tau = noise.colour
         gap = np.diff(self.t, prepend=self.t[0])
         phi = np.exp(-gap / tau)[:, None] * np.ones(6)
-        white = np.zeros_like(columns)
-        value = error_kernels.surrogate_filter(
-            self.Phi, self.Q, self.K, self.H, self.R, self.P0, np.ascontiguousarray(columns), self.use,
-            np.ones(6) if factor is None else factor, phi, (1.0 - phi**2) * sigma**2, sigma**2, white,
+        return float(
+            error_kernels.surrogate_filter(
+                self.Phi, self.Q, self.K, self.H, self.R, self.P0, np.ascontiguousarray(columns), self.use,
+                noise.factor, phi, (1.0 - phi**2) * sigma**2, sigma**2, white, ahead, S,
+            )
         )  # fmt: skip
-        return white, float(value) if math.isfinite(value) else -math.inf
 
     def log_likelihood(self, factor: Array | None = None, colour: Colour | None = None) -> float:
         """Log-likelihood with other levels and a Gauss-Markov part of the fixes."""

@@ -103,22 +103,25 @@ class NoiseOfFixes(ABC):
 
         joint = likeliest()
         known = self._named("gnss_outliers")
-        scene = scene.rebuilt(
-            factors=scene.original.factors * joint.noise.loudness(scene.surrogate.sigma()), whole=self.recorded
-        )
-        if known is not None:
-            nu = scene.unexplained(self.blocks(), self.cut)
-            told = without_outliers(scene, known, self.cut, scene, nu)
-            self.gone = told.times
-            self.found = [replace(f, chosen=told.outliers) if f.chosen is known else f for f in self.found]
-            scene = scene.rebuilt(gone=self.gone)
+        loudness = joint.noise.loudness(scene.surrogate.sigma())
+        scene = whole = scene.rebuilt(factors=scene.original.factors * loudness, whole=self.recorded)
+        noise = replace(joint.noise, factor=joint.noise.factor / loudness)
         for _ in range(MOST_LOOKS):
-            # what the other findings explain is another under the colour
-            scene, colour = scene.coloured(joint.noise), joint.noise.colour
+            # what the other findings explain is another under the colour, and outliers show against it that its scatter hides
+            before = self.gone
+            if known is not None:
+                whole = whole.coloured(noise)
+                told = without_outliers(whole, known, self.cut, whole, whole.unexplained(self.blocks(), self.cut))
+                self.found = [replace(f, chosen=told.outliers) if f.chosen is known else f for f in self.found]
+                self.gone, known = told.times, told.outliers
+                if scene is whole or not np.array_equal(before, self.gone):
+                    scene = whole.rebuilt(gone=self.gone)
+            scene, colour = scene.coloured(noise), noise.colour
             joint = likeliest()
-            if abs(math.log(joint.noise.colour[1] / colour[1])) < AS_LONG:
+            noise = joint.noise
+            if abs(math.log(noise.colour[1] / colour[1])) < AS_LONG and np.array_equal(before, self.gone):
                 break
-        return scene.coloured(joint.noise), joint
+        return scene.coloured(noise), joint
 
     def _without_colour(self, scene: Scene, colour: Colour) -> Scene | None:
         """The scene without a colour that explains nothing any more beside the levels and the rest, which is no finding then; else None."""
