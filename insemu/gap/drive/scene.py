@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import earth, rotation
-from insemu.effects import Column, FixGeometry, Motion, catalogue_columns
+from insemu.effects import EFFECTS, Column, EffectUse, FixGeometry, Motion, catalogue_columns
 from insemu.gap.data.samples import Clipped
 from insemu.gap.drive.preparation import Prepared, trimmed_factors
 from insemu.gap.drive.signatures import Loop, columns_response, fix_step_response, knot_response
@@ -384,6 +384,7 @@ def corrected_data(
     imu, gnss, state = prepared.imu, prepared.gnss, prepared.start[0]
     if not values:
         return imu, gnss, state
+    stamps = imu.t
     width = imu.widths(0.0)[:, 0]
     signals = np.hstack([imu.gyro, imu.accel])
     shift = np.zeros((len(gnss), 6))
@@ -396,8 +397,12 @@ def corrected_data(
             continue
         for axis, u in columns[j].inputs:
             signals[:, axis] -= value * u * width
-        moved = columns[j].fixes
-        if moved is not None:
+        moved, effect = columns[j].fixes, EFFECTS.get(columns[j].effect)
+        if effect is not None and effect.does("true_time"):
+            # of a large one the fixes are not only ahead by velocity and acceleration
+            use = EffectUse.from_mapping({"effect": effect.id, "sensor": columns[j].sensor, columns[j].label: value})
+            stamps = effect.true_time(use, stamps)
+        elif moved is not None:
             shift[at] -= value * moved
         begun = columns[j].start
         if begun is not None:
@@ -409,7 +414,7 @@ def corrected_data(
     there = np.isfinite(llh).all(axis=1)
     llh[there] = earth.move(llh[there], shift[there, :3])
     vel_ned = None if gnss.vel_ned is None else gnss.vel_ned + shift[:, 3:]
-    corrected = replace(imu, gyro=signals[:, :3], accel=signals[:, 3:])
+    corrected = replace(imu, t=stamps, gyro=signals[:, :3], accel=signals[:, 3:])
     return corrected, replace(gnss, llh=llh, vel_ned=vel_ned), state
 
 
