@@ -240,7 +240,7 @@ def test_a_step_of_two_fixes_is_an_outlier(length, step, monkeypatch):
     seen = []
     monkeypatch.setattr(steps, "_step_hypothesis", lambda *a: seen.append(a[5][1].value) or "one")
     scene = SimpleNamespace(
-        starts=starts, step_columns=G, whitened=lambda x: x, prepared=SimpleNamespace(result=SimpleNamespace(fixes=SimpleNamespace(t=t))),
+        noise=None, starts=starts, step_columns=G, whitened=lambda x: x, prepared=SimpleNamespace(result=SimpleNamespace(fixes=SimpleNamespace(t=t))),
     )  # fmt: skip
     steps.multipath_step(scene, Field(y.ravel(), G), slice(None), [])
     assert (seen == [pytest.approx(length)]) == step

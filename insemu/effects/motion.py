@@ -257,7 +257,8 @@ class FixGeometry:
         k, dt = np.clip(np.searchsorted(motion.t, t), 1, motion.t.size - 2), float(motion.t[1] - motion.t[0])
         a = motion.acceleration
         smooth, turning = steady(a, dt), np.gradient(motion.rate, dt, axis=0)
-        v = motion.vel[k] - 0.5 * (a[k] + a[k + 1]) * (motion.t[k] - t)[:, None]
+        # as it was before the fix: behind it, the fix's own error is in it, and a column that multiplies it by minutes goes with the innovations
+        v = motion.vel[k - 1] + a[k] * (t - motion.t[k - 1])[:, None]
         w_ie = earth.earth_rate(motion.llh[k, 0])
         omega = 0.5 * (motion.rate[k] + motion.rate[k + 1]) - np.einsum("nji,nj->ni", motion.C[k], w_ie)
         body = rotation.dcm_from_rpy(np.asarray(mounting, dtype=float))
