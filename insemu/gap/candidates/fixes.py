@@ -168,8 +168,6 @@ def _scan_steps(data: Field, G: Array, given: Sequence[Block], s: Array, shortes
         b_all = b_all - cross[0].T @ cross[1]
     i, j = np.triu_indices(s.size, 1)
     near = s[j] - s[i] >= shortest
-    if axes == 3:
-        near &= s[j] - s[i] <= (s[-1] - s[0]) / 2.5
     i, j = i[near], j[near]
     if not i.size:
         return _Scan(np.full(1, -math.inf), i, j, -math.inf, (0, 0, 0, 1.0))
