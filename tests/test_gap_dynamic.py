@@ -669,6 +669,6 @@ def test_a_fix_does_not_move_the_velocity_that_its_own_column_is_made_of() -> No
     t = loop.result.fixes.t
     k = int(np.searchsorted(motion.t, t[40]))
     jumped = replace(motion, vel=motion.vel + 0.1 * (np.arange(motion.t.size) >= k)[:, None])
-    own, other = (FixGeometry.of(m, t, np.array(LEVER)).velocity for m in (motion, jumped))
+    own, other = (FixGeometry.of(m, t, np.array(LEVER)).before for m in (motion, jumped))
     np.testing.assert_array_equal(other[:41], own[:41])
     np.testing.assert_allclose(other[41:], own[41:] + 0.1, rtol=1e-12)
