@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from insemu.effects import EffectUse
+from insemu.errors import InputError
 from insemu.gap import GapReport, Nominal, find_gap
 from insemu.gap.candidates.fixes import (
     _Scan,
@@ -258,6 +259,22 @@ def test_a_large_time_offset_is_taken_off_the_stamps() -> None:
     sigma = np.sqrt(np.einsum("kii->ki", right.prepared.result.fixes.S))
     moved = (own.surrogate.nu[here] - right.surrogate.nu[there]) / sigma[there]
     assert here.size > 200 and np.sqrt(np.mean(moved**2)) < 0.1
+
+
+def test_corrections_end_where_no_filter_runs_on_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Absurd values of a recording that nothing explains stopped the whole search."""
+    gnss = Gnss(position_sigma=SIGMA, velocity_sigma=(0.05, 0.05, 0.05), lever_arm=LEVER)
+    made = recording(use(effect="imu_gnss_time_offset", offset=0.3))
+    scene = Scene.of(Flown.of(made, Nominal(dict(BELIEF), gnss)).prepared)
+    column = next(i for i, c in enumerate(scene.columns) if c.effect == "imu_gnss_time_offset")
+    block = (np.array([column]), np.array([[1.0]]))
+    assert scene.linear_about([block], {column}) is not scene
+
+    def refused(*_: Any, **__: Any) -> Scene:
+        raise InputError("the innovation covariance is not positive definite")
+
+    monkeypatch.setattr(Scene, "rebuilt", refused)
+    assert scene.linear_about([block], {column}) is scene
 
 
 def test_what_the_filter_states_after_a_minute_is_what_it_states_without_the_fixes() -> None:

@@ -228,9 +228,6 @@ class FixGeometry:
         Attitude of the IMU.
     start : (6,) array
         What a second between IMU and fixes makes of position and velocity of the IMU where the filter starts, NED.
-    before : (f, 3) array
-        Velocity as it was known before each fix. Behind it, the fix's own error is in it, and a column that multiplies it by minutes goes with the
-        innovations.
     """
 
     t: Array
@@ -242,7 +239,6 @@ class FixGeometry:
     turning: Array
     C: Array
     start: Array
-    before: Array
 
     @classmethod
     def of(cls, motion: Motion, t: Array, lever_arm: ArrayLike, mounting: ArrayLike = (0.0, 0.0, 0.0)) -> FixGeometry:
@@ -262,13 +258,12 @@ class FixGeometry:
         a = motion.acceleration
         smooth, turning = steady(a, dt), np.gradient(motion.rate, dt, axis=0)
         v = motion.vel[k] - 0.5 * (a[k] + a[k + 1]) * (motion.t[k] - t)[:, None]
-        before = motion.vel[k - 1] + a[k] * (t - motion.t[k - 1])[:, None]
         w_ie = earth.earth_rate(motion.llh[k, 0])
         omega = 0.5 * (motion.rate[k] + motion.rate[k + 1]) - np.einsum("nji,nj->ni", motion.C[k], w_ie)
         body = rotation.dcm_from_rpy(np.asarray(mounting, dtype=float))
         accel, turning = (0.5 * (x[k] + x[k + 1]) for x in (smooth, turning))
         start = np.concatenate([motion.vel[0], smooth[0]])
-        return cls(t, np.asarray(lever_arm, dtype=float), body, v, accel, omega, turning, motion.C[k], start, before)
+        return cls(t, np.asarray(lever_arm, dtype=float), body, v, accel, omega, turning, motion.C[k], start)
 
     @property
     def moved(self) -> Array:

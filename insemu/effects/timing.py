@@ -75,9 +75,7 @@ class ClockDrift(Effect):
         late = (fixes.t - motion.t[0])[:, None]
         a_b = np.einsum("nji,nj->ni", motion.C, motion.gravity if motion.summed else motion.acceleration)
         inputs = on_axes(a_b, 3) + (() if motion.summed else on_axes(motion.rate))
-        moved = fixes.moved
-        moved[:, :3] += fixes.before - fixes.velocity
-        return [Column.of(self, "imu", "drift", (), inputs, moved * late, runs=True)]
+        return [Column.of(self, "imu", "drift", (), inputs, fixes.moved * late, runs=True)]
 
     def hidden(self, lot: DriveLot) -> Hidden:
         """A constant."""

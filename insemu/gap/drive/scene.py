@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from insemu import earth, rotation
 from insemu.effects import EFFECTS, Column, EffectUse, FixGeometry, Motion, catalogue_columns
+from insemu.errors import InputError
 from insemu.gap.data.samples import Clipped
 from insemu.gap.drive.preparation import Prepared, trimmed_factors
 from insemu.gap.drive.signatures import Loop, columns_response, fix_step_response, knot_response
@@ -309,7 +310,10 @@ class Scene:
             values = dict(scene.corrections)
             for i, v in zip(index[own], away[own], strict=True):
                 values[int(i)] = values.get(int(i), 0.0) + float(v)
-            scene = scene.rebuilt(corrections=values)
+            try:
+                scene = scene.rebuilt(corrections=values)
+            except InputError:  # corrected so far that no filter runs on it: what is left stays linear
+                break
         return scene
 
     def explained(self, blocks: Sequence[Block], cut: float | None = None) -> Array | None:
