@@ -190,9 +190,9 @@ def _scan_steps(data: Field, G: Array, given: Sequence[Block], s: Array, shortes
     return _Scan(np.concatenate(logs), i, j, top, best)
 
 
-#: Places (k, 2) of start and end of steps, s, their evidence (k,), and how far either may be from its place, s.
-Elsewhere = tuple[Array, Array, float]
-NOWHERE: Elsewhere = (np.zeros((0, 2)), np.zeros(0), 0.0)
+#: Places (k, 2) of start and end of steps, s, and their evidence (k,).
+Elsewhere = tuple[Array, Array]
+NOWHERE: Elsewhere = (np.zeros((0, 2)), np.zeros(0))
 
 
 def _elsewhere(coarse: _Scan, s: Array, starts: Array) -> Elsewhere:
@@ -214,7 +214,7 @@ def _elsewhere(coarse: _Scan, s: Array, starts: Array) -> Elsewhere:
     # a place stands for all closer ones around it
     closer = [max(int(np.count_nonzero(np.abs(starts - s[k]) <= 0.5 * spacing)), 1) for k in (i, j)]
     logs = logs[far] + math.log(closer[0]) + math.log(closer[1])
-    return np.stack([s[coarse.i[far]], s[coarse.j[far]]], axis=1), logs, 0.5 * spacing
+    return np.stack([s[coarse.i[far]], s[coarse.j[far]]], axis=1), logs
 
 
 def _when(scan: _Scan, starts: Array, t_fix: Array, elsewhere: Elsewhere = NOWHERE) -> tuple[Value, Value]:
@@ -233,25 +233,24 @@ def _when(scan: _Scan, starts: Array, t_fix: Array, elsewhere: Elsewhere = NOWHE
     """
     after = t_fix[np.minimum(np.searchsorted(t_fix, starts), t_fix.size - 1)]
     gap = np.maximum(after - starts, 0.0)
-    places, logs, half = elsewhere
-    # first moments at which it may have begun and ended, and how long each lasts
-    began = np.concatenate([starts[scan.i], places[:, 0] - half])
-    ended = np.concatenate([starts[scan.j], places[:, 1] - half])
-    wide = [np.concatenate([gap[k], np.full(logs.size, 2.0 * half)]) for k in (scan.i, scan.j)]
+    places, logs = elsewhere
     pairs = np.concatenate([np.logaddexp.reduce(scan.logs.reshape(-1, scan.i.size), axis=0), logs])
     weight = np.exp(pairs - pairs.max())
-    near = weight > 1e-4
+    close, far = weight[: scan.i.size], weight[scan.i.size :]
+    near = close > 1e-4
+    i, j = scan.i[near], scan.j[near]
     inside = (np.arange(GAP_PARTS) + 0.5) / GAP_PARTS
-    begins = began[near, None, None] + wide[0][near, None, None] * inside[:, None]
-    lasts = ended[near, None, None] + wide[1][near, None, None] * inside - begins
-    share = np.broadcast_to(weight[near, None, None], lasts.shape).ravel()
+    begins = starts[i, None, None] + gap[i, None, None] * inside[:, None]
+    lasts = starts[j, None, None] + gap[j, None, None] * inside - begins
+    share = np.concatenate([np.broadcast_to(close[near, None, None] / GAP_PARTS**2, lasts.shape).ravel(), far])
     _, k, m, _ = scan.best
     start = float(starts[k] + 0.5 * gap[k])
     values = []
-    for name, best, x in (
-        ("start", start, np.broadcast_to(begins, lasts.shape).ravel()),
-        ("duration", float(starts[m] + 0.5 * gap[m]) - start, lasts.ravel()),
+    for name, best, own, other in (
+        ("start", start, np.broadcast_to(begins, lasts.shape), places[:, 0]),
+        ("duration", float(starts[m] + 0.5 * gap[m]) - start, lasts, places[:, 1] - places[:, 0]),
     ):
+        x = np.concatenate([own.ravel(), other])
         order = np.argsort(x)
         reached = np.cumsum(share[order]) / share.sum()
         low, high = (float(x[order][np.searchsorted(reached, q)]) for q in (0.025, 0.975))
