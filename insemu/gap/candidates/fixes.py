@@ -65,9 +65,11 @@ def multipath_step(
     return [step if at_edges is None or step.nats > at_edges.nats else at_edges]
 
 
-def _shortest(t_fix: Array) -> float:
-    """Duration of the shortest step, s."""
-    return rules().shortest_step * float(np.median(np.diff(t_fix)))
+def _lasting(scene: Scene, rows: NDArray[np.bool_] | slice) -> tuple[float, float]:
+    """Durations of the shortest and the longest step among the fixes that are looked at, s."""
+    t = scene.prepared.result.fixes.t
+    seen = t if isinstance(rows, slice) else t[t <= scene.rows_t[rows][-1]]
+    return rules().shortest_step * float(np.median(np.diff(t))), rules().longest_step * float(seen[-1] - seen[0])
 
 
 def _step_anywhere(
@@ -75,8 +77,8 @@ def _step_anywhere(
 ) -> DriveHypothesis:
     """The best step of those that start and end at evenly spaced times, refined around it."""
     s, G, t_fix = scene.starts, scene.step_columns[rows], scene.prepared.result.fixes.t
-    shortest = _shortest(t_fix)
-    coarse = _scan_steps(data, G, given, s, shortest)
+    lasting = _lasting(scene, rows)
+    coarse = _scan_steps(data, G, given, s, lasting)
     nats = log_mean_exp(coarse.logs)
     c, i, j, width = coarse.best
     if coarse.top > -2.0:
@@ -85,7 +87,7 @@ def _step_anywhere(
         starts = np.unique(np.concatenate([t_fix[np.abs(t_fix - x) <= spacing] for x in (s[i], s[j])]) + 1e-3)[:120]
         if starts.size >= 4:
             columns = scene.whitened(_axis_steps(scene, starts, c))[rows]
-            fine = _scan_steps(data, columns, given, starts, shortest, axes=1)
+            fine = _scan_steps(data, columns, given, starts, lasting, axes=1)
             if fine.top > coarse.top:
                 _, i, j, width = fine.best
                 when = _when(fine, starts, t_fix, _elsewhere(coarse, s, starts))
@@ -116,7 +118,7 @@ def _step_at_edges(
     if starts.size < 4:
         return None
     columns = [scene.whitened(_axis_steps(scene, starts, c))[rows] for c in range(3)]
-    scans = [_scan_steps(data, own, given, starts, _shortest(t_fix), axes=1) for own in columns]
+    scans = [_scan_steps(data, own, given, starts, _lasting(scene, rows), axes=1) for own in columns]
     c = int(np.argmax([scan.top for scan in scans]))
     # all pairs of fixes are as likely as these
     widths, pairs = scans[c].logs.size // max(scans[c].i.size, 1), 0.5 * last * (last - 1)
@@ -154,8 +156,11 @@ class _Scan:
     best: tuple[int, int, int, float]
 
 
-def _scan_steps(data: Field, G: Array, given: Sequence[Block], s: Array, shortest: float, axes: int = 3) -> _Scan:
-    y, scale = data.y, EFFECTS["gnss_multipath_step"].scale("value", "gnss")
+def _scan_steps(
+    data: Field, G: Array, given: Sequence[Block], s: Array, lasting: tuple[float, float], axes: int = 3
+) -> _Scan:
+    (shortest, longest), y = lasting, data.y
+    scale = EFFECTS["gnss_multipath_step"].scale("value", "gnss")
     cross = None
     if given:
         index, root, L, _ = data._solved(given)
@@ -167,7 +172,7 @@ def _scan_steps(data: Field, G: Array, given: Sequence[Block], s: Array, shortes
     if cross is not None:
         b_all = b_all - cross[0].T @ cross[1]
     i, j = np.triu_indices(s.size, 1)
-    near = s[j] - s[i] >= shortest
+    near = (s[j] - s[i] >= shortest) & (s[j] - s[i] <= longest)
     i, j = i[near], j[near]
     if not i.size:
         return _Scan(np.full(1, -math.inf), i, j, -math.inf, (0, 0, 0, 1.0))
