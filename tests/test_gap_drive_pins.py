@@ -228,14 +228,13 @@ def test_a_slow_process_may_be_ten_times_more_or_less_above_the_motion(monkeypat
 # -- the fixes --------------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("length", "step"), [(2, False), (3, True)])
-def test_a_step_of_two_fixes_is_an_outlier(length, step, monkeypatch):
-    """Position errors of 60 fixes that the filter does not follow: the scan must not start and end closer than three."""
+def told_step(start: int, length: int, monkeypatch) -> list[float]:
+    """Duration of the step that the scan tells in the position errors of 60 fixes, which no filter follows, of which `length` are off by 5 m."""
     t = np.arange(60.0)
     starts = t - 0.5
     G = np.kron((t[:, None] > starts[None, :]).astype(float), np.eye(3)) / 0.5  # noise of half a metre
     y = np.zeros((60, 3))
-    y[20 : 20 + length, 0] = 5.0 / 0.5
+    y[start : start + length, 0] = 5.0 / 0.5
     monkeypatch.setattr(steps, "_axis_steps", lambda scene, s, c: G[:, c::3])
     seen = []
     monkeypatch.setattr(steps, "_step_hypothesis", lambda *a: seen.append(a[5][1].value) or "one")
@@ -243,7 +242,17 @@ def test_a_step_of_two_fixes_is_an_outlier(length, step, monkeypatch):
         noise=None, starts=starts, step_columns=G, whitened=lambda x: x, prepared=SimpleNamespace(result=SimpleNamespace(fixes=SimpleNamespace(t=t))),
     )  # fmt: skip
     steps.multipath_step(scene, Field(y.ravel(), G), slice(None), [])
-    assert (seen == [pytest.approx(length)]) == step
+    return seen
+
+
+@pytest.mark.parametrize(("length", "step"), [(2, False), (3, True)])
+def test_a_step_of_two_fixes_is_an_outlier(length, step, monkeypatch):
+    assert (told_step(20, length, monkeypatch) == [pytest.approx(length)]) == step
+
+
+@pytest.mark.parametrize(("length", "step"), [(33, True), (45, False)])
+def test_a_step_lasts_for_six_tenths_of_the_fixes_at_most(length, step, monkeypatch):
+    assert (told_step(8, length, monkeypatch) == [pytest.approx(length)]) == step
 
 
 def level_evidence(truth: float, monkeypatch) -> float:
