@@ -21,6 +21,8 @@ from insemu.records import GnssRecord, ImuRecord, Trajectory
 from tests.pins import differences, kept, plain
 
 N, DT = 900, 0.02
+#: A record rarely begins at zero, s.
+START = 4.25
 RNG = np.random.default_rng
 
 
@@ -32,7 +34,7 @@ def reference() -> Trajectory:
     rpy = np.column_stack([0.2 * np.sin(0.9 * t), 0.1 * np.cos(1.3 * t), 0.5 + 0.4 * t]) * moving[:, None]
     vel = moving[:, None] * np.column_stack([9.0 * np.cos(0.4 * t), 9.0 * np.sin(0.4 * t), 0.3 * np.sin(t)])
     place = np.cumsum(vel, axis=0) * DT / [6.37e6, 4.4e6, -1.0] + [0.81, 0.12, 400.0]
-    return Trajectory(t, place, vel, rpy)
+    return Trajectory(START + t, place, vel, rpy)
 
 
 @cache
@@ -43,7 +45,8 @@ def imu(kind: Any = "mean") -> ImuRecord:
     f = np.column_stack([4 * np.sin(0.7 * t), 3 * np.cos(0.5 * t), 5 * np.sin(1.1 * t)])
     down = np.array([0.0, 0.0, -9.8])
     per = DT if kind == "increment" else 1.0
-    return ImuRecord(t, per * w * moving[:, None], per * (f * moving[:, None] + down), kind, 20.0 + 8.0 * t / t[-1])
+    warm = 20.0 + 8.0 * t / t[-1]
+    return ImuRecord(START + t, per * w * moving[:, None], per * (f * moving[:, None] + down), kind, warm)
 
 
 @cache
@@ -55,12 +58,12 @@ def motion() -> Motion:
 
 @cache
 def geometry() -> FixGeometry:
-    return FixGeometry.of(motion(), np.arange(0.5, 17.0, 0.75), [0.5, -0.3, -1.2], (0.05, -0.02, 0.1))
+    return FixGeometry.of(motion(), START + np.arange(0.5, 17.0, 0.75), [0.5, -0.3, -1.2], (0.05, -0.02, 0.1))
 
 
 @cache
 def fixes() -> GnssRecord:
-    t, k = np.arange(0.0, 17.0, 0.5), 25 * np.arange(34)
+    t, k = START + np.arange(0.0, 17.0, 0.5), 25 * np.arange(34)
     r = reference()
     return GnssRecord(t, r.llh[k], r.vel_ned[k], np.full((34, 3), 0.5), np.full((34, 3), 0.05))
 
@@ -119,7 +122,7 @@ def _imu(use: EffectUse, kind: str) -> Any:
         RNG(1),
         effects=[use],
         reference=reference(),
-        temperature=emulate.TemperatureProfile((0.0, 18.0), (20.0, 28.0)),
+        temperature=emulate.TemperatureProfile((START, START + 18.0), (20.0, 28.0)),
     )
     assert out.imu is not None
     return [out.imu.t, out.imu.gyro, out.imu.accel, out.kept]
