@@ -16,11 +16,11 @@ from insemu import earth, noise, units
 from insemu.cli import main
 from insemu.errors import InputError
 from insemu.fit import fit
-from insemu.formats import IMU_BINARIES, open_files, write
+from insemu.formats import IMU_BINARIES, open_files, write, write_imu_binary
 from insemu.formats.programs import PROGRAMS, reduce_models, spell
 from insemu.formats.tracks_out import way_of, write_way
 from insemu.noise import GM, RC, RW, WN, NoiseModel
-from insemu.records import Recording, Series
+from insemu.records import ImuRecord, Recording, Series
 from tests.file_samples import UNIX, drive
 
 RATE, SECONDS = 20.0, 6000.0
@@ -228,6 +228,21 @@ def test_a_binary_imu_comes_back(kind: str, tmp_path: Path, capsys: pytest.Captu
     assert guessed.assumed[0].startswith("type ") and kind in guessed.assumed[0]
     assert guessed.imu is not None
     np.testing.assert_array_equal(guessed.imu.accel, back.accel)
+
+
+@pytest.mark.parametrize(
+    ("counts", "fits"), [(2**31 - 1.0, True), (-(2**31) + 1.0, True), (2.0**31, False), (-1.4 * 2.0**31, False)]
+)
+def test_increments_are_32_bit_numbers(counts: float, fits: bool, tmp_path: Path) -> None:
+    gyro = np.zeros((4, 3))
+    gyro[1, 2] = counts * 2.0**-21
+    imu = ImuRecord(0.01 * np.arange(4), gyro, np.zeros((4, 3)), "increment")
+    if fits:
+        assert write_imu_binary(tmp_path / "x.imu", imu, "LN200").exists()
+        return
+    with pytest.raises(InputError, match="beyond the 32-bit numbers of LN200"):
+        write_imu_binary(tmp_path / "x.imu", imu, "LN200")
+    assert not (tmp_path / "x.imu").exists()
 
 
 def test_a_binary_imu_that_fits_no_type_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
