@@ -72,6 +72,7 @@ def test_what_goes_wrong_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
         assert outcome.count == 4
 
 
+@pytest.mark.slow
 def test_commands_may_be_named_by_a_path_without_a_name() -> None:
     for path in (".", "", ".."):
         with pytest.raises(InputError):

@@ -552,6 +552,7 @@ def test_an_axis_that_hardly_moves_does_not_explain_the_noise_that_it_makes() ->
     assert np.std(motion.rate[:, 2] - imu.gyro[:, 2] / imu.dt) < 0.3 * noise
 
 
+@pytest.mark.slow
 def test_a_wrong_lever_arm_is_named_and_the_gap_closes() -> None:
     report = find_gap(
         recording(use(effect="lever_arm", value=[0.3, 0, 0]), seed=5),
@@ -567,6 +568,7 @@ def test_a_wrong_lever_arm_is_named_and_the_gap_closes() -> None:
     assert math.isfinite(report.to_json()["gap_index"]["after"]["value"])
 
 
+@pytest.mark.slow
 def test_a_steep_slope_is_no_random_walk() -> None:
     r = recording(seed=6)
     sloped = r.imu.accel + np.outer(r.imu.t - r.imu.t[0], [0.0, 2e-4, 0.0]) * r.imu.dt  # 200 times the datasheet's
@@ -627,6 +629,7 @@ def test_a_large_quadratic_accelerometer_is_unexplained() -> None:
     assert trial.verdict == "unexplained"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "sensor", "axis", "value"),
     [("temperature_scale_factor", "gyro", "z", 5e-4), ("temperature_scale_factor", "accel", "z", 5e-5)],

@@ -131,6 +131,7 @@ def test_a_level_beside_a_colour_is_told_and_leaves_the_colour_as_it_is() -> Non
     assert again.values[0].value == pytest.approx(level.value, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_level_and_a_step_are_no_colour() -> None:
     """A colour explains both together; once the step is known it is weighed against the level again."""
     step = use(effect="gnss_multipath_step", value=[0.0, 1.2, 0.0], start=120.0, duration=40.0)

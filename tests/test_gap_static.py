@@ -211,6 +211,7 @@ def test_estimates_of_a_gauss_markov_process_bracket_the_truth() -> None:
     assert values["sigma"].unit == "rad/s"
 
 
+@pytest.mark.slow
 def test_nominal_logs_with_wrong_levels_are_not_flagged() -> None:
     rng = np.random.default_rng(5)
     worst = -math.inf

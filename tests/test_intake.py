@@ -55,6 +55,7 @@ def test_a_wrong_declaration_is_refused_or_named_with_the_command_that_mends_it(
     assert found, card
 
 
+@pytest.mark.slow
 def test_forty_right_recordings_are_not_refused() -> None:
     refused, odd = {}, {}
     recordings = right()

@@ -30,6 +30,7 @@ def runs(spread: float, n: int = 40_000, count: int = 4, seed: int = SEED) -> li
     return out
 
 
+@pytest.mark.slow
 def test_one_sensor_is_near_stationary_and_its_joint_fit_is_sharper() -> None:
     found = fit_runs(runs(0.0), WN() + GM(), bootstrap=39, rng=np.random.default_rng(1))
     assert found.p_value > 0.05
