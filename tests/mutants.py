@@ -42,12 +42,13 @@ COVER = ROOT / ".mutants" / "cover.json"
 ROOMS = {
     "noise": (
         ["noise"],
-        ["noise_pins", "noise", "noise_derived"],
+        ["tables", "noise_pins", "noise", "noise_derived"],
         ["augment", "fit_methods", "fit_gmwm", "gap_beliefs_any_process"],
     ),
     "variance": (
         ["variance"],
         [
+            "tables",
             "variance_kernels",
             "variance_exact",
             "exact_pins",
@@ -60,14 +61,14 @@ ROOMS = {
         ],
         ["fit_gmwm", "fit_readings", "characterise", "online"],
     ),
-    "augment": (["augment.py"], ["augment"], ["designs", "filters", "together", "covariance"]),
+    "augment": (["augment.py"], ["tables", "augment"], ["designs", "filters", "together", "covariance"]),
     "effects": (
         ["effects"],
         ["tables", "effects_pins", "effects", "effects_passes", "compensation"],
         ["effect_matrix", "gap_dynamic"],
     ),
-    "units": (["units.py"], ["units"], ["sensors", "formats"]),
-    "records": (["records.py"], ["records", "formats"], ["filters", "aids", "emulate_cli", "files"]),
+    "units": (["units.py"], ["tables", "units"], ["sensors", "formats"]),
+    "records": (["records.py"], ["tables", "records", "formats"], ["filters", "aids", "emulate_cli", "files"]),
     "scenario": (
         ["scenario"],
         ["tables", "scenario_sections", "scenario", "scenario_fuzz"],
@@ -75,7 +76,7 @@ ROOMS = {
     ),
     "formats": (
         ["formats"],
-        ["maps", "readers", "arrays", "written", "formats", "files", "export"],
+        ["tables", "maps", "readers", "arrays", "written", "formats", "files", "export"],
         ["intake", "recorded", "emulate_cli"],
     ),
 }

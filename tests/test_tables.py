@@ -1,15 +1,20 @@
-"""Numbers that users rely on without writing them: defaults and limits of the scenario, typical sizes of the effects.
+"""Numbers that users rely on without writing them: defaults and limits of the scenario, typical sizes of the effects, constants of the rooms below.
 
 ``python -m tests.test_tables`` writes ``tests/tables.yaml`` anew; a changed line there changes somebody's results and belongs into the changelog.
 """
 
 from __future__ import annotations
 
+import ast
+import importlib
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
+import insemu
 from insemu.effects import EFFECTS
 from insemu.scenario.schema import Scenario
 
@@ -27,6 +32,52 @@ _SAID = (
     "enum",
     "const",
 )
+
+
+#: Rooms whose constants are kept.
+ROOMS = ("augment.py", "units.py", "records.py", "noise", "variance", "effects", "scenario", "formats")
+
+
+def _numbers(value: Any) -> Any:
+    """A constant as plain data, of ten digits; ``None`` where it has no numbers."""
+    if isinstance(value, np.ndarray):
+        return _numbers(value.tolist())
+    if isinstance(value, Mapping):
+        found = {str(key): _numbers(part) for key, part in value.items()}
+        return found if found and all(part is not None for part in found.values()) else None
+    if isinstance(value, tuple | list):
+        found = [part if isinstance(part, str) else _numbers(part) for part in value]
+        return found if any(not isinstance(part, str | None) for part in found) and None not in found else None
+    if isinstance(value, bool | int):
+        return value
+    return float(f"{value:.10g}") if isinstance(value, float) else None
+
+
+def _assigned(tree: ast.Module) -> Iterator[str]:
+    """Names in capitals that a module gives a value at its head."""
+    for node in tree.body:
+        targets = (
+            node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+        )
+        for target in targets:
+            for name in target.elts if isinstance(target, ast.Tuple) else [target]:
+                if isinstance(name, ast.Name) and name.id.strip("_").isupper():
+                    yield name.id
+
+
+def constants() -> dict[str, dict[str, Any]]:
+    """Named numbers of the modules of :data:`ROOMS`."""
+    package = Path(insemu.__file__).parent
+    found = {}
+    for path in sorted(
+        p for room in ROOMS for p in ([package / room] if room.endswith(".py") else (package / room).rglob("*.py"))
+    ):
+        name = ".".join(("insemu", *path.relative_to(package).with_suffix("").parts)).removesuffix(".__init__")
+        module = importlib.import_module(name)
+        own = {n: _numbers(getattr(module, n, None)) for n in _assigned(ast.parse(path.read_text(encoding="utf-8")))}
+        if own := {n: value for n, value in own.items() if value is not None}:
+            found[name] = own
+    return found
 
 
 def _limits(found: Any) -> Any:
@@ -65,6 +116,7 @@ def tables() -> dict[str, Any]:
             }
             for effect in EFFECTS.values()
         },
+        "constants": constants(),
     }  # fmt: skip
 
 
