@@ -1,4 +1,5 @@
-"""Numbers that users rely on without writing them: defaults and limits of the scenario, typical sizes of the effects, constants of the rooms below.
+"""Numbers that users rely on without writing them: defaults and limits of the scenario, typical sizes of the effects, constants and
+defaults of the rooms below.
 
 ``python -m tests.test_tables`` writes ``tests/tables.yaml`` anew; a changed line there changes somebody's results and belongs into the changelog.
 """
@@ -65,17 +66,51 @@ def _assigned(tree: ast.Module) -> Iterator[str]:
                     yield name.id
 
 
+def _modules() -> Iterator[tuple[str, Path]]:
+    """Modules of :data:`ROOMS` with their files."""
+    package = Path(insemu.__file__).parent
+    for room in ROOMS:
+        for path in sorted([package / room] if room.endswith(".py") else (package / room).rglob("*.py")):
+            yield ".".join(("insemu", *path.relative_to(package).with_suffix("").parts)).removesuffix(".__init__"), path
+
+
 def constants() -> dict[str, dict[str, Any]]:
     """Named numbers of the modules of :data:`ROOMS`."""
-    package = Path(insemu.__file__).parent
     found = {}
-    for path in sorted(
-        p for room in ROOMS for p in ([package / room] if room.endswith(".py") else (package / room).rglob("*.py"))
-    ):
-        name = ".".join(("insemu", *path.relative_to(package).with_suffix("").parts)).removesuffix(".__init__")
+    for name, path in _modules():
         module = importlib.import_module(name)
         own = {n: _numbers(getattr(module, n, None)) for n in _assigned(ast.parse(path.read_text(encoding="utf-8")))}
         if own := {n: value for n, value in own.items() if value is not None}:
+            found[name] = own
+    return found
+
+
+def _defaults(node: ast.AST, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """What functions take and fields of classes are where nothing is said; ``None`` where that is no literal."""
+    for part in ast.iter_child_nodes(node):
+        given: list[tuple[str, ast.expr | None]] = []
+        if isinstance(part, ast.FunctionDef):
+            a = part.args
+            late = (a.posonlyargs + a.args)[len(a.posonlyargs + a.args) - len(a.defaults) :]
+            pairs = [*zip(late, a.defaults, strict=True), *zip(a.kwonlyargs, a.kw_defaults, strict=True)]
+            given = [(f"{part.name}({arg.arg})", value) for arg, value in pairs]
+        elif isinstance(part, ast.ClassDef):
+            yield from _defaults(part, f"{prefix}{part.name}.")
+        elif prefix and isinstance(part, ast.AnnAssign) and isinstance(part.target, ast.Name):
+            given = [(part.target.id, part.value)]
+        for name, value in given:
+            try:
+                yield prefix + name, _numbers(ast.literal_eval(value)) if value is not None else None
+            except ValueError:
+                yield prefix + name, None
+
+
+def defaults() -> dict[str, dict[str, str]]:
+    """Defaults of the functions and classes of :data:`ROOMS` that are numbers or switches."""
+    found = {}
+    for name, path in _modules():
+        said = _defaults(ast.parse(path.read_text(encoding="utf-8")))
+        if own := {place: value for place, value in said if value is not None}:
             found[name] = own
     return found
 
@@ -117,6 +152,7 @@ def tables() -> dict[str, Any]:
             for effect in EFFECTS.values()
         },
         "constants": constants(),
+        "defaults": defaults(),
     }  # fmt: skip
 
 
