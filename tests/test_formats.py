@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from insemu.errors import InputError
-from insemu.formats import opened, read, read_log, read_recording, read_static, write
+from insemu.formats import opened, read, read_log, read_recording, read_static, static, write
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Series, Trajectory
 from tests.shared_data import shared
 
@@ -347,3 +347,12 @@ def test_geojson_tracks(tmp_path: Path, shape: str, height: bool, scale: int) ->
     np.testing.assert_allclose(gnss.t - gnss.t[0], np.arange(12.0), atol=1e-6)
     np.testing.assert_allclose(np.rad2deg(gnss.llh[:, :2]), [[p[1], p[0]] for p in places], rtol=0, atol=1e-11)
     np.testing.assert_allclose(gnss.llh[:, 2], [400.0 + k if height else 0.0 for k in range(12)])
+
+
+def test_nobody_changes_a_log_that_is_kept(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("".join(f"{0.01 * k:.2f},{k % 7}\n" for k in range(50)), encoding="utf-8")
+    for _ in range(2):
+        column = static._csv_once(path)[2][0]
+        with pytest.raises(ValueError, match="read-only"):
+            column[0] = 1.0
