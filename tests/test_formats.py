@@ -356,3 +356,12 @@ def test_nobody_changes_a_log_that_is_kept(tmp_path: Path) -> None:
         column = static._csv_once(path)[2][0]
         with pytest.raises(ValueError, match="read-only"):
             column[0] = 1.0
+
+
+def test_columns_without_units_are_increments_where_the_folder_says_so(tmp_path: Path) -> None:
+    rows = ["t,gx,gy,gz,ax,ay,az", *(f"{0.01 * k:.2f},0,0,1e-4,0,0,{-0.0981}" for k in range(20))]
+    (tmp_path / "imu.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    (tmp_path / "imu_kind.txt").write_text("increment\n", encoding="utf-8")
+    imu = read_recording(tmp_path).imu
+    assert imu.kind == "increment"
+    np.testing.assert_allclose(imu.accel[:, 2], -0.0981)
