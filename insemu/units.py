@@ -340,6 +340,9 @@ DATASHEET: Mapping[str, str] = {
     "m/s^2*sqrt(Hz)": "ug*sqrt(Hz)",
     "m/s^3": "ug/s",
     "m/s": "m/s",
+    "rad/s/K": "deg/h/K",
+    "m/s^2/K": "mg/K",
+    "rad/s/(m/s^2)": "deg/h/g",
 }
 
 

@@ -561,6 +561,8 @@ def test_weeks_are_unwrapped() -> None:
         ([0.0, 2.0, 4.0], "t", 5.0, "ms", "a step of 2 is 500 Hz in ms"),
         ([0.0, 5000.0], "t", 5.0, "us", "a step of 5000 is 200 Hz in us"),
         ([0.0, 5000.0], "t", np.inf, "ms", "a step of 5000 is 0.2 Hz in ms"),
+        ([0.0, 19.0], "t", np.inf, "s", "a step of 19 s"),
+        ([0.0, 25.0], "t", np.inf, "ms", "a step of 25 is 40 Hz in ms"),
         ([0.0, 1e7], "t", 5.0, "ns", "a step of 1e+07 is 100 Hz in ns"),
         ([1.7e9, 1.7e9 + 1], "t", 5.0, "s", "the first stamp, 1.7e+09, is a date in s"),
         ([1.7e12, 1.7e12 + 10], "t", 5.0, "ms", "the first stamp, 1.7e+12, is a date in ms"),

@@ -97,5 +97,5 @@ def test_some_findings_are_applied_by_number() -> None:
 
 
 def test_every_finding_says_what_to_do() -> None:
-    assert finding_action(finding("lever_arm", "gnss", value_x=0.48)) == "correct the lever arm by value_x 0.48"
+    assert finding_action(finding("lever_arm", "gnss", value_x=0.48)) == "correct the lever arm by x 0.48"
     assert finding_action(finding("somebody's own", "gyro", size=2.0)) == "model or calibrate it: size 2"

@@ -157,6 +157,7 @@ def _tell(report: GapReport, console: Console) -> None:
         ranked,
         sensor_axes,
         shaking_said,
+        shown_value,
     )
 
     console.print(f"[bold]{report.verdict}[/bold]: {gap_headline(report)}")
@@ -181,7 +182,7 @@ def _tell(report: GapReport, console: Console) -> None:
         print_table(console, "What is missing, most metres first", heads, body, left=2, fit=True, gap=lambda row: False)
         for n, s in most:
             console.print(f"{n}. {finding_action(s)}", highlight=False, markup=False)
-            for v in s.parameters[:6]:
+            for v in map(shown_value, s.parameters[:6]):
                 console.print(
                     f"   {v.name} {v.value:.3g} [{v.low:.3g}, {v.high:.3g}] {v.unit}", highlight=False, markup=False
                 )

@@ -26,6 +26,7 @@ from insemu.report.gap import (
     render_gap,
     sensor_axes,
     shaking_said,
+    shown_value,
 )
 from insemu.report.plotting import plot
 from insemu.report.predictive import render_check
@@ -123,6 +124,7 @@ __all__ = [
     "shaking_said",
     "short_headline",
     "shown_beside",
+    "shown_value",
     "smoother_rows",
     "solve_answer",
     "solve_rows",

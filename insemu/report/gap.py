@@ -15,9 +15,10 @@ from insemu.report.charts import Chart
 from insemu.report.gap_charts import evidence_chart, innovation_chart, spectrum_chart, wavelet_chart
 from insemu.report.page import Block, Card, Code, Folded, Items, Section, Table, Text, render
 from insemu.report.static import save
+from insemu.units import datasheet
 
 if TYPE_CHECKING:
-    from insemu.gap import Finding, GapReport, Interval, Where
+    from insemu.gap import Finding, GapReport, Interval, Value, Where
 
 
 def effect_name(effect: str) -> str:
@@ -72,10 +73,18 @@ _ACTIONS = {
 }
 
 
+def shown_value(value: Value) -> Value:
+    """A parameter in the unit of datasheets."""
+    factor, unit = datasheet(1.0, value.unit)
+    return replace(value.scaled(factor), unit="" if unit == "1" else unit)
+
+
 def finding_action(finding: Finding) -> str:
-    """What to do about a finding, in one line."""
+    """What to do about a finding, in one line; values in units of datasheets."""
+    shown = [shown_value(v) for v in finding.parameters[:3]]
+    # of a vector the component alone: "value_x" is x, "rpy_roll" roll
     values = ", ".join(
-        f"{v.name} {v.value:.3g} {v.unit if v.unit != '1' else ''}".strip() for v in finding.parameters[:3]
+        f"{v.name.removeprefix('value_').removeprefix('rpy_')} {v.value:.3g} {v.unit}".strip() for v in shown
     )
     return _ACTIONS.get(finding.effect, "model or calibrate it: {}").format(values)
 
@@ -306,7 +315,7 @@ def _suspects(report: GapReport, names: Sequence[str]) -> list[Section]:
             v.unit,
         ]
         for s in report.findings
-        for v in s.parameters
+        for v in map(shown_value, s.parameters)
     ]
     suspects.append(
         Table(("effect", "axes", "parameter", "value", "95 % interval", "unit"), values, "Estimates", left=3)
