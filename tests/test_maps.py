@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from insemu.errors import InputError
 from insemu.formats import open_files, read_log
 from insemu.formats.assemble import axes_matrix
-from insemu.formats.columns import guess_map, parse_map, resolve, split_header, words_of
+from insemu.formats.columns import _triad, guess_map, parse_map, resolve, split_header, words_of
 from insemu.formats.opened import Opened
 
 DEG = np.pi / 180.0
@@ -514,3 +514,10 @@ def test_the_unit_of_stamps_is_told_by_those_that_are_there(tmp_path: Path) -> N
     assert found.imu is not None and found.missing == 2
     np.testing.assert_allclose(found.imu.t - 1e9, [0.01, 0.02, 0.04, 0.05], atol=2e-7)
     assert found.assumed[0] == "stamps in ms: the first stamp, 1e+12, is a date in ms"
+
+
+def test_a_triple_has_one_word_besides_its_axes() -> None:
+    names = ["gyrox filtered", "gyroy raw", "gyroy filtered", "gyrox raw", "gyroz filtered", "gyroz raw"]
+    found = _triad("gyro", names)
+    assert found is not None
+    assert [pick.column for pick in found] == ["gyrox filtered", "gyroy filtered", "gyroz filtered"]
