@@ -150,7 +150,20 @@ def test_what_is_wrong_is_said(change: Callable[[np.ndarray[Any, Any], int], Any
     assert all(any(f.startswith(kind) for f in axis) for axis in found.values()), found
 
 
+def test_a_value_that_is_stuck_to_the_end_is_counted_to_the_last_sample() -> None:
+    x = np.random.default_rng(3).standard_normal(4000)
+    for start in (0, 1000, 3900):
+        stuck = np.where((np.arange(4000) >= start) & (np.arange(4000) < start + 100), 0.25, x)
+        (said,) = [f for f in judge.resolution(stuck, "rad/s") if f.startswith("stuck")]
+        assert said == f"stuck: the value stays the same for 100 samples from row {start} on"
+
+
 def test_wrong_units_are_said() -> None:
+    for size, unit in ((905.0, "mg"), (1095.0, "mg"), (0.905, "g"), (1.095, "g")):
+        means = {"accel_x": 0.0, "accel_y": 0.0, "accel_z": size}
+        assert any(
+            f"the values are in {unit}" in f for f in judge.unit_report(means, {}, dict.fromkeys(means, ""))["accel_x"]
+        )
     in_g = [Series(s.values / 9.80665, s.rate_hz, s.unit, s.name) if k > 2 else s for k, s in enumerate(_static())]
     assert any("gravity magnitude" in f and "in g" in f for f in _findings(in_g)["az"])
     in_degrees = [

@@ -18,6 +18,7 @@ from insemu.errors import InputError
 from insemu.fit import fit
 from insemu.formats import IMU_BINARIES, open_files, write, write_imu_binary
 from insemu.formats.programs import PROGRAMS, reduce_models, spell
+from insemu.formats.readers import imu_binary
 from insemu.formats.tracks_out import way_of, write_way
 from insemu.noise import GM, RC, RW, WN, NoiseModel
 from insemu.records import ImuRecord, Recording, Series
@@ -310,3 +311,16 @@ designs:
     assert "--realization: found 2, expected one of 1, 317" in capsys.readouterr().err
     assert run("export", tmp_path / "out", "-o", tmp_path / "x.gpx") == 2
     assert "cannot write '.gpx' overlays, expected .kml" in capsys.readouterr().err
+
+
+def test_an_imu_file_with_broken_times_is_none() -> None:
+    layout = IMU_BINARIES["LN200"]
+    epochs = np.zeros(50, dtype=layout.record)
+    epochs["values"][:, 5] = round(-0.0981 / layout.accel)
+    for dt, shuffled, fits in ((0.01, False, True), (0.01, True, False), (2.0, False, False), (4e-5, False, False)):
+        scale = dt / 0.01
+        epochs["time"] = dt * np.arange(50)
+        epochs["values"][:, 5] = round(-0.0981 * scale / layout.accel)
+        if shuffled:
+            epochs["time"][::4] += 10.0
+        assert imu_binary._fits(epochs, layout) == fits

@@ -383,6 +383,28 @@ def test_the_gate_rejects_an_outlier_and_reports_it(road):
     assert run_filter(imu, wrong, start, START_SIGMA, MODEL_15).fixes.accepted.all()
 
 
+def test_a_filter_that_is_wrong_of_itself_comes_back_through_the_gate(road):
+    """A bias that is not believed bends the flight through an outage: all fixes behind it are beyond the gate."""
+    imu, gnss, start = flown(road, MODEL_15, outages=((10.0, 20.0),))
+    biased = replace(imu, accel=imu.accel + np.where(imu.t > 10.0, 2.0, 0.0)[:, None] * [1.0, 0.0, 0.0])
+    behind = gnss.t > 20.0
+
+    def ran(timeout):
+        ekf = LooselyCoupledEKF(MODEL_15, DT, options=FilterOptions(gate=1e-4, gate_timeout=timeout))
+        return ekf, ekf.run(biased, gnss, start, START_SIGMA)
+
+    _, shut = ran(1e6)
+    assert not shut.fixes.accepted[behind].any()
+    for timeout in (3.0, 5.0):
+        ekf, opened = ran(timeout)
+        t, accepted = opened.fixes.t[behind], opened.fixes.accepted[behind]
+        assert t[accepted][0] == pytest.approx(t[0] + timeout, abs=0.01)
+        readable = reference_run(ekf, biased, gnss, start, START_SIGMA)
+        np.testing.assert_array_equal(opened.fixes.accepted, readable.fixes.accepted)
+    with pytest.raises(InputError, match="gate_timeout is 0"):
+        FilterOptions(gate_timeout=0)
+
+
 # -- nodes, decimation, standstill --------------------------------------------------------------------------------------------------------
 
 

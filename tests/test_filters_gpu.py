@@ -81,6 +81,7 @@ def case(road, model, *, lever=(0.0, 0.0, 0.0), earlier=0.0, **changes):
         (MODEL_27, {"output_every": 7}),
         (MODEL_RW, {"covariance_every": 5, "output_every": 10}),
         (MODEL_27, {"gate": 0.01}),
+        (MODEL_15, {"gate": 0.2, "gate_timeout": 1.5}),
         (MODEL_15, {"lever": LEVER, "extras": Extras(gyro_scale=1e-3, accel_misalignment=1e-3, lever_arm=0.1)}),
         (
             MODEL_RW,
@@ -94,6 +95,7 @@ def case(road, model, *, lever=(0.0, 0.0, 0.0), earlier=0.0, **changes):
         "27, thinned",
         "walks, five steps at a time",
         "27, gate",
+        "15, gate that opens",
         "calibration states",
         "lever arm as a state, fixes between epochs",
         "temperature",

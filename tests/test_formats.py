@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from insemu.errors import InputError
-from insemu.formats import opened, read, read_log, read_recording, read_static, static, write
+from insemu.formats import check_target, opened, read, read_log, read_recording, read_static, static, write
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Series, Trajectory
 from tests.shared_data import shared
 
@@ -276,6 +276,10 @@ def test_the_two_doors_refuse_each_others_files(tmp_path: Path) -> None:
         read_recording(write(tmp_path / "log.npz", _series()))
     with pytest.raises(InputError, match="expected a static log"):
         read_static(write(tmp_path / "flight.npz", _recording()))
+    with pytest.raises(InputError, match=r"cannot write '\.xlsx' files, expected \.npz or \.csv$"):
+        check_target(tmp_path / "log.xlsx", recording=False)
+    with pytest.raises(InputError, match=r"expected \.npz or a folder$"):
+        check_target(tmp_path / "drive.xlsx", log=False)
     with pytest.raises(InputError, match="cannot write"):
         write(tmp_path / "log.xlsx", _series())
     with pytest.raises(FileNotFoundError):

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from insemu.errors import InputError
 from insemu.formats import open_files
+from insemu.formats.readers import phones
 from tests.file_samples import KINDS
 
 G = 9.80665
@@ -409,6 +410,10 @@ def test_a_ulog_that_is_read_in_part_says_so(tmp_path: Path) -> None:
 
 
 # ------------------------------------------------------------------------------------------------------------------- phones
+
+
+def test_stamps_of_phones_are_dates_in_nanoseconds_or_of_no_clock() -> None:
+    assert [phones._clock(np.array(t)) for t in ([1.7e18, 1.8e18], [0.0, 1.0], [9e16], [])] == ["unix", "", "", ""]
 
 
 def test_phyphox(tmp_path: Path) -> None:
@@ -843,3 +848,15 @@ def test_topics_that_are_not_there_are_refused(tmp_path: Path, line: str, said: 
     assert str(caught.value).endswith(said)
     turned = open_files(path, maps=("axes=FRD", "", ""))
     assert turned.imu is not None and turned.imu.accel[0].tolist() == [0.4, 0.5, 9.8] and turned.assumed == ()
+
+
+def test_a_latitude_alone_is_no_position(tmp_path: Path) -> None:
+    rows = [f"{0.01 * k:.2f},0,0,0.1,0,0,-9.8,46.5" for k in range(200)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["t,gx,gy,gz,ax,ay,az,lat", *rows]) + "\n", encoding="utf-8")
+    try:
+        found = open_files(path)
+    except InputError as error:
+        assert "lat" in str(error)
+    else:
+        assert found.gnss is None and found.imu is not None

@@ -39,14 +39,14 @@ def _second(s: Array, m: int, every: int = 1) -> Array:
 )
 def test_the_pyramid_sums_squares_of_plain_differences(n: int, full: int) -> None:
     """Of running sums; where a scale is longer than ``full``, of those on a grid of half a window to a scale."""
-    x = numbers(n, 5) + 100.0
+    x = numbers(n, 5) + 1e6
     levels = min(int(np.log2(n - 1)), 16)
     found = v.HaarAccumulator(levels, full)
     for piece in np.split(x, [n // 3, n // 3 + 1, n // 2]):
         found.push(piece)
     value, counts = found.result()
     np.testing.assert_array_equal(found.result()[0], value)
-    s = np.cumsum(np.concatenate([[0.0], x - 100.0]))
+    s = np.cumsum(np.concatenate([[0.0], x - 1e6]))
     for j in range(levels):
         m = 1 << j
         every = 1 if 2 * m <= full else 2 * m // (full // 2)

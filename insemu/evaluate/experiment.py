@@ -304,6 +304,7 @@ class Experiment:
                 covariance_every=options.covariance_every,
                 output_every=output_every * options.covariance_every,
                 gate=options.gate,
+                gate_timeout=options.gate_timeout,
                 covariance_at=() if covariance_at is None else tuple(covariance_at),
                 extras=options.states,
                 standstill=standstill,

@@ -397,7 +397,7 @@ class LooselyCoupledEKF:
             p.d, p.phi, p.offsets, p.mix, p.q_at, p.q, p.q_law, p.time_at, p.time_law, p.time_of,
             following.powers(a, imu),
             following.of_speed(a), a.white_of, a.white, self._gravity, self.lever_arm, lever_at, latency_at,
-            self.thresholds(events.z.shape[1]), o.covariance_every, o.output_every, trend_window(self.dt), steps_around(self.dt),
+            self.thresholds(events.z.shape[1]), o.gate_timeout, o.covariance_every, o.output_every, trend_window(self.dt), steps_around(self.dt),
             SAME_TIME * self.dt,
             events.first_of, events.next_alike, events.t, events.epoch, events.kind, events.since, events.tau, events.z, events.var,
             events.settings, cov_epoch, node_epoch, o.store == "fixes", b.nav, b.var, b.x, b.nu, b.S, b.nis, b.dof, b.ok, b.epoch, b.K, b.H,

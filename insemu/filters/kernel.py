@@ -101,6 +101,7 @@ def run(
     lever_at: int,
     latency_at: int,
     thresholds: Array,
+    timeout: float,
     every: int,
     output_every: int,
     window: int,
@@ -182,6 +183,8 @@ def run(
         First lever-arm state and latency state in the layout, -1 where they are not carried.
     thresholds : (w + 1,) array
         Largest accepted normalised innovation squared by the number of components.
+    timeout : float
+        Fixes are rejected for so long in a row, s.
     every, output_every : int
         Epochs from one propagation of the covariance, and from one row of the output, to the next.
     window : int
@@ -259,6 +262,7 @@ def run(
     nu_after, H_after, R_after = np.zeros(width), np.zeros((width, n)), np.zeros((width, width))
     moved = np.zeros(6)
     used = np.zeros(width, dtype=np.bool_)
+    no_limits, rejected_from = np.full(thresholds.size, np.inf), math.inf
     L = np.zeros((n, n))
     driven = False
     groups = laws.shape[0]
@@ -501,9 +505,12 @@ def run(
                         R[i, i] += event_var[event, i]
                         fix_nu[event, i] = nu[i]
                 gather(E, place, P)
-                nis, dof, ok = update(P, nu, H, R, used, thresholds, dx, fix_S[event], fix_K[event if store else 0])
+                limits = no_limits if kind == FIX and t[k] - rejected_from >= timeout else thresholds
+                nis, dof, ok = update(P, nu, H, R, used, limits, dx, fix_S[event], fix_K[event if store else 0])
                 if dof < 0:
                     return 2, -1 - dof
+                if kind == FIX and dof > 0:
+                    rejected_from = math.inf if ok else min(rejected_from, t[k])
                 fix_nis[event], fix_dof[event], fix_ok[event] = nis, dof, 1 if ok else 0
                 if store:
                     for i in range(width):

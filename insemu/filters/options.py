@@ -83,6 +83,9 @@ class FilterOptions:
         A row of the result every n-th IMU epoch; a multiple of ``covariance_every``.
     gate : float, optional
         Probability with which a good fix is rejected by the test of its normalised innovation squared; None: no gate.
+    gate_timeout : float
+        Fixes are rejected for so long in a row, s; then one is taken whatever it says, for a filter that is off by more than it believes would
+        reject all that could tell it. The usual autopilots wait 7 to 10 s.
     store : {"none", "fixes"}
         ``fixes`` keeps covariances, transition and gain at every node for the smoother and the gap room.
     node_every : float, optional
@@ -100,6 +103,7 @@ class FilterOptions:
     covariance_every: int = 1
     output_every: int = 1
     gate: float | None = None
+    gate_timeout: float = 10.0
     store: Store = "none"
     node_every: float | None = None
     covariance_at: Sequence[float] = ()
@@ -123,6 +127,8 @@ class FilterOptions:
             )
         if self.gate is not None and not 0.0 < self.gate < 1.0:
             raise InputError(f"gate is {self.gate!r}, expected a probability between 0 and 1, for example 1e-4")
+        if not self.gate_timeout > 0:
+            raise InputError(f"gate_timeout is {self.gate_timeout!r}, expected a positive number of seconds")
         if self.store not in get_args(Store):
             raise InputError(f"store is '{self.store}', expected one of: {', '.join(get_args(Store))}")
         if self.node_every is not None and not self.node_every > 0:

@@ -280,7 +280,7 @@ def reference_run(
         events.t, events.epoch.copy(), events.kind, np.full((f, w), np.nan), np.full((f, w, w), np.nan), np.full(f, np.nan),
         np.zeros(f, dtype=np.int64), np.zeros(f, dtype=bool),
     )  # fmt: skip
-    waiting = list(range(f))
+    waiting, rejected_from = list(range(f)), np.inf
     wanted = ekf.covariance_epochs(t)
     kept: list[Array] = []
     rows: list[tuple[float, Array, Array, Array]] = []
@@ -301,10 +301,14 @@ def reference_run(
             fixes.innovation[at, used] = nu
             fixes.S[at][np.ix_(used, used)] = S
             fixes.nis[at], fixes.dof[at] = nu @ np.linalg.solve(S, nu), used.sum()
-            fixes.accepted[at] = fixes.nis[at] <= thresholds[fixes.dof[at]]
+            is_fix = events.kind[at] == measurements.FIX
+            waited = is_fix and t[k] - rejected_from >= o.gate_timeout
+            fixes.accepted[at] = waited or fixes.nis[at] <= thresholds[fixes.dof[at]]
+            if is_fix:
+                rejected_from = np.inf if fixes.accepted[at] else min(rejected_from, t[k])
             if fixes.accepted[at]:
                 flight.update(nu, H, R)
-                if events.kind[at] == measurements.FIX and flight.installed:
+                if is_fix and flight.installed:
                     after = flight.measurement(events, at, tau, k, (t[k] - t[0]) / k)[1]
                     kf.P = np.ascontiguousarray(kf.P)
                     measurements.turn(kf.P, H_all, after, used)

@@ -126,7 +126,8 @@ class Design:
         ints = [np.array(v, dtype=np.int32) for v in (a.axis, a.driver, first, column, q_row, q_column, self.cov_epoch)]
         reals = [a.c, [Phi[row, column] for Phi, _ in powers], [Q[q_row, q_column] for _, Q in powers]]
         doubles = [
-            np.ascontiguousarray(v, dtype=np.float64) for v in (*reals, a.white, self.lever_arm, self.thresholds)
+            np.ascontiguousarray(v, dtype=np.float64)
+            for v in (*reals, a.white, self.lever_arm, self.thresholds, [o.gate_timeout])
         ]
         return [np.array(numbers, dtype=np.int32), self.t, *ints, *doubles]
 
@@ -207,7 +208,7 @@ def refused(design: Design, latency_at: int, events: Events) -> str:
 
 
 #: Place of the record among the inputs.
-IMU = 15
+IMU = 16
 
 
 def arguments(

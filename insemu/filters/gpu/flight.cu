@@ -520,7 +520,7 @@ extern "C" void fly(Int flight, double* pool,
 #endif
     const int* sizes, const double* t, const int* axis, const int* driver, const int* phi_row, const int* phi_col, const int* q_row, const int* q_col,
     const int* cov_epoch, const double* c0, const double* phi_of, const double* q_of, const double* white, const double* lever0,
-    const double* thresholds, const double* imu_all, const double* nav_all, const double* x_all, const double* P_all, const int* count_all,
+    const double* thresholds, const double* timeout, const double* imu_all, const double* nav_all, const double* x_all, const double* P_all, const int* count_all,
     const int* epoch_all, const double* tau_all, const double* z_all, const double* var_all, double* out_nav, double* out_var, double* out_x,
     double* fix_nu, double* fix_S, double* fix_nis, int* fix_dof, int* fix_ok, double* out_P, double* last_P, int* status) {
 #ifdef __CUDACC__
@@ -575,7 +575,7 @@ extern "C" void fly(Int flight, double* pool,
     if (lane == 0) status[0] = 1, status[1] = bad;
     return;
   }
-  double f_sum[3] = {0.0, 0.0, 0.0}, C_sum[3][3] = {{0.0}}, span = 0.0, dt = 0.0, dt1 = 0.0, now = 0.0;
+  double f_sum[3] = {0.0, 0.0, 0.0}, C_sum[3][3] = {{0.0}}, span = 0.0, dt = 0.0, dt1 = 0.0, now = 0.0, rejected_from = 1e300;
   int many = 0, event = 0, cov = 0, row = 0;
   for (int k = 0; k < N; k++) {
     const int r = k % CHUNK;
@@ -730,7 +730,8 @@ extern "C" void fly(Int flight, double* pool,
       wrong = __shfl_sync(0xffffffffu, wrong, 0);
 #endif
       if (wrong >= 0) return;
-      const bool ok = q > 0 && !(nis > thresholds[q]);
+      const bool ok = q > 0 && (!(nis > thresholds[q]) || t[k] - rejected_from >= timeout[0]);
+      if (q > 0) rejected_from = ok ? 1e300 : fmin(rejected_from, t[k]);
       if (lane == 0) {
         if (q > 0) fix_nis[event] = nis;
         fix_dof[event] = q;
