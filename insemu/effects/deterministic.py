@@ -432,6 +432,7 @@ class _Warmed(_OnOneAxis):
 
     excitation = "the signals of the effect without temperature, during a temperature sweep"
     in_filter = "compensation by the recorded temperature"
+    traits = frozenset({"second_order"})
     stage, size, needs_temperature = Stage.RESPONSE, "value", True
 
     def per_kelvin(self, use: EffectUse) -> Array:
