@@ -7,16 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.io import savemat
 
 from insemu.errors import InputError
 from insemu.formats import open_files, read, read_imu, read_log, read_recording, round_rate
+from insemu.formats.assemble import Columns, Story, clock_of
 from insemu.formats.clocks import GPS_EPOCH, WEEK, converted, leap_seconds, stamp_unit, unwrapped_weeks
 from insemu.formats.npz import keys_of, load_npy, load_npz, numbers, scalar, texts
 from insemu.formats.readers.arrays import tables_of
 from insemu.formats.static import Log
-from insemu.formats.table import any_table, read_delimited
+from insemu.formats.table import Table, _values, any_table, read_delimited
 from insemu.formats.text import is_text, read_table, write_table
 from insemu.records import AXES, COLUMNS
 
@@ -599,3 +601,32 @@ def test_logs_of_text(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"the rate is said to be 51\.1 Hz, but the time column steps by 0\.02 s"):
         read_log(tmp_path / "a.csv", rate_hz=51.1)
     assert read_log(tmp_path / "a.csv", rate_hz=50.9).rate_hz == 50.9
+
+
+@pytest.mark.parametrize(
+    ("column", "first", "clock"),
+    [
+        ("tow", 3e5, "sow"),
+        ("gps_sow", 3e5, "sow"),
+        ("time", 3e5, ""),
+        ("tow", 2.0 * WEEK, ""),
+        ("tow", -1.0, ""),
+        ("gps time", 1.4e9, "gps"),
+        ("gps time", 1.7e9, "unix"),
+        ("gps time utc", 1.4e9, "unix"),
+        ("time", 1.4e9, "unix"),
+        ("time", 8.0e8, ""),
+    ],
+)
+def test_the_clock_of_a_table_from_its_names_and_its_first_stamp(column: str, first: float, clock: str) -> None:
+    t = first + np.arange(3.0)
+    assert clock_of(Columns(Table("a.csv", {column: t}), t, {}, "sample", {}), Story()) == clock
+
+
+def test_a_column_of_one_row_is_a_number_a_date_or_text() -> None:
+    def of(text: str) -> object:
+        found = _values(pd.Series([text]), True)
+        assert found is not None
+        return found.tolist()[0]
+
+    assert [of("2.5"), of("1970-01-02T00:00:10Z"), of("abc")] == [2.5, 86410.0, "abc"]
