@@ -124,7 +124,12 @@ def test_sizes_of_shapes_reach_from_a_tenth_of_a_datasheet_to_thirty_a_hundred_a
 
 
 def test_refinements_of_plainer_errors_are_these():
-    assert having("second_order") == {"scale_asymmetry", "g2_sensitivity"}
+    assert having("second_order") == {
+        "scale_asymmetry",
+        "g2_sensitivity",
+        "temperature_scale_factor",
+        "temperature_misalignment",
+    }
 
 
 @pytest.mark.parametrize(("lead", "first"), [(1.1, "scale_factor"), (1.7, "scale_asymmetry")])

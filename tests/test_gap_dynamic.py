@@ -629,22 +629,31 @@ def test_a_large_quadratic_accelerometer_is_unexplained() -> None:
     assert trial.verdict == "unexplained"
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("effect", "sensor", "axis", "value"),
-    [("temperature_scale_factor", "gyro", "z", 5e-4), ("temperature_scale_factor", "accel", "z", 5e-5)],
-)
-def test_a_scale_factor_that_follows_the_temperature_is_named(
-    effect: str, sensor: str, axis: str, value: float
-) -> None:
-    hidden = use(effect=effect, sensor=sensor, value=value, axes=axis)
-    report = find_gap(
+def with_thermal_scale(sensor: str, value: float) -> Finding:
+    """What is found first where a scale factor of axis z follows the temperature."""
+    hidden = use(effect="temperature_scale_factor", sensor=sensor, value=value, axes="z")
+    return find_gap(
         recording(hidden, seed=7), believed(np.random.default_rng(7)), rng=np.random.default_rng(1), hold_out=False
-    )
-    first = report.findings[0]
-    assert (first.effect, first.sensor, first.axes) == (effect, sensor, (axis,))
-    own = next(p for p in first.parameters if p.name == f"value_{axis}")
-    assert own.low < value < own.high
+    ).findings[0]
+
+
+@pytest.mark.slow
+def test_a_scale_factor_that_follows_the_temperature_is_named() -> None:
+    first = with_thermal_scale("gyro", 5e-4)
+    assert (first.effect, first.sensor, first.axes) == ("temperature_scale_factor", "gyro", ("z",))
+    own = next(p for p in first.parameters if p.name == "value_z")
+    assert own.low < 5e-4 < own.high
+
+
+@pytest.mark.slow
+def test_of_a_level_vehicle_a_bias_that_follows_the_temperature_is_said_before_the_scale_factor_of_the_vertical() -> (
+    None
+):
+    first = with_thermal_scale("accel", 5e-5)
+    assert [(m.effect, m.sensor, m.axes) for m in first.members][:2] == [
+        ("temperature", "accel", ("z",)),
+        ("temperature_scale_factor", "accel", ("z",)),
+    ]
 
 
 @pytest.mark.parametrize(("width", "motion"), [(8.0, True), (100.0, False)])
