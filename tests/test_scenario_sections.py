@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import json
+import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,7 @@ from insemu.filters import Standstill
 from insemu.noise import NoiseModel
 from insemu.records import AXES
 from insemu.scenario import Design, Scenario, digest, load, schema, state_names, structures, validated, with_changes
-from insemu.scenario.fields import number
+from insemu.scenario.fields import Section, number
 from insemu.scenario.files import code_version
 from insemu.scenario.sensor_keys import beside, with_sensors
 from insemu.scenario.starting import Wish, first_scenario
@@ -572,3 +574,21 @@ def test_short_tracks_have_shorter_outages(tmp_path: Path) -> None:
     (tmp_path / "w.csv").write_text("lat,lon,height [m]\n46.5,6.6,400\n46.51,6.6,400\n46.52,6.61,400\n")
     lines = first_scenario(tmp_path / "new.yaml", Wish(track=str(tmp_path / "w.csv"))).splitlines()
     assert "  waypoints: w.csv" in lines and "  speed: 10 m/s                # of legs whose file gives none" in lines
+
+
+def _sections(of: type[Section] = Section) -> Iterator[type[Section]]:
+    for section in of.__subclasses__():
+        yield section
+        yield from _sections(section)
+
+
+def test_numbers_of_every_section_are_finite() -> None:
+    checked = 0
+    for section in _sections():
+        for name, field in section.model_fields.items():
+            for bad in (math.inf, -math.inf, math.nan) if "float" in str(field.annotation) else ():
+                with pytest.raises(ValidationError) as caught:
+                    section(**{name: bad})
+                assert any(e["loc"][:1] == (name,) for e in caught.value.errors()), (section, name, bad)
+                checked += 1
+    assert checked > 30
