@@ -34,7 +34,11 @@ _SETTINGS: dict[Any, Any] = {  # matplotlib types each name of its settings on i
     "xtick.labelsize": 8.5,
     "ytick.labelsize": 8.5,
     "legend.fontsize": 8.5,
-    "legend.frameon": False,
+    # a sheet below the names, because clouds of points leave no free place
+    "legend.facecolor": "white",
+    "legend.edgecolor": "none",
+    "legend.framealpha": 0.85,
+    "legend.markerscale": 1.8,
     "lines.linewidth": 1.5,
     "font.family": "DejaVu Sans",
     "svg.fonttype": "none",
