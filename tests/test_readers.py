@@ -6,6 +6,7 @@ import math
 import struct
 from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from insemu.errors import InputError
 from insemu.formats import open_files
-from insemu.formats.readers import phones
+from insemu.formats.readers import phones, px4, rosbag
 from tests.file_samples import KINDS
 
 G = 9.80665
@@ -860,3 +861,25 @@ def test_a_latitude_alone_is_no_position(tmp_path: Path) -> None:
         assert "lat" in str(error)
     else:
         assert found.gnss is None and found.imu is not None
+
+
+def test_a_topic_of_one_message_is_read() -> None:
+    stamp = SimpleNamespace(header=SimpleNamespace(stamp=SimpleNamespace(sec=7, nanosec=500_000_000)))
+    topic = SimpleNamespace(topic="/imu")
+    bag = SimpleNamespace(
+        connections=[topic],
+        messages=lambda connections: [(c, 0, b"raw") for c in connections],
+        deserialize=lambda raw, kind: stamp,
+    )
+    topic.msgtype = "Imu"
+    t, rows = rosbag._block(bag, "/imu", lambda message: [1.0, 2.0])
+    assert t.tolist() == [7.5] and rows.tolist() == [[1.0, 2.0]]
+    with pytest.raises(InputError, match="holds no message"):
+        rosbag._block(bag, "/other", lambda message: [])
+
+
+def test_a_topic_of_px4_has_both_sensors() -> None:
+    gyro, accel = [f"gyro_rad[{k}]" for k in range(3)], [f"accelerometer_m_s2[{k}]" for k in range(3)]
+    assert px4._imu_map(["timestamp", *gyro]) is None and px4._imu_map(["timestamp", *accel]) is None
+    found = px4._imu_map(["timestamp", *gyro, *accel])
+    assert found is not None and {"time", "gyro", "accel"} <= set(found.picks)
