@@ -99,3 +99,18 @@ def test_what_is_missing_is_said() -> None:
     with pytest.raises(InputError, match="none is given"):
         compensated(Recording(imu), [use("earth_rate")])
     assert not effect_of("outliers").compensable
+
+
+def test_the_motion_is_estimated_only_where_an_effect_needs_it() -> None:
+    imu, reference = ideal()
+    asked = []
+
+    def estimate(recording: Recording):
+        asked.append(recording)
+        return reference
+
+    bias = use("turn_on_bias", sensor="gyro", value=[1e-3, 0.0, 0.0])
+    compensated(Recording(imu), [bias], trajectory=estimate)
+    assert asked == []
+    compensated(Recording(imu), [bias, use("earth_rate", **EFFECTS["earth_rate"])], trajectory=estimate)
+    assert len(asked) == 1
