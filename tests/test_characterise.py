@@ -159,7 +159,7 @@ def test_a_value_that_is_stuck_to_the_end_is_counted_to_the_last_sample() -> Non
 
 
 def test_wrong_units_are_said() -> None:
-    for size, unit in ((905.0, "mg"), (1095.0, "mg"), (0.905, "g"), (1.095, "g")):
+    for size, unit in ((900.5, "mg"), (1099.5, "mg"), (0.9005, "g"), (1.0995, "g")):
         means = {"accel_x": 0.0, "accel_y": 0.0, "accel_z": size}
         assert any(
             f"the values are in {unit}" in f for f in judge.unit_report(means, {}, dict.fromkeys(means, ""))["accel_x"]

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from insemu.errors import InputError
 from insemu.formats import open_files
+from insemu.formats.decoding import encoding_of
 from insemu.formats.readers import phones, px4, rosbag
 from tests.file_samples import KINDS
 
@@ -883,3 +884,11 @@ def test_a_topic_of_px4_has_both_sensors() -> None:
     assert px4._imu_map(["timestamp", *gyro]) is None and px4._imu_map(["timestamp", *accel]) is None
     found = px4._imu_map(["timestamp", *gyro, *accel])
     assert found is not None and {"time", "gyro", "accel"} <= set(found.picks)
+
+
+@pytest.mark.parametrize(
+    ("controls", "length", "encoding"), [(1, 60, "cp1252"), (2, 60, None), (3, 2500, "cp1252"), (4, 2500, None)]
+)
+def test_text_of_another_encoding_has_few_control_characters(controls: int, length: int, encoding: str | None) -> None:
+    head = b"\xe9" + b"\x01" * controls
+    assert encoding_of(head + b"a" * (length - len(head))) == encoding
