@@ -241,7 +241,11 @@ class DesignOptions(Section):
         default=None, gt=0, lt=1, description="probability that a good fix is rejected; null: no gate"
     )
     gate_timeout: Seconds = Field(
-        default=10.0, gt=0, le=LARGEST, description="fixes are rejected for so long in a row; then one is taken"
+        default=10.0,
+        gt=0,
+        le=LARGEST,
+        examples=["5 s"],
+        description="fixes are rejected for so long in a row; then one is taken",
     )
     prefilter: Prefilter | None = Field(default=None, description="wavelet de-noising of the IMU; absent: none")
     states: Annotated[Extras, Made(StateKeys)] = Field(
