@@ -18,7 +18,7 @@ from insemu.records import AXES, Recording, Series
 from insemu.scenario import Gnss, Initial
 
 BELIEF = {a: NoiseModel((WN(1e-4), RW(1e-6)) if a.startswith("gyro") else (WN(1e-3), RW(1e-5))) for a in AXES}
-#: A real log of the shared data folder, and what its datasheet says.
+#: A real log of the shared data folder, and a belief of the usual size of such a sensor.
 REAL = "real/adis16405_static_run1.npz"
 AT_REST = {a: NoiseModel((WN(6e-4), RW(1e-6)) if a.startswith("gyro") else (WN(2e-3), RW(3e-5))) for a in AXES}
 

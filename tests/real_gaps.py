@@ -1,4 +1,7 @@
-"""``insemu gap`` on the three real drives with the beliefs that docs/gap.md shows, as a user copies them: ``python -m tests.real_gaps``."""
+"""``insemu gap`` on the three real drives with the beliefs that docs/gap.md shows, as a user copies them: ``python -m tests.real_gaps``.
+
+Then a scenario of one of them is refined, and flown through its outages beside its own designs.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +52,6 @@ def main() -> int:
             measured = str(root() / "real" / f"{name.partition(',')[0]}.npz")
             words = ["gap", str(said), "--measured", measured, "--out", str(Path(folder) / name)]
             wrong += insemu(*words)
-        # a scenario that was tuned by hand, refined, and flown through its outages beside its own designs
         print("-- scenarios/real_drive_rtk.yaml", flush=True)
         drive, out = str(root() / "real" / "rtkexp_drive.npz"), Path(folder) / "tuned"
         wrong += insemu("gap", str(ROOT / "scenarios" / "real_drive_rtk.yaml"), "--measured", drive, "--out", str(out))

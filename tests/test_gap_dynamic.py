@@ -646,9 +646,7 @@ def test_a_scale_factor_that_follows_the_temperature_is_named() -> None:
 
 
 @pytest.mark.slow
-def test_of_a_level_vehicle_a_bias_that_follows_the_temperature_is_said_before_the_scale_factor_of_the_vertical() -> (
-    None
-):
+def test_of_a_level_vehicle_the_thermal_bias_of_the_vertical_is_said_first() -> None:
     first = with_thermal_scale("accel", 5e-5)
     assert [(m.effect, m.sensor, m.axes) for m in first.members][:2] == [
         ("temperature", "accel", ("z",)),

@@ -85,7 +85,7 @@ class FilterOptions:
         Probability with which a good fix is rejected by the test of its normalised innovation squared; None: no gate.
     gate_timeout : float
         Fixes are rejected for so long in a row, s; then one is taken whatever it says, for a filter that is off by more than it believes would
-        reject all that could tell it. The usual autopilots wait 7 to 10 s.
+        reject all that could tell it. The EKF3 of ArduPilot waits 7 s for positions, 10 s with velocities (AP_NavEKF3.h, posRetryTime).
     store : {"none", "fixes"}
         ``fixes`` keeps covariances, transition and gain at every node for the smoother and the gap room.
     node_every : float, optional

@@ -34,7 +34,7 @@ _SETTINGS: dict[Any, Any] = {  # matplotlib types each name of its settings on i
     "xtick.labelsize": 8.5,
     "ytick.labelsize": 8.5,
     "legend.fontsize": 8.5,
-    # a sheet below the names, because clouds of points leave no free place
+    # an opaque background: among many points there is no free place
     "legend.facecolor": "white",
     "legend.edgecolor": "none",
     "legend.framealpha": 0.85,

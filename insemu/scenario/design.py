@@ -14,7 +14,7 @@ from insemu.augment import Extras
 from insemu.denoise import Rule
 from insemu.effects import EFFECTS, EffectUse
 from insemu.errors import InputError, nearest
-from insemu.filters import Standstill
+from insemu.filters import FilterOptions, Standstill
 from insemu.noise import NoiseModel
 from insemu.records import AXES
 from insemu.scenario.designs import shipped_designs, spell_out
@@ -241,7 +241,7 @@ class DesignOptions(Section):
         default=None, gt=0, lt=1, description="probability that a good fix is rejected; null: no gate"
     )
     gate_timeout: Seconds = Field(
-        default=10.0,
+        default=FilterOptions.gate_timeout,
         gt=0,
         le=LARGEST,
         examples=["5 s"],

@@ -16,6 +16,7 @@ using namespace std;
 #define LANES 1
 #define SYNC
 #endif
+#define NEVER 1e300  // s, later than any epoch
 #define EACH(i, count) for (int i = lane; i < (count); i += LANES)
 
 typedef long long Int;
@@ -575,7 +576,8 @@ extern "C" void fly(Int flight, double* pool,
     if (lane == 0) status[0] = 1, status[1] = bad;
     return;
   }
-  double f_sum[3] = {0.0, 0.0, 0.0}, C_sum[3][3] = {{0.0}}, span = 0.0, dt = 0.0, dt1 = 0.0, now = 0.0, rejected_from = 1e300;
+  double f_sum[3] = {0.0, 0.0, 0.0}, C_sum[3][3] = {{0.0}}, span = 0.0, dt = 0.0, dt1 = 0.0, now = 0.0;
+  double rejected_from = NEVER;
   int many = 0, event = 0, cov = 0, row = 0;
   for (int k = 0; k < N; k++) {
     const int r = k % CHUNK;
@@ -731,7 +733,7 @@ extern "C" void fly(Int flight, double* pool,
 #endif
       if (wrong >= 0) return;
       const bool ok = q > 0 && (!(nis > thresholds[q]) || t[k] - rejected_from >= timeout[0]);
-      if (q > 0) rejected_from = ok ? 1e300 : fmin(rejected_from, t[k]);
+      if (q > 0) rejected_from = ok ? NEVER : fmin(rejected_from, t[k]);
       if (lane == 0) {
         if (q > 0) fix_nis[event] = nis;
         fix_dof[event] = q;
