@@ -18,8 +18,10 @@ KEPT = 16
 LOST = 20
 #: Settings of Dask for the processes of ``local``. By its own ones every array above 128 KiB goes back to the system as it is freed and is asked for
 #: again: thousands of page faults in a realization. Profiles, ticks and the use of disks, which nobody reads here, take time of every process.
+#: The memory manager takes the inputs off a worker that waits for its next item, which then goes to another: two workers got three items and one.
 LOCAL: dict[str, Any] = {
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
+    "distributed.scheduler.active-memory-manager.start": False,
     "distributed.worker.profile.enabled": False,
     "distributed.worker.memory.monitor-interval": "1s",
     "distributed.admin.tick.interval": "1s",
