@@ -30,8 +30,9 @@ from insemu.gap.evidence.climb import laplace_together
 from insemu.gap.evidence.error_kernels import merged_states
 from insemu.gap.evidence.fixes import FixNoise, Surrogate
 from insemu.gap.evidence.linear import Field, gauss_markov_root, quadratic_evidence, random_walk_root
-from insemu.gap.evidence.model import Explanation, Likelihood, Rolloff, fit
+from insemu.gap.evidence.model import Explanation, Likelihood, fit
 from insemu.gap.evidence.modes import Free, laplace
+from insemu.gap.evidence.rolloff import Rolloff
 from insemu.gap.problems.band import fast_effects
 from insemu.gap.problems.findings import unknown_part
 from insemu.gap.verdict import Finding, Value

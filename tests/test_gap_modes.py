@@ -7,14 +7,16 @@ import math
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import linalg
+from scipy import linalg, signal
 
 from insemu.gap.candidates.spectral import _cells
 from insemu.gap.data.log import reduce
 from insemu.gap.evidence import kernels
 from insemu.gap.evidence.band import Band
-from insemu.gap.evidence.model import Component, Explanation, Likelihood, Rolloff, fit
+from insemu.gap.evidence.model import Component, Explanation, Likelihood, fit
 from insemu.gap.evidence.modes import NONE, Free, Slope, ascend, laplace, level
+from insemu.gap.evidence.rolloff import Rolloff, gains
+from insemu.gap.evidence.shapes import derivatives
 from insemu.noise import BI, GM, RW, WN, NoiseModel, Process
 from insemu.records import Series
 
@@ -126,6 +128,37 @@ def test_slope_and_bend_are_derivatives_of_the_posterior(process: Process) -> No
     slopes = [(along.slope(x + h * e), along.slope(x - h * e)) for e in steps]
     bent = np.array([(b.gradient - a.gradient) / (2.0 * h) for a, b in slopes if a and b])
     np.testing.assert_allclose(bend, bent, rtol=2e-3, atol=2e-3 * np.abs(bent).max())
+
+
+@pytest.mark.parametrize(
+    ("kind", "values"),
+    [
+        ("butterworth", (12.0, 3.0)),
+        ("exponential", (4.0,)),
+        ("moving average", (20.0,)),
+        ("triangular window", (30.0,)),
+    ],
+)
+def test_gains_of_low_passes_come_with_their_derivatives(kind: str, values: tuple[float, ...]) -> None:
+    dt, f, m = 0.01, np.concatenate([[0.0], np.geomspace(0.1, 49.9, 60)]), len(values)
+    turn = np.exp(-2j * np.pi * f * dt)
+    if kind == "butterworth":
+        expected = np.abs(signal.freqz(*signal.butter(3, values[0], fs=1.0 / dt), worN=f, fs=1.0 / dt)[1]) ** 2
+    elif kind == "exponential":
+        phi = np.exp(-2.0 * np.pi * values[0] * dt)
+        expected = np.abs((1.0 - phi) / (1.0 - phi * turn)) ** 2
+    else:
+        expected = np.sinc(f / values[0]) ** (2 if kind == "moving average" else 4)
+    got = gains(kind, values, f, dt)
+    np.testing.assert_allclose(got[0], expected, rtol=1e-9, atol=1e-13)
+    numeric = derivatives(lambda x: gains(kind, np.exp(x).tolist(), f, dt)[0], np.log(values).tolist())
+    np.testing.assert_allclose(got[1 : 1 + m], numeric[1 : 1 + m], atol=1e-7)
+    np.testing.assert_allclose(got[1 + m :], numeric[1 + m :], atol=1e-5)
+
+
+def test_a_corner_at_half_the_rate_moves_no_gain() -> None:
+    got = gains("butterworth", (49.95, 2.0), np.array([10.0, 49.0]), 0.01)
+    assert (got[0] > 0.9).all() and not got[[1, 3, 4]].any() and got[[2, 5]].any()
 
 
 def test_toeplitz_kernels_solve_what_the_matrix_does() -> None:

@@ -23,8 +23,9 @@ from insemu.gap.data.sources import static_of
 from insemu.gap.evidence import kernels
 from insemu.gap.evidence.band import Band
 from insemu.gap.evidence.linear import regression_evidence, stationary_score
-from insemu.gap.evidence.model import Component, Explanation, Likelihood, Regressors, Rolloff
+from insemu.gap.evidence.model import Component, Explanation, Likelihood, Regressors
 from insemu.gap.evidence.modes import Free
+from insemu.gap.evidence.rolloff import Rolloff
 from insemu.gap.problems.findings import is_doubtful, remainder
 from insemu.gap.problems.rest import reweighted, search_axis, weigh_all
 from insemu.gap.threshold import Tail, certain, tail_of, threshold_of

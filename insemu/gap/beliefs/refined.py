@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from insemu.effects import EFFECTS, Effect, EffectParameter, EffectUse, Stage, having, joined
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.data.sources import StaticLog
-from insemu.gap.evidence.model import HALF_POWER
+from insemu.gap.evidence.rolloff import HALF_POWER
 from insemu.gap.verdict import Finding, GapReport
 from insemu.noise import AR, BI, DR, GM, SIN, WN, NoiseModel, Process, axis_unit, save
 from insemu.records import AXES, Recording

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from insemu.gap.data.log import Reduced, reduce_again
 from insemu.gap.evidence.band import Band
 from insemu.gap.evidence.model import (
-    HALF_POWER,
     Component,
     Explanation,
     Fitted,
@@ -25,6 +24,7 @@ from insemu.gap.evidence.model import (
     fit,
 )
 from insemu.gap.evidence.modes import Free
+from insemu.gap.evidence.rolloff import HALF_POWER
 from insemu.gap.hypothesis import Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value

@@ -18,8 +18,9 @@ from insemu.gap.candidates.axis import (
 )
 from insemu.gap.evidence.band import Band
 from insemu.gap.evidence.linear import log_mean_exp
-from insemu.gap.evidence.model import DEPTH, HALF_POWER, Component, Rolloff
+from insemu.gap.evidence.model import Component
 from insemu.gap.evidence.modes import Free
+from insemu.gap.evidence.rolloff import DEPTH, HALF_POWER, Rolloff
 from insemu.gap.hypothesis import Hypothesis, Later
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value

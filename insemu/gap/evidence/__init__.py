@@ -5,15 +5,14 @@ from insemu.gap.evidence.fixes import Colour, Surrogate
 from insemu.gap.evidence.kernels import toeplitz_whiten
 from insemu.gap.evidence.linear import log_mean_exp, regression_evidence
 from insemu.gap.evidence.model import (
-    DEPTH,
     Component,
     Explanation,
     Likelihood,
     Regressors,
-    Rolloff,
     fit,
 )
 from insemu.gap.evidence.modes import Free, laplace
+from insemu.gap.evidence.rolloff import DEPTH, Rolloff
 
 __all__ = [
     "DEPTH",

@@ -1,4 +1,4 @@
-"""Compiled loops of the room: Toeplitz whitening and the two-level switching likelihood, as scalar code over plain arrays."""
+"""Compiled loops of the room: Toeplitz whitening, likelihoods of spectra, the two-level switching one, as scalar code over plain arrays."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
@@ -173,6 +174,192 @@ def lagged_products(rows: Array, out: Array) -> None:  # pragma: no cover - comp
             for i in range(n - k):
                 total += rows[c, i] * rows[c, i + k]
         out[k] = total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[call-arg]  # not in its types
+def whittle(
+    sizes: Array,
+    rows: Array,
+    values: Index,
+    once: Index,
+    twice: Index,
+    gains: Array,
+    last: int,
+    floor: float,
+    half: Array,
+    seen: Array,
+    gradient: Array,
+    expected: Array,
+    observed: Array,
+) -> float:  # pragma: no cover - compiled
+    """Whittle's log-likelihood of a spectrum, a sum of rows times sizes under a gain; derivatives and curvatures are added to what is given.
+
+    Parameters
+    ----------
+    sizes, values : (c,) arrays
+        What each component's row is multiplied by, and which row it is.
+    rows : (r, n) array
+        Densities of all components with their derivatives.
+    once : (k, 4) array
+        Parameter, row of the derivative, power, component.
+    twice : (l, 5) array
+        Two parameters, row of the second derivative, power, component.
+    gains : (g, n) array
+        Power gain, its derivatives by the last parameters, and its second ones.
+    last : int
+        Those parameters.
+    floor : float
+        Added to the density.
+    half, seen : (n,) arrays
+        Half the degrees of freedom, and the measured density.
+    gradient, expected, observed : (p,), (p, p), (p, p) arrays
+        Changed: slope, information, and curvature of the negative log-likelihood.
+
+    Returns
+    -------
+    float
+        NaN where the density is not positive.
+    """
+    p, m, total = gradient.size, once.shape[0], 0.0
+    slope, bent = np.zeros(p), np.zeros(rows.shape[0])
+    info, loud, H = np.zeros((p, p)), np.zeros((p, p)), np.zeros((p, p))
+    for b in range(half.size):
+        psd = 0.0
+        for c in range(sizes.size):
+            psd += sizes[c] * rows[values[c], b]
+        gain = gains[0, b]
+        S = psd * gain + floor
+        if not S > 0.0:
+            return math.nan
+        ratio = seen[b] / S
+        weight = half[b] * (ratio - 1.0) / S
+        total -= half[b] * (math.log(S) + ratio)
+        for r in range(rows.shape[0]):
+            bent[r] += rows[r, b] * weight * gain
+        for q in range(m):
+            by = once[q, 2] * sizes[once[q, 3]] * rows[once[q, 1], b]
+            for e in range(last):
+                H[once[q, 0], p - last + e] += by * weight * gains[1 + e, b]
+            slope[once[q, 0]] = by * gain
+        at = 1 + last
+        for e in range(last):
+            slope[p - last + e] = gains[1 + e, b] * psd
+            for d in range(e, last):
+                H[p - last + e, p - last + d] += gains[at, b] * weight * psd
+                at += 1
+        for i in range(p):
+            gradient[i] += slope[i] * weight
+            for j in range(i + 1):
+                both = half[b] * (slope[i] / S) * (slope[j] / S)
+                info[i, j] += both
+                loud[i, j] += both * ratio
+    for t in range(twice.shape[0]):
+        H[min(twice[t, 0], twice[t, 1]), max(twice[t, 0], twice[t, 1])] = (
+            twice[t, 3] * sizes[twice[t, 4]] * bent[twice[t, 2]]
+        )
+    for i in range(p):
+        for j in range(i + 1):
+            curved = 2.0 * loud[i, j] - info[i, j] - H[j, i]
+            expected[i, j] += info[i, j]
+            observed[i, j] += curved
+            if i != j:
+                expected[j, i] += info[i, j]
+                observed[j, i] += curved
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[call-arg]  # not in its types
+def less_bent(
+    sizes: Array, rows: Array, twice: Index, score: Array, curvature: Array
+) -> None:  # pragma: no cover - compiled
+    """Take what the second derivatives of a covariance make of its score off a curvature.
+
+    Parameters
+    ----------
+    sizes, twice : as :func:`whittle` has them
+    rows : (r, n) array
+        Covariances with their derivatives.
+    score : (n,) array
+        Derivatives of the log-likelihood by the covariance.
+    curvature : (p, p) array
+        Changed.
+    """
+    for t in range(twice.shape[0]):
+        total, row = 0.0, rows[twice[t, 2]]
+        for k in range(score.size):
+            total += row[k] * score[k]
+        total *= twice[t, 3] * sizes[twice[t, 4]]
+        i, j = twice[t, 0], twice[t, 1]
+        curvature[i, j] -= total
+        if i != j:
+            curvature[j, i] -= total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[call-arg]  # not in its types
+def informed(
+    sizes: Array,
+    rows: Array,
+    spectra: Array,
+    values: Index,
+    once: Index,
+    twice: Index,
+    score: Array,
+    products: Array,
+    least: float,
+    gradient: Array,
+    expected: Array,
+    observed: Array,
+) -> None:  # pragma: no cover - compiled
+    """Add the slope and curvatures of a stationary vector's log-likelihood, the curvatures those of its spectrum (Whittle 1953).
+
+    Parameters
+    ----------
+    sizes, values, once, twice : as :func:`whittle` has them
+    rows, spectra : (r, n), (r, f) arrays
+        Covariances with their derivatives, and their spectra.
+    score : (n,) array
+        Derivatives of the log-likelihood by the covariance.
+    products : (f,) array
+        Spectrum of what the inverse covariance makes of the data.
+    least : float
+        Share of its largest value below which the density counts as that.
+    gradient, expected, observed : (p,), (p, p), (p, p) arrays
+        Changed.
+    """
+    m, n, count = once.shape[0], score.size, products.size
+    for q in range(m):
+        total, row = 0.0, rows[once[q, 1]]
+        for k in range(n):
+            total += row[k] * score[k]
+        gradient[once[q, 0]] += once[q, 2] * sizes[once[q, 3]] * total
+    density = np.zeros(count)
+    for c in range(sizes.size):
+        row = spectra[values[c]]
+        for k in range(count):
+            density[k] += sizes[c] * row[k]
+    floor, half = least * density.max(), 0.5 * n / count
+    by = np.empty((m, count))
+    for q in range(m):
+        row, size = spectra[once[q, 1]], once[q, 2] * sizes[once[q, 3]]
+        for k in range(count):
+            by[q, k] = size * row[k] / max(density[k], floor)
+    for q in range(m):
+        for r in range(q + 1):
+            info, loud = 0.0, 0.0
+            for k in range(count):
+                both = by[q, k] * by[r, k]
+                info += both
+                # the inverse covariance of the data times the density is one on average
+                loud += both * products[k] * density[k]
+            info *= half
+            curved = 2.0 * half * loud / n - info
+            i, j = once[q, 0], once[r, 0]
+            expected[i, j] += info
+            observed[i, j] += curved
+            if i != j:
+                expected[j, i] += info
+                observed[j, i] += curved
+    less_bent(sizes, rows, twice, score, observed)
 
 
 @njit(cache=True, nogil=True)

@@ -20,7 +20,8 @@ from insemu.gap.data.log import Reduced, density, difference_covariance, of_unit
 from insemu.gap.evidence import kernels
 from insemu.gap.evidence.linear import regression_evidence, stationary_score
 from insemu.gap.evidence.modes import Free, Mode, Slope, ascend, level
-from insemu.gap.evidence.shapes import Shaping, derivatives, pairs, spectrum_of
+from insemu.gap.evidence.rolloff import Rolloff, gains
+from insemu.gap.evidence.shapes import Shaping, pairs, spectrum_of
 from insemu.gap.policy import rules
 from insemu.noise import NoiseModel, Process
 
@@ -34,56 +35,6 @@ class Component:
     process: Process
     free: tuple[Free, ...]
     effect: str = "nominal"
-
-
-#: Depth below the white noise to which a filtered spectrum is compared. Deeper, a bin is not even, and tapers and rounding are seen.
-DEPTH = 1e-5
-
-#: Frequency at which a window halves the power, times its length (two of them for the triangular one).
-HALF_POWER = {"moving average": 0.44295, "triangular window": 0.31894}
-
-
-@dataclass(frozen=True)
-class Rolloff:
-    """A low-pass of the output: ``butterworth`` (corner and order), ``moving average`` (of length ``1 / corner``), ``exponential``.
-
-    ``floor`` (a two-sided PSD) is added to measured and modelled spectrum alike, so that neither is compared where next to nothing is left.
-    """
-
-    kind: str
-    values: tuple[float, ...]
-    free: tuple[Free, ...]
-    effect: str = "decimation_filter"
-    floor: float = 0.0
-
-    def gain(self, f: Array, dt: float) -> Array:
-        """Power gain at frequencies ``f`` of samples at interval ``dt``."""
-        corner = self.values[0]
-        if self.kind == "moving average":
-            return np.asarray(np.sinc(f / corner) ** 2)
-        if self.kind == "triangular window":
-            return np.asarray(np.sinc(f / corner) ** 4)
-        if self.kind == "exponential":
-            phi = math.exp(-2.0 * math.pi * corner * dt)
-            return np.asarray((1.0 - phi) ** 2 / ((1.0 - phi) ** 2 + 4.0 * phi * np.sin(np.pi * f * dt) ** 2))
-        # a digital Butterworth (bilinear): the corner is where the power is halved
-        edge = math.tan(math.pi * min(corner * dt, 0.499))
-        ratio = np.tan(np.pi * np.minimum(f * dt, 0.4999)) / edge
-        exponent = np.minimum(2.0 * self.values[1] * np.log(ratio), 300.0)
-        return np.asarray(1.0 / (1.0 + np.exp(exponent)))
-
-    def delay(self, dt: float) -> float:
-        """By how much a causal filter of this gain is late for slow signals, s."""
-        corner = self.values[0]
-        if self.kind == "moving average":
-            return max(0.5 * (1.0 / corner - dt), 0.0)
-        if self.kind == "triangular window":
-            return max(1.0 / corner - dt, 0.0)
-        if self.kind == "exponential":
-            phi = math.exp(-2.0 * math.pi * corner * dt)
-            return dt * phi / (1.0 - phi)
-        edge = 2.0 / dt * math.tan(math.pi * min(corner * dt, 0.499))
-        return 1.0 / (edge * math.sin(0.5 * math.pi / max(self.values[1], 1.0)))
 
 
 @dataclass(frozen=True)
@@ -291,7 +242,8 @@ class Along:
     def __init__(self, likelihood: Likelihood, explanation: Explanation) -> None:
         self.likelihood, self.explanation = likelihood, explanation
         data, count = likelihood.data, likelihood.data.differences.size
-        self._seen = explanation.seen(data)
+        self._seen, self._half = np.ascontiguousarray(explanation.seen(data)), np.ascontiguousarray(0.5 * data.counted)
+        self._flat = np.ones((1, data.f.size))
         self._prior = [(math.log(f.low), math.log(f.high), f.edge, math.log(f.width)) for f in explanation.free]
         self._low_pass = len(explanation.rolloff.free) if explanation.rolloff else 0
         still = [Shaping(data, c.process).plain() for c in explanation.components if not c.free]
@@ -303,11 +255,12 @@ class Along:
         self._covariance[0] = sum((covariance for _, covariance in still), np.zeros(count))
         self._spectrum = spectrum_of(self._covariance)
 
-    def _gain(self, at: Sequence[float]) -> Array:
-        """Power gain of the roll-off at the logarithms of its parameters."""
-        assert self.explanation.rolloff is not None
-        data = self.likelihood.data
-        return replace(self.explanation.rolloff, values=tuple(math.exp(v) for v in at)).gain(data.f, data.dt)
+    def _gains(self, x: Array) -> Array:
+        """Power gain of the roll-off with its derivatives by its parameters, the last of all; one where there is none."""
+        rolloff, data = self.explanation.rolloff, self.likelihood.data
+        if rolloff is None:
+            return self._flat
+        return gains(rolloff.kind, [math.exp(v) for v in x[x.size - self._low_pass :]], data.f, data.dt)
 
     def __call__(self, x: Array) -> float:
         """Log likelihood plus log prior density."""
@@ -321,7 +274,7 @@ class Along:
             total -= width + 0.5 * (max(low - v, v - high, 0.0) / edge) ** 2
         if psd.size:
             rolloff = self.explanation.rolloff
-            S = psd * self._gain(x[x.size - self._low_pass :].tolist()) + rolloff.floor if rolloff else psd
+            S = psd * self._gains(x)[0] + rolloff.floor if rolloff else psd
             total += self.likelihood.high_of(S, self._seen)
         return total + (self.likelihood.low_of(covariance, self.explanation.regressors) if covariance.size else 0.0)
 
@@ -366,8 +319,20 @@ class Along:
             if scored is None:
                 return None
             value += scored[0]
-            gradient[self._places.own] += self._by_parameter(sizes, self._covariance) @ scored[1]
-            self._informed(sizes, scored[1], scored[2], expected, observed)
+            kernels.informed(
+                sizes,
+                self._covariance,
+                self._spectrum,
+                self._places.values,
+                self._places.once,
+                self._places.twice,
+                scored[1],
+                spectrum_of(scored[2][None, :])[0],
+                LEAST_DENSITY,
+                gradient,
+                expected,
+                observed,
+            )
         if not (math.isfinite(value) and np.isfinite(gradient).all()):
             return None
         return Slope(value, gradient, expected, observed)
@@ -391,8 +356,9 @@ class Along:
                 return None
             plus, here, minus = (np.array([scored[1] for scored in scores[k::3] if scored]) for k in range(3))
             bent = by @ ((minus - plus) / (2.0 * BEND_STEP)).T @ turned[:, few].T
-            H[np.ix_(places.own, places.own)] += 0.5 * (bent + bent.T)
-            self._less_bent(sizes, here[0], H)
+            own = places.once[:, 0]
+            H[np.ix_(own, own)] += 0.5 * (bent + bent.T)
+            kernels.less_bent(sizes, self._covariance, places.twice, here[0], H)
         return H
 
     def _scored(self, gamma: Array) -> tuple[float, Array, Array] | None:
@@ -400,56 +366,28 @@ class Along:
 
     def _by_parameter(self, sizes: Array, rows: Array) -> Array:
         """Derivatives of curves by the parameters, in the order of the places."""
-        return (self._places.power * sizes[self._places.part])[:, None] * rows[self._places.row]
-
-    def _less_bent(self, sizes: Array, score: Array, H: Array) -> None:
-        """Take what the second derivatives of the covariance make of its score off a curvature."""
-        i, j, row, power, part = self._places.twice
-        bent = power * sizes[part] * (self._covariance[row] @ score)
-        H[i, j] -= bent
-        H[j[i != j], i[i != j]] -= bent[i != j]
-
-    def _informed(self, sizes: Array, score: Array, products: Array, expected: Array, observed: Array) -> None:
-        """Curvatures of the block differences, those of their spectrum (Whittle 1953), are added to what is given."""
-        own, n = np.ix_(self._places.own, self._places.own), self._covariance.shape[1]
-        density, relative = sizes @ self._spectrum[self._places.values], self._by_parameter(sizes, self._spectrum)
-        relative /= np.maximum(density, LEAST_DENSITY * float(density.max()))
-        half = 0.5 * n / density.size
-        information = half * (relative @ relative.T)
-        expected[own] += information
-        # what the inverse covariance makes of the data has this spectrum times the density, one on average
-        ratio = spectrum_of(products[None, :])[0] * density / n
-        observed[own] += 2.0 * half * ((relative * ratio) @ relative.T) - information
-        self._less_bent(sizes, score, observed)
+        _, row, power, part = self._places.once.T
+        return (power * sizes[part])[:, None] * rows[row]
 
     def _spectral(self, x: Array, sizes: Array, gradient: Array, expected: Array, observed: Array) -> float | None:
         """Whittle's log likelihood; its derivatives, expected and observed curvature are added to what is given."""
-        places, rolloff, m = self._places, self.explanation.rolloff, self._low_pass
-        psd = sizes @ self._density[places.values]
-        gains = derivatives(self._gain, x[x.size - m :].tolist()) if rolloff else np.ones((1, 1))
-        S = psd * gains[0] + (rolloff.floor if rolloff else 0.0)
-        if not (S > 0).all():
-            return None
-        half, ratio = 0.5 * self.likelihood.data.counted, self._seen / S
-        weight = half * (ratio - 1.0) / S  # derivative of the value by the density
-        relative, H = np.empty((x.size, S.size)), np.zeros((x.size, x.size))
-        relative[places.own] = self._by_parameter(sizes, self._density)
-        if rolloff:
-            last = np.arange(x.size - m, x.size)
-            H[np.ix_(places.own, last)] = relative[places.own] @ (weight * gains[1 : 1 + m]).T
-            H[np.ix_(last, places.own)] = H[np.ix_(places.own, last)].T
-            for (a, b), bent in zip(pairs(m), gains[1 + m :] @ (weight * psd), strict=True):
-                H[last[a], last[b]] = H[last[b], last[a]] = bent
-            relative[places.own] *= gains[0]
-            relative[last] = gains[1 : 1 + m] * psd
-        gradient += relative @ weight
-        i, j, row, power, part = places.twice
-        H[i, j] = H[j, i] = power * sizes[part] * (self._density @ (weight * gains[0]))[row]
-        relative /= S
-        information = (relative * half) @ relative.T
-        expected += information
-        observed += 2.0 * (relative * (half * ratio)) @ relative.T - information - H
-        return float(-(half @ (np.log(S) + ratio)))
+        places, rolloff = self._places, self.explanation.rolloff
+        value = kernels.whittle(
+            sizes,
+            self._density,
+            places.values,
+            places.once,
+            places.twice,
+            self._gains(x),
+            self._low_pass,
+            rolloff.floor if rolloff else 0.0,
+            self._half,
+            self._seen,
+            gradient,
+            expected,
+            observed,
+        )
+        return None if math.isnan(value) else value
 
 
 @dataclass
@@ -482,7 +420,7 @@ def _moving(data: Reduced, components: Sequence[Component]) -> Iterator[_Moving]
 
 
 class _Places:
-    """Where in the rows of :class:`Along` the components and parameters are.
+    """Where in the rows of :class:`Along` the components and parameters are, as :func:`insemu.gap.evidence.kernels.whittle` has it.
 
     Parameters
     ----------
@@ -504,8 +442,8 @@ class _Places:
                 twice += [(c.own[0], i, at + 1 + n, c.power, part) for n, i in enumerate(own)]
             once += [(i, at + 1 + n, 1, part) for n, i in enumerate(own)]
             twice += [(own[i], own[j], at + 1 + m + n, 1, part) for n, (i, j) in enumerate(pairs(m))]
-        self.own, self.row, self.power, self.part = np.array(once, dtype=np.intp).reshape(-1, 4).T
-        self.twice = np.array(twice, dtype=np.intp).reshape(-1, 5).T
+        self.once = np.array(once, dtype=np.int64).reshape(-1, 4)
+        self.twice = np.array(twice, dtype=np.int64).reshape(-1, 5)
 
 
 #: Share of its largest value below which a density of the differences counts as that: sampled covariances do not resolve less.

@@ -17,8 +17,9 @@ from insemu.gap.candidates.axis import CANDIDATES, AxisState, state_of
 from insemu.gap.data.log import reduce
 from insemu.gap.data.sources import StaticLog
 from insemu.gap.evidence.band import Band
-from insemu.gap.evidence.model import DEPTH, Component, Explanation, Rolloff
+from insemu.gap.evidence.model import Component, Explanation
 from insemu.gap.evidence.modes import level
+from insemu.gap.evidence.rolloff import DEPTH, Rolloff
 from insemu.noise import WN, NoiseModel
 from insemu.records import AXES, Recording, Series, Trajectory
 from insemu.strapdown import trajectory_of
