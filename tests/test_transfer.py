@@ -11,11 +11,14 @@ from typer.testing import CliRunner
 
 from insemu.augment import Extras
 from insemu.cli import app
+from insemu.effects import EffectUse
 from insemu.errors import InputError
 from insemu.filters import Innovations, likeliest, uncertainty
+from insemu.gap import Nominal
 from insemu.noise import GM, RC, WN, NoiseModel, save
 from insemu.records import AXES
-from insemu.transfer import CONSTANTS, Factor, Levels, estimated, judge
+from insemu.transfer import CONSTANTS, Factor, Levels, estimated, judge, session, transfer
+from insemu.trial.drives import stage
 from tests import filter_cases as cases
 
 TRUE = {"gyro": NoiseModel((WN(1e-3), GM(3e-4, 0.01))), "accel": NoiseModel((WN(1e-2), GM(5e-3, 0.02)))}
@@ -166,6 +169,26 @@ def test_a_missing_axis_is_named(levels: Levels) -> None:
 def test_spans_without_fixes_are_refused(levels: Levels) -> None:
     with pytest.raises(InputError, match="no fix in the spans"):
         estimated(levels, [(1e6, 2e6)])
+
+
+def test_what_is_known_is_taken_off_and_the_static_models_are_carried(monkeypatch: pytest.MonkeyPatch) -> None:
+    s = stage(3, 2.0, 50.0)
+    offset = EffectUse("imu_gnss_time_offset", "imu", {"offset": (0.205,)})
+    seen = []
+
+    def fitted(levels: Levels, *_: object) -> None:
+        seen.append(levels)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(session, "fitted", fitted)
+    static = Nominal({a: NoiseModel((WN(1e-3), RC(1e-2))) for a in AXES})
+    for given in ({}, {"known": replace(s.nominal, effects=(offset,))}):
+        with pytest.raises(KeyboardInterrupt):
+            transfer(s.record(), static, rng=np.random.default_rng(1), **given)
+    alone, besides = seen
+    assert alone.beliefs == besides.beliefs == static.beliefs
+    # stamps that are a quarter of a sample off move the samples against the fixes
+    assert (besides.imu.t[0] - alone.imu.t[0]) / alone.imu.dt % 0.5 == pytest.approx(0.25, abs=1e-6)
 
 
 def test_a_log_at_rest_is_refused(tmp_path: Path) -> None:

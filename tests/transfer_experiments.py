@@ -3,12 +3,15 @@
 ``python -m tests.transfer_experiments factors [N]``: 95 % intervals of factors that are known, on N emulated drives.
 ``python -m tests.transfer_experiments causes [N [SEED]]``: the main reason where one effect was hidden in an emulated drive.
 ``python -m tests.transfer_experiments together [N]``: noise and constants of the IMU tuned together, on N drives.
-``python -m tests.transfer_experiments real``: the static model of each real drive's longest rest, judged in outages of the drive.
+``python -m tests.transfer_experiments real``: the static model of each real drive's longest rest, judged in outages of the drive; of the first also
+behind what the gap workflow finds there.
 """
 
 from __future__ import annotations
 
 import sys
+import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,13 +22,14 @@ from insemu.errors import InputError
 from insemu.filters import rests
 from insemu.fit import fit
 from insemu.formats import read_recording
-from insemu.gap import Nominal, load_nominal
+from insemu.gap import Nominal, find_gap, from_its_start, load_nominal, refined_nominal
 from insemu.noise import WN, NoiseModel
 from insemu.records import AXES, Recording, Series
 from insemu.scenario import Gnss
-from insemu.transfer import CONSTANTS, estimated, fitted, judge, levels_of, transfer
+from insemu.transfer import CONSTANTS, Judged, estimated, fitted, judge, levels_of, transfer
 from insemu.trial.drives import stage
 from insemu.trial.run import Job, moving_recording
+from tests.real_gaps import cases
 from tests.shared_data import shared
 from tests.test_transfer import ACROSS, SCALE, drive_of
 
@@ -121,27 +125,39 @@ def at_rest(recording: Recording) -> dict[str, NoiseModel]:
 
 
 def real() -> None:
-    """Print the judge's table of the three real drives."""
+    """Print the judge's table of the three real drives, and of the first with what the gap workflow finds on it taken off beforehand."""
     for name, scenario in (
         ("rtkexp_drive", "real_drive_rtk"),
         ("ublox_mixed_nominal", "real_drive_ublox"),
         ("thor75_uav_flight", ""),
     ):
         recording = read_recording(shared(f"real/{name}.npz"))
+        static = at_rest(recording)
         if scenario:
-            nominal = replace(load_nominal(SCENARIOS / f"{scenario}.yaml"), beliefs=at_rest(recording))
+            nominal = replace(load_nominal(SCENARIOS / f"{scenario}.yaml"), beliefs=static)
         else:
-            nominal = Nominal(at_rest(recording), Gnss(position_sigma=(2.0,) * 3, velocity_sigma=(0.2,) * 3))
+            nominal = Nominal(static, Gnss(position_sigma=(2.0,) * 3, velocity_sigma=(0.2,) * 3))
         try:
-            rows = judge(levels_of(recording, nominal))
+            tell(name, judge(levels_of(recording, nominal)))
         except InputError as error:
             print(f"{name}: {error}")
-            continue
-        for j in rows:
-            print(
-                f"{name} {j.name}: {j.outages} outages, log density {j.score:.2f}, against static {j.gain[0]:+.2f} (sd {j.gain[1]:.2f}), "
-                f"{j.metres:.1f} m rms, {j.inside:.0%} inside 95 %"
-            )
+    measured = from_its_start(read_recording(shared("real/rtkexp_drive.npz")))
+    assert isinstance(measured, Recording)
+    with tempfile.TemporaryDirectory() as folder:
+        believed = load_nominal(cases(Path(folder))["rtkexp_drive"])
+    report = find_gap(measured, believed, rng=np.random.default_rng(1), hold_out=False, pictures=False)
+    known = refined_nominal(believed, report, measured.imu.dt)
+    tell("rtkexp_drive, what gap finds taken off", judge(levels_of(measured, known, at_rest(measured))))
+
+
+def tell(name: str, rows: Sequence[Judged]) -> None:
+    """Print the judge's rows of one drive."""
+    for j in rows:
+        print(
+            f"{name} {j.name}: {j.outages} outages, log density {j.score:.2f}, against static {j.gain[0]:+.2f} (sd {j.gain[1]:.2f}), "
+            f"{j.metres:.1f} m rms, {j.inside:.0%} inside 95 %",
+            flush=True,
+        )
 
 
 def together(count: int) -> None:

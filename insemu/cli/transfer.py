@@ -19,6 +19,12 @@ def command(
         help="Static models: a noise-model file of 'insemu fit', a belief file or a scenario (YAML).",
     ),
     drive: str = typer.Option(..., "--drive", metavar="RECORDING", help="A drive or flight with fixes."),
+    known: str = typer.Option(
+        "",
+        "--known",
+        metavar="FILE",
+        help="What is known of the drive besides: refined.yaml of 'insemu gap', a belief file or a scenario; its effects are taken off first.",
+    ),
     out: str = typer.Option(
         "", "--out", "-o", help="Write the models with the factors on them to this noise-model file."
     ),
@@ -46,9 +52,9 @@ def command(
 
     console = Console(stderr=as_json)
     announce(drive, Console(stderr=True))
-    nominal = load_nominal(model)
+    nominal, besides = load_nominal(model), load_nominal(known) if known else None
     data = load_measured(drive)
-    if "recording" not in nominal.raw:  # a scenario of a recording tells times by the recording's clock
+    if "recording" not in (besides or nominal).raw:  # a scenario of a recording tells times by the recording's clock
         data = from_its_start(data)
     if not isinstance(data, Recording):
         raise InputError("is a log at rest, expected a drive or flight with fixes", where=drive)
@@ -57,6 +63,7 @@ def command(
             data,
             nominal,
             rng=np.random.default_rng(seed),
+            known=besides,
             why=why,
             calibrate=calibrate,
             say=say,

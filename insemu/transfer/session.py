@@ -118,6 +118,7 @@ def transfer(
     nominal: Nominal,
     *,
     rng: np.random.Generator,
+    known: Nominal | None = None,
     why: bool = True,
     calibrate: bool = False,
     say: Callable[[str], None] = lambda _: None,
@@ -132,6 +133,9 @@ def transfer(
         Static models of the six axes; what it knows besides is taken off.
     rng : Generator
         For the simulations of the gap workflow.
+    known : Nominal, optional
+        What is known of the drive where ``nominal`` has the static models alone: effects to take off, fixes, start, vehicle. Its noise decides
+        which fixes are outliers and what the reasons are held against; no filter carries it.
     why : bool
         Whether to look for reasons.
     calibrate : bool
@@ -145,11 +149,13 @@ def transfer(
     InputError
         A recording or models that cannot be used.
     """
-    extras = CONSTANTS if calibrate else Extras()
-    levels = levels_of(measured, nominal, extras=extras)
+    extras, static = CONSTANTS if calibrate else Extras(), None
+    if known is not None:
+        nominal, static = known, nominal.beliefs
+    levels = levels_of(measured, nominal, static, extras)
     found, interval = fitted(levels, [(float(levels.gnss.t[0]), float(levels.gnss.t[-1]) + 1.0)], say)
     judged = judge(levels, say)
-    reasons, rest = _reasons(measured, nominal, extras, found, interval, rng, say) if why else ((), {})
+    reasons, rest = _reasons(measured, nominal, static, extras, found, interval, rng, say) if why else ((), {})
     factors = np.exp(found.log).tolist()
     constants = levels.constants(factors)
     return Transfer(found.factors, interval, judged, reasons, rest, levels.scaled(factors), constants)
@@ -158,6 +164,7 @@ def transfer(
 def _reasons(
     measured: Recording,
     nominal: Nominal,
+    static: dict[str, NoiseModel] | None,
     extras: Extras,
     found: Estimate,
     interval: float,
@@ -175,7 +182,7 @@ def _reasons(
         say(f"factors without {finding.effect}")
         part = applied(report, range(1, number + 1))
         known = refined_nominal(nominal, part, measured.imu.dt)
-        noise = filter_noise(nominal, part, measured.imu.dt)
+        noise = static or filter_noise(nominal, part, measured.imu.dt)
         levels = levels_of(measured, known, noise, extras).thinned(interval)
         old = {f.name: f.value for f in before.factors}
         now = estimated(levels, at=np.log([old.get(name, 1.0) for name in levels.names]))
