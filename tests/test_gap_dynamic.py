@@ -164,6 +164,23 @@ def test_surrogate_with_the_nominal_noise_is_the_nominal_likelihood() -> None:
     assert s.log_likelihood(np.full(6, 3.0)) < s.log_likelihood() - 50.0
 
 
+def test_two_fixes_of_one_epoch_have_the_noise_that_is_stated() -> None:
+    """Velocities that were moved against the positions by less than a sample: the second one meets a filter that had the first."""
+    r, apart = recording(), 1e-6
+    assert r.gnss is not None and r.gnss.vel_ned is not None
+    n = len(r.gnss)
+    none = np.full((n, 3), np.nan)
+    llh, velocity = np.stack([none, r.gnss.llh], axis=1), np.stack([r.gnss.vel_ned, none], axis=1)
+    t = np.stack([r.gnss.t - apart, r.gnss.t], axis=1).ravel()
+    std = np.tile([0.05, 0.05, 0.1], (2 * n, 1)), np.tile([0.05, 0.05, 0.05], (2 * n, 1))
+    fixes = GnssRecord(t, llh.reshape(-1, 3), velocity.reshape(-1, 3), *std)
+    s = Surrogate.of(flown(replace(r, gnss=fixes)))
+    position, speed = s.use[:, 0] == 1, s.use[:, 3] == 1
+    assert position[1::2].all() and s.use.sum() == 3 * len(s.t) and speed.sum() + position.sum() == len(s.t)
+    np.testing.assert_allclose(np.sqrt(s.R[position, :3]), std[0][: position.sum()], rtol=1e-3)
+    np.testing.assert_allclose(np.sqrt(s.R[speed, 3:]), std[1][: speed.sum()], rtol=1e-3)
+
+
 def test_many_noises_at_once_are_each_as_it_is_alone() -> None:
     s, rng = Surrogate.of(nominal_run()[0]), np.random.default_rng(4)
     noises = [

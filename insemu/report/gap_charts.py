@@ -91,7 +91,8 @@ def innovation_chart(report: GapReport, when: str) -> Chart:
     for k, name in enumerate(names):
         z = y[:, k]
         if np.isfinite(z).sum() >= 60:
-            rho = [np.nanmean(z[j:] * z[:-j]) / np.nanmean(z * z) for j in lags]
+            power, products = np.nanmean(z * z), [z[j:] * z[:-j] for j in lags]
+            rho = [np.nanmean(p) / power if np.isfinite(p).any() else np.nan for p in products]
             lines.append(Line(name, rho, COLOURS[k % 3], dashed=k >= 3))
     views.append(View("Autocorrelation over the lag", "correlation", lines, x=lags * float(np.median(np.diff(t)))))
     if "across" in c:

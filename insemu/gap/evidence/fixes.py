@@ -91,8 +91,11 @@ class Surrogate:
                 Q[k] = step[j] @ Q[k] @ step[j].T + driven[j]
                 Phi[k] = step[j] @ Phi[k]
         Q = 0.5 * (Q + np.transpose(Q, (0, 2, 1)))
-        diagonal = np.einsum("kii->ki", np.nan_to_num(fixes.S))
-        believed = diagonal - np.sum((H @ nodes.P_before[at]) * H, axis=2)
+        S, before = np.nan_to_num(fixes.S), nodes.P_before[at]
+        for k in np.flatnonzero(since == 0):
+            if k > 0:  # the second fix of an epoch: the filter had the first one by then
+                before[k] = before[k - 1] - K[k - 1] @ S[k - 1] @ K[k - 1].T
+        believed = np.einsum("kii->ki", S) - np.sum((H @ before) * H, axis=2)
         return cls(
             fixes.t, Phi, Q, np.ascontiguousarray(sums @ K), np.ascontiguousarray(H[:, :, first]), np.where(use, believed, 0.0),
             sums @ nodes.P_after[0] @ sums.T, np.where(use, np.nan_to_num(fixes.innovation), 0.0), use.astype(np.int64),
