@@ -1,4 +1,4 @@
-"""``insemu gap`` on the three real drives with the beliefs that docs/gap.md shows, as a user copies them: ``python -m tests.real_gaps``.
+"""``insemu gap`` on five real recordings with the beliefs that the pages show, as a user copies them: ``python -m tests.real_gaps``.
 
 Then a scenario of one of them is refined, and flown through its outages beside its own designs.
 """
@@ -15,21 +15,24 @@ from tests.claims import ROOT
 from tests.shared_data import root
 
 
-def belief(after: str) -> str:
-    """The belief file that the page shows below a line."""
-    page = (ROOT / "docs" / "gap.md").read_text(encoding="utf-8")
+def belief(name: str, after: str) -> str:
+    """The belief file that a page shows below a line."""
+    page = (ROOT / "docs" / name).read_text(encoding="utf-8")
     block = re.search(r"(?:^    .*\n)+", page[page.index(after) :], re.M)
     assert block is not None, after
     return "\n".join(line[4:] for line in block[0].splitlines()) + "\n"
 
 
 def cases(folder: Path) -> dict[str, Path]:
-    """What is believed of each drive: the file, made in ``folder`` where the page shows it."""
-    car = belief("The key `vehicle` says")
+    """What is believed of each recording: the file, made in ``folder`` where a page shows it."""
+    car, own = belief("gap.md", "The key `vehicle` says"), "real_recordings.md"
+    at_rest = belief(own, "## ADIS16405 at rest")
     shown = {
         "rtkexp_drive": car,
         "rtkexp_drive, positions alone": car + "gnss: {velocity_sigma: null}\n",
-        "thor75_uav_flight": belief("The belief about the third:\n"),
+        "thor75_uav_flight": belief(own, "## Fixed-wing UAV"),
+        "adis16405_static_run1": at_rest,
+        "ch104_static": at_rest,
     }
     for name, text in shown.items():
         (folder / f"{name}.yaml").write_text(text, encoding="utf-8")
@@ -44,7 +47,7 @@ def insemu(*words: str) -> bool:
 
 
 def main() -> int:
-    """Print what the command says of each drive."""
+    """Print what the command says of each recording."""
     wrong = 0
     with tempfile.TemporaryDirectory() as folder:
         for name, said in cases(Path(folder)).items():
