@@ -151,6 +151,7 @@ def test_gains_of_low_passes_come_with_their_derivatives(kind: str, values: tupl
         expected = np.sinc(f / values[0]) ** (2 if kind == "moving average" else 4)
     got = gains(kind, values, f, dt)
     np.testing.assert_allclose(got[0], expected, rtol=1e-9, atol=1e-13)
+    # by differences of a step of 1e-4: its square and rounding over its square
     numeric = derivatives(lambda x: gains(kind, np.exp(x).tolist(), f, dt)[0], np.log(values).tolist())
     np.testing.assert_allclose(got[1 : 1 + m], numeric[1 : 1 + m], atol=1e-7)
     np.testing.assert_allclose(got[1 + m :], numeric[1 + m :], atol=1e-5)

@@ -17,7 +17,7 @@ from insemu.filters import Innovations, likeliest, uncertainty
 from insemu.gap import Nominal
 from insemu.noise import GM, RC, WN, NoiseModel, save
 from insemu.records import AXES
-from insemu.transfer import CONSTANTS, Factor, Levels, estimated, judge, session, transfer
+from insemu.transfer import CONSTANTS, Estimate, Factor, Levels, estimated, judge, judged, session, transfer
 from insemu.trial.drives import stage
 from tests import filter_cases as cases
 
@@ -176,19 +176,30 @@ def test_what_is_known_is_taken_off_and_the_static_models_are_carried(monkeypatc
     offset = EffectUse("imu_gnss_time_offset", "imu", {"offset": (0.205,)})
     seen = []
 
+    class SeenError(Exception):
+        """Enough is known."""
+
     def fitted(levels: Levels, *_: object) -> None:
         seen.append(levels)
-        raise KeyboardInterrupt
+        raise SeenError
 
     monkeypatch.setattr(session, "fitted", fitted)
     static = Nominal({a: NoiseModel((WN(1e-3), RC(1e-2))) for a in AXES})
     for given in ({}, {"known": replace(s.nominal, effects=(offset,))}):
-        with pytest.raises(KeyboardInterrupt):
+        with pytest.raises(SeenError):
             transfer(s.record(), static, rng=np.random.default_rng(1), **given)
     alone, besides = seen
     assert alone.beliefs == besides.beliefs == static.beliefs
     # stamps that are a quarter of a sample off move the samples against the fixes
     assert (besides.imu.t[0] - alone.imu.t[0]) / alone.imu.dt % 0.5 == pytest.approx(0.25, abs=1e-6)
+
+
+def test_outages_that_end_at_no_position_are_refused(levels: Levels, monkeypatch: pytest.MonkeyPatch) -> None:
+    n = len(levels.names)
+    monkeypatch.setattr(judged, "fitted", lambda *_: (Estimate(levels.names, np.zeros(n), np.eye(n), 0.0), 0.0))
+    nowhere = replace(levels, gnss=replace(levels.gnss, llh=np.full_like(levels.gnss.llh, np.nan)))
+    with pytest.raises(InputError, match="no outage ends at a position"):
+        judge(nowhere)
 
 
 def test_a_log_at_rest_is_refused(tmp_path: Path) -> None:

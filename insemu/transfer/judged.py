@@ -145,7 +145,7 @@ def judge(levels: Levels, say: Callable[[str], None] = lambda _: None) -> tuple[
     Raises
     ------
     InputError
-        A drive too short for outages in two stretches.
+        A drive too short for outages in two stretches, or none of them ends at a position.
     """
     t, alone = levels.gnss.t, replace(levels, extras=Extras())
     edges = np.append(np.arange(float(t[0]) + LEARNT_S, float(t[-1]), TURN_S), float(t[-1]) + 1.0).tolist()
@@ -169,6 +169,10 @@ def judge(levels: Levels, say: Callable[[str], None] = lambda _: None) -> tuple[
             f"the fixes last {t[-1] - t[0]:.0f} s, expected at least {LEARNT_S + 2 * OUTAGE_S:.0f} s to hold outages out"
         )
     static = np.concatenate(rows["static"])
+    if not static.size:
+        raise InputError(
+            "no outage ends at a position that the filter takes, expected at least one; are nearly all fixes outliers by what is believed?"
+        )
     return tuple(_judged(name, np.concatenate(found), static) for name, found in rows.items())
 
 
