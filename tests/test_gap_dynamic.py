@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,9 +28,9 @@ from insemu.gap.data.samples import advanced, coarse, mend, unclipped, without_m
 from insemu.gap.drive.preparation import fast_parts, starting_state
 from insemu.gap.drive.signatures import Loop, columns_response, knot_response
 from insemu.gap.evidence.climb import laplace_together
-from insemu.gap.evidence.error_kernels import merged_states
 from insemu.gap.evidence.fixes import FixNoise, Surrogate
 from insemu.gap.evidence.linear import Field, gauss_markov_root, quadratic_evidence, random_walk_root
+from insemu.gap.evidence.merged import between_fixes, merged_states
 from insemu.gap.evidence.model import Explanation, Likelihood, fit
 from insemu.gap.evidence.modes import Free, laplace
 from insemu.gap.evidence.rolloff import Rolloff
@@ -222,6 +223,50 @@ def test_climbs_side_by_side_end_where_each_alone_does() -> None:
         np.testing.assert_allclose(mode.x, alone.x, atol=1e-3)
         np.testing.assert_allclose(mode.covariance, alone.covariance, rtol=0.02, atol=1e-6)
         assert mode.evidence == pytest.approx(alone.evidence, abs=0.01)
+
+
+def test_a_climb_far_behind_one_of_its_kind_ends_early() -> None:
+    free, starts = [(Free("a", 0.01, 100.0),)] * 2, [np.array([1.5]), np.array([1.5])]
+
+    def climbed(kinds: tuple[str, str]) -> tuple[int, float]:
+        """How often the lower hill is looked at, and the top of the higher one."""
+        looked = [0, 0]
+
+        def likelihoods(points: Sequence[tuple[int, Array]]) -> Array:
+            for k, _ in points:
+                looked[k] += 1
+            return np.array([-1000.0 * k - 200.0 * float(x[0] + 0.5 * math.exp(-2.0 * x[0])) for k, x in points])
+
+        higher, _ = laplace_together(likelihoods, starts, free, 1e-6, kinds)
+        return looked[1], float(higher.x[0])
+
+    (all_the_way, top), (given_up, same) = climbed(("a", "b")), climbed(("a", "a"))
+    assert given_up < all_the_way and same == top
+
+
+def test_transitions_from_fix_to_fix_are_products_of_those_between_nodes() -> None:
+    rng, n = np.random.default_rng(7), 12
+    Phi = np.eye(n) + 0.1 * rng.standard_normal((6, n, n))
+    Phi[:, 9:, :9] = 0.0
+    Phi[:, 9:, 9:] = np.eye(3)
+    Phi[:, :, 11] = Phi[:, :, 9]
+    Phi[:, 11, 11], Phi[:, 9, 11] = 1.0, 0.0
+    roots = rng.standard_normal((2, 6, n, n))
+    after, extra = (r @ r.transpose(0, 2, 1) for r in roots)
+    before = np.concatenate([after[:1], Phi[1:] @ after[:-1] @ Phi[1:].transpose(0, 2, 1) + extra[1:]])
+    sums = merged_states(Phi[1:], np.zeros((3, 6, n)))
+    assert [list(np.flatnonzero(row)) for row in sums[9:]] == [[9, 11], [10]]
+    first = sums.argmax(axis=1)
+    at = np.array([1, 1, 4, 5])
+    moved, driven = between_fixes(Phi, before, after, at, sums.argmax(axis=0), first)
+    own = [sums @ p[:, first] for p in Phi]
+    noise = [sums @ q @ sums.T for q in extra]
+    np.testing.assert_allclose(moved[[0, 3]], [own[1], own[5]], rtol=1e-12)
+    np.testing.assert_array_equal(moved[1], np.eye(11))
+    np.testing.assert_array_equal(driven[1], 0.0)
+    np.testing.assert_allclose(moved[2], own[4] @ own[3] @ own[2], rtol=1e-12, atol=1e-12)
+    carried = own[3] @ noise[2] @ own[3].T + noise[3]
+    np.testing.assert_allclose(driven[2], own[4] @ carried @ own[4].T + noise[4], rtol=1e-9, atol=1e-9)
 
 
 def test_log_factor_is_the_ratio_of_dense_gaussians() -> None:

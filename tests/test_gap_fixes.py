@@ -89,7 +89,7 @@ def test_a_share_of_outliers_at_its_limit_is_inside_its_interval() -> None:
 
 def test_the_velocities_of_a_filter_that_followed_coloured_positions_are_not_blamed() -> None:
     """Levels that were raised without the colour come back beside it: otherwise the NIS of the velocities would call it unexplained."""
-    colour = (np.array([0.4, 0.4, 0.6, 0.0, 0.0, 0.0]), 10.0)
+    colour = FixNoise(np.ones(6), (np.array([0.4, 0.4, 0.6, 0.0, 0.0, 0.0]), 10.0))
     s = Surrogate.of(flown(recording(use(effect="gnss_correlated_noise", sigma=[0.4, 0.4, 0.6], tau=10.0))))
     raised = replace(s, R=s.R * 1.22**2)  # as a filter has them that trimmed its levels
     joint = joint_noise(raised, colour, np.full(6, 1.22))
@@ -112,7 +112,9 @@ def coloured(factor: float) -> Surrogate:
 
 
 def test_a_level_beside_a_colour_is_told_and_leaves_the_colour_as_it_is() -> None:
-    colour = (np.array([0.6, 0.6, 0.6, 0.0, 0.0, 0.0]), 6.0)  # as a search finds it that has to explain the level, too
+    colour = FixNoise(
+        np.ones(6), (np.array([0.6, 0.6, 0.6, 0.0, 0.0, 0.0]), 6.0)
+    )  # as a search finds it that has to explain the level, too
     within = {k: joint_noise(coloured(k), colour, np.ones(6)).noise for k in (1.0, 3.0)}
     assert not level_beside(coloured(1.0), within[1.0], np.ones(6))
     fits = level_beside(coloured(3.0), within[3.0], np.ones(6))
@@ -369,7 +371,8 @@ def test_a_colour_that_explains_nothing_any_more_is_taken_back() -> None:
     colour = (np.array([0.01, 0.01, 0.02, 0.0, 0.0, 0.0]), 10.0)
     idle = Hypothesis("gnss_correlated_noise", 40.0, (), Change(), "", "gnss", ("north", "east", "down"))
     problem.found.append(Found(idle, (idle,)))
-    scene = problem._without_colour(problem.scene.coloured(FixNoise(np.ones(6), colour)), colour)
+    noise = FixNoise(np.ones(6), colour)
+    scene = problem._without_colour(problem.scene.coloured(noise), noise)
     assert scene is not None and scene.noise is None
     assert [f.chosen.effect for f in problem.found] == ["gnss_noise_level"]
     assert problem.found[0].chosen.nats == pytest.approx(level.chosen.nats + 40.0)
@@ -379,7 +382,7 @@ def test_a_colour_that_explains_nothing_any_more_is_taken_back() -> None:
         recording(use(effect="gnss_correlated_noise", sigma=[0.2, 0.2, 0.3], tau=10.0)), "gnss_correlated_noise"
     )
     assert needed.scene.noise is not None
-    assert needed._without_colour(needed.scene, needed.scene.noise.colour) is None and len(needed.found) == 1
+    assert needed._without_colour(needed.scene, needed.scene.noise) is None and len(needed.found) == 1
 
 
 def test_a_process_that_bends_the_filter_is_taken_out_of_the_data() -> None:

@@ -156,19 +156,27 @@ def _drive(
         (recording, moved), flown = own_axes, None
     report = find_dynamic_gap(recording, moved, rng=rng, without=skip, hold_out=hold_out, progress=say, flown=flown)
     out = _together(report, early, mounted, nominal)
+    refined: tuple[Recording, Nominal] | None = None
     for turn in range(MOST_PASSES):
         if not _bends(out.findings):
             break
         say(f"the refined model against the recording, {turn + 1}")
-        recording, moved = in_imu_axes(
-            *drive_without(measured, refined_nominal(nominal, out, measured.imu.dt).parted())
-        )
+        refined = _refined(measured, nominal, out)
+        recording, moved = in_imu_axes(*refined)
         more = find_dynamic_gap(recording, moved, rng=rng, without=skip, hold_out=False, progress=say)
         corrected = _closer(out, more, [s.effect for s in early])
         if corrected is out:
             break
-        out = corrected
-    return replace(out, curves={**out.curves, "drive": _pictures(measured, first, nominal, out)}) if pictures else out
+        out, refined = corrected, None
+    if not pictures:
+        return out
+    after = Flown.of(*(refined or _refined(measured, nominal, out))) if out.findings else first
+    return replace(out, curves={**out.curves, "drive": _pictures(first, after, nominal)})
+
+
+def _refined(measured: Recording, nominal: Nominal, report: GapReport) -> tuple[Recording, Nominal]:
+    """A recording less what is known and what was found in it, and the nominal model as it is then."""
+    return drive_without(measured, refined_nominal(nominal, report, measured.imu.dt).parted())
 
 
 def _bends(findings: Sequence[Finding]) -> bool:
@@ -348,13 +356,11 @@ def _mean(index: Interval, other: float, dof: int) -> Interval:
     return Interval(value, value - half, value + half)
 
 
-def _pictures(measured: Recording, first: Flown, nominal: Nominal, report: GapReport) -> dict[str, Any]:
+def _pictures(first: Flown, after: Flown, nominal: Nominal) -> dict[str, Any]:
     """Whitened innovations of the nominal and of the refined model: what the page draws before and after."""
     from insemu.gap.candidates.mounting import Sideways
     from insemu.gap.drive.signatures import Loop
 
-    refined = refined_nominal(nominal, report, measured.imu.dt).parted()
-    after = Flown.of(*drive_without(measured, refined)) if report.findings else first
     out: dict[str, Any] = {}
     for name, prepared in (("before", first.prepared), ("after", after.prepared)):
         loop = Loop.of(prepared.result)

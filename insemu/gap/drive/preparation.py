@@ -131,6 +131,17 @@ class Prepared:
         noise = np.sqrt([float(self.beliefs[name].allan_variance([1], imu.dt)[0]) for name in AXES])
         return Motion.of(imu, self.result.nav, nodes.epoch, noise)
 
+    def trimmed(self) -> Prepared:
+        """The same filter with the levels of its fixes moved towards their most likely values inside the tolerance."""
+        out = self
+        for _ in range(2):
+            loop = Loop.of(out.result)
+            factors = trimmed_factors(out, loop, Surrogate.of(out.result), loop.y.reshape(-1, 6))
+            if not np.max(np.abs(np.log(factors / out.factors))) > 0.02:
+                break
+            out = out.again(factors=factors)
+        return out
+
     def without_positions(self, t: Array) -> Prepared:
         """The same filter without the positions of some fixes."""
         llh = self.gnss.llh.copy()
@@ -205,7 +216,8 @@ def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], le
     start = (initial, sigma)
     lever = np.array(nominal.gnss.lever_arm)
     recorded = gnss
-    for _ in range(3):  # a filter that trusted shaken velocities has larger innovations than they alone would give it
+    # a filter that trusted shaken velocities has larger innovations than they alone would give it
+    for _ in range(3 if gnss.vel_std_ned is not None and np.any(lever) else 0):
         # nor may it follow positions that are off for other reasons
         loose = _run(imu, scaled_fixes(gnss, LOOSE), start, beliefs, lever)
         steady = steadied(imu, recorded, gnss, loose, lever)
@@ -219,13 +231,7 @@ def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], le
         rectified=left, swings=left is not None and bool(np.any(lever)), raised=_raised(recorded, gnss),
         on_fixes=recording.reference is None,
     )  # fmt: skip
-    for _ in range(2):
-        loop = Loop.of(prepared.result)
-        factors = trimmed_factors(prepared, loop, Surrogate.of(prepared.result), loop.y.reshape(-1, 6))
-        if not np.max(np.abs(np.log(factors / prepared.factors))) > 0.02:
-            break
-        prepared = prepared.again(factors=factors)
-    return prepared
+    return prepared.trimmed()
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from insemu.effects import Column, Motion
 from insemu.filters import FilterResult
 from insemu.gap.evidence import error_kernels
+from insemu.gap.evidence.merged import merged_states
 
 Array = NDArray[np.float64]
 
@@ -68,7 +69,7 @@ class Loop:
         assert nodes is not None and fixes.K is not None and fixes.H is not None
         H = np.where(self.use[:, :, None], np.nan_to_num(fixes.H), 0.0)
         K = np.where(self.use[:, None, :], np.nan_to_num(fixes.K), 0.0)
-        sums = error_kernels.merged_states(nodes.Phi[1:], H)
+        sums = merged_states(nodes.Phi[1:], H)
         first = sums.argmax(axis=1)
         at = np.searchsorted(nodes.epoch, fixes.epoch)
         return sums @ nodes.Phi[:, :, first], sums @ K, np.ascontiguousarray(H[:, :, first]), at

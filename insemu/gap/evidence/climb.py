@@ -17,6 +17,8 @@ Likelihoods = Callable[[Sequence[tuple[int, Array]]], Array]
 
 #: Longest step, in log; halvings of a step that goes downhill; steps of a climb.
 LONGEST_STEP, HALVINGS, MOST_STEPS = 1.0, 6, 40
+#: A climb far behind one of the same kind ends: by so many nats, even if its next step gains so many times what it promises.
+BEHIND_NATS, SURER = 50.0, 3.0
 
 
 @dataclass
@@ -32,6 +34,7 @@ class _Climb:
     eigenvalues: Array | None = None
     vectors: Array | None = None
     halved: int = 0
+    whole: bool = False
     done: bool = False
 
     def stencil(self) -> list[Array]:
@@ -62,12 +65,18 @@ class _Climb:
         self.eigenvalues = np.maximum(eigenvalues, 1.0)
         along = self.vectors.T @ (slope / prior) / np.maximum(np.abs(eigenvalues), 1.0)
         step = (self.vectors @ along) / prior
-        step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-12))
+        length = float(np.abs(step).max())
+        self.whole = length <= LONGEST_STEP
+        step *= min(1.0, LONGEST_STEP / max(length, 1e-12))
         low, high = self._bounds()
         self.step = np.clip(self.x + step, low, high) - self.x
         self.expected = max(float(slope @ self.step) - 0.5 * float(self.step @ H @ self.step), 0.0)
         self.trial = self.x + self.step
         self.done = 0.5 * float(slope @ self.step) < close
+
+    def is_behind(self, best: float) -> bool:
+        """Whether a parabola that the climb sees the top of ends far below a value that another has reached."""
+        return self.whole and not self.halved and self.value + SURER * self.expected + BEHIND_NATS < best
 
     def _bounds(self) -> tuple[Array, Array]:
         """Bounds of the prior with its edges, so far inside that the stencil does not leave them."""
@@ -88,7 +97,11 @@ class _Climb:
 
 
 def laplace_together(
-    log_likelihoods: Likelihoods, starts: Sequence[Array], free: Sequence[Sequence[Free]], close: float
+    log_likelihoods: Likelihoods,
+    starts: Sequence[Array],
+    free: Sequence[Sequence[Free]],
+    close: float,
+    kinds: Sequence[str] | None = None,
 ) -> list[Mode]:
     """Climb to the posterior mode of several problems by damped Newton steps and weigh each as :func:`insemu.gap.evidence.modes.laplace` does.
 
@@ -102,6 +115,8 @@ def laplace_together(
         Its parameters.
     close : float
         A climb ends where a step promises less, nats.
+    kinds : sequence of str, optional
+        Of the problems; of those of one kind only the best matter, and a climb ends early where it is far behind another.
     """
     climbs = []
     for x0, own in zip(starts, free, strict=True):
@@ -118,4 +133,9 @@ def laplace_together(
         for _, climb, stencil in going:
             climb.look(total[at : at + len(stencil)], close)
             at += len(stencil)
+        for kind in set(kinds or ()):
+            alike = [c for c, other in zip(climbs, kinds or (), strict=True) if other == kind]
+            best = max(c.value for c in alike)
+            for climb in alike:
+                climb.done = climb.done or climb.is_behind(best)
     return [c.mode() for c in climbs]

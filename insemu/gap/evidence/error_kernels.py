@@ -1,8 +1,4 @@
-"""Compiled loops over the error of the nominal filter: how it builds up, how the filter answers it, what its innovations are worth.
-
-States that enter the motion alike and couple to nothing else (a turn-on bias and a random walk of the same axis) are one state here: only their
-sum shows, which makes transitions smaller by a third and changes nothing.
-"""
+"""Compiled loops over the error of the nominal filter: how it builds up, how the filter answers it, what its innovations are worth."""
 
 from __future__ import annotations
 
@@ -14,10 +10,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-#: Errors of position, velocity and attitude, which come first and are never merged.
-NAVIGATION = 9
-#: Relative difference of two columns of a transition that is rounding.
-ALIKE = 1e-12
 #: Sets of noise levels and colours that go through the filter side by side: as many numbers as two registers of the processor hold.
 LANES = 8
 
@@ -373,6 +365,37 @@ def surrogate_filter(
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+def add_rows(
+    weight: Array, at: NDArray[np.int64], count: int, rows: Array, width: int, out: Array
+) -> None:  # pragma: no cover - compiled
+    """Add a weighted sum of rows of a matrix, four in one sweep.
+
+    Parameters
+    ----------
+    weight, at : (count or more,) arrays
+        Weights, and which rows they belong to.
+    count : int
+    rows : (r, width or more) array
+    width : int
+        Numbers of each row that count.
+    out : (width or more,) array
+        Added to.
+    """
+    r = 0
+    while r + 4 <= count:
+        a, b, c, d = weight[r], weight[r + 1], weight[r + 2], weight[r + 3]
+        one, two, three, four = rows[at[r]], rows[at[r + 1]], rows[at[r + 2]], rows[at[r + 3]]
+        for j in range(width):
+            out[j] += a * one[j] + b * two[j] + c * three[j] + d * four[j]
+        r += 4
+    while r < count:
+        a, one = weight[r], rows[at[r]]
+        for j in range(width):
+            out[j] += a * one[j]
+        r += 1
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
 def surrogate_likelihoods(
     Phi: Array,
     Q: Array,
@@ -389,6 +412,8 @@ def surrogate_likelihoods(
     out: Array,
 ) -> None:  # pragma: no cover - compiled
     """The log-likelihoods of :func:`surrogate_filter` under many noises of the fixes, eight side by side.
+
+    The components of a fix are taken one after the other, as there, and their updates of the covariance together in one sweep.
 
     Parameters
     ----------
@@ -416,13 +441,15 @@ def surrogate_likelihoods(
                 which[extra] = i
                 extra += 1
         m = n + extra
+        width = m * LANES
         # rows of P and of F P hold all lanes of an element side by side, so that both products are sums of long rows
-        P = np.zeros((m, m * LANES))
-        T = np.zeros((n, m * LANES))
+        P = np.zeros((m, width))
+        T = np.zeros((n, width))
         turned = np.zeros((n, n * LANES))
         x = np.zeros((m, LANES))
         ahead = np.zeros((n, LANES))
-        g = np.zeros(m * LANES)
+        g = np.zeros((6, width))
+        gain = np.zeros((6, width))
         s, e, phi, total = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
         for i in range(n):
             for j in range(n):
@@ -436,24 +463,30 @@ def surrogate_likelihoods(
                 phi[c] = math.exp(-gap[k] * rate[block, c])
             T[:, :] = 0.0
             for i in range(n):
+                seen = 0
                 for q in range(n):
-                    w = Phi[k, i, q]
-                    if w != 0.0:
-                        for j in range(m * LANES):
-                            T[i, j] += w * P[q, j]
-            for i in range(n):
+                    if Phi[k, i, q] != 0.0:
+                        at[seen], a[seen] = q, Phi[k, i, q]
+                        seen += 1
+                add_rows(a, at, seen, P, width, T[i])
                 for q in range(n):
                     for c in range(LANES):
                         turned[q, i * LANES + c] = T[i, q * LANES + c]
+                for c in range(LANES):
+                    ahead[i, c] = 0.0
+                for r in range(seen):
+                    for c in range(LANES):
+                        ahead[i, c] += a[r] * x[at[r], c]
             for i in range(n):
+                seen = 0
+                for q in range(n):
+                    if Phi[k, i, q] != 0.0:
+                        at[seen], a[seen] = q, Phi[k, i, q]
+                        seen += 1
                 for j in range(i + 1):
                     for c in range(LANES):
                         P[i, j * LANES + c] = Q[k, i, j]
-                for q in range(n):
-                    w = Phi[k, i, q]
-                    if w != 0.0:
-                        for j in range((i + 1) * LANES):
-                            P[i, j] += w * turned[q, j]
+                add_rows(a, at, seen, turned, (i + 1) * LANES, P[i])
                 for j in range(i):
                     for c in range(LANES):
                         P[j, i * LANES + c] = P[i, j * LANES + c]
@@ -469,15 +502,8 @@ def surrogate_likelihoods(
                 for c in range(LANES):
                     P[n + i, (n + i) * LANES + c] += (1.0 - phi[c] * phi[c]) * sigma[block, which[i], c]
                     x[n + i, c] *= phi[c]
-            for i in range(n):
-                for c in range(LANES):
-                    ahead[i, c] = 0.0
-                for q in range(n):
-                    w = Phi[k, i, q]
-                    if w != 0.0:
-                        for c in range(LANES):
-                            ahead[i, c] += w * x[q, c]
             x[:n] = ahead
+            used = 0
             for i in range(6):
                 if use[k, i] == 0:
                     continue
@@ -490,28 +516,53 @@ def surrogate_likelihoods(
                     if which[j] == i:
                         at[seen], a[seen] = n + j, 1.0
                         seen += 1
-                g[:] = 0.0
+                own = g[used]
+                own[:] = 0.0
+                add_rows(a, at, seen, P, width, own)
+                for b in range(used):
+                    for c in range(LANES):
+                        e[c] = 0.0
+                    for r in range(seen):
+                        for c in range(LANES):
+                            e[c] += a[r] * gain[b, at[r] * LANES + c]
+                    for j in range(m):
+                        for c in range(LANES):
+                            own[j * LANES + c] -= e[c] * g[b, j * LANES + c]
                 for c in range(LANES):
                     s[c] = R[k, i] * ratio[block, i, c]
                     e[c] = nu[k, i]
                 for r in range(seen):
-                    w = a[r]
-                    for q in range(m * LANES):
-                        g[q] += w * P[at[r], q]
-                for r in range(seen):
                     for c in range(LANES):
-                        s[c] += a[r] * g[at[r] * LANES + c]
+                        s[c] += a[r] * own[at[r] * LANES + c]
                         e[c] -= a[r] * x[at[r], c]
                 for c in range(LANES):
                     total[c] -= 0.5 * (math.log(s[c]) + e[c] * e[c] / s[c]) if s[c] > 0.0 else math.nan
                     s[c] = 1.0 / s[c]
-                    e[c] *= s[c]
                 for j in range(m):
                     for c in range(LANES):
-                        x[j, c] += g[j * LANES + c] * e[c]
-                    for q in range(m):
+                        v = own[j * LANES + c] * s[c]
+                        gain[used, j * LANES + c] = v
+                        x[j, c] += v * e[c]
+                used += 1
+            for j in range(m):
+                b = 0
+                while b + 3 <= used:
+                    for q in range(j + 1):
                         for c in range(LANES):
-                            P[j, q * LANES + c] -= g[j * LANES + c] * s[c] * g[q * LANES + c]
+                            P[j, q * LANES + c] -= (
+                                gain[b, j * LANES + c] * g[b, q * LANES + c]
+                                + gain[b + 1, j * LANES + c] * g[b + 1, q * LANES + c]
+                                + gain[b + 2, j * LANES + c] * g[b + 2, q * LANES + c]
+                            )
+                    b += 3
+                while b < used:
+                    for q in range(j + 1):
+                        for c in range(LANES):
+                            P[j, q * LANES + c] -= gain[b, j * LANES + c] * g[b, q * LANES + c]
+                    b += 1
+                for q in range(j):
+                    for c in range(LANES):
+                        P[q, j * LANES + c] = P[j, q * LANES + c]
             for i in range(6):
                 if use[k, i] == 1:
                     for j in range(n):
@@ -520,47 +571,3 @@ def surrogate_likelihoods(
                             for c in range(LANES):
                                 x[j, c] += w
         out[block] = total
-
-
-def merged_states(Phi: Array, H: Array) -> Array:
-    """The sums of states that count, (m, n) of zeros and ones: ``Phi`` of sums is a function of sums.
-
-    Two states are one where the transition takes them everywhere alike, neither feeds on another state and no fix sees them.
-
-    Parameters
-    ----------
-    Phi : (k, n, n) array
-        Transitions of the errors.
-    H : (f, 6, n) array
-        Jacobians of the fixes.
-    """
-    n = Phi.shape[1]
-    groups: list[list[int]] = [[i] for i in range(min(NAVIGATION, n))]
-    for i in range(len(groups), n):
-        mine = [g for g in groups[NAVIGATION:] if _alike(Phi, g[0], i)] if not H[:, :, i].any() else []
-        if mine:
-            mine[0].append(i)
-        else:
-            groups.append([i])
-    sums = np.zeros((len(groups), n))
-    for row, group in enumerate(groups):
-        sums[row, group] = 1.0
-    return sums
-
-
-def _alike(Phi: Array, i: int, j: int) -> bool:
-    """Whether two states are taken everywhere alike by every transition, each fed by itself only."""
-    if not Phi.shape[0]:
-        return False
-    middle = Phi[Phi.shape[0] // 2]
-    for some in (middle[None], Phi):  # most pairs differ at the first look
-        others = np.delete(np.arange(Phi.shape[1]), [i, j])
-        a, b = some[:, others, i], some[:, others, j]
-        if np.any(np.abs(a - b) > ALIKE * (np.abs(a) + np.abs(b))) or np.any(some[:, [i, j]][:, :, others] != 0.0):
-            return False
-        if np.any(some[:, i, j] != 0.0) or np.any(some[:, j, i] != 0.0):
-            return False
-        own = some[:, i, i], some[:, j, j]
-        if np.any(np.abs(own[0] - own[1]) > ALIKE * np.abs(own[0])):
-            return False
-    return True

@@ -13,6 +13,7 @@ from insemu.filters import FilterResult
 from insemu.gap.evidence import error_kernels
 from insemu.gap.evidence.climb import laplace_together
 from insemu.gap.evidence.linear import log_mean_exp
+from insemu.gap.evidence.merged import between_fixes, merged_states
 from insemu.gap.evidence.modes import Free, Mode, level
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
@@ -31,6 +32,8 @@ GROUPS = (NED, ("north", "east"), ("down",), ("north",), ("east",))
 AT_EDGE = 0.9
 #: Gain of a step at which a climb of the noise of the fixes ends, nats: a hundredth of the 3 nats that decide; each step costs filter runs.
 CLOSE_NATS = 0.03
+#: A colour that loses more wherever its climb may start is not climbed to, nats; where one of all axes loses more, no part of it is looked at.
+LEAST_NATS, HOPELESS_NATS = -2.0, -30.0
 
 
 @dataclass(frozen=True)
@@ -75,22 +78,11 @@ class Surrogate:
         use = np.isfinite(fixes.innovation) & fixes.accepted[:, None]
         H = np.where(use[:, :, None], np.nan_to_num(fixes.H), 0.0)
         K = np.where(use[:, None, :], np.nan_to_num(fixes.K), 0.0)
-        step = nodes.Phi[1:]
-        sums = error_kernels.merged_states(step, H)
-        n, f, first = sums.shape[0], len(fixes), sums.argmax(axis=1)
-        driven = nodes.P_before[1:] - step @ nodes.P_after[:-1] @ np.transpose(step, (0, 2, 1))
-        step, driven = sums @ step[:, :, first], sums @ driven @ sums.T
+        sums = merged_states(nodes.Phi[1:], H)
+        first = sums.argmax(axis=1)
         at = np.searchsorted(nodes.epoch, fixes.epoch)
         since = np.diff(at, prepend=0)
-        Phi, Q = np.zeros((f, n, n)), np.zeros((f, n, n))
-        Phi[:] = np.eye(n)
-        single = np.flatnonzero(since == 1)
-        Phi[single], Q[single] = step[at[single] - 1], driven[at[single] - 1]
-        for k in np.flatnonzero(since > 1):
-            for j in range(at[k] - since[k], at[k]):
-                Q[k] = step[j] @ Q[k] @ step[j].T + driven[j]
-                Phi[k] = step[j] @ Phi[k]
-        Q = 0.5 * (Q + np.transpose(Q, (0, 2, 1)))
+        Phi, Q = between_fixes(nodes.Phi, nodes.P_before, nodes.P_after, at, sums.argmax(axis=0), first)
         S, before = np.nan_to_num(fixes.S), nodes.P_before[at]
         for k in np.flatnonzero(since == 0):
             if k > 0:  # the second fix of an epoch: the filter had the first one by then
@@ -271,38 +263,36 @@ def gnss_noise_fits(
         By what the filter's standard deviations were trimmed already: the levels that count are relative to the nominal ones.
     """
     problems = _levels(s, white, y, trimmed, skip)
-    coloured: list[_Weighed] = []
-    if "gnss_correlated_noise" not in skip:
-        coloured = _colours(s)
-    tried = [(k, x) for k, p in enumerate([*problems, *coloured]) for x in p.starts]
-
-    def likelihoods(points: Sequence[tuple[int, Array]]) -> Array:
-        return s.log_likelihoods([problems[k].noise(x) for k, x in points])
-
-    problems += coloured
-    likely = likelihoods(tried) if tried else np.zeros(0)
-    starts: list[Array | None] = []
-    for k, p in enumerate(problems):
-        mine = [(v, x) for v, (i, x) in zip(likely, tried, strict=True) if i == k]
-        posterior = [v + sum(f.log_density(z) for f, z in zip(p.free, x, strict=True)) for v, x in mine]
-        top = int(np.argmax(posterior if p.is_level else [v for v, _ in mine]))
-        starts.append(mine[top][1] if p.is_level or mine[top][0] - base > -2.0 else None)
-    if (
-        coloured
-        and max(v for v, (i, _) in zip(likely, tried, strict=True) if problems[i] is coloured[0]) - base < -30.0
-    ):
-        starts = [
-            x if problems[k].is_level else None for k, x in enumerate(starts)
-        ]  # no part of it can be worth anything then
-    going = [k for k, x in enumerate(starts) if x is not None]
+    colours = [] if "gnss_correlated_noise" in skip else _colours(s)
+    likely = _at_starts(s, [*problems, *colours[:1]])
+    if colours and np.max(likely[-1]) - base > HOPELESS_NATS:
+        problems += colours
+        likely += _at_starts(s, colours[1:])
+    going: list[_Weighed] = []
+    starts: list[Array] = []
+    for p, values in zip(problems, likely, strict=False):
+        priors = [sum(f.log_density(z) for f, z in zip(p.free, x, strict=True)) for x in p.starts]
+        top = int(np.argmax(values + np.array(priors) if p.is_level else values))
+        if p.is_level or values[top] - base > LEAST_NATS:
+            going.append(p)
+            starts.append(p.starts[top])
     modes = laplace_together(
-        lambda points: likelihoods([(going[k], x) for k, x in points]),
-        [x for x in starts if x is not None],
-        [problems[k].free for k in going],
+        lambda points: s.log_likelihoods([going[k].noise(x) for k, x in points]),
+        starts,
+        [p.free for p in going],
         CLOSE_NATS,
+        [p.effect for p in going],
     )
-    fits = [problems[k].fitted(mode, base) for k, mode in zip(going, modes, strict=True)]
+    fits = [p.fitted(mode, base) for p, mode in zip(going, modes, strict=True)]
     return [f for f in fits if f is not None]
+
+
+def _at_starts(s: Surrogate, problems: Sequence[_Weighed]) -> list[Array]:
+    """Log-likelihoods where the climb of each may start."""
+    if not problems:
+        return []
+    values = s.log_likelihoods([p.noise(x) for p in problems for x in p.starts])
+    return np.split(values, np.cumsum([len(p.starts) for p in problems])[:-1])
 
 
 @dataclass(frozen=True)
@@ -401,7 +391,7 @@ class JointNoise:
 
 
 def joint_noise(
-    s: Surrogate, colour: Colour, factors: Array, *, known: bool = False, wide: Sequence[int] = ()
+    s: Surrogate, begin: FixNoise, factors: Array, *, known: bool = False, wide: Sequence[int] = ()
 ) -> JointNoise:
     """Most likely colour together with the levels inside their tolerance: a level that was trimmed without the colour took some of it.
 
@@ -411,8 +401,8 @@ def joint_noise(
     ----------
     s : Surrogate
         Of the innovations less what is explained.
-    colour : Colour
-        To begin with; its axes stay, horizontal and vertical standard deviation and the correlation time are refined.
+    begin : FixNoise
+        To begin with; the axes of its colour stay, horizontal and vertical standard deviation and the correlation time are refined.
     factors : (6,) array
         By what the filter's levels were moved already, as ratios to what was named or believed.
     known : bool
@@ -420,6 +410,7 @@ def joint_noise(
     wide : sequence of int
         Components with a common level, which may have any size; without them each level stays within its tolerance.
     """
+    colour = begin.colour
     groups = [list(g) for g in LEVEL_GROUPS if s.use[:, list(g)].any() and not set(g) & set(wide)]
     groups += [list(wide)] if wide else []
     parts = [rows for rows in groups if any(colour[0][r] > 0.0 for r in rows)] if not known else []
@@ -444,7 +435,9 @@ def joint_noise(
     def likelihoods(points: Sequence[tuple[int, Array]]) -> Array:
         return s.log_likelihoods([unpack(x) for _, x in points])
 
-    (mode,) = laplace_together(likelihoods, [np.zeros(len(free))], [free], CLOSE_NATS)
+    start = np.zeros(len(free))
+    start[count:] = [float(np.mean(np.log(begin.factor[rows]))) for rows in groups]
+    (mode,) = laplace_together(likelihoods, [start], [free], CLOSE_NATS)
     spread = np.sqrt(np.diag(mode.covariance))
     sd = {f"sigma_{NED[r]}": float(spread[k]) for k, rows in enumerate(parts) for r in rows if r < 3}
     if not known:
@@ -478,11 +471,11 @@ def level_beside(s: Surrogate, noise: FixNoise, factors: Array) -> list[NoiseFit
     beyond = np.abs(np.log(noise.factor * factors)) > AT_EDGE * edge
     tried = [axes for axes in GROUPS[:3] if beyond[[NED.index(a) for a in axes]].any()]
     out: list[NoiseFit] = []
-    within = joint_noise(s, noise.colour, factors).evidence if tried else 0.0
+    within = joint_noise(s, noise, factors).evidence if tried else 0.0
     for axes in tried:
         rows = [NED.index(a) for a in axes]
-        found, colour = joint_noise(s, noise.colour, factors, wide=rows), True
-        plain = joint_noise(s, PLAIN, factors, known=True, wide=rows)
+        found, colour = joint_noise(s, noise, factors, wide=rows), True
+        plain = joint_noise(s, replace(noise, colour=PLAIN), factors, known=True, wide=rows)
         if plain.evidence > found.evidence - rules().keep_nats:
             found, colour = plain, False
         ratio = float(found.noise.factor[rows[0]] * np.exp(np.mean(np.log(factors[rows]))))

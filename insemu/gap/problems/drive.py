@@ -37,7 +37,7 @@ from insemu.gap.data.log import Reduced, unheard
 from insemu.gap.data.samples import coarse, mend, with_counts
 from insemu.gap.drive.preparation import Flown, Prepared, fast_parts, prepare
 from insemu.gap.drive.scene import Scene, first_rows
-from insemu.gap.evidence.fixes import joint_noise
+from insemu.gap.evidence.fixes import FixNoise, joint_noise
 from insemu.gap.evidence.linear import Block, Field
 from insemu.gap.hypothesis import Found, best_first, probabilities
 from insemu.gap.policy import rules
@@ -213,12 +213,13 @@ class DriveProblem(NoiseOfFixes):
             scene, new = self._apart_from_outliers(new)
             h = new.chosen
         elif (level := h.change.noise) is not None and level.colour is not None:
+            noise = FixNoise(level.factor, level.colour)
             if h.effect == "gnss_noise_level":
                 self.scene = scene.rebuilt(levels=np.where(about(h), h.values[0].value, scene.original.levels))
-            elif not self._needs_a_level(level.colour):
+            elif not self._needs_a_level(noise):
                 h = replace(h, nats=h.nats + self._take_back("gnss_noise_level"))
                 self.scene = scene.rebuilt(levels=np.where(np.arange(6) < 3, 1.0, scene.original.levels))
-            scene, joint = self._under_colour(level.colour)
+            scene, joint = self._under_colour(noise)
             self.found = [replace(f, chosen=as_joint(f.chosen, scene, joint)) for f in self.found]
             new = replace(new, chosen=as_joint(h, scene, joint))
         elif level is not None:
@@ -272,9 +273,9 @@ class DriveProblem(NoiseOfFixes):
             self.found = [replace(f, chosen=at_level(f.chosen, self.scene.original.factors)) for f in self.found]
         elif self.scene.noise is not None and colour is not self.found[-1].chosen:
             before = self.scene.noise.colour
-            scene, joint = self._under_colour(before)
+            scene, joint = self._under_colour(self.scene.noise)
             self.found = [replace(f, chosen=as_joint(f.chosen, scene, joint)) for f in self.found]
-            plain = self._without_colour(scene, joint.noise.colour)
+            plain = self._without_colour(scene, joint.noise)
             self._take(plain or scene)
             moved = plain is not None or abs(math.log(joint.noise.colour[1] / before[1])) > math.log1p(
                 rules().tolerance
@@ -468,7 +469,7 @@ def find_dynamic_gap(
     colour = colour_of(nominal.effects)
     if colour is not None:
         moved = scene.original.factors / scene.original.levels
-        scene = scene.coloured(joint_noise(scene.surrogate, colour, moved, known=True).noise)
+        scene = scene.coloured(joint_noise(scene.surrogate, FixNoise(np.ones(6), colour), moved, known=True).noise)
         without = (*without, "gnss_correlated_noise")
     competing = [v for v in bank(scene) if v.effect not in without]
     threshold = max(rules().least_nats, null_threshold(competing, scene.data, rng, always=scene.always))

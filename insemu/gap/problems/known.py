@@ -186,18 +186,20 @@ def _without_outliers(recording: Recording, nominal: Nominal, outliers: EffectUs
     from insemu.gap.drive.preparation import fast_parts, prepare
 
     assert recording.gnss is not None
-    llh = recording.gnss.llh.copy()
     p, spread = outliers.scalar("probability"), np.diag(np.square(outliers["sigma"]))
+    prepared, out = prepare(recording, nominal, fast_parts(recording, nominal), {}), np.zeros(0)
     for _ in range(3):  # an outlier that was used pulls the filter and hides the next one
-        now = replace(recording, gnss=replace(recording.gnss, llh=llh))
-        fixes = prepare(now, nominal, fast_parts(now, nominal), {}).result.fixes
+        fixes = prepared.result.fixes
         whole = np.flatnonzero(np.isfinite(fixes.innovation[:, :3]).all(axis=1))
         S, nu = np.stack([fixes.S[k][:3, :3] for k in whole]), fixes.innovation[whole][:, :3]
         odds = math.log(p / (1.0 - p)) + log_density(nu, S + spread) - log_density(nu, S)
         gone = fixes.t[whole[odds > 0.0]]
         if not gone.size:
             break
-        llh[np.isin(recording.gnss.t, gone)] = np.nan
+        nominal_levels = replace(prepared, factors=np.ones(6))
+        prepared, out = nominal_levels.without_positions(gone).trimmed(), np.concatenate([out, gone])
+    llh = recording.gnss.llh.copy()
+    llh[np.isin(recording.gnss.t, out)] = np.nan
     return replace(recording, gnss=replace(recording.gnss, llh=llh))
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from insemu.gap.candidates.fixes import about, without_outliers
 from insemu.gap.candidates.shapes import Change, DriveHypothesis
 from insemu.gap.drive.scene import Scene
-from insemu.gap.evidence.fixes import PLAIN, Colour, JointNoise, Surrogate, joint_noise
+from insemu.gap.evidence.fixes import PLAIN, FixNoise, JointNoise, Surrogate, joint_noise
 from insemu.gap.evidence.linear import Block
 from insemu.gap.hypothesis import Found
 from insemu.gap.policy import rules
@@ -84,22 +84,22 @@ class NoiseOfFixes(ABC):
         s = replace(scene.surrogate, nu=scene.unexplained(self.blocks(), self.cut))
         return s if self.cut is None else s.until(self.cut)
 
-    def _needs_a_level(self, colour: Colour) -> bool:
+    def _needs_a_level(self, noise: FixNoise) -> bool:
         """Whether a level of the positions that was named still explains something beside a colour."""
         level = self._named("gnss_noise_level")
         if level is None:
             return True
         s, wide = self._fixes(self.scene), np.flatnonzero(about(level)).tolist()
         usual = _apart_from_named(self.scene, level)
-        beside = joint_noise(s, colour, usual, wide=wide)
-        return beside.evidence > joint_noise(s, colour, usual).evidence + rules().keep_nats
+        beside = joint_noise(s, noise, usual, wide=wide)
+        return beside.evidence > joint_noise(s, noise, usual).evidence + rules().keep_nats
 
-    def _under_colour(self, colour: Colour) -> tuple[Scene, JointNoise]:
+    def _under_colour(self, noise: FixNoise) -> tuple[Scene, JointNoise]:
         """The scene with a colour of the fixes: flown by a filter that is not led astray by it, which tells outliers again where there are any."""
         scene = self.scene
 
         def likeliest() -> JointNoise:
-            return joint_noise(self._fixes(scene), colour, scene.original.factors / scene.original.levels)
+            return joint_noise(self._fixes(scene), noise, scene.original.factors / scene.original.levels)
 
         joint = likeliest()
         known = self._named("gnss_outliers")
@@ -116,20 +116,20 @@ class NoiseOfFixes(ABC):
                 self.gone, known = told.times, told.outliers
                 if scene is whole or not np.array_equal(before, self.gone):
                     scene = whole.rebuilt(gone=self.gone)
-            scene, colour = scene.coloured(noise), noise.colour
+            scene, tau = scene.coloured(noise), noise.colour[1]
             joint = likeliest()
             noise = joint.noise
-            if abs(math.log(noise.colour[1] / colour[1])) < AS_LONG and np.array_equal(before, self.gone):
+            if abs(math.log(noise.colour[1] / tau)) < AS_LONG and np.array_equal(before, self.gone):
                 break
         return scene.coloured(noise), joint
 
-    def _without_colour(self, scene: Scene, colour: Colour) -> Scene | None:
+    def _without_colour(self, scene: Scene, noise: FixNoise) -> Scene | None:
         """The scene without a colour that explains nothing any more beside the levels and the rest, which is no finding then; else None."""
         level = self._named("gnss_noise_level")
         own = about(level) if level is not None else np.zeros(6, dtype=bool)
         s, usual, wide = self._fixes(scene), _apart_from_named(scene, level), np.flatnonzero(own).tolist()
-        plain = joint_noise(s, PLAIN, usual, known=True, wide=wide)
-        if joint_noise(s, colour, usual, wide=wide).evidence > plain.evidence + rules().keep_nats:
+        plain = joint_noise(s, replace(noise, colour=PLAIN), usual, known=True, wide=wide)
+        if joint_noise(s, noise, usual, wide=wide).evidence > plain.evidence + rules().keep_nats:
             return None
         worth = self._take_back("gnss_correlated_noise")
         if level is not None:
