@@ -2,6 +2,7 @@
 
 python -m benchmarks.foreign --recordings 40 --workers 2 --log results/foreign.jsonl      # all kinds in turns; goes on where it stopped
 python -m benchmarks.foreign --kinds none --recordings 100 --seed 1000                      # nothing hidden, every vehicle shakes
+python -m benchmarks.foreign --recordings 75 --trained 400 --examples results/examples.jsonl  # beside a classifier that learned from 400 others
 python -m benchmarks.foreign --write results/foreign --recordings 6                         # the files: recording, belief, what is hidden
 """
 
@@ -16,7 +17,9 @@ from typing import Any
 from rich.console import Console
 from rich.progress import Progress
 
+from benchmarks.foreign.baselines import judgement
 from benchmarks.foreign.judge import KINDS, Job, answer, drawn, scores, write
+from benchmarks.foreign.trained import learned
 from insemu.work import Lines, processes, run_items
 
 
@@ -34,6 +37,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--hold-out", action="store_true", help="score on the last third as well (about twice the time)"
     )
     parser.add_argument("--no-baselines", action="store_true")
+    parser.add_argument(
+        "--trained", type=int, default=0, help="recordings from which a classifier learns first, one more baseline"
+    )
+    parser.add_argument("--examples", type=Path, help="keep what it learns from in this file and go on from there")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--log", type=Path, help="keep finished recordings in this file and go on from there")
     parser.add_argument("--write", type=Path, help="write the recordings to this folder instead of looking at them")
@@ -63,7 +70,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         found = run_items(
             {job.key: job for job in jobs}, answer, pool=pool, store=store, done=lambda _: progress.advance(task)
         )
+        forest = learned(given.trained, given.seconds, given.examples, pool) if given.trained else None
     answers: list[dict[str, Any]] = [json.loads(json.dumps(a)) for a in found.values()]
+    for a in answers if forest else ():
+        if forest and a["baselines"]:
+            named = forest.named(a["baselines"]["features"])
+            a["baselines"]["forest"] = judgement(named, [(h["effect"], h["sensor"]) for h in a["hidden"]])
     for label, figure in scores(answers):
         print(f"{label:68s} {figure}")
     for a in answers if given.wrong else ():

@@ -1,4 +1,4 @@
-"""One foreign recording through the gap workflow and two baselines, and the scores of many in the terms of fault diagnosis."""
+"""One foreign recording through the gap workflow and its baselines, and the scores of many in the terms of fault diagnosis."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ import yaml
 from numpy.typing import NDArray
 
 from benchmarks.foreign import sensors
+from benchmarks.foreign.baselines import METHODS, baselines
 from insemu.filters import FixTable
 from insemu.gap import Finding, Nominal, find_gap, load_measured, load_nominal
 from insemu.gap.drive.preparation import Flown, starting_state
-from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.fixes import PLAIN, FixNoise, Surrogate
 from insemu.records import Recording
 from insemu.trial.score import interval
@@ -213,7 +213,7 @@ def answer(job: Job) -> dict[str, Any]:
         "held": [[_holds(s, h) for h in hidden] for s in report.findings],
         "index": [report.gap_before.value, report.gap_after.value],
         "seconds": seconds,
-        "baselines": baselines(measured, nominal, hidden) if job.baselines else {},
+        "baselines": baselines(measured, nominal, [(h.effect, h.sensor) for h in hidden]) if job.baselines else {},
     }
 
 
@@ -248,53 +248,6 @@ def truths(h: sensors.Hidden, world: sensors.World) -> dict[str, float]:
     if h.effect == "white_noise":
         return {"N": v["factor"] * (world.unit.gyro_white if h.sensor == "gyro" else world.unit.accel_white)}
     return dict(v)
-
-
-# -- baselines ------------------------------------------------------------------------------------------------------------------------
-
-
-def baselines(measured: Recording, nominal: Nominal, hidden: Sequence[sensors.Hidden]) -> dict[str, Any]:
-    """A generalised likelihood ratio per signature, and the group lasso on the same signatures: what each names first, and what it flags."""
-    flown = Flown.of(measured, nominal)
-    scene = Scene.of(flown.prepared)
-    y, G = scene.data.y, scene.data.G[:, : scene.catalogue]
-    groups: dict[tuple[str, str], list[int]] = {}
-    for i, c in enumerate(scene.columns[: scene.catalogue]):
-        groups.setdefault((c.effect, c.sensor), []).append(i)
-    norm = np.sqrt(np.maximum(np.sum(G * G, axis=0), 1e-300))
-    G = G / norm
-    single = 0.5 * (G.T @ y) ** 2
-    limit = 0.5 * float(2.0 * math.log(G.shape[1]) + 2.0 * math.log(100.0))
-    best = {g: float(np.max(single[i])) for g, i in groups.items()}
-    first = max(best, key=lambda g: best[g])
-    chosen = _lasso(G, y, groups, math.sqrt(2.0 * limit))
-    names = [(h.effect, h.sensor) for h in hidden]
-    flagged = {"glr": [first] if best[first] > limit else [], "lasso": chosen}
-    return {
-        method: {
-            "flagged": bool(found),
-            "first": bool(found) and found[0] in names,
-            "all": bool(names) and set(names) == set(found),
-        }
-        for method, found in flagged.items()
-    }
-
-
-def _lasso(G: Array, y: Array, groups: dict[tuple[str, str], list[int]], weight: float) -> list[tuple[str, str]]:
-    """Groups that the group lasso keeps, largest first: block coordinate descent on normalised columns (Yuan and Lin 2006)."""
-    A, b = G.T @ G, G.T @ y
-    x = np.zeros(b.size)
-    for _ in range(200):
-        before = x.copy()
-        for i in groups.values():
-            z = b[i] - A[i] @ x + A[np.ix_(i, i)] @ x[i]
-            size = float(np.linalg.norm(z))
-            shrink = max(0.0, 1.0 - weight * math.sqrt(len(i)) / max(size, 1e-300))
-            x[i] = shrink * z / max(float(np.linalg.norm(A[np.ix_(i, i)], 2)), 1e-12)
-        if np.max(np.abs(x - before)) < 1e-6 * max(float(np.max(np.abs(x))), 1e-12):
-            break
-    size = {g: float(np.linalg.norm(x[i])) for g, i in groups.items()}
-    return sorted((g for g in groups if size[g] > 0.0), key=lambda g: -size[g])
 
 
 # -- scores ---------------------------------------------------------------------------------------------------------------------------
@@ -373,8 +326,8 @@ def scores(answers: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
     pairs = [(s["confidence"], any(r)) for a in answers for s, r in zip(a["findings"], a["right"], strict=True)]
     if pairs:
         rows.append(("calibration error of the confidences", f"{calibration(pairs):.3f}"))
-    for method in ("glr", "lasso"):
-        looked = [a for a in answers if a["baselines"]]
+    for method in METHODS:
+        looked = [a for a in answers if method in a["baselines"]]
         share(f"{method}: false alarms", [a["baselines"][method]["flagged"] for a in looked if a["kind"] == "none"])
         share(
             f"{method}: one effect, first right",
