@@ -291,6 +291,10 @@ class GnssRecord(_Timed):
         """Positions alone."""
         return replace(self, vel_ned=None, vel_std_ned=None)
 
+    def without_positions(self, t: ArrayLike) -> GnssRecord:
+        """The same fixes, positions missing at some of their times (k,), s."""
+        return replace(self, llh=np.where(np.isin(self.t, t)[:, None], np.nan, self.llh))
+
     def with_velocities_at(self, t: ArrayLike) -> GnssRecord:
         """The same positions and velocities, these at other times (n,) in s: rows of their own, NaN where a row lacks the one or the other."""
         t = np.asarray(t, dtype=float)

@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import butter, group_delay, lfilter, sosfilt
 
+from insemu import earth
 from insemu.effects import EFFECTS, EffectUse, FixGeometry, Motion, catalogue_columns, effect_of
 from insemu.emulate import built_in, corrupt, gnss_fixes, ideal_imu
 from insemu.errors import InputError
@@ -658,6 +659,20 @@ def test_a_filter_starts_on_positions_alone() -> None:
     assert np.all(np.abs(state.vel_ned - best.vel_ned) < 5.0 * np.asarray(sigma.velocity) + 0.5)
     off = (state.rpy - r.reference.rpy[at] + np.pi) % (2.0 * np.pi) - np.pi
     assert np.all(np.abs(off) < 4.0 * np.asarray(sigma.attitude))
+
+
+def test_a_drive_does_not_start_at_a_position_that_is_far_from_both_its_neighbours() -> None:
+    r = recording(seed=7)
+    assert r.gnss is not None
+    bare = replace(r, reference=None)
+    nominal = believed(np.random.default_rng(7))
+    first = starting_state(bare, nominal)[0].t[0]
+    at = int(np.searchsorted(r.gnss.t, first))
+    for moved, start in ((50.0, at + 1), (1.0, at)):
+        off = earth.move(r.gnss.llh[at], np.array([moved, 0.0, 0.0]))
+        llh = np.where((np.arange(len(r.gnss)) == at)[:, None], off, r.gnss.llh)
+        imu, *_ = starting_state(replace(bare, gnss=replace(r.gnss, llh=llh)), nominal)
+        assert imu.t[0] == pytest.approx(r.gnss.t[start], abs=imu.dt)
 
 
 @pytest.mark.parametrize("reference", [True, pytest.param(False, marks=pytest.mark.slow)])

@@ -30,6 +30,7 @@ from insemu.gap import (
 )
 from insemu.gap.beliefs.refined import refined_nominal, uses_of
 from insemu.gap.candidates.axis import CANDIDATES
+from insemu.gap.session import _looked_closer
 from insemu.gap.verdict import Interval, Member, Value, held_out_said
 from insemu.noise import AR, BI, DR, GM, QN, RW, SIN, WN, NoiseModel
 from insemu.records import GnssRecord, ImuRecord, Recording, Series
@@ -214,6 +215,47 @@ def test_corrections_add_up_multiply_or_turn() -> None:
         len(joined([use("temperature", sensor="gyro", c1=1e-3)], [use("temperature", sensor="gyro", c1=1e-3, T0=30.0)]))
         == 2
     )
+
+
+def passes(first: GapReport, *later: GapReport) -> tuple[GapReport, int]:
+    """A report after passes that find this, and how many were asked for."""
+    found = list(later)
+    nominal = load_nominal(_scenario())
+    out, _ = _looked_closer(measured(), nominal, first, lambda *_: found.pop(0), [], lambda _: None)
+    return out, len(later) - len(found)
+
+
+def strong(effect: str, nats: float, **values: float) -> Finding:
+    """A finding worth so much, some of its values others."""
+    s = step(effect)
+    given = tuple(replace(v, value=(x := values.get(v.name, v.value)), low=x - 0.5, high=x + 0.5) for v in s.parameters)
+    return replace(s, nats=nats, parameters=given)
+
+
+def test_a_correction_that_leaves_more_than_there_was_is_taken_back() -> None:
+    """A flight whose level of the fixes was corrected from 0.05 to 0.2 to 0.5, at 130 and then at 970 nats."""
+    first = report(strong("lever_arm", 200.0))
+    closer, asked = passes(first, report(strong("lever_arm", 40.0, value_x=1.2)), report())
+    (arm,) = closer.findings
+    assert asked == 2 and arm.parameters[0].value == pytest.approx(1.4)
+    assert passes(
+        first, report(strong("lever_arm", 40.0, value_x=1.2)), report(strong("lever_arm", 45.0, value_x=1.2))
+    ) == (first, 2)
+    assert passes(first, report(strong("lever_arm", 900.0))) == (first, 1)
+    # what two looks are worth differs by chance
+    assert (
+        passes(first, report(strong("lever_arm", 40.0, value_x=1.2)), report(strong("lever_arm", 42.0, value_x=1.2)))[0]
+        is not first
+    )
+
+
+def test_a_step_at_another_time_is_another_step() -> None:
+    first = report(strong("gnss_multipath_step", 200.0))
+    later, _ = passes(first, report(strong("gnss_multipath_step", 40.0, start=20.0)), report())
+    assert [v.value for s in later.findings for v in s.parameters if v.name != "duration"] == [2.0, 10.0, 2.0, 20.0]
+    same, _ = passes(first, report(strong("gnss_multipath_step", 40.0, start=10.4, value=-0.7)), report())
+    ((value, start, _),) = (s.parameters for s in same.findings)
+    assert (value.value, start.value) == pytest.approx((1.3, 10.0))
 
 
 def test_a_static_loop_closes_with_effects_that_no_noise_model_holds() -> None:

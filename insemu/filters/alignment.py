@@ -32,6 +32,9 @@ REST_TILT = np.deg2rad(0.5)
 UNSTATED_VELOCITY = 0.3
 #: Where the fixes have no velocities: times to either side, s, over which positions are taken for a parabola.
 TRACK_REACH = (1.0, 2.0, 4.0, 8.0)
+#: A position is an outlier at the start beyond so many standard deviations, metres and a share of the way between two fixes, all added up: fixes
+#: state too little, stamps and velocities lag.
+JUMP_SIGMAS, JUMP_LEAST, JUMP_SHARE = 10.0, 3.0, 0.3
 #: A heading that is carried back from the first motion to a rest may have become uncertain by this much, rad.
 LARGEST_HEADING_SIGMA = np.deg2rad(15.0)
 
@@ -235,7 +238,7 @@ def first_track(gnss: GnssRecord, inside: NDArray[np.bool_], min_speed: float) -
 def _of_velocities(gnss: GnssRecord, inside: NDArray[np.bool_], min_speed: float) -> Track | None:
     assert gnss.vel_ned is not None
     good = inside & np.isfinite(gnss.vel_ned).all(axis=1)
-    moving = np.flatnonzero(good & (np.hypot(gnss.vel_ned[:, 0], gnss.vel_ned[:, 1]) > min_speed))
+    moving = np.flatnonzero(good & ~_jumps(gnss) & (np.hypot(gnss.vel_ned[:, 0], gnss.vel_ned[:, 1]) > min_speed))
     if not moving.size:
         return None
     k = int(moving[0])
@@ -243,6 +246,19 @@ def _of_velocities(gnss: GnssRecord, inside: NDArray[np.bool_], min_speed: float
     slope = np.polyfit(gnss.t[near] - gnss.t[k], gnss.vel_ned[near], 1)[0] if near.size > 1 else np.zeros(3)
     sigma = gnss.vel_std_ned[k] if gnss.vel_std_ned is not None else np.full(3, UNSTATED_VELOCITY)
     return Track(k, gnss.vel_ned[k], slope, sigma)
+
+
+def _jumps(gnss: GnssRecord) -> NDArray[np.bool_]:
+    """Positions (n,) that lie far from both neighbours, carried by the velocities: no place to start."""
+    assert gnss.vel_ned is not None and gnss.pos_std_ned is not None
+    dt = np.diff(gnss.t)[:, None]
+    way = earth.position_difference(gnss.llh[1:], gnss.llh[:-1]) - 0.5 * dt * (gnss.vel_ned[1:] + gnss.vel_ned[:-1])
+    sigma = np.hypot(gnss.pos_std_ned[1:], gnss.pos_std_ned[:-1])
+    usual = JUMP_SIGMAS * sigma + JUMP_LEAST + JUMP_SHARE * dt * np.abs(gnss.vel_ned[1:])
+    far = np.any(np.abs(way) > usual, axis=1)  # no jump where a neighbour is unknown
+    out = np.zeros(len(gnss), dtype=bool)
+    out[1:-1] = far[:-1] & far[1:]
+    return out
 
 
 def _of_positions(gnss: GnssRecord, inside: NDArray[np.bool_], min_speed: float) -> Track | None:

@@ -156,22 +156,45 @@ def _drive(
         (recording, moved), flown = own_axes, None
     report = find_dynamic_gap(recording, moved, rng=rng, without=skip, hold_out=hold_out, progress=say, flown=flown)
     out = _together(report, early, mounted, nominal)
-    refined: tuple[Recording, Nominal] | None = None
-    for turn in range(MOST_PASSES):
-        if not _bends(out.findings):
-            break
-        say(f"the refined model against the recording, {turn + 1}")
-        refined = _refined(measured, nominal, out)
-        recording, moved = in_imu_axes(*refined)
-        more = find_dynamic_gap(recording, moved, rng=rng, without=skip, hold_out=False, progress=say)
-        corrected = _closer(out, more, [s.effect for s in early])
-        if corrected is out:
-            break
-        out, refined = corrected, None
+
+    def search(recording: Recording, moved: Nominal) -> GapReport:
+        return find_dynamic_gap(recording, moved, rng=rng, without=skip, hold_out=False, progress=say)
+
+    out, refined = _looked_closer(measured, nominal, out, search, [s.effect for s in early], say)
     if not pictures:
         return out
     after = Flown.of(*(refined or _refined(measured, nominal, out))) if out.findings else first
     return replace(out, curves={**out.curves, "drive": _pictures(first, after, nominal)})
+
+
+def _looked_closer(
+    measured: Recording,
+    nominal: Nominal,
+    report: GapReport,
+    search: Callable[[Recording, Nominal], GapReport],
+    settled: Collection[str],
+    say: Callable[[str], None],
+) -> tuple[GapReport, tuple[Recording, Nominal] | None]:
+    """A report after further passes about what is strong, and the recording with its nominal model less all of it where the last pass flew that.
+
+    A pass corrects what the one before left, which is less each time. Where it is more, the correction before led astray and is taken back.
+    """
+    before, worth = report, _bending(report.findings)
+    for turn in range(MOST_PASSES):
+        if not _bends(report.findings):
+            break
+        say(f"the refined model against the recording, {turn + 1}")
+        refined = _refined(measured, nominal, report)
+        more = search(*in_imu_axes(*refined))
+        corrected = _closer(report, more, settled)
+        if corrected is report:
+            return report, refined
+        left = _bending(more.findings)
+        if left > worth + rules().lead:
+            say("the correction before is taken back: it left more than there was")
+            return before, None
+        before, report, worth = report, corrected, left
+    return report, None
 
 
 def _refined(measured: Recording, nominal: Nominal, report: GapReport) -> tuple[Recording, Nominal]:
@@ -179,9 +202,14 @@ def _refined(measured: Recording, nominal: Nominal, report: GapReport) -> tuple[
     return drive_without(measured, refined_nominal(nominal, report, measured.imu.dt).parted())
 
 
+def _bending(findings: Sequence[Finding]) -> float:
+    """What effects of the fixes and of timing are worth together, nats: strong ones lead a filter astray, in which the rest was seen."""
+    return sum(s.nats for s in findings if s.sensor in ("gnss", "imu"))
+
+
 def _bends(findings: Sequence[Finding]) -> bool:
-    """Whether effects of the fixes and of timing are so strong that the rest was seen in a filter that they had led astray."""
-    return sum(s.nats for s in findings if s.sensor in ("gnss", "imu")) >= rules().strong_nats
+    """Whether effects of the fixes and of timing are so strong that it is looked again."""
+    return _bending(findings) >= rules().strong_nats
 
 
 def applied(report: GapReport, which: Sequence[int]) -> GapReport:
@@ -266,7 +294,7 @@ def _closer(report: GapReport, more: GapReport, settled: Collection[str]) -> Gap
     findings = list(report.findings)
     changed = False
     for m in more.findings:
-        k = next((k for k, s in enumerate(findings) if (s.effect, s.sensor) == (m.effect, m.sensor)), None)
+        k = next((k for k, s in enumerate(findings) if _alike(s, m)), None)
         if k is None and m.sensor not in ("gnss", "imu") and not adds(m.effect):
             continue  # what the IMU shows above its motion was searched once; more of it would only chase what changes with time
         if k is None:
@@ -288,6 +316,16 @@ def _closer(report: GapReport, more: GapReport, settled: Collection[str]) -> Gap
         findings=tuple(findings),
         after=more.after,
         remainder=more.remainder,
+    )
+
+
+def _alike(one: Finding, other: Finding) -> bool:
+    """Whether two findings are of one thing: the same effect of the same sensor, on the same axes and at the same time where it has one."""
+    if (one.effect, one.sensor) != (other.effect, other.sensor):
+        return False
+    here, there = ({v.name: v for v in s.parameters if v.name in ("start", "duration")} for s in (one, other))
+    return not here or (
+        one.axes == other.axes and all(v.low <= there[n].high and there[n].low <= v.high for n, v in here.items())
     )
 
 

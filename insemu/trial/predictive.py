@@ -12,7 +12,7 @@ References
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -28,7 +28,7 @@ from insemu.errors import InputError
 from insemu.filters import FilterOptions, FilterResult, InitialSigma, run_filter
 from insemu.gap import Nominal
 from insemu.gap.drive import for_filter, starting_state, with_sigma
-from insemu.gap.problems import drive_without
+from insemu.gap.problems import drive_without, outlying
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.strapdown import NavState, mechanize_array, trajectory_of
 from insemu.work import processes, run_items
@@ -39,6 +39,11 @@ Array = NDArray[np.float64]
 FOLLOW_S = 5.0
 #: Length of an outage, from the start of one to that of the next, and how late a fix may be at its end, s.
 OUTAGE_S, APART_S, LATE_S = 60.0, 30.0, 2.0
+OUTLIERS = "gnss_outliers"
+#: Rounds in which outliers are told, and factor on the standard deviation of a position that is hardly followed.
+MOST_ROUNDS, LOOSE = 5, 1e3
+#: Fewest fixes that a statistic of the measured recording is of.
+FEWEST = 30
 COMPONENTS = ("north", "east", "down", "velocity north", "velocity east", "velocity down")
 
 
@@ -192,7 +197,26 @@ class Twin:
         """The filter that knows the model, on a recording less the model's effects."""
         taken = compensated(recording, self.model.effects, trajectory=self.motion)
         assert taken.gnss is not None
-        return self.run(taken.imu, with_sigma(taken.gnss, self.bare))
+        return self.run_apart_from_outliers(taken.imu, with_sigma(taken.gnss, self.bare))
+
+    def run_apart_from_outliers(self, imu: ImuRecord, gnss: GnssRecord) -> FilterResult:
+        """The filter on a recording less the model's effects; where the model knows outliers, on the positions that are none.
+
+        A filter that follows an outlier takes fixes after it for outliers, too: it looks at all again while it hardly follows those.
+        """
+        use = next((u for u in self.model.effects if u.id == OUTLIERS), None)
+        gone = np.zeros(0)
+        for _ in range(MOST_ROUNDS if use is not None else 0):
+            assert use is not None and gnss.pos_std_ned is not None
+            loose = np.where(np.isin(gnss.t, gone)[:, None], LOOSE, 1.0)
+            fixes = self.run(imu, replace(gnss, pos_std_ned=gnss.pos_std_ned * loose)).fixes
+            rows = np.searchsorted(gnss.t, fixes.t)
+            S = fixes.S.copy()
+            S[:, :3, :3] -= ((loose[rows] ** 2 - 1.0) * gnss.pos_std_ned[rows] ** 2)[:, :, None] * np.eye(3)
+            before, gone = gone, outlying(fixes, S, use)
+            if np.array_equal(before, gone):
+                break
+        return self.run(imu, gnss.without_positions(gone))
 
     def run(self, imu: ImuRecord, gnss: GnssRecord) -> FilterResult:
         """The filter on a recording less the model's effects."""
@@ -252,10 +276,11 @@ def check(
         progress(f"emulated recording {done} of {recordings}")
 
     with processes(workers) as pool:
-        items = {f"{k}": (twin, seed, k) for k in range(recordings)}
+        of = tuple(dict.fromkeys(where for _, where in names if where in COMPONENTS))
+        items = {f"{k}": (twin, seed, k, of) for k in range(recordings)}
         made = list(run_items(items, _one, pool=pool, done=told).values())
     drawn, metres = np.stack([m[0] for m in made]), np.stack([m[1] for m in made])
-    low, middle, high = np.quantile(drawn, [0.025, 0.5, 0.975], axis=0)
+    low, middle, high = np.nanquantile(drawn, [0.025, 0.5, 0.975], axis=0)
     share = (drawn < values).mean(axis=0) + 0.5 * (drawn == values).mean(axis=0)
     statistics = tuple(
         Statistic(*name, *(float(x) for x in row))
@@ -265,15 +290,17 @@ def check(
     return Check(recordings, statistics, OutageErrors(twin.outages[known], ends[known], *bands))
 
 
-def _one(item: tuple[Twin, int, int]) -> tuple[Array, Array]:
-    twin, seed, number = item
+def _one(item: tuple[Twin, int, int, tuple[str, ...]]) -> tuple[Array, Array]:
+    twin, seed, number, of = item
     result = twin.flown(twin.recording(seed, number))
-    return statistics_of(result)[1], outage_errors(result, twin.outages)
+    return statistics_of(result, of)[1], outage_errors(result, twin.outages)
 
 
 def twin_of(measured: Recording, model: Nominal) -> tuple[Twin, FilterResult]:
     """The motion of a recording with a model, and the filter's run on the recording itself."""
-    taken, bare = drive_without(measured, model)
+    # outliers are told by one rule in what was measured and in what is emulated: a statistic of both is the same function
+    drawn = replace(model, effects=tuple(u for u in model.effects if u.id != OUTLIERS))
+    taken, bare = drive_without(measured, drawn)
     imu, gnss, state, sigma = starting_state(taken, bare)
     span = float(imu.t[-1] - imu.t[0])
     beliefs = {name: for_filter(bare.beliefs[name], imu.dt, span) for name in AXES}
@@ -284,7 +311,7 @@ def twin_of(measured: Recording, model: Nominal) -> tuple[Twin, FilterResult]:
     stated = with_sigma(measured.gnss, model)
     empty = Trajectory(imu.t, np.zeros((len(imu), 3)), np.zeros((len(imu), 3)), np.zeros((len(imu), 3)))
     twin = Twin(imu, empty, measured, stated, model, bare, beliefs, (state, sigma), outages)
-    own = twin.run(imu, with_sigma(gnss, bare))
+    own = twin.run_apart_from_outliers(imu, with_sigma(gnss, bare))
     ideal, motion = motion_of(imu, own)
     temperature = measured.imu.temperature
     if temperature is not None:
@@ -337,8 +364,15 @@ def _own(result: FilterResult, axis: str) -> slice:
     return slice(at.start - 9, at.stop - 9)
 
 
-def statistics_of(result: FilterResult) -> tuple[list[tuple[str, str]], Array]:
-    """Names, with the component of the fix, and values of the statistics of whitened innovations."""
+def statistics_of(result: FilterResult, of: Sequence[str] | None = None) -> tuple[list[tuple[str, str]], Array]:
+    """Names, with the component of the fix, and values of the statistics of whitened innovations.
+
+    Parameters
+    ----------
+    result : FilterResult
+    of : sequence of str, optional
+        Components, those with :data:`FEWEST` fixes where they are not given; NaN of one without fixes.
+    """
     fixes = result.fixes
     use = np.isfinite(fixes.innovation) & fixes.accepted[:, None]
     nu = np.where(use, np.nan_to_num(fixes.innovation), 0.0)
@@ -349,8 +383,9 @@ def statistics_of(result: FilterResult) -> tuple[list[tuple[str, str]], Array]:
     values: list[float] = []
     for c, where in enumerate(COMPONENTS):
         x = y[use[:, c], c]
-        if x.size < 30:
+        if (where not in of) if of is not None else (x.size < FEWEST):
             continue
+        x = x if x.size > 1 else np.full(2, math.nan)
         sd = max(float(x.std()), 1e-12)
         z = (x - x.mean()) / sd
         own = {

@@ -144,9 +144,7 @@ class Prepared:
 
     def without_positions(self, t: Array) -> Prepared:
         """The same filter without the positions of some fixes."""
-        llh = self.gnss.llh.copy()
-        llh[np.isin(self.gnss.t, t)] = np.nan
-        return self.again(gnss=replace(self.gnss, llh=llh))
+        return self.again(gnss=self.gnss.without_positions(t))
 
 
 def _run(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from insemu import rotation
 from insemu.effects import EffectUse, added_signal, compensated, having, lever_arm_of
-from insemu.filters import log_density
+from insemu.filters import FixTable, log_density
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.candidates.axis import CANDIDATES, AxisState, state_of
 from insemu.gap.data.log import reduce
@@ -186,21 +186,36 @@ def _without_outliers(recording: Recording, nominal: Nominal, outliers: EffectUs
     from insemu.gap.drive.preparation import fast_parts, prepare
 
     assert recording.gnss is not None
-    p, spread = outliers.scalar("probability"), np.diag(np.square(outliers["sigma"]))
     prepared, out = prepare(recording, nominal, fast_parts(recording, nominal), {}), np.zeros(0)
     for _ in range(3):  # an outlier that was used pulls the filter and hides the next one
         fixes = prepared.result.fixes
-        whole = np.flatnonzero(np.isfinite(fixes.innovation[:, :3]).all(axis=1))
-        S, nu = np.stack([fixes.S[k][:3, :3] for k in whole]), fixes.innovation[whole][:, :3]
-        odds = math.log(p / (1.0 - p)) + log_density(nu, S + spread) - log_density(nu, S)
-        gone = fixes.t[whole[odds > 0.0]]
+        gone = outlying(fixes, fixes.S, outliers)
         if not gone.size:
             break
         nominal_levels = replace(prepared, factors=np.ones(6))
         prepared, out = nominal_levels.without_positions(gone).trimmed(), np.concatenate([out, gone])
-    llh = recording.gnss.llh.copy()
-    llh[np.isin(recording.gnss.t, out)] = np.nan
-    return replace(recording, gnss=replace(recording.gnss, llh=llh))
+    return replace(recording, gnss=recording.gnss.without_positions(out))
+
+
+def outlying(fixes: FixTable, S: Array, outliers: EffectUse) -> Array:
+    """Times (k,) of the positions that are more likely outliers than not by the innovations of a filter, s.
+
+    Parameters
+    ----------
+    fixes : FixTable
+        Of the filter.
+    S : (f, 6, 6) array
+        Covariances of the innovations of positions that are none.
+    outliers : EffectUse
+        Known share and size.
+    """
+    p, spread = outliers.scalar("probability"), np.diag(np.square(outliers["sigma"]))
+    whole = np.isfinite(fixes.innovation[:, :3]).all(axis=1)
+    if not whole.any():
+        return np.zeros(0)
+    nu, plain = fixes.innovation[whole][:, :3], S[whole][:, :3, :3]
+    odds = math.log(p / (1.0 - p)) + log_density(nu, plain + spread) - log_density(nu, plain)
+    return np.asarray(fixes.t[whole][odds > 0.0])
 
 
 def colour_of(effects: Sequence[EffectUse]) -> tuple[Array, float] | None:
