@@ -29,7 +29,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from benchmarks.foreign import sensors
-from insemu.gap import GapReport, Nominal, find_gap, load_measured, load_nominal
+from insemu.gap import Finding, GapReport, Nominal, find_gap, load_measured, load_nominal
 from insemu.gap.beliefs.refined import refined_nominal
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.problems import drive_without
@@ -317,15 +317,20 @@ def _inside(finding: dict[str, Any], h: sensors.Hidden) -> bool | None:
 
 
 def halves(name: str) -> tuple[list[str], list[str]]:
-    """What is said of either half of a real drive as it is, strongest first."""
+    """What is said of either half of a real drive as it is, strongest first; of what lasted for a while with the time at which it began."""
     measured, nominal = real(name)
     middle = 0.5 * (measured.imu.t[0] + measured.imu.t[-1])
     said = []
     for early in (True, False):
         part = _part(measured, middle, early)
         report: GapReport = find_gap(part, nominal, rng=np.random.default_rng(1), hold_out=False, pictures=False)
-        said.append([f"{s.effect} {s.sensor}" for s in report.findings])
+        said.append([f"{s.effect} {s.sensor}{_begun(s)}" for s in report.findings])
     return said[0], said[1]
+
+
+def _begun(finding: Finding) -> str:
+    """When a finding began that did not last throughout."""
+    return next((f" at {p.value:.0f} s" for p in finding.parameters if p.name == "start"), "")
 
 
 def _part(measured: Recording, middle: float, early: bool) -> Recording:
@@ -358,8 +363,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if given.halves:
         for name in (b for b in given.bases if b in REAL):
             one, other = halves(name)
-            both = set(one) & set(other)
-            print(f"{name}: in both halves {len(both)} of {len(set(one) | set(other))}")
+            here, there = ({what for what in said if " at " not in what} for said in (one, other))
+            lasted = len(one) + len(other) - len(here) - len(there)
+            print(
+                f"{name}: in both halves {len(here & there)} of {len(here | there)}, and {lasted} that lasted for a while"
+            )
             print(f"  first half:  {', '.join(one)}\n  second half: {', '.join(other)}")
         return
     jobs = [Splice(given.bases[k % len(given.bases)], given.seed + k) for k in range(given.recordings)]
