@@ -17,8 +17,9 @@ from insemu.gap import Nominal
 from insemu.gap.drive import Flown
 from insemu.records import Recording
 from insemu.report import render_check
+from insemu.trial import predictive
 from insemu.trial.drives import Stage, stage
-from insemu.trial.predictive import Check, OutageErrors, Statistic, check, motion_of, outage_errors
+from insemu.trial.predictive import Check, OutageErrors, Statistic, check, kept, motion_of, outage_errors
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +93,30 @@ def test_known_outliers_are_left_out_of_what_is_emulated_too(drive: Stage) -> No
     assert len(squares) == 3 and all(s.high < 1.3 for s in squares)  # 100 and more where they are followed
     assert sum(s.outside for s in squares) <= 1
     assert sum(s.outside for s in found.statistics) <= 8
+
+
+def test_a_check_goes_on_where_it_was_interrupted(drive: Stage, tmp_path, monkeypatch) -> None:
+    made, model, file = recorded(drive), truth(drive), tmp_path / "recordings.jsonl"
+    flown: list[int] = []
+    one = predictive._one
+
+    def counted(item):
+        if len(flown) == 12 and not file.with_suffix(".again").exists():
+            raise KeyboardInterrupt
+        flown.append(item[2])
+        return one(item)
+
+    monkeypatch.setattr(predictive, "_one", counted)
+    with pytest.raises(KeyboardInterrupt):
+        check(made, model, recordings=20, store=kept(file))
+    file.with_suffix(".again").touch()
+    found = check(made, model, recordings=20, store=kept(file))
+    assert sorted(flown) == list(range(20))
+    assert json.dumps(found.to_json()) == json.dumps(check(made, model, recordings=20).to_json())
+    # of another recording or model nothing is taken
+    flown.clear()
+    check(recorded(drive, ARM), model, recordings=20, store=kept(file))
+    assert len(flown) == 20
 
 
 def test_models_may_have_different_outages(tmp_path, capsys) -> None:

@@ -29,7 +29,10 @@ def command(
     out: str = typer.Option("", "--out", help="Folder for the page and check.json; default results/check_NAME."),
     as_json: bool = typer.Option(False, "--json", help="Print the result as JSON on standard output."),
 ) -> None:
-    """Emulate recordings from a model along a measured drive, and say where the measured one stands among them."""
+    """Emulate recordings from a model along a measured drive, and say where the measured one stands among them.
+
+    Emulated recordings are kept in the folder (recordings.jsonl): the same command goes on where it was interrupted.
+    """
     import json
     from pathlib import Path
 
@@ -42,7 +45,7 @@ def command(
     from insemu.gap import find_gap, from_its_start, load_measured, load_nominal
     from insemu.records import Recording
     from insemu.report import render_check
-    from insemu.trial import check
+    from insemu.trial import check, kept
     from insemu.whole import put
 
     console = Console(stderr=as_json)
@@ -54,9 +57,11 @@ def command(
         data = from_its_start(data)
     if not isinstance(data, Recording):
         raise InputError("is a log at rest, expected a drive or flight with fixes", where=measured)
+    folder = Path(out) if out else Path("results") / f"check_{Path(measured).stem}"
+    finished = kept(folder / "recordings.jsonl")
     with staged(Console(stderr=True), (recordings + 1) * len(models) + (STAGES if search else 0)) as say:
         checks = {
-            name: check(data, m, recordings=recordings, seed=seed, workers=workers, progress=say)
+            name: check(data, m, recordings=recordings, seed=seed, workers=workers, progress=say, store=finished)
             for name, m in models.items()
         }
         left = None
@@ -64,7 +69,6 @@ def command(
             left = find_gap(
                 data, models["after"], rng=np.random.default_rng(seed), hold_out=False, pictures=False, progress=say
             )
-    folder = Path(out) if out else Path("results") / f"check_{Path(measured).stem}"
     result = {name: c.to_json() for name, c in checks.items()}
     if left is not None:
         result["search"] = left.to_json()

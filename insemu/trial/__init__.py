@@ -5,7 +5,7 @@
 Only this room knows what was hidden and what was said; :mod:`insemu.gap` sees the recording and the beliefs alone.
 """
 
-from insemu.trial.predictive import Check, check
+from insemu.trial.predictive import Check, check, kept
 from insemu.trial.run import Job, Kind, Plan, Trial, catalogue_of, known_effects, run_trial
 from insemu.trial.score import (
     DEFINITIONS,
@@ -35,6 +35,7 @@ __all__ = [
     "for_20_nats",
     "held_out_ratio",
     "interval",
+    "kept",
     "known_effects",
     "mean_class_size",
     "power",

@@ -11,10 +11,13 @@ References
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,10 +33,13 @@ from insemu.gap import Nominal
 from insemu.gap.drive import for_filter, starting_state, with_sigma
 from insemu.gap.problems import drive_without, outlying
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
+from insemu.scenario import code_version
 from insemu.strapdown import NavState, mechanize_array, trajectory_of
-from insemu.work import processes, run_items
+from insemu.work import Lines, Store, processes, run_items
 
 Array = NDArray[np.float64]
+#: Statistics of the innovations and errors at the end of outages, m, of an emulated recording.
+Made = tuple[Array, Array]
 
 #: Time in which the twin's motion comes back to the estimated one, s: short beside what a bias needs to carry it away, long beside a fix.
 FOLLOW_S = 5.0
@@ -235,6 +241,7 @@ def check(
     seed: int = 1,
     workers: int = 1,
     progress: Callable[[str], None] = lambda _: None,
+    store: Store[Made] | None = None,
 ) -> Check:
     """Emulate recordings from a model along the motion of a measured one, and say where that stands among them.
 
@@ -251,6 +258,8 @@ def check(
         Processes.
     progress : callable
         Told what is being done.
+    store : Store, optional
+        Keeps what was made of each emulated recording, of this recording and model alone.
 
     Raises
     ------
@@ -270,15 +279,16 @@ def check(
         )
     done = 0
 
-    def told(_: tuple[Array, Array]) -> None:
+    def told(_: Made) -> None:
         nonlocal done
         done += 1
         progress(f"emulated recording {done} of {recordings}")
 
     with processes(workers) as pool:
         of = tuple(dict.fromkeys(where for _, where in names if where in COMPONENTS))
-        items = {f"{k}": (twin, seed, k, of) for k in range(recordings)}
-        made = list(run_items(items, _one, pool=pool, done=told).values())
+        own_key = f"{_identity(measured, model)}-{seed}"
+        items = {f"{own_key}-{k}": (twin, seed, k, of) for k in range(recordings)}
+        made = list(run_items(items, _one, pool=pool, store=store, done=told).values())
     drawn, metres = np.stack([m[0] for m in made]), np.stack([m[1] for m in made])
     low, middle, high = np.nanquantile(drawn, [0.025, 0.5, 0.975], axis=0)
     share = (drawn < values).mean(axis=0) + 0.5 * (drawn == values).mean(axis=0)
@@ -290,7 +300,37 @@ def check(
     return Check(recordings, statistics, OutageErrors(twin.outages[known], ends[known], *bands))
 
 
-def _one(item: tuple[Twin, int, int, tuple[str, ...]]) -> tuple[Array, Array]:
+def _identity(measured: Recording, model: Nominal) -> str:
+    """Of a recording, a model and the code, by what they hold."""
+    said = hashlib.sha256(code_version().encode())
+    said.update(json.dumps([model.raw, {k: str(v) for k, v in model.beliefs.items()}], default=str).encode())
+    imu, gnss = measured.imu, measured.gnss
+    for x in (imu.t, imu.gyro, imu.accel, *((gnss.t, gnss.llh, gnss.vel_ned) if gnss is not None else ())):
+        said.update(b"" if x is None else np.ascontiguousarray(x).tobytes())
+    return said.hexdigest()[:16]
+
+
+def kept(path: Path) -> Lines[Made]:
+    """Emulated recordings that are kept in a file.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    InputError
+        A file of something else, or one that another process adds to.
+    """
+    return Lines(
+        path,
+        lambda made: {"statistics": made[0].tolist(), "metres": made[1].tolist()},
+        lambda line: (np.array(line["statistics"], dtype=float), np.array(line["metres"], dtype=float)),
+        "emulated recordings of 'insemu gap-check'",
+    )
+
+
+def _one(item: tuple[Twin, int, int, tuple[str, ...]]) -> Made:
     twin, seed, number, of = item
     result = twin.flown(twin.recording(seed, number))
     return statistics_of(result, of)[1], outage_errors(result, twin.outages)
