@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from insemu import rotation, strapdown
-from insemu.filters import Extras, FilterOptions, LooselyCoupledEKF, measurements
+from insemu import earth, rotation, strapdown
+from insemu.filters import Extras, FilterOptions, InitialSigma, LooselyCoupledEKF, measurements, run_filter
 from insemu.filters.reference import reference_run
+from insemu.records import GnssRecord, ImuRecord
+from insemu.strapdown import NavState
 from tests import filter_cases as cases
 from tests.budget import chi_square, chi_square_power, statistical
 from tests.filter_cases import DT, MODEL_15, START_SIGMA
@@ -26,6 +28,37 @@ AT = tuple(np.arange(10.0, 60.0, 10.0))
 
 #: Standard deviation of the latency between receivers, s, about what the filter starts with.
 BELIEVED = 0.05
+
+
+def test_an_arm_that_shakes_goes_back_to_the_fix_by_the_rate_since_then() -> None:
+    """By the rate at the fix it was 4 mm off just behind a sample, nearly a step before the next one."""
+    f, size, arm, every = 31.7, 5e-3, np.array([0.6, 0.0, 0.0]), 10
+    t = DT * np.arange(round(20.0 / DT) + 1)
+
+    def angle(t: np.ndarray) -> np.ndarray:
+        return size * np.sin(2.0 * np.pi * f * t)
+
+    fine = (np.arange(50) + 0.5) / 50.0
+    middle = angle(t[:-1, None] + DT * fine)
+    gravity, zero = float(earth.gravity(0.8, 0.0)), np.zeros(t.size)
+    force = -gravity * DT * np.stack([-np.sin(middle).mean(axis=1), 0.0 * t[1:], np.cos(middle).mean(axis=1)], axis=1)
+    gyro = np.stack([zero, np.diff(angle(t), prepend=0.0), zero], axis=1)
+    # the Earth's rotation, which a level body hardly sees the vibration of
+    rate = earth.RATE * np.array([np.cos(0.8), 0.0, -np.sin(0.8)])
+    imu = ImuRecord(t, gyro + DT * rate, np.vstack([force[:1], force]), "increment")
+    for late in (1e-6, 0.5 * DT, DT - 1e-6):
+        at = t[every:-2:every] + late
+        ned = np.stack([arm[0] * np.cos(angle(at)), 0.0 * at, -arm[0] * np.sin(angle(at))], axis=1)
+        llh = earth.move(np.tile([0.8, 0.0, 0.0], (at.size, 1)), ned)
+        gnss = GnssRecord(at, llh, None, np.full((at.size, 3), 1e3))
+        state = NavState(np.array([0.8, 0.0, 0.0]), np.zeros(3), np.zeros(3))
+        options = FilterOptions(store="fixes")
+        r = run_filter(imu, gnss, state, InitialSigma(1.0, 0.1, 1e-3), MODEL_15, lever_arm=arm, options=options)
+        off = r.fixes.innovation[:, 2]
+        slow = np.polynomial.Polynomial.fit(at, off, 3)(at)  # free of fixes the height drifts
+        assert np.abs(off - slow).max() < (
+            1e-5 if late != 0.5 * DT else 1.5e-3
+        )  # between samples only the mean is known
 
 
 def study(

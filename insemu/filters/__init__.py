@@ -15,6 +15,7 @@ from insemu.filters.alignment import (
     sigma_of_fixes,
 )
 from insemu.filters.ekf import LooselyCoupledEKF, run_filter
+from insemu.filters.events import SAME_TIME
 from insemu.filters.gpu import GPU_THREADS, Gpu
 from insemu.filters.joint import JointSystem, error_maps, ideal_fixes
 from insemu.filters.likeliest import Innovations, Likeliest, likeliest, uncertainty
@@ -37,6 +38,7 @@ from insemu.filters.twin import LinearErrors, driven, step_matrices
 __all__ = [
     "AIDS",
     "GPU_THREADS",
+    "SAME_TIME",
     "Aid",
     "AidUse",
     "Alignment",

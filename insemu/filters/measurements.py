@@ -135,10 +135,15 @@ def fill_fix(
             arm[i] += C[i, j] * lever[j]
             swing[i] += C[i, j] * turn[j]
             omega_n[i] += C[i, j] * omega[j]
-    # the arm as it stood at the time of the fix
-    a0 = arm[0] - tau * swing[0]
-    a1 = arm[1] - tau * swing[1]
-    a2 = arm[2] - tau * swing[2]
+    # the arm as it stood at the time of the fix: back by the mean rate since then, which over a whole step is the measured one
+    for i in range(3):
+        turn[i] = 0.5 * min(tau, dt) / dt * (rate[i] - rate_before[i])
+    b0 = turn[1] * lever[2] - turn[2] * lever[1]
+    b1 = turn[2] * lever[0] - turn[0] * lever[2]
+    b2 = turn[0] * lever[1] - turn[1] * lever[0]
+    a0 = arm[0] - tau * (swing[0] + C[0, 0] * b0 + C[0, 1] * b1 + C[0, 2] * b2)
+    a1 = arm[1] - tau * (swing[1] + C[1, 0] * b0 + C[1, 1] * b1 + C[1, 2] * b2)
+    a2 = arm[2] - tau * (swing[2] + C[2, 0] * b0 + C[2, 1] * b1 + C[2, 2] * b2)
     s0 = swing[0] - tau * (omega_n[1] * swing[2] - omega_n[2] * swing[1])
     s1 = swing[1] - tau * (omega_n[2] * swing[0] - omega_n[0] * swing[2])
     s2 = swing[2] - tau * (omega_n[0] * swing[1] - omega_n[1] * swing[0])

@@ -337,9 +337,12 @@ DEVICE void fill_fix(const double* nav, const double* before, double dt, double 
     omega_n[i] = C[i][0] * omega[0] + C[i][1] * omega[1] + C[i][2] * omega[2];
   }
   cross(omega_n, swing, twice);
-  double a[3], s[3];
+  // the arm goes back by the mean rate since the fix
+  double a[3], s[3], more[3], turned[3];
+  for (int i = 0; i < 3; i++) more[i] = 0.5 * fmin(tau, dt) / dt * (rate[i] - rate1[i]);
+  cross(more, lever, turned);
   for (int i = 0; i < 3; i++) {
-    a[i] = arm[i] - tau * swing[i];
+    a[i] = arm[i] - tau * (swing[i] + C[i][0] * turned[0] + C[i][1] * turned[1] + C[i][2] * turned[2]);
     s[i] = swing[i] - tau * twice[i];
   }
   const double half = 0.5 * tau * tau;

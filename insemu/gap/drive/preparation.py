@@ -68,6 +68,8 @@ class Prepared:
         See :func:`insemu.gap.drive.shaking.rectified`.
     swings : bool
         Whether the antenna swings on its lever arm as the vehicle shakes: velocities hold what fixes sample of that at their own rate.
+    steadied : bool
+        Whether the velocities were moved for that, by what a filter with these stamps misses of it.
     raised : (6,) array
         By what standard deviations were raised for that: other errors may have had a part in it, so that they may come back.
     on_fixes : bool
@@ -87,6 +89,7 @@ class Prepared:
     levels: Array = field(default_factory=lambda: np.ones(6))
     rectified: Array | None = None
     swings: bool = False
+    steadied: bool = False
     raised: Array = field(default_factory=lambda: np.ones(6))
     on_fixes: bool = False
 
@@ -119,7 +122,7 @@ class Prepared:
     def on(self, recording: Recording) -> Prepared:
         """The same filter on another recording of the same motion, started as that recording lets it."""
         imu, gnss, initial, sigma = starting_state(recording, self.nominal)
-        return replace(self, start=(initial, sigma), rectified=None, raised=np.ones(6)).again(
+        return replace(self, start=(initial, sigma), rectified=None, steadied=False, raised=np.ones(6)).again(
             imu=imu, gnss=with_sigma(gnss, self.nominal)
         )
 
@@ -226,7 +229,7 @@ def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], le
     left = rectified(imu, fast)
     prepared = Prepared(
         imu, gnss, result, beliefs, fast, lever, np.ones(6), start, nominal,
-        rectified=left, swings=left is not None and bool(np.any(lever)), raised=_raised(recorded, gnss),
+        rectified=left, swings=left is not None and bool(np.any(lever)), steadied=_moved(recorded, gnss), raised=_raised(recorded, gnss),
         on_fixes=recording.reference is None,
     )  # fmt: skip
     return prepared.trimmed()
@@ -325,6 +328,12 @@ def _raised(recorded: GnssRecord, steady: GnssRecord) -> Array:
     if a is not None and b is not None and a is not b:
         out[3:] = np.maximum(np.nanmedian(a / b, axis=0), 1.0)
     return out
+
+
+def _moved(recorded: GnssRecord, steady: GnssRecord) -> bool:
+    """Whether the velocities of fixes are not those that were recorded."""
+    a, b = recorded.vel_ned, steady.vel_ned
+    return a is not None and b is not None and not np.array_equal(a, b, equal_nan=True)
 
 
 def _as_sure(one: GnssRecord, other: GnssRecord) -> bool:

@@ -15,6 +15,7 @@ from insemu.effects import EFFECTS, Column, EffectUse, FixGeometry, Motion, cata
 from insemu.errors import InputError
 from insemu.gap.data.samples import Clipped
 from insemu.gap.drive.preparation import Prepared, trimmed_factors
+from insemu.gap.drive.shaking import swing_missed
 from insemu.gap.drive.signatures import Loop, columns_response, fix_step_response, knot_response
 from insemu.gap.evidence.fixes import FixNoise, Surrogate
 from insemu.gap.evidence.linear import Block, Field, knot_times
@@ -417,6 +418,12 @@ def corrected_data(
     llh = gnss.llh.copy()
     there = np.isfinite(llh).all(axis=1)
     llh[there] = earth.move(llh[there], shift[there, :3])
+    if (
+        stamps is not imu.t and prepared.steadied
+    ):  # what a filter with the new stamps misses of the antenna's swing is another
+        nav, arm = prepared.result.nav, prepared.lever_arm
+        missed = (swing_missed(i, nav, t_fix, arm) for i in (imu, replace(imu, t=stamps)))
+        shift[at, 3:] += np.subtract(*missed)
     vel_ned = None if gnss.vel_ned is None else gnss.vel_ned + shift[:, 3:]
     corrected = replace(imu, t=stamps, gyro=signals[:, :3], accel=signals[:, 3:])
     return corrected, replace(gnss, llh=llh, vel_ned=vel_ned), state

@@ -16,7 +16,7 @@ import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
 
 from insemu import rotation
-from insemu.filters import FilterResult
+from insemu.filters import SAME_TIME, FilterResult
 from insemu.gap.data.log import Reduced, moving_spectrum, unheard
 from insemu.gap.data.samples import without_motion
 from insemu.gap.policy import rules
@@ -249,16 +249,9 @@ def steadied(imu: ImuRecord, gnss: GnssRecord, used: GnssRecord, result: FilterR
     there = np.isfinite(fixes.innovation[:, 3:]).all(axis=1) & (fixes.epoch >= 3) & (fixes.epoch < len(imu) - 2)
     if gnss.vel_ned is None or gnss.vel_std_ned is None or not np.any(lever_arm) or there.sum() < 30:
         return gnss
-    k = fixes.epoch[there]
-    rate = imu.as_increments().gyro / np.diff(imu.t, prepend=2.0 * imu.t[0] - imu.t[1])[:, None]
-    dt = imu.t[k] - imu.t[k - 1]
-    late = ((imu.t[k] - fixes.t[there]) / dt)[:, None]
-    carried = rate[k] + (0.5 - late) * (rate[k] - rate[k - 1])
-    # rates at the stamps, exact where the angle is a polynomial of fourth order
-    edge = (7.0 * (rate[1:-2] + rate[2:-1]) - rate[:-3] - rate[3:]) / 12.0
-    between = (1.0 - late) * edge[k - 1] + late * edge[k - 2]
+    k, rate = fixes.epoch[there], _rates(imu)
     C = rotation.dcm_from_quaternion(result.nav[k, 6:10])
-    swing = np.einsum("nij,nj->ni", C, np.cross(between - carried, lever_arm))
+    swing = swing_missed(imu, result.nav, fixes.t[there], lever_arm)
     # how much it shakes: changes from sample to sample over a second before and after
     change = np.diff(rate, axis=0, prepend=rate[:1]) ** 2
     half = max(1, round(PIECE_S / imu.dt))
@@ -291,6 +284,38 @@ def steadied(imu: ImuRecord, gnss: GnssRecord, used: GnssRecord, result: FilterR
     vel[at] -= chosen * swing
     sigma[at] = np.sqrt(sigma[at] ** 2 + share * blurred)
     return replace(gnss, vel_ned=vel, vel_std_ned=sigma)
+
+
+def swing_missed(imu: ImuRecord, nav: Array, t: Array, lever_arm: Array) -> Array:
+    """What the rate of turn that a filter carries to fixes misses of the antenna's velocity there, (f, 3) NED in m/s.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+        n rows.
+    nav : (n, 10) array
+        Of the filter.
+    t : (f,) array
+        Times of the fixes, s; zero where fewer than three samples before or two behind are there.
+    lever_arm : (3,) array
+        m, body axes.
+    """
+    rate, k = _rates(imu), np.searchsorted(imu.t, t - SAME_TIME * imu.dt)
+    there = (k >= 3) & (k < len(imu) - 2)
+    k = k[there]
+    late = ((imu.t[k] - t[there]) / (imu.t[k] - imu.t[k - 1]))[:, None]
+    carried = rate[k] + (0.5 - late) * (rate[k] - rate[k - 1])
+    # rates at the stamps, exact where the angle is a polynomial of fourth order
+    edge = (7.0 * (rate[1:-2] + rate[2:-1]) - rate[:-3] - rate[3:]) / 12.0
+    between = (1.0 - late) * edge[k - 1] + late * edge[k - 2]
+    out, C = np.zeros((t.size, 3)), rotation.dcm_from_quaternion(nav[k, 6:10])
+    out[there] = np.einsum("nij,nj->ni", C, np.cross(between - carried, lever_arm))
+    return out
+
+
+def _rates(imu: ImuRecord) -> Array:
+    """Mean rates (n, 3) over the intervals, rad/s."""
+    return imu.as_increments().gyro / np.diff(imu.t, prepend=2.0 * imu.t[0] - imu.t[1])[:, None]
 
 
 def _velocity_score(nu: Array, S: Array) -> float:
