@@ -428,3 +428,10 @@ def test_of_a_recorded_drive_the_first_design_in_numbers_is_the_nominal_model(tm
         load_nominal(path)
     path.write_text(text + f"  numbers: {plain}\n", encoding="utf-8")
     assert load_nominal(path).beliefs["accel_z"] == NoiseModel((WN(1e-3),))
+    # written by a gap before, it is what is held against the recording again
+    louder = plain.replace("1e-3", "2e-3").replace(
+        "}", ", options: {compensate: [{effect: lever_arm, value: [0.3 m, 0 m, 0 m]}]}}", 1
+    )
+    path.write_text(text + f"  numbers: {plain}\n  refined: {louder}\n", encoding="utf-8")
+    again = load_nominal(path)
+    assert again.beliefs["accel_z"] == NoiseModel((WN(2e-3),)) and [u.id for u in again.effects] == ["lever_arm"]

@@ -67,12 +67,16 @@ class Nominal:
         return replace(self, beliefs=beliefs, effects=tuple(effects))
 
 
+#: The design that a refined scenario has beside its own.
+REFINED = "refined"
+
+
 def load_nominal(path: str | Path) -> Nominal:
     """Read a nominal model.
 
     Three kinds of file are understood: a scenario, a short file with the keys ``belief`` (noise per axis as in a scenario) and optionally
     ``effects``, ``gnss``, ``initial`` and ``vehicle``, and a noise-model file of ``insemu fit``. Of a scenario its ``truth`` (models and effects)
-    is what is believed of the sensor; one of a recording has none, and its first design in numbers stands for it.
+    is what is believed of the sensor; one of a recording has none, and its design ``refined``, else the first one in numbers, stands for it.
 
     Raises
     ------
@@ -124,7 +128,8 @@ def _scenario(scenario: Scenario, raw: dict[str, Any], path: Path) -> Nominal:
             name: {axis: m for axis, m in design.sources().items() if isinstance(m, NoiseModel)}
             for name, design in scenario.designs.items()
         }
-        name = next((n for n, m in held.items() if len(m) == 6), None)
+        # what an earlier gap refined is what is believed now
+        name = next((n for n in (REFINED, *held) if len(held.get(n, ())) == 6), None)
         if name is None:
             raise InputError(
                 "every design is fitted or read from a file, expected one in numbers: a gap needs models to hold a recording against",

@@ -17,7 +17,7 @@ import yaml
 from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS, Effect, EffectParameter, EffectUse, Stage, having, joined
-from insemu.gap.beliefs.nominal import Nominal
+from insemu.gap.beliefs.nominal import REFINED, Nominal
 from insemu.gap.data.sources import StaticLog
 from insemu.gap.evidence.rolloff import HALF_POWER
 from insemu.gap.verdict import Finding, GapReport
@@ -311,7 +311,7 @@ def _scenario(
     coloured = next((use for use in effects if use.id == "gnss_correlated_noise"), None)
     if coloured is not None:
         options["compensate"] = [*options.get("compensate", []), _as_level(nominal, coloured).to_mapping()]
-    out["designs"] = {**designs, "refined": {**belief, **({"options": options} if options else {})}}
+    out["designs"] = {**designs, REFINED: {**belief, **({"options": options} if options else {})}}
     if "fits" in raw:
         out["fits"] = raw["fits"]
     return out
