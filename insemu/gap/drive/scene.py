@@ -418,12 +418,12 @@ def corrected_data(
     llh = gnss.llh.copy()
     there = np.isfinite(llh).all(axis=1)
     llh[there] = earth.move(llh[there], shift[there, :3])
-    if (
-        stamps is not imu.t and prepared.steadied
-    ):  # what a filter with the new stamps misses of the antenna's swing is another
-        nav, arm = prepared.result.nav, prepared.lever_arm
-        missed = (swing_missed(i, nav, t_fix, arm) for i in (imu, replace(imu, t=stamps)))
-        shift[at, 3:] += np.subtract(*missed)
+    if stamps is not imu.t and prepared.swings:
+        # what a filter with the new stamps misses of the antenna's swing is another
+        before, after = (
+            swing_missed(i, prepared.result.nav, t_fix, prepared.lever_arm) for i in (imu, replace(imu, t=stamps))
+        )
+        shift[at, 3:] += before * prepared.steadied - after
     vel_ned = None if gnss.vel_ned is None else gnss.vel_ned + shift[:, 3:]
     corrected = replace(imu, t=stamps, gyro=signals[:, :3], accel=signals[:, 3:])
     return corrected, replace(gnss, llh=llh, vel_ned=vel_ned), state
