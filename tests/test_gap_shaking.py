@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.foreign import sensors
+from benchmarks.foreign.baselines import Trained
 from benchmarks.foreign.judge import Job, Ruler, calibration, taken
 from insemu.gap import GapReport, find_gap
 from insemu.gap.checks.drive import _beyond, innovation_tests
@@ -127,6 +128,20 @@ def test_the_foreign_folder_computes_on_numpy_alone() -> None:
         lines = [x for x in (folder / name).read_text().splitlines() if x.startswith(("import ", "from "))]
         allowed = ("numpy", "__future__", "collections", "dataclasses", "typing", "benchmarks.foreign")
         assert all(x.split()[1].startswith(allowed) for x in lines), lines
+
+
+def test_a_classifier_names_what_it_has_learned() -> None:
+    lever, scale = ("lever_arm", "gnss"), ("scale_factor", "gyro")
+    rng = np.random.default_rng(3)
+    examples = []
+    for k in range(80):
+        hidden = [name for name, there in ((lever, k % 2), (scale, k % 4 > 1)) if there]
+        seen = {str(name): 4.0 * (name in hidden) + float(rng.standard_normal()) for name in (lever, scale)}
+        examples.append((seen, hidden))
+    learned = Trained.on(examples)
+    assert learned.named({str(lever): 4.0, str(scale): 0.0}) == [lever]
+    assert set(learned.named({str(lever): 4.0, str(scale): 4.0})) == {lever, scale}
+    assert learned.named({str(lever): 0.0, "of another recording": 9.0}) == []
 
 
 def test_the_calibration_error_is_the_distance_of_confidence_and_share() -> None:

@@ -46,6 +46,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--write", type=Path, help="write the recordings to this folder instead of looking at them")
     parser.add_argument("--wrong", action="store_true", help="list the recordings that were answered wrongly")
     given = parser.parse_args(arguments)
+    if given.trained and given.no_baselines:
+        parser.error("--trained is one of the baselines that --no-baselines leaves out")
+    if given.examples and not given.trained:
+        parser.error("--examples keeps what --trained learns from, which is not asked for")
     jobs = [
         Job(
             given.kinds[k % len(given.kinds)],
