@@ -295,6 +295,12 @@ class GnssRecord(_Timed):
         """The same fixes, positions missing at some of their times (k,), s."""
         return replace(self, llh=np.where(np.isin(self.t, t)[:, None], np.nan, self.llh))
 
+    def without_velocities(self, t: ArrayLike) -> GnssRecord:
+        """The same fixes, velocities missing at some of their times (k,), s."""
+        if self.vel_ned is None:
+            return self
+        return replace(self, vel_ned=np.where(np.isin(self.t, t)[:, None], np.nan, self.vel_ned))
+
     def with_velocities_at(self, t: ArrayLike) -> GnssRecord:
         """The same positions and velocities, these at other times (n,) in s: rows of their own, NaN where a row lacks the one or the other."""
         t = np.asarray(t, dtype=float)

@@ -533,6 +533,10 @@ def test_gnss_outliers_and_quality(drive):
     n = len(fixes)
     assert abs(hit.mean() - 0.05) < 5 * np.sqrt(0.05 / n)
     np.testing.assert_allclose(position[hit].std(), 5.0, rtol=5 / np.sqrt(6 * hit.sum()))
+    fixes, position, velocity = gnss_errors(drive, use("gnss_velocity_outliers", probability=0.05, sigma=0.5))
+    hit = np.abs(velocity).max(axis=1) > 1e-6
+    assert abs(hit.mean() - 0.05) < 5 * np.sqrt(0.05 / n) and np.abs(position).max() < 1e-6
+    np.testing.assert_allclose(velocity[hit].std(), 0.5, rtol=5 / np.sqrt(6 * hit.sum()))
 
     quality = use("gnss_quality", factor=10.0, good=30.0, poor=10.0, stated=1)
     fixes, position, _ = gnss_errors(drive, quality, sigma=0.1)

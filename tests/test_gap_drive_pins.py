@@ -260,11 +260,24 @@ def test_a_step_lasts_for_six_tenths_of_the_fixes_at_most(length, step, monkeypa
     assert (told_step(8, length, monkeypatch) == [pytest.approx(length)]) == step
 
 
+@pytest.mark.parametrize(("nats", "weighed"), [(12.0, False), (18.0, True)])
+def test_a_step_beside_another_must_be_worth_15_nats(nats, weighed):
+    def asked(*effects, known=()):
+        found = [SimpleNamespace(chosen=SimpleNamespace(effect=e)) for e in effects]
+        nominal = SimpleNamespace(effects=[SimpleNamespace(id=e) for e in known])
+        scene = SimpleNamespace(original=SimpleNamespace(nominal=nominal))
+        return nats > drive.DriveProblem._step_nats(SimpleNamespace(found=found, scene=scene))
+
+    assert asked("lever_arm")
+    assert asked("gnss_multipath_step") == asked(known=["gnss_multipath_step"]) == weighed
+
+
 def level_evidence(truth: float, monkeypatch) -> float:
     """Evidence of a level of the positions whose likelihood has its top at ``truth``."""
     monkeypatch.setattr(fixes, "level_scores", lambda *_: (np.array([30.0]), np.array([[60.0]])))
     s = SimpleNamespace(
         use=np.ones((9, 6), bool),
+        settled=np.ones(6),
         log_likelihoods=lambda noises: np.array([-600.0 * math.log(n.factor[0] / truth) ** 2 for n in noises]),
     )
     skip = ("gnss_velocity_noise", "gnss_correlated_noise")

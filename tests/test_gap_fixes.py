@@ -26,9 +26,10 @@ from insemu.gap.candidates.fixes import (
 from insemu.gap.candidates.shapes import Change
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.drive.scene import Scene
-from insemu.gap.evidence.fixes import NED, FixNoise, Surrogate, joint_noise, level_beside
+from insemu.gap.evidence.fixes import NED, FixNoise, Surrogate, _any_size, joint_noise, level_beside
 from insemu.gap.hypothesis import Found, Hypothesis
 from insemu.gap.policy import rules
+from insemu.gap.problems import drive_without
 from insemu.gap.problems.drive import DriveProblem
 from insemu.gap.verdict import Finding, Value
 from insemu.gap.worth import stated_in_outages
@@ -97,7 +98,7 @@ def test_the_velocities_of_a_filter_that_followed_coloured_positions_are_not_bla
     assert joint.noise.factor * 1.22 == pytest.approx(np.ones(6), abs=0.2)
     assert joint.noise.factor[3:] * 1.22 == pytest.approx(np.ones(3), abs=0.15)
     assert set(joint.sd) == {"sigma_north", "sigma_east", "sigma_down", "tau"}
-    known = joint_noise(raised, colour, np.full(6, 1.22), known=True)
+    known = joint_noise(raised, replace(colour, known=True), np.full(6, 1.22))
     assert known.noise.colour[1] == 10.0 and not known.sd
     assert known.noise.factor[3:] * 1.22 == pytest.approx(np.ones(3), abs=0.15)
 
@@ -185,7 +186,7 @@ def noise_of(s: Surrogate) -> FixNoise:
 def test_innovations_less_what_is_said_of_them_are_what_whitening_divides() -> None:
     s = Surrogate.of(nominal_run()[0])
     noise = noise_of(s)
-    v, S = s.ahead(s.nu, noise, np.ones((s.t.size, 6)))
+    v, S = s.ahead(s.nu, noise, np.zeros((s.t.size, 6)))
     white = s.whiten(s.nu[:, :, None], noise.factor, noise.colour)[0][:, :, 0]
     for k in range(s.t.size):
         rows = s.use[k] == 1
@@ -195,12 +196,12 @@ def test_innovations_less_what_is_said_of_them_are_what_whitening_divides() -> N
 
 def test_a_loose_fix_says_nothing_of_those_behind_it_and_keeps_its_own_covariance() -> None:
     s = Surrogate.of(nominal_run()[0])
-    noise, loose, use = noise_of(s), np.ones((s.t.size, 6)), s.use.copy()
-    loose[5, :3], use[5, :3] = 1e3, 0
-    v, S = s.ahead(s.nu, noise, loose)
+    noise, more, use = noise_of(s), np.zeros((s.t.size, 6)), s.use.copy()
+    more[5, :3], use[5, :3] = 1e6 * s.R[5, :3], 0
+    v, S = s.ahead(s.nu, noise, more)
     # one that is missing; the nominal filter followed it all the same, which is in the known input
-    its = replace(s, use=use).ahead(s.nu, noise, np.ones_like(loose))[1]
-    before, its_before = s.ahead(s.nu, noise, np.ones_like(loose))
+    its = replace(s, use=use).ahead(s.nu, noise, np.zeros_like(more))[1]
+    before, its_before = s.ahead(s.nu, noise, np.zeros_like(more))
     np.testing.assert_allclose(v[:6], before[:6], rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(S[:6], its_before[:6], rtol=1e-6, atol=1e-9)
     assert np.abs(v[6:] - before[6:]).max() > 1e-3
@@ -247,6 +248,73 @@ def test_outliers_that_a_colour_hides_are_told_by_what_the_fixes_before_say() ->
     blind = scene.coloured(None)
     (seen,) = gnss_outliers(blind, blind.unexplained(blind.always, None), None)
     assert seen.nats < named.nats - 10.0
+
+
+def hit_by(made: Recording, clean: Recording, what: str) -> Array:
+    """Times of the fixes in which two recordings differ by more than 3 standard deviations of a fix, s."""
+    assert made.gnss is not None and clean.gnss is not None
+    if what == "velocity":
+        assert made.gnss.vel_ned is not None and clean.gnss.vel_ned is not None
+        moved = made.gnss.vel_ned - clean.gnss.vel_ned
+        return np.asarray(made.gnss.t[np.abs(moved).max(axis=1) > 0.15])
+    moved = (made.gnss.llh - clean.gnss.llh) * np.array([6.37e6, 4.5e6, 1.0])
+    return np.asarray(made.gnss.t[np.abs(moved).max(axis=1) > 0.3])
+
+
+FAR = use(effect="gnss_outliers", probability=0.06, sigma=2.0)
+FAST = use(effect="gnss_velocity_outliers", probability=0.06, sigma=1.0)
+
+
+@pytest.mark.parametrize("colour", [False, True])
+def test_known_outliers_of_positions_and_velocities_are_told_together(colour: bool) -> None:
+    """Told one after the other, positions behind a bad velocity were taken for outliers; told without the known colour, it hid them or was one."""
+    others = (COLOUR,) if colour else ()
+    made, clean = recording(*others, FAR, FAST), recording(*others)
+    gnss = Gnss(position_sigma=SIGMA, velocity_sigma=(0.05, 0.05, 0.05), lever_arm=LEVER)
+    rest, _ = drive_without(made, Nominal(dict(BELIEF), gnss, effects=(*others, FAR, FAST)))
+    assert rest.gnss is not None and rest.gnss.vel_ned is not None
+    for what, left in (("position", rest.gnss.llh), ("velocity", rest.gnss.vel_ned)):
+        gone, hit = rest.gnss.t[np.isnan(left).any(axis=1)], hit_by(made, clean, what)
+        assert hit.size >= 8 and np.isin(hit, gone).mean() >= 0.9, what
+        assert np.isin(gone, hit).sum() >= gone.size - 2, what
+
+
+@pytest.mark.slow
+def test_outliers_of_the_velocities_are_named() -> None:
+    """On three real drives tails of 5 to 9 standard deviations were left in the velocities, and steps and scale factors followed them."""
+    made = recording(FAST)
+    report = looked(made)
+    (found,) = report.findings
+    share, sigma = values(found)["probability"], values(found)["sigma_north"]
+    assert found.effect == "gnss_velocity_outliers" and report.verdict == "named"
+    assert share.low < 0.06 < share.high and sigma.low < 1.0 < sigma.high and sigma.unit == "m/s"
+    gnss = Gnss(position_sigma=SIGMA, velocity_sigma=(0.05, 0.05, 0.05), lever_arm=LEVER)
+    known = find_gap(made, Nominal(dict(BELIEF), gnss, effects=(FAST,)), rng=np.random.default_rng(1), hold_out=False)
+    assert not known.findings and not known.remainder
+
+
+def test_a_level_of_any_size_has_its_bounds_over_the_stated_one() -> None:
+    """Pass after pass a level of 0.05 became one of 0.0006."""
+    first, later = _any_size(np.ones(6), [0, 1]), _any_size(np.full(6, 0.1), [0, 1])
+    assert (first.low, first.high) == (rules().lowest_level, rules().highest_level)
+    assert (later.low, later.high) == pytest.approx((10.0 * first.low, 10.0 * first.high))
+    assert _any_size(np.full(6, 0.05), [2]).low == pytest.approx(1.0 / (1.0 + rules().tolerance))
+    nominal = Nominal(dict(BELIEF), Gnss(), effects=(use(effect="gnss_noise_level", factor=[0.5, 0.5, 1.0]),))
+    np.testing.assert_allclose(nominal.settled_levels, [0.5, 0.5, 1.0, 1.0, 1.0, 1.0])
+
+
+def test_a_known_colour_stays_as_it_is() -> None:
+    """A level beside it was estimated with another colour, and where it left that nothing the known one went too."""
+    s = behind_a_colour(recording(COLOUR)).surrogate
+    loud = 17.0**0.5
+    known = FixNoise(
+        np.where(np.arange(6) < 3, 1.0 / loud, 1.0), (np.array([0.2, 0.2, 0.4, 0.0, 0.0, 0.0]), 20.0), True
+    )
+    joint = joint_noise(s, known, np.where(np.arange(6) < 3, loud, 1.0), wide=[0, 1, 2])
+    assert joint.noise.known and joint.noise.colour[1] == 20.0
+    np.testing.assert_array_equal(joint.noise.colour[0], known.colour[0])
+    assert set(joint.sd) == {"factor"} and joint.noise.factor[0] * loud == pytest.approx(1.0, rel=0.25)
+    assert all(f.colour is not None for f in level_beside(s, replace(known, factor=2.0 * known.factor), np.ones(6)))
 
 
 def test_a_large_time_offset_is_taken_off_the_stamps() -> None:

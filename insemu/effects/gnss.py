@@ -239,6 +239,27 @@ class GnssOutliers(_OfFixes):
         return Hidden(NED, {"probability": share, "sigma": tuple(5.0 * lot.loud * lot.sigma)}, lot.loud)
 
 
+class VelocityOutliers(_OfFixes):
+    """Velocities that are far off."""
+
+    id, name = "gnss_velocity_outliers", "GNSS velocity outliers"
+    formula = "with probability p: velocity error ~ N(0, sigma^2) added"
+    parameters = (
+        _P("probability", "", 1, (0.01,), None, "share of velocities", True, most=1.0),
+        _P("sigma", "m/s", 3, (0.5,), None, "standard deviation of an outlier", True),
+    )
+    excitation, in_filter = "velocity fixes", "gating"
+    absent = {
+        "compensate": "which velocities they are is known only once they are found", "signature": _NO_MEAN,
+        "trial": "not drawn: the recordings of earlier seeds would be others",
+    }  # fmt: skip
+
+    def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:
+        """Add normal numbers at a share of the velocities."""
+        hit = rng.random(fixes.t.size) < use.scalar("probability")
+        fixes.added_v += hit[:, None] * np.array(use["sigma"]) * rng.standard_normal((fixes.t.size, 3))
+
+
 class Quality(_OfFixes):
     """Noise of two levels."""
 
@@ -338,5 +359,5 @@ class VelocityLag(_OfFixes):
 
 EFFECTS: tuple[Effect, ...] = (
     NoiseLevel(), CorrelatedNoise(), VelocityNoise(), LeverArm(), MultipathStep(), GnssOutliers(), Quality(), Latency(),
-    VelocityLag(),
+    VelocityLag(), VelocityOutliers(),
 )  # fmt: skip

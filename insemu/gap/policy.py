@@ -152,6 +152,9 @@ class Policy:
     longest_step: float = _decides(
         0.6, "of the fixes' span", "two", "What lasts longer is an offset of the rest: 909 of 964 s of a real drive."
     )
+    further_step: float = _decides(
+        15.0, "nats", "real-drives", "What a step in the fixes must be worth beside another: small ones follow any slow error."
+    )
     lowest_level: float = _decides(0.05, "1", "real-drives", "Receivers state up to 20 times the scatter from fix to fix: they mean slow errors.")
     highest_level: float = _decides(8.0, "1", "one", "Largest ratio of a level of the fixes to what is stated.")
     colour_sizes: tuple[float, float] = _decides((0.1, 30.0), "1", "one", "Slow errors of the fixes over their stated standard deviation.")

@@ -69,6 +69,7 @@ _ACTIONS = {
     "gnss_velocity_noise": "multiply the stated standard deviations of the velocities by {}",
     "gnss_correlated_noise": "add slow errors to the fixes: {}",
     "gnss_outliers": "gate the fixes: {}",
+    "gnss_velocity_outliers": "gate the velocities of the fixes: {}",
     "gnss_multipath_step": "leave these fixes out: {}",
 }
 

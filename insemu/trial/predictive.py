@@ -30,8 +30,8 @@ from insemu.emulate import corrupt, fixes_at
 from insemu.errors import InputError
 from insemu.filters import FilterOptions, FilterResult, InitialSigma, run_filter
 from insemu.gap import Nominal
-from insemu.gap.drive import for_filter, starting_state, with_sigma
-from insemu.gap.problems import drive_without, outlying
+from insemu.gap.drive import FIRST, by_filter, for_filter, outlying, starting_state, told_of, with_sigma, without
+from insemu.gap.problems import drive_without
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import code_version
 from insemu.strapdown import NavState, mechanize_array, trajectory_of
@@ -45,9 +45,6 @@ Made = tuple[Array, Array]
 FOLLOW_S = 5.0
 #: Length of an outage, from the start of one to that of the next, and how late a fix may be at its end, s.
 OUTAGE_S, APART_S, LATE_S = 60.0, 30.0, 2.0
-OUTLIERS = "gnss_outliers"
-#: Rounds in which outliers are told, and factor on the standard deviation of a position that is hardly followed.
-MOST_ROUNDS, LOOSE = 5, 1e3
 #: Fewest fixes that a statistic of the measured recording is of.
 FEWEST = 30
 COMPONENTS = ("north", "east", "down", "velocity north", "velocity east", "velocity down")
@@ -206,23 +203,9 @@ class Twin:
         return self.run_apart_from_outliers(taken.imu, with_sigma(taken.gnss, self.bare))
 
     def run_apart_from_outliers(self, imu: ImuRecord, gnss: GnssRecord) -> FilterResult:
-        """The filter on a recording less the model's effects; where the model knows outliers, on the positions that are none.
-
-        A filter that follows an outlier takes fixes after it for outliers, too: it looks at all again while it hardly follows those.
-        """
-        use = next((u for u in self.model.effects if u.id == OUTLIERS), None)
-        gone = np.zeros(0)
-        for _ in range(MOST_ROUNDS if use is not None else 0):
-            assert use is not None and gnss.pos_std_ned is not None
-            loose = np.where(np.isin(gnss.t, gone)[:, None], LOOSE, 1.0)
-            fixes = self.run(imu, replace(gnss, pos_std_ned=gnss.pos_std_ned * loose)).fixes
-            rows = np.searchsorted(gnss.t, fixes.t)
-            S = fixes.S.copy()
-            S[:, :3, :3] -= ((loose[rows] ** 2 - 1.0) * gnss.pos_std_ned[rows] ** 2)[:, :, None] * np.eye(3)
-            before, gone = gone, outlying(fixes, S, use)
-            if np.array_equal(before, gone):
-                break
-        return self.run(imu, gnss.without_positions(gone))
+        """The filter on a recording less the model's effects; where the model knows outliers, on the fixes that are none."""
+        gone = outlying(by_filter(lambda g: self.run(imu, g), gnss), told_of(self.model.effects, gnss))
+        return self.run(imu, without(gnss, gone))
 
     def run(self, imu: ImuRecord, gnss: GnssRecord) -> FilterResult:
         """The filter on a recording less the model's effects."""
@@ -339,7 +322,7 @@ def _one(item: tuple[Twin, int, int, tuple[str, ...]]) -> Made:
 def twin_of(measured: Recording, model: Nominal) -> tuple[Twin, FilterResult]:
     """The motion of a recording with a model, and the filter's run on the recording itself."""
     # outliers are told by one rule in what was measured and in what is emulated: a statistic of both is the same function
-    drawn = replace(model, effects=tuple(u for u in model.effects if u.id != OUTLIERS))
+    drawn = replace(model, effects=tuple(u for u in model.effects if u.id not in FIRST))
     taken, bare = drive_without(measured, drawn)
     imu, gnss, state, sigma = starting_state(taken, bare)
     span = float(imu.t[-1] - imu.t[0])

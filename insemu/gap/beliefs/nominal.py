@@ -7,6 +7,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from insemu import yamlfile
 from insemu.effects import EffectUse
 from insemu.errors import InputError
@@ -65,6 +68,16 @@ class Nominal:
             rest = tuple(p for p in model if p not in known)
             beliefs[name] = NoiseModel(rest) if known and rest else model
         return replace(self, beliefs=beliefs, effects=tuple(effects))
+
+    @property
+    def settled_levels(self) -> NDArray[np.float64]:
+        """Known levels of the fixes over the stated ones, (6,): position, then velocity, north, east, down."""
+        out = np.ones(6)
+        for use in self.effects:
+            if use.effect.does("true_sigma"):
+                out[:3] = use.effect.true_sigma(use, "position", out[:3])
+                out[3:] = use.effect.true_sigma(use, "velocity", out[3:])
+        return out
 
 
 #: The design that a refined scenario has beside its own.

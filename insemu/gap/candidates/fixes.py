@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from insemu.effects import EFFECTS
 from insemu.filters import log_density
 from insemu.gap.candidates.shapes import Change, DriveHypothesis
+from insemu.gap.drive.apart import FIRST, MOST_ROUNDS, Seen, by_filter, log_odds, under_colour
+from insemu.gap.drive.preparation import scaled_fixes
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop
 from insemu.gap.evidence.fixes import LEVEL_ROWS, NED, JointNoise, NoiseFit, gnss_noise_fits, level_beside, pooled
@@ -27,8 +29,10 @@ from insemu.gap.verdict import Value
 
 Array = NDArray[np.float64]
 
-#: A position that is not followed has this many times its standard deviation; rounds in which outliers and filter are told apart; steps of a mixture.
-LOOSE, MOST_ROUNDS, MIXTURE_STEPS = 1e3, 5, 30
+#: Unit of the errors of positions (0) and velocities (3).
+UNITS = {0: "m", 3: "m/s"}
+#: Steps in which share and size of outliers are estimated.
+MIXTURE_STEPS = 30
 #: Median of the absolute value of a standard normal; change of the logarithm of a level at which it is settled.
 NORMAL_MEDIAN, SAME_LEVEL = 0.6745, 0.03
 #: Parts of a gap between two fixes in which a step may begin.
@@ -278,8 +282,10 @@ def _step_hypothesis(
     )
 
 
-def position_innovations(scene: Scene, nu: Array, cut: float | None) -> tuple[NDArray[np.int64], Array, Array]:
-    """Fixes with a whole position, their innovations (k, 3) and covariances (k, 3, 3): under a colour, less what the fixes before say of it.
+def whole_innovations(
+    scene: Scene, nu: Array, cut: float | None, effect: str
+) -> tuple[NDArray[np.int64], Array, Array]:
+    """Fixes with a whole position or velocity, their innovations (k, 3) and covariances (k, 3, 3): under a colour, less what those before say of it.
 
     Parameters
     ----------
@@ -289,37 +295,31 @@ def position_innovations(scene: Scene, nu: Array, cut: float | None) -> tuple[ND
         Innovations, m and m/s.
     cut : float or None
         Fixes after this time (s) are left out; ``None``: none is.
+    effect : str
+        One of :data:`insemu.gap.drive.apart.FIRST`, which says whether it is about positions or velocities.
 
     Returns
     -------
     at : (k,) array of int
         Rows of the fixes.
     innovations : (k, 3) array
-        NED, m.
+        NED, m or m/s.
     S : (k, 3, 3) array
-        Their covariances under the filter, m^2.
+        Their covariances under the filter.
     """
-    fixes = scene.prepared.result.fixes
-    there = scene.loop.use[:, :3].all(axis=1)
+    fixes, rows = scene.prepared.result.fixes, slice(FIRST[effect], FIRST[effect] + 3)
+    there = scene.loop.use[:, rows].all(axis=1)
     if cut is not None:
         there = there & (fixes.t <= cut)
     at = np.flatnonzero(there)
     if scene.noise is not None:
-        return at, *_coloured_positions(scene, nu, at, np.zeros(0))
-    return at, nu[at][:, :3], fixes.S[at][:, :3, :3]
+        _, v, S = under_colour(scene.surrogate, scene.noise, nu)({effect: (np.zeros(0), np.zeros(3))})[effect]
+        return at, v[: at.size], S[: at.size]
+    return at, nu[at][:, rows], fixes.S[at][:, rows, rows]
 
 
-def _coloured_positions(scene: Scene, nu: Array, at: NDArray[np.int64], gone: Array) -> tuple[Array, Array]:
-    """Innovations (k, 3) and covariances (k, 3, 3) of some positions under the scene's colour, which those at the times ``gone`` say nothing of."""
-    s, noise = scene.surrogate, scene.noise
-    assert noise is not None
-    loose = np.where(np.isin(s.t, gone)[:, None] & (np.arange(6) < 3), LOOSE, 1.0)
-    v, S = s.ahead(nu, noise, loose)
-    return v[at][:, :3], S[at][:, :3, :3]
-
-
-def gnss_outliers(scene: Scene, nu: Array, cut: float | None) -> list[DriveHypothesis]:
-    """A small share of position fixes with a much larger spread.
+def gnss_outliers(scene: Scene, nu: Array, cut: float | None, effect: str = "gnss_outliers") -> list[DriveHypothesis]:
+    """A small share of positions or velocities with a much larger spread.
 
     Parameters
     ----------
@@ -329,14 +329,18 @@ def gnss_outliers(scene: Scene, nu: Array, cut: float | None) -> list[DriveHypot
         Innovations less what is explained already, m and m/s.
     cut : float or None
         Fixes after this time (s) are not looked at; ``None``: all are.
+    effect : str
+        One of :data:`insemu.gap.drive.apart.FIRST`.
 
     Returns
     -------
     list of DriveHypothesis
-        One, or none where fewer than 30 positions are there.
+        One, or none where fewer than 30 of them are there.
     """
-    at, v, S = position_innovations(scene, nu, cut)
-    if at.size < 30:
+    first = FIRST[effect]
+    at, v, S = whole_innovations(scene, nu, cut, effect)
+    # velocities of an antenna that swings faster than the fixes come have no normal tails
+    if at.size < 30 or (first == 3 and scene.prepared.swings):
         return []
     plain = log_density(v, S)
     sigma0 = np.sqrt(np.median(np.einsum("kii->ki", S), axis=0))
@@ -354,10 +358,16 @@ def gnss_outliers(scene: Scene, nu: Array, cut: float | None) -> list[DriveHypot
         Value("probability", p, p * math.exp(-2.0 / math.sqrt(count)), p * math.exp(2.0 / math.sqrt(count)), "1"),
     )
     values += tuple(
-        Value(f"sigma_{a}", float(ratio * s), float(ratio * s) / (1.0 + spread), float(ratio * s) * (1.0 + spread), "m")
+        Value(
+            f"sigma_{a}",
+            float(ratio * s),
+            float(ratio * s) / (1.0 + spread),
+            float(ratio * s) * (1.0 + spread),
+            UNITS[first],
+        )
         for a, s in zip(NED, sigma0, strict=True)
     )
-    return [Hypothesis("gnss_outliers", nats, values, Change(), "", "gnss", NED)]
+    return [Hypothesis(effect, nats, values, Change(), "", "gnss", NED)]
 
 
 def outlying_fixes(outliers: DriveHypothesis, t: Array, v: Array, S: Array) -> tuple[Array, Array]:
@@ -370,7 +380,7 @@ def outlying_fixes(outliers: DriveHypothesis, t: Array, v: Array, S: Array) -> t
     t : (k,) array
         Times of the fixes, s.
     v, S : (k, 3), (k, 3, 3) arrays
-        Innovations of their positions less what is explained, m, and their covariances, m^2.
+        Innovations of their positions (velocities) less what is explained, m (m/s), and their covariances.
 
     Returns
     -------
@@ -381,9 +391,9 @@ def outlying_fixes(outliers: DriveHypothesis, t: Array, v: Array, S: Array) -> t
     """
     given = {v.name: v.value for v in outliers.values}
     p = given["probability"]
-    wide = log_density(v, S + np.diag([given[f"sigma_{a}"] ** 2 for a in NED]))
-    odds = math.log(p / (1.0 - p)) + wide - log_density(v, S)
-    return np.asarray(t[odds > 0.0]), math.log(p) + wide[odds > 0.0]
+    odds = log_odds(v, S, p, np.array([given[f"sigma_{a}"] for a in NED]))
+    there = odds > 0.0
+    return np.asarray(t[there]), math.log1p(-p) + odds[there] + log_density(v[there], S[there])
 
 
 @dataclass(frozen=True)
@@ -397,7 +407,7 @@ class Separated:
     outliers : DriveHypothesis
         With share and size as they are estimated beside each other.
     level : float
-        Of the positions that are none, over the nominal one.
+        Of those that are none, over the nominal one.
     """
 
     times: Array
@@ -408,7 +418,7 @@ class Separated:
 def without_outliers(
     scene: Scene, outliers: DriveHypothesis, cut: float | None, seen: Scene, nu: Array, level: float | None = None
 ) -> Separated:
-    """Which positions are outliers, and how many and how large they are, as a filter sees them that does not follow them.
+    """Which positions or velocities are outliers, and how many and how large they are, as a filter sees them that does not follow them.
 
     The filter that named them was led astray by each, and took fixes after it for outliers too. It runs again without those, and looks at all.
     Under a colour, which it would follow, the filter on its error does that.
@@ -426,20 +436,18 @@ def without_outliers(
     nu : (f, 6) array
         Innovations there less what is explained already, m and m/s.
     level : float, optional
-        A level of the positions over that of the scene which was named before the outliers: it may have stood for them, and is estimated with them.
+        A level of them over that of the scene which was named before the outliers: it may have stood for them, and is estimated with them.
         Outliers told at the nominal level would be every large error, and those left be such as follow the errors before.
     """
-    at, v, S = position_innovations(seen, nu, None)
-    t = scene.prepared.result.fixes.t[at]
-    gone, _ = outlying_fixes(outliers, t, v, S)
-    early = slice(None) if cut is None else slice(int(np.searchsorted(t, cut, side="right")))
+    effect = outliers.effect
+    at, v, S = whole_innovations(seen, nu, None, effect)
+    gone, _ = outlying_fixes(outliers, scene.prepared.result.fixes.t[at], v, S)
     now = 1.0 if level is None else level
     for _ in range(MOST_ROUNDS):
-        v, S = (
-            _innovations_without(scene, gone, at, now)
-            if scene.noise is None
-            else _coloured_positions(scene, nu, at, gone)
-        )
+        look = _look(scene, effect, now) if scene.noise is None else under_colour(scene.surrogate, scene.noise, nu)
+        sigma = np.array([x.value for x in outliers.values if x.name.startswith("sigma_")])
+        t, v, S = look({effect: (gone, sigma)})[effect]
+        early = slice(None) if cut is None else slice(int(np.searchsorted(t, cut, side="right")))
         outliers = _share_and_size(outliers, v[early], S[early])
         before, gone = gone, outlying_fixes(outliers, t, v, S)[0]
         scatter = 1.0
@@ -453,19 +461,13 @@ def without_outliers(
     return Separated(gone, outliers, now)
 
 
-def _innovations_without(scene: Scene, gone: Array, at: NDArray[np.int64], level: float) -> tuple[Array, Array]:
-    """Innovations (k, 3) of some positions and their covariances, of a filter that does not follow those at the times ``gone``."""
+def _look(scene: Scene, effect: str, level: float) -> Seen:
+    """The positions or velocities of a scene as its filter sees them at a level over the scene's."""
     prepared = scene.prepared
-    assert prepared.gnss.pos_std_ned is not None
-    factors = prepared.factors * np.where(np.arange(6) < 3, level, 1.0)
-    loose = np.where(np.isin(prepared.gnss.t, gone)[:, None], LOOSE, 1.0)
-    own = replace(prepared.gnss, pos_std_ned=prepared.gnss.pos_std_ned * loose)
-    fixes = prepared.again(gnss=own, factors=factors).result.fixes
-    S = fixes.S[at][:, :3, :3].copy()
-    rows = np.searchsorted(prepared.gnss.t, fixes.t[at])
-    stated = prepared.gnss.pos_std_ned[rows] * factors[:3]
-    S -= ((loose[rows] ** 2 - 1.0) * stated**2)[:, :, None] * np.eye(3)
-    return fixes.innovation[at][:, :3], S
+    stated = scaled_fixes(
+        prepared.gnss, prepared.factors * np.where(np.arange(6) // 3 == FIRST[effect] // 3, level, 1.0)
+    )
+    return by_filter(lambda gnss: prepared.again(gnss=gnss, factors=np.ones(6)).result, stated)
 
 
 def _share_and_size(outliers: DriveHypothesis, v: Array, S: Array) -> DriveHypothesis:
@@ -486,7 +488,8 @@ def _share_and_size(outliers: DriveHypothesis, v: Array, S: Array) -> DriveHypot
     low, high = scipy.stats.beta.ppf((0.025, 0.975), count + 0.5, v.shape[0] - count + 0.5)
     sd = 1.0 / math.sqrt(6.0 * count)
     values: tuple[Value, ...] = (Value("probability", p, float(low), float(high), "1"),)
-    values += tuple(Value.positive(f"sigma_{a}", float(ratio * s), sd, "m") for a, s in zip(NED, sigma0, strict=True))
+    unit = UNITS[FIRST[outliers.effect]]
+    values += tuple(Value.positive(f"sigma_{a}", float(ratio * s), sd, unit) for a, s in zip(NED, sigma0, strict=True))
     return replace(outliers, values=values)
 
 
@@ -527,8 +530,9 @@ def covariance_hypotheses(
     for effect, tried in fits.items():
         top = max(tried, key=lambda f: f.nats)
         out.append(Hypothesis(effect, pooled(tried), top.values, Change(noise=top), "", "gnss", top.axes))
-    if "gnss_outliers" not in skip:
-        out += gnss_outliers(scene, nu, cut)
+    for effect in FIRST:
+        if effect not in skip:
+            out += gnss_outliers(scene, nu, cut, effect)
     return out
 
 
@@ -557,6 +561,12 @@ def about(level: DriveHypothesis) -> NDArray[np.bool_]:
     """Components (6,) of the fixes that a level is about; none of anything else."""
     first = LEVEL_ROWS.get(level.effect, 6)
     return np.isin(np.arange(6), [first + NED.index(a) for a in level.axes if a in NED])
+
+
+def apart_from_named(scene: Scene, level: DriveHypothesis | None) -> Array:
+    """By what the filter's levels (6,) were moved, as ratios to the stated one of a level that is in question and to the other named ones."""
+    at = scene.original
+    return at.factors / np.where(about(level) if level is not None else False, 1.0, at.levels)
 
 
 def at_level(h: DriveHypothesis, factors: Array) -> DriveHypothesis:

@@ -145,10 +145,6 @@ class Prepared:
             out = out.again(factors=factors)
         return out
 
-    def without_positions(self, t: Array) -> Prepared:
-        """The same filter without the positions of some fixes."""
-        return self.again(gnss=self.gnss.without_positions(t))
-
 
 def _run(
     imu: ImuRecord,

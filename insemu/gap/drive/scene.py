@@ -14,6 +14,7 @@ from insemu import earth, rotation
 from insemu.effects import EFFECTS, Column, EffectUse, FixGeometry, Motion, catalogue_columns
 from insemu.errors import InputError
 from insemu.gap.data.samples import Clipped
+from insemu.gap.drive.apart import without
 from insemu.gap.drive.preparation import Prepared, trimmed_factors
 from insemu.gap.drive.shaking import swing_missed
 from insemu.gap.drive.signatures import Loop, columns_response, fix_step_response, knot_response
@@ -109,7 +110,7 @@ class Scene:
             original or prepared,
             motion,
             loop,
-            Surrogate.of(prepared.result),
+            replace(Surrogate.of(prepared.result), settled=prepared.nominal.settled_levels),
             columns,
             catalogue,
             outside,
@@ -232,19 +233,19 @@ class Scene:
         *,
         factors: Array | None = None,
         levels: Array | None = None,
-        gone: Array | None = None,
+        gone: Mapping[str, Array] | None = None,
         whole: GnssRecord | None = None,
         corrections: Mapping[int, float] | None = None,
         beliefs: dict[str, NoiseModel] | None = None,
     ) -> Scene:
-        """Run the filter again: other levels of the fixes, positions left out, effects corrected in the data, other noise of the IMU.
+        """Run the filter again: other levels of the fixes, outliers left out, effects corrected in the data, other noise of the IMU.
 
         Parameters
         ----------
         factors, levels : (6,) arrays, optional
             As those of :class:`insemu.gap.drive.preparation.Prepared`.
-        gone : (k,) array, optional
-            Times of the position fixes that are left out, s.
+        gone : mapping of effect to (k,) array, optional
+            Times of the positions or velocities that are left out as outliers, s.
         whole : GnssRecord, optional
             The fixes with all positions, which takes back what was left out before.
         corrections : mapping of int to float, optional
@@ -253,8 +254,8 @@ class Scene:
             Other noise of the IMU.
         """
         original = self.original if whole is None else replace(self.original, gnss=whole)
-        if gone is not None and gone.size:
-            original = original.without_positions(gone)
+        if gone:
+            original = replace(original, gnss=without(original.gnss, gone))
         if factors is not None:
             original = replace(original, factors=factors)
         if levels is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,15 +38,27 @@ LEAST_NATS, HOPELESS_NATS = -2.0, -30.0
 
 @dataclass(frozen=True)
 class FixNoise:
-    """Noise of the fixes beyond what the filter believed: levels (6,) as ratios to it, and a Gauss-Markov part."""
+    """Noise of the fixes beyond what the filter believed: levels (6,) as ratios to it, and a Gauss-Markov part, which stays where it is known."""
 
     factor: Array
     colour: Colour
+    known: bool = False
 
     def loudness(self, sigma: Array) -> Array:
         """Standard deviations (6,) of the fixes, colour included, over those that the filter believed, ``sigma`` (m, m/s; 0 where unknown)."""
         known = sigma > 0.0
         return np.where(known, np.hypot(self.factor, self.colour[0] / np.where(known, sigma, 1.0)), 1.0)
+
+    def apart(self, sigma: Array) -> tuple[Array, FixNoise]:
+        """Ratios (6,) of standard deviations for a filter that does not follow the colour, and what this noise is to that filter.
+
+        Parameters
+        ----------
+        sigma : (6,) array
+            As in :meth:`loudness`.
+        """
+        loud = self.loudness(sigma)
+        return loud, replace(self, factor=self.factor / loud)
 
 
 #: No Gauss-Markov part.
@@ -57,7 +69,8 @@ PLAIN: Colour = (np.zeros(6), 1.0)
 class Surrogate:
     """The nominal filter seen from outside: transitions, gains and noises per fix, ready for :func:`error_kernels.surrogate_filter`.
 
-    The noise of a fix counts as independent between its components; what the gyros' noise on the lever arm correlates is left out.
+    The noise of a fix counts as independent between its components; what the gyros' noise on the lever arm correlates is left out. ``settled`` (6,)
+    is the level of each component that is known, over the stated one.
     """
 
     t: Array
@@ -69,6 +82,7 @@ class Surrogate:
     P0: Array
     nu: Array
     use: NDArray[np.int64]
+    settled: Array = field(default_factory=lambda: np.ones(6))
 
     @classmethod
     def of(cls, result: FilterResult) -> Surrogate:
@@ -131,7 +145,7 @@ class Surrogate:
         value = self._filtered(columns, noise, white, np.empty((0, 6)), np.empty((0, 6, 6)))
         return white, value if math.isfinite(value) else -math.inf
 
-    def ahead(self, nu: Array, noise: FixNoise, loose: Array) -> tuple[Array, Array]:
+    def ahead(self, nu: Array, noise: FixNoise, more: Array) -> tuple[Array, Array]:
         """Innovations less what the fixes before say of them under a noise of the fixes, (f, 6), and their covariances, (f, 6, 6).
 
         Parameters
@@ -139,13 +153,13 @@ class Surrogate:
         nu : (f, 6) array
             Innovations, m and m/s.
         noise : FixNoise
-        loose : (f, 6) array
-            Factors on the standard deviations of fixes that say little of those behind them; their own covariances are those without it.
+        more : (f, 6) array
+            Added to the variances of fixes that say little of those behind them, m^2; their own covariances are those without it.
         """
         out, S = np.zeros((len(nu), 6)), np.zeros((len(nu), 6, 6))
         columns = np.ascontiguousarray(nu[:, :, None])
-        replace(self, R=self.R * loose**2)._filtered(columns, noise, np.zeros_like(columns), out, S)
-        S -= ((loose**2 - 1.0) * self.R * noise.factor**2)[:, :, None] * np.eye(6)
+        replace(self, R=self.R + more / noise.factor**2)._filtered(columns, noise, np.zeros_like(columns), out, S)
+        S -= more[:, :, None] * np.eye(6)
         return out, S
 
     def _filtered(self, columns: Array, noise: FixNoise, white: Array, ahead: Array, S: Array) -> float:
@@ -324,10 +338,15 @@ class _Weighed:
         return NoiseFit(self.effect, self.axes, mode.evidence - base, tuple(values), noise.factor, noise.colour)
 
 
+def _any_size(settled: Array, rows: Sequence[int]) -> Free:
+    """A level of some components over the known one, whose bounds are over the stated one."""
+    known, edge = math.exp(float(np.mean(np.log(settled[list(rows)])))), 1.0 + rules().tolerance
+    return Free("factor", min(rules().lowest_level / known, 1.0 / edge), max(rules().highest_level / known, edge))
+
+
 def _levels(s: Surrogate, white: Array, y: Array, trimmed: Array, skip: Sequence[str]) -> list[_Weighed]:
     """Levels of the positions and velocities that the score does not make hopeless."""
     out = []
-    free = Free("factor", rules().lowest_level, rules().highest_level)
     for effect, offset in LEVEL_ROWS.items():
         if effect in skip or not s.use[:, offset : offset + 3].any():
             continue
@@ -345,7 +364,7 @@ def _levels(s: Surrogate, white: Array, y: Array, trimmed: Array, skip: Sequence
 
             # of the starts to either side the better one: the first step of a far level is a long one
             starts = [np.array([moved + sign * step]) for sign in (-1.0, 1.0) for step in (0.5, 1.5)]
-            out.append(_Weighed(effect, axes, (free,), starts, noise))
+            out.append(_Weighed(effect, axes, (_any_size(s.settled, rows),), starts, noise))
     return out
 
 
@@ -390,9 +409,7 @@ class JointNoise:
     evidence: float
 
 
-def joint_noise(
-    s: Surrogate, begin: FixNoise, factors: Array, *, known: bool = False, wide: Sequence[int] = ()
-) -> JointNoise:
+def joint_noise(s: Surrogate, begin: FixNoise, factors: Array, *, wide: Sequence[int] = ()) -> JointNoise:
     """Most likely colour together with the levels inside their tolerance: a level that was trimmed without the colour took some of it.
 
     The velocities' too: a filter that follows coloured positions is wrong about them.
@@ -405,12 +422,10 @@ def joint_noise(
         To begin with; the axes of its colour stay, horizontal and vertical standard deviation and the correlation time are refined.
     factors : (6,) array
         By what the filter's levels were moved already, as ratios to what was named or believed.
-    known : bool
-        Whether the colour is known and stays as it is.
     wide : sequence of int
         Components with a common level, which may have any size; without them each level stays within its tolerance.
     """
-    colour = begin.colour
+    colour, known = begin.colour, begin.known
     groups = [list(g) for g in LEVEL_GROUPS if s.use[:, list(g)].any() and not set(g) & set(wide)]
     groups += [list(wide)] if wide else []
     parts = [rows for rows in groups if any(colour[0][r] > 0.0 for r in rows)] if not known else []
@@ -418,8 +433,8 @@ def joint_noise(
     usual = np.array([-float(np.mean(np.log(factors[rows]))) for rows in groups])
     levels = [level("factor", math.exp(u)) for u in usual]
     if wide:
-        low, high = (bound * math.exp(usual[-1]) for bound in (rules().lowest_level, rules().highest_level))
-        levels[-1] = Free("factor", low, high)
+        free_level = _any_size(s.settled, wide)
+        levels[-1] = Free("factor", free_level.low * math.exp(usual[-1]), free_level.high * math.exp(usual[-1]))
     free = (*(Free("ratio", 0.03, 30.0) for _ in parts), *(() if known else (_times(s, colour[1]),)), *levels)
 
     def unpack(x: Array) -> FixNoise:
@@ -430,7 +445,7 @@ def joint_noise(
             tau *= math.exp(x[len(parts)])
         for k, rows in enumerate(groups):
             factor[rows] = math.exp(x[count + k])
-        return FixNoise(factor, (sigma, tau))
+        return replace(begin, factor=factor, colour=(sigma, tau))
 
     def likelihoods(points: Sequence[tuple[int, Array]]) -> Array:
         return s.log_likelihoods([unpack(x) for _, x in points])
@@ -475,9 +490,10 @@ def level_beside(s: Surrogate, noise: FixNoise, factors: Array) -> list[NoiseFit
     for axes in tried:
         rows = [NED.index(a) for a in axes]
         found, colour = joint_noise(s, noise, factors, wide=rows), True
-        plain = joint_noise(s, replace(noise, colour=PLAIN), factors, known=True, wide=rows)
-        if plain.evidence > found.evidence - rules().keep_nats:
-            found, colour = plain, False
+        if not noise.known:
+            plain = joint_noise(s, replace(noise, colour=PLAIN, known=True), factors, wide=rows)
+            if plain.evidence > found.evidence - rules().keep_nats:
+                found, colour = plain, False
         ratio = float(found.noise.factor[rows[0]] * np.exp(np.mean(np.log(factors[rows]))))
         if abs(math.log(ratio)) > edge:
             value = Value.positive("factor", ratio, found.sd["factor"], "1")

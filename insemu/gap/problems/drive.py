@@ -35,6 +35,7 @@ from insemu.gap.checks.drive import drive_map, innovation_tests
 from insemu.gap.checks.rest import corrected
 from insemu.gap.data.log import Reduced, unheard
 from insemu.gap.data.samples import coarse, mend, with_counts
+from insemu.gap.drive.apart import FIRST
 from insemu.gap.drive.preparation import Flown, Prepared, fast_parts, prepare
 from insemu.gap.drive.scene import Scene, first_rows
 from insemu.gap.evidence.fixes import FixNoise, joint_noise
@@ -89,7 +90,7 @@ class DriveProblem(NoiseOfFixes):
     def __init__(self, scene: Scene, cut: float | None, threshold: float, without: Collection[str]) -> None:
         self.cut, self.threshold, self.without = cut, threshold, without
         self.found: list[Found[Change]] = []
-        self.gone, self.outsider, self._changed = np.zeros(0), "", False
+        self.gone, self.outsider, self._changed = {}, "", False
         self.recorded = scene.original.gnss
         self._take(scene)
 
@@ -103,7 +104,7 @@ class DriveProblem(NoiseOfFixes):
 
     def named(self) -> Named:
         """What was found so far."""
-        return Named(tuple(self.found), self.scene, self.outsider, self.gone)
+        return Named(tuple(self.found), self.scene, self.outsider, dict(self.gone))
 
     def blocks(self, without: Found[Change] | None = None) -> list[Block]:
         """How the findings enter the linear model of the innovations, all or all but one, and what is uncertain in any case."""
@@ -112,9 +113,9 @@ class DriveProblem(NoiseOfFixes):
     def _skip(self, without: Found[Change] | None = None) -> set[str]:
         """Effects that are not asked for: those taken out, and those found that are there once."""
         chosen = [f.chosen for f in self.found if f is not without]
-        once = {h.effect for h in chosen if h.effect in (*ONCE, "gnss_outliers") or h.change.noise is not None}
-        # outliers are told by a filter without a colour, which one that is known does not go from
-        known = {"gnss_outliers"} if self.scene.noise is not None and "gnss_correlated_noise" in self.without else set()
+        once = {h.effect for h in chosen if h.effect in (*ONCE, *FIRST) or h.change.noise is not None}
+        # which of the fixes known outliers are was settled before
+        known = {u.id for u in self.scene.original.nominal.effects if u.id in FIRST}
         return set(self.without) | once | known
 
     def rank(self) -> list[DriveHypothesis]:
@@ -122,9 +123,14 @@ class DriveProblem(NoiseOfFixes):
         given, skip = self.blocks(), self._skip()
         out = linear_hypotheses(self.scene, self.variants, self.data, given, skip)
         if "gnss_multipath_step" not in skip:
-            out += multipath_step(self.scene, self.data, self.rows, given)
+            out += [h for h in multipath_step(self.scene, self.data, self.rows, given) if h.nats > self._step_nats()]
         out += covariance_hypotheses(self.scene, given, skip, self.cut)
         return best_first(out)
+
+    def _step_nats(self) -> float:
+        """What a step in the fixes must be worth to be weighed: beside one that is known or found it must be plain."""
+        known = [u.id for u in self.scene.original.nominal.effects] + [f.chosen.effect for f in self.found]
+        return rules().further_step if "gnss_multipath_step" in known else -math.inf
 
     def choose(self, ranked: Sequence[DriveHypothesis]) -> Found[Change] | None:
         """The best effect, or the first of several that explain more together."""
@@ -209,11 +215,13 @@ class DriveProblem(NoiseOfFixes):
         if (window := h.change.window) is not None:
             scene = scene.with_windows((*scene.windows, window))
             new = replace(new, chosen=placed(h, scene.width - 1))
-        elif h.effect == "gnss_outliers":
+        elif h.effect in FIRST:
             scene, new = self._apart_from_outliers(new)
             h = new.chosen
         elif (level := h.change.noise) is not None and level.colour is not None:
-            noise = FixNoise(level.factor, level.colour)
+            noise = replace(
+                scene.noise or FixNoise(level.factor, level.colour), factor=level.factor, colour=level.colour
+            )
             if h.effect == "gnss_noise_level":
                 self.scene = scene.rebuilt(levels=np.where(about(h), h.values[0].value, scene.original.levels))
             elif not self._needs_a_level(noise):
@@ -270,7 +278,8 @@ class DriveProblem(NoiseOfFixes):
         """Noise and steps of the fixes as they are beside everything that was found since; whether a colour moved enough to look again."""
         colour, moved = self._named("gnss_correlated_noise"), False
         if colour is None:
-            self.found = [replace(f, chosen=at_level(f.chosen, self.scene.original.factors)) for f in self.found]
+            levels = self.scene.original.factors * (1.0 if self.scene.noise is None else self.scene.noise.factor)
+            self.found = [replace(f, chosen=at_level(f.chosen, levels)) for f in self.found]
         elif self.scene.noise is not None and colour is not self.found[-1].chosen:
             before = self.scene.noise.colour
             scene, joint = self._under_colour(self.scene.noise)
@@ -310,7 +319,7 @@ class DriveProblem(NoiseOfFixes):
     def noise_again(self, first: Scene) -> None:
         """Take back the noise of the fixes and what was found with it, from the ``first`` scene on."""
         self.found = [f for f in self.found if f.chosen.change.block is not None]
-        self.gone, self.outsider = np.zeros(0), ""
+        self.gone, self.outsider = {}, ""
         first = first.with_windows(self.scene.windows)
         self._take(first.rebuilt(corrections=self.scene.corrections).trimmed(self.blocks(), self.cut))
 
@@ -468,8 +477,10 @@ def find_dynamic_gap(
     scene = scene.trimmed(scene.always) if scene.always else scene
     colour = colour_of(nominal.effects)
     if colour is not None:
+        loud, noise = FixNoise(np.ones(6), colour, known=True).apart(scene.surrogate.sigma())
+        scene = scene.rebuilt(factors=scene.original.factors * loud)
         moved = scene.original.factors / scene.original.levels
-        scene = scene.coloured(joint_noise(scene.surrogate, FixNoise(np.ones(6), colour), moved, known=True).noise)
+        scene = scene.coloured(joint_noise(scene.surrogate, noise, moved).noise)
         without = (*without, "gnss_correlated_noise")
     competing = [v for v in bank(scene) if v.effect not in without]
     threshold = max(rules().least_nats, null_threshold(competing, scene.data, rng, always=scene.always))
@@ -482,7 +493,7 @@ def find_dynamic_gap(
     drawn, repeated = rng.spawn(2)
     starts = {name: r.start for name, r in at.fast}
     where = corrected([*innovation_tests(scene, scene.data.y), *drive_map(scene, scene.data.y, starts, drawn)])
-    final, blocks = believing(named)
+    named, final, blocks = believing(named)
     residual, _ = final.data.residual(blocks)
     tests = innovation_tests(final, residual)
     failed = rejected(corrected(tests))

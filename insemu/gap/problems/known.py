@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -11,12 +10,12 @@ from numpy.typing import NDArray
 
 from insemu import rotation
 from insemu.effects import EffectUse, added_signal, compensated, having, lever_arm_of
-from insemu.filters import FixTable, log_density
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.candidates.axis import CANDIDATES, AxisState, state_of
 from insemu.gap.data.log import reduce
 from insemu.gap.data.sources import StaticLog
 from insemu.gap.evidence.band import Band
+from insemu.gap.evidence.fixes import Colour, FixNoise, Surrogate
 from insemu.gap.evidence.model import Component, Explanation
 from insemu.gap.evidence.modes import level
 from insemu.gap.evidence.rolloff import DEPTH, Rolloff
@@ -149,8 +148,7 @@ def drive_without(recording: Recording, nominal: Nominal) -> tuple[Recording, No
             changes[f"{what}_sigma"] = tuple(float(s) for s in sigma)
     moved = replace(nominal, gnss=g.model_copy(update=changes))
     out = compensated(recording, effects, trajectory=recording.reference or (lambda rest: _estimated(rest, moved)))
-    outliers = next((use for use in effects if use.id == "gnss_outliers"), None)
-    return (_without_outliers(out, moved, outliers) if outliers is not None else out), moved
+    return _without_outliers(out, moved, colour_of(effects)), moved
 
 
 def in_imu_axes(recording: Recording, nominal: Nominal) -> tuple[Recording, Nominal]:
@@ -181,44 +179,24 @@ def _estimated(recording: Recording, nominal: Nominal) -> Trajectory:
     return trajectory_of(result.t, result.nav, "estimate")
 
 
-def _without_outliers(recording: Recording, nominal: Nominal, outliers: EffectUse) -> Recording:
-    """Positions that are more likely outliers than not, taken out by the innovations of the nominal filter."""
+def _without_outliers(recording: Recording, nominal: Nominal, colour: Colour | None) -> Recording:
+    """A recording without the positions and velocities that are more likely known outliers than not, as the nominal filter sees them."""
+    from insemu.gap.drive.apart import FIRST, by_filter, outlying, told_of, under_colour, without
     from insemu.gap.drive.preparation import fast_parts, prepare
 
-    assert recording.gnss is not None
-    prepared, out = prepare(recording, nominal, fast_parts(recording, nominal), {}), np.zeros(0)
-    for _ in range(3):  # an outlier that was used pulls the filter and hides the next one
-        fixes = prepared.result.fixes
-        gone = outlying(fixes, fixes.S, outliers)
-        if not gone.size:
-            break
-        nominal_levels = replace(prepared, factors=np.ones(6))
-        prepared, out = nominal_levels.without_positions(gone).trimmed(), np.concatenate([out, gone])
-    return replace(recording, gnss=recording.gnss.without_positions(out))
+    if recording.gnss is None or not any(use.id in FIRST for use in nominal.effects):
+        return recording
+    prepared = replace(prepare(recording, nominal, fast_parts(recording, nominal), {}), factors=np.ones(6))
+    if colour is None:
+        seen = by_filter(lambda gnss: prepared.again(gnss=gnss).result, prepared.gnss)
+    else:
+        loud, noise = FixNoise(np.ones(6), colour).apart(Surrogate.of(prepared.result).sigma())
+        seen = under_colour(Surrogate.of(prepared.again(factors=loud).result), noise)
+    gone = outlying(seen, told_of(nominal.effects, prepared.gnss))
+    return replace(recording, gnss=without(recording.gnss, gone))
 
 
-def outlying(fixes: FixTable, S: Array, outliers: EffectUse) -> Array:
-    """Times (k,) of the positions that are more likely outliers than not by the innovations of a filter, s.
-
-    Parameters
-    ----------
-    fixes : FixTable
-        Of the filter.
-    S : (f, 6, 6) array
-        Covariances of the innovations of positions that are none.
-    outliers : EffectUse
-        Known share and size.
-    """
-    p, spread = outliers.scalar("probability"), np.diag(np.square(outliers["sigma"]))
-    whole = np.isfinite(fixes.innovation[:, :3]).all(axis=1)
-    if not whole.any():
-        return np.zeros(0)
-    nu, plain = fixes.innovation[whole][:, :3], S[whole][:, :3, :3]
-    odds = math.log(p / (1.0 - p)) + log_density(nu, plain + spread) - log_density(nu, plain)
-    return np.asarray(fixes.t[whole][odds > 0.0])
-
-
-def colour_of(effects: Sequence[EffectUse]) -> tuple[Array, float] | None:
+def colour_of(effects: Sequence[EffectUse]) -> Colour | None:
     """Known coloured noise of the fixes: standard deviations (6,) of position and velocity, correlation time in s."""
     use = next((u for u in effects if u.id == "gnss_correlated_noise"), None)
     return None if use is None else (np.concatenate([use["sigma"], np.zeros(3)]), use.scalar("tau"))

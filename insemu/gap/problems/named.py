@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS
-from insemu.gap.candidates.fixes import outlying_fixes, position_innovations
+from insemu.gap.candidates.fixes import about, apart_from_named, as_joint, outlying_fixes, whole_innovations
 from insemu.gap.candidates.shapes import ONCE, PROCESSES, Change, bank, shape_values
 from insemu.gap.confusion import Repetitions
+from insemu.gap.drive.apart import FIRST
 from insemu.gap.drive.scene import Scene
+from insemu.gap.evidence.fixes import PLAIN, FixNoise, JointNoise, joint_noise
 from insemu.gap.evidence.linear import Block
 from insemu.gap.holdout import score_drive
 from insemu.gap.hypothesis import Found, class_of
@@ -36,14 +38,14 @@ class Named:
         At the levels, colours and corrections that were found.
     outsider : str
         Structure outside the catalogue, in words, where there is any.
-    gone : (k,) array
-        Times of the positions that were left out as outliers.
+    gone : mapping of effect to (k,) array
+        Times of the positions and of the velocities that were left out as outliers, s.
     """
 
     found: tuple[Found[Change], ...]
     scene: Scene
     outsider: str
-    gone: Array
+    gone: Mapping[str, Array]
 
     @property
     def blocks(self) -> list[Block]:
@@ -56,10 +58,10 @@ def blocks_of(found: Sequence[Found[Change]]) -> list[Block]:
     return [f.chosen.change.block for f in found if f.chosen.change.block is not None]
 
 
-def believing(named: Named, cut: float | None = None) -> tuple[Scene, list[Block]]:
-    """The filter that believes in the slow processes that were found, and the blocks of everything else.
+def believing(named: Named, cut: float | None = None) -> tuple[Named, Scene, list[Block]]:
+    """The filter that believes in the slow processes that were found, and the blocks of everything else; what was found, with the fixes' noise there.
 
-    The search carries a process on knots; what is left of a strong one between them would count against it.
+    The search carries a process on knots; what is left of a strong one between them would count against it, and in the noise of the fixes.
     """
     beliefs = dict(named.scene.original.beliefs)
     blocks = list(named.scene.always)
@@ -72,9 +74,19 @@ def believing(named: Named, cut: float | None = None) -> tuple[Scene, list[Block
         elif h.change.block is not None:
             blocks.append(h.change.block)
     if len(blocks) == len(named.blocks):
-        return named.scene, blocks
+        return named, named.scene, blocks
     scene = named.scene.rebuilt(beliefs=beliefs)
-    return scene.trimmed(blocks, cut), blocks
+    if scene.noise is None:
+        scene = scene.trimmed(blocks, cut)
+        joint = JointNoise(FixNoise(np.ones(6), PLAIN), {}, 0.0)
+    else:
+        s = replace(scene.surrogate, nu=scene.unexplained(blocks, cut))
+        stated = next((f.chosen for f in named.found if f.chosen.effect == "gnss_noise_level"), None)
+        wide = np.flatnonzero(about(stated)).tolist() if stated is not None else ()
+        joint = joint_noise(s if cut is None else s.until(cut), scene.noise, apart_from_named(scene, stated), wide=wide)
+        scene = scene.coloured(joint.noise)
+    found = tuple(replace(f, chosen=as_joint(f.chosen, scene, joint)) for f in named.found)
+    return replace(named, found=found), scene, blocks
 
 
 def held_out(scene: Scene, named: Named, cut: float) -> tuple[Interval, Interval, Interval]:
@@ -85,15 +97,13 @@ def held_out(scene: Scene, named: Named, cut: float) -> tuple[Interval, Interval
     scene, named, cut : Scene, Named, float
         The recording before the search, what was found in its fixes up to ``cut``, and that time in s.
     """
-    final, blocks = believing(named, cut)
-    outliers = next((f.chosen for f in named.found if f.chosen.effect == "gnss_outliers"), None)
-    density = 0.0
-    if outliers is not None:
-        # positions that were left out are scored as the outliers that they are said to be
-        plain = np.where(scene.surrogate.use == 1, scene.surrogate.nu, 0.0)
-        at, v, S = position_innovations(scene, plain, None)
+    _, final, blocks = believing(named, cut)
+    density, plain = 0.0, np.where(scene.surrogate.use == 1, scene.surrogate.nu, 0.0)
+    for outliers in (f.chosen for f in named.found if f.chosen.effect in FIRST):
+        # what was left out is scored as the outliers that it is said to be
+        at, v, S = whole_innovations(scene, plain, None, outliers.effect)
         times, logs = outlying_fixes(outliers, scene.prepared.result.fixes.t[at], v, S)
-        density = float(np.sum(logs[np.isin(times, named.gone) & (times > cut)]))
+        density += float(np.sum(logs[np.isin(times, named.gone[outliers.effect]) & (times > cut)]))
     return score_drive(scene, final, blocks, cut, density)
 
 

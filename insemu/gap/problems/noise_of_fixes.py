@@ -10,10 +10,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.gap.candidates.fixes import about, without_outliers
+from insemu.gap.candidates.fixes import about, apart_from_named, without_outliers
 from insemu.gap.candidates.shapes import Change, DriveHypothesis
+from insemu.gap.drive.apart import FIRST
 from insemu.gap.drive.scene import Scene
-from insemu.gap.evidence.fixes import PLAIN, FixNoise, JointNoise, Surrogate, joint_noise
+from insemu.gap.evidence.fixes import LEVEL_ROWS, PLAIN, FixNoise, JointNoise, Surrogate, joint_noise
 from insemu.gap.evidence.linear import Block
 from insemu.gap.hypothesis import Found
 from insemu.gap.policy import rules
@@ -31,16 +32,16 @@ class NoiseOfFixes(ABC):
     ----------
     scene, found, cut : Scene, list of Found, float or None
         As :class:`insemu.gap.problems.drive.DriveProblem` has them.
-    gone : (k,) array
-        Times of the positions that were left out as outliers, s.
+    gone : dict of effect to (k,) array
+        Times of the positions and of the velocities that were left out as outliers, s.
     recorded : GnssRecord
-        The fixes with all positions.
+        The fixes with all of them.
     """
 
     scene: Scene
     found: list[Found[Change]]
     cut: float | None
-    gone: Array
+    gone: dict[str, Array]
     recorded: GnssRecord
 
     @abstractmethod
@@ -52,26 +53,37 @@ class NoiseOfFixes(ABC):
         return next((f.chosen for f in self.found if f.chosen.effect == effect), None)
 
     def _apart_from_outliers(self, new: Found[Change]) -> tuple[Scene, Found[Change]]:
-        """The scene without the positions that are outliers, and these with share and size; a level that stood for them goes, or changes."""
+        """The scene without the fixes that are outliers, and these with share and size; a level that stood for them goes, or changes."""
         h, seen, nu = new.chosen, self.scene, self.scene.unexplained(self.blocks(), self.cut)
+        first = FIRST[h.effect]
+        ours = np.arange(6) // 3 == first // 3
+        if first == 3 and seen.noise is not None:
+            # no colour and no level of the positions stood for velocities
+            told = without_outliers(seen, h, self.cut, seen, nu)
+            return self._less(seen, h.effect, told.times), replace(new, chosen=told.outliers)
         if seen.noise is not None:
             # a colour may have stood for them, with a level beside it: what there is of both is found again
             h = replace(h, nats=h.nats + self._take_back("gnss_correlated_noise", "gnss_noise_level"))
-        stood = self._named("gnss_noise_level")
+        stood = self._named(next(k for k, row in LEVEL_ROWS.items() if row == first))
         scene, level = seen, None if stood is None else stood.values[0].value
         if seen.noise is not None or stood is not None:
-            nominal = np.where(np.arange(6) < 3, 1.0, [scene.original.factors, scene.original.levels])
+            nominal = np.where(ours, 1.0, [scene.original.factors, scene.original.levels])
             scene = scene.coloured(None).rebuilt(factors=nominal[0], levels=nominal[1])
         told = without_outliers(scene, h, self.cut, seen, nu, level)
-        self.gone, sized = np.union1d(self.gone, told.times), told.outliers
+        sized = told.outliers
         if stood is not None and level is not None:
             if abs(math.log(told.level)) < math.log1p(rules().tolerance):
-                sized = replace(sized, nats=h.nats + self._take_back("gnss_noise_level"))
+                sized = replace(sized, nats=h.nats + self._take_back(stood.effect))
             else:
                 at, own = scene.original, about(stood)
                 factors, levels = (np.where(own, told.level, x) for x in (at.factors, at.levels))
                 scene = scene.rebuilt(factors=factors, levels=levels)
-        return scene.rebuilt(gone=self.gone), replace(new, chosen=sized)
+        return self._less(scene, h.effect, told.times), replace(new, chosen=sized)
+
+    def _less(self, scene: Scene, effect: str, times: Array) -> Scene:
+        """A scene without outliers, those that were told before included."""
+        self.gone[effect] = np.union1d(self.gone.get(effect, np.zeros(0)), times)
+        return scene.rebuilt(gone=self.gone)
 
     def _take_back(self, *effects: str) -> float:
         """What findings of some effects were worth, nats; they are none any more."""
@@ -90,7 +102,7 @@ class NoiseOfFixes(ABC):
         if level is None:
             return True
         s, wide = self._fixes(self.scene), np.flatnonzero(about(level)).tolist()
-        usual = _apart_from_named(self.scene, level)
+        usual = apart_from_named(self.scene, level)
         beside = joint_noise(s, noise, usual, wide=wide)
         return beside.evidence > joint_noise(s, noise, usual).evidence + rules().keep_nats
 
@@ -103,23 +115,25 @@ class NoiseOfFixes(ABC):
 
         joint = likeliest()
         known = self._named("gnss_outliers")
-        loudness = joint.noise.loudness(scene.surrogate.sigma())
-        scene = whole = scene.rebuilt(factors=scene.original.factors * loudness, whole=self.recorded)
-        noise = replace(joint.noise, factor=joint.noise.factor / loudness)
+        loud, noise = joint.noise.apart(scene.surrogate.sigma())
+        kept = {k: t for k, t in self.gone.items() if FIRST[k] > 0}
+        scene = whole = scene.rebuilt(factors=scene.original.factors * loud, whole=self.recorded, gone=kept)
         for _ in range(MOST_LOOKS):
             # what the other findings explain is another under the colour, and outliers show against it that its scatter hides
-            before = self.gone
+            before = self.gone.get("gnss_outliers", np.zeros(0))
+            now = before
             if known is not None:
                 whole = whole.coloured(noise)
                 told = without_outliers(whole, known, self.cut, whole, whole.unexplained(self.blocks(), self.cut))
                 self.found = [replace(f, chosen=told.outliers) if f.chosen is known else f for f in self.found]
-                self.gone, known = told.times, told.outliers
-                if scene is whole or not np.array_equal(before, self.gone):
+                now, known = told.times, told.outliers
+                self.gone["gnss_outliers"] = now
+                if scene is whole or not np.array_equal(before, now):
                     scene = whole.rebuilt(gone=self.gone)
             scene, tau = scene.coloured(noise), noise.colour[1]
             joint = likeliest()
             noise = joint.noise
-            if abs(math.log(noise.colour[1] / tau)) < AS_LONG and np.array_equal(before, self.gone):
+            if abs(math.log(noise.colour[1] / tau)) < AS_LONG and np.array_equal(before, now):
                 break
         return scene.coloured(noise), joint
 
@@ -127,8 +141,8 @@ class NoiseOfFixes(ABC):
         """The scene without a colour that explains nothing any more beside the levels and the rest, which is no finding then; else None."""
         level = self._named("gnss_noise_level")
         own = about(level) if level is not None else np.zeros(6, dtype=bool)
-        s, usual, wide = self._fixes(scene), _apart_from_named(scene, level), np.flatnonzero(own).tolist()
-        plain = joint_noise(s, replace(noise, colour=PLAIN), usual, known=True, wide=wide)
+        s, usual, wide = self._fixes(scene), apart_from_named(scene, level), np.flatnonzero(own).tolist()
+        plain = joint_noise(s, replace(noise, colour=PLAIN, known=True), usual, wide=wide)
         if joint_noise(s, noise, usual, wide=wide).evidence > plain.evidence + rules().keep_nats:
             return None
         worth = self._take_back("gnss_correlated_noise")
@@ -137,9 +151,3 @@ class NoiseOfFixes(ABC):
             self.found = [replace(f, chosen=new) if f.chosen is level else f for f in self.found]
         factors = scene.original.factors * plain.noise.factor
         return scene.coloured(None).rebuilt(factors=factors, levels=np.where(own, factors, scene.original.levels))
-
-
-def _apart_from_named(scene: Scene, level: DriveHypothesis | None) -> Array:
-    """By what the filter's levels (6,) were moved, as ratios to the nominal one of a level that is in question and to the other named ones."""
-    at = scene.original
-    return at.factors / np.where(about(level) if level is not None else False, 1.0, at.levels)

@@ -1,0 +1,149 @@
+"""Outliers among the positions or the velocities of a recording, told by a filter that hardly follows them.
+
+A filter that follows an outlier takes the fixes after it for outliers too. So it looks at all again while it hardly follows those that were told,
+until these stay the same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu.effects import EffectUse
+from insemu.filters import FilterResult, log_density
+from insemu.gap.evidence.fixes import FixNoise, Surrogate
+from insemu.records import GnssRecord
+
+Array = NDArray[np.float64]
+Run = Callable[[GnssRecord], FilterResult]
+#: Times (f,) of positions (velocities), their innovations (f, 3), and the covariances (f, 3, 3) of these if they are no outliers: s, m (m/s), m^2.
+Fixes = tuple[Array, Array, Array]
+#: By effect: times (k,) of what is hardly followed, s, and standard deviations (3,) of an outlier.
+Gone = Mapping[str, tuple[Array, Array]]
+#: To all positions, or velocities, of each of these effects.
+Seen = Callable[[Gone], dict[str, Fixes]]
+
+#: First of the three components of a fix in which an effect makes outliers.
+FIRST = {"gnss_outliers": 0, "gnss_velocity_outliers": 3}
+#: What is hardly followed has the standard deviation of this many outliers: a run of a hundred moves nothing, and a millionth of the variance of an
+#: outlier is left of sixteen digits.
+LOOSE = 1e3
+#: Most rounds in which outliers and filter are told apart; on rtkexp_drive, whose outliers come in runs of 20, the sets change by 5 % in the last.
+MOST_ROUNDS = 10
+
+
+def log_odds(v: Array, S: Array, probability: float, sigma: Array) -> Array:
+    """Log odds (k,) of positions or velocities to be outliers.
+
+    Parameters
+    ----------
+    v, S : (k, 3), (k, 3, 3) arrays
+        Innovations, and their covariances where they are none; m and m^2, or m/s.
+    probability : float
+        Share of outliers.
+    sigma : (3,) array
+        Their standard deviations, NED.
+    """
+    wide = log_density(v, S + np.diag(np.square(sigma)))
+    return np.asarray(math.log(probability / (1.0 - probability)) + wide - log_density(v, S))
+
+
+def by_filter(run: Run, gnss: GnssRecord) -> Seen:
+    """Positions and velocities as a filter sees them that hardly follows some.
+
+    Parameters
+    ----------
+    run : callable
+        The filter on fixes.
+    gnss : GnssRecord
+        With standard deviations.
+    """
+
+    def seen(gone: Gone) -> dict[str, Fixes]:
+        more, loose = np.zeros((len(gnss), 6)), gnss
+        for effect, (t, sigma) in gone.items():
+            own, key = _rows(effect), ("pos_std_ned", "vel_std_ned")[FIRST[effect] // 3]
+            more[np.isin(gnss.t, t), own] = (LOOSE * sigma) ** 2
+            loose = replace(loose, **{key: np.sqrt(getattr(gnss, key) ** 2 + more[:, own])})
+        fixes = run(loose).fixes
+        S = fixes.S - more[np.searchsorted(gnss.t, fixes.t)][:, :, None] * np.eye(6)
+        return {effect: _whole(fixes.t, fixes.innovation, S, effect) for effect in gone}
+
+    return seen
+
+
+def under_colour(s: Surrogate, noise: FixNoise, nu: Array | None = None) -> Seen:
+    """Positions and velocities less what the fixes before say of a colour, which a filter on its error follows where the nominal filter cannot.
+
+    Parameters
+    ----------
+    s : Surrogate
+        Of a filter that does not follow the colour.
+    noise : FixNoise
+        Levels over that filter's, and the colour.
+    nu : (f, 6) array, optional
+        Innovations less what is explained, m and m/s; else all of them.
+    """
+
+    def seen(gone: Gone) -> dict[str, Fixes]:
+        more = np.zeros((s.t.size, 6))
+        for effect, (t, sigma) in gone.items():
+            more[np.isin(s.t, t), _rows(effect)] = (LOOSE * sigma) ** 2
+        v, S = s.ahead(s.nu if nu is None else nu, noise, more)
+        there = np.where(s.use == 1, v, np.nan)
+        return {effect: _whole(s.t, there, S, effect) for effect in gone}
+
+    return seen
+
+
+def _rows(effect: str) -> slice:
+    return slice(FIRST[effect], FIRST[effect] + 3)
+
+
+def _whole(t: Array, v: Array, S: Array, effect: str) -> Fixes:
+    """Those with all three components."""
+    own = _rows(effect)
+    there = np.isfinite(v[:, own]).all(axis=1)
+    return t[there], v[there][:, own], S[there][:, own, own]
+
+
+def outlying(seen: Seen, known: Sequence[EffectUse]) -> dict[str, Array]:
+    """By effect the times (k,) of the positions or velocities that are more likely outliers than not, s.
+
+    All are told together: a filter that follows outliers among the velocities takes positions for outliers.
+
+    Parameters
+    ----------
+    seen : callable
+        From :func:`by_filter` or :func:`under_colour`.
+    known : sequence of EffectUse
+        Outliers of known share and size, each effect once.
+    """
+    sigma = {use.id: np.array(use["sigma"]) for use in known}
+    gone = {use.id: np.zeros(0) for use in known}
+    for _ in range(MOST_ROUNDS if known else 0):
+        before, fixes = gone, seen({k: (t, sigma[k]) for k, t in gone.items()})
+        gone = {}
+        for use in known:
+            t, v, S = fixes[use.id]
+            odds = log_odds(v, S, use.scalar("probability"), sigma[use.id]) if t.size else np.zeros(0)
+            gone[use.id] = t[odds > 0.0]
+        if all(np.array_equal(before[k], gone[k]) for k in gone):
+            break
+    return gone
+
+
+def told_of(effects: Sequence[EffectUse], gnss: GnssRecord) -> list[EffectUse]:
+    """The known outliers that fixes can have: those of velocities where there are any."""
+    return [use for use in effects if use.id in FIRST and (FIRST[use.id] == 0 or gnss.vel_std_ned is not None)]
+
+
+def without(gnss: GnssRecord, gone: Mapping[str, Array]) -> GnssRecord:
+    """Fixes whose positions or velocities are missing at the times (k,) of outliers, s, by effect."""
+    for effect, t in gone.items():
+        gnss = gnss.without_positions(t) if FIRST[effect] == 0 else gnss.without_velocities(t)
+    return gnss
