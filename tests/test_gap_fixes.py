@@ -31,6 +31,7 @@ from insemu.gap.hypothesis import Found, Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.problems import drive_without
 from insemu.gap.problems.drive import DriveProblem
+from insemu.gap.problems.named import held_out
 from insemu.gap.verdict import Finding, Value
 from insemu.gap.worth import stated_in_outages
 from insemu.records import GnssRecord, Recording
@@ -277,6 +278,31 @@ def test_known_outliers_of_positions_and_velocities_are_told_together(colour: bo
         gone, hit = rest.gnss.t[np.isnan(left).any(axis=1)], hit_by(made, clean, what)
         assert hit.size >= 8 and np.isin(hit, gone).mean() >= 0.9, what
         assert np.isin(gone, hit).sum() >= gone.size - 2, what
+
+
+def test_held_out_fixes_are_outliers_or_none() -> None:
+    """Fixes that the search of the first part left out were scored by the filter before it, and the others as if there could be no outliers."""
+    made = recording(FAR)
+    gnss = Gnss(position_sigma=SIGMA, velocity_sigma=(0.05, 0.05, 0.05), lever_arm=LEVER)
+    scene = Scene.of(Flown.of(made, Nominal(dict(BELIEF), gnss)).prepared)
+    cut = 0.5 * float(scene.motion.t[0] + scene.motion.t[-1])
+    problem = DriveProblem(scene, cut, 3.0, ())
+    (named,) = gnss_outliers(scene, scene.unexplained([], cut), cut)
+    problem.apply(Found(named, (named,)))
+    told = problem.named()
+    _, after, gain = held_out(scene, told, cut)
+    # another way: the filter without them, and each as it is predicted there
+    share, sigma = told.found[0].chosen.values[0].value, told.found[0].chosen.values[1].value
+    clean, s = told.scene.prepared.result.fixes, scene.prepared.result.fixes
+    kept = np.isin(s.t, clean.t[np.isfinite(clean.innovation[:, 0])])
+    assert 0.8 < after.value < 1.2 and (~kept & (s.t > cut)).sum() >= 4
+    before = sum(float(x) for x in s.log_densities[s.t > cut])
+    later = sum(float(x) for x in clean.log_densities[clean.t > cut]) + float(np.sum(kept & (s.t > cut))) * np.log1p(
+        -share
+    )
+    wide = [np.log(share) - 3.0 * np.log(sigma) - 0.5 * 3.0] * int((~kept & (s.t > cut)).sum())
+    n = int((s.t > cut).sum())
+    assert gain.value == pytest.approx((later + sum(wide) - before) / n, abs=0.1 * abs(gain.value))
 
 
 @pytest.mark.slow

@@ -370,30 +370,25 @@ def gnss_outliers(scene: Scene, nu: Array, cut: float | None, effect: str = "gns
     return [Hypothesis(effect, nats, values, Change(), "", "gnss", NED)]
 
 
-def outlying_fixes(outliers: DriveHypothesis, t: Array, v: Array, S: Array) -> tuple[Array, Array]:
-    """Times of the fixes that are more likely outliers than not, and the log density that each has as one.
+def _odds(outliers: DriveHypothesis, v: Array, S: Array) -> Array:
+    """Log odds (k,) to be outliers; arguments as those of :func:`mixture`."""
+    given = {x.name: x.value for x in outliers.values}
+    return log_odds(v, S, given["probability"], np.array([given[f"sigma_{a}"] for a in NED]))
+
+
+def mixture(outliers: DriveHypothesis, v: Array, S: Array) -> Array:
+    """Log densities (k,) of positions or velocities of which a share are outliers, without the constant.
 
     Parameters
     ----------
     outliers : DriveHypothesis
         From :func:`gnss_outliers`.
-    t : (k,) array
-        Times of the fixes, s.
     v, S : (k, 3), (k, 3, 3) arrays
-        Innovations of their positions (velocities) less what is explained, m (m/s), and their covariances.
-
-    Returns
-    -------
-    times : (k,) array
-        s.
-    logs : (k,) array
-        Log density of each, its probability as an outlier included.
+        Innovations less what is explained, m or m/s, and their covariances where they are none.
     """
-    given = {v.name: v.value for v in outliers.values}
-    p = given["probability"]
-    odds = log_odds(v, S, p, np.array([given[f"sigma_{a}"] for a in NED]))
-    there = odds > 0.0
-    return np.asarray(t[there]), math.log1p(-p) + odds[there] + log_density(v[there], S[there])
+    given = {x.name: x.value for x in outliers.values}
+    plain = math.log1p(-given["probability"]) + log_density(v, S)
+    return np.asarray(plain + np.logaddexp(0.0, _odds(outliers, v, S)))
 
 
 @dataclass(frozen=True)
@@ -441,7 +436,7 @@ def without_outliers(
     """
     effect = outliers.effect
     at, v, S = whole_innovations(seen, nu, None, effect)
-    gone, _ = outlying_fixes(outliers, scene.prepared.result.fixes.t[at], v, S)
+    gone = scene.prepared.result.fixes.t[at][_odds(outliers, v, S) > 0.0]
     now = 1.0 if level is None else level
     for _ in range(MOST_ROUNDS):
         look = _look(scene, effect, now) if scene.noise is None else under_colour(scene.surrogate, scene.noise, nu)
@@ -449,7 +444,7 @@ def without_outliers(
         t, v, S = look({effect: (gone, sigma)})[effect]
         early = slice(None) if cut is None else slice(int(np.searchsorted(t, cut, side="right")))
         outliers = _share_and_size(outliers, v[early], S[early])
-        before, gone = gone, outlying_fixes(outliers, t, v, S)[0]
+        before, gone = gone, t[_odds(outliers, v, S) > 0.0]
         scatter = 1.0
         if level is not None:
             # the median hardly sees the outliers

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS
-from insemu.gap.candidates.fixes import about, apart_from_named, as_joint, outlying_fixes, whole_innovations
+from insemu.gap.candidates.fixes import about, apart_from_named, as_joint, mixture, whole_innovations
 from insemu.gap.candidates.shapes import ONCE, PROCESSES, Change, bank, shape_values
 from insemu.gap.confusion import Repetitions
-from insemu.gap.drive.apart import FIRST
+from insemu.gap.drive.apart import FIRST, LOOSE
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.fixes import PLAIN, FixNoise, JointNoise, joint_noise
 from insemu.gap.evidence.linear import Block
@@ -98,13 +98,37 @@ def held_out(scene: Scene, named: Named, cut: float) -> tuple[Interval, Interval
         The recording before the search, what was found in its fixes up to ``cut``, and that time in s.
     """
     _, final, blocks = believing(named, cut)
-    density, plain = 0.0, np.where(scene.surrogate.use == 1, scene.surrogate.nu, 0.0)
-    for outliers in (f.chosen for f in named.found if f.chosen.effect in FIRST):
-        # what was left out is scored as the outliers that it is said to be
-        at, v, S = whole_innovations(scene, plain, None, outliers.effect)
-        times, logs = outlying_fixes(outliers, scene.prepared.result.fixes.t[at], v, S)
-        density += float(np.sum(logs[np.isin(times, named.gone[outliers.effect]) & (times > cut)]))
-    return score_drive(scene, final, blocks, cut, density)
+    return score_drive(scene, final, blocks, cut, _of_outliers(scene, named, final, blocks, cut))
+
+
+def _of_outliers(scene: Scene, named: Named, final: Scene, blocks: Sequence[Block], cut: float) -> float:
+    """What a model with outliers adds to the log density of the fixes after ``cut`` that were not left out: a share is one or the other.
+
+    What was left out is seen by the final filter, which hardly follows it.
+    """
+    found = {f.chosen.effect: f.chosen for f in named.found if f.chosen.effect in FIRST}
+    if not found:
+        return 0.0
+    whole, factors = scene.original.gnss, final.original.factors
+    assert whole.pos_std_ned is not None
+    more = np.zeros((len(whole), 6))
+    for effect, h in found.items():
+        sigma = np.array([x.value for x in h.values if x.name.startswith("sigma_")])
+        more[np.isin(whole.t, named.gone[effect]), FIRST[effect] : FIRST[effect] + 3] = (LOOSE * sigma) ** 2
+    raised = replace(whole, pos_std_ned=np.sqrt(whole.pos_std_ned**2 + more[:, :3] / factors[:3] ** 2))
+    if raised.vel_std_ned is not None:
+        raised = replace(raised, vel_std_ned=np.sqrt(raised.vel_std_ned**2 + more[:, 3:] / factors[3:] ** 2))
+    seen, total = final.rebuilt(whole=raised), 0.0
+    nu, t = seen.unexplained(blocks, cut), seen.prepared.result.fixes.t
+    added = more[np.searchsorted(whole.t, t)] * (1.0 if seen.noise is None else seen.noise.factor**2)
+    for effect, h in found.items():
+        at, v, S = whole_innovations(seen, nu, None, effect)
+        later = t[at] > cut
+        gone = later & np.isin(t[at], named.gone[effect])
+        own = added[at][gone][:, FIRST[effect] : FIRST[effect] + 3]
+        total += float(np.sum(mixture(h, v[gone], S[gone] - own[:, :, None] * np.eye(3))))
+        total += float(np.sum(later & ~gone)) * math.log1p(-h.values[0].value)
+    return total
 
 
 def told(f: Found[Change], named: Named) -> Finding:
