@@ -333,7 +333,7 @@ class VelocityLag(_OfFixes):
         "velocities used at stamp - lag; one constant; signature -a (velocity)",
     )
     axes = ()
-    traits = frozenset({"once"})
+    traits = frozenset({"once", "second_order"})
     stage, size = Stage.STAMP, "lag"
 
     def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:

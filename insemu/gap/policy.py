@@ -74,7 +74,7 @@ class Policy:
         (100.0,), "datasheet scale", "foreign", "Further sizes of timing, fixes and model of the Earth: a wrong antenna or stamp has no datasheet."
     )
     second_order: float = _decides(
-        1.4, "nats", "foreign", "Log prior odds, 4 to 1, against asymmetries, squares and thermal scale factors: the plain error is more common."
+        1.4, "nats", "foreign", "Log prior odds, 4 to 1, against asymmetries, squares, thermal scale factors and lags: plain errors are more common."
     )
     widest_scales: tuple[float, ...] = _decides(
         (300.0, 1000.0), "datasheet scale", "one", "Further slopes in a drive: a random walk of any size follows a slope."
