@@ -34,6 +34,7 @@ from insemu.gap.session import _looked_closer
 from insemu.gap.verdict import Interval, Member, Value, held_out_said
 from insemu.noise import AR, BI, DR, GM, QN, RW, SIN, WN, NoiseModel
 from insemu.records import GnssRecord, ImuRecord, Recording, Series
+from insemu.report.gap import ranked
 from insemu.scenario import load
 
 NOMINAL = """
@@ -248,6 +249,14 @@ def test_a_correction_that_leaves_more_than_there_was_is_taken_back() -> None:
         passes(first, report(strong("lever_arm", 40.0, value_x=1.2)), report(strong("lever_arm", 42.0, value_x=1.2)))[0]
         is not first
     )
+
+
+def test_what_is_worth_few_metres_stands_behind_what_has_none() -> None:
+    """A lever arm of 2 m after a minute, beside 427 m, put a mounting of 7 deg off the first screen."""
+    worth = {"clock_drift": 427.0, "mounting": np.nan, "lever_arm": 2.0, "gnss_velocity_lag": 20.0}
+    findings = [replace(strong("clock_drift", 100.0), effect=e, metres=m) for e, m in worth.items()]
+    shown = [f.effect for _, f in ranked(report(*findings))]
+    assert shown == ["clock_drift", "gnss_velocity_lag", "mounting", "lever_arm"]
 
 
 def test_a_step_at_another_time_is_another_step() -> None:

@@ -90,6 +90,10 @@ def finding_action(finding: Finding) -> str:
     return _ACTIONS.get(finding.effect, "model or calibrate it: {}").format(values)
 
 
+#: Share of the metres of the largest finding below which one hardly matters: squares add up, so that it moves the sum by a twenty-thousandth.
+FEW = 0.01
+
+
 def finding_metres(finding: Finding) -> str:
     """What a finding is worth at the end of a minute without fixes, in words; a dash where nobody says."""
     return f"{finding.metres:.3g}" if math.isfinite(finding.metres) else "-"
@@ -385,8 +389,9 @@ def gap_charts(report: GapReport) -> list[Chart]:
 
 
 def ranked(report: GapReport) -> list[tuple[int, Finding]]:
-    """The findings with their numbers: settings first, then what is worth most metres; those without metres keep their order behind."""
-    worth = [s.metres if math.isfinite(s.metres) else -1.0 for s in report.findings]
+    """The findings with their numbers: settings first, then what is worth most metres, then those without metres, then what is worth few."""
+    most = max((s.metres for s in report.findings if math.isfinite(s.metres)), default=0.0)
+    worth = [s.metres if s.metres > FEW * most else -2.0 if math.isfinite(s.metres) else -1.0 for s in report.findings]
     return [
         (n + 1, report.findings[n])
         for n in sorted(range(len(worth)), key=lambda n: (not report.findings[n].is_setting, -worth[n]))
