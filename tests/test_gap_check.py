@@ -119,6 +119,18 @@ def test_a_check_goes_on_where_it_was_interrupted(drive: Stage, tmp_path, monkey
     assert len(flown) == 20
 
 
+def test_a_velocity_within_the_sample_of_a_position_hides_it_from_no_outage(drive: Stage) -> None:
+    """Velocities 7 ms behind the positions, with samples of 20 ms: no outage ended at a position any more."""
+    made = recorded(drive)
+    made = replace(made, imu=replace(made.imu, t=made.imu.t - 0.004))  # fixes lie between samples
+    late = replace(made, gnss=made.gnss.with_velocities_at(made.gnss.t + 0.007))
+    starts = np.arange(drive.imu.t[0] + 60.0, drive.imu.t[-1] - 70.0, 30.0)
+    own, apart = (outage_errors(Flown.of(r, truth(drive)).prepared.result, starts) for r in (made, late))
+    assert np.isfinite(own).sum() >= 5
+    np.testing.assert_array_equal(np.isfinite(apart), np.isfinite(own))
+    np.testing.assert_allclose(apart, own, rtol=0.25, atol=3.0)
+
+
 def test_models_may_have_different_outages(tmp_path, capsys) -> None:
     def one(*starts: float) -> Check:
         t = np.array(starts)

@@ -131,6 +131,14 @@ class FilterResult:
     epochs: int
     seconds: float
 
+    def fixes_of_nodes(self) -> dict[int, list[int]]:
+        """Rows of the fixes by the node at which they were used, in order; a velocity may come within the sample of a position."""
+        out: dict[int, list[int]] = {}
+        if self.nodes is not None:
+            for row, node in enumerate(np.searchsorted(self.nodes.epoch, self.fixes.epoch).tolist()):
+                out.setdefault(node, []).append(row)
+        return out
+
     @cached_property
     def trajectory(self) -> Trajectory:
         """The estimated trajectory at the output times."""

@@ -152,7 +152,7 @@ def worth_in_motion(
     t = motion.t[nodes.epoch]
     H = np.where(loop.use[:, :, None], np.nan_to_num(fixes.H), 0.0)
     K = np.where(loop.use[:, None, :], np.nan_to_num(fixes.K), 0.0)
-    at = dict(zip(np.searchsorted(nodes.epoch, fixes.epoch).tolist(), range(len(fixes)), strict=True))
+    at = loop.result.fixes_of_nodes()
     e = np.zeros(nodes.Phi.shape[1])
     flying: list[tuple[float, Array]] = []
     ends: list[float] = []
@@ -164,7 +164,7 @@ def worth_in_motion(
             x[:9] += drive[k]
         ends += [float(x[0] ** 2 + x[1] ** 2) for end, x in flying if t[k] >= end]
         flying = [(end, x) for end, x in flying if t[k] < end]
-        if (j := at.get(k)) is not None:
+        for j in at.get(k, ()):
             e = e + K[j] @ np.where(loop.use[j], error[j] - H[j] @ e, 0.0)
         if waiting and t[k] >= waiting[0]:
             flying.append((waiting.pop(0) + OUTAGE_S, e.copy()))

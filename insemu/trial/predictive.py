@@ -446,14 +446,13 @@ def outage_errors(result: FilterResult, starts: Array) -> Array:
     assert nodes is not None and fixes.K is not None and fixes.H is not None
     use = np.isfinite(fixes.innovation) & fixes.accepted[:, None]
     nu = np.where(use, np.nan_to_num(fixes.innovation), 0.0)
-    at = dict(zip(np.searchsorted(nodes.epoch, fixes.epoch).tolist(), range(len(fixes)), strict=True))
+    at = result.fixes_of_nodes()
     out = np.full(starts.size, np.nan)
     flying: dict[int, Array] = {}
     waiting = 0
     for k in range(1, nodes.t.size):
         flying = {i: nodes.Phi[k] @ d for i, d in flying.items()}
-        j = at.get(k)
-        if j is not None:
+        for j in at.get(k, ()):
             for i in list(flying):
                 late = fixes.t[j] - starts[i] - OUTAGE_S
                 if late >= -1e-6 and np.isfinite(fixes.innovation[j, :2]).all():
