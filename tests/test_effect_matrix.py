@@ -33,7 +33,7 @@ def named_by_gap() -> frozenset[str]:
     folder = Path(inspect.getfile(gap)).parent
     text = "".join(
         p.read_text(encoding="utf-8")
-        for part in ("candidates", "evidence", "data")
+        for part in ("candidates", "evidence", "data", "drive")
         for p in (folder / part).glob("*.py")
     )
     return frozenset(e for e in EFFECTS if re.search(rf'"{e}"', text))

@@ -129,6 +129,7 @@ def test_refinements_of_plainer_errors_are_these():
         "g2_sensitivity",
         "temperature_scale_factor",
         "temperature_misalignment",
+        "gnss_velocity_lag",
     }
 
 
