@@ -216,6 +216,12 @@ class MultipathStep(_OfFixes):
         return Hidden((NED[lot.place],), {"value": value, "start": start, "duration": duration})
 
 
+def _drawn_outliers(n: int, use: EffectUse, rng: np.random.Generator) -> Array:
+    """Normal numbers (n, 3) at a share of n fixes, zero at the others."""
+    hit = rng.random(n) < use.scalar("probability")
+    return np.asarray(hit[:, None] * np.array(use["sigma"]) * rng.standard_normal((n, 3)))
+
+
 class GnssOutliers(_OfFixes):
     """Fixes that are far off."""
 
@@ -230,8 +236,7 @@ class GnssOutliers(_OfFixes):
 
     def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:
         """Add normal numbers at a share of the fixes."""
-        hit = rng.random(fixes.t.size) < use.scalar("probability")
-        fixes.added += hit[:, None] * np.array(use["sigma"]) * rng.standard_normal((fixes.t.size, 3))
+        fixes.added += _drawn_outliers(fixes.t.size, use, rng)
 
     def hidden(self, lot: DriveLot) -> Hidden:
         """One to five fixes in a hundred."""
@@ -256,8 +261,7 @@ class VelocityOutliers(_OfFixes):
 
     def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:
         """Add normal numbers at a share of the velocities."""
-        hit = rng.random(fixes.t.size) < use.scalar("probability")
-        fixes.added_v += hit[:, None] * np.array(use["sigma"]) * rng.standard_normal((fixes.t.size, 3))
+        fixes.added_v += _drawn_outliers(fixes.t.size, use, rng)
 
 
 class Quality(_OfFixes):

@@ -29,8 +29,8 @@ Seen = Callable[[Gone], dict[str, Fixes]]
 
 #: First of the three components of a fix in which an effect makes outliers.
 FIRST = {"gnss_outliers": 0, "gnss_velocity_outliers": 3}
-#: What is hardly followed has the standard deviation of this many outliers: a run of a hundred moves nothing, and a millionth of the variance of an
-#: outlier is left of sixteen digits.
+#: Standard deviation of a fix that is hardly followed, over that of an outlier: the mean of a hundred such fixes is still as uncertain as a hundred
+#: times an outlier, and taking its square off a covariance again rounds at 1e-10 of the variance of one.
 LOOSE = 1e3
 #: Most rounds in which outliers and filter are told apart; on rtkexp_drive, whose outliers come in runs of 20, the sets change by 5 % in the last.
 MOST_ROUNDS = 10
