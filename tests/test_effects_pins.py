@@ -111,7 +111,7 @@ def _fixes(use: EffectUse) -> Any:
     use.effect.inject_fixes(errors, use, RNG(5))
     return [
         errors.position(), errors.velocity(), errors.stated(), errors.stated_velocity(), errors.arm, errors.latency,
-        errors.velocity_lag, errors.velocity_window,
+        errors.velocity_lag, errors.velocity_window, errors.velocity_tau,
     ]  # fmt: skip
 
 

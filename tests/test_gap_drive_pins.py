@@ -130,6 +130,7 @@ def test_refinements_of_plainer_errors_are_these():
         "temperature_scale_factor",
         "temperature_misalignment",
         "gnss_velocity_lag",
+        "gnss_velocity_filter",
     }
 
 

@@ -30,7 +30,7 @@ from insemu.gap.evidence.modes import level
 from insemu.gap.hypothesis import Found, Hypothesis
 from insemu.gap.problems import rest
 from insemu.gap.problems.rest import is_slow
-from insemu.gap.search import reconsider
+from insemu.gap.search import reconsider, search
 from insemu.gap.threshold import certain, tail_of, threshold_of, usual_tail
 from insemu.gap.verdict import Finding, Member, Value
 from insemu.noise import WN, NoiseModel
@@ -437,3 +437,34 @@ def offset_found(monkeypatch, offset, nats, left, square):
     nominal = SimpleNamespace(recording=Moved(), on=lambda recording: SimpleNamespace(recording=recording))
     found = timing.find_times(SimpleNamespace(recording=Moved(), prepared=nominal))
     return found[0].parameters[0].value if found else None
+
+
+class Turns:
+    """A problem in which each of two effects, once found, leaves nothing for the other, and neither is kept."""
+
+    def __init__(self):
+        self.found, self.asked = [], 0
+
+    def rank(self):
+        return []
+
+    def choose(self, ranked):
+        self.asked += 1
+        named = Hypothesis(("ramp", "random_walk")[self.asked % 2], 5.0, (), None)
+        return Found(named, (named,))
+
+    def apply(self, new):
+        self.found.append(new)
+        return True
+
+    def again(self, old):
+        return SimpleNamespace(idle=True)
+
+    def drop(self, old, again):
+        self.found.remove(old)
+
+
+def test_what_is_found_and_dropped_in_turns_ends_a_search():
+    problem = Turns()
+    search(problem, lambda _: None)
+    assert problem.asked == 1 and not problem.found

@@ -69,6 +69,7 @@ FOUND: dict[str, tuple[str, tuple[str, ...], str, dict[str, float], dict[str, An
     "gnss_correlated_noise": ("gnss", ("north",), "", {"sigma": 0.3, "tau": 20.0}, {"sigma": [0.3, 0, 0], "tau": 20.0}),
     "lever_arm": ("gnss", ("x",), "", {"value_x": 0.2}, {"value": [0.2, 0, 0]}),
     "gnss_velocity_lag": ("gnss", (), "", {"lag": 0.05}, {"lag": 0.05}),
+    "gnss_velocity_filter": ("gnss", ("down",), "", {"tau_down": 0.3}, {"tau": [0, 0, 0.3]}),
     "gnss_multipath_step": ("gnss", ("east",), "", {"value": 2.0, "start": 10.0, "duration": 8.0}, {"value": [0, 2.0, 0], "start": 10.0}),
     "gnss_velocity_outliers": ("gnss", ("north", "east", "down"), "", {"probability": 0.05, "sigma": 0.4}, {"sigma": [0.4, 0.4, 0.4]}),
     "gnss_outliers": ("gnss", ("north", "east", "down"), "", {"probability": 0.05, "sigma": 4.0}, {"sigma": [4.0, 4.0, 4.0]}),
@@ -249,6 +250,23 @@ def test_a_correction_that_leaves_more_than_there_was_is_taken_back() -> None:
         passes(first, report(strong("lever_arm", 40.0, value_x=1.2)), report(strong("lever_arm", 42.0, value_x=1.2)))[0]
         is not first
     )
+
+
+def test_a_later_pass_corrects_each_number_where_it_stands() -> None:
+    """Two findings of a lever arm, of z and of x: the later pass had made of the first one of z and x, beside the second."""
+    arms = [
+        replace(strong("lever_arm", 200.0), axes=(a,), parameters=(Value(f"value_{a}", 1.0, 0.5, 1.5, "m"),))
+        for a in "zx"
+    ]
+    more = replace(
+        strong("lever_arm", 40.0), axes=("x", "y", "z"),
+        parameters=tuple(Value(f"value_{a}", v, v - 0.1, v + 0.1, "m") for a, v in (("x", 0.2), ("y", 2.0), ("z", 0.4))),
+    )  # fmt: skip
+    closer, _ = passes(report(*arms), report(more), report())
+    assert {f.axes: {v.name: pytest.approx(v.value) for v in f.parameters} for f in closer.findings} == {
+        ("z", "y"): {"value_z": 1.4, "value_y": 2.0},
+        ("x",): {"value_x": 1.2},
+    }
 
 
 def test_what_is_worth_few_metres_stands_behind_what_has_none() -> None:

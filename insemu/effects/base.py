@@ -207,7 +207,7 @@ class Effect:
     @property
     def needs_trajectory(self) -> bool:
         """Whether taking it off needs to know where the vehicle is and how it stands."""
-        return self.does("omitted")
+        return self.does("omitted") or self.does("corrected_along")
 
     # -- emulate: what the emulator does ---------------------------------------------------------------------------------------------
 
@@ -297,6 +297,20 @@ class Effect:
         """The fixes put right."""
         raise NotImplementedError(self.id)
 
+    def corrected_along(self, use: EffectUse, gnss: GnssRecord, t: Array, acceleration: Array) -> GnssRecord:
+        """The fixes put right along a motion.
+
+        Parameters
+        ----------
+        use : EffectUse
+        gnss : GnssRecord
+        t : (n,) array
+            s.
+        acceleration : (n, 3) array
+            NED, over the interval up to each time, m/s^2.
+        """
+        raise NotImplementedError(self.id)
+
     def true_sigma(self, use: EffectUse, what: str, stated: Array) -> Array:
         """Standard deviations of the fixes as they are.
 
@@ -317,6 +331,19 @@ class Effect:
 
     def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
         """Unit columns along an estimated motion, for effects whose shape is known."""
+        raise NotImplementedError(self.id)
+
+    def about(self, column: Column, value: float, motion: Motion, fixes: FixGeometry) -> Column:
+        """The unit column of the fixes at a size, for effects that are no multiple of one column.
+
+        Parameters
+        ----------
+        column : Column
+            One of :meth:`columns`, which is that of a small effect.
+        value : float
+            Size, in the unit of the column.
+        motion, fixes : Motion, FixGeometry
+        """
         raise NotImplementedError(self.id)
 
     def subsets(self, columns: Sequence[Column]) -> list[Subset]:
@@ -361,7 +388,7 @@ class Effect:
 
 
 #: The functions by which an effect is taken off.
-INVERSES = ("added", "matrix", "bent", "turn", "true_time", "omitted", "corrected_fixes", "arm")
+INVERSES = ("added", "matrix", "bent", "turn", "true_time", "omitted", "corrected_fixes", "corrected_along", "arm")
 _JOINED: Mapping[Join, Any] = {
     "sum": np.add,
     "product": np.multiply,

@@ -218,7 +218,7 @@ class FixErrors:
         self.added, self.added_v = np.zeros((n, 3)), np.zeros((n, 3))
         self.arm = np.zeros(3)
         self.latency = 0.0
-        self.velocity_lag, self.velocity_window = 0.0, 0.0
+        self.velocity_lag, self.velocity_window, self.velocity_tau = 0.0, 0.0, np.zeros(3)
 
     def position(self) -> Array:
         """Errors of the positions, m."""

@@ -12,7 +12,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from insemu import earth, rotation
 from insemu.effects.base import EffectUse, Stage
+from insemu.effects.motion import acceleration_along
 from insemu.errors import InputError
 from insemu.records import ImuRecord, Recording, Trajectory
 
@@ -63,7 +65,30 @@ def compensated(
     for use in sorted((use for use in effects if use.sensor == "gnss"), key=_place):
         if gnss is not None and use.effect.does("corrected_fixes"):
             gnss = use.effect.corrected_fixes(use, gnss)
+    along = [use for use in effects if use.effect.does("corrected_along")]
+    if along and gnss is not None:
+        moved = _acceleration(imu, _given(trajectory, along[0]))
+        for use in along:
+            gnss = use.effect.corrected_along(use, gnss, *moved)
     return replace(recording, imu=imu, gnss=gnss)
+
+
+def _given(trajectory: Trajectory | None, use: EffectUse) -> Trajectory:
+    if trajectory is None:
+        raise InputError(f"the effect '{use.id}' is taken off along a trajectory, and none is given")
+    return trajectory
+
+
+def _acceleration(imu: ImuRecord, trajectory: Trajectory) -> tuple[Array, Array]:
+    """Times (n,) in s and accelerations (n, 3) in NED, m/s^2, over the interval up to each, from specific forces and a trajectory's attitude."""
+    inside = (imu.t >= trajectory.t[0]) & (imu.t <= trajectory.t[-1])
+    t, force = imu.t[inside], (imu.accel / imu.widths(0.0))[inside]
+    rows = np.clip(np.searchsorted(trajectory.t, t - 0.5 * imu.dt), 0, len(trajectory) - 1)
+    C, llh = rotation.dcm_from_rpy(trajectory.rpy[rows]), trajectory.llh[rows]
+    a = np.einsum("nij,nj->ni", C, force)
+    a[:, 2] += earth.gravity(llh[:, 0], llh[:, 2])
+    vel = np.column_stack([np.interp(t, trajectory.t, v) for v in trajectory.vel_ned.T])
+    return t, acceleration_along(t, a, vel)
 
 
 def _place(use: EffectUse) -> Stage:
@@ -101,10 +126,9 @@ def _imu(imu: ImuRecord, effects: Sequence[EffectUse], trajectory: Trajectory | 
             rate, force = rate @ C.T, force @ C.T
     for use in sorted((use for use in effects if use.effect.does("true_time")), key=_place, reverse=True):
         t = use.effect.true_time(use, t)
-    models = [use for use in effects if use.effect.needs_trajectory]
+    models = [use for use in effects if use.effect.does("omitted")]
     if models:
-        if trajectory is None:
-            raise InputError(f"the effect '{models[0].id}' is taken off along a trajectory, and none is given")
+        trajectory = _given(trajectory, models[0])
         rows = np.clip(np.searchsorted(trajectory.t, t), 0, len(trajectory) - 1)
         for use in models:
             of_rate, of_force = use.effect.omitted(use, trajectory, rows)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar
 
@@ -10,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu import earth
-from insemu.effects.base import GNSS, NED, XYZ, Effect, EffectParameter, EffectUse, Stage
+from insemu.effects.base import GNSS, NED, XYZ, Effect, EffectParameter, EffectUse, Stage, Subset
 from insemu.effects.chain import FixErrors
 from insemu.effects.hiding import DriveLot, Hidden, at
-from insemu.effects.motion import Column, FixGeometry, Motion
+from insemu.effects.motion import Column, FixGeometry, Motion, behind_low_pass
 from insemu.errors import InputError
 from insemu.records import GnssRecord
 
@@ -21,6 +22,9 @@ Array = NDArray[np.float64]
 _P = EffectParameter
 #: Longest lever arm that is plausible, m: the longest ships are half as long.
 LONGEST_ARM = 1000.0
+
+#: Time constant of the long one of two shapes of a smoothed velocity, s: receivers that smooth do so over 0.2 to 2 s.
+LONG_S = 1.0
 
 _NO_MEAN = "random: it changes the covariance of the innovations, not their mean"
 
@@ -361,7 +365,60 @@ class VelocityLag(_OfFixes):
         return Hidden((), {"lag": abs(lot.size(self, "lag"))})
 
 
+class VelocityFilter(_OfFixes):
+    """Velocities that a receiver smooths, most often the vertical one."""
+
+    id, name = "gnss_velocity_filter", "smoothed velocities of the fixes"
+    formula = "velocity y + noise, tau y' = v - y: a low-pass of first order"
+    parameters = (_P("tau", "s", 3, (0.1,), None, "time constant, north, east, down", True, "sum", most=60.0),)
+    excitation = "climbs, slopes"
+    in_filter = "tau y' added to the velocities, y' from the IMU; one constant; signature -y' (vertical velocity)"
+    traits = frozenset({"once", "second_order"})
+    stage, size = Stage.FILTER, "tau"
+    absent = {"trial": "not drawn: the recordings of earlier seeds would be others"}
+
+    def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:
+        """Note the time constants: filters one behind the other are about one with their sum."""
+        fixes.velocity_tau = fixes.velocity_tau + np.array(use["tau"])
+
+    def corrected_along(self, use: EffectUse, gnss: GnssRecord, t: Array, acceleration: Array) -> GnssRecord:
+        """Add what the velocities are behind."""
+        if gnss.vel_ned is None:
+            return gnss
+        behind = [
+            tau * _smoothed_slope(gnss.t, t, acceleration[:, k], tau) if tau > 0.0 else np.zeros(len(gnss))
+            for k, tau in enumerate(use["tau"])
+        ]
+        return replace(gnss, vel_ned=gnss.vel_ned + np.column_stack(behind))
+
+    def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
+        """The vertical velocity is behind by the slope of the smoothed one: smoothed shortly, then long.
+
+        Smoothing of the horizontal ones is nearly a lag of the velocities, and looked for as that.
+        """
+        return [self._behind(motion, fixes, tau) for tau in (0.0, LONG_S)]
+
+    def subsets(self, columns: Sequence[Column]) -> list[Subset]:
+        """Short or long."""
+        return [(c.axes, "", [k]) for k, c in enumerate(columns)]
+
+    def about(self, column: Column, value: float, motion: Motion, fixes: FixGeometry) -> Column:
+        """The slope of the velocity smoothed by that much."""
+        return self._behind(motion, fixes, value)
+
+    def _behind(self, motion: Motion, fixes: FixGeometry, tau: float) -> Column:
+        M = np.zeros((fixes.t.size, 6))
+        M[:, 5] = -_smoothed_slope(fixes.t, motion.t, motion.steady_acceleration[:, 2], tau)
+        return Column.of(self, "gnss", "tau_down", ("down",), fixes=M)
+
+
+def _smoothed_slope(at: Array, t: Array, acceleration: Array, tau: float) -> Array:
+    """Slope at times of a velocity smoothed by a time constant in s, from accelerations (n,) over the intervals up to times (n,), m/s^2."""
+    dt = float(np.median(np.diff(t)))
+    return np.asarray(np.interp(at, t - 0.5 * dt, behind_low_pass(acceleration, dt, tau)))
+
+
 EFFECTS: tuple[Effect, ...] = (
     NoiseLevel(), CorrelatedNoise(), VelocityNoise(), LeverArm(), MultipathStep(), GnssOutliers(), Quality(), Latency(),
-    VelocityLag(), VelocityOutliers(),
+    VelocityLag(), VelocityOutliers(), VelocityFilter(),
 )  # fmt: skip

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy.ndimage
 import scipy.signal
 from numpy.typing import ArrayLike, NDArray
 
@@ -173,6 +175,11 @@ class Motion:
         """Acceleration with respect to the Earth, (n, 3) in NED."""
         return self.f_n + self.gravity
 
+    @cached_property
+    def steady_acceleration(self) -> Array:
+        """The same as :func:`acceleration_along` has it."""
+        return acceleration_along(self.t, self.acceleration, self.vel)
+
     @property
     def gravity(self) -> Array:
         """Gravity, (n, 3) in NED."""
@@ -198,6 +205,44 @@ def steady(signal: Array, dt: float) -> Array:
     # the first row may be no whole interval
     x = np.concatenate([signal[1:2], signal[1:]])
     return np.asarray(scipy.signal.sosfiltfilt(sections, x, axis=0, padlen=min(round(1.0 / (corner * dt)), len(x) - 1)))
+
+
+def acceleration_along(t: Array, acceleration: Array, vel: Array) -> Array:
+    """Measured acceleration (n, 3) less vibration and less what makes it drift away from the velocities beside it, NED, m/s^2.
+
+    Parameters
+    ----------
+    t : (n,) array
+        s.
+    acceleration : (n, 3) array
+        Over the interval up to each time, m/s^2.
+    vel : (n, 3) array
+        m/s.
+    """
+    dt = float(np.median(np.diff(t)))
+    drift = acceleration - np.diff(vel, axis=0, prepend=vel[:1]) / dt
+    slow = scipy.ndimage.uniform_filter1d(drift, max(1, min(round(QUIET_S / dt), t.size)), axis=0, mode="nearest")
+    return steady(acceleration - slow, dt)
+
+
+def behind_low_pass(signal: Array, dt: float, tau: float) -> Array:
+    """A signal (n,) behind a low-pass of first order that rested on its first value; straight between samples.
+
+    Parameters
+    ----------
+    signal : (n,) array
+    dt : float
+        Sampling interval, s.
+    tau : float
+        Time constant, s; the signal itself where it is not positive.
+    """
+    if not tau > 0.0:
+        return signal
+    kept = math.exp(-dt / tau)
+    mean = (1.0 - kept) * tau / dt
+    b0 = 1.0 - mean
+    out, _ = scipy.signal.lfilter([b0, mean - kept], [1.0, -kept], signal, zi=np.array([(1.0 - b0) * signal[0]]))
+    return np.asarray(out)
 
 
 def first_axis(sensor: str) -> int:

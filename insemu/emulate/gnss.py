@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.signal
 from numpy.typing import ArrayLike, NDArray
 
 from insemu import earth, rotation
@@ -288,10 +289,25 @@ def _fixes(
     place, vel = antenna(trajectory, inside, arm + errors.arm)
     if errors.velocity_lag or errors.velocity_window:
         vel = _lagging(trajectory, valid - errors.velocity_lag, errors.velocity_window, arm + errors.arm)
+    tau = errors.velocity_tau
+    if tau.any():
+        vel = np.where(tau > 0.0, _smoothed(trajectory, valid - errors.velocity_lag, tau, arm + errors.arm), vel)
     llh, stated = earth.move(place, errors.position()), errors.stated()
     if sigma_v is None:
         return GnssRecord(t, llh, None, stated), place, keep
     return GnssRecord(t, llh, vel + errors.velocity(), stated, errors.stated_velocity()), place, keep
+
+
+def _smoothed(trajectory: Trajectory, t: Array, tau: Array, arm: Array) -> Array:
+    """Velocities (n, 3) of the antenna at times (n,) behind a low-pass of first order with time constants (3,) in s; zero where that is zero."""
+    steps = len(trajectory) - 1
+    fine = np.linspace(trajectory.t[0], trajectory.t[-1], steps + 1)
+    vel, out = antenna(trajectory, fine, arm)[1], np.zeros((t.size, 3))
+    for k in np.flatnonzero(tau > 0.0):
+        b, a = scipy.signal.bilinear([1.0], [tau[k], 1.0], steps / (fine[-1] - fine[0]))
+        slow, _ = scipy.signal.lfilter(b, a, vel[:, k], zi=scipy.signal.lfilter_zi(b, a) * vel[0, k])
+        out[:, k] = np.interp(t, fine, slow)
+    return out
 
 
 def _lagging(trajectory: Trajectory, middle: Array, window: float, arm: Array) -> Array:

@@ -74,7 +74,8 @@ MOST_EFFECTS = 12
 
 
 def search(problem: Problem[C], say: Callable[[str], None]) -> None:
-    """Find the effects of a problem."""
+    """Find the effects of a problem; what is found and dropped in turns ends it too."""
+    seen = {_names(problem)}
     for _ in range(MOST_EFFECTS):
         new = problem.choose(problem.rank())
         if new is None:
@@ -82,6 +83,15 @@ def search(problem: Problem[C], say: Callable[[str], None]) -> None:
         say(f"{new.chosen.effect} {new.chosen.nats:.1f} nats")
         if problem.apply(new) or len(problem.found) > 1:
             reconsider(problem)
+        names = _names(problem)
+        if names in seen:
+            break
+        seen.add(names)
+
+
+def _names(problem: Problem[C]) -> tuple[tuple[str, str, tuple[str, ...]], ...]:
+    """Effects, sensors and axes of what was found."""
+    return tuple(sorted((f.chosen.effect, f.chosen.sensor, f.chosen.axes) for f in problem.found))
 
 
 def reconsider(problem: Problem[C]) -> None:

@@ -293,8 +293,9 @@ def _closer(report: GapReport, more: GapReport, settled: Collection[str]) -> Gap
     """A report with what the recording still says once its effects are known; the same object where that is nothing new."""
     findings = list(report.findings)
     changed = False
-    for m in more.findings:
-        k = next((k for k, s in enumerate(findings) if _alike(s, m)), None)
+    for m in [part for f in more.findings for part in _by_owner(f, report.findings)]:
+        alike = [i for i, s in enumerate(findings) if _alike(s, m)]
+        k = next((i for i in alike if _share(findings[i], m)), alike[0] if alike else None)
         if k is None and m.sensor not in ("gnss", "imu") and not adds(m.effect):
             continue  # what the IMU shows above its motion was searched once; more of it would only chase what changes with time
         if k is None:
@@ -317,6 +318,29 @@ def _closer(report: GapReport, more: GapReport, settled: Collection[str]) -> Gap
         after=more.after,
         remainder=more.remainder,
     )
+
+
+def _by_owner(new: Finding, findings: Sequence[Finding]) -> list[Finding]:
+    """A later finding in parts, where numbers of one effect stand in several earlier findings: each part corrects its own."""
+    owners = [s for s in findings if _alike(s, new) and _share(s, new)]
+    if len(owners) < 2:
+        return [new]
+    parts, left = [], list(new.parameters)
+    for k, s in enumerate(owners):
+        mine = [v for v in left if v.name in _names(s) or (k == 0 and not any(v.name in _names(o) for o in owners))]
+        left = [v for v in left if v not in mine]
+        axes = tuple(a for a in new.axes if any(v.name.endswith(f"_{a}") for v in mine)) or new.axes
+        parts.append(replace(new, parameters=tuple(mine), axes=axes))
+    return [p for p in parts if p.parameters]
+
+
+def _names(finding: Finding) -> set[str]:
+    return {v.name for v in finding.parameters}
+
+
+def _share(one: Finding, other: Finding) -> bool:
+    """Whether two findings have a number in common."""
+    return bool(_names(one) & _names(other))
 
 
 def _alike(one: Finding, other: Finding) -> bool:

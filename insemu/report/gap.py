@@ -62,6 +62,7 @@ _ACTIONS = {
     "decimation_filter": "model the low-pass: {}",
     "imu_gnss_time_offset": "shift the stamps by {}",
     "gnss_velocity_lag": "use the velocities of the fixes earlier than stamped by {}",
+    "gnss_velocity_filter": "undo the smoothing of the velocities of the fixes: {}",
     "clock_drift": "correct the clock by {}",
     "lever_arm": "correct the lever arm by {}",
     "mounting": "turn the IMU's axes by {}",

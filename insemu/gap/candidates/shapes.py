@@ -35,6 +35,8 @@ AMPLITUDES = 40
 ONCE = having("once")
 _OF_SENSORS = frozenset(e.id for e in EFFECTS.values() if e.family == "deterministic")
 _SECOND_ORDER = having("second_order")
+#: Effects whose columns have no negative sizes.
+_POSITIVE = frozenset(e.id for e in EFFECTS.values() if e.size and e.does("columns") and e.parameter(e.size).positive)
 #: Slow random processes, and the parameter that is their size.
 PROCESSES = {e.id: e.size for e in EFFECTS.values() if "process" in e.traits}
 _SENSORS = (("gyro", 0), ("accel", 3))
@@ -224,7 +226,7 @@ def linear_hypotheses(
     evidence = pooled_evidence(variants, logs)
     tried: dict[tuple[str, str], list[tuple[float, Variant, list[Array]]]] = {}
     for v, x in zip(variants, logs, strict=True):
-        if x:
+        if x and not (v.effect in _POSITIVE and _negative(v, data, given)):
             own = float(log_mean_exp_columns(np.concatenate(x))[0])
             tried.setdefault((v.effect, v.sensor), []).append((own, v, x))
     best = {}
@@ -237,6 +239,12 @@ def linear_hypotheses(
         for key, (_, v, x) in best.items()
         if math.isfinite(float(evidence[key][0]))
     ]
+
+
+def _negative(v: Variant, data: Field, given: Sequence[Block]) -> bool:
+    """Whether a variant's best size of any of its columns is below zero."""
+    block = (v.index, v.shapes[0][1] * v.amplitudes[-1])
+    return bool((data.posterior([block, *given])[1][: v.index.size] < 0.0).any())
 
 
 def _described(

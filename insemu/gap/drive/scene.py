@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from insemu import earth, rotation
 from insemu.effects import EFFECTS, Column, EffectUse, FixGeometry, Motion, catalogue_columns
@@ -34,6 +36,8 @@ Window = tuple[int, float, float]
 KNOT_S, KNOTS = 10.0, 60
 #: Times that the filter runs again on corrected data at the most, until its errors are small: a bound, so that a search ends.
 MOST_RUNS = 5
+#: Sizes that are tried first of an effect that is no multiple of one column, and how near to the best it is brought, relative.
+SIZES, SIZE_REL = 12, 0.01
 #: Starts of steps in the fixes that are tried first.
 STARTS = 120
 
@@ -95,6 +99,11 @@ class Scene:
         fixes = FixGeometry.of(motion, t_fix, prepared.lever_arm, prepared.nominal.mounting)
         columns = catalogue_columns(motion, fixes)
         catalogue = len(columns)
+        for j, value in (corrections or {}).items():
+            if j < catalogue and EFFECTS[columns[j].effect].does("about"):
+                own = (columns[j].effect, columns[j].label)
+                slope = _slope_about(columns[j], value, motion, fixes)
+                columns[:catalogue] = [slope if (c.effect, c.label) == own else c for c in columns[:catalogue]]
         columns += library_columns(motion, t_fix, prepared.nominal.mounting)
         if prepared.on_fixes:
             columns = [c if c.fixes is None else replace(c, start=c.fixes[0]) for c in columns]
@@ -191,7 +200,9 @@ class Scene:
         if self.noise is None:
             white = self.loop.whiten(raw)
         else:
-            white = self.surrogate.whiten(raw, self.noise.factor, self.noise.colour)[0].reshape(-1, raw.shape[2])
+            white = self.surrogate.whiten(raw, self.noise.factor, self.noise.colour)[0].reshape(
+                6 * raw.shape[0], raw.shape[2]
+            )
         return np.asarray(white[self.loop.use.ravel()])
 
     @cached_property
@@ -263,7 +274,11 @@ class Scene:
         if beliefs is not None:
             original = replace(original, beliefs=beliefs)
         values = dict(self.corrections if corrections is None else corrections)
-        imu, gnss, state = corrected_data(original, self.columns, values, self.prepared.result.fixes.t)
+        columns = list(self.columns)
+        for j in values:
+            if j < self.catalogue and EFFECTS[columns[j].effect].does("about"):
+                columns[j] = self._at_size(j, values[j], self._geometry)
+        imu, gnss, state = corrected_data(original, columns, values, self.prepared.result.fixes.t)
         run = replace(original, result=self.prepared.result, start=(state, original.start[1]))
         scene = Scene.of(run.again(imu=imu, gnss=gnss), original, values, self.windows)
         scene.noise = self.noise
@@ -317,6 +332,71 @@ class Scene:
             except InputError:  # corrected so far that no filter runs on it: what is left stays linear
                 break
         return scene
+
+    def at_size(self, blocks: Sequence[Block], cut: float | None = None) -> Scene:
+        """The filter run again without the effects that are no multiple of one column, each taken off at its most likely size.
+
+        Parameters
+        ----------
+        blocks : sequence of Block
+            What is explained.
+        cut : float, optional
+            Fixes after this time (s) are not looked at.
+        """
+        named = {int(i) for index, _ in blocks for i in index if i < self.catalogue}
+        sizes = {j: self._likeliest(j, blocks, cut) for j in named if EFFECTS[self.columns[j].effect].does("about")}
+        if all(math.isclose(v, self.corrections.get(j, 0.0), rel_tol=SIZE_REL) for j, v in sizes.items()):
+            return self
+        try:
+            return self.rebuilt(corrections={**self.corrections, **sizes})
+        except InputError:  # no filter runs on it: what is left stays linear
+            return self
+
+    def _likeliest(self, j: int, blocks: Sequence[Block], cut: float | None) -> float:
+        """The size of an effect at which its own shape leaves least of the innovations, beside everything else in blocks."""
+        column, taken = self.columns[j], self.corrections.get(j, 0.0)
+        rest = [(i[i != j], root[i != j]) for i, root in blocks]
+        index = np.unique(np.concatenate([i for i, _ in rest]))
+        G = self.whitened(self._responses(index))
+        back = [(i, v) for i, v in self.corrections.items() if i != j and i in index]
+        put_back = G[:, np.searchsorted(index, [i for i, _ in back])] @ np.array([v for _, v in back])
+        rows = np.ones(self.rows_t.size, dtype=bool) if cut is None else self.rows_t <= cut
+        y = self.full_y.ravel()[self.loop.use.ravel()] + put_back
+        # what the rest explains of anything, as a projection
+        W = np.hstack([np.zeros((y.size, 0)), *(G[:, np.searchsorted(index, i)] @ root for i, root in rest)])[rows]
+        rest_of = np.linalg.solve(np.linalg.cholesky(np.eye(W.shape[1]) + W.T @ W), W.T)
+
+        fixes, nodes = self._geometry, len(self.motion.node)
+
+        def left(log_size: float) -> float:
+            size = math.exp(log_size)
+            shape = self._at_size(j, size, fixes)
+            assert shape.fixes is not None
+            begun = np.zeros((nodes, 1, 9))
+            begun[0, 0, :6] = 0.0 if shape.start is None else shape.start
+            answer = self.whitened(self.loop.respond(1, begun, shape.fixes[:, :, None]))[:, 0]
+            z = (y - (size - taken) * answer)[rows]
+            explained = rest_of @ z
+            return float(z @ z - explained @ explained)
+
+        parameter = EFFECTS[column.effect].parameter(column.label.partition("_")[0])
+        assert parameter.most is not None
+        grid = np.linspace(math.log(0.1 * column.scale), math.log(parameter.most), SIZES)
+        k = int(np.argmin([left(x) for x in grid]))
+        around = (grid[max(k - 1, 0)], grid[min(k + 1, SIZES - 1)])
+        return math.exp(float(minimize_scalar(left, bounds=around, method="bounded", options={"xatol": SIZE_REL}).x))
+
+    @property
+    def _geometry(self) -> FixGeometry:
+        """The fixes along the motion."""
+        prepared = self.prepared
+        return FixGeometry.of(self.motion, prepared.result.fixes.t, prepared.lever_arm, prepared.nominal.mounting)
+
+    def _at_size(self, j: int, size: float, fixes: FixGeometry) -> Column:
+        """A column of an effect that is no multiple of one, at a size."""
+        column = EFFECTS[self.columns[j].effect].about(self.columns[j], size, self.motion, fixes)
+        assert column.fixes is not None
+        return replace(column, start=column.fixes[0]) if self.prepared.on_fixes else column
 
     def explained(self, blocks: Sequence[Block], cut: float | None = None) -> Array | None:
         """What blocks explain of the whitened innovations as they are after corrections, (f, 6); judged by those up to a time."""
@@ -428,6 +508,14 @@ def corrected_data(
     vel_ned = None if gnss.vel_ned is None else gnss.vel_ned + shift[:, 3:]
     corrected = replace(imu, t=stamps, gyro=signals[:, :3], accel=signals[:, 3:])
     return corrected, replace(gnss, llh=llh, vel_ned=vel_ned), state
+
+
+def _slope_about(column: Column, size: float, motion: Motion, fixes: FixGeometry) -> Column:
+    """What one more of an effect of the fixes does that has a size already."""
+    about, h = EFFECTS[column.effect].about, 0.01 * size
+    more, less = (about(column, s, motion, fixes).fixes for s in (size + h, size - h))
+    assert more is not None and less is not None
+    return replace(column, fixes=((size + h) * more - (size - h) * less) / (2.0 * h))
 
 
 def library_columns(motion: Motion, t_fix: Array, mounting: Sequence[float] = (0.0, 0.0, 0.0)) -> list[Column]:

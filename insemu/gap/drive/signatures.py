@@ -111,7 +111,7 @@ class Loop:
 
     def whiten(self, raw: Array) -> Array:
         """Whitened responses, (6 f, columns)."""
-        return np.asarray((self.white @ raw).reshape(-1, raw.shape[2]))
+        return np.asarray((self.white @ raw).reshape(6 * raw.shape[0], raw.shape[2]))
 
 
 def columns_response(loop: Loop, motion: Motion, columns: Sequence[Column]) -> tuple[Array, Array]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu.effects import EFFECTS
 from insemu.errors import InputError
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.candidates.fixes import (
@@ -237,7 +238,8 @@ class DriveProblem(NoiseOfFixes):
             factors = scene.original.factors * level.factor
             scene = scene.rebuilt(factors=factors, levels=np.where(about(h), factors, scene.original.levels))
         self.found.append(new)
-        corrected = scene.linear_about(self.blocks(), self._strong(), self.cut)
+        sized = scene.at_size(self.blocks(), self.cut) if EFFECTS[h.effect].does("about") else scene
+        corrected = sized.linear_about(self.blocks(), self._strong(), self.cut)
         self._changed = corrected is not scene
         self._take(corrected.trimmed(self.blocks(), self.cut))
         return self._changed
@@ -267,8 +269,11 @@ class DriveProblem(NoiseOfFixes):
         """Let a hypothesis stand in the place of a finding; the last one was weighed just now where nothing has changed since."""
         if new is again.kept and old is self.found[-1] and not self._changed:
             return
-        self._changed = self._changed or new is not again.kept
         self.found = [Found(new, again.ranked) if g is old else g for g in self.found]
+        if new is not again.kept:
+            self._changed = True
+            if EFFECTS[new.effect].does("about"):
+                self._take(self.scene.at_size(self.blocks(), self.cut))
 
     def drop(self, old: Found[Change], again: Again[Change]) -> None:
         """Take a finding back."""
