@@ -269,6 +269,23 @@ def test_a_later_pass_corrects_each_number_where_it_stands() -> None:
     }
 
 
+def test_a_later_level_multiplies_that_of_its_own_axes() -> None:
+    """A factor of 0.57 of the velocities downwards had multiplied that of north and east: 0.39 became 0.22 on all three, and the next look found 1,120 nats."""
+
+    def level(axes: tuple[str, ...], factor: float) -> Finding:
+        return replace(strong("gnss_velocity_noise", 200.0, factor=factor), axes=axes)
+
+    def factors(*looks: Finding) -> dict[tuple[str, ...], float]:
+        first, *more = looks
+        closer, _ = passes(report(first), *(report(s) for s in more), report())
+        return {f.axes: pytest.approx(f.parameters[0].value) for f in closer.findings}
+
+    level_axes = ("north", "east")
+    assert factors(level(level_axes, 0.4), level(("down",), 0.5)) == {level_axes: 0.4, ("down",): 0.5}
+    assert factors(level((*level_axes, "down"), 0.4), level(("down",), 0.5)) == {("down",): 0.2, level_axes: 0.4}
+    assert factors(level(level_axes, 0.4), level((*level_axes, "down"), 0.5)) == {level_axes: 0.2, ("down",): 0.5}
+
+
 def test_what_is_worth_few_metres_stands_behind_what_has_none() -> None:
     """A lever arm of 2 m after a minute, beside 427 m, put a mounting of 7 deg off the first screen."""
     worth = {"clock_drift": 427.0, "mounting": np.nan, "lever_arm": 2.0, "gnss_velocity_lag": 20.0}

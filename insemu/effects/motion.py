@@ -119,6 +119,8 @@ class Motion:
         IMU rows of the filter's nodes.
     summed : bool
         Whether the record holds increments, which no stretched time stamp changes.
+    recorded_from : float, optional
+        First stamp of the recording, s, where the filter starts later.
     """
 
     t: Array
@@ -131,9 +133,17 @@ class Motion:
     temperature: Array | None
     node: NDArray[np.int64]
     summed: bool = True
+    recorded_from: float | None = None
 
     @classmethod
-    def of(cls, imu: ImuRecord, nav: Array, node: NDArray[np.int64], noise: Array | None = None) -> Motion:
+    def of(
+        cls,
+        imu: ImuRecord,
+        nav: Array,
+        node: NDArray[np.int64],
+        noise: Array | None = None,
+        recorded_from: float | None = None,
+    ) -> Motion:
         """From a filter's run.
 
         Parameters
@@ -146,6 +156,8 @@ class Motion:
         noise : (6,) array, optional
             Standard deviations of the noise of mean rates (rad/s) and specific forces (m/s^2) over an interval, where they are known: a
             vehicle that shakes hides them, and its own motion behind the shaking is no noise.
+        recorded_from : float, optional
+            First stamp of the recording, s.
         """
         t = imu.t
         step = np.diff(t, prepend=2 * t[0] - t[1])
@@ -158,7 +170,12 @@ class Motion:
         known = (None, None) if noise is None else (noise[:3], noise[3:])
         rate, force = _quiet(rate, imu.dt, known[0]), _quiet(force, imu.dt, known[1])
         summed = imu.kind == "increment"
-        return cls(t, middle, rate, force, f_n, nav[:, 3:6], nav[:, :3], imu.temperature, node, summed)
+        return cls(t, middle, rate, force, f_n, nav[:, 3:6], nav[:, :3], imu.temperature, node, summed, recorded_from)
+
+    @property
+    def began(self) -> float:
+        """First stamp of the recording, s."""
+        return float(self.t[0]) if self.recorded_from is None else self.recorded_from
 
     def signal(self, sensor: str) -> Array:
         """Rate or specific force (n, 3)."""

@@ -69,13 +69,14 @@ class ClockDrift(Effect):
     def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
         """A growing time offset, and what is integrated over stretched intervals.
 
-        Stamps that run fast: the fixes are ahead by drift (t - t_0), and what is integrated over stretched intervals is too much: velocity in
+        Stamps that run fast: the fixes are ahead by drift (t - t_0), t_0 the first stamp of the recording, and what is integrated over stretched intervals is too much: velocity in
         any case, gravity where increments are summed, the whole acceleration and rate where means or samples are.
         """
-        late = (fixes.t - motion.t[0])[:, None]
+        late, begun = (fixes.t - motion.began)[:, None], float(motion.t[0] - motion.began)
         a_b = np.einsum("nji,nj->ni", motion.C, motion.gravity if motion.summed else motion.acceleration)
         inputs = on_axes(a_b, 3) + (() if motion.summed else on_axes(motion.rate))
-        return [Column.of(self, "imu", "drift", (), inputs, fixes.moved * late, runs=True)]
+        start = begun * fixes.start if begun else None
+        return [Column.of(self, "imu", "drift", (), inputs, fixes.moved * late, runs=True, start=start)]
 
     def hidden(self, lot: DriveLot) -> Hidden:
         """A constant."""

@@ -294,6 +294,9 @@ def _closer(report: GapReport, more: GapReport, settled: Collection[str]) -> Gap
     findings = list(report.findings)
     changed = False
     for m in [part for f in more.findings for part in _by_owner(f, report.findings)]:
+        if _is_level(m):
+            findings, changed = _multiplied(findings, m), True
+            continue
         alike = [i for i, s in enumerate(findings) if _alike(s, m)]
         k = next((i for i in alike if _share(findings[i], m)), alike[0] if alike else None)
         if k is None and m.sensor not in ("gnss", "imu") and not adds(m.effect):
@@ -332,6 +335,25 @@ def _by_owner(new: Finding, findings: Sequence[Finding]) -> list[Finding]:
         axes = tuple(a for a in new.axes if any(v.name.endswith(f"_{a}") for v in mine)) or new.axes
         parts.append(replace(new, parameters=tuple(mine), axes=axes))
     return [p for p in parts if p.parameters]
+
+
+def _is_level(finding: Finding) -> bool:
+    """Whether a finding is one factor of several axes."""
+    return any(v.name == "factor" and join_of(finding.effect, v.name) == "product" for v in finding.parameters)
+
+
+def _multiplied(findings: Sequence[Finding], new: Finding) -> list[Finding]:
+    """Findings with a later pass's level: a factor of some axes multiplies theirs, and stands by itself on the others."""
+    out, left = [], list(new.axes)
+    for s in findings:
+        inside = tuple(a for a in s.axes if a in left) if _alike(s, new) else ()
+        outside = tuple(a for a in s.axes if a not in inside)
+        if inside:
+            out.append(replace(_corrected(s, replace(new, axes=inside)), axes=inside))
+            left = [a for a in left if a not in inside]
+        if outside or not inside:
+            out.append(replace(s, axes=outside) if inside else s)
+    return [*out, replace(new, axes=tuple(left))] if left else out
 
 
 def _names(finding: Finding) -> set[str]:

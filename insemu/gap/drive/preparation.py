@@ -74,6 +74,8 @@ class Prepared:
         By what standard deviations were raised for that: other errors may have had a part in it, so that they may come back.
     on_fixes : bool
         Whether the start is that of the first fix, with its errors.
+    began : float, optional
+        First stamp of the recording, s: what the filter needs begins later.
     """
 
     imu: ImuRecord
@@ -92,6 +94,7 @@ class Prepared:
     steadied: bool = False
     raised: Array = field(default_factory=lambda: np.ones(6))
     on_fixes: bool = False
+    began: float | None = None
 
     def again(
         self,
@@ -122,7 +125,8 @@ class Prepared:
     def on(self, recording: Recording) -> Prepared:
         """The same filter on another recording of the same motion, started as that recording lets it."""
         imu, gnss, initial, sigma = starting_state(recording, self.nominal)
-        return replace(self, start=(initial, sigma), rectified=None, steadied=False, raised=np.ones(6)).again(
+        began = float(recording.imu.t[0])
+        return replace(self, start=(initial, sigma), rectified=None, steadied=False, raised=np.ones(6), began=began).again(
             imu=imu, gnss=with_sigma(gnss, self.nominal)
         )
 
@@ -132,7 +136,7 @@ class Prepared:
         imu, nodes = self.imu, self.result.nodes
         assert nodes is not None
         noise = np.sqrt([float(self.beliefs[name].allan_variance([1], imu.dt)[0]) for name in AXES])
-        return Motion.of(imu, self.result.nav, nodes.epoch, noise)
+        return Motion.of(imu, self.result.nav, nodes.epoch, noise, self.began)
 
     def trimmed(self) -> Prepared:
         """The same filter with the levels of its fixes moved towards their most likely values inside the tolerance."""
@@ -226,7 +230,7 @@ def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], le
     prepared = Prepared(
         imu, gnss, result, beliefs, fast, lever, np.ones(6), start, nominal,
         rectified=left, swings=left is not None and bool(np.any(lever)), steadied=_moved(recorded, gnss), raised=_raised(recorded, gnss),
-        on_fixes=recording.reference is None,
+        on_fixes=recording.reference is None, began=float(recording.imu.t[0]),
     )  # fmt: skip
     return prepared.trimmed()
 

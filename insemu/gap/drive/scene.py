@@ -470,7 +470,8 @@ def corrected_data(
     imu, gnss, state = prepared.imu, prepared.gnss, prepared.start[0]
     if not values:
         return imu, gnss, state
-    stamps = imu.t
+    began = float(imu.t[0]) if prepared.began is None else prepared.began
+    stamps, timed = np.concatenate([[began], imu.t]), False
     width = imu.widths(0.0)[:, 0]
     signals = np.hstack([imu.gyro, imu.accel])
     shift = np.zeros((len(gnss), 6))
@@ -487,19 +488,20 @@ def corrected_data(
         if effect is not None and effect.does("true_time"):
             # of a large one the fixes are not only ahead by velocity and acceleration
             use = EffectUse.from_mapping({"effect": effect.id, "sensor": columns[j].sensor, columns[j].label: value})
-            stamps = effect.true_time(use, stamps)
+            stamps, timed = effect.true_time(use, stamps), True
         elif moved is not None:
             shift[at] -= value * moved
         begun = columns[j].start
         if begun is not None:
             llh, vel = earth.move(state.llh, -value * begun[:3]), state.vel_ned - value * begun[3:]
             state = replace(state, llh=llh, vel_ned=vel)
+    stamps = stamps[1:]
     for k in np.flatnonzero(slow.any(axis=1)):
         signals[:, k] -= np.interp(imu.t, knots, slow[k]) * width
     llh = gnss.llh.copy()
     there = np.isfinite(llh).all(axis=1)
     llh[there] = earth.move(llh[there], shift[there, :3])
-    if stamps is not imu.t and prepared.swings:
+    if timed and prepared.swings:
         # what a filter with the new stamps misses of the antenna's swing is another
         before, after = (
             swing_missed(i, prepared.result.nav, t_fix, prepared.lever_arm) for i in (imu, replace(imu, t=stamps))
