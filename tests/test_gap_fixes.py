@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from insemu.effects import EffectUse
+from insemu.effects import EffectUse, having
 from insemu.errors import InputError
 from insemu.gap import GapReport, Nominal, find_gap
 from insemu.gap.candidates.fixes import (
@@ -24,6 +24,7 @@ from insemu.gap.candidates.fixes import (
     without_outliers,
 )
 from insemu.gap.candidates.shapes import Change
+from insemu.gap.drive import FIRST
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.fixes import NED, FixNoise, Surrogate, _any_size, joint_noise, level_beside
@@ -502,3 +503,7 @@ def test_what_comes_after_the_cut_corrects_nothing_before_it() -> None:
     ours, other = (searched(r, "random_walk", cut).scene.corrections for r in (made, replace(made, gnss=late)))
     assert ours.keys() == other.keys() and ours
     assert list(ours.values()) == pytest.approx(list(other.values()), rel=0.05, abs=1e-6)
+
+
+def test_the_effects_that_are_told_apart_are_those_that_a_filter_gates() -> None:
+    assert set(FIRST) == having("outlying")

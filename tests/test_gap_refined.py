@@ -36,6 +36,7 @@ from insemu.noise import AR, BI, DR, GM, QN, RW, SIN, WN, NoiseModel
 from insemu.records import GnssRecord, ImuRecord, Recording, Series
 from insemu.report.gap import ranked
 from insemu.scenario import load
+from insemu.trial.drives import stage
 
 NOMINAL = """
 title: nominal
@@ -270,7 +271,7 @@ def test_a_later_pass_corrects_each_number_where_it_stands() -> None:
 
 
 def test_a_later_level_multiplies_that_of_its_own_axes() -> None:
-    """A factor of 0.57 of the velocities downwards had multiplied that of north and east: 0.39 became 0.22 on all three, and the next look found 1,120 nats."""
+    """A factor of 0.57 of the velocities downwards had made 0.22 of 0.39 of north and east; the next look found 1,120 nats."""
 
     def level(axes: tuple[str, ...], factor: float) -> Finding:
         return replace(strong("gnss_velocity_noise", 200.0, factor=factor), axes=axes)
@@ -480,3 +481,20 @@ def test_of_a_recorded_drive_the_first_design_in_numbers_is_the_nominal_model(tm
     path.write_text(text + f"  numbers: {plain}\n  refined: {louder}\n", encoding="utf-8")
     again = load_nominal(path)
     assert again.beliefs["accel_z"] == NoiseModel((WN(2e-3),)) and [u.id for u in again.effects] == ["lever_arm"]
+
+
+def test_a_drift_counts_from_the_first_stamp_also_where_the_filter_starts_later() -> None:
+    """Fixes from the 60th second on: agreeing there instead of at the first stamp leaves 30 ms once the drift is taken off."""
+    drive = stage(61, 4.0, 50.0, track="car")
+    it = EffectUse.from_mapping({"effect": "clock_drift", "drift": 5e-4})
+    whole = drive.record((it,))
+    assert whole.gnss is not None
+    late = replace(whole, gnss=whole.gnss.rows(whole.gnss.t > 60.0), reference=None)
+    unknown = find_gap(late, drive.nominal, rng=np.random.default_rng(1), hold_out=False, pictures=False)
+    known = refined_nominal(drive.nominal, unknown, late.imu.dt)
+    offset = sum(u.scalar("offset") for u in known.effects if u.id == "imu_gnss_time_offset")
+    drift = sum(u.scalar("drift") for u in known.effects if u.id == "clock_drift")
+    # what the stamps are off by in the middle, whatever the two share of it
+    assert offset + 150.0 * drift == pytest.approx(150.0 * 5e-4, abs=5e-3)
+    again = find_gap(late, known, rng=np.random.default_rng(1), hold_out=False, pictures=False)
+    assert not {"imu_gnss_time_offset", "clock_drift"} & {f.effect for f in again.findings}

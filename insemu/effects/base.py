@@ -50,9 +50,21 @@ ASPECTS: tuple[Aspect, ...] = ("emulate", "compensate", "signature", "candidate"
 #: noise      : its place is the noise model of an axis
 #: level      : a level of the fixes, which is estimated together with their colour
 #: second_order : a refinement of a plainer error, which is more common
+#: outlying   : some fixes are far off, and which ones is nobody's to know beforehand: a filter gates them
 #: evident    : read off the samples or beside a recorded signal: nothing unexplained can stand in for it
 Trait = Literal[
-    "slow", "fast", "samples", "shape", "process", "once", "drawn", "noise", "level", "second_order", "evident"
+    "slow",
+    "fast",
+    "samples",
+    "shape",
+    "process",
+    "once",
+    "drawn",
+    "noise",
+    "level",
+    "second_order",
+    "outlying",
+    "evident",
 ]
 #: Columns that are tried together: axes, label, their places among the effect's columns.
 Subset = tuple[tuple[str, ...], str, list[int]]

@@ -236,6 +236,7 @@ class GnssOutliers(_OfFixes):
         _P("sigma", "m", 3, (5.0,), None, "standard deviation of an outlier", True),
     )
     excitation, in_filter = "fixes", "gating"
+    traits = frozenset({"outlying"})
     absent = {"compensate": "which fixes they are is known only once they are found", "signature": _NO_MEAN}
 
     def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:
@@ -258,6 +259,7 @@ class VelocityOutliers(_OfFixes):
         _P("sigma", "m/s", 3, (0.5,), None, "standard deviation of an outlier", True),
     )
     excitation, in_filter = "velocity fixes", "gating"
+    traits = frozenset({"outlying"})
     absent = {
         "compensate": "which velocities they are is known only once they are found", "signature": _NO_MEAN,
         "trial": "not drawn: the recordings of earlier seeds would be others",

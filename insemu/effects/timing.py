@@ -69,8 +69,8 @@ class ClockDrift(Effect):
     def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
         """A growing time offset, and what is integrated over stretched intervals.
 
-        Stamps that run fast: the fixes are ahead by drift (t - t_0), t_0 the first stamp of the recording, and what is integrated over stretched intervals is too much: velocity in
-        any case, gravity where increments are summed, the whole acceleration and rate where means or samples are.
+        Stamps that run fast: the fixes are ahead by drift (t - t_0), t_0 the first stamp of the recording, and what is integrated over stretched
+        intervals is too much: velocity in any case, gravity where increments are summed, the whole acceleration and rate where means or samples are.
         """
         late, begun = (fixes.t - motion.began)[:, None], float(motion.t[0] - motion.began)
         a_b = np.einsum("nji,nj->ni", motion.C, motion.gravity if motion.summed else motion.acceleration)

@@ -306,7 +306,7 @@ def _scenario(
         out["trajectory"] = raw["trajectory"]
     if own:
         options["compensate"] = [use.to_mapping() for use in own]
-    if any(use.id in ("gnss_outliers", "gnss_velocity_outliers") for use in effects):
+    if any("outlying" in use.effect.traits for use in effects):
         options.setdefault("gate", GATE)
     coloured = next((use for use in effects if use.id == "gnss_correlated_noise"), None)
     if coloured is not None:

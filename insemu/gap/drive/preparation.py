@@ -126,9 +126,9 @@ class Prepared:
         """The same filter on another recording of the same motion, started as that recording lets it."""
         imu, gnss, initial, sigma = starting_state(recording, self.nominal)
         began = float(recording.imu.t[0])
-        return replace(self, start=(initial, sigma), rectified=None, steadied=False, raised=np.ones(6), began=began).again(
-            imu=imu, gnss=with_sigma(gnss, self.nominal)
-        )
+        return replace(
+            self, start=(initial, sigma), rectified=None, steadied=False, raised=np.ones(6), began=began
+        ).again(imu=imu, gnss=with_sigma(gnss, self.nominal))
 
     @property
     def motion(self) -> Motion:
