@@ -420,6 +420,14 @@ def test_a_level_and_outliers_are_told_apart() -> None:
 
 
 @pytest.mark.slow
+def test_axes_of_the_fixes_have_levels_of_their_own() -> None:
+    """The height's level was held within the tolerance of what is stated once the horizontal one was named."""
+    report = looked(recording(use(effect="gnss_noise_level", factor=[2.5, 2.5, 0.4])))
+    found = {f.axes: f.parameters[0].value for f in report.findings if f.effect == "gnss_noise_level"}
+    assert found == {("north", "east"): pytest.approx(2.5, rel=0.2), ("down",): pytest.approx(0.4, rel=0.2)}
+    assert report.verdict == "named"
+
+
 def test_outliers_are_told_where_a_colour_stood_for_them() -> None:
     """Both together are best explained by a colour, beside which outliers were not asked for: a quarter of the fixes in the tails, unexplained."""
     colour = use(effect="gnss_correlated_noise", sigma=[0.2, 0.2, 0.4], tau=10.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from insemu.gap import Finding, GapReport, Member, Value, applied
 from insemu.gap.drive.preparation import fast_parts, prepare
 from insemu.gap.drive.scene import Scene, corrected_data
 from insemu.gap.verdict import Interval
-from insemu.gap.worth import GRAVITY, worth_in_motion, worth_in_noise
+from insemu.gap.worth import GRAVITY, worth_in_motion, worth_in_noise, worth_of_mounting
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import Recording
 from insemu.report import finding_action, finding_metres
@@ -54,6 +55,16 @@ def test_a_slow_process_is_worth_a_bias_and_what_has_no_form_is_left_open() -> N
     assert math.isnan(worth_in_noise(finding("vibration_line", "accel", amplitude=1.0, frequency=17.0)))
     assert math.isnan(worth_in_noise(finding("gnss_noise_level", "gnss", factor=2.0)))
     assert finding_metres(finding("saturation", "gyro", limit=1.0)) == "-"
+
+
+def test_a_mounting_is_worth_the_way_times_its_yaw() -> None:
+    t = np.arange(0.0, 300.0, 0.1)
+    vel = np.column_stack([8.0 * np.cos(0.01 * t), 8.0 * np.sin(0.01 * t), np.ones(t.size)])
+    prepared = SimpleNamespace(motion=SimpleNamespace(t=t, vel=vel))
+    turned = finding("mounting", "imu", rpy_roll=0.3, rpy_pitch=0.2, rpy_yaw=-0.1)
+    assert worth_of_mounting(prepared, turned) == pytest.approx(math.sin(0.1) * 8.0 * T, rel=1e-3)
+    short = SimpleNamespace(motion=SimpleNamespace(t=t[:900], vel=vel[:900]))
+    assert math.isnan(worth_of_mounting(short, turned))
 
 
 def test_an_effect_in_a_drive_is_worth_what_the_filter_shows_through_an_outage() -> None:

@@ -23,7 +23,7 @@ from insemu.gap.problems.findings import with_effect
 from insemu.gap.problems.known import drive_without, in_imu_axes, static_without
 from insemu.gap.problems.rest import find_static_gap
 from insemu.gap.verdict import Finding, GapReport, Interval, Value, held_out_said, judged
-from insemu.gap.worth import worth_of_settled
+from insemu.gap.worth import worth_of_mounting, worth_of_settled
 from insemu.records import AXES, Recording
 
 #: How often the search of a drive runs once more about what is strong, at the most.
@@ -147,7 +147,8 @@ def _drive(
     if now.vehicle is not None and "mounting" not in without:
         mounted = find_mounting(recording, moved, say)
         if mounted.finding is not None:
-            now, flown = taken(mounted.finding), None
+            worth = worth_of_mounting(first.prepared, mounted.finding)
+            now, flown = taken(replace(mounted.finding, metres=worth)), None
             recording, moved = drive_without(measured, now)
     # by the innovations alone the mounting hides in the attitude
     skip = tuple(dict.fromkeys((*without, "mounting")))

@@ -98,6 +98,28 @@ def worth_of_settled(prepared: Prepared, finding: Finding) -> float:
     return worth_in_motion(loop, motion, columns, [values[c.label] for c in columns])
 
 
+def worth_of_mounting(prepared: Prepared, finding: Finding) -> float:
+    """Root mean square of the horizontal position error, m, at the end of a minute in which only the vehicle's motion aids the filter.
+
+    A filter that holds the motion across the vehicle at zero goes off its way by the yaw of the wrong mounting.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        The nominal filter's run.
+    finding : Finding
+        A mounting.
+    """
+    yaw = next((v.value for v in finding.parameters if v.name == "rpy_yaw"), math.nan)
+    t, vel = prepared.motion.t, prepared.motion.vel
+    way = np.concatenate([[0.0], np.cumsum(np.diff(t) * np.linalg.norm(vel[1:, :2], axis=1))])
+    starts = np.arange(t[0] + OUTAGE_S, t[-1] - OUTAGE_S, APART_S)
+    if not starts.size:
+        return math.nan
+    ways = np.interp(starts + OUTAGE_S, t, way) - np.interp(starts, t, way)
+    return float(abs(math.sin(yaw)) * np.sqrt(np.mean(ways**2)))
+
+
 def stated_in_outages(result: FilterResult) -> float:
     """Horizontal standard deviation, m, that a filter states at the end of a minute without fixes: root mean square over starts all along a run.
 

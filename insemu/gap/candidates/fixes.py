@@ -489,7 +489,11 @@ def _share_and_size(outliers: DriveHypothesis, v: Array, S: Array) -> DriveHypot
 
 
 def covariance_hypotheses(
-    scene: Scene, given: Sequence[Block], skip: Collection[str], cut: float | None
+    scene: Scene,
+    given: Sequence[Block],
+    skip: Collection[str],
+    cut: float | None,
+    named: NDArray[np.bool_] | None = None,
 ) -> list[DriveHypothesis]:
     """Weigh levels, colour and outliers of the fixes on the innovations less what is already explained.
 
@@ -503,6 +507,8 @@ def covariance_hypotheses(
         Effects that are not weighed.
     cut : float or None
         Fixes after this time (s) are not looked at; ``None``: all are.
+    named : (6,) array of bool, optional
+        Components of the fixes whose level was named already.
     """
     nu = scene.unexplained(given, cut)
     surrogate = replace(scene.surrogate, nu=nu)
@@ -514,7 +520,7 @@ def covariance_hypotheses(
     moved = scene.original.factors / scene.original.levels
     if scene.noise is None:
         found = gnss_noise_fits(
-            surrogate, surrogate.log_likelihood(), loop.white[:k], y, trimmed=moved, skip=tuple(skip)
+            surrogate, surrogate.log_likelihood(), loop.white[:k], y, trimmed=moved, skip=tuple(skip), named=named
         )
     else:
         found = [] if "gnss_noise_level" in skip else level_beside(surrogate, scene.noise, moved)

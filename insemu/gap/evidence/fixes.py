@@ -262,6 +262,7 @@ def gnss_noise_fits(
     *,
     trimmed: Array,
     skip: Sequence[str] = (),
+    named: NDArray[np.bool_] | None = None,
 ) -> list[NoiseFit]:
     """Weigh other GNSS noise levels, other velocity noise and coloured position noise, where no colour was found yet.
 
@@ -275,8 +276,12 @@ def gnss_noise_fits(
         See :func:`level_scores`: levels that the score makes hopeless are not computed.
     trimmed : (6,) array
         By what the filter's standard deviations were trimmed already: the levels that count are relative to the nominal ones.
+    skip : sequence of str
+        Effects that are not weighed.
+    named : (6,) array of bool, optional
+        Components whose level was named already.
     """
-    problems = _levels(s, white, y, trimmed, skip)
+    problems = _levels(s, white, y, trimmed, skip, np.zeros(6, dtype=bool) if named is None else named)
     colours = [] if "gnss_correlated_noise" in skip else _colours(s)
     likely = _at_starts(s, [*problems, *colours[:1]])
     if colours and np.max(likely[-1]) - base > HOPELESS_NATS:
@@ -344,14 +349,18 @@ def _any_size(settled: Array, rows: Sequence[int]) -> Free:
     return Free("factor", min(rules().lowest_level / known, 1.0 / edge), max(rules().highest_level / known, edge))
 
 
-def _levels(s: Surrogate, white: Array, y: Array, trimmed: Array, skip: Sequence[str]) -> list[_Weighed]:
-    """Levels of the positions and velocities that the score does not make hopeless."""
+def _levels(
+    s: Surrogate, white: Array, y: Array, trimmed: Array, skip: Sequence[str], named: NDArray[np.bool_]
+) -> list[_Weighed]:
+    """Levels of the positions and velocities that are not named and that the score does not make hopeless."""
     out = []
     for effect, offset in LEVEL_ROWS.items():
         if effect in skip or not s.use[:, offset : offset + 3].any():
             continue
         for axes in GROUPS:
             rows = [offset + NED.index(a) for a in axes]
+            if named[rows].any():
+                continue
             score, information = level_scores(s, white, y, [rows])
             if 0.5 * float(score[0]) ** 2 / max(float(information[0, 0]), 1e-12) < 1.0:
                 continue

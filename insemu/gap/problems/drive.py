@@ -115,6 +115,8 @@ class DriveProblem(NoiseOfFixes):
         """Effects that are not asked for: those taken out, and those found that are there once."""
         chosen = [f.chosen for f in self.found if f is not without]
         once = {h.effect for h in chosen if h.effect in (*ONCE, *FIRST) or h.change.noise is not None}
+        if self.scene.noise is None:  # of the fixes' other axes a level may be named as well
+            once -= {h.effect for h in chosen if about(h).any()}
         # which of the fixes known outliers are was settled before
         known = {u.id for u in self.scene.original.nominal.effects if u.id in FIRST}
         return set(self.without) | once | known
@@ -125,8 +127,13 @@ class DriveProblem(NoiseOfFixes):
         out = linear_hypotheses(self.scene, self.variants, self.data, given, skip)
         if "gnss_multipath_step" not in skip:
             out += [h for h in multipath_step(self.scene, self.data, self.rows, given) if h.nats > self._step_nats()]
-        out += covariance_hypotheses(self.scene, given, skip, self.cut)
+        out += covariance_hypotheses(self.scene, given, skip, self.cut, self._levelled())
         return best_first(out)
+
+    def _levelled(self, without: Found[Change] | None = None) -> NDArray[np.bool_]:
+        """Components (6,) of the fixes whose level was named."""
+        each = [about(f.chosen) for f in self.found if f is not without]
+        return np.asarray(np.any([np.zeros(6, dtype=bool), *each], axis=0))
 
     def _step_nats(self) -> float:
         """What a step in the fixes must be worth to be weighed: beside one that is known or found it must be plain."""
@@ -333,7 +340,7 @@ class DriveProblem(NoiseOfFixes):
         for k, f in enumerate(self.found):
             h, others = f.chosen, self.blocks(f)
             if h.change.block is not None and not any(r.change.noise is not None for r in f.ranked):
-                rivals = covariance_hypotheses(self.scene, others, self._skip(f), self.cut)
+                rivals = covariance_hypotheses(self.scene, others, self._skip(f), self.cut, self._levelled(f))
                 self.found[k] = f = replace(f, ranked=tuple(best_first([*f.ranked, *rivals])))
             if h.change.columns:
                 own = [v for v in self.variants if (v.effect, v.sensor) == (h.effect, h.sensor)]

@@ -65,6 +65,8 @@ class NoiseOfFixes(ABC):
             # a colour may have stood for them, with a level beside it: what there is of both is found again
             h = replace(h, nats=h.nats + self._take_back("gnss_correlated_noise", "gnss_noise_level"))
         stood = self._named(next(k for k, row in LEVEL_ROWS.items() if row == first))
+        # one level stands beside outliers; of other axes it is found again
+        self.found = [f for f in self.found if stood is None or f.chosen.effect != stood.effect or f.chosen is stood]
         scene, level = seen, None if stood is None else stood.values[0].value
         if seen.noise is not None or stood is not None:
             nominal = np.where(ours, 1.0, [scene.original.factors, scene.original.levels])
