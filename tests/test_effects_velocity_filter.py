@@ -27,8 +27,11 @@ def ideal():
     return made.imu, made.reference
 
 
-def fixes(reference, *effects: EffectUse, sigma_v: float = 0.0) -> GnssRecord:
-    return gnss_fixes(reference, 4.0, 0.0, sigma_v, rng=np.random.default_rng(1), effects=effects)
+ARM = (1.2, -0.3, 0.8)
+
+
+def fixes(reference, *effects: EffectUse) -> GnssRecord:
+    return gnss_fixes(reference, 4.0, 0.0, 0.0, ARM, rng=np.random.default_rng(1), effects=effects)
 
 
 @pytest.mark.parametrize(("tau", "f"), [(0.3, 0.5), (1.5, 0.1)])
@@ -58,11 +61,14 @@ def test_it_is_taken_off_along_the_accelerations(ideal) -> None:
     imu, reference = ideal
     it = use(0.8, 1.6, 0.0)
     plain, slow = fixes(reference), fixes(reference, it)
-    back = compensated(Recording(imu, slow), [it], trajectory=reference).gnss
+    back = compensated(Recording(imu, slow), [it], trajectory=reference, lever_arm=ARM).gnss
     before, after = (np.abs(g.vel_ned - plain.vel_ned)[2:-2].max() for g in (slow, back))
     assert after < 0.02 * before
+    # the antenna swings about the IMU
+    bare = compensated(Recording(imu, slow), [it], trajectory=reference).gnss
+    assert np.abs(bare.vel_ned - plain.vel_ned)[2:-2].max() > 0.05 * before
     none = Recording(imu, plain.without_velocity())
-    assert compensated(none, [it], trajectory=reference).gnss is none.gnss
+    assert compensated(none, [it], trajectory=reference, lever_arm=ARM).gnss is none.gnss
     with pytest.raises(InputError, match="gnss_velocity_filter"):
         compensated(Recording(imu, slow), [it])
 
@@ -72,7 +78,9 @@ def test_a_biased_accelerometer_moves_no_velocity(ideal) -> None:
     it = use(0.0, 0.0, 2.0)
     slow = fixes(reference, it)
     biased = replace(imu, accel=imu.accel + np.array([0.0, 0.0, 0.05]) * imu.dt)
-    plain, moved = (compensated(Recording(i, slow), [it], trajectory=reference).gnss for i in (imu, biased))
+    plain, moved = (
+        compensated(Recording(i, slow), [it], trajectory=reference, lever_arm=ARM).gnss for i in (imu, biased)
+    )
     assert np.abs(moved.vel_ned - plain.vel_ned).max() < 0.1 * 0.05 * 2.0
 
 
@@ -81,7 +89,7 @@ def test_rows_without_a_velocity_stay_as_they_are(ideal) -> None:
     it = use(0.8, 0.0, 0.0)
     slow = fixes(reference, it)
     every = replace(slow, vel_ned=np.where(np.arange(len(slow))[:, None] % 2, np.nan, slow.vel_ned))
-    back = compensated(Recording(imu, every), [it], trajectory=reference).gnss
+    back = compensated(Recording(imu, every), [it], trajectory=reference, lever_arm=ARM).gnss
     assert np.isnan(back.vel_ned[1::2]).all() and np.isfinite(back.vel_ned[::2]).all()
 
 

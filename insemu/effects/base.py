@@ -309,7 +309,9 @@ class Effect:
         """The fixes put right."""
         raise NotImplementedError(self.id)
 
-    def corrected_along(self, use: EffectUse, gnss: GnssRecord, t: Array, acceleration: Array) -> GnssRecord:
+    def corrected_along(
+        self, use: EffectUse, gnss: GnssRecord, t: Array, acceleration: Array, swing: Array
+    ) -> GnssRecord:
         """The fixes put right along a motion.
 
         Parameters
@@ -318,8 +320,8 @@ class Effect:
         gnss : GnssRecord
         t : (n,) array
             s.
-        acceleration : (n, 3) array
-            NED, over the interval up to each time, m/s^2.
+        acceleration, swing : (n, 3) arrays
+            Of the IMU, m/s^2, and velocity of the antenna about it, m/s, over the interval up to each time, NED.
         """
         raise NotImplementedError(self.id)
 

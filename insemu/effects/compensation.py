@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu import earth, rotation
 from insemu.effects.base import EffectUse, Stage
-from insemu.effects.motion import acceleration_along
+from insemu.effects.motion import acceleration_along, steady, swing_along
 from insemu.errors import InputError
 from insemu.records import ImuRecord, Recording, Trajectory
 
@@ -38,6 +38,7 @@ def compensated(
     effects: Sequence[EffectUse],
     *,
     trajectory: Trajectory | Callable[[Recording], Trajectory] | None = None,
+    lever_arm: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Recording:
     """Take effects off a recording.
 
@@ -49,6 +50,8 @@ def compensated(
     trajectory : Trajectory or callable, optional
         Estimated motion, for Earth rate, transport rate and gravity; the attitude to a degree is enough. Or how to estimate it: a function of
         the recording less everything else, which is called where an effect needs it.
+    lever_arm : (3,) array
+        From the IMU to the antenna in body axes, m, for effects along the way of the antenna.
 
     Raises
     ------
@@ -67,7 +70,7 @@ def compensated(
             gnss = use.effect.corrected_fixes(use, gnss)
     along = [use for use in effects if use.effect.does("corrected_along")]
     if along and gnss is not None:
-        moved = _acceleration(imu, _given(trajectory, along[0]))
+        moved = _moved(imu, _given(trajectory, along[0]), lever_arm)
         for use in along:
             gnss = use.effect.corrected_along(use, gnss, *moved)
     return replace(recording, imu=imu, gnss=gnss)
@@ -79,16 +82,20 @@ def _given(trajectory: Trajectory | None, use: EffectUse) -> Trajectory:
     return trajectory
 
 
-def _acceleration(imu: ImuRecord, trajectory: Trajectory) -> tuple[Array, Array]:
-    """Times (n,) in s and accelerations (n, 3) in NED, m/s^2, over the interval up to each, from specific forces and a trajectory's attitude."""
+def _moved(imu: ImuRecord, trajectory: Trajectory, lever_arm: ArrayLike) -> tuple[Array, Array, Array]:
+    """Times (n,) in s, accelerations (n, 3) of the IMU, m/s^2, and velocities (n, 3) of the antenna about it, m/s, in NED.
+
+    Over the interval up to each time, from what was measured and a trajectory's attitude.
+    """
     inside = (imu.t >= trajectory.t[0]) & (imu.t <= trajectory.t[-1])
-    t, force = imu.t[inside], (imu.accel / imu.widths(0.0))[inside]
+    t, width = imu.t[inside], imu.widths(0.0)[inside]
     rows = np.clip(np.searchsorted(trajectory.t, t - 0.5 * imu.dt), 0, len(trajectory) - 1)
     C, llh = rotation.dcm_from_rpy(trajectory.rpy[rows]), trajectory.llh[rows]
-    a = np.einsum("nij,nj->ni", C, force)
+    a = np.einsum("nij,nj->ni", C, imu.accel[inside] / width)
     a[:, 2] += earth.gravity(llh[:, 0], llh[:, 2])
     vel = np.column_stack([np.interp(t, trajectory.t, v) for v in trajectory.vel_ned.T])
-    return t, acceleration_along(t, a, vel)
+    swing = swing_along(C, steady(imu.gyro[inside] / width, imu.dt), lever_arm)
+    return t, acceleration_along(t, a, vel), swing
 
 
 def _place(use: EffectUse) -> Stage:

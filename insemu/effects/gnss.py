@@ -14,7 +14,7 @@ from insemu import earth
 from insemu.effects.base import GNSS, NED, XYZ, Effect, EffectParameter, EffectUse, Stage, Subset
 from insemu.effects.chain import FixErrors
 from insemu.effects.hiding import DriveLot, Hidden, at
-from insemu.effects.motion import Column, FixGeometry, Motion, behind_low_pass
+from insemu.effects.motion import Column, FixGeometry, Motion, behind_low_pass, swing_along
 from insemu.errors import InputError
 from insemu.records import GnssRecord
 
@@ -383,12 +383,14 @@ class VelocityFilter(_OfFixes):
         """Note the time constants: filters one behind the other are about one with their sum."""
         fixes.velocity_tau = fixes.velocity_tau + np.array(use["tau"])
 
-    def corrected_along(self, use: EffectUse, gnss: GnssRecord, t: Array, acceleration: Array) -> GnssRecord:
+    def corrected_along(
+        self, use: EffectUse, gnss: GnssRecord, t: Array, acceleration: Array, swing: Array
+    ) -> GnssRecord:
         """Add what the velocities are behind."""
         if gnss.vel_ned is None:
             return gnss
         behind = [
-            tau * _smoothed_slope(gnss.t, t, acceleration[:, k], tau) if tau > 0.0 else np.zeros(len(gnss))
+            tau * _smoothed_slope(gnss.t, t, acceleration[:, k], swing[:, k], tau) if tau > 0.0 else np.zeros(len(gnss))
             for k, tau in enumerate(use["tau"])
         ]
         return replace(gnss, vel_ned=gnss.vel_ned + np.column_stack(behind))
@@ -410,14 +412,28 @@ class VelocityFilter(_OfFixes):
 
     def _behind(self, motion: Motion, fixes: FixGeometry, tau: float) -> Column:
         M = np.zeros((fixes.t.size, 6))
-        M[:, 5] = -_smoothed_slope(fixes.t, motion.t, motion.steady_acceleration[:, 2], tau)
+        swing = swing_along(motion.C, motion.rate, fixes.lever_arm)
+        M[:, 5] = -_smoothed_slope(fixes.t, motion.t, motion.steady_acceleration[:, 2], swing[:, 2], tau)
         return Column.of(self, "gnss", "tau_down", ("down",), fixes=M)
 
 
-def _smoothed_slope(at: Array, t: Array, acceleration: Array, tau: float) -> Array:
-    """Slope at times of a velocity smoothed by a time constant in s, from accelerations (n,) over the intervals up to times (n,), m/s^2."""
+def _smoothed_slope(at: Array, t: Array, acceleration: Array, swing: Array, tau: float) -> Array:
+    """Slope at times of a velocity of the antenna smoothed by a time constant in s.
+
+    Parameters
+    ----------
+    at : (f,) array
+        s.
+    t : (n,) array
+        s.
+    acceleration, swing : (n,) arrays
+        Of the IMU, m/s^2, and velocity of the antenna about it, m/s, over the interval up to each time.
+    tau : float
+        s.
+    """
     dt = float(np.median(np.diff(t)))
-    return np.asarray(np.interp(at, t - 0.5 * dt, behind_low_pass(acceleration, dt, tau)))
+    about = (swing - behind_low_pass(swing, dt, tau)) / tau if tau > 0.0 else np.gradient(swing, dt)
+    return np.asarray(np.interp(at, t - 0.5 * dt, behind_low_pass(acceleration, dt, tau) + about))
 
 
 EFFECTS: tuple[Effect, ...] = (

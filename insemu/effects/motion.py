@@ -242,6 +242,11 @@ def acceleration_along(t: Array, acceleration: Array, vel: Array) -> Array:
     return steady(acceleration - slow, dt)
 
 
+def swing_along(C: Array, rate: Array, lever_arm: ArrayLike) -> Array:
+    """Velocity (n, 3) of an antenna about the IMU, NED, m/s, from attitudes (n, 3, 3), rates (n, 3) in rad/s and a lever arm (3,) in m."""
+    return np.asarray(np.einsum("nij,nj->ni", C, np.cross(rate, np.asarray(lever_arm, dtype=float))))
+
+
 def behind_low_pass(signal: Array, dt: float, tau: float) -> Array:
     """A signal (n,) behind a low-pass of first order that rested on its first value; straight between samples.
 

@@ -445,7 +445,8 @@ class Experiment:
             flown = self.filter(design).run(rest.imu, rest.gnss, start, sigma)
             return trajectory_of(flown.t, flown.nav, "estimate")
 
-        return compensated(recording, known, trajectory=estimate) if known else recording
+        arm = lever_arm_of(known, self.scenario.gnss.lever_arm)
+        return compensated(recording, known, trajectory=estimate, lever_arm=arm) if known else recording
 
     def _prefiltered(self, design: str, imu: ImuRecord) -> ImuRecord:
         """What a design's filter is fed: the record, de-noised where the design says so."""

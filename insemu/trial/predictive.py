@@ -198,7 +198,8 @@ class Twin:
 
     def flown(self, recording: Recording) -> FilterResult:
         """The filter that knows the model, on a recording less the model's effects."""
-        taken = compensated(recording, self.model.effects, trajectory=self.motion)
+        arm = self.bare.gnss.lever_arm
+        taken = compensated(recording, self.model.effects, trajectory=self.motion, lever_arm=arm)
         assert taken.gnss is not None
         return self.run_apart_from_outliers(taken.imu, with_sigma(taken.gnss, self.bare))
 

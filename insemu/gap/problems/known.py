@@ -147,7 +147,8 @@ def drive_without(recording: Recording, nominal: Nominal) -> tuple[Recording, No
                 sigma = use.effect.true_sigma(use, what, sigma) if use.effect.does("true_sigma") else sigma
             changes[f"{what}_sigma"] = tuple(float(s) for s in sigma)
     moved = replace(nominal, gnss=g.model_copy(update=changes))
-    out = compensated(recording, effects, trajectory=recording.reference or (lambda rest: _estimated(rest, moved)))
+    motion = recording.reference or (lambda rest: _estimated(rest, moved))
+    out = compensated(recording, effects, trajectory=motion, lever_arm=moved.gnss.lever_arm)
     return _without_outliers(out, moved, colour_of(effects)), moved
 
 
