@@ -295,6 +295,13 @@ def test_what_is_worth_few_metres_stands_behind_what_has_none() -> None:
     assert shown == ["clock_drift", "gnss_velocity_lag", "mounting", "lever_arm"]
 
 
+def test_metres_count_by_how_sure_a_name_is() -> None:
+    worth = {"clock_drift": (606.0, 0.0), "lever_arm": (48.0, 0.13), "gnss_velocity_lag": (20.0, 1.0)}
+    findings = [replace(strong(e, 100.0), metres=m, confidence=c) for e, (m, c) in worth.items()]
+    shown = [f.effect for _, f in ranked(report(*findings))]
+    assert shown == ["gnss_velocity_lag", "lever_arm", "clock_drift"]
+
+
 def test_a_step_at_another_time_is_another_step() -> None:
     first = report(strong("gnss_multipath_step", 200.0))
     later, _ = passes(first, report(strong("gnss_multipath_step", 40.0, start=20.0)), report())
