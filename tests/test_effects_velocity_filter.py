@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from insemu.effects import EffectUse, compensated
+from insemu.effects import EFFECTS, EffectUse, FixGeometry, compensated
 from insemu.effects.motion import behind_low_pass
 from insemu.emulate import built_in, gnss_fixes, ideal_imu
 from insemu.errors import InputError
 from insemu.gap import find_gap
 from insemu.gap.beliefs.refined import refined_nominal
+from insemu.gap.drive.preparation import Flown
+from insemu.gap.drive.signatures import Loop, columns_response
 from insemu.records import GnssRecord, Recording
 from insemu.trial.drives import stage
 
@@ -97,6 +99,21 @@ def test_rows_without_a_velocity_stay_as_they_are(ideal) -> None:
 def drive():
     """Four minutes in the air, fixes with velocities: a car hardly climbs."""
     return stage(61, 4.0, 50.0, track="uav")
+
+
+@pytest.mark.parametrize("tau", [0.1, 1.0])
+def test_its_signature_is_the_finite_difference_of_the_whole_filter(drive, tau) -> None:
+    prepared = Flown.of(drive.record(), drive.nominal).prepared
+    loop, motion = Loop.of(prepared.result), prepared.motion
+    fixes = FixGeometry.of(motion, prepared.result.fixes.t, prepared.lever_arm)
+    effect = EFFECTS["gnss_velocity_filter"]
+    column = effect.about(effect.columns(motion, fixes)[0], tau, motion, fixes)
+    changed = prepared.again(gnss=drive.record((use(0.0, 0.0, tau),)).gnss).result.fixes
+    moved = np.nan_to_num(changed.innovation - prepared.result.fixes.innovation)
+    difference = np.einsum("kij,kj->ki", loop.white, moved).ravel()
+    predicted = loop.whiten(columns_response(loop, motion, [column])[0])[:, 0] * tau
+    assert np.corrcoef(difference, predicted)[0, 1] > 0.99
+    assert (difference @ predicted) / (predicted @ predicted) == pytest.approx(1.0, abs=0.03)
 
 
 @pytest.mark.slow

@@ -94,12 +94,14 @@ def nominal_run(kind: str = "increment") -> tuple[FilterResult, Motion, Loop]:
 
 #: The number that this flight shows best, where that is not the last.
 SHOWN = {"misalignment": "value_yx", "temperature_misalignment": "value_yx"}
+#: Seen elsewhere: this flight is level (tests/test_effects_velocity_filter.py), and a drift runs with the stamps (below).
+ELSEWHERE = ("gnss_velocity_filter", "clock_drift")
 #: One number of every effect with columns, on every sensor: effect, sensor, label.
 SIGNATURES = [
     (e.id, sensor, label)
     for e in EFFECTS.values()
     for sensor in e.sensors
-    if e.does("columns") and e.id != "clock_drift"
+    if e.does("columns") and e.id not in ELSEWHERE
     for label in [SHOWN.get(e.id) or e.parameter(e.size or e.parameters[0].name).labels(e.axes)[-1]]
 ]
 #: Datasheet's scales that are tried: a time offset well above what the noise of the samples that it moves past each other does.

@@ -243,7 +243,17 @@ def acceleration_along(t: Array, acceleration: Array, vel: Array) -> Array:
 
 
 def swing_along(C: Array, rate: Array, lever_arm: ArrayLike) -> Array:
-    """Velocity (n, 3) of an antenna about the IMU, NED, m/s, from attitudes (n, 3, 3), rates (n, 3) in rad/s and a lever arm (3,) in m."""
+    """Velocity (n, 3) of an antenna about the IMU, NED, m/s.
+
+    Parameters
+    ----------
+    C : (n, 3, 3) array
+        Attitude of the IMU.
+    rate : (n, 3) array
+        rad/s, sensor axes.
+    lever_arm : (3,) array
+        From the IMU to the antenna, m, sensor axes.
+    """
     return np.asarray(np.einsum("nij,nj->ni", C, np.cross(rate, np.asarray(lever_arm, dtype=float))))
 
 
