@@ -14,7 +14,7 @@ from insemu import earth
 from insemu.effects.base import GNSS, NED, XYZ, Effect, EffectParameter, EffectUse, Stage, Subset
 from insemu.effects.chain import FixErrors
 from insemu.effects.hiding import DriveLot, Hidden, at
-from insemu.effects.motion import Column, FixGeometry, Motion, behind_low_pass, swing_along
+from insemu.effects.motion import Column, FixGeometry, Motion, smoothed_slope, swing_along
 from insemu.errors import InputError
 from insemu.records import GnssRecord
 
@@ -390,7 +390,7 @@ class VelocityFilter(_OfFixes):
         if gnss.vel_ned is None:
             return gnss
         behind = [
-            tau * _smoothed_slope(gnss.t, t, acceleration[:, k], swing[:, k], tau) if tau > 0.0 else np.zeros(len(gnss))
+            tau * smoothed_slope(gnss.t, t, acceleration[:, k], swing[:, k], tau) if tau > 0.0 else np.zeros(len(gnss))
             for k, tau in enumerate(use["tau"])
         ]
         return replace(gnss, vel_ned=gnss.vel_ned + np.column_stack(behind))
@@ -413,27 +413,8 @@ class VelocityFilter(_OfFixes):
     def _behind(self, motion: Motion, fixes: FixGeometry, tau: float) -> Column:
         M = np.zeros((fixes.t.size, 6))
         swing = swing_along(motion.C, motion.rate, fixes.lever_arm)
-        M[:, 5] = -_smoothed_slope(fixes.t, motion.t, motion.steady_acceleration[:, 2], swing[:, 2], tau)
+        M[:, 5] = -smoothed_slope(fixes.t, motion.t, motion.steady_acceleration[:, 2], swing[:, 2], tau)
         return Column.of(self, "gnss", "tau_down", ("down",), fixes=M)
-
-
-def _smoothed_slope(at: Array, t: Array, acceleration: Array, swing: Array, tau: float) -> Array:
-    """Slope at times of a velocity of the antenna smoothed by a time constant in s.
-
-    Parameters
-    ----------
-    at : (f,) array
-        s.
-    t : (n,) array
-        s.
-    acceleration, swing : (n,) arrays
-        Of the IMU, m/s^2, and velocity of the antenna about it, m/s, over the interval up to each time.
-    tau : float
-        s.
-    """
-    dt = float(np.median(np.diff(t)))
-    about = (swing - behind_low_pass(swing, dt, tau)) / tau if tau > 0.0 else np.gradient(swing, dt)
-    return np.asarray(np.interp(at, t - 0.5 * dt, behind_low_pass(acceleration, dt, tau) + about))
 
 
 EFFECTS: tuple[Effect, ...] = (

@@ -6,7 +6,7 @@ Nothing here knows how the emulator makes an effect.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -305,6 +305,8 @@ class FixGeometry:
         Attitude of the IMU.
     start : (6,) array
         What a second between IMU and fixes makes of position and velocity of the IMU where the filter starts, NED.
+    slopes : (f, 3) array, optional
+        Of velocities that the receiver smooths, m/s^2, NED; NaN where it does not.
     """
 
     t: Array
@@ -316,6 +318,7 @@ class FixGeometry:
     turning: Array
     C: Array
     start: Array
+    slopes: Array | None = None
 
     @classmethod
     def of(cls, motion: Motion, t: Array, lever_arm: ArrayLike, mounting: ArrayLike = (0.0, 0.0, 0.0)) -> FixGeometry:
@@ -342,12 +345,54 @@ class FixGeometry:
         start = np.concatenate([motion.vel[0], smooth[0]])
         return cls(t, np.asarray(lever_arm, dtype=float), body, v, accel, omega, turning, motion.C[k], start)
 
+    def smoothed(self, motion: Motion, tau: Array) -> FixGeometry:
+        """The fixes with velocities that the receiver smooths, and that are put right along the motion.
+
+        Parameters
+        ----------
+        motion : Motion
+        tau : (3,) array
+            Time constants, NED, s; 0: not smoothed.
+        """
+        swing = swing_along(motion.C, motion.rate, self.lever_arm)
+        slopes = np.full((self.t.size, 3), np.nan)
+        for k in np.flatnonzero(tau):
+            slopes[:, k] = smoothed_slope(
+                self.t, motion.t, motion.steady_acceleration[:, k], swing[:, k], float(tau[k])
+            )
+        return replace(self, slopes=slopes)
+
     @property
     def moved(self) -> Array:
-        """What a second between IMU and fixes makes of position and velocity of the antenna, (f, 6)."""
+        """What a second between IMU and fixes makes of position and velocity of the antenna, (f, 6).
+
+        Of a smoothed velocity only the receiver's part moves with the stamps: what it is behind is put right along the IMU.
+        """
         arm = self.lever_arm
         around = np.cross(self.rate, arm)
         swing = np.einsum("nij,nj->ni", self.C, around)
         # from one fix to the next an antenna on a shaking vehicle swings to and fro, which a difference of the fixes would not show
         swing_rate = np.einsum("nij,nj->ni", self.C, np.cross(self.turning, arm) + np.cross(self.rate, around))
-        return np.hstack([self.velocity + swing, self.acceleration + swing_rate])
+        along = self.acceleration + swing_rate
+        if self.slopes is not None:
+            along = np.where(np.isfinite(self.slopes), self.slopes, along)
+        return np.hstack([self.velocity + swing, along])
+
+
+def smoothed_slope(at: Array, t: Array, acceleration: Array, swing: Array, tau: float) -> Array:
+    """Slope at times of a velocity of the antenna smoothed by a time constant in s.
+
+    Parameters
+    ----------
+    at : (f,) array
+        s.
+    t : (n,) array
+        s.
+    acceleration, swing : (n,) arrays
+        Of the IMU, m/s^2, and velocity of the antenna about it, m/s, over the interval up to each time.
+    tau : float
+        s.
+    """
+    dt = float(np.median(np.diff(t)))
+    about = (swing - behind_low_pass(swing, dt, tau)) / tau if tau > 0.0 else np.gradient(swing, dt)
+    return np.asarray(np.interp(at, t - 0.5 * dt, behind_low_pass(acceleration, dt, tau) + about))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from insemu.blas import on_one_thread
 from insemu.effects import adds, join_of, joined
@@ -20,8 +21,9 @@ from insemu.gap.data.sources import StaticLog
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.policy import Policy, rules, under
 from insemu.gap.problems.findings import with_effect
-from insemu.gap.problems.known import drive_without, in_imu_axes, static_without
+from insemu.gap.problems.known import drive_without, in_imu_axes, static_without, struck_out
 from insemu.gap.problems.rest import find_static_gap
+from insemu.gap.problems.together import MOST_TURNS, left
 from insemu.gap.verdict import Finding, GapReport, Interval, Value, held_out_said, judged
 from insemu.gap.worth import worth_of_mounting, worth_of_settled
 from insemu.records import AXES, Recording
@@ -183,24 +185,53 @@ def _looked_closer(
     before, worth = report, _bending(report.findings)
     for turn in range(MOST_PASSES):
         if not _bends(report.findings):
-            break
+            return report, None
+        report, refined = _estimated_together(measured, nominal, report, say)
         say(f"the refined model against the recording, {turn + 1}")
-        refined = _refined(measured, nominal, report)
         more = search(*in_imu_axes(*refined))
         corrected = _closer(report, more, settled)
         if corrected is report:
             return report, refined
-        left = _bending(more.findings)
-        if left > worth + rules().lead:
+        remains = _bending(more.findings)
+        if remains > worth + rules().lead:
             say("the correction before is taken back: it left more than there was")
             return before, None
-        before, report, worth = report, corrected, left
-    return report, None
+        before, report, worth = report, corrected, remains
+    return _estimated_together(measured, nominal, report, say) if _bends(report.findings) else (report, None)
 
 
-def _refined(measured: Recording, nominal: Nominal, report: GapReport) -> tuple[Recording, Nominal]:
-    """A recording less what is known and what was found in it, and the nominal model as it is then."""
-    return drive_without(measured, refined_nominal(nominal, report, measured.imu.dt).parted())
+def _estimated_together(
+    measured: Recording, nominal: Nominal, report: GapReport, say: Callable[[str], None]
+) -> tuple[GapReport, tuple[Recording, Nominal]]:
+    """A report whose numbers are those of all its effects at once, and the recording with its nominal model less all of it.
+
+    Steps that no longer explain more end it; a step after which more is left than before is taken back.
+    """
+    now = _refined(measured, nominal, report)
+    before, gain = (report, now), math.inf
+    # which fixes are outliers is told again at the end
+    gone = struck_out(_refined(measured, nominal, report, {})[0], now[0])
+    try:
+        for _ in range(MOST_TURNS):
+            step = left(*in_imu_axes(*now), report.findings)
+            say(f"all numbers together: {step.gain:.1f} nats")
+            if step.gain > gain:
+                return before
+            if step.gain < rules().lead:
+                break
+            before, gain = (report, now), step.gain
+            report = replace(report, findings=tuple(s for s in map(_pruned, step.findings) if s is not None))
+            now = _refined(measured, nominal, report, gone)
+    except InputError:  # no filter runs on a recording less these numbers
+        return before
+    return report, now if before[0] is report else _refined(measured, nominal, report)
+
+
+def _refined(
+    measured: Recording, nominal: Nominal, report: GapReport, gone: Mapping[str, NDArray[np.int64]] | None = None
+) -> tuple[Recording, Nominal]:
+    """A recording less what is known and what was found in it, and the nominal model as it is then; ``gone`` as of :func:`drive_without`."""
+    return drive_without(measured, refined_nominal(nominal, report, measured.imu.dt).parted(), gone)
 
 
 def _bending(findings: Sequence[Finding]) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS, Column, having
-from insemu.gap.drive.scene import Scene, Window
+from insemu.gap.drive.scene import Scene, Window, known_size
 from insemu.gap.evidence.fixes import NoiseFit
 from insemu.gap.evidence.linear import (
     Block,
@@ -36,7 +36,7 @@ ONCE = having("once")
 _OF_SENSORS = frozenset(e.id for e in EFFECTS.values() if e.family == "deterministic")
 _SECOND_ORDER = having("second_order")
 #: Effects whose columns have no negative sizes.
-_POSITIVE = frozenset(e.id for e in EFFECTS.values() if e.size and e.does("columns") and e.parameter(e.size).positive)
+POSITIVE = frozenset(e.id for e in EFFECTS.values() if e.size and e.does("columns") and e.parameter(e.size).positive)
 #: Slow random processes, and the parameter that is their size.
 PROCESSES = {e.id: e.size for e in EFFECTS.values() if "process" in e.traits}
 _SENSORS = (("gyro", 0), ("accel", 3))
@@ -223,10 +223,12 @@ def linear_hypotheses(
     variants = [v for v in variants if v.effect not in skip]
     A, b = data.conditioned(given)
     logs = linear_evidence(variants, A, b)
+    # what only a size below zero explains is not explained
+    logs = [[] if _negative(scene, v, data, given) else x for v, x in zip(variants, logs, strict=True)]
     evidence = pooled_evidence(variants, logs)
     tried: dict[tuple[str, str], list[tuple[float, Variant, list[Array]]]] = {}
     for v, x in zip(variants, logs, strict=True):
-        if x and not (v.effect in _POSITIVE and _negative(v, data, given)):
+        if x:
             own = float(log_mean_exp_columns(np.concatenate(x))[0])
             tried.setdefault((v.effect, v.sensor), []).append((own, v, x))
     best = {}
@@ -241,8 +243,10 @@ def linear_hypotheses(
     ]
 
 
-def _negative(v: Variant, data: Field, given: Sequence[Block]) -> bool:
-    """Whether a variant's best size of any of its columns is below zero."""
+def _negative(scene: Scene, v: Variant, data: Field, given: Sequence[Block]) -> bool:
+    """Whether a variant has no negative sizes, and its best size of any of its columns is below zero."""
+    if v.effect not in POSITIVE or any(known_size(scene.prepared.nominal, scene.columns[i]) for i in v.index):
+        return False
     block = (v.index, v.shapes[0][1] * v.amplitudes[-1])
     return bool((data.posterior([block, *given])[1][: v.index.size] < 0.0).any())
 

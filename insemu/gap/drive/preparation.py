@@ -190,6 +190,19 @@ def fast_parts(recording: Recording, nominal: Nominal) -> dict[str, Reduced]:
     return without_shaking(parts, nominal.beliefs)
 
 
+def flown_once(recording: Recording, nominal: Nominal) -> FilterResult:
+    """The nominal filter on a recording as it is, for the motion that it estimates.
+
+    Raises
+    ------
+    InputError
+        No way to start.
+    """
+    imu, gnss, initial, sigma = starting_state(recording, nominal)
+    beliefs = {name: nominal.beliefs[name] for name in AXES}
+    return _run(imu, with_sigma(gnss, nominal), (initial, sigma), beliefs, np.array(nominal.gnss.lever_arm))
+
+
 def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], levels: dict[str, float]) -> Prepared:
     """Run the nominal filter, its white noise and GNSS levels trimmed by at most the tolerance of a nominal level.
 

@@ -15,12 +15,13 @@ from scipy.optimize import minimize_scalar
 from insemu import earth
 from insemu.effects import EFFECTS, Column, EffectUse, FixGeometry, Motion, catalogue_columns
 from insemu.errors import InputError
+from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.drive.apart import without
 from insemu.gap.drive.columns import clipped_columns, library_columns, rectified_columns
 from insemu.gap.drive.preparation import Prepared, trimmed_factors
 from insemu.gap.drive.shaking import swing_missed
 from insemu.gap.drive.signatures import Loop, columns_response, fix_step_response, knot_response
-from insemu.gap.evidence.fixes import FixNoise, Surrogate
+from insemu.gap.evidence.fixes import NED, FixNoise, Surrogate
 from insemu.gap.evidence.linear import Block, Field, knot_times
 from insemu.gap.policy import rules
 from insemu.noise import NoiseModel
@@ -98,9 +99,16 @@ class Scene:
         t_fix = prepared.result.fixes.t
         fixes = FixGeometry.of(motion, t_fix, prepared.lever_arm, prepared.nominal.mounting)
         columns = catalogue_columns(motion, fixes)
+        if (tau := _smoothing(prepared.nominal, columns, corrections or {})).any():
+            fixes = fixes.smoothed(motion, tau)
+            columns = catalogue_columns(motion, fixes)
         catalogue = len(columns)
+        for j, c in enumerate(columns):
+            # of data less a known size: what one more of it does
+            size = known_size(prepared.nominal, c)
+            columns[j] = _slope_about(c, size, motion, fixes) if size else c
         for j, value in (corrections or {}).items():
-            if j < catalogue and EFFECTS[columns[j].effect].does("about"):
+            if j < catalogue and has_size(prepared.nominal, columns[j]):
                 own = (columns[j].effect, columns[j].label)
                 slope = _slope_about(columns[j], value, motion, fixes)
                 columns[:catalogue] = [slope if (c.effect, c.label) == own else c for c in columns[:catalogue]]
@@ -276,7 +284,7 @@ class Scene:
         values = dict(self.corrections if corrections is None else corrections)
         columns = list(self.columns)
         for j in values:
-            if j < self.catalogue and EFFECTS[columns[j].effect].does("about"):
+            if j < self.catalogue and has_size(self.prepared.nominal, columns[j]):
                 columns[j] = self._at_size(j, values[j], self._geometry)
         imu, gnss, state = corrected_data(original, columns, values, self.prepared.result.fixes.t)
         run = replace(original, result=self.prepared.result, start=(state, original.start[1]))
@@ -344,7 +352,8 @@ class Scene:
             Fixes after this time (s) are not looked at.
         """
         named = {int(i) for index, _ in blocks for i in index if i < self.catalogue}
-        sizes = {j: self._likeliest(j, blocks, cut) for j in named if EFFECTS[self.columns[j].effect].does("about")}
+        nominal = self.prepared.nominal
+        sizes = {j: self._likeliest(j, blocks, cut) for j in named if has_size(nominal, self.columns[j])}
         if all(math.isclose(v, self.corrections.get(j, 0.0), rel_tol=SIZE_REL) for j, v in sizes.items()):
             return self
         try:
@@ -510,6 +519,45 @@ def corrected_data(
     vel_ned = None if gnss.vel_ned is None else gnss.vel_ned + shift[:, 3:]
     corrected = replace(imu, t=stamps, gyro=signals[:, :3], accel=signals[:, 3:])
     return corrected, replace(gnss, llh=llh, vel_ned=vel_ned), state
+
+
+def _smoothing(nominal: Nominal, columns: Sequence[Column], corrections: Mapping[int, float]) -> Array:
+    """Time constants (3,) in s, NED, of velocities that were smoothed and are put right along the motion, known ones and found ones."""
+    tau = np.zeros(3)
+    for use in nominal.effects:
+        if use.effect.does("corrected_along"):
+            tau += use[use.effect.size]
+    for j, value in corrections.items():
+        if j < len(columns) and EFFECTS[columns[j].effect].does("corrected_along"):
+            tau[[NED.index(a) for a in columns[j].axes]] += value
+    return tau
+
+
+def has_size(nominal: Nominal, column: Column) -> bool:
+    """Whether the effect of a column is no multiple of it, so that it is brought to its size; one of known size is put right by its slope.
+
+    Parameters
+    ----------
+    nominal : Nominal
+        What is known.
+    column : Column
+    """
+    return EFFECTS[column.effect].does("about") and not known_size(nominal, column)
+
+
+def known_size(nominal: Nominal, column: Column) -> float:
+    """What is known of the size of an effect that is no multiple of its column; 0 of others.
+
+    Parameters
+    ----------
+    nominal : Nominal
+        What is known.
+    column : Column
+    """
+    effect, (name, _, axis) = EFFECTS[column.effect], column.label.partition("_")
+    if not effect.does("about"):
+        return 0.0
+    return sum(float(u[name][effect.axes.index(axis)]) for u in nominal.effects if u.id == effect.id)
 
 
 def _slope_about(column: Column, size: float, motion: Motion, fixes: FixGeometry) -> Column:

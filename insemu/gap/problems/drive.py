@@ -22,6 +22,7 @@ from insemu.gap.candidates.fixes import (
 )
 from insemu.gap.candidates.shapes import (
     ONCE,
+    POSITIVE,
     PROCESSES,
     Change,
     DriveHypothesis,
@@ -39,7 +40,7 @@ from insemu.gap.data.samples import coarse, mend, with_counts
 from insemu.gap.drive.apart import FIRST
 from insemu.gap.drive.preparation import Flown, Prepared, fast_parts, prepare
 from insemu.gap.drive.scene import Scene, first_rows
-from insemu.gap.evidence.fixes import FixNoise, joint_noise
+from insemu.gap.evidence.fixes import FixNoise
 from insemu.gap.evidence.linear import Block, Field
 from insemu.gap.hypothesis import Found, best_first, probabilities
 from insemu.gap.policy import rules
@@ -63,9 +64,9 @@ from insemu.gap.problems.findings import (
     unknown_part,
     with_effect,
 )
-from insemu.gap.problems.known import colour_of
 from insemu.gap.problems.named import Named, believing, blocks_of, held_out, told, with_confusable
 from insemu.gap.problems.noise_of_fixes import NoiseOfFixes
+from insemu.gap.problems.together import opened
 from insemu.gap.search import Again, search
 from insemu.gap.verdict import Finding, GapReport, Interval, Where, judged
 from insemu.gap.worth import stated_in_outages, white_levels, worth_in_noise
@@ -185,7 +186,8 @@ class DriveProblem(NoiseOfFixes):
     def _hidden_pair(self, best: DriveHypothesis) -> DriveHypothesis | None:
         """The first of two shapes that hide each other: together they explain more than the best effect and what follows it."""
         skip, given, lead = self._skip(), self.blocks(), rules().lead
-        ones = [v for v in self.variants if not v.process and v.index.size == 1 and v.effect not in skip]
+        # of what has no negative sizes, half of the pairs would be none
+        ones = [v for v in self.variants if not v.process and v.index.size == 1 and v.effect not in {*skip, *POSITIVE}]
         linear, strong = best.change.block, best.nats > self.threshold
         if len(ones) < 2 or (linear is None and strong):
             return None
@@ -485,14 +487,8 @@ def find_dynamic_gap(
         )
     at = _Drive.of(recording, nominal, without, flown, say)
     say("responding every effect through the filter")
-    scene = Scene.of(at.prepared)
-    scene = scene.trimmed(scene.always) if scene.always else scene
-    colour = colour_of(nominal.effects)
-    if colour is not None:
-        loud, noise = FixNoise(np.ones(6), colour, known=True).apart(scene.surrogate.sigma())
-        scene = scene.rebuilt(factors=scene.original.factors * loud)
-        moved = scene.original.factors / scene.original.levels
-        scene = scene.coloured(joint_noise(scene.surrogate, noise, moved).noise)
+    scene = opened(at.prepared)
+    if scene.noise is not None:
         without = (*without, "gnss_correlated_noise")
     competing = [v for v in bank(scene) if v.effect not in without]
     threshold = max(rules().least_nats, null_threshold(competing, scene.data, rng, always=scene.always))

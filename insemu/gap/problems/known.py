@@ -123,8 +123,20 @@ def static_without(log: StaticLog, nominal: Nominal) -> tuple[StaticLog, dict[st
     return replace(log, axes=tuple(axes)), dict(known)
 
 
-def drive_without(recording: Recording, nominal: Nominal) -> tuple[Recording, Nominal]:
+def drive_without(
+    recording: Recording, nominal: Nominal, gone: Mapping[str, NDArray[np.int64]] | None = None
+) -> tuple[Recording, Nominal]:
     """A drive or flight less what is known, and the nominal model as it is then: its lever arm and the noise of its fixes put right.
+
+    Parameters
+    ----------
+    recording : Recording
+        As it was measured.
+    nominal : Nominal
+        What is known.
+    gone : mapping of effect to (k,) array of int, optional
+        Which of the positions and of the velocities that there are, in order of time, are outliers, where that was told already
+        (:func:`struck_out`).
 
     Raises
     ------
@@ -149,7 +161,9 @@ def drive_without(recording: Recording, nominal: Nominal) -> tuple[Recording, No
     moved = replace(nominal, gnss=g.model_copy(update=changes))
     motion = recording.reference or (lambda rest: _estimated(rest, moved))
     out = compensated(recording, effects, trajectory=motion, lever_arm=moved.gnss.lever_arm)
-    return _without_outliers(out, moved, colour_of(effects)), moved
+    if gone is None:
+        return _without_outliers(out, moved, colour_of(effects)), moved
+    return _struck_out(out, {k: _stamps(out, k)[at] for k, at in gone.items()}), moved
 
 
 def in_imu_axes(recording: Recording, nominal: Nominal) -> tuple[Recording, Nominal]:
@@ -174,15 +188,15 @@ def in_imu_axes(recording: Recording, nominal: Nominal) -> tuple[Recording, Nomi
 
 def _estimated(recording: Recording, nominal: Nominal) -> Trajectory:
     """Motion as the nominal filter sees it."""
-    from insemu.gap.drive.preparation import fast_parts, prepare
+    from insemu.gap.drive.preparation import flown_once
 
-    result = prepare(recording, nominal, fast_parts(recording, nominal), {}).result
+    result = flown_once(recording, nominal)
     return trajectory_of(result.t, result.nav, "estimate")
 
 
 def _without_outliers(recording: Recording, nominal: Nominal, colour: Colour | None) -> Recording:
     """A recording without the positions and velocities that are more likely known outliers than not, as the nominal filter sees them."""
-    from insemu.gap.drive.apart import FIRST, by_filter, outlying, told_of, under_colour, without
+    from insemu.gap.drive.apart import FIRST, by_filter, outlying, told_of, under_colour
     from insemu.gap.drive.preparation import fast_parts, prepare
 
     if recording.gnss is None or not any(use.id in FIRST for use in nominal.effects):
@@ -193,8 +207,37 @@ def _without_outliers(recording: Recording, nominal: Nominal, colour: Colour | N
     else:
         loud, noise = FixNoise(np.ones(6), colour).apart(Surrogate.of(prepared.result).sigma())
         seen = under_colour(Surrogate.of(prepared.again(factors=loud).result), noise)
-    gone = outlying(seen, told_of(nominal.effects, prepared.gnss))
-    return replace(recording, gnss=without(recording.gnss, gone))
+    return _struck_out(recording, outlying(seen, told_of(nominal.effects, prepared.gnss)))
+
+
+def _struck_out(recording: Recording, gone: Mapping[str, Array]) -> Recording:
+    """A recording without the positions and velocities of some times."""
+    from insemu.gap.drive.apart import without
+
+    return recording if recording.gnss is None else replace(recording, gnss=without(recording.gnss, gone))
+
+
+def struck_out(whole: Recording, recording: Recording) -> dict[str, NDArray[np.int64]]:
+    """Which of the positions and of the velocities of a recording are no more in another, by effect, as :func:`drive_without` takes them.
+
+    Parameters
+    ----------
+    whole, recording : Recording
+        With all of them, and without the outliers; with the same stamps.
+    """
+    from insemu.gap.drive.apart import FIRST
+
+    there = {k: _stamps(whole, k) for k in FIRST}
+    return {k: np.flatnonzero(~np.isin(t, _stamps(recording, k))) for k, t in there.items()}
+
+
+def _stamps(recording: Recording, effect: str) -> Array:
+    """Times (k,) of the positions, or of the velocities, that there are, s: of those of which an effect makes outliers."""
+    from insemu.gap.drive.apart import FIRST
+
+    gnss = recording.gnss
+    values = None if gnss is None else gnss.llh if FIRST[effect] == 0 else gnss.vel_ned
+    return np.zeros(0) if gnss is None or values is None else gnss.t[np.isfinite(values).all(axis=1)]
 
 
 def colour_of(effects: Sequence[EffectUse]) -> Colour | None:

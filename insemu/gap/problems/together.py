@@ -1,0 +1,124 @@
+"""What was found of a drive, estimated once more with all of it at once, on the recording less what it is said to be."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu.gap.beliefs.nominal import Nominal
+from insemu.gap.data.samples import mend, with_counts
+from insemu.gap.drive.preparation import Prepared, fast_parts, prepare
+from insemu.gap.drive.scene import Scene
+from insemu.gap.evidence.fixes import LEVEL_ROWS, NED, FixNoise, joint_noise
+from insemu.gap.problems.known import colour_of
+from insemu.gap.verdict import Finding, Value
+from insemu.records import Recording
+
+Array = NDArray[np.float64]
+#: Times that all of it is estimated together at the most: a bound, so that it ends.
+MOST_TURNS = 4
+
+
+def opened(prepared: Prepared) -> Scene:
+    """The scene of a recording, under the colour of its fixes that is known."""
+    scene = Scene.of(prepared)
+    scene = scene.trimmed(scene.always) if scene.always else scene
+    colour = colour_of(prepared.nominal.effects)
+    if colour is None:
+        return scene
+    loud, noise = FixNoise(np.ones(6), colour, known=True).apart(scene.surrogate.sigma())
+    scene = scene.rebuilt(factors=scene.original.factors * loud)
+    moved = scene.original.factors / scene.original.levels
+    return scene.coloured(joint_noise(scene.surrogate, noise, moved).noise)
+
+
+@dataclass(frozen=True)
+class Left:
+    """What a recording less its findings still says of them.
+
+    Parameters
+    ----------
+    gain : float
+        What better numbers explain, nats, less what they would explain of noise.
+    findings : tuple of Finding
+        With these numbers.
+    """
+
+    gain: float
+    findings: tuple[Finding, ...]
+
+
+def left(recording: Recording, nominal: Nominal, findings: Sequence[Finding]) -> Left:
+    """What a recording less its findings says of their numbers, all at once.
+
+    Numbers that were found one after the other, each beside columns of the others, are not those of all effects as they act. Here the filter
+    flies what they leave, and a step of Gauss and Newton follows.
+
+    Parameters
+    ----------
+    recording : Recording
+        Less what was found, in the axes of the IMU.
+    nominal : Nominal
+        As it is then.
+    findings : sequence of Finding
+        What was found.
+
+    Raises
+    ------
+    InputError
+        A recording on which the nominal filter cannot run.
+    """
+    mended = mend(recording.imu)
+    nominal = replace(nominal, beliefs=with_counts(nominal.beliefs, mended.findings, recording.imu.dt))
+    recording = replace(recording, imu=mended.imu)
+    scene = opened(replace(prepare(recording, nominal, fast_parts(recording, nominal), {}), clipped=mended.clipped))
+    found = list(findings)
+    owners = _columns(scene, found)
+    gain = 0.0
+    if owners:
+        index = np.array(list(owners))
+        # what is found wrong with a number is of its own size, or of the datasheet's
+        wide = [max(scene.columns[j].scale, abs(value)) for j, (_, _, value) in owners.items()]
+        blocks = [(index, np.diag(wide)), *scene.always]
+        _, mean, covariance = scene.data.posterior(blocks)
+        own = slice(0, index.size)
+        mean, covariance = mean[own], covariance[own, own]
+        gain = 0.5 * (float(mean @ np.linalg.solve(covariance, mean)) - index.size)
+        for j, m, sd in zip(owners, mean, np.sqrt(np.diag(covariance)), strict=True):
+            k, name, _ = owners[j]
+            found[k] = _moved(found[k], name, float(m), float(sd))
+    factors = scene.original.factors * (1.0 if scene.noise is None else scene.noise.factor)
+    for k, s in enumerate(found):
+        if s.effect in LEVEL_ROWS:
+            rows = [LEVEL_ROWS[s.effect] + NED.index(a) for a in s.axes]
+            by = math.exp(float(np.mean(np.log(factors[rows]))))
+            found[k] = replace(s, parameters=tuple(v.scaled(by) if v.name == "factor" else v for v in s.parameters))
+    return Left(gain, tuple(found))
+
+
+def _columns(scene: Scene, findings: Sequence[Finding]) -> dict[int, tuple[int, str, float]]:
+    """By column of a scene the finding that it belongs to, its parameter and the value of that."""
+    owners: dict[int, tuple[int, str, float]] = {}
+    for k, s in enumerate(findings):
+        for v in s.parameters:
+            own = (s.effect, s.sensor, v.name)
+            j = next(
+                (j for j, c in enumerate(scene.columns[: scene.catalogue]) if (c.effect, c.sensor, c.label) == own),
+                None,
+            )
+            if j is None or j in owners:
+                continue
+            owners[j] = (k, v.name, v.value)
+    return owners
+
+
+def _moved(finding: Finding, name: str, by: float, sd: float) -> Finding:
+    """A finding with one of its numbers moved, as sure as a standard deviation says."""
+    parameters = tuple(
+        Value.normal(name, v.value + by, sd, v.unit) if v.name == name else v for v in finding.parameters
+    )
+    return replace(finding, parameters=parameters)
