@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 
 from benchmarks.foreign import sensors
 from benchmarks.foreign.baselines import METHODS, baselines
+from benchmarks.foreign.oracle import gained
 from insemu.filters import FixTable
-from insemu.gap import Finding, Nominal, find_gap, load_measured, load_nominal
+from insemu.gap import Finding, GapReport, Nominal, find_gap, load_measured, load_nominal
 from insemu.gap.drive.preparation import Flown, starting_state
 from insemu.gap.evidence.fixes import PLAIN, FixNoise, Surrogate
+from insemu.gap.policy import rules
 from insemu.records import Recording
 from insemu.trial.score import interval
 
@@ -212,8 +214,23 @@ def answer(job: Job) -> dict[str, Any]:
         "right": [[_is(s, h) for h in hidden] for s in report.findings],
         "held": [[_holds(s, h) for h in hidden] for s in report.findings],
         "index": [report.gap_before.value, report.gap_after.value],
+        **(_held_out(measured, nominal, report, hidden, world) if job.hold_out else {}),
         "seconds": seconds,
         "baselines": baselines(measured, nominal, [(h.effect, h.sensor) for h in hidden]) if job.baselines else {},
+    }
+
+
+def _held_out(
+    measured: Recording, nominal: Nominal, report: GapReport, hidden: Sequence[sensors.Hidden], world: sensors.World
+) -> dict[str, Any]:
+    """The interval of the index after refinement, and what was gained on held-out fixes beside what the truth gains, nats per fix."""
+    known = bool(hidden) and all((h.effect, h.sensor) in sensors.SHAPED or h.effect in sensors.DRAWN for h in hidden)
+    after = report.gap_after
+    truth = [truths(h, world) for h in hidden]
+    return {
+        "interval": [after.low, after.high],
+        "gained": report.held_out.value,
+        "oracle": gained(measured, nominal, report, hidden, truth, rules().naming_share) if known else math.nan,
     }
 
 
@@ -301,6 +318,17 @@ def scores(answers: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
         share(f"{kind}: all and only these, by name", exact)
         share(f"{kind}: the same, classes counted", held)
     share("outside: 'unexplained'", [a["verdict"] == "unexplained" for a in of["outside"]])
+    held = [a for a in answers if "interval" in a]
+    share("index after refinement: interval holds 1", [a["interval"][0] <= 1.0 <= a["interval"][1] for a in held])
+    both = np.array([(a["gained"], a["oracle"]) for a in held if math.isfinite(a["oracle"])]).reshape(-1, 2)
+    if both.size:
+        ratios = both[:, 0].sum() / both[:, 1].sum(), np.median(both[:, 0] / both[:, 1])
+        rows.append(
+            (
+                f"held-out gain over that of the truth, {len(both)} recordings: of all, median",
+                "{:.3f}, {:.3f}".format(*ratios),
+            )
+        )
     probabilities = [
         given_to_truth(a, k) for kind in ("one", "two", "three") for a in of[kind] for k in range(len(a["hidden"]))
     ]

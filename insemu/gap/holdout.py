@@ -20,6 +20,8 @@ from insemu.gap.verdict import Interval
 from insemu.records import Series
 
 Array = NDArray[np.float64]
+#: Stretches of the held-out fixes whose mean squares are compared: enough that their scatter is known within a fifth.
+STRETCHES = 16
 
 
 # -- a log at rest ------------------------------------------------------------------------------------------------------------------
@@ -183,9 +185,11 @@ def score_drive(
 
     def around(y: Array, at: Scene) -> Interval:
         value = float(np.mean(y * y))
-        # the squares of one fix go together where the model is wrong: their own spread there, the chi-square's where it is right; and the
-        # levels of the fixes are known from the first part only
-        own = max(math.sqrt(2.0 / y.size) * max(value, 0.2), float(np.std(y * y)) / math.sqrt(y.size))
+        # squares go together where the model is wrong, those of one fix and those of a stretch: their own spread there, the chi-square's where it
+        # is right; and the levels of the fixes are known from the first part only
+        stretches = np.array([np.mean(part) for part in np.array_split(y * y, min(STRETCHES, y.size))])
+        spread_of = (math.sqrt(2.0 / y.size) * max(value, 0.2), float(np.std(y * y)) / math.sqrt(y.size))
+        own = max(*spread_of, float(np.std(stretches, ddof=1)) / math.sqrt(stretches.size))
         return Interval.normal(value, math.hypot(own, value * _level_spread(at, cut)))
 
     return around(test, scene), around(e, final), Interval.normal((gained + outliers) / fixes, spread / fixes)
