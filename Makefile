@@ -20,9 +20,10 @@ test: $(FLOWN)
 test-slow: $(FLOWN)
 	$(BIN)/python -m pytest -m slow -n $(WORKERS)
 
-# Fixed blind recordings against tests/scoreboard.yaml: what moved, and failure where a score left its binomial bound.
+# Fixed blind recordings against tests/scoreboard.yaml, all or LIMIT of them: what moved, and failure where a score left its binomial bound.
+LIMIT ?= 0
 scoreboard: $(STAMP)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.scoreboard --workers $(WORKERS)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.scoreboard --workers $(WORKERS) --limit $(LIMIT)
 
 scoreboard-release: $(STAMP)
 	mkdir -p results && OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.scoreboard --release 1000 --workers $(WORKERS) --log results/scoreboard_release.jsonl

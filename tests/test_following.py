@@ -73,6 +73,7 @@ def test_draws_have_the_gain():
     assert abs(np.log(step[n // 2 :].std() / step[: n // 2 - 1].std()) - 1.0) < 4.0 / np.sqrt(n / 2)
 
 
+@pytest.mark.slow
 def test_the_covariance_of_the_moments_is_that_of_the_record() -> None:
     """Against the exact one of a stationary signal (Isserlis over all pairs of coefficients): segments and the longer scales of the whole."""
     n, segments, dt = 512, 4, 1.0

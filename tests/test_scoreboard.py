@@ -88,6 +88,15 @@ def test_a_score_fails_only_beyond_its_bound_and_on_the_wrong_side() -> None:
     assert beyond("false_alarms", (0, 27), Score("false_alarms", "", 4, 27, "fewer"))
 
 
+def test_a_part_of_the_set_fails_where_its_own_interval_lies_beyond() -> None:
+    # 75 % of 40: 59 to 87 %; of 12 recordings 6 are 21 to 79 %, 2 are 2 to 48 %
+    for count, fails in ((6, False), (2, True)):
+        now = {"all": {"detected": Score("detected", "label", count, 12, "more")}}
+        lines, worse = compare([], [], {"all": {"detected": (30, 40)}}, now, part=True)
+        assert worse is fails and bool(lines) is fails
+    assert beyond("false_alarms", (0, 27), Score("false_alarms", "", 9, 12, "fewer"), part=True)
+
+
 def test_the_command_runs_a_part_and_says_what_moved(capsys, monkeypatch) -> None:
     calls = []
 

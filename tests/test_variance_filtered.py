@@ -165,6 +165,7 @@ def test_what_cannot_be_fitted_is_refused_by_name() -> None:
         fit(wavelet_variance(x, transform="dwt"), "WN()")
 
 
+@pytest.mark.slow
 def test_a_robust_fit_has_the_efficiency_that_is_asked_for() -> None:
     rng = np.random.default_rng(4)
     x = WN(1.0).simulate(20_000, 1.0, rng)
