@@ -24,7 +24,7 @@ from insemu.gap.problems.findings import with_effect
 from insemu.gap.problems.known import drive_without, in_imu_axes, static_without, struck_out
 from insemu.gap.problems.rest import find_static_gap
 from insemu.gap.problems.together import MOST_TURNS, left
-from insemu.gap.verdict import Finding, GapReport, Interval, Value, held_out_said, judged
+from insemu.gap.verdict import Finding, GapReport, Interval, held_out_said, judged
 from insemu.gap.worth import worth_of_mounting, worth_of_settled
 from insemu.records import AXES, Recording
 
@@ -311,7 +311,7 @@ def _added_up(findings: list[Finding], earlier: Finding) -> list[Finding]:
     known = {v.name: v.value for v in earlier.parameters}
     for k, s in enumerate(findings):
         if (s.effect, s.sensor) == (earlier.effect, earlier.sensor):
-            values = tuple(_shifted(v, known.get(v.name, 0.0)) for v in s.parameters)
+            values = tuple(v.shifted(known.get(v.name, 0.0)) for v in s.parameters)
             # a doubt about the little that was found again is none about what was settled
             both = replace(
                 s, parameters=values, nats=s.nats + earlier.nats, confidence=max(s.confidence, earlier.confidence),
@@ -416,9 +416,9 @@ def _corrected(old: Finding, new: Finding) -> Finding:
         if was is None:
             values[v.name] = v
         elif join_of(new.effect, v.name) == "product":
-            values[v.name] = Value(v.name, v.value * was.value, v.low * was.value, v.high * was.value, v.unit)
+            values[v.name] = v.scaled(was.value)
         elif join_of(new.effect, v.name) == "sum":
-            values[v.name] = _shifted(v, was.value)
+            values[v.name] = v.shifted(was.value)
     axes = tuple(dict.fromkeys((*old.axes, *new.axes)))
     return replace(old, axes=axes, parameters=tuple(values.values()))
 
@@ -451,10 +451,6 @@ def _settled(finding: Finding) -> Finding:
 def _larger(one: float, other: float) -> float:
     """The larger of two numbers that may be missing (NaN)."""
     return float(np.fmax(one, other))
-
-
-def _shifted(v: Value, by: float) -> Value:
-    return Value(v.name, v.value + by, v.low + by, v.high + by, v.unit)
 
 
 def _sum(items: list[Interval]) -> Interval:
