@@ -15,8 +15,7 @@ from insemu.effects import having
 from insemu.errors import InputError
 from insemu.gap import session
 from insemu.gap.beliefs.nominal import Nominal
-from insemu.gap.candidates import fixes as steps
-from insemu.gap.candidates import shapes
+from insemu.gap.candidates import shapes, steps
 from insemu.gap.candidates.axis import state_of
 from insemu.gap.candidates.shapes import Change
 from insemu.gap.checks import drive as drive_checks

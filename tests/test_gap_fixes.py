@@ -14,16 +14,9 @@ from numpy.typing import NDArray
 from insemu.effects import EffectUse, having
 from insemu.errors import InputError
 from insemu.gap import GapReport, Nominal, find_gap
-from insemu.gap.candidates.fixes import (
-    _Scan,
-    _share_and_size,
-    _step_anywhere,
-    _when,
-    gnss_outliers,
-    multipath_step,
-    without_outliers,
-)
+from insemu.gap.candidates.fixes import _share_and_size, gnss_outliers, without_outliers
 from insemu.gap.candidates.shapes import Change
+from insemu.gap.candidates.steps import _Scan, _step_anywhere, _when, multipath_step
 from insemu.gap.drive import FIRST
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.drive.scene import Scene
@@ -417,6 +410,31 @@ def test_a_level_and_outliers_are_told_apart() -> None:
     assert found["gnss_noise_level"]["factor"].low < 3.0 < found["gnss_noise_level"]["factor"].high
     share = found["gnss_outliers"]["probability"]
     assert share.low < hit.mean() < share.high
+
+
+def test_outliers_beside_a_step_are_as_many_as_they_are() -> None:
+    """They were told against fixes in which the step still was, and at its edges: 0.1 of 0.033, and the step worth 48 nats of 480."""
+    step = use(effect="gnss_multipath_step", value=[0.0, 1.0, 0.0], start=121.4, duration=60.0)
+    made, hit = with_outliers(recording(step), 0.05, 1.0, seed=8)
+    report = looked(made)
+    found = {f.effect: values(f) for f in report.findings}
+    assert set(found) == {"gnss_multipath_step", "gnss_outliers"} and report.verdict == "named"
+    assert found["gnss_outliers"]["probability"].value == pytest.approx(hit.mean(), rel=0.2)
+    start, value = found["gnss_multipath_step"]["start"], found["gnss_multipath_step"]["value"]
+    assert start.low < 121.4 < start.high and start.high - start.low < 1.5 and value.low < 1.0 < value.high
+
+
+def test_a_level_that_is_named_later_tells_the_outliers_again() -> None:
+    """At the stated level every large error is one."""
+    made, hit = with_outliers(recording(use(effect="gnss_noise_level", factor=2.0)), 0.05, 2.0, seed=8)
+    problem = searched(made, "gnss_outliers")
+    early = problem.found[0].chosen.values[0].value
+    level = next(h for h in problem.rank() if h.effect == "gnss_noise_level")
+    problem.apply(Found(level, (level,)))
+    found = {f.chosen.effect: f.chosen.values[0] for f in problem.found}
+    assert early > 2.0 * hit.mean()
+    assert found["gnss_outliers"].value == pytest.approx(hit.mean(), rel=0.3)
+    assert found["gnss_noise_level"].low < 2.0 < found["gnss_noise_level"].high
 
 
 @pytest.mark.slow

@@ -100,6 +100,20 @@ def under_colour(s: Surrogate, noise: FixNoise, nu: Array | None = None) -> Seen
     return seen
 
 
+def less(seen: Seen, explained: Seen) -> Seen:
+    """Positions and velocities as a filter sees them, less the part of them that is explained, as it sees that part."""
+
+    def rest(gone: Gone) -> dict[str, Fixes]:
+        out, known = seen(gone), explained(gone)
+        for effect, (t, v, S) in out.items():
+            _, own, at = np.intersect1d(t, known[effect][0], return_indices=True)
+            v[own] -= known[effect][1][at]
+            out[effect] = t, v, S
+        return out
+
+    return rest
+
+
 def _rows(effect: str) -> slice:
     return slice(FIRST[effect], FIRST[effect] + 3)
 

@@ -327,7 +327,7 @@ class Scene:
         """
         scene = self
         for _ in range(MOST_RUNS if strong else 0):
-            index, away = scene._explaining(blocks, cut)
+            index, away = scene.explaining(blocks, cut)
             own = np.isin(index, list(strong))
             left = scene._columns(index[own]) @ away[own]
             if not 0.5 * float(left @ left) > rules().correct_nats:
@@ -411,7 +411,7 @@ class Scene:
         """What blocks explain of the whitened innovations as they are after corrections, (f, 6); judged by those up to a time."""
         if not blocks and not self.corrections:
             return None
-        index, coefficients = self._explaining(blocks, cut)
+        index, coefficients = self.explaining(blocks, cut)
         full = np.zeros(self.loop.use.size)
         full[self.loop.use.ravel()] = self._columns(index) @ coefficients
         return full.reshape(-1, 6)
@@ -422,14 +422,14 @@ class Scene:
 
     def unexplained(self, blocks: Sequence[Block], cut: float | None = None) -> Array:
         """Innovations (f, 6) in m and m/s less what blocks explain of them, judged by those up to a time; zero where missing."""
-        use = self.surrogate.use == 1
-        nu = np.where(use, self.surrogate.nu, 0.0)
-        if not blocks and not self.corrections:
-            return nu
-        index, coefficients = self._explaining(blocks, cut)
-        return np.where(use, nu - self._responses(index) @ coefficients, 0.0)
+        return self.less_explained(*self.explaining(blocks, cut))
 
-    def _explaining(self, blocks: Sequence[Block], cut: float | None) -> tuple[NDArray[np.int64], Array]:
+    def less_explained(self, index: NDArray[np.int64], coefficients: Array) -> Array:
+        """Innovations (f, 6) in m and m/s less some columns (k,) times their coefficients (k,); zero where missing."""
+        explained = self._responses(index) @ coefficients if index.size else 0.0
+        return np.where(self.surrogate.use == 1, self.surrogate.nu - explained, 0.0)
+
+    def explaining(self, blocks: Sequence[Block], cut: float | None) -> tuple[NDArray[np.int64], Array]:
         """Columns that explain innovations after corrections, and their coefficients: those of the blocks less what was corrected."""
         corrected = np.array(list(self.corrections), dtype=np.int64)
         index = np.unique(np.concatenate([corrected, *(i for i, _ in blocks)]))

@@ -17,8 +17,6 @@ from insemu.gap.candidates.fixes import (
     as_joint,
     at_level,
     covariance_hypotheses,
-    multipath_step,
-    placed,
 )
 from insemu.gap.candidates.shapes import (
     ONCE,
@@ -33,6 +31,7 @@ from insemu.gap.candidates.shapes import (
     linear_hypotheses,
     null_threshold,
 )
+from insemu.gap.candidates.steps import multipath_step, placed
 from insemu.gap.checks.drive import drive_map, innovation_tests
 from insemu.gap.checks.rest import corrected
 from insemu.gap.data.log import Reduced, unheard
@@ -40,7 +39,7 @@ from insemu.gap.data.samples import coarse, mend, with_counts
 from insemu.gap.drive.apart import FIRST
 from insemu.gap.drive.preparation import Flown, Prepared, fast_parts, prepare
 from insemu.gap.drive.scene import Scene, first_rows
-from insemu.gap.evidence.fixes import FixNoise
+from insemu.gap.evidence.fixes import LEVEL_ROWS, FixNoise
 from insemu.gap.evidence.linear import Block, Field
 from insemu.gap.hypothesis import Found, best_first, probabilities
 from insemu.gap.policy import rules
@@ -247,6 +246,8 @@ class DriveProblem(NoiseOfFixes):
             factors = scene.original.factors * level.factor
             scene = scene.rebuilt(factors=factors, levels=np.where(about(h), factors, scene.original.levels))
         self.found.append(new)
+        if about(h).any() and scene.noise is None:
+            scene = self._outliers_again(scene, next(k for k, row in FIRST.items() if row == LEVEL_ROWS[h.effect]))
         sized = scene.at_size(self.blocks(), self.cut) if EFFECTS[h.effect].does("about") else scene
         corrected = sized.linear_about(self.blocks(), self._strong(), self.cut)
         self._changed = corrected is not scene
@@ -292,6 +293,12 @@ class DriveProblem(NoiseOfFixes):
         """Noise and steps of the fixes as they are beside everything that was found since; whether a colour moved enough to look again."""
         colour, moved = self._named("gnss_correlated_noise"), False
         if colour is None:
+            if back := self._with_edges():
+                self._settle_steps()
+            if back or (self.found and self.found[-1].chosen.effect not in FIRST):
+                for effect in (k for k in FIRST if k in self.gone):
+                    self._take(self._outliers_again(self.scene, effect))
+            self._settle_steps()
             levels = self.scene.original.factors * (1.0 if self.scene.noise is None else self.scene.noise.factor)
             self.found = [replace(f, chosen=at_level(f.chosen, levels)) for f in self.found]
         elif self.scene.noise is not None and colour is not self.found[-1].chosen:
@@ -303,7 +310,7 @@ class DriveProblem(NoiseOfFixes):
             moved = plain is not None or abs(math.log(joint.noise.colour[1] / before[1])) > math.log1p(
                 rules().tolerance
             )
-        self._settle_steps()
+            self._settle_steps()
         return moved
 
     def _settle_steps(self) -> None:

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.gap.candidates.fixes import about, apart_from_named, without_outliers
+from insemu.gap.candidates.fixes import about, apart_from_named, at_level, without_outliers
 from insemu.gap.candidates.shapes import Change, DriveHypothesis
 from insemu.gap.drive.apart import FIRST
 from insemu.gap.drive.scene import Scene
@@ -43,6 +43,10 @@ class NoiseOfFixes(ABC):
     cut: float | None
     gone: dict[str, Array]
     recorded: GnssRecord
+
+    @abstractmethod
+    def _take(self, scene: Scene) -> None:
+        """Go on with a scene."""
 
     @abstractmethod
     def blocks(self, without: Found[Change] | None = None) -> Sequence[Block]:
@@ -82,6 +86,42 @@ class NoiseOfFixes(ABC):
                 scene = scene.rebuilt(factors=factors, levels=levels)
         return self._less(scene, h.effect, told.times), replace(new, chosen=sized)
 
+    def _outliers_again(self, scene: Scene, effect: str) -> Scene:
+        """The scene with outliers that were named told again, beside everything that was found since, with a level of theirs."""
+        known = self._named(effect)
+        if known is None:
+            return scene
+        others = {k: t for k, t in self.gone.items() if k != effect}
+        whole = scene.rebuilt(whole=self.recorded, gone=others)
+        # what is explained was estimated without them
+        nu = whole.less_explained(*scene.explaining(self.blocks(), self.cut))
+        stood = self._named(next(k for k, row in LEVEL_ROWS.items() if row == FIRST[effect]))
+        told = without_outliers(whole, known, self.cut, whole, nu, None if stood is None else 1.0, self.gone[effect])
+        self.found = [replace(f, chosen=told.outliers) if f.chosen is known else f for f in self.found]
+        self.gone = others
+        if stood is not None:
+            at, factor = scene.original, np.where(about(stood), told.level, 1.0)
+            whole = whole.rebuilt(factors=at.factors * factor, levels=at.levels * factor)
+            level = at_level(stood, whole.original.factors)
+            self.found = [replace(f, chosen=level) if f.chosen is stood else f for f in self.found]
+        return self._less(whole, effect, told.times)
+
+    def _with_edges(self) -> bool:
+        """Take the positions back that were told outliers where a step may begin or end, by a filter that did not know it; whether there were any."""
+        told = self.gone.get("gnss_outliers", np.zeros(0))
+        doubtful = np.zeros(told.size, dtype=bool)
+        for h in (f.chosen for f in self.found if f.chosen.change.window is not None):
+            start, duration = (next(v for v in h.values if v.name == name) for name in ("start", "duration"))
+            for low, high in (
+                (start.low, start.high),
+                (start.value + duration.low, start.value + duration.high),
+            ):
+                doubtful |= (told >= low) & (told <= high)
+        if doubtful.any():
+            self.gone["gnss_outliers"] = told[~doubtful]
+            self._take(self.scene.rebuilt(whole=self.recorded, gone=self.gone))
+        return bool(doubtful.any())
+
     def _less(self, scene: Scene, effect: str, times: Array) -> Scene:
         """A scene without outliers, those that were told before included."""
         self.gone[effect] = np.union1d(self.gone.get(effect, np.zeros(0)), times)
@@ -119,6 +159,7 @@ class NoiseOfFixes(ABC):
         known = self._named("gnss_outliers")
         loud, noise = joint.noise.apart(scene.surrogate.sigma())
         kept = {k: t for k, t in self.gone.items() if FIRST[k] > 0}
+        clean = scene
         scene = whole = scene.rebuilt(factors=scene.original.factors * loud, whole=self.recorded, gone=kept)
         for _ in range(MOST_LOOKS):
             # what the other findings explain is another under the colour, and outliers show against it that its scatter hides
@@ -126,13 +167,15 @@ class NoiseOfFixes(ABC):
             now = before
             if known is not None:
                 whole = whole.coloured(noise)
-                told = without_outliers(whole, known, self.cut, whole, whole.unexplained(self.blocks(), self.cut))
+                nu = whole.less_explained(*clean.explaining(self.blocks(), self.cut))
+                told = without_outliers(whole, known, self.cut, whole, nu)
                 self.found = [replace(f, chosen=told.outliers) if f.chosen is known else f for f in self.found]
                 now, known = told.times, told.outliers
                 self.gone["gnss_outliers"] = now
                 if scene is whole or not np.array_equal(before, now):
                     scene = whole.rebuilt(gone=self.gone)
-            scene, tau = scene.coloured(noise), noise.colour[1]
+            scene = clean = scene.coloured(noise)
+            tau = noise.colour[1]
             joint = likeliest()
             noise = joint.noise
             if abs(math.log(noise.colour[1] / tau)) < AS_LONG and np.array_equal(before, now):
