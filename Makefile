@@ -51,7 +51,7 @@ docs: $(STAMP)
 smoke: $(FLOWN)
 	out=$$(mktemp -d) && trap 'rm -rf "$$out"' EXIT && $(BIN)/python .ci/smoke.py "$$out" $(WORKERS)
 
-wheel: $(STAMP)
+wheel: $(FLOWN)
 	.ci/wheel.sh $(BIN)/python
 
 # Every link of the pages to other sites, which CI without a network cannot ask for.

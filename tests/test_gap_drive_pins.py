@@ -390,7 +390,8 @@ def test_a_swinging_antenna_must_explain_ten_nats(gain, swings, monkeypatch):
     scores = iter([0.0])
     monkeypatch.setattr(shaking, "_velocity_score", lambda *_: next(scores, gain))
     gnss = GnssRecord(imu.t[k], np.zeros((n, 3)), np.zeros((n, 3)), np.ones((n, 3)), np.ones((n, 3)))
-    out = shaking.steadied(imu, gnss, gnss, SimpleNamespace(fixes=fix, nav=nav), np.array([0.5, 0.0, 0.0]))
+    arm = np.array([0.5, 0.0, 0.0])
+    out = shaking.steadied(imu, gnss, gnss, SimpleNamespace(fixes=fix, nav=nav), arm, arm)
     assert (out is not gnss) == swings
 
 

@@ -30,11 +30,11 @@ from insemu.gap import (
 )
 from insemu.gap.beliefs.refined import refined_nominal, uses_of
 from insemu.gap.candidates.axis import CANDIDATES
-from insemu.gap.session import _looked_closer
+from insemu.gap.session import _looked_closer, _settled
 from insemu.gap.verdict import Interval, Member, Value, held_out_said
 from insemu.noise import AR, BI, DR, GM, QN, RW, SIN, WN, NoiseModel
 from insemu.records import GnssRecord, ImuRecord, Recording, Series
-from insemu.report.gap import ranked
+from insemu.report.gap import FIRST_SCREEN, gap_headline, ranked, render_gap
 from insemu.scenario import load
 from insemu.trial.drives import stage
 
@@ -302,6 +302,21 @@ def test_metres_count_by_how_sure_a_name_is() -> None:
     assert shown == ["gnss_velocity_lag", "lever_arm", "clock_drift"]
 
 
+def test_the_sentence_above_names_three_and_counts_the_others(tmp_path: Path) -> None:
+    """Of a real drive it named all of 17 findings, in a larger type than anything else on the page."""
+    worth = {"clock_drift": 40.0, "lever_arm": 3.0, "gnss_velocity_lag": 20.0, "mounting": 47.0, "scale_factor": 9.0}
+    findings = [
+        replace(strong("clock_drift", 100.0), effect=e, metres=m, axes=(), doubtful=e != "mounting")
+        for e, m in worth.items()
+    ]
+    said = gap_headline(report(*findings))
+    assert said.startswith("Missing from the model: mounting angles") and "; and 2 more." in said
+    assert said.endswith("in the place of 4 of 5.") and "lever" not in said
+    many = report(*findings, *(replace(strong("ramp", 5.0), metres=0.5, axes=(a,)) for a in "xyz"))
+    page = render_gap(many, tmp_path).read_text(encoding="utf-8")
+    assert page.count('class="card ') == 1 + FIRST_SCREEN
+
+
 def test_a_step_at_another_time_is_another_step() -> None:
     first = report(strong("gnss_multipath_step", 200.0))
     later, _ = passes(first, report(strong("gnss_multipath_step", 40.0, start=20.0)), report())
@@ -501,3 +516,12 @@ def test_a_drift_counts_from_the_first_stamp_also_where_the_filter_starts_later(
     known = refined_nominal(drive.nominal, first, late.imu.dt)
     again = find_gap(late, known, rng=np.random.default_rng(1), hold_out=False, pictures=False)
     assert again.verdict == "nothing missing"
+
+
+def test_a_member_that_a_later_pass_weighs_far_more_leaves_a_name_without_confidence() -> None:
+    """800 nats more: the exponential had been beyond the numbers of a computer."""
+    own, rival = Member("clock_drift", "imu", (), 100.0), Member("lever_arm", "gnss", ("x",), 900.0)
+    named = replace(strong("clock_drift", 100.0), confidence=0.0)
+    assert _settled(replace(named, members=(own, rival))).confidence == pytest.approx(0.0, abs=1e-12)
+    equal = replace(named, members=(own, replace(rival, nats=100.0)))
+    assert _settled(equal).confidence == pytest.approx(0.5, rel=1e-6)

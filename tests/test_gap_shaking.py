@@ -110,6 +110,16 @@ def test_a_shaken_vehicle_with_its_antenna_on_an_arm_lacks_nothing() -> None:
     assert {b.axis for b in report.band} == {f"{s}_{a}" for s in ("gyro", "accel") for a in "xyz"}
 
 
+def test_an_antenna_swings_on_the_arm_that_was_found() -> None:
+    """On 2.5 m more than is believed: noise of the velocities, 1.6 times what is stated (2,046 nats), had stood beside the arm."""
+    world = sensors.draw_world(6, 200.0, True, "quadrotor")
+    longer = sensors.Hidden("lever_arm", "gnss", "z", {"value": 2.5})
+    report = find_gap(*taken(world, (longer,)), rng=np.random.default_rng(1), hold_out=False, pictures=False)
+    (arm,) = report.findings
+    assert arm.effect == "lever_arm" and arm.axes == ("z",) and report.verdict in ("named", "class")
+    assert arm.parameters[0].low < 2.5 < arm.parameters[0].high
+
+
 def test_a_level_is_a_setting_beside_anything_else() -> None:
     def found(effect: str, nats: float, doubtful: bool = False) -> Finding:
         own = Member(effect, "gnss", (), nats)

@@ -140,6 +140,7 @@ def test_intervals_hold_the_truth(filter: str) -> None:
         assert share.min() >= 0.93 and share.max() <= 0.97, share
 
 
+@pytest.mark.slow
 def test_a_model_is_fitted_to_any_filter() -> None:
     truth = WN(1e-3) + GM(2e-3, 0.2)
     x = truth.simulate(100_000, 0.01, np.random.default_rng(3))

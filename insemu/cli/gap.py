@@ -14,9 +14,6 @@ if TYPE_CHECKING:
     from insemu.gap import GapReport, Nominal, StaticLog
     from insemu.records import Recording
 
-#: Findings on the first screen.
-MOST_ROWS = 6
-
 
 def command(
     scenario: str = typer.Argument(
@@ -148,6 +145,7 @@ def _tell(report: GapReport, console: Console) -> None:
 
     from insemu.cli.printing import print_table
     from insemu.report import (
+        FIRST_SCREEN,
         effect_name,
         finding_action,
         finding_metres,
@@ -165,7 +163,7 @@ def _tell(report: GapReport, console: Console) -> None:
     console.print(f"Is the refined model better? {word}: {figures}", highlight=False, markup=False)
     if report.findings:
         heads = ("", "effect", "m after 60 s", "NEES", "nats", "sure", "where")
-        body, most = [], ranked(report)[:MOST_ROWS]
+        body, most = [], ranked(report)[:FIRST_SCREEN]
         for n, s in most:
             where = sensor_axes(s.sensor, s.axes)
             body.append(
@@ -186,8 +184,8 @@ def _tell(report: GapReport, console: Console) -> None:
                 console.print(
                     f"   {v.name} {v.value:.3g} [{v.low:.3g}, {v.high:.3g}] {v.unit}", highlight=False, markup=False
                 )
-        if len(report.findings) > MOST_ROWS:
-            console.print(f"and {len(report.findings) - MOST_ROWS} more on the page")
+        if len(report.findings) > FIRST_SCREEN:
+            console.print(f"and {len(report.findings) - FIRST_SCREEN} more on the page")
     if report.remainder:
         console.print(f"Left unexplained: {report.remainder}", highlight=False, markup=False)
     if said := shaking_said(report):

@@ -443,8 +443,7 @@ def _settled(finding: Finding) -> Finding:
     """A finding's confidence once its model agrees with the recording: its share of its class."""
     gains = [m.nats for m in finding.members] or [finding.nats]
     own = next((m.nats for m in finding.members if m.effect == finding.effect), gains[0])
-    weights = [math.exp(max(g - own, -50.0)) for g in gains]
-    own_share = 1.0 / (sum(weights) + math.exp(-max(own, 0.0)))
+    own_share = math.exp(own - float(np.logaddexp.reduce([*gains, min(own, 0.0)])))
     return replace(finding, confidence=max(finding.confidence, own_share), doubtful=False)
 
 

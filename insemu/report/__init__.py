@@ -15,6 +15,7 @@ from insemu.report.experiment import render_experiment
 from insemu.report.fit import fits_answer, render_fits
 from insemu.report.following import following_answer, render_following, segment_rows
 from insemu.report.gap import (
+    FIRST_SCREEN,
     draw_gap,
     effect_name,
     finding_action,
@@ -68,6 +69,7 @@ from insemu.report.transfer import (
 __all__ = [
     "COLUMNS",
     "FIGURES",
+    "FIRST_SCREEN",
     "SMOOTHED",
     "SWEPT",
     "array_answer",

@@ -93,6 +93,8 @@ def finding_action(finding: Finding) -> str:
 
 #: Share of the metres of the largest finding below which one hardly matters: squares add up, so that it moves the sum by a twenty-thousandth.
 FEW = 0.01
+#: Findings on the first screen of a terminal and among the cards of a page, and names in the sentence above them; the table has all.
+FIRST_SCREEN, FEW_NAMES = 6, 3
 
 
 def finding_metres(finding: Finding) -> str:
@@ -117,28 +119,31 @@ def gap_headline(report: GapReport) -> str:
     if report.verdict == "nothing missing":
         return "Nothing is missing: the recording is what the nominal model predicts."
     if report.verdict == "unexplained":
-        extra = (
-            f" What was named explains part of it: {'; '.join(_subject(s) for s in report.findings)}."
-            if report.findings
-            else ""
-        )
+        names = list(dict.fromkeys(_subject(s) for _, s in ranked(report)))
+        extra = f" What was named explains part of it: {_few(names)}." if names else ""
         return "The recording holds something that no effect of the catalogue explains." + extra
     settings = [finding_action(s) for s in report.findings if s.is_setting]
     # levels alone are what the model lacks; beside anything else they are said as settings, first
     found = [s for s in report.findings if not s.is_setting] or report.findings
     ahead = f"Set first: {'; '.join(settings)}. " if settings and len(found) < len(report.findings) else ""
     first = found[0]
-    sure = [_subject(s) for s in found if not s.doubtful]
-    doubted = [_subject(s) for s in found if s.doubtful]
-    more = f" Beside something unexplained in the same place: {'; '.join(dict.fromkeys(doubted))}." if doubted else ""
+    # those worth most first; the others are counted, every one stands in the table
+    names = list(dict.fromkeys(_subject(s) for _, s in ranked(report) if s in found))
+    doubted = sum(s.doubtful for s in found)
+    doubt = f" Something is left unexplained in the place of {doubted} of {len(found)}." if doubted else ""
     if first.is_class:
-        names = " or ".join(effect_name(m.effect) for m in first.members)
-        rest = (f" Besides: {'; '.join(sure[1:])}." if len(sure) > 1 else "") + more
+        or_names = " or ".join(effect_name(m.effect) for m in first.members)
+        rest = [n for n in names if n != _subject(first)]
+        besides = f" Besides: {_few(rest)}." if rest else ""
         where = sensor_axes(first.sensor, first.axes)
-        return ahead + (
-            f"The {where} has {names}: this recording cannot tell them apart. What would: {first.would_separate}.{rest}"
-        )
-    return f"{ahead}Missing from the model: {'; '.join(dict.fromkeys(sure))}.{more}"
+        return f"{ahead}The {where} has {or_names}: this recording cannot tell them apart. What would: {first.would_separate}.{besides}{doubt}"
+    return f"{ahead}Missing from the model: {_few(names)}.{doubt}"
+
+
+def _few(names: Sequence[str]) -> str:
+    """The first of some names, and how many more there are."""
+    more = len(names) - FEW_NAMES
+    return "; ".join(names[:FEW_NAMES]) + (f"; and {more} more" if more > 0 else "")
 
 
 def shaking_said(report: GapReport) -> str:
@@ -259,30 +264,26 @@ def _suspects(report: GapReport, names: Sequence[str]) -> list[Section]:
     """What was found, how sure that is, what it is worth, and the evidence for it."""
     rows = [
         [
-            str(number),
-            effect_name(s.effect),
-            s.variant,
+            f"{number}. {effect_name(s.effect)}" + (f" ({s.variant})" if s.variant else ""),
             sensor_axes(s.sensor, s.axes),
+            finding_action(s),
             f"{s.nats:.1f}",
             f"{s.confidence:.3f}",
             finding_metres(s),
             finding_nees(report, s),
-            finding_action(s),
         ]
         for number, s in ranked(report)
     ]
     heads = (
-        "",
         "effect",
-        "shape",
         "axes",
+        "what to do",
         "evidence, nats",
         "confidence",
         "m after 60 s without fixes",
         "NEES then",
-        "what to do",
     )
-    suspects: list[Block] = [Table(heads, rows, left=4)]
+    suspects: list[Block] = [Table(heads, rows, left=3, wrap=True)]
     classes = [s for s in report.findings if s.is_class]
     if classes:
         suspects.append(Text("Effects that this recording cannot tell apart:"))
@@ -326,7 +327,7 @@ def _suspects(report: GapReport, names: Sequence[str]) -> list[Section]:
     suspects.append(
         Table(("effect", "axes", "parameter", "value", "95 % interval", "unit"), values, "Estimates", left=3)
     )
-    out = [Section("The suspect", suspects)]
+    out = [Section("What was found", suspects)]
     pictures = _evidence(report)
     if heard := [n for n in names if report.curves[n].get("f")]:
         pictures.append(spectrum_chart(report, heard))
@@ -380,7 +381,7 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
         kind="gap",
         source=report.source,
         answer=gap_headline(report),
-        cards=[_better(report), *(_card(n, s) for n, s in ranked(report))],
+        cards=[_better(report), *(_card(n, s) for n, s in ranked(report)[:FIRST_SCREEN])],
     )
 
 
@@ -411,7 +412,8 @@ def is_better(report: GapReport) -> tuple[str, str, str]:
         return "nothing was added", figures, "plain"
     if not math.isfinite(gain.value):
         return "not scored", figures, "plain"
-    figures += f"; {gain.value:+.3g} nats per fix or block [{gain.low:.3g}, {gain.high:.3g}]"
+    per = "fix" if math.isfinite(report.stated_60s) else "block"
+    figures += f"; {gain.value:+.3g} nats per {per} [{gain.low:.3g}, {gain.high:.3g}]"
     if gain.low > 0.0:
         return "yes", figures, "good"
     return ("no", figures, "bad") if gain.high < 0.0 else ("not shown", figures, "warn")

@@ -87,7 +87,7 @@ def _step_anywhere(
     start, duration = float(s[i]), float(s[j] - s[i])
     when = (
         Value("start", start, start - half, start + half, "s"),
-        Value("duration", duration, duration - 2.0 * half, duration + 2.0 * half, "s"),
+        Value("duration", duration, max(duration - 2.0 * half, 0.0), duration + 2.0 * half, "s"),
     )
     return _step_hypothesis(data, given, nats, c, column, when, width)
 

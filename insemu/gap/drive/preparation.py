@@ -76,6 +76,8 @@ class Prepared:
         Whether the start is that of the first fix, with its errors.
     began : float, optional
         First stamp of the recording, s: what the filter needs begins later.
+    recorded : GnssRecord, optional
+        The fixes before velocities were moved and standard deviations raised for the swing of the antenna.
     """
 
     imu: ImuRecord
@@ -95,6 +97,7 @@ class Prepared:
     raised: Array = field(default_factory=lambda: np.ones(6))
     on_fixes: bool = False
     began: float | None = None
+    recorded: GnssRecord | None = None
 
     def again(
         self,
@@ -129,6 +132,28 @@ class Prepared:
         return replace(
             self, start=(initial, sigma), rectified=None, steadied=False, raised=np.ones(6), began=began
         ).again(imu=imu, gnss=with_sigma(gnss, self.nominal))
+
+    def on_arm(self, corrected: Prepared, arm: Array) -> Prepared:
+        """The same with velocities of an antenna that swings on another lever arm.
+
+        Parameters
+        ----------
+        corrected : Prepared
+            The filter on data less what was found, that arm included.
+        arm : (3,) array
+            m, body axes.
+        """
+        recorded, used, gnss = self.recorded, self.gnss, corrected.gnss
+        if recorded is None or recorded.vel_ned is None or used.vel_ned is None or gnss.vel_ned is None:
+            return self
+        bare = replace(gnss, vel_ned=recorded.vel_ned + gnss.vel_ned - used.vel_ned, vel_std_ned=recorded.vel_std_ned)
+        steady = _on_arm(corrected.imu, bare, corrected.start, self.beliefs, self.lever_arm, arm)
+        assert bare.vel_ned is not None and steady.vel_ned is not None
+        gnss = replace(used, vel_ned=recorded.vel_ned + steady.vel_ned - bare.vel_ned, vel_std_ned=steady.vel_std_ned)
+        return replace(
+            self, gnss=gnss, swings=self.rectified is not None and bool(np.any(arm)),
+            steadied=_moved(bare, steady), raised=_raised(bare, steady),
+        )  # fmt: skip
 
     @property
     def motion(self) -> Motion:
@@ -228,22 +253,14 @@ def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], le
     gnss = with_sigma(gnss, nominal)
     beliefs = {name: _trimmed(nominal.beliefs[name], fast[name], levels.get(name)) for name in AXES}
     start = (initial, sigma)
-    lever = np.array(nominal.gnss.lever_arm)
-    recorded = gnss
-    # a filter that trusted shaken velocities has larger innovations than they alone would give it
-    for _ in range(3 if gnss.vel_std_ned is not None and np.any(lever) else 0):
-        # nor may it follow positions that are off for other reasons
-        loose = _run(imu, scaled_fixes(gnss, LOOSE), start, beliefs, lever)
-        steady = steadied(imu, recorded, gnss, loose, lever)
-        if steady is gnss or (gnss is not recorded and _as_sure(steady, gnss)):
-            break
-        gnss = steady
+    lever, recorded = np.array(nominal.gnss.lever_arm), gnss
+    gnss = _on_arm(imu, recorded, start, beliefs, lever, lever)
     result = _run(imu, gnss, start, beliefs, lever)
     left = rectified(imu, fast)
     prepared = Prepared(
         imu, gnss, result, beliefs, fast, lever, np.ones(6), start, nominal,
         rectified=left, swings=left is not None and bool(np.any(lever)), steadied=_moved(recorded, gnss), raised=_raised(recorded, gnss),
-        on_fixes=recording.reference is None, began=float(recording.imu.t[0]),
+        on_fixes=recording.reference is None, began=float(recording.imu.t[0]), recorded=recorded,
     )  # fmt: skip
     return prepared.trimmed()
 
@@ -333,6 +350,27 @@ def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, G
         )
     imu, state, sigma = on_track(imu, fixed, track, believed)
     return imu, gnss, state, sigma
+
+
+def _on_arm(
+    imu: ImuRecord,
+    recorded: GnssRecord,
+    start: tuple[NavState, InitialSigma],
+    beliefs: dict[str, NoiseModel],
+    lever: Array,
+    arm: Array,
+) -> GnssRecord:
+    """The fixes with velocities of an antenna that swings on an arm, where the filter takes it back by ``lever``; both (3,) in m."""
+    gnss = recorded
+    # a filter that trusted shaken velocities has larger innovations than they alone would give it
+    for _ in range(3 if gnss.vel_std_ned is not None and np.any(arm) else 0):
+        # nor may it follow positions that are off for other reasons
+        loose = _run(imu, scaled_fixes(gnss, LOOSE), start, beliefs, lever)
+        steady = steadied(imu, recorded, gnss, loose, lever, arm)
+        if steady is gnss or (gnss is not recorded and _as_sure(steady, gnss)):
+            break
+        gnss = steady
+    return gnss
 
 
 def _raised(recorded: GnssRecord, steady: GnssRecord) -> Array:

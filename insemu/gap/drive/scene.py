@@ -292,6 +292,16 @@ class Scene:
         scene.noise = self.noise
         return scene
 
+    def on_found_arm(self) -> Scene:
+        """The scene with velocities of an antenna that swings on the lever arm that was found and taken out of the data."""
+        arm = self.original.lever_arm.copy()
+        for j, value in self.corrections.items():
+            if j < self.catalogue and self.columns[j].effect == "lever_arm":
+                arm["xyz".index(self.columns[j].label[-1])] += value
+        if np.array_equal(arm, self.original.lever_arm):
+            return self
+        return replace(self, original=self.original.on_arm(self.prepared, arm)).rebuilt()
+
     def trimmed(self, blocks: Sequence[Block], cut: float | None = None) -> Scene:
         """The scene with the levels of the fixes at their most likely values inside the tolerance, given what is explained."""
         scene = self

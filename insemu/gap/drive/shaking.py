@@ -226,7 +226,9 @@ def rectified(imu: ImuRecord, fast: Mapping[str, Reduced]) -> Array | None:
 # -- what shaking does to the velocity of the antenna ----------------------------------------------------------------------------------
 
 
-def steadied(imu: ImuRecord, gnss: GnssRecord, used: GnssRecord, result: FilterResult, lever_arm: Array) -> GnssRecord:
+def steadied(
+    imu: ImuRecord, gnss: GnssRecord, used: GnssRecord, result: FilterResult, lever_arm: Array, arm: Array
+) -> GnssRecord:
     """The fixes with velocities as the filter should have compared them, where the antenna swings on its arm; the same object where it does not.
 
     The filter carries the rate of turn from the last two samples to the fix, which a shaking vehicle spoils; the sample that follows tells better.
@@ -238,8 +240,8 @@ def steadied(imu: ImuRecord, gnss: GnssRecord, used: GnssRecord, result: FilterR
     gnss, used : GnssRecord
         The fixes as they were recorded, and as they went into the filter: an earlier answer, or the same.
     result : FilterResult
-    lever_arm : (3,) array
-        m, body axes.
+    lever_arm, arm : (3,) arrays
+        By which the filter takes the antenna back, and on which it swings; m, body axes.
 
     References
     ----------
@@ -247,7 +249,7 @@ def steadied(imu: ImuRecord, gnss: GnssRecord, used: GnssRecord, result: FilterR
     """
     fixes = result.fixes
     there = np.isfinite(fixes.innovation[:, 3:]).all(axis=1) & (fixes.epoch >= 3) & (fixes.epoch < len(imu) - 2)
-    if gnss.vel_ned is None or gnss.vel_std_ned is None or not np.any(lever_arm) or there.sum() < 30:
+    if gnss.vel_ned is None or gnss.vel_std_ned is None or not np.any(arm) or there.sum() < 30:
         return gnss
     k, rate = fixes.epoch[there], _rates(imu)
     C = rotation.dcm_from_quaternion(result.nav[k, 6:10])
@@ -258,9 +260,7 @@ def steadied(imu: ImuRecord, gnss: GnssRecord, used: GnssRecord, result: FilterR
     total = np.cumsum(np.vstack([np.zeros(3), change]), axis=0)
     low, high = np.maximum(k - half, 0), np.minimum(k + half, len(imu))
     mean = (total[high] - total[low]) / (high - low)[:, None]
-    skew = np.array(
-        [[0.0, lever_arm[2], -lever_arm[1]], [-lever_arm[2], 0.0, lever_arm[0]], [lever_arm[1], -lever_arm[0], 0.0]]
-    )
+    skew = np.array([[0.0, arm[2], -arm[1]], [-arm[2], 0.0, arm[0]], [arm[1], -arm[0], 0.0]])
     blurred = np.einsum("nij,nj->ni", (C @ skew) ** 2, mean)
     at = np.searchsorted(gnss.t, fixes.t[there])
     assert used.vel_ned is not None and used.vel_std_ned is not None

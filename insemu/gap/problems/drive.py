@@ -332,17 +332,25 @@ class DriveProblem(NoiseOfFixes):
                 self._take(self.scene.with_windows(tuple(windows)))
 
     def noise_came_early(self) -> bool:
-        """Whether noise of the fixes was named before something strong that it could have stood for, a step in the fixes included."""
+        """Whether noise of the fixes was named before something strong that it could have stood for, a step in the fixes included.
+
+        Noise of the velocities, whenever it was named, stands for how an antenna swings on a longer lever arm as the vehicle shakes.
+        """
         chosen = [f.chosen for f in self.found]
         noise = next((k for k, h in enumerate(chosen) if h.change.block is None), len(chosen))
-        return any(h.nats > rules().correct_nats and h.change.block is not None for h in chosen[noise + 1 :])
+        if any(h.nats > rules().correct_nats and h.change.block is not None for h in chosen[noise + 1 :]):
+            return True
+        swings = {"gnss_velocity_noise", "lever_arm"} <= {h.effect for h in chosen}
+        return swings and self.scene.original.rectified is not None
 
     def noise_again(self, first: Scene) -> None:
         """Take back the noise of the fixes and what was found with it, from the ``first`` scene on."""
         self.found = [f for f in self.found if f.chosen.change.block is not None]
         self.gone, self.outsider = {}, ""
         first = first.with_windows(self.scene.windows)
-        self._take(first.rebuilt(corrections=self.scene.corrections).trimmed(self.blocks(), self.cut))
+        scene = first.rebuilt(corrections=self.scene.corrections).on_found_arm()
+        self.recorded = scene.original.gnss
+        self._take(scene.trimmed(self.blocks(), self.cut))
 
     def hold_against_the_rest(self) -> None:
         """Weigh noise of the fixes against each effect that was weighed again without it, and structure outside the catalogue against shapes."""
