@@ -58,11 +58,22 @@ SHAPES = [key for key in sensors.SHAPED if key[0] != "temperature"]
 
 @dataclass(frozen=True)
 class Base:
-    """A recording without the effect, what is believed of it, and the attitude at its fixes, (f, 3, 3)."""
+    """A recording without the effect, what is believed of it, and its motion in the time of the fixes.
+
+    Parameters
+    ----------
+    recording, nominal : Recording, Nominal
+    t : (n,) array
+        s.
+    attitude, rate : (n, 3, 3), (n, 3) arrays
+        Of the body, to NED; its rate of turn over the interval up to each time, rad/s.
+    """
 
     recording: Recording
     nominal: Nominal
+    t: Array
     attitude: Array
+    rate: Array
 
 
 @dataclass(frozen=True)
@@ -93,16 +104,11 @@ def base_of(name: str, seed: int) -> Base:
     if name in REAL:
         report = find_gap(measured, nominal, rng=np.random.default_rng(1), hold_out=False, pictures=False)
         nominal = refined_nominal(nominal, report, measured.imu.dt)
-    recording, moved = drive_without(measured, nominal.parted())
-    flown = Flown.of(recording, moved)
-    result = flown.prepared.result
-    q = result.nav[result.fixes.epoch, 6:10]
-    turned = np.stack([_matrix(x) for x in q])
-    own = np.full((len(measured.gnss), 3, 3), np.nan) if measured.gnss is not None else np.zeros((0, 3, 3))
-    assert measured.gnss is not None
-    own[np.searchsorted(measured.gnss.t, result.fixes.t).clip(max=len(measured.gnss) - 1)] = turned
-    # fixes before the start: nobody looks at them
-    return Base(measured, nominal, np.nan_to_num(own))
+    # the IMU put right: its stamps are those of the fixes, its axes those of the vehicle
+    prepared = Flown.of(*drive_without(measured, nominal.parted())).prepared
+    imu = prepared.imu
+    rate = imu.as_increments().gyro / np.diff(imu.t, prepend=imu.t[0] - imu.dt)[:, None]
+    return Base(measured, nominal, imu.t, np.stack([_matrix(q) for q in prepared.result.nav[:, 6:10]]), rate)
 
 
 def real(name: str) -> tuple[Recording, Nominal]:
@@ -224,13 +230,10 @@ def put(base: Base, h: sensors.Hidden) -> Recording:
     if h.effect == "lever_arm":
         arm = np.zeros(3)
         arm["xyz".index(h.axis)] = value
-        place = base.attitude @ arm
-        # the antenna goes round the IMU: the rate of turn at each fix from the samples around it
-        rate = imu.as_increments().gyro / np.diff(imu.t, prepend=imu.t[0] - imu.dt)[:, None]
-        at = np.clip(np.searchsorted(imu.t, gnss.t), 2, len(imu) - 3)
-        mean = np.mean([rate[at + k] for k in (-1, 0, 1)], axis=0)
-        swing = np.einsum("nij,nj->ni", base.attitude, np.cross(mean, arm))
-        vel = None if gnss.vel_ned is None else gnss.vel_ned + swing
+        # before the start nobody looks at the fixes
+        at = np.clip(np.searchsorted(base.t, gnss.t - 0.5 * imu.dt), 0, base.t.size - 1)
+        place = base.attitude[at] @ arm
+        vel = None if gnss.vel_ned is None else gnss.vel_ned + _received(base, _swing(base, arm))
         return replace(measured, gnss=replace(gnss, llh=_moved(gnss.llh, place), vel_ned=vel))
     first = "xyz".index(h.axis[0])
     source = {
@@ -244,6 +247,29 @@ def put(base: Base, h: sensors.Hidden) -> Recording:
     signals = {"gyro": imu.gyro.copy(), "accel": imu.accel.copy()}
     signals[h.sensor][:, first] += value * source[:, other]
     return replace(measured, imu=replace(imu, **signals))
+
+
+def _swing(base: Base, arm: Array) -> Array:
+    """Velocity (n, 3) of the antenna about the IMU, NED, m/s: the rate of turn at a time is the mean of those before and after."""
+    after = np.append(base.rate[1:], base.rate[-1:], axis=0)
+    return np.asarray(np.einsum("nij,nj->ni", base.attitude, np.cross(0.5 * (base.rate + after), arm)))
+
+
+def _received(base: Base, velocity: Array) -> Array:
+    """What the receiver of this drive makes of a velocity (n, 3), at its fixes (f, 3): it is behind, and smoothed, by what is known of it."""
+    gnss, dt, lag = base.recording.gnss, float(np.median(np.diff(base.t))), 0.0
+    assert gnss is not None
+    for use in base.nominal.parted().effects:
+        if use.id == "gnss_velocity_lag":
+            lag += use.scalar("lag")
+        if use.id == "gnss_velocity_filter":
+            velocity = velocity.copy()
+            for k, tau in enumerate(np.array(use["tau"])):
+                if tau > 0.0:
+                    keep = math.exp(-dt / tau)
+                    begun = [keep * velocity[0, k]]
+                    velocity[:, k] = scipy.signal.lfilter([1.0 - keep], [1.0, -keep], velocity[:, k], zi=begun)[0]
+    return np.stack([np.interp(gnss.t - lag, base.t, v) for v in velocity.T], axis=1)
 
 
 def sized(base: Base, seed: int) -> sensors.Hidden:

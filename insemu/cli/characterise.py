@@ -144,4 +144,4 @@ def show(console: Console, axes: Sequence[AxisReport]) -> None:
     found = grouped_findings(axes)
     console.print("Findings" if found else "Findings: nothing wrong was found")
     for names, finding in found:
-        console.print(f"  [bold]{escape(names)}[/bold]  {escape(finding)}", soft_wrap=True)
+        console.print(f"  [bold]{escape(names)}[/bold]: {escape(finding)}", soft_wrap=True)
