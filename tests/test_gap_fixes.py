@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
@@ -9,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.stats
 from numpy.typing import NDArray
 
 from insemu.effects import EffectUse, having
@@ -20,7 +23,9 @@ from insemu.gap.candidates.steps import _Scan, _step_anywhere, _when, multipath_
 from insemu.gap.drive import FIRST
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.drive.scene import Scene
+from insemu.gap.evidence.climb import interval_along, laplace_together
 from insemu.gap.evidence.fixes import NED, FixNoise, Surrogate, _any_size, joint_noise, level_beside
+from insemu.gap.evidence.modes import Free
 from insemu.gap.hypothesis import Found, Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.problems import drive_without
@@ -127,6 +132,22 @@ def test_a_level_beside_a_colour_is_told_and_leaves_the_colour_as_it_is() -> Non
     s = replace(coloured(3.0), R=coloured(3.0).R * 1.2**2)
     again = max(level_beside(s, trimmed, np.full(6, 1.2)), key=lambda f: f.nats)
     assert again.values[0].value == pytest.approx(level.value, rel=0.02)
+
+
+def test_the_interval_of_a_colour_has_the_tail_of_its_posterior() -> None:
+    """One over what is gamma distributed with shape 4: in the logarithm its upper end is 1.33 times as far as the curvature at its top says."""
+    shape = 4.0
+    free = [Free("x", 1e-3, 1e3)]
+
+    def log_likelihoods(points: Sequence[tuple[int, Array]]) -> Array:
+        return np.array([-shape * float(x[0]) - shape * math.exp(-float(x[0])) for _, x in points])
+
+    (mode,) = laplace_together(log_likelihoods, [np.array([0.3])], [free], 1e-6)
+    low, high = interval_along(log_likelihoods, mode, free, 0)
+    # of 1 / x, which is gamma distributed
+    ends = scipy.stats.gamma.ppf([0.025, 0.975], shape, scale=1.0 / shape)
+    assert [low, high] == pytest.approx([-math.log(ends[1]), -math.log(ends[0])], abs=0.02)
+    assert high - float(mode.x[0]) > 1.2 * 1.96 * math.sqrt(float(mode.covariance[0, 0]))
 
 
 @pytest.mark.slow

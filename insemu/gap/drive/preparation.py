@@ -130,7 +130,7 @@ class Prepared:
         imu, gnss, initial, sigma = starting_state(recording, self.nominal)
         began = float(recording.imu.t[0])
         return replace(
-            self, start=(initial, sigma), rectified=None, steadied=False, raised=np.ones(6), began=began
+            self, start=(initial, sigma), rectified=None, steadied=False, raised=np.ones(6), began=began, recorded=None
         ).again(imu=imu, gnss=with_sigma(gnss, self.nominal))
 
     def on_arm(self, corrected: Prepared, arm: Array) -> Prepared:

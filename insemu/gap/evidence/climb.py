@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
 
 from insemu.gap.evidence.modes import CURVATURE_STEP, Free, Mode
@@ -19,6 +20,8 @@ Likelihoods = Callable[[Sequence[tuple[int, Array]]], Array]
 LONGEST_STEP, HALVINGS, MOST_STEPS = 1.0, 6, 40
 #: A climb far behind one of the same kind ends: by so many nats, even if its next step gains so many times what it promises.
 BEHIND_NATS, SURER = 50.0, 3.0
+#: Where a posterior is looked at, in standard deviations of the curvature at its top: the tail of a time is upwards.
+ALONG = np.arange(-4.0, 8.5, 1.0)
 
 
 @dataclass
@@ -139,3 +142,34 @@ def laplace_together(
             for climb in alike:
                 climb.done = climb.done or climb.is_behind(best)
     return [c.mode() for c in climbs]
+
+
+def interval_along(log_likelihoods: Likelihoods, mode: Mode, free: Sequence[Free], k: int) -> tuple[float, float]:
+    """95 % interval of one parameter of a mode, in logarithms, by the posterior along the line of its conditional means.
+
+    A correlation time of which a recording holds a dozen has a posterior that is far from normal: the curvature at its top knows nothing of its tail.
+
+    Parameters
+    ----------
+    log_likelihoods : callable
+        As :func:`laplace_together` takes it, of problem 0.
+    mode : Mode
+    free : sequence of Free
+        Its parameters.
+    k : int
+        Which of them.
+    """
+    sd = math.sqrt(float(mode.covariance[k, k]))
+    points = [mode.x + step * mode.covariance[:, k] / sd for step in ALONG]
+    inside = np.array([all(f.admits(v) for f, v in zip(free, p, strict=True)) for p in points])
+    prior = np.array([sum(f.log_density(v) for f, v in zip(free, p, strict=True)) for p in points])
+    values = np.full(len(points), -np.inf)
+    values[inside] = log_likelihoods([(0, p) for p, i in zip(points, inside, strict=True) if i]) + prior[inside]
+    there = np.isfinite(values)
+    if there.sum() < 4:
+        return float(mode.x[k] - 1.96 * sd), float(mode.x[k] + 1.96 * sd)
+    at = np.linspace(ALONG[there][0], ALONG[there][-1], 1001)
+    log_density = scipy.interpolate.PchipInterpolator(ALONG[there], values[there])(at)
+    reached = np.cumsum(np.exp(log_density - log_density.max()))
+    low, high = np.interp([0.025, 0.975], reached / reached[-1], at)
+    return float(mode.x[k] + min(low, 0.0) * sd), float(mode.x[k] + max(high, 0.0) * sd)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from insemu.filters import FilterResult
 from insemu.gap.evidence import error_kernels
-from insemu.gap.evidence.climb import laplace_together
+from insemu.gap.evidence.climb import interval_along, laplace_together
 from insemu.gap.evidence.linear import log_mean_exp
 from insemu.gap.evidence.merged import between_fixes, merged_states
 from insemu.gap.evidence.modes import Free, Mode, level
@@ -411,11 +411,14 @@ class JointNoise:
         Standard deviations of the logarithms of ``sigma_north`` ... and ``tau``; of those that are coloured; ``factor`` of a level of any size.
     evidence : float
         Log evidence, nats.
+    interval : callable
+        95 % interval of one of these, as ratios to the most likely.
     """
 
     noise: FixNoise
     sd: dict[str, float]
     evidence: float
+    interval: Callable[[str], tuple[float, float]]
 
 
 def joint_noise(s: Surrogate, begin: FixNoise, factors: Array, *, wide: Sequence[int] = ()) -> JointNoise:
@@ -462,13 +465,19 @@ def joint_noise(s: Surrogate, begin: FixNoise, factors: Array, *, wide: Sequence
     start = np.zeros(len(free))
     start[count:] = [float(np.mean(np.log(begin.factor[rows]))) for rows in groups]
     (mode,) = laplace_together(likelihoods, [start], [free], CLOSE_NATS)
-    spread = np.sqrt(np.diag(mode.covariance))
-    sd = {f"sigma_{NED[r]}": float(spread[k]) for k, rows in enumerate(parts) for r in rows if r < 3}
+    place = {f"sigma_{NED[r]}": k for k, rows in enumerate(parts) for r in rows if r < 3}
     if not known:
-        sd["tau"] = float(spread[len(parts)])
+        place["tau"] = len(parts)
     if wide:
-        sd["factor"] = float(spread[-1])
-    return JointNoise(unpack(mode.x), sd, mode.evidence)
+        place["factor"] = len(free) - 1
+
+    def interval(name: str) -> tuple[float, float]:
+        k = place[name]
+        low, high = interval_along(likelihoods, mode, free, k)
+        return math.exp(low - mode.x[k]), math.exp(high - mode.x[k])
+
+    sd = {name: math.sqrt(float(mode.covariance[k, k])) for name, k in place.items()}
+    return JointNoise(unpack(mode.x), sd, mode.evidence, interval)
 
 
 def _times(s: Surrogate, tau: float = 1.0) -> Free:

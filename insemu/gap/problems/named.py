@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS
-from insemu.gap.candidates.fixes import about, apart_from_named, as_joint, mixture, whole_innovations
+from insemu.gap.candidates.fixes import about, apart_from_named, as_joint, at_level, mixture, whole_innovations
 from insemu.gap.candidates.shapes import ONCE, PROCESSES, Change, bank, shape_values
 from insemu.gap.confusion import Repetitions
 from insemu.gap.drive.apart import FIRST, LOOSE
 from insemu.gap.drive.scene import Scene
-from insemu.gap.evidence.fixes import PLAIN, FixNoise, JointNoise, joint_noise
+from insemu.gap.evidence.fixes import joint_noise
 from insemu.gap.evidence.linear import Block
 from insemu.gap.holdout import score_drive
 from insemu.gap.hypothesis import Found, class_of
@@ -78,14 +78,14 @@ def believing(named: Named, cut: float | None = None) -> tuple[Named, Scene, lis
     scene = named.scene.rebuilt(beliefs=beliefs)
     if scene.noise is None:
         scene = scene.trimmed(blocks, cut)
-        joint = JointNoise(FixNoise(np.ones(6), PLAIN), {}, 0.0)
+        found = tuple(replace(f, chosen=at_level(f.chosen, scene.original.factors)) for f in named.found)
     else:
         s = replace(scene.surrogate, nu=scene.unexplained(blocks, cut))
         stated = next((f.chosen for f in named.found if f.chosen.effect == "gnss_noise_level"), None)
         wide = np.flatnonzero(about(stated)).tolist() if stated is not None else ()
         joint = joint_noise(s if cut is None else s.until(cut), scene.noise, apart_from_named(scene, stated), wide=wide)
         scene = scene.coloured(joint.noise)
-    found = tuple(replace(f, chosen=as_joint(f.chosen, scene, joint)) for f in named.found)
+        found = tuple(replace(f, chosen=as_joint(f.chosen, scene, joint)) for f in named.found)
     return replace(named, found=found), scene, blocks
 
 
