@@ -37,6 +37,8 @@ Window = tuple[int, float, float]
 KNOT_S, KNOTS = 10.0, 60
 #: Times that the filter runs again on corrected data at the most, until its errors are small: a bound, so that a search ends.
 MOST_RUNS = 5
+#: Times that levels are trimmed, by 35 % at the most each: they end where they hold, a bound for those that come back from a raise of ten.
+MOST_TRIMS = 8
 #: Sizes that are tried first of an effect that is no multiple of one column, and how near to the best it is brought, relative.
 SIZES, SIZE_REL = 12, 0.01
 #: Starts of steps in the fixes that are tried first.
@@ -292,20 +294,20 @@ class Scene:
         scene.noise = self.noise
         return scene
 
-    def on_found_arm(self) -> Scene:
-        """The scene with velocities of an antenna that swings on the lever arm that was found and taken out of the data."""
-        arm = self.original.lever_arm.copy()
+    def steadied_again(self) -> Scene:
+        """The scene with velocities as the shaking leaves them beside what was found: on a lever arm that was, and without what stood for noise."""
+        original, arm = self.original, self.original.lever_arm.copy()
         for j, value in self.corrections.items():
             if j < self.catalogue and self.columns[j].effect == "lever_arm":
                 arm["xyz".index(self.columns[j].label[-1])] += value
-        if np.array_equal(arm, self.original.lever_arm):
+        if np.array_equal(arm, original.lever_arm) and not np.any(original.raised > 1.0):
             return self
-        return replace(self, original=self.original.on_arm(self.prepared, arm)).rebuilt()
+        return replace(self, original=original.on_arm(self.prepared, arm)).rebuilt()
 
     def trimmed(self, blocks: Sequence[Block], cut: float | None = None) -> Scene:
         """The scene with the levels of the fixes at their most likely values inside the tolerance, given what is explained."""
         scene = self
-        for _ in range(3):
+        for _ in range(MOST_TRIMS):
             if scene.noise is not None:
                 break
             y = scene.full_y

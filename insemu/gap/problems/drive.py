@@ -247,6 +247,7 @@ class DriveProblem(NoiseOfFixes):
             scene = scene.rebuilt(factors=factors, levels=np.where(about(h), factors, scene.original.levels))
         self.found.append(new)
         if about(h).any() and scene.noise is None:
+            # at a level that was too low every large error was one
             scene = self._outliers_again(scene, next(k for k, row in FIRST.items() if row == LEVEL_ROWS[h.effect]))
         sized = scene.at_size(self.blocks(), self.cut) if EFFECTS[h.effect].does("about") else scene
         corrected = sized.linear_about(self.blocks(), self._strong(), self.cut)
@@ -334,21 +335,22 @@ class DriveProblem(NoiseOfFixes):
     def noise_came_early(self) -> bool:
         """Whether noise of the fixes was named before something strong that it could have stood for, a step in the fixes included.
 
-        Noise of the velocities, whenever it was named, stands for how an antenna swings on a longer lever arm as the vehicle shakes.
+        Louder velocities, whenever they were named, stand for how an antenna swings on a longer lever arm as the vehicle shakes.
         """
         chosen = [f.chosen for f in self.found]
         noise = next((k for k, h in enumerate(chosen) if h.change.block is None), len(chosen))
         if any(h.nats > rules().correct_nats and h.change.block is not None for h in chosen[noise + 1 :]):
             return True
-        swings = {"gnss_velocity_noise", "lever_arm"} <= {h.effect for h in chosen}
-        return swings and self.scene.original.rectified is not None
+        louder = any(h.effect == "gnss_velocity_noise" and h.values[0].value > 1.0 for h in chosen)
+        arm = any(h.effect == "lever_arm" for h in chosen)
+        return louder and arm and self.scene.original.rectified is not None
 
     def noise_again(self, first: Scene) -> None:
         """Take back the noise of the fixes and what was found with it, from the ``first`` scene on."""
         self.found = [f for f in self.found if f.chosen.change.block is not None]
         self.gone, self.outsider = {}, ""
         first = first.with_windows(self.scene.windows)
-        scene = first.rebuilt(corrections=self.scene.corrections).on_found_arm()
+        scene = first.rebuilt(corrections=self.scene.corrections).steadied_again()
         self.recorded = scene.original.gnss
         self._take(scene.trimmed(self.blocks(), self.cut))
 

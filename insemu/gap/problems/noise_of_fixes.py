@@ -89,13 +89,14 @@ class NoiseOfFixes(ABC):
     def _outliers_again(self, scene: Scene, effect: str) -> Scene:
         """The scene with outliers that were named told again, beside everything that was found since, with a level of theirs."""
         known = self._named(effect)
-        if known is None:
+        stood = self._named(next(k for k, row in LEVEL_ROWS.items() if row == FIRST[effect]))
+        # quiet fixes are followed the more the quieter they are believed: no median tells their level, and what is loud beside it is no outlier alone
+        if known is None or (stood is not None and stood.values[0].value < 1.0):
             return scene
         others = {k: t for k, t in self.gone.items() if k != effect}
         whole = scene.rebuilt(whole=self.recorded, gone=others)
         # what is explained was estimated without them
         nu = whole.less_explained(*scene.explaining(self.blocks(), self.cut))
-        stood = self._named(next(k for k, row in LEVEL_ROWS.items() if row == FIRST[effect]))
         told = without_outliers(whole, known, self.cut, whole, nu, None if stood is None else 1.0, self.gone[effect])
         self.found = [replace(f, chosen=told.outliers) if f.chosen is known else f for f in self.found]
         self.gone = others
@@ -159,7 +160,6 @@ class NoiseOfFixes(ABC):
         known = self._named("gnss_outliers")
         loud, noise = joint.noise.apart(scene.surrogate.sigma())
         kept = {k: t for k, t in self.gone.items() if FIRST[k] > 0}
-        clean = scene
         scene = whole = scene.rebuilt(factors=scene.original.factors * loud, whole=self.recorded, gone=kept)
         for _ in range(MOST_LOOKS):
             # what the other findings explain is another under the colour, and outliers show against it that its scatter hides
@@ -167,15 +167,13 @@ class NoiseOfFixes(ABC):
             now = before
             if known is not None:
                 whole = whole.coloured(noise)
-                nu = whole.less_explained(*clean.explaining(self.blocks(), self.cut))
-                told = without_outliers(whole, known, self.cut, whole, nu)
+                told = without_outliers(whole, known, self.cut, whole, whole.unexplained(self.blocks(), self.cut))
                 self.found = [replace(f, chosen=told.outliers) if f.chosen is known else f for f in self.found]
                 now, known = told.times, told.outliers
                 self.gone["gnss_outliers"] = now
                 if scene is whole or not np.array_equal(before, now):
                     scene = whole.rebuilt(gone=self.gone)
-            scene = clean = scene.coloured(noise)
-            tau = noise.colour[1]
+            scene, tau = scene.coloured(noise), noise.colour[1]
             joint = likeliest()
             noise = joint.noise
             if abs(math.log(noise.colour[1] / tau)) < AS_LONG and np.array_equal(before, now):
