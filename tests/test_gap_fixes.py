@@ -23,7 +23,7 @@ from insemu.gap.candidates.steps import _Scan, _step_anywhere, _when, multipath_
 from insemu.gap.drive import FIRST
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.drive.scene import Scene
-from insemu.gap.evidence.climb import interval_along, laplace_together
+from insemu.gap.evidence.climb import Ridge, laplace_together
 from insemu.gap.evidence.fixes import NED, FixNoise, Surrogate, _any_size, joint_noise, level_beside
 from insemu.gap.evidence.modes import Free
 from insemu.gap.hypothesis import Found, Hypothesis
@@ -143,11 +143,38 @@ def test_the_interval_of_a_colour_has_the_tail_of_its_posterior() -> None:
         return np.array([-shape * float(x[0]) - shape * math.exp(-float(x[0])) for _, x in points])
 
     (mode,) = laplace_together(log_likelihoods, [np.array([0.3])], [free], 1e-6)
-    low, high = interval_along(log_likelihoods, mode, free, 0)
+    low, high = Ridge.along(log_likelihoods, mode, free, 0).interval(0)
     # of 1 / x, which is gamma distributed
     ends = scipy.stats.gamma.ppf([0.025, 0.975], shape, scale=1.0 / shape)
     assert [low, high] == pytest.approx([-math.log(ends[1]), -math.log(ends[0])], abs=0.02)
     assert high - float(mode.x[0]) > 1.2 * 1.96 * math.sqrt(float(mode.covariance[0, 0]))
+
+
+@pytest.mark.parametrize("reference", [True, False])
+def test_a_constant_error_of_all_fixes_is_not_seen_by_a_filter_that_started_on_them(reference: bool) -> None:
+    """Its size makes no difference then: a colour of 33 s was taken for one of 162, because the start knew nothing of it."""
+    made = recording()
+    gnss = Gnss(position_sigma=SIGMA, velocity_sigma=(0.05, 0.05, 0.05), lever_arm=LEVER)
+    s = Flown.of(made if reference else replace(made, reference=None), Nominal(dict(BELIEF), gnss)).prepared.surrogate
+    forever, small = 1e7, np.array([0.1, 0.1, 0.1, 0.0, 0.0, 0.0])
+    nats = np.diff([s.log_likelihood(colour=(k * small, forever)) for k in (1.0, 10.0)])[0]
+    _, together = s.whiten(s.nu[:, :, None], colour=(small, forever))
+    assert together == pytest.approx(s.log_likelihood(colour=(small, forever)), abs=1e-6)
+    # three numbers that are ten times as uncertain and were seen to be small
+    assert nats == pytest.approx(-3.0 * math.log(10.0) if reference else 0.0, abs=1.5 if reference else 0.1)
+
+
+def test_a_start_on_a_fix_is_as_uncertain_as_the_fix() -> None:
+    made = replace(recording(), reference=None)
+    gnss = Gnss(position_sigma=SIGMA, velocity_sigma=(0.05, 0.05, 0.05), lever_arm=LEVER)
+    prepared = Flown.of(made, Nominal(dict(BELIEF), gnss)).prepared
+    plain = prepared.again(factors=np.ones(6))
+    assert plain.surrogate.first == pytest.approx(np.array([*SIGMA, 0.05, 0.05, 0.05]) ** 2)
+    # three times the scatter, told to the filter, or to who looks at it from outside
+    told, seen = prepared.again(factors=np.full(6, 3.0)).surrogate, plain.surrogate
+    nodes = [np.diag(s.P0)[:6] + s.first * (k**2 - 1.0) for s, k in ((told, 1.0), (seen, 3.0))]
+    assert nodes[0] == pytest.approx(nodes[1])
+    assert told.log_likelihood() == pytest.approx(seen.log_likelihood(factor=np.full(6, 3.0)), abs=0.5)
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ import insemu.gap as gap
 from insemu.gap import Policy, find_static_gap, search, session
 from insemu.gap.candidates import axis
 from insemu.gap.data import log
-from insemu.gap.drive import scene
+from insemu.gap.drive import corrected
 from insemu.gap.evidence import modes
 from insemu.gap.evidence.modes import Free
 from insemu.gap.policy import RUNS, rules, under
@@ -110,7 +110,7 @@ REST, FLIGHT = "rest-one-04", "flight-three-01"
         (REST, modes, {"EDGE": 0.15, "TOLERANCE_EDGE": 0.01}),
         (REST, axis, {"HOPELESS": 8.0}),
         (REST, search, {"MOST_EFFECTS": 24}),
-        (FLIGHT, scene, {"KNOT_S": 5.0, "KNOTS": 120}),
+        (FLIGHT, corrected, {"KNOT_S": 5.0, "KNOTS": 120}),
         (FLIGHT, modes, {"EDGE": 0.15, "TOLERANCE_EDGE": 0.01}),
         (FLIGHT, session, {"MOST_PASSES": 4}),
     ],

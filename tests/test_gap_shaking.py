@@ -254,7 +254,7 @@ def test_a_start_in_the_time_of_the_fixes_is_off_with_their_time(reference: bool
     world = replace(sensors.draw_world(110071, 200.0, True), reference=reference)
     hidden = sensors.Hidden("imu_gnss_time_offset", "imu", "", {"value": 0.05})
     prepared = Flown.of(*taken(world, (hidden,))).prepared
-    assert prepared.on_fixes != reference
+    assert prepared.first.any() != reference
     at = Scene.of(prepared)
     j = next(k for k, c in enumerate(at.columns) if c.effect == "imu_gnss_time_offset")
     for _ in range(2):  # linear about the first look

@@ -12,8 +12,9 @@ import pytest
 from insemu import earth
 from insemu.errors import InputError
 from insemu.gap import Finding, GapReport, Member, Value, applied
+from insemu.gap.drive.corrected import corrected_data
 from insemu.gap.drive.preparation import fast_parts, prepare
-from insemu.gap.drive.scene import Scene, corrected_data
+from insemu.gap.drive.scene import Scene
 from insemu.gap.verdict import Interval
 from insemu.gap.worth import GRAVITY, worth_in_motion, worth_in_noise, worth_of_mounting
 from insemu.noise import RW, WN, NoiseModel

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -335,13 +335,26 @@ def as_joint(h: DriveHypothesis, scene: Scene, joint: JointNoise) -> DriveHypoth
     if h.effect == "gnss_correlated_noise":
         sigma, tau = joint.noise.colour
         told = {**dict(zip((f"sigma_{a}" for a in NED), sigma, strict=False)), "tau": tau}
-        return replace(h, values=tuple(_within(v, told[v.name], joint.interval(v.name)) for v in h.values))
+        return replace(
+            h, values=tuple(Value.positive(v.name, told[v.name], joint.sd[v.name], v.unit) for v in h.values)
+        )
     return at_level(h, scene.original.factors * joint.noise.factor)
 
 
-def _within(v: Value, value: float, ratios: tuple[float, float]) -> Value:
-    """A parameter at a value, its interval as ratios to that."""
-    return replace(v, value=float(value), low=float(value * ratios[0]), high=float(value * ratios[1]))
+def within(h: DriveHypothesis, intervals: Mapping[str, tuple[float, float]]) -> DriveHypothesis:
+    """A colour of the fixes with intervals, as ratios to its values; anything else as it is.
+
+    Parameters
+    ----------
+    h : DriveHypothesis
+        What was named.
+    intervals : mapping of str to (low, high)
+        By parameter.
+    """
+    if h.effect != "gnss_correlated_noise":
+        return h
+    ends = ((v, *intervals[v.name]) for v in h.values)
+    return replace(h, values=tuple(replace(v, low=v.value * low, high=v.value * high) for v, low, high in ends))
 
 
 def about(level: DriveHypothesis) -> NDArray[np.bool_]:

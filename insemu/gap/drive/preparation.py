@@ -72,8 +72,9 @@ class Prepared:
         Whether the velocities were moved for that, by what a filter with these stamps misses of it.
     raised : (6,) array
         By what standard deviations were raised for that: other errors may have had a part in it, so that they may come back.
-    on_fixes : bool
-        Whether the start is that of the first fix, with its errors.
+    first : (6,) array
+        Standard deviations of the fix that the start stands on, whose errors are those of the start: position and velocity, m and m/s; zero of
+        another start.
     began : float, optional
         First stamp of the recording, s: what the filter needs begins later.
     recorded : GnssRecord, optional
@@ -95,7 +96,7 @@ class Prepared:
     swings: bool = False
     steadied: bool = False
     raised: Array = field(default_factory=lambda: np.ones(6))
-    on_fixes: bool = False
+    first: Array = field(default_factory=lambda: np.zeros(6))
     began: float | None = None
     recorded: GnssRecord | None = None
 
@@ -122,16 +123,18 @@ class Prepared:
         gnss = self.gnss if gnss is None else gnss
         factors = self.factors if factors is None else factors
         beliefs = self.beliefs if beliefs is None else beliefs
-        result = _run(imu, scaled_fixes(gnss, factors), self.start, beliefs, self.lever_arm)
+        start = _levelled(self.start, self.first, factors)
+        result = _run(imu, scaled_fixes(gnss, factors), start, beliefs, self.lever_arm)
         return replace(self, imu=imu, gnss=gnss, factors=factors, beliefs=beliefs, result=result)
 
     def on(self, recording: Recording) -> Prepared:
         """The same filter on another recording of the same motion, started as that recording lets it."""
         imu, gnss, initial, sigma = starting_state(recording, self.nominal)
-        began = float(recording.imu.t[0])
+        gnss = with_sigma(gnss, self.nominal)
         return replace(
-            self, start=(initial, sigma), rectified=None, steadied=False, raised=np.ones(6), began=began, recorded=None
-        ).again(imu=imu, gnss=with_sigma(gnss, self.nominal))
+            self, start=(initial, sigma), rectified=None, steadied=False, raised=np.ones(6), recorded=None,
+            first=_stood_on(recording, imu, gnss), began=float(recording.imu.t[0]),
+        ).again(imu=imu, gnss=gnss)  # fmt: skip
 
     def on_arm(self, corrected: Prepared, arm: Array) -> Prepared:
         """The same with velocities of an antenna that swings on another lever arm.
@@ -163,12 +166,21 @@ class Prepared:
         noise = np.sqrt([float(self.beliefs[name].allan_variance([1], imu.dt)[0]) for name in AXES])
         return Motion.of(imu, self.result.nav, nodes.epoch, noise, self.began)
 
+    @property
+    def surrogate(self) -> Surrogate:
+        """The filter seen from outside."""
+        return replace(
+            Surrogate.of(self.result),
+            settled=self.nominal.settled_levels,
+            first=(self.first * self.factors) ** 2,
+        )
+
     def trimmed(self) -> Prepared:
         """The same filter with the levels of its fixes moved towards their most likely values inside the tolerance."""
         out = self
         for _ in range(2):
             loop = Loop.of(out.result)
-            factors = trimmed_factors(out, loop, Surrogate.of(out.result), loop.y.reshape(-1, 6))
+            factors = trimmed_factors(out, loop, out.surrogate, loop.y.reshape(-1, 6))
             if not np.max(np.abs(np.log(factors / out.factors))) > 0.02:
                 break
             out = out.again(factors=factors)
@@ -260,7 +272,7 @@ def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], le
     prepared = Prepared(
         imu, gnss, result, beliefs, fast, lever, np.ones(6), start, nominal,
         rectified=left, swings=left is not None and bool(np.any(lever)), steadied=_moved(recorded, gnss), raised=_raised(recorded, gnss),
-        on_fixes=recording.reference is None, began=float(recording.imu.t[0]), recorded=recorded,
+        first=_stood_on(recording, imu, recorded), began=float(recording.imu.t[0]), recorded=recorded,
     )  # fmt: skip
     return prepared.trimmed()
 
@@ -350,6 +362,27 @@ def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, G
         )
     imu, state, sigma = on_track(imu, fixed, track, believed)
     return imu, gnss, state, sigma
+
+
+def _stood_on(recording: Recording, imu: ImuRecord, gnss: GnssRecord) -> Array:
+    """Standard deviations (6,) of the fix at which an IMU was cut to begin; zero of what did not come from it, or of a start on a reference."""
+    out = np.zeros(6)
+    k = int(np.searchsorted(gnss.t, imu.t[0], side="right")) - 1
+    if recording.reference is None and k >= 0:
+        for rows, fix, std in (
+            (slice(0, 3), gnss.llh, gnss.pos_std_ned),
+            (slice(3, 6), gnss.vel_ned, gnss.vel_std_ned),
+        ):
+            if fix is not None and std is not None and np.isfinite(fix[k]).all():
+                out[rows] = std[k]
+    return out
+
+
+def _levelled(start: tuple[NavState, InitialSigma], first: Array, factors: Array) -> tuple[NavState, InitialSigma]:
+    """A start that is as uncertain as the fix (6,) that it stands on is at other levels (6,)."""
+    own = start[1].to_array()
+    own[:6] = np.sqrt(own[:6] ** 2 + first**2 * (factors**2 - 1.0))
+    return start[0], InitialSigma(own[:3], own[3:6], own[6:])
 
 
 def _on_arm(

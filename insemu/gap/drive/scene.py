@@ -12,29 +12,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from insemu import earth
-from insemu.effects import EFFECTS, Column, EffectUse, FixGeometry, Motion, catalogue_columns
+from insemu.effects import EFFECTS, Column, FixGeometry, Motion, catalogue_columns
 from insemu.errors import InputError
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.drive.apart import without
 from insemu.gap.drive.columns import clipped_columns, library_columns, rectified_columns
+from insemu.gap.drive.corrected import corrected_data, slow_knots
 from insemu.gap.drive.preparation import Prepared, trimmed_factors
-from insemu.gap.drive.shaking import swing_missed
 from insemu.gap.drive.signatures import Loop, columns_response, fix_step_response, knot_response
 from insemu.gap.evidence.fixes import NED, FixNoise, Surrogate
-from insemu.gap.evidence.linear import Block, Field, knot_times
+from insemu.gap.evidence.linear import Block, Field
 from insemu.gap.policy import rules
 from insemu.noise import NoiseModel
-from insemu.records import GnssRecord, ImuRecord
-from insemu.strapdown import NavState
+from insemu.records import GnssRecord
 
 Array = NDArray[np.float64]
 
 #: A step in the position fixes: axis (0..2), start and end in s.
 Window = tuple[int, float, float]
 
-#: Knots of slow processes: at least so far apart, s, and about so many in a long recording; between them a process is a straight line.
-KNOT_S, KNOTS = 10.0, 60
 #: Times that the filter runs again on corrected data at the most, until its errors are small: a bound, so that a search ends.
 MOST_RUNS = 5
 #: Times that levels are trimmed, by 35 % at the most each: they end where they hold, a bound for those that come back from a raise of ten.
@@ -115,7 +111,7 @@ class Scene:
                 slope = _slope_about(columns[j], value, motion, fixes)
                 columns[:catalogue] = [slope if (c.effect, c.label) == own else c for c in columns[:catalogue]]
         columns += library_columns(motion, t_fix, prepared.nominal.mounting)
-        if prepared.on_fixes:
+        if prepared.first.any():
             columns = [c if c.fixes is None else replace(c, start=c.fixes[0]) for c in columns]
         outside = slice(catalogue, len(columns))
         columns += clipped_columns(motion, prepared.clipped)
@@ -129,7 +125,7 @@ class Scene:
             original or prepared,
             motion,
             loop,
-            replace(Surrogate.of(prepared.result), settled=prepared.nominal.settled_levels),
+            prepared.surrogate,
             columns,
             catalogue,
             outside,
@@ -294,12 +290,21 @@ class Scene:
         scene.noise = self.noise
         return scene
 
-    def steadied_again(self) -> Scene:
-        """The scene with velocities as the shaking leaves them beside what was found: on a lever arm that was, and without what stood for noise."""
+    def steadied_again(self, blocks: Sequence[Block], cut: float | None = None) -> Scene:
+        """The scene with velocities as the shaking leaves them beside what was found: on a lever arm that was, and without what stood for noise.
+
+        Parameters
+        ----------
+        blocks : sequence of Block
+            What is explained.
+        cut : float, optional
+            Fixes after this time (s) are not looked at.
+        """
         original, arm = self.original, self.original.lever_arm.copy()
-        for j, value in self.corrections.items():
+        index, away = self.explaining(blocks, cut)
+        for j, value in zip(index, away, strict=True):
             if j < self.catalogue and self.columns[j].effect == "lever_arm":
-                arm["xyz".index(self.columns[j].label[-1])] += value
+                arm["xyz".index(self.columns[j].label[-1])] += value + self.corrections.get(int(j), 0.0)
         if np.array_equal(arm, original.lever_arm) and not np.any(original.raised > 1.0):
             return self
         return replace(self, original=original.on_arm(self.prepared, arm)).rebuilt()
@@ -417,7 +422,7 @@ class Scene:
         """A column of an effect that is no multiple of one, at a size."""
         column = EFFECTS[self.columns[j].effect].about(self.columns[j], size, self.motion, fixes)
         assert column.fixes is not None
-        return replace(column, start=column.fixes[0]) if self.prepared.on_fixes else column
+        return replace(column, start=column.fixes[0]) if self.prepared.first.any() else column
 
     def explained(self, blocks: Sequence[Block], cut: float | None = None) -> Array | None:
         """What blocks explain of the whitened innovations as they are after corrections, (f, 6); judged by those up to a time."""
@@ -465,72 +470,6 @@ def window_response(loop: Loop, windows: Sequence[Window]) -> Array:
     for i, (axis, start, end) in enumerate(windows):
         M[:, axis, i] = (fixes.t > start) & (fixes.t <= end)
     return loop.respond(len(windows), None, M) if windows else M
-
-
-def slow_knots(start: float, end: float) -> Array:
-    """Times of the knots of slow errors in a recording from ``start`` to ``end``, s."""
-    return knot_times(start, end, max(KNOT_S, (end - start) / KNOTS))
-
-
-def corrected_data(
-    prepared: Prepared, columns: Sequence[Column], values: Mapping[int, float], t_fix: Array
-) -> tuple[ImuRecord, GnssRecord, NavState]:
-    """The records and the start with effects taken out, each as its column says.
-
-    Parameters
-    ----------
-    prepared : Prepared
-        With the records as they were measured.
-    columns : sequence of Column
-        Unit errors of the sensors and of the fixes.
-    values : mapping of int to float
-        Coefficient of each column that is taken out; behind the columns stand the knots of slow errors, axis by axis.
-    t_fix : (f,) array
-        Times of the fixes that the columns are about, s.
-    """
-    imu, gnss, state = prepared.imu, prepared.gnss, prepared.start[0]
-    if not values:
-        return imu, gnss, state
-    began = float(imu.t[0]) if prepared.began is None else prepared.began
-    stamps, timed = np.concatenate([[began], imu.t]), False
-    width = imu.widths(0.0)[:, 0]
-    signals = np.hstack([imu.gyro, imu.accel])
-    shift = np.zeros((len(gnss), 6))
-    at = np.searchsorted(gnss.t, t_fix)
-    knots = slow_knots(float(imu.t[0]), float(imu.t[-1]))
-    slow = np.zeros((6, knots.size))
-    for j, value in values.items():
-        if j >= len(columns):
-            slow.ravel()[j - len(columns)] = value
-            continue
-        for axis, u in columns[j].inputs:
-            signals[:, axis] -= value * u * width
-        moved, effect = columns[j].fixes, EFFECTS.get(columns[j].effect)
-        if effect is not None and effect.does("true_time"):
-            # of a large one the fixes are not only ahead by velocity and acceleration
-            use = EffectUse.from_mapping({"effect": effect.id, "sensor": columns[j].sensor, columns[j].label: value})
-            stamps, timed = effect.true_time(use, stamps), True
-        elif moved is not None:
-            shift[at] -= value * moved
-        begun = columns[j].start
-        if begun is not None:
-            llh, vel = earth.move(state.llh, -value * begun[:3]), state.vel_ned - value * begun[3:]
-            state = replace(state, llh=llh, vel_ned=vel)
-    stamps = stamps[1:]
-    for k in np.flatnonzero(slow.any(axis=1)):
-        signals[:, k] -= np.interp(imu.t, knots, slow[k]) * width
-    llh = gnss.llh.copy()
-    there = np.isfinite(llh).all(axis=1)
-    llh[there] = earth.move(llh[there], shift[there, :3])
-    if timed and prepared.swings:
-        # what a filter with the new stamps misses of the antenna's swing is another
-        before, after = (
-            swing_missed(i, prepared.result.nav, t_fix, prepared.lever_arm) for i in (imu, replace(imu, t=stamps))
-        )
-        shift[at, 3:] += before * prepared.steadied - after
-    vel_ned = None if gnss.vel_ned is None else gnss.vel_ned + shift[:, 3:]
-    corrected = replace(imu, t=stamps, gyro=signals[:, :3], accel=signals[:, 3:])
-    return corrected, replace(gnss, llh=llh, vel_ned=vel_ned), state
 
 
 def _smoothing(nominal: Nominal, columns: Sequence[Column], corrections: Mapping[int, float]) -> Array:

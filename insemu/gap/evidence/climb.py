@@ -20,8 +20,10 @@ Likelihoods = Callable[[Sequence[tuple[int, Array]]], Array]
 LONGEST_STEP, HALVINGS, MOST_STEPS = 1.0, 6, 40
 #: A climb far behind one of the same kind ends: by so many nats, even if its next step gains so many times what it promises.
 BEHIND_NATS, SURER = 50.0, 3.0
-#: Where a posterior is looked at, in standard deviations of the curvature at its top: the tail of a time is upwards.
-ALONG = np.arange(-4.0, 8.5, 1.0)
+#: A ridge is followed in steps of a standard deviation of the curvature at its top until this is lost, nats, or so many to a side: a bound.
+LEFT_NATS, MOST_ALONG = 6.0, 12
+#: Points with slopes that are looked at for each point of a ridge, and points that make a curve of one.
+NEWTON, FINE = 3, 401
 
 
 @dataclass
@@ -144,32 +146,100 @@ def laplace_together(
     return [c.mode() for c in climbs]
 
 
-def interval_along(log_likelihoods: Likelihoods, mode: Mode, free: Sequence[Free], k: int) -> tuple[float, float]:
-    """95 % interval of one parameter of a mode, in logarithms, by the posterior along the line of its conditional means.
-
-    A correlation time of which a recording holds a dozen has a posterior that is far from normal: the curvature at its top knows nothing of its tail.
+@dataclass(frozen=True)
+class Ridge:
+    """A posterior along one parameter, the others at their best beside each of its values: what its own curvature at the top knows nothing of.
 
     Parameters
     ----------
-    log_likelihoods : callable
-        As :func:`laplace_together` takes it, of problem 0.
-    mode : Mode
-    free : sequence of Free
-        Its parameters.
-    k : int
-        Which of them.
+    at : (p, k) array
+        Points of the ridge, logarithms of the parameters.
+    weight : (p,) array
+        Probability of each.
+    spread : (k,) array
+        Standard deviations of the others beside it; 0 of the parameter itself.
+
+    References
+    ----------
+    Rue, Martino and Chopin 2009, J. R. Stat. Soc. B 71(2): nested Laplace approximations.
     """
-    sd = math.sqrt(float(mode.covariance[k, k]))
-    points = [mode.x + step * mode.covariance[:, k] / sd for step in ALONG]
-    inside = np.array([all(f.admits(v) for f, v in zip(free, p, strict=True)) for p in points])
-    prior = np.array([sum(f.log_density(v) for f, v in zip(free, p, strict=True)) for p in points])
-    values = np.full(len(points), -np.inf)
-    values[inside] = log_likelihoods([(0, p) for p, i in zip(points, inside, strict=True) if i]) + prior[inside]
-    there = np.isfinite(values)
-    if there.sum() < 4:
-        return float(mode.x[k] - 1.96 * sd), float(mode.x[k] + 1.96 * sd)
-    at = np.linspace(ALONG[there][0], ALONG[there][-1], 1001)
-    log_density = scipy.interpolate.PchipInterpolator(ALONG[there], values[there])(at)
-    reached = np.cumsum(np.exp(log_density - log_density.max()))
-    low, high = np.interp([0.025, 0.975], reached / reached[-1], at)
-    return float(mode.x[k] + min(low, 0.0) * sd), float(mode.x[k] + max(high, 0.0) * sd)
+
+    at: Array
+    weight: Array
+    spread: Array
+
+    @classmethod
+    def along(cls, log_likelihoods: Likelihoods, mode: Mode, free: Sequence[Free], k: int) -> Ridge:
+        """Follow the ridge from the mode to both sides, until little is left of the posterior.
+
+        Parameters
+        ----------
+        log_likelihoods : callable
+            As :func:`laplace_together` takes it, of problem 0.
+        mode : Mode
+        free : sequence of Free
+            Its parameters.
+        k : int
+            Which of them.
+        """
+        sd, rest = math.sqrt(float(mode.covariance[k, k])), np.arange(mode.x.size) != k
+        H = mode.precision[np.ix_(rest, rest)]
+        beside = np.asarray(np.linalg.inv(H), dtype=np.float64)
+        slope = mode.covariance[:, k] / sd
+        points, values = [mode.x], [mode.log_posterior]
+        for side in (-1.0, 1.0):
+            x, last = mode.x + side * slope, mode.x
+            for _ in range(MOST_ALONG):
+                found = _beside(log_likelihoods, x, free, rest, H, beside)
+                if found is None:
+                    break
+                points.append(found[0])
+                values.append(found[1])
+                if found[1] < max(values) - LEFT_NATS:
+                    break
+                x, last = 2.0 * found[0] - last, found[0]
+                x[k] = last[k] + side * sd
+        order = np.argsort([p[k] for p in points])
+        knots, fine = np.array(points)[order], np.linspace(min(p[k] for p in points), max(p[k] for p in points), FINE)
+        log_weight = _between(knots[:, k], np.array(values)[order], fine)
+        weight, spread = np.exp(log_weight - log_weight.max()), np.zeros(mode.x.size)
+        spread[rest] = np.sqrt(np.diag(beside))
+        return cls(_between(knots[:, k], knots, fine), weight / weight.sum(), spread)
+
+    def interval(self, k: int) -> tuple[float, float]:
+        """95 % interval of a parameter, in logarithms."""
+        x = self.at[:, k]
+        at = np.linspace(float(np.min(x - 4.0 * self.spread[k])), float(np.max(x + 4.0 * self.spread[k])), FINE)
+        beyond = (at[:, None] - x) / max(float(self.spread[k]), 1e-9 + 0.5 * (at[1] - at[0]))
+        reached = scipy.special.ndtr(beyond) @ self.weight
+        low, high = np.interp([0.025, 0.975], reached, at)
+        return float(low), float(high)
+
+
+def _between(x: Array, y: Array, at: Array) -> Array:
+    """Values (m, ...) between points (p,) of a smooth curve (p, ...)."""
+    if x.size < 2:
+        return np.repeat(y, at.size, axis=0)
+    return np.asarray(scipy.interpolate.PchipInterpolator(x, y)(at), dtype=np.float64)
+
+
+def _beside(
+    log_likelihoods: Likelihoods, x: Array, free: Sequence[Free], rest: NDArray[np.bool_], H: Array, beside: Array
+) -> tuple[Array, float] | None:
+    """The best point near x when the parameters that are not in ``rest`` stay, and its log posterior; ``None`` where there is none.
+
+    Newton steps with the curvature (r, r) of the mode and its inverse.
+    """
+    own, h = np.flatnonzero(rest), CURVATURE_STEP
+    x, best, value = x.copy(), None, -math.inf
+    for _ in range(NEWTON):
+        stencil = [x, *(x + h * np.eye(x.size)[i] for i in own)]
+        if not all(f.admits(v) for p in stencil for f, v in zip(free, p, strict=True)):
+            break
+        prior = np.array([sum(f.log_density(v) for f, v in zip(free, p, strict=True)) for p in stencil])
+        each = log_likelihoods([(0, p) for p in stencil]) + prior
+        if not np.all(np.isfinite(each)) or each[0] < value:
+            break
+        best, value = x.copy(), float(each[0])
+        x[own] += np.clip(beside @ ((each[1:] - each[0]) / h + 0.5 * h * np.diag(H)), -LONGEST_STEP, LONGEST_STEP)
+    return None if best is None else (best, value)

@@ -194,6 +194,7 @@ def surrogate_filter(
     H: Array,
     R: Array,
     P0: Array,
+    first: Array,
     nu: Array,
     use: NDArray[np.int64],
     factor: Array,
@@ -217,6 +218,8 @@ def surrogate_filter(
     K, H, R : (f, n, 6), (f, 6, n), (f, 6) arrays
         Nominal gain (zero where the fix was not used), Jacobian, believed variances.
     P0 : (n, n) array
+    first : (6,) array
+        Variances of the fix that the filter started on, as it believed them: its error is that of the start, g included; zero of another start.
     nu : (f, 6, c) array
         Innovations, and any number of responses beside them.
     use : (f, 6) array of int
@@ -246,8 +249,14 @@ def surrogate_filter(
     m = n + extra
     P = np.zeros((m, m))
     P[:n, :n] = P0
+    for i in range(6):
+        P[i, i] += first[i] * (factor[i] ** 2 - 1.0)
     for j in range(extra):
-        P[n + j, n + j] = p_g[which[j]]
+        i = which[j]
+        P[n + j, n + j] = p_g[i]
+        if first[i] > 0.0:
+            P[i, i] += p_g[i]
+            P[i, n + j] = P[n + j, i] = p_g[i]
     x = np.zeros((m, cols))
     moved = np.zeros((n, cols))
     T = np.zeros((m, n))
@@ -403,6 +412,7 @@ def surrogate_likelihoods(
     H: Array,
     R: Array,
     P0: Array,
+    first: Array,
     nu: Array,
     use: NDArray[np.int64],
     gap: Array,
@@ -417,7 +427,7 @@ def surrogate_likelihoods(
 
     Parameters
     ----------
-    Phi, Q, K, H, R, P0, use : arrays
+    Phi, Q, K, H, R, P0, first, use : arrays
         As there.
     nu : (f, 6) array
         Innovations.
@@ -455,9 +465,16 @@ def surrogate_likelihoods(
             for j in range(n):
                 for c in range(LANES):
                     P[i, j * LANES + c] = P0[i, j]
+        for i in range(6):
+            for c in range(LANES):
+                P[i, i * LANES + c] += first[i] * (ratio[block, i, c] - 1.0)
         for j in range(extra):
             for c in range(LANES):
-                P[n + j, (n + j) * LANES + c] = sigma[block, which[j], c]
+                i, v = which[j], sigma[block, which[j], c]
+                P[n + j, (n + j) * LANES + c] = v
+                if first[i] > 0.0:
+                    P[i, i * LANES + c] += v
+                    P[i, (n + j) * LANES + c] = P[n + j, i * LANES + c] = v
         for k in range(nu.shape[0]):
             for c in range(LANES):
                 phi[c] = math.exp(-gap[k] * rate[block, c])

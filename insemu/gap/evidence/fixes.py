@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from insemu.filters import FilterResult
 from insemu.gap.evidence import error_kernels
-from insemu.gap.evidence.climb import interval_along, laplace_together
+from insemu.gap.evidence.climb import Ridge, laplace_together
 from insemu.gap.evidence.linear import log_mean_exp
 from insemu.gap.evidence.merged import between_fixes, merged_states
 from insemu.gap.evidence.modes import Free, Mode, level
@@ -70,7 +70,8 @@ class Surrogate:
     """The nominal filter seen from outside: transitions, gains and noises per fix, ready for :func:`error_kernels.surrogate_filter`.
 
     The noise of a fix counts as independent between its components; what the gyros' noise on the lever arm correlates is left out. ``settled`` (6,)
-    is the level of each component that is known, over the stated one.
+    is the level of each component that is known, over the stated one; ``first`` (6,) are variances of the fix that the filter started on, whose
+    error is that of the start, as it believed them.
     """
 
     t: Array
@@ -83,6 +84,7 @@ class Surrogate:
     nu: Array
     use: NDArray[np.int64]
     settled: Array = field(default_factory=lambda: np.ones(6))
+    first: Array = field(default_factory=lambda: np.zeros(6))
 
     @classmethod
     def of(cls, result: FilterResult) -> Surrogate:
@@ -169,7 +171,7 @@ class Surrogate:
         phi = np.exp(-gap / tau)[:, None] * np.ones(6)
         return float(
             error_kernels.surrogate_filter(
-                self.Phi, self.Q, self.K, self.H, self.R, self.P0, np.ascontiguousarray(columns), self.use,
+                self.Phi, self.Q, self.K, self.H, self.R, self.P0, self.first, np.ascontiguousarray(columns), self.use,
                 noise.factor, phi, (1.0 - phi**2) * sigma**2, sigma**2, white, ahead, S,
             )
         )  # fmt: skip
@@ -193,7 +195,7 @@ class Surrogate:
             np.ascontiguousarray(np.moveaxis(v[order].reshape(*blocks, 6) ** 2, 1, 2)) for v in (factor, sigma)
         )
         error_kernels.surrogate_likelihoods(
-            self.Phi, self.Q, self.K, self.H, self.R, self.P0, self.nu, self.use, np.diff(self.t, prepend=self.t[0]),
+            self.Phi, self.Q, self.K, self.H, self.R, self.P0, self.first, self.nu, self.use, np.diff(self.t, prepend=self.t[0]),
             ratio, variance, rate[order].reshape(blocks), out,
         )  # fmt: skip
         values = np.empty(len(noises))
@@ -411,14 +413,14 @@ class JointNoise:
         Standard deviations of the logarithms of ``sigma_north`` ... and ``tau``; of those that are coloured; ``factor`` of a level of any size.
     evidence : float
         Log evidence, nats.
-    interval : callable
-        95 % interval of one of these, as ratios to the most likely.
+    intervals : callable
+        95 % intervals of what the colour has of these, as ratios to the most likely: some passes of the filter.
     """
 
     noise: FixNoise
     sd: dict[str, float]
     evidence: float
-    interval: Callable[[str], tuple[float, float]]
+    intervals: Callable[[], dict[str, tuple[float, float]]]
 
 
 def joint_noise(s: Surrogate, begin: FixNoise, factors: Array, *, wide: Sequence[int] = ()) -> JointNoise:
@@ -471,13 +473,14 @@ def joint_noise(s: Surrogate, begin: FixNoise, factors: Array, *, wide: Sequence
     if wide:
         place["factor"] = len(free) - 1
 
-    def interval(name: str) -> tuple[float, float]:
-        k = place[name]
-        low, high = interval_along(likelihoods, mode, free, k)
-        return math.exp(low - mode.x[k]), math.exp(high - mode.x[k])
+    def intervals() -> dict[str, tuple[float, float]]:
+        # what a recording of few correlation times leaves open is how long and how large it is, together
+        ridge = Ridge.along(likelihoods, mode, free, place["tau"])
+        ends = {name: np.exp(np.array(ridge.interval(k)) - mode.x[k]) for name, k in place.items()}
+        return {name: (float(low), float(high)) for name, (low, high) in ends.items()}
 
     sd = {name: math.sqrt(float(mode.covariance[k, k])) for name, k in place.items()}
-    return JointNoise(unpack(mode.x), sd, mode.evidence, interval)
+    return JointNoise(unpack(mode.x), sd, mode.evidence, intervals)
 
 
 def _times(s: Surrogate, tau: float = 1.0) -> Free:

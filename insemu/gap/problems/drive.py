@@ -350,7 +350,7 @@ class DriveProblem(NoiseOfFixes):
         self.found = [f for f in self.found if f.chosen.change.block is not None]
         self.gone, self.outsider = {}, ""
         first = first.with_windows(self.scene.windows)
-        scene = first.rebuilt(corrections=self.scene.corrections).steadied_again()
+        scene = first.rebuilt(corrections=self.scene.corrections).steadied_again(self.blocks(), self.cut)
         self.recorded = scene.original.gnss
         self._take(scene.trimmed(self.blocks(), self.cut))
 

@@ -15,7 +15,7 @@ from insemu.gap.candidates.axis import CANDIDATES, AxisState, state_of
 from insemu.gap.data.log import reduce
 from insemu.gap.data.sources import StaticLog
 from insemu.gap.evidence.band import Band
-from insemu.gap.evidence.fixes import Colour, FixNoise, Surrogate
+from insemu.gap.evidence.fixes import Colour, FixNoise
 from insemu.gap.evidence.model import Component, Explanation
 from insemu.gap.evidence.modes import level
 from insemu.gap.evidence.rolloff import DEPTH, Rolloff
@@ -205,8 +205,8 @@ def _without_outliers(recording: Recording, nominal: Nominal, colour: Colour | N
     if colour is None:
         seen = by_filter(lambda gnss: prepared.again(gnss=gnss).result, prepared.gnss)
     else:
-        loud, noise = FixNoise(np.ones(6), colour).apart(Surrogate.of(prepared.result).sigma())
-        seen = under_colour(Surrogate.of(prepared.again(factors=loud).result), noise)
+        loud, noise = FixNoise(np.ones(6), colour).apart(prepared.surrogate.sigma())
+        seen = under_colour(prepared.again(factors=loud).surrogate, noise)
     return _struck_out(recording, outlying(seen, told_of(nominal.effects, prepared.gnss)))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS
-from insemu.gap.candidates.fixes import about, apart_from_named, as_joint, at_level, mixture, whole_innovations
+from insemu.gap.candidates.fixes import about, apart_from_named, as_joint, at_level, mixture, whole_innovations, within
 from insemu.gap.candidates.shapes import ONCE, PROCESSES, Change, bank, shape_values
 from insemu.gap.confusion import Repetitions
 from insemu.gap.drive.apart import FIRST, LOOSE
@@ -73,9 +73,11 @@ def believing(named: Named, cut: float | None = None) -> tuple[Named, Scene, lis
                 beliefs[name] = with_process(beliefs[name], h.effect, {v.name: v.value for v in h.values})
         elif h.change.block is not None:
             blocks.append(h.change.block)
-    if len(blocks) == len(named.blocks):
+    carried = len(blocks) < len(named.blocks)
+    coloured = cut is None and any(f.chosen.effect == "gnss_correlated_noise" for f in named.found)
+    if not carried and not coloured:
         return named, named.scene, blocks
-    scene = named.scene.rebuilt(beliefs=beliefs)
+    scene = named.scene.rebuilt(beliefs=beliefs) if carried else named.scene
     if scene.noise is None:
         scene = scene.trimmed(blocks, cut)
         found = tuple(replace(f, chosen=at_level(f.chosen, scene.original.factors)) for f in named.found)
@@ -86,6 +88,10 @@ def believing(named: Named, cut: float | None = None) -> tuple[Named, Scene, lis
         joint = joint_noise(s if cut is None else s.until(cut), scene.noise, apart_from_named(scene, stated), wide=wide)
         scene = scene.coloured(joint.noise)
         found = tuple(replace(f, chosen=as_joint(f.chosen, scene, joint)) for f in named.found)
+        if coloured:
+            # the posterior of a colour has a tail that the search does not ask for
+            intervals = joint.intervals()
+            found = tuple(replace(f, chosen=within(f.chosen, intervals)) for f in found)
     return replace(named, found=found), scene, blocks
 
 
