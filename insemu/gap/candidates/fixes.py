@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from insemu.filters import log_density
 from insemu.gap.candidates.shapes import Change, DriveHypothesis
-from insemu.gap.drive.apart import FIRST, MOST_ROUNDS, Seen, by_filter, less, log_odds, under_colour
+from insemu.gap.drive.apart import FIRST, MOST_ROUNDS, Seen, by_filter, less, log_mixture, log_odds, under_colour
 from insemu.gap.drive.preparation import scaled_fixes
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop
@@ -135,8 +135,13 @@ def gnss_outliers(scene: Scene, nu: Array, cut: float | None, effect: str = "gns
 
 def _odds(outliers: DriveHypothesis, v: Array, S: Array) -> Array:
     """Log odds (k,) to be outliers; arguments as those of :func:`mixture`."""
+    return log_odds(v, S, *_share_and_sigma(outliers))
+
+
+def _share_and_sigma(outliers: DriveHypothesis) -> tuple[float, Array]:
+    """Share of outliers and their standard deviations (3,), NED."""
     given = {x.name: x.value for x in outliers.values}
-    return log_odds(v, S, given["probability"], np.array([given[f"sigma_{a}"] for a in NED]))
+    return given["probability"], np.array([given[f"sigma_{a}"] for a in NED])
 
 
 def mixture(outliers: DriveHypothesis, v: Array, S: Array) -> Array:
@@ -149,9 +154,7 @@ def mixture(outliers: DriveHypothesis, v: Array, S: Array) -> Array:
     v, S : (k, 3), (k, 3, 3) arrays
         Innovations less what is explained, m or m/s, and their covariances where they are none.
     """
-    given = {x.name: x.value for x in outliers.values}
-    plain = math.log1p(-given["probability"]) + log_density(v, S)
-    return np.asarray(plain + np.logaddexp(0.0, _odds(outliers, v, S)))
+    return log_mixture(v, S, *_share_and_sigma(outliers))
 
 
 @dataclass(frozen=True)
@@ -209,7 +212,7 @@ def without_outliers(
     if gone is None:
         at, v, S = whole_innovations(seen, nu, None, effect)
         gone = scene.prepared.result.fixes.t[at][_odds(outliers, v, S) > 0.0]
-    now = 1.0 if level is None else level
+    now, best, top = 1.0 if level is None else level, Separated(gone, outliers, 1.0), -math.inf
     explained = np.where(seen.surrogate.use == 1, seen.surrogate.nu - nu, 0.0)
     for _ in range(MOST_ROUNDS):
         if scene.noise is not None:
@@ -220,6 +223,10 @@ def without_outliers(
         t, v, S = look({effect: (gone, sigma)})[effect]
         early = slice(None) if cut is None else slice(int(np.searchsorted(t, cut, side="right")))
         outliers = _share_and_size(outliers, v[early], S[early])
+        # a filter that leaves out fixes which are no outliers follows worse and takes more for outliers: those count that explain most
+        value = float(np.sum(mixture(outliers, v[early], S[early])))
+        if value > top:
+            best, top = Separated(gone, outliers, now), value
         before, gone = gone, t[_odds(outliers, v, S) > 0.0]
         scatter = 1.0
         if level is not None:
@@ -229,7 +236,7 @@ def without_outliers(
             now *= scatter
         if np.array_equal(before, gone) and abs(math.log(scatter)) < SAME_LEVEL:
             break
-    return Separated(gone, outliers, now)
+    return best
 
 
 def _look(scene: Scene, effect: str, level: float, seen: Scene, explained: Array) -> Seen:

@@ -90,8 +90,7 @@ class NoiseOfFixes(ABC):
         """The scene with outliers that were named told again, beside everything that was found since, with a level of theirs."""
         known = self._named(effect)
         stood = self._named(next(k for k, row in LEVEL_ROWS.items() if row == FIRST[effect]))
-        # quiet fixes are followed the more the quieter they are believed: no median tells their level, and what is loud beside it is no outlier alone
-        if known is None or (stood is not None and stood.values[0].value < 1.0):
+        if known is None:
             return scene
         others = {k: t for k, t in self.gone.items() if k != effect}
         whole = scene.rebuilt(whole=self.recorded, gone=others)
