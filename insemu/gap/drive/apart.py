@@ -53,7 +53,13 @@ def log_odds(v: Array, S: Array, probability: float, sigma: Array) -> Array:
 
 
 def log_mixture(v: Array, S: Array, probability: float, sigma: Array) -> Array:
-    """Log densities (k,) of positions or velocities of which a share are outliers, without the constant; arguments as those of :func:`log_odds`."""
+    """Log densities (k,) of positions or velocities of which a share are outliers, without the constant.
+
+    Parameters
+    ----------
+    v, S, probability, sigma : (k, 3), (k, 3, 3) arrays, float, (3,) array
+        As :func:`log_odds` takes them.
+    """
     plain = math.log1p(-probability) + log_density(v, S)
     return np.asarray(plain + np.logaddexp(0.0, log_odds(v, S, probability, sigma)))
 
