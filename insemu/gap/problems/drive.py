@@ -73,7 +73,7 @@ from insemu.records import AXES, Recording
 
 Array = NDArray[np.float64]
 #: Correlation times of a colour, over that which was named, at which effects beside it are looked for; it diffuses as fast at each of them.
-SHORTER = (1.0 / 3.0, 1.0 / 9.0)
+OTHER_TIMES = (1.0 / 9.0, 1.0 / 3.0, 3.0)
 
 
 class DriveProblem(NoiseOfFixes):
@@ -125,7 +125,7 @@ class DriveProblem(NoiseOfFixes):
 
     def rank(self) -> list[DriveHypothesis]:
         """Every effect that the innovations can show beside what was found."""
-        self._shorten_colour()
+        self._turn_colour()
         given, skip = self.blocks(), self._skip()
         out = linear_hypotheses(self.scene, self.variants, self.data, given, skip)
         if "gnss_multipath_step" not in skip:
@@ -133,25 +133,27 @@ class DriveProblem(NoiseOfFixes):
         out += covariance_hypotheses(self.scene, given, skip, self.cut, self._levelled())
         return best_first(out)
 
-    def _shorten_colour(self) -> None:
-        """Set a colour that was named shorter where it and an effect beside it explain more: it had taken the slow part of that."""
+    def _turn_colour(self) -> None:
+        """Set a colour that was named to another correlation time where it, and what is named beside it, explain more there.
+
+        One that was named first takes the slow part of the next effect, and one that was named beside a process leaves that process its own.
+        """
         scene, noise = self.scene, self.scene.noise
         if noise is None or noise.known:
             return
         given, skip = self.blocks(), self._skip()
 
-        def explained(at: Scene, data: Field, variants: Sequence[Variant]) -> tuple[float, float]:
+        def explained(at: Scene, data: Field, variants: Sequence[Variant]) -> float:
             assert at.noise is not None
             best = max(h.nats for h in linear_hypotheses(at, variants, data, given, skip))
-            return self._fixes(at).log_likelihood(at.noise.factor, at.noise.colour), best
+            return self._fixes(at).log_likelihood(at.noise.factor, at.noise.colour) + max(best, self.threshold)
 
-        alone, beside = explained(scene, self.data, self.variants)
         sigma, tau = noise.colour
-        shorter = [scene.coloured(replace(noise, colour=(sigma * math.sqrt(r), tau * r))) for r in SHORTER]
-        each = [sum(explained(at, first_rows(at.data, at.rows_t, self.cut), bank(at))) for at in shorter]
+        others = [scene.coloured(replace(noise, colour=(sigma * math.sqrt(r), tau * r))) for r in OTHER_TIMES]
+        each = [explained(at, first_rows(at.data, at.rows_t, self.cut), bank(at)) for at in others]
         k = int(np.argmax(each))
-        if each[k] > alone + max(beside, self.threshold) + rules().lead:
-            self._take(shorter[k])
+        if each[k] > explained(scene, self.data, self.variants) + rules().lead:
+            self._take(others[k])
 
     def _levelled(self, without: Found[Change] | None = None) -> NDArray[np.bool_]:
         """Components (6,) of the fixes whose level was named."""
