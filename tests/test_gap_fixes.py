@@ -475,6 +475,7 @@ def test_a_level_and_outliers_are_told_apart() -> None:
     assert share.low < hit.mean() < share.high
 
 
+@pytest.mark.slow
 def test_outliers_beside_a_step_are_as_many_as_they_are() -> None:
     """They were told against fixes in which the step still was, and at its edges: 0.1 of 0.033, and the step worth 48 nats of 480."""
     step = use(effect="gnss_multipath_step", value=[0.0, 1.0, 0.0], start=121.4, duration=60.0)

@@ -110,6 +110,7 @@ def test_a_shaken_vehicle_with_its_antenna_on_an_arm_lacks_nothing() -> None:
     assert {b.axis for b in report.band} == {f"{s}_{a}" for s in ("gyro", "accel") for a in "xyz"}
 
 
+@pytest.mark.slow
 def test_an_antenna_swings_on_the_arm_that_was_found() -> None:
     """On 2.5 m more than is believed: noise of the velocities, 1.6 times what is stated (2,046 nats), had stood beside the arm."""
     world = sensors.draw_world(6, 200.0, True, "quadrotor")

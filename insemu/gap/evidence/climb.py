@@ -161,7 +161,7 @@ class Ridge:
 
     References
     ----------
-    Rue, Martino and Chopin 2009, J. R. Stat. Soc. B 71(2): nested Laplace approximations.
+    Rue et al. 2009, section 3.2: the posterior of one parameter by Laplace's approximation of the others beside it.
     """
 
     at: Array
