@@ -23,6 +23,7 @@ from insemu.gap.candidates.fixes import _share_and_size, gnss_outliers, without_
 from insemu.gap.candidates.shapes import Change
 from insemu.gap.candidates.steps import _Scan, _step_anywhere, _when, multipath_step
 from insemu.gap.drive import FIRST
+from insemu.gap.drive.apart import outlying
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.climb import Ridge, laplace_together
@@ -150,6 +151,26 @@ def test_the_interval_of_a_colour_has_the_tail_of_its_posterior() -> None:
     ends = scipy.stats.gamma.ppf([0.025, 0.975], shape, scale=1.0 / shape)
     assert [low, high] == pytest.approx([-math.log(ends[1]), -math.log(ends[0])], abs=0.02)
     assert high - float(mode.x[0]) > 1.2 * 1.96 * math.sqrt(float(mode.covariance[0, 0]))
+
+
+def test_outliers_are_those_of_the_round_that_explains_most() -> None:
+    """A filter that leaves out more than the five follows worse: each round two more are far off."""
+    t, quiet = np.arange(200.0), np.random.default_rng(6).standard_normal((200, 3))
+
+    def seen(gone: Any) -> dict[str, Any]:
+        v = quiet.copy()
+        v[:5] = 30.0
+        count = gone["gnss_outliers"][0].size
+        if count:
+            v[5 : count + 2] += 9.0
+        else:  # it follows them, and is off behind them
+            v[5:40] += 2.5
+        return {"gnss_outliers": (t, v, np.eye(3) * np.ones((200, 1, 1)))}
+
+    known = [use(effect="gnss_outliers", probability=0.03, sigma=[30.0, 30.0, 30.0])]
+    told = outlying(seen, known)["gnss_outliers"]
+    # those that the first look takes for outliers; the last of ten looks has 28
+    assert set(t[:5]) <= set(told) and told.size < 15
 
 
 def test_a_lever_arm_shows_beside_a_colour_that_took_its_slow_part() -> None:

@@ -72,7 +72,7 @@ from insemu.gap.worth import stated_in_outages, white_levels, worth_in_noise
 from insemu.records import AXES, Recording
 
 Array = NDArray[np.float64]
-#: Correlation times of a colour, over that which was named, at which effects beside it are looked for; it diffuses as fast at each of them.
+#: Correlation times at which a colour is weighed too, over that which was named; it diffuses as fast at each of them.
 OTHER_TIMES = (1.0 / 9.0, 1.0 / 3.0, 3.0)
 
 
