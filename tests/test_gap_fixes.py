@@ -23,7 +23,7 @@ from insemu.gap.candidates.fixes import _share_and_size, gnss_outliers, without_
 from insemu.gap.candidates.shapes import Change
 from insemu.gap.candidates.steps import _Scan, _step_anywhere, _when, multipath_step
 from insemu.gap.drive import FIRST
-from insemu.gap.drive.apart import outlying
+from insemu.gap.drive.apart import log_mixture, outlying
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.climb import Ridge, laplace_together
@@ -162,15 +162,36 @@ def test_outliers_are_those_of_the_round_that_explains_most() -> None:
         v[:5] = 30.0
         count = gone["gnss_outliers"][0].size
         if count:
-            v[5 : count + 2] += 9.0
+            v[5 : count + 2] = 9.0
         else:  # it follows them, and is off behind them
             v[5:40] += 2.5
         return {"gnss_outliers": (t, v, np.eye(3) * np.ones((200, 1, 1)))}
 
     known = [use(effect="gnss_outliers", probability=0.03, sigma=[30.0, 30.0, 30.0])]
-    told = outlying(seen, known)["gnss_outliers"]
+    told = outlying(seen, known, {})["gnss_outliers"]
     # those that the first look takes for outliers; the last of ten looks has 28
     assert set(t[:5]) <= set(told) and told.size < 15
+    # nor do more rounds take anything from what was told before
+    assert set(outlying(seen, known, {"gnss_outliers": t[:5]})["gnss_outliers"]) == set(t[:5])
+
+
+def test_a_fix_that_was_not_told_an_outlier_is_none_however_far_off() -> None:
+    """The search would name it as a step, or a level. Told with those, all others scatter a little more, which the mixture minds more."""
+    t, quiet = np.arange(200.0), np.random.default_rng(6).standard_normal((200, 3))
+
+    def seen(gone: Any) -> dict[str, Any]:
+        more = gone["gnss_outliers"][0].size >= 8
+        v = quiet * (1.3 if more else 1.0)
+        v[:5] = 30.0
+        if not more:
+            v[5:8] = 12.0
+        return {"gnss_outliers": (t, v, np.eye(3) * np.ones((200, 1, 1)))}
+
+    known = [use(effect="gnss_outliers", probability=0.03, sigma=[30.0, 30.0, 30.0])]
+    assert set(t[5:8]) <= set(outlying(seen, known, {})["gnss_outliers"])
+    some = [seen({"gnss_outliers": (t[:k], None)})["gnss_outliers"][1:] for k in (5, 8)]
+    mixed = [float(np.sum(log_mixture(v, S, 0.03, np.full(3, 30.0)))) for v, S in some]
+    assert mixed[0] > mixed[1]
 
 
 def test_a_lever_arm_shows_beside_a_colour_that_took_its_slow_part() -> None:
@@ -216,14 +237,14 @@ def test_a_start_on_a_fix_is_as_uncertain_as_the_fix() -> None:
 @pytest.mark.slow
 def test_a_level_and_a_step_are_no_colour() -> None:
     """A colour explains both together; once the step is known it is weighed against the level again."""
-    step = use(effect="gnss_multipath_step", value=[0.0, 1.2, 0.0], start=120.0, duration=40.0)
+    step = use(effect="gnss_multipath_step", value=[0.0, 1.2, 0.0], start=120.4, duration=40.0)
     report = looked(recording(use(effect="gnss_noise_level", factor=2.5), step))
     found = {f.effect: values(f) for f in report.findings}
     assert set(found) == {"gnss_noise_level", "gnss_multipath_step"} and report.verdict == "named"
     assert found["gnss_noise_level"]["factor"].low < 2.5 < found["gnss_noise_level"]["factor"].high
     step_found = found["gnss_multipath_step"]
     assert all(
-        step_found[k].low < v < step_found[k].high for k, v in (("value", 1.2), ("start", 120.0), ("duration", 40.0))
+        step_found[k].low < v < step_found[k].high for k, v in (("value", 1.2), ("start", 120.4), ("duration", 40.0))
     )
 
 

@@ -13,7 +13,7 @@ from insemu.gap import Finding, Nominal
 from insemu.gap.beliefs.refined import uses_of
 from insemu.gap.evidence.fixes import NED
 from insemu.gap.problems import drive_without
-from insemu.gap.problems.known import struck_out
+from insemu.gap.problems.known import both_told, struck_out
 from insemu.gap.problems.together import left
 from insemu.gap.verdict import Value
 from insemu.records import Recording
@@ -76,7 +76,14 @@ def test_outliers_that_were_told_are_struck_out_again() -> None:
     less_some = replace(whole, gnss=gnss.without_positions(gnss.t[[3, 40]]).without_velocities(gnss.t[[7]]))
     gone = struck_out(whole, less_some)
     assert gone["gnss_outliers"].tolist() == [3, 40] and gone["gnss_velocity_outliers"].tolist() == [7]
-    again, _ = drive_without(whole, flight()[1].parted(), gone)
+    again, _ = drive_without(whole, flight()[1].parted(), gone, again=False)
     assert again.gnss is not None and less_some.gnss is not None
     np.testing.assert_array_equal(again.gnss.llh, less_some.gnss.llh)
     np.testing.assert_array_equal(again.gnss.vel_ned, less_some.gnss.vel_ned)
+    # of what is left the second position and the last velocity: they were the third and the last of all
+    rest = both_told(
+        whole,
+        {"gnss_outliers": np.array([1, 40])},
+        {"gnss_outliers": np.array([1]), **{"gnss_velocity_outliers": np.array([-1 + len(gnss)])}},
+    )
+    assert rest["gnss_outliers"].tolist() == [1, 2, 40] and rest["gnss_velocity_outliers"].tolist() == [len(gnss) - 1]

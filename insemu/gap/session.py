@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from insemu.blas import on_one_thread
 from insemu.effects import adds, join_of, joined
@@ -21,7 +20,7 @@ from insemu.gap.data.sources import StaticLog
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.policy import Policy, rules, under
 from insemu.gap.problems.findings import with_effect
-from insemu.gap.problems.known import drive_without, in_imu_axes, static_without, struck_out
+from insemu.gap.problems.known import both_told, drive_without, in_imu_axes, static_without, struck_out
 from insemu.gap.problems.rest import find_static_gap
 from insemu.gap.problems.together import MOST_TURNS, left
 from insemu.gap.verdict import Finding, GapReport, Interval, held_out_said, judged
@@ -158,6 +157,8 @@ def _drive(
     if own_axes[0] is not recording:
         (recording, moved), flown = own_axes, None
     report = find_dynamic_gap(recording, moved, rng=rng, without=skip, hold_out=hold_out, progress=say, flown=flown)
+    known = struck_out(drive_without(measured, now, again=False)[0], recording)
+    report = replace(report, outliers=both_told(measured, known, report.outliers))
     out = _together(report, early, mounted, nominal)
 
     def search(recording: Recording, moved: Nominal) -> GapReport:
@@ -192,6 +193,7 @@ def _looked_closer(
         corrected = _closer(report, more, settled)
         if corrected is report:
             return report, refined
+        corrected = replace(corrected, outliers=both_told(measured, report.outliers, more.outliers))
         remains = _bending(more.findings)
         if remains > worth + rules().lead:
             say("the correction before is taken back: it left more than there was")
@@ -209,8 +211,6 @@ def _estimated_together(
     """
     now = _refined(measured, nominal, report)
     before, gain = (report, now), math.inf
-    # which fixes are outliers is told again at the end
-    gone = struck_out(_refined(measured, nominal, report, {})[0], now[0])
     try:
         for _ in range(MOST_TURNS):
             step = left(*in_imu_axes(*now), report.findings)
@@ -221,17 +221,21 @@ def _estimated_together(
                 break
             before, gain = (report, now), step.gain
             report = replace(report, findings=tuple(s for s in map(_pruned, step.findings) if s is not None))
-            now = _refined(measured, nominal, report, gone)
+            now = _refined(measured, nominal, report)
     except InputError:  # no filter runs on a recording less these numbers
         return before
-    return report, now if before[0] is report else _refined(measured, nominal, report)
+    # which fixes are outliers is told again beside the new numbers
+    again = _refined(measured, nominal, report, again=True)
+    gone = struck_out(_refined(measured, nominal, replace(report, outliers={}))[0], again[0])
+    return replace(report, outliers=gone), again
 
 
 def _refined(
-    measured: Recording, nominal: Nominal, report: GapReport, gone: Mapping[str, NDArray[np.int64]] | None = None
+    measured: Recording, nominal: Nominal, report: GapReport, *, again: bool = False
 ) -> tuple[Recording, Nominal]:
-    """A recording less what is known and what was found in it, and the nominal model as it is then; ``gone`` as of :func:`drive_without`."""
-    return drive_without(measured, refined_nominal(nominal, report, measured.imu.dt).parted(), gone)
+    """A recording less what is known and what was found in it, and the nominal model as it is then; ``again`` as of :func:`drive_without`."""
+    refined = refined_nominal(nominal, report, measured.imu.dt).parted()
+    return drive_without(measured, refined, report.outliers, again=again)
 
 
 def _bending(findings: Sequence[Finding]) -> float:

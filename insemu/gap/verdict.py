@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,7 +12,9 @@ from insemu.noise import NoiseModel
 from insemu.shown import Shown, few
 
 if TYPE_CHECKING:
+    import numpy as np
     import pandas as pd
+    from numpy.typing import NDArray
 
 VerdictName = Literal["nothing missing", "named", "class", "unexplained"]
 
@@ -291,6 +293,8 @@ class GapReport(Shown):
         How the vehicle shakes above its motion.
     stated_60s : float
         Horizontal standard deviation that the nominal filter states at the end of a minute without fixes, m; NaN of a log at rest.
+    outliers : mapping of effect to (k,) array of int
+        Which of the positions (velocities) of the recording, in order of time, are outliers.
     """
 
     verdict: VerdictName
@@ -308,6 +312,7 @@ class GapReport(Shown):
     remainder: str = ""
     band: tuple[InBand, ...] = ()
     stated_60s: float = math.nan
+    outliers: Mapping[str, NDArray[np.int64]] = field(default_factory=dict, repr=False, compare=False)
 
     def nees(self, finding: Finding) -> float:
         """NEES of the horizontal position per degree of freedom at the end of a minute without fixes, of a filter that lacks this finding alone.

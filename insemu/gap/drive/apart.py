@@ -64,6 +64,20 @@ def log_mixture(v: Array, S: Array, probability: float, sigma: Array) -> Array:
     return np.asarray(plain + np.logaddexp(0.0, log_odds(v, S, probability, sigma)))
 
 
+def log_told(v: Array, S: Array, probability: float, sigma: Array, out: NDArray[np.bool_]) -> Array:
+    """Log densities (k,) of positions or velocities of which it was told which are outliers, without the constant.
+
+    Parameters
+    ----------
+    v, S, probability, sigma : (k, 3), (k, 3, 3) arrays, float, (3,) array
+        As :func:`log_odds` takes them.
+    out : (k,) array of bool
+        Which are outliers.
+    """
+    plain = math.log1p(-probability) + log_density(v, S)
+    return np.asarray(plain + np.where(out, log_odds(v, S, probability, sigma), 0.0))
+
+
 def by_filter(run: Run, gnss: GnssRecord) -> Seen:
     """Positions and velocities as a filter sees them that hardly follows some.
 
@@ -137,11 +151,12 @@ def _whole(t: Array, v: Array, S: Array, effect: str) -> Fixes:
     return t[there], v[there][:, own], S[there][:, own, own]
 
 
-def outlying(seen: Seen, known: Sequence[EffectUse]) -> dict[str, Array]:
+def outlying(seen: Seen, known: Sequence[EffectUse], told: Mapping[str, Array]) -> dict[str, Array]:
     """By effect the times (k,) of the positions or velocities that are more likely outliers than not, s.
 
     All are told together: a filter that follows outliers among the velocities takes positions for outliers. One that leaves out fixes which are
-    no outliers follows worse and takes more for outliers, so that of all rounds those count that explain most.
+    no outliers follows worse and takes more for outliers, so that of all rounds those count with which the fixes are most likely, those that
+    were not told as no outliers however far off they are.
 
     Parameters
     ----------
@@ -149,16 +164,18 @@ def outlying(seen: Seen, known: Sequence[EffectUse]) -> dict[str, Array]:
         From :func:`by_filter` or :func:`under_colour`.
     known : sequence of EffectUse
         Outliers of known share and size, each effect once.
+    told : mapping of effect to (k,) array
+        Times of those that were told before, s.
     """
     sigma = {use.id: np.array(use["sigma"]) for use in known}
-    gone = best = {use.id: np.zeros(0) for use in known}
+    gone = best = {use.id: told.get(use.id, np.zeros(0)) for use in known}
     top = -math.inf
     for _ in range(MOST_ROUNDS if known else 0):
         before, fixes = gone, seen({k: (t, sigma[k]) for k, t in gone.items()})
         gone, value = {}, 0.0
         for use in known:
             (t, v, S), share = fixes[use.id], use.scalar("probability")
-            value += float(np.sum(log_mixture(v, S, share, sigma[use.id]))) if t.size else 0.0
+            value += float(np.sum(log_told(v, S, share, sigma[use.id], np.isin(t, before[use.id])))) if t.size else 0.0
             gone[use.id] = t[log_odds(v, S, share, sigma[use.id]) > 0.0] if t.size else t
         if value > top:
             best, top = before, value

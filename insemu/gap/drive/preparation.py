@@ -24,8 +24,8 @@ from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.data.log import Reduced, moving_spectra
 from insemu.gap.data.samples import Clipped, without_motion
 from insemu.gap.drive.shaking import rectified, steadied, without_shaking
-from insemu.gap.drive.signatures import Loop
-from insemu.gap.evidence.fixes import LEVEL_GROUPS, Surrogate, level_scores
+from insemu.gap.drive.signatures import Loop, whitening
+from insemu.gap.evidence.fixes import LEVEL_GROUPS, PLAIN, FixNoise, Surrogate, level_scores
 from insemu.gap.evidence.model import Explanation, Likelihood, fit
 from insemu.gap.policy import rules
 from insemu.noise import BI, WN, NoiseModel, Process
@@ -36,6 +36,8 @@ Array = NDArray[np.float64]
 
 #: Standard deviations of the fixes over the stated ones where it is asked what shaking does to velocities: position, then velocity.
 LOOSE = np.array([10.0, 10.0, 10.0, 1.0, 1.0, 1.0])
+#: Times that levels are moved at the most, and by how much each, in the logarithm; the change of it at which they hold.
+MOST_TRIMS, MOST_MOVED, SAME_LEVEL = 8, 0.3, 0.02
 #: Knots of slow processes are this many seconds apart.
 NODE_S = 10.0
 
@@ -176,14 +178,13 @@ class Prepared:
         )
 
     def trimmed(self) -> Prepared:
-        """The same filter with the levels of its fixes moved towards their most likely values inside the tolerance."""
+        """The same filter with the levels of its fixes moved to their most likely values inside the tolerance."""
         out = self
         for _ in range(2):
-            loop = Loop.of(out.result)
-            factors = trimmed_factors(out, loop, out.surrogate, loop.y.reshape(-1, 6))
-            if not np.max(np.abs(np.log(factors / out.factors))) > 0.02:
+            moved = likeliest_levels(out, Loop.of(out.result).white, out.surrogate)
+            if moved is out:
                 break
-            out = out.again(factors=factors)
+            out = moved.again()
         return out
 
 
@@ -307,26 +308,43 @@ def fixes_score(fixes: FixTable) -> float:
     return float(fixes.log_densities[fixes.accepted].sum())
 
 
-def trimmed_factors(prepared: Prepared, loop: Loop, surrogate: Surrogate, y: Array) -> Array:
-    """Levels of the fixes (6,) moved towards their most likely values inside the tolerance.
+def likeliest_levels(prepared: Prepared, white: Array, s: Surrogate, *, back: bool = False) -> Prepared:
+    """A filter with the levels of its fixes moved to their most likely values inside the tolerance, before it runs with them.
 
     Parameters
     ----------
-    y : (f, 6) array
-        Whitened innovations less what is explained.
+    prepared : Prepared
+        With the levels at which the filter ran.
+    white : (f, 6, 6) array
+        Inverse Cholesky factors of the innovation covariances.
+    s : Surrogate
+        That filter, with the innovations of the first fixes less what is explained.
+    back : bool
+        Whether a level that was raised before the search may come back: it is none that a finding names.
     """
-    groups = [list(g) for g in LEVEL_GROUPS if surrogate.use[:, list(g)].any()]
-    if not groups:
-        return prepared.factors
-    score, information = level_scores(surrogate, loop.white, y, groups)
-    # a weak pull towards the nominal level keeps a level that the innovations do not show
-    move = np.linalg.solve(information + np.eye(len(groups)), score)
+    groups = [list(g) for g in LEVEL_GROUPS if s.use[:, list(g)].any()]
+    out, v, white = prepared, s.nu, white[: s.t.size]
     edge = np.log(1.0 + rules().tolerance)
-    factors = prepared.factors.copy()
-    for g, m in zip(groups, move, strict=True):
-        middle = np.log(prepared.levels[g])
-        factors[g] = np.exp(np.clip(np.log(factors[g]) + np.clip(m, -0.3, 0.3), middle - edge, middle + edge))
-    return factors
+    for _ in range(MOST_TRIMS if groups else 0):
+        ratio = out.factors / prepared.factors
+        if out is not prepared:
+            v, S = s.ahead(s.nu, FixNoise(ratio, PLAIN), np.zeros_like(s.nu))
+            white = whitening(S, s.use == 1)[1]
+        y = np.einsum("kij,kj->ki", white, v)
+        score, information = level_scores(replace(s, R=s.R * ratio**2), white, y, groups)
+        # a weak pull towards the nominal level keeps a level that the innovations do not show
+        move = np.linalg.solve(information + np.eye(len(groups)), score)
+        factors = out.factors.copy()
+        for g, m in zip(groups, move, strict=True):
+            middle = np.log(out.levels[g])
+            factors[g] = np.exp(
+                np.clip(np.log(factors[g]) + np.clip(m, -MOST_MOVED, MOST_MOVED), middle - edge, middle + edge)
+            )
+        if not np.max(np.abs(np.log(factors / out.factors))) > SAME_LEVEL:
+            break
+        ours = (out.levels <= 1.0) & (out.levels >= 1.0 / out.raised) & (out.raised > 1.0) & back
+        out = replace(out, factors=factors, levels=np.where(ours, np.clip(factors, 1.0 / out.raised, 1.0), out.levels))
+    return out
 
 
 def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, GnssRecord, NavState, InitialSigma]:

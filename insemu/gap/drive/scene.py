@@ -18,7 +18,7 @@ from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.drive.apart import without
 from insemu.gap.drive.columns import clipped_columns, library_columns, rectified_columns
 from insemu.gap.drive.corrected import corrected_data, slow_knots
-from insemu.gap.drive.preparation import Prepared, trimmed_factors
+from insemu.gap.drive.preparation import Prepared, likeliest_levels
 from insemu.gap.drive.signatures import Loop, columns_response, fix_step_response, knot_response
 from insemu.gap.evidence.fixes import NED, FixNoise, Surrogate
 from insemu.gap.evidence.linear import Block, Field
@@ -31,10 +31,8 @@ Array = NDArray[np.float64]
 #: A step in the position fixes: axis (0..2), start and end in s.
 Window = tuple[int, float, float]
 
-#: Times that the filter runs again on corrected data at the most, until its errors are small: a bound, so that a search ends.
+#: Times that the filter runs again at the most, on corrected data until its errors are small, or at other levels: a bound, so that a search ends.
 MOST_RUNS = 5
-#: Times that levels are trimmed, by 35 % at the most each: they end where they hold, a bound for those that come back from a raise of ten.
-MOST_TRIMS = 8
 #: Sizes that are tried first of an effect that is no multiple of one column, and how near to the best it is brought, relative.
 SIZES, SIZE_REL = 12, 0.01
 #: Starts of steps in the fixes that are tried first.
@@ -312,22 +310,13 @@ class Scene:
     def trimmed(self, blocks: Sequence[Block], cut: float | None = None) -> Scene:
         """The scene with the levels of the fixes at their most likely values inside the tolerance, given what is explained."""
         scene = self
-        for _ in range(MOST_TRIMS):
-            if scene.noise is not None:
+        for _ in range(MOST_RUNS if self.noise is None else 0):
+            at, s = scene.original, replace(scene.surrogate, nu=scene.unexplained(blocks, cut))
+            moved = likeliest_levels(at, scene.loop.white, s if cut is None else s.until(cut), back=True)
+            if moved is at:
                 break
-            y = scene.full_y
-            explained = scene.explained(blocks, cut)
-            if explained is not None:
-                y = y - explained
-            use = scene.surrogate if cut is None else scene.surrogate.until(cut)
-            k = use.t.size
-            moved = trimmed_factors(scene.original, scene.loop.until(k), use, y[:k])
-            if not np.max(np.abs(np.log(moved / scene.original.factors))) > 0.02:
-                break
-            # what was raised before the search may come back: it is no level that a finding names
-            at = scene.original
-            ours = (at.levels <= 1.0) & (at.levels >= 1.0 / at.raised) & (at.raised > 1.0)
-            scene = scene.rebuilt(factors=moved, levels=np.where(ours, np.clip(moved, 1.0 / at.raised, 1.0), at.levels))
+            # what is explained is another beside other levels
+            scene = scene.rebuilt(factors=moved.factors, levels=moved.levels)
         return scene
 
     def linear_about(self, blocks: Sequence[Block], strong: Collection[int], cut: float | None = None) -> Scene:
@@ -423,15 +412,6 @@ class Scene:
         column = EFFECTS[self.columns[j].effect].about(self.columns[j], size, self.motion, fixes)
         assert column.fixes is not None
         return replace(column, start=column.fixes[0]) if self.prepared.first.any() else column
-
-    def explained(self, blocks: Sequence[Block], cut: float | None = None) -> Array | None:
-        """What blocks explain of the whitened innovations as they are after corrections, (f, 6); judged by those up to a time."""
-        if not blocks and not self.corrections:
-            return None
-        index, coefficients = self.explaining(blocks, cut)
-        full = np.zeros(self.loop.use.size)
-        full[self.loop.use.ravel()] = self._columns(index) @ coefficients
-        return full.reshape(-1, 6)
 
     def _columns(self, index: NDArray[np.int64]) -> Array:
         """Some columns of the field, (r, k)."""

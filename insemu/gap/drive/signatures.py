@@ -46,17 +46,10 @@ class Loop:
     def of(cls, result: FilterResult) -> Loop:
         """Whiten the innovations of a stored run."""
         fixes = result.fixes
-        f = len(fixes)
         use = np.isfinite(fixes.innovation) & fixes.accepted[:, None]
         nu = np.where(use, np.nan_to_num(fixes.innovation), 0.0)
-        # missing components get a unit variance of their own and then no row
-        S = np.where(use[:, :, None] & use[:, None, :], np.nan_to_num(fixes.S), 0.0)
-        S[:, np.arange(6), np.arange(6)] += ~use
-        lower = np.linalg.cholesky(S) if f else np.zeros((0, 6, 6))
-        white = np.where(use[:, :, None], np.linalg.inv(lower), 0.0)
-        return cls(
-            result, np.where(use[:, :, None], lower, 0.0), white, np.einsum("kij,kj->ki", white, nu).ravel(), use
-        )
+        lower, white = whitening(np.nan_to_num(fixes.S), use)
+        return cls(result, lower, white, np.einsum("kij,kj->ki", white, nu).ravel(), use)
 
     def until(self, count: int) -> Loop:
         """The first ``count`` fixes, for what looks at innovations only."""
@@ -112,6 +105,23 @@ class Loop:
     def whiten(self, raw: Array) -> Array:
         """Whitened responses, (6 f, columns)."""
         return np.asarray((self.white @ raw).reshape(6 * raw.shape[0], raw.shape[2]))
+
+
+def whitening(S: Array, use: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Cholesky factors (f, 6, 6) of innovation covariances and their inverses, zero rows for missing components.
+
+    Parameters
+    ----------
+    S : (f, 6, 6) array
+        Covariances, m^2 and (m/s)^2.
+    use : (f, 6) array of bool
+        Components that are there.
+    """
+    # missing components get a unit variance of their own and then no row
+    whole = np.where(use[:, :, None] & use[:, None, :], S, 0.0)
+    whole[:, np.arange(6), np.arange(6)] += ~use
+    lower = np.linalg.cholesky(whole) if len(whole) else np.zeros((0, 6, 6))
+    return np.where(use[:, :, None], lower, 0.0), np.where(use[:, :, None], np.linalg.inv(lower), 0.0)
 
 
 def columns_response(loop: Loop, motion: Motion, columns: Sequence[Column]) -> tuple[Array, Array]:

@@ -63,6 +63,7 @@ from insemu.gap.problems.findings import (
     unknown_part,
     with_effect,
 )
+from insemu.gap.problems.known import which
 from insemu.gap.problems.named import Named, believing, blocks_of, held_out, told, with_confusable
 from insemu.gap.problems.noise_of_fixes import NoiseOfFixes
 from insemu.gap.problems.together import opened
@@ -543,6 +544,7 @@ def find_dynamic_gap(
     drawn, repeated = rng.spawn(2)
     starts = {name: r.start for name, r in at.fast}
     where = corrected([*innovation_tests(scene, scene.data.y), *drive_map(scene, scene.data.y, starts, drawn)])
+    outliers = which(named.gone, recording)
     named, final, blocks = believing(named)
     residual, _ = final.data.residual(blocks)
     tests = innovation_tests(final, residual)
@@ -559,7 +561,7 @@ def find_dynamic_gap(
     return GapReport(
         judged(findings, left), tuple(findings), where, rest, before, after, held, dict(nominal.beliefs), refined, threshold,
         recording.source, remainder=left, band=tuple(d.shaking for d in at.parts.values() if d.shaking is not None),
-        stated_60s=stated_in_outages(at.prepared.result),
+        stated_60s=stated_in_outages(at.prepared.result), outliers=outliers,
     )  # fmt: skip
 
 

@@ -25,6 +25,9 @@ from insemu.strapdown import trajectory_of
 
 Array = NDArray[np.float64]
 
+#: By effect which of the positions and of the velocities that there are, in order of time, (k,).
+Told = Mapping[str, NDArray[np.int64]]
+
 #: Effects that a candidate takes out of the samples: what was drawn is nobody's to know beforehand.
 TAKEN_OUT = having("drawn")
 
@@ -124,7 +127,7 @@ def static_without(log: StaticLog, nominal: Nominal) -> tuple[StaticLog, dict[st
 
 
 def drive_without(
-    recording: Recording, nominal: Nominal, gone: Mapping[str, NDArray[np.int64]] | None = None
+    recording: Recording, nominal: Nominal, gone: Told | None = None, *, again: bool = True
 ) -> tuple[Recording, Nominal]:
     """A drive or flight less what is known, and the nominal model as it is then: its lever arm and the noise of its fixes put right.
 
@@ -135,8 +138,9 @@ def drive_without(
     nominal : Nominal
         What is known.
     gone : mapping of effect to (k,) array of int, optional
-        Which of the positions and of the velocities that there are, in order of time, are outliers, where that was told already
-        (:func:`struck_out`).
+        Which of the positions and of the velocities that there are, in order of time, were told outliers already (:func:`struck_out`).
+    again : bool
+        Whether it is told again which of them are, from those on.
 
     Raises
     ------
@@ -161,9 +165,8 @@ def drive_without(
     moved = replace(nominal, gnss=g.model_copy(update=changes))
     motion = recording.reference or (lambda rest: _estimated(rest, moved))
     out = compensated(recording, effects, trajectory=motion, lever_arm=moved.gnss.lever_arm)
-    if gone is None:
-        return _without_outliers(out, moved, colour_of(effects)), moved
-    return _struck_out(out, {k: _stamps(out, k)[at] for k, at in gone.items()}), moved
+    told = {k: _stamps(out, k)[at] for k, at in (gone or {}).items()}
+    return _without_outliers(out, moved, colour_of(effects), told) if again else _struck_out(out, told), moved
 
 
 def in_imu_axes(recording: Recording, nominal: Nominal) -> tuple[Recording, Nominal]:
@@ -194,7 +197,9 @@ def _estimated(recording: Recording, nominal: Nominal) -> Trajectory:
     return trajectory_of(result.t, result.nav, "estimate")
 
 
-def _without_outliers(recording: Recording, nominal: Nominal, colour: Colour | None) -> Recording:
+def _without_outliers(
+    recording: Recording, nominal: Nominal, colour: Colour | None, told: Mapping[str, Array]
+) -> Recording:
     """A recording without the positions and velocities that are more likely known outliers than not, as the nominal filter sees them."""
     from insemu.gap.drive.apart import FIRST, by_filter, outlying, told_of, under_colour
     from insemu.gap.drive.preparation import fast_parts, prepare
@@ -207,7 +212,7 @@ def _without_outliers(recording: Recording, nominal: Nominal, colour: Colour | N
     else:
         loud, noise = FixNoise(np.ones(6), colour).apart(prepared.surrogate.sigma())
         seen = under_colour(prepared.again(factors=loud).surrogate, noise)
-    return _struck_out(recording, outlying(seen, told_of(nominal.effects, prepared.gnss)))
+    return _struck_out(recording, outlying(seen, told_of(nominal.effects, prepared.gnss), told))
 
 
 def _struck_out(recording: Recording, gone: Mapping[str, Array]) -> Recording:
@@ -227,8 +232,36 @@ def struck_out(whole: Recording, recording: Recording) -> dict[str, NDArray[np.i
     """
     from insemu.gap.drive.apart import FIRST
 
-    there = {k: _stamps(whole, k) for k in FIRST}
-    return {k: np.flatnonzero(~np.isin(t, _stamps(recording, k))) for k, t in there.items()}
+    return which({k: np.setdiff1d(_stamps(whole, k), _stamps(recording, k)) for k in FIRST}, whole)
+
+
+def which(gone: Mapping[str, Array], recording: Recording) -> dict[str, NDArray[np.int64]]:
+    """Which of the positions and of the velocities of a recording have some times.
+
+    Parameters
+    ----------
+    gone : mapping of effect to (k,) array
+        The times, s.
+    recording : Recording
+    """
+    return {k: np.flatnonzero(np.isin(_stamps(recording, k), t)) for k, t in gone.items()}
+
+
+def both_told(whole: Recording, first: Told, then: Told) -> dict[str, NDArray[np.int64]]:
+    """Which of the positions and of the velocities of a recording were told outliers: some at first, then others among those that were left.
+
+    Parameters
+    ----------
+    whole : Recording
+        With all of them.
+    first, then : mapping of effect to (k,) array of int
+        As :func:`drive_without` takes them.
+    """
+    out = dict(first)
+    for effect, at in then.items():
+        left = np.delete(np.arange(_stamps(whole, effect).size), first.get(effect, np.zeros(0, dtype=np.int64)))
+        out[effect] = np.union1d(out.get(effect, np.zeros(0, dtype=np.int64)), left[at])
+    return out
 
 
 def _stamps(recording: Recording, effect: str) -> Array:
