@@ -207,6 +207,23 @@ def test_a_lever_arm_shows_beside_a_colour_that_took_its_slow_part() -> None:
     assert problem.scene.noise is not None and problem.scene.noise.colour[1] < 40.0
 
 
+def test_a_colour_that_was_named_too_short_is_longer_at_the_next_look() -> None:
+    """Beside a process that took its slow part it was named with a third of its correlation time; it diffuses as fast."""
+    sigma = np.array([0.4, 0.4, 0.8, 0.0, 0.0, 0.0])
+    made = recording(use(effect="gnss_correlated_noise", sigma=sigma[:3].tolist(), tau=30.0))
+    gnss = Gnss(position_sigma=SIGMA, velocity_sigma=(0.05, 0.05, 0.05), lever_arm=LEVER)
+    scene = Scene.of(Flown.of(made, Nominal(dict(BELIEF), gnss)).prepared)
+    short = FixNoise(np.ones(6), (sigma * math.sqrt(1.0 / 3.0), 10.0))
+    loud, noise = short.apart(scene.surrogate.sigma())
+    problem = DriveProblem(scene.rebuilt(factors=scene.original.factors * loud).coloured(noise), None, 3.0, ())
+    problem.rank()
+    assert problem.scene.noise is not None
+    colour = problem.scene.noise.colour
+    assert colour[1] == pytest.approx(30.0) and colour[0] == pytest.approx(sigma)
+    problem.rank()  # and is not moved on
+    assert problem.scene.noise.colour[1] == pytest.approx(30.0)
+
+
 @pytest.mark.parametrize("reference", [True, False])
 def test_a_constant_error_of_all_fixes_is_not_seen_by_a_filter_that_started_on_them(reference: bool) -> None:
     """Its size makes no difference then: a colour of 33 s was taken for one of 162, because the start knew nothing of it."""

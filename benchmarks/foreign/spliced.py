@@ -349,16 +349,40 @@ def _inside(finding: dict[str, Any], h: sensors.Hidden) -> bool | None:
     return None if own is None or finding["effect"] != h.effect else own["low"] <= h.values["value"] <= own["high"]
 
 
-def halves(name: str) -> tuple[list[str], list[str]]:
-    """What is said of either half of a real drive as it is, strongest first; of what lasted for a while with the time at which it began."""
+def halves(name: str) -> tuple[list[Finding], list[Finding]]:
+    """What is said of either half of a real drive as it is, strongest first.
+
+    Parameters
+    ----------
+    name : str
+        One of :data:`REAL`.
+    """
     measured, nominal = real(name)
     middle = 0.5 * (measured.imu.t[0] + measured.imu.t[-1])
     said = []
     for early in (True, False):
         part = _part(measured, middle, early)
         report: GapReport = find_gap(part, nominal, rng=np.random.default_rng(1), hold_out=False, pictures=False)
-        said.append([f"{s.effect} {s.sensor}{_begun(s)}" for s in report.findings])
+        said.append(list(report.findings))
     return said[0], said[1]
+
+
+def in_both(one: Sequence[Finding], other: Sequence[Finding]) -> tuple[int, int, int]:
+    """Of the effects in either half, those in both by name, those in both by their class, and all; without what lasted for a while.
+
+    Parameters
+    ----------
+    one, other : sequence of Finding
+        What is said of either half.
+    """
+    here, there = ({(s.effect, s.sensor): _class(s) for s in said if not _begun(s)} for said in (one, other))
+    alike = {k for a, b in ((here, there), (there, here)) for k in a if k in b or any(k in v for v in b.values())}
+    return len(here.keys() & there.keys()), len(alike), len(here.keys() | there.keys())
+
+
+def _class(finding: Finding) -> set[tuple[str, str]]:
+    """Effects that explain a finding nearly as well."""
+    return {(finding.effect, finding.sensor), *((m.effect, m.sensor) for m in finding.members)}
 
 
 def _begun(finding: Finding) -> str:
@@ -396,12 +420,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if given.halves:
         for name in (b for b in given.bases if b in REAL):
             one, other = halves(name)
-            here, there = ({what for what in said if " at " not in what} for said in (one, other))
-            lasted = len(one) + len(other) - len(here) - len(there)
+            named, alike, count = in_both(one, other)
+            lasted = sum(bool(_begun(s)) for s in (*one, *other))
             print(
-                f"{name}: in both halves {len(here & there)} of {len(here | there)}, and {lasted} that lasted for a while"
+                f"{name}: in both halves {named} of {count} by name, {alike} by class, and {lasted} that lasted for a while"
             )
-            print(f"  first half:  {', '.join(one)}\n  second half: {', '.join(other)}")
+            for words, said in (("first half: ", one), ("second half:", other)):
+                print(f"  {words} {', '.join(f'{s.effect} {s.sensor}{_begun(s)}' for s in said)}")
         return
     jobs = [Splice(given.bases[k % len(given.bases)], given.seed + k) for k in range(given.recordings)]
     store: Lines[dict[str, Any]] | None = None
