@@ -251,6 +251,19 @@ def test_a_start_on_a_fix_is_as_uncertain_as_the_fix() -> None:
     assert told.log_likelihood() == pytest.approx(seen.log_likelihood(factor=np.full(6, 3.0)), abs=0.5)
 
 
+def test_a_start_beside_velocities_of_other_stamps_stands_on_a_position() -> None:
+    """The velocity before it was taken for what the start came from: its error was less than none at a level below one."""
+    made = replace(recording(), reference=None)
+    assert made.gnss is not None
+    # a position, a velocity, and then the sample at which the filter starts
+    late = replace(made.gnss, t=made.gnss.t + 0.003)
+    apart = replace(made, gnss=late.with_velocities_at(made.gnss.t + 0.006))
+    gnss = Gnss(position_sigma=SIGMA, velocity_sigma=(0.05, 0.05, 0.05), lever_arm=LEVER)
+    s = Flown.of(apart, Nominal(dict(BELIEF), gnss)).prepared.again(factors=np.ones(6)).surrogate
+    assert s.first == pytest.approx(np.array([*SIGMA, 0.0, 0.0, 0.0]) ** 2)
+    assert math.isfinite(s.log_likelihood(factor=np.full(6, 0.3)))
+
+
 @pytest.mark.slow
 def test_a_level_and_a_step_are_no_colour() -> None:
     """A colour explains both together; once the step is known it is weighed against the level again."""

@@ -118,8 +118,23 @@ def test_every_filter_satisfies_equation_3(name: str) -> None:
     assert abs(h.sum()) < 1e-14
     assert abs(np.sum(h * h) - 0.5) < 1e-14
     for m in range(1, h.size // 2):
-        assert abs(np.dot(h[2 * m :], h[: -2 * m])) < 1e-14
+        assert abs(np.dot(h[2 * m :], h[: -2 * m])) < (2.5e-5 if name.startswith("battle") else 1e-14)
     assert abs(g.sum() - 1.0) < 1e-14
+
+
+@pytest.mark.parametrize(
+    ("name", "printed"),
+    [
+        ("battle2", [0.817645956, 0.397296430, -0.069101020, -0.051945337]),
+        ("battle4", [0.766130398, 0.433923147, -0.050201753, -0.110036987]),
+    ],
+)
+def test_a_cut_spline_stays_that_of_the_tables(name: str, printed: list[float]) -> None:
+    """Made orthonormal to rounding they moved by 0.14 and 0.04, and to other numbers on another processor."""
+    g = np.sqrt(2.0) * modwt_filters(name)[1][:-1]
+    middle = g.size // 2
+    np.testing.assert_allclose(g[middle : middle + 4], printed, atol=1e-5)
+    np.testing.assert_allclose(g, g[::-1], atol=3e-6)
 
 
 @pytest.mark.parametrize("name", filters._TABLES)

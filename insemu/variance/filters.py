@@ -1,11 +1,12 @@
-"""Wavelet filters by name, in MODWT scaling, each of which satisfies equation (3) of Stebler et al. 2014 to rounding.
+"""Wavelet filters by name, in MODWT scaling, which satisfy equation (3) of Stebler et al. 2014 to rounding but for the cut splines.
 
 Families: ``haar``; Daubechies ``d4``..``d20``; least asymmetric ``la8``..``la20``; Fejer-Korovkin ``fk4``..``fk22`` (Nielsen
 2001; published tables, ``fk18`` computed by the construction that gives the others); best localized ``bl14``, ``bl20`` (published
 tables; some programs print them under the name Battle-Lemarie); Battle-Lemarie spline wavelets ``battle2`` (linear) and ``battle4``
 (cubic), computed and truncated; minimum bandwidth ``mb4``..``mb24`` (Morris and Peravali 1999; published tables).
 
-Tables of few digits and truncated filters are moved to the nearest filter that satisfies the conditions exactly.
+Tables of few digits are moved to the nearest filter that satisfies the conditions exactly; of the truncated splines the even shifts are
+orthogonal to 5e-5.
 """
 
 from __future__ import annotations
@@ -96,19 +97,23 @@ def _scaling(name: str) -> tuple[float, ...]:
     else:
         family, length = ("sym", name.removeprefix("la")) if name.startswith("la") else ("db", name.removeprefix("d"))
         g = np.array(pywt.Wavelet(f"{family}{int(length) // 2}").dec_lo[::-1])
-    return tuple(_nearest_orthonormal(g).tolist())
+    # what a cut spline lacks, its ends would have to make up for, which are too small for it
+    shifts = 1 if name.startswith("battle") else g.size // 2
+    return tuple(_nearest_orthonormal(g, shifts).tolist())
 
 
-def _nearest_orthonormal(g: Array) -> Array:
-    """Move a filter to the nearest one whose even shifts are orthonormal and whose halves sum alike (Gauss-Newton, least change)."""
+def _nearest_orthonormal(g: Array, shifts: int) -> Array:
+    """Move a filter to the nearest one of unit energy whose first even shifts are orthonormal and whose halves sum alike.
+
+    Gauss-Newton, least change.
+    """
     g = g.astype(float).copy()
-    half = g.size // 2
     for _ in range(50):
         # even and odd coefficients sum to the same: the sum and the zero at half the rate in one well-conditioned pair
         even = (np.arange(g.size) % 2 == 0).astype(float)
         rows = [even, 1.0 - even]
         residual = [float(np.dot(row, g)) - np.sqrt(0.5) for row in rows]
-        for m in range(half):
+        for m in range(shifts):
             shift = 2 * m
             residual.append(np.dot(g[shift:], g[: g.size - shift]) - (m == 0))
             row = np.zeros(g.size)

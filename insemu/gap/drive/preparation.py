@@ -329,7 +329,10 @@ def likeliest_levels(prepared: Prepared, white: Array, s: Surrogate, *, back: bo
         ratio = out.factors / prepared.factors
         if out is not prepared:
             v, S = s.ahead(s.nu, FixNoise(ratio, PLAIN), np.zeros_like(s.nu))
-            white = whitening(S, s.use == 1)[1]
+            try:
+                white = whitening(S, s.use == 1)[1]
+            except np.linalg.LinAlgError:  # rounding left no covariance: the filter runs at what was reached
+                break
         y = np.einsum("kij,kj->ki", white, v)
         score, information = level_scores(replace(s, R=s.R * ratio**2), white, y, groups)
         # a weak pull towards the nominal level keeps a level that the innovations do not show
@@ -385,14 +388,13 @@ def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, G
 def _stood_on(recording: Recording, imu: ImuRecord, gnss: GnssRecord) -> Array:
     """Standard deviations (6,) of the fix at which an IMU was cut to begin; zero of what did not come from it, or of a start on a reference."""
     out = np.zeros(6)
-    k = int(np.searchsorted(gnss.t, imu.t[0], side="right")) - 1
-    if recording.reference is None and k >= 0:
-        for rows, fix, std in (
-            (slice(0, 3), gnss.llh, gnss.pos_std_ned),
-            (slice(3, 6), gnss.vel_ned, gnss.vel_std_ned),
-        ):
-            if fix is not None and std is not None and np.isfinite(fix[k]).all():
-                out[rows] = std[k]
+    # velocities may have stamps of their own, at which no filter starts
+    before = np.flatnonzero(np.isfinite(gnss.llh).all(axis=1) & (gnss.t <= imu.t[0]))
+    if recording.reference is None and before.size and gnss.pos_std_ned is not None:
+        k = before[-1]
+        out[:3] = gnss.pos_std_ned[k]
+        if gnss.vel_ned is not None and gnss.vel_std_ned is not None and np.isfinite(gnss.vel_ned[k]).all():
+            out[3:] = gnss.vel_std_ned[k]
     return out
 
 
