@@ -16,7 +16,7 @@ from insemu.gap.drive.corrected import corrected_data
 from insemu.gap.drive.preparation import fast_parts, prepare
 from insemu.gap.drive.scene import Scene
 from insemu.gap.verdict import Interval
-from insemu.gap.worth import GRAVITY, worth_in_motion, worth_in_noise, worth_of_mounting
+from insemu.gap.worth import GRAVITY, outages_along, worth_in_motion, worth_in_noise, worth_of_mounting
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import Recording
 from insemu.report import finding_action, finding_metres
@@ -93,6 +93,46 @@ def test_an_effect_in_a_drive_is_worth_what_the_filter_shows_through_an_outage()
         2.0 * worth_in_motion(at.loop, at.motion, [at.columns[j]], [value], [start]), rel=1e-9
     )
     assert 0.0 < worth_in_motion(at.loop, at.motion, [at.columns[j]], [value]) < math.inf
+
+
+def test_an_outage_on_the_way_knows_the_attitude_and_the_motion() -> None:
+    """What a signal of each axis leaves at the end is what a filter without fixes does with it; the heading matters less than a tilt."""
+    s = stage(61, 4.0, 50.0)
+    recording = s.record()
+    assert isinstance(recording, Recording)
+    prepared = prepare(recording, s.nominal, fast_parts(recording, s.nominal), {})
+    at = Scene.of(prepared)
+    outages = outages_along(at.loop, at.motion)
+    nodes, result = prepared.result.nodes, prepared.result
+    assert nodes is not None
+    starts = at.motion.t[nodes.epoch]
+    start = float(starts[np.searchsorted(starts, starts[0] + T)])
+    gnss, inside = prepared.gnss, (prepared.gnss.t > start) & (prepared.gnss.t <= start + T + 1.0)
+    llh = np.where(inside[:, None], np.nan, gnss.llh)
+    vel = None if gnss.vel_ned is None else np.where(inside[:, None], np.nan, gnss.vel_ned)
+    without = replace(gnss, llh=llh, vel_ned=vel)
+
+    def end(axis: int, size: float) -> np.ndarray:
+        imu = prepared.imu
+        more = np.zeros((len(imu), 6))
+        more[imu.t > start, axis] = size
+        more *= imu.widths(0.0)
+        imu = replace(imu, gyro=imu.gyro + more[:, :3], accel=imu.accel + more[:, 3:])
+        return prepared.again(imu=imu, gnss=without).result.nav[np.searchsorted(result.t, start + T), :3]
+
+    clean = end(0, 0.0)
+    for axis, size in ((0, 1e-4), (1, 1e-4), (2, 1e-4), (3, 1e-2), (5, 1e-2)):
+        away = earth.position_difference(end(axis, size)[None], clean)[0, :2]
+        told = size * outages[0].weight[:, axis].sum(axis=0)
+        np.testing.assert_allclose(told, away, atol=0.05 * np.abs(away).max() + 0.01)
+    turned = Value("sigma", 1e-4, 0.0, 1.0, "rad/s"), Value("beta", 0.1, 0.0, 1.0, "1/s")
+    tilt, heading = (
+        worth_in_noise(replace(finding("gauss_markov", "gyro"), axes=(a,), parameters=turned), None, outages)
+        for a in "xz"
+    )
+    blind = worth_in_noise(finding("gauss_markov", "gyro", sigma=1e-4, beta=0.1))
+    assert heading < 0.5 * tilt and tilt < blind  # what a turning vehicle tilts, it tilts to all sides
+    assert math.isnan(worth_in_noise(finding("gauss_markov", "gyro", sigma=1e-4, beta=0.1), None, ()))
 
 
 def test_some_findings_are_applied_by_number() -> None:

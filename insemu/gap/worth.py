@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from insemu.gap.drive.preparation import Prepared
 from insemu.gap.drive.signatures import Loop, built_up
 from insemu.gap.verdict import Finding
 from insemu.noise import WN, NoiseModel
+from insemu.records import AXES
 
 Array = NDArray[np.float64]
 
@@ -31,37 +33,98 @@ def white_levels(beliefs: Mapping[str, NoiseModel]) -> dict[str, float]:
     }
 
 
-def worth_in_noise(finding: Finding, believed: Mapping[str, float] | None = None) -> float:
+@dataclass(frozen=True)
+class Outage:
+    """How the position at the end of a minute without fixes follows the signals of the IMU in it.
+
+    Parameters
+    ----------
+    t, width : (k,) arrays
+        Middles of spans since the last fix, and their widths, s.
+    weight : (k, 6, d) array
+        Position in d horizontal directions that a unit signal of an axis (gyroscopes, then accelerometers) over a span leaves at the end: m per
+        rad/s or m/s^2.
+    """
+
+    t: Array
+    width: Array
+    weight: Array
+
+
+def at_rest() -> list[Outage]:
+    """An outage of which the attitude is not known: each accelerometer lies in the horizontal plane, each gyroscope tilts it.
+
+    An accelerometer's error is integrated twice and, times gravity, a gyroscope's three times (Titterton and Weston 2004, chapter 12, without
+    Schuler's oscillation, which a minute does not see).
+    """
+    t = np.linspace(0.0, OUTAGE_S, 241)
+    width = np.full(t.size, t[1])
+    width[[0, -1]] *= 0.5
+    left = (OUTAGE_S - t) * width
+    tilting = 0.5 * GRAVITY * (OUTAGE_S - t) * left
+    return [Outage(t, width, np.repeat(np.stack([tilting, left], axis=1), 3, axis=1)[:, :, None])]
+
+
+def outages_along(loop: Loop, motion: Motion) -> list[Outage]:
+    """Outages all along a drive, every 30 s after the first minute; none of a short one.
+
+    Parameters
+    ----------
+    loop : Loop
+        The filter, whose transitions carry an error on.
+    motion : Motion
+        Of the IMU.
+    """
+    nodes = loop.result.nodes
+    assert nodes is not None
+    _, ramp, _ = built_up(loop, motion, ())
+    t, out = motion.t[nodes.epoch], []
+    for start in np.arange(t[0] + OUTAGE_S, t[-1] - OUTAGE_S, APART_S):
+        first = int(np.searchsorted(t, start))
+        last = min(int(np.searchsorted(t, t[first] + OUTAGE_S)), t.size - 1)
+        onward, weight = np.eye(2, 9), np.zeros((last - first, 6, 2))
+        for k in range(last, first, -1):
+            weight[k - first - 1] = ramp[k, :6] @ onward.T
+            onward = onward @ nodes.Phi[k, :9, :9]
+        ends = t[first : last + 1] - t[first]
+        out.append(Outage(0.5 * (ends[1:] + ends[:-1]), np.diff(ends), weight))
+    return out
+
+
+def worth_in_noise(
+    finding: Finding, believed: Mapping[str, float] | None = None, outages: Sequence[Outage] | None = None
+) -> float:
     """Standard deviation of the position, m, that an effect of the IMU's own signal adds in an outage; NaN where it has none.
 
-    The error's autocovariance is integrated twice for an accelerometer and, times gravity, three times for a gyroscope (Titterton and
-    Weston 2004, chapter 12, without Schuler's oscillation, which a minute does not see). Of several axes the root of the sum of squares.
+    The error's autocovariance is carried to the end of the outage. Of several axes the root of the sum of squares, of several outages the root
+    mean square.
 
     Parameters
     ----------
     finding : Finding
     believed : mapping of axis to number, optional
         Densities of the white noise that was believed: of another level only what goes beyond that counts.
+    outages : sequence of Outage, optional
+        From :func:`outages_along`; :func:`at_rest` where they are not given.
     """
-    if finding.sensor not in ("gyro", "accel"):
+    outages = at_rest() if outages is None else outages
+    if finding.sensor not in ("gyro", "accel") or not outages:
         return math.nan
-    t = np.linspace(0.0, OUTAGE_S, 241)
-    left = OUTAGE_S - t
-    weight = left if finding.sensor == "accel" else 0.5 * GRAVITY * left**2
-    step = np.full(t.size, t[1])
-    step[[0, -1]] *= 0.5
     given = {v.name: v.value for v in finding.parameters}
     total = 0.0
-    for a in finding.axes or ("",):
+    for a in finding.axes or ("x",):
         own = {k.removesuffix(f"_{a}"): v for k, v in given.items() if k.endswith(f"_{a}") or "_" not in k}
-        if finding.effect == "white_noise" and "N" in own:
-            nominal = (believed or {}).get(f"{finding.sensor}_{a}", 0.0)
-            total += abs(own["N"] ** 2 - nominal**2) * float(step @ weight**2)
-        elif (signal := _covariance(finding.effect, own, t)) is not None:
-            total += float((step * weight) @ signal @ (step * weight))
-        else:
-            return math.nan
-    return math.sqrt(max(total, 0.0))
+        name = f"{finding.sensor}_{a}"
+        for outage in outages:
+            w = outage.weight[:, AXES.index(name)]
+            if finding.effect == "white_noise" and "N" in own:
+                more = abs(own["N"] ** 2 - (believed or {}).get(name, 0.0) ** 2)
+                total += more * float(np.sum(w**2 / outage.width[:, None]))
+            elif (signal := _covariance(finding.effect, own, outage.t)) is not None:
+                total += float(np.sum(w * (signal @ w)))
+            else:
+                return math.nan
+    return math.sqrt(max(total, 0.0) / len(outages))
 
 
 def _covariance(effect: str, p: Mapping[str, float], t: Array) -> Array | None:

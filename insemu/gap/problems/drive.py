@@ -69,7 +69,7 @@ from insemu.gap.problems.noise_of_fixes import NoiseOfFixes
 from insemu.gap.problems.together import opened
 from insemu.gap.search import Again, search
 from insemu.gap.verdict import Finding, GapReport, Interval, Where, judged
-from insemu.gap.worth import stated_in_outages, white_levels, worth_in_noise
+from insemu.gap.worth import Outage, outages_along, stated_in_outages, white_levels, worth_in_noise
 from insemu.records import AXES, Recording
 
 Array = NDArray[np.float64]
@@ -553,8 +553,9 @@ def find_dynamic_gap(
         at.fast, named.found, at.parts, at.nominal, max(threshold, rules().fast_nats), without, at.clipped
     )
     rest = corrected([*tests, *drive_map(final, residual, {name: r.end for name, r in fast}, drawn)])
-    each = with_confusable([told(f, named) for f in named.found], named, without, repeated)
-    findings, left = _doubted(each, named, fast, at, failed)
+    outages = outages_along(named.scene.loop, named.scene.motion)
+    each = with_confusable([told(f, named, outages) for f in named.found], named, without, repeated)
+    findings, left = _doubted(each, named, fast, at, failed, outages)
     refined = dict(nominal.beliefs)
     for s in findings:
         refined = with_effect(refined, s)
@@ -566,7 +567,12 @@ def find_dynamic_gap(
 
 
 def _doubted(
-    each: Sequence[Finding], named: Named, fast: Sequence[tuple[str, AxisResult]], at: _Drive, failed: Sequence[Where]
+    each: Sequence[Finding],
+    named: Named,
+    fast: Sequence[tuple[str, AxisResult]],
+    at: _Drive,
+    failed: Sequence[Where],
+    outages: Sequence[Outage],
 ) -> tuple[list[Finding], str]:
     """All findings, strongest first, those doubted where something unexplained sits in the same place; and what is left over, in words."""
     # where one axis vibrates so that no stationary process holds it, the same vibration is what changes on the others
@@ -579,7 +585,7 @@ def _doubted(
     own = [s.doubted() if named.outsider or failed or i else s for s, i in zip(each, instead, strict=True)]
     heard = [s.doubted() if is_doubtful(s, (), changing) else s for s in merged(dict(fast))]
     white = white_levels(at.believed.beliefs)
-    heard = [replace(s, metres=worth_in_noise(s, white)) for s in heard]
+    heard = [replace(s, metres=worth_in_noise(s, white, outages)) for s in heard]
     heard = [with_delay(s, at.late.get(s.sensor, 0.0)) for s in heard]
     beyond = " and ".join(dict.fromkeys(filter(None, (named.outsider, *sorted(set(instead))))))
     left = remainder(failed, {**({("the fixes", ""): beyond} if beyond else {}), **changing})

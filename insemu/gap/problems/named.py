@@ -22,7 +22,7 @@ from insemu.gap.hypothesis import Found, class_of
 from insemu.gap.policy import rules
 from insemu.gap.problems.findings import with_process
 from insemu.gap.verdict import Confusable, Finding, Interval, Member, Value
-from insemu.gap.worth import worth_in_motion, worth_in_noise
+from insemu.gap.worth import Outage, worth_in_motion, worth_in_noise
 
 Array = NDArray[np.float64]
 
@@ -137,13 +137,15 @@ def _of_outliers(scene: Scene, named: Named, final: Scene, blocks: Sequence[Bloc
     return total
 
 
-def told(f: Found[Change], named: Named) -> Finding:
+def told(f: Found[Change], named: Named, outages: Sequence[Outage]) -> Finding:
     """A finding as it is reported: values from everything together, members of its class, runners-up.
 
     Parameters
     ----------
     f, named : Found, Named
         One of what was found, and all of it.
+    outages : sequence of Outage
+        In which it is told what noise is worth.
     """
     h, scene, values, metres = f.chosen, named.scene, f.chosen.values, math.nan
     if h.change.block is not None and (h.change.columns or h.change.window is not None):
@@ -162,7 +164,7 @@ def told(f: Found[Change], named: Named) -> Finding:
     needs = "; ".join(dict.fromkeys(EFFECTS[m.effect].excitation for m in members)) if len(members) > 1 else ""
     text = f"a recording with more of: {needs}" if needs else ""
     found = Finding(h.effect, h.variant, h.sensor, h.axes, values, confidence, h.nats, members, text, others)
-    return replace(found, metres=metres if h.change.columns else worth_in_noise(found))
+    return replace(found, metres=metres if h.change.columns else worth_in_noise(found, None, outages))
 
 
 def with_confusable(
