@@ -409,6 +409,18 @@ def test_known_outliers_of_positions_and_velocities_are_told_together(colour: bo
         assert np.isin(gone, hit).sum() >= gone.size - 2, what
 
 
+def test_a_report_says_which_fixes_are_outliers() -> None:
+    """Beside a step that is worth a further pass, which begins with those that the search told."""
+    step = use(effect="gnss_multipath_step", value=[0.0, 2.2, 0.0], start=120.4, duration=40.0)
+    made, clean = recording(FAR, step), recording(step)
+    report = looked(made)
+    assert {f.effect for f in report.findings} == {"gnss_outliers", "gnss_multipath_step"}
+    told = report.to_json()["outliers"]["gnss_outliers"]
+    assert made.gnss is not None
+    gone, hit = made.gnss.t[told], hit_by(made, clean, "position")
+    assert np.isin(hit, gone).mean() >= 0.9 and np.isin(gone, hit).sum() >= gone.size - 2
+
+
 def test_held_out_fixes_are_outliers_or_none() -> None:
     """Fixes that the search of the first part left out were scored by the filter before it, and the others as if there could be no outliers."""
     made = recording(FAR)

@@ -294,7 +294,7 @@ class GapReport(Shown):
     stated_60s : float
         Horizontal standard deviation that the nominal filter states at the end of a minute without fixes, m; NaN of a log at rest.
     outliers : mapping of effect to (k,) array of int
-        Which of the positions (velocities) of the recording, in order of time, are outliers.
+        Which of the positions (velocities) of the recording are outliers: their numbers in order of time, from 0.
     """
 
     verdict: VerdictName
@@ -387,6 +387,7 @@ class GapReport(Shown):
             "source": self.source,
             "remainder": self.remainder,
             "band": [b.to_json() for b in self.band],
+            "outliers": {effect: at.tolist() for effect, at in self.outliers.items()},
         }
 
 

@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 #: Standard deviations of the fixes over the stated ones where it is asked what shaking does to velocities: position, then velocity.
 LOOSE = np.array([10.0, 10.0, 10.0, 1.0, 1.0, 1.0])
 #: Times that levels are moved at the most, and by how much each, in the logarithm; the change of it at which they hold.
-MOST_TRIMS, MOST_MOVED, SAME_LEVEL = 8, 0.3, 0.02
+MOST_TRIMS, MOST_MOVED, LEAST_MOVED = 8, 0.3, 0.02
 #: Knots of slow processes are this many seconds apart.
 NODE_S = 10.0
 
@@ -343,7 +343,7 @@ def likeliest_levels(prepared: Prepared, white: Array, s: Surrogate, *, back: bo
             factors[g] = np.exp(
                 np.clip(np.log(factors[g]) + np.clip(m, -MOST_MOVED, MOST_MOVED), middle - edge, middle + edge)
             )
-        if not np.max(np.abs(np.log(factors / out.factors))) > SAME_LEVEL:
+        if not np.max(np.abs(np.log(factors / out.factors))) > LEAST_MOVED:
             break
         ours = (out.levels <= 1.0) & (out.levels >= 1.0 / out.raised) & (out.raised > 1.0) & back
         out = replace(out, factors=factors, levels=np.where(ours, np.clip(factors, 1.0 / out.raised, 1.0), out.levels))
