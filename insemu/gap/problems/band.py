@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
@@ -13,7 +14,7 @@ from insemu.gap.candidates.axis import CANDIDATES, AxisState, state_of, whitened
 from insemu.gap.candidates.outliers import evident_outliers
 from insemu.gap.candidates.shapes import PROCESSES, Change
 from insemu.gap.candidates.tones import wandering, without_tones
-from insemu.gap.data.log import Reduced
+from insemu.gap.data.log import Reduced, unheard
 from insemu.gap.data.samples import advanced
 from insemu.gap.drive.preparation import Prepared, fixes_score, prepare
 from insemu.gap.evidence.model import Component, Explanation
@@ -23,7 +24,7 @@ from insemu.gap.policy import rules
 from insemu.gap.problems.findings import AxisResult, with_process
 from insemu.gap.problems.known import of_axis, settled, starting_explanation, without_drawn
 from insemu.gap.problems.rest import search_axis
-from insemu.gap.verdict import Finding, Value
+from insemu.gap.verdict import Finding, InBand, Value
 from insemu.noise import WN, NoiseModel
 from insemu.records import Recording
 
@@ -98,6 +99,36 @@ def fast_effects(
             result = replace(result, start=start, found=(first, *result.found))
         out.append((name, result))
     return out
+
+
+def without_its_vibration(
+    fast: list[tuple[str, AxisResult]], parts: dict[str, Reduced]
+) -> tuple[list[tuple[str, AxisResult]], dict[str, Reduced]]:
+    """Results and band of the axes without those that only vibrate, where most of the others shake: too weakly to exceed every level of noise.
+
+    Parameters
+    ----------
+    fast : list of (axis, AxisResult)
+        From :func:`fast_effects`.
+    parts : mapping of axis to Reduced
+        The part of each axis above the motion.
+    """
+    if sum(data.shaking is not None for data in parts.values()) < rules().shaking_axes:
+        return fast, parts
+    moving = {}
+    for name, r in fast:
+        if r.found and all(f.chosen.effect == "vibration_band" for f in r.found):
+            data, (rms, middle, width) = parts[name], _band_of(r.found)
+            low, high = (float(np.clip(middle + k * width, data.f[0], data.f[-1])) for k in (-0.5, 0.5))
+            moving[name] = replace(unheard(data), shaking=InBand(name, rms, data.unit, low, high, 0.0))
+    return [(name, r) for name, r in fast if name not in moving], {**parts, **moving}
+
+
+def _band_of(found: Sequence[Found[AxisState]]) -> tuple[float, float, float]:
+    """Root mean square of vibrations together, and frequency and bandwidth (Hz) of the strongest."""
+    each = [{v.name: v.value for v in f.chosen.values} for f in found]
+    top = max(each, key=lambda v: v["rms"])
+    return math.sqrt(sum(v["rms"] ** 2 for v in each)), top["frequency"], top["bandwidth"]
 
 
 def _struck(outliers: Hypothesis[AxisState], data: Reduced, parts: Mapping[str, Reduced], nominal: Nominal) -> bool:

@@ -51,6 +51,7 @@ from insemu.gap.problems.band import (
     white_level,
     with_delay,
     without_delay,
+    without_its_vibration,
 )
 from insemu.gap.problems.findings import (
     AxisResult,
@@ -482,6 +483,7 @@ class _Drive:
         rounded = coarse(believed.beliefs, mended.findings, recording.imu.dt)
         parts = {name: unheard(data) if name in rounded else data for name, data in parts.items()}
         fast = fast_effects(parts, nominal, rules().fast_nats, without, say, clipped=clipped)
+        fast, parts = without_its_vibration(fast, parts)
         levels = {name: level for name, r in fast if (level := white_level(r)) is not None}
         prepared, recording, late = without_delay(
             recording, nominal, parts, levels, dict(fast), flown.prepared if flown and not levels else None
