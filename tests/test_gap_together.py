@@ -84,6 +84,6 @@ def test_outliers_that_were_told_are_struck_out_again() -> None:
     rest = both_told(
         whole,
         {"gnss_outliers": np.array([1, 40])},
-        {"gnss_outliers": np.array([1]), **{"gnss_velocity_outliers": np.array([-1 + len(gnss)])}},
+        {"gnss_outliers": np.array([1]), "gnss_velocity_outliers": np.array([len(gnss) - 1])},
     )
     assert rest["gnss_outliers"].tolist() == [1, 2, 40] and rest["gnss_velocity_outliers"].tolist() == [len(gnss) - 1]

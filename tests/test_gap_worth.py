@@ -18,7 +18,7 @@ from insemu.gap.drive.scene import Scene
 from insemu.gap.verdict import Interval
 from insemu.gap.worth import GRAVITY, outages_along, worth_in_motion, worth_in_noise, worth_of_mounting
 from insemu.noise import RW, WN, NoiseModel
-from insemu.records import Recording
+from insemu.records import GnssRecord, Recording
 from insemu.report import finding_action, finding_metres
 from insemu.trial.drives import stage
 
@@ -29,6 +29,12 @@ def finding(effect: str, sensor: str, **values: float) -> Finding:
     member = Member(effect, sensor, ("x",), 50.0)
     parameters = tuple(Value(k, v, 0.9 * v, 1.1 * v, "1") for k, v in values.items())
     return Finding(effect, "", sensor, ("x",), parameters, 0.99, 50.0, (member,))
+
+
+def outage(gnss: GnssRecord, start: float) -> GnssRecord:
+    """Fixes without those of a minute from a time on, s."""
+    inside = gnss.t[(gnss.t > start) & (gnss.t <= start + T)]
+    return gnss.without_positions(inside).without_velocities(inside)
 
 
 @pytest.mark.parametrize(
@@ -76,13 +82,9 @@ def test_an_effect_in_a_drive_is_worth_what_the_filter_shows_through_an_outage()
     at = Scene.of(prepared)
     j = next(k for k, c in enumerate(at.columns) if (c.effect, c.sensor) == ("scale_factor", "accel"))
     value, start = 0.2 * at.columns[j].scale, float(prepared.gnss.t[70]) + 0.01
-    inside = (prepared.gnss.t > start) & (prepared.gnss.t <= start + T)
     ends = []
     for imu in (prepared.imu, corrected_data(prepared, at.columns, {j: value}, prepared.result.fixes.t)[0]):
-        gnss = prepared.gnss
-        llh = np.where(inside[:, None], np.nan, gnss.llh)
-        vel = None if gnss.vel_ned is None else np.where(inside[:, None], np.nan, gnss.vel_ned)
-        result = prepared.again(imu=imu, gnss=replace(gnss, llh=llh, vel_ned=vel)).result
+        result = prepared.again(imu=imu, gnss=outage(prepared.gnss, start)).result
         ends.append(result.nav[np.searchsorted(result.t, start + T) - 1, :3])
     away = earth.position_difference(ends[0][None], ends[1])[0]
     assert worth_in_motion(at.loop, at.motion, [at.columns[j]], [value], [start]) == pytest.approx(
@@ -107,10 +109,7 @@ def test_an_outage_on_the_way_knows_the_attitude_and_the_motion() -> None:
     assert nodes is not None
     starts = at.motion.t[nodes.epoch]
     start = float(starts[np.searchsorted(starts, starts[0] + T)])
-    gnss, inside = prepared.gnss, (prepared.gnss.t > start) & (prepared.gnss.t <= start + T + 1.0)
-    llh = np.where(inside[:, None], np.nan, gnss.llh)
-    vel = None if gnss.vel_ned is None else np.where(inside[:, None], np.nan, gnss.vel_ned)
-    without = replace(gnss, llh=llh, vel_ned=vel)
+    without = outage(prepared.gnss, start)
 
     def end(axis: int, size: float) -> np.ndarray:
         imu = prepared.imu

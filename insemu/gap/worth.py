@@ -79,7 +79,7 @@ def outages_along(loop: Loop, motion: Motion) -> list[Outage]:
     assert nodes is not None
     _, ramp, _ = built_up(loop, motion, ())
     t, out = motion.t[nodes.epoch], []
-    for start in np.arange(t[0] + OUTAGE_S, t[-1] - OUTAGE_S, APART_S):
+    for start in _starts(t):
         first = int(np.searchsorted(t, start))
         last = min(int(np.searchsorted(t, t[first] + OUTAGE_S)), t.size - 1)
         onward, weight = np.eye(2, 9), np.zeros((last - first, 6, 2))
@@ -89,6 +89,11 @@ def outages_along(loop: Loop, motion: Motion) -> list[Outage]:
         ends = t[first : last + 1] - t[first]
         out.append(Outage(0.5 * (ends[1:] + ends[:-1]), np.diff(ends), weight))
     return out
+
+
+def _starts(t: Array) -> Array:
+    """Starts of the outages that end within times (n,), s: every 30 s after the first minute."""
+    return np.arange(t[0] + OUTAGE_S, t[-1] - OUTAGE_S, APART_S)
 
 
 def worth_in_noise(
@@ -176,7 +181,7 @@ def worth_of_mounting(prepared: Prepared, finding: Finding) -> float:
     yaw = next((v.value for v in finding.parameters if v.name == "rpy_yaw"), math.nan)
     t, vel = prepared.motion.t, prepared.motion.vel
     way = np.concatenate([[0.0], np.cumsum(np.diff(t) * np.linalg.norm(vel[1:, :2], axis=1))])
-    starts = np.arange(t[0] + OUTAGE_S, t[-1] - OUTAGE_S, APART_S)
+    starts = _starts(t)
     if not starts.size:
         return math.nan
     ways = np.interp(starts + OUTAGE_S, t, way) - np.interp(starts, t, way)
@@ -193,7 +198,7 @@ def stated_in_outages(result: FilterResult) -> float:
         return math.nan
     t, step = result.t[nodes.epoch], nodes.Phi
     fixed = np.searchsorted(nodes.epoch, fixes.epoch)
-    starts = [int(k) for k in np.searchsorted(t, np.arange(t[0] + OUTAGE_S, t[-1] - OUTAGE_S, APART_S))]
+    starts = [int(k) for k in np.searchsorted(t, _starts(t))]
     ends = []
     for k in starts:
         last = int(np.searchsorted(t, t[k] + OUTAGE_S))
