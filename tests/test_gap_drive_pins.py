@@ -242,13 +242,11 @@ def told_step(start: int, length: int, monkeypatch) -> list[float]:
     y = np.zeros((60, 3))
     y[start : start + length, 0] = 5.0 / 0.5
     monkeypatch.setattr(steps, "_axis_steps", lambda scene, s, c: G[:, c::3])
-    seen = []
-    monkeypatch.setattr(steps, "_step_hypothesis", lambda *a: seen.append(a[5][1].value) or "one")
     scene = SimpleNamespace(
         noise=None, starts=starts, step_columns=G, whitened=lambda x: x, prepared=SimpleNamespace(result=SimpleNamespace(fixes=SimpleNamespace(t=t))),
     )  # fmt: skip
-    steps.multipath_step(scene, Field(y.ravel(), G), slice(None), [])
-    return seen
+    found = steps.multipath_step(scene, Field(y.ravel(), G), slice(None), [])
+    return [v.value for h in found for v in h.values if v.name == "duration"]
 
 
 @pytest.mark.parametrize(("length", "step"), [(2, False), (3, True)])

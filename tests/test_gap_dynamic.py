@@ -27,10 +27,17 @@ from insemu.gap.data.log import Reduced, moving_spectrum
 from insemu.gap.data.lost import filled
 from insemu.gap.data.samples import advanced, coarse, mend, unclipped, without_motion
 from insemu.gap.drive.preparation import fast_parts, starting_state
-from insemu.gap.drive.signatures import Loop, columns_response, knot_response
+from insemu.gap.drive.signatures import Loop, columns_response, knot_response, ramps
 from insemu.gap.evidence.climb import laplace_together
 from insemu.gap.evidence.fixes import FixNoise, Surrogate
-from insemu.gap.evidence.linear import Field, gauss_markov_root, quadratic_evidence, random_walk_root
+from insemu.gap.evidence.linear import (
+    ROWS_AT_ONCE,
+    Field,
+    gauss_markov_root,
+    marginal,
+    quadratic_evidence,
+    random_walk_root,
+)
 from insemu.gap.evidence.merged import between_fixes, merged_states
 from insemu.gap.evidence.model import Explanation, Likelihood, fit
 from insemu.gap.evidence.modes import Free, laplace
@@ -117,7 +124,7 @@ def test_a_signature_is_the_finite_difference_of_the_whole_filter(name: str, sen
     result, motion, loop = nominal_run()
     columns = catalogue_columns(motion, FixGeometry.of(motion, result.fixes.t, LEVER))
     (column,) = (c for c in columns if (c.effect, c.sensor, c.label) == (name, sensor, label))
-    G, _ = columns_response(loop, motion, [column])
+    G = columns_response(loop, motion, [column])
     changed = flown(recording(EffectUse(name, sensor, {parameter.name: numbers})))
     difference = np.einsum(
         "kij,kj->ki", loop.white, np.nan_to_num(changed.fixes.innovation - result.fixes.innovation)
@@ -131,7 +138,7 @@ def test_a_signature_is_the_finite_difference_of_the_whole_filter(name: str, sen
 def test_the_signature_of_a_clock_that_drifts_is_the_finite_difference_too(kind: str) -> None:
     result, motion, loop = nominal_run(kind)
     columns = effect_of("clock_drift").columns(motion, FixGeometry.of(motion, result.fixes.t, LEVER))
-    predicted = (loop.whiten(columns_response(loop, motion, columns)[0])[:, 0] * 2e-4).reshape(-1, 6)
+    predicted = (loop.whiten(columns_response(loop, motion, columns))[:, 0] * 2e-4).reshape(-1, 6)
     changed = flown(recording(use(effect="clock_drift", drift=2e-4), kind=kind))
     _, here, there = np.intersect1d(result.fixes.t, changed.fixes.t, return_indices=True)
     assert here.size > 200
@@ -146,7 +153,7 @@ def test_the_signature_of_a_clock_that_drifts_is_the_finite_difference_too(kind:
 def test_knots_of_a_constant_are_the_constant() -> None:
     _, motion, loop = nominal_run()
     columns = effect_of("turn_on_bias").columns(motion, FixGeometry.of(motion, loop.result.fixes.t, LEVER))
-    G, ramp = columns_response(loop, motion, columns)
+    G, ramp = columns_response(loop, motion, columns), ramps(loop, motion)
     knots = np.linspace(motion.t[0], motion.t[-1], 7)
     for axis in range(6):
         np.testing.assert_allclose(
@@ -297,16 +304,43 @@ def test_quadratic_evidence_and_conditioning_are_the_same_algebra() -> None:
         assert got[k, 0] == pytest.approx(expected, rel=1e-9)
 
 
-def test_predictive_residuals_have_the_likelihood_of_the_dense_model() -> None:
+def test_what_is_integrated_out_leaves_the_posterior_of_the_rest() -> None:
+    rng = np.random.default_rng(4)
+    data = Field(rng.standard_normal(60), rng.standard_normal((60, 8)), 1.3)
+    given = [(np.array([0, 1, 5]), rng.standard_normal((3, 2)))]
+    block = (np.array([3, 4, 6]), rng.standard_normal((3, 3)))
+    mean, covariance = marginal(*data.conditioned(given), block)
+    _, every, scatter = data.posterior([block, *given])
+    np.testing.assert_allclose(mean, every[:3], rtol=1e-9)
+    np.testing.assert_allclose(covariance, scatter[:3, :3], rtol=1e-9)
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_a_field_with_more_columns_is_the_field_of_all(known: bool) -> None:
+    rng = np.random.default_rng(5)
+    y, G = rng.standard_normal(30), rng.standard_normal((30, 6))
+    part, whole = Field(y, G[:, :4], 0.9), Field(y, G, 0.9)
+    if known:
+        assert part.A.shape == (4, 4)
+    wide = part.wider(G[:, 4:])
+    assert ("A" in wide.__dict__) == known
+    np.testing.assert_allclose(wide.A, whole.A, rtol=1e-12)
+    np.testing.assert_allclose(wide.b, whole.b, rtol=1e-12)
+
+
+@pytest.mark.parametrize("rows", [40, 3 * ROWS_AT_ONCE + 7])
+def test_predictive_residuals_have_the_likelihood_of_the_dense_model(rows: int) -> None:
     rng = np.random.default_rng(3)
-    G, y, root = rng.standard_normal((40, 3)), rng.standard_normal(40), rng.standard_normal((3, 2))
+    G, y, root = rng.standard_normal((rows, 3)), rng.standard_normal(rows), rng.standard_normal((3, 2))
     data = Field(y, G)
     e, logdet = data.residual([(np.arange(3), root)])
-    C = np.eye(40) + G @ root @ root.T @ G.T
+    C = np.eye(rows) + G @ root @ root.T @ G.T
+    # each from those before it only: the whitening of the dense covariance in order of time
+    np.testing.assert_allclose(e, np.linalg.solve(np.linalg.cholesky(C), y), rtol=1e-9)
     assert 0.5 * float(e @ e) + logdet == pytest.approx(
         0.5 * float(y @ np.linalg.solve(C, y)) + 0.5 * np.linalg.slogdet(C)[1]
     )
-    late = np.arange(40) >= 25
+    late = np.arange(rows) >= 25
     part, log_late = data.predictive([(np.arange(3), root)], late)
     early = Field(y[:25], G[:25])
     total = early.log_factor([(np.arange(3), root)]) - 0.5 * float(early.y @ early.y)

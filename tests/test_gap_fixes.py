@@ -21,7 +21,7 @@ from insemu.errors import InputError
 from insemu.gap import GapReport, Nominal, find_gap
 from insemu.gap.candidates.fixes import _share_and_size, gnss_outliers, without_outliers
 from insemu.gap.candidates.shapes import Change
-from insemu.gap.candidates.steps import _Scan, _step_anywhere, _when, multipath_step
+from insemu.gap.candidates.steps import _Beside, _Scan, _step_anywhere, _when, multipath_step
 from insemu.gap.drive import FIRST
 from insemu.gap.drive.apart import log_mixture, outlying
 from insemu.gap.drive.preparation import Flown
@@ -290,7 +290,7 @@ def test_a_step_began_between_two_fixes(share: float, low: float, high: float) -
     fixes = np.arange(20.0)
     starts = fixes[:10] + 1e-3
     i, j = np.array([2, 3]), np.array([8, 8])
-    scan = _Scan(np.log(np.array([1.0, share])), i, j, 0.0, (0, 2, 8, 1.0))
+    scan = _Scan(np.log(np.array([1.0, share])), i, j, 0.0, (0, 2, 8), (1.0, 0.1))
     start, duration = _when(scan, starts, fixes)
     assert (start.value, duration.value) == (pytest.approx(2.5, abs=1e-3), pytest.approx(6.0, abs=1e-3))
     assert start.low == pytest.approx(low, abs=0.06) and start.high == pytest.approx(high, abs=0.06)
@@ -302,7 +302,7 @@ def test_a_step_began_between_two_fixes(share: float, low: float, high: float) -
 def test_a_step_may_lie_where_it_was_looked_for_less_closely() -> None:
     """As likely at the other place: the interval reaches it."""
     fixes = np.arange(20.0)
-    scan = _Scan(np.zeros(1), np.array([2]), np.array([8]), 0.0, (0, 2, 8, 1.0))
+    scan = _Scan(np.zeros(1), np.array([2]), np.array([8]), 0.0, (0, 2, 8), (1.0, 0.1))
     start, duration = _when(scan, fixes[:10] + 1e-3, fixes, (np.array([[2.5, 15.0]]), np.zeros(1)))
     assert start.high < 3.1 and duration.low < 6.0 and duration.high == pytest.approx(12.5)
     far = _when(scan, fixes[:10] + 1e-3, fixes, (np.array([[2.5, 15.0]]), np.full(1, -9.0)))[1]
@@ -359,7 +359,7 @@ def test_a_step_behind_a_colour_is_found_at_its_edges() -> None:
     assert found.axes == ("east",) and found.nats > 10.0
     assert told["start"].low < 121.4 < told["start"].high and told["start"].high - told["start"].low < 1.5
     assert told["duration"].low < 41.0 < told["duration"].high and told["value"].low < 0.4 < told["value"].high
-    assert _step_anywhere(scene, scene.data, rows, given).nats < found.nats - 8.0
+    assert _step_anywhere(scene, rows, _Beside.of(scene.data, given)).nats < found.nats - 8.0
     quiet = behind_a_colour(recording(COLOUR))
     (none,) = multipath_step(quiet, quiet.data, rows, list(quiet.always))
     assert none.nats < rules().least_nats

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from insemu.effects import EFFECTS, Column, FixGeometry, Motion
 from insemu.filters import FilterResult
 from insemu.gap.drive.preparation import Prepared
-from insemu.gap.drive.signatures import Loop, built_up
+from insemu.gap.drive.signatures import Loop, built_up, ramps
 from insemu.gap.verdict import Finding
 from insemu.noise import WN, NoiseModel
 from insemu.records import AXES
@@ -77,7 +77,7 @@ def outages_along(loop: Loop, motion: Motion) -> list[Outage]:
     """
     nodes = loop.result.nodes
     assert nodes is not None
-    _, ramp, _ = built_up(loop, motion, ())
+    ramp = ramps(loop, motion)
     t, out = motion.t[nodes.epoch], []
     for start in _starts(t):
         first = int(np.searchsorted(t, start))
@@ -237,7 +237,7 @@ def worth_in_motion(
     """
     fixes, nodes = loop.result.fixes, loop.result.nodes
     assert nodes is not None and fixes.K is not None and fixes.H is not None
-    D, _, M = built_up(loop, motion, columns)
+    D, M = built_up(loop, motion, columns)
     drive, error = np.einsum("kjs,j->ks", D, values), M @ np.asarray(values)
     t = motion.t[nodes.epoch]
     H = np.where(loop.use[:, :, None], np.nan_to_num(fixes.H), 0.0)

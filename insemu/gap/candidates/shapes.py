@@ -20,6 +20,7 @@ from insemu.gap.evidence.linear import (
     gauss_markov_root,
     log_mean_exp,
     log_mean_exp_columns,
+    marginal,
     quadratic_evidence,
     random_walk_root,
 )
@@ -220,11 +221,7 @@ def linear_hypotheses(
     skip : collection of str
         Effects that are not weighed.
     """
-    variants = [v for v in variants if v.effect not in skip]
-    A, b = data.conditioned(given)
-    logs = linear_evidence(variants, A, b)
-    # what only a size below zero explains is not explained
-    logs = [[] if _negative(scene, v, data, given) else x for v, x in zip(variants, logs, strict=True)]
+    variants, A, b, logs = _weighed(scene, variants, data, given, skip)
     evidence = pooled_evidence(variants, logs)
     tried: dict[tuple[str, str], list[tuple[float, Variant, list[Array]]]] = {}
     for v, x in zip(variants, logs, strict=True):
@@ -237,23 +234,45 @@ def linear_hypotheses(
         top = max(own for own, _, _ in mine)
         best[key] = min((m for m in mine if m[0] > top - rules().keep_nats), key=lambda m: (len(m[1].axes), -m[0]))
     return [
-        _described(scene, data, given, v, x, float(evidence[key][0]))
+        _described(scene, A, b, v, x, float(evidence[key][0]))
         for key, (_, v, x) in best.items()
         if math.isfinite(float(evidence[key][0]))
     ]
 
 
-def _negative(scene: Scene, v: Variant, data: Field, given: Sequence[Block]) -> bool:
+def linear_nats(
+    scene: Scene, variants: Sequence[Variant], data: Field, given: Sequence[Block], skip: Collection[str]
+) -> float:
+    """What the best of :func:`linear_hypotheses` is worth, nats, without a description of each.
+
+    Parameters
+    ----------
+    scene, variants, data, given, skip
+        As there.
+    """
+    variants, _, _, logs = _weighed(scene, variants, data, given, skip)
+    return max((float(x[0]) for x in pooled_evidence(variants, logs).values()), default=-math.inf)
+
+
+def _weighed(
+    scene: Scene, variants: Sequence[Variant], data: Field, given: Sequence[Block], skip: Collection[str]
+) -> tuple[list[Variant], Array, Array, list[list[Array]]]:
+    """The variants that are weighed, normal matrix and right-hand side of what is unexplained, and the evidence of each."""
+    variants = [v for v in variants if v.effect not in skip]
+    A, b = data.conditioned(given)
+    logs = linear_evidence(variants, A, b)
+    # what only a size below zero explains is not explained
+    return variants, A, b, [[] if _negative(scene, v, A, b) else x for v, x in zip(variants, logs, strict=True)]
+
+
+def _negative(scene: Scene, v: Variant, A: Array, b: Array) -> bool:
     """Whether a variant has no negative sizes, and its best size of any of its columns is below zero."""
     if v.effect not in POSITIVE or any(known_size(scene.prepared.nominal, scene.columns[i]) for i in v.index):
         return False
-    block = (v.index, v.shapes[0][1] * v.amplitudes[-1])
-    return bool((data.posterior([block, *given])[1][: v.index.size] < 0.0).any())
+    return bool((marginal(A, b, (v.index, v.shapes[0][1] * v.amplitudes[-1]))[0] < 0.0).any())
 
 
-def _described(
-    scene: Scene, data: Field, given: Sequence[Block], v: Variant, logs: Sequence[Array], nats: float
-) -> DriveHypothesis:
+def _described(scene: Scene, A: Array, b: Array, v: Variant, logs: Sequence[Array], nats: float) -> DriveHypothesis:
     """The best shape and amplitude of a variant with its parameters."""
     table = np.stack([x[:, 0] for x in logs])
     i, j = np.unravel_index(int(np.argmax(table)), table.shape)
@@ -280,14 +299,13 @@ def _described(
             for q, m, s in zip(effect.parameters, mean, sd, strict=False)
         )
         return Hypothesis(v.effect, nats, values, Change(block), v.label, v.sensor, v.axes)
-    _, mean, covariance = data.posterior([block, *given])
-    n = v.index.size
+    mean, covariance = marginal(A, b, block)
     if v.effect == "ramp":
         span = float(scene.knots[-1] - scene.knots[0])
-        m, s = float(mean[n - 1]) / span, math.sqrt(float(covariance[n - 1, n - 1])) / span
+        m, s = float(mean[-1]) / span, math.sqrt(float(covariance[-1, -1])) / span
         values = (Value.normal("R", m, s, effect.unit("R", v.sensor)),)
         return Hypothesis(v.effect, nats, values, Change(block), v.label, v.sensor, v.axes)
-    values = shape_values(scene, v.index, mean[:n], covariance[:n, :n])
+    values = shape_values(scene, v.index, mean, covariance)
     return Hypothesis(v.effect, nats, values, Change(block, tuple(int(c) for c in v.index)), v.label, v.sensor, v.axes)
 
 

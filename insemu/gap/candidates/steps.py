@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from insemu.effects import EFFECTS
 from insemu.gap.candidates.shapes import Change, DriveHypothesis
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.fixes import NED
-from insemu.gap.evidence.linear import Block, Field, log_mean_exp
+from insemu.gap.evidence.linear import Block, Field, log_mean_exp, recursive_residuals
 from insemu.gap.hypothesis import Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
@@ -49,8 +50,9 @@ def multipath_step(
     """
     if scene.starts.size < 4:
         return []
-    step = _step_anywhere(scene, data, rows, given)
-    at_edges = _step_at_edges(scene, data, rows, given) if scene.noise is not None else None
+    beside = _Beside.of(data, given)
+    step = _step_anywhere(scene, rows, beside)
+    at_edges = _step_at_edges(scene, rows, beside) if scene.noise is not None else None
     return [step if at_edges is None or step.nats > at_edges.nats else at_edges]
 
 
@@ -61,43 +63,36 @@ def _lasting(scene: Scene, rows: NDArray[np.bool_] | slice) -> tuple[float, floa
     return rules().shortest_step * float(np.median(np.diff(t))), rules().longest_step * float(seen[-1] - seen[0])
 
 
-def _step_anywhere(
-    scene: Scene, data: Field, rows: NDArray[np.bool_] | slice, given: Sequence[Block]
-) -> DriveHypothesis:
+def _step_anywhere(scene: Scene, rows: NDArray[np.bool_] | slice, beside: _Beside) -> DriveHypothesis:
     """The best step of those that start and end at evenly spaced times, refined around it."""
     s, G, t_fix = scene.starts, scene.step_columns[rows], scene.prepared.result.fixes.t
     lasting = _lasting(scene, rows)
-    coarse = _scan_steps(data, G, given, s, lasting)
+    coarse = _scan_steps(beside, G, s, lasting)
     nats = log_mean_exp(coarse.logs)
-    c, i, j, width = coarse.best
+    c, i, j = coarse.best
     if coarse.top > -2.0:
         # the scan is coarse: try every start and end near the best with columns of their own
         spacing = float(s[1] - s[0])
         starts = np.unique(np.concatenate([t_fix[np.abs(t_fix - x) <= spacing] for x in (s[i], s[j])]) + 1e-3)[:120]
         if starts.size >= 4:
             columns = scene.whitened(_axis_steps(scene, starts, c))[rows]
-            fine = _scan_steps(data, columns, given, starts, lasting, axes=1)
+            fine = _scan_steps(beside, columns, starts, lasting, axes=1)
             if fine.top > coarse.top:
-                _, i, j, width = fine.best
                 when = _when(fine, starts, t_fix, _elsewhere(coarse, s, starts))
-                gained = nats + fine.top - coarse.top
-                return _step_hypothesis(data, given, gained, c, columns[:, i] - columns[:, j], when, width)
-    column = G[:, 3 * i + c] - G[:, 3 * j + c]
+                return _step_hypothesis(nats + fine.top - coarse.top, c, fine.value, when)
     half = 0.6 * float(s[1] - s[0])
     start, duration = float(s[i]), float(s[j] - s[i])
     when = (
         Value("start", start, start - half, start + half, "s"),
         Value("duration", duration, max(duration - 2.0 * half, 0.0), duration + 2.0 * half, "s"),
     )
-    return _step_hypothesis(data, given, nats, c, column, when, width)
+    return _step_hypothesis(nats, c, coarse.value, when)
 
 
-def _step_at_edges(
-    scene: Scene, data: Field, rows: NDArray[np.bool_] | slice, given: Sequence[Block]
-) -> DriveHypothesis | None:
+def _step_at_edges(scene: Scene, rows: NDArray[np.bool_] | slice, beside: _Beside) -> DriveHypothesis | None:
     """The best step between fixes that surprise: evenly spaced times miss the edges, where alone it shows behind a colour."""
     t_fix, use = scene.prepared.result.fixes.t, scene.loop.use.ravel()
-    residual, _ = data.residual(given)
+    residual = beside.ahead()
     fix, component = (np.repeat(np.arange(t_fix.size), 6)[use][rows], np.tile(np.arange(6), t_fix.size)[use][rows])
     surprise = np.bincount(fix, np.where(component < 3, residual**2, 0.0), t_fix.size)
     top = np.argsort(surprise)[-SURPRISES:, None] - 1 + np.arange(-BESIDE, BESIDE + 1)
@@ -107,14 +102,12 @@ def _step_at_edges(
     if starts.size < 4:
         return None
     columns = [scene.whitened(_axis_steps(scene, starts, c))[rows] for c in range(3)]
-    scans = [_scan_steps(data, own, given, starts, _lasting(scene, rows), axes=1) for own in columns]
+    scans = [_scan_steps(beside, own, starts, _lasting(scene, rows), axes=1) for own in columns]
     c = int(np.argmax([scan.top for scan in scans]))
     # all pairs of fixes are as likely as these
     widths, pairs = scans[c].logs.size // max(scans[c].i.size, 1), 0.5 * last * (last - 1)
     nats = float(np.logaddexp.reduce(np.concatenate([scan.logs for scan in scans]))) - math.log(3.0 * widths * pairs)
-    _, i, j, width = scans[c].best
-    when = _when(scans[c], starts, t_fix)
-    return _step_hypothesis(data, given, nats, c, columns[c][:, i] - columns[c][:, j], when, width)
+    return _step_hypothesis(nats, c, scans[c].value, _when(scans[c], starts, t_fix))
 
 
 def _axis_steps(scene: Scene, starts: Array, axis: int) -> Array:
@@ -135,53 +128,85 @@ class _Scan:
     i, j : (pairs,) arrays of int
         Starts and ends.
     top : float
-    best : (axis, start, end, width of the prior)
+    best : (axis, start, end)
+    value : (mean, standard deviation)
+        Of the best, m.
     """
 
     logs: Array
     i: NDArray[np.int64]
     j: NDArray[np.int64]
     top: float
-    best: tuple[int, int, int, float]
+    best: tuple[int, int, int]
+    value: tuple[float, float]
 
 
-def _scan_steps(
-    data: Field, G: Array, given: Sequence[Block], s: Array, lasting: tuple[float, float], axes: int = 3
-) -> _Scan:
-    (shortest, longest), y = lasting, data.y
+@dataclass(frozen=True)
+class _Beside:
+    """Innovations with what is explained of them already.
+
+    Parameters
+    ----------
+    data : Field
+    span : (r, k) array
+        What the explained can be: responses to standard normal numbers.
+    L : (k, k) array
+        Cholesky factor of their precision.
+    rhs : (k,) array
+        ``L^-1 span' y`` over the variance.
+    """
+
+    data: Field
+    span: Array
+    L: Array
+    rhs: Array
+
+    @classmethod
+    def of(cls, data: Field, given: Sequence[Block]) -> _Beside:
+        """What blocks explain; nothing where there are none."""
+        span = data.spanned(given) if given else np.zeros((data.y.size, 0))
+        L = np.asarray(np.linalg.cholesky(np.eye(span.shape[1]) + span.T @ span / data.variance), dtype=np.float64)
+        return cls(data, span, L, solve_triangular(L, span.T @ data.y / data.variance, lower=True))
+
+    def ahead(self) -> Array:
+        """Each innovation (r,) less what those before it say, over its standard deviation."""
+        return recursive_residuals(self.data.y, self.span, self.data.variance)[0]
+
+    def of_columns(self, G: Array) -> tuple[Array, Array]:
+        """What columns (r, c) have in common with the explained, (k, c), and their right-hand sides (c,) beside it."""
+        half = solve_triangular(self.L, self.span.T @ G / self.data.variance, lower=True)
+        return half, G.T @ self.data.y / self.data.variance - half.T @ self.rhs
+
+
+def _scan_steps(beside: _Beside, G: Array, s: Array, lasting: tuple[float, float], axes: int = 3) -> _Scan:
+    (shortest, longest), variance = lasting, beside.data.variance
     scale = EFFECTS["gnss_multipath_step"].scale("value", "gnss")
-    cross = None
-    if given:
-        index, root, L, _ = data._solved(given)
-        base = data.G[:, index] @ root
-        half = np.linalg.solve(L, (base.T @ G) / data.variance)
-        rhs = np.linalg.solve(L, base.T @ y / data.variance)
-        cross = (half, rhs)
-    b_all = G.T @ y / data.variance
-    if cross is not None:
-        b_all = b_all - cross[0].T @ cross[1]
+    half, b_all = beside.of_columns(G)
     i, j = np.triu_indices(s.size, 1)
     near = (s[j] - s[i] >= shortest) & (s[j] - s[i] <= longest)
     i, j = i[near], j[near]
     if not i.size:
-        return _Scan(np.full(1, -math.inf), i, j, -math.inf, (0, 0, 0, 1.0))
-    logs, top, best = [], -math.inf, (0, 0, 0, 1.0)
+        return _Scan(np.full(1, -math.inf), i, j, -math.inf, (0, 0, 0), (0.0, 1.0))
+    logs, top, best, value = [], -math.inf, (0, 0, 0), (0.0, 1.0)
     for c in range(axes):
-        at = axes * np.arange(s.size) + c
-        A = G[:, at].T @ G[:, at] / data.variance
-        if cross is not None:
-            A = A - cross[0][:, at].T @ cross[0][:, at]
+        own, common, b = np.ascontiguousarray(G[:, c::axes]), half[:, c::axes], b_all[c::axes]
+        A = own.T @ own / variance - common.T @ common
         d = np.diag(A)
         aw = np.maximum(d[i] + d[j] - 2.0 * A[i, j], 1e-12)
-        bw = (b_all[at][i] - b_all[at][j]) ** 2
+        bw = b[i] - b[j]
         for factor in rules().prior_scales:
             prior = (scale * factor) ** 2
-            each = 0.5 * bw / (aw + 1.0 / prior) - 0.5 * np.log1p(prior * aw)
+            each = 0.5 * bw**2 / (aw + 1.0 / prior) - 0.5 * np.log1p(prior * aw)
             logs.append(each)
             k = int(np.argmax(each))
             if each[k] > top:
-                top, best = float(each[k]), (c, int(i[k]), int(j[k]), scale * factor)
-    return _Scan(np.concatenate(logs), i, j, top, best)
+                precision = float(aw[k]) + 1.0 / prior
+                top, best, value = (
+                    float(each[k]),
+                    (c, int(i[k]), int(j[k])),
+                    (float(bw[k]) / precision, precision**-0.5),
+                )
+    return _Scan(np.concatenate(logs), i, j, top, best, value)
 
 
 #: Places (k, 2) of start and end of steps, s, and their evidence (k,).
@@ -201,7 +226,7 @@ def _elsewhere(coarse: _Scan, s: Array, starts: Array) -> Elsewhere:
     starts : (m,) array
         Times that are looked at more closely.
     """
-    c, i, j, _ = coarse.best
+    c, i, j = coarse.best
     spacing = float(s[1] - s[0])
     logs = np.logaddexp.reduce(coarse.logs.reshape(3, -1, coarse.i.size)[c], axis=0)
     far = (np.abs(s[coarse.i] - s[i]) > spacing) | (np.abs(s[coarse.j] - s[j]) > spacing)
@@ -237,7 +262,7 @@ def _when(scan: _Scan, starts: Array, t_fix: Array, elsewhere: Elsewhere = NOWHE
     begins = starts[i, None, None] + gap[i, None, None] * inside[:, None]
     lasts = starts[j, None, None] + gap[j, None, None] * inside - begins
     share = np.concatenate([np.broadcast_to(close[near, None, None] / GAP_PARTS**2, lasts.shape).ravel(), far])
-    _, k, m, _ = scan.best
+    _, k, m = scan.best
     start = float(starts[k] + 0.5 * gap[k])
     values = []
     for name, best, own, other in (
@@ -252,18 +277,12 @@ def _when(scan: _Scan, starts: Array, t_fix: Array, elsewhere: Elsewhere = NOWHE
     return values[0], values[1]
 
 
-def _step_hypothesis(
-    data: Field, given: Sequence[Block], nats: float, c: int, column: Array, when: tuple[Value, Value], width: float
-) -> DriveHypothesis:
-    wide = Field(data.y, np.column_stack([data.G, column]), data.variance) if nats > -1.0 else None
-    if wide is None:
+def _step_hypothesis(nats: float, c: int, value: tuple[float, float], when: tuple[Value, Value]) -> DriveHypothesis:
+    if not nats > -1.0:
         return Hypothesis("gnss_multipath_step", nats, (), Change(), "step", "gnss", (NED[c],))
-    block: Block = (np.array([data.G.shape[1]]), np.array([[width]]))
-    _, mean, covariance = wide.posterior([block, *given])
-    m, sd = float(mean[0]), math.sqrt(float(covariance[0, 0]))
     change = Change(window=(c, when[0].value, when[0].value + when[1].value))
     return Hypothesis(
-        "gnss_multipath_step", nats, (Value.normal("value", m, sd, "m"), *when), change, "step", "gnss", (NED[c],)
+        "gnss_multipath_step", nats, (Value.normal("value", *value, "m"), *when), change, "step", "gnss", (NED[c],)
     )
 
 

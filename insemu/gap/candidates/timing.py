@@ -156,7 +156,7 @@ def _tried(prepared: Prepared, with_lag: bool) -> _Tried:
         return _Tried(plain, -math.inf, total / dof, total / dof)
     motion = prepared.motion
     at = FixGeometry.of(motion, fixes.t, prepared.lever_arm, prepared.nominal.mounting)
-    g = loop.whiten(columns_response(loop, motion, EFFECTS[LAG].columns(motion, at))[0])[:, 0]
+    g = loop.whiten(columns_response(loop, motion, EFFECTS[LAG].columns(motion, at)))[:, 0]
     size = float(g @ g)
     if not size > 0.0:
         return _Tried(plain, -math.inf, total / dof, total / dof)

@@ -19,7 +19,7 @@ from insemu.gap.drive.apart import without
 from insemu.gap.drive.columns import clipped_columns, library_columns, rectified_columns
 from insemu.gap.drive.corrected import corrected_data, slow_knots
 from insemu.gap.drive.preparation import Prepared, likeliest_levels
-from insemu.gap.drive.signatures import Loop, columns_response, fix_step_response, knot_response
+from insemu.gap.drive.signatures import Loop, columns_response, fix_step_response, knot_response, ramps
 from insemu.gap.evidence.fixes import NED, FixNoise, Surrogate
 from insemu.gap.evidence.linear import Block, Field
 from insemu.gap.policy import rules
@@ -37,6 +37,8 @@ MOST_RUNS = 5
 SIZES, SIZE_REL = 12, 0.01
 #: Starts of steps in the fixes that are tried first.
 STARTS = 120
+#: What a scene knows that other noise of the fixes leaves as it is, and what more steps in the fixes do.
+_RESPONSES, _WHITENED = ("_answers", "_ramps", "steps_raw"), ("_plain", "full_y", "step_columns")
 
 
 @dataclass
@@ -156,28 +158,39 @@ class Scene:
     @cached_property
     def _answers(self) -> Array:
         """Responses (f, 6, c) of the columns, then of the knots of slow errors, axis by axis."""
-        return self._responses(np.arange(len(self.columns) + 6 * self.knots.size))
+        return self._responded(np.arange(len(self.columns) + 6 * self.knots.size))
 
     @cached_property
-    def raw(self) -> Array:
-        """The same, and those of the windows behind them."""
-        return np.concatenate([self._answers, window_response(self.loop, self.windows)], axis=2)
+    def _ramps(self) -> Array:
+        """Errors that constants and ramps on each axis build up from node to node."""
+        return ramps(self.loop, self.motion)
 
     @cached_property
     def steps_raw(self) -> Array:
         """Responses (f, 6, 3 starts) of steps in the position fixes."""
         return fix_step_response(self.loop, self.starts)
 
+    @cached_property
+    def _asked(self) -> dict[bytes, Array]:
+        """What was asked for last of :meth:`_responses`, as it is asked for in turns with other noise of the fixes."""
+        return {}
+
     def _responses(self, index: NDArray[np.int64]) -> Array:
-        """Responses (f, 6, k) of some columns and knots."""
+        """Responses (f, 6, k) of some columns, knots and windows."""
+        key, asked = index.tobytes(), self._asked
+        if key not in asked:
+            answer = self._responded(index)
+            asked.clear()
+            asked[key] = answer
+        return asked[key]
+
+    def _responded(self, index: NDArray[np.int64]) -> Array:
         c, k = len(self.columns), self.knots.size
-        own = np.unique(index[index < c])
-        G, ramp = columns_response(self.loop, self.motion, [self.columns[i] for i in own])
-        parts, places = [G], [own]
+        own, late = np.unique(index[index < c]), np.unique(index[index >= c + 6 * k])
+        parts, places = [columns_response(self.loop, self.motion, [self.columns[i] for i in own])], [own]
         for axis in np.unique((index[(index >= c) & (index < c + 6 * k)] - c) // k):
-            parts.append(knot_response(self.loop, self.motion, ramp, self.knots, int(axis)))
+            parts.append(knot_response(self.loop, self.motion, self._ramps, self.knots, int(axis)))
             places.append(c + axis * k + np.arange(k))
-        late = np.unique(index[index >= c + 6 * k])
         parts.append(window_response(self.loop, [self.windows[i - c - 6 * k] for i in late]))
         every = np.concatenate([*places, late])
         together = np.concatenate(parts, axis=2)
@@ -209,11 +222,33 @@ class Scene:
             )
         return np.asarray(white[self.loop.use.ravel()])
 
-    @cached_property
+    @property
     def data(self) -> Field:
         """The field of the whole recording; what was corrected is put back as its linear response about the corrected trajectory."""
-        G = self.whitened(self.raw)
-        return self._field(G, G[:, list(self.corrections)])
+        return self.field(None)
+
+    @cached_property
+    def _plain(self) -> dict[float | None, Field]:
+        """Fields without the windows, whole and up to times that were asked for: no window is corrected in the data."""
+        G = self.whitened(self._answers)
+        return {None: self._field(G, G[:, list(self.corrections)])}
+
+    @cached_property
+    def _wide(self) -> dict[float | None, Field]:
+        """The same with the windows."""
+        return {}
+
+    def field(self, cut: float | None) -> Field:
+        """The field up to a time, s; of the whole recording without one."""
+        plain, wide = self._plain, self._wide
+        if cut not in plain:
+            plain[cut] = _first_rows(plain[None], self.rows_t, cut)
+        if cut not in wide:
+            more = self.whitened(window_response(self.loop, self.windows))
+            wide[cut] = (
+                plain[cut].wider(more if cut is None else more[self.rows_t <= cut]) if self.windows else plain[cut]
+            )
+        return wide[cut]
 
     def _field(self, G: Array, corrected: Array) -> Field:
         """The field of some columns, what was corrected put back."""
@@ -231,16 +266,16 @@ class Scene:
 
     def with_windows(self, windows: tuple[Window, ...]) -> Scene:
         """The scene with a column for each of these steps in the fixes, behind all the others."""
-        return self._same(windows=windows)
+        return self if windows == self.windows else self._same(*_RESPONSES, *_WHITENED, windows=windows)
 
     def coloured(self, noise: FixNoise | None) -> Scene:
         """The same responses whitened for other noise of the fixes, or for that which the filter believed."""
-        return self._same(noise=noise)
+        return self._same(*_RESPONSES, "_asked", noise=noise)
 
-    def _same(self, **changes: Any) -> Scene:
-        """The scene with other windows or noise of the fixes; the responses that are known stay."""
+    def _same(self, *known: str, **changes: Any) -> Scene:
+        """The scene with other windows or noise of the fixes; of what is known that which does not change."""
         scene = replace(self, **changes)
-        scene.__dict__.update({k: v for k, v in self.__dict__.items() if k in ("_answers", "steps_raw")})
+        scene.__dict__.update({k: v for k, v in self.__dict__.items() if k in known})
         return scene
 
     def rebuilt(
@@ -415,7 +450,7 @@ class Scene:
 
     def _columns(self, index: NDArray[np.int64]) -> Array:
         """Some columns of the field, (r, k)."""
-        return self.data.G[:, index] if "data" in self.__dict__ else self.whitened(self._responses(index))
+        return self.data.G[:, index] if "_plain" in self.__dict__ else self.whitened(self._responses(index))
 
     def unexplained(self, blocks: Sequence[Block], cut: float | None = None) -> Array:
         """Innovations (f, 6) in m and m/s less what blocks explain of them, judged by those up to a time; zero where missing."""
@@ -423,7 +458,14 @@ class Scene:
 
     def less_explained(self, index: NDArray[np.int64], coefficients: Array) -> Array:
         """Innovations (f, 6) in m and m/s less some columns (k,) times their coefficients (k,); zero where missing."""
-        explained = self._responses(index) @ coefficients if index.size else 0.0
+        explained: Array | float = 0.0
+        if index.size and "_answers" in self.__dict__:
+            each = np.zeros(self.width)
+            each[index] = coefficients
+            plain = self._answers.shape[2]
+            explained = self._answers @ each[:plain] + window_response(self.loop, self.windows) @ each[plain:]
+        elif index.size:
+            explained = self._responses(index) @ coefficients
         return np.where(self.surrogate.use == 1, self.surrogate.nu - explained, 0.0)
 
     def explaining(self, blocks: Sequence[Block], cut: float | None) -> tuple[NDArray[np.int64], Array]:
@@ -431,12 +473,12 @@ class Scene:
         corrected = np.array(list(self.corrections), dtype=np.int64)
         index = np.unique(np.concatenate([corrected, *(i for i, _ in blocks)]))
         coefficients = np.zeros(index.size)
-        if blocks and "data" in self.__dict__:
-            at, mean, _ = first_rows(self.data, self.rows_t, cut).posterior(blocks)
+        if blocks and "_plain" in self.__dict__:
+            at, mean, _ = self.field(cut).posterior(blocks)
             np.add.at(coefficients, np.searchsorted(index, at), mean)
         elif blocks:  # of a scene that may be rebuilt at once only what is asked for
             G = self.whitened(self._responses(index))
-            data = first_rows(self._field(G, G[:, np.searchsorted(index, corrected)]), self.rows_t, cut)
+            data = _first_rows(self._field(G, G[:, np.searchsorted(index, corrected)]), self.rows_t, cut)
             at, mean, _ = data.posterior([(np.searchsorted(index, i), root) for i, root in blocks])
             np.add.at(coefficients, at, mean)
         coefficients[np.searchsorted(index, corrected)] -= np.array(list(self.corrections.values()))
@@ -499,7 +541,7 @@ def _slope_about(column: Column, size: float, motion: Motion, fixes: FixGeometry
     return replace(column, fixes=((size + h) * more - (size - h) * less) / (2.0 * h))
 
 
-def first_rows(data: Field, rows_t: Array, cut: float | None) -> Field:
+def _first_rows(data: Field, rows_t: Array, cut: float | None) -> Field:
     """The field up to a time.
 
     Parameters

@@ -124,8 +124,8 @@ def whitening(S: Array, use: NDArray[np.bool_]) -> tuple[Array, Array]:
     return np.where(use[:, :, None], lower, 0.0), np.where(use[:, :, None], np.linalg.inv(lower), 0.0)
 
 
-def columns_response(loop: Loop, motion: Motion, columns: Sequence[Column]) -> tuple[Array, Array]:
-    """Responses (f, 6, columns) of unit columns, and the built-up errors of constants and ramps on each axis (for slow processes).
+def columns_response(loop: Loop, motion: Motion, columns: Sequence[Column]) -> Array:
+    """Responses (f, 6, columns) of unit columns, m and m/s per unit of the column; zero where a component is missing.
 
     Parameters
     ----------
@@ -135,19 +135,11 @@ def columns_response(loop: Loop, motion: Motion, columns: Sequence[Column]) -> t
         Of the IMU.
     columns : sequence of Column
         Unit errors of the sensors and of the fixes.
-
-    Returns
-    -------
-    response : (f, 6, columns) array
-        m and m/s per unit of the column; zero where a component is missing.
-    ramp : (nodes, 12, 9) array
-        As :func:`built_up` says.
     """
-    D, ramp, M = built_up(loop, motion, columns)
-    return loop.respond(len(columns), D, M), ramp
+    return loop.respond(len(columns), *built_up(loop, motion, columns))
 
 
-def built_up(loop: Loop, motion: Motion, columns: Sequence[Column]) -> tuple[Array, Array, Array]:
+def built_up(loop: Loop, motion: Motion, columns: Sequence[Column]) -> tuple[Array, Array]:
     """What unit columns do between the nodes of the filter and at its fixes.
 
     Parameters
@@ -163,21 +155,16 @@ def built_up(loop: Loop, motion: Motion, columns: Sequence[Column]) -> tuple[Arr
     -------
     D : (nodes, columns, 9) array
         Navigation errors built up since the node before; of the first node those of the start.
-    ramp : (nodes, 12, 9) array
-        The same for constants and ramps on each axis.
     M : (f, 6, columns) array
         Errors of the fixes.
     """
-    entries = [(j, axis, u) for j, c in enumerate(columns) for axis, u in c.inputs]
     nodes = loop.result.nodes
     assert nodes is not None
-    D = np.zeros((nodes.epoch.size, len(columns), 9))
-    ramp = np.zeros((nodes.epoch.size, 12, 9))
-    u = np.ascontiguousarray(np.stack([e[2] for e in entries])) if entries else np.zeros((0, motion.t.size))
-    axis = np.array([e[1] for e in entries], dtype=np.int64)
-    column = np.array([e[0] for e in entries], dtype=np.int64)
-    error_kernels.integrate_inputs(
-        motion.t, np.ascontiguousarray(motion.C), motion.f_n, nodes.epoch, u, axis, column, D, ramp
+    entries = [(j, axis, u) for j, c in enumerate(columns) for axis, u in c.inputs]
+    D = (
+        _integrated(loop, motion, entries, len(columns))[0]
+        if entries
+        else np.zeros((nodes.epoch.size, len(columns), 9))
     )
     for j, c in enumerate(columns):
         if c.start is not None:
@@ -185,12 +172,41 @@ def built_up(loop: Loop, motion: Motion, columns: Sequence[Column]) -> tuple[Arr
         if c.runs:
             way = np.cumsum(motion.vel * np.diff(motion.t, prepend=motion.t[0])[:, None], axis=0)[nodes.epoch]
             D[1:, j, :3] += np.diff(way, axis=0)
-    f = len(loop.result.fixes)
-    M = np.zeros((f, 6, len(columns)))
+    M = np.zeros((len(loop.result.fixes), 6, len(columns)))
     for j, c in enumerate(columns):
         if c.fixes is not None:
             M[:, :, j] = c.fixes
-    return D, ramp, M
+    return D, M
+
+
+def ramps(loop: Loop, motion: Motion) -> Array:
+    """Navigation errors (nodes, 12, 9) built up since the node before by a constant (0..5) and by a ramp from 0 to 1 (6..11) on each axis.
+
+    Parameters
+    ----------
+    loop : Loop
+        With the nodes of the filter.
+    motion : Motion
+        Of the IMU.
+    """
+    return _integrated(loop, motion, [], 0)[1]
+
+
+def _integrated(
+    loop: Loop, motion: Motion, entries: Sequence[tuple[int, int, Array]], columns: int
+) -> tuple[Array, Array]:
+    """Errors built up between nodes by entries (column, axis, unit error), and where there are no entries by constants and ramps."""
+    nodes = loop.result.nodes
+    assert nodes is not None
+    D = np.zeros((nodes.epoch.size, columns, 9))
+    ramp = np.zeros((nodes.epoch.size, 0 if entries else 12, 9))
+    u = np.ascontiguousarray(np.stack([e[2] for e in entries])) if entries else np.zeros((0, motion.t.size))
+    axis = np.array([e[1] for e in entries], dtype=np.int64)
+    column = np.array([e[0] for e in entries], dtype=np.int64)
+    error_kernels.integrate_inputs(
+        motion.t, np.ascontiguousarray(motion.C), motion.f_n, nodes.epoch, u, axis, column, D, ramp
+    )
+    return D, ramp
 
 
 def knot_response(loop: Loop, motion: Motion, ramp: Array, knots: Array, axis: int) -> Array:
@@ -203,7 +219,7 @@ def knot_response(loop: Loop, motion: Motion, ramp: Array, knots: Array, axis: i
     motion : Motion
         Of the IMU.
     ramp : (nodes, 12, 9) array
-        From :func:`built_up`.
+        From :func:`ramps`.
     knots : (k,) array
         Times, s.
     axis : int

@@ -45,12 +45,13 @@ def integrate_inputs(
         Axis 0..5 of each entry, and the column of ``D`` that it belongs to.
     D : (k, columns, 9) array
         Written to: what has built up at each node since the one before.
-    ramp : (k, 12, 9) array
-        Written to: the same for a constant (0..5) and for a ramp from 0 to 1 across the interval (6..11) on each axis.
+    ramp : (k, 12, 9) or (k, 0, 9) array
+        Written to: the same for a constant (0..5) and for a ramp from 0 to 1 across the interval (6..11) on each axis; nothing without rows.
     """
     entries = axis.size
     columns = D.shape[1]
-    total = columns + 12
+    ramps = ramp.shape[1] > 0
+    total = columns + ramp.shape[1]
     e = np.zeros((9, total))
     add = np.zeros((6, total))
     for i in range(1, node.size):
@@ -71,7 +72,7 @@ def integrate_inputs(
                         for r in range(3):
                             add[r, c] += C[k, r, j - 3] * x
             part = (0.5 * (t[k] + t[k - 1]) - t[a]) / span
-            for j in range(3):
+            for j in range(3 if ramps else 0):
                 for r in range(3):
                     x = C[k, r, j] * dt
                     add[3 + r, columns + j] = x
@@ -98,7 +99,7 @@ def integrate_inputs(
         for c in range(columns):
             for r in range(9):
                 D[i, c, r] = e[r, c]
-        for c in range(12):
+        for c in range(ramp.shape[1]):
             for r in range(9):
                 ramp[i, c, r] = e[r, columns + c]
 

@@ -178,8 +178,7 @@ class Surrogate:
 
     def log_likelihood(self, factor: Array | None = None, colour: Colour | None = None) -> float:
         """Log-likelihood with other levels and a Gauss-Markov part of the fixes."""
-        noise = FixNoise(np.ones(6) if factor is None else factor, PLAIN if colour is None else colour)
-        return float(self.log_likelihoods([noise])[0])
+        return self.whiten(self.nu[:, :, None], factor, colour)[1]
 
     def log_likelihoods(self, noises: Sequence[FixNoise]) -> Array:
         """Log-likelihoods of several noises of the fixes, eight in one pass; minus infinity where one is not finite."""

@@ -14,11 +14,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from insemu.gap.evidence import kernels
 from insemu.gap.policy import rules
 
 Array = NDArray[np.float64]
+#: Rows that recursive least squares takes at once; the matrices of fewer cost more to call than to multiply.
+ROWS_AT_ONCE = 48
 #: Column indices and prior root: the coefficients are ``root @ z`` with z standard normal.
 Block = tuple[NDArray[Any], Array]
 
@@ -107,25 +110,83 @@ class Field:
         """
         if not blocks:
             return self.y, 0.0
-        index, root = self._joined(blocks)
-        out = np.empty_like(self.y)
-        logs = np.empty_like(self.y)
-        kernels.recursive_residuals(self.y, np.ascontiguousarray(self.G[:, index] @ root), self.variance, out, logs)
+        out, logs = recursive_residuals(self.y, self.spanned(blocks), self.variance)
         return out, float(np.sum(logs))
 
     def predictive(self, blocks: Sequence[Block], rows: NDArray[np.bool_]) -> tuple[Array, float]:
-        """The same, of some rows only: residuals and half the log determinant."""
+        """The same at a variance of one, of some rows only: residuals and half the log determinant."""
         if not blocks:
             return self.y[rows], 0.0
-        index, root = self._joined(blocks)
-        out = np.empty_like(self.y)
-        logs = np.empty_like(self.y)
-        kernels.recursive_residuals(self.y, np.ascontiguousarray(self.G[:, index] @ root), 1.0, out, logs)
+        out, logs = recursive_residuals(self.y, self.spanned(blocks), 1.0)
         return out[rows], float(np.sum(logs[rows]))
+
+    def spanned(self, blocks: Sequence[Block]) -> Array:
+        """What the blocks can explain: responses (r, k) to standard normal numbers."""
+        index, root = self._joined(blocks)
+        return np.asarray(self.G[:, index] @ root)
+
+    def wider(self, more: Array) -> Field:
+        """The same with more columns (r, k) behind the others, a known normal matrix continued."""
+        out = Field(self.y, np.hstack([self.G, more]), self.variance)
+        if "A" in self.__dict__:
+            cross = self.G.T @ more / self.variance
+            out.__dict__["A"] = np.block([[self.A, cross], [cross.T, more.T @ more / self.variance]])
+        return out
 
     def rows(self, keep: NDArray[np.bool_]) -> Field:
         """The same on some of the rows."""
         return Field(self.y[keep], np.ascontiguousarray(self.G[keep]), self.variance)
+
+
+def marginal(A: Array, b: Array, block: Block) -> tuple[Array, Array]:
+    """Posterior mean (k,) and covariance (k, k) of a block's coefficients.
+
+    Parameters
+    ----------
+    A, b : (c, c), (c, 1 or more) arrays
+        Of :meth:`Field.conditioned`: what is explained besides is integrated out; the first right-hand side counts.
+    block : Block
+        Column indices and prior root.
+    """
+    index, root = block
+    M = root.T @ A[np.ix_(index, index)] @ root
+    M[np.diag_indices_from(M)] += 1.0
+    half = np.linalg.solve(np.linalg.cholesky(M), root.T)
+    covariance = half.T @ half
+    return covariance @ b[index, 0], covariance
+
+
+def recursive_residuals(y: Array, U: Array, variance: float) -> tuple[Array, Array]:
+    """One-step predictive residuals of ``y = U z + noise``, z standard normal: recursive least squares, some rows at a time.
+
+    Parameters
+    ----------
+    y : (r,) array
+    U : (r, k) array
+    variance : float
+        Of the noise.
+
+    Returns
+    -------
+    residuals : (r,) array
+        Over their standard deviations, which are one where nothing is uncertain and ``variance`` is one.
+    logs : (r,) array
+        Logarithm of each standard deviation.
+    """
+    out, logs = np.empty_like(y), np.empty_like(y)
+    P, z = np.eye(U.shape[1]), np.zeros(U.shape[1])
+    for first in range(0, y.size, ROWS_AT_ONCE):
+        rows = slice(first, first + ROWS_AT_ONCE)
+        V = U[rows] @ P
+        S = V @ U[rows].T
+        S[np.diag_indices_from(S)] += variance
+        L = np.linalg.cholesky(S)
+        gain = solve_triangular(L, V, lower=True, check_finite=False)
+        out[rows] = solve_triangular(L, y[rows] - U[rows] @ z, lower=True, check_finite=False)
+        logs[rows] = np.log(np.diag(L))
+        z += gain.T @ out[rows]
+        P -= gain.T @ gain
+    return out, logs
 
 
 def quadratic_evidence(A: Array, b: Array, root: Array, amplitudes: Array) -> Array:

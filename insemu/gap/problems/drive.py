@@ -12,12 +12,7 @@ from numpy.typing import NDArray
 from insemu.effects import EFFECTS
 from insemu.errors import InputError
 from insemu.gap.beliefs.nominal import Nominal
-from insemu.gap.candidates.fixes import (
-    about,
-    as_joint,
-    at_level,
-    covariance_hypotheses,
-)
+from insemu.gap.candidates.fixes import about, as_joint, at_level, covariance_hypotheses
 from insemu.gap.candidates.shapes import (
     ONCE,
     POSITIVE,
@@ -29,6 +24,7 @@ from insemu.gap.candidates.shapes import (
     best_pair,
     library_evidence,
     linear_hypotheses,
+    linear_nats,
     null_threshold,
 )
 from insemu.gap.candidates.steps import multipath_step, placed
@@ -38,7 +34,7 @@ from insemu.gap.data.log import Reduced, unheard
 from insemu.gap.data.samples import coarse, mend, with_counts
 from insemu.gap.drive.apart import FIRST
 from insemu.gap.drive.preparation import Flown, Prepared, fast_parts, prepare
-from insemu.gap.drive.scene import Scene, first_rows
+from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.fixes import LEVEL_ROWS, FixNoise
 from insemu.gap.evidence.linear import Block, Field
 from insemu.gap.hypothesis import Found, best_first, probabilities
@@ -97,12 +93,16 @@ class DriveProblem(NoiseOfFixes):
         self.found: list[Found[Change]] = []
         self.gone, self.outsider, self._changed = {}, "", False
         self.recorded = scene.original.gnss
+        self.scene, self.variants, self._others = scene, bank(scene), list[Scene]()
         self._take(scene)
 
     def _take(self, scene: Scene) -> None:
+        if scene.columns is not self.scene.columns:
+            self.variants = bank(scene)
+        if scene.loop is not self.scene.loop or scene.noise is not self.scene.noise:
+            self._others = []
         self.scene = scene
-        self.variants: list[Variant] = bank(scene)
-        self.data: Field = first_rows(scene.data, scene.rows_t, self.cut)
+        self.data: Field = scene.field(self.cut)
         self.rows: NDArray[np.bool_] = (
             np.ones(scene.rows_t.size, dtype=bool) if self.cut is None else np.asarray(scene.rows_t <= self.cut)
         )
@@ -145,17 +145,20 @@ class DriveProblem(NoiseOfFixes):
             return
         given, skip = self.blocks(), self._skip()
 
-        def explained(at: Scene, data: Field, variants: Sequence[Variant]) -> float:
+        def explained(at: Scene) -> float:
             assert at.noise is not None
-            best = max(h.nats for h in linear_hypotheses(at, variants, data, given, skip))
-            return self._fixes(at).log_likelihood(at.noise.factor, at.noise.colour) + max(best, self.threshold)
+            best = max(linear_nats(at, self.variants, at.field(self.cut), given, skip), self.threshold)
+            return self._fixes(at).log_likelihood(at.noise.factor, at.noise.colour) + best
 
         sigma, tau = noise.colour
-        others = [scene.coloured(replace(noise, colour=(sigma * math.sqrt(r), tau * r))) for r in OTHER_TIMES]
-        each = [explained(at, first_rows(at.data, at.rows_t, self.cut), bank(at)) for at in others]
+        if not self._others:
+            colours = [(sigma * math.sqrt(r), tau * r) for r in OTHER_TIMES]
+            self._others = [scene.coloured(replace(noise, colour=c)) for c in colours]
+        self._others = [at.with_windows(scene.windows) for at in self._others]
+        each = [explained(at) for at in self._others]
         k = int(np.argmax(each))
-        if each[k] > explained(scene, self.data, self.variants) + rules().lead:
-            self._take(others[k])
+        if each[k] > explained(scene) + rules().lead:
+            self._take(self._others[k])
 
     def _levelled(self, without: Found[Change] | None = None) -> NDArray[np.bool_]:
         """Components (6,) of the fixes whose level was named."""
@@ -223,8 +226,8 @@ class DriveProblem(NoiseOfFixes):
         if together < max(best.nats, self.threshold) + lead:
             return None
         beside = [*given, *((linear,) if linear is not None and strong else ())]
-        follows = linear_hypotheses(self.scene, self.variants, self.data, beside, skip)
-        if together < max(best.nats, 0.0) + max((h.nats for h in follows), default=0.0) + lead:
+        follows = linear_nats(self.scene, self.variants, self.data, beside, skip)
+        if together < max(best.nats, 0.0) + follows + lead:
             return None
         own = [v for v in ones if v.index[0] == first[0][0]]
         return next(iter(linear_hypotheses(self.scene, own, self.data, [*given, second], skip)), None)
@@ -391,7 +394,7 @@ class DriveProblem(NoiseOfFixes):
             if h.change.columns:
                 own = [v for v in self.variants if (v.effect, v.sensor) == (h.effect, h.sensor)]
                 beyond, what = library_evidence(self.scene, self.data, others)
-                if beyond > max(w.nats for w in linear_hypotheses(self.scene, own, self.data, others, ())):
+                if beyond > linear_nats(self.scene, own, self.data, others, ()):
                     self.found[k] = replace(f, instead=what)
 
 
