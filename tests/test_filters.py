@@ -535,8 +535,8 @@ def test_bad_input_is_named(road):
         run_filter(imu, gnss, start, np.eye(9), MODEL_15)
     with pytest.raises(InputError, match="standard deviations that are not negative"):
         run_filter(imu, gnss, start, InitialSigma(position=-1.0), MODEL_15)
-    with pytest.raises(InputError, match="multiple of covariance_every"):
-        FilterOptions(covariance_every=3, output_every=10)
+    with pytest.raises(InputError, match="whole number of at least 1"):
+        FilterOptions(covariance_every=3, output_every=0)
     with pytest.raises(InputError, match="probability"):
         FilterOptions(gate=1.5)
     with pytest.raises(InputError, match="at most"):

@@ -102,18 +102,21 @@ def test_states_without_variance_and_fully_correlated_states_smooth_as_the_dense
 
 
 def test_rows_that_are_asked_for_change_no_number():
-    """A fix between two epochs of a slow covariance, and rows of every epoch or of few: the same bits."""
+    """A fix between two epochs of a slow covariance, and rows of every epoch, of every propagation or of few: the same bits."""
     road = cases.drive(6.0)
     imu, gnss, start = flown(road, MODEL_15, 3, (0.0, 0.0))
     gnss = replace(gnss, t=gnss.t + 3 * DT)
-    few, many = (
+    few, many, each = (
         LooselyCoupledEKF(MODEL_15, DT, options=FilterOptions(covariance_every=10, output_every=k)).run(
             imu, gnss, start, START_SIGMA
         )
-        for k in (100, 10)
+        for k in (100, 10, 1)
     )
-    np.testing.assert_array_equal(few.nav, many.nav[np.isin(many.t, few.t)])
-    np.testing.assert_array_equal(few.sigma, many.sigma[np.isin(many.t, few.t)])
+    for more in (many, each):
+        np.testing.assert_array_equal(few.nav, more.nav[np.isin(more.t, few.t)])
+        np.testing.assert_array_equal(few.sigma, more.sigma[np.isin(more.t, few.t)])
+    # between two propagations the variances stay
+    np.testing.assert_array_equal(each.sigma[21:29], np.broadcast_to(each.sigma[20], each.sigma[21:29].shape))
 
 
 def test_the_last_node_is_the_filters_and_nodes_are_needed():

@@ -365,7 +365,6 @@ def run(
                 or count == every
                 or k == epochs - 1
                 or k % every == 0  # so that the rows asked for change no number
-                or k % output_every == 0
                 or (cov < cov_epoch.size and cov_epoch[cov] == k)
                 or (planned < node_epoch.size and node_epoch[planned] == k)
             )

@@ -80,7 +80,7 @@ class FilterOptions:
     covariance_every : int
         Covariance propagated every n-th IMU epoch (and at every fix); 1 is full rate.
     output_every : int
-        A row of the result every n-th IMU epoch; a multiple of ``covariance_every``.
+        A row of the result every n-th IMU epoch; one between two propagations of the covariance has the variances of the earlier one.
     gate : float, optional
         Probability with which a good fix is rejected by the test of its normalised innovation squared; None: no gate.
     gate_timeout : float
@@ -121,10 +121,6 @@ class FilterOptions:
             value = getattr(self, name)
             if not (isinstance(value, int) and value >= 1):
                 raise InputError(f"{name} is {value!r}, expected a whole number of at least 1")
-        if self.output_every % self.covariance_every:
-            raise InputError(
-                f"output_every is {self.output_every}, expected a multiple of covariance_every ({self.covariance_every})"
-            )
         if self.gate is not None and not 0.0 < self.gate < 1.0:
             raise InputError(f"gate is {self.gate!r}, expected a probability between 0 and 1, for example 1e-4")
         if not self.gate_timeout > 0:

@@ -617,7 +617,7 @@ extern "C" void fly(Int flight, double* pool,
         span += dt, many++;
       else
         span = dt, many = 1;
-      const bool due = measures || many == o.every || k == N - 1 || k % o.every == 0 || k % o.output_every == 0 ||
+      const bool due = measures || many == o.every || k == N - 1 || k % o.every == 0 ||
                        (cov < covariances && cov_epoch[cov] == k);
       if (lane == 0) {
         double C[3][3], mid[3][3], f[3];
