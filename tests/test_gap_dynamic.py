@@ -19,14 +19,15 @@ from insemu.errors import InputError
 from insemu.filters import FilterOptions, FilterResult, InitialSigma, run_filter
 from insemu.gap import Nominal, find_gap
 from insemu.gap.candidates import AxisState
-from insemu.gap.candidates.shapes import Variant, best_pair
+from insemu.gap.candidates.shapes import Variant, bank, best_pair, linear_hypotheses
 from insemu.gap.candidates.spectral import vibration_line
 from insemu.gap.candidates.tones import wandering, without_tones
 from insemu.gap.data.counts import lattice
 from insemu.gap.data.log import Reduced, moving_spectrum
 from insemu.gap.data.lost import filled
 from insemu.gap.data.samples import advanced, coarse, mend, unclipped, without_motion
-from insemu.gap.drive.preparation import fast_parts, starting_state
+from insemu.gap.drive.preparation import Flown, fast_parts, starting_state
+from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop, columns_response, knot_response, ramps
 from insemu.gap.evidence.climb import laplace_together
 from insemu.gap.evidence.fixes import FixNoise, Surrogate
@@ -42,8 +43,10 @@ from insemu.gap.evidence.merged import between_fixes, merged_states
 from insemu.gap.evidence.model import Explanation, Likelihood, fit
 from insemu.gap.evidence.modes import Free, laplace
 from insemu.gap.evidence.rolloff import Rolloff
+from insemu.gap.hypothesis import Found, best_first, class_of
 from insemu.gap.problems.band import fast_effects
 from insemu.gap.problems.findings import unknown_part
+from insemu.gap.problems.named import rivals_of
 from insemu.gap.verdict import Finding, Value
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
@@ -313,6 +316,31 @@ def test_what_is_integrated_out_leaves_the_posterior_of_the_rest() -> None:
     _, every, scatter = data.posterior([block, *given])
     np.testing.assert_allclose(mean, every[:3], rtol=1e-9)
     np.testing.assert_allclose(covariance, scatter[:3, :3], rtol=1e-9)
+
+
+def test_axes_that_explain_alike_are_a_class() -> None:
+    """Seen of a quadrotor and a walker of another simulator: the wrong one of two axes half a nat apart, with a confidence of 1.000."""
+    gnss = Gnss(position_sigma=(0.05, 0.05, 0.1), velocity_sigma=(0.05, 0.05, 0.05), lever_arm=LEVER)
+    scene = Scene.of(Flown.of(recording(), Nominal(dict(BELIEF), gnss)).prepared)
+    x, y, z = (
+        next(k for k, c in enumerate(scene.columns) if (c.effect, c.sensor, c.label) == ("scale_factor", "gyro", name))
+        for name in ("value_x", "value_y", "value_z")
+    )
+    G = scene.data.G.copy()
+    G[:, y] = G[:, x]
+    rng = np.random.default_rng(7)
+    size = 8.0 * G[:, x] / np.linalg.norm(G[:, x])
+    for columns, places in (((x, y), {("x",), ("y",)}), ((z,), {("z",)})):
+        signal = size if z not in columns else 8.0 * G[:, z] / np.linalg.norm(G[:, z])
+        data = Field(rng.standard_normal(G.shape[0]) + signal, G)
+        ranked = best_first(linear_hypotheses(scene, bank(scene), data, (), ()))
+        assert (ranked[0].effect, ranked[0].sensor) == ("scale_factor", "gyro")
+        members, _, confidence = class_of(*rivals_of(Found(ranked[0], tuple(ranked))))
+        own = [m for m in members if (m.effect, m.sensor) == ("scale_factor", "gyro")]
+        assert {m.axes for m in own} == places
+        # together they are as likely as the effect is
+        assert np.logaddexp.reduce([m.nats for m in own]) == pytest.approx(ranked[0].nats)
+        assert confidence <= 1.0 / len(places)
 
 
 @pytest.mark.parametrize("known", [False, True])

@@ -59,6 +59,19 @@ def test_a_vehicle_that_nobody_has_and_a_wrong_ending_are_refused(
         assert message in capsys.readouterr().err
 
 
+def test_members_of_a_class_that_are_one_effect_on_two_axes_are_told_apart() -> None:
+    s = stage(11, 2.0, 50.0, track="car")
+    use = EffectUse.from_mapping({"effect": "scale_factor", "sensor": "accel", "value": [0.0, 0.0, 0.02]})
+    members = tuple(Member("scale_factor", "accel", (a,), 50.0) for a in "zx")
+    found = Finding("scale_factor", "", "accel", ("z",), (Value("value_z", 0.02, 0.01, 0.03, "1"),), 0.5, 50.0, members)
+    x = design(s.record([use]), s.nominal, report(found), rng=np.random.default_rng(1), recordings=0)
+    assert x is not None
+    assert {k: f.axes for k, f in x.truths.items()} == {("scale_factor", "accel", a): (a,) for a in "zx"}
+    pair = (("scale_factor", "accel", "z"), ("scale_factor", "accel", "x"))
+    assert x.best.told[pair] > 0.9
+    assert any(line.startswith("scale factor accel z from scale factor accel x: ") for line in experiment_said(x))
+
+
 @pytest.mark.slow
 def test_a_hill_parts_a_bias_from_a_scale_factor_and_the_emulator_keeps_the_promise(tmp_path: Path) -> None:
     s = stage(11, 4.0, 50.0, track="car")

@@ -253,10 +253,12 @@ class Pair:
         self.put_in = new.effect
 
 
-@pytest.mark.parametrize(("ahead", "stands"), [(0.4, "ramp"), (0.7, "random_walk")])
-def test_a_rival_takes_the_place_of_a_finding_half_a_nat_ahead(ahead, stands):
+@pytest.mark.parametrize(
+    ("ahead", "stands", "lead"), [(0.4, "ramp", None), (0.7, "random_walk", None), (0.1, "random_walk", 0.0)]
+)
+def test_a_rival_takes_the_place_of_a_finding_half_a_nat_ahead(ahead, stands, lead):
     problem = Pair(ahead)
-    reconsider(problem)
+    reconsider(problem, lead)
     assert problem.put_in == stands
 
 

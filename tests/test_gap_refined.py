@@ -317,6 +317,19 @@ def test_the_sentence_above_names_three_and_counts_the_others(tmp_path: Path) ->
     assert page.count('class="card ') == 1 + FIRST_SCREEN
 
 
+def test_members_of_a_class_in_several_places_are_told_with_their_axes(tmp_path: Path) -> None:
+    x, z, bias = (
+        Member(e, "gyro", (a,), 50.0) for e, a in (("misalignment", "x"), ("misalignment", "z"), ("ramp", "x"))
+    )
+    found = replace(strong("ramp", 50.0), effect="misalignment", sensor="gyro", axes=("x",), members=(x, z))
+    said = gap_headline(replace(report(found), verdict="class"))
+    assert "of the gyroscope x or" in said and "of the gyroscope z: this recording cannot tell them apart" in said
+    page = render_gap(replace(report(found), verdict="class"), tmp_path).read_text(encoding="utf-8")
+    assert page.count("of the gyroscope x / ") == 1
+    one_place = gap_headline(replace(report(replace(found, members=(x, bias))), verdict="class"))
+    assert one_place.startswith("The gyroscope x has misalignment") and "gyroscope z" not in one_place
+
+
 def test_a_step_at_another_time_is_another_step() -> None:
     first = report(strong("gnss_multipath_step", 200.0))
     later, _ = passes(first, report(strong("gnss_multipath_step", 40.0, start=20.0)), report())

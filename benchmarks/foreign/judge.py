@@ -22,6 +22,7 @@ from insemu.gap import Finding, GapReport, Nominal, find_gap, load_measured, loa
 from insemu.gap.drive.preparation import Flown, starting_state
 from insemu.gap.evidence.fixes import PLAIN, FixNoise, Surrogate
 from insemu.gap.policy import rules
+from insemu.gap.verdict import Member
 from insemu.records import Recording
 from insemu.trial.score import interval
 
@@ -234,16 +235,17 @@ def _held_out(
     }
 
 
-def _is(s: Finding, h: sensors.Hidden) -> bool:
-    return (
-        s.effect == h.effect
-        and s.sensor == h.sensor
-        and (not h.axis or not s.axes or h.axis[0] in s.axes or h.axis in s.axes)
-    )
+def _is(s: Finding | Member, h: sensors.Hidden) -> bool:
+    return (s.effect, s.sensor) == (h.effect, h.sensor) and _there(h.axis, s.axes)
+
+
+def _there(axis: str, axes: Sequence[str]) -> bool:
+    """Whether axes may be those of a hidden effect: of a cell of a matrix the row counts."""
+    return not axis or not axes or axis[0] in axes or axis in axes
 
 
 def _holds(s: Finding, h: sensors.Hidden) -> bool:
-    return any((m.effect, m.sensor) == (h.effect, h.sensor) for m in s.members)
+    return any(_is(m, h) for m in s.members)
 
 
 def truths(h: sensors.Hidden, world: sensors.World) -> dict[str, float]:
@@ -275,10 +277,10 @@ def given_to_truth(a: dict[str, Any], k: int) -> float:
     best = 0.0
     h = a["hidden"][k]
     for s in a["findings"]:
-        nats = {(m["effect"], m["sensor"]): m["gain_nats"] for m in (*s["class"], *s["runners_up"])}
-        own, named = nats.get((h["effect"], h["sensor"])), nats.get((s["effect"], s["sensor"]), s["gain_nats"])
-        if own is not None:
-            best = max(best, min(s["confidence"] * math.exp(min(own - named, 50.0)), 1.0))
+        named = s["class"][0]["gain_nats"] if s["class"] else s["gain_nats"]
+        for m in (*s["class"], *s["runners_up"]):
+            if (m["effect"], m["sensor"]) == (h["effect"], h["sensor"]) and _there(h["axis"], m["axes"]):
+                best = max(best, min(s["confidence"] * math.exp(min(m["gain_nats"] - named, 50.0)), 1.0))
     return best
 
 

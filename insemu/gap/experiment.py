@@ -27,6 +27,7 @@ from insemu.gap.beliefs.refined import plain, refined_nominal, uses_of
 from insemu.gap.candidates.shapes import (
     PROCESSES,
     DriveHypothesis,
+    Variant,
     bank,
     linear_evidence,
     linear_hypotheses,
@@ -48,7 +49,7 @@ from insemu.records import Recording
 from insemu.whole import put
 
 Array = NDArray[np.float64]
-Key = tuple[str, str]
+Key = tuple[str, ...]
 Pair = tuple[Key, Key]
 Say = Callable[[str], None]
 
@@ -110,7 +111,7 @@ class NextExperiment:
     best : Promise
     tried : tuple of Promise
         Best first.
-    truths : mapping of (effect, sensor) to Finding
+    truths : mapping of (effect, sensor), with the axes where a class has an effect twice, to Finding
         Each member as it would be, were it the truth.
     kept : mapping of (truth, other) to (int, int)
         Emulated recordings in which the truth was told from the other, and how many there were.
@@ -265,8 +266,7 @@ def design(
         known = refined_nominal(nominal, rest, measured.imu.dt).parted()
         flown = Flown.of(*in_imu_axes(*drive_without(measured, known)))
         scene = Scene.of(flown.prepared)
-        keys = [(m.effect, m.sensor) for m in finding.members]
-        truths = _truths(scene, keys)
+        truths = _truths(scene, _keys(finding))
         if len(truths) > 1:
             break
     else:
@@ -294,11 +294,22 @@ def _classes(report: GapReport) -> list[int]:
     return sorted(some, key=lambda k: -np.nan_to_num(report.findings[k].metres))
 
 
+def _keys(finding: Finding) -> list[Key]:
+    """Effect and sensor of each member of a class, and its axes where the class has the effect on others too."""
+    plain = [(m.effect, m.sensor) for m in finding.members]
+    return [(*k, *m.axes) if plain.count(k) > 1 else k for k, m in zip(plain, finding.members, strict=True)]
+
+
+def _of(variants: Sequence[Variant], key: Key) -> list[Variant]:
+    """The variants of a member of a class."""
+    return [v for v in variants if (v.effect, v.sensor) == key[:2] and (v.axes == key[2:] or not key[2:])]
+
+
 def _truths(scene: Scene, keys: Sequence[Key]) -> dict[Key, DriveHypothesis]:
     """The best explanation of a recording by each of some effects; those that have one."""
-    variants = [v for v in bank(scene) if (v.effect, v.sensor) in keys]
-    found = linear_hypotheses(scene, variants, scene.data, scene.always, ())
-    return {(h.effect, h.sensor): h for h in found if h.values}
+    variants = bank(scene)
+    each = {k: linear_hypotheses(scene, _of(variants, k), scene.data, scene.always, ()) for k in keys}
+    return {k: found[0] for k, found in each.items() if found and found[0].values}
 
 
 def _finding(h: DriveHypothesis) -> Finding:
@@ -319,7 +330,7 @@ class _Asked:
     flown : Flown
         The nominal filter on the measured recording.
     measured : Recording
-    truths : mapping of (effect, sensor) to DriveHypothesis
+    truths : mapping of (effect, sensor), with the axes where a class has an effect twice, to DriveHypothesis
         The members of the class at the size at which each explains that recording.
     fixes : Fixes
     """
@@ -374,7 +385,7 @@ class _Asked:
     def _enters(self, scene: Scene, key: Key, draws: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Array]:
         """Columns of a truth in a scene and its coefficients (k, draws)."""
         h = self.truths[key]
-        v = next(v for v in bank(scene) if (v.effect, v.sensor, v.axes, v.label) == (*key, h.axes, h.variant))
+        v = next(v for v in _of(bank(scene), key) if (v.axes, v.label) == (h.axes, h.variant))
         given = {x.name: x.value for x in h.values}
         t = scene.knots
         if h.effect in PROCESSES:
@@ -390,11 +401,13 @@ class _Asked:
 
     def _leads(self, scene: Scene, noise: Array, key: Key, moved: Array) -> dict[Key, Array]:
         """Lead of a truth that moves the right-hand sides over each other member, nats, repetition by repetition."""
-        variants = [v for v in bank(scene) if (v.effect, v.sensor) in self.truths]
         A, b = scene.data.conditioned(scene.always, noise + moved)
         # the first column decides what is worth a closer look
-        gains = pooled_evidence(variants, linear_evidence(variants, A, np.hstack([b[:, 1:2], b[:, 1:]])))
-        return {k: gains[key][1:] - g[1:] for k, g in gains.items() if k != key}
+        b, every, gains = np.hstack([b[:, 1:2], b[:, 1:]]), bank(scene), dict[Key, Array]()
+        for k in self.truths:
+            variants = _of(every, k)
+            gains[k] = pooled_evidence(variants, linear_evidence(variants, A, b))[k[0], k[1]][1:]
+        return {k: gains[key] - g for k, g in gains.items() if k != key}
 
     def kept(
         self, promised: Promise, recordings: int, rng: np.random.Generator, say: Say
@@ -427,12 +440,16 @@ def experiment_said(x: NextExperiment) -> list[str]:
         f"{100.0 * x.best.share:.0f} % of the pairs told apart (the same drive again: {100.0 * x.now.share:.0f} %)"
     ]
     for (truth, other), share in x.best.told.items():
-        words = f"{EFFECTS[truth[0]].name} from {EFFECTS[other[0]].name}: {100.0 * share:.0f} %, lead {x.best.leads[truth, other]:.1f} nats"
+        words = f"{_name(truth)} from {_name(other)}: {100.0 * share:.0f} %, lead {x.best.leads[truth, other]:.1f} nats"
         kept = x.kept.get((truth, other))
         lines.append(words + (f"; emulated {kept[0]} of {kept[1]}" if kept else ""))
     if any(max(p.told[pair] for p in x.tried) < 0.5 for pair in x.best.told):
         lines.append("pairs below a half are told apart by none of the manoeuvres that were tried")
     return lines
+
+
+def _name(key: Key) -> str:
+    return " ".join([EFFECTS[key[0]].name, *((key[1], ", ".join(key[2:])) if key[2:] else ())])
 
 
 def write_experiment(x: NextExperiment, path: str | Path) -> tuple[Path, Path]:
@@ -460,7 +477,7 @@ def write_experiment(x: NextExperiment, path: str | Path) -> tuple[Path, Path]:
         f"{math.degrees(lat):.9f}, {math.degrees(lon):.9f}, {h:.3f}, {v:.3f}"
         for (lat, lon, h), v in zip(w.llh, w.speed, strict=True)
     ]
-    truth = x.truths[x.finding.effect, x.finding.sensor]
+    truth = x.truths[_keys(x.finding)[0]]
     models, uses = _with(x.nominal.beliefs, truth)
     f, designs = x.fixes, {a: m.to_list(axis_unit(a)) for a, m in x.nominal.beliefs.items()}
     true: dict[str, Any] = {a: m.to_list(axis_unit(a)) for a, m in models.items()}

@@ -57,6 +57,8 @@ class Hypothesis(Generic[C]):
         Which of its shapes.
     sensor, axes
         Where; empty where the problem is one axis.
+    places : tuple of (axes, probability)
+        Axes on which the effect may be, those of the hypothesis first; empty where no others come into question.
     """
 
     effect: str
@@ -66,6 +68,7 @@ class Hypothesis(Generic[C]):
     variant: str = ""
     sensor: str = ""
     axes: tuple[str, ...] = ()
+    places: tuple[tuple[tuple[str, ...], float], ...] = ()
 
     @property
     def change(self) -> C:

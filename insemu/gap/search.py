@@ -94,15 +94,23 @@ def _names(problem: Problem[C]) -> tuple[tuple[str, str, tuple[str, ...]], ...]:
     return tuple(sorted((f.chosen.effect, f.chosen.sensor, f.chosen.axes) for f in problem.found))
 
 
-def reconsider(problem: Problem[C]) -> None:
-    """Drop or replace each finding now that the others are known."""
+def reconsider(problem: Problem[C], lead: float | None = None) -> None:
+    """Drop or replace each finding now that the others are known.
+
+    Parameters
+    ----------
+    problem : Problem
+    lead : float, optional
+        By how much a rival must be better, nats; the policy's where it is not given, so that a search ends.
+    """
+    lead = rules().swap_nats if lead is None else lead
     for old in list(problem.found):
         again = problem.again(old)
         if again is None:
             continue
         if again.idle:
             problem.drop(old, again)
-        elif again.rival is not None and again.rival.nats > again.kept.nats + rules().swap_nats:
+        elif again.rival is not None and again.rival.nats > again.kept.nats + lead:
             problem.put(old, again.rival, again)
         else:
             problem.put(old, again.kept, again)

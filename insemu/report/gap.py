@@ -36,9 +36,24 @@ def sensor_axes(sensor: str, axes: Sequence[str]) -> str:
 
 
 def _subject(finding: Finding) -> str:
-    where = sensor_axes(finding.sensor, finding.axes)
+    return _placed_name(finding.effect, finding.sensor, finding.axes)
+
+
+def _placed_name(effect: str, sensor: str, axes: Sequence[str]) -> str:
     # an effect of the whole IMU or of timing needs no place
-    return effect_name(finding.effect) if finding.sensor == "imu" else f"{effect_name(finding.effect)} of the {where}"
+    return effect_name(effect) if sensor == "imu" else f"{effect_name(effect)} of the {sensor_axes(sensor, axes)}"
+
+
+def _in_one_place(finding: Finding) -> bool:
+    """Whether all members of a class are on the axes of the finding."""
+    return all((m.sensor, m.axes) == (finding.sensor, finding.axes) for m in finding.members)
+
+
+def _class_names(finding: Finding) -> list[str]:
+    """The members of a class in words, each with its axes where these are not all the same."""
+    if _in_one_place(finding):
+        return [effect_name(m.effect) for m in finding.members]
+    return [_placed_name(m.effect, m.sensor, m.axes) for m in finding.members]
 
 
 #: What to do about an effect; ``{}`` stands for its first parameters.
@@ -132,11 +147,13 @@ def gap_headline(report: GapReport) -> str:
     doubted = sum(s.doubtful for s in found)
     doubt = f" Something is left unexplained in the place of {doubted} of {len(found)}." if doubted else ""
     if first.is_class:
-        or_names = " or ".join(effect_name(m.effect) for m in first.members)
+        or_names = " or ".join(_class_names(first))
         rest = [n for n in names if n != _subject(first)]
         besides = f" Besides: {_few(rest)}." if rest else ""
-        where = sensor_axes(first.sensor, first.axes)
-        return f"{ahead}The {where} has {or_names}: this recording cannot tell them apart. What would: {first.would_separate}.{besides}{doubt}"
+        where = (
+            f"The {sensor_axes(first.sensor, first.axes)} has" if _in_one_place(first) else "Missing from the model:"
+        )
+        return f"{ahead}{where} {or_names}: this recording cannot tell them apart. What would: {first.would_separate}.{besides}{doubt}"
     return f"{ahead}Missing from the model: {_few(names)}.{doubt}"
 
 
@@ -218,9 +235,10 @@ def _evidence(report: GapReport) -> list[Block]:
     """Nats of every finding's rivals."""
     rivals = []
     for finding in report.findings[:6]:
-        inside = {m.effect for m in finding.members}
         members = [*finding.members, *finding.runners_up][:6]
-        rivals.append((_subject(finding), [(effect_name(m.effect), m.nats, m.effect in inside) for m in members]))
+        names = _class_names(finding) + [effect_name(m.effect) for m in finding.runners_up]
+        inside = [k < len(finding.members) for k in range(len(members))]
+        rivals.append((_subject(finding), [(n, m.nats, i) for n, m, i in zip(names, members, inside, strict=False)]))
     return [evidence_chart(rivals)] if rivals else []
 
 
@@ -290,8 +308,9 @@ def _suspects(report: GapReport, names: Sequence[str]) -> list[Section]:
         suspects.append(
             Items(
                 [
-                    f"{' / '.join(effect_name(m.effect) for m in s.members)} ({sensor_axes(s.sensor, s.axes)}): "
-                    f"what would separate them is {s.would_separate}."
+                    f"{' / '.join(_class_names(s))}"
+                    + (f" ({sensor_axes(s.sensor, s.axes)})" if _in_one_place(s) else "")
+                    + f": what would separate them is {s.would_separate}."
                     for s in classes
                 ]
             )

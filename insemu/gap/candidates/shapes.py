@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -234,10 +234,27 @@ def linear_hypotheses(
         top = max(own for own, _, _ in mine)
         best[key] = min((m for m in mine if m[0] > top - rules().keep_nats), key=lambda m: (len(m[1].axes), -m[0]))
     return [
-        _described(scene, A, b, v, x, float(evidence[key][0]))
-        for key, (_, v, x) in best.items()
+        replace(_described(scene, A, b, v, x, float(evidence[key][0])), places=_places(own, v, tried[key]))
+        for key, (own, v, x) in best.items()
         if math.isfinite(float(evidence[key][0]))
     ]
+
+
+def _places(
+    nats: float, chosen: Variant, mine: Sequence[tuple[float, Variant, list[Array]]]
+) -> tuple[tuple[tuple[str, ...], float], ...]:
+    """Axes on which an effect may be, with the probability of each: those of the chosen variant, and of no wider ones that come near it."""
+    near = {chosen.axes: nats}
+    for own, v, _ in mine:
+        # a cell that shares columns with it, or its axes, is no other place
+        if v.axes == chosen.axes or v.index.size > chosen.index.size or np.isin(v.index, chosen.index).any():
+            continue
+        if own > nats - rules().lead:
+            near[v.axes] = max(own, near.get(v.axes, -math.inf))
+    if len(near) < 2:
+        return ()
+    p = np.exp(np.array(list(near.values())) - max(near.values()))
+    return tuple(zip(near, (p / p.sum()).tolist(), strict=True))
 
 
 def linear_nats(

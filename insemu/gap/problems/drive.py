@@ -64,7 +64,7 @@ from insemu.gap.problems.known import which
 from insemu.gap.problems.named import Named, believing, blocks_of, held_out, told, with_confusable
 from insemu.gap.problems.noise_of_fixes import NoiseOfFixes
 from insemu.gap.problems.together import opened
-from insemu.gap.search import Again, search
+from insemu.gap.search import Again, reconsider, search
 from insemu.gap.verdict import Finding, GapReport, Interval, Where, judged
 from insemu.gap.worth import Outage, outages_along, stated_in_outages, white_levels, worth_in_noise
 from insemu.records import AXES, Recording
@@ -422,6 +422,8 @@ def find_effects(
         search(problem, progress)
         problem.settle()
     if cut is None:
+        # a name is that of the best explanation
+        reconsider(problem, 0.0)
         problem.hold_against_the_rest()
     return problem.named()
 

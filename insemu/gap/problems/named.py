@@ -158,13 +158,24 @@ def told(f: Found[Change], named: Named, outages: Sequence[Outage]) -> Finding:
             metres = worth_in_motion(scene.loop, scene.motion, [scene.columns[i] for i in h.change.columns], mean)
         else:
             values = (Value.normal("value", float(mean[0]), math.sqrt(float(covariance[0, 0])), "m"), *values[1:])
-    own = next((k for k, r in enumerate(f.ranked) if (r.effect, r.sensor) == (h.effect, h.sensor)), 0)
-    rivals = [Member(r.effect, r.sensor, h.axes if k == own else r.axes, r.nats) for k, r in enumerate(f.ranked)]
-    members, others, confidence = class_of(rivals, own)
+    members, others, confidence = class_of(*rivals_of(f))
     needs = "; ".join(dict.fromkeys(EFFECTS[m.effect].excitation for m in members)) if len(members) > 1 else ""
     text = f"a recording with more of: {needs}" if needs else ""
     found = Finding(h.effect, h.variant, h.sensor, h.axes, values, confidence, h.nats, members, text, others)
     return replace(found, metres=metres if h.change.columns else worth_in_noise(found, None, outages))
+
+
+def rivals_of(f: Found[Change]) -> tuple[list[Member], int]:
+    """Everything that a finding was compared with, best first, an effect of uncertain axes once for each; and which of them was named."""
+    named, out = (f.chosen.effect, f.chosen.sensor), list[Member]()
+    for r in f.ranked:
+        mine = (r.effect, r.sensor) == named
+        places = r.places if r.places and not (mine and r.axes != f.chosen.axes) else ()
+        for axes, share in places or ((f.chosen.axes if mine else r.axes, 1.0),):
+            out.append(Member(r.effect, r.sensor, axes, r.nats + math.log(share)))
+    out.sort(key=lambda m: -m.nats)
+    own = (k for k, m in enumerate(out) if (m.effect, m.sensor, m.axes) == (*named, f.chosen.axes))
+    return out, next(own, 0)
 
 
 def with_confusable(
