@@ -236,9 +236,15 @@ def _evidence(report: GapReport) -> list[Block]:
     rivals = []
     for finding in report.findings[:6]:
         members = [*finding.members, *finding.runners_up][:6]
-        names = _class_names(finding) + [effect_name(m.effect) for m in finding.runners_up]
+        # the title says where the finding is
+        names = [
+            f"the same, {sensor_axes(m.sensor, m.axes)}"
+            if m.effect == finding.effect and (m.sensor, m.axes) != (finding.sensor, finding.axes)
+            else effect_name(m.effect)
+            for m in members
+        ]
         inside = [k < len(finding.members) for k in range(len(members))]
-        rivals.append((_subject(finding), [(n, m.nats, i) for n, m, i in zip(names, members, inside, strict=False)]))
+        rivals.append((_subject(finding), [(n, m.nats, i) for n, m, i in zip(names, members, inside, strict=True)]))
     return [evidence_chart(rivals)] if rivals else []
 
 

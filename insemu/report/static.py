@@ -33,8 +33,10 @@ WIDEST = 6.0
 MOST_INSIDE = 5
 #: What fits below a panel.
 CHARACTERS = 50
-#: What fits into a row of a panel's title.
-ROW = 38
+#: What fits into a row of a panel's title, and above bars whose slanted names make the panel narrower.
+ROW, SHORT_ROW = 38, 26
+#: Part of an axis of bars that is left free for a legend above them.
+LEGEND_ROOM = 0.4
 #: Part of an axis that is left free for the labels of bars.
 ROOM = 0.12
 #: Charts from which on processes draw them: one takes a second, a process starts in two where it is not forked.
@@ -62,6 +64,9 @@ def draw(*charts: Chart) -> MplFigure:
                     below |= dict(zip(labels, handles, strict=True))
                 else:
                     _thin(panel.legend(loc="upper right" if view.ticks else "best"))
+                    if view.ticks and not view.log_y:
+                        low, high = panel.get_ylim()
+                        panel.set_ylim(low, high + LEGEND_ROOM * (high - low))
             said |= shown
         if below:
             _thin(figure.legend(below.values(), below.keys(), loc="outside lower center", ncols=across + 1))
@@ -102,13 +107,15 @@ def draw_view(axes: Axes, chart: Chart, view: View) -> None:
     if drawable:
         axes.set(xscale="log" if chart.log_x else "linear", yscale="log" if view.log_y else "linear")
         _few_ticks(axes)
+    slanted = False
     if view.ticks:  # after the scale, which sets the ticks anew
-        _named_ticks(axes, view.ticks)
+        slanted = _named_ticks(axes, view.ticks)
         if view.labels and not view.log_y:
             axes.margins(y=ROOM)
     if chart.equal:
         axes.set_aspect("equal", adjustable="datalim")
-    axes.set(xlabel=chart.x_label, ylabel=view.y_label, title=textwrap.fill(view.name, ROW))
+    title = textwrap.fill(view.name, SHORT_ROW if slanted else ROW, break_on_hyphens=False)
+    axes.set(xlabel=chart.x_label, ylabel=view.y_label, title=title)
 
 
 def _few_ticks(axes: Axes) -> None:
@@ -118,8 +125,8 @@ def _few_ticks(axes: Axes) -> None:
             axis.set_minor_locator(NullLocator())
 
 
-def _named_ticks(axes: Axes, ticks: Sequence[tuple[float, str]]) -> None:
-    """Names below the x axis, slanted where they would not stand beside each other."""
+def _named_ticks(axes: Axes, ticks: Sequence[tuple[float, str]]) -> bool:
+    """Names below the x axis, slanted where they would not stand beside each other; whether they are."""
     names = [text for _, text in ticks]
     slanted = len(names) * max(len(row) for text in names for row in text.split("\n")) > CHARACTERS
     axes.set_xticks([x for x, _ in ticks], [n.replace("\n", " ") for n in names] if slanted else names)
@@ -127,6 +134,7 @@ def _named_ticks(axes: Axes, ticks: Sequence[tuple[float, str]]) -> None:
         plt.setp(axes.get_xticklabels(), rotation=25, ha="right", rotation_mode="anchor")
     axes.margins(x=0.5 / len(ticks))  # half a bar
     axes.grid(axis="x", visible=False)
+    return slanted
 
 
 def _stroke(line: Line) -> dict[str, Any]:
