@@ -26,7 +26,7 @@ from insemu.gap.data.counts import lattice
 from insemu.gap.data.log import Reduced, moving_spectrum
 from insemu.gap.data.lost import filled
 from insemu.gap.data.samples import advanced, coarse, mend, unclipped, without_motion
-from insemu.gap.drive.preparation import Flown, fast_parts, starting_state
+from insemu.gap.drive.preparation import COVARIANCE_S, Flown, fast_parts, starting_state
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop, columns_response, knot_response, ramps
 from insemu.gap.evidence.climb import laplace_together
@@ -316,6 +316,15 @@ def test_what_is_integrated_out_leaves_the_posterior_of_the_rest() -> None:
     _, every, scatter = data.posterior([block, *given])
     np.testing.assert_allclose(mean, every[:3], rtol=1e-9)
     np.testing.assert_allclose(covariance, scatter[:3, :3], rtol=1e-9)
+
+
+def test_longer_steps_of_the_covariance_move_the_innovations_by_a_thousandth() -> None:
+    r, each = recording(), []
+    for every in (1, round(COVARIANCE_S / r.imu.dt)):
+        options = FilterOptions(store="fixes", covariance_every=every)
+        sigma = InitialSigma(0.1, 0.05, (0.005, 0.005, 0.01))
+        each.append(Loop.of(run_filter(r.imu, r.gnss, r.reference, sigma, BELIEF, lever_arm=LEVER, options=options)).y)
+    assert 0.0 < np.sqrt(np.mean((each[1] - each[0]) ** 2)) < 1e-3
 
 
 def test_axes_that_explain_alike_are_a_class() -> None:
