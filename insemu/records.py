@@ -226,6 +226,11 @@ class ImuRecord(_Timed):
         values = np.asarray(rates, dtype=np.float64) * self.widths()
         return replace(self, gyro=values[:, :3], accel=values[:, 3:])
 
+    def repeated(self) -> NDArray[np.bool_]:
+        """Rows that repeat the row before in all six channels, (n,): the recorder read a sample twice."""
+        same = np.all((np.diff(self.gyro, axis=0) == 0.0) & (np.diff(self.accel, axis=0) == 0.0), axis=1)
+        return np.concatenate([[False], same])
+
     def rows(self, keep: slice | NDArray[np.bool_]) -> ImuRecord:
         """Some rows of the record."""
         temperature = None if self.temperature is None else self.temperature[keep]

@@ -417,6 +417,75 @@ def test_gaps_are_bridged_and_clipped_stretches_filled_in() -> None:
     assert not mend(ImuRecord(t, noisy, noisy, "mean")).findings
 
 
+def shaken(n: int, seed: int) -> NDArray[np.float64]:
+    """Signals (n, 3) that turn slowly and shake at 20 Hz, white noise far below, at 100 Hz."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(n) * 0.01
+    shaking = np.stack([np.convolve(rng.standard_normal(n + 8), np.cos(0.4 * np.pi * np.arange(9)), "valid")] * 3)
+    return np.asarray(np.sin(t)[:, None] + 0.1 * shaking.T + 1e-3 * rng.standard_normal((n, 3)))
+
+
+@pytest.mark.parametrize("how", ["stamps that skip", "rows that repeat"])
+def test_the_integral_over_lost_samples_is_known_as_well_as_is_said(how: str) -> None:
+    n, dt = 40_000, 0.01
+    signal, t, rng = shaken(n, 3), np.arange(n) * dt, np.random.default_rng(4)
+    gone = np.zeros(n, dtype=bool)
+    for k in range(100, n - 100, 150):
+        gone[k : k + rng.integers(1, 3)] = True
+    if how == "stamps that skip":
+        imu = ImuRecord(t[~gone], signal[~gone] * dt, signal[~gone] * dt, "increment")
+    else:
+        last = np.maximum.accumulate(np.where(gone, 0, np.arange(n)))
+        imu = ImuRecord(t, signal[last] * dt, signal[last] * dt, "increment")
+    mended = mend(imu)
+    (finding,) = mended.findings
+    assert finding.effect == "dropped_samples" and finding.nats > 1000.0
+    assert finding.parameters[0].low < 1.0 / 150.0 < finding.parameters[0].high
+    np.testing.assert_allclose(mended.imu.gyro[~gone], signal[~gone] * dt, rtol=1e-12)
+    # so many are white noise: errors of the angle over the time
+    off = (mended.imu.gyro - signal * dt)[:, 0]
+    over = np.add.reduceat(off, np.flatnonzero(np.diff(gone.astype(int)) == 1) + 1)
+    assert mended.filled == ()
+    assert mended.loss[0] == pytest.approx(float(np.sum(over**2)) / t[-1], rel=0.3)
+    # far more than the noise of the sensor, and what a sample of the vibration weighs
+    assert mended.loss[0] > 30.0 * 1e-3**2 * dt
+
+
+def test_few_lost_samples_are_carried_one_by_one() -> None:
+    n, dt = 4_000, 0.01
+    signal, t = shaken(n, 5), np.arange(n) * dt
+    gone = np.zeros(n, dtype=bool)
+    gone[[500, 1200, 1201, 3000]] = True
+    mended = mend(ImuRecord(t[~gone], signal[~gone], signal[~gone], "mean"))
+    assert len(mended.filled) == 18 and not mended.loss.any()
+    assert {(round(f.start, 9), round(f.end, 9)) for f in mended.filled} == {(4.99, 5.0), (11.99, 12.01), (29.99, 30.0)}
+    assert all(0.0 < f.sigma < 0.05 for f in mended.filled)
+
+
+def test_a_row_that_holds_the_whole_gap_leaves_nothing_open() -> None:
+    n, dt = 4_000, 0.01
+    signal, t = (5.0 + shaken(n, 6)) * dt, np.arange(n) * dt
+    total = np.cumsum(signal, axis=0)
+    keep = np.ones(n, dtype=bool)
+    keep[[500, 1200, 1201, 3000]] = False
+    whole = np.diff(total[keep], axis=0, prepend=0.0)
+    mended = mend(ImuRecord(t[keep], whole, whole, "increment"))
+    assert mended.filled == () and not mended.loss.any()
+    np.testing.assert_allclose(np.cumsum(mended.imu.gyro, axis=0)[keep], total[keep], atol=1e-12)
+
+
+def test_rows_that_repeat_by_themselves_are_not_lost() -> None:
+    rng, t = np.random.default_rng(7), np.arange(4_000) * 0.01
+    gyro, accel = np.round(
+        0.7 * rng.standard_normal((2, t.size, 3))
+    )  # six axes of counts repeat together in 3 of 1000 rows
+    imu = ImuRecord(t, gyro, accel, "mean")
+    assert imu.repeated().sum() > 3
+    assert "dropped_samples" not in {s.effect for s in mend(imu).findings}
+    still = np.zeros((t.size, 3))
+    assert not mend(ImuRecord(t, still, still, "mean")).filled
+
+
 def test_the_integral_of_a_clipped_stretch_is_known_as_well_as_is_said() -> None:
     rng, dt = np.random.default_rng(8), 0.02
     t = np.arange(30_000) * dt

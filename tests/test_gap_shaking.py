@@ -110,6 +110,15 @@ def test_a_shaken_vehicle_with_its_antenna_on_an_arm_lacks_nothing() -> None:
     assert {b.axis for b in report.band} == {f"{s}_{a}" for s in ("gyro", "accel") for a in "xyz"}
 
 
+def test_a_shaken_vehicle_that_loses_samples_lacks_nothing_else() -> None:
+    # each lost sample is an unknown turn of up to a tenth of a degree: a Gauss-Markov process of 327 nats and four effects more
+    measured, nominal = taken(sensors.draw_world(470000, 360.0, True), ())
+    keep = np.random.default_rng(470005).random(len(measured.imu)) > 0.002
+    measured = replace(measured, imu=measured.imu.rows(keep))
+    report = find_gap(measured, nominal, rng=np.random.default_rng(1), hold_out=False, pictures=False)
+    assert [s.effect for s in report.findings] == ["dropped_samples"]
+
+
 def test_the_axis_that_shakes_least_shakes_with_the_others() -> None:
     """Of a walker's six it exceeds no bin of its noise beyond doubt: its vibration was "unexplained", for it changes with time."""
     world = sensors.draw_world(410055, 360.0, True)

@@ -279,8 +279,7 @@ def _bridged(imu: ImuRecord, name: str) -> list[str]:
 
 def _repeated_rows(imu: ImuRecord, name: str) -> list[str]:
     """A warning where the recorder has read samples twice: it has then lost others, and vibration becomes low-frequency noise."""
-    both = np.concatenate([imu.gyro, imu.accel], axis=1)
-    count = int((np.diff(both, axis=0) == 0).all(axis=1).sum())
+    count = int(imu.repeated().sum())
     if count < REPEATED * len(imu):
         return []
     return [

@@ -16,6 +16,8 @@ REST_S, MOTION_S = 1.0, 0.08
 FEWEST = 6
 #: White noise that keeps the equations solvable, of the variance that the parabola leaves: motion is some thousand times the noise.
 RIDGE = 1e-6
+#: Sides of a real gap on which one of the same length is tried, :data:`NEAR` samples from it.
+BESIDE = (-1, 1)
 
 
 def places(lost: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
@@ -53,6 +55,52 @@ def filled(values: Array, missing: NDArray[np.bool_], width: float, rng: np.rand
         for column in out.T:
             _draw(column, missing, max(width, 0.5 * NEAR), rng)
     return out
+
+
+def missed(whole: Array, missing: NDArray[np.bool_], width: float, rng: np.random.Generator) -> Array:
+    """By how much the sums over filled gaps are wrong: gaps of the same length beside them, where nothing was lost, are filled and compared.
+
+    Parameters
+    ----------
+    whole : (n, k) array
+        Signals as :func:`filled` gives them.
+    missing : (n,) array of bool
+        Which samples were lost.
+    width : float
+        As of :func:`filled`.
+    rng : Generator
+
+    Returns
+    -------
+    (g, k) array
+        Standard deviation of the sum over each gap, unit of the signals; a gap's own trials count beside the mean of those of its length, as one
+        more. Zero where no gap of that length fits in anywhere.
+    """
+    first, last = runs(missing)
+    length = last - first
+    square, count = np.zeros((first.size, whole.shape[1])), np.zeros(first.size)
+    for side in BESIDE:  # one at a time: as many as there are
+        tried, taken = np.zeros_like(missing), missing.copy()
+        trials: list[tuple[int, int, int]] = []
+        for k, (a, b) in enumerate(zip(first, last, strict=True)):
+            start, end = (int(v) + side * (int(length[k]) + NEAR) for v in (a, b))
+            if start >= NEAR and end <= missing.size - NEAR and not taken[start - NEAR : end + NEAR].any():
+                tried[start:end] = taken[start:end] = True
+                trials.append((k, start, end))
+        total = np.cumsum(filled(whole[~tried], tried, width, rng) - whole, axis=0)
+        for k, start, end in trials:
+            square[k] += (total[end - 1] - total[start - 1]) ** 2
+            count[k] += 1.0
+    for alike in (length == n for n in np.unique(length)):
+        mean = square[alike].sum(axis=0) / max(1.0, float(count[alike].sum()))
+        square[alike] = (square[alike] + mean) / (count[alike] + 1.0)[:, None]
+    return np.asarray(np.sqrt(square))
+
+
+def runs(inside: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Where the stretches of an array begin, and the places behind their ends."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(np.int8)))
+    return edges[::2], edges[1::2]
 
 
 def _draw(x: Array, missing: NDArray[np.bool_], width: float, rng: np.random.Generator) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from insemu.gap.data.counts import lattice, pile_evidence
-from insemu.gap.data.lost import MOTION_S, filled, places
+from insemu.gap.data.lost import MOTION_S, filled, missed, places, runs
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Finding, Member, Value
 from insemu.noise import WN, NoiseModel
@@ -28,8 +28,8 @@ _SENSORS = (("gyro", "rad/s"), ("accel", "m/s^2"))
 
 
 @dataclass(frozen=True)
-class Clipped:
-    """A stretch at the full scale that was filled in: axis (0..5), when (s), and how uncertain its integral is (rad or m/s)."""
+class Filled:
+    """A stretch at the full scale, or lost, that was filled in: axis (0..5), when (s), and how uncertain its integral is (rad or m/s)."""
 
     axis: int
     start: float
@@ -39,25 +39,42 @@ class Clipped:
 
 @dataclass(frozen=True)
 class Mended:
-    """An IMU record after what its samples show was named and mended."""
+    """An IMU record after what its samples show was named and mended.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+    findings : tuple of Finding
+    filled : tuple of Filled
+        Stretches whose uncertainty is carried one by one.
+    loss : (6,) array
+        White noise that all other stretches add to an axis, squared: (rad/s)^2/Hz and (m/s^2)^2/Hz.
+    """
 
     imu: ImuRecord
     findings: tuple[Finding, ...]
-    clipped: tuple[Clipped, ...] = ()
+    filled: tuple[Filled, ...] = ()
+    loss: Array = field(default_factory=lambda: np.zeros(6))
 
 
 def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
     """Name dropped samples and saturation and mend the record: gaps bridged, clipped stretches filled in."""
     findings: list[Finding] = []
-    stretches: list[Clipped] = []
+    clipping: list[Filled] = []
+    lost: list[Filled] = []
     counts = _counts(imu)  # of what was recorded: a bridge lies on no lattice
     if "quantization" not in without:
         findings += _lattices(imu, counts)
     if "dropped_samples" not in without:
         bridged = _bridge(imu)
         if bridged is not None:
-            imu = bridged[0]
-            findings.append(bridged[1])
+            imu, finding, lost = bridged
+            findings.append(finding)
+        redrawn = _let_go(imu)
+        if redrawn is not None:
+            imu, finding, more = redrawn
+            findings.append(finding)
+            lost += more
     if "saturation" not in without:
         for first, (sensor, unit) in zip((0, 3), _SENSORS, strict=True):
             values = np.array(getattr(imu, sensor))
@@ -69,12 +86,26 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
                     continue
                 limit, at, nats = found
                 rates[:, k], around = unclipped(imu.t, rates[:, k], at)
-                stretches += [Clipped(first + k, *stretch) for stretch in around]
+                clipping += [Filled(first + k, *stretch) for stretch in around]
                 value = Value("limit", limit, limit, limit, unit)
                 findings.append(_finding("saturation", sensor, (axis,), (value,), nats))
                 imu = replace(imu, gyro=rates * widths) if sensor == "gyro" else replace(imu, accel=rates * widths)
-    carried = sorted(stretches, key=lambda c: -c.sigma)[:CARRIED]
-    return Mended(imu, tuple(sorted(findings, key=lambda s: -s.nats)), tuple(carried))
+    carried, loss = _carried(imu, clipping, lost)
+    return Mended(imu, tuple(sorted(findings, key=lambda s: -s.nats)), carried, loss)
+
+
+def _carried(imu: ImuRecord, clipping: list[Filled], lost: list[Filled]) -> tuple[tuple[Filled, ...], Array]:
+    """The stretches that are carried one by one, least certain first beside the noise of their axis, and the white noise of the others.
+
+    Errors over lost samples are as good as white noise where there are many of them.
+    """
+    noise = np.array([_noise(x) for x in imu.rates().T]) + 1e-300
+    many = lost if len(lost) > CARRIED else []
+    ranked = sorted(clipping if many else [*clipping, *lost], key=lambda c: -c.sigma / noise[c.axis])
+    loss = np.zeros(6)
+    for c in (*ranked[CARRIED:], *many):
+        loss[c.axis] += c.sigma**2 / float(imu.t[-1] - imu.t[0])
+    return tuple(ranked[:CARRIED]), loss
 
 
 def _counts(imu: ImuRecord) -> dict[str, dict[str, float]]:
@@ -152,11 +183,17 @@ def with_counts(beliefs: dict[str, NoiseModel], findings: Sequence[Finding], dt:
         if s.effect == "quantization":
             for axis, v in zip(s.axes, s.parameters, strict=True):
                 name = f"{s.sensor}_{axis}"
-                whites = [p for p in out[name] if isinstance(p, WN)]
-                if whites:
-                    level = math.sqrt(whites[0].parameters["N"] ** 2 + v.value**2 / 12.0 * dt)
-                    out[name] = NoiseModel(tuple(WN(level) if p is whites[0] else p for p in out[name]))
+                out[name] = louder(out[name], v.value**2 / 12.0 * dt)
     return out
+
+
+def louder(model: NoiseModel, more: float) -> NoiseModel:
+    """A model with more white noise, ``more`` the square of its density; one without white noise stays as it is."""
+    whites = [p for p in model if isinstance(p, WN)]
+    if not whites or more == 0.0:
+        return model
+    level = math.sqrt(whites[0].parameters["N"] ** 2 + more)
+    return NoiseModel(tuple(WN(level) if p is whites[0] else p for p in model))
 
 
 def advanced(imu: ImuRecord, sensor: str, by: float) -> ImuRecord:
@@ -191,7 +228,7 @@ def _finding(effect: str, sensor: str, axes: tuple[str, ...], values: tuple[Valu
     return Finding(effect, "samples", sensor, axes, values, 0.999, nats, (Member(effect, sensor, axes, nats),))
 
 
-def _bridge(imu: ImuRecord) -> tuple[ImuRecord, Finding] | None:
+def _bridge(imu: ImuRecord) -> tuple[ImuRecord, Finding, list[Filled]] | None:
     step = np.diff(imu.t)
     dt = float(np.median(step))
     steady = np.abs(step / dt - 1.0) < rules().stray
@@ -202,15 +239,9 @@ def _bridge(imu: ImuRecord) -> tuple[ImuRecord, Finding] | None:
     if not gaps.size or steady.sum() + gaps.size < 0.98 * step.size or gaps.size > 0.1 * step.size:
         return None
     n = step.size + int(missing[gaps].sum())
-    burst = float(missing[gaps].mean())
-    p = gaps.size / n
-    spread = 1.96 / math.sqrt(gaps.size)
-    values = (
-        Value("probability", p, p * math.exp(-spread), p * math.exp(spread), "1"),
-        Value("burst", burst, max(1.0, burst * math.exp(-spread)), burst * math.exp(spread), "1"),
-    )
     # a stamp that is missing is surprising by its share alone
-    nats = gaps.size * (1.0 - math.log(p))
+    nats = gaps.size * (1.0 - math.log(gaps.size / n))
+    finding = _lost(gaps.size, int(missing[gaps].sum()), n, nats, "samples")
     bridged = np.zeros(step.size, dtype=np.int64)
     bridged[gaps] = missing[gaps]
     at, empty = places(bridged)
@@ -218,20 +249,83 @@ def _bridge(imu: ImuRecord) -> tuple[ImuRecord, Finding] | None:
     # what a row after a gap holds: the increment of one interval, the others lost, or of the whole gap; whichever fits its neighbours
     share = np.ones((len(imu), 1))
     share[gaps + 1] = missing[gaps, None] + 1.0
-    columns = {}
-    for name in ("gyro", "accel"):
-        values_in = np.array(getattr(imu, name))
+    columns: dict[str, Array] = {}
+    stretches: list[Filled] = []
+    for first, (name, _) in zip((0, 3), _SENSORS, strict=True):
+        values_in, whole = np.array(getattr(imu, name)), False
         if imu.kind == "increment":
             neighbours = 0.5 * (values_in[gaps] + values_in[np.minimum(gaps + 2, len(imu) - 1)])
             lost, held = (
                 float(np.sum(np.abs(values_in[gaps + 1] - neighbours * factor))) for factor in (1.0, share[gaps + 1])
             )
-            values_in /= share if held < lost else 1.0
+            whole = held < lost
+            values_in /= share if whole else 1.0
         columns[name] = filled(values_in, empty, MOTION_S / dt, np.random.default_rng(n))
+        if whole:  # what was lost is known but for how it went about
+            _keep_sums(columns[name], empty)
+        else:
+            stretches += _stretches(columns[name], empty, t, imu.kind, first)
     temperature = None if imu.temperature is None else np.interp(t, imu.t, imu.temperature)
-    return ImuRecord(t, columns["gyro"], columns["accel"], imu.kind, temperature), _finding(
-        "dropped_samples", "imu", (), values, nats
+    return ImuRecord(t, columns["gyro"], columns["accel"], imu.kind, temperature), finding, stretches
+
+
+def _let_go(imu: ImuRecord) -> tuple[ImuRecord, Finding, list[Filled]] | None:
+    """Rows that repeat the row before on all axes: the recorder read a sample twice and lost another; they are drawn as lost ones are."""
+    held = imu.repeated()
+    begin, end = runs(held)
+    dt = float(np.median(np.diff(imu.t)))
+    count = int(held.sum())
+    if begin.size < 3 or count > 0.1 * held.size or np.max(end - begin) * dt > rules().longest_gap_s:
+        return None
+    # output counts repeat by themselves: on all axes at once as often as each does where not all of them do
+    values = np.hstack([imu.gyro, imu.accel])[~held]
+    chance = float(np.prod(np.maximum(np.mean(np.diff(values, axis=0) == 0.0, axis=0), 1.0 / len(values))))
+    share = begin.size / held.size
+    if share < 10.0 * chance:
+        return None
+    nats = begin.size * math.log(share / chance)
+    rng = np.random.default_rng(held.size)
+    columns = {name: filled(getattr(imu, name)[~held], held, MOTION_S / dt, rng) for name, _ in _SENSORS}
+    stretches = [
+        s
+        for first, (name, _) in zip((0, 3), _SENSORS, strict=True)
+        for s in _stretches(columns[name], held, imu.t, imu.kind, first)
+    ]
+    return (
+        replace(imu, gyro=columns["gyro"], accel=columns["accel"]),
+        _lost(begin.size, count, held.size, nats, "held"),
+        stretches,
     )
+
+
+def _lost(bursts: int, lost: int, n: int, nats: float, variant: str) -> Finding:
+    """Lost samples as a finding: share of samples that begin a burst, mean length of a burst."""
+    share, length, spread = bursts / n, lost / bursts, 1.96 / math.sqrt(bursts)
+    values = (
+        Value("probability", share, share * math.exp(-spread), share * math.exp(spread), "1"),
+        Value("burst", length, max(1.0, length * math.exp(-spread)), length * math.exp(spread), "1"),
+    )
+    return replace(_finding("dropped_samples", "imu", (), values, nats), variant=variant)
+
+
+def _stretches(values: Array, empty: NDArray[np.bool_], t: Array, kind: str, first: int) -> list[Filled]:
+    """The filled gaps of a sensor whose axes begin at ``first``, with how uncertain their integrals are."""
+    dt = float(np.median(np.diff(t)))
+    wrong = missed(values, empty, MOTION_S / dt, np.random.default_rng([empty.size, first]))
+    wrong *= 1.0 if kind == "increment" else dt
+    begin, end = runs(empty)
+    return [
+        Filled(first + k, float(t[a - 1]), float(t[b - 1]), float(s))
+        for a, b, each in zip(begin, end, wrong, strict=True)
+        for k, s in enumerate(each)
+    ]
+
+
+def _keep_sums(filled_in: Array, empty: NDArray[np.bool_]) -> None:
+    """Move each gap with the row behind it, which holds the mean of the whole gap, so that their sum is what was measured; in place."""
+    for a, b in zip(*runs(empty), strict=True):
+        rows = slice(a, b + 1)
+        filled_in[rows] += filled_in[b] - filled_in[rows].mean(axis=0)
 
 
 def clipped(rates: Array, step: float = 0.0) -> tuple[float, NDArray[np.bool_], float] | None:

@@ -1,4 +1,4 @@
-"""Columns beside those of the catalogue: structure outside of it, clipped stretches, and what the vehicle's shaking rectifies."""
+"""Columns beside those of the catalogue: structure outside of it, filled-in stretches, and what the vehicle's shaking rectifies."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from insemu import rotation
 from insemu.effects import Column, Motion
-from insemu.gap.data.samples import Clipped
+from insemu.gap.data.samples import Filled
 
 Array = NDArray[np.float64]
 
@@ -55,15 +55,15 @@ def library_columns(motion: Motion, t_fix: Array, mounting: Sequence[float] = (0
     return out
 
 
-def clipped_columns(motion: Motion, clipped: Sequence[Clipped]) -> list[Column]:
-    """What filling in each clipped stretch may have got wrong: an unknown integral over it."""
+def filled_columns(motion: Motion, filled: Sequence[Filled]) -> list[Column]:
+    """What filling in each clipped or lost stretch may have got wrong: an unknown integral over it."""
     out = []
-    for c in clipped:
+    for c in filled:
         inside = (motion.t > c.start) & (motion.t <= c.end)
         if inside.any():
             signal = inside / (motion.t[1] - motion.t[0]) / float(inside.sum())
             sensor, unit = ("gyro", "rad") if c.axis < 3 else ("accel", "m/s")
-            out.append(Column("clipped", sensor, "integral", ("xyz"[c.axis % 3],), c.sigma, unit, ((c.axis, signal),)))
+            out.append(Column("filled", sensor, "integral", ("xyz"[c.axis % 3],), c.sigma, unit, ((c.axis, signal),)))
     return out
 
 

@@ -22,7 +22,7 @@ from insemu.filters import (
 )
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.data.log import Reduced, moving_spectra
-from insemu.gap.data.samples import Clipped, without_motion
+from insemu.gap.data.samples import Mended, louder, without_motion
 from insemu.gap.drive.shaking import rectified, steadied, without_shaking
 from insemu.gap.drive.signatures import Loop, whitening
 from insemu.gap.evidence.fixes import LEVEL_GROUPS, PLAIN, FixNoise, Surrogate, level_scores
@@ -64,8 +64,8 @@ class Prepared:
         Initial state and its standard deviations.
     nominal : Nominal
         What is believed.
-    clipped : tuple of Clipped
-        Stretches of the IMU that were filled in.
+    mended : Mended, optional
+        The IMU record as its samples were mended, where they were.
     levels : (6,) array
         Levels of the fixes that were named, as ratios; the trimming stays within its tolerance of them.
     rectified : (n, 2) array, optional
@@ -94,7 +94,7 @@ class Prepared:
     factors: Array
     start: tuple[NavState, InitialSigma]
     nominal: Nominal
-    clipped: tuple[Clipped, ...] = ()
+    mended: Mended | None = None
     levels: Array = field(default_factory=lambda: np.ones(6))
     rectified: Array | None = None
     swings: bool = False
@@ -244,7 +244,13 @@ def flown_once(recording: Recording, nominal: Nominal) -> FilterResult:
     return _run(imu, with_sigma(gnss, nominal), (initial, sigma), beliefs, np.array(nominal.gnss.lever_arm))
 
 
-def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], levels: dict[str, float]) -> Prepared:
+def prepare(
+    recording: Recording,
+    nominal: Nominal,
+    fast: dict[str, Reduced],
+    levels: dict[str, float],
+    mended: Mended | None = None,
+) -> Prepared:
     """Run the nominal filter, its white noise and GNSS levels trimmed by at most the tolerance of a nominal level.
 
     Parameters
@@ -253,6 +259,8 @@ def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], le
         From :func:`fast_parts`.
     levels : mapping of axis to float
         White-noise densities that were named as an effect and are used as they are.
+    mended : Mended, optional
+        The IMU record as its samples were mended, where they were.
 
     Raises
     ------
@@ -268,13 +276,15 @@ def prepare(recording: Recording, nominal: Nominal, fast: dict[str, Reduced], le
         )
     gnss = with_sigma(gnss, nominal)
     beliefs = {name: _trimmed(nominal.beliefs[name], fast[name], levels.get(name)) for name in AXES}
+    if mended is not None:  # what is wrong over a gap is seen in no spectrum
+        beliefs = {name: louder(beliefs[name], float(more)) for name, more in zip(AXES, mended.loss, strict=True)}
     start = (initial, sigma)
     lever, recorded = np.array(nominal.gnss.lever_arm), gnss
     gnss = _on_arm(imu, recorded, start, beliefs, lever, lever)
     result = _run(imu, gnss, start, beliefs, lever)
     left = rectified(imu, fast)
     prepared = Prepared(
-        imu, gnss, result, beliefs, fast, lever, np.ones(6), start, nominal,
+        imu, gnss, result, beliefs, fast, lever, np.ones(6), start, nominal, mended,
         rectified=left, swings=left is not None and bool(np.any(lever)), steadied=_moved(recorded, gnss), raised=_raised(recorded, gnss),
         first=_stood_on(recording, imu, recorded), began=float(recording.imu.t[0]), recorded=recorded,
     )  # fmt: skip

@@ -16,7 +16,7 @@ from insemu.effects import EFFECTS, Column, FixGeometry, Motion, catalogue_colum
 from insemu.errors import InputError
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.drive.apart import without
-from insemu.gap.drive.columns import clipped_columns, library_columns, rectified_columns
+from insemu.gap.drive.columns import filled_columns, library_columns, rectified_columns
 from insemu.gap.drive.corrected import corrected_data, slow_knots
 from insemu.gap.drive.preparation import Prepared, likeliest_levels
 from insemu.gap.drive.signatures import Loop, columns_response, fix_step_response, knot_response, ramps
@@ -58,7 +58,7 @@ class Scene:
     catalogue : int
         Number of columns of the catalogue.
     outside : slice
-        Columns of the library; behind them stand the clipped stretches and what the vehicle's shaking rectifies.
+        Columns of the library; behind them stand the filled-in stretches and what the vehicle's shaking rectifies.
     knots, starts : arrays
         Times in s.
     corrections : mapping of column index to number
@@ -114,7 +114,7 @@ class Scene:
         if prepared.first.any():
             columns = [c if c.fixes is None else replace(c, start=c.fixes[0]) for c in columns]
         outside = slice(catalogue, len(columns))
-        columns += clipped_columns(motion, prepared.clipped)
+        columns += filled_columns(motion, prepared.mended.filled if prepared.mended else ())
         columns += rectified_columns(prepared.rectified)
         start, end = float(motion.t[0]), float(motion.t[-1])
         knots = slow_knots(start, end)
@@ -149,7 +149,7 @@ class Scene:
 
     @cached_property
     def always(self) -> tuple[Block, ...]:
-        """What is uncertain whatever the effects are: the integrals of clipped stretches, coning and sculling of what shakes."""
+        """What is uncertain whatever the effects are: the integrals of filled-in stretches, coning and sculling of what shakes."""
         index = np.arange(self.outside.stop, len(self.columns))
         return ((index, np.diag([self.columns[i].scale for i in index])),) if index.size else ()
 

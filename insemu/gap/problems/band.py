@@ -15,7 +15,7 @@ from insemu.gap.candidates.outliers import evident_outliers
 from insemu.gap.candidates.shapes import PROCESSES, Change
 from insemu.gap.candidates.tones import wandering, without_tones
 from insemu.gap.data.log import Reduced, unheard
-from insemu.gap.data.samples import advanced
+from insemu.gap.data.samples import Mended, advanced
 from insemu.gap.drive.preparation import Prepared, fixes_score, prepare
 from insemu.gap.evidence.model import Component, Explanation
 from insemu.gap.evidence.modes import Free
@@ -150,6 +150,7 @@ def without_delay(
     parts: dict[str, Reduced],
     levels: dict[str, float],
     fast: Mapping[str, AxisResult],
+    mended: Mended,
     prepared: Prepared | None = None,
 ) -> tuple[Prepared, Recording, dict[str, float]]:
     """The nominal filter on sensors set forward by the delay of the low-pass that the fast band shows, and that delay, s per sensor.
@@ -169,6 +170,8 @@ def without_delay(
         White-noise densities that were named as an effect, unit/sqrt(Hz).
     fast : mapping of axis to AxisResult
         What the fast band shows.
+    mended : Mended
+        The IMU record as its samples were mended.
     prepared : Prepared, optional
         The nominal filter on the recording as it is.
 
@@ -177,7 +180,7 @@ def without_delay(
     InputError
         The nominal filter cannot run on the recording; see :func:`insemu.gap.drive.preparation.prepare`.
     """
-    best = prepared or prepare(recording, nominal, parts, levels)
+    best = prepared or prepare(recording, nominal, parts, levels, mended)
     late: dict[str, float] = {}
     for sensor in ("gyro", "accel"):
         roll = [fast[f"{sensor}_{a}"].end.explanation.rolloff for a in "xyz" if f"{sensor}_{a}" in fast]
@@ -186,7 +189,7 @@ def without_delay(
             continue
         delay = float(np.median(delays))
         moved = replace(recording, imu=advanced(recording.imu, sensor, delay))
-        tried = prepare(moved, nominal, parts, levels)
+        tried = prepare(moved, nominal, parts, levels, mended)
         if fixes_score(tried.result.fixes) > fixes_score(best.result.fixes):
             best, recording, late[sensor] = tried, moved, delay
     return best, recording, late

@@ -490,10 +490,8 @@ class _Drive:
         fast = fast_effects(parts, nominal, rules().fast_nats, without, say, clipped=clipped)
         fast, parts = without_its_vibration(fast, parts)
         levels = {name: level for name, r in fast if (level := white_level(r)) is not None}
-        prepared, recording, late = without_delay(
-            recording, nominal, parts, levels, dict(fast), flown.prepared if flown and not levels else None
-        )
-        prepared = replace(prepared, clipped=mended.clipped)
+        ready = flown.prepared if flown and not levels else None
+        prepared, recording, late = without_delay(recording, nominal, parts, levels, dict(fast), mended, ready)
         return cls(whole, believed, recording, nominal, noticed, parts, clipped, fast, levels, late, prepared)
 
     def held_out(self, scene: Scene, threshold: float, without: Collection[str]) -> tuple[Interval, Interval, Interval]:

@@ -75,7 +75,7 @@ def left(recording: Recording, nominal: Nominal, findings: Sequence[Finding]) ->
     mended = mend(recording.imu)
     nominal = replace(nominal, beliefs=with_counts(nominal.beliefs, mended.findings, recording.imu.dt))
     recording = replace(recording, imu=mended.imu)
-    scene = opened(replace(prepare(recording, nominal, fast_parts(recording, nominal), {}), clipped=mended.clipped))
+    scene = opened(prepare(recording, nominal, fast_parts(recording, nominal), {}, mended))
     found = list(findings)
     owners = _columns(scene, found)
     gain = 0.0
