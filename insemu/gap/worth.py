@@ -132,6 +132,14 @@ def worth_in_noise(
     return math.sqrt(max(total, 0.0) / len(outages))
 
 
+def worth_of_white(noise: Array, outages: Sequence[Outage]) -> float:
+    """Standard deviation of the position, m, that white noise of the six axes adds in an outage, its densities squared; NaN without any."""
+    if not outages or not noise.any():
+        return math.nan
+    total = sum(float(noise @ np.einsum("kad,k->a", o.weight**2, 1.0 / o.width)) for o in outages)
+    return math.sqrt(total / len(outages))
+
+
 def _covariance(effect: str, p: Mapping[str, float], t: Array) -> Array | None:
     """Covariance of an effect's signal in an outage, which begins with what a filter has not learnt: nothing of a walk or a ramp before it."""
     try:

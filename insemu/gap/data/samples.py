@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -49,12 +49,15 @@ class Mended:
         Stretches whose uncertainty is carried one by one.
     loss : (6,) array
         White noise that all other stretches add to an axis, squared: (rad/s)^2/Hz and (m/s^2)^2/Hz.
+    noise : mapping of effect to (6,) array
+        That of all stretches of an effect, in the same unit.
     """
 
     imu: ImuRecord
     findings: tuple[Finding, ...]
     filled: tuple[Filled, ...] = ()
     loss: Array = field(default_factory=lambda: np.zeros(6))
+    noise: Mapping[str, Array] = field(default_factory=dict)
 
 
 def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
@@ -91,7 +94,8 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
                 findings.append(_finding("saturation", sensor, (axis,), (value,), nats))
                 imu = replace(imu, gyro=rates * widths) if sensor == "gyro" else replace(imu, accel=rates * widths)
     carried, loss = _carried(imu, clipping, lost)
-    return Mended(imu, tuple(sorted(findings, key=lambda s: -s.nats)), carried, loss)
+    noise = {"saturation": _as_noise(imu, clipping), "dropped_samples": _as_noise(imu, lost)}
+    return Mended(imu, tuple(sorted(findings, key=lambda s: -s.nats)), carried, loss, noise)
 
 
 def _carried(imu: ImuRecord, clipping: list[Filled], lost: list[Filled]) -> tuple[tuple[Filled, ...], Array]:
@@ -102,10 +106,15 @@ def _carried(imu: ImuRecord, clipping: list[Filled], lost: list[Filled]) -> tupl
     noise = np.array([_noise(x) for x in imu.rates().T]) + 1e-300
     many = lost if len(lost) > CARRIED else []
     ranked = sorted(clipping if many else [*clipping, *lost], key=lambda c: -c.sigma / noise[c.axis])
-    loss = np.zeros(6)
-    for c in (*ranked[CARRIED:], *many):
-        loss[c.axis] += c.sigma**2 / float(imu.t[-1] - imu.t[0])
-    return tuple(ranked[:CARRIED]), loss
+    return tuple(ranked[:CARRIED]), _as_noise(imu, [*ranked[CARRIED:], *many])
+
+
+def _as_noise(imu: ImuRecord, stretches: Sequence[Filled]) -> Array:
+    """The white noise (6,) that errors over stretches make on each axis, squared."""
+    total = np.zeros(6)
+    for s in stretches:
+        total[s.axis] += s.sigma**2
+    return total / float(imu.t[-1] - imu.t[0])
 
 
 def _counts(imu: ImuRecord) -> dict[str, dict[str, float]]:
