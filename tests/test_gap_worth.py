@@ -16,7 +16,15 @@ from insemu.gap.drive.corrected import corrected_data
 from insemu.gap.drive.preparation import fast_parts, prepare
 from insemu.gap.drive.scene import Scene
 from insemu.gap.verdict import Interval
-from insemu.gap.worth import GRAVITY, outages_along, worth_in_motion, worth_in_noise, worth_of_mounting
+from insemu.gap.worth import (
+    GRAVITY,
+    at_rest,
+    outages_along,
+    worth_in_motion,
+    worth_in_noise,
+    worth_of_mounting,
+    worth_of_white,
+)
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import GnssRecord, Recording
 from insemu.report import finding_action, finding_metres
@@ -54,6 +62,13 @@ def test_noise_grows_as_the_textbook_says(effect: str, name: str, accel: float, 
 def test_of_white_noise_only_what_was_not_believed_counts() -> None:
     found = finding("white_noise", "accel", N=5e-3)
     assert worth_in_noise(found, {"accel_x": 3e-3}) == pytest.approx(4e-3 * math.sqrt(T**3 / 3.0), rel=5e-3)
+
+
+def test_white_noise_of_all_axes_adds_up() -> None:
+    one, other = finding("white_noise", "gyro", N=1e-4), finding("white_noise", "accel", N=2e-3)
+    both = worth_of_white(np.array([1e-8, 0.0, 0.0, 4e-6, 0.0, 0.0]), at_rest())
+    assert both == pytest.approx(math.hypot(worth_in_noise(one), worth_in_noise(other)), rel=1e-9)
+    assert math.isnan(worth_of_white(np.zeros(6), at_rest())) and math.isnan(worth_of_white(np.ones(6), []))
 
 
 def test_a_slow_process_is_worth_a_bias_and_what_has_no_form_is_left_open() -> None:

@@ -106,8 +106,7 @@ def timing(t: Array, counts: Mapping[str, int], *, moving: bool = True) -> list[
 
 def repeats(imu: ImuRecord) -> list[Line]:
     """Rows that hold the same six numbers as the row before."""
-    both = np.hstack([imu.gyro, imu.accel])
-    same = int((np.diff(both, axis=0) == 0).all(axis=1).sum())
+    same = int(imu.repeated().sum())
     if same < 0.002 * len(imu):
         return []
     return [
