@@ -28,12 +28,12 @@ def places(lost: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_
     return at, missing
 
 
-def filled(values: Array, missing: NDArray[np.bool_], width: float, rng: np.random.Generator) -> Array:
-    """Signals with their lost samples drawn from what the ones around them leave open.
+def filled(values: Array, missing: NDArray[np.bool_], width: float, rng: np.random.Generator | None = None) -> Array:
+    """Signals with their lost samples drawn from what the ones around them leave open, or with the mean of that.
 
     A parabola through the neighbours follows what is slow; the autocovariance of what it leaves decides how far a lost sample follows those
     beside it and how much it is drawn. Interpolated samples would be too smooth: the noise of a log that lost many would look coloured, and that
-    of a drive too small.
+    of a drive too small. What integrates the samples errs least by their mean.
 
     Parameters
     ----------
@@ -43,7 +43,8 @@ def filled(values: Array, missing: NDArray[np.bool_], width: float, rng: np.rand
         Which places are empty; m of them are not.
     width : float
         Samples over which the parabola is wide: the standard deviation of its Gaussian weights.
-    rng : Generator
+    rng : Generator, optional
+        To draw with; without it the mean is taken.
 
     Returns
     -------
@@ -57,8 +58,8 @@ def filled(values: Array, missing: NDArray[np.bool_], width: float, rng: np.rand
     return out
 
 
-def missed(whole: Array, missing: NDArray[np.bool_], width: float, rng: np.random.Generator) -> Array:
-    """By how much the sums over filled gaps are wrong: gaps of the same length beside them, where nothing was lost, are filled and compared.
+def missed(whole: Array, missing: NDArray[np.bool_], width: float) -> Array:
+    """By how much sums over gaps filled with the mean are wrong, by gaps of the same length beside them where nothing was lost.
 
     Parameters
     ----------
@@ -68,7 +69,6 @@ def missed(whole: Array, missing: NDArray[np.bool_], width: float, rng: np.rando
         Which samples were lost.
     width : float
         As of :func:`filled`.
-    rng : Generator
 
     Returns
     -------
@@ -87,7 +87,7 @@ def missed(whole: Array, missing: NDArray[np.bool_], width: float, rng: np.rando
             if start >= NEAR and end <= missing.size - NEAR and not taken[start - NEAR : end + NEAR].any():
                 tried[start:end] = taken[start:end] = True
                 trials.append((k, start, end))
-        total = np.cumsum(filled(whole[~tried], tried, width, rng) - whole, axis=0)
+        total = np.cumsum(filled(whole[~tried], tried, width) - whole, axis=0)
         for k, start, end in trials:
             square[k] += (total[end - 1] - total[start - 1]) ** 2
             count[k] += 1.0
@@ -103,7 +103,7 @@ def runs(inside: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64
     return edges[::2], edges[1::2]
 
 
-def _draw(x: Array, missing: NDArray[np.bool_], width: float, rng: np.random.Generator) -> None:
+def _draw(x: Array, missing: NDArray[np.bool_], width: float, rng: np.random.Generator | None) -> None:
     """Draw the lost samples of one signal in place, and once more by the autocovariance of the whole signal."""
     slow = _slow(x, (~missing).astype(np.float64), width)
     counted = ~missing
@@ -126,7 +126,7 @@ def _lagged(x: Array) -> Array:
 
 
 def _draw_by(
-    r: Array, x: Array, slow: Array, fast: Array, missing: NDArray[np.bool_], rng: np.random.Generator
+    r: Array, x: Array, slow: Array, fast: Array, missing: NDArray[np.bool_], rng: np.random.Generator | None
 ) -> None:
     known: dict[bytes, tuple[Array, float]] = {}
     there = ~missing
@@ -138,7 +138,7 @@ def _draw_by(
             weights = np.linalg.solve(r[np.abs(near[:, None] - near[None, :])], r[np.abs(near - k)])
             known[key] = weights, float(np.sqrt(max(r[0] - weights @ r[np.abs(near - k)], 0.0)))
         weights, spread = known[key]
-        fast[k] = weights @ fast[near] + spread * rng.standard_normal()
+        fast[k] = weights @ fast[near] + (0.0 if rng is None else spread * rng.standard_normal())
         x[k] = slow[k] + fast[k]
         there[k] = True
 

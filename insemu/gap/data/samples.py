@@ -44,6 +44,9 @@ class Mended:
     Parameters
     ----------
     imu : ImuRecord
+        With what fills a gap best, for a filter.
+    heard : ImuRecord
+        With lost samples that are as noisy as the others, for a spectrum.
     findings : tuple of Finding
     filled : tuple of Filled
         Stretches whose uncertainty is carried one by one.
@@ -54,6 +57,7 @@ class Mended:
     """
 
     imu: ImuRecord
+    heard: ImuRecord
     findings: tuple[Finding, ...]
     filled: tuple[Filled, ...] = ()
     loss: Array = field(default_factory=lambda: np.zeros(6))
@@ -65,19 +69,20 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
     findings: list[Finding] = []
     clipping: list[Filled] = []
     lost: list[Filled] = []
+    gone = np.zeros(1, dtype=np.bool_)
     counts = _counts(imu)  # of what was recorded: a bridge lies on no lattice
     if "quantization" not in without:
         findings += _lattices(imu, counts)
     if "dropped_samples" not in without:
         bridged = _bridge(imu)
         if bridged is not None:
-            imu, finding, lost = bridged
+            imu, gone, finding, lost = bridged
             findings.append(finding)
-        redrawn = _let_go(imu)
-        if redrawn is not None:
-            imu, finding, more = redrawn
+        let_go = _let_go(imu)
+        if let_go is not None:
+            imu, held, finding, more = let_go
             findings.append(finding)
-            lost += more
+            gone, lost = gone | held if gone.any() else held, lost + more
     if "saturation" not in without:
         for first, (sensor, unit) in zip((0, 3), _SENSORS, strict=True):
             values = np.array(getattr(imu, sensor))
@@ -95,7 +100,16 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
                 imu = replace(imu, gyro=rates * widths) if sensor == "gyro" else replace(imu, accel=rates * widths)
     carried, loss = _carried(imu, clipping, lost)
     noise = {"saturation": _as_noise(imu, clipping), "dropped_samples": _as_noise(imu, lost)}
-    return Mended(imu, tuple(sorted(findings, key=lambda s: -s.nats)), carried, loss, noise)
+    heard = _filled(imu, gone, np.random.default_rng(gone.size)) if gone.any() else imu
+    return Mended(imu, heard, tuple(sorted(findings, key=lambda s: -s.nats)), carried, loss, noise)
+
+
+def _filled(imu: ImuRecord, gone: NDArray[np.bool_], rng: np.random.Generator | None = None) -> ImuRecord:
+    """A record with the samples of some rows drawn, or with their means."""
+    width = MOTION_S / float(np.median(np.diff(imu.t)))
+    return replace(
+        imu, gyro=filled(imu.gyro[~gone], gone, width, rng), accel=filled(imu.accel[~gone], gone, width, rng)
+    )
 
 
 def _carried(imu: ImuRecord, clipping: list[Filled], lost: list[Filled]) -> tuple[tuple[Filled, ...], Array]:
@@ -237,7 +251,7 @@ def _finding(effect: str, sensor: str, axes: tuple[str, ...], values: tuple[Valu
     return Finding(effect, "samples", sensor, axes, values, 0.999, nats, (Member(effect, sensor, axes, nats),))
 
 
-def _bridge(imu: ImuRecord) -> tuple[ImuRecord, Finding, list[Filled]] | None:
+def _bridge(imu: ImuRecord) -> tuple[ImuRecord, NDArray[np.bool_], Finding, list[Filled]] | None:
     step = np.diff(imu.t)
     dt = float(np.median(step))
     steady = np.abs(step / dt - 1.0) < rules().stray
@@ -269,17 +283,17 @@ def _bridge(imu: ImuRecord) -> tuple[ImuRecord, Finding, list[Filled]] | None:
             )
             whole = held < lost
             values_in /= share if whole else 1.0
-        columns[name] = filled(values_in, empty, MOTION_S / dt, np.random.default_rng(n))
+        columns[name] = filled(values_in, empty, MOTION_S / dt)
         if whole:  # what was lost is known but for how it went about
             _keep_sums(columns[name], empty)
         else:
             stretches += _stretches(columns[name], empty, t, imu.kind, first)
     temperature = None if imu.temperature is None else np.interp(t, imu.t, imu.temperature)
-    return ImuRecord(t, columns["gyro"], columns["accel"], imu.kind, temperature), finding, stretches
+    return ImuRecord(t, columns["gyro"], columns["accel"], imu.kind, temperature), empty, finding, stretches
 
 
-def _let_go(imu: ImuRecord) -> tuple[ImuRecord, Finding, list[Filled]] | None:
-    """Rows that repeat the row before on all axes: the recorder read a sample twice and lost another; they are drawn as lost ones are."""
+def _let_go(imu: ImuRecord) -> tuple[ImuRecord, NDArray[np.bool_], Finding, list[Filled]] | None:
+    """Rows that repeat the row before on all axes: the recorder read a sample twice and lost another; they are filled as gaps are."""
     held = imu.repeated()
     begin, end = runs(held)
     dt = float(np.median(np.diff(imu.t)))
@@ -293,18 +307,11 @@ def _let_go(imu: ImuRecord) -> tuple[ImuRecord, Finding, list[Filled]] | None:
     if share < 10.0 * chance:
         return None
     nats = begin.size * math.log(share / chance)
-    rng = np.random.default_rng(held.size)
-    columns = {name: filled(getattr(imu, name)[~held], held, MOTION_S / dt, rng) for name, _ in _SENSORS}
+    imu = _filled(imu, held)
     stretches = [
-        s
-        for first, (name, _) in zip((0, 3), _SENSORS, strict=True)
-        for s in _stretches(columns[name], held, imu.t, imu.kind, first)
+        s for first, values in ((0, imu.gyro), (3, imu.accel)) for s in _stretches(values, held, imu.t, imu.kind, first)
     ]
-    return (
-        replace(imu, gyro=columns["gyro"], accel=columns["accel"]),
-        _lost(begin.size, count, held.size, nats, "held"),
-        stretches,
-    )
+    return imu, held, _lost(begin.size, count, held.size, nats, "held"), stretches
 
 
 def _lost(bursts: int, lost: int, n: int, nats: float, variant: str) -> Finding:
@@ -320,7 +327,7 @@ def _lost(bursts: int, lost: int, n: int, nats: float, variant: str) -> Finding:
 def _stretches(values: Array, empty: NDArray[np.bool_], t: Array, kind: str, first: int) -> list[Filled]:
     """The filled gaps of a sensor whose axes begin at ``first``, with how uncertain their integrals are."""
     dt = float(np.median(np.diff(t)))
-    wrong = missed(values, empty, MOTION_S / dt, np.random.default_rng([empty.size, first]))
+    wrong = missed(values, empty, MOTION_S / dt)
     wrong *= 1.0 if kind == "increment" else dt
     begin, end = runs(empty)
     return [

@@ -482,7 +482,7 @@ class _Drive:
         nominal = replace(believed, beliefs=with_counts(believed.beliefs, mended.findings, recording.imu.dt))
         recording = replace(recording, imu=mended.imu)
         flown = None if mended.findings else flown
-        parts = flown.fast if flown else fast_parts(recording, nominal)
+        parts = flown.fast if flown else fast_parts(replace(recording, imu=mended.heard), nominal)
         clipped = {f"{s.sensor}_{a}" for s in mended.findings if s.effect == "saturation" for a in s.axes}
         # rounded that coarsely, the error follows the motion and is no noise that a spectrum could tell anything from
         rounded = coarse(believed.beliefs, mended.findings, recording.imu.dt)

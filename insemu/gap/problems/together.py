@@ -75,7 +75,8 @@ def left(recording: Recording, nominal: Nominal, findings: Sequence[Finding]) ->
     mended = mend(recording.imu)
     nominal = replace(nominal, beliefs=with_counts(nominal.beliefs, mended.findings, recording.imu.dt))
     recording = replace(recording, imu=mended.imu)
-    scene = opened(prepare(recording, nominal, fast_parts(recording, nominal), {}, mended))
+    parts = fast_parts(replace(recording, imu=mended.heard), nominal)
+    scene = opened(prepare(recording, nominal, parts, {}, mended))
     found = list(findings)
     owners = _columns(scene, found)
     gain = 0.0
