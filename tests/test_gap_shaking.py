@@ -13,6 +13,7 @@ from benchmarks.foreign import sensors
 from benchmarks.foreign.baselines import Trained
 from benchmarks.foreign.judge import Job, Ruler, calibration, taken
 from insemu.gap import GapReport, find_gap
+from insemu.gap.beliefs.refined import filter_noise, true_noise
 from insemu.gap.checks.drive import _beyond, innovation_tests
 from insemu.gap.data.log import Reduced, moving_spectra
 from insemu.gap.drive import preparation
@@ -20,6 +21,7 @@ from insemu.gap.drive.preparation import Flown
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.shaking import rectified, without_shaking
 from insemu.gap.verdict import Finding, InBand, Member, Value, judged
+from insemu.gap.worth import white_levels
 from insemu.noise import WN, NoiseModel
 from insemu.records import AXES as RECORD_AXES
 from insemu.records import ImuRecord
@@ -118,6 +120,11 @@ def test_a_shaken_vehicle_that_loses_samples_lacks_nothing_else() -> None:
     report = find_gap(measured, nominal, rng=np.random.default_rng(1), hold_out=False, pictures=False)
     (lost,) = report.findings
     assert lost.effect == "dropped_samples" and 5.0 < lost.metres < 50.0
+    # a filter is to believe that noise, an emulator that loses the samples is not
+    flown, made = filter_noise(nominal, report, measured.imu.dt), true_noise(nominal, report)
+    more = white_levels(flown)["gyro_x"] ** 2 - white_levels(made)["gyro_x"] ** 2
+    assert more == pytest.approx(lost.white[0]) and more > white_levels(made)["gyro_x"] ** 2
+    assert made == nominal.beliefs
 
 
 def test_the_axis_that_shakes_least_shakes_with_the_others() -> None:

@@ -121,6 +121,8 @@ class Finding:
         Effects that would stand beside it in a tenth or more of repetitions of the recording, most often first.
     metres : float
         Horizontal position error that it leaves at the end of a minute without fixes, m; NaN where nobody says.
+    white : tuple of float
+        White noise that it adds to each of the six axes of a filter, squared, where it is none of the sensor: (rad/s)^2/Hz and (m/s^2)^2/Hz.
     """
 
     effect: str
@@ -136,6 +138,7 @@ class Finding:
     doubtful: bool = False
     confusable: tuple[Confusable, ...] = ()
     metres: float = math.nan
+    white: tuple[float, ...] = ()
 
     def doubted(self) -> Finding:
         """The finding where something unexplained sits in the same place: it is no more than as likely as not."""

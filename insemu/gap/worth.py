@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,6 +138,19 @@ def worth_of_white(noise: Array, outages: Sequence[Outage]) -> float:
         return math.nan
     total = sum(float(noise @ np.einsum("kad,k->a", o.weight**2, 1.0 / o.width)) for o in outages)
     return math.sqrt(total / len(outages))
+
+
+def with_white(finding: Finding, noise: Array, outages: Sequence[Outage]) -> Finding:
+    """A finding with the white noise that it adds to the axes, and what that is worth.
+
+    Parameters
+    ----------
+    finding : Finding
+    noise : (6,) array
+        Densities squared: (rad/s)^2/Hz and (m/s^2)^2/Hz.
+    outages : sequence of Outage
+    """
+    return replace(finding, metres=worth_of_white(noise, outages), white=tuple(noise.tolist()))
 
 
 def _covariance(effect: str, p: Mapping[str, float], t: Array) -> Array | None:

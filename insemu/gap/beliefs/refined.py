@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS, Effect, EffectParameter, EffectUse, Stage, having, joined
 from insemu.gap.beliefs.nominal import REFINED, Nominal
+from insemu.gap.data.samples import louder
 from insemu.gap.data.sources import StaticLog
 from insemu.gap.evidence.rolloff import HALF_POWER
 from insemu.gap.verdict import Finding, GapReport
@@ -162,7 +163,7 @@ def true_noise(nominal: Nominal, report: GapReport) -> dict[str, NoiseModel]:
 
 
 def filter_noise(nominal: Nominal, report: GapReport, dt: float) -> dict[str, NoiseModel]:
-    """The refined noise of every axis, for a filter: a ramp is compensated, and of fast vibration only its slow part matters.
+    """The refined noise of every axis, for a filter: a ramp is compensated, of fast vibration only its slow part matters, lost samples are noise.
 
     Parameters
     ----------
@@ -178,7 +179,11 @@ def filter_noise(nominal: Nominal, report: GapReport, dt: float) -> dict[str, No
     dict of axis to NoiseModel
     """
     out = {}
-    for name, model in {**nominal.beliefs, **report.refined}.items():
+    models = {**nominal.beliefs, **report.refined}
+    for finding in report.findings:
+        for name, more in zip(AXES, finding.white, strict=False):
+            models[name] = louder(models[name], more)
+    for name, model in models.items():
         old = set(nominal.beliefs.get(name, ()))
         bands = [p for p in model if isinstance(p, AR) and p not in old]
         rest = [p for p in model if not (p in bands or (isinstance(p, SIN | DR) and p not in old))]

@@ -66,7 +66,7 @@ from insemu.gap.problems.noise_of_fixes import NoiseOfFixes
 from insemu.gap.problems.together import opened
 from insemu.gap.search import Again, reconsider, search
 from insemu.gap.verdict import Finding, GapReport, Interval, Where, judged
-from insemu.gap.worth import Outage, outages_along, stated_in_outages, white_levels, worth_in_noise, worth_of_white
+from insemu.gap.worth import Outage, outages_along, stated_in_outages, white_levels, with_white, worth_in_noise
 from insemu.records import AXES, Recording
 
 Array = NDArray[np.float64]
@@ -595,5 +595,5 @@ def _doubted(
     beyond = " and ".join(dict.fromkeys(filter(None, (named.outsider, *sorted(set(instead))))))
     left = remainder(failed, {**({("the fixes", ""): beyond} if beyond else {}), **changing})
     wrong = at.prepared.mended.noise if at.prepared.mended else {}
-    seen = [replace(s, metres=worth_of_white(wrong.get(s.effect, np.zeros(6)), outages)) for s in at.noticed]
+    seen = [with_white(s, wrong.get(s.effect, np.zeros(6)), outages) for s in at.noticed]
     return sorted([*joined(own), *heard, *seen], key=lambda s: -s.nats), left
