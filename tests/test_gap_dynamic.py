@@ -476,9 +476,8 @@ def test_a_row_that_holds_the_whole_gap_leaves_nothing_open() -> None:
 
 def test_rows_that_repeat_by_themselves_are_not_lost() -> None:
     rng, t = np.random.default_rng(7), np.arange(4_000) * 0.01
-    gyro, accel = np.round(
-        0.7 * rng.standard_normal((2, t.size, 3))
-    )  # six axes of counts repeat together in 3 of 1000 rows
+    # six axes of counts repeat together in 3 of 1000 rows
+    gyro, accel = np.round(0.7 * rng.standard_normal((2, t.size, 3)))
     imu = ImuRecord(t, gyro, accel, "mean")
     assert imu.repeated().sum() > 3
     assert "dropped_samples" not in {s.effect for s in mend(imu).findings}

@@ -15,6 +15,7 @@ from insemu.gap.candidates.axis import (
     cleaned,
 )
 from insemu.gap.data.counts import lattice, pile_evidence
+from insemu.gap.data.lost import ABOVE_CHANCE, FEWEST_REPEATS
 from insemu.gap.evidence.model import Component, fit
 from insemu.gap.evidence.modes import Free
 from insemu.gap.hypothesis import Hypothesis, Later
@@ -58,7 +59,7 @@ def held_samples(state: AxisState) -> list[AxisHypothesis]:
     share = held.size / y.size
     resolution = max(2.0**-24 * float(np.max(np.abs(y))), step)
     chance = min(1.0, resolution / (state.white / math.sqrt(state.data.dt)))
-    if held.size < 3 or share < 10.0 * chance:
+    if held.size < FEWEST_REPEATS or share < ABOVE_CHANCE * chance:
         return []
     nats = held.size * math.log(share / chance)
     sd = 1.0 / math.sqrt(held.size)

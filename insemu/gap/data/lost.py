@@ -16,6 +16,9 @@ REST_S, MOTION_S = 1.0, 0.08
 FEWEST = 6
 #: White noise that keeps the equations solvable, of the variance that the parabola leaves: motion is some thousand times the noise.
 RIDGE = 1e-6
+#: Fewest repeated samples that are called lost, how many times what chance repeats there must be, and the largest share of lost samples: with more
+#: there is too little beside a gap to fill it by. Those of a log at rest and of a drive.
+FEWEST_REPEATS, ABOVE_CHANCE, MOST_LOST = 3, 10.0, 0.1
 #: Sides of a real gap on which one of the same length is tried, :data:`NEAR` samples from it.
 BESIDE = (-1, 1)
 

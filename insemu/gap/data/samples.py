@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from insemu.gap.data.counts import lattice, pile_evidence
-from insemu.gap.data.lost import MOTION_S, filled, missed, places, runs
+from insemu.gap.data.lost import ABOVE_CHANCE, FEWEST_REPEATS, MOST_LOST, MOTION_S, filled, missed, places, runs
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Finding, Member, Value
 from insemu.noise import WN, NoiseModel
@@ -69,7 +69,7 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
     findings: list[Finding] = []
     clipping: list[Filled] = []
     lost: list[Filled] = []
-    gone = np.zeros(1, dtype=np.bool_)
+    gone = np.zeros(len(imu), dtype=np.bool_)
     counts = _counts(imu)  # of what was recorded: a bridge lies on no lattice
     if "quantization" not in without:
         findings += _lattices(imu, counts)
@@ -82,7 +82,7 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
         if let_go is not None:
             imu, held, finding, more = let_go
             findings.append(finding)
-            gone, lost = gone | held if gone.any() else held, lost + more
+            gone, lost = gone | held, lost + more
     if "saturation" not in without:
         for first, (sensor, unit) in zip((0, 3), _SENSORS, strict=True):
             values = np.array(getattr(imu, sensor))
@@ -259,7 +259,7 @@ def _bridge(imu: ImuRecord) -> tuple[ImuRecord, NDArray[np.bool_], Finding, list
     gaps = np.flatnonzero(
         (missing > 0) & (np.abs(step / dt - np.round(step / dt)) < rules().stray) & (step < rules().longest_gap_s)
     )
-    if not gaps.size or steady.sum() + gaps.size < 0.98 * step.size or gaps.size > 0.1 * step.size:
+    if not gaps.size or steady.sum() + gaps.size < 0.98 * step.size or gaps.size > MOST_LOST * step.size:
         return None
     n = step.size + int(missing[gaps].sum())
     # a stamp that is missing is surprising by its share alone
@@ -298,13 +298,13 @@ def _let_go(imu: ImuRecord) -> tuple[ImuRecord, NDArray[np.bool_], Finding, list
     begin, end = runs(held)
     dt = float(np.median(np.diff(imu.t)))
     count = int(held.sum())
-    if begin.size < 3 or count > 0.1 * held.size or np.max(end - begin) * dt > rules().longest_gap_s:
+    if begin.size < FEWEST_REPEATS or count > MOST_LOST * held.size or np.max(end - begin) * dt > rules().longest_gap_s:
         return None
     # output counts repeat by themselves: on all axes at once as often as each does where not all of them do
     values = np.hstack([imu.gyro, imu.accel])[~held]
     chance = float(np.prod(np.maximum(np.mean(np.diff(values, axis=0) == 0.0, axis=0), 1.0 / len(values))))
     share = begin.size / held.size
-    if share < 10.0 * chance:
+    if share < ABOVE_CHANCE * chance:
         return None
     nats = begin.size * math.log(share / chance)
     imu = _filled(imu, held)
@@ -392,11 +392,10 @@ def unclipped(t: Array, rates: Array, at: NDArray[np.bool_]) -> tuple[Array, lis
     at : (n,) array of bool
         Samples at the full scale.
     """
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], at, [False]]).astype(int)))
     dt = float(np.median(np.diff(t)))
     noise = _noise(rates) ** 2 + 1e-300
     stretches = []
-    for first, last in zip(edges[::2], edges[1::2], strict=True):
+    for first, last in zip(*runs(at), strict=True):
         near = np.arange(max(0, first - NEIGHBOURS), min(rates.size, last + NEIGHBOURS))
         known = ~at[near]
         if min((known & (near < first)).sum(), (known & (near >= last)).sum()) >= 3:
