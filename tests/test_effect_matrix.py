@@ -117,7 +117,23 @@ def test_injecting_it_changes_the_data(name: str) -> None:
         assert not all(same)
 
 
-@pytest.mark.parametrize("name", [e for e in EFFECTS if EFFECTS[e].compensable and EFFECTS[e].sensors != ("gnss",)])
+def test_taking_off_lost_samples_fills_them_in() -> None:
+    imu, _ = ideal()
+    use = typical(EFFECTS["dropped_samples"], "imu")
+    made = corrupt(imu, None, np.random.default_rng(1), effects=[use]).imu
+    back = effects.compensated(Recording(made), [use]).imu
+    assert len(made) < len(imu) - 20
+    # where nothing follows nothing is missed
+    there = imu.rows(imu.t <= made.t[-1] + 1e-9)
+    np.testing.assert_allclose(back.t, there.t, atol=1e-9)
+    for key in ("gyro", "accel"):
+        assert np.abs(getattr(back, key) - getattr(there, key)).max() < 1e-3 * np.abs(getattr(there, key)).max()
+
+
+UNDONE = [e for e in EFFECTS if EFFECTS[e].compensable and EFFECTS[e].sensors != ("gnss",) and e != "dropped_samples"]
+
+
+@pytest.mark.parametrize("name", UNDONE)
 @pytest.mark.parametrize("kind", ["increment", "mean"])
 def test_taking_it_off_undoes_injecting_it(name: str, kind: str) -> None:
     imu, reference = ideal()

@@ -24,7 +24,6 @@ from insemu.gap.candidates.spectral import vibration_line
 from insemu.gap.candidates.tones import wandering, without_tones
 from insemu.gap.data.counts import lattice
 from insemu.gap.data.log import Reduced, moving_spectrum
-from insemu.gap.data.lost import filled
 from insemu.gap.data.samples import advanced, coarse, mend, unclipped, without_motion
 from insemu.gap.drive.preparation import COVARIANCE_S, Flown, fast_parts, starting_state
 from insemu.gap.drive.scene import Scene
@@ -48,6 +47,7 @@ from insemu.gap.problems.band import fast_effects
 from insemu.gap.problems.findings import unknown_part
 from insemu.gap.problems.named import rivals_of
 from insemu.gap.verdict import Finding, Value
+from insemu.lost import filled
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Gnss, Initial
@@ -446,6 +446,10 @@ def test_the_integral_over_lost_samples_is_known_as_well_as_is_said(how: str) ->
     off = (mended.imu.gyro - signal * dt)[:, 0]
     over = np.add.reduceat(off, np.flatnonzero(np.diff(gone.astype(int)) == 1) + 1)
     assert mended.filled == ()
+    # of a belief that holds their noise none is added
+    before = mend(imu, filled=("dropped_samples",))
+    assert before.findings == mended.findings and not before.loss.any() and not before.filled
+    np.testing.assert_array_equal(before.imu.gyro, mended.imu.gyro)
     assert mended.loss[0] == pytest.approx(float(np.sum(over**2)) / t[-1], rel=0.3)
     # far more than the noise of the sensor, and what a sample of the vibration weighs
     assert mended.loss[0] > 30.0 * 1e-3**2 * dt

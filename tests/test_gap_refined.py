@@ -518,6 +518,23 @@ def test_of_a_recorded_drive_the_first_design_in_numbers_is_the_nominal_model(tm
     assert again.beliefs["accel_z"] == NoiseModel((WN(2e-3),)) and [u.id for u in again.effects] == ["lever_arm"]
 
 
+@pytest.mark.parametrize("effect", [e for e in FOUND if e != "gnss_correlated_noise"])
+def test_a_refined_scenario_of_a_recording_knows_what_was_found(effect: str, tmp_path: Path) -> None:
+    path, model = tmp_path / "drive.yaml", "{gyro: WN(N=1e-4 rad/s/sqrt(Hz)), accel: WN(N=1e-3 m/s^2/sqrt(Hz))}"
+    path.write_text(f"title: drive\nrecording: drive.npz\ndesigns: {{plain: {model}}}\n", encoding="utf-8")
+    out = write_refined(load_nominal(path), report(step(effect)), tmp_path / "refined.yaml", measured())
+    again = load_nominal(out)
+    assert [u.id for u in again.effects if u.id == effect]
+    assert again.filled == ((effect,) if effect in ("dropped_samples", "saturation") else ())
+    options = load(out).designs["refined"].options
+    if effect in ("gnss_outliers", "gnss_velocity_outliers"):
+        # of a share of 0.05 three in a row are more likely than 1e-4, four are not: the fourth that follows them is taken
+        interval = float(np.median(np.diff(measured().gnss.t)))
+        assert options.gate == 1e-4 and options.gate_timeout == pytest.approx(3.5 * interval)
+    else:
+        assert options.gate is None
+
+
 def test_a_drift_counts_from_the_first_stamp_also_where_the_filter_starts_later() -> None:
     """Fixes from the 60th second on: clocks that agree there instead of at the first stamp leave 12 ms once the drift is taken off."""
     drive = stage(61, 4.0, 50.0, track="car")

@@ -17,6 +17,7 @@ from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.recorded import RecordedWorld
 from insemu.evaluate.world import _stretches
 from insemu.formats import write
+from insemu.gap import load_nominal
 from insemu.records import ImuRecord, InitialState, Recording
 from insemu.scenario import load
 
@@ -124,6 +125,39 @@ def test_a_recorded_drive_is_smoothed_and_repeated_rows_are_told(tmp_path: Path,
     assert "of 10001 IMU rows (1.0%) repeat" in r.manifest["warnings"][0]
     write(tmp_path / "drive.npz", mounted)
     assert Experiment(load(path), path).world.warnings == ()
+
+
+@pytest.mark.parametrize("how", ["rows that repeat", "stamps that skip"])
+def test_a_design_that_compensates_lost_samples_flies_them_filled_in(
+    tmp_path: Path, recording: Recording, how: str
+) -> None:
+    imu = _mounted(recording).imu
+    # the mount shakes at 12 Hz with 8 deg/s, of which every lost sample takes a piece
+    shaking = np.deg2rad(8.0) * imu.dt * np.sin(2.0 * np.pi * 12.0 * imu.t)[:, None]
+    gone = np.zeros(len(imu), dtype=bool)
+    gone[np.random.default_rng(3).choice(np.arange(20, len(imu) - 20, 9), 300, replace=False)] = True
+    if how == "rows that repeat":
+        last = np.maximum.accumulate(np.where(gone, 0, np.arange(len(imu))))
+        lossy = replace(imu, gyro=(imu.gyro + shaking)[last], accel=imu.accel[last])
+    else:
+        lossy = replace(imu, gyro=imu.gyro + shaking).rows(~gone)
+    write(tmp_path / "drive.npz", replace(_mounted(recording), imu=lossy))
+    plain = {
+        "gyro": "WN(N=0.1 deg/s/sqrt(Hz)) + RC(sigma=0.05 deg/s)",
+        "accel": "WN(N=200 ug/sqrt(Hz)) + RC(sigma=2 mg)",
+    }
+    filled = plain | {"options": {"compensate": [{"effect": "dropped_samples", "probability": 0.03}]}}
+    starts = [{"start": f"{s} s", "duration": "20 s"} for s in (80, 110, 140, 170)]
+    gnss = {"position_sigma": "5 cm", "velocity_sigma": "5 cm/s", "outages": starts}
+    path = _scenario(tmp_path, gnss=gnss, designs={"recorded": plain, "filled": filled})
+    designs = summary(run_experiment(Experiment(load(path), path)))["designs"]
+    recorded, better = (
+        np.sqrt(np.mean([o["planimetric_end_m"]["mean"] ** 2 for o in designs[d]["outages"]]))
+        for d in ("recorded", "filled")
+    )
+    assert better < 0.7 * recorded
+    assert load_nominal(path).filled == ("dropped_samples",)  # of the first design
+    assert not load_nominal(_scenario(tmp_path, gnss=gnss, designs={"recorded": plain})).filled
 
 
 def test_a_wrong_mounting_shows(tmp_path: Path, recording: Recording) -> None:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from insemu.effects.chain import Chain, FixErrors
     from insemu.effects.hiding import DriveLot, Hidden, RestLot
     from insemu.effects.motion import Column, FixGeometry, Motion
-    from insemu.records import GnssRecord, Trajectory
+    from insemu.records import GnssRecord, ImuRecord, Trajectory
 
 Array = NDArray[np.float64]
 Family = Literal["stochastic", "deterministic", "timing", "gnss", "model"]
@@ -251,6 +251,10 @@ class Effect:
 
     # -- compensate: what a filter that knows it does to its data; at most a few of these ---------------------------------------------
 
+    def restored(self, use: EffectUse, imu: ImuRecord) -> ImuRecord:
+        """The record as it was recorded with what was lost filled in, before anything else is taken off."""
+        raise NotImplementedError(self.id)
+
     def added(self, use: EffectUse, t: Array, temperature: Array | None) -> Array:
         """What it adds whatever the signal, (n, 3) or (3,).
 
@@ -402,7 +406,18 @@ class Effect:
 
 
 #: The functions by which an effect is taken off.
-INVERSES = ("added", "matrix", "bent", "turn", "true_time", "omitted", "corrected_fixes", "corrected_along", "arm")
+INVERSES = (
+    "restored",
+    "added",
+    "matrix",
+    "bent",
+    "turn",
+    "true_time",
+    "omitted",
+    "corrected_fixes",
+    "corrected_along",
+    "arm",
+)
 _JOINED: Mapping[Join, Any] = {
     "sum": np.add,
     "product": np.multiply,

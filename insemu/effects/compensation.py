@@ -62,6 +62,9 @@ def compensated(
         rest = [use for use in effects if not use.effect.needs_trajectory]
         trajectory = trajectory(compensated(recording, rest)) if len(rest) < len(effects) else None
     imu, gnss = recording.imu, recording.gnss
+    for use in effects:
+        if use.effect.does("restored"):
+            imu = use.effect.restored(use, imu)
     inertial = [use for use in effects if use.sensor != "gnss" and use.effect.compensable]
     if inertial:
         imu = _imu(imu, inertial, trajectory)

@@ -29,6 +29,8 @@ from insemu.effects.chain import Chain
 from insemu.effects.hiding import DriveLot, Hidden, RestLot, at
 from insemu.effects.motion import Column, FixGeometry, Motion, first_axis
 from insemu.errors import InputError
+from insemu.lost import restored
+from insemu.records import ImuRecord
 
 Array = NDArray[np.float64]
 _P = EffectParameter
@@ -541,10 +543,14 @@ class DroppedSamples(Effect):
         _P("probability", "", 1, (0.001,), None, "share of samples that start a burst", True, join="larger", most=1.0),
         _P("burst", "", 1, (1.0,), 1.0, "samples per burst", True, join="larger"),
     )
-    excitation, in_filter = "motion", "bridging by the time stamps"
+    excitation, in_filter = "motion", "filled in by the samples around them, or bridged by the time stamps"
     traits = frozenset({"samples", "drawn", "evident"})
     stage = Stage.LOSS
-    absent = {"compensate": "what is lost is bridged by the time stamps", "signature": _SAMPLES}
+    absent = {"signature": _SAMPLES}
+
+    def restored(self, use: EffectUse, imu: ImuRecord) -> ImuRecord:
+        """Those that there are, whatever their share."""
+        return restored(imu)[0]
 
     def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
         """Mark bursts as lost."""

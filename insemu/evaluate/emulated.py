@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,7 @@ from insemu.evaluate.consistency import nees
 from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.world import OUTPUT_INTERVAL, Estimate, Scored, input_files, nearest_rows, static_logs, stream
 from insemu.filters import AidUse, InitialSigma, NavigationFilter, Standstill, TrueMotion
+from insemu.lost import restored
 from insemu.noise import NoiseModel, load_spread
 from insemu.records import AXES, AidRecord, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Scenario
@@ -330,6 +332,10 @@ class EmulatedWorld:
     def imu_for(self, imu: ImuRecord, ekf: NavigationFilter) -> ImuRecord:
         """The data as they are."""
         return imu
+
+    def restored(self, recording: Recording) -> Recording:
+        """A realization with its lost samples filled in."""
+        return replace(recording, imu=restored(recording.imu)[0])
 
     def start(self, realization: int, imu: ImuRecord) -> tuple[NavState, InitialSigma]:
         """The filter's start: the truth moved by a draw from the sigmas that the filter believes."""

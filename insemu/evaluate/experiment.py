@@ -335,7 +335,7 @@ class Experiment:
         self, name: str, recording: Recording, start: NavState, start_sigma: InitialSigma, true: TrueStates | None
     ) -> dict[str, Any]:
         """One design through one realization."""
-        known = self._compensated(name, recording, start, start_sigma)
+        known = self.compensated(name, recording, start, start_sigma)
         assert known.gnss is not None
         rows = self.world.rows(known.imu, max(d.options.covariance_every for d in self.scenario.designs.values()))
         times = known.imu.t[rows]
@@ -437,9 +437,21 @@ class Experiment:
             ),
         }
 
-    def _compensated(self, design: str, recording: Recording, start: NavState, sigma: InitialSigma) -> Recording:
-        """The data less the effects that a design knows of."""
+    def compensated(self, design: str, recording: Recording, start: NavState, sigma: InitialSigma) -> Recording:
+        """The data less the effects that a design knows of.
+
+        Parameters
+        ----------
+        design : str
+        recording : Recording
+            Of this experiment's world.
+        start, sigma : NavState, InitialSigma
+            Where the design's filter starts, for effects that are taken off along the motion.
+        """
         known = self.scenario.designs[design].options.compensate
+        if any(use.effect.does("restored") for use in known):
+            recording = self.world.restored(recording)
+            known = tuple(use for use in known if not use.effect.does("restored"))
 
         def estimate(rest: Recording) -> Trajectory:
             flown = self.filter(design).run(rest.imu, rest.gnss, start, sigma)

@@ -28,6 +28,7 @@ from insemu.filters import (
 from insemu.filters import start as start_of
 from insemu.formats import read_recording
 from insemu.intake import Card, examine
+from insemu.lost import restored
 from insemu.records import GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Scenario
 from insemu.strapdown import NavState
@@ -69,16 +70,9 @@ class RecordedWorld:
         self.warnings = tuple(_repeated_rows(recording.imu, self.source.file))
         if recording.gnss is None:
             raise InputError("has no GNSS fixes, which the designs need", where=self.source.file)
+        self.recorded_imu = recording.imu
         C = rotation.dcm_from_rpy(self.source.mounting)
-        imu = replace(recording.imu, t=recording.imu.t - self.source.imu_time_offset)
-        keep = np.ones(len(imu), dtype=bool)
-        if self.source.start is not None:
-            keep &= imu.t >= self.source.start
-        if self.source.end is not None:
-            keep &= imu.t <= self.source.end
-        if keep.sum() < 2:
-            raise InputError("the span from start to end holds no IMU data", where=f"{file or 'scenario'}: recording")
-        self.vehicle_imu = replace(imu, gyro=imu.gyro @ C.T, accel=imu.accel @ C.T).rows(keep)
+        self.vehicle_imu = self._in_vehicle(self.recorded_imu)
         self.warnings += tuple(_bridged(self.vehicle_imu, self.source.file))
         late = self.source.imu_time_offset  # aids are on the IMU's clock
         self.aids = tuple(
@@ -95,6 +89,21 @@ class RecordedWorld:
             raise InputError("has no GNSS fixes within its IMU data", where=self.source.file)
         self.gnss = self._with_sigmas(gnss.rows(inside))
         self.reference = recording.reference
+
+    def _in_vehicle(self, imu: ImuRecord) -> ImuRecord:
+        """The scenario's span of the IMU, in vehicle axes and on the scenario's clock."""
+        C = rotation.dcm_from_rpy(self.source.mounting)
+        imu = replace(imu, t=imu.t - self.source.imu_time_offset)
+        keep = np.ones(len(imu), dtype=bool)
+        if self.source.start is not None:
+            keep &= imu.t >= self.source.start
+        if self.source.end is not None:
+            keep &= imu.t <= self.source.end
+        if keep.sum() < 2:
+            raise InputError(
+                "the span from start to end holds no IMU data", where=f"{self.file or 'scenario'}: recording"
+            )
+        return replace(imu, gyro=imu.gyro @ C.T, accel=imu.accel @ C.T).rows(keep)
 
     def _with_sigmas(self, gnss: GnssRecord) -> GnssRecord:
         """Standard deviations of the receiver where it states them, else the scenario's; what neither says is assumed, and said."""
@@ -192,6 +201,12 @@ class RecordedWorld:
         step = np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1])[:, None]
         return replace(imu, gyro=imu.gyro + back * step)
 
+    def restored(self, recording: Recording) -> Recording:
+        """The recording with what its raw file shows to be lost filled in."""
+        whole = self._in_vehicle(restored(self.recorded_imu)[0])
+        first = int(np.searchsorted(whole.t, self.vehicle_imu.t[self.alignment.row]))
+        return replace(recording, imu=cut(whole, replace(self.alignment, row=first)))
+
     def realized(self, realization: int) -> tuple[Recording, None]:
         """The recording; nobody knows what its sensors really did."""
         return self.recording(realization), None
@@ -284,5 +299,6 @@ def _repeated_rows(imu: ImuRecord, name: str) -> list[str]:
         return []
     return [
         f"{name}: {count} of {len(imu)} IMU rows ({count / len(imu):.1%}) repeat the row before in all six channels: the recorder and the "
-        "sensor run on clocks of their own, and what falls between them is lost; vibration then becomes noise at low frequencies"
+        "sensor run on clocks of their own, and what falls between them is lost; vibration then becomes noise at low frequencies "
+        "(a design that compensates dropped_samples flies them filled in)"
     ]

@@ -186,6 +186,10 @@ class World(Protocol):
         """What one filter is given of the IMU data."""
         ...
 
+    def restored(self, recording: Recording) -> Recording:
+        """A recording of this world with the lost samples of its IMU filled in."""
+        ...
+
     @property
     def outage_windows(self) -> list[tuple[float, float]]:
         """Every outage as (start_s, duration_s)."""

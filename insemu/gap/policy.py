@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from insemu.effects import MOTION_HZ
+from insemu.lost import LONGEST_S, STRAY
 
 #: The runs that calibrate: what each of them is, as a command or as the file of tests that pins the constant.
 RUNS = {
@@ -114,8 +115,8 @@ class Policy:
     coarse_lsb: float = _decides(
         3.0, "1", "real-drives", "Output counts of more standard deviations of the noise are coarse: it does not reach from one to the next."
     )
-    stray: float = _decides(0.25, "1", "tests-drive", "Share of the interval that a stamp may stray before it says nothing of lost samples.")
-    longest_gap_s: float = _decides(0.5, "s", "tests-drive", "Longest gap that is bridged; a longer one is an outage of the IMU.")
+    stray: float = _decides(STRAY, "1", "tests-drive", "Share of the interval that a stamp may stray before it says nothing of lost samples.")
+    longest_gap_s: float = _decides(LONGEST_S, "s", "tests-drive", "Longest gap that is bridged; a longer one is an outage of the IMU.")
     fewest_clipped: int = _decides(4, "1", "tests-drive", "Samples at one value that make a full scale.")
     pile_nats: float = _decides(20.0, "nats", "real-drives", "What a pile on a lattice must be worth: steady manoeuvres make piles too.")
     most_lost: float = _decides(0.2, "1", "tests-rest", "Share of samples that a static log may miss.")

@@ -352,6 +352,10 @@ class RecordingSource(Section):
     gravity: Literal["normal", "free_air_first_order"] = Field(
         default="normal", description="gravity model of the filters"
     )
+    known: EffectList = Field(
+        default=(),
+        description="effects that it has and that cannot be taken off, such as output counts: insemu gap does not name them again",
+    )
     zero_velocity_updates: bool = Field(
         default=False, description="feed every design zero velocity and rate at rest (zero_updates: one design)"
     )

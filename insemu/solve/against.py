@@ -61,8 +61,10 @@ def compare_with(solution: Solution, scenario: str | Path, *, workers: int = 1) 
     for name in read.designs:
         ekf = experiment.ekf(name)
         ekf = ekf.with_options(store="fixes", node_every=1.0, output_every=ekf.options.covariance_every * 100)
-        imu = world.imu_for(flown.imu, ekf)
-        run = ekf.run(imu, flown.gnss, start, sigma, aids=flown.aids)
+        known = experiment.compensated(name, flown, start, sigma)
+        assert known.gnss is not None
+        imu = world.imu_for(known.imu, ekf)
+        run = ekf.run(imu, experiment.believed(name, known.gnss), start, sigma, aids=flown.aids)
         found[name] = cut_everywhere(ekf, run, imu, fixes, workers=workers)
     same = set.intersection(*(set(_seconds(o)) for o in (solution.taken.outages, *found.values())))
     if not same:

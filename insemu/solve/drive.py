@@ -14,6 +14,7 @@ from insemu.evaluate import BRIDGED_S
 from insemu.filters import Alignment, LooselyCoupledEKF, cut, sigma_of_fixes
 from insemu.filters import start as start_of
 from insemu.intake import Card
+from insemu.lost import restored
 from insemu.records import AidRecord, GnssRecord, ImuRecord, InitialState, Recording
 
 Array = NDArray[np.float64]
@@ -116,7 +117,13 @@ def prepared(recording: Recording, lever_arm: ArrayLike = (0.0, 0.0, 0.0)) -> Dr
     if recording.gnss is None:
         raise InputError("has no GNSS fixes; name the file that does with --gnss", where=where)
     said: list[str] = []
-    imu = _without_gaps(recording.imu, said, where)
+    imu, lost = restored(recording.imu)
+    for each in lost:
+        said.append(
+            f"{int(each.rows.sum())} samples of the IMU are lost, where {'rows repeat the row before' if each.held else 'stamps skip them'}: they "
+            "are filled in by the samples around them"
+        )
+    imu = _without_gaps(imu, said, where)
     gnss = recording.gnss
     inside = (gnss.t > imu.t[0]) & (gnss.t <= imu.t[-1]) & np.isfinite(gnss.llh).all(axis=1)
     if inside.sum() < 10:

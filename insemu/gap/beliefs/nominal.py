@@ -32,6 +32,8 @@ class Nominal:
         What is known besides noise; it is taken off the recording before anything is looked for.
     vehicle : NonHolonomic, optional
         How the IMU sits in a vehicle that moves where it points; ``None``: nothing is known of that.
+    filled : tuple of str
+        Effects whose samples are filled in, and whose beliefs hold what that leaves open, as those of a filter that was refined do.
     mounting : (3,) tuple
         Angles of the IMU in the body, rad, where the recording and the lever arm are in the IMU's own axes; zero where they are in the body's.
     raw : mapping
@@ -48,6 +50,7 @@ class Nominal:
     source: str = ""
     effects: tuple[EffectUse, ...] = ()
     vehicle: NonHolonomic | None = None
+    filled: tuple[str, ...] = ()
     mounting: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def parted(self) -> Nominal:
@@ -134,7 +137,7 @@ def _belief_file(document: yamlfile.Document) -> Nominal:
 def _scenario(scenario: Scenario, raw: dict[str, Any], path: Path) -> Nominal:
     models = scenario.truth.models() if scenario.truth is not None else {}
     effects = scenario.truth.effects if scenario.truth is not None else ()
-    vehicle = None
+    vehicle, filled = None, tuple[str, ...]()
     if scenario.recording is not None:
         source = scenario.recording
         held = {
@@ -149,7 +152,8 @@ def _scenario(scenario: Scenario, raw: dict[str, Any], path: Path) -> Nominal:
                 where=f"{path}: designs",
             )
         models, design = held[name], scenario.designs[name]
-        effects = design.options.compensate
+        effects = (*source.known, *design.options.compensate)
+        filled = tuple(use.id for use in effects if use.effect.does("restored") or use.id == "saturation")
         if source.imu_time_offset:
             effects = (EffectUse("imu_gnss_time_offset", "imu", {"offset": (source.imu_time_offset,)}), *effects)
         vehicle = source.vehicle
@@ -157,4 +161,4 @@ def _scenario(scenario: Scenario, raw: dict[str, Any], path: Path) -> Nominal:
             effects = (EffectUse("mounting", "imu", {"rpy": source.mounting}), *effects)
     if not models:
         raise InputError("no noise models as truth; a gap needs models to hold a recording against", where=str(path))
-    return Nominal(models, scenario.gnss, scenario.initial, raw, "scenario", str(path), effects, vehicle)
+    return Nominal(models, scenario.gnss, scenario.initial, raw, "scenario", str(path), effects, vehicle, filled)

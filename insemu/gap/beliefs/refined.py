@@ -6,6 +6,7 @@ injects and a filter takes off (:mod:`insemu.effects.compensation`).
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -296,6 +297,9 @@ def _scenario(
             elif use.id == "imu_gnss_time_offset":
                 source["imu_time_offset"] = use.scalar("offset")
                 own.remove(use)
+        rest = [use for use in effects if not use.effect.compensable and use.id != "gnss_correlated_noise"]
+        if rest:
+            source["known"] = [use.to_mapping() for use in rest]
         out["recording"] = source
     else:
         old = raw.get("truth", {})
@@ -311,8 +315,11 @@ def _scenario(
         out["trajectory"] = raw["trajectory"]
     if own:
         options["compensate"] = [use.to_mapping() for use in own]
-    if any("outlying" in use.effect.traits for use in effects):
+    shares = [use.scalar("probability") for use in effects if "outlying" in use.effect.traits]
+    if shares:
         options.setdefault("gate", GATE)
+        if measured is not None and (fixes := getattr(measured, "gnss", None)) is not None:
+            options.setdefault("gate_timeout", _patience(max(shares), fixes.t))
     coloured = next((use for use in effects if use.id == "gnss_correlated_noise"), None)
     if coloured is not None:
         options["compensate"] = [*options.get("compensate", []), _as_level(nominal, coloured).to_mapping()]
@@ -320,6 +327,12 @@ def _scenario(
     if "fits" in raw:
         out["fits"] = raw["fits"]
     return out
+
+
+def _patience(share: float, t: NDArray[np.float64]) -> float:
+    """For how long fixes are rejected, s: so many outliers in a row are as rare as a good fix that is rejected, and the filter is what is wrong."""
+    many = max(1, math.ceil(math.log(GATE) / math.log(min(share, 0.5))))
+    return float((many - 0.5) * np.median(np.diff(t)))
 
 
 def _explicit(design: Any, nominal: Nominal) -> Any:

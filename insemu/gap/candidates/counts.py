@@ -15,12 +15,12 @@ from insemu.gap.candidates.axis import (
     cleaned,
 )
 from insemu.gap.data.counts import lattice, pile_evidence
-from insemu.gap.data.lost import ABOVE_CHANCE, FEWEST_REPEATS
 from insemu.gap.evidence.model import Component, fit
 from insemu.gap.evidence.modes import Free
 from insemu.gap.hypothesis import Hypothesis, Later
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
+from insemu.lost import ABOVE_CHANCE, FEWEST_REPEATS
 from insemu.noise import QN, WN
 
 Array = NDArray[np.float64]

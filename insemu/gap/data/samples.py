@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from insemu.gap.data.counts import lattice, pile_evidence
-from insemu.gap.data.lost import ABOVE_CHANCE, FEWEST_REPEATS, MOST_LOST, MOTION_S, filled, missed, places, runs
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Finding, Member, Value
+from insemu.lost import Filled, Lost, as_noise, drawn, restored, runs
 from insemu.noise import WN, NoiseModel
 from insemu.records import ImuRecord
 
@@ -25,16 +25,6 @@ NEIGHBOURS = 12
 #: Stretches that tell how the signal changes around them, and the most whose uncertainty is carried on.
 TELLING, CARRIED = 60, 200
 _SENSORS = (("gyro", "rad/s"), ("accel", "m/s^2"))
-
-
-@dataclass(frozen=True)
-class Filled:
-    """A stretch at the full scale, or lost, that was filled in: axis (0..5), when (s), and how uncertain its integral is (rad or m/s)."""
-
-    axis: int
-    start: float
-    end: float
-    sigma: float
 
 
 @dataclass(frozen=True)
@@ -64,25 +54,26 @@ class Mended:
     noise: Mapping[str, Array] = field(default_factory=dict)
 
 
-def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
-    """Name dropped samples and saturation and mend the record: gaps bridged, clipped stretches filled in."""
+def mend(imu: ImuRecord, without: tuple[str, ...] = (), filled: tuple[str, ...] = ()) -> Mended:
+    """Name lost samples and saturation and mend the record: gaps and clipped stretches filled in.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+    without : tuple of str
+        Effects that are not looked for.
+    filled : tuple of str
+        Effects of which the noise that is believed holds already what filling leaves open.
+    """
     findings: list[Finding] = []
     clipping: list[Filled] = []
-    lost: list[Filled] = []
-    gone = np.zeros(len(imu), dtype=np.bool_)
+    lost: tuple[Lost, ...] = ()
     counts = _counts(imu)  # of what was recorded: a bridge lies on no lattice
     if "quantization" not in without:
         findings += _lattices(imu, counts)
     if "dropped_samples" not in without:
-        bridged = _bridge(imu)
-        if bridged is not None:
-            imu, gone, finding, lost = bridged
-            findings.append(finding)
-        let_go = _let_go(imu)
-        if let_go is not None:
-            imu, held, finding, more = let_go
-            findings.append(finding)
-            gone, lost = gone | held, lost + more
+        imu, lost = restored(imu, rules().stray, rules().longest_gap_s)
+        findings += [_lost(each) for each in lost]
     if "saturation" not in without:
         for first, (sensor, unit) in zip((0, 3), _SENSORS, strict=True):
             values = np.array(getattr(imu, sensor))
@@ -98,18 +89,13 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = ()) -> Mended:
                 value = Value("limit", limit, limit, limit, unit)
                 findings.append(_finding("saturation", sensor, (axis,), (value,), nats))
                 imu = replace(imu, gyro=rates * widths) if sensor == "gyro" else replace(imu, accel=rates * widths)
-    carried, loss = _carried(imu, clipping, lost)
-    noise = {"saturation": _as_noise(imu, clipping), "dropped_samples": _as_noise(imu, lost)}
-    heard = _filled(imu, gone, np.random.default_rng(gone.size)) if gone.any() else imu
+    stretches = [] if "dropped_samples" in filled else [s for each in lost for s in each.stretches]
+    clipping = [] if "saturation" in filled else clipping
+    duration = float(imu.t[-1] - imu.t[0])
+    carried, loss = _carried(imu, clipping, stretches)
+    noise = {"saturation": as_noise(clipping, duration), "dropped_samples": as_noise(stretches, duration)}
+    heard = drawn(imu, lost, np.random.default_rng(len(imu)))
     return Mended(imu, heard, tuple(sorted(findings, key=lambda s: -s.nats)), carried, loss, noise)
-
-
-def _filled(imu: ImuRecord, gone: NDArray[np.bool_], rng: np.random.Generator | None = None) -> ImuRecord:
-    """A record with the samples of some rows drawn, or with their means."""
-    width = MOTION_S / float(np.median(np.diff(imu.t)))
-    return replace(
-        imu, gyro=filled(imu.gyro[~gone], gone, width, rng), accel=filled(imu.accel[~gone], gone, width, rng)
-    )
 
 
 def _carried(imu: ImuRecord, clipping: list[Filled], lost: list[Filled]) -> tuple[tuple[Filled, ...], Array]:
@@ -120,15 +106,7 @@ def _carried(imu: ImuRecord, clipping: list[Filled], lost: list[Filled]) -> tupl
     noise = np.array([_noise(x) for x in imu.rates().T]) + 1e-300
     many = lost if len(lost) > CARRIED else []
     ranked = sorted(clipping if many else [*clipping, *lost], key=lambda c: -c.sigma / noise[c.axis])
-    return tuple(ranked[:CARRIED]), _as_noise(imu, [*ranked[CARRIED:], *many])
-
-
-def _as_noise(imu: ImuRecord, stretches: Sequence[Filled]) -> Array:
-    """The white noise (6,) that errors over stretches make on each axis, squared."""
-    total = np.zeros(6)
-    for s in stretches:
-        total[s.axis] += s.sigma**2
-    return total / float(imu.t[-1] - imu.t[0])
+    return tuple(ranked[:CARRIED]), as_noise([*ranked[CARRIED:], *many], float(imu.t[-1] - imu.t[0]))
 
 
 def _counts(imu: ImuRecord) -> dict[str, dict[str, float]]:
@@ -251,97 +229,16 @@ def _finding(effect: str, sensor: str, axes: tuple[str, ...], values: tuple[Valu
     return Finding(effect, "samples", sensor, axes, values, 0.999, nats, (Member(effect, sensor, axes, nats),))
 
 
-def _bridge(imu: ImuRecord) -> tuple[ImuRecord, NDArray[np.bool_], Finding, list[Filled]] | None:
-    step = np.diff(imu.t)
-    dt = float(np.median(step))
-    steady = np.abs(step / dt - 1.0) < rules().stray
-    missing = np.round(step / dt).astype(int) - 1
-    gaps = np.flatnonzero(
-        (missing > 0) & (np.abs(step / dt - np.round(step / dt)) < rules().stray) & (step < rules().longest_gap_s)
-    )
-    if not gaps.size or steady.sum() + gaps.size < 0.98 * step.size or gaps.size > MOST_LOST * step.size:
-        return None
-    n = step.size + int(missing[gaps].sum())
-    # a stamp that is missing is surprising by its share alone
-    nats = gaps.size * (1.0 - math.log(gaps.size / n))
-    finding = _lost(gaps.size, int(missing[gaps].sum()), n, nats, "samples")
-    bridged = np.zeros(step.size, dtype=np.int64)
-    bridged[gaps] = missing[gaps]
-    at, empty = places(bridged)
-    t = np.interp(np.arange(empty.size), at, imu.t)
-    # what a row after a gap holds: the increment of one interval, the others lost, or of the whole gap; whichever fits its neighbours
-    share = np.ones((len(imu), 1))
-    share[gaps + 1] = missing[gaps, None] + 1.0
-    columns: dict[str, Array] = {}
-    stretches: list[Filled] = []
-    for first, (name, _) in zip((0, 3), _SENSORS, strict=True):
-        values_in, whole = np.array(getattr(imu, name)), False
-        if imu.kind == "increment":
-            neighbours = 0.5 * (values_in[gaps] + values_in[np.minimum(gaps + 2, len(imu) - 1)])
-            lost, held = (
-                float(np.sum(np.abs(values_in[gaps + 1] - neighbours * factor))) for factor in (1.0, share[gaps + 1])
-            )
-            whole = held < lost
-            values_in /= share if whole else 1.0
-        columns[name] = filled(values_in, empty, MOTION_S / dt)
-        if whole:  # what was lost is known but for how it went about
-            _keep_sums(columns[name], empty)
-        else:
-            stretches += _stretches(columns[name], empty, t, imu.kind, first)
-    temperature = None if imu.temperature is None else np.interp(t, imu.t, imu.temperature)
-    return ImuRecord(t, columns["gyro"], columns["accel"], imu.kind, temperature), empty, finding, stretches
-
-
-def _let_go(imu: ImuRecord) -> tuple[ImuRecord, NDArray[np.bool_], Finding, list[Filled]] | None:
-    """Rows that repeat the row before on all axes: the recorder read a sample twice and lost another; they are filled as gaps are."""
-    held = imu.repeated()
-    begin, end = runs(held)
-    dt = float(np.median(np.diff(imu.t)))
-    count = int(held.sum())
-    if begin.size < FEWEST_REPEATS or count > MOST_LOST * held.size or np.max(end - begin) * dt > rules().longest_gap_s:
-        return None
-    # output counts repeat by themselves: on all axes at once as often as each does where not all of them do
-    values = np.hstack([imu.gyro, imu.accel])[~held]
-    chance = float(np.prod(np.maximum(np.mean(np.diff(values, axis=0) == 0.0, axis=0), 1.0 / len(values))))
-    share = begin.size / held.size
-    if share < ABOVE_CHANCE * chance:
-        return None
-    nats = begin.size * math.log(share / chance)
-    imu = _filled(imu, held)
-    stretches = [
-        s for first, values in ((0, imu.gyro), (3, imu.accel)) for s in _stretches(values, held, imu.t, imu.kind, first)
-    ]
-    return imu, held, _lost(begin.size, count, held.size, nats, "held"), stretches
-
-
-def _lost(bursts: int, lost: int, n: int, nats: float, variant: str) -> Finding:
+def _lost(lost: Lost) -> Finding:
     """Lost samples as a finding: share of samples that begin a burst, mean length of a burst."""
-    share, length, spread = bursts / n, lost / bursts, 1.96 / math.sqrt(bursts)
+    share, length = lost.bursts / lost.rows.size, float(lost.rows.sum()) / lost.bursts
+    spread = 1.96 / math.sqrt(lost.bursts)
     values = (
         Value("probability", share, share * math.exp(-spread), share * math.exp(spread), "1"),
         Value("burst", length, max(1.0, length * math.exp(-spread)), length * math.exp(spread), "1"),
     )
-    return replace(_finding("dropped_samples", "imu", (), values, nats), variant=variant)
-
-
-def _stretches(values: Array, empty: NDArray[np.bool_], t: Array, kind: str, first: int) -> list[Filled]:
-    """The filled gaps of a sensor whose axes begin at ``first``, with how uncertain their integrals are."""
-    dt = float(np.median(np.diff(t)))
-    wrong = missed(values, empty, MOTION_S / dt)
-    wrong *= 1.0 if kind == "increment" else dt
-    begin, end = runs(empty)
-    return [
-        Filled(first + k, float(t[a - 1]), float(t[b - 1]), float(s))
-        for a, b, each in zip(begin, end, wrong, strict=True)
-        for k, s in enumerate(each)
-    ]
-
-
-def _keep_sums(filled_in: Array, empty: NDArray[np.bool_]) -> None:
-    """Move each gap with the row behind it, which holds the mean of the whole gap, so that their sum is what was measured; in place."""
-    for a, b in zip(*runs(empty), strict=True):
-        rows = slice(a, b + 1)
-        filled_in[rows] += filled_in[b] - filled_in[rows].mean(axis=0)
+    finding = _finding("dropped_samples", "imu", (), values, lost.nats)
+    return replace(finding, variant="held" if lost.held else "samples")
 
 
 def clipped(rates: Array, step: float = 0.0) -> tuple[float, NDArray[np.bool_], float] | None:

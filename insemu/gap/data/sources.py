@@ -12,8 +12,8 @@ from insemu import formats
 from insemu.errors import InputError
 from insemu.filters import never_moves
 from insemu.formats import load_npz
-from insemu.gap.data.lost import REST_S, filled, places
 from insemu.gap.policy import rules
+from insemu.lost import REST_S, filled, places
 from insemu.records import AXES, Recording, Series
 
 Array = NDArray[np.float64]

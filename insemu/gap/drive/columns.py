@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from insemu import rotation
 from insemu.effects import Column, Motion
-from insemu.gap.data.samples import Filled
+from insemu.lost import Filled
 
 Array = NDArray[np.float64]
 

@@ -476,7 +476,7 @@ class _Drive:
         say: Callable[[str], None],
     ) -> _Drive:
         """Mend a recording and look at its band above the motion."""
-        whole, mended = recording, mend(recording.imu, tuple(without))
+        whole, mended = recording, mend(recording.imu, tuple(without), believed.filled)
         # what is known of the samples is mended, but is no finding
         noticed = tuple(s for s in (unknown_part(s, believed.effects) for s in mended.findings) if s is not None)
         nominal = replace(believed, beliefs=with_counts(believed.beliefs, mended.findings, recording.imu.dt))

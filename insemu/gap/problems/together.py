@@ -72,7 +72,7 @@ def left(recording: Recording, nominal: Nominal, findings: Sequence[Finding]) ->
     InputError
         A recording on which the nominal filter cannot run.
     """
-    mended = mend(recording.imu)
+    mended = mend(recording.imu, filled=nominal.filled)
     nominal = replace(nominal, beliefs=with_counts(nominal.beliefs, mended.findings, recording.imu.dt))
     recording = replace(recording, imu=mended.imu)
     parts = fast_parts(replace(recording, imu=mended.heard), nominal)

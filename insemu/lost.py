@@ -1,10 +1,16 @@
-"""Lost samples: where the stamps skip them, and what the samples around them leave open; the one filling of logs at rest and of drives."""
+"""Lost samples: where stamps skip them or rows repeat, and what the samples around them leave open; the one filling of logs at rest and of drives."""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import toeplitz
+
+from insemu.records import ImuRecord
 
 Array = NDArray[np.float64]
 
@@ -19,8 +25,182 @@ RIDGE = 1e-6
 #: Fewest repeated samples that are called lost, how many times what chance repeats there must be, and the largest share of lost samples: with more
 #: there is too little beside a gap to fill it by. Those of a log at rest and of a drive.
 FEWEST_REPEATS, ABOVE_CHANCE, MOST_LOST = 3, 10.0, 0.1
+#: Share of the sampling interval that a stamp may stray before it says nothing of lost samples, and the longest gap that is filled, s.
+STRAY, LONGEST_S = 0.25, 0.5
+#: Share of steps that must be whole intervals: stamps that stray more often say nothing.
+WHOLE_STEPS = 0.98
 #: Sides of a real gap on which one of the same length is tried, :data:`NEAR` samples from it.
 BESIDE = (-1, 1)
+
+
+@dataclass(frozen=True)
+class Filled:
+    """A stretch of an axis that was filled in: axis (0..5), when (s), and how uncertain its integral is (rad or m/s)."""
+
+    axis: int
+    start: float
+    end: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class Lost:
+    """Samples that a record lost, filled in.
+
+    Parameters
+    ----------
+    held : bool
+        Whether rows repeated the row before; else stamps skipped them.
+    rows : (n,) array of bool
+        Which rows of the restored record were lost.
+    nats : float
+        How surprising it is where nothing is lost.
+    stretches : tuple of Filled
+        How uncertain they are; none where what was lost is in the row that follows.
+    """
+
+    held: bool
+    rows: NDArray[np.bool_]
+    nats: float
+    stretches: tuple[Filled, ...]
+
+    @property
+    def bursts(self) -> int:
+        """Runs of lost samples."""
+        return int(runs(self.rows)[0].size)
+
+
+def restored(imu: ImuRecord, stray: float = STRAY, longest: float = LONGEST_S) -> tuple[ImuRecord, tuple[Lost, ...]]:
+    """A record with what its recorder lost filled in by the samples around it, and what that was.
+
+    Stamps that skip samples, and rows that repeat the row before on all six axes more often than chance would: the recorder read a sample twice and
+    missed another. Up to :data:`NEAR` samples after a lost one say what it was, so that a filter in real time would be as late.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+    stray : float
+        Share of the sampling interval that a stamp may stray before it says nothing of lost samples.
+    longest : float
+        Longest gap that is filled, s.
+    """
+    out: list[Lost] = []
+    for step in (_bridged, _let_go):
+        found = step(imu, stray, longest)
+        if found is not None:
+            imu, lost = found
+            out.append(lost)
+    return imu, tuple(out)
+
+
+def drawn(imu: ImuRecord, lost: Iterable[Lost], rng: np.random.Generator) -> ImuRecord:
+    """A restored record with lost samples as noisy as the others, for a spectrum; what integrates errs least by their means.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+        Of :func:`restored`.
+    lost : iterable of Lost
+        What it filled in.
+    rng : Generator
+    """
+    gone = np.zeros(len(imu), dtype=np.bool_)
+    for each in lost:
+        gone |= each.rows
+    return _filled(imu, gone, rng) if gone.any() else imu
+
+
+def as_noise(stretches: Iterable[Filled], duration: float) -> Array:
+    """The white noise (6,) that errors over stretches make on each axis in ``duration`` s, squared: (rad/s)^2/Hz and (m/s^2)^2/Hz."""
+    total = np.zeros(6)
+    for s in stretches:
+        total[s.axis] += s.sigma**2
+    return total / duration
+
+
+def _bridged(imu: ImuRecord, stray: float, longest: float) -> tuple[ImuRecord, Lost] | None:
+    step = np.diff(imu.t)
+    dt = float(np.median(step))
+    steady = np.abs(step / dt - 1.0) < stray
+    missing = np.round(step / dt).astype(int) - 1
+    gaps = np.flatnonzero((missing > 0) & (np.abs(step / dt - np.round(step / dt)) < stray) & (step < longest))
+    if not gaps.size or steady.sum() + gaps.size < WHOLE_STEPS * step.size or gaps.size > MOST_LOST * step.size:
+        return None
+    n = step.size + int(missing[gaps].sum())
+    # a stamp that is missing is surprising by its share alone
+    nats = gaps.size * (1.0 - math.log(gaps.size / n))
+    lost = np.zeros(step.size, dtype=np.int64)
+    lost[gaps] = missing[gaps]
+    at, empty = places(lost)
+    t = np.interp(np.arange(empty.size), at, imu.t)
+    # what a row after a gap holds: the increment of one interval, the others lost, or of the whole gap; whichever fits its neighbours
+    share = np.ones((len(imu), 1))
+    share[gaps + 1] = missing[gaps, None] + 1.0
+    columns: list[Array] = []
+    stretches: list[Filled] = []
+    for first, measured in ((0, imu.gyro), (3, imu.accel)):
+        values, whole = np.array(measured), False
+        if imu.kind == "increment":
+            neighbours = 0.5 * (values[gaps] + values[np.minimum(gaps + 2, len(imu) - 1)])
+            one, all_of_it = (
+                float(np.sum(np.abs(values[gaps + 1] - neighbours * factor))) for factor in (1.0, share[gaps + 1])
+            )
+            whole = all_of_it < one
+            values /= share if whole else 1.0
+        columns.append(filled(values, empty, MOTION_S / dt))
+        if whole:  # what was lost is known but for how it went about
+            _keep_sums(columns[-1], empty)
+        else:
+            stretches += _stretches(columns[-1], empty, t, imu.kind, first)
+    temperature = None if imu.temperature is None else np.interp(t, imu.t, imu.temperature)
+    return ImuRecord(t, columns[0], columns[1], imu.kind, temperature), Lost(False, empty, nats, tuple(stretches))
+
+
+def _let_go(imu: ImuRecord, stray: float, longest: float) -> tuple[ImuRecord, Lost] | None:
+    held = imu.repeated()
+    begin, end = runs(held)
+    dt = float(np.median(np.diff(imu.t)))
+    if begin.size < FEWEST_REPEATS or held.sum() > MOST_LOST * held.size or np.max(end - begin) * dt > longest:
+        return None
+    # output counts repeat by themselves: on all axes at once as often as each does where not all of them do
+    values = np.hstack([imu.gyro, imu.accel])[~held]
+    chance = float(np.prod(np.maximum(np.mean(np.diff(values, axis=0) == 0.0, axis=0), 1.0 / len(values))))
+    share = begin.size / held.size
+    if share < ABOVE_CHANCE * chance:
+        return None
+    imu = _filled(imu, held)
+    stretches = [
+        s for first, values in ((0, imu.gyro), (3, imu.accel)) for s in _stretches(values, held, imu.t, imu.kind, first)
+    ]
+    return imu, Lost(True, held, begin.size * math.log(share / chance), tuple(stretches))
+
+
+def _filled(imu: ImuRecord, gone: NDArray[np.bool_], rng: np.random.Generator | None = None) -> ImuRecord:
+    """A record with the samples of some rows drawn, or with their means."""
+    width = MOTION_S / float(np.median(np.diff(imu.t)))
+    return replace(
+        imu, gyro=filled(imu.gyro[~gone], gone, width, rng), accel=filled(imu.accel[~gone], gone, width, rng)
+    )
+
+
+def _stretches(values: Array, empty: NDArray[np.bool_], t: Array, kind: str, first: int) -> list[Filled]:
+    """The filled gaps of a sensor whose axes begin at ``first``, with how uncertain their integrals are."""
+    dt = float(np.median(np.diff(t)))
+    wrong = missed(values, empty, MOTION_S / dt)
+    wrong *= 1.0 if kind == "increment" else dt
+    begin, end = runs(empty)
+    return [
+        Filled(first + k, float(t[a - 1]), float(t[b - 1]), float(s))
+        for a, b, each in zip(begin, end, wrong, strict=True)
+        for k, s in enumerate(each)
+    ]
+
+
+def _keep_sums(filled_in: Array, empty: NDArray[np.bool_]) -> None:
+    """Move each gap with the row behind it, which holds the mean of the whole gap, so that their sum is what was measured; in place."""
+    for a, b in zip(*runs(empty), strict=True):
+        rows = slice(a, b + 1)
+        filled_in[rows] += filled_in[b] - filled_in[rows].mean(axis=0)
 
 
 def places(lost: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
