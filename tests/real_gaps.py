@@ -1,6 +1,6 @@
 """``insemu gap`` on five real recordings with the beliefs that the pages show, as a user copies them: ``python -m tests.real_gaps``.
 
-Then a scenario of one of them is refined, and flown through its outages beside its own designs.
+Then a scenario of one of them is refined, flown beside its own designs through its outages and through one at every second, and looked at again.
 """
 
 from __future__ import annotations
@@ -58,7 +58,10 @@ def main() -> int:
         print("-- scenarios/real_drive_rtk.yaml", flush=True)
         drive, out = str(root() / "real" / "rtkexp_drive.npz"), Path(folder) / "tuned"
         wrong += insemu("gap", str(ROOT / "scenarios" / "real_drive_rtk.yaml"), "--measured", drive, "--out", str(out))
-        wrong += insemu("run", str(out / "refined.yaml"), "--no-variants", "--no-pictures", "--out", str(out / "run"))
+        refined = str(out / "refined.yaml")
+        wrong += insemu("run", refined, "--no-variants", "--no-pictures", "--out", str(out / "run"))
+        wrong += insemu("solve", drive, "--against", refined, "--out", str(out / "solved"))
+        wrong += insemu("gap", refined, "--measured", drive, "--out", str(out / "again"))
     return int(bool(wrong))
 
 

@@ -21,6 +21,7 @@ from insemu.formats import write as write_recording
 from insemu.records import GnssRecord, ImuRecord, Recording
 from insemu.scenario import load
 from insemu.solve import Solution, candidates, cut_everywhere, prepared, solve, summary, write
+from insemu.solve.against import compare_with
 from insemu.solve.beliefs import adapted, clock_offset
 from insemu.solve.drive import velocity_lag
 from insemu.solve.outages import Outages
@@ -139,6 +140,25 @@ def test_two_filters_are_compared_by_the_outages_that_they_share() -> None:
     assert all(np.isnan(one.rows(start < 100).ratio(worse.rows(start < 100), 0)))  # fewer than two blocks
 
 
+def test_designs_of_a_scenario_fly_with_what_they_compensate(
+    solution: Solution, recording: Recording, tmp_path: Path
+) -> None:
+    write_recording(tmp_path / "drive.npz", replace(recording, reference=None))
+    own = {"gyro": "WN(N=0.3 deg/sqrt(h)) + RC(sigma=0.05 deg/s)", "accel": "WN(N=0.1 m/s/sqrt(h)) + RC(sigma=5 mg)"}
+    on_time = {"effect": "imu_gnss_time_offset", "offset": f"{LATE} s"}
+    scenario = {
+        "title": "drive",
+        "recording": {"file": "drive.npz", "mounting": [f"{v} deg" for v in np.rad2deg(MOUNTING)]},
+        "gnss": {"lever_arm": [f"{v} m" for v in ARM]},
+        "designs": {"late": own, "on time": {**own, "options": {"compensate": [on_time]}}},
+    }
+    path = tmp_path / "scenario.yaml"
+    path.write_text(yaml.safe_dump(scenario))
+    found = compare_with(solution, path)
+    late, better = (found.designs[d].rms(0) for d in ("late", "on time"))
+    assert better < 0.7 * late
+
+
 def test_late_velocities_are_recognised(recording: Recording) -> None:
     assert recording.gnss is not None and velocity_lag(recording.gnss) is None
     t = np.arange(0.0, 120.0, 0.25)
@@ -159,6 +179,16 @@ def test_the_longest_stretch_without_a_gap_is_solved(recording: Recording) -> No
         prepared(replace(recording, gnss=None))
     with pytest.raises(InputError, match="60 s of IMU data"):
         prepared(replace(recording, imu=imu.rows(slice(0, 500))))
+
+
+def test_rows_that_repeat_are_filled_in_and_said(recording: Recording) -> None:
+    imu, last = recording.imu, np.arange(len(recording.imu))
+    last[100::50] -= 1
+    held = replace(imu, gyro=imu.gyro[last], accel=imu.accel[last])
+    drive, lost = prepared(replace(recording, imu=held)), int(held.repeated().sum())
+    assert lost > 100 and not drive.imu.repeated().any()
+    assert sum(f"{lost} samples of the IMU are lost" in line for line in drive.said) == 1
+    assert not any("lost" in line for line in prepared(recording).said)
 
 
 def test_designs_that_need_a_fit_are_refused() -> None:
