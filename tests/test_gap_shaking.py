@@ -127,6 +127,27 @@ def test_a_shaken_vehicle_that_loses_samples_lacks_nothing_else() -> None:
     assert made == nominal.beliefs
 
 
+def test_the_benchmark_records_as_it_is_asked_to() -> None:
+    usual = sensors.record(sensors.draw_world(6, 200.0, True, "quadrotor"))
+    how = sensors.Logger(50, 10.0, velocities=False, tunnels=2, lost=0.01, repeated=0.02, jitter=1e-3)
+    world = sensors.draw_world(6, 200.0, True, "quadrotor", logger=how)
+    out = sensors.record(world)
+    assert "velocity_sigma" not in world.belief()["gnss"] and "gnss_vel_ned" not in out
+    t, step = out["imu_t"], np.diff(out["imu_t"])
+    assert 0.985 * 10_000 < t.size < 0.995 * 10_000 and np.median(step) == pytest.approx(0.02, rel=0.02)
+    assert np.diff(t).std() > 2e-4 and out["temperature"].size == out["imu"].shape[0] == t.size
+    assert 0.013 < np.mean(np.all(np.diff(out["imu"], axis=0) == 0.0, axis=1)) < 0.027
+    long = np.diff(out["gnss_t"])[np.diff(out["gnss_t"]) > 1.0]
+    assert long == pytest.approx([30.0, 30.0], abs=0.2) and len(out["gnss_llh"]) == out["gnss_t"].size
+    assert np.median(np.diff(out["gnss_t"])) == pytest.approx(0.1)
+    # nothing but what is asked for: the IMU turns by the same angles
+    assert usual["imu"][:4000].sum(axis=0) == pytest.approx(
+        sensors.record(replace(world, logger=sensors.Logger()))["imu"][:4000].sum(axis=0)
+    )
+    key = Job("none", 1, 360.0, True).key
+    assert key == "none-1-360-1-0-1" and Job("none", 1, 360.0, True, logger=how).key != key
+
+
 def test_the_axis_that_shakes_least_shakes_with_the_others() -> None:
     """Of a walker's six it exceeds no bin of its noise beyond doubt: its vibration was "unexplained", for it changes with time."""
     world = sensors.draw_world(410055, 360.0, True)

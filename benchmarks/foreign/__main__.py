@@ -19,6 +19,8 @@ from rich.progress import Progress
 
 from benchmarks.foreign.baselines import judgement
 from benchmarks.foreign.judge import KINDS, Job, answer, drawn, scores, write
+from benchmarks.foreign.motion import RATE
+from benchmarks.foreign.sensors import Logger
 from benchmarks.foreign.trained import learned
 from insemu.work import Lines, processes, run_items
 
@@ -41,6 +43,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--trained", type=int, default=0, help="recordings from which a classifier learns first, one more baseline"
     )
     parser.add_argument("--examples", type=Path, help="keep what it learns from in this file and go on from there")
+    usual, how = Logger(), parser.add_argument_group("how it is recorded")
+    how.add_argument("--imu-hz", type=int, default=usual.imu_hz, help="a divisor of 1000")
+    how.add_argument("--fix-hz", type=float, default=usual.fix_hz, help="of every receiver instead of 1 or 4")
+    how.add_argument("--no-velocities", action="store_true", help="receivers give positions alone")
+    how.add_argument("--tunnels", type=int, default=usual.tunnels, help="stretches of 30 s without fixes")
+    how.add_argument("--lost", type=float, default=usual.lost, help="share of the rows of the IMU that never came")
+    how.add_argument("--repeated", type=float, default=usual.repeated, help="share that repeats the row before")
+    how.add_argument("--jitter", type=float, default=usual.jitter, help="stamps of the IMU stray by up to this, s")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--log", type=Path, help="keep finished recordings in this file and go on from there")
     parser.add_argument("--write", type=Path, help="write the recordings to this folder instead of looking at them")
@@ -50,6 +60,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parser.error("--trained is one of the baselines that --no-baselines leaves out")
     if given.examples and not given.trained:
         parser.error("--examples keeps what --trained learns from, which is not asked for")
+    if given.imu_hz < 1 or RATE % given.imu_hz:
+        parser.error(f"--imu-hz is {given.imu_hz}, expected a divisor of {RATE}")
+    logger = Logger(
+        given.imu_hz, given.fix_hz, not given.no_velocities, given.tunnels, given.lost, given.repeated, given.jitter
+    )
     jobs = [
         Job(
             given.kinds[k % len(given.kinds)],
@@ -58,6 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             not given.no_vibration,
             given.hold_out,
             not given.no_baselines,
+            logger,
         )
         for k in range(given.recordings)
     ]

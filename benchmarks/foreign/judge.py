@@ -6,7 +6,7 @@ import math
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +51,7 @@ FLOOR = 1e-3
 
 @dataclass(frozen=True)
 class Job:
-    """A recording to be drawn and looked at: what is hidden, its seed, its length in s, and whether the vehicle shakes."""
+    """A recording to be drawn and looked at: what is hidden, its seed, its length in s, whether the vehicle shakes, and how it is recorded."""
 
     kind: str
     seed: int
@@ -59,16 +59,25 @@ class Job:
     vibration: bool
     hold_out: bool = False
     baselines: bool = True
+    logger: sensors.Logger = field(default_factory=sensors.Logger)
 
     @property
     def key(self) -> str:
         """Everything that the answer depends on."""
-        return f"{self.kind}-{self.seed}-{self.seconds:g}-{self.vibration:d}-{self.hold_out:d}-{self.baselines:d}"
+        usual = asdict(sensors.Logger())
+        other = "".join(f"-{k}{v:g}" for k, v in asdict(self.logger).items() if v != usual[k])
+        return (
+            f"{self.kind}-{self.seed}-{self.seconds:g}-{self.vibration:d}-{self.hold_out:d}-{self.baselines:d}{other}"
+        )
+
+    def world(self, calm: float = 1.0) -> sensors.World:
+        """What it is a recording of."""
+        return sensors.draw_world(self.seed, self.seconds, self.vibration, calm=calm, logger=self.logger)
 
 
 def drawn(job: Job) -> tuple[sensors.World, list[sensors.Hidden], list[float]]:
     """A world, what is hidden in it, and what each is worth by itself, beside the noise of the fixes that is hidden too: see :class:`Ruler`."""
-    world = sensors.draw_world(job.seed, job.seconds, job.vibration)
+    world = job.world()
     rng = np.random.default_rng([job.seed, 6])
     hidden: list[sensors.Hidden] = []
     worth: list[float] = []
@@ -126,7 +135,7 @@ class Ruler:
     @classmethod
     def of(cls, job: Job, world: sensors.World) -> Ruler:
         """The ruler of a recording."""
-        calm = sensors.draw_world(job.seed, job.seconds, job.vibration, calm=CALM)
+        calm = job.world(CALM)
         return cls(Flown.of(*taken(world, ())), calm, taken(calm, ())[0])
 
     def under(self, hidden: Sequence[sensors.Hidden]) -> Ruler:
@@ -186,7 +195,7 @@ def taken(world: sensors.World, hidden: Sequence[sensors.Hidden]) -> tuple[Recor
 def write(stem: Path, world: sensors.World, hidden: Sequence[sensors.Hidden], worth: Sequence[float]) -> None:
     """Write recording (``.npz``), belief (``.yaml``) and what is hidden (``.truth.yaml``)."""
     np.savez(stem.with_suffix(".npz"), allow_pickle=False, **sensors.record(world, hidden))
-    stem.with_suffix(".yaml").write_text(yaml.safe_dump(world.unit.belief(), sort_keys=False))
+    stem.with_suffix(".yaml").write_text(yaml.safe_dump(world.belief(), sort_keys=False))
     truth = {
         "vehicle": world.vehicle,
         "shaking": world.ride.shaking,
@@ -202,6 +211,10 @@ def answer(job: Job) -> dict[str, Any]:
     begun = time.process_time()
     report = find_gap(measured, nominal, rng=np.random.default_rng(job.seed), hold_out=job.hold_out, pictures=False)
     seconds = time.process_time() - begun
+    # lost samples are there, and said, beside what is hidden
+    lost = [s for s in report.findings if job.logger.loses and s.effect == "dropped_samples"]
+    findings = [s for s in report.findings if s not in lost]
+    verdict = "nothing missing" if lost and not findings and report.verdict == "named" else report.verdict
     return {
         "kind": job.kind,
         "seed": job.seed,
@@ -209,11 +222,12 @@ def answer(job: Job) -> dict[str, Any]:
         "shaking": world.ride.shaking,
         "hidden": [{**h.plain(), "nats": w} for h, w in zip(hidden, worth, strict=True)],
         "truth": [truths(h, world) for h in hidden],
-        "verdict": report.verdict,
+        "verdict": verdict,
+        **({"lost": bool(lost)} if job.logger.loses else {}),
         "remainder": report.remainder,
-        "findings": [s.to_json() for s in report.findings],
-        "right": [[_is(s, h) for h in hidden] for s in report.findings],
-        "held": [[_holds(s, h) for h in hidden] for s in report.findings],
+        "findings": [s.to_json() for s in findings],
+        "right": [[_is(s, h) for h in hidden] for s in findings],
+        "held": [[_holds(s, h) for h in hidden] for s in findings],
         "index": [report.gap_before.value, report.gap_after.value],
         **(_held_out(measured, nominal, report, hidden, world) if job.hold_out else {}),
         "seconds": seconds,
@@ -226,6 +240,7 @@ def _held_out(
 ) -> dict[str, Any]:
     """The interval of the index after refinement, and what was gained on held-out fixes beside what the truth gains, nats per fix."""
     known = bool(hidden) and all((h.effect, h.sensor) in sensors.SHAPED or h.effect in sensors.DRAWN for h in hidden)
+    known = known and not world.logger.loses  # of lost samples the truth has no model
     after = report.gap_after
     truth = [truths(h, world) for h in hidden]
     return {
@@ -319,6 +334,7 @@ def scores(answers: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
         held = [all(any(h[k] for h in a["held"]) for k in range(n)) and len(a["findings"]) == n for a in of[kind]]
         share(f"{kind}: all and only these, by name", exact)
         share(f"{kind}: the same, classes counted", held)
+    share("lost samples: said", [a["lost"] for a in answers if "lost" in a])
     share("outside: 'unexplained'", [a["verdict"] == "unexplained" for a in of["outside"]])
     held = [a for a in answers if "interval" in a]
     share("index after refinement: interval holds 1", [a["interval"][0] <= 1.0 <= a["interval"][1] for a in held])

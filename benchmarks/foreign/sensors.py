@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from benchmarks.foreign.motion import DT, RATE, VEHICLES, Array, Ride, Sensed, geodetic, plane, ride, sense
 
-#: IMU samples are means over ten milliseconds.
-EVERY = 10
-IMU_DT = EVERY * DT
+#: IMU samples are means over ten milliseconds, if nothing else is asked for.
+IMU_DT = 10 * DT
+#: Length of a stretch without fixes, s, and first rows of the IMU of which none is lost.
+TUNNEL_S, SPARED = 30.0, 200
 G = 9.80665
 DEG = np.pi / 180.0
 NEIGHBOURS = {"xy": (0, 1), "xz": (0, 2), "yx": (1, 0), "yz": (1, 2), "zx": (2, 0), "zy": (2, 1)}
@@ -103,6 +104,61 @@ class Unit:
 
 
 @dataclass(frozen=True)
+class Logger:
+    """How a recording comes about: rates, what the receiver gives, what the recorder loses.
+
+    Parameters
+    ----------
+    imu_hz : int
+        A divisor of the rate of the motion.
+    fix_hz : float
+        Of all receivers; 0: as drawn.
+    velocities : bool
+        Whether the receiver gives them.
+    tunnels : int
+        Stretches of :data:`TUNNEL_S` without fixes.
+    lost, repeated : float
+        Share of the rows that never came, and of those that repeat the row before.
+    jitter : float
+        Stamps of the IMU stray by up to this, s.
+    """
+
+    imu_hz: int = round(1.0 / IMU_DT)
+    fix_hz: float = 0.0
+    velocities: bool = True
+    tunnels: int = 0
+    lost: float = 0.0
+    repeated: float = 0.0
+    jitter: float = 0.0
+
+    @property
+    def every(self) -> int:
+        """Steps of the motion in an IMU sample."""
+        return round(RATE / self.imu_hz)
+
+    @property
+    def loses(self) -> bool:
+        """Whether samples are lost."""
+        return self.lost > 0.0 or self.repeated > 0.0
+
+    def logged(self, out: dict[str, NDArray[Any]], rng: np.random.Generator) -> dict[str, NDArray[Any]]:
+        """What the recorder makes of a recording."""
+        out, t = dict(out), out["gnss_t"]
+        if not self.velocities:
+            out = {k: v for k, v in out.items() if k not in ("gnss_vel_ned", "gnss_vel_std_ned")}
+        begin = t[-1] * (np.arange(self.tunnels) + 0.7) / (self.tunnels + 0.4)
+        keep = ~np.any((t[:, None] > begin) & (t[:, None] < begin + TUNNEL_S), axis=1)
+        out |= {k: v[keep] for k, v in out.items() if k.startswith("gnss_")}
+        n = out["imu_t"].size
+        stray, chance = rng.uniform(-self.jitter, self.jitter, n), rng.random((2, n))
+        chance[:, :SPARED] = 1.0
+        out["imu_t"] = out["imu_t"] + stray
+        last = np.maximum.accumulate(np.where(chance[0] < self.repeated, 0, np.arange(n)))
+        there = chance[1] >= self.lost
+        return out | {"imu": out["imu"][last][there]} | {k: out[k][there] for k in ("imu_t", "temperature")}
+
+
+@dataclass(frozen=True)
 class World:
     """A drawn recording: the ride as ideal sensors see it, the unit, and the seed of its noise.
 
@@ -115,6 +171,7 @@ class World:
     unit : Unit
     reference : bool
         Whether the recording says where it started.
+    logger : Logger
     """
 
     seed: int
@@ -123,7 +180,14 @@ class World:
     sensed: Sensed
     unit: Unit
     reference: bool
-    extra: dict[str, Array] = field(default_factory=dict)
+    logger: Logger = field(default_factory=Logger)
+
+    def belief(self) -> dict[str, Any]:
+        """The belief file of the recording."""
+        out = self.unit.belief()
+        if not self.logger.velocities:
+            del out["gnss"]["velocity_sigma"]
+        return out
 
 
 def draw_unit(rng: np.random.Generator) -> Unit:
@@ -137,7 +201,9 @@ def draw_unit(rng: np.random.Generator) -> Unit:
     )  # fmt: skip
 
 
-def draw_world(seed: int, seconds: float, vibration: bool, vehicle: str = "", calm: float = 1.0) -> World:
+def draw_world(
+    seed: int, seconds: float, vibration: bool, vehicle: str = "", calm: float = 1.0, logger: Logger | None = None
+) -> World:
     """Draw vehicle, way, vibration (0.02 to 0.3 g and 0.2 to 5 deg/s, root mean square) and sensors.
 
     Parameters
@@ -150,6 +216,8 @@ def draw_world(seed: int, seconds: float, vibration: bool, vehicle: str = "", ca
         One of the vehicles; drawn where it is empty.
     calm : float
         Factor on the vibration that was drawn; everything else stays as it is.
+    logger : Logger, optional
+        How it is recorded.
     """
     rng = np.random.default_rng([seed, 1])
     vehicle = vehicle or str(rng.choice(VEHICLES))
@@ -158,9 +226,10 @@ def draw_world(seed: int, seconds: float, vibration: bool, vehicle: str = "", ca
         float(np.exp(rng.uniform(np.log(0.2), np.log(5.0)))) * DEG * calm,
     )
     made = ride(rng, vehicle, seconds, shake if vibration else None)
-    unit = draw_unit(rng)
+    unit, logger = draw_unit(rng), logger or Logger()
+    unit = replace(unit, fix_rate=logger.fix_hz or unit.fix_rate)
     reference = vehicle not in ("car", "train") or bool(rng.integers(2))
-    return World(seed, vehicle, made, sense(made), unit, reference)
+    return World(seed, vehicle, made, sense(made), unit, reference, logger)
 
 
 def draw_hidden(rng: np.random.Generator, world: World, what: str) -> Hidden:
@@ -204,7 +273,7 @@ def draw_hidden(rng: np.random.Generator, world: World, what: str) -> Hidden:
         }
         return Hidden(effect, "gnss", str(rng.choice(["north", "east", "down"])), values)
     effect, sensor = str(rng.choice(BAND)), str(rng.choice(["gyro", "accel"]))
-    white = (unit.gyro_white if sensor == "gyro" else unit.accel_white) / np.sqrt(IMU_DT)
+    white = (unit.gyro_white if sensor == "gyro" else unit.accel_white) / np.sqrt(1.0 / world.logger.imu_hz)
     values = {
         "white_noise": {"factor": float(rng.uniform(2.0, 4.0))},
         "vibration_line": {
@@ -251,9 +320,10 @@ def record(world: World, hidden: Sequence[Hidden] = (), stated: float = 1.0) -> 
         for h in hidden:
             if (h.effect, h.sensor) == ("decimation_filter", sensor):
                 signals[sensor] = _butterworth(signals[sensor], h.values["cutoff"])
-    count = sensed.t.size // EVERY
-    means = {s: x[: count * EVERY].reshape(count, EVERY, 3).mean(axis=1) for s, x in signals.items()}
-    t = sensed.t[EVERY - 1 : count * EVERY : EVERY].copy()
+    every = world.logger.every
+    count = sensed.t.size // every
+    means = {s: x[: count * every].reshape(count, every, 3).mean(axis=1) for s, x in signals.items()}
+    t = sensed.t[every - 1 : count * every : every].copy()
     for h in hidden:
         _on_samples(h, t, means, other)
     for h in hidden:
@@ -261,11 +331,12 @@ def record(world: World, hidden: Sequence[Hidden] = (), stated: float = 1.0) -> 
             t = t + h.values["value"]
     out: dict[str, NDArray[Any]] = {
         "imu_t": t,
-        "imu": np.hstack([means["gyro"], means["accel"]]) * IMU_DT,
+        "imu": np.hstack([means["gyro"], means["accel"]]) * (every * DT),
         "imu_kind": np.array("increment"),
-        "temperature": warm[EVERY - 1 : count * EVERY : EVERY],
+        "temperature": warm[every - 1 : count * every : every],
     }
-    return {**out, **_fixes(world, hidden, stated), **(_start(world) if world.reference else {})}
+    out = world.logger.logged({**out, **_fixes(world, hidden, stated)}, np.random.default_rng([world.seed, 7]))
+    return {**out, **(_start(world) if world.reference else {})}
 
 
 def _on_signals(h: Hidden, sensed: Sensed, signals: dict[str, Array], warm: Array) -> None:
