@@ -15,11 +15,12 @@ from insemu.effects import EffectUse
 from insemu.errors import InputError
 from insemu.gap import Nominal
 from insemu.gap.drive import Flown
+from insemu.gap.worth import white_levels
 from insemu.records import Recording
 from insemu.report import render_check
 from insemu.trial import predictive
 from insemu.trial.drives import Stage, stage
-from insemu.trial.predictive import Check, OutageErrors, Statistic, check, kept, motion_of, outage_errors
+from insemu.trial.predictive import Check, OutageErrors, Statistic, check, kept, motion_of, outage_errors, twin_of
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +58,26 @@ def test_the_twin_moves_as_the_recording_did(drive: Stage) -> None:
     assert np.abs(rates[1:-1] - true).std() < 3.0 * drive.truth["gyro_x"].processes[0].parameters["N"] / np.sqrt(
         ideal.dt
     )
+
+
+def test_lost_samples_are_filled_in_in_the_recording_and_in_what_is_emulated(drive: Stage) -> None:
+    made, lossy = recorded(drive), EffectUse.from_mapping({"effect": "dropped_samples", "probability": 0.02})
+    imu, rng = made.imu, np.random.default_rng(5)
+    shaking = np.deg2rad(10.0) * np.sin(2.0 * np.pi * 12.0 * imu.t)[:, None] * imu.widths()
+    last = np.maximum.accumulate(np.where(rng.random(len(imu)) < 0.02, 0, np.arange(len(imu))))
+    held = replace(made, imu=replace(imu, gyro=(imu.gyro + shaking)[last], accel=imu.accel[last]))
+    known, twin = {}, {}
+    for name, effects in (("as recorded", ()), ("filled in", (lossy,))):
+        twin[name], own = twin_of(held, truth(drive, *effects))
+        known[name] = np.nanmean(own.fixes.innovation[:, :3] ** 2)
+    assert known["filled in"] < 0.3 * known["as recorded"]
+    white = {name: white_levels(t.beliefs)["gyro_x"] for name, t in twin.items()}
+    assert white["filled in"] > 1.02 * white["as recorded"]  # a tone is filled in nearly exactly
+    # an emulated one loses samples and comes back with as many rows
+    other = twin["filled in"].recording(1, 0)
+    whole = len(twin["filled in"].imu)
+    assert 0.97 * whole < len(other.imu) < 0.99 * whole
+    assert np.nanmean(twin["filled in"].flown(other).fixes.innovation[:, :3] ** 2) < 0.5 * known["as recorded"]
 
 
 def test_an_outage_is_what_the_filter_without_the_fixes_says(drive: Stage) -> None:

@@ -30,8 +30,10 @@ from insemu.emulate import corrupt, fixes_at
 from insemu.errors import InputError
 from insemu.filters import FilterOptions, FilterResult, InitialSigma, run_filter
 from insemu.gap import Nominal
+from insemu.gap.data import louder
 from insemu.gap.drive import FIRST, by_filter, for_filter, outlying, starting_state, told_of, with_sigma, without
 from insemu.gap.problems import drive_without
+from insemu.lost import Lost, as_noise, restored
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import code_version
 from insemu.strapdown import NavState, mechanize_array, trajectory_of
@@ -324,10 +326,18 @@ def twin_of(measured: Recording, model: Nominal) -> tuple[Twin, FilterResult]:
     """The motion of a recording with a model, and the filter's run on the recording itself."""
     # outliers are told by one rule in what was measured and in what is emulated: a statistic of both is the same function
     drawn = replace(model, effects=tuple(u for u in model.effects if u.id not in FIRST))
+    # what was lost is filled in, as it is in what is emulated
+    lost: tuple[Lost, ...] = ()
+    if any(u.effect.does("restored") for u in model.effects):
+        imu, lost = restored(measured.imu)
+        measured = replace(measured, imu=imu)
     taken, bare = drive_without(measured, drawn)
     imu, gnss, state, sigma = starting_state(taken, bare)
     span = float(imu.t[-1] - imu.t[0])
-    beliefs = {name: for_filter(bare.beliefs[name], imu.dt, span) for name in AXES}
+    more = as_noise([] if "dropped_samples" in model.filled else [s for each in lost for s in each.stretches], span)
+    beliefs = {
+        name: louder(for_filter(bare.beliefs[name], imu.dt, span), float(v)) for name, v in zip(AXES, more, strict=True)
+    }
     assert measured.gnss is not None
     # on a fixed grid: models that start the filter at other times have the same outages
     first = math.ceil((imu.t[0] + OUTAGE_S) / APART_S) * APART_S
