@@ -73,7 +73,7 @@ _ACTIONS = {
     "vibration_band": "damp the mount or raise the white noise: {}",
     "outliers": "reject single samples: {}",
     "saturation": "use a wider range: {}",
-    "dropped_samples": "repair the logger: {}",
+    "dropped_samples": "repair the logger, or compensate dropped_samples: {}",
     "decimation_filter": "model the low-pass: {}",
     "imu_gnss_time_offset": "shift the stamps by {}",
     "gnss_velocity_lag": "use the velocities of the fixes earlier than stamped by {}",
