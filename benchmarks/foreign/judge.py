@@ -135,7 +135,9 @@ class Ruler:
     @classmethod
     def of(cls, job: Job, world: sensors.World) -> Ruler:
         """The ruler of a recording."""
+        # stamps that stray and rows that are lost shift innovations by more than an effect does
         calm = job.world(CALM)
+        calm = replace(calm, logger=replace(calm.logger, lost=0.0, repeated=0.0, jitter=0.0))
         return cls(Flown.of(*taken(world, ())), calm, taken(calm, ())[0])
 
     def under(self, hidden: Sequence[sensors.Hidden]) -> Ruler:
