@@ -21,7 +21,7 @@ from insemu.errors import InputError
 from insemu.gap import GapReport, Nominal, find_gap
 from insemu.gap.candidates.fixes import _share_and_size, gnss_outliers, without_outliers
 from insemu.gap.candidates.shapes import Change
-from insemu.gap.candidates.steps import _Beside, _Scan, _step_anywhere, _when, multipath_step
+from insemu.gap.candidates.steps import _Beside, _Scan, _step_anywhere, _surprising, _when, multipath_step
 from insemu.gap.drive import FIRST
 from insemu.gap.drive.apart import log_mixture, outlying
 from insemu.gap.drive.preparation import Flown
@@ -192,6 +192,46 @@ def test_a_fix_that_was_not_told_an_outlier_is_none_however_far_off() -> None:
     some = [seen({"gnss_outliers": (t[:k], None)})["gnss_outliers"][1:] for k in (5, 8)]
     mixed = [float(np.sum(log_mixture(v, S, 0.03, np.full(3, 30.0)))) for v, S in some]
     assert mixed[0] > mixed[1]
+
+
+def test_a_step_that_a_filter_follows_within_a_few_fixes_is_found() -> None:
+    """At 4 Hz evenly spaced starts are 12 fixes apart: of 93 nats none was seen."""
+    step = sensors.Hidden("gnss_multipath_step", "gnss", "east", {"value": 0.146, "start": 97.98, "duration": 80.87})
+    scene = Scene.of(Flown.of(*taken(sensors.draw_world(500046, 360.0, True), (step,))).prepared)
+    rows = np.ones(scene.rows_t.size, dtype=bool)
+    (found,) = multipath_step(scene, scene.data, rows, scene.always)
+    assert found.axes == ("east",) and found.nats > 40.0
+    value, start, duration = found.values
+    assert value.low < 0.146 < value.high and start.low < 97.98 < start.high
+    assert duration.low < 80.87 < duration.high
+    # where nothing is hidden nothing is found
+    scene = Scene.of(Flown.of(*taken(sensors.draw_world(500046, 360.0, True), ())).prepared)
+    assert all(h.nats < 3.0 for h in multipath_step(scene, scene.data, rows, scene.always))
+
+
+def test_the_fixes_behind_which_residuals_surprise() -> None:
+    e = 0.1 * np.random.default_rng(2).standard_normal((400, 3))
+    e[100, 1] = 5.0
+    e[200:208, 2] += 1.5  # 4.2 standard deviations of their mean
+    top = _surprising(e)
+    assert top[0] == 100 and abs(top[1] - 200) <= 1 and top.size == 16
+    assert np.min(np.diff(np.sort(top))) > 2
+    assert _surprising(e[:3]).size == 1
+
+
+def test_a_step_whose_fixes_were_told_outliers_is_named() -> None:
+    """38 fixes 7 standard deviations off, one after the other, were a share of 0.1 (the most that are told) of outliers."""
+    step = sensors.Hidden("gnss_multipath_step", "gnss", "east", {"value": -6.58, "start": 127.9, "duration": 37.66})
+    some = sensors.Hidden("gnss_outliers", "gnss", "", {"probability": 0.0514, "sigma": 13.55})
+    measured, nominal = taken(sensors.draw_world(500044, 360.0, True), (step, some))
+    report = find_gap(measured, nominal, rng=np.random.default_rng(1), hold_out=False, pictures=False)
+    assert report.verdict == "named"
+    found = {f.effect: {v.name: v for v in f.parameters} for f in report.findings}
+    assert set(found) == {"gnss_outliers", "gnss_multipath_step"}
+    share, values = found["gnss_outliers"]["probability"], found["gnss_multipath_step"]
+    assert share.low < 0.0514 < share.high < 0.09
+    for name, true in (("value", -6.58), ("start", 127.9), ("duration", 37.66)):
+        assert values[name].low < true < values[name].high
 
 
 def test_a_lever_arm_shows_beside_a_colour_that_took_its_slow_part() -> None:

@@ -12,7 +12,17 @@ from numpy.typing import NDArray
 
 from insemu.filters import log_density
 from insemu.gap.candidates.shapes import Change, DriveHypothesis
-from insemu.gap.drive.apart import FIRST, MOST_ROUNDS, Seen, by_filter, less, log_mixture, log_odds, under_colour
+from insemu.gap.drive.apart import (
+    FIRST,
+    MOST_ROUNDS,
+    Seen,
+    by_filter,
+    less,
+    log_mixture,
+    log_odds,
+    log_told,
+    under_colour,
+)
 from insemu.gap.drive.preparation import scaled_fixes
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop
@@ -155,6 +165,32 @@ def mixture(outliers: DriveHypothesis, v: Array, S: Array) -> Array:
         Innovations less what is explained, m or m/s, and their covariances where they are none.
     """
     return log_mixture(v, S, *_share_and_sigma(outliers))
+
+
+def told_again(
+    scene: Scene, outliers: DriveHypothesis, explained: tuple[NDArray[np.int64], Array], cut: float | None, gone: Array
+) -> tuple[float, Array]:
+    """Log density of all positions, or velocities, each an outlier or not as is more likely, without the constant; and times (k,) of the outliers, s.
+
+    Parameters
+    ----------
+    scene : Scene
+        With all fixes.
+    outliers : DriveHypothesis
+        Their share and size.
+    explained : (index, coefficients)
+        Columns and their coefficients, from where no outliers are.
+    cut : float or None
+        Fixes after this time (s) do not count.
+    gone : (k,) array
+        Times of those that the filter hardly follows, s.
+    """
+    effect, given = outliers.effect, _share_and_sigma(outliers)
+    of = np.where(scene.surrogate.use == 1, scene.surrogate.nu - scene.less_explained(*explained), 0.0)
+    t, v, S = _look(scene, effect, 1.0, scene, of)({effect: (gone, given[1])})[effect]
+    out = log_odds(v, S, *given) > 0.0
+    early = np.full(t.size, True) if cut is None else t <= cut
+    return float(np.sum(log_told(v, S, *given, out)[early])), t[out]
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,11 @@ Array = NDArray[np.float64]
 
 #: Parts of a gap between two fixes in which a step may begin.
 GAP_PARTS = 20
-#: Behind a colour a step shows at its edges only: fixes that surprise most, before which edges are looked for, and fixes to either side of each.
-SURPRISES, BESIDE = 16, 2
+#: A step shows at its edges only where a colour or a filter that trusts its fixes follows it: stretches of so many fixes whose mean surprises most,
+#: before which edges are looked for, and fixes to either side of each.
+STRETCHES, SURPRISES, BESIDE = (1, 2, 4, 8), 16, 2
+#: Evenly spaced times more fixes apart than this may miss what a filter follows.
+FOLLOWED = 4.0
 
 
 def multipath_step(
@@ -52,7 +55,9 @@ def multipath_step(
         return []
     beside = _Beside.of(data, given)
     step = _step_anywhere(scene, rows, beside)
-    at_edges = _step_at_edges(scene, rows, beside) if scene.noise is not None else None
+    apart = (scene.starts[1] - scene.starts[0]) / float(np.median(np.diff(scene.prepared.result.fixes.t)))
+    follows = scene.noise is not None or apart > FOLLOWED
+    at_edges = _step_at_edges(scene, rows, beside) if follows else None
     return [step if at_edges is None or step.nats > at_edges.nats else at_edges]
 
 
@@ -90,12 +95,13 @@ def _step_anywhere(scene: Scene, rows: NDArray[np.bool_] | slice, beside: _Besid
 
 
 def _step_at_edges(scene: Scene, rows: NDArray[np.bool_] | slice, beside: _Beside) -> DriveHypothesis | None:
-    """The best step between fixes that surprise: evenly spaced times miss the edges, where alone it shows behind a colour."""
+    """The best step between fixes that surprise: evenly spaced times miss the edges, where alone it shows."""
     t_fix, use = scene.prepared.result.fixes.t, scene.loop.use.ravel()
     residual = beside.ahead()
     fix, component = (np.repeat(np.arange(t_fix.size), 6)[use][rows], np.tile(np.arange(6), t_fix.size)[use][rows])
-    surprise = np.bincount(fix, np.where(component < 3, residual**2, 0.0), t_fix.size)
-    top = np.argsort(surprise)[-SURPRISES:, None] - 1 + np.arange(-BESIDE, BESIDE + 1)
+    positions = np.zeros((t_fix.size, 6))
+    positions[fix, component] = residual
+    top = _surprising(positions[:, :3])[:, None] - 1 + np.arange(-BESIDE, BESIDE + 1)
     last = int(fix[-1]) if fix.size else 0
     before = np.unique(top[(top >= 0) & (top < last)])
     starts = t_fix[before] + 1e-3
@@ -108,6 +114,21 @@ def _step_at_edges(scene: Scene, rows: NDArray[np.bool_] | slice, beside: _Besid
     widths, pairs = scans[c].logs.size // max(scans[c].i.size, 1), 0.5 * last * (last - 1)
     nats = float(np.logaddexp.reduce(np.concatenate([scan.logs for scan in scans]))) - math.log(3.0 * widths * pairs)
     return _step_hypothesis(nats, c, scans[c].value, _when(scans[c], starts, t_fix))
+
+
+def _surprising(e: Array) -> NDArray[np.int64]:
+    """The fixes behind which the means of residuals (f, 3) of unit variance surprise most, those apart from one another."""
+    total, score = np.cumsum(np.vstack([np.zeros(3), e]), axis=0), np.zeros(len(e))
+    for length in STRETCHES:
+        mean_square = np.max((total[length:] - total[:-length]) ** 2, axis=1) / length
+        score[: mean_square.size] = np.maximum(score[: mean_square.size], mean_square)
+    chosen: list[int] = []
+    for k in np.argsort(-score, kind="stable"):
+        if len(chosen) == SURPRISES:
+            break
+        if all(abs(int(k) - other) > BESIDE for other in chosen):
+            chosen.append(int(k))
+    return np.array(chosen, dtype=np.int64)
 
 
 def _axis_steps(scene: Scene, starts: Array, axis: int) -> Array:

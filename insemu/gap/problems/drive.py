@@ -324,6 +324,7 @@ class DriveProblem(NoiseOfFixes):
         """Noise and steps of the fixes as they are beside everything that was found since; whether a colour moved enough to look again."""
         colour, moved = self._named("gnss_correlated_noise"), False
         if colour is None:
+            moved = self._step_in_a_run()
             if back := self._with_edges():
                 self._settle_steps()
             if back or (self.found and self.found[-1].chosen.effect not in FIRST):

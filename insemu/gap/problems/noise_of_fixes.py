@@ -10,19 +10,34 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.gap.candidates.fixes import about, apart_from_named, at_level, without_outliers
+from insemu.gap.candidates.fixes import about, apart_from_named, at_level, told_again, without_outliers
 from insemu.gap.candidates.shapes import Change, DriveHypothesis
+from insemu.gap.candidates.steps import multipath_step, placed
 from insemu.gap.drive.apart import FIRST
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.fixes import LEVEL_ROWS, PLAIN, FixNoise, JointNoise, Surrogate, joint_noise
 from insemu.gap.evidence.linear import Block
 from insemu.gap.hypothesis import Found
 from insemu.gap.policy import rules
+from insemu.lost import runs
 from insemu.records import GnssRecord
 
 Array = NDArray[np.float64]
 #: Times that colour and what is explained are estimated in turns, and the change of the log correlation time at which that ends.
 MOST_LOOKS, AS_LONG = 5, 0.1
+
+
+#: Outliers that follow one another which may be a step: of a share of a tenth so many do once in a million fixes.
+AT_LEAST = 6
+
+
+def _longest_run(told: Array, t: Array) -> Array:
+    """Times of the most outliers that follow one another, of those at times ``told`` (k,), among fixes at times (f,)."""
+    begin, end = runs(np.isin(t, told))
+    if not begin.size:
+        return told[:0]
+    k = int(np.argmax(end - begin))
+    return np.asarray(t[begin[k] : end[k]])
 
 
 class NoiseOfFixes(ABC):
@@ -121,6 +136,37 @@ class NoiseOfFixes(ABC):
             self.gone["gnss_outliers"] = told[~doubtful]
             self._take(self.scene.rebuilt(whole=self.recorded, gone=self.gone))
         return bool(doubtful.any())
+
+    def _step_in_a_run(self) -> bool:
+        """Name a step where positions that follow one another were told outliers, and are more likely with it; whether there was one."""
+        known, told = self._named("gnss_outliers"), self.gone.get("gnss_outliers", np.zeros(0))
+        run = _longest_run(told, self.recorded.t)
+        if known is None or run.size < AT_LEAST:
+            return False
+        rest, blocks = np.setdiff1d(told, run), self.blocks()
+        back = self.scene.rebuilt(whole=self.recorded, gone={**self.gone, "gnss_outliers": rest})
+        rows = np.ones(back.rows_t.size, dtype=bool) if self.cut is None else back.rows_t <= self.cut
+        step = next(iter(multipath_step(back, back.field(self.cut), rows, blocks)), None)
+        window = None if step is None else step.change.window
+        if step is None or window is None or np.mean((run > window[1]) & (run <= window[2])) < 0.5:
+            return False
+        size, back = step.values[0], back.with_windows((*back.windows, window))
+        step = placed(step, back.width - 1)
+        assert step.change.block is not None
+        whole = self.scene.rebuilt(whole=self.recorded, gone={k: t for k, t in self.gone.items() if k != known.effect})
+        before, _ = told_again(whole, known, self.scene.explaining(blocks, self.cut), self.cut, told)
+        beside = back.explaining([*blocks, step.change.block], self.cut)
+        after, rest = told_again(whole.with_windows(back.windows), known, beside, self.cut, rest)
+        # what is paid for its size and its times
+        sd = (size.high - size.low) / (2.0 * 1.96)
+        paid = max(0.5 * (size.value / sd) ** 2 - step.nats, 0.0)
+        if after - paid < before + rules().lead:
+            return False
+        self.gone[known.effect] = rest
+        self._take(back)
+        self.found.append(Found(replace(step, nats=after - paid - before), (step,)))
+        self._take(self._outliers_again(self.scene, known.effect))
+        return True
 
     def _less(self, scene: Scene, effect: str, times: Array) -> Scene:
         """A scene without outliers, those that were told before included."""
