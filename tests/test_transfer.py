@@ -17,7 +17,7 @@ from insemu.filters import Innovations, likeliest, uncertainty
 from insemu.gap import Nominal
 from insemu.noise import GM, RC, WN, NoiseModel, save
 from insemu.records import AXES
-from insemu.transfer import CONSTANTS, Estimate, Factor, Levels, estimated, judge, judged, session, transfer
+from insemu.transfer import CONSTANTS, Estimate, Factor, Levels, estimated, judge, judged, levels_of, session, transfer
 from insemu.trial.drives import stage
 from tests import filter_cases as cases
 
@@ -192,6 +192,16 @@ def test_what_is_known_is_taken_off_and_the_static_models_are_carried(monkeypatc
     assert alone.beliefs == besides.beliefs == static.beliefs
     # stamps that are a quarter of a sample off move the samples against the fixes
     assert (besides.imu.t[0] - alone.imu.t[0]) / alone.imu.dt % 0.5 == pytest.approx(0.25, abs=1e-6)
+
+
+def test_known_lost_samples_are_filled_in() -> None:
+    s = stage(3, 2.0, 50.0)
+    made, last = s.record(), np.arange(len(s.record().imu))
+    last[200::40] -= 1
+    held = replace(made, imu=replace(made.imu, gyro=made.imu.gyro[last], accel=made.imu.accel[last]))
+    lost = EffectUse("dropped_samples", "imu", {"probability": (0.025,), "burst": (1.0,)})
+    as_recorded, filled = (levels_of(held, replace(s.nominal, effects=e)).imu for e in ((), (lost,)))
+    assert as_recorded.repeated().sum() > 100 and filled.repeated().sum() == 0
 
 
 def test_outages_that_end_at_no_position_are_refused(levels: Levels, monkeypatch: pytest.MonkeyPatch) -> None:

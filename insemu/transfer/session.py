@@ -103,7 +103,7 @@ def levels_of(
     if measured.gnss is None:
         raise InputError("has no GNSS fixes, expected a drive or flight with fixes", where=measured.source)
     nominal = nominal.parted()
-    recording, moved = drive_without(measured, nominal)
+    recording, moved = drive_without(measured, nominal, filled=True)
     imu, gnss, state, sigma = starting_state(recording, moved)
     gnss = with_sigma(gnss, moved)
     gnss = gnss.rows((gnss.t > imu.t[0]) & (gnss.t <= imu.t[-1]))

@@ -127,7 +127,7 @@ def static_without(log: StaticLog, nominal: Nominal) -> tuple[StaticLog, dict[st
 
 
 def drive_without(
-    recording: Recording, nominal: Nominal, gone: Told | None = None, *, again: bool = True
+    recording: Recording, nominal: Nominal, gone: Told | None = None, *, again: bool = True, filled: bool = False
 ) -> tuple[Recording, Nominal]:
     """A drive or flight less what is known, and the nominal model as it is then: its lever arm and the noise of its fixes put right.
 
@@ -141,6 +141,8 @@ def drive_without(
         Which of the positions and of the velocities that there are, in order of time, were told outliers already (:func:`struck_out`).
     again : bool
         Whether it is told again which of them are, from those on.
+    filled : bool
+        Whether known lost samples are filled in; a search does so where it looks at the samples, which says how uncertain that is.
 
     Raises
     ------
@@ -164,8 +166,7 @@ def drive_without(
             changes[f"{what}_sigma"] = tuple(float(s) for s in sigma)
     moved = replace(nominal, gnss=g.model_copy(update=changes))
     motion = recording.reference or (lambda rest: _estimated(rest, moved))
-    # what was lost is filled in where the samples are looked at, which says how uncertain it is
-    taken = [use for use in effects if not use.effect.does("restored")]
+    taken = [use for use in effects if filled or not use.effect.does("restored")]
     out = compensated(recording, taken, trajectory=motion, lever_arm=moved.gnss.lever_arm)
     told = {k: _stamps(out, k)[at] for k, at in (gone or {}).items()}
     return _without_outliers(out, moved, colour_of(effects), told) if again else _struck_out(out, told), moved
