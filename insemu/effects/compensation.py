@@ -46,7 +46,8 @@ def compensated(
     ----------
     recording : Recording
     effects : sequence of EffectUse
-        In any order; those of noise and the lever arm (:func:`lever_arm_of`) change nothing here.
+        In any order; those of noise and the lever arm (:func:`lever_arm_of`) change nothing here. Lost samples are filled in first: they are
+        seen in the rows as they were recorded.
     trajectory : Trajectory or callable, optional
         Estimated motion, for Earth rate, transport rate and gravity; the attitude to a degree is enough. Or how to estimate it: a function of
         the recording less everything else, which is called where an effect needs it.

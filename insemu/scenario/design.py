@@ -268,7 +268,7 @@ class DesignOptions(Section):
             if not use.effect.compensable:
                 known = ", ".join(sorted(e.id for e in EFFECTS.values() if e.compensable))
                 raise InputError(
-                    f"the effect '{use.id}' is noise or a loss, which cannot be taken off; expected one of: {known}"
+                    f"the effect '{use.id}' cannot be taken off ({use.effect.absent['compensate']}); expected one of: {known}"
                 )
         return value
 
