@@ -191,6 +191,20 @@ def test_a_level_is_a_setting_beside_anything_else() -> None:
     assert judged([level, shape], "something") == "unexplained"
 
 
+def test_what_the_samples_show_hides_nothing_that_is_left_in_the_fixes() -> None:
+    own = (Member("dropped_samples", "imu", (), 4e4),)
+    lost = Finding("dropped_samples", "held", "imu", (), (), 0.999, 4e4, own)
+    counts = replace(lost, effect="quantization", variant="samples", sensor="accel", axes=("y",))
+    shape = Finding("lever_arm", "", "gnss", ("x",), (), 1.0, 30.0, (Member("lever_arm", "gnss", ("x",), 30.0),))
+    assert judged([lost, counts], "") == "named"
+    assert judged([lost, counts], "an error that goes with speed") == "unexplained"
+    assert judged([lost, shape], "an error that goes with speed") == "named"
+    assert judged([lost, shape.doubted()], "an error that goes with speed") == "unexplained"
+    # of a log at rest the samples are all that there is
+    held = replace(lost, sensor="gyro", axes=("x",))
+    assert judged([held], "something") == "named"
+
+
 def test_the_foreign_folder_computes_on_numpy_alone() -> None:
     folder = Path(__file__).parents[1] / "benchmarks" / "foreign"
     for name in ("motion.py", "sensors.py"):

@@ -157,6 +157,11 @@ class Finding:
         )
         return levels and not self.is_class and not self.doubtful
 
+    @property
+    def is_read_off(self) -> bool:
+        """Whether the samples of a drive show it by themselves: lost samples, a full scale, output counts; the fixes are another matter."""
+        return self.variant == "samples" or (self.variant == "held" and self.sensor == "imu")
+
     def to_json(self) -> dict[str, Any]:
         """As plain data; the keys of the issue first, then ours."""
         return {
@@ -180,7 +185,8 @@ def judged(findings: Sequence[Finding], remainder: str, settled: Collection[str]
     """The verdict: names stand where the strongest finding is not doubtful, whatever else is left over.
 
     Effects that were ``settled`` on other data than the rest (the mounting on the motion across the vehicle) speak before all others: nats of what
-    shakes a sensor do not compare with theirs. Levels are settings, which lead only where nothing else was found.
+    shakes a sensor do not compare with theirs. Levels are settings, which lead only where nothing else was found; what is read off the samples leads
+    only where nothing is left over.
 
     Parameters
     ----------
@@ -191,7 +197,8 @@ def judged(findings: Sequence[Finding], remainder: str, settled: Collection[str]
     settled : collection of str
         Effects found on other data.
     """
-    findings = [s for s in findings if s.effect in settled] or [s for s in findings if not s.is_setting] or findings
+    named = [s for s in findings if not (remainder and s.is_read_off)]
+    findings = [s for s in findings if s.effect in settled] or [s for s in named if not s.is_setting] or named
     if findings and not findings[0].doubtful:
         return "class" if findings[0].is_class else "named"
     return "unexplained" if findings or remainder else "nothing missing"
