@@ -66,7 +66,9 @@ def compensated(
     for use in effects:
         if use.effect.does("restored"):
             imu = use.effect.restored(use, imu)
-    inertial = [use for use in effects if use.sensor != "gnss" and use.effect.compensable]
+    inertial = [
+        use for use in effects if use.sensor != "gnss" and use.effect.compensable and not use.effect.does("restored")
+    ]
     if inertial:
         imu = _imu(imu, inertial, trajectory)
     for use in sorted((use for use in effects if use.sensor == "gnss"), key=_place):

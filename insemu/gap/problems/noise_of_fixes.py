@@ -27,8 +27,9 @@ Array = NDArray[np.float64]
 MOST_LOOKS, AS_LONG = 5, 0.1
 
 
-#: Outliers that follow one another which may be a step: of a share of a tenth so many do once in a million fixes.
-AT_LEAST = 6
+#: Fewest outliers that follow one another which are weighed against a step: of a share of a tenth, the most that are told, so many do by chance
+#: once in a million fixes.
+SHORTEST_RUN = 6
 
 
 def _longest_run(told: Array, t: Array) -> Array:
@@ -141,7 +142,7 @@ class NoiseOfFixes(ABC):
         """Name a step where positions that follow one another were told outliers, and are more likely with it; whether there was one."""
         known, told = self._named("gnss_outliers"), self.gone.get("gnss_outliers", np.zeros(0))
         run = _longest_run(told, self.recorded.t)
-        if known is None or run.size < AT_LEAST:
+        if known is None or run.size < SHORTEST_RUN:
             return False
         rest, blocks = np.setdiff1d(told, run), self.blocks()
         back = self.scene.rebuilt(whole=self.recorded, gone={**self.gone, "gnss_outliers": rest})
@@ -164,7 +165,8 @@ class NoiseOfFixes(ABC):
             return False
         self.gone[known.effect] = rest
         self._take(back)
-        self.found.append(Found(replace(step, nats=after - paid - before), (step,)))
+        step = replace(step, nats=after - paid - before)
+        self.found.append(Found(step, (step,)))
         self._take(self._outliers_again(self.scene, known.effect))
         return True
 
