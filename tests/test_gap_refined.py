@@ -34,7 +34,7 @@ from insemu.gap.session import _looked_closer, _settled
 from insemu.gap.verdict import Interval, Member, Value, held_out_said
 from insemu.noise import AR, BI, DR, GM, QN, RW, SIN, WN, NoiseModel
 from insemu.records import GnssRecord, ImuRecord, Recording, Series
-from insemu.report.gap import FIRST_SCREEN, gap_headline, ranked, render_gap
+from insemu.report.gap import FIRST_SCREEN, filtered_said, gap_headline, ranked, render_gap
 from insemu.scenario import load
 from insemu.trial.drives import stage
 
@@ -315,6 +315,20 @@ def test_the_sentence_above_names_three_and_counts_the_others(tmp_path: Path) ->
     many = report(*findings, *(replace(strong("ramp", 5.0), metres=0.5, axes=(a,)) for a in "xyz"))
     page = render_gap(many, tmp_path).read_text(encoding="utf-8")
     assert page.count('class="card ') == 1 + FIRST_SCREEN
+    # the table too begins with those; the others are behind a fold
+    assert page.index(">6. ") < page.index("<summary>2 more</summary>") < page.index(">8. ")
+
+
+def test_positions_from_a_filter_in_the_receiver_are_said_to_be_that() -> None:
+    """A receiver that fuses its own sensors states 1 m and scatters by 6 mm: multiplying what it states by 0.006 was all that was said."""
+    level, colour = (
+        replace(strong("gnss_noise_level", 8870.0, factor=0.006), axes=("north", "east", "down")),
+        strong("gnss_correlated_noise", 2876.0, tau=974.0),
+    )
+    said = filtered_said(report(level, colour))
+    assert "from a filter in the receiver" in said and "north, east, down 0.006" in said and "974 s" in said
+    assert not filtered_said(report(colour)) and not filtered_said(report(level))
+    assert not filtered_said(report(strong("gnss_noise_level", 700.0, factor=0.38), colour))
 
 
 def test_members_of_a_class_in_several_places_are_told_with_their_axes(tmp_path: Path) -> None:

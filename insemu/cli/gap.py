@@ -147,6 +147,7 @@ def _tell(report: GapReport, console: Console) -> None:
     from insemu.report import (
         FIRST_SCREEN,
         effect_name,
+        filtered_said,
         finding_action,
         finding_metres,
         finding_nees,
@@ -188,8 +189,9 @@ def _tell(report: GapReport, console: Console) -> None:
             console.print(f"and {len(report.findings) - FIRST_SCREEN} more on the page")
     if report.remainder:
         console.print(f"Left unexplained: {report.remainder}", highlight=False, markup=False)
-    if said := shaking_said(report):
-        console.print(said, highlight=False, markup=False)
+    for said in (filtered_said(report), shaking_said(report)):
+        if said:
+            console.print(said, highlight=False, markup=False)
     for label, value in (("before", report.gap_before), ("after", report.gap_after)):
         if math.isfinite(value.value):
             console.print(f"gap index {label}: {value.value:.3f} [{value.low:.3f}, {value.high:.3f}]")

@@ -110,6 +110,8 @@ def finding_action(finding: Finding) -> str:
 FEW = 0.01
 #: Findings on the first screen of a terminal and among the cards of a page, and names in the sentence above them; the table has all.
 FIRST_SCREEN, FEW_NAMES = 6, 3
+#: Scatter of the positions from fix to fix over what is stated below which they were filtered: carrier phase alone reaches 0.38 (rtkexp_drive).
+FILTERED = 0.1
 
 
 def finding_metres(finding: Finding) -> str:
@@ -173,6 +175,30 @@ def shaking_said(report: GapReport) -> str:
             low, high = min(b.low for b in own), max(b.high for b in own)
             parts.append(f"{SENSORS[sensor]} {sizes} {unit} rms between {low:.0f} and {high:.0f} Hz")
     return f"The vehicle shakes, which is no finding: {'; '.join(parts)}." if parts else ""
+
+
+def filtered_said(report: GapReport) -> str:
+    """That positions come from a filter in the receiver, in one sentence; empty where they do not.
+
+    Measured anew, no fix is so near to the one before it and so far from the truth.
+    """
+    levels = {
+        v.value: s.axes
+        for s in report.findings
+        if s.effect == "gnss_noise_level"
+        for v in s.parameters
+        if v.value < FILTERED
+    }
+    last = [
+        v.value for s in report.findings if s.effect == "gnss_correlated_noise" for v in s.parameters if v.name == "tau"
+    ]
+    if not levels or not last:
+        return ""
+    sizes = ", ".join(f"{', '.join(axes)} {level:.3g}" for level, axes in levels.items())
+    return (
+        f"The positions come from a filter in the receiver: from fix to fix they scatter by a small part of what is stated ({sizes}), and their "
+        f"errors last {max(last):.3g} s. Such a filter may use an IMU too, and its errors are not those of a receiver: log raw fixes to judge an IMU."
+    )
 
 
 def _number(x: float) -> str:
@@ -284,8 +310,8 @@ def draw_gap(report: GapReport, folder: str | Path, name: str) -> list[Path]:
     return save(charts, Path(folder), prefix=f"{name}_")
 
 
-def _suspects(report: GapReport, names: Sequence[str]) -> list[Section]:
-    """What was found, how sure that is, what it is worth, and the evidence for it."""
+def _found(report: GapReport, order: Sequence[tuple[int, Finding]]) -> Table:
+    """Findings with their numbers: what to do, how sure that is, and what it is worth."""
     rows = [
         [
             f"{number}. {effect_name(s.effect)}" + (f" ({s.variant})" if s.variant else ""),
@@ -296,7 +322,7 @@ def _suspects(report: GapReport, names: Sequence[str]) -> list[Section]:
             finding_metres(s),
             finding_nees(report, s),
         ]
-        for number, s in ranked(report)
+        for number, s in order
     ]
     heads = (
         "effect",
@@ -307,7 +333,32 @@ def _suspects(report: GapReport, names: Sequence[str]) -> list[Section]:
         "m after 60 s without fixes",
         "NEES then",
     )
-    suspects: list[Block] = [Table(heads, rows, left=3, wrap=True)]
+    return Table(heads, rows, left=3, wrap=True)
+
+
+def _estimates(findings: Sequence[Finding]) -> Table:
+    """Parameters with their intervals."""
+    rows = [
+        [
+            effect_name(s.effect),
+            sensor_axes(s.sensor, s.axes),
+            v.name,
+            _number(v.value),
+            f"{_number(v.low)} to {_number(v.high)}",
+            v.unit,
+        ]
+        for s in findings
+        for v in map(shown_value, s.parameters)
+    ]
+    return Table(("effect", "axes", "parameter", "value", "95 % interval", "unit"), rows, "Estimates", left=3)
+
+
+def _suspects(report: GapReport, names: Sequence[str]) -> list[Section]:
+    """What was found, how sure that is, what it is worth, and the evidence for it."""
+    order = ranked(report)
+    suspects: list[Block] = [_found(report, order[:FIRST_SCREEN])]
+    if rest := order[FIRST_SCREEN:]:
+        suspects.append(Folded(f"{len(rest)} more", [_found(report, rest)]))
     classes = [s for s in report.findings if s.is_class]
     if classes:
         suspects.append(Text("Effects that this recording cannot tell apart:"))
@@ -337,21 +388,9 @@ def _suspects(report: GapReport, names: Sequence[str]) -> list[Section]:
                 ]
             )
         )
-    values = [
-        [
-            effect_name(s.effect),
-            sensor_axes(s.sensor, s.axes),
-            v.name,
-            _number(v.value),
-            f"{_number(v.low)} to {_number(v.high)}",
-            v.unit,
-        ]
-        for s in report.findings
-        for v in map(shown_value, s.parameters)
-    ]
-    suspects.append(
-        Table(("effect", "axes", "parameter", "value", "95 % interval", "unit"), values, "Estimates", left=3)
-    )
+    suspects.append(_estimates([s for _, s in order[:FIRST_SCREEN]]))
+    if rest:
+        suspects.append(Folded("Estimates of the others", [_estimates([s for _, s in rest])]))
     out = [Section("What was found", suspects)]
     pictures = _evidence(report)
     if heard := [n for n in names if report.curves[n].get("f")]:
@@ -391,8 +430,7 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
         f"On data that was not used for naming. Gain of log score: {_interval(report.held_out)} nats per fix (per block of a static log).",
     )
     left = [Text(f"Left unexplained beside what was named: {report.remainder}.")] if report.remainder else []
-    if said := shaking_said(report):
-        left.append(Text(said))
+    left += [Text(said) for said in (filtered_said(report), shaking_said(report)) if said]
     sections = [
         *(_suspects(report, names) if report.findings else []),
         Section("Where they disagree", [*_pictures(report, after=False), looked]),
