@@ -305,6 +305,8 @@ class GapReport(Shown):
         Horizontal standard deviation that the nominal filter states at the end of a minute without fixes, m; NaN of a log at rest.
     outliers : mapping of effect to (k,) array of int
         Which of the positions (velocities) of the recording are outliers: their numbers in order of time, from 0.
+    unresolved : tuple of float
+        White noise that shaking leaves between the samples of the six axes, squared: (rad/s)^2/Hz and (m/s^2)^2/Hz. The vehicle's, and no finding.
     """
 
     verdict: VerdictName
@@ -323,6 +325,7 @@ class GapReport(Shown):
     band: tuple[InBand, ...] = ()
     stated_60s: float = math.nan
     outliers: Mapping[str, NDArray[np.int64]] = field(default_factory=dict, repr=False, compare=False)
+    unresolved: tuple[float, ...] = ()
 
     def nees(self, finding: Finding) -> float:
         """NEES of the horizontal position per degree of freedom at the end of a minute without fixes, of a filter that lacks this finding alone.
@@ -397,6 +400,7 @@ class GapReport(Shown):
             "source": self.source,
             "remainder": self.remainder,
             "band": [b.to_json() for b in self.band],
+            "unresolved": list(self.unresolved),
             "outliers": {effect: at.tolist() for effect, at in self.outliers.items()},
         }
 

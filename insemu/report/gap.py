@@ -174,7 +174,18 @@ def shaking_said(report: GapReport) -> str:
             sizes = ", ".join(f"{b.axis[-1]} {b.rms * scale:.3g}" for b in own)
             low, high = min(b.low for b in own), max(b.high for b in own)
             parts.append(f"{SENSORS[sensor]} {sizes} {unit} rms between {low:.0f} and {high:.0f} Hz")
-    return f"The vehicle shakes, which is no finding: {'; '.join(parts)}." if parts else ""
+    between = ""
+    if any(report.unresolved):
+        white = EFFECTS["white_noise"]
+        gyro, accel = (
+            "{:.3g} {}".format(*datasheet(math.sqrt(report.unresolved[k]), white.unit("N", sensor)))
+            for k, sensor in ((0, "gyro"), (3, "accel"))
+        )
+        between = (
+            f" What is faster than the samples leaves white noise of {gyro} and {accel} in what a filter integrates: sample faster, damp the mount, "
+            "or believe as much, which the design of a refined scenario does."
+        )
+    return f"The vehicle shakes, which is no finding: {'; '.join(parts)}.{between}" if parts or between else ""
 
 
 def filtered_said(report: GapReport) -> str:

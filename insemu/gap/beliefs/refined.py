@@ -181,8 +181,8 @@ def filter_noise(nominal: Nominal, report: GapReport, dt: float) -> dict[str, No
     """
     out = {}
     models = {**nominal.beliefs, **report.refined}
-    for finding in report.findings:
-        for name, more in zip(AXES, finding.white, strict=False):
+    for white in (report.unresolved, *(finding.white for finding in report.findings)):
+        for name, more in zip(AXES, white, strict=False):
             models[name] = louder(models[name], more)
     for name, model in models.items():
         old = set(nominal.beliefs.get(name, ()))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from insemu import earth
 from insemu.effects import EFFECTS, Column, EffectUse
 from insemu.gap.drive.preparation import Prepared
-from insemu.gap.drive.shaking import swing_missed
+from insemu.gap.drive.shaking import velocity_missed
 from insemu.gap.evidence.linear import knot_times
 from insemu.records import GnssRecord, ImuRecord
 from insemu.strapdown import NavState
@@ -76,10 +76,10 @@ def corrected_data(
     llh = gnss.llh.copy()
     there = np.isfinite(llh).all(axis=1)
     llh[there] = earth.move(llh[there], shift[there, :3])
-    if timed and prepared.swings:
-        # what a filter with the new stamps misses of the antenna's swing is another
+    if timed and (prepared.swings or prepared.steadied):
+        # what a filter with the new stamps misses between two samples is another
         before, after = (
-            swing_missed(i, prepared.result.nav, t_fix, prepared.lever_arm) for i in (imu, replace(imu, t=stamps))
+            velocity_missed(i, prepared.result.nav, t_fix, prepared.lever_arm) for i in (imu, replace(imu, t=stamps))
         )
         shift[at, 3:] += before * prepared.steadied - after
     vel_ned = None if gnss.vel_ned is None else gnss.vel_ned + shift[:, 3:]

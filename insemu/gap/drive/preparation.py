@@ -70,10 +70,12 @@ class Prepared:
         Levels of the fixes that were named, as ratios; the trimming stays within its tolerance of them.
     rectified : (n, 2) array, optional
         See :func:`insemu.gap.drive.shaking.rectified`.
+    unresolved : (6,) array
+        White noise among the beliefs that stands for what shaking leaves between the samples, squared densities.
     swings : bool
         Whether the antenna swings on its lever arm as the vehicle shakes: velocities hold what fixes sample of that at their own rate.
     steadied : bool
-        Whether the velocities were moved for that, by what a filter with these stamps misses of it.
+        Whether the velocities were moved by what a filter with these stamps misses of the motion between two samples.
     raised : (6,) array
         By what standard deviations were raised for that: other errors may have had a part in it, so that they may come back.
     first : (6,) array
@@ -97,6 +99,7 @@ class Prepared:
     mended: Mended | None = None
     levels: Array = field(default_factory=lambda: np.ones(6))
     rectified: Array | None = None
+    unresolved: Array = field(default_factory=lambda: np.zeros(6))
     swings: bool = False
     steadied: bool = False
     raised: Array = field(default_factory=lambda: np.ones(6))
@@ -429,7 +432,7 @@ def _on_arm(
     """The fixes with velocities of an antenna that swings on an arm, where the filter takes it back by ``lever``; both (3,) in m."""
     gnss = recorded
     # a filter that trusted shaken velocities has larger innovations than they alone would give it
-    for _ in range(3 if gnss.vel_std_ned is not None and np.any(arm) else 0):
+    for _ in range(3 if gnss.vel_std_ned is not None else 0):
         # nor may it follow positions that are off for other reasons
         loose = _run(imu, scaled_fixes(gnss, LOOSE), start, beliefs, lever)
         steady = steadied(imu, recorded, gnss, loose, lever, arm)

@@ -452,6 +452,21 @@ class Scene:
         """Some columns of the field, (r, k)."""
         return self.data.G[:, index] if "_plain" in self.__dict__ else self.whitened(self._responses(index))
 
+    def log_likelihood(self, blocks: Sequence[Block], cut: float | None = None) -> float:
+        """Of the innovations up to a time, what blocks explain of those after corrections taken for as likely as its prior says.
+
+        Only of scenes without other noise of the fixes than their filter believes.
+        """
+        rows = np.ones(self.rows_t.size, dtype=bool) if cut is None else self.rows_t <= cut
+        y = self.full_y.ravel()[self.loop.use.ravel()][rows]
+        sizes = np.einsum("kii->ki", self.loop.lower)[self.loop.use][rows]
+        plain = -0.5 * float(y @ y) - float(np.sum(np.log(sizes)))
+        if not blocks:
+            return plain
+        index = np.unique(np.concatenate([i for i, _ in blocks]))
+        own = [(np.searchsorted(index, i), root) for i, root in blocks]
+        return plain + Field(y, self._columns(index)[rows]).log_factor(own)
+
     def unexplained(self, blocks: Sequence[Block], cut: float | None = None) -> Array:
         """Innovations (f, 6) in m and m/s less what blocks explain of them, judged by those up to a time; zero where missing."""
         return self.less_explained(*self.explaining(blocks, cut))

@@ -28,8 +28,14 @@ Array = NDArray[np.float64]
 
 #: Length of the pieces in which axes are held against each other, s.
 PIECE_S = 1.0
-#: Shares of the changes of a rate from sample to sample by which the velocity of the antenna may be off.
-SHARES = (0.0, *np.geomspace(0.003, 1.0, 9))
+#: Shares of the changes of a rate from sample to sample by which the velocity of the antenna may be off, squared: more than one where most of the
+#: shaking is faster than half of the samples (25 Hz of a machine's 22 to 135).
+SHARES = (0.0, *np.geomspace(0.003, 10.0, 12))
+#: Samples to either side of a fix through whose angles and velocities the motion goes there. With two, the rate of turn of a quadrotor at 50 Hz (to
+#: 13 Hz) is 1 % too small, which a lever arm of 1 % explains; with four it is 0.1 % (python -m benchmarks.foreign --kinds none --imu-hz 50).
+BESIDE = 4
+#: Share by which the intervals between these samples may differ from the usual one.
+MOST_UNEVEN = 0.5
 
 
 @dataclass(frozen=True)
@@ -223,16 +229,16 @@ def rectified(imu: ImuRecord, fast: Mapping[str, Reduced]) -> Array | None:
     return np.stack([imu.dt * gyro, imu.dt * np.sqrt(gyro * accel)], axis=1)
 
 
-# -- what shaking does to the velocity of the antenna ----------------------------------------------------------------------------------
+# -- what fast motion does to the velocity of the antenna ---------------------------------------------------------------------------------
 
 
 def steadied(
     imu: ImuRecord, gnss: GnssRecord, used: GnssRecord, result: FilterResult, lever_arm: Array, arm: Array
 ) -> GnssRecord:
-    """The fixes with velocities as the filter should have compared them, where the antenna swings on its arm; the same object where it does not.
+    """The fixes with velocities as the filter should have compared them, where the vehicle moves fast; the same object where it does not.
 
-    The filter carries the rate of turn from the last two samples to the fix, which a shaking vehicle spoils; the sample that follows tells better.
-    What is left is noise of the velocity that goes with the shaking, its size chosen by the innovations.
+    The filter carries the rate of turn and its velocity from the last samples to the fix, which a shaking vehicle spoils; the samples that follow
+    tell better. Where the antenna swings on its arm, noise of the velocity is left that goes with the shaking, its size chosen by the innovations.
 
     Parameters
     ----------
@@ -248,12 +254,13 @@ def steadied(
     .. [1] Groves (2013), section 14.3.2.
     """
     fixes = result.fixes
-    there = np.isfinite(fixes.innovation[:, 3:]).all(axis=1) & (fixes.epoch >= 3) & (fixes.epoch < len(imu) - 2)
-    if gnss.vel_ned is None or gnss.vel_std_ned is None or not np.any(arm) or there.sum() < 30:
+    there = np.isfinite(fixes.innovation[:, 3:]).all(axis=1)
+    there &= (fixes.epoch >= BESIDE) & (fixes.epoch < len(imu) - BESIDE)
+    if gnss.vel_ned is None or gnss.vel_std_ned is None or there.sum() < 30:
         return gnss
     k, rate = fixes.epoch[there], _rates(imu)
     C = rotation.dcm_from_quaternion(result.nav[k, 6:10])
-    swing = swing_missed(imu, result.nav, fixes.t[there], lever_arm)
+    missed = velocity_missed(imu, result.nav, fixes.t[there], lever_arm)
     # how much it shakes: changes from sample to sample over a second before and after
     change = np.diff(rate, axis=0, prepend=rate[:1]) ** 2
     half = max(1, round(PIECE_S / imu.dt))
@@ -269,25 +276,29 @@ def steadied(
     best = start = _velocity_score(plain, S)
     chosen, share = 0.0, np.zeros(3)
     for shifted in (0.0, 1.0):
-        nu, tried = plain - shifted * swing, np.zeros(3)
-        for component in (0, 1, 2, 0, 1, 2):
+        nu, tried = plain - shifted * missed, np.zeros(3)
+        for component in (0, 1, 2, 0, 1, 2) if np.any(arm) else ():
             scores = {}
             for size in SHARES:
                 tried[component] = size
                 scores[size] = _velocity_score(nu, S + (tried * blurred)[:, :, None] * np.eye(3))
             tried[component] = max(scores, key=lambda size: scores[size])
-        if scores[tried[2]] > best:
-            best, chosen, share = scores[tried[2]], shifted, tried
+        score = _velocity_score(nu, S + (tried * blurred)[:, :, None] * np.eye(3))
+        if score > best:
+            best, chosen, share = score, shifted, tried
     if best - start < rules().swing_nats:
         return gnss
     vel, sigma = gnss.vel_ned.copy(), gnss.vel_std_ned.copy()
-    vel[at] -= chosen * swing
+    vel[at] -= chosen * missed
     sigma[at] = np.sqrt(sigma[at] ** 2 + share * blurred)
     return replace(gnss, vel_ned=vel, vel_std_ned=sigma)
 
 
-def swing_missed(imu: ImuRecord, nav: Array, t: Array, lever_arm: Array) -> Array:
-    """What the rate of turn that a filter carries to fixes misses of the antenna's velocity there, (f, 3) NED in m/s.
+def velocity_missed(imu: ImuRecord, nav: Array, t: Array, lever_arm: Array) -> Array:
+    """What a filter misses of the antenna's velocity at fixes, (f, 3) NED in m/s: how fast it turns, and how it got from one sample to the next.
+
+    The filter carries the rate of turn from the last two samples, and its velocity along the mean acceleration of the last interval. Here both are
+    slopes and values of polynomials through the samples on both sides.
 
     Parameters
     ----------
@@ -296,21 +307,52 @@ def swing_missed(imu: ImuRecord, nav: Array, t: Array, lever_arm: Array) -> Arra
     nav : (n, 10) array
         Of the filter.
     t : (f,) array
-        Times of the fixes, s; zero where fewer than three samples before or two behind are there.
+        Times of the fixes, s; zero where fewer than :data:`BESIDE` samples are before or behind, or a gap is among them.
     lever_arm : (3,) array
         m, body axes.
     """
-    rate, k = _rates(imu), np.searchsorted(imu.t, t - SAME_TIME * imu.dt)
-    there = (k >= 3) & (k < len(imu) - 2)
-    k = k[there]
+    k = np.searchsorted(imu.t, t - SAME_TIME * imu.dt)
+    there = (k >= BESIDE) & (k < len(imu) - BESIDE)
+    around = np.arange(-BESIDE, BESIDE + 1)
+    steps = np.diff(imu.t[np.where(there, k, BESIDE)[:, None] + around], axis=1)
+    # nothing is known of the motion within a gap
+    there &= (np.abs(steps - imu.dt) < MOST_UNEVEN * imu.dt).all(axis=1)
+    k, out = k[there], np.zeros((t.size, 3))
+    near = k[:, None] + around
+    values, slopes = _polynomial(imu.t[near] - t[there, None])
     late = ((imu.t[k] - t[there]) / (imu.t[k] - imu.t[k - 1]))[:, None]
-    carried = rate[k] + (0.5 - late) * (rate[k] - rate[k - 1])
-    # rates at the stamps, exact where the angle is a polynomial of fourth order
-    edge = (7.0 * (rate[1:-2] + rate[2:-1]) - rate[:-3] - rate[3:]) / 12.0
-    between = (1.0 - late) * edge[k - 1] + late * edge[k - 2]
-    out, C = np.zeros((t.size, 3)), rotation.dcm_from_quaternion(nav[k, 6:10])
-    out[there] = np.einsum("nij,nj->ni", C, np.cross(between - carried, lever_arm))
+    grown = imu.as_increments()
+    turned, gained = grown.gyro[near], grown.accel[near]
+    C = rotation.dcm_from_quaternion(nav[near, 6:10])
+    if np.any(lever_arm):
+        rate = _rates(imu)
+        carried = rate[k] + (0.5 - late) * (rate[k] - rate[k - 1])
+        between = np.einsum("nj,nji->ni", slopes, np.cumsum(turned, axis=1))
+        out[there] = np.einsum("nij,nj->ni", C[:, BESIDE], np.cross(between - carried, lever_arm))
+    # from node to node, each increment turned as the body stood in its middle
+    velocity = np.cumsum(np.einsum("njab,njb->nja", C, gained - 0.5 * np.cross(turned, gained)), axis=1)
+    straight = velocity[:, BESIDE] - late * (velocity[:, BESIDE] - velocity[:, BESIDE - 1])
+    out[there] += np.einsum("nj,nji->ni", values, velocity) - straight
     return out
+
+
+def _polynomial(x: Array) -> tuple[Array, Array]:
+    """Weights (n, p) of values at places x (n, p) that give the value, and the slope, at zero of the polynomial through them."""
+    values, slopes = np.empty_like(x), np.zeros_like(x)
+    places = range(x.shape[1])
+    for j in places:
+        apart = x[:, j : j + 1] - x
+        apart[:, j] = 1.0
+
+        def product(without: tuple[int, ...], apart: Array = apart) -> Array:
+            others = [m for m in places if m not in without]
+            return np.asarray(np.prod(-x[:, others] / apart[:, others], axis=1))
+
+        values[:, j] = product((j,))
+        for i in places:
+            if i != j:
+                slopes[:, j] += product((i, j)) / apart[:, i]
+    return values, slopes
 
 
 def _rates(imu: ImuRecord) -> Array:

@@ -49,6 +49,7 @@ from insemu.gap.problems.band import (
     without_delay,
     without_its_vibration,
 )
+from insemu.gap.problems.between import with_unresolved
 from insemu.gap.problems.findings import (
     AxisResult,
     is_doubtful,
@@ -70,8 +71,6 @@ from insemu.gap.worth import Outage, outages_along, stated_in_outages, white_lev
 from insemu.records import AXES, Recording
 
 Array = NDArray[np.float64]
-#: Correlation times at which a colour is weighed too, over that which was named; it diffuses as fast at each of them.
-OTHER_TIMES = (1.0 / 9.0, 1.0 / 3.0, 3.0)
 
 
 class DriveProblem(NoiseOfFixes):
@@ -132,33 +131,12 @@ class DriveProblem(NoiseOfFixes):
         out = linear_hypotheses(self.scene, self.variants, self.data, given, skip)
         if "gnss_multipath_step" not in skip:
             out += [h for h in multipath_step(self.scene, self.data, self.rows, given) if h.nats > self._step_nats()]
-        out += covariance_hypotheses(self.scene, given, skip, self.cut, self._levelled())
-        return best_first(out)
-
-    def _turn_colour(self) -> None:
-        """Set a colour that was named to another correlation time where it, and what is named beside it, explain more there.
-
-        One that was named first takes the slow part of the next effect, and one that was named beside a process leaves that process its own.
-        """
-        scene, noise = self.scene, self.scene.noise
-        if noise is None or noise.known:
-            return
-        given, skip = self.blocks(), self._skip()
-
-        def explained(at: Scene) -> float:
-            assert at.noise is not None
-            best = max(linear_nats(at, self.variants, at.field(self.cut), given, skip), self.threshold)
-            return self._fixes(at).log_likelihood(at.noise.factor, at.noise.colour) + best
-
-        sigma, tau = noise.colour
-        if not self._others:
-            colours = [(sigma * math.sqrt(r), tau * r) for r in OTHER_TIMES]
-            self._others = [scene.coloured(replace(noise, colour=c)) for c in colours]
-        self._others = [at.with_windows(scene.windows) for at in self._others]
-        each = [explained(at) for at in self._others]
-        k = int(np.argmax(each))
-        if each[k] > explained(scene) + rules().lead:
-            self._take(self._others[k])
+        out = best_first([*out, *covariance_hypotheses(self.scene, given, skip, self.cut, self._levelled())])
+        shaken = with_unresolved(self.scene, given, self.cut, out[0].nats) if out[0].nats > self.threshold else None
+        if shaken is None:
+            return out
+        self._take(shaken)
+        return self.rank()
 
     def _levelled(self, without: Found[Change] | None = None) -> NDArray[np.bool_]:
         """Components (6,) of the fixes whose level was named."""
@@ -568,7 +546,7 @@ def find_dynamic_gap(
     return GapReport(
         judged(findings, left), tuple(findings), where, rest, before, after, held, dict(nominal.beliefs), refined, threshold,
         recording.source, remainder=left, band=tuple(d.shaking for d in at.parts.values() if d.shaking is not None),
-        stated_60s=stated_in_outages(at.prepared.result), outliers=outliers,
+        stated_60s=stated_in_outages(at.prepared.result), outliers=outliers, unresolved=tuple(named.scene.original.unresolved.tolist()),
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.gap.candidates.fixes import about, apart_from_named, at_level, told_again, without_outliers
-from insemu.gap.candidates.shapes import Change, DriveHypothesis
+from insemu.gap.candidates.shapes import Change, DriveHypothesis, Variant, linear_nats
 from insemu.gap.candidates.steps import multipath_step, placed
 from insemu.gap.drive.apart import FIRST
 from insemu.gap.drive.scene import Scene
@@ -25,6 +25,8 @@ from insemu.records import GnssRecord
 Array = NDArray[np.float64]
 #: Times that colour and what is explained are estimated in turns, and the change of the log correlation time at which that ends.
 MOST_LOOKS, AS_LONG = 5, 0.1
+#: Correlation times at which a colour is weighed too, over that which was named; it diffuses as fast at each of them.
+OTHER_TIMES = (1.0 / 9.0, 1.0 / 3.0, 3.0)
 
 
 #: Fewest outliers that follow one another which are weighed against a step: of a share of a tenth, the most that are told, so many do by chance
@@ -46,7 +48,7 @@ class NoiseOfFixes(ABC):
 
     Attributes
     ----------
-    scene, found, cut : Scene, list of Found, float or None
+    scene, variants, threshold, found, cut : Scene, list of Variant, float, list of Found, float or None
         As :class:`insemu.gap.problems.drive.DriveProblem` has them.
     gone : dict of effect to (k,) array
         Times of the positions and of the velocities that were left out as outliers, s.
@@ -55,10 +57,13 @@ class NoiseOfFixes(ABC):
     """
 
     scene: Scene
+    variants: list[Variant]
+    threshold: float
     found: list[Found[Change]]
     cut: float | None
     gone: dict[str, Array]
     recorded: GnssRecord
+    _others: list[Scene]
 
     @abstractmethod
     def _take(self, scene: Scene) -> None:
@@ -67,6 +72,35 @@ class NoiseOfFixes(ABC):
     @abstractmethod
     def blocks(self, without: Found[Change] | None = None) -> Sequence[Block]:
         """How the findings enter the linear model of the innovations, all or all but one, and what is uncertain in any case."""
+
+    @abstractmethod
+    def _skip(self, without: Found[Change] | None = None) -> set[str]:
+        """Effects that are not asked for."""
+
+    def _turn_colour(self) -> None:
+        """Set a colour that was named to another correlation time where it, and what is named beside it, explain more there.
+
+        One that was named first takes the slow part of the next effect, and one that was named beside a process leaves that process its own.
+        """
+        scene, noise = self.scene, self.scene.noise
+        if noise is None or noise.known:
+            return
+        given, skip = self.blocks(), self._skip()
+
+        def explained(at: Scene) -> float:
+            assert at.noise is not None
+            best = max(linear_nats(at, self.variants, at.field(self.cut), given, skip), self.threshold)
+            return self._fixes(at).log_likelihood(at.noise.factor, at.noise.colour) + best
+
+        sigma, tau = noise.colour
+        if not self._others:
+            colours = [(sigma * math.sqrt(r), tau * r) for r in OTHER_TIMES]
+            self._others = [scene.coloured(replace(noise, colour=c)) for c in colours]
+        self._others = [at.with_windows(scene.windows) for at in self._others]
+        each = [explained(at) for at in self._others]
+        k = int(np.argmax(each))
+        if each[k] > explained(scene) + rules().lead:
+            self._take(self._others[k])
 
     def _named(self, effect: str) -> DriveHypothesis | None:
         """What was found of an effect that is there once."""
