@@ -322,6 +322,14 @@ def test_white_noise_of_shaking_hides_no_random_walk() -> None:
     assert more == pytest.approx(report.unresolved[5])
 
 
+def test_velocities_that_were_raised_for_shaking_come_back_each_by_itself() -> None:
+    """A random walk had raised north velocities of a train 5 times and east ones 2 times: together they came back to half, and north was named noise."""
+    world = sensors.draw_world(500008, 360.0, True)
+    walk = sensors.Hidden("random_walk", "accel", "y", {"K": 6.2e-3})
+    report = find_gap(*taken(world, (walk,)), rng=np.random.default_rng(1), hold_out=False, pictures=False)
+    assert [(s.effect, s.axes) for s in report.findings] == [("random_walk", ("y",))]
+
+
 def test_the_nis_of_shaken_velocities_has_the_tolerance_of_a_level() -> None:
     edge = 1.22**2
     assert [_beyond(x) for x in (1.3, 1.0 / 1.3, 2.0 * edge, 0.5 / edge)] == pytest.approx([1.0, 1.0, 2.0, 0.5])

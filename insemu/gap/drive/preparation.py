@@ -339,6 +339,8 @@ def likeliest_levels(prepared: Prepared, white: Array, s: Surrogate, *, back: bo
         Whether a level that was raised before the search may come back: it is none that a finding names.
     """
     groups = [list(g) for g in LEVEL_GROUPS if s.use[:, list(g)].any()]
+    if back:  # components that were raised by shares of their own come back by themselves
+        groups = [part for g in groups for part in ([[k] for k in g] if (prepared.raised[g] > 1.0).any() else [g])]
     out, v, white = prepared, s.nu, white[: s.t.size]
     edge = np.log(1.0 + rules().tolerance)
     for _ in range(MOST_TRIMS if groups else 0):
