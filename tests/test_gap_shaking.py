@@ -323,7 +323,7 @@ def test_white_noise_of_shaking_hides_no_random_walk() -> None:
 
 
 def test_velocities_that_were_raised_for_shaking_come_back_each_by_itself() -> None:
-    """A random walk had raised north velocities of a train 5 times and east ones 2 times: together they came back to half, and north was named noise."""
+    """A random walk had raised north velocities of a train 5 times, east ones 2 times: together they came back to half, and north was noise."""
     world = sensors.draw_world(500008, 360.0, True)
     walk = sensors.Hidden("random_walk", "accel", "y", {"K": 6.2e-3})
     report = find_gap(*taken(world, (walk,)), rng=np.random.default_rng(1), hold_out=False, pictures=False)

@@ -101,9 +101,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for a in answers if given.wrong else ():
         named = [f"{s['effect']} {s['sensor']} {''.join(s['axes'])} {s['gain_nats']:.0f}" for s in a["findings"]]
         hidden = [f"{h['effect']} {h['sensor']} {h['axis']} {h['nats']:.0f}" for h in a["hidden"]]
-        if sorted(k for r in a["right"] for k, v in enumerate(r) if v) != list(range(len(hidden))) or len(named) != len(
-            hidden
-        ):
+        exact = sorted(k for r in a["right"] for k, v in enumerate(r) if v) == list(range(len(hidden)))
+        if not exact or len(named) != len(hidden) or (not hidden and a["verdict"] != "nothing missing"):
             print(f"{a['kind']}-{a['seed']} {a['vehicle']}: hidden {hidden}; {a['verdict']}: {named} {a['remainder']}")
 
 
