@@ -319,7 +319,7 @@ def test_the_sentence_above_names_three_and_counts_the_others(tmp_path: Path) ->
     assert page.index(">6. ") < page.index("<summary>2 more</summary>") < page.index(">8. ")
 
 
-def test_positions_from_a_filter_in_the_receiver_are_said_to_be_that() -> None:
+def test_positions_from_a_filter_in_the_receiver_are_said_to_be_that(tmp_path: Path) -> None:
     """A receiver that fuses its own sensors states 1 m and scatters by 6 mm: multiplying what it states by 0.006 was all that was said."""
     level, colour = (
         replace(strong("gnss_noise_level", 8870.0, factor=0.006), axes=("north", "east", "down")),
@@ -327,6 +327,8 @@ def test_positions_from_a_filter_in_the_receiver_are_said_to_be_that() -> None:
     )
     said = filtered_said(report(level, colour))
     assert "from a filter in the receiver" in said and "north, east, down 0.006" in said and "974 s" in said
+    page = render_gap(report(level, colour), tmp_path).read_text(encoding="utf-8")
+    assert page.index("from a filter in the receiver") < page.rindex("1. GNSS position noise level")
     assert not filtered_said(report(colour)) and not filtered_said(report(level))
     assert not filtered_said(report(strong("gnss_noise_level", 700.0, factor=0.38), colour))
 

@@ -367,7 +367,8 @@ def _estimates(findings: Sequence[Finding]) -> Table:
 def _suspects(report: GapReport, names: Sequence[str]) -> list[Section]:
     """What was found, how sure that is, what it is worth, and the evidence for it."""
     order = ranked(report)
-    suspects: list[Block] = [_found(report, order[:FIRST_SCREEN])]
+    said = filtered_said(report)
+    suspects: list[Block] = [*([Text(said)] if said else []), _found(report, order[:FIRST_SCREEN])]
     if rest := order[FIRST_SCREEN:]:
         suspects.append(Folded(f"{len(rest)} more", [_found(report, rest)]))
     classes = [s for s in report.findings if s.is_class]
@@ -441,7 +442,8 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
         f"On data that was not used for naming. Gain of log score: {_interval(report.held_out)} nats per fix (per block of a static log).",
     )
     left = [Text(f"Left unexplained beside what was named: {report.remainder}.")] if report.remainder else []
-    left += [Text(said) for said in (filtered_said(report), shaking_said(report)) if said]
+    if said := shaking_said(report):
+        left.append(Text(said))
     sections = [
         *(_suspects(report, names) if report.findings else []),
         Section("Where they disagree", [*_pictures(report, after=False), looked]),
