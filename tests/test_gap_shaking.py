@@ -271,26 +271,26 @@ def test_a_shaken_vehicle_whose_vibration_rectifies_lacks_nothing(monkeypatch: p
     assert answer().findings
 
 
-def test_between_two_samples_the_motion_goes_as_those_on_both_sides_say() -> None:
-    """A body that turns and heaves at 8 Hz, seen at 50 Hz, fixes between its samples: to a hundredth of what a filter misses."""
+@pytest.mark.parametrize(("stray", "within"), [(0.0, 0.02), (0.1, 0.4)])
+def test_between_two_samples_the_motion_goes_as_those_on_both_sides_say(stray: float, within: float) -> None:
+    """A body that turns and heaves at 8 Hz, seen at 50 Hz, fixes between its samples, whose stamps may stray: to a share of what a filter misses."""
     dt, w, arm = 0.02, 2.0 * np.pi * 8.0, np.array([0.8, 0.0, 0.0])
     edges = np.arange(1001) * dt
     speed, angle = 0.1 * np.sin(w * edges), 0.02 * np.sin(w * edges + 1.0)
     gyro, accel = np.zeros((2, 1000, 3))
     gyro[:, 2], accel[:, 0] = np.diff(angle), np.diff(speed)
-    imu = ImuRecord(edges[1:], gyro, accel, "increment")
+    imu = ImuRecord(edges[1:] + dt * np.random.default_rng(1).uniform(-stray, stray, 1000), gyro, accel, "increment")
     nav = np.zeros((1000, 10))
     nav[:, 6] = 1.0  # turns of a degree, which change the way of an increment by two hundredths
     t = 2.0 + np.arange(40) * 0.263
     k = np.searchsorted(imu.t, t)
-    late = (imu.t[k] - t) / dt
-    rate = gyro[:, 2] / dt
+    late = (imu.t[k] - t) / (imu.t[k] - imu.t[k - 1])
+    rate = gyro[:, 2] / np.diff(imu.t, prepend=imu.t[0] - dt)
     true = np.stack([0.1 * np.sin(w * t), 0.8 * 0.02 * w * np.cos(w * t + 1.0)], axis=1)
     along = speed[k + 1] - late * (speed[k + 1] - speed[k])
     swing = 0.8 * (rate[k] + (0.5 - late) * (rate[k] - rate[k - 1]))
-    missed = velocity_missed(imu, nav, t, arm)
-    expected = true - np.stack([along, swing], axis=1)
-    assert np.all(np.abs(missed[:, :2] - expected) < 0.02 * np.abs(expected).max(axis=0))
+    missed, expected = velocity_missed(imu, nav, t, arm), true - np.stack([along, swing], axis=1)
+    assert np.all(np.std(missed[:, :2] - expected, axis=0) < within * np.std(expected, axis=0))
     assert np.all(np.std(expected, axis=0) > [3e-3, 0.05])
     # nothing is known of a gap
     gap = replace(imu, t=imu.t + np.where(np.arange(1000) < k[20], 0.0, 0.5))

@@ -339,8 +339,9 @@ def likeliest_levels(prepared: Prepared, white: Array, s: Surrogate, *, back: bo
         Whether a level that was raised before the search may come back: it is none that a finding names.
     """
     groups = [list(g) for g in LEVEL_GROUPS if s.use[:, list(g)].any()]
-    if back:  # components that were raised by shares of their own come back by themselves
-        groups = [part for g in groups for part in ([[k] for k in g] if (prepared.raised[g] > 1.0).any() else [g])]
+    if back:  # components that were raised by other shares come back by themselves
+        apart = [float(np.ptp(np.log(prepared.raised[g]))) > np.log1p(rules().tolerance) for g in groups]
+        groups = [part for g, other in zip(groups, apart, strict=True) for part in ([[k] for k in g] if other else [g])]
     out, v, white = prepared, s.nu, white[: s.t.size]
     edge = np.log(1.0 + rules().tolerance)
     for _ in range(MOST_TRIMS if groups else 0):

@@ -21,6 +21,7 @@ from insemu.gap.data.log import Reduced, moving_spectrum, unheard
 from insemu.gap.data.samples import without_motion
 from insemu.gap.policy import rules
 from insemu.gap.verdict import InBand
+from insemu.lost import STRAY
 from insemu.noise import NoiseModel
 from insemu.records import AXES, GnssRecord, ImuRecord
 
@@ -34,8 +35,6 @@ SHARES = (0.0, *np.geomspace(0.003, 10.0, 12))
 #: Samples to either side of a fix through whose angles and velocities the motion goes there. With two, the rate of turn of a quadrotor at 50 Hz (to
 #: 13 Hz) is 1 % too small, which a lever arm of 1 % explains; with four it is 0.1 % (python -m benchmarks.foreign --kinds none --imu-hz 50).
 BESIDE = 4
-#: Share by which the intervals between these samples may differ from the usual one.
-MOST_UNEVEN = 0.5
 
 
 @dataclass(frozen=True)
@@ -313,13 +312,14 @@ def velocity_missed(imu: ImuRecord, nav: Array, t: Array, lever_arm: Array) -> A
     """
     k = np.searchsorted(imu.t, t - SAME_TIME * imu.dt)
     there = (k >= BESIDE) & (k < len(imu) - BESIDE)
-    around = np.arange(-BESIDE, BESIDE + 1)
-    steps = np.diff(imu.t[np.where(there, k, BESIDE)[:, None] + around], axis=1)
-    # nothing is known of the motion within a gap
-    there &= (np.abs(steps - imu.dt) < MOST_UNEVEN * imu.dt).all(axis=1)
+    beat = imu.dt * np.arange(-BESIDE, BESIDE + 1)
+    stamps = imu.t[np.where(there, k, BESIDE)[:, None] + np.arange(-BESIDE, BESIDE + 1)]
+    # a sensor samples evenly, whatever its stamps do; nothing is known of the motion within a gap
+    even = beat + np.mean(stamps - beat, axis=1, keepdims=True)
+    there &= (np.abs(stamps - even) < STRAY * imu.dt).all(axis=1)
     k, out = k[there], np.zeros((t.size, 3))
-    near = k[:, None] + around
-    values, slopes = _polynomial(imu.t[near] - t[there, None])
+    near = k[:, None] + np.arange(-BESIDE, BESIDE + 1)
+    values, slopes = _polynomial(even[there] - t[there, None])
     late = ((imu.t[k] - t[there]) / (imu.t[k] - imu.t[k - 1]))[:, None]
     grown = imu.as_increments()
     turned, gained = grown.gyro[near], grown.accel[near]
