@@ -108,9 +108,10 @@ def finding_action(finding: Finding) -> str:
 
 #: Share of the metres of the largest finding below which one hardly matters: squares add up, so that it moves the sum by a twenty-thousandth.
 FEW = 0.01
-#: Findings on the first screen of a terminal and among the cards of a page, and names in the sentence above them; the table has all.
+#: Findings on the first screen of a terminal and of a page, which folds the others, and names in the sentence above them.
 FIRST_SCREEN, FEW_NAMES = 6, 3
-#: Scatter of the positions from fix to fix over what is stated below which they were filtered: carrier phase alone reaches 0.38 (rtkexp_drive).
+#: Scatter of the positions from fix to fix over what is believed below which they were filtered: RTK without a filter reaches 0.38 (rtkexp_drive),
+#: filters 0.007 to 0.02 (u-blox, UAV; ``python -m tests.real_gaps``).
 FILTERED = 0.1
 
 
@@ -189,26 +190,26 @@ def shaking_said(report: GapReport) -> str:
 
 
 def filtered_said(report: GapReport) -> str:
-    """That positions come from a filter in the receiver, in one sentence; empty where they do not.
+    """That positions come from a filter in the receiver, in two sentences; empty where they do not.
 
-    Measured anew, no fix is so near to the one before it and so far from the truth.
+    Independent fixes scatter from one to the next by their whole error, except for the part that lasts.
     """
-    levels = {
-        v.value: s.axes
+    levels = [
+        (v.value, s.axes)
         for s in report.findings
         if s.effect == "gnss_noise_level"
         for v in s.parameters
         if v.value < FILTERED
-    }
-    last = [
+    ]
+    times = [
         v.value for s in report.findings if s.effect == "gnss_correlated_noise" for v in s.parameters if v.name == "tau"
     ]
-    if not levels or not last:
+    if not levels or not times:
         return ""
-    sizes = ", ".join(f"{', '.join(axes)} {level:.3g}" for level, axes in levels.items())
+    sizes = ", ".join(f"{', '.join(axes)} {level:.3g}" for level, axes in levels)
     return (
-        f"The positions come from a filter in the receiver: from fix to fix they scatter by a small part of what is stated ({sizes}), and their "
-        f"errors last {max(last):.3g} s. Such a filter may use an IMU too, and its errors are not those of a receiver: log raw fixes to judge an IMU."
+        "The positions come from a filter in the receiver: from fix to fix they scatter by a small part of the believed standard deviations "
+        f"({sizes}), and their errors last {max(times):.3g} s. Such a filter may use an IMU too: to judge an IMU, log fixes that are not filtered."
     )
 
 

@@ -432,7 +432,7 @@ def _on_arm(
     lever: Array,
     arm: Array,
 ) -> GnssRecord:
-    """The fixes with velocities of an antenna that swings on an arm, where the filter takes it back by ``lever``; both (3,) in m."""
+    """The fixes with velocities as :func:`steadied` moves them, of an antenna on an arm that the filter takes back by ``lever``; both (3,) in m."""
     gnss = recorded
     # a filter that trusted shaken velocities has larger innovations than they alone would give it
     for _ in range(3 if gnss.vel_std_ned is not None else 0):
