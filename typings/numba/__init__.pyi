@@ -12,6 +12,10 @@ def cfunc(signature: Any, *, cache: bool = ...) -> Callable[[Callable[..., None]
 def carray(pointer: Any, shape: int | tuple[int, ...]) -> Any: ...
 
 class types:
+    class Type:
+        def __init__(self, name: str) -> None: ...
+        def __call__(self, *arguments: Any) -> Any: ...
+
     float64: Any
     int64: Any
     @staticmethod

@@ -344,6 +344,7 @@ def likeliest_levels(prepared: Prepared, white: Array, s: Surrogate, *, back: bo
         groups = [part for g, other in zip(groups, apart, strict=True) for part in ([[k] for k in g] if other else [g])]
     out, v, white = prepared, s.nu, white[: s.t.size]
     edge = np.log(1.0 + rules().tolerance)
+    passed: tuple[Array, Array] | None = None
     for _ in range(MOST_TRIMS if groups else 0):
         ratio = out.factors / prepared.factors
         if out is not prepared:
@@ -354,8 +355,16 @@ def likeliest_levels(prepared: Prepared, white: Array, s: Surrogate, *, back: bo
                 break
         y = np.einsum("kij,kj->ki", white, v)
         score, information = level_scores(replace(s, R=s.R * ratio**2), white, y, groups)
+        place = np.array([np.log(out.factors[g[0]]) for g in groups])
         # a weak pull towards the nominal level keeps a level that the innovations do not show
         move = np.linalg.solve(information + np.eye(len(groups)), score)
+        # what a level changes in the covariance of the errors is in no information, so that a step may be too long: between two scores of other sign
+        # the next is where the line through both is zero
+        if passed is not None:
+            before, there = passed
+            over = (score * before < 0.0) & (place != there)
+            move[over] = ((there - place) * score / (score - before))[over]
+        passed = score, place
         factors = out.factors.copy()
         for g, m in zip(groups, move, strict=True):
             middle = np.log(out.levels[g])

@@ -8,10 +8,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from insemu.gap.evidence.lanes import LANES, add, div, load, mul, spread, store, sub
 
-#: Sets of noise levels and colours that go through the filter side by side: as many numbers as two registers of the processor hold.
-LANES = 8
+Array = NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True)
@@ -375,37 +374,6 @@ def surrogate_filter(
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
-def add_rows(
-    weight: Array, at: NDArray[np.int64], count: int, rows: Array, width: int, out: Array
-) -> None:  # pragma: no cover - compiled
-    """Add a weighted sum of rows of a matrix, four in one sweep.
-
-    Parameters
-    ----------
-    weight, at : (count or more,) arrays
-        Weights, and which rows they belong to.
-    count : int
-    rows : (r, width or more) array
-    width : int
-        Numbers of each row that count.
-    out : (width or more,) array
-        Added to.
-    """
-    r = 0
-    while r + 4 <= count:
-        a, b, c, d = weight[r], weight[r + 1], weight[r + 2], weight[r + 3]
-        one, two, three, four = rows[at[r]], rows[at[r + 1]], rows[at[r + 2]], rows[at[r + 3]]
-        for j in range(width):
-            out[j] += a * one[j] + b * two[j] + c * three[j] + d * four[j]
-        r += 4
-    while r < count:
-        a, one = weight[r], rows[at[r]]
-        for j in range(width):
-            out[j] += a * one[j]
-        r += 1
-
-
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
 def surrogate_likelihoods(
     Phi: Array,
     Q: Array,
@@ -443,8 +411,9 @@ def surrogate_likelihoods(
     """
     n = P0.shape[0]
     which = np.zeros(6, dtype=np.int64)
-    at = np.zeros(n + 1, dtype=np.int64)
-    a = np.zeros(n + 1)
+    # entries of each row of a transition, and those of a row of a Jacobian, that are not zero
+    count, place, entry = np.zeros(n, dtype=np.int64), np.zeros((n, n), dtype=np.int64), np.zeros((n, n))
+    at, a = np.zeros(n + 1, dtype=np.int64), np.zeros(n + 1)
     for block in range(ratio.shape[0]):
         extra = 0
         for i in range(6):
@@ -452,74 +421,65 @@ def surrogate_likelihoods(
                 which[extra] = i
                 extra += 1
         m = n + extra
-        width = m * LANES
-        # rows of P and of F P hold all lanes of an element side by side, so that both products are sums of long rows
-        P = np.zeros((m, width))
-        T = np.zeros((n, width))
-        turned = np.zeros((n, n * LANES))
+        row = m * LANES
+        P = np.zeros((m, m, LANES))
+        T = np.zeros((n, m, LANES))
         x = np.zeros((m, LANES))
         ahead = np.zeros((n, LANES))
-        g = np.zeros((6, width))
-        gain = np.zeros((6, width))
+        g = np.zeros((6, m, LANES))
+        gain = np.zeros((6, m, LANES))
         s, e, phi, total = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
         for i in range(n):
             for j in range(n):
                 for c in range(LANES):
-                    P[i, j * LANES + c] = P0[i, j]
+                    P[i, j, c] = P0[i, j]
         for i in range(6):
             for c in range(LANES):
-                P[i, i * LANES + c] += first[i] * (ratio[block, i, c] - 1.0)
+                P[i, i, c] += first[i] * (ratio[block, i, c] - 1.0)
         for j in range(extra):
             for c in range(LANES):
                 i, v = which[j], sigma[block, which[j], c]
-                P[n + j, (n + j) * LANES + c] = v
+                P[n + j, n + j, c] = v
                 if first[i] > 0.0:
-                    P[i, i * LANES + c] += v
-                    P[i, (n + j) * LANES + c] = P[n + j, i * LANES + c] = v
+                    P[i, i, c] += v
+                    P[i, n + j, c] = P[n + j, i, c] = v
         for k in range(nu.shape[0]):
             for c in range(LANES):
                 phi[c] = math.exp(-gap[k] * rate[block, c])
-            T[:, :] = 0.0
+            turned = load(phi, 0)
             for i in range(n):
-                seen = 0
+                count[i] = 0
                 for q in range(n):
                     if Phi[k, i, q] != 0.0:
-                        at[seen], a[seen] = q, Phi[k, i, q]
-                        seen += 1
-                add_rows(a, at, seen, P, width, T[i])
-                for q in range(n):
-                    for c in range(LANES):
-                        turned[q, i * LANES + c] = T[i, q * LANES + c]
-                for c in range(LANES):
-                    ahead[i, c] = 0.0
-                for r in range(seen):
-                    for c in range(LANES):
-                        ahead[i, c] += a[r] * x[at[r], c]
+                        place[i, count[i]], entry[i, count[i]] = q, Phi[k, i, q]
+                        count[i] += 1
+                total_of = spread(0.0)
+                for r in range(count[i]):
+                    total_of = add(total_of, mul(spread(entry[i, r]), load(x, place[i, r] * LANES)))
+                store(ahead, i * LANES, total_of)
+                for j in range(m):
+                    total_of = spread(0.0)
+                    for r in range(count[i]):
+                        total_of = add(total_of, mul(spread(entry[i, r]), load(P, place[i, r] * row + j * LANES)))
+                    store(T, i * row + j * LANES, total_of)
             for i in range(n):
-                seen = 0
-                for q in range(n):
-                    if Phi[k, i, q] != 0.0:
-                        at[seen], a[seen] = q, Phi[k, i, q]
-                        seen += 1
                 for j in range(i + 1):
-                    for c in range(LANES):
-                        P[i, j * LANES + c] = Q[k, i, j]
-                add_rows(a, at, seen, turned, (i + 1) * LANES, P[i])
-                for j in range(i):
-                    for c in range(LANES):
-                        P[j, i * LANES + c] = P[i, j * LANES + c]
-                for j in range(extra):
-                    for c in range(LANES):
-                        v = T[i, (n + j) * LANES + c] * phi[c]
-                        P[i, (n + j) * LANES + c] = v
-                        P[n + j, i * LANES + c] = v
-            for i in range(extra):
-                for j in range(extra):
-                    for c in range(LANES):
-                        P[n + i, (n + j) * LANES + c] *= phi[c] * phi[c]
+                    total_of = spread(Q[k, i, j])
+                    for r in range(count[j]):
+                        total_of = add(total_of, mul(spread(entry[j, r]), load(T, i * row + place[j, r] * LANES)))
+                    store(P, i * row + j * LANES, total_of)
+                    store(P, j * row + i * LANES, total_of)
+                for j in range(n, m):
+                    moved = mul(load(T, i * row + j * LANES), turned)
+                    store(P, i * row + j * LANES, moved)
+                    store(P, j * row + i * LANES, moved)
+            for i in range(n, m):
+                for j in range(n, m):
+                    own = i * row + j * LANES
+                    store(P, own, mul(load(P, own), mul(turned, turned)))
                 for c in range(LANES):
-                    P[n + i, (n + i) * LANES + c] += (1.0 - phi[c] * phi[c]) * sigma[block, which[i], c]
-                    x[n + i, c] *= phi[c]
+                    P[i, i, c] += (1.0 - phi[c] * phi[c]) * sigma[block, which[i - n], c]
+                    x[i, c] *= phi[c]
             x[:n] = ahead
             used = 0
             for i in range(6):
@@ -534,58 +494,57 @@ def surrogate_likelihoods(
                     if which[j] == i:
                         at[seen], a[seen] = n + j, 1.0
                         seen += 1
-                own = g[used]
-                own[:] = 0.0
-                add_rows(a, at, seen, P, width, own)
-                for b in range(used):
-                    for c in range(LANES):
-                        e[c] = 0.0
+                own = used * row
+                for j in range(m):
+                    total_of = spread(0.0)
                     for r in range(seen):
-                        for c in range(LANES):
-                            e[c] += a[r] * gain[b, at[r] * LANES + c]
+                        total_of = add(total_of, mul(spread(a[r]), load(P, at[r] * row + j * LANES)))
+                    store(g, own + j * LANES, total_of)
+                for b in range(used):
+                    seen_of = spread(0.0)
+                    for r in range(seen):
+                        seen_of = add(seen_of, mul(spread(a[r]), load(gain, b * row + at[r] * LANES)))
                     for j in range(m):
-                        for c in range(LANES):
-                            own[j * LANES + c] -= e[c] * g[b, j * LANES + c]
-                for c in range(LANES):
-                    s[c] = R[k, i] * ratio[block, i, c]
-                    e[c] = nu[k, i]
+                        p = own + j * LANES
+                        store(g, p, sub(load(g, p), mul(seen_of, load(g, b * row + j * LANES))))
+                variance, error = spread(R[k, i]), spread(nu[k, i])
+                variance = mul(variance, load(ratio, (block * 6 + i) * LANES))
                 for r in range(seen):
-                    for c in range(LANES):
-                        s[c] += a[r] * own[at[r] * LANES + c]
-                        e[c] -= a[r] * x[at[r], c]
+                    variance = add(variance, mul(spread(a[r]), load(g, own + at[r] * LANES)))
+                    error = sub(error, mul(spread(a[r]), load(x, at[r] * LANES)))
+                store(s, 0, variance)
+                store(e, 0, error)
                 for c in range(LANES):
                     total[c] -= 0.5 * (math.log(s[c]) + e[c] * e[c] / s[c]) if s[c] > 0.0 else math.nan
-                    s[c] = 1.0 / s[c]
+                inverse = div(spread(1.0), variance)
+                error = mul(error, inverse)
                 for j in range(m):
-                    for c in range(LANES):
-                        v = own[j * LANES + c] * s[c]
-                        gain[used, j * LANES + c] = v
-                        x[j, c] += v * e[c]
+                    v = load(g, own + j * LANES)
+                    store(gain, own + j * LANES, mul(v, inverse))
+                    store(x, j * LANES, add(load(x, j * LANES), mul(v, error)))
                 used += 1
             for j in range(m):
                 b = 0
                 while b + 3 <= used:
+                    own = b * row
+                    one, two = load(gain, own + j * LANES), load(gain, own + row + j * LANES)
+                    three = load(gain, own + 2 * row + j * LANES)
                     for q in range(j + 1):
-                        for c in range(LANES):
-                            P[j, q * LANES + c] -= (
-                                gain[b, j * LANES + c] * g[b, q * LANES + c]
-                                + gain[b + 1, j * LANES + c] * g[b + 1, q * LANES + c]
-                                + gain[b + 2, j * LANES + c] * g[b + 2, q * LANES + c]
-                            )
+                        p, r = j * row + q * LANES, own + q * LANES
+                        left = sub(sub(load(P, p), mul(one, load(g, r))), mul(two, load(g, r + row)))
+                        store(P, p, sub(left, mul(three, load(g, r + 2 * row))))
                     b += 3
                 while b < used:
                     for q in range(j + 1):
-                        for c in range(LANES):
-                            P[j, q * LANES + c] -= gain[b, j * LANES + c] * g[b, q * LANES + c]
+                        p = j * row + q * LANES
+                        store(P, p, sub(load(P, p), mul(load(gain, b * row + j * LANES), load(g, b * row + q * LANES))))
                     b += 1
                 for q in range(j):
-                    for c in range(LANES):
-                        P[q, j * LANES + c] = P[j, q * LANES + c]
+                    store(P, q * row + j * LANES, load(P, j * row + q * LANES))
             for i in range(6):
                 if use[k, i] == 1:
                     for j in range(n):
                         w = K[k, j, i] * nu[k, i]
                         if w != 0.0:
-                            for c in range(LANES):
-                                x[j, c] += w
+                            store(x, j * LANES, add(load(x, j * LANES), spread(w)))
         out[block] = total

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from insemu.filters import FilterResult
 from insemu.gap.evidence import error_kernels
 from insemu.gap.evidence.climb import Ridge, laplace_together
+from insemu.gap.evidence.lanes import LANES
 from insemu.gap.evidence.linear import log_mean_exp
 from insemu.gap.evidence.merged import between_fixes, merged_states
 from insemu.gap.evidence.modes import Free, Mode, level
@@ -184,7 +185,7 @@ class Surrogate:
         """Log-likelihoods of several noises of the fixes, eight in one pass; minus infinity where one is not finite."""
         sigma, rate = np.stack([n.colour[0] for n in noises]), np.array([1.0 / n.colour[1] for n in noises])
         factor = np.stack([n.factor for n in noises])
-        lanes = error_kernels.LANES
+        lanes = LANES
         # a pass carries a state for every component that one of its eight colours: like goes with like
         order = np.argsort(np.count_nonzero(sigma, axis=1), kind="stable")
         order = np.concatenate([order, np.repeat(order[-1:], -order.size % lanes)])
