@@ -17,6 +17,7 @@ from insemu.gap.drive.apart import (
     MOST_ROUNDS,
     Seen,
     by_filter,
+    led_away,
     less,
     log_mixture,
     log_odds,
@@ -248,7 +249,7 @@ def without_outliers(
     if gone is None:
         at, v, S = whole_innovations(seen, nu, None, effect)
         gone = scene.prepared.result.fixes.t[at][_odds(outliers, v, S) > 0.0]
-    now, best, top = 1.0 if level is None else level, Separated(gone, outliers, 1.0), -math.inf
+    now, best, values = 1.0 if level is None else level, Separated(gone, outliers, 1.0), list[float]()
     explained = np.where(seen.surrogate.use == 1, seen.surrogate.nu - nu, 0.0)
     for _ in range(MOST_ROUNDS):
         if scene.noise is not None:
@@ -261,8 +262,9 @@ def without_outliers(
         outliers = _share_and_size(outliers, v[early], S[early])
         # a filter that leaves out fixes which are no outliers follows worse and takes more for outliers: those count that explain most
         value = float(np.sum(mixture(outliers, v[early], S[early])))
-        if value > top:
-            best, top = Separated(gone, outliers, now), value
+        if not values or value > max(values):
+            best = Separated(gone, outliers, now)
+        values.append(value)
         before, gone = gone, t[_odds(outliers, v, S) > 0.0]
         scatter = 1.0
         if level is not None:
@@ -270,7 +272,7 @@ def without_outliers(
             y = v[early] / np.sqrt(np.einsum("kii->ki", S[early]))
             scatter = float(np.median(np.abs(y))) / NORMAL_MEDIAN
             now *= scatter
-        if np.array_equal(before, gone) and abs(math.log(scatter)) < SAME_LEVEL:
+        if (np.array_equal(before, gone) and abs(math.log(scatter)) < SAME_LEVEL) or led_away(values):
             break
     return best
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from insemu.effects import EffectUse
 from insemu.filters import FilterResult, log_density
 from insemu.gap.evidence.fixes import FixNoise, Surrogate
+from insemu.gap.policy import rules
 from insemu.records import GnssRecord
 
 Array = NDArray[np.float64]
@@ -34,6 +35,8 @@ FIRST = {"gnss_outliers": 0, "gnss_velocity_outliers": 3}
 LOOSE = 1e3
 #: Most rounds in which outliers and filter are told apart; on rtkexp_drive, whose outliers come in runs of 20, the second or third explains most.
 MOST_ROUNDS = 10
+#: Rounds in a row that explain less than an earlier one by what decides, after which no later one explained most (all 14 searches on rtkexp_drive).
+MOST_WORSE = 2
 
 
 def log_odds(v: Array, S: Array, probability: float, sigma: Array) -> Array:
@@ -151,6 +154,11 @@ def _whole(t: Array, v: Array, S: Array, effect: str) -> Fixes:
     return t[there], v[there][:, own], S[there][:, own, own]
 
 
+def led_away(values: Sequence[float]) -> bool:
+    """Whether rounds that tell outliers explain so much less than an earlier one that those after them will, by what each explains in nats."""
+    return len(values) > MOST_WORSE and max(values[-MOST_WORSE:]) < max(values) - rules().lead
+
+
 def outlying(seen: Seen, known: Sequence[EffectUse], told: Mapping[str, Array]) -> dict[str, Array]:
     """By effect the times (k,) of the positions or velocities that are more likely outliers than not, s.
 
@@ -169,7 +177,7 @@ def outlying(seen: Seen, known: Sequence[EffectUse], told: Mapping[str, Array]) 
     """
     sigma = {use.id: np.array(use["sigma"]) for use in known}
     gone = best = {use.id: told.get(use.id, np.zeros(0)) for use in known}
-    top = -math.inf
+    values: list[float] = []
     for _ in range(MOST_ROUNDS if known else 0):
         before, fixes = gone, seen({k: (t, sigma[k]) for k, t in gone.items()})
         gone, value = {}, 0.0
@@ -177,9 +185,10 @@ def outlying(seen: Seen, known: Sequence[EffectUse], told: Mapping[str, Array]) 
             (t, v, S), share = fixes[use.id], use.scalar("probability")
             value += float(np.sum(log_told(v, S, share, sigma[use.id], np.isin(t, before[use.id])))) if t.size else 0.0
             gone[use.id] = t[log_odds(v, S, share, sigma[use.id]) > 0.0] if t.size else t
-        if value > top:
-            best, top = before, value
-        if all(np.array_equal(before[k], gone[k]) for k in gone):
+        if not values or value > max(values):
+            best = before
+        values.append(value)
+        if all(np.array_equal(before[k], gone[k]) for k in gone) or led_away(values):
             break
     return best
 
