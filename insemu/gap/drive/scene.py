@@ -20,7 +20,7 @@ from insemu.gap.drive.columns import filled_columns, library_columns, rectified_
 from insemu.gap.drive.corrected import corrected_data, slow_knots
 from insemu.gap.drive.preparation import Prepared, likeliest_levels
 from insemu.gap.drive.signatures import Loop, columns_response, fix_step_response, knot_response, ramps
-from insemu.gap.evidence.fixes import NED, FixNoise, Surrogate
+from insemu.gap.evidence.fixes import NED, FixNoise, Gains, Surrogate
 from insemu.gap.evidence.linear import Block, Field
 from insemu.gap.policy import rules
 from insemu.noise import NoiseModel
@@ -38,7 +38,7 @@ SIZES, SIZE_REL = 12, 0.01
 #: Starts of steps in the fixes that are tried first.
 STARTS = 120
 #: What a scene knows that other noise of the fixes leaves as it is, and what more steps in the fixes do.
-_RESPONSES, _WHITENED = ("_answers", "_ramps", "steps_raw"), ("_plain", "full_y", "step_columns")
+_RESPONSES, _WHITENED = ("_answers", "_ramps", "steps_raw"), ("_plain", "full_y", "step_columns", "_gains")
 
 
 @dataclass
@@ -208,18 +208,20 @@ class Scene:
         """Whitened innovations (f, 6), zero where missing, as if nothing had been corrected."""
         if self.noise is None:
             return self.loop.y.reshape(-1, 6).copy()
-        return np.asarray(
-            self.surrogate.whiten(self.surrogate.nu[:, :, None], self.noise.factor, self.noise.colour)[0][:, :, 0]
-        )
+        return self.surrogate.whitened(self.surrogate.nu[:, :, None], self._gains)[:, :, 0]
+
+    @cached_property
+    def _gains(self) -> Gains:
+        """Of the filter that whitens under the noise of the fixes that is allowed for."""
+        assert self.noise is not None
+        return self.surrogate.gains(self.noise)
 
     def whitened(self, raw: Array) -> Array:
         """Responses (f, 6, c) to rows of the field (r, c)."""
         if self.noise is None:
             white = self.loop.whiten(raw)
         else:
-            white = self.surrogate.whiten(raw, self.noise.factor, self.noise.colour)[0].reshape(
-                6 * raw.shape[0], raw.shape[2]
-            )
+            white = self.surrogate.whitened(raw, self._gains).reshape(6 * raw.shape[0], raw.shape[2])
         return np.asarray(white[self.loop.use.ravel()])
 
     @property

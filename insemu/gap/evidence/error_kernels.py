@@ -187,59 +187,54 @@ def respond(
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def surrogate_filter(
+def surrogate_gains(
     Phi: Array,
     Q: Array,
-    K: Array,
     H: Array,
     R: Array,
     P0: Array,
     first: Array,
-    nu: Array,
     use: NDArray[np.int64],
     factor: Array,
     phi_g: Array,
     q_g: Array,
     p_g: Array,
-    white: Array,
-    ahead: Array,
+    gain: Array,
+    root: Array,
     S: Array,
-) -> float:  # pragma: no cover - compiled
-    """Log-likelihood of stored innovations when the true noise is other than the filter believed, and the innovations whitened for it.
+) -> int:  # pragma: no cover - compiled
+    """What a Kalman filter on the error of the nominal filter does with its innovations when the true noise is other than that filter believed.
 
-    The error of the nominal filter obeys ``e- = Phi e+ + w``, ``nu = -H e- + g + v``, ``e+ = e- + K nu`` with the known input ``K nu``; a Kalman
-    filter on e (and on a Gauss-Markov part g of the fixes) sees the innovations as its measurements. Everything is linear in the stored
-    innovations, so responses of effects go through the same filter.
+    The error obeys ``e- = Phi e+ + w``, ``nu = -H e- + g + v``, ``e+ = e- + K nu`` with the known input ``K nu``; a Kalman filter on e (and on a
+    Gauss-Markov part g of the fixes) sees the innovations as its measurements, one component after the other. Its covariances and gains are
+    the same whatever the innovations are; :func:`surrogate_whitened` takes innovations through it.
 
     Parameters
     ----------
     Phi, Q : (f, n, n) arrays
         Transition and driving covariance to each fix.
-    K, H, R : (f, n, 6), (f, 6, n), (f, 6) arrays
-        Nominal gain (zero where the fix was not used), Jacobian, believed variances.
+    H, R : (f, 6, n), (f, 6) arrays
+        Jacobian, believed variances.
     P0 : (n, n) array
     first : (6,) array
         Variances of the fix that the filter started on, as it believed them: its error is that of the start, g included; zero of another start.
-    nu : (f, 6, c) array
-        Innovations, and any number of responses beside them.
     use : (f, 6) array of int
         1 where a component was measured.
     factor : (6,) array
         Ratio of the true to the believed standard deviation of each component.
     phi_g, q_g, p_g : (f, 6), (f, 6), (6,) arrays
         Transition and driving variance of g to each fix, its initial variance; a zero in ``p_g``: no such part.
-    white : (f, 6, c) array
-        Written to: whitened columns, zero where missing.
-    ahead, S : (f, 6), (f, 6, 6) arrays
-        Written to: the first column less what the fixes before say of it, with its covariance; nothing where they are empty.
+    gain, root : (f, 6, n + parts of g), (f, 6) arrays of zeros
+        Written to: what one standard deviation of a component moves the error and g by, and that standard deviation.
+    S : (f, 6, 6) array
+        Written to: covariance of the components of a fix given the fixes before; nothing where it is empty.
 
     Returns
     -------
-    float
-        Of the first column, without the constant; NaN where a variance is not positive.
+    int
+        Number of fixes up to the first whose variance is not positive: all where none is.
     """
-    n = P0.shape[0]
-    f, _, cols = nu.shape
+    n, f = P0.shape[0], len(Phi)
     which = np.zeros(6, dtype=np.int64)
     extra = 0
     for i in range(6):
@@ -257,13 +252,10 @@ def surrogate_filter(
         if first[i] > 0.0:
             P[i, i] += p_g[i]
             P[i, n + j] = P[n + j, i] = p_g[i]
-    x = np.zeros((m, cols))
-    moved = np.zeros((n, cols))
     T = np.zeros((m, n))
     g = np.zeros(m)
     at = np.zeros(m, dtype=np.int64)
     a = np.zeros(m)
-    total = 0.0
     for k in range(f):
         F = Phi[k]
         # P = F P F' + Q, block by block: transitions and Jacobians are mostly zeros, so both products go by rows of what is not
@@ -294,22 +286,7 @@ def surrogate_filter(
             for j in range(extra):
                 P[n + i, n + j] *= phi_g[k, which[i]] * phi_g[k, which[j]]
             P[n + i, n + i] += q_g[k, which[i]]
-        for i in range(n):
-            for c in range(cols):
-                moved[i, c] = 0.0
-            for q in range(n):
-                w = F[i, q]
-                if w != 0.0:
-                    for c in range(cols):
-                        moved[i, c] += w * x[q, c]
-        x[:n] = moved
-        for j in range(extra):
-            for c in range(cols):
-                x[n + j, c] *= phi_g[k, which[j]]
         for i in range(6 if S.size else 0):
-            ahead[k, i] = nu[k, i, 0]
-            for j in range(n):
-                ahead[k, i] += H[k, i, j] * x[j, 0]
             for j in range(6):
                 S[k, i, j] = 0.0
                 for q in range(n):
@@ -318,7 +295,6 @@ def surrogate_filter(
                             S[k, i, j] += H[k, i, q] * P[q, r] * H[k, j, r]
             S[k, i, i] += R[k, i] * factor[i] ** 2
         for i in range(extra if S.size else 0):
-            ahead[k, which[i]] -= x[n + i, 0]
             for j in range(extra):
                 S[k, which[i], which[j]] += P[n + i, n + j]
             for j in range(6):
@@ -347,22 +323,96 @@ def surrogate_filter(
             for r in range(seen):
                 s += a[r] * g[at[r]]
             if not s > 0.0:
-                return math.nan
-            root = math.sqrt(s)
-            for c in range(cols):
-                e = nu[k, i, c]
-                for r in range(seen):
-                    e -= a[r] * x[at[r], c]
-                white[k, i, c] = e / root
+                return k
+            root[k, i] = math.sqrt(s)
             for j in range(m):
-                w = g[j] / root
-                for c in range(cols):
-                    x[j, c] += w * white[k, i, c]
-            total -= math.log(root) + 0.5 * white[k, i, 0] ** 2
-            for j in range(m):
+                gain[k, i, j] = g[j] / root[k, i]
                 w = g[j] / s
                 for q in range(m):
                     P[j, q] -= w * g[q]
+    return f
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def surrogate_whitened(
+    Phi: Array,
+    K: Array,
+    H: Array,
+    nu: Array,
+    use: NDArray[np.int64],
+    phi_g: Array,
+    p_g: Array,
+    gain: Array,
+    root: Array,
+    white: Array,
+    ahead: Array,
+) -> None:  # pragma: no cover - compiled
+    """Innovations, and any number of responses beside them, through the filter of :func:`surrogate_gains`: it is linear in them.
+
+    Parameters
+    ----------
+    Phi, H, use, phi_g, p_g, gain, root : arrays
+        As there.
+    K : (f, n, 6) array
+        Gain of the nominal filter, zero where a fix was not used.
+    nu : (fixes, 6, c) array
+        Of the first fixes.
+    white : (fixes, 6, c) array
+        Written to: whitened columns, zero where missing.
+    ahead : (fixes, 6) array
+        Written to: the first column less what the fixes before say of it; nothing where it is empty.
+    """
+    n, m = Phi.shape[1], gain.shape[2]
+    f, _, cols = nu.shape
+    which = np.zeros(6, dtype=np.int64)
+    extra = 0
+    for i in range(6):
+        if p_g[i] > 0.0:
+            which[extra] = i
+            extra += 1
+    x = np.zeros((m, cols))
+    moved = np.zeros((n, cols))
+    e = np.zeros(cols)
+    for k in range(f):
+        for i in range(n):
+            for c in range(cols):
+                moved[i, c] = 0.0
+            for q in range(n):
+                w = Phi[k, i, q]
+                if w != 0.0:
+                    for c in range(cols):
+                        moved[i, c] += w * x[q, c]
+        x[:n] = moved
+        for j in range(extra):
+            for c in range(cols):
+                x[n + j, c] *= phi_g[k, which[j]]
+        for i in range(6 if ahead.size else 0):
+            ahead[k, i] = nu[k, i, 0]
+            for j in range(n):
+                ahead[k, i] += H[k, i, j] * x[j, 0]
+        for i in range(extra if ahead.size else 0):
+            ahead[k, which[i]] -= x[n + i, 0]
+        for i in range(6):
+            if use[k, i] == 0:
+                continue
+            for c in range(cols):
+                e[c] = nu[k, i, c]
+            for j in range(n):
+                w = H[k, i, j]
+                if w != 0.0:
+                    for c in range(cols):
+                        e[c] += w * x[j, c]
+            for j in range(extra):
+                if which[j] == i:
+                    for c in range(cols):
+                        e[c] -= x[n + j, c]
+            for c in range(cols):
+                e[c] /= root[k, i]
+                white[k, i, c] = e[c]
+            for j in range(m):
+                w = gain[k, i, j]
+                for c in range(cols):
+                    x[j, c] += w * e[c]
         for i in range(6):
             if use[k, i] == 1:
                 for j in range(n):
@@ -370,7 +420,6 @@ def surrogate_filter(
                     if w != 0.0:
                         for c in range(cols):
                             x[j, c] += w * nu[k, i, c]
-    return total
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
@@ -390,7 +439,7 @@ def surrogate_likelihoods(
     rate: Array,
     out: Array,
 ) -> None:  # pragma: no cover - compiled
-    """The log-likelihoods of :func:`surrogate_filter` under many noises of the fixes, eight side by side.
+    """Log-likelihoods of innovations by the filter of :func:`surrogate_gains` under many noises of the fixes, eight side by side.
 
     The components of a fix are taken one after the other, as there, and their updates of the covariance together in one sweep.
 

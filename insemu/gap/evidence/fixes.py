@@ -67,8 +67,32 @@ PLAIN: Colour = (np.zeros(6), 1.0)
 
 
 @dataclass(frozen=True)
+class Gains:
+    """What a filter on the error of another one does with its innovations, whatever these are.
+
+    Parameters
+    ----------
+    phi, variance : (f, 6), (6,) arrays
+        Transition to each fix and variance of a Gauss-Markov part of the fixes.
+    gain, root : (f, 6, m), (f, 6) arrays
+        What a standard deviation of a component moves the states by, and that standard deviation.
+    done : int
+        Fixes up to the first whose variance is not positive.
+    volume : float
+        Log density of innovations of zero, without the constant; minus infinity where not all fixes are done.
+    """
+
+    phi: Array
+    variance: Array
+    gain: Array
+    root: Array
+    done: int
+    volume: float
+
+
+@dataclass(frozen=True)
 class Surrogate:
-    """The nominal filter seen from outside: transitions, gains and noises per fix, ready for :func:`error_kernels.surrogate_filter`.
+    """The nominal filter seen from outside: transitions, gains and noises per fix, ready for :func:`error_kernels.surrogate_gains`.
 
     The noise of a fix counts as independent between its components; what the gyros' noise on the lever arm correlates is left out. ``settled`` (6,)
     is the level of each component that is known, over the stated one; ``first`` (6,) are variances of the fix that the filter started on, whose
@@ -143,10 +167,49 @@ class Surrogate:
         log_likelihood : float
             Of the first column; minus infinity where it is not finite.
         """
-        white = np.zeros_like(columns)
         noise = FixNoise(np.ones(6) if factor is None else factor, PLAIN if colour is None else colour)
-        value = self._filtered(columns, noise, white, np.empty((0, 6)), np.empty((0, 6, 6)))
+        gains = self.gains(noise)
+        white = self.whitened(columns, gains)
+        value = gains.volume - 0.5 * float(np.sum(white[:, :, 0] ** 2))
         return white, value if math.isfinite(value) else -math.inf
+
+    def gains(self, noise: FixNoise, S: Array | None = None) -> Gains:
+        """What a filter on the error of this one does with any innovations under a noise of the fixes.
+
+        Parameters
+        ----------
+        noise : FixNoise
+        S : (f, 6, 6) array, optional
+            Overwritten with the covariances of the fixes given those before.
+        """
+        sigma, tau = noise.colour
+        phi = np.exp(-np.diff(self.t, prepend=self.t[0]) / tau)[:, None] * np.ones(6)
+        m = self.P0.shape[0] + np.count_nonzero(sigma)
+        gain, root = np.zeros((self.t.size, 6, m)), np.zeros((self.t.size, 6))
+        done = error_kernels.surrogate_gains(
+            self.Phi, self.Q, self.H, self.R, self.P0, self.first, self.use, noise.factor,
+            phi, (1.0 - phi**2) * sigma**2, sigma**2, gain, root, np.empty((0, 6, 6)) if S is None else S,
+        )  # fmt: skip
+        volume = -float(np.sum(np.log(root[root > 0.0]))) if done == self.t.size else -math.inf
+        return Gains(phi, sigma**2, gain, root, done, volume)
+
+    def whitened(self, columns: Array, gains: Gains, ahead: Array | None = None) -> Array:
+        """Columns (f, 6, c), innovations or responses of them (m, m/s), whitened by a filter on the error of this one; zero where missing.
+
+        Parameters
+        ----------
+        columns : (f, 6, c) array
+        gains : Gains
+            From :meth:`gains`.
+        ahead : (f, 6) array, optional
+            Overwritten with the first column less what the fixes before say of it.
+        """
+        white, own = np.zeros_like(columns), np.empty((0, 6)) if ahead is None else ahead
+        error_kernels.surrogate_whitened(
+            self.Phi, self.K, self.H, np.ascontiguousarray(columns[: gains.done]), self.use,
+            gains.phi, gains.variance, gains.gain, gains.root, white, own,
+        )  # fmt: skip
+        return white
 
     def ahead(self, nu: Array, noise: FixNoise, more: Array) -> tuple[Array, Array]:
         """Innovations less what the fixes before say of them under a noise of the fixes, (f, 6), and their covariances, (f, 6, 6).
@@ -160,22 +223,10 @@ class Surrogate:
             Added to the variances of fixes that say little of those behind them, m^2; their own covariances are those without it.
         """
         out, S = np.zeros((len(nu), 6)), np.zeros((len(nu), 6, 6))
-        columns = np.ascontiguousarray(nu[:, :, None])
-        replace(self, R=self.R + more / noise.factor**2)._filtered(columns, noise, np.zeros_like(columns), out, S)
+        gains = replace(self, R=self.R + more / noise.factor**2).gains(noise, S)
+        self.whitened(nu[:, :, None], gains, out)
         S -= more[:, :, None] * np.eye(6)
         return out, S
-
-    def _filtered(self, columns: Array, noise: FixNoise, white: Array, ahead: Array, S: Array) -> float:
-        """Columns through :func:`error_kernels.surrogate_filter`."""
-        sigma, tau = noise.colour
-        gap = np.diff(self.t, prepend=self.t[0])
-        phi = np.exp(-gap / tau)[:, None] * np.ones(6)
-        return float(
-            error_kernels.surrogate_filter(
-                self.Phi, self.Q, self.K, self.H, self.R, self.P0, self.first, np.ascontiguousarray(columns), self.use,
-                noise.factor, phi, (1.0 - phi**2) * sigma**2, sigma**2, white, ahead, S,
-            )
-        )  # fmt: skip
 
     def log_likelihood(self, factor: Array | None = None, colour: Colour | None = None) -> float:
         """Log-likelihood with other levels and a Gauss-Markov part of the fixes."""
