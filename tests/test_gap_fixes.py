@@ -24,8 +24,9 @@ from insemu.gap.candidates.shapes import Change
 from insemu.gap.candidates.steps import _Beside, _Scan, _step_anywhere, _surprising, _when, multipath_step
 from insemu.gap.drive import FIRST
 from insemu.gap.drive.apart import log_mixture, outlying
-from insemu.gap.drive.preparation import Flown
+from insemu.gap.drive.preparation import Flown, likeliest_levels
 from insemu.gap.drive.scene import Scene
+from insemu.gap.drive.signatures import Loop
 from insemu.gap.evidence.climb import Ridge, laplace_together
 from insemu.gap.evidence.fixes import NED, FixNoise, Surrogate, _any_size, joint_noise, level_beside
 from insemu.gap.evidence.modes import Free
@@ -662,6 +663,22 @@ def test_velocities_that_were_raised_for_the_shaking_come_back_without_a_finding
     else:
         assert scene.original.factors[3:] == pytest.approx(np.full(3, 1.0 / 1.22), rel=0.03)
         assert scene.original.levels == pytest.approx(np.ones(6))
+
+
+def test_a_level_that_was_moved_too_far_ends_between_both(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scores that fall three times as fast as their information says: each step of Newton ended at the other edge."""
+    gnss = Gnss(position_sigma=SIGMA, velocity_sigma=(0.05, 0.05, 0.05), lever_arm=LEVER)
+    prepared = Flown.of(recording(), Nominal(dict(BELIEF), gnss)).prepared
+    prepared, s = replace(prepared, factors=np.ones(6)), prepared.surrogate
+    sought, steep, information = 0.1, 3.0, 100.0
+
+    def scores(at: Surrogate, white: Array, y: Array, groups: Sequence[Sequence[int]]) -> tuple[Array, Array]:
+        moved = np.array([0.5 * math.log(at.R[0, g[0]] / s.R[0, g[0]]) for g in groups])
+        return steep * information * (sought - moved), information * np.eye(len(groups))
+
+    monkeypatch.setattr("insemu.gap.drive.preparation.level_scores", scores)
+    moved = likeliest_levels(prepared, Loop.of(prepared.result).white, s)
+    assert np.log(moved.factors) == pytest.approx(np.full(6, sought), abs=1e-3)
 
 
 def searched(made: Recording, effect: str, cut: float | None = None) -> DriveProblem:
