@@ -358,7 +358,7 @@ def likeliest_levels(prepared: Prepared, white: Array, s: Surrogate, *, back: bo
         place = np.array([np.log(out.factors[g[0]]) for g in groups])
         # a weak pull towards the nominal level keeps a level that the innovations do not show
         move = np.linalg.solve(information + np.eye(len(groups)), score)
-        # what a level changes in the covariance of the errors is in no information, so that a step may be too long: between two scores of other sign
+        # how far the filter follows its fixes at a level is in no information, so that a step may be too long: between two scores of other sign
         # the next is where the line through both is zero
         if passed is not None:
             before, there = passed

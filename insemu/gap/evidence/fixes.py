@@ -236,11 +236,10 @@ class Surrogate:
         """Log-likelihoods of several noises of the fixes, eight in one pass; minus infinity where one is not finite."""
         sigma, rate = np.stack([n.colour[0] for n in noises]), np.array([1.0 / n.colour[1] for n in noises])
         factor = np.stack([n.factor for n in noises])
-        lanes = LANES
         # a pass carries a state for every component that one of its eight colours: like goes with like
         order = np.argsort(np.count_nonzero(sigma, axis=1), kind="stable")
-        order = np.concatenate([order, np.repeat(order[-1:], -order.size % lanes)])
-        blocks = (order.size // lanes, lanes)
+        order = np.concatenate([order, np.repeat(order[-1:], -order.size % LANES)])
+        blocks = (order.size // LANES, LANES)
         out = np.empty(blocks)
         ratio, variance = (
             np.ascontiguousarray(np.moveaxis(v[order].reshape(*blocks, 6) ** 2, 1, 2)) for v in (factor, sigma)
