@@ -104,6 +104,27 @@ def integrate_inputs(
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
+def _moved(Phi: Array, e: Array, cols: int, out: Array) -> None:  # pragma: no cover - compiled
+    """``out = Phi e`` of the first ``cols`` columns: transitions are mostly zeros, which are passed over.
+
+    Parameters
+    ----------
+    Phi : (n, n) array
+    e, out : (at least n, columns) arrays
+    cols : int
+    """
+    n = Phi.shape[0]
+    for r in range(n):
+        for c in range(cols):
+            out[r, c] = 0.0
+        for q in range(n):
+            w = Phi[r, q]
+            if w != 0.0:
+                for c in range(cols):
+                    out[r, c] += w * e[q, c]
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
 def respond(
     Phi: Array,
     K: Array,
@@ -149,14 +170,7 @@ def respond(
         while cols < every and begin[cols] <= i:
             cols += 1
         if i > 0:
-            for r in range(n):
-                for c in range(cols):
-                    ahead[r, c] = 0.0
-                for q in range(n):
-                    w = Phi[i, r, q]
-                    if w != 0.0:
-                        for c in range(cols):
-                            ahead[r, c] += w * e[q, c]
+            _moved(Phi[i], e, cols, ahead)
             e, ahead = ahead, e
         if D.shape[0] > 0:
             row = min(i, at.shape[0] - 1)
@@ -374,14 +388,7 @@ def surrogate_whitened(
     moved = np.zeros((n, cols))
     e = np.zeros(cols)
     for k in range(f):
-        for i in range(n):
-            for c in range(cols):
-                moved[i, c] = 0.0
-            for q in range(n):
-                w = Phi[k, i, q]
-                if w != 0.0:
-                    for c in range(cols):
-                        moved[i, c] += w * x[q, c]
+        _moved(Phi[k], x, cols, moved)
         x[:n] = moved
         for j in range(extra):
             for c in range(cols):
