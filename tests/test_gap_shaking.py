@@ -20,6 +20,8 @@ from insemu.gap.drive import preparation
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.shaking import rectified, velocity_missed, without_shaking
+from insemu.gap.policy import rules
+from insemu.gap.problems.band import fast_effects, without_its_vibration
 from insemu.gap.verdict import Finding, InBand, Member, Value, judged
 from insemu.gap.worth import white_levels
 from insemu.noise import WN, NoiseModel
@@ -156,6 +158,29 @@ def test_the_axis_that_shakes_least_shakes_with_the_others() -> None:
     assert report.verdict == "nothing missing" and not report.findings and not report.remainder
     (least,) = (b for b in report.band if b.axis == "gyro_z")
     assert len(report.band) == 6 and least.rms == min(b.rms for b in report.band if b.axis.startswith("gyro"))
+
+
+@pytest.mark.parametrize(
+    ("size", "shake", "named"), [(0.3, 0.0, True), (0.3, 3.0, False), (0.5, 0.0, True), (0.5, 3.0, True)]
+)
+def test_a_last_axis_is_noisy_by_itself_where_no_vibration_explains_it(size: float, shake: float, named: bool) -> None:
+    # quantization of the integral, 7 and 52 nats; a resonance beyond half of the samples explains 5 and 7 less of it
+    nominal = replace(
+        taken(sensors.draw_world(6, 60.0, True, "quadrotor"), ())[1],
+        beliefs={name: NoiseModel((WN(DT**0.5),)) for name in RECORD_AXES},
+    )
+    rng = np.random.default_rng(11)
+    values = {name: rng.standard_normal(N) for name in RECORD_AXES}
+    values["gyro_x"] += size * np.diff(rng.standard_normal(N + 1))
+    for k, name in enumerate(RECORD_AXES[1:]):
+        values[name] += shake * band(k + 1, 12.0, 30.0)
+    parts = without_shaking({name: reduced(name, v) for name, v in values.items()}, nominal.beliefs)
+    fast = fast_effects(parts, nominal, rules().fast_nats, (), lambda _: None)
+    left, moving = without_its_vibration(fast, parts)
+    assert [(name, [f.chosen.effect for f in r.found]) for name, r in left if r.found] == (
+        [("gyro_x", ["quantization"])] if named else []
+    )
+    assert (moving["gyro_x"].shaking is None) == named
 
 
 @pytest.mark.slow

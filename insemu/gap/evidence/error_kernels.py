@@ -105,14 +105,7 @@ def integrate_inputs(
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def _moved(Phi: Array, e: Array, cols: int, out: Array) -> None:  # pragma: no cover - compiled
-    """``out = Phi e`` of the first ``cols`` columns: transitions are mostly zeros, which are passed over.
-
-    Parameters
-    ----------
-    Phi : (n, n) array
-    e, out : (at least n, columns) arrays
-    cols : int
-    """
+    """``out = Phi e`` of the first ``cols`` columns: transitions are mostly zeros, which are passed over."""
     n = Phi.shape[0]
     for r in range(n):
         for c in range(cols):

@@ -106,6 +106,9 @@ def without_its_vibration(
 ) -> tuple[list[tuple[str, AxisResult]], dict[str, Reduced]]:
     """Results and band of the axes without those that only vibrate, where most of the others shake: too weakly to exceed every level of noise.
 
+    A sensor's own noise must then exceed a vibration by as much as it must exceed nothing elsewhere: what shakes faster than half of the samples
+    rises with the frequency as quantization does.
+
     Parameters
     ----------
     fast : list of (axis, AxisResult)
@@ -117,16 +120,23 @@ def without_its_vibration(
         return fast, parts
     moving = {}
     for name, r in fast:
-        if r.found and all(f.chosen.effect == "vibration_band" for f in r.found):
-            data, (rms, middle, width) = parts[name], _band_of(r.found)
+        vibrations = [_vibration(f) for f in r.found]
+        if vibrations and None not in vibrations:
+            data, (rms, middle, width) = parts[name], _band_of([v for v in vibrations if v is not None])
             low, high = (float(np.clip(middle + k * width, data.f[0], data.f[-1])) for k in (-0.5, 0.5))
             moving[name] = replace(unheard(data), shaking=InBand(name, rms, data.unit, low, high, 0.0))
     return [(name, r) for name, r in fast if name not in moving], {**parts, **moving}
 
 
-def _band_of(found: Sequence[Found[AxisState]]) -> tuple[float, float, float]:
+def _vibration(found: Found[AxisState]) -> Hypothesis[AxisState] | None:
+    """The vibration that explains what was found as well, or less well by no more than an effect needs."""
+    band = (h for h in (found.chosen, *found.ranked) if h.effect == "vibration_band")
+    return next((h for h in band if h.nats > found.chosen.nats - rules().fast_nats), None)
+
+
+def _band_of(vibrations: Sequence[Hypothesis[AxisState]]) -> tuple[float, float, float]:
     """Root mean square of vibrations together, and frequency and bandwidth (Hz) of the strongest."""
-    each = [{v.name: v.value for v in f.chosen.values} for f in found]
+    each = [{v.name: v.value for v in h.values} for h in vibrations]
     top = max(each, key=lambda v: v["rms"])
     return math.sqrt(sum(v["rms"] ** 2 for v in each)), top["frequency"], top["bandwidth"]
 
