@@ -72,6 +72,28 @@ def test_what_goes_wrong_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
         assert outcome.count == 4
 
 
+@pytest.mark.parametrize("grows", [True, False])
+def test_memory_is_counted_from_the_warm_process_on(monkeypatch: pytest.MonkeyPatch, grows: bool) -> None:
+    """What a process of many tests holds is no input's."""
+
+    def prepare(what: str, folder: Path) -> Callable[[random.Random], None]:
+        kept = []
+
+        def one(rng: random.Random) -> None:
+            kept.append(np.ones(1_000_000 if grows else 1))
+            raise InputError("refused")
+
+        return one
+
+    monkeypatch.setattr("tests.fuzz.models.prepare", prepare)
+    monkeypatch.setattr("tests.fuzz.watch.LARGEST", 64 << 20)
+    monkeypatch.setitem(TARGETS, "grow", Target("grow", "models", "grow", "models"))
+    held = np.ones(16_000_000)
+    outcome = run_batch(Batch("grow", 1, 0, 16))
+    assert held.nbytes > 64 << 20 and outcome.count == 16
+    assert [(k, "memory above 64 MB" in said) for k, said in outcome.wrong] == ([(15, True)] if grows else [])
+
+
 @pytest.mark.slow
 def test_commands_may_be_named_by_a_path_without_a_name() -> None:
     for path in (".", "", ".."):

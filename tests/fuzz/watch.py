@@ -22,8 +22,10 @@ from pathlib import Path
 
 from insemu.errors import InputError
 
-#: Most processor time of one input, s; most time on the clock (for children that it waits for), s; most memory, bytes.
-SLOWEST, LONGEST, LARGEST = 2.0, 120, 1 << 30
+#: Most processor time of one input, s; most time on the clock (for children that it waits for), s.
+SLOWEST, LONGEST = 2.0, 120
+#: Most memory beyond that of the warm process, bytes.
+LARGEST = 1 << 30
 #: Address space beyond that of the warm process, bytes: a size in a broken header ends in a MemoryError.
 _SPACE = 4 << 30
 #: Longest message that a person reads.
@@ -140,8 +142,8 @@ def _child(
         logging.disable(logging.CRITICAL)
         warnings.simplefilter("ignore")
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        space = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize() + _SPACE
-        resource.setrlimit(resource.RLIMIT_AS, (space, space))
+        space, held = (int(n) * resource.getpagesize() for n in Path("/proc/self/statm").read_text().split()[:2])
+        resource.setrlimit(resource.RLIMIT_AS, (space + _SPACE, space + _SPACE))
         one = prepare(what, folder)
         refused = 0
         with (folder / "wrong.jsonl").open("a", encoding="utf-8") as said:
@@ -155,8 +157,11 @@ def _child(
                 if trouble:
                     said.write(json.dumps([k, trouble]) + "\n")
                     said.flush()
-                if (k & 15) == 15 and resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10 > LARGEST:
-                    said.write(json.dumps([k, "memory above 1 GB (this input or one of the 15 before it)"]) + "\n")
+                if (k & 15) == 15 and _most_memory() - held > LARGEST:
+                    said.write(
+                        json.dumps([k, f"memory above {LARGEST >> 20} MB (this input or one of the 15 before it)"])
+                        + "\n"
+                    )
                     shared[:] = struct.pack("qq", k + 1, refused)
                     break
             else:
@@ -168,6 +173,11 @@ def _child(
         )
     finally:
         os._exit(code)
+
+
+def _most_memory() -> int:
+    """Most memory that this process has held since it was forked, bytes."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
 
 
 def attempt(one: Callable[[random.Random], None], rng: random.Random) -> str | None:
