@@ -35,7 +35,7 @@ def _turns(f: bytes, dt: float) -> tuple[Array, Array]:
     return _turned(np.frombuffer(f), dt)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[call-arg]  # not in its types
+@njit(cache=True, nogil=True, error_model="numpy")
 def resonance(a: float, angle: float, cosine: Array, sine: Array, out: Array) -> None:  # pragma: no cover - compiled
     """Density over ``sigma^2 dt`` of a resonance that decays by ``a`` and turns by ``angle`` per sample, with its derivatives.
 

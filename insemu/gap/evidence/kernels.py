@@ -176,7 +176,7 @@ def lagged_products(rows: Array, out: Array) -> None:  # pragma: no cover - comp
         out[k] = total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[call-arg]  # not in its types
+@njit(cache=True, nogil=True, error_model="numpy")
 def whittle(
     sizes: Array,
     rows: Array,
@@ -268,7 +268,7 @@ def whittle(
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[call-arg]  # not in its types
+@njit(cache=True, nogil=True, error_model="numpy")
 def less_bent(
     sizes: Array, rows: Array, twice: Index, score: Array, curvature: Array
 ) -> None:  # pragma: no cover - compiled
@@ -295,7 +295,7 @@ def less_bent(
             curvature[j, i] -= total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[call-arg]  # not in its types
+@njit(cache=True, nogil=True, error_model="numpy")
 def informed(
     sizes: Array,
     rows: Array,

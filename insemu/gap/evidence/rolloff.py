@@ -26,7 +26,7 @@ LOWEST_F = 1e-300
 LARGEST = 300.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[call-arg]  # not in its types
+@njit(cache=True, nogil=True, error_model="numpy")
 def _butterworth(corner: float, order: float, f: Array, out: Array) -> None:  # pragma: no cover - compiled
     """Gain of a digital Butterworth filter (bilinear: the corner is where the power is halved); see :func:`gains`."""
     held = corner > HIGHEST_CORNER
@@ -50,7 +50,7 @@ def _butterworth(corner: float, order: float, f: Array, out: Array) -> None:  # 
         out[5, i] = bent * o * o - lost * o
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[call-arg]  # not in its types
+@njit(cache=True, nogil=True, error_model="numpy")
 def _window(corner: float, power: int, f: Array, out: Array) -> None:  # pragma: no cover - compiled
     """Gain of a mean over ``1 / corner`` (power 2), or of two of them (power 4); see :func:`gains`."""
     for i in range(f.size):
@@ -64,7 +64,7 @@ def _window(corner: float, power: int, f: Array, out: Array) -> None:  # pragma:
         out[2, i] = power * rest * ((power - 1) * s1 * s1 + s * s2)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[call-arg]  # not in its types
+@njit(cache=True, nogil=True, error_model="numpy")
 def _exponential(corner: float, f: Array, out: Array) -> None:  # pragma: no cover - compiled
     """Gain of exponential smoothing; see :func:`gains`."""
     a = 2.0 * math.pi * corner

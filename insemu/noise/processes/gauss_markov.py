@@ -65,7 +65,7 @@ def first_order(m: Array, a: float, b: Array, db: Array) -> None:  # pragma: no 
         db[i] = (2.0 * u * e * e + 2.0 * m[i] * a * slope_excess) / d - b[i] * ratio
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[call-arg]  # not in its types
+@njit(cache=True, nogil=True, error_model="numpy")
 def first_order_slopes(
     a: float, m: int, square: Array, allan: Array, density: Array, covariance: Array
 ) -> None:  # pragma: no cover - compiled
