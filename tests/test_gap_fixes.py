@@ -24,7 +24,7 @@ from insemu.gap.candidates.shapes import Change
 from insemu.gap.candidates.steps import _Beside, _Scan, _step_anywhere, _surprising, _when, multipath_step
 from insemu.gap.drive import FIRST
 from insemu.gap.drive.apart import log_mixture, outlying
-from insemu.gap.drive.preparation import Flown, likeliest_levels
+from insemu.gap.drive.preparation import Flown, fitted_levels
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop
 from insemu.gap.evidence.climb import Ridge, laplace_together
@@ -677,7 +677,7 @@ def test_a_level_that_was_moved_too_far_ends_between_both(monkeypatch: pytest.Mo
         return steep * information * (sought - moved), information * np.eye(len(groups))
 
     monkeypatch.setattr("insemu.gap.drive.preparation.level_scores", scores)
-    moved = likeliest_levels(prepared, Loop.of(prepared.result).white, s)
+    moved = fitted_levels(prepared, Loop.of(prepared.result).white, s)
     assert np.log(moved.factors) == pytest.approx(np.full(6, sought), abs=1e-3)
 
 

@@ -51,6 +51,7 @@ ASPECTS: tuple[Aspect, ...] = ("emulate", "compensate", "signature", "candidate"
 #: level      : a level of the fixes, which is estimated together with their colour
 #: second_order : a refinement of a plainer error, which is more common
 #: outlying   : some fixes are far off, and which ones is nobody's to know beforehand: a filter gates them
+#: filled     : takes samples, in whose place others are put from those around them
 #: evident    : read off the samples or beside a recorded signal: nothing unexplained can stand in for it
 Trait = Literal[
     "slow",
@@ -64,6 +65,7 @@ Trait = Literal[
     "level",
     "second_order",
     "outlying",
+    "filled",
     "evident",
 ]
 #: Columns that are tried together: axes, label, their places among the effect's columns.

@@ -515,7 +515,7 @@ class Saturation(Effect):
     formula = "y = clip(s, -limit, limit)"
     parameters = (_P("limit", "{s}", 3, (250.0 * DEG, 4.0 * G), None, "full scale", True, join="smaller", nothing=1e6),)
     excitation, in_filter = "motion beyond the full scale", "epochs flagged"
-    traits = frozenset({"samples", "evident"})
+    traits = frozenset({"samples", "filled", "evident"})
     stage = Stage.CLIP
     absent = {"compensate": "what was clipped is lost", "signature": _SAMPLES}
 
@@ -544,7 +544,7 @@ class DroppedSamples(Effect):
         _P("burst", "", 1, (1.0,), 1.0, "samples per burst", True, join="larger"),
     )
     excitation, in_filter = "motion", "filled in by the samples around them, or bridged by the time stamps"
-    traits = frozenset({"samples", "drawn", "evident"})
+    traits = frozenset({"samples", "drawn", "filled", "evident"})
     stage = Stage.LOSS
     absent = {"signature": _SAMPLES}
 

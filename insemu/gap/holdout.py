@@ -212,8 +212,7 @@ def _log_volume(scene: Scene, cut: float) -> float:
     """Half the log determinants of the innovation covariances after ``cut``."""
     use = scene.loop.use & (scene.loop.result.fixes.t > cut)[:, None]
     if scene.noise is None:
-        diagonal = np.einsum("kii->ki", scene.loop.lower)
-        return float(np.sum(np.log(diagonal[use])))
+        return scene.loop.half_log_det(use)
     volume = 0.0
     for sign, part in ((1.0, scene.surrogate), (-1.0, scene.surrogate.until(cut))):
         white, value = part.whiten(part.nu[:, :, None], scene.noise.factor, scene.noise.colour)

@@ -153,7 +153,7 @@ def _scenario(scenario: Scenario, raw: dict[str, Any], path: Path) -> Nominal:
             )
         models, design = held[name], scenario.designs[name]
         effects = (*source.known, *design.options.compensate)
-        filled = tuple(use.id for use in effects if use.effect.does("restored") or use.id == "saturation")
+        filled = tuple(use.id for use in effects if "filled" in use.effect.traits)
         if source.imu_time_offset:
             effects = (EffectUse("imu_gnss_time_offset", "imu", {"offset": (source.imu_time_offset,)}), *effects)
         vehicle = source.vehicle

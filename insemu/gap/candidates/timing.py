@@ -12,7 +12,6 @@ import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 
-import numpy as np
 from scipy.optimize import minimize_scalar
 
 from insemu.effects import EFFECTS, FixGeometry
@@ -150,7 +149,7 @@ def _tried(prepared: Prepared, with_lag: bool) -> _Tried:
     """The likelihood of a run with its level free, and what a lag of the velocities explains of it."""
     fixes = prepared.result.fixes
     loop = Loop.of(prepared.result)
-    dof, total, volume = int(loop.use.sum()), float(loop.y @ loop.y), _log_volume(loop)
+    dof, total, volume = int(loop.use.sum()), float(loop.y @ loop.y), 2.0 * loop.half_log_det()
     plain = -0.5 * (dof * math.log(total / dof) + volume)
     if not with_lag or not loop.use[:, 3:].any():
         return _Tried(plain, -math.inf, total / dof, total / dof)
@@ -164,8 +163,3 @@ def _tried(prepared: Prepared, with_lag: bool) -> _Tried:
     left = total - size * lag**2
     lagged = -0.5 * (dof * math.log(left / dof) + volume)
     return _Tried(plain, lagged, total / dof, left / dof, lag, math.sqrt(left / dof / size))
-
-
-def _log_volume(loop: Loop) -> float:
-    """Log determinants of the innovation covariances of the components that were used."""
-    return 2.0 * float(np.sum(np.log(np.einsum("kii->ki", loop.lower)[loop.use])))

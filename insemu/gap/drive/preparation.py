@@ -186,7 +186,7 @@ class Prepared:
         """The same filter with the levels of its fixes moved to their most likely values inside the tolerance."""
         out = self
         for _ in range(2):
-            moved = likeliest_levels(out, Loop.of(out.result).white, out.surrogate)
+            moved = fitted_levels(out, Loop.of(out.result).white, out.surrogate)
             if moved is out:
                 break
             out = moved.again()
@@ -324,8 +324,10 @@ def fixes_score(fixes: FixTable) -> float:
     return float(fixes.log_densities[fixes.accepted].sum())
 
 
-def likeliest_levels(prepared: Prepared, white: Array, s: Surrogate, *, back: bool = False) -> Prepared:
-    """A filter with the levels of its fixes moved to their most likely values inside the tolerance, before it runs with them.
+def fitted_levels(prepared: Prepared, white: Array, s: Surrogate, *, back: bool = False) -> Prepared:
+    """A filter with the levels of its fixes moved, inside the tolerance, to where their score is zero, before it runs with them.
+
+    The score leaves out how a level changes the covariance of the filter's errors, so that they are near their most likely values.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.drive.apart import without
 from insemu.gap.drive.columns import filled_columns, library_columns, rectified_columns
 from insemu.gap.drive.corrected import corrected_data, slow_knots
-from insemu.gap.drive.preparation import Prepared, likeliest_levels
+from insemu.gap.drive.preparation import Prepared, fitted_levels
 from insemu.gap.drive.signatures import Loop, columns_response, fix_step_response, knot_response, ramps
 from insemu.gap.evidence.fixes import NED, FixNoise, Gains, Surrogate
 from insemu.gap.evidence.linear import Block, Field
@@ -349,7 +349,7 @@ class Scene:
         scene = self
         for _ in range(MOST_RUNS if self.noise is None else 0):
             at, s = scene.original, replace(scene.surrogate, nu=scene.unexplained(blocks, cut))
-            moved = likeliest_levels(at, scene.loop.white, s if cut is None else s.until(cut), back=True)
+            moved = fitted_levels(at, scene.loop.white, s if cut is None else s.until(cut), back=True)
             if moved is at:
                 break
             # what is explained is another beside other levels
@@ -459,10 +459,10 @@ class Scene:
 
         Only of scenes without other noise of the fixes than their filter believes.
         """
-        rows = np.ones(self.rows_t.size, dtype=bool) if cut is None else self.rows_t <= cut
-        y = self.full_y.ravel()[self.loop.use.ravel()][rows]
-        sizes = np.einsum("kii->ki", self.loop.lower)[self.loop.use][rows]
-        plain = -0.5 * float(y @ y) - float(np.sum(np.log(sizes)))
+        use = self.loop.use & (self.loop.result.fixes.t <= (math.inf if cut is None else cut))[:, None]
+        rows = use[self.loop.use]
+        y = self.full_y.ravel()[use.ravel()]
+        plain = -0.5 * float(y @ y) - self.loop.half_log_det(use)
         if not blocks:
             return plain
         index = np.unique(np.concatenate([i for i, _ in blocks]))

@@ -55,6 +55,11 @@ class Loop:
         """The first ``count`` fixes, for what looks at innovations only."""
         return Loop(self.result, self.lower[:count], self.white[:count], self.y[: 6 * count], self.use[:count])
 
+    def half_log_det(self, use: NDArray[np.bool_] | None = None) -> float:
+        """Half the log determinants of the innovation covariances, of some components (f, 6) or of all that were used."""
+        diagonal = np.einsum("kii->ki", self.lower)
+        return float(np.sum(np.log(diagonal[self.use if use is None else use])))
+
     @cached_property
     def machine(self) -> tuple[Array, Array, Array, NDArray[np.int64]]:
         """Transitions, gains and Jacobians of what the fixes can tell apart, and the node of each fix."""
