@@ -236,8 +236,9 @@ def filled(values: Array, missing: NDArray[np.bool_], width: float, rng: np.rand
     out = np.zeros((missing.size, values.shape[1]))
     out[~missing] = values
     if missing.any():
-        for column in out.T:
-            _draw(column, missing, max(width, 0.5 * NEAR), rng)
+        slow = _slow(out, (~missing).astype(np.float64), max(width, 0.5 * NEAR))
+        for column, mean in zip(out.T, slow.T, strict=True):
+            _draw(column, mean, missing, rng)
     return out
 
 
@@ -286,9 +287,8 @@ def runs(inside: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64
     return edges[::2], edges[1::2]
 
 
-def _draw(x: Array, missing: NDArray[np.bool_], width: float, rng: np.random.Generator | None) -> None:
-    """Draw the lost samples of one signal in place, and once more by the autocovariance of the whole signal."""
-    slow = _slow(x, (~missing).astype(np.float64), width)
+def _draw(x: Array, slow: Array, missing: NDArray[np.bool_], rng: np.random.Generator | None) -> None:
+    """Draw the lost samples of one signal in place beside its slow part, and once more by the autocovariance of the whole signal."""
     counted = ~missing
     for _ in range(2):
         fast = np.where(counted, x - slow, 0.0)
@@ -326,31 +326,32 @@ def _draw_by(
         there[k] = True
 
 
-def _slow(x: Array, present: Array, width: float) -> Array:
-    """The value of a local parabola at every place, wider where too few samples are there."""
+def _slow(values: Array, present: Array, width: float) -> Array:
+    """The values (n, k) of local parabolas at every place, wider where too few samples are there."""
     from scipy.signal import fftconvolve
 
-    centre = float(x @ present / present.sum())
-    y, out = (x - centre) * present, np.zeros(x.size)
-    left = np.ones(x.size, dtype=np.bool_)
+    n = present.size
+    centre = np.array([float(x @ present / present.sum()) for x in values.T])
+    y, out = [(x - c) * present for x, c in zip(values.T, centre, strict=True)], np.zeros(values.shape)
+    left = np.ones(n, dtype=np.bool_)
     while left.any():
         half = int(np.ceil(3.0 * width))
         u = np.arange(-half, half + 1) / width
         weight = np.exp(-0.5 * u * u)
         # a convolution turns the kernel round: places later than one's own come with the sign of those before
         m = [fftconvolve(present, weight * (-u) ** j, "same") for j in range(5)]
-        b = [fftconvolve(y, weight * (-u) ** j, "same") for j in range(3)]
         total = np.concatenate([[0.0], np.cumsum(present)])
-        k = np.arange(x.size)
+        k = np.arange(n)
         before = total[k] - total[np.maximum(k - half, 0)]
-        after = total[np.minimum(k + half + 1, x.size)] - total[k + 1]
+        after = total[np.minimum(k + half + 1, n)] - total[k + 1]
         enough = (before >= FEWEST) & (after >= FEWEST)
-        enough |= ((k < half) | (k >= x.size - half)) & (before + after >= 2 * FEWEST)
-        at = np.flatnonzero(left & (enough | (2 * half > x.size)))
+        enough |= ((k < half) | (k >= n - half)) & (before + after >= 2 * FEWEST)
+        at = np.flatnonzero(left & (enough | (2 * half > n)))
         if at.size:
             M = np.stack([np.stack([m[i + j][at] for j in range(3)], axis=-1) for i in range(3)], axis=-2)
             M += 1e-9 * m[0][at][:, None, None] * np.eye(3)
-            out[at] = np.linalg.solve(M, np.stack([c[at] for c in b], axis=-1)[..., None])[:, 0, 0]
+            b = [[fftconvolve(x, weight * (-u) ** j, "same")[at] for x in y] for j in range(3)]
+            out[at] = np.linalg.solve(M, np.moveaxis(np.array(b), -1, 0))[:, 0, :]
             left[at] = False
         width *= 2.0
-    return out + centre
+    return np.asarray(out + centre)

@@ -274,13 +274,16 @@ def _of_positions(gnss: GnssRecord, inside: NDArray[np.bool_], min_speed: float)
             path = earth.position_difference(gnss.llh[near], gnss.llh[k])
             spread = np.linalg.inv(A.T @ A)
             shape = spread @ A.T @ path
+            speed = float(np.hypot(*shape[1, :2]))
+            if speed < min_speed:
+                continue
             misfit = np.sqrt(np.sum((path - A @ shape) ** 2, axis=0) / max(d.size - 3, 1))
             noise = np.maximum(misfit, gnss.pos_std_ned[k])
             sigma = noise * np.sqrt(spread[1, 1])
             if near.size > 5:  # a way that is no parabola: what a cubic makes of the velocity
                 sigma = np.hypot(sigma, np.polynomial.polynomial.polyfit(d, path, 3)[1] - shape[1])
             bend = float(np.max(noise)) * float(np.sqrt(spread[2, 2]))
-            if float(np.hypot(*shape[1, :2])) < max(min_speed, 10.0 * float(np.max(sigma[:2]))) or bend > 1.0:
+            if speed < 10.0 * float(np.max(sigma[:2])) or bend > 1.0:
                 continue
             return Track(int(k), shape[1], shape[2], sigma, bend)
     return None

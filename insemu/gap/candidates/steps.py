@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -59,7 +59,7 @@ def multipath_step(
     apart = (scene.starts[1] - scene.starts[0]) / float(np.median(np.diff(scene.prepared.result.fixes.t)))
     follows = scene.noise is not None or apart > FOLLOWED
     at_edges = _step_at_edges(scene, rows, beside) if follows else None
-    return [step if at_edges is None or step.nats > at_edges.nats else at_edges]
+    return [(step if at_edges is None or step.nats > at_edges.nats else at_edges).told()]
 
 
 def _lasting(scene: Scene, rows: NDArray[np.bool_] | slice) -> tuple[float, float]:
@@ -69,7 +69,7 @@ def _lasting(scene: Scene, rows: NDArray[np.bool_] | slice) -> tuple[float, floa
     return rules().shortest_step * float(np.median(np.diff(t))), rules().longest_step * float(seen[-1] - seen[0])
 
 
-def _step_anywhere(scene: Scene, rows: NDArray[np.bool_] | slice, beside: _Beside) -> DriveHypothesis:
+def _step_anywhere(scene: Scene, rows: NDArray[np.bool_] | slice, beside: _Beside) -> _Step:
     """The best step of those that start and end at evenly spaced times, refined around it."""
     s, G, t_fix = scene.starts, scene.step_columns[rows], scene.prepared.result.fixes.t
     lasting = _lasting(scene, rows)
@@ -84,18 +84,20 @@ def _step_anywhere(scene: Scene, rows: NDArray[np.bool_] | slice, beside: _Besid
             columns = scene.whitened(_axis_steps(scene, starts, c))[rows]
             fine = _scan_steps(beside, columns, starts, lasting, axes=1)
             if fine.top > coarse.top:
-                when = _when(fine, starts, t_fix, _elsewhere(coarse, s, starts))
-                return _step_hypothesis(nats + fine.top - coarse.top, c, fine.value, when)
+                return _Step(
+                    nats + fine.top - coarse.top, c, fine.value,
+                    lambda: _when(fine, starts, t_fix, _elsewhere(coarse, s, starts)),
+                )  # fmt: skip
     half = 0.6 * float(s[1] - s[0])
     start, duration = float(s[i]), float(s[j] - s[i])
     when = (
         Value("start", start, start - half, start + half, "s"),
         Value("duration", duration, max(duration - 2.0 * half, 0.0), duration + 2.0 * half, "s"),
     )
-    return _step_hypothesis(nats, c, coarse.value, when)
+    return _Step(nats, c, coarse.value, lambda: when)
 
 
-def _step_at_edges(scene: Scene, rows: NDArray[np.bool_] | slice, beside: _Beside) -> DriveHypothesis | None:
+def _step_at_edges(scene: Scene, rows: NDArray[np.bool_] | slice, beside: _Beside) -> _Step | None:
     """The best step between fixes that surprise: evenly spaced times miss the edges, where alone it shows."""
     t_fix, use = scene.prepared.result.fixes.t, scene.loop.use.ravel()
     residual = beside.ahead()
@@ -114,7 +116,7 @@ def _step_at_edges(scene: Scene, rows: NDArray[np.bool_] | slice, beside: _Besid
     # all pairs of fixes are as likely as these
     widths, pairs = scans[c].logs.size // max(scans[c].i.size, 1), 0.5 * last * (last - 1)
     nats = float(np.logaddexp.reduce(np.concatenate([scan.logs for scan in scans]))) - math.log(3.0 * widths * pairs)
-    return _step_hypothesis(nats, c, scans[c].value, _when(scans[c], starts, t_fix))
+    return _Step(nats, c, scans[c].value, lambda: _when(scans[c], starts, t_fix))
 
 
 def _surprising(e: Array) -> NDArray[np.int64]:
@@ -161,6 +163,38 @@ class _Scan:
     top: float
     best: tuple[int, int, int]
     value: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class _Step:
+    """The best step of a scan.
+
+    Parameters
+    ----------
+    nats : float
+    axis : int
+        0 to 2.
+    value : (mean, standard deviation)
+        m.
+    when : callable
+        Gives its start and duration: their intervals take longer than the scan, and few steps are worth anything.
+    """
+
+    nats: float
+    axis: int
+    value: tuple[float, float]
+    when: Callable[[], tuple[Value, Value]]
+
+    def told(self) -> DriveHypothesis:
+        """The step as an effect, without values where it is worth nothing."""
+        effect, axes = "gnss_multipath_step", (NED[self.axis],)
+        if not self.nats > -1.0:
+            return Hypothesis(effect, self.nats, (), Change(), "step", "gnss", axes)
+        start, duration = self.when()
+        change = Change(window=(self.axis, start.value, start.value + duration.value))
+        return Hypothesis(
+            effect, self.nats, (Value.normal("value", *self.value, "m"), start, duration), change, "step", "gnss", axes
+        )
 
 
 @dataclass(frozen=True)
@@ -297,15 +331,6 @@ def _when(scan: _Scan, starts: Array, t_fix: Array, elsewhere: Elsewhere = NOWHE
         low, high = (float(x[order][np.searchsorted(reached, q)]) for q in (0.025, 0.975))
         values.append(Value(name, best, min(low, best), max(high, best), "s"))
     return values[0], values[1]
-
-
-def _step_hypothesis(nats: float, c: int, value: tuple[float, float], when: tuple[Value, Value]) -> DriveHypothesis:
-    if not nats > -1.0:
-        return Hypothesis("gnss_multipath_step", nats, (), Change(), "step", "gnss", (NED[c],))
-    change = Change(window=(c, when[0].value, when[0].value + when[1].value))
-    return Hypothesis(
-        "gnss_multipath_step", nats, (Value.normal("value", *value, "m"), *when), change, "step", "gnss", (NED[c],)
-    )
 
 
 def placed(step: DriveHypothesis, column: int) -> DriveHypothesis:

@@ -14,6 +14,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
 
 from insemu.gap.verdict import InBand
@@ -156,10 +157,11 @@ def spectrum(y: Array, dt: float, lowest: float) -> tuple[Array, Array, Array]:
     n = y.size
     flat = y - y.mean()
     power = np.zeros(n // 2 + 1)
-    # the tapers of the many short pieces of a moving record are remembered, those of a long log are not
-    for taper in _tapers(n) if n <= MOST_REMEMBERED else _each_taper(n):
-        spectrum = np.fft.rfft(flat * taper)
-        power += (spectrum.real**2 + spectrum.imag**2) * (dt / TAPERS)
+    # the tapers of the many short pieces of a moving record are remembered and taken together, those of a long log one by one
+    for tapers in (_tapers(n),) if n <= MOST_REMEMBERED else (taper[None] for taper in _each_taper(n)):
+        spectra = scipy.fft.rfft(flat * tapers, axis=1)
+        for squares in spectra.real**2 + spectra.imag**2:
+            power += squares * (dt / TAPERS)
     bins = _bins(n, dt, lowest)
     if bins is None:
         return np.zeros(0), np.zeros(0), np.zeros(0)
@@ -178,8 +180,8 @@ def _each_taper(n: int) -> Iterator[Array]:
 
 
 @lru_cache(maxsize=8)
-def _tapers(n: int) -> tuple[Array, ...]:
-    return tuple(_each_taper(n))
+def _tapers(n: int) -> Array:
+    return np.array(list(_each_taper(n)))
 
 
 def reduce_again(data: Reduced, values: Array) -> Reduced:

@@ -357,11 +357,20 @@ def spikes(values: Array) -> Array:
     """
     padded = np.pad(values, 2, mode="edge")
     n = values.size
-    beside = np.sort(np.stack([padded[k : k + n] for k in (0, 1, 3, 4)]), axis=0)
-    away: Array = values - 0.5 * (beside[1] + beside[2])
-    pieces = [np.median(np.abs(p)) for p in np.array_split(away, max(1, n // SCATTER_SAMPLES))]
-    local = np.repeat(pieces, [p.size for p in np.array_split(away, len(pieces))])
-    return np.where(np.abs(away) > rules().alone / 0.6745 * np.maximum(local, np.median(pieces)), away, 0.0)
+    a, b, c, d = (padded[k : k + n] for k in (0, 1, 3, 4))
+    # the middle two of the four neighbours
+    one = np.maximum(np.minimum(a, b), np.minimum(c, d))
+    other = np.minimum(np.maximum(a, b), np.maximum(c, d))
+    away: Array = values - 0.5 * (one + other)
+    size = np.abs(away)
+    # pieces of nearly equal length, the longer ones first
+    count = max(1, n // SCATTER_SAMPLES)
+    short, more = divmod(n, count)
+    long = more * (short + 1)
+    parts = size[:long].reshape(more, short + 1), size[long:].reshape(count - more, short)
+    pieces = np.concatenate([np.median(part, axis=1) for part in parts])
+    local = np.repeat(pieces, np.where(np.arange(count) < more, short + 1, short))
+    return np.where(size > rules().alone / 0.6745 * np.maximum(local, np.median(pieces)), away, 0.0)
 
 
 def without_motion(values: Array, dt: float, corner: float, whole: bool = False) -> Array:
