@@ -406,8 +406,10 @@ def _alike(one: Finding, other: Finding) -> bool:
     if (one.effect, one.sensor) != (other.effect, other.sensor):
         return False
     here, there = ({v.name: v for v in s.parameters if v.name in ("start", "duration")} for s in (one, other))
+    # an interval may be wide where the best is not: what does not act at the same times is another one
     return not here or (
-        one.axes == other.axes and all(v.low <= there[n].high and there[n].low <= v.high for n, v in here.items())
+        one.axes == other.axes
+        and all(v.low <= there[n].value <= v.high and there[n].low <= v.value <= there[n].high for n, v in here.items())
     )
 
 

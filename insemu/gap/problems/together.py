@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.data.samples import mend, with_counts
 from insemu.gap.drive.preparation import Prepared, fast_parts, prepare
-from insemu.gap.drive.scene import Scene
+from insemu.gap.drive.scene import Scene, Window
 from insemu.gap.evidence.fixes import LEVEL_ROWS, NED, FixNoise, joint_noise
 from insemu.gap.problems.known import colour_of
 from insemu.gap.verdict import Finding, Value
@@ -76,14 +76,18 @@ def left(recording: Recording, nominal: Nominal, findings: Sequence[Finding]) ->
     nominal = replace(nominal, beliefs=with_counts(nominal.beliefs, mended.findings, recording.imu.dt))
     recording = replace(recording, imu=mended.imu)
     parts = fast_parts(replace(recording, imu=mended.heard), nominal)
-    scene = opened(prepare(recording, nominal, parts, {}, mended))
     found = list(findings)
-    owners = _columns(scene, found)
+    steps = {k: window for k, s in enumerate(found) if (window := _window(s)) is not None}
+    scene = opened(prepare(recording, nominal, parts, {}, mended)).with_windows(tuple(steps.values()))
+    owners = _columns(scene, found, list(steps))
     gain = 0.0
     if owners:
         index = np.array(list(owners))
         # what is found wrong with a number is of its own size, or of the datasheet's
-        wide = [max(scene.columns[j].scale, abs(value)) for j, (_, _, value) in owners.items()]
+        wide = [
+            max(scene.columns[j].scale if j < scene.catalogue else 0.0, abs(value))
+            for j, (_, _, value) in owners.items()
+        ]
         blocks = [(index, np.diag(wide)), *scene.always]
         _, mean, covariance = scene.data.posterior(blocks)
         own = slice(0, index.size)
@@ -101,8 +105,25 @@ def left(recording: Recording, nominal: Nominal, findings: Sequence[Finding]) ->
     return Left(gain, tuple(found))
 
 
-def _columns(scene: Scene, findings: Sequence[Finding]) -> dict[int, tuple[int, str, float]]:
-    """By column of a scene the finding that it belongs to, its parameter and the value of that."""
+def _window(finding: Finding) -> Window | None:
+    """Component, start and end (s) of a step in the positions; ``None`` of another effect."""
+    at = {v.name: v.value for v in finding.parameters}
+    if finding.effect != "gnss_multipath_step":
+        return None
+    return NED.index(finding.axes[0]), at["start"], at["start"] + at["duration"]
+
+
+def _columns(scene: Scene, findings: Sequence[Finding], steps: Sequence[int]) -> dict[int, tuple[int, str, float]]:
+    """By column of a scene the finding that it belongs to, its parameter and the value of that.
+
+    Parameters
+    ----------
+    scene : Scene
+        With a window for each of the steps.
+    findings : sequence of Finding
+    steps : sequence of int
+        Which of them are steps in the positions.
+    """
     owners: dict[int, tuple[int, str, float]] = {}
     for k, s in enumerate(findings):
         for v in s.parameters:
@@ -114,6 +135,8 @@ def _columns(scene: Scene, findings: Sequence[Finding]) -> dict[int, tuple[int, 
             if j is None or j in owners:
                 continue
             owners[j] = (k, v.name, v.value)
+    for j, k in enumerate(steps, scene.width - len(steps)):
+        owners[j] = (k, "value", next(v.value for v in findings[k].parameters if v.name == "value"))
     return owners
 
 
