@@ -30,7 +30,7 @@ from insemu.gap import (
 )
 from insemu.gap.beliefs.refined import refined_nominal, uses_of
 from insemu.gap.candidates.axis import CANDIDATES
-from insemu.gap.session import _looked_closer, _settled
+from insemu.gap.session import _closer, _looked_closer, _settled
 from insemu.gap.verdict import Interval, Member, Value, held_out_said
 from insemu.noise import AR, BI, DR, GM, QN, RW, SIN, WN, NoiseModel
 from insemu.records import GnssRecord, ImuRecord, Recording, Series
@@ -251,6 +251,26 @@ def test_a_correction_that_leaves_more_than_there_was_is_taken_back() -> None:
         passes(first, report(strong("lever_arm", 40.0, value_x=1.2)), report(strong("lever_arm", 42.0, value_x=1.2)))[0]
         is not first
     )
+
+
+def test_a_later_pass_corrects_a_step_at_its_own_times() -> None:
+    """Whatever the interval of when it began: half a metre from 75 s on had gone into a step from 760 s on."""
+
+    def shift(value: float, start: tuple[float, ...], duration: tuple[float, ...]) -> Finding:
+        parameters = (
+            Value("value", value, value - 0.1, value + 0.1, "m"),
+            Value("start", *start, "s"),
+            Value("duration", *duration, "s"),
+        )
+        return replace(step("gnss_multipath_step"), axes=("north",), parameters=parameters)
+
+    old = shift(0.4, (760.5, 54.0, 761.0), (632.0, 380.0, 706.0))
+    other = shift(-0.5, (75.0, 74.7, 75.2), (630.0, 1.8, 807.0))
+    same = shift(0.1, (760.4, 760.2, 760.8), (632.1, 631.0, 633.0))
+    assert set(_closer(report(old), report(other), []).findings) == {old, other}
+    (corrected,) = _closer(report(old), report(same), []).findings
+    assert corrected.parameters[0].value == pytest.approx(0.5)
+    assert corrected.parameters[1:] == old.parameters[1:]
 
 
 def test_a_later_pass_corrects_each_number_where_it_stands() -> None:

@@ -63,6 +63,38 @@ def test_numbers_together_are_the_true_ones() -> None:
             assert v.high - v.low < 0.5  # it was 2
 
 
+def test_steps_in_the_fixes_are_among_the_numbers() -> None:
+    """Of a step that was found beside another one only in part, and of one that is none."""
+
+    def shift(value: float, axis: str, start: float) -> Finding:
+        known = finding("gnss_multipath_step", "gnss", (axis,), "value", value)
+        return replace(
+            known,
+            parameters=(
+                *known.parameters,
+                Value("start", start, start, start, "s"),
+                Value("duration", 60.0, 60.0, 60.0, "s"),
+            ),
+        )
+
+    measured, nominal = flight()
+    use = tuple(u for hidden in HIDDEN for u in uses_of(finding(*hidden[:4], hidden[4])))
+    known = replace(nominal, effects=use).parted()
+    assert measured.gnss is not None
+    up = measured.gnss.llh.copy()
+    inside = (measured.gnss.t > 70.0) & (measured.gnss.t <= 130.0)
+    up[inside, 2] -= 6.0
+    moved = replace(measured, gnss=replace(measured.gnss, llh=up))
+    findings = (shift(4.0, "down", 70.0), shift(2.0, "north", 100.0))
+    effects = tuple(u for f in findings for u in uses_of(f))
+    step = left(*drive_without(moved, replace(known, effects=(*use, *effects)).parted()), findings)
+    there, none = (f.parameters[0] for f in step.findings)
+    assert step.gain > 5.0
+    assert there.low < 6.0 < there.high and there.high - there.low < 2.0
+    assert none.low < 0.0 < none.high
+    assert [f.parameters[1:] for f in step.findings] == [f.parameters[1:] for f in findings]
+
+
 def test_what_has_no_columns_stays_as_it_is() -> None:
     (outliers,) = (finding("gnss_outliers", "gnss", NED, "probability", 0.1),)
     step = left(*less(()), (outliers,))
