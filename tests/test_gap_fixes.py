@@ -15,7 +15,7 @@ import scipy.stats
 from numpy.typing import NDArray
 
 from benchmarks.foreign import sensors
-from benchmarks.foreign.judge import taken
+from benchmarks.foreign.judge import Job, drawn, taken
 from insemu.effects import EffectUse, having
 from insemu.errors import InputError
 from insemu.gap import GapReport, Nominal, find_gap
@@ -404,6 +404,17 @@ def test_a_step_behind_a_colour_is_found_at_its_edges() -> None:
     quiet = behind_a_colour(recording(COLOUR))
     (none,) = multipath_step(quiet, quiet.data, rows, list(quiet.always))
     assert none.nats < rules().least_nats
+
+
+def test_edges_three_fixes_apart_are_not_missed() -> None:
+    """A step of 76 nats of another simulator, which the filter followed within two fixes, was two steps of 39 and 25 nats, unexplained."""
+    logger = sensors.Logger(imu_hz=50)
+    world, hidden, worth = drawn(Job("one", 550020, 360.0, True, False, False, logger=logger))
+    report = find_gap(*taken(world, hidden), rng=np.random.default_rng(1), hold_out=False, pictures=False)
+    (step,) = report.findings
+    told, values = {v.name: v for v in step.parameters}, hidden[0].values
+    assert report.verdict == "named" and step.nats > 0.8 * worth[0]
+    assert all(v.low < values[name] < v.high for name, v in told.items())
 
 
 def test_outliers_that_a_colour_hides_are_told_by_what_the_fixes_before_say() -> None:

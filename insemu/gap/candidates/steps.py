@@ -26,9 +26,10 @@ GAP_PARTS = 20
 #: A step shows at its edges only where a colour or a filter that trusts its fixes follows it: stretches of so many fixes whose mean surprises most,
 #: before which edges are looked for, and fixes to either side of each.
 STRETCHES, SURPRISES, BESIDE = (1, 2, 4, 8), 16, 2
-#: Evenly spaced times more fixes apart than this may miss what a filter follows, which took eight fixes in the recording that showed it; judged by
-#: ``python -m benchmarks.foreign --kinds two --recordings 100 --seed 500000`` and ``--kinds none --recordings 100 --seed 510000 --fix-hz 4``.
-FOLLOWED = 4.0
+#: Evenly spaced times more fixes apart than this stand for other fixes than their own, and may miss an edge: three fixes apart they missed one of
+#: 76 nats, which a filter followed within two; judged by ``python -m benchmarks.foreign --kinds one --recordings 200 --seed 700000``,
+#: ``--kinds two --recordings 100 --seed 500000`` and ``--kinds none --recordings 120 --seed 480000``.
+APART = 1.5
 
 
 def multipath_step(
@@ -57,7 +58,7 @@ def multipath_step(
     beside = _Beside.of(data, given)
     step = _step_anywhere(scene, rows, beside)
     apart = (scene.starts[1] - scene.starts[0]) / float(np.median(np.diff(scene.prepared.result.fixes.t)))
-    follows = scene.noise is not None or apart > FOLLOWED
+    follows = scene.noise is not None or apart > APART
     at_edges = _step_at_edges(scene, rows, beside) if follows else None
     return [(step if at_edges is None or step.nats > at_edges.nats else at_edges).told()]
 
