@@ -122,7 +122,9 @@ class Policy:
     most_lost: float = _decides(0.2, "1", "tests-rest", "Share of samples that a static log may miss.")
     # -- the band above the motion --------------------------------------------------------------------------------------------------
     motion_hz: float = _decides(MOTION_HZ, "Hz", "one", "Lowest frequency at which a moving IMU shows its noise rather than its motion.")
-    fast_nats: float = _decides(6.0, "nats", "null", "Least evidence there: manoeuvres leave some nats; nominal drives stay below 2 on every axis.")
+    fast_nats: float = _decides(
+        6.0, "nats", "null", "Least evidence there, over a vibration where most axes shake; nominal drives stay below 2 on every axis."
+    )
     evident: float = _decides(10.0, "sigma", "one", "Residual of a sample that stands out by itself.")
     alike: float = _decides(0.8, "1", "one", "Share of such residuals that must look like single samples.")
     beside: float = _decides(5.0, "sigma", "one", "Residual that counts as an outlier beside an evident one.")

@@ -58,8 +58,8 @@ def multipath_step(
     beside = _Beside.of(data, given)
     step = _step_anywhere(scene, rows, beside)
     apart = (scene.starts[1] - scene.starts[0]) / float(np.median(np.diff(scene.prepared.result.fixes.t)))
-    follows = scene.noise is not None or apart > APART
-    at_edges = _step_at_edges(scene, rows, beside) if follows else None
+    missed = scene.noise is not None or apart > APART
+    at_edges = _step_at_edges(scene, rows, beside) if missed else None
     return [(step if at_edges is None or step.nats > at_edges.nats else at_edges).told()]
 
 
