@@ -34,7 +34,7 @@ from insemu.gap.session import _closer, _looked_closer, _settled
 from insemu.gap.verdict import Interval, Member, Value, held_out_said
 from insemu.noise import AR, BI, DR, GM, QN, RW, SIN, WN, NoiseModel
 from insemu.records import GnssRecord, ImuRecord, Recording, Series
-from insemu.report.gap import FIRST_SCREEN, filtered_said, gap_headline, ranked, render_gap
+from insemu.report.gap import FIRST_SCREEN, filtered_said, gap_headline, render_gap
 from insemu.scenario import load
 from insemu.trial.drives import stage
 
@@ -311,14 +311,14 @@ def test_what_is_worth_few_metres_stands_behind_what_has_none() -> None:
     """A lever arm of 2 m after a minute, beside 427 m, put a mounting of 7 deg off the first screen."""
     worth = {"clock_drift": 427.0, "mounting": np.nan, "lever_arm": 2.0, "gnss_velocity_lag": 20.0}
     findings = [replace(strong("clock_drift", 100.0), effect=e, metres=m) for e, m in worth.items()]
-    shown = [f.effect for _, f in ranked(report(*findings))]
+    shown = [f.effect for _, f in report(*findings).numbered()]
     assert shown == ["clock_drift", "gnss_velocity_lag", "mounting", "lever_arm"]
 
 
 def test_metres_count_by_how_sure_a_name_is() -> None:
     worth = {"clock_drift": (606.0, 0.0), "lever_arm": (48.0, 0.13), "gnss_velocity_lag": (20.0, 1.0)}
     findings = [replace(strong(e, 100.0), metres=m, confidence=c) for e, (m, c) in worth.items()]
-    shown = [f.effect for _, f in ranked(report(*findings))]
+    shown = [f.effect for _, f in report(*findings).numbered()]
     assert shown == ["gnss_velocity_lag", "lever_arm", "clock_drift"]
 
 

@@ -160,6 +160,11 @@ def test_some_findings_are_applied_by_number() -> None:
     assert applied(report, [1]).refined["gyro_x"] == both["gyro_x"]
     with pytest.raises(InputError, match="no finding 3, expected 1 to 2"):
         applied(report, [1, 3])
+    # numbers are those of the table, whose first row is worth most metres
+    shown = replace(report, findings=(replace(found[0], metres=1.0), replace(found[1], metres=9.0)))
+    assert [(n, f.effect) for n, f in shown.numbered()] == [(1, "turn_on_bias"), (2, "random_walk")]
+    assert [f.effect for f in applied(shown, [1]).findings] == ["turn_on_bias"]
+    assert [s["number"] for s in shown.to_json()["steps"]] == [2, 1]
 
 
 def test_every_finding_says_what_to_do() -> None:

@@ -153,7 +153,6 @@ def _tell(report: GapReport, console: Console) -> None:
         finding_nees,
         gap_headline,
         is_better,
-        ranked,
         sensor_axes,
         shaking_said,
         shown_value,
@@ -164,7 +163,7 @@ def _tell(report: GapReport, console: Console) -> None:
     console.print(f"Is the refined model better? {word}: {figures}", highlight=False, markup=False)
     if report.findings:
         heads = ("", "effect", "m after 60 s", "NEES", "nats", "sure", "where")
-        body, most = [], ranked(report)[:FIRST_SCREEN]
+        body, most = [], report.numbered()[:FIRST_SCREEN]
         for n, s in most:
             where = sensor_axes(s.sensor, s.axes)
             body.append(

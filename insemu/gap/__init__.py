@@ -11,7 +11,7 @@ from insemu.gap.data.sources import StaticLog, from_its_start, load_measured
 from insemu.gap.experiment import NextExperiment, design, experiment_said, write_experiment
 from insemu.gap.policy import Policy, rules
 from insemu.gap.problems.rest import find_static_gap
-from insemu.gap.session import applied, find_gap
+from insemu.gap.session import applied, find_gap, with_only
 from insemu.gap.verdict import Finding, GapReport, Interval, Member, Value, Where
 
 __all__ = [
@@ -36,6 +36,7 @@ __all__ = [
     "refined_nominal",
     "register",
     "rules",
+    "with_only",
     "write_experiment",
     "write_refined",
 ]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +42,7 @@ from insemu.gap.evidence.linear import flicker_root, gauss_markov_root, random_w
 from insemu.gap.policy import rules
 from insemu.gap.problems.findings import with_process
 from insemu.gap.problems.known import drive_without, in_imu_axes
-from insemu.gap.session import applied
+from insemu.gap.session import with_only
 from insemu.gap.verdict import Finding, GapReport
 from insemu.noise import NoiseModel, axis_unit
 from insemu.records import Recording
@@ -259,10 +259,8 @@ def design(
     if isinstance(measured, StaticLog):
         return None
     say("the recording again, everything but the class taken off")
-    for number in _classes(report):
-        finding = report.findings[number]
-        others = [n for n in range(1, len(report.findings) + 1) if n != number + 1]
-        rest = replace(report, findings=()) if not others else applied(report, others)
+    for finding in _classes(report):
+        rest = with_only(report, [f for f in report.findings if f is not finding])
         known = refined_nominal(nominal, rest, measured.imu.dt).parted()
         flown = Flown.of(*in_imu_axes(*drive_without(measured, known)))
         scene = Scene.of(flown.prepared)
@@ -288,10 +286,9 @@ def design(
     return NextExperiment(finding, now, best, tuple(tried), found, kept, flown.nominal, asked.fixes)
 
 
-def _classes(report: GapReport) -> list[int]:
-    """Places of the classes that the innovations of a drive show, the most costly first."""
-    some = [k for k, f in enumerate(report.findings) if f.is_class]
-    return sorted(some, key=lambda k: -np.nan_to_num(report.findings[k].metres))
+def _classes(report: GapReport) -> list[Finding]:
+    """The classes that the innovations of a drive show, the most costly first."""
+    return sorted((f for f in report.findings if f.is_class), key=lambda f: -np.nan_to_num(f.metres))
 
 
 def _keys(finding: Finding) -> list[Key]:

@@ -249,7 +249,13 @@ def _bends(findings: Sequence[Finding]) -> bool:
 
 
 def applied(report: GapReport, which: Sequence[int]) -> GapReport:
-    """The report with some of its findings only, numbered from 1 as they stand in it: what the refined model is then written from.
+    """The report with some of its findings only, by the numbers under which they are shown: what the refined model is then written from.
+
+    Parameters
+    ----------
+    report : GapReport
+    which : sequence of int
+        Numbers as of :meth:`GapReport.numbered`.
 
     Raises
     ------
@@ -259,7 +265,12 @@ def applied(report: GapReport, which: Sequence[int]) -> GapReport:
     wrong = [n for n in which if not 1 <= n <= len(report.findings)]
     if wrong:
         raise InputError(f"there is no finding {wrong[0]}, expected 1 to {len(report.findings)}", where="--apply")
-    findings = tuple(f for n, f in enumerate(report.findings, 1) if n in which)
+    return with_only(report, [f for n, f in report.numbered() if n in which])
+
+
+def with_only(report: GapReport, findings: Collection[Finding]) -> GapReport:
+    """The report with some of its findings only, in its own order."""
+    findings = tuple(f for f in report.findings if any(f is g for g in findings))
     refined = dict(report.nominal)
     for finding in findings:
         refined = with_effect(refined, finding)

@@ -106,8 +106,6 @@ def finding_action(finding: Finding) -> str:
     return _ACTIONS.get(finding.effect, "model or calibrate it: {}").format(values)
 
 
-#: Share of the metres of the largest finding below which one hardly matters: squares add up, so that it moves the sum by a twenty-thousandth.
-FEW = 0.01
 #: Findings on the first screen of a terminal and of a page, which folds the others, and names in the sentence above them.
 FIRST_SCREEN, FEW_NAMES = 6, 3
 #: Scatter of the positions from fix to fix over what is believed below which they were filtered: RTK without a filter reaches 0.38 (rtkexp_drive),
@@ -137,7 +135,7 @@ def gap_headline(report: GapReport) -> str:
     if report.verdict == "nothing missing":
         return "Nothing is missing: the recording is what the nominal model predicts."
     if report.verdict == "unexplained":
-        names = list(dict.fromkeys(_subject(s) for _, s in ranked(report)))
+        names = list(dict.fromkeys(_subject(s) for _, s in report.numbered()))
         extra = f" What was named explains part of it: {_few(names)}." if names else ""
         return "The recording holds something that no effect of the catalogue explains." + extra
     settings = [finding_action(s) for s in report.findings if s.is_setting]
@@ -146,7 +144,7 @@ def gap_headline(report: GapReport) -> str:
     ahead = f"Set first: {'; '.join(settings)}. " if settings and len(found) < len(report.findings) else ""
     first = found[0]
     # those worth most first; the others are counted, every one stands in the table
-    names = list(dict.fromkeys(_subject(s) for _, s in ranked(report) if s in found))
+    names = list(dict.fromkeys(_subject(s) for _, s in report.numbered() if s in found))
     doubted = sum(s.doubtful for s in found)
     doubt = f" Something is left unexplained in the place of {doubted} of {len(found)}." if doubted else ""
     if first.is_class:
@@ -367,7 +365,7 @@ def _estimates(findings: Sequence[Finding]) -> Table:
 
 def _suspects(report: GapReport, names: Sequence[str]) -> list[Section]:
     """What was found, how sure that is, what it is worth, and the evidence for it."""
-    order = ranked(report)
+    order = report.numbered()
     said = filtered_said(report)
     suspects: list[Block] = [*([Text(said)] if said else []), _found(report, order[:FIRST_SCREEN])]
     if rest := order[FIRST_SCREEN:]:
@@ -458,27 +456,13 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
         kind="gap",
         source=report.source,
         answer=gap_headline(report),
-        cards=[_better(report), *(_card(n, s) for n, s in ranked(report)[:FIRST_SCREEN])],
+        cards=[_better(report), *(_card(n, s) for n, s in report.numbered()[:FIRST_SCREEN])],
     )
 
 
 def gap_charts(report: GapReport) -> list[Chart]:
     """The charts of disagreement with the nominal model."""
     return [chart for chart in _pictures(report, after=False) if isinstance(chart, Chart)]
-
-
-def ranked(report: GapReport) -> list[tuple[int, Finding]]:
-    """The findings with their numbers: settings first, then what is worth most metres, then those without metres, then what is worth few.
-
-    Metres count by how sure a name is: what is named at 2 nats, and is not believed, led with 600 m.
-    """
-    expected = [s.metres * s.confidence for s in report.findings]
-    most = max((m for m in expected if math.isfinite(m)), default=0.0)
-    worth = [m if m > FEW * most else -2.0 if math.isfinite(m) else -1.0 for m in expected]
-    return [
-        (n + 1, report.findings[n])
-        for n in sorted(range(len(worth)), key=lambda n: (not report.findings[n].is_setting, -worth[n]))
-    ]
 
 
 def is_better(report: GapReport) -> tuple[str, str, str]:

@@ -11,7 +11,7 @@ import numpy as np
 from insemu.augment import Extras
 from insemu.blas import on_one_thread
 from insemu.errors import InputError
-from insemu.gap import Finding, Nominal, applied, find_gap, refined_nominal
+from insemu.gap import Finding, Nominal, find_gap, refined_nominal, with_only
 from insemu.gap.beliefs import filter_noise
 from insemu.gap.drive import for_filter, starting_state, with_sigma
 from insemu.gap.problems import drive_without
@@ -180,7 +180,7 @@ def _reasons(
     shares, before = [], found
     for number, finding in enumerate(report.findings[:MOST_REASONS], 1):
         say(f"factors without {finding.effect}")
-        part = applied(report, range(1, number + 1))
+        part = with_only(report, report.findings[:number])
         known = refined_nominal(nominal, part, measured.imu.dt)
         noise = static or filter_noise(nominal, part, measured.imu.dt)
         levels = levels_of(measured, known, noise, extras).thinned(interval)
