@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -109,7 +110,7 @@ def test_a_spectrum_that_falls_from_the_edge_is_the_tail_of_the_motion() -> None
 
 def test_a_shaken_vehicle_with_its_antenna_on_an_arm_lacks_nothing() -> None:
     # without steadied velocities: noise of the velocities and a lever arm of a centimetre
-    world = sensors.draw_world(6, 200.0, True, "quadrotor")
+    world = sensors.draw_world(6, 200.0, True, ("quadrotor",))
     report = find_gap(*taken(world, ()), rng=np.random.default_rng(1), hold_out=False, pictures=False)
     assert report.verdict == "nothing missing"
     assert {b.axis for b in report.band} == {f"{s}_{a}" for s in ("gyro", "accel") for a in "xyz"}
@@ -130,10 +131,22 @@ def test_a_shaken_vehicle_that_loses_samples_lacks_nothing_else() -> None:
     assert made == nominal.beliefs
 
 
+def test_a_flight_of_another_program_is_what_its_belief_predicts() -> None:
+    pytest.importorskip("jsbsim")
+    world = sensors.draw_world(600003, 90.0, True, ("c172p",))
+    speed = np.linalg.norm(world.sensed.velocity, axis=1)
+    assert 40.0 < speed.min() and speed.max() < 65.0 and np.ptp(world.ride.rpy[:, 0]) > 0.3
+    again = sensors.draw_world(600003, 90.0, True, ("c172p",))
+    np.testing.assert_array_equal(world.sensed.rate, again.sensed.rate)
+    scene = Scene.of(Flown.of(*taken(world, ())).prepared)
+    y = scene.loop.y.reshape(-1, 6)[scene.loop.use]
+    assert np.mean(y * y) == pytest.approx(1.0, abs=4.0 * math.sqrt(2.0 / y.size))
+
+
 def test_the_benchmark_records_as_it_is_asked_to() -> None:
-    usual = sensors.record(sensors.draw_world(6, 200.0, True, "quadrotor"))
+    usual = sensors.record(sensors.draw_world(6, 200.0, True, ("quadrotor",)))
     how = sensors.Logger(50, 10.0, velocities=False, tunnels=2, lost=0.01, repeated=0.02, jitter=1e-3)
-    world = sensors.draw_world(6, 200.0, True, "quadrotor", logger=how)
+    world = sensors.draw_world(6, 200.0, True, ("quadrotor",), logger=how)
     out = sensors.record(world)
     assert "velocity_sigma" not in world.belief()["gnss"] and "gnss_vel_ned" not in out
     t, step = out["imu_t"], np.diff(out["imu_t"])
@@ -166,7 +179,7 @@ def test_the_axis_that_shakes_least_shakes_with_the_others() -> None:
 def test_a_last_axis_is_noisy_by_itself_where_no_vibration_explains_it(size: float, shake: float, named: bool) -> None:
     # quantization of the integral, 7 and 52 nats; a resonance beyond half of the samples explains 5 and 7 less of it
     nominal = replace(
-        taken(sensors.draw_world(6, 60.0, True, "quadrotor"), ())[1],
+        taken(sensors.draw_world(6, 60.0, True, ("quadrotor",)), ())[1],
         beliefs={name: NoiseModel((WN(DT**0.5),)) for name in RECORD_AXES},
     )
     rng = np.random.default_rng(11)
@@ -186,7 +199,7 @@ def test_a_last_axis_is_noisy_by_itself_where_no_vibration_explains_it(size: flo
 @pytest.mark.slow
 def test_an_antenna_swings_on_the_arm_that_was_found() -> None:
     """On 2.5 m more than is believed: noise of the velocities, 1.6 times what is stated (2,046 nats), had stood beside the arm."""
-    world = sensors.draw_world(6, 200.0, True, "quadrotor")
+    world = sensors.draw_world(6, 200.0, True, ("quadrotor",))
     longer = sensors.Hidden("lever_arm", "gnss", "z", {"value": 2.5})
     report = find_gap(*taken(world, (longer,)), rng=np.random.default_rng(1), hold_out=False, pictures=False)
     (arm,) = report.findings
@@ -197,7 +210,7 @@ def test_an_antenna_swings_on_the_arm_that_was_found() -> None:
 def test_velocities_are_steadied_on_an_arm_that_is_not_taken_out_of_the_data() -> None:
     """One that was found too weakly for that swings all the same: the scatter of its velocities was named as noise of 156 nats."""
     longer = sensors.Hidden("lever_arm", "gnss", "z", {"value": 0.6})
-    scene = Scene.of(Flown.of(*taken(sensors.draw_world(6, 200.0, True, "quadrotor"), (longer,))).prepared)
+    scene = Scene.of(Flown.of(*taken(sensors.draw_world(6, 200.0, True, ("quadrotor",)), (longer,))).prepared)
     j = next(k for k, c in enumerate(scene.columns) if (c.effect, c.label[-1]) == ("lever_arm", "z"))
     again = scene.steadied_again([*scene.always, (np.array([j]), np.eye(1))])
     assert not scene.corrections and not again.corrections
@@ -363,7 +376,7 @@ def test_the_nis_of_shaken_velocities_has_the_tolerance_of_a_level() -> None:
 
 def test_velocities_of_an_antenna_on_an_arm_are_not_asked_for_a_white_spectrum_where_the_vehicle_shakes() -> None:
     for lever, expected in ((np.array([0.5, 0.2, -0.3]), True), (np.zeros(3), False)):
-        world = sensors.draw_world(6, 100.0, True, "quadrotor")
+        world = sensors.draw_world(6, 100.0, True, ("quadrotor",))
         world = replace(world, unit=replace(world.unit, lever=lever))
         prepared = Flown.of(*taken(world, ())).prepared
         assert prepared.swings == expected

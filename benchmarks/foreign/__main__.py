@@ -18,8 +18,9 @@ from rich.console import Console
 from rich.progress import Progress
 
 from benchmarks.foreign.baselines import judgement
+from benchmarks.foreign.flights import AIRCRAFT
 from benchmarks.foreign.judge import KINDS, Job, answer, drawn, scores, write
-from benchmarks.foreign.motion import RATE
+from benchmarks.foreign.motion import RATE, VEHICLES
 from benchmarks.foreign.sensors import Logger
 from benchmarks.foreign.trained import learned
 from insemu.work import Lines, processes, run_items
@@ -43,6 +44,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--trained", type=int, default=0, help="recordings from which a classifier learns first, one more baseline"
     )
     parser.add_argument("--examples", type=Path, help="keep what it learns from in this file and go on from there")
+    parser.add_argument(
+        "--vehicles", nargs="+", choices=[*VEHICLES, *AIRCRAFT], default=list(VEHICLES), metavar="VEHICLE",
+        help=f"what moves, in turns of chance: {', '.join(VEHICLES)}; flown by JSBSim: {', '.join(AIRCRAFT)}",
+    )  # fmt: skip
     usual, how = Logger(), parser.add_argument_group("how it is recorded")
     how.add_argument("--imu-hz", type=int, default=usual.imu_hz, help="a divisor of 1000")
     how.add_argument("--fix-hz", type=float, default=usual.fix_hz, help="of every receiver instead of 1 or 4")
@@ -74,6 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             given.hold_out,
             not given.no_baselines,
             logger,
+            tuple(given.vehicles),
         )
         for k in range(given.recordings)
     ]

@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from benchmarks.foreign import sensors
+from benchmarks.foreign import motion, sensors
 from benchmarks.foreign.baselines import METHODS, baselines
 from benchmarks.foreign.oracle import gained
 from insemu.filters import FixTable
@@ -51,7 +51,7 @@ FLOOR = 1e-3
 
 @dataclass(frozen=True)
 class Job:
-    """A recording to be drawn and looked at: what is hidden, its seed, its length in s, whether the vehicle shakes, and how it is recorded."""
+    """A recording to be drawn and looked at: what is hidden, seed, length in s, whether the vehicle shakes, how it is recorded, and of what."""
 
     kind: str
     seed: int
@@ -60,19 +60,21 @@ class Job:
     hold_out: bool = False
     baselines: bool = True
     logger: sensors.Logger = field(default_factory=sensors.Logger)
+    vehicles: tuple[str, ...] = motion.VEHICLES
 
     @property
     def key(self) -> str:
         """Everything that the answer depends on."""
         usual = asdict(sensors.Logger())
         other = "".join(f"-{k}{v:g}" for k, v in asdict(self.logger).items() if v != usual[k])
+        other += "" if self.vehicles == motion.VEHICLES else "-" + "-".join(self.vehicles)
         return (
             f"{self.kind}-{self.seed}-{self.seconds:g}-{self.vibration:d}-{self.hold_out:d}-{self.baselines:d}{other}"
         )
 
     def world(self, calm: float = 1.0) -> sensors.World:
         """What it is a recording of."""
-        return sensors.draw_world(self.seed, self.seconds, self.vibration, calm=calm, logger=self.logger)
+        return sensors.draw_world(self.seed, self.seconds, self.vibration, self.vehicles, calm, self.logger)
 
 
 def drawn(job: Job) -> tuple[sensors.World, list[sensors.Hidden], list[float]]:

@@ -82,13 +82,39 @@ def ride(rng: np.random.Generator, vehicle: str, seconds: float, shake: tuple[fl
     shake : (2,) tuple, optional
         Root mean square of the vibration, m/s^2 and rad/s; none: only what belongs to the way of moving.
     """
-    n = round(seconds * RATE)
-    t = np.arange(n) * DT
+    t = np.arange(round(seconds * RATE)) * DT
     speed, heading, climb, roll, pitch, crab = _PATHS[vehicle](rng, t)
     way = heading + crab
     velocity = np.stack([speed * np.cos(way), speed * np.sin(way), -climb], axis=1)
-    place = np.cumsum(velocity, axis=0) * DT
-    rpy = shaken = np.stack([roll, pitch, heading], axis=1)
+    rpy = np.stack([roll, pitch, heading], axis=1)
+    place, rpy, measured = laid_on(rng, np.cumsum(velocity, axis=0) * DT, rpy, speed, shake, vehicle)
+    return Ride(place, rpy, draw_origin(rng), measured)
+
+
+def draw_origin(rng: np.random.Generator) -> Array:
+    """Latitude, longitude (rad) and height (m) of a start."""
+    return np.array([rng.uniform(-1.1, 1.1), rng.uniform(-3.0, 3.0), rng.uniform(20.0, 600.0)])
+
+
+def laid_on(
+    rng: np.random.Generator, place: Array, rpy: Array, speed: Array, shake: tuple[float, float] | None, vehicle: str
+) -> tuple[Array, Array, dict[str, float]]:
+    """A way and its angles with what shakes the body on top, at an IMU away from where the body turns about, and the root mean squares.
+
+    Parameters
+    ----------
+    rng : Generator
+    place, rpy : (n, 3) arrays
+        m and rad.
+    speed : (n,) array
+        m/s.
+    shake : (2,) tuple, optional
+        Root mean square of the vibration, m/s^2 and rad/s.
+    vehicle : str
+        What it moves like.
+    """
+    n = speed.size
+    t, shaken = np.arange(n) * DT, rpy
     measured = {"accel": 0.0, "gyro": 0.0}
     if shake is not None:
         loud = speed / max(float(np.max(speed)), 1e-9)
@@ -104,9 +130,7 @@ def ride(rng: np.random.Generator, vehicle: str, seconds: float, shake: tuple[fl
         measured = {"accel": shake[0], "gyro": shake[1]}
     # the IMU does not sit where the vehicle turns about; what shakes it is stated where it sits
     off = rng.normal(0.0, (0.5, 0.3, 0.2))
-    place = place + rotate(rpy, off) - rotate(rpy[:1], off)
-    origin = np.array([rng.uniform(-1.1, 1.1), rng.uniform(-3.0, 3.0), rng.uniform(20.0, 600.0)])
-    return Ride(place, shaken, origin, measured)
+    return place + rotate(rpy, off) - rotate(rpy[:1], off), shaken, measured
 
 
 def _shaken(rng: np.random.Generator, t: Array, level: Array, loud: Array, rotor: bool) -> tuple[Array, Array]:
@@ -138,7 +162,7 @@ def _shaken(rng: np.random.Generator, t: Array, level: Array, loud: Array, rotor
 _Path = tuple[Array, Array, Array, Array, Array, Array]
 
 
-def _steps(rng: np.random.Generator, t: Array, mean_s: float, values: Array) -> Array:
+def steps(rng: np.random.Generator, t: Array, mean_s: float, values: Array) -> Array:
     """A value that is drawn anew after random times."""
     out = np.zeros(t.size)
     at = 0.0
@@ -149,10 +173,10 @@ def _steps(rng: np.random.Generator, t: Array, mean_s: float, values: Array) -> 
 
 
 def _car(rng: np.random.Generator, t: Array) -> _Path:
-    speed = low_pass(_steps(rng, t, 20.0, np.array([0.0, 6.0, 9.0, 13.0, 16.0, 22.0])), 2.5)
+    speed = low_pass(steps(rng, t, 20.0, np.array([0.0, 6.0, 9.0, 13.0, 16.0, 22.0])), 2.5)
     speed[: 5 * RATE] = np.maximum(speed[: 5 * RATE], 8.0)
     speed = low_pass(speed, 1.0)
-    turn = low_pass(_steps(rng, t, 9.0, np.array([0.0, 0.0, 0.02, -0.02, 0.3, -0.3])), 0.7)
+    turn = low_pass(steps(rng, t, 9.0, np.array([0.0, 0.0, 0.02, -0.02, 0.3, -0.3])), 0.7)
     turn = low_pass(turn * np.minimum(speed / 8.0, 1.0) * np.minimum(1.0, 14.0 / np.maximum(speed, 1.0)), 0.1)
     heading = rng.uniform(-3.0, 3.0) + np.cumsum(turn) * DT
     slope = low_pass(0.03 * coloured(rng, t.size, 0.002, 0.03), 1.0)
@@ -170,10 +194,10 @@ def _car(rng: np.random.Generator, t: Array) -> _Path:
 
 
 def _train(rng: np.random.Generator, t: Array) -> _Path:
-    speed = low_pass(_steps(rng, t, 70.0, np.array([12.0, 25.0, 40.0, 0.0])), 8.0)
+    speed = low_pass(steps(rng, t, 70.0, np.array([12.0, 25.0, 40.0, 0.0])), 8.0)
     speed[: 10 * RATE] = np.maximum(speed[: 10 * RATE], 12.0)
     speed = low_pass(speed, 6.0)
-    turn = low_pass(_steps(rng, t, 25.0, np.array([0.0, 0.01, -0.01, 0.02, -0.02])), 4.0)
+    turn = low_pass(steps(rng, t, 25.0, np.array([0.0, 0.01, -0.01, 0.02, -0.02])), 4.0)
     turn = low_pass(turn * np.minimum(speed / 20.0, 1.0), 0.2)
     heading = rng.uniform(-3.0, 3.0) + np.cumsum(turn) * DT
     # joints every 25 m, and a body that sways
@@ -191,10 +215,10 @@ def _train(rng: np.random.Generator, t: Array) -> _Path:
 
 
 def _walker(rng: np.random.Generator, t: Array) -> _Path:
-    speed = low_pass(_steps(rng, t, 25.0, np.array([0.0, 1.1, 1.4, 1.7])), 0.6)
+    speed = low_pass(steps(rng, t, 25.0, np.array([0.0, 1.1, 1.4, 1.7])), 0.6)
     stride = 2.0 * np.pi * 0.9 * np.cumsum(0.15 + 0.85 * np.minimum(speed / 1.3, 1.2)) * DT
     active = low_pass(np.minimum(speed / 1.2, 1.0), 0.1)
-    turn = low_pass(_steps(rng, t, 8.0, np.array([0.0, 0.0, 0.4, -0.4, 1.0])), 0.5) * active
+    turn = low_pass(steps(rng, t, 8.0, np.array([0.0, 0.0, 0.4, -0.4, 1.0])), 0.5) * active
     heading = rng.uniform(-3.0, 3.0) + np.cumsum(turn) * DT + 0.06 * active * np.sin(stride)
     bob = 0.025 * active * 2.0 * np.gradient(stride, DT) * np.cos(2.0 * stride)
     speed = low_pass(np.maximum(speed + 0.12 * active * np.sin(2.0 * stride + 0.7), 0.0), 0.03)
@@ -204,8 +228,8 @@ def _walker(rng: np.random.Generator, t: Array) -> _Path:
 
 
 def _boat(rng: np.random.Generator, t: Array) -> _Path:
-    speed = 4.0 + low_pass(_steps(rng, t, 40.0, np.array([0.0, 2.0, 5.0])), 4.0)
-    turn = low_pass(_steps(rng, t, 15.0, np.array([0.0, 0.0, 0.08, -0.08, 0.15])), 2.0)
+    speed = 4.0 + low_pass(steps(rng, t, 40.0, np.array([0.0, 2.0, 5.0])), 4.0)
+    turn = low_pass(steps(rng, t, 15.0, np.array([0.0, 0.0, 0.08, -0.08, 0.15])), 2.0)
     heading = rng.uniform(-3.0, 3.0) + np.cumsum(turn) * DT + 0.03 * coloured(rng, t.size, 0.06, 0.2)
     heave = 0.4 * coloured(rng, t.size, 0.08, 0.25)
     roll = 0.08 * coloured(rng, t.size, 0.1, 0.3) + 0.2 * turn
@@ -214,9 +238,9 @@ def _boat(rng: np.random.Generator, t: Array) -> _Path:
 
 def _fixed_wing(rng: np.random.Generator, t: Array) -> _Path:
     speed = rng.uniform(17.0, 45.0) + 2.0 * coloured(rng, t.size, 0.02, 0.2) + 0.3 * coloured(rng, t.size, 0.2, 3.0)
-    bank = low_pass(_steps(rng, t, 14.0, np.array([0.0, 0.0, 0.35, -0.35, 0.6, -0.6])), 1.2)
+    bank = low_pass(steps(rng, t, 14.0, np.array([0.0, 0.0, 0.35, -0.35, 0.6, -0.6])), 1.2)
     turn = 9.8 * np.tan(bank) / speed
-    climb = low_pass(_steps(rng, t, 30.0, np.array([0.0, 0.0, 2.0, -2.0])), 3.0) + 0.4 * coloured(rng, t.size, 0.1, 2.0)
+    climb = low_pass(steps(rng, t, 30.0, np.array([0.0, 0.0, 2.0, -2.0])), 3.0) + 0.4 * coloured(rng, t.size, 0.1, 2.0)
     heading = rng.uniform(-3.0, 3.0) + np.cumsum(turn) * DT
     gust = coloured(rng, t.size, 0.1, 4.0)
     crab = rng.uniform(-0.04, 0.04) + 0.01 * coloured(rng, t.size, 0.05, 1.0)
@@ -225,13 +249,13 @@ def _fixed_wing(rng: np.random.Generator, t: Array) -> _Path:
 
 def _quadrotor(rng: np.random.Generator, t: Array) -> _Path:
     north, east, up = (
-        low_pass(_steps(rng, t, 8.0, np.array(v)), 1.3)
+        low_pass(steps(rng, t, 8.0, np.array(v)), 1.3)
         for v in ([0.0, 4.0, -4.0, 8.0, -8.0], [0.0, 4.0, -4.0, 8.0, -8.0], [0.0, 0.0, 1.5, -1.5])
     )
     north += 0.25 * coloured(rng, t.size, 0.2, 2.0)
     east += 0.25 * coloured(rng, t.size, 0.2, 2.0)
     heading = (
-        rng.uniform(-3.0, 3.0) + np.cumsum(low_pass(_steps(rng, t, 10.0, np.array([0.0, 0.0, 0.5, -0.5])), 0.8)) * DT
+        rng.uniform(-3.0, 3.0) + np.cumsum(low_pass(steps(rng, t, 10.0, np.array([0.0, 0.0, 0.5, -0.5])), 0.8)) * DT
     )
     an, ae = low_pass(np.gradient(north, DT), 0.05), low_pass(np.gradient(east, DT), 0.05)
     forward, right = an * np.cos(heading) + ae * np.sin(heading), ae * np.cos(heading) - an * np.sin(heading)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.foreign.flights import AIRCRAFT, flight
 from benchmarks.foreign.motion import DT, RATE, VEHICLES, Array, Ride, Sensed, geodetic, plane, ride, sense
 
 #: IMU samples are means over ten milliseconds, if nothing else is asked for.
@@ -202,7 +203,12 @@ def draw_unit(rng: np.random.Generator) -> Unit:
 
 
 def draw_world(
-    seed: int, seconds: float, vibration: bool, vehicle: str = "", calm: float = 1.0, logger: Logger | None = None
+    seed: int,
+    seconds: float,
+    vibration: bool,
+    vehicles: Sequence[str] = VEHICLES,
+    calm: float = 1.0,
+    logger: Logger | None = None,
 ) -> World:
     """Draw vehicle, way, vibration (0.02 to 0.3 g and 0.2 to 5 deg/s, root mean square) and sensors.
 
@@ -212,20 +218,20 @@ def draw_world(
     seconds : float
     vibration : bool
         Whether a machine and the road shake the vehicle besides its own way of moving.
-    vehicle : str
-        One of the vehicles; drawn where it is empty.
+    vehicles : sequence of str
+        Of :data:`motion.VEHICLES` and :data:`flights.AIRCRAFT`; one is drawn.
     calm : float
         Factor on the vibration that was drawn; everything else stays as it is.
     logger : Logger, optional
         How it is recorded.
     """
     rng = np.random.default_rng([seed, 1])
-    vehicle = vehicle or str(rng.choice(VEHICLES))
+    vehicle = vehicles[0] if len(vehicles) == 1 else str(rng.choice(vehicles))
     shake = (
         float(np.exp(rng.uniform(np.log(0.02), np.log(0.3)))) * G * calm,
         float(np.exp(rng.uniform(np.log(0.2), np.log(5.0)))) * DEG * calm,
     )
-    made = ride(rng, vehicle, seconds, shake if vibration else None)
+    made = (flight if vehicle in AIRCRAFT else ride)(rng, vehicle, seconds, shake if vibration else None)
     unit, logger = draw_unit(rng), logger or Logger()
     unit = replace(unit, fix_rate=logger.fix_hz or unit.fix_rate)
     reference = vehicle not in ("car", "train") or bool(rng.integers(2))
