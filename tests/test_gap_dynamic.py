@@ -803,6 +803,16 @@ def test_a_filter_starts_on_positions_alone() -> None:
     assert np.all(np.abs(off) < 4.0 * np.asarray(sigma.attitude))
 
 
+def test_an_imu_upside_down_against_its_reference_is_said() -> None:
+    """Forward, left, up beside the attitudes of a reference ended in a covariance that was not positive definite."""
+    r, nominal = recording(seed=7), believed(np.random.default_rng(7))
+    signs = np.array([1.0, -1.0, -1.0])
+    turned = replace(r, imu=replace(r.imu, gyro=r.imu.gyro * signs, accel=r.imu.accel * signs))
+    with pytest.raises(InputError, match=r"1[78]\d deg from up in the attitude of the reference.*axes=FLU"):
+        starting_state(turned, nominal)
+    starting_state(replace(turned, reference=None), nominal)  # mounted so, for all that is known
+
+
 def test_a_drive_does_not_start_at_a_position_that_is_far_from_both_its_neighbours() -> None:
     r = recording(seed=7)
     assert r.gnss is not None

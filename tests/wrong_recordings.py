@@ -172,6 +172,13 @@ WRONG: tuple[Wrong, ...] = (
     Wrong("latitude in radians", {}, in_radians(), "pos_unit=rad"),
     Wrong("latitude in radians, positions only", POSITIONS, in_radians(), "pos_unit=rad"),
     Wrong("velocities east, north, up", {}, velocities((1, 0, 2), (1, 1, -1)), "velocity=enu"),
+    Wrong("third velocity up, flight", {"which": "turbulent_uav"}, velocities((0, 1, 2), (1, 1, -1)), "velocity=neu"),
+    Wrong(
+        "third velocity up, helicopter",
+        {"which": "helicopter_mapping"},
+        velocities((0, 1, 2), (1, 1, -1)),
+        "velocity=neu",
+    ),
     Wrong("velocities in knots", {}, velocities((0, 1, 2), (1, 1, 1), 3600 / 1852), "vel_unit=knots"),
     Wrong("fixes late by 0.6 s", {}, late(0.6), "gnss_shift=-0."),
     Wrong("fixes late by 2 s, positions only", POSITIONS, late(2.0), "gnss_shift=-"),

@@ -11,7 +11,18 @@ from numpy.typing import NDArray
 from insemu import earth
 from insemu.intake.card import Level, Line
 from insemu.intake.checks import NEAR, REFUSES, believed, near
-from insemu.intake.motion import Push, Track, Turn, positions_track, push_of, scatter, thinned, turn_of, velocity_track
+from insemu.intake.motion import (
+    Push,
+    Track,
+    Turn,
+    every,
+    positions_track,
+    push_of,
+    scatter,
+    thinned,
+    turn_of,
+    velocity_track,
+)
 from insemu.records import GnssRecord, ImuRecord, Trajectory
 
 Array = NDArray[np.float64]
@@ -20,23 +31,38 @@ Array = NDArray[np.float64]
 OFFSET, OFFSET_NATS = 0.15, 25.0
 #: The same beside a lever arm, which is one number more: chi-square of 12 with one degree of freedom, 1 in 2,000.
 ARM_NATS = 6.0
+#: Stretches over which heights are held against the vertical velocity, s: a climb of 0.3 m/s is 6 m there, and a receiver's slow errors are less.
+CLIMB_S = 20.0
+#: Correlation of the changes of height with what the vertical velocity says below which its sign is wrong, and how near to 1 their ratio must be.
+OPPOSED, OPPOSED_RATIO = -0.8, 0.3
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """How velocities fit the motion of the positions: the best reading of both, and whether it is not the declared one."""
+    """How velocities fit the motion of the positions: the best reading of both, and whether it is not the declared one.
+
+    Parameters
+    ----------
+    scale, residual : float
+        Of the declared reading: motion of the positions over the velocities, and the share of it that is left, as squares.
+    best : str
+    best_scale, best_residual : float
+    climbing : float
+        Correlation of the changes of height with those that the velocities say; NaN where the heights hardly change otherwise than by
+        their noise, or where their size is another.
+    """
 
     scale: float
     residual: float
     best: str
     best_scale: float
     best_residual: float
+    climbing: float = np.nan
 
 
 _READINGS: dict[str, Callable[[Array], Array]] = {
     "as declared": lambda v: v,
     "velocity=enu": lambda v: v[:, [1, 0, 2]] * [1.0, 1.0, -1.0],
-    "velocity=neu": lambda v: v * [1.0, 1.0, -1.0],
 }
 
 
@@ -49,33 +75,44 @@ def agreement(gnss: GnssRecord) -> Agreement | None:
     floor = 3.0 * float(scatter(gnss)[:2].max()) / moved.step
     out: dict[str, tuple[float, float]] = {}
     for name, read in _READINGS.items():
-        out[name] = _fit(moved, own, read(own.velocity), vertical=name == "velocity=neu", floor=floor)
+        out[name] = _fit(moved, own, read(own.velocity), floor)
     if swapped is not None:
-        out["latlon=swapped"] = _fit(swapped, own, own.velocity, vertical=False, floor=floor)
+        out["latlon=swapped"] = _fit(swapped, own, own.velocity, floor)
     if not out or not np.isfinite(out["as declared"][1]):
         return None
-    # the vertical sign counts only where there is vertical motion
-    best = min((n for n in out if n != "velocity=neu"), key=lambda n: out[n][1])
-    if (
-        best == "as declared"
-        and out["velocity=neu"][1] < 0.3
-        and _fit(moved, own, own.velocity, vertical=True, floor=floor)[1] > 1.5
-    ):
-        best = "velocity=neu"
+    best = min(out, key=lambda n: out[n][1])
     declared = out["as declared"]
-    return Agreement(declared[0], declared[1], best, *out[best])
+    return Agreement(*declared, best, *out[best], _climbing(gnss, own))
 
 
-def _fit(moved: Track, own: Track, velocity: Array, *, vertical: bool, floor: float = 0.0) -> tuple[float, float]:
-    """Scale of the positions' motion on velocities, and the share of it that is left; of the vertical where asked for."""
+def _climbing(gnss: GnssRecord, own: Track) -> float:
+    """Correlation of changes of height over stretches with those that the velocities say, NaN where it tells nothing."""
+    good = np.isfinite(gnss.llh).all(axis=1)
+    t, h = gnss.t[good], gnss.llh[good, 2]
+    if t.size < 9:
+        return np.nan
+    edges = t[every(t, CLIMB_S)]
+    if edges.size < 9:
+        return np.nan
+    up = -own.velocity[:, 2]
+    said = np.concatenate([[0.0], np.cumsum(0.5 * (up[1:] + up[:-1]) * np.diff(own.t))])
+    seen, said = (np.diff(np.interp(edges, at, x)) for at, x in ((t, h), (own.t, said)))
+    noise = max(1.0, 3.0 * float(scatter(gnss)[2]))
+    if min(float(np.mean(seen**2)), float(np.mean(said**2))) < noise**2:
+        return np.nan
+    product, power = float(seen @ said), float(said @ said)
+    both = product / float(np.sqrt(power * (seen @ seen)))
+    return both if near(abs(product) / power, 1.0, OPPOSED_RATIO) else np.nan
+
+
+def _fit(moved: Track, own: Track, velocity: Array, floor: float) -> tuple[float, float]:
+    """Scale of the positions' level motion on velocities, and the share of it that is left."""
     if moved.t.size < 8:
         return 1.0, np.nan
-    v = np.column_stack([np.interp(moved.t, own.t, velocity[:, k]) for k in range(3)])
-    a, b = (moved.velocity[:, 2:], v[:, 2:]) if vertical else (moved.velocity[:, :2], v[:, :2])
-    if vertical:
-        a, b = a - a.mean(), b - b.mean()
+    b = np.column_stack([np.interp(moved.t, own.t, velocity[:, k]) for k in range(2)])
+    a = moved.velocity[:, :2]
     power, have = float((a**2).sum()), float((b**2).sum())
-    noise = max(1.0 if not vertical else 0.3, floor)  # m/s: slower than that, noise is compared with noise
+    noise = max(1.0, floor)  # m/s: slower than that, noise is compared with noise
     if power < noise**2 * len(a) or have <= 0.0:
         return 1.0, np.nan
     scale = float((a * b).sum()) / have
@@ -93,7 +130,6 @@ def _swapped_track(gnss: GnssRecord) -> Track | None:
 
 _MEANT = {
     "velocity=enu": "the velocities are east, north, up",
-    "velocity=neu": "the third component is up",
     "latlon=swapped": "latitude and longitude are swapped",
 }
 _SPEEDS = (
@@ -163,7 +199,7 @@ def _velocities(gnss: GnssRecord, found: Agreement | None, unstated: bool) -> li
     left = f"{100 * np.sqrt(found.residual):.0f} % of the motion of the positions is left"
     if found.best != "as declared" and found.best_residual < 0.3 * found.residual and found.residual > 0.1:
         what = _MEANT[found.best]
-        if found.best == "velocity=neu" or near(abs(found.best_scale), 1.0, NEAR):
+        if near(abs(found.best_scale), 1.0, NEAR):
             text = f"{left} by the declared velocities, {100 * np.sqrt(found.best_residual):.0f} % if {what}"
             return [Line("velocity", "wrong", text, f'--map "{found.best}"')]
     if found.residual < 0.2 and not near(found.scale, 1.0, NEAR):
@@ -172,6 +208,9 @@ def _velocities(gnss: GnssRecord, found: Agreement | None, unstated: bool) -> li
                 text = f"the positions move {found.scale:.4g} times the velocities: they are in {unit}"
                 return [Line("velocity", "wrong", text, f'--map "vel_unit={unit}"')]
         return [Line("velocity", "odd", f"the positions move {found.scale:.4g} times the velocities")]
+    if found.residual < 0.3 and found.climbing < OPPOSED:
+        text = f"the heights rise where the declared velocities point down (correlation {found.climbing:.2f}): the third component is up"
+        return [Line("velocity", "wrong", text, '--map "velocity=neu"')]
     level: Level = "ok" if found.residual < 0.3 else "odd"
     return [Line("velocity", level, f"it agrees with the motion of the positions: {left}")]
 

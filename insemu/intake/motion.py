@@ -110,7 +110,7 @@ def positions_track(gnss: GnssRecord | Trajectory) -> Track:
     moved = earth.position_difference(llh[1:], llh[:-1])
     speed = max(float(np.quantile(np.linalg.norm(moved[:, :2], axis=1) / np.diff(t), 0.7)), 0.1)
     step = float(np.clip(60.0 * scatter(gnss)[:2].max() / speed, STEP, 8.0))
-    keep = _every(t, step)
+    keep = every(t, step)
     t, llh = t[keep], llh[keep]
     dt = np.diff(t)
     close = dt <= max(3.0 * step, 2.5 * float(np.median(dt)) if dt.size else 0.0)
@@ -118,8 +118,20 @@ def positions_track(gnss: GnssRecord | Trajectory) -> Track:
     return Track((0.5 * (t[1:] + t[:-1]))[close], (moved / dt[:, None])[close], step)
 
 
-def _every(t: Array, step: float) -> NDArray[np.intp]:
-    """First row of every step of time, however long the record pauses."""
+def every(t: Array, step: float) -> NDArray[np.intp]:
+    """First row of every step of time, however long the record pauses.
+
+    Parameters
+    ----------
+    t : (n,) array
+        Stamps, s.
+    step : float
+        s.
+
+    Returns
+    -------
+    (k,) array of int
+    """
     return np.flatnonzero(np.diff(np.floor((t - t[0] + 1e-6) / step), prepend=-1.0) > 0.0)
 
 
@@ -173,7 +185,7 @@ def thinned(track: Track) -> Track:
     """The track at about one velocity per step."""
     if track.t.size < 2:
         return track
-    keep = _every(track.t, track.step)
+    keep = every(track.t, track.step)
     return Track(track.t[keep], track.velocity[keep], track.step)
 
 

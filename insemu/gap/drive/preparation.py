@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -30,6 +31,7 @@ from insemu.gap.evidence.model import Explanation, Likelihood, fit
 from insemu.gap.policy import rules
 from insemu.noise import BI, WN, NoiseModel, Process
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording
+from insemu.rotation import dcm_from_rpy
 from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
@@ -401,6 +403,7 @@ def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, G
     )
     if recording.reference is not None:
         imu, state, sigma = on_reference(imu, recording.reference, believed)
+        _check_upright(imu, state, recording.source)
         return imu, gnss, state, sigma
     # velocities that are not believed still tell the way
     fixed = replace(with_sigma(gnss, nominal), vel_ned=gnss.vel_ned)
@@ -413,6 +416,21 @@ def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, G
         )
     imu, state, sigma = on_track(imu, fixed, track, believed)
     return imu, gnss, state, sigma
+
+
+def _check_upright(imu: ImuRecord, start: NavState, source: str) -> None:
+    """Raise ``InputError`` where the specific force of the first second points down in the attitude of the start."""
+    force = imu.accel[: max(1, round(1.0 / imu.dt))].mean(axis=0)
+    down = dcm_from_rpy(start.rpy)[2]  # of the navigation frame, in the axes of the IMU
+    cosine = -float(down @ force) / max(float(np.linalg.norm(force)), 1e-300)
+    if cosine < 0.0:
+        angle = math.degrees(math.acos(max(cosine, -1.0)))
+        raise InputError(
+            f"at the start the specific force points {angle:.0f} deg from up in the attitude of the reference, expected less than 90 deg: "
+            "the IMU is not in the axes of the reference (forward, right, down); axes=FLU in --map of insemu open turns forward, left, up "
+            "into these, a mounting in the effects of the belief any other",
+            where=source,
+        )
 
 
 def _stood_on(recording: Recording, imu: ImuRecord, gnss: GnssRecord) -> Array:
