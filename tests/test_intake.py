@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from insemu import formats, rotation
+from insemu import earth, formats, rotation
 from insemu.cli import main
 from insemu.errors import InputError
 from insemu.formats import Opened, open_files, write
 from insemu.formats.columns import parse_map
 from insemu.intake import card_of, examine
 from insemu.intake.checks import mounting
-from insemu.intake.fixes import OFFSET_NATS, against_fixes, offset
-from insemu.records import Recording, Series
+from insemu.intake.fixes import OFFSET_NATS, against_fixes, against_reference, offset
+from insemu.records import GnssRecord, Recording, Series, Trajectory
 from tests.file_samples import KINDS, drive, mapped_csv
 from tests.shared_data import shared
 from tests.wrong_recordings import (
@@ -45,8 +45,27 @@ def run(*arguments: object) -> int:
     return int(stop.value.code or 0)
 
 
-def test_forty_two_recordings_are_spoilt() -> None:
-    assert len(WRONG) == 42
+def test_forty_four_recordings_are_spoilt() -> None:
+    assert len(WRONG) == 44
+
+
+@pytest.mark.parametrize("which", ["urban_motorway", "turbulent_uav", "survey", "static"])
+@pytest.mark.parametrize("shift", [0.0, 2.0])
+def test_fixes_of_the_reference_s_datum_are_not_moved(which: str, shift: float) -> None:
+    """Nor those of another clock, which lie as far behind on a motorway as another datum would."""
+    made = flown(which, seconds=120.0, ahead=3.0, referenced=True)
+    assert made.gnss is not None
+    shifted = replace(made, gnss=replace(made.gnss, t=made.gnss.t + shift))
+    assert not any(line.topic == "reference" and line.level != "ok" for line in examine(shifted).lines)
+
+
+def test_on_a_straight_way_a_clock_is_no_datum() -> None:
+    t = np.arange(0.0, 100.0, 1.0)
+    way = earth.move(np.array([0.8, 0.1, 300.0]), np.outer(t, [30.0, 0.0, 0.0]))
+    reference = Trajectory(t, way, np.tile([30.0, 0.0, 0.0], (t.size, 1)), np.zeros((t.size, 3)))
+    assert against_reference(GnssRecord(t + 2.0, way), reference) == []
+    (line,) = against_reference(GnssRecord(t + 2.0, earth.move(way, np.array([0.0, 50.0, 0.0]))), reference)
+    assert line.mend == '--map "gnss_move=0 -50.0 0"'
 
 
 @pytest.mark.parametrize("wrong", WRONG, ids=lambda w: w.name)

@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from insemu import emulate, rotation
+from insemu import earth, emulate, rotation
 from insemu.formats import Opened
 from insemu.intake import examine
 from insemu.records import GnssRecord, ImuRecord
@@ -23,6 +23,7 @@ from insemu.records import GnssRecord, ImuRecord
 def flown(
     which: str = "urban_drive_1", start: float = 0.0, seconds: float = 240.0, rate: float = 50.0, fixes: float = 1.0,
     sigma: float = 0.5, velocity: bool = True, grade: float = 1.0, kind: str = "mean", seed: int = 1, ahead: float = 0.0,
+    referenced: bool = False,
 ) -> Opened:  # fmt: skip
     """A stretch of a built-in drive or flight with an IMU of a grade (1: consumer MEMS) and a receiver, its antenna some metres ahead."""
     rng = np.random.default_rng(seed)
@@ -43,7 +44,8 @@ def flown(
         (ahead, 0.0, 0.0),
         rng=rng,
     )
-    return Opened("a.npz", "recording", ImuRecord(imu.t, gyro, accel, kind), gnss)  # type: ignore[arg-type]
+    reference = ideal.reference if referenced else None
+    return Opened("a.npz", "recording", ImuRecord(imu.t, gyro, accel, kind), gnss, reference)  # type: ignore[arg-type]
 
 
 Spoil = Callable[[Opened], Opened]
@@ -98,6 +100,10 @@ def mounted(*rpy: float) -> Spoil:
 
 def late(seconds: float) -> Spoil:
     return _gnss(lambda g: replace(g, t=g.t + seconds))
+
+
+def moved(*ned: float) -> Spoil:
+    return _gnss(lambda g: replace(g, llh=earth.move(g.llh, np.array(ned))))
 
 
 def swapped() -> Spoil:
@@ -180,6 +186,8 @@ WRONG: tuple[Wrong, ...] = (
         "velocity=neu",
     ),
     Wrong("velocities in knots", {}, velocities((0, 1, 2), (1, 1, 1), 3600 / 1852), "vel_unit=knots"),
+    Wrong("heights above sea level", {"referenced": True}, moved(0.0, 0.0, 47.0), "gnss_move=0 0 -4"),
+    Wrong("another datum", {"referenced": True, "ahead": 1.5}, moved(80.0, -120.0, 0.0), "gnss_move=-8|gnss_move=-79"),
     Wrong("fixes late by 0.6 s", {}, late(0.6), "gnss_shift=-0."),
     Wrong("fixes late by 2 s, positions only", POSITIONS, late(2.0), "gnss_shift=-"),
     Wrong("fixes early by 18 s (leap seconds)", {}, late(-18.0), "gnss_shift=+1"),

@@ -10,7 +10,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu import rotation
+from insemu import earth, rotation
 from insemu.errors import InputError
 from insemu.formats import clocks
 from insemu.formats.columns import (
@@ -505,7 +505,10 @@ def gnss_of(part: Columns, story: Story) -> GnssRecord:
     t = part.t[rows]
     if "gnss_shift" in part.settings:
         t = t + parse(part.settings["gnss_shift"], "s")
-    return GnssRecord(t, llh[rows], cut(velocity), cut(position_std), cut(velocity_std))
+    llh = llh[rows]
+    if "gnss_move" in part.settings:
+        llh = earth.move(llh, np.array(numbers_of(part.settings["gnss_move"], 3, f"{part.table.name}: gnss_move")))
+    return GnssRecord(t, llh, cut(velocity), cut(position_std), cut(velocity_std))
 
 
 def attitude(part: Columns) -> Array | None:

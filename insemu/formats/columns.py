@@ -41,6 +41,7 @@ SETTINGS: Mapping[str, str] = {
     "mount": "roll, pitch and yaw from IMU to vehicle axes in deg, such as 180 0 90",
     "shift": "seconds to add to the stamps of the IMU, such as -0.2 s",
     "gnss_shift": "seconds to add to the stamps of the fixes",
+    "gnss_move": "metres north, east and down to move the positions of the fixes by, such as 0 0 -47.3",
     "from": "first time to keep, s",
     "to": "last time to keep, s",
     "topic": "the topic of the IMU, where a bag has several",

@@ -65,6 +65,8 @@ def _examined(data: Opened | Recording | Log, kind: str) -> Card:
                 f"{t.size} rows at {1 / np.median(np.diff(t)):.4g} Hz from {t[0]:.6g} to {t[-1]:.6g} s",
             )
         )
+        if data.gnss is not None:
+            lines += fixed.against_reference(data.gnss, data.reference)
     return Card(data.source, kind or data.kind, tuple(lines))
 
 

@@ -31,6 +31,9 @@ Array = NDArray[np.float64]
 OFFSET, OFFSET_NATS = 0.15, 25.0
 #: The same beside a lever arm, which is one number more: chi-square of 12 with one degree of freedom, 1 in 2,000.
 ARM_NATS = 6.0
+#: Constant between fixes and reference, m, above which it is named, and the fewest fixes: no antenna is so far from an IMU, no standalone fix is off
+#: that far on the mean.
+FAR_APART, FEWEST_APART = 15.0, 20
 #: Stretches over which heights are held against the vertical velocity, s: a climb of 0.3 m/s is 6 m there, and a receiver's slow errors are less.
 CLIMB_S = 20.0
 #: Correlation of the changes of height with what the vertical velocity says below which its sign is wrong, and how near to 1 their ratio must be.
@@ -282,6 +285,53 @@ def together(imu: ImuRecord, gnss: GnssRecord | Trajectory, what: str) -> list[L
         return [Line("clock", "wrong", text)]
     mend = f'--map "gnss_shift={-apart:.6f} s"'
     return [Line("clock", "wrong", f"{text} (if both begin together; else say the clock of each file)", mend)]
+
+
+def against_reference(gnss: GnssRecord, reference: Trajectory) -> list[Line]:
+    """A constant between the fixes and the reference: another datum, or heights above sea level.
+
+    What the clock does goes with the velocity, which is fitted beside the constant: on a straight way at one speed nothing tells them apart.
+
+    Parameters
+    ----------
+    gnss : GnssRecord
+    reference : Trajectory
+    """
+    inside = (gnss.t >= reference.t[0]) & (gnss.t <= reference.t[-1]) & np.isfinite(gnss.llh).all(axis=1)
+    if inside.sum() < FEWEST_APART:
+        return []
+    t = gnss.t[inside]
+
+    def then(columns: Array) -> Array:
+        return np.stack([np.interp(t, reference.t, column) for column in columns.T], axis=1)
+
+    away = earth.position_difference(gnss.llh[inside], then(reference.llh))
+    velocity = then(reference.vel_ned)
+    apart, spread, left = np.zeros(3), np.zeros(3), away
+    for _ in range(2):  # the second time without those that are far off
+        keep = (np.abs(left) <= 5.0 * spread).all(axis=1) if spread.any() else np.ones(t.size, dtype=bool)
+        # one time offset and three constants
+        G = np.zeros((3 * int(keep.sum()), 4))
+        for k in range(3):
+            G[k::3, k] = 1.0
+        G[:, 3] = velocity[keep].ravel()
+        own, *_ = np.linalg.lstsq(G, away[keep].ravel(), rcond=1e-9)
+        left = away - own[:3] - own[3] * velocity
+        spread = np.asarray(1.4826 * np.median(np.abs(left), axis=0) + 1e-3, dtype=np.float64)
+        apart = np.asarray(own[:3], dtype=np.float64)
+    # on a straight way at one speed a time offset is any constant: that direction is wide, and not zero
+    doubt = np.sqrt(np.diag(np.linalg.inv(G.T @ G + 1e-6 * np.eye(4)))[:3]) * spread
+    plain = np.abs(apart) > np.maximum(FAR_APART, 5.0 * (spread + doubt))
+    if not plain.any():
+        return []
+    what = "another datum"
+    if plain.tolist() == [False, False, True]:
+        what = "heights above sea level beside heights above the ellipsoid, or another datum"
+    sides = (("north of", "south of"), ("east of", "west of"), ("below", "above"))
+    where = ", ".join(f"{abs(apart[k]):.1f} m {sides[k][int(apart[k] < 0.0)]}" for k in np.flatnonzero(plain))
+    text = f"all along the fixes lie {where} it, the antenna's place included (scatter {spread.max():.2g} m): {what}"
+    move = " ".join(f"{-x:.1f}" if far else "0" for x, far in zip(apart, plain, strict=True))
+    return [Line("reference", "wrong", text, f'--map "gnss_move={move}"')]
 
 
 def offset(turn: Turn | None) -> list[Line]:
