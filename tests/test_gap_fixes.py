@@ -21,7 +21,7 @@ from insemu.errors import InputError
 from insemu.gap import GapReport, Nominal, find_gap
 from insemu.gap.candidates.fixes import _share_and_size, gnss_outliers, without_outliers
 from insemu.gap.candidates.shapes import Change
-from insemu.gap.candidates.steps import _Beside, _Scan, _step_anywhere, _surprising, _when, multipath_step
+from insemu.gap.candidates.steps import Beside, _Scan, _step_anywhere, _surprising, _when, multipath_step
 from insemu.gap.drive import FIRST
 from insemu.gap.drive.apart import log_mixture, outlying
 from insemu.gap.drive.preparation import Flown, fitted_levels
@@ -400,7 +400,7 @@ def test_a_step_behind_a_colour_is_found_at_its_edges() -> None:
     assert found.axes == ("east",) and found.nats > 10.0
     assert told["start"].low < 121.4 < told["start"].high and told["start"].high - told["start"].low < 1.5
     assert told["duration"].low < 41.0 < told["duration"].high and told["value"].low < 0.4 < told["value"].high
-    assert _step_anywhere(scene, rows, _Beside.of(scene.data, given)).nats < found.nats - 8.0
+    assert _step_anywhere(scene, rows, Beside.of(scene.data, given)).nats < found.nats - 8.0
     quiet = behind_a_colour(recording(COLOUR))
     (none,) = multipath_step(quiet, quiet.data, rows, list(quiet.always))
     assert none.nats < rules().least_nats

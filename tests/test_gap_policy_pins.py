@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from insemu.errors import InputError
-from insemu.gap.candidates import spectral, thermal, timing
+from insemu.gap.candidates import bias_steps, spectral, thermal, timing
 from insemu.gap.candidates.axis import amplitudes, state_of
 from insemu.gap.candidates.mounting import Sideways, _held_out, estimate
 from insemu.gap.candidates.noise import gauss_markov
@@ -365,13 +365,22 @@ def test_levels_are_taken_out_where_they_lead_by_six_nats_and_bursts_are_rarer(e
     assert found.nats == pytest.approx(30.0 + excess - 0.7, abs=0.15)
 
 
+def test_a_bias_that_jumps_is_rarer_than_a_slow_process() -> None:
+    n = 72_000
+    y = 1e-3 / math.sqrt(0.05) * np.random.default_rng(5).standard_normal(n) + 4e-4 * (np.arange(n) > 28_000)
+    state = state_of(reduce(Series(y, 20.0, "rad/s", "gyro_x")), Explanation.nominal(WHITE))
+    (jump,) = bias_steps.at_rest(state)
+    # its evidence at its best start, less the spread of the starts and the odds of 55 to 1
+    assert 41.0 < jump.nats < 43.4
+
+
 def test_a_linear_thermal_bias_is_the_likeliest_and_lags_end_at_a_third_of_the_log(monkeypatch):
     n = 12_000
     state = resting_state(20.0 + 5.0 * np.sin(np.arange(n) / 2000.0))
     lags, nats, lagged, regression = [], [], thermal.lagged, thermal.regression
     monkeypatch.setattr(thermal, "lagged", lambda d, dt, lag: lags.append(lag) or lagged(d, dt, lag))
     monkeypatch.setattr(thermal, "regression", lambda *a: [nats.append(w.nats) or w for w in regression(*a)])
-    monkeypatch.setattr(thermal, "_less", lambda w, *_: w)
+    monkeypatch.setattr(thermal, "less", lambda w, *_: w)
     linear = thermal.temperature(state)[0]
     assert linear.nats - nats[0] == pytest.approx(math.log(0.5), abs=0.2)
     tried = [lag for lag in lags if lag][:10]  # before the best of them is refined

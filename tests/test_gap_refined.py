@@ -82,6 +82,7 @@ FOUND: dict[str, tuple[str, tuple[str, ...], str, dict[str, float], dict[str, An
         "accel", ("x", "z"), "", {"probability_x": 0.01, "sigma_x": 1.0, "probability_z": 0.02, "sigma_z": 2.0},
         {"probability": 0.01, "sigma": [1.0, 0, 0]},
     ),
+    "bias_step": ("accel", ("y",), "step", {"value": 0.02, "start": 20.0}, {"value": [0, 0.02, 0], "start": 20.0}),
     "telegraph": ("gyro", ("x",), "", {"amplitude": 1e-3, "rate": 0.05}, {"amplitude": [1e-3, 0, 0], "rate": 0.05}),
     "quantization": ("accel", ("x",), "output counts", {"lsb": 0.03}, {"lsb": [0.03, 0, 0]}),
     "decimation_filter": ("gyro", ("z",), "butterworth", {"cutoff": 6.0, "order": 2.2}, {"cutoff": 6.0, "order": 2.0}),

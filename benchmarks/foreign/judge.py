@@ -35,6 +35,7 @@ KINDS: dict[str, tuple[str, ...]] = {
     "three": ("fixes", "fixes", "fixes"),
     "band": ("band",),
     "outside": ("outside",),
+    "jump": ("jump",),
 }
 #: Effects of one size are made so large that they are worth between these, nats.
 WORTH = (25.0, 250.0)
@@ -95,7 +96,7 @@ def drawn(job: Job) -> tuple[sensors.World, list[sensors.Hidden], list[float]]:
             if any(o.effect == h.effect for o in hidden):
                 continue
             half = ruler.half(h) if what != "band" else math.nan
-            if kind in ("shaped", "outside"):
+            if kind in ("shaped", "outside", "jump"):
                 scaled, half = ruler.scaled(h, target)
                 if abs(scaled.values["value"] / h.values["value"]) > MOST_SCALE:
                     continue  # the motion does not show it
@@ -271,7 +272,7 @@ def truths(h: sensors.Hidden, world: sensors.World) -> dict[str, float]:
     """True values by the names that a finding gives its parameters."""
     v, axis = h.values, h.axis
     name = {"temperature": "c1", "imu_gnss_time_offset": "offset"}.get(h.effect, "value")
-    if "value" in v and h.effect != "gnss_multipath_step":
+    if "value" in v and "start" not in v:
         return {f"{name}_{axis}" if axis else name: v["value"]}
     if h.effect == "gnss_correlated_noise":
         return {
@@ -319,9 +320,9 @@ def scores(answers: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
     share("no effect: named or unexplained", [a["verdict"] in ("named", "unexplained") for a in of["none"]])
     share(
         "detected, one effect or more",
-        [a["verdict"] != "nothing missing" for k in ("one", "two", "three", "band") for a in of[k]],
+        [a["verdict"] != "nothing missing" for k in ("one", "jump", "two", "three", "band") for a in of[k]],
     )
-    one = of["one"]
+    one = of["one"] + of["jump"]
     share(
         "one: named right, or in a class of at most three",
         [any(h[0] and len(s["class"]) <= 3 for h, s in zip(a["held"], a["findings"], strict=True)) for a in one],
@@ -352,7 +353,10 @@ def scores(answers: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
             )
         )
     probabilities = [
-        given_to_truth(a, k) for kind in ("one", "two", "three") for a in of[kind] for k in range(len(a["hidden"]))
+        given_to_truth(a, k)
+        for kind in ("one", "jump", "two", "three")
+        for a in of[kind]
+        for k in range(len(a["hidden"]))
     ]
     if probabilities:
         rows.append(("isolation accuracy: mean probability given to the truth", f"{np.mean(probabilities):.3f}"))

@@ -35,6 +35,8 @@ SHAPED: dict[tuple[str, str], float] = {
     ("lever_arm", "gnss"): 0.2,
     ("imu_gnss_time_offset", "imu"): 0.01,
 }
+#: What a bias jumps by, rad/s and m/s^2, before it is brought to what it is to be worth.
+JUMPS = {"gyro": 5e-4, "accel": 0.02}
 #: What no catalogue holds, by name, with a usual size.
 OUTSIDE: dict[tuple[str, str], float] = {
     ("accel_square", "accel"): 2e-4,
@@ -239,7 +241,7 @@ def draw_world(
 
 
 def draw_hidden(rng: np.random.Generator, world: World, what: str) -> Hidden:
-    """Draw an effect: of known shape (``shaped``), of a size of its own (``drawn``), in the samples (``band``), or ``outside``."""
+    """Draw an effect: known shape (``shaped``), size of its own (``drawn``), bias that jumps (``jump``), in the samples (``band``), ``outside``."""
     unit, axis = world.unit, "xyz"[rng.integers(3)]
     sign = float(rng.choice([-1.0, 1.0]))
     if what in ("shaped", "outside"):
@@ -252,6 +254,10 @@ def draw_hidden(rng: np.random.Generator, world: World, what: str) -> Hidden:
         elif sensor == "imu":
             axis = ""
         return Hidden(effect, sensor, axis, {"value": sign * table[effect, sensor]})
+    if what == "jump":
+        sensor = str(rng.choice(["gyro", "accel"]))
+        values = {"value": sign * JUMPS[sensor], "start": float(rng.uniform(0.2, 0.8) * world.sensed.t[-1])}
+        return Hidden("bias_step", sensor, axis, values)
     if what == "drawn":
         effect = str(rng.choice(DRAWN))
         if effect == "random_walk":
@@ -357,6 +363,7 @@ def _on_signals(h: Hidden, sensed: Sensed, signals: dict[str, Array], warm: Arra
         "misalignment": lambda: own[:, NEIGHBOURS[h.axis][1]],
         "g_sensitivity": lambda: sensed.force[:, "xyz".index(h.axis[1])],
         "temperature": lambda: warm - 25.0,
+        "bias_step": lambda: (sensed.t > h.values["start"]).astype(np.float64),
         "accel_square": lambda: true**2 * np.sign(G),
         "rate_times_force": lambda: sensed.rate[:, (first + 1) % 3] * true,
     }.get(h.effect)

@@ -5,6 +5,7 @@ itself, and hidden in a blind trial: ``gnss.LeverArm`` is all about a wrong leve
 
     stochastic.py     noise and what acts like it
     deterministic.py  functions of the true signal, of temperature, of nothing
+    samples.py        what becomes of the samples on their way out
     timing.py         the clock of the IMU
     gnss.py           the fixes and the antenna
     model.py          what a model of motion leaves out
@@ -14,7 +15,7 @@ itself, and hidden in a blind trial: ``gnss.LeverArm`` is all about a wrong leve
 
 from collections.abc import Iterable
 
-from insemu.effects import deterministic, gnss, model, passes, stochastic, timing
+from insemu.effects import deterministic, gnss, model, passes, samples, stochastic, timing
 from insemu.effects.base import (
     ASPECTS,
     CELLS,
@@ -39,7 +40,9 @@ from insemu.effects.gnss import LONGEST_ARM
 from insemu.effects.hiding import DriveLot, Hidden, RestLot
 from insemu.effects.motion import MOTION_HZ, Column, FixGeometry, Motion
 
-EFFECTS.update({e.id: e for family in (stochastic, deterministic, timing, gnss, model) for e in family.EFFECTS})
+EFFECTS.update(
+    {e.id: e for family in (stochastic, deterministic, samples, timing, gnss, model) for e in family.EFFECTS}
+)
 
 
 def having(*traits: Trait) -> frozenset[str]:

@@ -80,6 +80,8 @@ XYZ, NED, RPY = ("x", "y", "z"), ("north", "east", "down"), ("roll", "pitch", "y
 SIGNAL_UNITS = {"gyro": "rad/s", "accel": "m/s^2"}
 DEG = math.pi / 180.0
 G = units.STANDARD_GRAVITY
+#: Why an effect of single samples has no column.
+IN_SAMPLES = "seen in the samples, above the motion"
 BOTH: tuple[Sensor, ...] = ("gyro", "accel")
 IMU: tuple[Sensor, ...] = ("imu",)
 GNSS: tuple[Sensor, ...] = ("gnss",)

@@ -1,4 +1,4 @@
-"""Errors of a sensor that are functions of the true signal, of the temperature or of nothing: bias, scale, misalignment, mounting, saturation."""
+"""Errors of a sensor that are functions of the true signal, of the temperature or of nothing: bias, scale, misalignment, mounting."""
 
 from __future__ import annotations
 
@@ -29,13 +29,9 @@ from insemu.effects.chain import Chain
 from insemu.effects.hiding import DriveLot, Hidden, RestLot, at
 from insemu.effects.motion import Column, FixGeometry, Motion, first_axis
 from insemu.errors import InputError
-from insemu.lost import restored
-from insemu.records import ImuRecord
 
 Array = NDArray[np.float64]
 _P = EffectParameter
-
-_SAMPLES = "seen in the samples, above the motion"
 
 
 def _sensor_rows(use: EffectUse) -> slice:
@@ -89,6 +85,38 @@ class TurnOnBias(_OnOneAxis):
     def hidden_at_rest(self, lot: RestLot, strength: float) -> dict[str, Any]:
         """In units of the Earth rate, which a gyroscope at rest shows too."""
         return {"value": lot.on(lot.sign * strength * 2.0 * earth.RATE)}
+
+
+class BiasStep(_OnOneAxis):
+    """A bias that jumps and stays where it is."""
+
+    id, name, formula = "bias_step", "bias step", "e = b for t > start"
+    parameters = (
+        _P("value", "{s}", 3, (0.1 * DEG, 2e-3 * G), None, "what the bias jumps by", join="sum"),
+        _P("start", "s", 1, (300.0,), None, "when it jumps"),
+    )
+    excitation, in_filter = "fixes, or rest, before and after it", "a bias state that is made uncertain again"
+    traits = frozenset({"slow"})
+    stage, size = Stage.LAW, "value"
+    absent = {"signature": "one column for every start: the search scans them (steps of a bias)"}
+
+    def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
+        """Add it to the samples behind the start."""
+        chain.rows(use.sensor)[:] += self.added(use, chain.t, None).T
+
+    def added(self, use: EffectUse, t: Array, temperature: Array | None) -> Array:
+        """The bias, of the sample in which it jumps its share."""
+        behind = np.clip((t - use.scalar("start")) / (t[1] - t[0]), 0.0, 1.0)
+        return np.asarray(behind[:, None] * np.array(use["value"]))
+
+    def hidden(self, lot: DriveLot) -> Hidden:
+        """On one axis, in the middle of the drive."""
+        start = float(lot.rng.uniform(0.2, 0.8) * lot.span)
+        return Hidden(lot.axis, {"value": lot.on(lot.size(self, "value")), "start": start})
+
+    def hidden_at_rest(self, lot: RestLot, strength: float) -> dict[str, Any]:
+        """On one axis, a third of the log after its start."""
+        return {"value": lot.on(8.0 * strength * lot.sign * lot.slow), "start": lot.span / 3.0}
 
 
 class ScaleFactor(_OnOneAxis):
@@ -508,70 +536,7 @@ class ThermalMisalignment(_Warmed):
         return Hidden((CROSS[lot.pair][0],), {"value": at(lot.pair, lot.size(self, "value"), 6)})
 
 
-class Saturation(Effect):
-    """The output is clipped."""
-
-    id, name, family, sensors = "saturation", "saturation", "deterministic", BOTH
-    formula = "y = clip(s, -limit, limit)"
-    parameters = (_P("limit", "{s}", 3, (250.0 * DEG, 4.0 * G), None, "full scale", True, join="smaller", nothing=1e6),)
-    excitation, in_filter = "motion beyond the full scale", "epochs flagged"
-    traits = frozenset({"samples", "filled", "evident"})
-    stage = Stage.CLIP
-    absent = {"compensate": "what was clipped is lost", "signature": _SAMPLES}
-
-    def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
-        """Clip the rows."""
-        for row, limit in zip(chain.rows(use.sensor), use["limit"], strict=True):
-            np.clip(row, -limit, limit, out=row)
-
-    def hidden(self, lot: DriveLot) -> Hidden:
-        """A few samples in a thousand lie beyond the full scale of one axis."""
-        return Hidden(lot.axis, {"limit": lot.limits()}, lot.loud)
-
-    def hidden_at_rest(self, lot: RestLot, strength: float) -> dict[str, Any]:
-        """A few standard deviations; the other axes have room."""
-        limit = 3.0 * lot.sample / np.sqrt(strength)
-        return {"limit": [float(limit) if k == lot.place else 1.0 for k in range(3)]}
-
-
-class DroppedSamples(Effect):
-    """Samples that never came."""
-
-    id, name, family, sensors = "dropped_samples", "dropped samples", "deterministic", IMU
-    formula = "samples vanish in bursts of `burst` with probability p each"
-    parameters = (
-        _P("probability", "", 1, (0.001,), None, "share of samples that start a burst", True, join="larger", most=1.0),
-        _P("burst", "", 1, (1.0,), 1.0, "samples per burst", True, join="larger"),
-    )
-    excitation, in_filter = "motion", "filled in by the samples around them, or bridged by the time stamps"
-    traits = frozenset({"samples", "drawn", "filled", "evident"})
-    stage = Stage.LOSS
-    absent = {"signature": _SAMPLES}
-
-    def restored(self, use: EffectUse, imu: ImuRecord) -> ImuRecord:
-        """Those that there are, whatever their share."""
-        return restored(imu)[0]
-
-    def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
-        """Mark bursts as lost."""
-        n = chain.keep.size
-        length = min(max(1, round(use.scalar("burst"))), n)
-        start = np.nonzero(rng.random(n) < use.scalar("probability"))[0]
-        edges = (
-            np.bincount(start, minlength=n + length) - np.bincount(start + length, minlength=n + length)[: n + length]
-        )
-        chain.keep &= np.cumsum(edges[:n]) == 0
-
-    def hidden(self, lot: DriveLot) -> Hidden:
-        """One sample in a thousand begins a burst of one to three."""
-        return Hidden((), {"probability": 1e-3 * lot.loud, "burst": float(lot.rng.integers(1, 4))}, lot.loud)
-
-    def hidden_at_rest(self, lot: RestLot, strength: float) -> dict[str, Any]:
-        """Single samples."""
-        return {"probability": 2e-3 * strength}
-
-
 EFFECTS: tuple[Effect, ...] = (
-    TurnOnBias(), ScaleFactor(), ScaleAsymmetry(), ScaleNonlinearity(), Misalignment(), Mounting(), GSensitivity(), GSquaredSensitivity(),
-    Temperature(), ThermalScaleFactor(), ThermalMisalignment(), Saturation(), DroppedSamples(),
+    TurnOnBias(), BiasStep(), ScaleFactor(), ScaleAsymmetry(), ScaleNonlinearity(), Misalignment(), Mounting(), GSensitivity(), GSquaredSensitivity(),
+    Temperature(), ThermalScaleFactor(), ThermalMisalignment(),
 )  # fmt: skip

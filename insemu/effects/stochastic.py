@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.effects import passes
-from insemu.effects.base import BOTH, DEG, Effect, EffectParameter, EffectUse, G, Stage
+from insemu.effects.base import BOTH, DEG, IN_SAMPLES, Effect, EffectParameter, EffectUse, G, Stage
 from insemu.effects.chain import Chain
 from insemu.effects.hiding import DriveLot, Hidden, RestLot
 from insemu.errors import InputError
@@ -23,7 +23,6 @@ MOST_ORDER = 20.0
 
 _RANDOM = "random: there is nothing that could be taken off; it belongs in the noise model"
 _NO_MEAN = "random: it changes the covariance of the innovations, not their mean"
-_SAMPLES = "seen in the samples, above the motion"
 _NOT_FOUND = "no candidate looks for it"
 
 
@@ -162,7 +161,7 @@ class Quantization(Effect):
     in_filter = "white noise of variance LSB^2 / 12 where the noise exceeds the LSB"
     traits = frozenset({"fast"})
     stage, process = Stage.ROUND, QN
-    absent = {"compensate": "what was rounded off is lost", "signature": _SAMPLES}
+    absent = {"compensate": "what was rounded off is lost", "signature": IN_SAMPLES}
 
     def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
         """Round every axis that has an LSB."""
@@ -246,7 +245,7 @@ class VibrationLine(Effect):
     in_filter = "white noise of the same power, or a filter in front"
     traits = frozenset({"fast", "drawn"})
     stage, process = Stage.NOISE, SIN
-    absent = {"compensate": "its phase wanders, so that no table says it beforehand", "signature": _SAMPLES}
+    absent = {"compensate": "its phase wanders, so that no table says it beforehand", "signature": IN_SAMPLES}
 
     def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
         """Add the sine."""
@@ -304,7 +303,7 @@ class VibrationBand(Effect):
     excitation, in_filter = "motion", "white noise of the same low-frequency power"
     traits = frozenset({"fast"})
     stage, process = Stage.NOISE, AR
-    absent = {"compensate": _RANDOM, "signature": _SAMPLES}
+    absent = {"compensate": _RANDOM, "signature": IN_SAMPLES}
 
     def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
         """Add a resonance driven by white noise, drawn anew for every axis."""
@@ -346,7 +345,7 @@ class DecimationFilter(Effect):
     in_filter = "coloured noise; the delay as a time offset"
     traits = frozenset({"fast"})
     stage = Stage.FILTER
-    absent = {"compensate": "what a low-pass took away is below the noise", "signature": _SAMPLES}
+    absent = {"compensate": "what a low-pass took away is below the noise", "signature": IN_SAMPLES}
 
     def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
         """Filter the rows; the filter starts in equilibrium with the first sample."""
@@ -394,7 +393,7 @@ class Outliers(Effect):
     excitation, in_filter = "any recording", "robust update, or a check on the samples"
     traits = frozenset({"samples", "drawn"})
     stage = Stage.NOISE
-    absent = {"compensate": "which samples they are is known only once they are found", "signature": _SAMPLES}
+    absent = {"compensate": "which samples they are is known only once they are found", "signature": IN_SAMPLES}
 
     def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
         """Add normal numbers at a share of the samples."""

@@ -34,6 +34,7 @@ RUNS = {
     "tests-drive": "tests/test_gap_dynamic.py",
     "tests-refined": "tests/test_gap_refined.py",
     "foreign": "python -m benchmarks.foreign --kinds none --recordings 100",
+    "jump": "python -m benchmarks.foreign --kinds jump one --recordings 100",
     "real-drives": "the three real drives of docs/gap.md",
 }
 
@@ -102,6 +103,9 @@ class Policy:
     )
     telegraph_rarer: float = _decides(
         0.7, "nats", "rest-effects", "Log prior odds against a switching level: burst noise is rarer than a Gauss-Markov process."
+    )
+    step_rarer: float = _decides(
+        4.0, "nats", "jump", "Log prior odds, 55 to 1, against a bias that jumps: in a short recording a slow process looks like a jump."
     )
     thermal_odds: tuple[float, float, float, float] = _decides(
         (0.5, 0.2, 0.2, 0.1), "1", "rest-thermal", "Prior weight of a linear, a cubic, a lagged, and a cubic and lagged thermal bias."

@@ -162,8 +162,8 @@ def _covariance(effect: str, p: Mapping[str, float], t: Array) -> Array | None:
             return np.asarray(p["sigma"] ** 2 * np.exp(-p["beta"] * np.abs(t[:, None] - t[None, :])))
         if effect == "telegraph":
             return np.asarray(p["amplitude"] ** 2 * np.exp(-2.0 * p["rate"] * np.abs(t[:, None] - t[None, :])))
-        if effect in ("turn_on_bias", "flicker"):
-            size = p["value"] if effect == "turn_on_bias" else p["B"]
+        if effect in ("turn_on_bias", "bias_step", "flicker"):
+            size = p["B"] if effect == "flicker" else p["value"]
             return np.full((t.size, t.size), size**2)
         if effect == "ramp":
             return np.asarray(np.outer(p["R"] * t, p["R"] * t))

@@ -65,6 +65,7 @@ _ACTIONS = {
     "quantization": "add quantization of {}",
     "telegraph": "add telegraph noise of {}; no calibration takes it off",
     "turn_on_bias": "take the bias off: {}",
+    "bias_step": "find what made the bias jump, or make its state uncertain there: {}",
     "ramp": "take the drift off: {}",
     "scale_factor": "correct the scale factor: {}",
     "misalignment": "correct the misalignment: {}",

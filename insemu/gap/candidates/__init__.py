@@ -1,5 +1,6 @@
 """What could be missing: candidates for a log at rest, shapes and processes for a drive or flight."""
 
+from insemu.gap.candidates import bias_steps
 from insemu.gap.candidates.axis import CANDIDATES, AxisHypothesis, AxisState, best_of, register
 from insemu.gap.candidates.counts import held_samples, output_counts, saturation
 from insemu.gap.candidates.noise import (
@@ -24,6 +25,7 @@ register("gauss_markov", gauss_markov)
 register("flicker", flicker)
 register("quantization", quantization_noise)
 register("ramp", ramp)
+register("bias_step", bias_steps.at_rest)
 register("vibration_band", vibration_band)
 register("decimation_filter", decimation_filter)
 register("temperature", temperature)

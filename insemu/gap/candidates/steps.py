@@ -55,7 +55,7 @@ def multipath_step(
     """
     if scene.starts.size < 4:
         return []
-    beside = _Beside.of(data, given)
+    beside = Beside.of(data, given)
     step = _step_anywhere(scene, rows, beside)
     apart = (scene.starts[1] - scene.starts[0]) / float(np.median(np.diff(scene.prepared.result.fixes.t)))
     missed = scene.noise is not None or apart > APART
@@ -70,7 +70,7 @@ def _lasting(scene: Scene, rows: NDArray[np.bool_] | slice) -> tuple[float, floa
     return rules().shortest_step * float(np.median(np.diff(t))), rules().longest_step * float(seen[-1] - seen[0])
 
 
-def _step_anywhere(scene: Scene, rows: NDArray[np.bool_] | slice, beside: _Beside) -> _Step:
+def _step_anywhere(scene: Scene, rows: NDArray[np.bool_] | slice, beside: Beside) -> _Step:
     """The best step of those that start and end at evenly spaced times, refined around it."""
     s, G, t_fix = scene.starts, scene.step_columns[rows], scene.prepared.result.fixes.t
     lasting = _lasting(scene, rows)
@@ -98,7 +98,7 @@ def _step_anywhere(scene: Scene, rows: NDArray[np.bool_] | slice, beside: _Besid
     return _Step(nats, c, coarse.value, lambda: when)
 
 
-def _step_at_edges(scene: Scene, rows: NDArray[np.bool_] | slice, beside: _Beside) -> _Step | None:
+def _step_at_edges(scene: Scene, rows: NDArray[np.bool_] | slice, beside: Beside) -> _Step | None:
     """The best step between fixes that surprise: evenly spaced times miss the edges, where alone it shows."""
     t_fix, use = scene.prepared.result.fixes.t, scene.loop.use.ravel()
     residual = beside.ahead()
@@ -199,7 +199,7 @@ class _Step:
 
 
 @dataclass(frozen=True)
-class _Beside:
+class Beside:
     """Innovations with what is explained of them already.
 
     Parameters
@@ -219,7 +219,7 @@ class _Beside:
     rhs: Array
 
     @classmethod
-    def of(cls, data: Field, given: Sequence[Block]) -> _Beside:
+    def of(cls, data: Field, given: Sequence[Block]) -> Beside:
         """What blocks explain; nothing where there are none."""
         span = data.spanned(given) if given else np.zeros((data.y.size, 0))
         L = np.asarray(np.linalg.cholesky(np.eye(span.shape[1]) + span.T @ span / data.variance), dtype=np.float64)
@@ -235,7 +235,7 @@ class _Beside:
         return half, G.T @ self.data.y / self.data.variance - half.T @ self.rhs
 
 
-def _scan_steps(beside: _Beside, G: Array, s: Array, lasting: tuple[float, float], axes: int = 3) -> _Scan:
+def _scan_steps(beside: Beside, G: Array, s: Array, lasting: tuple[float, float], axes: int = 3) -> _Scan:
     (shortest, longest), variance = lasting, beside.data.variance
     scale = EFFECTS["gnss_multipath_step"].scale("value", "gnss")
     half, b_all = beside.of_columns(G)

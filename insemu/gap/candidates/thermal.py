@@ -115,7 +115,7 @@ def temperature(state: AxisState) -> list[AxisHypothesis]:
         d = T - centre
         seen = lagged(d, data.dt, lag)
         signal = sum((v.value * _power(seen, k + 1) for v, k in zip(w.values, which, strict=True)), np.zeros(T.size))
-        w = _less(w, state, signal)
+        w = less(w, state, signal)
         return replace(w, values=(*w.values, reference))
 
     likelihood = state.likelihood
@@ -149,8 +149,18 @@ def _power(x: Array, k: int) -> Array:
     return x if k == 1 else np.asarray(x * _power(x, k - 1))
 
 
-def _less(w: AxisHypothesis, state: AxisState, signal: Array) -> AxisHypothesis:
-    """A named signal taken out of the samples too, so that its fast part is explained as well; worth what the spectrum gains."""
+def less(w: AxisHypothesis, state: AxisState, signal: Array) -> AxisHypothesis:
+    """A named signal taken out of the samples too, so that its fast part is explained as well; worth what the spectrum gains.
+
+    Parameters
+    ----------
+    w : AxisHypothesis
+        With the signal among its regressors.
+    state : AxisState
+        The axis before.
+    signal : (n,) array
+        In the unit of the axis.
+    """
     if not state.data.f.size:
         return w
     apart = reduce_again(state.data, state.data.values - signal)

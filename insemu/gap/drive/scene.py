@@ -19,7 +19,7 @@ from insemu.gap.drive.apart import without
 from insemu.gap.drive.columns import filled_columns, library_columns, rectified_columns
 from insemu.gap.drive.corrected import corrected_data, slow_knots
 from insemu.gap.drive.preparation import Prepared, fitted_levels
-from insemu.gap.drive.signatures import Loop, columns_response, fix_step_response, knot_response, ramps
+from insemu.gap.drive.signatures import Loop, bias_steps, columns_response, fix_step_response, knot_response, ramps
 from insemu.gap.evidence.fixes import NED, FixNoise, Gains, Surrogate
 from insemu.gap.evidence.linear import Block, Field
 from insemu.gap.policy import rules
@@ -28,7 +28,7 @@ from insemu.records import GnssRecord
 
 Array = NDArray[np.float64]
 
-#: A step in the position fixes: axis (0..2), start and end in s.
+#: A step: place, start and end in s. Places 0 to 2 are components of the position fixes, north, east, down; 3 to 8 biases of the sensors' six axes.
 Window = tuple[int, float, float]
 
 #: Times that the filter runs again at the most, on corrected data until its errors are small, or at other levels: a bound, so that a search ends.
@@ -64,7 +64,7 @@ class Scene:
     corrections : mapping of column index to number
         What was taken out of the data before the filter ran.
     windows : tuple of Window
-        Steps in the fixes that were found.
+        Steps in the fixes and in biases that were found.
     noise : FixNoise, optional
         Colour and levels of the fixes that the whitening allows for.
     """
@@ -184,6 +184,26 @@ class Scene:
             asked[key] = answer
         return asked[key]
 
+    def window_answers(self, windows: Sequence[Window]) -> Array:
+        """Responses (f, 6, windows) of unit steps between two times."""
+        fixes = self.loop.result.fixes
+        M, D = np.zeros((len(fixes), 6, len(windows))), None
+        for i, (place, start, end) in enumerate(windows):
+            if place < 3:
+                M[:, place, i] = (fixes.t > start) & (fixes.t <= end)
+                continue
+            D = np.zeros((len(self._ramps), len(windows), 9)) if D is None else D
+            share = bias_steps(self.loop, self.motion, np.array([start])) - bias_steps(
+                self.loop, self.motion, np.array([end])
+            )
+            D[:, i] = share * self._ramps[:, place - 3]
+        return self.loop.respond(len(windows), D, M) if windows else M
+
+    def bias_step_columns(self, axis: int, starts: Array) -> Array:
+        """Whitened responses (r, starts) of unit steps of the bias of an axis (0..5) from each start (s) on."""
+        D = bias_steps(self.loop, self.motion, starts)[:, :, None] * self._ramps[:, axis, None]
+        return self.whitened(self.loop.respond(starts.size, D, None))
+
     def _responded(self, index: NDArray[np.int64]) -> Array:
         c, k = len(self.columns), self.knots.size
         own, late = np.unique(index[index < c]), np.unique(index[index >= c + 6 * k])
@@ -191,7 +211,7 @@ class Scene:
         for axis in np.unique((index[(index >= c) & (index < c + 6 * k)] - c) // k):
             parts.append(knot_response(self.loop, self.motion, self._ramps, self.knots, int(axis)))
             places.append(c + axis * k + np.arange(k))
-        parts.append(window_response(self.loop, [self.windows[i - c - 6 * k] for i in late]))
+        parts.append(self.window_answers([self.windows[i - c - 6 * k] for i in late]))
         every = np.concatenate([*places, late])
         together = np.concatenate(parts, axis=2)
         return together if np.array_equal(every, index) else together[:, :, np.searchsorted(every, index)]
@@ -246,7 +266,7 @@ class Scene:
         if cut not in plain:
             plain[cut] = _first_rows(plain[None], self.rows_t, cut)
         if cut not in wide:
-            more = self.whitened(window_response(self.loop, self.windows))
+            more = self.whitened(self.window_answers(self.windows))
             wide[cut] = (
                 plain[cut].wider(more if cut is None else more[self.rows_t <= cut]) if self.windows else plain[cut]
             )
@@ -267,7 +287,7 @@ class Scene:
     # -- other scenes of the same recording -------------------------------------------------------------------------------------------
 
     def with_windows(self, windows: tuple[Window, ...]) -> Scene:
-        """The scene with a column for each of these steps in the fixes, behind all the others."""
+        """The scene with a column for each of these steps, behind all the others."""
         return self if windows == self.windows else self._same(*_RESPONSES, *_WHITENED, windows=windows)
 
     def coloured(self, noise: FixNoise | None) -> Scene:
@@ -480,7 +500,7 @@ class Scene:
             each = np.zeros(self.width)
             each[index] = coefficients
             plain = self._answers.shape[2]
-            explained = self._answers @ each[:plain] + window_response(self.loop, self.windows) @ each[plain:]
+            explained = self._answers @ each[:plain] + self.window_answers(self.windows) @ each[plain:]
         elif index.size:
             explained = self._responses(index) @ coefficients
         return np.where(self.surrogate.use == 1, self.surrogate.nu - explained, 0.0)
@@ -500,15 +520,6 @@ class Scene:
             np.add.at(coefficients, at, mean)
         coefficients[np.searchsorted(index, corrected)] -= np.array(list(self.corrections.values()))
         return index, coefficients
-
-
-def window_response(loop: Loop, windows: Sequence[Window]) -> Array:
-    """Responses (f, 6, windows) of unit steps of one position axis between two times."""
-    fixes = loop.result.fixes
-    M = np.zeros((len(fixes), 6, len(windows)))
-    for i, (axis, start, end) in enumerate(windows):
-        M[:, axis, i] = (fixes.t > start) & (fixes.t <= end)
-    return loop.respond(len(windows), None, M) if windows else M
 
 
 def _smoothing(nominal: Nominal, columns: Sequence[Column], corrections: Mapping[int, float]) -> Array:

@@ -261,3 +261,26 @@ def fix_step_response(loop: Loop, starts: Array) -> Array:
         M[:, c, c::3] = fixes.t[:, None] > starts
     first = np.minimum(np.searchsorted(fixes.t, starts, side="right"), len(fixes) - 1)
     return loop.respond(M.shape[2], None, M, begin=np.repeat(node[first], 3))
+
+
+def bias_steps(loop: Loop, motion: Motion, starts: Array) -> Array:
+    """Share of the time since the node before that lies behind each start.
+
+    Parameters
+    ----------
+    loop : Loop
+        With the nodes of the filter.
+    motion : Motion
+        Of the IMU.
+    starts : (k,) array
+        s.
+
+    Returns
+    -------
+    (nodes, k) array
+    """
+    nodes = loop.result.nodes
+    assert nodes is not None
+    t = motion.t[nodes.epoch]
+    width = np.diff(t, prepend=t[0] - 1.0)
+    return np.asarray(np.clip((t[:, None] - starts) / width[:, None], 0.0, 1.0))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from insemu.effects import EFFECTS
 from insemu.errors import InputError
 from insemu.gap.beliefs.nominal import Nominal
+from insemu.gap.candidates import bias_steps
 from insemu.gap.candidates.fixes import about, as_joint, at_level, covariance_hypotheses
 from insemu.gap.candidates.shapes import (
     ONCE,
@@ -71,6 +72,8 @@ from insemu.gap.worth import Outage, outages_along, stated_in_outages, white_lev
 from insemu.records import AXES, Recording
 
 Array = NDArray[np.float64]
+#: Effects that begin at a time, which no column of the catalogue has, and what looks for each.
+STEPS = {"gnss_multipath_step": multipath_step, "bias_step": bias_steps.of_drive}
 
 
 class DriveProblem(NoiseOfFixes):
@@ -129,8 +132,10 @@ class DriveProblem(NoiseOfFixes):
         self._turn_colour()
         given, skip = self.blocks(), self._skip()
         out = linear_hypotheses(self.scene, self.variants, self.data, given, skip)
-        if "gnss_multipath_step" not in skip:
-            out += [h for h in multipath_step(self.scene, self.data, self.rows, given) if h.nats > self._step_nats()]
+        for effect, look in STEPS.items():
+            if effect not in skip:
+                least = self._step_nats() if effect == "gnss_multipath_step" else -math.inf
+                out += [h for h in look(self.scene, self.data, self.rows, given) if h.nats > least]
         out = best_first([*out, *covariance_hypotheses(self.scene, given, skip, self.cut, self._levelled())])
         shaken = with_unresolved(self.scene, given, self.cut, out[0].nats) if out[0].nats > self.threshold else None
         if shaken is None:
@@ -281,8 +286,10 @@ class DriveProblem(NoiseOfFixes):
             return None
         ranked = best_first(linear_hypotheses(self.scene, self.variants, self.data, self.blocks(old), self._skip(old)))
         kept = next((r for r in ranked if (r.effect, r.sensor) == (h.effect, h.sensor)), replace(h, nats=-math.inf))
-        idle = ranked[0].nats < min(self.threshold, rules().keep_nats)
-        return Again(kept, tuple(ranked), ranked[0], idle)
+        rival, idle = ranked[0], ranked[0].nats < min(self.threshold, rules().keep_nats)
+        # a bias that jumps was weighed where this was found, and stays as far from it
+        jumps = [replace(r, nats=r.nats + kept.nats - h.nats) for r in old.ranked if r.effect == "bias_step"]
+        return Again(kept, tuple(best_first([*ranked, *jumps])), rival, idle)
 
     def put(self, old: Found[Change], new: DriveHypothesis, again: Again[Change]) -> None:
         """Let a hypothesis stand in the place of a finding; the last one was weighed just now where nothing has changed since."""
@@ -324,10 +331,11 @@ class DriveProblem(NoiseOfFixes):
         return moved
 
     def _settle_steps(self) -> None:
-        """Look for each step in the fixes once more, beside everything that was found since."""
+        """Look for each step once more, beside everything that was found since."""
         for old in [f for f in self.found if f.chosen.change.window is not None]:
             assert old.chosen.change.block is not None
-            own = next(iter(multipath_step(self.scene, self.data, self.rows, self.blocks(old))), None)
+            tried = STEPS[old.chosen.effect](self.scene, self.data, self.rows, self.blocks(old))
+            own = next((h for h in tried if h.sensor == old.chosen.sensor), None)
             if own is None or own.nats < min(self.threshold, rules().keep_nats):
                 self.found = [f for f in self.found if f is not old]
                 continue

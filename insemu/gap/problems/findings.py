@@ -250,7 +250,7 @@ def joined(findings: list[Finding]) -> list[Finding]:
                 k
                 for k, o in enumerate(out)
                 if (o.effect, o.sensor) == (s.effect, s.sensor)
-                and s.effect not in (*PROCESSES, "gnss_multipath_step")
+                and s.effect not in (*PROCESSES, "gnss_multipath_step", "bias_step")
                 and names & {v.name for v in o.parameters}
             ),
             None,

@@ -157,7 +157,8 @@ def told(f: Found[Change], named: Named, outages: Sequence[Outage]) -> Finding:
             values = shape_values(scene, h.change.block[0], mean, covariance)
             metres = worth_in_motion(scene.loop, scene.motion, [scene.columns[i] for i in h.change.columns], mean)
         else:
-            values = (Value.normal("value", float(mean[0]), math.sqrt(float(covariance[0, 0])), "m"), *values[1:])
+            sd = math.sqrt(float(covariance[0, 0]))
+            values = (Value.normal("value", float(mean[0]), sd, values[0].unit), *values[1:])
     members, others, confidence = class_of(*rivals_of(f))
     needs = "; ".join(dict.fromkeys(EFFECTS[m.effect].excitation for m in members)) if len(members) > 1 else ""
     text = f"a recording with more of: {needs}" if needs else ""

@@ -160,7 +160,7 @@ class NoiseOfFixes(ABC):
         """Take the positions back that were told outliers where a step may begin or end, by a filter that did not know it; whether there were any."""
         told = self.gone.get("gnss_outliers", np.zeros(0))
         doubtful = np.zeros(told.size, dtype=bool)
-        for h in (f.chosen for f in self.found if f.chosen.change.window is not None):
+        for h in (f.chosen for f in self.found if f.chosen.effect == "gnss_multipath_step"):
             start, duration = (next(v for v in h.values if v.name == name) for name in ("start", "duration"))
             for low, high in (
                 (start.low, start.high),

@@ -16,7 +16,7 @@ from insemu.gap.drive.scene import Scene, Window
 from insemu.gap.evidence.fixes import LEVEL_ROWS, NED, FixNoise, joint_noise
 from insemu.gap.problems.known import colour_of
 from insemu.gap.verdict import Finding, Value
-from insemu.records import Recording
+from insemu.records import AXES, Recording
 
 Array = NDArray[np.float64]
 #: Times that all of it is estimated together at the most: a bound, so that it ends.
@@ -106,11 +106,13 @@ def left(recording: Recording, nominal: Nominal, findings: Sequence[Finding]) ->
 
 
 def _window(finding: Finding) -> Window | None:
-    """Component, start and end (s) of a step in the positions; ``None`` of another effect."""
+    """Place, start and end (s) of a step in the positions or in a bias; ``None`` of another effect."""
     at = {v.name: v.value for v in finding.parameters}
-    if finding.effect != "gnss_multipath_step":
-        return None
-    return NED.index(finding.axes[0]), at["start"], at["start"] + at["duration"]
+    if finding.effect == "gnss_multipath_step":
+        return NED.index(finding.axes[0]), at["start"], at["start"] + at["duration"]
+    if finding.effect == "bias_step":
+        return 3 + AXES.index(f"{finding.sensor}_{finding.axes[0]}"), at["start"], math.inf
+    return None
 
 
 def _columns(scene: Scene, findings: Sequence[Finding], steps: Sequence[int]) -> dict[int, tuple[int, str, float]]:
