@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.foreign import sensors
-from benchmarks.foreign.judge import Job, drawn, taken
+from benchmarks.foreign import judge, sensors
+from benchmarks.foreign.judge import drawn, taken
 from insemu.effects import Column, EffectUse, effect_of
 from insemu.gap import applied, find_gap, find_static_gap
 from insemu.gap.beliefs.refined import refined_nominal, uses_of
@@ -28,6 +28,7 @@ from insemu.gap.problems.drive import DriveProblem
 from insemu.gap.problems.together import left
 from insemu.noise import WN, NoiseModel
 from insemu.records import Series
+from insemu.trial.run import Job
 
 NOISE, RATE = 1e-3, 20.0
 
@@ -61,7 +62,7 @@ def test_the_response_to_a_step_is_that_of_its_signal() -> None:
 
 
 def test_a_step_in_a_drive_is_named_with_its_time_and_closes_the_gap() -> None:
-    world, (hidden,), (worth,) = drawn(Job("jump", 660002, 240.0, True))
+    world, (hidden,), (worth,) = drawn(judge.Job("jump", 660002, 240.0, True))
     assert worth > 20.0
     measured, nominal = taken(world, (hidden,))
     report = find_gap(measured, nominal, rng=np.random.default_rng(1), hold_out=False, pictures=False)
@@ -94,7 +95,7 @@ def test_a_process_that_is_weighed_again_keeps_its_rival_that_jumps() -> None:
 
 
 def test_its_size_is_estimated_with_all_other_numbers() -> None:
-    world, (hidden,), _ = drawn(Job("jump", 660002, 240.0, True))
+    world, (hidden,), _ = drawn(judge.Job("jump", 660002, 240.0, True))
     measured, nominal = taken(world, (hidden,))
     report = find_gap(measured, nominal, rng=np.random.default_rng(1), hold_out=False, pictures=False)
     (found,) = report.findings
@@ -139,3 +140,11 @@ def test_a_start_is_as_likely_at_any_time() -> None:
     assert close.nats == pytest.approx(30.0 + math.log(2.0 / 100.0), abs=1e-3)
     told = close.told()
     assert 52.0 <= told.low <= told.value <= told.high <= 54.0
+
+
+def test_a_trial_hides_one_at_rest_that_is_worth_what_it_asks_for() -> None:
+    found = Job("static", ("bias_step",), 60.0, 901, hours=0.3).run()
+    (hidden,) = found.hidden
+    assert hidden.nats == pytest.approx(60.0, rel=0.05)
+    assert found.steps[0].effect == "bias_step"
+    assert found.steps[0].gain_nats == pytest.approx(hidden.nats, abs=3.0 * math.sqrt(2.0 * hidden.nats))

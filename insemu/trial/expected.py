@@ -17,7 +17,7 @@ from scipy.linalg import solve_toeplitz
 
 from insemu.effects import EffectUse
 from insemu.gap import rules
-from insemu.gap.candidates import bias_nats, mean_spread
+from insemu.gap.candidates import bias_nats, mean_spread, paid_for_start, starts_at_rest, step_of_blocks
 from insemu.gap.data import Reduced, block_differences, block_length, spectrum_bins
 from insemu.gap.evidence import (
     DEPTH,
@@ -39,7 +39,8 @@ Array = NDArray[np.float64]
 
 #: Effects that a spectrum, block means and known shapes describe; the rest is read off the samples and has its own formula, or none.
 GAUSSIAN = (
-    "white_noise", "random_walk", "gauss_markov", "telegraph", "flicker", "ramp", "temperature", "vibration_band", "decimation_filter",
+    "white_noise", "random_walk", "gauss_markov", "telegraph", "flicker", "ramp", "bias_step", "temperature", "vibration_band",
+    "decimation_filter",
 )  # fmt: skip
 #: Sizing stops within this share of the wanted evidence, after this many trials, or at this factor of the strength it began with.
 CLOSE, TRIALS, MOST_STRENGTH = 0.03, 14, 1e3
@@ -168,6 +169,11 @@ class Log:
                 column = np.full((count, 1), block * self.dt)
                 regressors.append(Regressors("ramp", ("R",), column, np.array([3.0 * sigma / span])))
                 mean = mean + given["R"] * column[:, 0]
+            elif u.id == "bias_step":
+                still = Reduced("hidden", "", self.dt, np.zeros(self.n), block, mean, mean[:0], mean[:0], mean[:0])
+                column = step_of_blocks(still, given["start"])
+                regressors.append(Regressors("bias_step", ("value",), column, np.array([3.0 * sigma])))
+                mean = mean + given["value"] * column[:, 0]
             elif u.id == "temperature":
                 assert self.temperature is not None
                 d = self.temperature - self.temperature.mean()
@@ -205,6 +211,8 @@ class Log:
         # the expectation of a maximum is half a nat above the maximum of the expectation for every parameter
         more = len(full.free) - len(less.free) + sum(len(r.names) for r in full.regressors if r.effect == use.id)
         rare = rules().telegraph_rarer if use.id == "telegraph" else 0.0
+        if use.id == "bias_step":
+            rare = paid_for_start(starts_at_rest(likelihood.data, less, float(full.regressors[-1].scales[0])))
         return with_it - without + 0.5 * more - rare
 
     def _of_samples(self, use: EffectUse, rest: Explanation) -> float:

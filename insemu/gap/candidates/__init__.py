@@ -2,6 +2,7 @@
 
 from insemu.gap.candidates import bias_steps
 from insemu.gap.candidates.axis import CANDIDATES, AxisHypothesis, AxisState, best_of, register
+from insemu.gap.candidates.bias_steps import paid_for_start, starts_at_rest, step_of_blocks
 from insemu.gap.candidates.counts import held_samples, output_counts, saturation
 from insemu.gap.candidates.noise import (
     bias_nats,
@@ -17,7 +18,18 @@ from insemu.gap.candidates.spectral import decimation_filter, vibration_band, vi
 from insemu.gap.candidates.telegraph import telegraph
 from insemu.gap.candidates.thermal import ramp, temperature
 
-__all__ = ["CANDIDATES", "AxisHypothesis", "AxisState", "best_of", "bias_nats", "mean_spread", "register"]
+__all__ = [
+    "CANDIDATES",
+    "AxisHypothesis",
+    "AxisState",
+    "best_of",
+    "bias_nats",
+    "mean_spread",
+    "paid_for_start",
+    "register",
+    "starts_at_rest",
+    "step_of_blocks",
+]
 
 register("white_noise", white_noise)
 register("random_walk", random_walk)
