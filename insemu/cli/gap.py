@@ -85,6 +85,11 @@ def command(
     data = load_measured(measured, rate_hz=units.parse(rate, "Hz") if rate else None)
     if "recording" not in nominal.raw:  # a scenario of a recording tells times by the recording's clock
         data = from_its_start(data)
+    if aids := getattr(data, "aids", ()):
+        kinds = ", ".join(sorted({aid.kind for aid in aids}))
+        Console(stderr=True).print(
+            f"{measured}: {kinds} not looked at: only IMU and fixes are", highlight=False, markup=False
+        )
     with staged(Console(stderr=True), STAGES) as say:
         report = find_gap(
             data,
