@@ -5,12 +5,14 @@ Then a scenario of one of them is refined, flown beside its own designs through 
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
+from insemu.units import datasheet
 from tests.claims import ROOT
 from tests.shared_data import root
 
@@ -46,6 +48,18 @@ def insemu(*words: str) -> bool:
     return subprocess.run([sys.executable, "-m", "insemu", *words], check=False).returncode != 0
 
 
+def jumps(answer: Path) -> list[str]:
+    """Steps of a bias that an answer names, in units of datasheets: they may stand behind those that the terminal shows."""
+    steps = json.loads(answer.read_text(encoding="utf-8"))["steps"] if answer.exists() else []
+    out = []
+    for step in (s for s in steps if s["effect"] == "bias_step"):
+        size, start = step["parameters"]
+        factor, unit = datasheet(1.0, size["unit"])
+        where = f"{step['sensor']} {', '.join(step['axes'])}"
+        out.append(f"bias step of {where}: {factor * size['value']:.3g} {unit} at {start['value']:.4g} s")
+    return out
+
+
 def main() -> int:
     """Print what the command says of each recording."""
     wrong = 0
@@ -55,6 +69,8 @@ def main() -> int:
             measured = str(root() / "real" / f"{name.partition(',')[0]}.npz")
             words = ["gap", str(said), "--measured", measured, "--out", str(Path(folder) / name)]
             wrong += insemu(*words)
+            for line in jumps(Path(folder) / name / "gap.json"):
+                print(line, flush=True)
         print("-- scenarios/real_drive_rtk.yaml", flush=True)
         drive, out = str(root() / "real" / "rtkexp_drive.npz"), Path(folder) / "tuned"
         wrong += insemu("gap", str(ROOT / "scenarios" / "real_drive_rtk.yaml"), "--measured", drive, "--out", str(out))
