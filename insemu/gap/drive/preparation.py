@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -30,7 +29,7 @@ from insemu.gap.evidence.fixes import LEVEL_GROUPS, PLAIN, FixNoise, Surrogate, 
 from insemu.gap.evidence.model import Explanation, Likelihood, fit
 from insemu.gap.policy import rules
 from insemu.noise import BI, WN, NoiseModel, Process
-from insemu.records import AXES, GnssRecord, ImuRecord, Recording
+from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.rotation import dcm_from_rpy
 from insemu.strapdown import NavState
 
@@ -403,7 +402,7 @@ def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, G
     )
     if recording.reference is not None:
         imu, state, sigma = on_reference(imu, recording.reference, believed)
-        _check_upright(imu, state, recording.source)
+        _check_upright(imu, recording.reference, recording.source)
         return imu, gnss, state, sigma
     # velocities that are not believed still tell the way
     fixed = replace(with_sigma(gnss, nominal), vel_ned=gnss.vel_ned)
@@ -418,17 +417,22 @@ def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, G
     return imu, gnss, state, sigma
 
 
-def _check_upright(imu: ImuRecord, start: NavState, source: str) -> None:
-    """Raise ``InputError`` where the specific force of the first second points down in the attitude of the start."""
-    force = imu.accel[: max(1, round(1.0 / imu.dt))].mean(axis=0)
-    down = dcm_from_rpy(start.rpy)[2]  # of the navigation frame, in the axes of the IMU
-    cosine = -float(down @ force) / max(float(np.linalg.norm(force)), 1e-300)
-    if cosine < 0.0:
-        angle = math.degrees(math.acos(max(cosine, -1.0)))
+def _check_upright(imu: ImuRecord, reference: Trajectory, source: str) -> None:
+    """Raise ``InputError`` where the specific force points down in the attitudes of the reference: on the mean it carries the vehicle."""
+    rows = max(1, round(1.0 / imu.dt))
+    count = len(imu) // rows
+    t, force = (x[: count * rows].reshape(count, rows, -1).mean(axis=1) for x in (imu.t[:, None], imu.accel))
+    inside = (t[:, 0] >= reference.t[0]) & (t[:, 0] <= reference.t[-1])
+    if not inside.any():
+        return
+    angles = np.unwrap(reference.rpy, axis=0)
+    rpy = np.stack([np.interp(t[inside, 0], reference.t, column) for column in angles.T], axis=1)
+    up = -np.mean([dcm_from_rpy(a)[2] @ f for a, f in zip(rpy, force[inside], strict=True)])
+    if up < 0.0:
         raise InputError(
-            f"at the start the specific force points {angle:.0f} deg from up in the attitude of the reference, expected less than 90 deg: "
-            "the IMU is not in the axes of the reference (forward, right, down); axes=FLU in --map of insemu open turns forward, left, up "
-            "into these, a mounting in the effects of the belief any other",
+            "on the mean the specific force points down in the attitudes of the reference, expected up: the IMU is not in the axes of the "
+            "reference (forward, right, down); axes=FLU in --map of insemu open turns forward, left, up into these, a mounting in the "
+            "effects of the belief any other",
             where=source,
         )
 
