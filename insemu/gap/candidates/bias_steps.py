@@ -129,6 +129,8 @@ def at_rest(state: AxisState) -> list[AxisHypothesis]:
         return []
     scale = 3.0 * max(state.block_sigma(), 0.1 * float(np.std(np.cumsum(data.differences))))
     starts = starts_at_rest(data, state.explanation, scale)
+    if not math.isfinite(starts.nats):
+        return []  # noise whose covariance has no factor
     start = starts.told()
 
     def column(where: Reduced, _: Array | None) -> Array:
