@@ -77,13 +77,13 @@ def of_drive(
             scans[k] = best = best.closer(steps.evidence)
         nats = float(np.logaddexp.reduce([scan.nats for scan in scans])) - math.log(3.0) - rules().step_rarer
         if not nats > -1.0:
-            out.append(Hypothesis("bias_step", nats, (), Change(), "step", sensor, ("xyz"[k],)))
+            out.append(Hypothesis("bias_step", nats, (), Change(), "", sensor, ("xyz"[k],)))
             continue
         start = best.told()
         _, mean, sd = steps.at(np.array([start.value]))
         value = Value.normal("value", float(mean[0]), float(sd[0]), EFFECTS["bias_step"].unit("value", sensor))
         change = Change(window=(3 + axis, start.value, math.inf))
-        out.append(Hypothesis("bias_step", nats, (value, start), change, "step", sensor, ("xyz"[k],)))
+        out.append(Hypothesis("bias_step", nats, (value, start), change, "", sensor, ("xyz"[k],)))
     return out
 
 
