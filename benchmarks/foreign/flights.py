@@ -66,7 +66,7 @@ def flown(aircraft: str, seconds: float, seed: int, lat: float, lon: float) -> t
     knots, height = AIRCRAFT[aircraft]
     n = round(seconds / DT)
     t = np.arange(n) * DT
-    # two thirds of the commands of other rides: what all of these aeroplanes follow
+    # commands that are slow enough for an airliner
     bank = steps(rng, t, 25.0, np.array([0.0, 0.0, 0.35, -0.35, 0.6, -0.6]))
     climb = steps(rng, t, 40.0, height + np.array([-60.0, -30.0, 0.0, 30.0, 60.0]))
     jsbsim.FGJSBBase().debug_lvl = 0
