@@ -274,21 +274,6 @@ def test_a_later_pass_corrects_a_step_at_its_own_times() -> None:
     assert corrected.parameters[1:] == old.parameters[1:]
 
 
-def test_a_later_pass_corrects_a_bias_that_jumps() -> None:
-    def jump(value: float, start: float) -> Finding:
-        parameters = (
-            Value("value", value, value - 0.1, value + 0.1, "m/s^2"),
-            Value("start", start, start - 5.0, start + 5.0, "s"),
-        )
-        return replace(step("bias_step"), parameters=parameters)
-
-    old, other = jump(1.0, 100.0), jump(0.4, 300.0)
-    assert set(_closer(report(old), report(other), []).findings) == {old, other}
-    (corrected,) = _closer(report(old), report(jump(0.3, 102.0)), []).findings
-    assert corrected.parameters[0].value == pytest.approx(1.3) and corrected.parameters[1] == old.parameters[1]
-    assert _closer(report(old), report(jump(-0.98, 101.0)), []).findings == ()  # nothing is left of it
-
-
 def test_a_later_pass_corrects_each_number_where_it_stands() -> None:
     """Two findings of a lever arm, of z and of x: the later pass had made of the first one of z and x, beside the second."""
     arms = [

@@ -379,9 +379,10 @@ class Effect:
 
     @property
     def adds(self) -> bool:
-        """Whether it is an error of one sensor whose values add up, of one that begins at a time those of the same time."""
-        joins = (p.join for p in self.parameters if p.name != "start")
-        return bool(self.stage in (Stage.RESPONSE, Stage.LAW) and all(j in ("sum", "equal") for j in joins))
+        """Whether it is an error of one sensor whose values add up."""
+        return bool(
+            self.stage in (Stage.RESPONSE, Stage.LAW) and all(p.join in ("sum", "equal") for p in self.parameters)
+        )
 
     def merged(self, old: EffectUse, new: EffectUse) -> EffectUse | None:
         """One use for a known one and what was found beyond it; None where they stay two entries."""

@@ -449,7 +449,7 @@ def _pruned(finding: Finding) -> Finding | None:
     kept = tuple(
         v for v in finding.parameters if not v.low < 0.0 < v.high or join_of(finding.effect, v.name) == "equal"
     )
-    if not any(join_of(finding.effect, v.name) == "sum" for v in kept):
+    if not any(join_of(finding.effect, v.name) != "equal" for v in kept):
         return None
     shown = {v.name.partition("_")[2][:1] for v in kept}
     axes = tuple(a for a in finding.axes if a in shown) or finding.axes
