@@ -7,9 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.foreign.judge import Job, drawn, write
 from insemu import rotation, scenario, strapdown
-from insemu.cli import main
 from insemu.errors import InputError
 from insemu.evaluate.emulated import EmulatedWorld
 from insemu.filters import AIDS, AidUse, FilterOptions, LooselyCoupledEKF, TrueMotion
@@ -197,25 +195,3 @@ def test_a_scenario_emulates_aids_and_a_file_keeps_them(tmp_path):
 def test_a_wrong_aid_is_named(aids, words):
     with pytest.raises(InputError, match=words):
         validated({**FLIGHT, "aids": aids})
-
-
-def test_gap_says_that_it_does_not_look_at_aids(tmp_path, capsys):
-    world, hidden, worth = drawn(Job("none", 480003, 90.0, True))
-    write(tmp_path / "drive", world, hidden, worth)
-    with np.load(tmp_path / "drive.npz") as file:
-        arrays = dict(file)
-    height = {"aid_barometer_t": arrays["gnss_t"], "aid_barometer": arrays["gnss_llh"][:, 2:]}
-    np.savez(tmp_path / "drive.npz", **arrays, **height, aid_barometer_std=np.full((arrays["gnss_t"].size, 1), 0.5))
-    with pytest.raises(SystemExit) as stop:
-        main(
-            [
-                "gap",
-                str(tmp_path / "drive.yaml"),
-                "--measured",
-                str(tmp_path / "drive.npz"),
-                "--out",
-                str(tmp_path / "out"),
-            ]
-        )
-    assert not stop.value.code
-    assert "barometer not looked at: only IMU and fixes are" in " ".join(capsys.readouterr().err.split())

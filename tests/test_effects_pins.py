@@ -11,13 +11,13 @@ import pytest
 
 from insemu import effects, emulate, rotation
 from insemu.denoise import outstanding
-from insemu.effects import EFFECTS, EffectUse
+from insemu.effects import AID_KINDS, EFFECTS, AidErrors, EffectUse, aid_age, aid_corrected
 from insemu.effects.base import Effect
 from insemu.effects.chain import FixErrors
 from insemu.effects.hiding import DriveLot, RestLot
 from insemu.effects.motion import FixGeometry, Motion, _quiet, steady
 from insemu.errors import InputError
-from insemu.records import GnssRecord, ImuRecord, Trajectory
+from insemu.records import AidRecord, GnssRecord, ImuRecord, Trajectory
 from tests.pins import differences, kept, plain
 
 N, DT = 900, 0.02
@@ -115,6 +115,26 @@ def _fixes(use: EffectUse) -> Any:
     ]  # fmt: skip
 
 
+def _record(kind: str) -> AidRecord:
+    t = START + np.arange(0.0, 17.0, 0.5)
+    rows = 3 if kind == "odometer" else 1
+    values = np.column_stack([9.0 * np.sin(0.3 * (k + 1) * t) + 2.0 * k for k in range(rows)])
+    return AidRecord(kind, t, values, np.full((t.size, rows), 0.1))
+
+
+def _aid(use: EffectUse) -> Any:
+    record = _record(use.sensor)
+    errors = AidErrors.of(record.t, record.values)
+    if use.effect.does("inject_aid"):
+        use.effect.inject_aid(errors, use, RNG(7))
+    slope = np.gradient(record.values, record.t, axis=0)
+    return [
+        errors, aid_age(use.sensor, [use]), aid_corrected(record, [use], START),
+        use.effect.aid_columns(record.values, slope) if use.effect.does("aid_columns") else None,
+        use.effect.settled_with(record.values),
+    ]  # fmt: skip
+
+
 def _imu(use: EffectUse, kind: str) -> Any:
     out = emulate.corrupt(
         imu(kind),
@@ -140,6 +160,8 @@ def _effect(effect: Effect, sensor: str) -> dict[str, Any]:
     }
     if sensor == "gnss":
         calls["fixes"] = lambda: _fixes(use)
+    elif sensor in AID_KINDS:
+        calls["aid"] = lambda: _aid(use)
     else:
         calls |= {kind: lambda kind=kind: _imu(use, kind) for kind in ("mean", "increment")}
     own: dict[str, Callable[[], Any]] = {

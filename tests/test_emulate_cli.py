@@ -8,7 +8,7 @@ import yaml
 
 from insemu import emulate
 from insemu.cli import main
-from insemu.effects import EFFECTS
+from insemu.effects import AID_KINDS, EFFECTS
 from insemu.evaluate.emulated import EmulatedWorld
 from insemu.formats import read_recording, write
 from insemu.records import ImuRecord, Recording, Trajectory
@@ -83,12 +83,15 @@ def test_every_effect_is_reached_from_a_scenario_with_units(tmp_path):
     document["truth"]["temperature"] = {"t": ["0 s", "60 s"], "degc": [20, 60]}
     document["truth"]["effects"] = []
     document["gnss"] = {"rate": "5 Hz"}
+    document["aids"] = {kind: {"sigma": 0.01} for kind in AID_KINDS}
     file.write_text(yaml.safe_dump(document))
     world = EmulatedWorld(load(str(file)), file)
     before = signals(world.recording(0))
-    values = {"limit": 0.01, "start": 30.0, "cutoff": 20.0, "good": 2.0}
+    values = {"limit": 0.01, "start": 30.0, "cutoff": 20.0, "good": 2.0, "probability": 0.2}
     gnss = {"fix", "velocity", "stated"}
-    allowed = {"gyro": {"gyro"}, "accel": {"accel"}, "imu": {"t", "gyro", "accel"}, "gnss": gnss}
+    allowed = {"gyro": {"gyro"}, "accel": {"accel"}, "imu": {"t", "gyro", "accel"}, "gnss": gnss} | {
+        kind: {kind} for kind in AID_KINDS
+    }
     for effect in EFFECTS.values():
         for sensor in effect.sensors:
             entry = {"effect": effect.id, "sensor": sensor}
@@ -107,6 +110,7 @@ def signals(recording):
     return {
         "t": imu.t, "gyro": imu.gyro, "accel": imu.accel,
         "fix": gnss.llh, "velocity": gnss.vel_ned, "stated": gnss.pos_std_ned,
+        **{aid.kind: aid.values for aid in recording.aids},
     }  # fmt: skip
 
 

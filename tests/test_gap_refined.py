@@ -74,6 +74,20 @@ FOUND: dict[str, tuple[str, tuple[str, ...], str, dict[str, float], dict[str, An
     "gnss_multipath_step": ("gnss", ("east",), "", {"value": 2.0, "start": 10.0, "duration": 8.0}, {"value": [0, 2.0, 0], "start": 10.0}),
     "gnss_velocity_outliers": ("gnss", ("north", "east", "down"), "", {"probability": 0.05, "sigma": 0.4}, {"sigma": [0.4, 0.4, 0.4]}),
     "gnss_outliers": ("gnss", ("north", "east", "down"), "", {"probability": 0.05, "sigma": 4.0}, {"sigma": [4.0, 4.0, 4.0]}),
+    "odometer_scale_factor": ("odometer", (), "", {"value": 0.01}, {"value": 0.01}),
+    "odometer_misalignment": ("odometer", (), "", {"yaw": 0.02}, {"pitch": 0.0, "yaw": 0.02}),
+    "barometer_offset": ("barometer", (), "", {"value": 3.0}, {"value": 3.0}),
+    "barometer_scale_factor": ("barometer", (), "", {"value": 0.02, "h0": 240.0}, {"value": 0.02, "h0": 240.0}),
+    "heading_offset": ("heading", (), "", {"value": 0.02}, {"value": 0.02}),
+    "heading_deviation": ("heading", (), "", {"B": 0.02, "E": 0.01}, {"B": 0.02, "C": 0.0, "E": 0.01}),
+    "aid_lag": ("odometer", (), "", {"lag": 0.1}, {"lag": 0.1}),
+    "odometer_noise_level": ("odometer", ("down",), "", {"factor_down": 2.0}, {"factor": [1.0, 1.0, 2.0]}),
+    "barometer_noise_level": ("barometer", (), "", {"factor": 2.0}, {"factor": 2.0}),
+    "heading_noise_level": ("heading", (), "", {"factor": 2.0}, {"factor": 2.0}),
+    "odometer_correlated_noise": ("odometer", ("forward",), "", {"sigma_forward": 0.1, "tau": 20.0}, {"sigma": [0.1, 0, 0], "tau": 20.0}),
+    "barometer_correlated_noise": ("barometer", (), "", {"sigma": 1.0, "tau": 60.0}, {"sigma": 1.0, "tau": 60.0}),
+    "heading_correlated_noise": ("heading", (), "", {"sigma": 0.02, "tau": 30.0}, {"sigma": 0.02, "tau": 30.0}),
+    "aid_outliers": ("barometer", (), "", {"probability": 0.02, "sigma": 5.0}, {"probability": 0.02, "sigma": 5.0}),
     "earth_rate": ("imu", (), "", {"fraction": 0.9}, {"fraction": 0.9}),
     "gravity": ("imu", (), "", {"offset": 0.01}, {"offset": 0.01}),
     "transport_rate": ("imu", (), "", {"fraction": 1.1}, {"fraction": 1.1}),
@@ -568,6 +582,8 @@ def test_a_refined_scenario_of_a_recording_knows_what_was_found(effect: str, tmp
         # of a share of 0.05 three in a row are more likely than 1e-4, four are not: the fourth that follows them is taken
         interval = float(np.median(np.diff(measured().gnss.t)))
         assert options.gate == 1e-4 and options.gate_timeout == pytest.approx(3.5 * interval)
+    elif effect == "aid_outliers":  # of a share of 0.02 two in a row are more likely than 1e-4
+        assert options.gate == 1e-4
     else:
         assert options.gate is None
 

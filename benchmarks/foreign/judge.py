@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from benchmarks.foreign import motion, sensors
 from benchmarks.foreign.baselines import METHODS, baselines
+from benchmarks.foreign.beside import EVERY, AidRuler
 from benchmarks.foreign.oracle import gained
 from insemu.filters import FixTable
 from insemu.gap import Finding, GapReport, Nominal, find_gap, load_measured, load_nominal
@@ -36,7 +37,12 @@ KINDS: dict[str, tuple[str, ...]] = {
     "band": ("band",),
     "outside": ("outside",),
     "jump": ("jump",),
+    "aid-none": (),
+    "aid": ("aid",),
+    "aid-two": ("aid", "aid"),
 }
+#: Kinds with nothing, one, and more hidden, whose answers are counted alike.
+NOTHING, ONE, MORE = ("none", "aid-none"), ("one", "jump", "aid"), ("two", "three", "aid-two")
 #: Effects of one size are made so large that they are worth between these, nats.
 WORTH = (25.0, 250.0)
 #: Factor on the vibration of the world in which an effect's worth is measured: in the innovations of a shaken vehicle hardly two runs are alike
@@ -44,6 +50,8 @@ WORTH = (25.0, 250.0)
 CALM = 1e-4
 #: Factor on its usual size beyond which the motion does not show an effect.
 MOST_SCALE = 30.0
+#: The same of an effect of an aid: a lag of more than half a second and a deviation of tens of degrees are other faults.
+MOST_AID_SCALE = 5.0
 #: Times that an effect is scaled to its worth, which is no square of its size everywhere, and how near is near enough.
 MOST_SCALED, NEAR = 4, 0.05
 #: A probability below this counts as this in the log score.
@@ -75,7 +83,8 @@ class Job:
 
     def world(self, calm: float = 1.0) -> sensors.World:
         """What it is a recording of."""
-        return sensors.draw_world(self.seed, self.seconds, self.vibration, self.vehicles, calm, self.logger)
+        world = sensors.draw_world(self.seed, self.seconds, self.vibration, self.vehicles, calm, self.logger)
+        return replace(world, aids=self.kind.startswith("aid"))
 
 
 def drawn(job: Job) -> tuple[sensors.World, list[sensors.Hidden], list[float]]:
@@ -87,6 +96,8 @@ def drawn(job: Job) -> tuple[sensors.World, list[sensors.Hidden], list[float]]:
     targets: list[float] = []
     if not KINDS[job.kind]:
         return world, hidden, worth
+    if world.aids:
+        return world, *_drawn_aids(job, world, rng)
     ruler = Ruler.of(job, world)
     for what in KINDS[job.kind]:
         for _ in range(20):
@@ -112,6 +123,30 @@ def drawn(job: Job) -> tuple[sensors.World, list[sensors.Hidden], list[float]]:
             if worth[k] < WORTH[0]:
                 hidden[k], worth[k] = ruler.scaled(hidden[k], target)
     return world, hidden, worth
+
+
+def _drawn_aids(job: Job, world: sensors.World, rng: np.random.Generator) -> tuple[list[sensors.Hidden], list[float]]:
+    """What is hidden in aids, and what each is worth."""
+    ruler = AidRuler.of(*taken(world, ()))
+    hidden: list[sensors.Hidden] = []
+    worth: list[float] = []
+    targets: list[float] = []
+    while len(hidden) < len(KINDS[job.kind]):
+        h, half, factor = sensors.draw_hidden(rng, world, "aid"), math.nan, 1.0
+        target = float(np.exp(rng.uniform(*np.log(WORTH))))
+        if any(o.effect == h.effect for o in hidden):
+            continue
+        if math.isfinite(ruler.half(h)):
+            h, half, factor = ruler.scaled(h, target)
+        if factor <= MOST_AID_SCALE:  # else the motion does not show it
+            hidden.append(h)
+            worth.append(half)
+            targets.append(target)
+    ruler = ruler.under(hidden)
+    for k, target in enumerate(targets):
+        if math.isfinite(worth[k]) and ruler.half(hidden[k]) < WORTH[0]:
+            hidden[k], worth[k], _ = ruler.scaled(hidden[k], target)
+    return hidden, worth
 
 
 @dataclass(frozen=True)
@@ -271,6 +306,8 @@ def _holds(s: Finding, h: sensors.Hidden) -> bool:
 def truths(h: sensors.Hidden, world: sensors.World) -> dict[str, float]:
     """True values by the names that a finding gives its parameters."""
     v, axis = h.values, h.axis
+    if h.sensor in EVERY:
+        return {f"{k}_{axis}" if axis and k != "tau" and h.effect != "aid_outliers" else k: x for k, x in v.items()}
     name = {"temperature": "c1", "imu_gnss_time_offset": "offset"}.get(h.effect, "value")
     if "value" in v and "start" not in v:
         return {f"{name}_{axis}" if axis else name: v["value"]}
@@ -315,14 +352,15 @@ def scores(answers: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
 
     of = {kind: [a for a in answers if a["kind"] == kind] for kind in KINDS}
     share(
-        "no effect: named, class or unexplained (false alarms)", [a["verdict"] != "nothing missing" for a in of["none"]]
+        "no effect: named, class or unexplained (false alarms)",
+        [a["verdict"] != "nothing missing" for k in NOTHING for a in of[k]],
     )
-    share("no effect: named or unexplained", [a["verdict"] in ("named", "unexplained") for a in of["none"]])
+    share("no effect: named or unexplained", [a["verdict"] in ("named", "unexplained") for k in NOTHING for a in of[k]])
     share(
         "detected, one effect or more",
-        [a["verdict"] != "nothing missing" for k in ("one", "jump", "two", "three", "band") for a in of[k]],
+        [a["verdict"] != "nothing missing" for k in (*ONE, *MORE, "band") for a in of[k]],
     )
-    one = of["one"] + of["jump"]
+    one = [a for k in ONE for a in of[k]]
     share(
         "one: named right, or in a class of at most three",
         [any(h[0] and len(s["class"]) <= 3 for h, s in zip(a["held"], a["findings"], strict=True)) for a in one],
@@ -330,7 +368,7 @@ def scores(answers: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
     share("one: first in the ranking", [bool(a["right"]) and a["right"][0][0] for a in one])
     share("one: verdict is not 'unexplained'", [a["verdict"] != "unexplained" for a in one])
     share("band: among the findings", [any(h[0] for h in a["held"]) for a in of["band"]])
-    for kind in ("two", "three"):
+    for kind in MORE:
         n = len(KINDS[kind])
         exact = [
             sorted(k for r in a["right"] for k, v in enumerate(r) if v) == list(range(n)) and len(a["findings"]) == n
@@ -352,12 +390,7 @@ def scores(answers: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
                 "{:.3f}, {:.3f}".format(*ratios),
             )
         )
-    probabilities = [
-        given_to_truth(a, k)
-        for kind in ("one", "jump", "two", "three")
-        for a in of[kind]
-        for k in range(len(a["hidden"]))
-    ]
+    probabilities = [given_to_truth(a, k) for kind in (*ONE, *MORE) for a in of[kind] for k in range(len(a["hidden"]))]
     if probabilities:
         rows.append(("isolation accuracy: mean probability given to the truth", f"{np.mean(probabilities):.3f}"))
         rows.append(

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.foreign import beside
 from benchmarks.foreign.flights import AIRCRAFT, flight
 from benchmarks.foreign.motion import DT, RATE, VEHICLES, Array, Ride, Sensed, geodetic, plane, ride, sense
 
@@ -175,6 +176,8 @@ class World:
     reference : bool
         Whether the recording says where it started.
     logger : Logger
+    aids : bool
+        Whether an odometer, a barometer and a heading are recorded.
     """
 
     seed: int
@@ -184,6 +187,7 @@ class World:
     unit: Unit
     reference: bool
     logger: Logger = field(default_factory=Logger)
+    aids: bool = False
 
     def belief(self) -> dict[str, Any]:
         """The belief file of the recording."""
@@ -241,7 +245,7 @@ def draw_world(
 
 
 def draw_hidden(rng: np.random.Generator, world: World, what: str) -> Hidden:
-    """Draw an effect: known shape (``shaped``), size of its own (``drawn``), bias that jumps (``jump``), in the samples (``band``), ``outside``."""
+    """Draw an effect: ``shaped``, ``drawn`` at a size of its own, ``jump`` of a bias, in the samples (``band``), ``outside``, of an ``aid``."""
     unit, axis = world.unit, "xyz"[rng.integers(3)]
     sign = float(rng.choice([-1.0, 1.0]))
     if what in ("shaped", "outside"):
@@ -254,6 +258,8 @@ def draw_hidden(rng: np.random.Generator, world: World, what: str) -> Hidden:
         elif sensor == "imu":
             axis = ""
         return Hidden(effect, sensor, axis, {"value": sign * table[effect, sensor]})
+    if what == "aid":
+        return Hidden(*beside.draw_aid(rng, world))
     if what == "jump":
         sensor = str(rng.choice(["gyro", "accel"]))
         values = {"value": sign * JUMPS[sensor], "start": float(rng.uniform(0.2, 0.8) * world.sensed.t[-1])}
@@ -348,6 +354,7 @@ def record(world: World, hidden: Sequence[Hidden] = (), stated: float = 1.0) -> 
         "temperature": warm[every - 1 : count * every : every],
     }
     out = world.logger.logged({**out, **_fixes(world, hidden, stated)}, np.random.default_rng([world.seed, 7]))
+    out |= beside.arrays(world, hidden) if world.aids else {}
     return {**out, **(_start(world) if world.reference else {})}
 
 

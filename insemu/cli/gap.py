@@ -65,7 +65,7 @@ def command(
     from insemu.effects import EFFECTS
     from insemu.emulate import VEHICLES
     from insemu.errors import InputError, nearest
-    from insemu.gap import applied, find_gap, from_its_start, load_measured, load_nominal, write_refined
+    from insemu.gap import applied, find_gap, from_its_start, is_looked_at, load_measured, load_nominal, write_refined
     from insemu.whole import put
 
     if vehicle not in VEHICLES:
@@ -85,10 +85,12 @@ def command(
     data = load_measured(measured, rate_hz=units.parse(rate, "Hz") if rate else None)
     if "recording" not in nominal.raw:  # a scenario of a recording tells times by the recording's clock
         data = from_its_start(data)
-    if aids := getattr(data, "aids", ()):
-        kinds = ", ".join(sorted({aid.kind for aid in aids}))
+    other = sorted({aid.kind for aid in getattr(data, "aids", ()) if not is_looked_at(aid.kind)})
+    if other:
         Console(stderr=True).print(
-            f"{measured}: {kinds} not looked at: only IMU and fixes are", highlight=False, markup=False
+            f"{measured}: {', '.join(other)} not looked at: only IMU, fixes, odometer, barometer and heading are",
+            highlight=False,
+            markup=False,
         )
     with staged(Console(stderr=True), STAGES) as say:
         report = find_gap(

@@ -9,26 +9,25 @@ itself, and hidden in a blind trial: ``gnss.LeverArm`` is all about a wrong leve
     timing.py         the clock of the IMU
     gnss.py           the fixes and the antenna
     model.py          what a model of motion leaves out
+    aids.py           measurements beside the fixes
 
 :data:`EFFECTS` is the one list: the emulator, the scenario, the gap workflow, the trial and the tests of completeness go through it.
 """
 
 from collections.abc import Iterable
 
-from insemu.effects import deterministic, gnss, model, passes, samples, stochastic, timing
+from insemu.effects import aids, deterministic, gnss, model, passes, samples, stochastic, timing
+from insemu.effects.aids import AidErrors, aid_age, aid_corrected, aid_errors
 from insemu.effects.base import (
+    AID_KINDS,
     ASPECTS,
-    CELLS,
-    CROSS,
     EFFECTS,
     NED,
     RPY,
     SIGNAL_UNITS,
     XYZ,
     Effect,
-    EffectParameter,
     EffectUse,
-    Join,
     Stage,
     Trait,
     effect_of,
@@ -38,10 +37,11 @@ from insemu.effects.compensation import added_signal, columns_without, compensat
 from insemu.effects.deterministic import lagged
 from insemu.effects.gnss import LONGEST_ARM
 from insemu.effects.hiding import DriveLot, Hidden, RestLot
-from insemu.effects.motion import MOTION_HZ, Column, FixGeometry, Motion
+from insemu.effects.motion import MOTION_HZ, Column, FixGeometry, Motion, steady
+from insemu.effects.parameters import CELLS, CROSS, EffectParameter, Join
 
 EFFECTS.update(
-    {e.id: e for family in (stochastic, deterministic, samples, timing, gnss, model) for e in family.EFFECTS}
+    {e.id: e for family in (stochastic, deterministic, samples, timing, gnss, model, aids) for e in family.EFFECTS}
 )
 
 
@@ -98,6 +98,7 @@ def markdown_table() -> str:
 
 
 __all__ = [
+    "AID_KINDS",
     "ASPECTS",
     "CELLS",
     "CROSS",
@@ -108,6 +109,7 @@ __all__ = [
     "RPY",
     "SIGNAL_UNITS",
     "XYZ",
+    "AidErrors",
     "Chain",
     "Column",
     "DriveLot",
@@ -122,6 +124,9 @@ __all__ = [
     "Stage",
     "added_signal",
     "adds",
+    "aid_age",
+    "aid_corrected",
+    "aid_errors",
     "catalogue_columns",
     "columns_without",
     "compensated",
@@ -133,4 +138,5 @@ __all__ = [
     "lever_arm_of",
     "markdown_table",
     "passes",
+    "steady",
 ]

@@ -21,20 +21,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import units
+from insemu.effects.parameters import EffectParameter, Join
 from insemu.errors import InputError, nearest, shown
 from insemu.noise import Process
 
 if TYPE_CHECKING:
+    from insemu.effects.aids import AidErrors
     from insemu.effects.chain import Chain, FixErrors
     from insemu.effects.hiding import DriveLot, Hidden, RestLot
     from insemu.effects.motion import Column, FixGeometry, Motion
-    from insemu.records import GnssRecord, ImuRecord, Trajectory
+    from insemu.records import AidRecord, GnssRecord, ImuRecord, Trajectory
 
 Array = NDArray[np.float64]
-Family = Literal["stochastic", "deterministic", "timing", "gnss", "model"]
-Sensor = Literal["gyro", "accel", "imu", "gnss"]
-#: How the numbers of two finds of one effect become one number; "" where the two stay two entries.
-Join = Literal["", "sum", "product", "root_sum_square", "larger", "smaller", "later", "equal"]
+Family = Literal["stochastic", "deterministic", "timing", "gnss", "model", "aids"]
+AidKind = Literal["odometer", "barometer", "heading"]
+Sensor = Literal["gyro", "accel", "imu", "gnss", "odometer", "barometer", "heading"]
 #: What the program does with an effect; the columns of the matrix that a test walks.
 Aspect = Literal["emulate", "compensate", "signature", "candidate", "refine", "trial"]
 ASPECTS: tuple[Aspect, ...] = ("emulate", "compensate", "signature", "candidate", "refine", "trial")
@@ -50,8 +51,9 @@ ASPECTS: tuple[Aspect, ...] = ("emulate", "compensate", "signature", "candidate"
 #: noise      : its place is the noise model of an axis
 #: level      : a level of the fixes, which is estimated together with their colour
 #: second_order : a refinement of a plainer error, which is more common
-#: outlying   : some fixes are far off, and which ones is nobody's to know beforehand: a filter gates them
+#: outlying   : some fixes or measurements are far off, and which ones is nobody's to know beforehand: a filter gates them
 #: filled     : takes samples, in whose place others are put from those around them
+#: widened    : a filter without states for it widens what it believes; a search carries it in its model
 #: evident    : read off the samples or beside a recorded signal: nothing unexplained can stand in for it
 Trait = Literal[
     "slow",
@@ -66,18 +68,15 @@ Trait = Literal[
     "second_order",
     "outlying",
     "filled",
+    "widened",
     "evident",
 ]
 #: Columns that are tried together: axes, label, their places among the effect's columns.
 Subset = tuple[tuple[str, ...], str, list[int]]
 
-#: Cross-axis parameters (six): axis that errs, then axis that leaks into it.
-CROSS = ("xy", "xz", "yx", "yz", "zx", "zy")
-#: Cells of a 3 x 3 matrix row by row.
-CELLS = tuple(a + b for a in "xyz" for b in "xyz")
 XYZ, NED, RPY = ("x", "y", "z"), ("north", "east", "down"), ("roll", "pitch", "yaw")
-#: Units of the signals of the inertial sensors.
-SIGNAL_UNITS = {"gyro": "rad/s", "accel": "m/s^2"}
+#: Units of the signals of the inertial sensors and of the aids.
+SIGNAL_UNITS = {"gyro": "rad/s", "accel": "m/s^2", "odometer": "m/s", "barometer": "m", "heading": "rad"}
 DEG = math.pi / 180.0
 G = units.STANDARD_GRAVITY
 #: Why an effect of single samples has no column.
@@ -85,6 +84,8 @@ IN_SAMPLES = "seen in the samples, above the motion"
 BOTH: tuple[Sensor, ...] = ("gyro", "accel")
 IMU: tuple[Sensor, ...] = ("imu",)
 GNSS: tuple[Sensor, ...] = ("gnss",)
+#: Measurements beside the fixes that can have effects.
+AID_KINDS: tuple[AidKind, ...] = ("odometer", "barometer", "heading")
 
 
 class Stage(IntEnum):
@@ -101,53 +102,6 @@ class Stage(IntEnum):
     CLOCK = 8
     STAMP = 9
     LOSS = 10
-
-
-@dataclass(frozen=True)
-class EffectParameter:
-    """A number of an effect.
-
-    Parameters
-    ----------
-    name : str
-        Key in mappings and scenarios.
-    unit : str
-        SI unit; ``{s}`` stands for the unit of the sensor's signal (rad/s or m/s^2) and is empty for GNSS and timing.
-    size : int
-        1: one number; 3: one per axis (a single number is taken for all three); 6: one per cross-axis pair
-        (:data:`CROSS`); 9: a 3 x 3 matrix row by row (three numbers are its diagonal).
-    scale : tuple of float
-        Typical datasheet magnitude in SI: one for every sensor of the effect (``gyro, accel``) or one in all. The
-        priors of the gap workflow are multiples of it.
-    default : float or None
-        Value where none is given; None: must be given.
-    meaning : str
-        In words.
-    positive : bool
-        Whether negative values are refused.
-    join : str
-        How two finds add up, see :data:`Join`.
-    nothing : float
-        The value that does nothing.
-    most : float or None
-        Largest magnitude that is plausible, SI; a larger one is refused.
-    """
-
-    name: str
-    unit: str
-    size: int
-    scale: tuple[float, ...]
-    default: float | None
-    meaning: str
-    positive: bool = False
-    join: Join = ""
-    nothing: float = 0.0
-    most: float | None = None
-
-    def labels(self, axes: Sequence[str]) -> tuple[str, ...]:
-        """Names of its numbers, as findings have them: ``value_x``, ``value_xy``, ``tau``; ``axes`` are the effect's."""
-        names = {3: tuple(axes), 6: CROSS, 9: CELLS}.get(self.size, ())
-        return tuple(f"{self.name}_{a}" for a in names) or (self.name,)
 
 
 class Effect:
@@ -213,7 +167,7 @@ class Effect:
     def scale(self, parameter: str, sensor: str) -> float:
         """Datasheet magnitude of a parameter for a sensor, SI."""
         scales = self.parameter(parameter).scale
-        return scales[-1] if sensor == "accel" else scales[0]
+        return scales[self.sensors.index(sensor)] if len(scales) > 1 and sensor in self.sensors else scales[0]
 
     @property
     def compensable(self) -> bool:
@@ -251,6 +205,23 @@ class Effect:
         rng : Generator
             Of this effect alone.
         """
+        raise NotImplementedError(self.id)
+
+    def inject_aid(self, errors: AidErrors, use: EffectUse, rng: np.random.Generator) -> None:
+        """Do to what an aid measures what a use says; for effects of aids.
+
+        Parameters
+        ----------
+        errors : AidErrors
+            Changed in place.
+        use : EffectUse
+        rng : Generator
+            Of this effect alone.
+        """
+        raise NotImplementedError(self.id)
+
+    def age(self, use: EffectUse) -> float:
+        """By what a measurement of an aid is older than its stamp, s."""
         raise NotImplementedError(self.id)
 
     # -- compensate: what a filter that knows it does to its data; at most a few of these ---------------------------------------------
@@ -333,6 +304,10 @@ class Effect:
         """
         raise NotImplementedError(self.id)
 
+    def corrected_aid(self, use: EffectUse, aid: AidRecord) -> AidRecord:
+        """An aid put right."""
+        raise NotImplementedError(self.id)
+
     def true_sigma(self, use: EffectUse, what: str, stated: Array) -> Array:
         """Standard deviations of the fixes as they are.
 
@@ -367,6 +342,20 @@ class Effect:
         motion, fixes : Motion, FixGeometry
         """
         raise NotImplementedError(self.id)
+
+    def aid_columns(self, values: Array, slope: Array) -> dict[str, Array]:
+        """What a unit of each of its numbers adds to an aid, (n, rows), for effects of aids whose shape is known.
+
+        Parameters
+        ----------
+        values, slope : (n, rows) arrays
+            What a perfect instrument measures, and its rate of change, SI.
+        """
+        raise NotImplementedError(self.id)
+
+    def settled_with(self, values: Array) -> dict[str, float]:
+        """Numbers that an estimate from :meth:`aid_columns` goes with; none of most."""
+        return {}
 
     def subsets(self, columns: Sequence[Column]) -> list[Subset]:
         """Which of its columns on one sensor a search tries together: each alone, and all."""
@@ -420,6 +409,7 @@ INVERSES = (
     "omitted",
     "corrected_fixes",
     "corrected_along",
+    "corrected_aid",
     "arm",
 )
 _JOINED: Mapping[Join, Any] = {
@@ -446,7 +436,7 @@ class EffectUse:
     id : str
         Key of :data:`EFFECTS`.
     sensor : str
-        ``gyro``, ``accel``, ``imu`` or ``gnss``.
+        ``gyro``, ``accel``, ``imu``, ``gnss``, or an aid: ``odometer``, ``barometer``, ``heading``.
     values : mapping of str to tuple of float
         Every parameter in SI, with as many numbers as the table says.
 
@@ -476,6 +466,11 @@ class EffectUse:
 
     def __getitem__(self, name: str) -> tuple[float, ...]:
         return self.values[name]
+
+    @property
+    def inertial(self) -> bool:
+        """Whether it is an effect of the IMU."""
+        return self.sensor in ("gyro", "accel", "imu")
 
     def scalar(self, name: str) -> float:
         """A parameter of one number."""

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu import earth, rotation
+from insemu.effects.aids import aid_corrected
 from insemu.effects.base import EffectUse, Stage
 from insemu.effects.motion import acceleration_along, steady, swing_along
 from insemu.errors import InputError
@@ -66,9 +67,7 @@ def compensated(
     for use in effects:
         if use.effect.does("restored"):
             imu = use.effect.restored(use, imu)
-    inertial = [
-        use for use in effects if use.sensor != "gnss" and use.effect.compensable and not use.effect.does("restored")
-    ]
+    inertial = [use for use in effects if use.inertial and use.effect.compensable and not use.effect.does("restored")]
     if inertial:
         imu = _imu(imu, inertial, trajectory)
     for use in sorted((use for use in effects if use.sensor == "gnss"), key=_place):
@@ -79,7 +78,8 @@ def compensated(
         moved = _moved(imu, _given(trajectory, along[0]), lever_arm)
         for use in along:
             gnss = use.effect.corrected_along(use, gnss, *moved)
-    return replace(recording, imu=imu, gnss=gnss)
+    aids = tuple(aid_corrected(aid, effects, float(recording.imu.t[0])) for aid in recording.aids)
+    return replace(recording, imu=imu, gnss=gnss, aids=aids)
 
 
 def _given(trajectory: Trajectory | None, use: EffectUse) -> Trajectory:

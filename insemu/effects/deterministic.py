@@ -10,24 +10,11 @@ from numpy.typing import NDArray
 
 from insemu import earth, rotation
 from insemu.effects import passes
-from insemu.effects.base import (
-    BOTH,
-    CELLS,
-    CROSS,
-    DEG,
-    IMU,
-    RPY,
-    XYZ,
-    Effect,
-    EffectParameter,
-    EffectUse,
-    G,
-    Stage,
-    Subset,
-)
+from insemu.effects.base import BOTH, DEG, IMU, RPY, XYZ, Effect, EffectUse, G, Stage, Subset
 from insemu.effects.chain import Chain
 from insemu.effects.hiding import DriveLot, Hidden, RestLot, at
 from insemu.effects.motion import Column, FixGeometry, Motion, first_axis
+from insemu.effects.parameters import CELLS, CROSS, EffectParameter
 from insemu.errors import InputError
 
 Array = NDArray[np.float64]

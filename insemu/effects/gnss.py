@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu import earth
-from insemu.effects.base import GNSS, NED, XYZ, Effect, EffectParameter, EffectUse, Stage, Subset
+from insemu.effects.base import GNSS, NED, XYZ, Effect, EffectUse, Stage, Subset
 from insemu.effects.chain import FixErrors
 from insemu.effects.hiding import DriveLot, Hidden, at
 from insemu.effects.motion import Column, FixGeometry, Motion, smoothed_slope, swing_along
+from insemu.effects.parameters import EffectParameter
 from insemu.errors import InputError
 from insemu.records import GnssRecord
 

@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import earth, rotation
-from insemu.effects.base import IMU, Effect, EffectParameter, EffectUse, Stage
+from insemu.effects.base import IMU, Effect, EffectUse, Stage
 from insemu.effects.chain import Chain
 from insemu.effects.hiding import DriveLot, Hidden
 from insemu.effects.motion import Column, FixGeometry, Motion, on_axes
+from insemu.effects.parameters import EffectParameter
 from insemu.records import Trajectory
 
 Array = NDArray[np.float64]

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from insemu.effects.base import BOTH, DEG, IMU, IN_SAMPLES, Effect, EffectParameter, EffectUse, G, Stage
+from insemu.effects.base import BOTH, DEG, IMU, IN_SAMPLES, Effect, EffectUse, G, Stage
 from insemu.effects.chain import Chain
 from insemu.effects.hiding import DriveLot, Hidden, RestLot
+from insemu.effects.parameters import EffectParameter
 from insemu.lost import restored
 from insemu.records import ImuRecord
 

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.effects import passes
-from insemu.effects.base import BOTH, DEG, IN_SAMPLES, Effect, EffectParameter, EffectUse, G, Stage
+from insemu.effects.base import BOTH, DEG, IN_SAMPLES, Effect, EffectUse, G, Stage
 from insemu.effects.chain import Chain
 from insemu.effects.hiding import DriveLot, Hidden, RestLot
+from insemu.effects.parameters import EffectParameter
 from insemu.errors import InputError
 from insemu.noise import AR, BI, DR, GM, QN, RW, SIN, WN, Follows, Process
 from insemu.noise.compiled import rational_filter, standard_normal

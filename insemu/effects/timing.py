@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.effects.base import IMU, Effect, EffectParameter, EffectUse, Stage
+from insemu.effects.base import IMU, Effect, EffectUse, Stage
 from insemu.effects.chain import Chain
 from insemu.effects.hiding import DriveLot, Hidden
 from insemu.effects.motion import Column, FixGeometry, Motion, on_axes
+from insemu.effects.parameters import EffectParameter
 from insemu.errors import InputError
 
 Array = NDArray[np.float64]
@@ -107,6 +108,21 @@ class TimeJitter(Effect):
             raise InputError(
                 f"effect 'time_jitter': a sigma of {use.scalar('sigma'):g} s makes stamps go back at intervals of {chain.dt:g} s"
             )
+
+
+def stamped_back(use: EffectUse, t: Array, first: float) -> Array:
+    """True times (n,) of stamps of something else on the clock of an IMU, s.
+
+    Parameters
+    ----------
+    use : EffectUse
+        Of that clock.
+    t : (n,) array
+        s.
+    first : float
+        First stamp of the IMU, s.
+    """
+    return np.asarray(use.effect.true_time(use, np.concatenate([[first], t]))[1:])
 
 
 EFFECTS: tuple[Effect, ...] = (TimeOffset(), ClockDrift(), TimeJitter())

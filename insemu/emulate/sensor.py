@@ -136,8 +136,8 @@ def corrupt(
     rng : numpy.random.Generator
         Each axis and each effect draws from its own child.
     effects : sequence of EffectUse
-        Effects of the sensors ``gyro``, ``accel`` and ``imu``; those of ``gnss`` are passed over
-        (:func:`~insemu.emulate.gnss_fixes` takes them). They act in the order of the signal chain, whatever their
+        Effects of the sensors ``gyro``, ``accel`` and ``imu``; those of ``gnss`` and of aids are
+        passed over (:func:`~insemu.emulate.gnss_fixes` takes them). They act in the order of the signal chain, whatever their
         order here.
     reference : Trajectory, optional
         At the rows of the record; needed by effects that depend on motion, attitude or place.
@@ -166,7 +166,7 @@ def corrupt(
         drawn = np.asarray(errors, dtype=float)
         if drawn.shape != (n, 6):
             raise InputError(f"errors have shape {drawn.shape}, expected ({n}, 6)")
-    inertial = [use for use in effects if use.sensor != "gnss"]
+    inertial = [use for use in effects if use.inertial]
     if not inertial and temperature is None:
         return Corrupted(_add(imu, drawn), drawn, components, np.arange(n))
 

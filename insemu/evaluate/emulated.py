@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import earth, rotation
-from insemu.effects import EFFECTS
+from insemu.effects import EFFECTS, aid_age
 from insemu.emulate import (
     AreaOutage,
     ErrorPieces,
@@ -234,7 +234,7 @@ class EmulatedWorld:
         ideal : bool
             Perfect sensors instead: no errors on the IMU or the fixes, the outages kept.
         """
-        return self._given(realization, self.imu, ideal=True) if ideal else self.realized(realization)[0]
+        return self._given(realization, self.imu) if ideal else self.realized(realization)[0]
 
     def realized(self, realization: int) -> tuple[Recording, TrueStates | None]:
         """What the sensors give in one realization, and what their axes err by at the output epochs apart from white noise, where that is known.
@@ -242,7 +242,7 @@ class EmulatedWorld:
         Deterministic effects count. It is not known for recorded errors, for effects that are noise themselves or move the samples.
         """
         errors, known = self.pieces.piece(realization)
-        imu: ImuRecord = corrupt(
+        made = corrupt(
             self.imu,
             None,
             stream(self.scenario.seed, "effects", realization),
@@ -250,8 +250,9 @@ class EmulatedWorld:
             reference=self.reference,
             temperature=self.truth.temperature,
             errors=errors,
-        ).imu
-        uses = [use for use in self.truth.effects if use.sensor != "gnss"]
+        )
+        imu: ImuRecord = made.imu
+        uses = [use for use in self.truth.effects if use.inertial]
         if known is not None and uses:
             if any(EFFECTS[use.id].family == "stochastic" for use in uses) or not np.array_equal(imu.t, self.imu.t):
                 known = None
@@ -259,13 +260,16 @@ class EmulatedWorld:
                 rows = np.searchsorted(self.reference.t, self.output_times)
                 added = np.hstack([imu.gyro - self.imu.gyro, imu.accel - self.imu.accel]) / imu.widths(0.0)
                 known = TrueStates(known.axes + added[rows] - errors[rows], None, known.names)
-        return self._given(realization, imu), known
+        return self._given(realization, imu, made.kept), known
 
-    def _given(self, realization: int, imu: ImuRecord, *, ideal: bool = False) -> Recording:
-        """A recording with this IMU."""
-        s = self.scenario
+    def _given(self, realization: int, imu: ImuRecord, kept: NDArray[np.intp] | None = None) -> Recording:
+        """A recording with this IMU, of which some rows were kept; without these everything is perfect."""
+        s, ideal = self.scenario, kept is None
         fixes = self.fixes(stream(s.seed, "gnss", realization), ideal=ideal)
         aids = tuple(self._aid(use, None if ideal else realization) for use in s.aids)
+        if kept is not None and any(use.effect.does("true_time") for use in self.truth.effects):
+            # aids are on the IMU's clock
+            aids = tuple(replace(a, t=np.interp(a.t, self.imu.t[kept], imu.t)) for a in aids)
         return Recording(imu, fixes, self.reference, f"{self.flight.name}, realization {realization}", aids)
 
     def fixes(self, rng: np.random.Generator, *, ideal: bool = False) -> GnssRecord:
@@ -291,13 +295,14 @@ class EmulatedWorld:
 
     def _aid(self, use: AidUse, realization: int | None) -> AidRecord:
         """What an aid says in one realization, by its own stream whatever other aids there are; perfect where there is none."""
-        t = use.times(self.reference.t)
-        llh, velocity, q, rate = state_at(self.reference, t)
+        t, name = use.times(self.reference.t), use.aid.name
+        effects = () if realization is None else self.truth.effects
+        late = np.clip(t - aid_age(name, effects), self.reference.t[0], self.reference.t[-1])
+        llh, velocity, q, rate = state_at(self.reference, late)
         motion = TrueMotion(llh, velocity, rotation.dcm_from_quaternion(q), rate)
-        name = crc32(use.aid.name.encode())
-        return use.record(
-            t, motion, None if realization is None else stream(self.scenario.seed, "aids", realization, name)
-        )
+        index = crc32(name.encode())
+        rng = None if realization is None else stream(self.scenario.seed, "aids", realization, index)
+        return use.record(t, motion, rng, effects)
 
     @property
     def rate_hz(self) -> float:

@@ -340,7 +340,7 @@ class Experiment:
         rows = self.world.rows(known.imu, max(d.options.covariance_every for d in self.scenario.designs.values()))
         times = known.imu.t[rows]
         ekf, unaided = self._ready(name, times, rows, self._rests(name, known))
-        aids = {"aids": recording.aids} if recording.aids else {}  # a user's filter need not know of them
+        aids = {"aids": known.aids} if known.aids else {}  # a user's filter need not know of them
         imu = self._prefiltered(name, self.world.imu_for(known.imu, ekf))
         run = ekf.run(imu, self.believed(name, known.gnss), start, start_sigma, **aids)
         if (users := self.scenario.designs[name].filter) is not None:

@@ -1,8 +1,8 @@
 """Filters: the loosely coupled, closed-loop error-state EKF in one compiled loop."""
 
 from insemu.augment import Extras
-from insemu.filters.aid import Aid, AidUse, TrueMotion
-from insemu.filters.aids import AIDS, Standstill
+from insemu.filters.aid import SETTINGS, Aid, AidUse, TrueMotion
+from insemu.filters.aids import AIDS, Standstill, aid_jacobian
 from insemu.filters.alignment import (
     Alignment,
     StartBelief,
@@ -31,6 +31,7 @@ from insemu.filters.protocol import (
 )
 from insemu.filters.rest import never_moves, rests
 from insemu.filters.results import FilterResult, FixTable, Nodes, log_density
+from insemu.filters.smoothed import cross_covariance, smoothed_at
 from insemu.filters.smoother import SmootherResult, smooth
 from insemu.filters.start import start
 from insemu.filters.twin import LinearErrors, driven, step_matrices
@@ -39,6 +40,7 @@ __all__ = [
     "AIDS",
     "GPU_THREADS",
     "SAME_TIME",
+    "SETTINGS",
     "Aid",
     "AidUse",
     "Alignment",
@@ -60,10 +62,12 @@ __all__ = [
     "Standstill",
     "StartBelief",
     "TrueMotion",
+    "aid_jacobian",
     "align",
     "align_at_rest",
     "align_in_motion",
     "check_result",
+    "cross_covariance",
     "cut",
     "driven",
     "error_maps",
@@ -79,6 +83,7 @@ __all__ = [
     "run_filter",
     "sigma_of_fixes",
     "smooth",
+    "smoothed_at",
     "start",
     "step_matrices",
     "uncertainty",

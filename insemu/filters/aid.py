@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu.effects import EffectUse, aid_errors
 from insemu.errors import InputError, nearest
 from insemu.records import AidRecord
 from insemu.units import parse
@@ -115,15 +116,31 @@ class AidUse:
         """When it measures within the epochs ``t`` (n,) of an IMU, s."""
         return np.arange(t[0] + 1.0 / self.rate, t[-1], 1.0 / self.rate)
 
-    def record(self, t: Array, motion: TrueMotion, rng: np.random.Generator | None) -> AidRecord:
-        """What it measures of a motion at the times ``t`` (n,), with white noise; without a generator, perfectly."""
+    def record(
+        self, t: Array, motion: TrueMotion, rng: np.random.Generator | None, effects: Sequence[EffectUse] = ()
+    ) -> AidRecord:
+        """What it measures of a motion, with white noise; without a generator, perfectly.
+
+        Parameters
+        ----------
+        t : (n,) array
+            Stamps, s.
+        motion : TrueMotion
+            When it measured.
+        rng : Generator or None
+        effects : sequence of EffectUse
+            What it errs by; those of other sensors are passed over.
+        """
         assert self.aid.truth is not None
         settings = np.zeros(SETTINGS)
         settings[: len(self.settings)] = self.settings
         values = self.aid.truth(motion, settings)
         std = np.broadcast_to(self.sigma, values.shape)
-        noise = 0.0 if rng is None else std * rng.standard_normal(values.shape)
-        return AidRecord(self.aid.name, t, values + noise, std, self.settings)
+        if rng is None:
+            return AidRecord(self.aid.name, t, values, std, self.settings)
+        noise = std * rng.standard_normal(values.shape)
+        errors = aid_errors(self.aid.name, t, values, effects, rng)
+        return AidRecord(self.aid.name, t, errors.values + errors.level * noise + errors.added, std, self.settings)
 
 
 def _numbers(given: Any, wanted: list[str], key: str) -> tuple[float, ...]:

@@ -121,6 +121,25 @@ def _gain(after: Array, Phi: Array, before: Array, scale: Array, U: Array, Dt: A
     return True
 
 
+def smoother_gain(after: Array, Phi: Array, before: Array) -> Array:
+    """The smoother's gain (n, n): what an error of the node after says of that of a node.
+
+    Parameters
+    ----------
+    after : (n, n) array
+        Covariance of the node after its update.
+    Phi : (n, n) array
+        Transition to the node after it.
+    before : (n, n) array
+        Covariance of that node before its update.
+    """
+    n = after.shape[0]
+    U, Dt, scale = np.empty((n, n)), np.empty((n, n)), np.empty(n)
+    if not _gain(after, Phi, before, scale, U, Dt):
+        Dt = _singular_gain(after, Phi, before)
+    return Dt.T
+
+
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def _back(
     i: int, Dt: Array, before: Array, correction: Array, P: Array, nav: Array, states: Array, error: Array, work: Array

@@ -10,6 +10,7 @@ from insemu.gap.candidates.axis import register
 from insemu.gap.data.sources import StaticLog, from_its_start, load_measured
 from insemu.gap.experiment import NextExperiment, design, experiment_said, write_experiment
 from insemu.gap.policy import Policy, rules
+from insemu.gap.problems.aids import is_looked_at
 from insemu.gap.problems.rest import find_static_gap
 from insemu.gap.session import applied, find_gap, with_only
 from insemu.gap.verdict import Finding, GapReport, Interval, Member, Value, Where
@@ -31,6 +32,7 @@ __all__ = [
     "find_gap",
     "find_static_gap",
     "from_its_start",
+    "is_looked_at",
     "load_measured",
     "load_nominal",
     "refined_nominal",

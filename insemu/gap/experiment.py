@@ -19,7 +19,7 @@ import yaml
 from numpy.typing import NDArray
 
 from insemu import earth
-from insemu.effects import EFFECTS, EffectUse
+from insemu.effects import AID_KINDS, EFFECTS, EffectUse
 from insemu.emulate import VEHICLES, Mounting, Waypoints, corrupt, gnss_fixes, ideal_imu, route
 from insemu.errors import InputError
 from insemu.gap.beliefs.nominal import Nominal
@@ -288,7 +288,9 @@ def design(
 
 def _classes(report: GapReport) -> list[Finding]:
     """The classes that the innovations of a drive show, the most costly first."""
-    return sorted((f for f in report.findings if f.is_class), key=lambda f: -np.nan_to_num(f.metres))
+    return sorted(
+        (f for f in report.findings if f.is_class and f.sensor not in AID_KINDS), key=lambda f: -np.nan_to_num(f.metres)
+    )
 
 
 def _keys(finding: Finding) -> list[Key]:
@@ -357,7 +359,7 @@ class _Asked:
         models, uses = (dict(nominal.beliefs), list[EffectUse]()) if truth is None else _with(nominal.beliefs, truth)
         imu_rng, gnss_rng = rng.spawn(2)
         imu = corrupt(
-            ideal.imu, models, imu_rng, effects=[u for u in uses if u.sensor != "gnss"], reference=ideal.reference
+            ideal.imu, models, imu_rng, effects=[u for u in uses if u.inertial], reference=ideal.reference
         ).imu
         fixes = gnss_fixes(
             ideal.reference, f.rate_hz, f.sigma, f.sigma_v, nominal.gnss.lever_arm, rng=gnss_rng,

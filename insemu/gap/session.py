@@ -19,6 +19,7 @@ from insemu.gap.candidates.timing import find_times
 from insemu.gap.data.sources import StaticLog
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.policy import Policy, rules, under
+from insemu.gap.problems.aids import Looked, aids_looked_at
 from insemu.gap.problems.findings import with_effect
 from insemu.gap.problems.known import both_told, drive_without, in_imu_axes, static_without, struck_out
 from insemu.gap.problems.rest import find_static_gap
@@ -165,10 +166,26 @@ def _drive(
         return find_dynamic_gap(recording, moved, rng=rng, without=skip, hold_out=False, progress=say)
 
     out, refined = _looked_closer(measured, nominal, out, search, [s.effect for s in early], say)
-    if not pictures:
+    if not (pictures or measured.aids):
         return out
     after = Flown.of(*(refined or _refined(measured, nominal, out))) if out.findings else first
+    if measured.aids:
+        out = _with_aids(out, aids_looked_at(after.prepared, after.recording.aids, without, say))
+    if not pictures:
+        return out
     return replace(out, curves={**out.curves, "drive": _pictures(first, after, nominal)})
+
+
+def _with_aids(report: GapReport, looked: Looked) -> GapReport:
+    """A report with what was found of the aids behind what IMU and fixes show: these are not judged by aids."""
+    alone = report.verdict == "nothing missing" and looked.findings
+    return replace(
+        report,
+        verdict=judged(looked.findings, "") if alone else report.verdict,
+        findings=(*report.findings, *looked.findings),
+        where=tuple(sorted((*report.where, *looked.where), key=lambda w: w.p_value)),
+        after=tuple(sorted((*report.after, *looked.after), key=lambda w: w.p_value)),
+    )
 
 
 def _looked_closer(

@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
+from insemu.effects import AID_KINDS
 from insemu.gap.policy import Policy
 from insemu.noise import NoiseModel
 from insemu.shown import Shown, few
@@ -106,7 +107,7 @@ class Finding:
     Parameters
     ----------
     effect, variant, sensor, axes
-        Catalogue id, its shape, the sensor (``gyro``, ``accel``, ``gnss``, ``imu``) and the axes.
+        Catalogue id, its shape, the sensor (``gyro``, ``accel``, ``gnss``, ``imu``, or an aid such as ``odometer``) and the axes.
     parameters : tuple of Value
         SI, with 95 % intervals.
     confidence : float
@@ -123,6 +124,9 @@ class Finding:
         Effects that would stand beside it in a tenth or more of repetitions of the recording, most often first.
     metres : float
         Horizontal position error that it leaves at the end of a minute without fixes, m; NaN where nobody says.
+    aided_nees : float
+        Of a finding about an aid: NEES of the horizontal position per degree of freedom at the end of a minute without fixes, of a filter that has
+        the aid and lacks this finding; NaN of others.
     white : tuple of float
         White noise that it adds to each of the six axes of a filter, squared, where it is none of the sensor: (rad/s)^2/Hz and (m/s^2)^2/Hz.
     """
@@ -140,6 +144,7 @@ class Finding:
     doubtful: bool = False
     confusable: tuple[Confusable, ...] = ()
     metres: float = math.nan
+    aided_nees: float = math.nan
     white: tuple[float, ...] = ()
 
     def doubted(self) -> Finding:
@@ -154,7 +159,7 @@ class Finding:
     @property
     def is_setting(self) -> bool:
         """Whether it is a level that was believed or stated too large or too small, and nothing else could stand for it: a number to set."""
-        levels = self.effect in ("gnss_noise_level", "white_noise") or (
+        levels = self.effect in ("white_noise", f"{self.sensor}_noise_level") or (
             self.effect == "gnss_velocity_noise" and {v.name for v in self.parameters} == {"factor"}
         )
         return levels and not self.is_class and not self.doubtful
@@ -286,7 +291,7 @@ class GapReport(Shown):
     verdict : str
         ``nothing missing``, ``named``, ``class`` or ``unexplained``.
     findings : tuple of Finding
-        Effects found, strongest first.
+        Effects found, strongest first; those of aids behind the others.
     where, after : tuple of Where
         Disagreement of the nominal and of the refined model with the recording, most significant first.
     gap_before, gap_after : Interval
@@ -332,8 +337,11 @@ class GapReport(Shown):
     def nees(self, finding: Finding) -> float:
         """NEES of the horizontal position per degree of freedom at the end of a minute without fixes, of a filter that lacks this finding alone.
 
-        One and what the finding is worth over what the filter states, as squares; NaN where either is not known.
+        One and what the finding is worth over what the filter states, as squares; NaN where either is not known. A finding about an aid has its
+        own, of the filter that has the aid.
         """
+        if math.isfinite(finding.aided_nees) or finding.sensor in AID_KINDS:
+            return finding.aided_nees
         return 1.0 + (finding.metres / self.stated_60s) ** 2
 
     def numbered(self) -> list[tuple[int, Finding]]:

@@ -88,6 +88,20 @@ _ACTIONS = {
     "gnss_outliers": "gate the fixes: {}",
     "gnss_velocity_outliers": "gate the velocities of the fixes: {}",
     "gnss_multipath_step": "leave these fixes out: {}",
+    "odometer_scale_factor": "correct the wheel's scale factor: {}",
+    "odometer_misalignment": "turn the odometer's axes by {}",
+    "barometer_offset": "take {} off the barometric height",
+    "barometer_scale_factor": "correct the scale factor of the barometric height: {}",
+    "heading_offset": "take {} off the heading",
+    "heading_deviation": "compensate the compass: {}",
+    "aid_lag": "use the measurements earlier than stamped by {}",
+    "odometer_noise_level": "multiply the odometer's standard deviations by {}",
+    "barometer_noise_level": "multiply the barometer's standard deviation by {}",
+    "heading_noise_level": "multiply the heading's standard deviation by {}",
+    "odometer_correlated_noise": "trust the odometer less, its errors last: {}",
+    "barometer_correlated_noise": "trust the barometer less, its errors last: {}",
+    "heading_correlated_noise": "trust the heading less, its errors last: {}",
+    "aid_outliers": "gate the measurements: {}",
 }
 
 

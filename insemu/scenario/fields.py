@@ -28,7 +28,7 @@ from pydantic import (
 from pydantic_core import CoreSchema, core_schema
 
 from insemu import units
-from insemu.effects import EFFECTS, EffectUse
+from insemu.effects import AID_KINDS, EFFECTS, EffectUse
 from insemu.errors import InputError, nearest, shown
 from insemu.filters import AIDS, AidUse
 from insemu.noise import NoiseModel
@@ -315,7 +315,7 @@ EffectList = Annotated[
                 "type": "object",
                 "properties": {
                     "effect": {"type": "string", "enum": sorted(EFFECTS)},
-                    "sensor": {"type": "string", "enum": ["gyro", "accel", "imu", "gnss"]},
+                    "sensor": {"type": "string", "enum": ["gyro", "accel", "imu", "gnss", *AID_KINDS]},
                     "axes": {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]},
                 },
                 "required": ["effect"],

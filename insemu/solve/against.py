@@ -64,7 +64,7 @@ def compare_with(solution: Solution, scenario: str | Path, *, workers: int = 1) 
         known = experiment.compensated(name, flown, start, sigma)
         assert known.gnss is not None
         imu = world.imu_for(known.imu, ekf)
-        run = ekf.run(imu, experiment.believed(name, known.gnss), start, sigma, aids=flown.aids)
+        run = ekf.run(imu, experiment.believed(name, known.gnss), start, sigma, aids=known.aids)
         found[name] = cut_everywhere(ekf, run, imu, fixes, workers=workers)
     same = set.intersection(*(set(_seconds(o)) for o in (solution.taken.outages, *found.values())))
     if not same:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -176,7 +176,8 @@ def _reasons(
     if not factors:
         return (), {}
     say("looking for reasons")
-    report = find_gap(measured, nominal, rng=rng, hold_out=False, pictures=False, progress=say)
+    # aids say nothing of the levels of IMU and fixes
+    report = find_gap(replace(measured, aids=()), nominal, rng=rng, hold_out=False, pictures=False, progress=say)
     shares, before = [], found
     for number, finding in enumerate(report.findings[:MOST_REASONS], 1):
         say(f"factors without {finding.effect}")

@@ -76,7 +76,7 @@ class Stage:
             Amplitude of it: m, or rad/s.
         """
         imu_rng, gnss_rng, own = np.random.default_rng([self.seed, 7]).spawn(3)
-        inertial = [u for u in effects if u.sensor != "gnss"]
+        inertial = [u for u in effects if u.inertial]
         imu = corrupt(
             self.imu, self.truth, imu_rng, effects=inertial, reference=self.motion, temperature=self.temperature
         ).imu

@@ -181,7 +181,7 @@ class Twin:
         of_imu, of_fixes = np.random.default_rng([seed, number]).spawn(2)
         effects = self.model.effects
         imu = corrupt(
-            self.imu, self.model.beliefs, of_imu, effects=[u for u in effects if u.sensor != "gnss"], reference=self.motion,
+            self.imu, self.model.beliefs, of_imu, effects=[u for u in effects if u.inertial], reference=self.motion,
             temperature=self.measured.imu.temperature,
         ).imu  # fmt: skip
         g = self.gnss

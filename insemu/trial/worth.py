@@ -125,9 +125,7 @@ def drawn_outliers(s: Stage, uses: Sequence[EffectUse], k: int) -> float:
     # as many draws of everything, so that only the outliers differ
     none = replace(own, values={**own.values, "sigma": tuple(1e-12 * v for v in own["sigma"])})
     some = [
-        u
-        for u in uses
-        if u.sensor != "gnss" and u.id not in ("saturation", "quantization", "dropped_samples", "clock_drift")
+        u for u in uses if u.inertial and u.id not in ("saturation", "quantization", "dropped_samples", "clock_drift")
     ]
     made, without = (s.record([v if u is own else u for u in some]).imu for v in (own, none))
     d = (getattr(made, own.sensor) - getattr(without, own.sensor))[:, axis] / made.widths()[:, 0]

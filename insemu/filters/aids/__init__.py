@@ -15,10 +15,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from insemu.filters.aid import Aid
+from insemu.filters.aid import SETTINGS, Aid
 from insemu.filters.aids.standstill import Standstill
+from insemu.records import AidRecord
 
-__all__ = ["AIDS", "CODES", "Standstill", "fill_aid"]
+__all__ = ["AIDS", "CODES", "Standstill", "aid_jacobian", "fill_aid"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -97,3 +98,38 @@ def fill_aid(
     H[:, :] = 0.0
     R[:, :] = 0.0
     _fill(kind, nav, nav_before, dt, tau, mean_rate, count, white, c_of, axis, z, settings, nu, H, R)
+
+
+def aid_jacobian(aid: AidRecord, nav: Array) -> Array:
+    """What each row of an aid moves by errors of the navigation, (rows, 9).
+
+    Parameters
+    ----------
+    aid : AidRecord
+        Of which kind and settings count.
+    nav : (10,) array
+        Navigation state.
+    """
+    w = len(AIDS[aid.kind].rows)
+    settings, state = np.zeros(SETTINGS), np.zeros(13)
+    settings[: len(aid.settings)], state[:10] = aid.settings, nav
+    nu, H, R = np.empty(w), np.empty((w, 9)), np.empty((w, w))
+    none, nobody = np.zeros(0), np.zeros(0, dtype=np.int64)
+    fill_aid(
+        CODES[aid.kind],
+        state,
+        state,
+        1.0,
+        0.0,
+        np.zeros(3),
+        1,
+        np.zeros(6),
+        none,
+        nobody,
+        np.zeros(w),
+        settings,
+        nu,
+        H,
+        R,
+    )
+    return H

@@ -166,6 +166,12 @@ class Prepared:
             steadied=_moved(bare, steady), raised=_raised(bare, steady),
         )  # fmt: skip
 
+    def densely(self, node_every: float) -> FilterResult:
+        """The same run with nodes at least every so many seconds."""
+        fixes = scaled_fixes(self.gnss, self.factors)
+        start = _levelled(self.start, self.first, self.factors)
+        return _run(self.imu, fixes, start, self.beliefs, self.lever_arm, node_every)
+
     @property
     def motion(self) -> Motion:
         """The motion that the filter estimated, less the noise that is believed."""
@@ -200,11 +206,12 @@ def _run(
     start: tuple[NavState, InitialSigma],
     beliefs: dict[str, NoiseModel],
     lever_arm: Array,
+    node_every: float = NODE_S,
 ) -> FilterResult:
     span = float(imu.t[-1] - imu.t[0])
     usable = {name: for_filter(model, imu.dt, span) for name, model in beliefs.items()}
     every = max(1, int(COVARIANCE_S / imu.dt + 1e-9))
-    options = FilterOptions(store="fixes", node_every=NODE_S, covariance_every=every)
+    options = FilterOptions(store="fixes", node_every=node_every, covariance_every=every)
     return run_filter(imu, gnss, *start, usable, lever_arm=lever_arm, options=options)
 
 

@@ -166,7 +166,9 @@ def drive_without(
             changes[f"{what}_sigma"] = tuple(float(s) for s in sigma)
     moved = replace(nominal, gnss=g.model_copy(update=changes))
     motion = recording.reference or (lambda rest: _estimated(rest, moved))
-    taken = [use for use in effects if filled or not use.effect.does("restored")]
+    taken = [
+        use for use in effects if (filled or not use.effect.does("restored")) and "widened" not in use.effect.traits
+    ]
     out = compensated(recording, taken, trajectory=motion, lever_arm=moved.gnss.lever_arm)
     told = {k: _stamps(out, k)[at] for k, at in (gone or {}).items()}
     return _without_outliers(out, moved, colour_of(effects), told) if again else _struck_out(out, told), moved

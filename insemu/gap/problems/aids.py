@@ -1,0 +1,538 @@
+"""What aids are off by: an odometer, a barometer, a heading held against the smoothed run of IMU and fixes, which does not use them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import scipy.stats
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from insemu import earth
+from insemu.effects import AID_KINDS, EFFECTS, EffectUse, Stage, aid_corrected
+from insemu.filters import AIDS, FilterOptions, FilterResult, run_filter
+from insemu.gap.beliefs.refined import uses_of
+from insemu.gap.drive.beside import Measured, Shown, Smoothed
+from insemu.gap.drive.preparation import Prepared, for_filter, scaled_fixes
+from insemu.gap.evidence.beside import AidModel
+from insemu.gap.hypothesis import class_of, probabilities
+from insemu.gap.policy import rules
+from insemu.gap.verdict import Finding, Member, Value, Where
+from insemu.gap.worth import OUTAGE_S
+from insemu.records import AidRecord
+
+Array = NDArray[np.float64]
+
+#: Effects that one aid can have at the most.
+MOST_STEPS = 8
+#: How often an aid is put right by sizes that moved, and by how much they may still be off, in standard deviations.
+MOST_TAKEN, LEAST_TAKEN = 5, 0.02
+#: Shapes that are weighed at their own noise, the best at the noise of the model before.
+MOST_FITTED = 4
+#: Measurements whose median says what is slow where outliers are told.
+MEDIAN = 11
+#: Rounds in which a share of outliers is told from the rest, and the largest share.
+ROUNDS, MOST_SHARE = 100, 0.3
+#: Robust standard deviations at which a residual counts less in the fit beside which outliers are told (Huber 1981).
+HUBER = 1.345
+#: Time from one outage to the next in which aids are worth something, s: outages and as long with fixes.
+APART_S = 2.0 * OUTAGE_S
+
+
+@dataclass(frozen=True)
+class Looked:
+    """What was found of the aids of a recording, and how each stands against the run before and after."""
+
+    findings: tuple[Finding, ...] = ()
+    where: tuple[Where, ...] = ()
+    after: tuple[Where, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """Something that an aid may have, weighed."""
+
+    effect: str
+    columns: tuple[int, ...]
+    rows: tuple[int, ...]
+    nats: float
+    model: AidModel
+
+
+@dataclass(frozen=True)
+class _Step:
+    """What was named, and what it was compared with."""
+
+    chosen: _Candidate
+    members: tuple[Member, ...]
+    others: tuple[Member, ...]
+    confidence: float
+
+    def at(self, nats: float) -> _Step:
+        """The same at another worth of what was named; what it was compared with follows."""
+        by = nats - self.chosen.nats
+        members, others = (tuple(replace(m, nats=m.nats + by) for m in ms) for ms in (self.members, self.others))
+        return replace(self, chosen=replace(self.chosen, nats=nats), members=members, others=others)
+
+
+@dataclass
+class _State:
+    """One aid on its way: what it is off by less what was named, and the model of that."""
+
+    smoothed: Smoothed
+    shown: Shown
+    known: AidRecord
+    measured: Measured
+    model: AidModel
+    taken: dict[tuple[str, str], float] = field(default_factory=dict)
+    gone: tuple[_Mixture, float] | None = None
+    struck: Array = field(default_factory=lambda: np.zeros(0))
+    steps: list[_Step] = field(default_factory=list)
+
+    @property
+    def labels(self) -> tuple[tuple[str, str], ...]:
+        return self.model.data.labels
+
+    def at(self, taken: Mapping[tuple[str, str], float]) -> _State | None:
+        """The same with other sizes of effects taken off beforehand; None where too little of the aid is left."""
+        uses: dict[str, dict[str, tuple[float, ...]]] = {}
+        for (effect, label), value in taken.items():
+            uses.setdefault(effect, {})[label] = (value,)
+        known = [EffectUse(effect, self.known.kind, values) for effect, values in uses.items()]
+        measured = Measured.of(aid_corrected(self.known, known, float(self.known.t[0])), self.shown)
+        if measured is None:
+            return None
+        model = replace(self.model, data=measured.blocks(self.smoothed))
+        return replace(self, measured=measured, model=model.fitted(), taken=dict(taken))
+
+    def size(self, column: int) -> tuple[float, float]:
+        """Size of a named unit effect and its standard deviation, what was taken off counted, SI."""
+        mean, covariance = self.model.estimates()
+        k = self.model.columns.index(column)
+        return float(mean[k]) + self.taken.get(self.labels[column], 0.0), math.sqrt(covariance[k, k])
+
+
+def is_looked_at(kind: str) -> bool:
+    """Whether an aid of this kind is held against the fixes: it can be predicted, and there are effects that it may have."""
+    return kind in AIDS and AIDS[kind].truth is not None and kind in AID_KINDS
+
+
+def aids_looked_at(
+    prepared: Prepared, aids: Sequence[AidRecord], without: Collection[str], say: Callable[[str], None]
+) -> Looked:
+    """Find and name what aids are off by.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        The refined filter on the recording, which uses no aid.
+    aids : sequence of AidRecord
+        Less what is known of them.
+    without : collection of str
+        Effects taken out of the catalogue.
+    say : callable
+        Told what is being done.
+    """
+    smoothed, known = Smoothed.of(prepared) if aids else None, prepared.nominal.effects
+    findings: list[Finding] = []
+    where: list[Where] = []
+    after: list[Where] = []
+    struck: dict[str, Array] = {}
+    for aid in aids:
+        assert smoothed is not None
+        shown = smoothed.shown_to(aid) if is_looked_at(aid.kind) else None
+        measured = None if shown is None else Measured.of(aid, shown)
+        if shown is None or measured is None:
+            continue
+        say(f"the {aid.kind} against IMU and fixes")
+        state = _State(smoothed, shown, aid, measured, nominal_model(measured, smoothed, known))
+        state = _outliers_out(state, without, known)
+        where += _stands(state.model)
+        state = _searched(state, without)
+        after += _stands(state.model)
+        findings += _told(state)
+        struck[aid.kind] = state.struck
+    findings = _worth(prepared, aids, findings, struck)
+    return Looked(tuple(sorted(findings, key=lambda s: -s.nats)), tuple(where), tuple(after))
+
+
+def nominal_model(measured: Measured, smoothed: Smoothed, known: Sequence[EffectUse] = ()) -> AidModel:
+    """What is stated and known of an aid, with unit effects at the scale of their datasheets.
+
+    Parameters
+    ----------
+    measured : Measured
+    smoothed : Smoothed
+    known : sequence of EffectUse
+        Of which the errors that last are in the model.
+    """
+    data = measured.blocks(smoothed)
+    scales = np.array([EFFECTS[e].scale(label, data.kind) for e, label in data.labels])
+    lasting: dict[int, tuple[float, float]] = {}
+    for use in known:
+        if use.sensor == data.kind and "widened" in use.effect.traits:
+            rows = [use.effect.axes.index(row) if use.effect.axes else 0 for row in data.rows]
+            sizes = [use["sigma"][row] for row in rows]
+            lasting |= {k: (s / float(data.std[k]), use.scalar("tau")) for k, s in enumerate(sizes) if s > 0.0}
+    return AidModel.nominal(data, scales, lasting)
+
+
+# -- outliers -------------------------------------------------------------------------------------------------------------------------------
+
+
+def _outliers_out(state: _State, without: Collection[str], known: Sequence[EffectUse]) -> _State:
+    """The aid without measurements that are more likely far off than not, where a share of them is.
+
+    Told beside every unit effect at its most likely size, robustly (Huber 1981), and beside what is slow.
+    """
+    if "aid_outliers" in without:
+        return state
+    measured = state.measured
+    _, columns = measured.unit_columns()
+    # what shakes an aid is faster than motion and loud at times
+    std = np.sqrt(measured.aid.std**2 + measured.shaken)[:, measured.used]
+    gone = np.zeros(len(measured.aid), dtype=bool)
+    found: list[tuple[_Mixture, float]] = []
+    for row in range(std.shape[1]):
+        y, G = measured.off[:, measured.used][:, row] / std[:, row], (columns[:, :, row] / std[:, row]).T
+        left = y - G @ _robust(G, y)
+        mixture = _Mixture.of(left - median_filter(left, size=min(MEDIAN, left.size), mode="nearest"))
+        if mixture.nats > rules().least_nats and mixture.size > 3.0 * mixture.level:
+            gone |= mixture.odds > 0.5
+            found.append((mixture, float(np.exp(np.log(std[:, row]).mean()))))
+    if not found or np.count_nonzero(~gone) < 0.5 * gone.size:
+        return state
+    best: tuple[_Mixture, float] | None = max(found, key=lambda f: f[0].nats)
+    kept = measured.rows_kept(~gone)
+    struck = measured.aid.t[gone]
+    if any((use.id, use.sensor) == ("aid_outliers", state.known.kind) for use in known):
+        best = None  # it is known that there are some
+    model = nominal_model(kept, state.smoothed, known)
+    return replace(state, known=_less(state.known, struck), measured=kept, model=model, gone=best, struck=struck)
+
+
+def _robust(G: Array, y: Array) -> Array:
+    """Coefficients (k,) by iterated weights; of columns that are nearly alike the smallest."""
+    weight, c = np.asarray(np.ones(y.size)), np.asarray(np.zeros(G.shape[1]))
+    size = np.sqrt(np.mean(G * G, axis=0)) if G.size else np.ones(G.shape[1])
+    G = G / np.where(size > 0.0, size, 1.0)
+    for _ in range(20 if G.shape[1] else 0):
+        root = np.sqrt(weight)
+        c = np.asarray(np.linalg.lstsq(G * root[:, None], y * root, rcond=1e-6)[0], dtype=np.float64)
+        left = np.abs(y - G @ c)
+        scale = max(1.4826 * float(np.median(left)), 1e-9)
+        weight = np.asarray(np.minimum(1.0, HUBER * scale / np.maximum(left, 1e-12)))
+    return np.asarray(c / np.where(size > 0.0, size, 1.0))
+
+
+@dataclass(frozen=True)
+class _Mixture:
+    """A few large among normal numbers: their share, size and level, standard deviations of the logarithms of the first two, and log evidence."""
+
+    share: float
+    size: float
+    level: float
+    spread: tuple[float, float]
+    nats: float
+    odds: Array
+
+    @classmethod
+    def of(cls, x: Array) -> _Mixture:
+        """Of numbers (n,); ``odds`` are the probabilities of each to be one of the large ones."""
+        level = max(1.4826 * float(np.median(np.abs(x))), 1e-9)
+        share, size, odds = 0.01, 10.0 * level, np.zeros(x.size)
+        for _ in range(ROUNDS):
+            few, many = _densities(x, share, size, level)
+            odds = 1.0 / (1.0 + np.exp(np.clip(many - few, -700.0, 700.0)))
+            share = float(np.clip(odds.mean(), 0.5 / x.size, MOST_SHARE))
+            size = math.sqrt(max(float(odds @ x**2) / max(float(odds.sum()), 1e-12), level**2))
+            level = math.sqrt(max(float((1.0 - odds) @ x**2) / float((1.0 - odds).sum()), 1e-18))
+        alone = math.sqrt(float(np.mean(x * x)))
+        gain = float(np.logaddexp(*_densities(x, share, size, level)).sum())
+        gain += float(np.sum(0.5 * x**2 / alone**2 + math.log(alone)))
+        # two more numbers, by the information criterion of Schwarz (1978); that there are some at all is as likely as not
+        nats = gain - math.log(x.size)
+        # scores of the logarithms of share, size and level: their products are the information
+        by_share = odds - share / (1.0 - share) * (1.0 - odds)
+        by_size, by_level = odds * (x**2 / size**2 - 1.0), (1.0 - odds) * (x**2 / level**2 - 1.0)
+        S = np.stack([by_share, by_size, by_level])
+        covariance = np.linalg.pinv(S @ S.T)
+        spread = (math.sqrt(max(covariance[0, 0], 0.0)), math.sqrt(max(covariance[1, 1], 0.0)))
+        return cls(share, size, level, spread, nats, odds)
+
+
+def _densities(x: Array, share: float, size: float, level: float) -> tuple[Array, Array]:
+    """Logarithms of the densities of numbers as one of the few large ones and as one of the many, each times its share, (n,)."""
+    few = math.log(share) - 0.5 * x**2 / size**2 - math.log(size)
+    return few, math.log1p(-share) - 0.5 * x**2 / level**2 - math.log(level)
+
+
+# -- search ---------------------------------------------------------------------------------------------------------------------------------
+
+
+def _searched(state: _State, without: Collection[str]) -> _State:
+    """The aid with everything that is worth naming, the best first; a change of the lag takes what should have been measured anew."""
+    for _ in range(MOST_STEPS):
+        tried = sorted(_candidates(state.model, without), key=lambda c: -c.nats)
+        if not tried or tried[0].nats < rules().least_nats:
+            break
+        if probabilities([c.nats for c in tried])[-1] > 1.0 - rules().something:
+            break
+        model = state.model
+        rivals = [Member(c.effect, model.data.kind, _axes(model, c), c.nats) for c in _one_each(tried)]
+        members, others, confidence = class_of(rivals, 0)
+        state = replace(state, model=tried[0].model, steps=[*state.steps, _Step(tried[0], members, others, confidence)])
+        state = _at_size(state)
+    return _kept(state)
+
+
+def _kept(state: _State) -> _State:
+    """The aid with what is worth something beside everything else that was named, each at that worth; the least goes first."""
+    while len(state.steps) > 1 or state.taken:
+        worth = [_without(state, s.chosen) for s in state.steps]
+        least = int(np.argmin([nats for nats, _ in worth]))
+        if worth[least][0] >= rules().keep_nats:
+            return replace(state, steps=[s.at(nats) for s, (nats, _) in zip(state.steps, worth, strict=True)])
+        state = replace(worth[least][1], steps=[s for k, s in enumerate(state.steps) if k != least])
+    return state
+
+
+def _without(state: _State, c: _Candidate) -> tuple[float, _State]:
+    """What something that was named is worth beside the rest, and the aid without it."""
+    model, noise = state.model, state.model.noise
+    if c.columns:
+        less = replace(model, columns=tuple(k for k in model.columns if k not in c.columns)).fitted()
+        if any(name[0] == c.effect for name in state.taken):  # it was taken off already
+            back = replace(state, model=less).at({name: v for name, v in state.taken.items() if name[0] != c.effect})
+            if back is not None:
+                return model.of_means() - back.model.of_means(), back
+        gain = less.gain_of_columns(c.columns)
+        return _shape_weighed(less, gain, c.effect, c.columns).nats, replace(state, model=less)
+    row = c.rows[0]
+    if c.effect.endswith("noise_level"):
+        edge, level = 1.0 + rules().tolerance, noise.level.copy()
+        level[row] = np.clip(level[row], 1.0 / edge, math.sqrt(edge**2 + model.data.shaken[row]))
+        noise, new = replace(noise, level=level, named=tuple(r for r in noise.named if r != row)), [row]
+    else:
+        at = len(model.data.rows) + 2 * list(noise.lasting).index(row)
+        noise = replace(noise, lasting={r: v for r, v in noise.lasting.items() if r != row})
+        new = [at, at + 1]
+    less = replace(model, noise=noise).fitted()
+    return less.gain_of_noise(model, new), replace(state, model=less)
+
+
+def _one_each(tried: Sequence[_Candidate]) -> list[_Candidate]:
+    """The best candidate of each effect on the same rows: nested ones are no rivals."""
+    out: list[_Candidate] = []
+    for c in tried:
+        if not any(c.effect == o.effect and (c.columns or o.columns or c.rows == o.rows) for o in out):
+            out.append(c)
+    return out
+
+
+def _at_size(state: _State) -> _State:
+    """The aid less what turns or shifts it, at its size: twice as much is not twice the error of a small one."""
+    for _ in range(MOST_TAKEN):
+        bent = [k for k in state.model.columns if EFFECTS[state.labels[k][0]].stage in (Stage.MOUNTING, Stage.STAMP)]
+        sizes = {state.labels[k]: state.size(k) for k in bent}
+        if all(abs(v - state.taken.get(name, 0.0)) <= LEAST_TAKEN * sd for name, (v, sd) in sizes.items()):
+            break
+        most = {name: EFFECTS[name[0]].parameter(name[1]).most or math.inf for name in sizes}
+        moved = state.at({name: float(np.clip(v, -most[name], most[name])) for name, (v, _) in sizes.items()})
+        if moved is None:
+            break
+        state = moved
+    return state
+
+
+def _candidates(model: AidModel, without: Collection[str]) -> list[_Candidate]:
+    """Everything that could be added to a model."""
+    d = model.data
+    shapes: list[tuple[float, str, tuple[int, ...]]] = []
+    for effect in EFFECTS.values():
+        if d.kind not in effect.sensors or effect.id in without:
+            continue
+        own = [k for k, (e, _) in enumerate(d.labels) if e == effect.id and k not in model.columns]
+        sets = [(k,) for k in own] + ([tuple(own)] if len(own) > 1 else []) + ([tuple(own[:2])] if len(own) > 2 else [])
+        for new in sets:
+            if not any(np.any(d.columns[k]) for k in new):
+                continue
+            shapes.append((model.gain_of_columns(new), effect.id, new))
+    shapes.sort(key=lambda s: -s[0])
+    out = [_shape_weighed(model, gain, effect, new, k < MOST_FITTED) for k, (gain, effect, new) in enumerate(shapes)]
+    level, lasting = f"{d.kind}_noise_level", f"{d.kind}_correlated_noise"
+    for row in range(len(d.rows)):
+        if level in EFFECTS and level not in without and model.at_edge(row):
+            out += _noisier(model, model.with_level(row), level, row, [row])
+        if lasting in EFFECTS and lasting not in without and row not in model.noise.lasting:
+            more = model.with_lasting(row)
+            if more is None:
+                continue
+            at = len(d.rows) + 2 * list(more.noise.lasting).index(row)
+            out += _noisier(model, more, lasting, row, [at, at + 1])
+    return out
+
+
+def _shape_weighed(
+    model: AidModel, gain: float, effect: str, new: tuple[int, ...], fitted_too: bool = True
+) -> _Candidate:
+    """Unit effects, weighed at the noise of a model already, at their own noise: what they explain is none."""
+    more = replace(model, columns=(*model.columns, *new))
+    if fitted_too and (gain > 0.0 or model.noise.lasting):  # an error that lasts may stand for a constant
+        fitted = more.fitted().restarted()
+        gain, more = gain + max(fitted.likelihood() - more.likelihood(), 0.0), fitted
+    return _Candidate(effect, new, (), gain, more)
+
+
+def _noisier(model: AidModel, more: AidModel, effect: str, row: int, new: Sequence[int]) -> list[_Candidate]:
+    if more.likelihood() - model.likelihood() < rules().least_nats:
+        return []
+    return [_Candidate(effect, (), (row,), model.gain_of_noise(more, new), more)]
+
+
+def _axes(model: AidModel, c: _Candidate) -> tuple[str, ...]:
+    return tuple(model.data.rows[row] for row in c.rows) if EFFECTS[c.effect].axes else ()
+
+
+# -- answers --------------------------------------------------------------------------------------------------------------------------------
+
+
+def _told(state: _State) -> list[Finding]:
+    """Findings of an aid with the numbers of everything together."""
+    model, d = state.model, state.model.data
+    spread = model.spread() if any(s.chosen.rows for s in state.steps) else np.zeros((0, 0))
+    out: list[Finding] = []
+    for step in state.steps:
+        c, effect = step.chosen, EFFECTS[step.chosen.effect]
+        values: list[Value] = []
+        for k in c.columns:
+            label = d.labels[k][1]
+            values.append(Value.normal(label, *state.size(k), effect.unit(label, d.kind)))
+        for name, number in d.settled.get(c.effect, {}).items() if c.columns else ():
+            values.append(Value(name, number, number, number, effect.unit(name, d.kind)))
+        for row in c.rows:
+            values += _noise_values(model, c, row, spread)
+        finding = Finding(
+            c.effect, "", d.kind, _axes(model, c), tuple(values), step.confidence, c.nats, step.members,
+            _would_separate(step.members), step.others,
+        )  # fmt: skip
+        out = _with(out, finding)
+    if state.gone is not None:
+        mixture, std = state.gone
+        nats, unit = mixture.nats, EFFECTS["aid_outliers"].unit("sigma", d.kind)
+        values = [
+            Value.positive("probability", mixture.share, mixture.spread[0], ""),
+            Value.positive("sigma", mixture.size * std, mixture.spread[1], unit),
+        ]
+        member = Member("aid_outliers", d.kind, (), nats)
+        out.append(Finding("aid_outliers", "", d.kind, (), tuple(values), 1.0 - math.exp(-nats), nats, (member,)))
+    return out
+
+
+def _noise_values(model: AidModel, c: _Candidate, row: int, spread: Array) -> list[Value]:
+    """Level of a row, or size and time of what lasts on it."""
+    d, effect = model.data, EFFECTS[c.effect]
+    tail = f"_{d.rows[row]}" if effect.axes else ""
+    place, _ = model.place()
+
+    def value(name: str, at: int, unit: str, scale: float) -> Value:
+        low, high = model.interval(at, spread)
+        middle, low, high = (scale * math.exp(v) for v in (float(place[at]), low, high))
+        return Value(name, middle, low, high, unit)
+
+    if "factor" in {p.name for p in effect.parameters}:
+        factor = value(f"factor{tail}", row, "", 1.0)
+        # some of it may be what the vehicle shakes
+        return [replace(factor, low=math.sqrt(max(factor.low**2 - float(d.shaken[row]), 0.0)))]
+    at = len(d.rows) + 2 * list(model.noise.lasting).index(row)
+    sigma = value(f"sigma{tail}", at, effect.unit("sigma", d.kind), float(d.std[row]))
+    return [sigma, value("tau", at + 1, "s", 1.0)]
+
+
+def _with(findings: list[Finding], new: Finding) -> list[Finding]:
+    """The findings with a new one; further numbers of one effect join the first find of it."""
+    for k, s in enumerate(findings):
+        if s.effect == new.effect and not {v.name for v in s.parameters} & {v.name for v in new.parameters}:
+            both = replace(
+                s, parameters=(*s.parameters, *new.parameters), axes=(*s.axes, *new.axes), nats=s.nats + new.nats
+            )
+            return [*findings[:k], both, *findings[k + 1 :]]
+    return [*findings, new]
+
+
+def _would_separate(members: Sequence[Member]) -> str:
+    if len(members) < 2:
+        return ""
+    return "a longer drive with more changes of speed, height and heading, and with stops"
+
+
+def _stands(model: AidModel) -> list[Where]:
+    """How an aid stands against a model: level and independence of what is left of each row."""
+    d, out = model.data, []
+    for row, z in zip(d.rows, model.whitened().T, strict=True):
+        n = z.size
+        # of what shakes an aid it may show nothing: less than expected says nothing
+        p = float(scipy.stats.chi2.sf(float(z @ z), n))
+        lags = np.arange(1, min(10, n // 4) + 1)
+        rho = np.array([float(np.mean(z[k:] * z[:-k])) for k in lags]) / float(np.mean(z * z))
+        white = float(scipy.stats.chi2.sf(np.sum(rho**2 * (n - lags)), lags.size))
+        for name, one in (("level against the fixes", p), ("independence", white)):
+            out.append(Where(name, d.kind, row, d.block_s, min(1.0, 2.0 * len(d.rows) * one)))
+    return out
+
+
+# -- metres ---------------------------------------------------------------------------------------------------------------------------------
+
+
+def _worth(
+    prepared: Prepared, aids: Sequence[AidRecord], findings: Sequence[Finding], struck: Mapping[str, Array]
+) -> list[Finding]:
+    """The findings with metres at the end of outages of a minute in which the filter has the aids: with everything known but this finding.
+
+    ``struck`` has the times of outliers by aid, which are left out where they are known.
+    """
+    if not findings:
+        return []
+    t = prepared.imu.t
+    starts = np.arange(t[0] + OUTAGE_S, t[-1] - OUTAGE_S, APART_S)
+    if not starts.size:
+        return list(findings)
+    gnss = prepared.gnss
+    off = np.zeros(len(gnss), dtype=bool)
+    for start in starts:
+        off |= (gnss.t > start) & (gnss.t <= start + OUTAGE_S)
+    gnss = scaled_fixes(gnss.rows(~off), prepared.factors)
+    ends = np.searchsorted(t, starts + OUTAGE_S)
+    span = float(t[-1] - t[0])
+    beliefs = {name: for_filter(model, prepared.imu.dt, span) for name, model in prepared.beliefs.items()}
+
+    def flown(known: Sequence[Finding]) -> FilterResult:
+        uses = [use for finding in known for use in uses_of(finding, prepared.imu.dt)]
+        outlying = {s.sensor for s in known if s.effect == "aid_outliers"}
+        kept = [_less(aid, struck[aid.kind]) if aid.kind in outlying else aid for aid in aids]
+        uses += [use for use in prepared.nominal.effects if "widened" in use.effect.traits]
+        corrected = [aid_corrected(aid, [u for u in uses if u.sensor == aid.kind], float(t[0])) for aid in kept]
+        options = FilterOptions(covariance_at=tuple(t[ends]))
+        return run_filter(
+            prepared.imu, gnss, *prepared.start, beliefs, lever_arm=prepared.lever_arm, options=options, aids=corrected
+        )
+
+    best = flown(findings)
+    out = []
+    for k, finding in enumerate(findings):
+        one = flown([s for i, s in enumerate(findings) if i != k])
+        metres = np.hypot(*earth.position_difference(one.nav[ends, :3], best.nav[ends, :3])[:, :2].T)
+        stated = np.einsum("kii->k", one.covariance[:, :2, :2])
+        nees = 1.0 + float(np.mean(metres**2)) / max(float(np.mean(stated)), 1e-12)
+        out.append(replace(finding, metres=float(np.sqrt(np.mean(metres**2))), aided_nees=nees))
+    return out
+
+
+def _less(aid: AidRecord, struck: Array) -> AidRecord:
+    """An aid without the measurements of some times."""
+    keep = ~np.isin(aid.t, struck)
+    since = None if aid.since is None else aid.since[keep]
+    return replace(aid, t=aid.t[keep], values=aid.values[keep], std=aid.std[keep], since=since)
