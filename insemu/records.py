@@ -430,6 +430,15 @@ class AidRecord(_Timed):
     def __len__(self) -> int:
         return self.t.size
 
+    def rows(self, keep: NDArray[np.bool_]) -> AidRecord:
+        """Some of the measurements, ``keep`` (n,)."""
+        since = None if self.since is None else self.since[keep]
+        return replace(self, t=self.t[keep], values=self.values[keep], std=self.std[keep], since=since)
+
+    def without(self, times: Array) -> AidRecord:
+        """The measurements of other times than these, s."""
+        return self.rows(~np.isin(self.t, times))
+
 
 @dataclass(frozen=True)
 class Recording:

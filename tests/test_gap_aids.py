@@ -14,15 +14,17 @@ import yaml
 from benchmarks.foreign.judge import Job, drawn, write
 from insemu.cli import main
 from insemu.effects import AID_KINDS, EffectUse
+from insemu.errors import InputError
 from insemu.evaluate.emulated import EmulatedWorld
 from insemu.filters import AIDS, aid_jacobian, smoothed_at
 from insemu.gap import find_gap, load_nominal
 from insemu.gap.beliefs.refined import refined_nominal
+from insemu.gap.candidates.aid_outliers import Mixture
 from insemu.gap.drive.beside import Measured, Smoothed
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.evidence.beside import AidModel, Beside
 from insemu.gap.problems import drive_without
-from insemu.gap.problems.aids import _Mixture, aids_looked_at
+from insemu.gap.problems.aids import aids_looked_at
 from insemu.records import AidRecord, Recording
 from insemu.scenario import load
 
@@ -149,7 +151,7 @@ HIDDEN = {
 
 def looked(recording: Recording, believed, without=()):
     flown = Flown.of(*drive_without(recording, believed))
-    return aids_looked_at(flown.prepared, flown.recording.aids, without, lambda _: None)
+    return aids_looked_at(flown.prepared, flown.recording.aids, without, lambda _: None, "drive")
 
 
 def test_good_aids_have_no_findings(plain, folder) -> None:
@@ -210,6 +212,41 @@ def test_aids_are_on_the_clock_of_the_imu(folder) -> None:
     assert not looked(recording, known).findings
 
 
+WRONG = {
+    "kilometres an hour": (lambda a: replace(a, values=3.6 * a.values), "odometer", "km/h"),
+    "the other sign": (lambda a: replace(a, values=-a.values), "odometer", "other sign"),
+    "nothing": (lambda a: replace(a, values=0.0 * a.values), "odometer", "0 times what IMU and fixes say"),
+    "degrees": (lambda a: replace(a, values=np.rad2deg(a.values)), "heading", "are these degrees"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_an_aid_that_is_something_else_is_refused_by_name(plain, name: str) -> None:
+    change, kind, words = WRONG[name]
+    aid = change(next(a for a in plain[0].aids if a.kind == kind))
+    with pytest.raises(InputError, match=words) as caught:
+        aids_looked_at(plain[2].prepared, (aid,), (), lambda _: None, "drive.npz")
+    assert str(caught.value).startswith("drive.npz: aid_")
+
+
+ODD = {
+    "forward alone": lambda a: replace(a, values=a.values * [1.0, math.nan, math.nan]),
+    "two rows without a limit": lambda a: replace(a, std=a.std * [1.0, math.inf, math.inf]),
+    "a third missing": lambda a: replace(a, values=np.where(np.arange(len(a))[:, None] % 3 == 0, math.nan, a.values)),
+    "a gap": lambda a: replace(a, t=np.delete(a.t, slice(500, 900)), values=np.delete(a.values, slice(500, 900), 0), std=a.std[:-400]),
+    "hardly any": lambda a: replace(a, t=a.t[:20], values=a.values[:20], std=a.std[:20]),
+    "no noise stated": lambda a: replace(a, std=0.0 * a.std),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_an_aid_that_is_there_in_part_is_looked_at_as_far_as_it_goes(plain, name: str) -> None:
+    aid = ODD[name](next(a for a in plain[0].aids if a.kind == "odometer"))
+    found = aids_looked_at(plain[2].prepared, (aid,), (), lambda _: None, "drive.npz")
+    assert not found.findings
+    assert bool(found.where) == (name not in ("hardly any", "no noise stated"))
+
+
 # -- the likelihood -------------------------------------------------------------------------------------------------------------------------
 
 
@@ -267,9 +304,9 @@ def test_white_noise_as_stated_is_no_error_that_lasts() -> None:
 def test_a_few_large_numbers_are_told_from_the_rest() -> None:
     rng = np.random.default_rng(2)
     x = rng.standard_normal(3000)
-    assert _Mixture.of(x).nats < 0.0
+    assert Mixture.of(x).nats < 0.0
     hit = rng.random(3000) < 0.02
-    mixture = _Mixture.of(x + hit * 15.0 * rng.standard_normal(3000))
+    mixture = Mixture.of(x + hit * 15.0 * rng.standard_normal(3000))
     assert mixture.nats > 100.0
     assert abs(math.log(mixture.share / 0.02)) < 3.0 * mixture.spread[0]
     assert abs(math.log(mixture.size / 15.0)) < 3.0 * mixture.spread[1]

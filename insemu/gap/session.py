@@ -170,7 +170,7 @@ def _drive(
         return out
     after = Flown.of(*(refined or _refined(measured, nominal, out))) if out.findings else first
     if measured.aids:
-        out = _with_aids(out, aids_looked_at(after.prepared, after.recording.aids, without, say))
+        out = _with_aids(out, aids_looked_at(after.prepared, after.recording.aids, without, say, measured.source))
     if not pictures:
         return out
     return replace(out, curves={**out.curves, "drive": _pictures(first, after, nominal)})

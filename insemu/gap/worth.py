@@ -9,13 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.effects import EFFECTS, Column, FixGeometry, Motion
-from insemu.filters import FilterResult
-from insemu.gap.drive.preparation import Prepared
+from insemu import earth
+from insemu.effects import EFFECTS, Column, FixGeometry, Motion, aid_corrected
+from insemu.filters import FilterOptions, FilterResult, run_filter
+from insemu.gap.beliefs.refined import uses_of
+from insemu.gap.drive.preparation import Prepared, for_filter, scaled_fixes
 from insemu.gap.drive.signatures import Loop, built_up, ramps
 from insemu.gap.verdict import Finding
 from insemu.noise import WN, NoiseModel
-from insemu.records import AXES
+from insemu.records import AXES, AidRecord
 
 Array = NDArray[np.float64]
 
@@ -23,6 +25,8 @@ Array = NDArray[np.float64]
 GRAVITY = 9.81
 #: Length of an outage and time from the start of one to that of the next, s.
 OUTAGE_S, APART_S = 60.0, 30.0
+#: Time from one outage to the next in which aids are worth something, s: outages and as long with fixes.
+AIDED_APART_S = 2.0 * OUTAGE_S
 
 
 def white_levels(beliefs: Mapping[str, NoiseModel]) -> dict[str, float]:
@@ -280,3 +284,56 @@ def worth_in_motion(
         if waiting and t[k] >= waiting[0]:
             flying.append((waiting.pop(0) + OUTAGE_S, e.copy()))
     return math.sqrt(sum(ends) / len(ends)) if ends else math.nan
+
+
+def worth_of_aids(
+    prepared: Prepared, aids: Sequence[AidRecord], findings: Sequence[Finding], struck: Mapping[str, Array]
+) -> list[Finding]:
+    """Findings about aids with metres at the end of outages of a minute in which the filter has the aids: with everything known but this finding.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        The filter that uses no aid.
+    aids : sequence of AidRecord
+        Less what is known of them.
+    findings : sequence of Finding
+        About these.
+    struck : mapping of str to array
+        Times of outliers by kind of aid, s, which are left out where they are known.
+    """
+    if not findings:
+        return []
+    t = prepared.imu.t
+    starts = np.arange(t[0] + OUTAGE_S, t[-1] - OUTAGE_S, AIDED_APART_S)
+    if not starts.size:
+        return list(findings)
+    gnss = prepared.gnss
+    off = np.zeros(len(gnss), dtype=bool)
+    for start in starts:
+        off |= (gnss.t > start) & (gnss.t <= start + OUTAGE_S)
+    gnss = scaled_fixes(gnss.rows(~off), prepared.factors)
+    ends = np.searchsorted(t, starts + OUTAGE_S)
+    span = float(t[-1] - t[0])
+    beliefs = {name: for_filter(model, prepared.imu.dt, span) for name, model in prepared.beliefs.items()}
+
+    def flown(known: Sequence[Finding]) -> FilterResult:
+        uses = [use for finding in known for use in uses_of(finding, prepared.imu.dt)]
+        outlying = {s.sensor for s in known if s.effect == "aid_outliers"}
+        kept = [aid.without(struck[aid.kind]) if aid.kind in outlying else aid for aid in aids]
+        uses += [use for use in prepared.nominal.effects if "widened" in use.effect.traits]
+        corrected = [aid_corrected(aid, [u for u in uses if u.sensor == aid.kind], float(t[0])) for aid in kept]
+        options = FilterOptions(covariance_at=tuple(t[ends]))
+        return run_filter(
+            prepared.imu, gnss, *prepared.start, beliefs, lever_arm=prepared.lever_arm, options=options, aids=corrected
+        )
+
+    best = flown(findings)
+    out = []
+    for k, finding in enumerate(findings):
+        one = flown([s for i, s in enumerate(findings) if i != k])
+        metres = np.hypot(*earth.position_difference(one.nav[ends, :3], best.nav[ends, :3])[:, :2].T)
+        stated = np.einsum("kii->k", one.covariance[:, :2, :2])
+        nees = 1.0 + float(np.mean(metres**2)) / max(float(np.mean(stated)), 1e-12)
+        out.append(replace(finding, metres=float(np.sqrt(np.mean(metres**2))), aided_nees=nees))
+    return out

@@ -158,12 +158,12 @@ class Measured:
     @classmethod
     def of(cls, aid: AidRecord, shown: Shown) -> Measured | None:
         """Compare an aid with what it should measure; None where there is too little of it."""
-        usable = np.isfinite(aid.values) & np.isfinite(aid.std)
+        usable = np.isfinite(aid.values) & np.isfinite(aid.std) & (aid.std > 0.0)
         used = usable.mean(axis=0) > 0.5 if len(aid) else np.zeros(aid.values.shape[1], dtype=bool)
         keep = usable[:, used].all(axis=1) & (aid.t >= shown.t[0]) & (aid.t <= shown.t[-1])
         if not used.any() or np.count_nonzero(keep) < FEWEST:
             return None
-        aid = replace(aid, t=aid.t[keep], values=aid.values[keep], std=aid.std[keep], since=None)
+        aid = replace(aid.rows(keep), since=None)
         values, slope, shaken = shown.at(aid.t)
         off = aid.values - values
         off[:, shown.around] = np.angle(np.exp(1j * off[:, shown.around]))
@@ -171,11 +171,8 @@ class Measured:
 
     def rows_kept(self, keep: NDArray[np.bool_]) -> Measured:
         """The same with some of the measurements."""
-        aid = self.aid
-        return replace(
-            self, aid=replace(aid, t=aid.t[keep], values=aid.values[keep], std=aid.std[keep]), off=self.off[keep],
-            values=self.values[keep], slope=self.slope[keep], shaken=self.shaken[keep],
-        )  # fmt: skip
+        parts = {name: getattr(self, name)[keep] for name in ("off", "values", "slope", "shaken")}
+        return replace(self, aid=self.aid.rows(keep), **parts)
 
     def unit_columns(self) -> tuple[tuple[tuple[str, str], ...], Array]:
         """Effect and label of every unit effect of this aid, and what it adds, (c, n, w)."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,6 +83,11 @@ class Beside:
         """Time from block to block, s."""
         return float(np.median(np.diff(self.t)))
 
+    @cached_property
+    def averaged_s(self) -> float:
+        """Time over which a block averages, s: no longer than from any block to the next, else means could not have these covariances."""
+        return float(np.diff(self.t).min()) * (1.0 - 1.0 / float(self.count.mean()))
+
     def mean_of_lasting(self, tau: float) -> tuple[float, float]:
         """Variance of the mean over a block of a Gauss-Markov process of variance one, and covariance of two means over exp(-distance / tau).
 
@@ -90,7 +96,7 @@ class Beside:
         tau : float
             Correlation time, s.
         """
-        x = max(self.block_s * (1.0 - 1.0 / float(self.count.mean())) / tau, 1e-4)
+        x = max(self.averaged_s / tau, 1e-4)
         return 2.0 * (x - 1.0 + math.exp(-x)) / x**2, (math.sinh(0.5 * x) / (0.5 * x)) ** 2
 
     def lasting(self, tau: float) -> Array:

@@ -7,21 +7,19 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import scipy.stats
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
-from insemu import earth
 from insemu.effects import AID_KINDS, EFFECTS, EffectUse, Stage, aid_corrected
-from insemu.filters import AIDS, FilterOptions, FilterResult, run_filter
-from insemu.gap.beliefs.refined import uses_of
+from insemu.filters import AIDS
+from insemu.gap.candidates.aid_outliers import FarOff, far_off
+from insemu.gap.checks.aids import check_unit, stands
 from insemu.gap.drive.beside import Measured, Shown, Smoothed
-from insemu.gap.drive.preparation import Prepared, for_filter, scaled_fixes
+from insemu.gap.drive.preparation import Prepared
 from insemu.gap.evidence.beside import AidModel
 from insemu.gap.hypothesis import class_of, probabilities
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Finding, Member, Value, Where
-from insemu.gap.worth import OUTAGE_S
+from insemu.gap.worth import worth_of_aids
 from insemu.records import AidRecord
 
 Array = NDArray[np.float64]
@@ -32,14 +30,6 @@ MOST_STEPS = 8
 MOST_TAKEN, LEAST_TAKEN = 5, 0.02
 #: Shapes that are weighed at their own noise, the best at the noise of the model before.
 MOST_FITTED = 4
-#: Measurements whose median says what is slow where outliers are told.
-MEDIAN = 11
-#: Rounds in which a share of outliers is told from the rest, and the largest share.
-ROUNDS, MOST_SHARE = 100, 0.3
-#: Robust standard deviations at which a residual counts less in the fit beside which outliers are told (Huber 1981).
-HUBER = 1.345
-#: Time from one outage to the next in which aids are worth something, s: outages and as long with fixes.
-APART_S = 2.0 * OUTAGE_S
 
 
 @dataclass(frozen=True)
@@ -88,7 +78,7 @@ class _State:
     measured: Measured
     model: AidModel
     taken: dict[tuple[str, str], float] = field(default_factory=dict)
-    gone: tuple[_Mixture, float] | None = None
+    gone: FarOff | None = None
     struck: Array = field(default_factory=lambda: np.zeros(0))
     steps: list[_Step] = field(default_factory=list)
 
@@ -112,7 +102,9 @@ class _State:
         """Size of a named unit effect and its standard deviation, what was taken off counted, SI."""
         mean, covariance = self.model.estimates()
         k = self.model.columns.index(column)
-        return float(mean[k]) + self.taken.get(self.labels[column], 0.0), math.sqrt(covariance[k, k])
+        name = self.labels[column]
+        size, most = float(mean[k]) + self.taken.get(name, 0.0), _most(*name)
+        return min(max(size, -most), most), math.sqrt(covariance[k, k])
 
 
 def is_looked_at(kind: str) -> bool:
@@ -121,7 +113,7 @@ def is_looked_at(kind: str) -> bool:
 
 
 def aids_looked_at(
-    prepared: Prepared, aids: Sequence[AidRecord], without: Collection[str], say: Callable[[str], None]
+    prepared: Prepared, aids: Sequence[AidRecord], without: Collection[str], say: Callable[[str], None], source: str
 ) -> Looked:
     """Find and name what aids are off by.
 
@@ -135,6 +127,13 @@ def aids_looked_at(
         Effects taken out of the catalogue.
     say : callable
         Told what is being done.
+    source : str
+        Where the aids came from, for messages.
+
+    Raises
+    ------
+    InputError
+        An aid that is another quantity or in another unit than its name says.
     """
     smoothed, known = Smoothed.of(prepared) if aids else None, prepared.nominal.effects
     findings: list[Finding] = []
@@ -148,14 +147,15 @@ def aids_looked_at(
         if shown is None or measured is None:
             continue
         say(f"the {aid.kind} against IMU and fixes")
+        check_unit(measured, source)
         state = _State(smoothed, shown, aid, measured, nominal_model(measured, smoothed, known))
         state = _outliers_out(state, without, known)
-        where += _stands(state.model)
+        where += stands(state.model)
         state = _searched(state, without)
-        after += _stands(state.model)
+        after += stands(state.model)
         findings += _told(state)
         struck[aid.kind] = state.struck
-    findings = _worth(prepared, aids, findings, struck)
+    findings = worth_of_aids(prepared, aids, findings, struck)
     return Looked(tuple(sorted(findings, key=lambda s: -s.nats)), tuple(where), tuple(after))
 
 
@@ -184,90 +184,16 @@ def nominal_model(measured: Measured, smoothed: Smoothed, known: Sequence[Effect
 
 
 def _outliers_out(state: _State, without: Collection[str], known: Sequence[EffectUse]) -> _State:
-    """The aid without measurements that are more likely far off than not, where a share of them is.
-
-    Told beside every unit effect at its most likely size, robustly (Huber 1981), and beside what is slow.
-    """
-    if "aid_outliers" in without:
+    """The aid without measurements that are more likely far off than not, where a share of them is."""
+    found = None if "aid_outliers" in without else far_off(state.measured)
+    if found is None:
         return state
-    measured = state.measured
-    _, columns = measured.unit_columns()
-    # what shakes an aid is faster than motion and loud at times
-    std = np.sqrt(measured.aid.std**2 + measured.shaken)[:, measured.used]
-    gone = np.zeros(len(measured.aid), dtype=bool)
-    found: list[tuple[_Mixture, float]] = []
-    for row in range(std.shape[1]):
-        y, G = measured.off[:, measured.used][:, row] / std[:, row], (columns[:, :, row] / std[:, row]).T
-        left = y - G @ _robust(G, y)
-        mixture = _Mixture.of(left - median_filter(left, size=min(MEDIAN, left.size), mode="nearest"))
-        if mixture.nats > rules().least_nats and mixture.size > 3.0 * mixture.level:
-            gone |= mixture.odds > 0.5
-            found.append((mixture, float(np.exp(np.log(std[:, row]).mean()))))
-    if not found or np.count_nonzero(~gone) < 0.5 * gone.size:
-        return state
-    best: tuple[_Mixture, float] | None = max(found, key=lambda f: f[0].nats)
-    kept = measured.rows_kept(~gone)
-    struck = measured.aid.t[gone]
-    if any((use.id, use.sensor) == ("aid_outliers", state.known.kind) for use in known):
-        best = None  # it is known that there are some
+    kept = state.measured.rows_kept(~found.gone)
+    struck = state.measured.aid.t[found.gone]
+    # where it is known that there are some, they are no finding
+    told = None if any((u.id, u.sensor) == ("aid_outliers", state.known.kind) for u in known) else found
     model = nominal_model(kept, state.smoothed, known)
-    return replace(state, known=_less(state.known, struck), measured=kept, model=model, gone=best, struck=struck)
-
-
-def _robust(G: Array, y: Array) -> Array:
-    """Coefficients (k,) by iterated weights; of columns that are nearly alike the smallest."""
-    weight, c = np.asarray(np.ones(y.size)), np.asarray(np.zeros(G.shape[1]))
-    size = np.sqrt(np.mean(G * G, axis=0)) if G.size else np.ones(G.shape[1])
-    G = G / np.where(size > 0.0, size, 1.0)
-    for _ in range(20 if G.shape[1] else 0):
-        root = np.sqrt(weight)
-        c = np.asarray(np.linalg.lstsq(G * root[:, None], y * root, rcond=1e-6)[0], dtype=np.float64)
-        left = np.abs(y - G @ c)
-        scale = max(1.4826 * float(np.median(left)), 1e-9)
-        weight = np.asarray(np.minimum(1.0, HUBER * scale / np.maximum(left, 1e-12)))
-    return np.asarray(c / np.where(size > 0.0, size, 1.0))
-
-
-@dataclass(frozen=True)
-class _Mixture:
-    """A few large among normal numbers: their share, size and level, standard deviations of the logarithms of the first two, and log evidence."""
-
-    share: float
-    size: float
-    level: float
-    spread: tuple[float, float]
-    nats: float
-    odds: Array
-
-    @classmethod
-    def of(cls, x: Array) -> _Mixture:
-        """Of numbers (n,); ``odds`` are the probabilities of each to be one of the large ones."""
-        level = max(1.4826 * float(np.median(np.abs(x))), 1e-9)
-        share, size, odds = 0.01, 10.0 * level, np.zeros(x.size)
-        for _ in range(ROUNDS):
-            few, many = _densities(x, share, size, level)
-            odds = 1.0 / (1.0 + np.exp(np.clip(many - few, -700.0, 700.0)))
-            share = float(np.clip(odds.mean(), 0.5 / x.size, MOST_SHARE))
-            size = math.sqrt(max(float(odds @ x**2) / max(float(odds.sum()), 1e-12), level**2))
-            level = math.sqrt(max(float((1.0 - odds) @ x**2) / float((1.0 - odds).sum()), 1e-18))
-        alone = math.sqrt(float(np.mean(x * x)))
-        gain = float(np.logaddexp(*_densities(x, share, size, level)).sum())
-        gain += float(np.sum(0.5 * x**2 / alone**2 + math.log(alone)))
-        # two more numbers, by the information criterion of Schwarz (1978); that there are some at all is as likely as not
-        nats = gain - math.log(x.size)
-        # scores of the logarithms of share, size and level: their products are the information
-        by_share = odds - share / (1.0 - share) * (1.0 - odds)
-        by_size, by_level = odds * (x**2 / size**2 - 1.0), (1.0 - odds) * (x**2 / level**2 - 1.0)
-        S = np.stack([by_share, by_size, by_level])
-        covariance = np.linalg.pinv(S @ S.T)
-        spread = (math.sqrt(max(covariance[0, 0], 0.0)), math.sqrt(max(covariance[1, 1], 0.0)))
-        return cls(share, size, level, spread, nats, odds)
-
-
-def _densities(x: Array, share: float, size: float, level: float) -> tuple[Array, Array]:
-    """Logarithms of the densities of numbers as one of the few large ones and as one of the many, each times its share, (n,)."""
-    few = math.log(share) - 0.5 * x**2 / size**2 - math.log(size)
-    return few, math.log1p(-share) - 0.5 * x**2 / level**2 - math.log(level)
+    return replace(state, known=state.known.without(struck), measured=kept, model=model, gone=told, struck=struck)
 
 
 # -- search ---------------------------------------------------------------------------------------------------------------------------------
@@ -340,8 +266,7 @@ def _at_size(state: _State) -> _State:
         sizes = {state.labels[k]: state.size(k) for k in bent}
         if all(abs(v - state.taken.get(name, 0.0)) <= LEAST_TAKEN * sd for name, (v, sd) in sizes.items()):
             break
-        most = {name: EFFECTS[name[0]].parameter(name[1]).most or math.inf for name in sizes}
-        moved = state.at({name: float(np.clip(v, -most[name], most[name])) for name, (v, _) in sizes.items()})
+        moved = state.at({name: v for name, (v, _) in sizes.items()})
         if moved is None:
             break
         state = moved
@@ -358,7 +283,7 @@ def _candidates(model: AidModel, without: Collection[str]) -> list[_Candidate]:
         own = [k for k, (e, _) in enumerate(d.labels) if e == effect.id and k not in model.columns]
         sets = [(k,) for k in own] + ([tuple(own)] if len(own) > 1 else []) + ([tuple(own[:2])] if len(own) > 2 else [])
         for new in sets:
-            if not any(np.any(d.columns[k]) for k in new):
+            if not any(np.any(d.columns[k]) for k in new) or not _plausible(model, new):
                 continue
             shapes.append((model.gain_of_columns(new), effect.id, new))
     shapes.sort(key=lambda s: -s[0])
@@ -374,6 +299,18 @@ def _candidates(model: AidModel, without: Collection[str]) -> list[_Candidate]:
             at = len(d.rows) + 2 * list(more.noise.lasting).index(row)
             out += _noisier(model, more, lasting, row, [at, at + 1])
     return out
+
+
+def _plausible(model: AidModel, new: tuple[int, ...]) -> bool:
+    """Whether unit effects, some more among them, would have sizes that they can have: what a drive hardly shows may fit anything."""
+    columns = (*model.columns, *new)
+    sizes, _ = replace(model, columns=columns).estimates()
+    return bool(np.all(np.abs(sizes) <= [_most(*model.data.labels[k]) for k in columns]))
+
+
+def _most(effect: str, label: str) -> float:
+    """Largest plausible size of a unit effect."""
+    return EFFECTS[effect].parameter(label).most or math.inf
 
 
 def _shape_weighed(
@@ -421,7 +358,7 @@ def _told(state: _State) -> list[Finding]:
         )  # fmt: skip
         out = _with(out, finding)
     if state.gone is not None:
-        mixture, std = state.gone
+        mixture, std = state.gone.mixture, state.gone.std
         nats, unit = mixture.nats, EFFECTS["aid_outliers"].unit("sigma", d.kind)
         values = [
             Value.positive("probability", mixture.share, mixture.spread[0], ""),
@@ -467,72 +404,3 @@ def _would_separate(members: Sequence[Member]) -> str:
     if len(members) < 2:
         return ""
     return "a longer drive with more changes of speed, height and heading, and with stops"
-
-
-def _stands(model: AidModel) -> list[Where]:
-    """How an aid stands against a model: level and independence of what is left of each row."""
-    d, out = model.data, []
-    for row, z in zip(d.rows, model.whitened().T, strict=True):
-        n = z.size
-        # of what shakes an aid it may show nothing: less than expected says nothing
-        p = float(scipy.stats.chi2.sf(float(z @ z), n))
-        lags = np.arange(1, min(10, n // 4) + 1)
-        rho = np.array([float(np.mean(z[k:] * z[:-k])) for k in lags]) / float(np.mean(z * z))
-        white = float(scipy.stats.chi2.sf(np.sum(rho**2 * (n - lags)), lags.size))
-        for name, one in (("level against the fixes", p), ("independence", white)):
-            out.append(Where(name, d.kind, row, d.block_s, min(1.0, 2.0 * len(d.rows) * one)))
-    return out
-
-
-# -- metres ---------------------------------------------------------------------------------------------------------------------------------
-
-
-def _worth(
-    prepared: Prepared, aids: Sequence[AidRecord], findings: Sequence[Finding], struck: Mapping[str, Array]
-) -> list[Finding]:
-    """The findings with metres at the end of outages of a minute in which the filter has the aids: with everything known but this finding.
-
-    ``struck`` has the times of outliers by aid, which are left out where they are known.
-    """
-    if not findings:
-        return []
-    t = prepared.imu.t
-    starts = np.arange(t[0] + OUTAGE_S, t[-1] - OUTAGE_S, APART_S)
-    if not starts.size:
-        return list(findings)
-    gnss = prepared.gnss
-    off = np.zeros(len(gnss), dtype=bool)
-    for start in starts:
-        off |= (gnss.t > start) & (gnss.t <= start + OUTAGE_S)
-    gnss = scaled_fixes(gnss.rows(~off), prepared.factors)
-    ends = np.searchsorted(t, starts + OUTAGE_S)
-    span = float(t[-1] - t[0])
-    beliefs = {name: for_filter(model, prepared.imu.dt, span) for name, model in prepared.beliefs.items()}
-
-    def flown(known: Sequence[Finding]) -> FilterResult:
-        uses = [use for finding in known for use in uses_of(finding, prepared.imu.dt)]
-        outlying = {s.sensor for s in known if s.effect == "aid_outliers"}
-        kept = [_less(aid, struck[aid.kind]) if aid.kind in outlying else aid for aid in aids]
-        uses += [use for use in prepared.nominal.effects if "widened" in use.effect.traits]
-        corrected = [aid_corrected(aid, [u for u in uses if u.sensor == aid.kind], float(t[0])) for aid in kept]
-        options = FilterOptions(covariance_at=tuple(t[ends]))
-        return run_filter(
-            prepared.imu, gnss, *prepared.start, beliefs, lever_arm=prepared.lever_arm, options=options, aids=corrected
-        )
-
-    best = flown(findings)
-    out = []
-    for k, finding in enumerate(findings):
-        one = flown([s for i, s in enumerate(findings) if i != k])
-        metres = np.hypot(*earth.position_difference(one.nav[ends, :3], best.nav[ends, :3])[:, :2].T)
-        stated = np.einsum("kii->k", one.covariance[:, :2, :2])
-        nees = 1.0 + float(np.mean(metres**2)) / max(float(np.mean(stated)), 1e-12)
-        out.append(replace(finding, metres=float(np.sqrt(np.mean(metres**2))), aided_nees=nees))
-    return out
-
-
-def _less(aid: AidRecord, struck: Array) -> AidRecord:
-    """An aid without the measurements of some times."""
-    keep = ~np.isin(aid.t, struck)
-    since = None if aid.since is None else aid.since[keep]
-    return replace(aid, t=aid.t[keep], values=aid.values[keep], std=aid.std[keep], since=since)

@@ -1,0 +1,77 @@
+"""Whether an aid is what its name says, and how it stands against a model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import scipy.stats
+
+from insemu.errors import InputError
+from insemu.filters import AIDS
+from insemu.gap.drive.beside import Measured
+from insemu.gap.evidence.beside import AidModel
+from insemu.gap.verdict import Where
+
+#: What a slope of what an aid says against what it should say stands for, by kind; a slope of 1 is right.
+SLOPES: Mapping[str, Mapping[float, str]] = {
+    "odometer": {
+        3.6: "km/h",
+        1.944: "knots",
+        2.237: "miles per hour",
+        3.281: "feet per second",
+        -1.0: "of the other sign",
+    },
+    "barometer": {3.281: "feet", -1.0: "depths, not heights"},
+}
+#: Distance of a slope from 1 beyond which an aid is something else: any scale factor is less; relative distance from a unit's that is its.
+NO_SCALE, ITS_UNIT = 0.5, 0.1
+#: What an aid must vary by for a slope to say something: in its unit, and over its own standard deviation.
+LEAST_VARIED, LEAST_SEEN = {"odometer": 1.0, "barometer": 5.0}, 3.0
+
+
+def check_unit(measured: Measured, source: str) -> None:
+    """Raise ``InputError`` where an aid is another quantity, of another sign or in another unit than its name says."""
+    aid = measured.aid
+    kind = aid.kind
+    if kind == "heading":
+        if np.median(np.abs(aid.values)) > 2.0 * math.pi:
+            raise InputError(
+                f"aid_heading has a median magnitude of {np.median(np.abs(aid.values)):.3g}, expected radians: are these degrees?",
+                where=source,
+            )
+        return
+    for row in np.flatnonzero(measured.used):
+        true, said = measured.values[:, row], aid.values[:, row]
+        about = 0.0 if kind == "odometer" else 1.0
+        x, y = true - about * np.median(true), said - about * np.median(said)
+        varied = float(np.sqrt(np.mean(x**2)))
+        if varied < max(LEAST_VARIED[kind], LEAST_SEEN * float(np.median(aid.std[:, row]))):
+            continue
+        slope = float(x @ y) / float(x @ x)
+        if abs(slope - 1.0) <= NO_SCALE:
+            continue
+        name = list(AIDS[kind].rows)[row]
+        unit = AIDS[kind].rows[name]
+        near = [said for factor, said in SLOPES[kind].items() if abs(slope / factor - 1.0) < ITS_UNIT]
+        hint = f"are these {near[0]}?" if near else "is it another quantity, or stamped by another clock?"
+        raise InputError(
+            f"aid_{kind} ({name}) is {slope:.3g} times what IMU and fixes say, expected {unit} as they say: {hint}",
+            where=source,
+        )
+
+
+def stands(model: AidModel) -> list[Where]:
+    """How an aid stands against a model: level and independence of what is left of each row."""
+    d, out = model.data, []
+    for row, z in zip(d.rows, model.whitened().T, strict=True):
+        n = z.size
+        # of what shakes an aid it may show nothing: less than expected says nothing
+        p = float(scipy.stats.chi2.sf(float(z @ z), n))
+        lags = np.arange(1, min(10, n // 4) + 1)
+        rho = np.array([float(np.mean(z[k:] * z[:-k])) for k in lags]) / float(np.mean(z * z))
+        white = float(scipy.stats.chi2.sf(np.sum(rho**2 * (n - lags)), lags.size))
+        for name, one in (("level against the fixes", p), ("independence", white)):
+            out.append(Where(name, d.kind, row, d.block_s, min(1.0, 2.0 * len(d.rows) * one)))
+    return out
