@@ -25,7 +25,9 @@ from insemu.gap.drive.preparation import Flown
 from insemu.gap.evidence.beside import AidModel, Beside
 from insemu.gap.problems import drive_without
 from insemu.gap.problems.aids import aids_looked_at
+from insemu.gap.verdict import Finding, Value
 from insemu.records import AidRecord, Recording
+from insemu.report.gap import gap_headline, is_better
 from insemu.scenario import load
 
 WORLD: dict[str, Any] = {
@@ -342,6 +344,18 @@ def test_gap_looks_at_the_aids_of_a_file_and_says_which_it_does_not_know(tmp_pat
     assert "barometer_offset" in {s["effect"] for s in named}
     assert "barometer_offset" in (out / "refined.yaml").read_text()
     assert "barometer" in (out / "index.html").read_text(encoding="utf-8")
+
+
+def test_names_say_once_of_which_aid_and_the_fixes_judge_none(plain, folder) -> None:
+    report = find_gap(plain[0], nominal(folder), rng=np.random.default_rng(1), hold_out=False)
+    v = (Value("value", 0.01, 0.009, 0.011, ""),)
+    own = Finding("odometer_scale_factor", "", "odometer", (), v, 1.0, 50.0, (), metres=3.0, aided_nees=2.0)
+    lag = replace(own, effect="aid_lag", parameters=(Value("lag", 0.1, 0.09, 0.11, "s"),))
+    row = replace(own, effect="odometer_correlated_noise", axes=("sideways",))
+    said = gap_headline(replace(report, verdict="named", findings=(own, lag, row)))
+    assert "odometer scale factor; lag of the measurements of the odometer; correlated odometer noise, sideways" in said
+    assert is_better(replace(report, findings=(own,)))[0] == "not scored"
+    assert replace(report, findings=(own,), stated_60s=1.0).nees(own) == 2.0
 
 
 def test_every_aid_that_can_be_emulated_can_be_looked_at() -> None:

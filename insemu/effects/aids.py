@@ -253,7 +253,7 @@ class HeadingDeviation(_OfAid):
 class AidLag(_OfAid):
     """Measurements that are older than their stamps."""
 
-    id, name = "aid_lag", "lag of an aid"
+    id, name = "aid_lag", "lag of the measurements"
     sensors = AID_KINDS
     formula = "what is stamped t was measured at t - lag"
     parameters = (_P("lag", "s", 1, (0.1,), None, "age of the measurement at its stamp", join="sum", most=5.0),)
@@ -370,7 +370,7 @@ class HeadingCorrelatedNoise(_CorrelatedNoise):
 class AidOutliers(_Noise):
     """Measurements that are far off: wheels that slip or lock, gusts at a pressure port."""
 
-    id, name, sensors = "aid_outliers", "outliers of an aid", AID_KINDS
+    id, name, sensors = "aid_outliers", "outliers of the measurements", AID_KINDS
     formula = "with probability p: error ~ N(0, sigma^2) added"
     parameters = (
         _P("probability", "", 1, (0.01,), None, "share of measurements", True, most=1.0),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from insemu.effects import EFFECTS
+from insemu.effects import AID_KINDS, EFFECTS
 from insemu.report.charts import Chart
 from insemu.report.gap_charts import evidence_chart, innovation_chart, spectrum_chart, wavelet_chart
 from insemu.report.page import Block, Card, Code, Folded, Items, Section, Table, Text, render
@@ -40,8 +40,11 @@ def _subject(finding: Finding) -> str:
 
 
 def _placed_name(effect: str, sensor: str, axes: Sequence[str]) -> str:
-    # an effect of the whole IMU or of timing needs no place
-    return effect_name(effect) if sensor == "imu" else f"{effect_name(effect)} of the {sensor_axes(sensor, axes)}"
+    if sensor == "imu":  # an effect of the whole IMU or of timing needs no place
+        return effect_name(effect)
+    if sensor in AID_KINDS and effect in EFFECTS and len(EFFECTS[effect].sensors) == 1:  # its name says of which aid
+        return ", ".join([effect_name(effect), *axes])
+    return f"{effect_name(effect)} of the {sensor_axes(sensor, axes)}"
 
 
 def _in_one_place(finding: Finding) -> bool:
@@ -486,6 +489,8 @@ def is_better(report: GapReport) -> tuple[str, str, str]:
     figures = f"gap index {before.value:.3g} to {after.value:.3g}" if math.isfinite(after.value) else "no index"
     if not report.findings:
         return "nothing was added", figures, "plain"
+    if all(s.sensor in AID_KINDS for s in report.findings):
+        return "not scored", f"the fixes, whose {figures}, judge no aid", "plain"
     if not math.isfinite(gain.value):
         return "not scored", figures, "plain"
     per = "fix" if math.isfinite(report.stated_60s) else "block"

@@ -61,11 +61,9 @@ class _Step:
     others: tuple[Member, ...]
     confidence: float
 
-    def at(self, nats: float) -> _Step:
-        """The same at another worth of what was named; what it was compared with follows."""
-        by = nats - self.chosen.nats
-        members, others = (tuple(replace(m, nats=m.nats + by) for m in ms) for ms in (self.members, self.others))
-        return replace(self, chosen=replace(self.chosen, nats=nats), members=members, others=others)
+    def worth(self, nats: float) -> _Step:
+        """The same, worth something else beside everything that was named later; what it was compared with stays as it was then."""
+        return replace(self, chosen=replace(self.chosen, nats=nats))
 
 
 @dataclass
@@ -221,7 +219,7 @@ def _kept(state: _State) -> _State:
         worth = [_without(state, s.chosen) for s in state.steps]
         least = int(np.argmin([nats for nats, _ in worth]))
         if worth[least][0] >= rules().keep_nats:
-            return replace(state, steps=[s.at(nats) for s, (nats, _) in zip(state.steps, worth, strict=True)])
+            return replace(state, steps=[s.worth(nats) for s, (nats, _) in zip(state.steps, worth, strict=True)])
         state = replace(worth[least][1], steps=[s for k, s in enumerate(state.steps) if k != least])
     return state
 
