@@ -195,3 +195,9 @@ def test_a_scenario_emulates_aids_and_a_file_keeps_them(tmp_path):
 def test_a_wrong_aid_is_named(aids, words):
     with pytest.raises(InputError, match=words):
         validated({**FLIGHT, "aids": aids})
+
+
+def test_an_effect_of_an_aid_that_a_flight_does_not_have_is_refused():
+    truth = {**FLIGHT["truth"], "effects": [{"effect": "heading_offset", "value": "1 deg"}]}
+    with pytest.raises(InputError, match="acts on the heading, which this flight does not have"):
+        validated({**FLIGHT, "truth": truth})

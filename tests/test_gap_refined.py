@@ -33,7 +33,7 @@ from insemu.gap.candidates.axis import CANDIDATES
 from insemu.gap.session import _closer, _looked_closer, _settled
 from insemu.gap.verdict import Interval, Member, Value, held_out_said
 from insemu.noise import AR, BI, DR, GM, QN, RW, SIN, WN, NoiseModel
-from insemu.records import GnssRecord, ImuRecord, Recording, Series
+from insemu.records import AidRecord, GnssRecord, ImuRecord, Recording, Series
 from insemu.report.gap import FIRST_SCREEN, filtered_said, gap_headline, render_gap
 from insemu.scenario import load
 from insemu.trial.drives import stage
@@ -127,6 +127,10 @@ def measured() -> Recording:
         r.gnss,
         r.reference,
         "drive.npz",
+        tuple(
+            AidRecord(kind, np.arange(1.0, 39.0, 0.5), np.zeros((76, rows)), np.full((76, rows), 0.1))
+            for kind, rows in (("odometer", 3), ("barometer", 1), ("heading", 1))
+        ),
     )
 
 
@@ -142,6 +146,12 @@ def _scenario() -> Path:
 def test_every_effect_of_the_catalogue_has_a_place_in_the_refined_model() -> None:
     # a process that axes share is written as noise of several axes: tests/test_together.py
     assert {e.id for e in EFFECTS.values() if "refine" not in e.absent} == {*FOUND, *NOISE, "shared_process"}
+
+
+def test_a_scenario_gets_the_aids_whose_effects_were_found(tmp_path: Path) -> None:
+    path = write_refined(load_nominal(_scenario()), report(step("aid_lag")), tmp_path / "refined.yaml", measured())
+    (use,) = load(path).aids
+    assert (use.aid.name, use.rate, use.sigma) == ("odometer", pytest.approx(2.0), (0.1, 0.1, 0.1))
 
 
 @pytest.mark.parametrize("effect", FOUND)

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from insemu.effects import AID_KINDS
 from insemu.emulate import TRAJECTORIES, AreaOutage, Mounting, Outage, TemperatureProfile
 from insemu.errors import InputError, nearest, shown
 from insemu.filters import InitialSigma
@@ -441,6 +442,12 @@ class Scenario(Section):
             raise InputError("found a recording beside a trajectory or a truth, expected one or the other")
         if self.recording is not None and self.aids:
             raise InputError("found aids beside a recording, which brings its own (keys aid_NAME)")
+        there = {use.aid.name for use in self.aids}
+        for effect in self.truth.effects if self.truth is not None else ():
+            if effect.sensor in AID_KINDS and effect.sensor not in there:
+                raise InputError(
+                    f"the effect '{effect.id}' acts on the {effect.sensor}, which this flight does not have; expected it under the key 'aids'"
+                )
         for name, design in self.designs.items():
             self.check_design(name, design)
         if self._truth_is_recorded and self.fits is not None and self.fits.simulate is not None:

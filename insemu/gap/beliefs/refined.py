@@ -18,6 +18,7 @@ import yaml
 from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS, Effect, EffectParameter, EffectUse, Stage, having, joined
+from insemu.filters import AIDS, AidUse
 from insemu.gap.beliefs.nominal import REFINED, Nominal
 from insemu.gap.data.samples import louder
 from insemu.gap.data.sources import StaticLog
@@ -31,6 +32,8 @@ from insemu.whole import put
 MOST_POINTS = 200
 #: Gauss-Markov processes that stand for flicker in a filter, and the longest averaging time at which they do, s.
 FLICKER_TERMS, FLICKER_SPAN = 4, 3600.0
+#: Standard deviation of a row of an aid that is not used, SI: large enough to say nothing, small enough for digits.
+UNUSED = 1e6
 #: Probability that a good fix is rejected, for a filter that has to live with outliers.
 GATE = 1e-4
 
@@ -313,6 +316,9 @@ def _scenario(
                 truth["temperature"] = profile
         out["truth"] = truth
         out["trajectory"] = raw["trajectory"]
+        given = {kind: use for kind, use in _aids(measured).items() if any(u.sensor == kind for u in effects)}
+        if given:
+            out["aids"] = {**given, **raw.get("aids", {})}
     if own:
         options["compensate"] = [use.to_mapping() for use in own]
     shares = [use.scalar("probability") for use in effects if "outlying" in use.effect.traits]
@@ -359,6 +365,20 @@ def _interval(measured: StaticLog | Recording | None) -> float:
     if isinstance(measured, StaticLog):
         return 1.0 / measured.axes[0].rate_hz
     return measured.imu.dt if measured is not None else 0.01
+
+
+def _aids(measured: StaticLog | Recording | None) -> dict[str, dict[str, Any]]:
+    """The aids of a recording as a scenario has them; a row that is not used is as good as none."""
+    out = {}
+    for record in measured.aids if isinstance(measured, Recording) else ():
+        if record.kind in AIDS and len(record) > 1:
+            sigma = np.median(np.where(np.isfinite(record.std) & (record.std > 0.0), record.std, UNUSED), axis=0)
+            rate = 1.0 / float(np.median(np.diff(record.t)))
+            size = sum(count for _, count in (AIDS[record.kind].settings or {}).values())
+            settings = (*record.settings, *[0.0] * size)[:size]
+            use = AidUse(AIDS[record.kind], rate, tuple(sigma.tolist()), settings)
+            out[record.kind] = use.to_mapping()
+    return out
 
 
 def _temperature(measured: StaticLog | Recording | None) -> dict[str, list[float]] | None:
