@@ -280,13 +280,19 @@ class AidModel:
         return other if other.likelihood() > self.likelihood() else self
 
     def spread(self) -> Array:
-        """Covariance of the logarithms of :meth:`place` about the mode, by second differences; those at a bound are held there."""
+        """Covariance of the logarithms of :meth:`place` about the mode, by second differences.
+
+        Levels at a bound are held there. Size and time of an error that lasts go together and are not: of one at a bound a little inside of it.
+        """
         x, bounds = self.place()
+        low, high = (np.array([b[side] for b in bounds]) for side in (0, 1))
+        own = np.arange(x.size) >= len(self.data.rows)
+        x = np.where(own, np.clip(x, low + 3 * STEP, high - 3 * STEP), x)
         held = np.array([not low + 2 * STEP < v < high - 2 * STEP for v, (low, high) in zip(x, bounds, strict=True)])
         free = np.flatnonzero(~held)
         out = np.zeros((x.size, x.size))
         H = np.empty((free.size, free.size))
-        centre = self.likelihood()
+        centre = self.at(x).likelihood()
         ends = {}
         for i, k in enumerate(free):
             e = STEP * np.eye(x.size)[k]
