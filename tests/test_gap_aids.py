@@ -25,7 +25,7 @@ from insemu.gap.drive.preparation import Flown
 from insemu.gap.evidence.beside import AidModel, Beside
 from insemu.gap.problems import drive_without
 from insemu.gap.problems.aids import aids_looked_at
-from insemu.gap.verdict import Finding, Value
+from insemu.gap.verdict import Finding, Interval, Value
 from insemu.records import AidRecord, Recording
 from insemu.report.gap import gap_headline, is_better
 from insemu.scenario import load
@@ -184,6 +184,22 @@ def test_an_odometer_that_is_wrong_costs_metres_in_outages_and_its_noise_does_no
     assert 1.0 < found["odometer_scale_factor"].metres < 12.0
     assert found["odometer_scale_factor"].aided_nees > 2.0
     assert found["barometer_offset"].metres < 0.1
+
+
+def test_the_last_part_of_an_aid_judges_what_its_first_part_names(folder) -> None:
+    recording, believed = recorded(folder, HIDDEN["scale"][0], HIDDEN["offset"][0]), nominal(folder)
+    flown = Flown.of(*drive_without(recording, believed))
+    aids = flown.recording.aids
+    found = aids_looked_at(flown.prepared, aids, (), lambda _: None, "drive", hold_out=True)
+    assert set(found.held_out) == {"odometer", "barometer"}
+    assert min(g.low for g in found.held_out.values()) > 0.0
+    # an offset that ends with the first part predicts the last part worse
+    barometer = next(a for a in aids if a.kind == "barometer")
+    late = barometer.t > 200.0
+    ends = replace(barometer, values=barometer.values - 3.0 * late[:, None])
+    changed = aids_looked_at(flown.prepared, (ends,), (), lambda _: None, "drive", hold_out=True)
+    gain = changed.held_out["barometer"]
+    assert gain.high < found.held_out["barometer"].low
 
 
 def test_an_effect_that_is_left_out_is_not_named(folder) -> None:
@@ -355,6 +371,9 @@ def test_names_say_once_of_which_aid_and_the_fixes_judge_none(plain, folder) -> 
     said = gap_headline(replace(report, verdict="named", findings=(own, lag, row)))
     assert "odometer scale factor; lag of the measurements of the odometer; correlated odometer noise, sideways" in said
     assert is_better(replace(report, findings=(own,)))[0] == "not scored"
+    for low, high, word in ((0.1, 0.3, "yes"), (-0.1, 0.3, "not shown"), (-0.3, -0.1, "no")):
+        held = {"odometer": Interval(0.5 * (low + high), low, high)}
+        assert is_better(replace(report, findings=(own,), aids_held_out=held))[0] == word
     assert replace(report, findings=(own,), stated_60s=1.0).nees(own) == 2.0
 
 

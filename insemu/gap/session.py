@@ -170,7 +170,9 @@ def _drive(
         return out
     after = Flown.of(*(refined or _refined(measured, nominal, out))) if out.findings else first
     if measured.aids:
-        out = _with_aids(out, aids_looked_at(after.prepared, after.recording.aids, without, say, measured.source))
+        out = _with_aids(
+            out, aids_looked_at(after.prepared, after.recording.aids, without, say, measured.source, hold_out=hold_out)
+        )
     if not pictures:
         return out
     return replace(out, curves={**out.curves, "drive": _pictures(first, after, nominal)})
@@ -183,6 +185,7 @@ def _with_aids(report: GapReport, looked: Looked) -> GapReport:
         report,
         verdict=judged(looked.findings, "") if alone else report.verdict,
         findings=(*report.findings, *looked.findings),
+        aids_held_out=looked.held_out,
         where=tuple(sorted((*report.where, *looked.where), key=lambda w: w.p_value)),
         after=tuple(sorted((*report.after, *looked.after), key=lambda w: w.p_value)),
     )

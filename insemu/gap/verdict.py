@@ -314,6 +314,8 @@ class GapReport(Shown):
         Which of the positions (velocities) of the recording are outliers: their numbers in order of time, from 0.
     unresolved : tuple of float
         White noise that shaking leaves between the samples of the six axes, squared: (rad/s)^2/Hz and (m/s^2)^2/Hz. The vehicle's, and no finding.
+    aids_held_out : mapping of kind to Interval
+        Gain of log score of each aid with findings on its last part, by what its first part names: nats per block.
     """
 
     verdict: VerdictName
@@ -333,6 +335,7 @@ class GapReport(Shown):
     stated_60s: float = math.nan
     outliers: Mapping[str, NDArray[np.int64]] = field(default_factory=dict, repr=False, compare=False)
     unresolved: tuple[float, ...] = ()
+    aids_held_out: Mapping[str, Interval] = field(default_factory=dict)
 
     def nees(self, finding: Finding) -> float:
         """NEES of the horizontal position per degree of freedom at the end of a minute without fixes, of a filter that lacks this finding alone.
@@ -419,6 +422,7 @@ class GapReport(Shown):
             "where": [w.to_json() for w in self.where],
             "gap_index": {"before": self.gap_before.to_json(), "after": self.gap_after.to_json()},
             "held_out": {"gain_nats_per_fix": held["value"], "low": held["low"], "high": held["high"]},
+            "aids_held_out": {kind: gain.to_json() for kind, gain in self.aids_held_out.items()},
             "where_after": [w.to_json() for w in self.after],
             "threshold_nats": self.threshold_nats,
             "source": self.source,

@@ -489,12 +489,18 @@ def is_better(report: GapReport) -> tuple[str, str, str]:
     figures = f"gap index {before.value:.3g} to {after.value:.3g}" if math.isfinite(after.value) else "no index"
     if not report.findings:
         return "nothing was added", figures, "plain"
+    aids = [f"{k} {g.value:+.3g} nats per block [{g.low:.3g}, {g.high:.3g}]" for k, g in report.aids_held_out.items()]
     if all(s.sensor in AID_KINDS for s in report.findings):
-        return "not scored", f"the fixes, whose {figures}, judge no aid", "plain"
+        if not aids:
+            return "not scored", f"the fixes, whose {figures}, judge no aid", "plain"
+        gains = report.aids_held_out.values()
+        worse, better = any(g.high < 0.0 for g in gains), all(g.low > 0.0 for g in gains)
+        word, tone = ("no", "bad") if worse else ("yes", "good") if better else ("not shown", "warn")
+        return word, "; ".join(aids), tone
     if not math.isfinite(gain.value):
         return "not scored", figures, "plain"
     per = "fix" if math.isfinite(report.stated_60s) else "block"
-    figures += f"; {gain.value:+.3g} nats per {per} [{gain.low:.3g}, {gain.high:.3g}]"
+    figures = "; ".join([f"{figures}; {gain.value:+.3g} nats per {per} [{gain.low:.3g}, {gain.high:.3g}]", *aids])
     if gain.low > 0.0:
         return "yes", figures, "good"
     return ("no", figures, "bad") if gain.high < 0.0 else ("not shown", figures, "warn")

@@ -220,10 +220,18 @@ class AidModel:
 
     def whitened(self) -> Array:
         """Means (m, w) less the named effects at their best, whitened in order of time; of independent standard normal numbers."""
+        return self._predicted(self.root(), self.estimates()[0])
+
+    def scores(self, sizes: Array) -> Array:
+        """Log score of each block's means given those before it, (m,), with the named effects at sizes (k,) and the noise as it is."""
+        L = self.root()
+        logs = np.log(np.diag(L)).reshape(self.data.mean.shape)
+        return np.asarray(np.sum(-0.5 * self._predicted(L, sizes) ** 2 - logs, axis=1))
+
+    def _predicted(self, L: Array, sizes: Array) -> Array:
         d = self.data
-        m, w = d.mean.shape
-        left = d.mean - np.einsum("k,kmw->mw", self.estimates()[0], d.columns[list(self.columns)])
-        return np.asarray(solve_triangular(self.root(), left.ravel(), lower=True, check_finite=False).reshape(m, w))
+        left = d.mean - np.einsum("k,kmw->mw", sizes, d.columns[list(self.columns)])
+        return np.asarray(solve_triangular(L, left.ravel(), lower=True, check_finite=False).reshape(d.mean.shape))
 
     # -- noise --------------------------------------------------------------------------------------------------------------------
 

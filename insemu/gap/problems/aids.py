@@ -18,7 +18,7 @@ from insemu.gap.drive.preparation import Prepared
 from insemu.gap.evidence.beside import AidModel
 from insemu.gap.hypothesis import class_of, probabilities
 from insemu.gap.policy import rules
-from insemu.gap.verdict import Finding, Member, Value, Where
+from insemu.gap.verdict import Finding, Interval, Member, Value, Where
 from insemu.gap.worth import worth_of_aids
 from insemu.records import AidRecord
 
@@ -28,17 +28,20 @@ Array = NDArray[np.float64]
 MOST_STEPS = 8
 #: How often an aid is put right by sizes that moved, and by how much they may still be off, in standard deviations.
 MOST_TAKEN, LEAST_TAKEN = 5, 0.02
+#: Blocks of the last part of an aid below which nothing is judged on it.
+FEWEST_BLOCKS = 10
 #: Shapes that are weighed at their own noise, the best at the noise of the model before.
 MOST_FITTED = 4
 
 
 @dataclass(frozen=True)
 class Looked:
-    """What was found of the aids of a recording, and how each stands against the run before and after."""
+    """What was found of the aids of a recording, how each stands against the run before and after, and the gain on its last part, nats per block."""
 
     findings: tuple[Finding, ...] = ()
     where: tuple[Where, ...] = ()
     after: tuple[Where, ...] = ()
+    held_out: Mapping[str, Interval] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -111,7 +114,13 @@ def is_looked_at(kind: str) -> bool:
 
 
 def aids_looked_at(
-    prepared: Prepared, aids: Sequence[AidRecord], without: Collection[str], say: Callable[[str], None], source: str
+    prepared: Prepared,
+    aids: Sequence[AidRecord],
+    without: Collection[str],
+    say: Callable[[str], None],
+    source: str,
+    *,
+    hold_out: bool = False,
 ) -> Looked:
     """Find and name what aids are off by.
 
@@ -127,6 +136,8 @@ def aids_looked_at(
         Told what is being done.
     source : str
         Where the aids came from, for messages.
+    hold_out : bool
+        Whether what was found is judged on the last part of each aid, by what its first part names.
 
     Raises
     ------
@@ -138,6 +149,7 @@ def aids_looked_at(
     where: list[Where] = []
     after: list[Where] = []
     struck: dict[str, Array] = {}
+    held: dict[str, Interval] = {}
     for aid in aids:
         assert smoothed is not None
         shown = smoothed.shown_to(aid) if is_looked_at(aid.kind) else None
@@ -147,14 +159,45 @@ def aids_looked_at(
         say(f"the {aid.kind} against IMU and fixes")
         check_unit(measured, source)
         state = _State(smoothed, shown, aid, measured, nominal_model(measured, smoothed, known))
-        state = _outliers_out(state, without, known)
-        where += stands(state.model)
-        state = _searched(state, without)
+        start = _outliers_out(state, without, known)
+        where += stands(start.model)
+        state = _searched(start, without)
         after += stands(state.model)
+        if hold_out and state.steps:
+            say(f"the last part of the {aid.kind}")
+            gain = _held_out(start, without, known)
+            held |= {} if gain is None else {aid.kind: gain}
         findings += _told(state)
         struck[aid.kind] = state.struck
     findings = worth_of_aids(prepared, aids, findings, struck)
-    return Looked(tuple(sorted(findings, key=lambda s: -s.nats)), tuple(where), tuple(after))
+    return Looked(tuple(sorted(findings, key=lambda s: -s.nats)), tuple(where), tuple(after), held)
+
+
+def _held_out(whole: _State, without: Collection[str], known: Sequence[EffectUse]) -> Interval | None:
+    """Gain of the log score per block on the last part of an aid by what its first part names, with the numbers of that part; None of a short one.
+
+    Outliers were told on all of it and are left out of both.
+    """
+    t = whole.known.t
+    cut = float(t[0] + rules().naming_share * (t[-1] - t[0]))
+    part = replace(whole, known=whole.known.rows(t <= cut))
+    measured = Measured.of(part.known, whole.shown)
+    if measured is None:
+        return None
+    nominal = nominal_model(measured, whole.smoothed, known)
+    named = _searched(replace(part, measured=measured, model=nominal), without)
+    plain, found = replace(nominal, data=whole.model.data), replace(whole, model=named.model).at(named.taken)
+    if found is None:
+        return None
+    # .at() fits the noise anew, which would look at the last part
+    found_model = replace(found.model, noise=named.model.noise)
+    sizes = named.model.estimates()[0]
+    before, after = plain.scores(np.zeros(0)), found_model.scores(sizes)
+    n = min(np.count_nonzero(m.data.t > cut) for m in (plain, found_model))
+    if n < FEWEST_BLOCKS:
+        return None
+    gain = after[-n:] - before[-n:]
+    return Interval.normal(float(gain.mean()), float(gain.std()) / math.sqrt(n))
 
 
 def nominal_model(measured: Measured, smoothed: Smoothed, known: Sequence[EffectUse] = ()) -> AidModel:
