@@ -12,13 +12,14 @@ import pytest
 
 from insemu import earth, formats, rotation
 from insemu.cli import main
+from insemu.emulate import built_in, gnss_fixes, ideal_imu
 from insemu.errors import InputError
 from insemu.formats import Opened, open_files, write
 from insemu.formats.columns import parse_map
 from insemu.intake import card_of, examine
 from insemu.intake.checks import mounting
 from insemu.intake.fixes import OFFSET_NATS, against_fixes, against_reference, offset
-from insemu.records import GnssRecord, Recording, Series, Trajectory
+from insemu.records import AidRecord, GnssRecord, Recording, Series, Trajectory
 from tests.file_samples import KINDS, drive, mapped_csv
 from tests.shared_data import shared
 from tests.wrong_recordings import (
@@ -337,3 +338,24 @@ def test_an_antenna_ahead_of_the_imu_is_not_taken_for_a_late_clock(seconds_late:
     assert turn is not None and turn.gain_nats > OFFSET_NATS  # without the lever arm, both look like an offset
     (line,) = offset(turn)
     assert says in line.text + (line.mend or "")
+
+
+def test_aids_of_our_own_layout_are_on_the_card_and_go_on(tmp_path) -> None:
+    recording = _with_aid(tmp_path / "drive.npz")
+    found = open_files(tmp_path / "drive.npz")
+    (line,) = [line for line in examine(found).lines if line.topic == "barometer"]
+    assert line.text == "120 measurements at 2 Hz, stated standard deviations 0.5 (SI, median)"
+    write(tmp_path / "copy.npz", found.recording())
+    (aid,) = formats.read(tmp_path / "copy.npz").aids
+    np.testing.assert_array_equal(aid.values, recording.aids[0].values)
+
+
+def _with_aid(path):
+    imu = ideal_imu(built_in("lemniscate"), 50.0, span=(0.0, 70.0))
+    t = 1.0 + 0.5 * np.arange(120)
+    aid = AidRecord("barometer", t, 240.0 + np.sin(t)[:, None], np.full((120, 1), 0.5))
+    recording = Recording(
+        imu.imu, gnss_fixes(imu.reference, 1.0, rng=np.random.default_rng(1)), imu.reference, "d", (aid,)
+    )
+    write(path, recording)
+    return recording

@@ -25,7 +25,7 @@ from insemu.formats.assemble import (
 from insemu.formats.columns import ColumnMap, read_preset
 from insemu.formats.decoding import decoding
 from insemu.formats.table import Reader, Table, reader_of
-from insemu.records import GnssRecord, ImuRecord, Recording, Trajectory
+from insemu.records import AidRecord, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.units import parse
 
 Array = NDArray[np.float64]
@@ -51,6 +51,8 @@ class Opened:
         What was done on the way.
     repeated, backwards, missing : int
         Rows that were left out: repeated stamps, stamps that go back, no number.
+    aids : tuple of AidRecord
+        Measurements beside IMU and fixes, as they are in the file.
     """
 
     source: str
@@ -64,6 +66,7 @@ class Opened:
     repeated: int = 0
     backwards: int = 0
     missing: int = 0
+    aids: tuple[AidRecord, ...] = ()
 
     def recording(self) -> Recording:
         """The canonical recording; raises :class:`~insemu.errors.InputError` where there is no IMU."""
@@ -71,7 +74,7 @@ class Opened:
             raise InputError(
                 "holds no IMU data; name the file that does, and these fixes with --gnss", where=self.source
             )
-        return Recording(self.imu, self.gnss, self.reference, self.source)
+        return Recording(self.imu, self.gnss, self.reference, self.source, self.aids)
 
 
 @dataclass(frozen=True)
@@ -160,6 +163,7 @@ def open_files(
         story.repeated,
         story.backwards,
         story.missing,
+        main.reader.aids(main.path) if imu is not None and main.reader.aids is not None else (),
     )
 
 

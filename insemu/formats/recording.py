@@ -99,6 +99,12 @@ def read_recording(path: Path) -> Recording:
     return Recording(imu, gnss, reference, source, aids, _initial(arrays, source))
 
 
+def aids_of(path: Path) -> tuple[AidRecord, ...]:
+    """The aids of a recording in our own layout; see :func:`read_recording`."""
+    arrays = folder_arrays(path) if path.is_dir() else load_npz(path)
+    return _aids(arrays, str(path))
+
+
 def _aids(arrays: Mapping[str, NDArray[Any]], source: str) -> tuple[AidRecord, ...]:
     """Measurements beside the fixes; see the module. What kinds there are is the filter's to know."""
     out = []

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from insemu.formats.columns import ColumnMap, guess_map, split_header
 from insemu.formats.decoding import decoding, encoding_of, head_of, open_text
+from insemu.records import AidRecord
 from insemu.units import parse_unit
 
 
@@ -116,12 +117,15 @@ class Reader:
         Takes the path and the settings of the user's map; gives tables.
     rank : int
         Readers of low rank are asked first: 0 content says so for sure, 5 a layout of names, 9 whatever is left.
+    aids : callable, optional
+        Takes the path; gives the measurements beside IMU and fixes, where a file of this kind can hold any.
     """
 
     name: str
     sniff: Callable[[Probe], bool]
     read: Callable[[Path, Mapping[str, str]], list[Table]]
     rank: int = 5
+    aids: Callable[[Path], tuple[AidRecord, ...]] | None = None
 
 
 _READERS: list[Reader] = []

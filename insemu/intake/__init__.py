@@ -15,7 +15,7 @@ from insemu.formats import Log, Opened
 from insemu.intake import checks
 from insemu.intake import fixes as fixed
 from insemu.intake.card import Card, Level, Line
-from insemu.records import AXES, ImuRecord, Recording
+from insemu.records import AXES, AidRecord, ImuRecord, Recording
 from insemu.variance import missing_values, unit_report
 
 __all__ = ["Card", "Level", "Line", "card_of", "examine"]
@@ -46,7 +46,7 @@ def _examined(data: Opened | Recording | Log, kind: str) -> Card:
     if isinstance(data, Log):
         return Card(data.source, kind or "static log", tuple(_log_lines(data)))
     if isinstance(data, Recording):
-        data = Opened(data.source, kind or "recording", data.imu, data.gnss, data.reference)
+        data = Opened(data.source, kind or "recording", data.imu, data.gnss, data.reference, aids=data.aids)
     lines = [Line("taken", "ok", text) for text in data.taken]
     lines += [Line("assumed", "assumed", text) for text in data.assumed]
     lines += [Line("done", "odd" if "left out" in text else "ok", text) for text in data.notes]
@@ -67,7 +67,15 @@ def _examined(data: Opened | Recording | Log, kind: str) -> Card:
         )
         if data.gnss is not None:
             lines += fixed.against_reference(data.gnss, data.reference)
+    lines += [_aid_line(aid) for aid in data.aids if len(aid)]
     return Card(data.source, kind or data.kind, tuple(lines))
+
+
+def _aid_line(aid: AidRecord) -> Line:
+    """How many measurements an aid has, how often and how good."""
+    rate = f" at {1.0 / np.median(np.diff(aid.t)):.3g} Hz" if len(aid) > 1 else ""
+    sigma = ", ".join(f"{s:.3g}" for s in np.median(aid.std, axis=0))
+    return Line(aid.kind, "ok", f"{len(aid)} measurements{rate}, stated standard deviations {sigma} (SI, median)")
 
 
 def _imu_lines(data: Opened, imu: ImuRecord, found: fixed.Agreement | None, unstated: set[str]) -> list[Line]:
