@@ -305,7 +305,7 @@ def test_intervals_of_an_error_that_lasts_hold_the_truth() -> None:
             start = AidModel.nominal(block(360.0, 1.2, 5, 3.0, tau, seed), np.zeros(0), {})
             model = start.with_lasting(0)
             assert model is not None
-            spread = model.spread()
+            spread = model.spread(inside=True)
             for k, true in enumerate((3.0, tau)):
                 low, high = model.interval(1 + k, spread)
                 hits[k] += low < math.log(true) < high

@@ -26,6 +26,8 @@ LEAST_SCORE, TIMES = 2.0, 6
 LONG = 0.3
 #: Places along a ridge in standard deviations, and the root of what the log likelihood falls by at the ends of an interval of 95 %.
 RIDGE, FALL = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0), math.sqrt(0.5 * 1.96**2)
+#: What a number at its bound is uncertain by, in its logarithm, where evidence is weighed.
+HELD = 0.01
 #: Steps of the logarithms for second differences.
 STEP = 0.05
 #: Prior standard deviation of a coefficient that was named, in datasheet scales: so wide that it moves no estimate.
@@ -287,14 +289,17 @@ class AidModel:
         other = replace(self, noise=replace(self.noise, lasting=shorter)).fitted()
         return other if other.likelihood() > self.likelihood() else self
 
-    def spread(self) -> Array:
-        """Covariance of the logarithms of :meth:`place` about the mode, by second differences.
+    def spread(self, inside: bool = False) -> Array:
+        """Covariance of the logarithms of :meth:`place` about the mode, by second differences; those at a bound are held there.
 
-        Levels at a bound are held there. Size and time of an error that lasts go together and are not: of one at a bound a little inside of it.
+        Parameters
+        ----------
+        inside : bool
+            Whether size and time of an error that lasts, which go together, are taken a little inside of a bound instead.
         """
         x, bounds = self.place()
         low, high = (np.array([b[side] for b in bounds]) for side in (0, 1))
-        own = np.arange(x.size) >= len(self.data.rows)
+        own = inside & (np.arange(x.size) >= len(self.data.rows))
         x = np.where(own, np.clip(x, low + 3 * STEP, high - 3 * STEP), x)
         held = np.array([not low + 2 * STEP < v < high - 2 * STEP for v, (low, high) in zip(x, bounds, strict=True)])
         free = np.flatnonzero(~held)
@@ -327,7 +332,7 @@ class AidModel:
         ----------
         k : int
         spread : (p, p) array
-            From :meth:`spread`.
+            From :meth:`spread`, ``inside``.
         """
         x, bounds = self.place()
         low, high = (np.array([b[side] for b in bounds]) for side in (0, 1))
@@ -390,8 +395,10 @@ class AidModel:
         _, bounds = more.place()
         gain = more.likelihood() - self.likelihood()
         covariance = more.spread()[np.ix_(new, new)]
-        sd = np.sqrt(np.maximum(np.diag(covariance), 1e-12))
-        inside = covariance / np.outer(sd, sd)
+        # one at a bound counts as a step: an error that lasts as long as the recording is a constant by another name
+        held = np.diag(covariance) <= 0.0
+        sd = np.sqrt(np.where(held, HELD**2, np.diag(covariance)))
+        inside = covariance / np.outer(sd, sd) + np.diag(held.astype(np.float64))
         widths = [high - low for low, high in (bounds[k] for k in new)]
         volume = 0.5 * len(new) * math.log(2.0 * math.pi) + float(np.log(sd).sum())
         volume += 0.5 * float(np.linalg.slogdet(inside + 1e-9 * np.eye(len(new)))[1])

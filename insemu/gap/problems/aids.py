@@ -381,7 +381,7 @@ def _axes(model: AidModel, c: _Candidate) -> tuple[str, ...]:
 def _told(state: _State) -> list[Finding]:
     """Findings of an aid with the numbers of everything together."""
     model, d = state.model, state.model.data
-    spread = model.spread() if any(s.chosen.rows for s in state.steps) else np.zeros((0, 0))
+    spread = model.spread(inside=True) if any(s.chosen.rows for s in state.steps) else np.zeros((0, 0))
     out: list[Finding] = []
     for step in state.steps:
         c, effect = step.chosen, EFFECTS[step.chosen.effect]
