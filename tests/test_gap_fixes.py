@@ -590,7 +590,7 @@ def test_what_the_filter_states_after_a_minute_is_what_it_states_without_the_fix
 
 @pytest.mark.slow
 def test_nees_counts_what_a_finding_adds_to_what_is_stated() -> None:
-    finding = SimpleNamespace(metres=6.0)
+    finding = SimpleNamespace(metres=6.0, sensor="gnss", aided_nees=math.nan)
     report = SimpleNamespace(stated_60s=3.0)
     assert GapReport.nees(report, finding) == pytest.approx(5.0)  # type: ignore[arg-type]
     made: EffectUse = use(effect="lever_arm", value=[1.0, 0.0, 0.0])
