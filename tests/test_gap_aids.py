@@ -232,7 +232,7 @@ def test_aids_are_on_the_clock_of_the_imu(folder) -> None:
 
 WRONG = {
     "kilometres an hour": (lambda a: replace(a, values=3.6 * a.values), "odometer", "km/h"),
-    "the other sign": (lambda a: replace(a, values=-a.values), "odometer", "other sign"),
+    "the other sign": (lambda a: replace(a, values=-a.values), "odometer", "sign reversed"),
     "nothing": (lambda a: replace(a, values=0.0 * a.values), "odometer", "0 times what IMU and fixes say"),
     "degrees": (lambda a: replace(a, values=np.rad2deg(a.values)), "heading", "are these degrees"),
 }
@@ -245,6 +245,25 @@ def test_an_aid_that_is_something_else_is_refused_by_name(plain, name: str) -> N
     with pytest.raises(InputError, match=words) as caught:
         aids_looked_at(plain[2].prepared, (aid,), (), lambda _: None, "drive.npz")
     assert str(caught.value).startswith("drive.npz: aid_")
+
+
+def test_a_wheel_across_whose_way_nothing_moves_may_be_turned_by_much(folder) -> None:
+    """Its other rows are often held at zero: they say nothing of a unit, and 12 degrees is a misalignment."""
+    recording, believed = recorded(folder), nominal(folder)
+    odometer = next(a for a in recording.aids if a.kind == "odometer")
+    forward = odometer.values[:, 0]
+    turned = np.column_stack([math.cos(0.2) * forward, -math.sin(0.2) * forward, 0.0 * forward])
+    made = replace(recording, aids=(replace(odometer, values=turned),))
+    found = {s.effect: s for s in looked(made, believed).findings}
+    yaw = next(v for v in found["odometer_misalignment"].parameters if v.name == "yaw")
+    assert yaw.value == pytest.approx(0.2, abs=0.02)
+    # and the same wheel the other way about: what should be across is 2 m/s, and zero is said
+    across = replace(
+        odometer,
+        settings=(0.0, 0.0, 0.0, 0.0, 0.0, 0.2),
+        values=np.column_stack([forward, 0.0 * forward, 0.0 * forward]),
+    )
+    looked(replace(recording, aids=(across,)), believed)
 
 
 ODD = {

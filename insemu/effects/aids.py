@@ -133,14 +133,10 @@ class OdometerMisalignment(_OfAid):
         }
 
 
-class BarometerOffset(_OfAid):
-    """The pressure at sea level is not the believed one, or heights are above the sea and not above the ellipsoid."""
+class _Offset(_OfAid):
+    """A constant."""
 
-    id, name = "barometer_offset", "offset of the barometric height"
-    sensors = ("barometer",)
     formula = "e = value"
-    parameters = (_P("value", "m", 1, (10.0,), None, "measured minus true height", join="sum"),)
-    excitation, in_filter = "fixes", "compensation, or one constant"
     stage, size = Stage.LAW, "value"
 
     def inject_aid(self, errors: AidErrors, use: EffectUse, rng: np.random.Generator) -> None:
@@ -154,6 +150,15 @@ class BarometerOffset(_OfAid):
     def aid_columns(self, values: Array, slope: Array) -> dict[str, Array]:
         """A constant."""
         return {"value": np.ones_like(values)}
+
+
+class BarometerOffset(_Offset):
+    """The pressure at sea level is not the believed one, or heights are above the sea and not above the ellipsoid."""
+
+    id, name = "barometer_offset", "offset of the barometric height"
+    sensors = ("barometer",)
+    parameters = (_P("value", "m", 1, (10.0,), None, "measured minus true height", join="sum"),)
+    excitation, in_filter = "fixes", "compensation, or one constant"
 
 
 class BarometerScaleFactor(_OfAid):
@@ -187,29 +192,15 @@ class BarometerScaleFactor(_OfAid):
         return {"h0": float(values.mean())}
 
 
-class HeadingOffset(_OfAid):
+class HeadingOffset(_Offset):
     """An antenna baseline or a compass that is turned against its believed axis, or a wrong declination."""
 
     id, name = "heading_offset", "offset of the heading"
     sensors = ("heading",)
-    formula = "e = value"
     parameters = (
         _P("value", "rad", 1, (math.radians(2.0),), None, "measured minus true heading", join="sum", most=math.pi),
     )
     excitation, in_filter = "accelerations, with fixes", "compensation, or one constant"
-    stage, size = Stage.LAW, "value"
-
-    def inject_aid(self, errors: AidErrors, use: EffectUse, rng: np.random.Generator) -> None:
-        """Add it."""
-        errors.values += use.scalar("value")
-
-    def corrected_aid(self, use: EffectUse, aid: AidRecord) -> AidRecord:
-        """Subtract it."""
-        return replace(aid, values=aid.values - use.scalar("value"))
-
-    def aid_columns(self, values: Array, slope: Array) -> dict[str, Array]:
-        """A constant."""
-        return {"value": np.ones_like(values)}
 
 
 class HeadingDeviation(_OfAid):

@@ -17,13 +17,13 @@ from insemu.gap.verdict import Where
 #: What a slope of what an aid says against what it should say stands for, by kind; a slope of 1 is right.
 SLOPES: Mapping[str, Mapping[float, str]] = {
     "odometer": {
-        3.6: "km/h",
-        1.944: "knots",
-        2.237: "miles per hour",
-        3.281: "feet per second",
-        -1.0: "of the other sign",
+        3.6: "is it in km/h?",
+        1.944: "is it in knots?",
+        2.237: "is it in miles per hour?",
+        3.281: "is it in feet per second?",
+        -1.0: "is its sign reversed?",
     },
-    "barometer": {3.281: "feet", -1.0: "depths, not heights"},
+    "barometer": {3.281: "is it in feet?", -1.0: "is it depth, not height?"},
 }
 #: Distance of a slope from 1 beyond which an aid is something else: any scale factor is less; relative distance from a unit's that is its.
 NO_SCALE, ITS_UNIT = 0.5, 0.1
@@ -42,24 +42,24 @@ def check_unit(measured: Measured, source: str) -> None:
                 where=source,
             )
         return
-    for row in np.flatnonzero(measured.used):
-        true, said = measured.values[:, row], aid.values[:, row]
-        about = 0.0 if kind == "odometer" else 1.0
-        x, y = true - about * np.median(true), said - about * np.median(said)
-        varied = float(np.sqrt(np.mean(x**2)))
-        if varied < max(LEAST_VARIED[kind], LEAST_SEEN * float(np.median(aid.std[:, row]))):
-            continue
-        slope = float(x @ y) / float(x @ x)
-        if abs(slope - 1.0) <= NO_SCALE:
-            continue
-        name = list(AIDS[kind].rows)[row]
-        unit = AIDS[kind].rows[name]
-        near = [said for factor, said in SLOPES[kind].items() if abs(slope / factor - 1.0) < ITS_UNIT]
-        hint = f"are these {near[0]}?" if near else "is it another quantity, or stamped by another clock?"
-        raise InputError(
-            f"aid_{kind} ({name}) is {slope:.3g} times what IMU and fixes say, expected {unit} as they say: {hint}",
-            where=source,
-        )
+    if not measured.used[0]:
+        return
+    # the first row tells the unit: of a wheel the others are often held at zero
+    true, given = measured.values[:, 0], aid.values[:, 0]
+    about = 0.0 if kind == "odometer" else 1.0
+    x, y = true - about * np.median(true), given - about * np.median(given)
+    varied = float(np.sqrt(np.mean(x**2)))
+    if varied < max(LEAST_VARIED[kind], LEAST_SEEN * float(np.median(aid.std[:, 0]))):
+        return
+    slope = float(x @ y) / float(x @ x)
+    if abs(slope - 1.0) <= NO_SCALE:
+        return
+    name, unit = next(iter(AIDS[kind].rows.items()))
+    near = [said for factor, said in SLOPES[kind].items() if abs(slope / factor - 1.0) < ITS_UNIT]
+    hint = near[0] if near else "is it another quantity, or stamped by another clock?"
+    raise InputError(
+        f"aid_{kind} ({name}) is {slope:.3g} times what IMU and fixes say, expected {unit}: {hint}", where=source
+    )
 
 
 def stands(model: AidModel) -> list[Where]:

@@ -278,15 +278,14 @@ def _without(state: _State, c: _Candidate) -> tuple[float, _State]:
                 return model.of_means() - back.model.of_means(), back
         gain = less.gain_of_columns(c.columns)
         return _shape_weighed(less, gain, c.effect, c.columns).nats, replace(state, model=less)
-    row = c.rows[0]
+    row, new = c.rows[0], tuple[int, ...]()
     if c.effect.endswith("noise_level"):
-        edge, level = 1.0 + rules().tolerance, noise.level.copy()
-        level[row] = np.clip(level[row], 1.0 / edge, math.sqrt(edge**2 + model.data.shaken[row]))
-        noise, new = replace(noise, level=level, named=tuple(r for r in noise.named if r != row)), [row]
+        noise, new = replace(noise, named=tuple(r for r in noise.named if r != row)), (row,)
     else:
-        at = len(model.data.rows) + 2 * list(noise.lasting).index(row)
-        noise = replace(noise, lasting={r: v for r, v in noise.lasting.items() if r != row})
-        new = [at, at + 1]
+        noise, new = (
+            replace(noise, lasting={r: v for r, v in noise.lasting.items() if r != row}),
+            model.place_of_lasting(row),
+        )
     less = replace(model, noise=noise).fitted()
     return less.gain_of_noise(model, new), replace(state, model=less)
 
@@ -337,8 +336,7 @@ def _candidates(model: AidModel, without: Collection[str]) -> list[_Candidate]:
             more = model.with_lasting(row)
             if more is None:
                 continue
-            at = len(d.rows) + 2 * list(more.noise.lasting).index(row)
-            out += _noisier(model, more, lasting, row, [at, at + 1])
+            out += _noisier(model, more, lasting, row, more.place_of_lasting(row))
     return out
 
 
@@ -425,9 +423,9 @@ def _noise_values(model: AidModel, c: _Candidate, row: int, spread: Array) -> li
         factor = value(f"factor{tail}", row, "", 1.0)
         # some of it may be what the vehicle shakes
         return [replace(factor, low=math.sqrt(max(factor.low**2 - float(d.shaken[row]), 0.0)))]
-    at = len(d.rows) + 2 * list(model.noise.lasting).index(row)
-    sigma = value(f"sigma{tail}", at, effect.unit("sigma", d.kind), float(d.std[row]))
-    return [sigma, value("tau", at + 1, "s", 1.0)]
+    of_sigma, of_tau = model.place_of_lasting(row)
+    sigma = value(f"sigma{tail}", of_sigma, effect.unit("sigma", d.kind), float(d.std[row]))
+    return [sigma, value("tau", of_tau, "s", 1.0)]
 
 
 def _with(findings: list[Finding], new: Finding) -> list[Finding]:
