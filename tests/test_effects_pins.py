@@ -112,6 +112,7 @@ def _fixes(use: EffectUse) -> Any:
     return [
         errors.position(), errors.velocity(), errors.stated(), errors.stated_velocity(), errors.arm, errors.latency,
         errors.velocity_lag, errors.velocity_window, errors.velocity_tau,
+        *([errors.position_tau, errors.arm_at(errors.t)] if errors.position_tau.any() or errors.arm_steps else ()),
     ]  # fmt: skip
 
 

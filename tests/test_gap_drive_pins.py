@@ -130,6 +130,7 @@ def test_refinements_of_plainer_errors_are_these():
         "temperature_misalignment",
         "gnss_velocity_lag",
         "gnss_velocity_filter",
+        "gnss_position_filter",
     }
 
 
@@ -184,7 +185,13 @@ def test_an_effect_worth_less_than_two_nats_beside_the_others_is_idle(nats, idle
     one = Hypothesis("ramp", nats, (), old.chosen.change, "", "gyro", ("x",))
     monkeypatch.setattr(drive, "linear_hypotheses", lambda *_: [one])
     problem = SimpleNamespace(
-        scene=None, variants=(), data=None, threshold=3.0, blocks=lambda _: [], _skip=lambda _: set()
+        scene=None,
+        variants=(),
+        data=None,
+        threshold=3.0,
+        blocks=lambda _: [],
+        _skip=lambda _: set(),
+        _beside=lambda _: (),
     )
     assert drive.DriveProblem.again(problem, old).idle == idle
 

@@ -104,8 +104,9 @@ def nominal_run(kind: str = "increment") -> tuple[FilterResult, Motion, Loop]:
 
 #: The number that this flight shows best, where that is not the last.
 SHOWN = {"misalignment": "value_yx", "temperature_misalignment": "value_yx"}
-#: Seen elsewhere: this flight is level (tests/test_effects_velocity_filter.py), and a drift runs with the stamps (below).
-ELSEWHERE = ("gnss_velocity_filter", "clock_drift")
+#: Seen elsewhere: this flight is level (tests/test_effects_velocity_filter.py), a filtered position has several columns
+#: (tests/test_effects_position_filter.py), and a drift runs with the stamps (below).
+ELSEWHERE = ("gnss_velocity_filter", "gnss_position_filter", "clock_drift")
 #: One number of every effect with columns, on every sensor: effect, sensor, label.
 SIGNATURES = [
     (e.id, sensor, label)

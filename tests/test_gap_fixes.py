@@ -21,7 +21,7 @@ from insemu.errors import InputError
 from insemu.gap import GapReport, Nominal, find_gap
 from insemu.gap.candidates.fixes import _share_and_size, gnss_outliers, without_outliers
 from insemu.gap.candidates.shapes import Change
-from insemu.gap.candidates.steps import Beside, _Scan, _step_anywhere, _surprising, _when, multipath_step
+from insemu.gap.candidates.steps import Beside, _Scan, _step_anywhere, _when, multipath_step, surprising
 from insemu.gap.drive import FIRST
 from insemu.gap.drive.apart import log_mixture, outlying
 from insemu.gap.drive.preparation import Flown, fitted_levels
@@ -214,10 +214,10 @@ def test_the_fixes_behind_which_residuals_surprise() -> None:
     e = 0.1 * np.random.default_rng(2).standard_normal((400, 3))
     e[100, 1] = 5.0
     e[200:208, 2] += 1.5  # 4.2 standard deviations of their mean
-    top = _surprising(e)
+    top = surprising(e)
     assert top[0] == 100 and abs(top[1] - 200) <= 1 and top.size == 16
     assert np.min(np.diff(np.sort(top))) > 2
-    assert _surprising(e[:3]).size == 1
+    assert surprising(e[:3]).size == 1
 
 
 def test_a_step_whose_fixes_were_told_outliers_is_named() -> None:

@@ -71,6 +71,8 @@ FOUND: dict[str, tuple[str, tuple[str, ...], str, dict[str, float], dict[str, An
     "lever_arm": ("gnss", ("x",), "", {"value_x": 0.2}, {"value": [0.2, 0, 0]}),
     "gnss_velocity_lag": ("gnss", (), "", {"lag": 0.05}, {"lag": 0.05}),
     "gnss_velocity_filter": ("gnss", ("down",), "", {"tau_down": 0.3}, {"tau": [0, 0, 0.3]}),
+    "gnss_position_filter": ("gnss", ("north", "east"), "", {"tau": 0.5}, {"tau": [0.5, 0.5, 0]}),
+    "lever_arm_step": ("gnss", ("y",), "", {"value": 0.4, "start": 20.0}, {"value": [0, 0.4, 0], "start": 20.0}),
     "gnss_multipath_step": ("gnss", ("east",), "", {"value": 2.0, "start": 10.0, "duration": 8.0}, {"value": [0, 2.0, 0], "start": 10.0}),
     "gnss_velocity_outliers": ("gnss", ("north", "east", "down"), "", {"probability": 0.05, "sigma": 0.4}, {"sigma": [0.4, 0.4, 0.4]}),
     "gnss_outliers": ("gnss", ("north", "east", "down"), "", {"probability": 0.05, "sigma": 4.0}, {"sigma": [4.0, 4.0, 4.0]}),

@@ -37,12 +37,13 @@ KINDS: dict[str, tuple[str, ...]] = {
     "band": ("band",),
     "outside": ("outside",),
     "jump": ("jump",),
+    "rarer": ("rarer",),
     "aid-none": (),
     "aid": ("aid",),
     "aid-two": ("aid", "aid"),
 }
 #: Kinds with nothing, one, and more hidden, whose answers are counted alike.
-NOTHING, ONE, MORE = ("none", "aid-none"), ("one", "jump", "aid"), ("two", "three", "aid-two")
+NOTHING, ONE, MORE = ("none", "aid-none"), ("one", "jump", "rarer", "aid"), ("two", "three", "aid-two")
 #: Effects of one size are made so large that they are worth between these, nats.
 WORTH = (25.0, 250.0)
 #: Factor on the vibration of the world in which an effect's worth is measured: in the innovations of a shaken vehicle hardly two runs are alike
@@ -107,7 +108,7 @@ def drawn(job: Job) -> tuple[sensors.World, list[sensors.Hidden], list[float]]:
             if any(o.effect == h.effect for o in hidden):
                 continue
             half = ruler.half(h) if what != "band" else math.nan
-            if kind in ("shaped", "outside", "jump"):
+            if kind in ("shaped", "outside", "jump", "rarer"):
                 scaled, half = ruler.scaled(h, target)
                 if abs(scaled.values["value"] / h.values["value"]) > MOST_SCALE:
                     continue  # the motion does not show it
@@ -308,7 +309,10 @@ def truths(h: sensors.Hidden, world: sensors.World) -> dict[str, float]:
     v, axis = h.values, h.axis
     if h.sensor in EVERY:
         return {f"{k}_{axis}" if axis and k != "tau" and h.effect != "aid_outliers" else k: x for k, x in v.items()}
-    name = {"temperature": "c1", "imu_gnss_time_offset": "offset"}.get(h.effect, "value")
+    names = {"temperature": "c1", "imu_gnss_time_offset": "offset", "gnss_position_filter": "tau"}
+    name = names.get(h.effect, "value")
+    if "lag" in v:
+        return {f"c1_{axis}": v["value"], f"lag_{axis}": v["lag"]}
     if "value" in v and "start" not in v:
         return {f"{name}_{axis}" if axis else name: v["value"]}
     if h.effect == "gnss_correlated_noise":

@@ -38,6 +38,15 @@ SHAPED: dict[tuple[str, str], float] = {
 }
 #: What a bias jumps by, rad/s and m/s^2, before it is brought to what it is to be worth.
 JUMPS = {"gyro": 5e-4, "accel": 0.02}
+#: Effects of one size that are not often met, with a usual size: a lag of the temperature, an antenna that moves, positions that a receiver filters.
+RARER: dict[tuple[str, str], float] = {
+    ("temperature", "gyro"): 2e-5,
+    ("temperature", "accel"): 1e-3,
+    ("lever_arm_step", "gnss"): 0.5,
+    ("gnss_position_filter", "gnss"): 0.5,
+}
+#: Least and largest time constant of a temperature that lags, s.
+LAGS_S = (30.0, 90.0)
 #: What no catalogue holds, by name, with a usual size.
 OUTSIDE: dict[tuple[str, str], float] = {
     ("accel_square", "accel"): 2e-4,
@@ -67,6 +76,8 @@ class Hidden:
 
     def scaled(self, factor: float) -> Hidden:
         """With its one size times a factor."""
+        # what a tracker is behind goes with the square of its time constant
+        factor = np.sqrt(factor) if self.effect == "gnss_position_filter" else factor
         name = "value" if "value" in self.values else "K"
         return replace(self, values={**self.values, name: float(factor * self.values[name])})
 
@@ -245,7 +256,7 @@ def draw_world(
 
 
 def draw_hidden(rng: np.random.Generator, world: World, what: str) -> Hidden:
-    """Draw an effect: ``shaped``, ``drawn`` at a size of its own, ``jump`` of a bias, in the samples (``band``), ``outside``, of an ``aid``."""
+    """Draw an effect: ``shaped``, ``drawn`` at a size of its own, ``jump``, ``rarer``, in the samples (``band``), ``outside``, of an ``aid``."""
     unit, axis = world.unit, "xyz"[rng.integers(3)]
     sign = float(rng.choice([-1.0, 1.0]))
     if what in ("shaped", "outside"):
@@ -258,6 +269,14 @@ def draw_hidden(rng: np.random.Generator, world: World, what: str) -> Hidden:
         elif sensor == "imu":
             axis = ""
         return Hidden(effect, sensor, axis, {"value": sign * table[effect, sensor]})
+    if what == "rarer":
+        effect, sensor = list(RARER)[rng.integers(len(RARER))]
+        values = {"value": sign * RARER[effect, sensor]}
+        if effect == "gnss_position_filter":
+            return Hidden(effect, sensor, "", {"value": abs(values["value"])})
+        if effect == "lever_arm_step":
+            return Hidden(effect, sensor, axis, {**values, "start": float(rng.uniform(0.2, 0.7) * world.sensed.t[-1])})
+        return Hidden(effect, sensor, axis, {**values, "lag": float(rng.uniform(*LAGS_S))})
     if what == "aid":
         return Hidden(*beside.draw_aid(rng, world))
     if what == "jump":
@@ -369,13 +388,38 @@ def _on_signals(h: Hidden, sensed: Sensed, signals: dict[str, Array], warm: Arra
         "scale_factor": lambda: true,
         "misalignment": lambda: own[:, NEIGHBOURS[h.axis][1]],
         "g_sensitivity": lambda: sensed.force[:, "xyz".index(h.axis[1])],
-        "temperature": lambda: warm - 25.0,
+        "temperature": lambda: _late(warm, h.values.get("lag", 0.0)) - 25.0,
         "bias_step": lambda: (sensed.t > h.values["start"]).astype(np.float64),
         "accel_square": lambda: true**2 * np.sign(G),
         "rate_times_force": lambda: sensed.rate[:, (first + 1) % 3] * true,
     }.get(h.effect)
     if added is not None:
         signals[h.sensor][:, first] += value * added()
+
+
+def _late(warm: Array, lag: float) -> Array:
+    """A temperature seen by an element that takes a time constant (s) to follow it, in balance at first; sample by sample."""
+    if lag == 0.0:
+        return warm
+    out, kept = np.empty_like(warm), 1.0 - DT / lag
+    out[0] = warm[0]
+    for k in range(1, warm.size):
+        out[k] = kept * out[k - 1] + (1.0 - kept) * warm[k - 1]
+    return out
+
+
+def _tracked(place: Array, velocity: float, tau: float) -> Array:
+    """Positions (n,) of a receiver that tracks with a velocity of its own: both are corrected at every step of the simulation."""
+    state, speed = float(place[0]), velocity
+    gain, rate = 2.0 * DT / tau, DT / tau**2
+    out = np.empty_like(place)
+    for k, true in enumerate(place.tolist()):
+        state += speed * DT
+        error = true - state
+        state += gain * error
+        speed += rate * error
+        out[k] = state
+    return out
 
 
 def _butterworth(x: Array, cutoff: float) -> Array:
@@ -408,14 +452,24 @@ def _fixes(world: World, hidden: Sequence[Hidden], stated: float) -> dict[str, N
     unit, sensed, rng = world.unit, world.sensed, np.random.default_rng([world.seed, 4])
     every = round(RATE / unit.fix_rate)
     at = np.arange(every - 1, sensed.t.size - 1, every)
-    lever = unit.lever.copy()
+    lever = np.tile(unit.lever, (sensed.t.size, 1))
     for h in hidden:
-        if h.effect == "lever_arm":
-            lever["xyz".index(h.axis)] += h.values["value"]
-    arm = sensed.attitude @ lever
-    place = sensed.place[at] + arm[at]
-    speed = sensed.velocity[at] + (arm[at + 1] - arm[at - 1]) / (2.0 * DT)
+        if h.effect in ("lever_arm", "lever_arm_step"):
+            lever[:, "xyz".index(h.axis)] += h.values["value"] * (sensed.t > h.values.get("start", -1.0))
+    arm = np.einsum("nij,nj->ni", sensed.attitude, lever)
+    way = sensed.place + arm
     axes = plane(*world.ride.origin[:2])
+    for h in hidden:
+        if h.effect == "gnss_position_filter":
+            north, east, down = (way @ axes).T
+            begun = (sensed.velocity[0] + (arm[99] - arm[0]) / (99.0 * DT)) @ axes
+            north, east = (
+                _tracked(x, float(v), h.values["value"]) for x, v in zip((north, east), begun[:2], strict=True)
+            )
+            way = np.stack([north, east, down], axis=1) @ axes.T
+    place = way[at]
+    turned = (sensed.attitude[at + 1] - sensed.attitude[at - 1]) / (2.0 * DT)
+    speed = sensed.velocity[at] + np.einsum("nij,nj->ni", turned, lever[at])
     t, n = sensed.t[at], at.size
     first, second, third, fourth = (rng.standard_normal((n, 3)) for _ in range(4))
     chance = rng.random(n)

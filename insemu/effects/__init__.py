@@ -34,10 +34,10 @@ from insemu.effects.base import (
 )
 from insemu.effects.chain import Chain, FixErrors
 from insemu.effects.compensation import added_signal, columns_without, compensated, lever_arm_of
-from insemu.effects.deterministic import lagged
+from insemu.effects.deterministic import REFERENCE_DEGC, lagged
 from insemu.effects.gnss import LONGEST_ARM
 from insemu.effects.hiding import DriveLot, Hidden, RestLot
-from insemu.effects.motion import MOTION_HZ, Column, FixGeometry, Motion, steady
+from insemu.effects.motion import MOTION_HZ, Column, FixGeometry, Motion, first_axis, on_axes, steady
 from insemu.effects.parameters import CELLS, CROSS, EffectParameter, Join
 
 EFFECTS.update(
@@ -106,6 +106,7 @@ __all__ = [
     "LONGEST_ARM",
     "MOTION_HZ",
     "NED",
+    "REFERENCE_DEGC",
     "RPY",
     "SIGNAL_UNITS",
     "XYZ",
@@ -131,12 +132,14 @@ __all__ = [
     "columns_without",
     "compensated",
     "effect_of",
+    "first_axis",
     "having",
     "join_of",
     "joined",
     "lagged",
     "lever_arm_of",
     "markdown_table",
+    "on_axes",
     "passes",
     "steady",
 ]

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from insemu.effects.aids import AidErrors
     from insemu.effects.chain import Chain, FixErrors
     from insemu.effects.hiding import DriveLot, Hidden, RestLot
-    from insemu.effects.motion import Column, FixGeometry, Motion
+    from insemu.effects.motion import AntennaMotion, Column, FixGeometry, Motion
     from insemu.records import AidRecord, GnssRecord, ImuRecord, Trajectory
 
 Array = NDArray[np.float64]
@@ -288,20 +288,19 @@ class Effect:
         """The fixes put right."""
         raise NotImplementedError(self.id)
 
-    def corrected_along(
-        self, use: EffectUse, gnss: GnssRecord, t: Array, acceleration: Array, swing: Array
-    ) -> GnssRecord:
+    def corrected_along(self, use: EffectUse, gnss: GnssRecord, way: AntennaMotion) -> GnssRecord:
         """The fixes put right along a motion.
 
         Parameters
         ----------
         use : EffectUse
         gnss : GnssRecord
-        t : (n,) array
-            s.
-        acceleration, swing : (n, 3) arrays
-            Of the IMU, m/s^2, and velocity of the antenna about it, m/s, over the interval up to each time, NED.
+        way : AntennaMotion
         """
+        raise NotImplementedError(self.id)
+
+    def smoothing(self, use: EffectUse) -> Array:
+        """Time constants (3,) in s, NED, by which velocities of the fixes were smoothed that a use puts right along a motion."""
         raise NotImplementedError(self.id)
 
     def corrected_aid(self, use: EffectUse, aid: AidRecord) -> AidRecord:
@@ -342,6 +341,19 @@ class Effect:
         motion, fixes : Motion, FixGeometry
         """
         raise NotImplementedError(self.id)
+
+    def more(self, column: Column, use: EffectUse, motion: Motion) -> Column:
+        """The unit column of one more of what is known with numbers: the same but where these shape it.
+
+        Parameters
+        ----------
+        column : Column
+            One of :meth:`columns`.
+        use : EffectUse
+            What is known.
+        motion : Motion
+        """
+        return column
 
     def aid_columns(self, values: Array, slope: Array) -> dict[str, Array]:
         """What a unit of each of its numbers adds to an aid, (n, rows), for effects of aids whose shape is known.

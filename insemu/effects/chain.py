@@ -217,8 +217,17 @@ class FixErrors:
         self.said = np.ones((n, 1))
         self.added, self.added_v = np.zeros((n, 3)), np.zeros((n, 3))
         self.arm = np.zeros(3)
+        self.arm_steps: list[tuple[float, Array]] = []
+        self.position_tau = np.zeros(3)
         self.latency = 0.0
         self.velocity_lag, self.velocity_window, self.velocity_tau = 0.0, 0.0, np.zeros(3)
+
+    def arm_at(self, t: Array) -> Array:
+        """What the lever arm lacks, m: (3,), or (n, 3) at times (n,) where it changes."""
+        out = self.arm
+        for start, value in self.arm_steps:
+            out = out + (t > start)[:, None] * value
+        return out
 
     def position(self) -> Array:
         """Errors of the positions, m."""

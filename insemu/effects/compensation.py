@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from insemu import earth, rotation
 from insemu.effects.aids import aid_corrected
 from insemu.effects.base import EffectUse, Stage
-from insemu.effects.motion import acceleration_along, steady, swing_along
+from insemu.effects.motion import AntennaMotion, acceleration_along, steady
 from insemu.errors import InputError
 from insemu.records import ImuRecord, Recording, Trajectory
 
@@ -75,9 +75,9 @@ def compensated(
             gnss = use.effect.corrected_fixes(use, gnss)
     along = [use for use in effects if use.effect.does("corrected_along")]
     if along and gnss is not None:
-        moved = _moved(imu, _given(trajectory, along[0]), lever_arm)
+        way = _way(imu, _given(trajectory, along[0]), lever_arm)
         for use in along:
-            gnss = use.effect.corrected_along(use, gnss, *moved)
+            gnss = use.effect.corrected_along(use, gnss, way)
     aids = tuple(aid_corrected(aid, effects, float(recording.imu.t[0])) for aid in recording.aids)
     return replace(recording, imu=imu, gnss=gnss, aids=aids)
 
@@ -88,11 +88,8 @@ def _given(trajectory: Trajectory | None, use: EffectUse) -> Trajectory:
     return trajectory
 
 
-def _moved(imu: ImuRecord, trajectory: Trajectory, lever_arm: ArrayLike) -> tuple[Array, Array, Array]:
-    """Times (n,) in s, accelerations (n, 3) of the IMU, m/s^2, and velocities (n, 3) of the antenna about it, m/s, in NED.
-
-    Over the interval up to each time, from what was measured and a trajectory's attitude.
-    """
+def _way(imu: ImuRecord, trajectory: Trajectory, lever_arm: ArrayLike) -> AntennaMotion:
+    """The motion of the antenna, from what was measured and a trajectory's attitude."""
     inside = (imu.t >= trajectory.t[0]) & (imu.t <= trajectory.t[-1])
     t, width = imu.t[inside], imu.widths(0.0)[inside]
     rows = np.clip(np.searchsorted(trajectory.t, t - 0.5 * imu.dt), 0, len(trajectory) - 1)
@@ -100,8 +97,8 @@ def _moved(imu: ImuRecord, trajectory: Trajectory, lever_arm: ArrayLike) -> tupl
     a = np.einsum("nij,nj->ni", C, imu.accel[inside] / width)
     a[:, 2] += earth.gravity(llh[:, 0], llh[:, 2])
     vel = np.column_stack([np.interp(t, trajectory.t, v) for v in trajectory.vel_ned.T])
-    swing = swing_along(C, steady(imu.gyro[inside] / width, imu.dt), lever_arm)
-    return t, acceleration_along(t, a, vel), swing
+    rate = steady(imu.gyro[inside] / width, imu.dt)
+    return AntennaMotion(t, C, rate, acceleration_along(t, a, vel), np.asarray(lever_arm, dtype=float))
 
 
 def _place(use: EffectUse) -> Stage:

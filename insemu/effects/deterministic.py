@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -413,6 +414,14 @@ class Temperature(_OnOneAxis):
             for i, a in enumerate(XYZ)
             for power in (1, 2, 3)
         ]
+
+    def more(self, column: Column, use: EffectUse, motion: Motion) -> Column:
+        """Behind the lag of what is known of the axis."""
+        power, (axis,) = int(column.label[1]), column.axes
+        if motion.warmth is None or use[f"c{power}"][XYZ.index(axis)] == 0.0:
+            return column
+        d = warmed(use, motion.t, motion.warmth)
+        return replace(column, inputs=((column.inputs[0][0], d**power),))
 
     def subsets(self, columns: Sequence[Column]) -> list[Subset]:
         """On each axis linear or cubic, and linear on all of them."""

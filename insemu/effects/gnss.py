@@ -14,7 +14,15 @@ from insemu import earth
 from insemu.effects.base import GNSS, NED, XYZ, Effect, EffectUse, Stage, Subset
 from insemu.effects.chain import FixErrors
 from insemu.effects.hiding import DriveLot, Hidden, at
-from insemu.effects.motion import Column, FixGeometry, Motion, smoothed_slope, swing_along
+from insemu.effects.motion import (
+    AntennaMotion,
+    Column,
+    FixGeometry,
+    Motion,
+    behind_low_pass,
+    smoothed_slope,
+    swing_along,
+)
 from insemu.effects.parameters import EffectParameter
 from insemu.errors import InputError
 from insemu.records import GnssRecord
@@ -26,6 +34,8 @@ LONGEST_ARM = 1000.0
 
 #: Time constant of the long one of two shapes of a smoothed velocity, s: three real receivers smooth over 0.1 to 1.2 s (`python -m tests.real_gaps`).
 LONG_S = 1.0
+#: Time constants of three shapes of a filtered position, s: what a tracker of 0.1 s is behind follows gusts that one of 1 s smooths away.
+TRACKED_S = (0.1, 0.3, 1.0)
 
 _NO_MEAN = "random: it changes the covariance of the innovations, not their mean"
 
@@ -185,6 +195,37 @@ class LeverArm(_OfFixes):
     def hidden(self, lot: DriveLot) -> Hidden:
         """Along one axis."""
         return Hidden(lot.axis, {"value": lot.on(lot.size(self, "value"))})
+
+
+class LeverArmStep(_OfFixes):
+    """An antenna, or an IMU, that moves on the vehicle once and stays: a mount that slips, a second antenna that takes over."""
+
+    id, name = "lever_arm_step", "lever-arm change"
+    formula = "p_ant = p + C_nb (l + value) for t > start"
+    parameters = (
+        _P("value", "m", 3, (0.05,), None, "what the lever arm changes by, body axes", join="sum", most=LONGEST_ARM),
+        _P("start", "s", 1, (300.0,), None, "when it changes"),
+    )
+    excitation, in_filter = "turns after the change", "three constants that are made uncertain again"
+    axes = XYZ
+    stage, size = Stage.MODEL, "value"
+    absent = {
+        "signature": "one column for every start: the search scans them (changes of the lever arm)",
+        "trial": "not drawn: the recordings of earlier seeds would be others",
+    }  # fmt: skip
+
+    def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:
+        """Move the antenna from then on."""
+        fixes.arm_steps.append((use.scalar("start"), np.array(use["value"])))
+
+    def corrected_along(self, use: EffectUse, gnss: GnssRecord, way: AntennaMotion) -> GnssRecord:
+        """Move the fixes behind it back."""
+        k, behind = way.row(gnss.t), (gnss.t > use.scalar("start"))[:, None]
+        value = np.array(use["value"])
+        llh = np.where(behind, earth.move(gnss.llh, -way.C[k] @ value), gnss.llh)
+        if gnss.vel_ned is None:
+            return replace(gnss, llh=llh)
+        return replace(gnss, llh=llh, vel_ned=gnss.vel_ned - behind * swing_along(way.C[k], way.rate[k], value))
 
 
 class MultipathStep(_OfFixes):
@@ -384,17 +425,20 @@ class VelocityFilter(_OfFixes):
         """Note the time constants: filters one behind the other are about one with their sum."""
         fixes.velocity_tau = fixes.velocity_tau + np.array(use["tau"])
 
-    def corrected_along(
-        self, use: EffectUse, gnss: GnssRecord, t: Array, acceleration: Array, swing: Array
-    ) -> GnssRecord:
+    def corrected_along(self, use: EffectUse, gnss: GnssRecord, way: AntennaMotion) -> GnssRecord:
         """Add what the velocities are behind."""
         if gnss.vel_ned is None:
             return gnss
+        a, swing = way.acceleration, way.swing
         behind = [
-            tau * smoothed_slope(gnss.t, t, acceleration[:, k], swing[:, k], tau) if tau > 0.0 else np.zeros(len(gnss))
+            tau * smoothed_slope(gnss.t, way.t, a[:, k], swing[:, k], tau) if tau > 0.0 else np.zeros(len(gnss))
             for k, tau in enumerate(use["tau"])
         ]
         return replace(gnss, vel_ned=gnss.vel_ned + np.column_stack(behind))
+
+    def smoothing(self, use: EffectUse) -> Array:
+        """The time constants."""
+        return np.array(use["tau"])
 
     def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
         """The vertical velocity is behind by the slope of the smoothed one: smoothed shortly, then long.
@@ -418,7 +462,65 @@ class VelocityFilter(_OfFixes):
         return Column.of(self, "gnss", "tau_down", ("down",), fixes=M)
 
 
+class PositionFilter(_OfFixes):
+    """Positions of a receiver that tracks them as if the velocity were constant: behind where the vehicle accelerates or turns.
+
+    A Kalman filter of constant velocity settles to this tracker (Kalata 1984); critically damped it has one time constant.
+    """
+
+    id, name = "gnss_position_filter", "filtered positions of the fixes"
+    formula = "position y + noise, (1 + tau d/dt)^2 y = (1 + 2 tau d/dt) p: a critically damped tracker"
+    parameters = (_P("tau", "s", 3, (0.2,), None, "time constant, north, east, down", True, "sum", most=60.0),)
+    excitation = "accelerations and turns"
+    in_filter = "tau^2 times the smoothed acceleration added to the positions; one constant; signature - of that"
+    traits = frozenset({"second_order"})
+    stage, size = Stage.FILTER, "tau"
+    absent = {"trial": "not drawn: the recordings of earlier seeds would be others"}
+
+    def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:
+        """Note the time constants."""
+        fixes.position_tau = fixes.position_tau + np.array(use["tau"])
+
+    def corrected_along(self, use: EffectUse, gnss: GnssRecord, way: AntennaMotion) -> GnssRecord:
+        """Add what the positions are behind."""
+        a, swing = way.acceleration, way.swing
+        behind = [_behind_tracker(gnss.t, way.t, a[:, k], swing[:, k], tau) for k, tau in enumerate(use["tau"])]
+        return replace(gnss, llh=earth.move(gnss.llh, np.column_stack(behind)))
+
+    def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
+        """What the horizontal positions are behind, and the height: smoothed shortly, then longer."""
+        return [self._behind(motion, fixes, tau, axes) for axes in (NED[:2], NED[2:]) for tau in TRACKED_S]
+
+    def subsets(self, columns: Sequence[Column]) -> list[Subset]:
+        """Each alone."""
+        return [(c.axes, "", [k]) for k, c in enumerate(columns)]
+
+    def about(self, column: Column, value: float, motion: Motion, fixes: FixGeometry) -> Column:
+        """What positions are behind that are smoothed by the root of that."""
+        return self._behind(motion, fixes, math.sqrt(value), column.axes)
+
+    def _behind(self, motion: Motion, fixes: FixGeometry, tau: float, axes: tuple[str, ...]) -> Column:
+        M = np.zeros((fixes.t.size, 6))
+        swing = swing_along(motion.C, motion.rate, fixes.lever_arm)
+        for k in map(NED.index, axes):
+            a = motion.steady_acceleration[:, k]
+            M[:, k] = -_behind_tracker(fixes.t, motion.t, a, swing[:, k], tau) / tau**2
+        label = "tau" if len(axes) > 1 else f"tau_{axes[0]}"
+        return Column.of(self, "gnss", label, axes, fixes=M, power=2.0)
+
+
+def _behind_tracker(at: Array, t: Array, acceleration: Array, swing: Array, tau: float) -> Array:
+    """What a tracked position is behind at times (f,), m: motion over intervals up to times (n,) as :func:`smoothed_slope` takes it."""
+    if not tau > 0.0:
+        return np.zeros(at.size)
+    dt = float(np.median(np.diff(t)))
+    # it begins with its velocity right: how it had been behind nobody knows
+    vel = np.cumsum(acceleration) * dt + swing
+    ahead = vel - behind_low_pass(vel, dt, tau)
+    return np.asarray(tau * np.interp(at, t, behind_low_pass(ahead, dt, tau)))
+
+
 EFFECTS: tuple[Effect, ...] = (
     NoiseLevel(), CorrelatedNoise(), VelocityNoise(), LeverArm(), MultipathStep(), GnssOutliers(), Quality(), Latency(),
-    VelocityLag(), VelocityOutliers(), VelocityFilter(),
+    VelocityLag(), VelocityOutliers(), VelocityFilter(), PositionFilter(), LeverArmStep(),
 )  # fmt: skip

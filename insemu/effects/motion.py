@@ -49,8 +49,9 @@ class Column:
     axes : tuple of str
         Axes of the sensor that the column is about; empty where it has none.
     scale : float
-        Datasheet scale of the parameter, SI.
+        Datasheet scale of the coefficient, SI.
     unit : str
+        Of the parameter.
     inputs : tuple of (axis 0..5, (n,) array)
         Unit sensor errors.
     fixes : (f, 6) array, optional
@@ -59,6 +60,8 @@ class Column:
         Whether the position also runs away by the velocity.
     start : (6,) array, optional
         Unit errors of position and velocity where the filter starts, estimated minus true, m and m/s NED.
+    power : float
+        The coefficient is the parameter to this power, and so is the scale; the unit is that of the parameter.
     """
 
     effect: str
@@ -71,6 +74,7 @@ class Column:
     fixes: Array | None = None
     runs: bool = False
     start: Array | None = None
+    power: float = 1.0
 
     @classmethod
     def of(
@@ -83,6 +87,7 @@ class Column:
         fixes: Array | None = None,
         runs: bool = False,
         start: Array | None = None,
+        power: float = 1.0,
     ) -> Column:
         """A column at the datasheet's scale.
 
@@ -92,12 +97,26 @@ class Column:
         sensor : str
         label : str
             Begins with the name of the parameter.
-        axes, inputs, fixes, runs, start
+        axes, inputs, fixes, runs, start, power
             See :class:`Column`.
         """
         parameter = label.partition("_")[0]
         scale, unit = effect.scale(parameter, sensor), effect.unit(parameter, sensor)
-        return cls(effect.id, sensor, label, axes, scale, unit, inputs, fixes, runs, start)
+        return cls(effect.id, sensor, label, axes, scale**power, unit, inputs, fixes, runs, start, power)
+
+    def parameter(self, coefficient: float, sd: float) -> tuple[float, float]:
+        """Value and standard deviation of the parameter.
+
+        Parameters
+        ----------
+        coefficient, sd : float
+            Of the column.
+        """
+        if self.power == 1.0:
+            return coefficient, sd
+        value = max(coefficient, 0.0) ** (1.0 / self.power)
+        # next to nothing the parameter is known to what the coefficient's deviation alone would make
+        return value, sd / (self.power * max(value, sd ** (1.0 / self.power)) ** (self.power - 1.0))
 
 
 @dataclass(frozen=True)
@@ -238,7 +257,8 @@ def acceleration_along(t: Array, acceleration: Array, vel: Array) -> Array:
     """
     dt = float(np.median(np.diff(t)))
     drift = acceleration - np.diff(vel, axis=0, prepend=vel[:1]) / dt
-    slow = scipy.ndimage.uniform_filter1d(drift, max(1, min(round(QUIET_S / dt), t.size)), axis=0, mode="nearest")
+    drift[0] = 0.0  # of the first row no velocity before it is known
+    slow = scipy.ndimage.uniform_filter1d(drift, max(1, min(round(QUIET_S / dt), t.size)), axis=0, mode="reflect")
     return steady(acceleration - slow, dt)
 
 
@@ -255,6 +275,41 @@ def swing_along(C: Array, rate: Array, lever_arm: ArrayLike) -> Array:
         From the IMU to the antenna, m, sensor axes.
     """
     return np.asarray(np.einsum("nij,nj->ni", C, np.cross(rate, np.asarray(lever_arm, dtype=float))))
+
+
+@dataclass(frozen=True)
+class AntennaMotion:
+    """Motion along which fixes are put right, over the interval up to each time.
+
+    Parameters
+    ----------
+    t : (n,) array
+        s.
+    C : (n, 3, 3) array
+        Attitude.
+    rate : (n, 3) array
+        rad/s, body axes.
+    acceleration : (n, 3) array
+        Of the IMU, m/s^2, NED.
+    lever_arm : (3,) array
+        From the IMU to the antenna, m, body axes.
+    """
+
+    t: Array
+    C: Array
+    rate: Array
+    acceleration: Array
+    lever_arm: Array
+
+    @cached_property
+    def swing(self) -> Array:
+        """Velocity (n, 3) of the antenna about the IMU, NED, m/s."""
+        return swing_along(self.C, self.rate, self.lever_arm)
+
+    def row(self, at: Array) -> NDArray[np.int64]:
+        """Rows of times ``at`` (k,) in s, the nearest."""
+        middles = self.t - 0.5 * float(np.median(np.diff(self.t)))
+        return np.asarray(np.clip(np.searchsorted(middles, at), 0, self.t.size - 1))
 
 
 def behind_low_pass(signal: Array, dt: float, tau: float) -> Array:

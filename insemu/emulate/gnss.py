@@ -154,7 +154,7 @@ def antenna(trajectory: Trajectory, t: ArrayLike, lever_arm: ArrayLike) -> tuple
         Of the IMU.
     t : (n,) array
         s.
-    lever_arm : (3,) array
+    lever_arm : (3,) or (n, 3) array
         From the IMU to the antenna in body axes, m.
 
     Returns
@@ -167,7 +167,8 @@ def antenna(trajectory: Trajectory, t: ArrayLike, lever_arm: ArrayLike) -> tuple
         return llh, vel
     c = rotation.dcm_from_quaternion(q)
     w_eb = w_nb + np.einsum("nji,nj->ni", c, earth.transport_rate(llh, vel))
-    return earth.move(llh, c @ arm), vel + np.einsum("nij,nj->ni", c, np.cross(w_eb, arm))
+    beside = c @ arm if arm.ndim == 1 else np.einsum("nij,nj->ni", c, arm)
+    return earth.move(llh, beside), vel + np.einsum("nij,nj->ni", c, np.cross(w_eb, arm))
 
 
 def _three(value: ArrayLike, name: str) -> Array:
@@ -286,33 +287,45 @@ def _fixes(
     valid = t - errors.latency
     keep = (valid >= trajectory.t[0] - 1e-9) & (valid <= trajectory.t[-1] + 1e-9)
     inside = np.clip(valid, trajectory.t[0], trajectory.t[-1])
-    place, vel = antenna(trajectory, inside, arm + errors.arm)
+    place, vel = antenna(trajectory, inside, arm + errors.arm_at(inside))
     if errors.velocity_lag or errors.velocity_window:
-        vel = _lagging(trajectory, valid - errors.velocity_lag, errors.velocity_window, arm + errors.arm)
-    tau = errors.velocity_tau
+        vel = _lagging(trajectory, valid - errors.velocity_lag, errors.velocity_window, arm, errors)
+    tau, error = errors.velocity_tau, errors.position()
     if tau.any():
-        vel = np.where(tau > 0.0, _smoothed(trajectory, valid - errors.velocity_lag, tau, arm + errors.arm), vel)
-    llh, stated = earth.move(place, errors.position()), errors.stated()
+        smooth = _filtered(trajectory, valid - errors.velocity_lag, tau, arm, errors)
+        vel = np.where(tau > 0.0, smooth, vel)
+    if errors.position_tau.any():
+        error = error - _filtered(trajectory, valid, errors.position_tau, arm, errors, behind=True)
+    llh, stated = earth.move(place, error), errors.stated()
     if sigma_v is None:
         return GnssRecord(t, llh, None, stated), place, keep
     return GnssRecord(t, llh, vel + errors.velocity(), stated, errors.stated_velocity()), place, keep
 
 
-def _smoothed(trajectory: Trajectory, t: Array, tau: Array, arm: Array) -> Array:
-    """Velocities (n, 3) of the antenna at times (n,) behind a low-pass of first order with time constants (3,) in s; zero where that is zero."""
+def _filtered(
+    trajectory: Trajectory, t: Array, tau: Array, arm: Array, errors: FixErrors, behind: bool = False
+) -> Array:
+    """Velocities (n, 3) of the antenna at times (n,) behind a low-pass of first order with time constants (3,) in s; zero where that is zero.
+
+    Or what the positions of a critically damped tracker of these time constants are ``behind``, m: the time constant times the low-pass of
+    what the velocity is ahead of its own.
+    """
     steps = len(trajectory) - 1
     fine = np.linspace(trajectory.t[0], trajectory.t[-1], steps + 1)
-    vel, out = antenna(trajectory, fine, arm)[1], np.zeros((t.size, 3))
+    vel, out = antenna(trajectory, fine, arm + errors.arm_at(fine))[1], np.zeros((t.size, 3))
     for k in np.flatnonzero(tau > 0.0):
         b, a = scipy.signal.bilinear([1.0], [tau[k], 1.0], steps / (fine[-1] - fine[0]))
         slow, _ = scipy.signal.lfilter(b, a, vel[:, k], zi=scipy.signal.lfilter_zi(b, a) * vel[0, k])
+        if behind:
+            slow = tau[k] * scipy.signal.lfilter(b, a, vel[:, k] - slow)
         out[:, k] = np.interp(t, fine, slow)
     return out
 
 
-def _lagging(trajectory: Trajectory, middle: Array, window: float, arm: Array) -> Array:
+def _lagging(trajectory: Trajectory, middle: Array, window: float, arm: Array, errors: FixErrors) -> Array:
     """Velocities (n, 3) of the antenna at times (n,), or their means over a window in s about these: the way over it, divided by it."""
     inside = np.clip(middle, trajectory.t[0], trajectory.t[-1])
+    arm = arm + errors.arm_at(inside)
     if window == 0.0:
         return antenna(trajectory, inside, arm)[1]
     first, last = (np.clip(middle + s * 0.5 * window, trajectory.t[0], trajectory.t[-1]) for s in (-1.0, 1.0))

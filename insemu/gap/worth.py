@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import earth
-from insemu.effects import EFFECTS, Column, FixGeometry, Motion, aid_corrected
+from insemu.effects import EFFECTS, Column, FixGeometry, Motion, aid_corrected, first_axis, on_axes
 from insemu.filters import FilterOptions, FilterResult, run_filter
 from insemu.gap.beliefs.refined import uses_of
 from insemu.gap.drive.preparation import Prepared, for_filter, scaled_fixes
@@ -189,6 +189,23 @@ def worth_of_settled(prepared: Prepared, finding: Finding) -> float:
     values = {v.name: v.value for v in finding.parameters}
     columns = [c for c in effect.columns(motion, at) if c.label in values]
     return worth_in_motion(loop, motion, columns, [values[c.label] for c in columns])
+
+
+def worth_of_added(loop: Loop, motion: Motion, finding: Finding) -> float:
+    """What an error is worth in metres that a sensor adds whatever it senses: :func:`worth_in_motion` of it as it is.
+
+    Parameters
+    ----------
+    loop, motion : Loop, Motion
+        The filter, and the motion of the IMU.
+    finding : Finding
+    """
+    first = first_axis(finding.sensor)
+    columns = [
+        Column(u.id, u.sensor, "", (), 1.0, "", on_axes(u.effect.added(u, motion.t, motion.temperature), first))
+        for u in uses_of(finding)
+    ]
+    return worth_in_motion(loop, motion, columns, [1.0] * len(columns))
 
 
 def worth_of_mounting(prepared: Prepared, finding: Finding) -> float:

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.effects import EFFECTS, Column, having
-from insemu.gap.drive.scene import Scene, Window, known_size
+from insemu.effects import EFFECTS, REFERENCE_DEGC, Column, having, lagged
+from insemu.gap.drive.scene import Scene, Window
+from insemu.gap.drive.sizes import known_size
 from insemu.gap.evidence.fixes import NoiseFit
 from insemu.gap.evidence.linear import (
     Block,
@@ -32,6 +33,8 @@ Array = NDArray[np.float64]
 
 #: Amplitudes of slow processes that are tried.
 AMPLITUDES = 40
+#: Variant of a thermal bias that follows the temperature late, and the time constants of it that are tried.
+LAGGED, LAGS = "lagged", 16
 #: Effects of one number that only one description can have.
 ONCE = having("once")
 _OF_SENSORS = frozenset(e.id for e in EFFECTS.values() if e.family == "deterministic")
@@ -47,7 +50,7 @@ _SENSORS = (("gyro", 0), ("accel", 3))
 class Variant:
     """One way in which an effect may be present: columns, unit roots of its coefficients' prior, and amplitudes of that prior.
 
-    ``process`` says that the amplitude itself is the parameter and not the coefficients.
+    ``process`` says that the amplitude itself is the parameter and not the coefficients; ``odds`` how common it is beside a plain way.
     """
 
     effect: str
@@ -58,6 +61,11 @@ class Variant:
     shapes: tuple[tuple[tuple[float, ...], Array], ...]
     amplitudes: Array
     process: bool = False
+    odds: float = 1.0
+
+    def evidence(self, logs: Sequence[Array]) -> Array:
+        """Evidence (s,) averaged over shapes and amplitudes, times its odds."""
+        return log_mean_exp_columns(np.concatenate(logs)) + math.log(self.odds)
 
 
 @dataclass(frozen=True)
@@ -93,7 +101,7 @@ def sizes(effect: str = "") -> tuple[float, ...]:
 
 def bank(scene: Scene) -> list[Variant]:
     """All variants of deterministic, timing, lever-arm, model and slow effects."""
-    return _shapes(scene.columns[: scene.catalogue]) + _slow(scene)
+    return _shapes(scene.columns[: scene.catalogue]) + _slow(scene) + _late(scene)
 
 
 def _shapes(columns: Sequence[Column]) -> list[Variant]:
@@ -151,6 +159,48 @@ def _slow(scene: Scene) -> list[Variant]:
     return out
 
 
+def _late(scene: Scene) -> list[Variant]:
+    """A bias of each axis that follows the temperature late: as slow as the time constant, so that knots hold it."""
+    motion, t, effect = scene.motion, scene.knots, EFFECTS["temperature"]
+    shortest, longest = float(t[1] - t[0]), rules().longest_lag * float(t[-1] - t[0])
+    if motion.warmth is None or not longest > shortest:
+        return []
+    dt = float(np.median(np.diff(motion.t)))
+    linear, _, late_ones, _ = rules().thermal_odds
+    odds = late_ones / linear
+    shapes: list[tuple[tuple[float, ...], Array]] = []
+    for lag in np.geomspace(shortest, longest, LAGS):
+        seen = np.interp(t, motion.t, lagged(motion.warmth, dt, float(lag))) - REFERENCE_DEGC
+        shapes.append(((float(lag),), seen[:, None]))
+    return [
+        Variant(
+            effect.id, sensor, ("xyz"[axis],), LAGGED, scene.slow(first + axis),
+            tuple((p, effect.scale("c1", sensor) * unit) for p, unit in shapes), np.array(sizes(effect.id)), odds=odds,
+        )
+        for sensor, first in _SENSORS
+        for axis in range(3)
+    ]  # fmt: skip
+
+
+def standing_beside(variants: Sequence[Variant], chosen: Sequence[DriveHypothesis]) -> list[Variant]:
+    """Variants that may stand beside what was chosen: an axis has one thermal bias where it has a lag.
+
+    Parameters
+    ----------
+    variants : sequence of Variant
+    chosen : sequence of DriveHypothesis
+    """
+    thermal = [h for h in chosen if h.effect == "temperature"]
+    taken = {(h.sensor, a) for h in thermal for a in h.axes}
+    late = {(h.sensor, a) for h in thermal if h.variant == LAGGED for a in h.axes}
+
+    def bars(v: Variant) -> bool:
+        own = {(v.sensor, a) for a in v.axes}
+        return v.effect == "temperature" and bool(own & (taken if v.label == LAGGED else late))
+
+    return [v for v in variants if not bars(v)]
+
+
 def linear_evidence(variants: Sequence[Variant], A: Array, b: Array) -> list[list[Array]]:
     """Log Bayes factors of every variant: per variant and shape ``(a, s)``; wide sets of axes only where a single one promises something.
 
@@ -187,19 +237,17 @@ def linear_evidence(variants: Sequence[Variant], A: Array, b: Array) -> list[lis
 def pooled_evidence(variants: Sequence[Variant], logs: Sequence[Sequence[Array]]) -> dict[tuple[str, str], Array]:
     """Evidence of every effect and sensor, averaged over its variants, shapes and amplitudes: (s,) per effect."""
     own: dict[tuple[str, str], list[Array]] = {}
-    passed: dict[tuple[str, str], int] = {}
+    total: dict[tuple[str, str], float] = {}
     for v, x in zip(variants, logs, strict=True):
         key = (v.effect, v.sensor)
+        # a variant that was passed over counts as one that explains nothing
+        total[key] = total.get(key, 0.0) + v.odds
         if x:
-            own.setdefault(key, []).append(log_mean_exp_columns(np.concatenate(x)))
-        else:
-            passed[key] = passed.get(key, 0) + 1
+            own.setdefault(key, []).append(v.evidence(x))
     out = {}
     for key, rows in own.items():
-        # a variant that was passed over counts as one that explains nothing
-        share = len(rows) / (len(rows) + passed.get(key, 0))
         rarer = rules().second_order if key[0] in _SECOND_ORDER else 0.0
-        out[key] = log_mean_exp_columns(np.stack(rows)) + math.log(share) - rarer
+        out[key] = log_mean_exp_columns(np.stack(rows)) + math.log(len(rows) / total[key]) - rarer
     return out
 
 
@@ -226,7 +274,7 @@ def linear_hypotheses(
     tried: dict[tuple[str, str], list[tuple[float, Variant, list[Array]]]] = {}
     for v, x in zip(variants, logs, strict=True):
         if x:
-            own = float(log_mean_exp_columns(np.concatenate(x))[0])
+            own = float(v.evidence(x)[0])
             tried.setdefault((v.effect, v.sensor), []).append((own, v, x))
     best = {}
     for key, mine in tried.items():
@@ -316,6 +364,8 @@ def _described(scene: Scene, A: Array, b: Array, v: Variant, logs: Sequence[Arra
             for q, m, s in zip(effect.parameters, mean, sd, strict=False)
         )
         return Hypothesis(v.effect, nats, values, Change(block), v.label, v.sensor, v.axes)
+    if v.label == LAGGED:
+        return Hypothesis(v.effect, nats, _late_values(A, b, v, table), Change(block), v.label, v.sensor, v.axes)
     mean, covariance = marginal(A, b, block)
     if v.effect == "ramp":
         span = float(scene.knots[-1] - scene.knots[0])
@@ -324,6 +374,28 @@ def _described(scene: Scene, A: Array, b: Array, v: Variant, logs: Sequence[Arra
         return Hypothesis(v.effect, nats, values, Change(block), v.label, v.sensor, v.axes)
     values = shape_values(scene, v.index, mean, covariance)
     return Hypothesis(v.effect, nats, values, Change(block, tuple(int(c) for c in v.index)), v.label, v.sensor, v.axes)
+
+
+def _late_values(A: Array, b: Array, v: Variant, table: Array) -> tuple[Value, ...]:
+    """Coefficient and time constant of a thermal bias, each with what the other leaves open: evidence (l, a) of lags and amplitudes."""
+    share = np.exp(table - table.max())
+    share /= share.sum()
+    c1, variance = np.zeros(len(v.shapes)), np.zeros(len(v.shapes))
+    for k, (_, unit) in enumerate(v.shapes):
+        size, most = v.amplitudes[int(np.argmax(table[k]))], int(np.argmax(np.abs(unit)))
+        mean, covariance = marginal(A, b, (v.index, size * unit))
+        kelvin = float(unit[most, 0]) / EFFECTS[v.effect].scale("c1", v.sensor)
+        c1[k], variance[k] = mean[most] / kelvin, covariance[most, most] / kelvin**2
+    w, logs = share.sum(axis=1), np.log([p[0] for p, _ in v.shapes])
+    lag, cell = float(w @ logs), float(logs[1] - logs[0])
+    sd = math.sqrt(float(w @ (logs - lag) ** 2) + cell**2 / 12.0)
+    value = float(w @ c1)
+    spread = math.sqrt(float(w @ (variance + (c1 - value) ** 2)))
+    (axis,), effect = v.axes, EFFECTS[v.effect]
+    return (
+        Value.normal(f"c1_{axis}", value, spread, effect.unit("c1", v.sensor)),
+        Value(f"lag_{axis}", math.exp(lag), math.exp(lag - 1.96 * sd), math.exp(lag + 1.96 * sd), "s"),
+    )
 
 
 def shape_values(scene: Scene, index: NDArray[Any], mean: Array, covariance: Array) -> tuple[Value, ...]:
@@ -343,7 +415,7 @@ def shape_values(scene: Scene, index: NDArray[Any], mean: Array, covariance: Arr
     out = []
     for k, i in enumerate(index):
         c, m, s = scene.columns[int(i)], float(mean[k]), math.sqrt(max(float(covariance[k, k]), 0.0))
-        out.append(Value.normal(c.label, m, s, c.unit))
+        out.append(Value.normal(c.label, *c.parameter(m, s), c.unit))
     return tuple(out)
 
 

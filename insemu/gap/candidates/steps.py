@@ -100,13 +100,9 @@ def _step_anywhere(scene: Scene, rows: NDArray[np.bool_] | slice, beside: Beside
 
 def _step_at_edges(scene: Scene, rows: NDArray[np.bool_] | slice, beside: Beside) -> _Step | None:
     """The best step between fixes that surprise: evenly spaced times miss the edges, where alone it shows."""
-    t_fix, use = scene.prepared.result.fixes.t, scene.loop.use.ravel()
-    residual = beside.ahead()
-    fix, component = (np.repeat(np.arange(t_fix.size), 6)[use][rows], np.tile(np.arange(6), t_fix.size)[use][rows])
-    positions = np.zeros((t_fix.size, 6))
-    positions[fix, component] = residual
-    top = _surprising(positions[:, :3])[:, None] - 1 + np.arange(-BESIDE, BESIDE + 1)
-    last = int(fix[-1]) if fix.size else 0
+    t_fix = scene.prepared.result.fixes.t
+    residuals, last = beside.by_fix(scene, rows)
+    top = surprising(residuals[:, :3])[:, None] - 1 + np.arange(-BESIDE, BESIDE + 1)
     before = np.unique(top[(top >= 0) & (top < last)])
     starts = t_fix[before] + 1e-3
     if starts.size < 4:
@@ -120,15 +116,23 @@ def _step_at_edges(scene: Scene, rows: NDArray[np.bool_] | slice, beside: Beside
     return _Step(nats, c, scans[c].value, lambda: _when(scans[c], starts, t_fix))
 
 
-def _surprising(e: Array) -> NDArray[np.int64]:
-    """The fixes behind which the means of residuals (f, 3) of unit variance surprise most, those apart from one another."""
-    total, score = np.cumsum(np.vstack([np.zeros(3), e]), axis=0), np.zeros(len(e))
+def surprising(e: Array, count: int = SURPRISES) -> NDArray[np.int64]:
+    """The fixes behind which the means of residuals surprise most, those apart from one another.
+
+    Parameters
+    ----------
+    e : (f, k) array
+        Residuals of unit variance.
+    count : int
+        How many.
+    """
+    total, score = np.cumsum(np.vstack([np.zeros(e.shape[1]), e]), axis=0), np.zeros(len(e))
     for length in STRETCHES:
         mean_square = np.max((total[length:] - total[:-length]) ** 2, axis=1) / length
         score[: mean_square.size] = np.maximum(score[: mean_square.size], mean_square)
     chosen: list[int] = []
     for k in np.argsort(-score, kind="stable"):
-        if len(chosen) == SURPRISES:
+        if len(chosen) == count:
             break
         if all(abs(int(k) - other) > BESIDE for other in chosen):
             chosen.append(int(k))
@@ -228,6 +232,21 @@ class Beside:
     def ahead(self) -> Array:
         """Each innovation (r,) less what those before it say, over its standard deviation."""
         return recursive_residuals(self.data.y, self.span, self.data.variance)[0]
+
+    def by_fix(self, scene: Scene, rows: NDArray[np.bool_] | slice) -> tuple[Array, int]:
+        """The same as (f, 6), zero where a component is missing or not looked at, and the last fix that is.
+
+        Parameters
+        ----------
+        scene : Scene
+        rows : (r,) array of bool, or slice
+            Which rows of the recording's field these are.
+        """
+        use = scene.loop.use
+        fix, component = np.nonzero(use)
+        out = np.zeros(use.shape)
+        out[fix[rows], component[rows]] = self.ahead()
+        return out, int(fix[rows][-1]) if fix[rows].size else 0
 
     def of_columns(self, G: Array) -> tuple[Array, Array]:
         """What columns (r, c) have in common with the explained, (k, c), and their right-hand sides (c,) beside it."""

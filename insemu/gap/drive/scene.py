@@ -14,13 +14,13 @@ from scipy.optimize import minimize_scalar
 
 from insemu.effects import EFFECTS, Column, FixGeometry, Motion, catalogue_columns
 from insemu.errors import InputError
-from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.drive.apart import without
 from insemu.gap.drive.columns import filled_columns, library_columns, rectified_columns
 from insemu.gap.drive.corrected import corrected_data, slow_knots
 from insemu.gap.drive.preparation import Prepared, fitted_levels
 from insemu.gap.drive.signatures import Loop, bias_steps, columns_response, fix_step_response, knot_response, ramps
-from insemu.gap.evidence.fixes import NED, FixNoise, Gains, Surrogate
+from insemu.gap.drive.sizes import has_size, known_size, slope_about, smoothing
+from insemu.gap.evidence.fixes import FixNoise, Gains, Surrogate
 from insemu.gap.evidence.linear import Block, Field
 from insemu.gap.policy import rules
 from insemu.noise import NoiseModel
@@ -28,17 +28,20 @@ from insemu.records import GnssRecord
 
 Array = NDArray[np.float64]
 
-#: A step: place, start and end in s. Places 0 to 2 are components of the position fixes, north, east, down; 3 to 8 biases of the sensors' six axes.
+#: A step: place, start and end in s. Places 0 to 2 are components of the position fixes, north, east, down; 3 to 8 biases of the sensors' six axes;
+#: from ARMS on axes of the lever arm.
 Window = tuple[int, float, float]
+ARMS = 9
 
 #: Times that the filter runs again at the most, on corrected data until its errors are small, or at other levels: a bound, so that a search ends.
 MOST_RUNS = 5
 #: Sizes that are tried first of an effect that is no multiple of one column, and how near to the best it is brought, relative.
 SIZES, SIZE_REL = 12, 0.01
-#: Starts of steps in the fixes that are tried first.
-STARTS = 120
+#: Starts of steps in the fixes that are tried first, and of changes of the lever arm.
+STARTS, ARM_STARTS = 120, 40
 #: What a scene knows that other noise of the fixes leaves as it is, and what more steps in the fixes do.
-_RESPONSES, _WHITENED = ("_answers", "_ramps", "steps_raw"), ("_plain", "full_y", "step_columns", "_gains")
+_RESPONSES = ("_answers", "_ramps", "steps_raw", "_arms_raw")
+_WHITENED = ("_plain", "full_y", "step_columns", "arm_columns", "_gains")
 
 
 @dataclass
@@ -97,18 +100,22 @@ class Scene:
         t_fix = prepared.result.fixes.t
         fixes = FixGeometry.of(motion, t_fix, prepared.lever_arm, prepared.nominal.mounting)
         columns = catalogue_columns(motion, fixes)
-        if (tau := _smoothing(prepared.nominal, columns, corrections or {})).any():
+        if (tau := smoothing(prepared.nominal, columns, corrections or {})).any():
             fixes = fixes.smoothed(motion, tau)
             columns = catalogue_columns(motion, fixes)
         catalogue = len(columns)
+        known = [u for u in prepared.nominal.effects if u.effect.does("more")]
         for j, c in enumerate(columns):
             # of data less a known size: what one more of it does
             size = known_size(prepared.nominal, c)
-            columns[j] = _slope_about(c, size, motion, fixes) if size else c
+            columns[j] = slope_about(c, size, motion, fixes) if size else c
+            for use in known:
+                if (use.id, use.sensor) == (c.effect, c.sensor):
+                    columns[j] = use.effect.more(columns[j], use, motion)
         for j, value in (corrections or {}).items():
             if j < catalogue and has_size(prepared.nominal, columns[j]):
                 own = (columns[j].effect, columns[j].label)
-                slope = _slope_about(columns[j], value, motion, fixes)
+                slope = slope_about(columns[j], value, motion, fixes)
                 columns[:catalogue] = [slope if (c.effect, c.label) == own else c for c in columns[:catalogue]]
         columns += library_columns(motion, t_fix, prepared.nominal.mounting)
         if prepared.first.any():
@@ -171,6 +178,46 @@ class Scene:
         return fix_step_response(self.loop, self.starts)
 
     @cached_property
+    def arm_starts(self) -> Array:
+        """Times of changes of the lever arm that are tried first, s: of one that is there from the start no time is told."""
+        start, end = float(self.motion.t[0]), float(self.motion.t[-1])
+        return np.asarray(start + (end - start) / ARM_STARTS * (np.arange(ARM_STARTS - 1) + 1.0))
+
+    @cached_property
+    def _arms_raw(self) -> Array:
+        """Responses (f, 6, 3 starts) of changes of the lever arm, axis by axis."""
+        return np.concatenate([self._arm_steps(axis, self.arm_starts) for axis in range(3)], axis=2)
+
+    def _arm_steps(self, axis: int, starts: Array) -> Array:
+        """Responses (f, 6, starts) of unit changes of the lever arm along an axis (0..2) of the body."""
+        t, node = self.loop.result.fixes.t, self.loop.machine[3]
+        M = self.arm_fixes(axis)[:, :, None] * (t[:, None, None] > starts)
+        first = np.minimum(np.searchsorted(t, starts, side="right"), t.size - 1)
+        return self.loop.respond(starts.size, None, M, begin=node[first])
+
+    def arm_fixes(self, axis: int) -> Array:
+        """What a metre of lever arm along an axis (0..2) of the body makes of the fixes, (f, 6)."""
+        columns = self.columns[: self.catalogue]
+        fixes = next(c.fixes for c in columns if (c.effect, c.label) == ("lever_arm", f"value_{'xyz'[axis]}"))
+        assert fixes is not None
+        return fixes
+
+    def arm_steps(self, axis: int, starts: Array) -> Array:
+        """Whitened responses (r, starts) of unit changes of the lever arm along an axis (0..2) of the body from each start (s) on."""
+        return self.whitened(self._arm_steps(axis, starts))
+
+    def window_column(self, window: Window) -> Column:
+        """A step of the fixes that was found, as a column."""
+        (place, start, end), t = window, self.loop.result.fixes.t
+        inside = ((t > start) & (t <= end)).astype(np.float64)
+        M = np.zeros((t.size, 6))
+        if place < 3:
+            M[:, place] = inside
+        elif place >= ARMS:
+            M = self.arm_fixes(place - ARMS) * inside[:, None]
+        return Column("window", "gnss", "", (), 1.0, "m", fixes=M)
+
+    @cached_property
     def _asked(self) -> dict[bytes, Array]:
         """What was asked for last of :meth:`_responses`, as it is asked for in turns with other noise of the fixes."""
         return {}
@@ -189,8 +236,8 @@ class Scene:
         fixes = self.loop.result.fixes
         M, D = np.zeros((len(fixes), 6, len(windows))), None
         for i, (place, start, end) in enumerate(windows):
-            if place < 3:
-                M[:, place, i] = (fixes.t > start) & (fixes.t <= end)
+            if place < 3 or place >= ARMS:
+                M[:, :, i] = self.window_column(windows[i]).fixes
                 continue
             D = np.zeros((len(self._ramps), len(windows), 9)) if D is None else D
             share = bias_steps(self.loop, self.motion, np.array([start])) - bias_steps(
@@ -283,6 +330,11 @@ class Scene:
     def step_columns(self) -> Array:
         """Whitened responses of steps in the fixes, (r, 3 starts)."""
         return self.whitened(self.steps_raw)
+
+    @cached_property
+    def arm_columns(self) -> Array:
+        """Whitened responses of changes of the lever arm, (r, 3 starts), axis by axis."""
+        return self.whitened(self._arms_raw)
 
     # -- other scenes of the same recording -------------------------------------------------------------------------------------------
 
@@ -453,7 +505,7 @@ class Scene:
 
         parameter = EFFECTS[column.effect].parameter(column.label.partition("_")[0])
         assert parameter.most is not None
-        grid = np.linspace(math.log(0.1 * column.scale), math.log(parameter.most), SIZES)
+        grid = np.linspace(math.log(0.1 * column.scale), column.power * math.log(parameter.most), SIZES)
         k = int(np.argmin([left(x) for x in grid]))
         around = (grid[max(k - 1, 0)], grid[min(k + 1, SIZES - 1)])
         return math.exp(float(minimize_scalar(left, bounds=around, method="bounded", options={"xatol": SIZE_REL}).x))
@@ -520,53 +572,6 @@ class Scene:
             np.add.at(coefficients, at, mean)
         coefficients[np.searchsorted(index, corrected)] -= np.array(list(self.corrections.values()))
         return index, coefficients
-
-
-def _smoothing(nominal: Nominal, columns: Sequence[Column], corrections: Mapping[int, float]) -> Array:
-    """Time constants (3,) in s, NED, of velocities that were smoothed and are put right along the motion, known ones and found ones."""
-    tau = np.zeros(3)
-    for use in nominal.effects:
-        if use.effect.does("corrected_along"):
-            tau += use[use.effect.size]
-    for j, value in corrections.items():
-        if j < len(columns) and EFFECTS[columns[j].effect].does("corrected_along"):
-            tau[[NED.index(a) for a in columns[j].axes]] += value
-    return tau
-
-
-def has_size(nominal: Nominal, column: Column) -> bool:
-    """Whether the effect of a column is no multiple of it, so that it is brought to its size; one of known size is put right by its slope.
-
-    Parameters
-    ----------
-    nominal : Nominal
-        What is known.
-    column : Column
-    """
-    return EFFECTS[column.effect].does("about") and not known_size(nominal, column)
-
-
-def known_size(nominal: Nominal, column: Column) -> float:
-    """What is known of the size of an effect that is no multiple of its column; 0 of others.
-
-    Parameters
-    ----------
-    nominal : Nominal
-        What is known.
-    column : Column
-    """
-    effect, (name, _, axis) = EFFECTS[column.effect], column.label.partition("_")
-    if not effect.does("about"):
-        return 0.0
-    return sum(float(u[name][effect.axes.index(axis)]) for u in nominal.effects if u.id == effect.id)
-
-
-def _slope_about(column: Column, size: float, motion: Motion, fixes: FixGeometry) -> Column:
-    """What one more of an effect of the fixes does that has a size already."""
-    about, h = EFFECTS[column.effect].about, 0.01 * size
-    more, less = (about(column, s, motion, fixes).fixes for s in (size + h, size - h))
-    assert more is not None and less is not None
-    return replace(column, fixes=((size + h) * more - (size - h) * less) / (2.0 * h))
 
 
 def _first_rows(data: Field, rows_t: Array, cut: float | None) -> Field:

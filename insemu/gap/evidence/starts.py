@@ -52,16 +52,33 @@ class Starts:
         """Log Bayes factor of a start that is as likely at any time."""
         return float(np.logaddexp.reduce(self.logs + np.log(self.cells / self.cells.sum())))
 
-    def closer(self, logs_of: Callable[[Array], Array]) -> Starts:
+    def beside(self, times: Array, cells: Array, logs: Array) -> Starts:
+        """The same with more starts, in the place of those in their cells.
+
+        Parameters
+        ----------
+        times, cells, logs : (m,) arrays
+            Apart from one another.
+        """
+        kept = (np.abs(self.times[:, None] - times) > 0.5 * cells).all(axis=1)
+        return Starts(
+            np.concatenate([self.times[kept], times]),
+            np.concatenate([self.cells[kept], cells]),
+            np.concatenate([self.logs[kept], logs]),
+        )
+
+    def closer(self, logs_of: Callable[[Array], Array], cells: int = CLOSE_CELLS) -> Starts:
         """The same with more starts in the cells about the best one; of starts as :meth:`even` makes them.
 
         Parameters
         ----------
         logs_of : callable
             Evidence (k,) of starts (k,), s.
+        cells : int
+            To either side of the best one.
         """
         cell = float(self.cells[0]) / PER_CELL
-        near = np.abs(self.times - self.best) < (CLOSE_CELLS + 0.5) * self.cells[0]
+        near = np.abs(self.times - self.best) < (cells + 0.5) * self.cells[0]
         begin = float(self.times[near][0]) - 0.5 * float(self.cells[0])
         times = np.asarray(begin + cell * (np.arange(int(near.sum()) * PER_CELL) + 0.5), dtype=np.float64)
         return Starts(

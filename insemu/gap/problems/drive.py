@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from insemu.effects import EFFECTS
 from insemu.errors import InputError
 from insemu.gap.beliefs.nominal import Nominal
-from insemu.gap.candidates import bias_steps
 from insemu.gap.candidates.fixes import about, as_joint, at_level, covariance_hypotheses
+from insemu.gap.candidates.jumps import JUMPS, bias_step, lever_arm_step
 from insemu.gap.candidates.shapes import (
     ONCE,
     POSITIVE,
@@ -27,6 +27,7 @@ from insemu.gap.candidates.shapes import (
     linear_hypotheses,
     linear_nats,
     null_threshold,
+    standing_beside,
 )
 from insemu.gap.candidates.steps import multipath_step, placed
 from insemu.gap.checks.drive import drive_map, innovation_tests
@@ -73,7 +74,7 @@ from insemu.records import AXES, Recording
 
 Array = NDArray[np.float64]
 #: Effects that begin at a time, which no column of the catalogue has, and what looks for each.
-STEPS = {"gnss_multipath_step": multipath_step, "bias_step": bias_steps.of_drive}
+STEPS = {"gnss_multipath_step": multipath_step, "bias_step": bias_step, "lever_arm_step": lever_arm_step}
 
 
 class DriveProblem(NoiseOfFixes):
@@ -127,11 +128,15 @@ class DriveProblem(NoiseOfFixes):
         known = {u.id for u in self.scene.original.nominal.effects if u.id in FIRST}
         return set(self.without) | once | known
 
+    def _beside(self, without: Found[Change] | None = None) -> list[Variant]:
+        """What may stand beside the findings, all or all but one."""
+        return standing_beside(self.variants, [f.chosen for f in self.found if f is not without])
+
     def rank(self) -> list[DriveHypothesis]:
         """Every effect that the innovations can show beside what was found."""
         self._turn_colour()
         given, skip = self.blocks(), self._skip()
-        out = linear_hypotheses(self.scene, self.variants, self.data, given, skip)
+        out = linear_hypotheses(self.scene, self._beside(), self.data, given, skip)
         for effect, look in STEPS.items():
             if effect not in skip:
                 least = self._step_nats() if effect == "gnss_multipath_step" else -math.inf
@@ -284,11 +289,13 @@ class DriveProblem(NoiseOfFixes):
         h = old.chosen
         if h.change.block is None or h.change.window is not None:
             return None
-        ranked = best_first(linear_hypotheses(self.scene, self.variants, self.data, self.blocks(old), self._skip(old)))
+        ranked = best_first(
+            linear_hypotheses(self.scene, self._beside(old), self.data, self.blocks(old), self._skip(old))
+        )
         kept = next((r for r in ranked if (r.effect, r.sensor) == (h.effect, h.sensor)), replace(h, nats=-math.inf))
         rival, idle = ranked[0], ranked[0].nats < min(self.threshold, rules().keep_nats)
-        # a bias that jumps was weighed where this was found, and stays as far from it
-        jumps = [replace(r, nats=r.nats + kept.nats - h.nats) for r in old.ranked if r.effect == "bias_step"]
+        # what jumps was weighed where this was found, and stays as far from it
+        jumps = [replace(r, nats=r.nats + kept.nats - h.nats) for r in old.ranked if r.effect in JUMPS]
         return Again(kept, tuple(best_first([*ranked, *jumps])), rival, idle)
 
     def put(self, old: Found[Change], new: DriveHypothesis, again: Again[Change]) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS
 from insemu.gap.candidates.fixes import about, apart_from_named, as_joint, at_level, mixture, whole_innovations, within
-from insemu.gap.candidates.shapes import ONCE, PROCESSES, Change, bank, shape_values
+from insemu.gap.candidates.shapes import LAGGED, ONCE, PROCESSES, Change, bank, shape_values
 from insemu.gap.confusion import Repetitions
 from insemu.gap.drive.apart import FIRST, LOOSE
 from insemu.gap.drive.scene import Scene
@@ -22,7 +22,7 @@ from insemu.gap.hypothesis import Found, class_of
 from insemu.gap.policy import rules
 from insemu.gap.problems.findings import with_process
 from insemu.gap.verdict import Confusable, Finding, Interval, Member, Value
-from insemu.gap.worth import Outage, worth_in_motion, worth_in_noise
+from insemu.gap.worth import Outage, worth_in_motion, worth_in_noise, worth_of_added
 
 Array = NDArray[np.float64]
 
@@ -159,11 +159,16 @@ def told(f: Found[Change], named: Named, outages: Sequence[Outage]) -> Finding:
         else:
             sd = math.sqrt(float(covariance[0, 0]))
             values = (Value.normal("value", float(mean[0]), sd, values[0].unit), *values[1:])
+            if h.effect == "lever_arm_step" and h.change.window is not None:
+                column = scene.window_column(h.change.window)
+                metres = worth_in_motion(scene.loop, scene.motion, [column], [values[0].value])
     members, others, confidence = class_of(*rivals_of(f))
     needs = "; ".join(dict.fromkeys(EFFECTS[m.effect].excitation for m in members)) if len(members) > 1 else ""
     text = f"a recording with more of: {needs}" if needs else ""
     found = Finding(h.effect, h.variant, h.sensor, h.axes, values, confidence, h.nats, members, text, others)
-    return replace(found, metres=metres if h.change.columns else worth_in_noise(found, None, outages))
+    if h.variant == LAGGED:
+        return replace(found, metres=worth_of_added(scene.loop, scene.motion, found))
+    return replace(found, metres=metres if math.isfinite(metres) else worth_in_noise(found, None, outages))
 
 
 def rivals_of(f: Found[Change]) -> tuple[list[Member], int]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.data.samples import mend, with_counts
 from insemu.gap.drive.preparation import Prepared, fast_parts, prepare
-from insemu.gap.drive.scene import Scene, Window
+from insemu.gap.drive.scene import ARMS, Scene, Window
 from insemu.gap.evidence.fixes import LEVEL_ROWS, NED, FixNoise, joint_noise
 from insemu.gap.problems.known import colour_of
 from insemu.gap.verdict import Finding, Value
@@ -94,8 +94,10 @@ def left(recording: Recording, nominal: Nominal, findings: Sequence[Finding]) ->
         mean, covariance = mean[own], covariance[own, own]
         gain = 0.5 * (float(mean @ np.linalg.solve(covariance, mean)) - index.size)
         for j, m, sd in zip(owners, mean, np.sqrt(np.diag(covariance)), strict=True):
-            k, name, _ = owners[j]
-            found[k] = _moved(found[k], name, float(m), float(sd))
+            k, name, value = owners[j]
+            column = scene.columns[j] if j < scene.catalogue else None
+            now = value + float(m)
+            found[k] = _moved(found[k], name, *(column.parameter(now, float(sd)) if column else (now, float(sd))))
     factors = scene.original.factors * (1.0 if scene.noise is None else scene.noise.factor)
     for k, s in enumerate(found):
         if s.effect in LEVEL_ROWS:
@@ -112,11 +114,13 @@ def _window(finding: Finding) -> Window | None:
         return NED.index(finding.axes[0]), at["start"], at["start"] + at["duration"]
     if finding.effect == "bias_step":
         return 3 + AXES.index(f"{finding.sensor}_{finding.axes[0]}"), at["start"], math.inf
+    if finding.effect == "lever_arm_step":
+        return ARMS + "xyz".index(finding.axes[0]), at["start"], math.inf
     return None
 
 
 def _columns(scene: Scene, findings: Sequence[Finding], steps: Sequence[int]) -> dict[int, tuple[int, str, float]]:
-    """By column of a scene the finding that it belongs to, its parameter and the value of that.
+    """By column of a scene the finding that it belongs to, its parameter and the coefficient that this has.
 
     Parameters
     ----------
@@ -136,15 +140,13 @@ def _columns(scene: Scene, findings: Sequence[Finding], steps: Sequence[int]) ->
             )
             if j is None or j in owners:
                 continue
-            owners[j] = (k, v.name, v.value)
+            owners[j] = (k, v.name, v.value ** scene.columns[j].power)
     for j, k in enumerate(steps, scene.width - len(steps)):
         owners[j] = (k, "value", next(v.value for v in findings[k].parameters if v.name == "value"))
     return owners
 
 
-def _moved(finding: Finding, name: str, by: float, sd: float) -> Finding:
-    """A finding with one of its numbers moved, as sure as a standard deviation says."""
-    parameters = tuple(
-        Value.normal(name, v.value + by, sd, v.unit) if v.name == name else v for v in finding.parameters
-    )
+def _moved(finding: Finding, name: str, value: float, sd: float) -> Finding:
+    """A finding with another value of one of its numbers, as sure as a standard deviation says."""
+    parameters = tuple(Value.normal(name, value, sd, v.unit) if v.name == name else v for v in finding.parameters)
     return replace(finding, parameters=parameters)
