@@ -34,8 +34,8 @@ LONGEST_ARM = 1000.0
 
 #: Time constant of the long one of two shapes of a smoothed velocity, s: three real receivers smooth over 0.1 to 1.2 s (`python -m tests.real_gaps`).
 LONG_S = 1.0
-#: Time constants of three shapes of a filtered position, s: what a tracker of 0.1 s is behind follows gusts that one of 1 s smooths away.
-TRACKED_S = (0.1, 0.3, 1.0)
+#: Time constants of the shapes of a filtered position, s: what a short tracker is behind follows gusts that one of 1 s smooths away.
+TRACKED_S = (0.03, 0.1, 0.3, 1.0)
 
 _NO_MEAN = "random: it changes the covariance of the innovations, not their mean"
 
