@@ -32,6 +32,12 @@ def finite(document: Any) -> Any:
     return None if isinstance(document, float) and not math.isfinite(document) else document
 
 
+def with_interval(value: float, low: float, high: float) -> str:
+    """A ``value`` with its interval from ``low`` to ``high``, in as many digits, three or more, as tell the ends apart."""
+    digits = next((d for d in range(3, 8) if low == high or f"{low:.{d}g}" != f"{high:.{d}g}"), 8)
+    return f"{value:.{digits}g} [{low:.{digits}g}, {high:.{digits}g}]"
+
+
 def p_words(p: float) -> str:
     """A p-value as a reader is told it."""
     return f"p {p:.2g}" if p > SMALL_P else f"p below {SMALL_P:g}"

@@ -164,6 +164,7 @@ def _tell(report: GapReport, console: Console) -> None:
         shaking_said,
         shown_value,
     )
+    from insemu.shown import with_interval
 
     console.print(f"[bold]{report.verdict}[/bold]: {gap_headline(report)}")
     word, figures, _ = is_better(report)
@@ -188,9 +189,8 @@ def _tell(report: GapReport, console: Console) -> None:
         for n, s in most:
             console.print(f"{n}. {finding_action(s)}", highlight=False, markup=False)
             for v in map(shown_value, s.parameters[:6]):
-                console.print(
-                    f"   {v.name} {v.value:.3g} [{v.low:.3g}, {v.high:.3g}] {v.unit}", highlight=False, markup=False
-                )
+                said = with_interval(v.value, v.low, v.high)
+                console.print(f"   {v.name} {said} {v.unit}", highlight=False, markup=False)
         if len(report.findings) > FIRST_SCREEN:
             console.print(f"and {len(report.findings) - FIRST_SCREEN} more on the page")
     if report.remainder:
