@@ -33,7 +33,12 @@ def finite(document: Any) -> Any:
 
 
 def with_interval(value: float, low: float, high: float) -> str:
-    """A ``value`` with its interval from ``low`` to ``high``, in as many digits, three or more, as tell the ends apart."""
+    """A number with its interval, in as many digits, three or more, as tell the ends apart.
+
+    Parameters
+    ----------
+    value, low, high : float
+    """
     digits = next((d for d in range(3, 8) if low == high or f"{low:.{d}g}" != f"{high:.{d}g}"), 8)
     return f"{value:.{digits}g} [{low:.{digits}g}, {high:.{digits}g}]"
 

@@ -208,6 +208,7 @@ class LeverArmStep(_OfFixes):
     )
     excitation, in_filter = "turns after the change", "three constants that are made uncertain again"
     axes = XYZ
+    traits = frozenset({"once"})
     stage, size = Stage.MODEL, "value"
     absent = {
         "signature": "one column for every start: the search scans them (changes of the lever arm)",

@@ -76,6 +76,13 @@ Array = NDArray[np.float64]
 #: Effects that begin at a time, which no column of the catalogue has, and what looks for each.
 STEPS = {"gnss_multipath_step": multipath_step, "bias_step": bias_step, "lever_arm_step": lever_arm_step}
 
+#: Effects of time, beside which no filter of the positions is looked for: what a wrong time leaves in second order goes with the acceleration as
+#: well. On rtkexp_drive filters of 1.3 s stood for it (195 nats), and numbers together ran away (``python -m tests.real_gaps``).
+TIMED = frozenset(e.id for e in EFFECTS.values() if e.family == "timing") | {
+    "gnss_velocity_lag",
+    "gnss_velocity_filter",
+}
+
 
 class DriveProblem(NoiseOfFixes):
     """The innovations of one recording, whole or up to a time.
@@ -124,9 +131,9 @@ class DriveProblem(NoiseOfFixes):
         once = {h.effect for h in chosen if h.effect in (*ONCE, *FIRST) or h.change.noise is not None}
         if self.scene.noise is None:  # of the fixes' other axes a level may be named as well
             once -= {h.effect for h in chosen if about(h).any()}
-        # which of the fixes known outliers are was settled before
-        known = {u.id for u in self.scene.original.nominal.effects if u.id in FIRST}
-        return set(self.without) | once | known
+        known = {u.id for u in self.scene.original.nominal.effects}  # which fixes known outliers are was settled before
+        timed = (known | {f.chosen.effect for f in self.found}) & TIMED
+        return set(self.without) | once | (known & set(FIRST)) | ({"gnss_position_filter"} if timed else set())
 
     def _beside(self, without: Found[Change] | None = None) -> list[Variant]:
         """What may stand beside the findings, all or all but one."""
@@ -139,7 +146,7 @@ class DriveProblem(NoiseOfFixes):
         out = linear_hypotheses(self.scene, self._beside(), self.data, given, skip)
         for effect, look in STEPS.items():
             if effect not in skip:
-                least = self._step_nats() if effect == "gnss_multipath_step" else -math.inf
+                least = self._step_nats() if effect != "bias_step" else -math.inf
                 out += [h for h in look(self.scene, self.data, self.rows, given) if h.nats > least]
         out = best_first([*out, *covariance_hypotheses(self.scene, given, skip, self.cut, self._levelled())])
         shaken = with_unresolved(self.scene, given, self.cut, out[0].nats) if out[0].nats > self.threshold else None
@@ -154,8 +161,8 @@ class DriveProblem(NoiseOfFixes):
         return np.asarray(np.any([np.zeros(6, dtype=bool), *each], axis=0))
 
     def _step_nats(self) -> float:
-        """What a step in the fixes must be worth to be weighed: beside one that is known or found it must be plain."""
-        known = [u.id for u in self.scene.original.nominal.effects] + [f.chosen.effect for f in self.found]
+        """What a step in the fixes, or of the antenna, must be worth to be weighed: beside one in the fixes it must be plain."""
+        known = {u.id for u in self.scene.original.nominal.effects} | {f.chosen.effect for f in self.found}
         return rules().further_step if "gnss_multipath_step" in known else -math.inf
 
     def choose(self, ranked: Sequence[DriveHypothesis]) -> Found[Change] | None:
