@@ -78,10 +78,7 @@ STEPS = {"gnss_multipath_step": multipath_step, "bias_step": bias_step, "lever_a
 
 #: Effects of time, beside which no filter of the positions is looked for: what a wrong time leaves in second order goes with the acceleration as
 #: well. On rtkexp_drive filters of 1.3 s stood for it (195 nats), and numbers together ran away (``python -m tests.real_gaps``).
-TIMED = frozenset(e.id for e in EFFECTS.values() if e.family == "timing") | {
-    "gnss_velocity_lag",
-    "gnss_velocity_filter",
-}
+TIMED = {e.id for e in EFFECTS.values() if e.family == "timing"} | {"gnss_velocity_lag", "gnss_velocity_filter"}
 
 
 class DriveProblem(NoiseOfFixes):
@@ -133,7 +130,8 @@ class DriveProblem(NoiseOfFixes):
             once -= {h.effect for h in chosen if about(h).any()}
         known = {u.id for u in self.scene.original.nominal.effects}  # which fixes known outliers are was settled before
         timed = (known | {f.chosen.effect for f in self.found}) & TIMED
-        return set(self.without) | once | (known & set(FIRST)) | ({"gnss_position_filter"} if timed else set())
+        out = set(self.without) | once | (known & {*FIRST, "lever_arm_step"})
+        return out | {"gnss_position_filter"} if timed else out
 
     def _beside(self, without: Found[Change] | None = None) -> list[Variant]:
         """What may stand beside the findings, all or all but one."""
