@@ -8,7 +8,8 @@ import pytest
 from benchmarks.foreign import judge
 from benchmarks.foreign.judge import drawn, taken
 from insemu import earth
-from insemu.effects import EFFECTS, EffectUse, FixGeometry, compensated
+from insemu.effects import EFFECTS, Column, EffectUse, FixGeometry, compensated, steady
+from insemu.effects.motion import acceleration_along
 from insemu.emulate import built_in, gnss_fixes, ideal_imu
 from insemu.errors import InputError
 from insemu.gap import find_gap
@@ -111,3 +112,22 @@ def test_filtered_positions_of_another_simulator_are_named_with_their_time_const
     known = refined_nominal(nominal, report, measured.imu.dt).parted()
     again = find_gap(measured, known, rng=np.random.default_rng(1), hold_out=False, pictures=False)
     assert again.verdict == "nothing missing"
+
+
+def test_the_drift_of_an_acceleration_does_not_begin_with_one_sample() -> None:
+    """Its first sample, noise included, stood for 20 s."""
+    t = np.arange(6000) * 0.01
+    acceleration = np.random.default_rng(1).standard_normal((t.size, 3))
+    acceleration[0] = 8.0
+    vel = np.cumsum(acceleration, axis=0) * 0.01  # as measured: nothing drifts
+    along = acceleration_along(t, acceleration, vel)
+    np.testing.assert_allclose(along[100:], steady(acceleration, 0.01)[100:], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("coefficient", "sd", "value", "of_value"), [(0.09, 0.006, 0.3, 0.01), (-0.01, 0.04, 0.0, 0.1)]
+)
+def test_a_coefficient_of_a_power_is_told_as_its_parameter(coefficient, sd, value, of_value) -> None:
+    column = Column.of(EFFECTS["gnss_position_filter"], "gnss", "tau", (), power=2.0)
+    assert column.scale == pytest.approx(0.2**2)
+    assert column.parameter(coefficient, sd) == pytest.approx((value, of_value))

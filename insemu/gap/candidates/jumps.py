@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.effects import EFFECTS
+from insemu.effects import EFFECTS, first_axis
 from insemu.gap.candidates.shapes import Change, DriveHypothesis, sizes
 from insemu.gap.candidates.steps import Beside, surprising
 from insemu.gap.drive.scene import ARMS, Scene
@@ -26,7 +26,7 @@ PROMISING = -2.0
 #: Fewest times at which a jump may start for it to be looked for.
 FEWEST_STARTS = 4
 #: A change of the lever arm shows at its own fix alone where a filter follows it: so many fixes that surprise most, and so many on either side,
-#: before which it is looked for; three of 16 were found a minute off without (``--kinds rarer --recordings 70 --seed 6000`` of benchmarks.foreign).
+#: before which it is looked for. Without, one of 183 nats is found a minute off (tests/test_gap_lever_arm_step.py).
 SURPRISES, BESIDE = 8, 1
 #: Cells on either side of the best one in which its start is looked for more closely: two fixes are no more alike than two minutes.
 ARM_CELLS = 3
@@ -89,7 +89,7 @@ class _Jump:
     def _of(self, G: Array) -> tuple[Array, Array, Array]:
         half, b = self.beside.of_columns(G)
         a = np.einsum("rk,rk->k", G, G) / self.beside.data.variance - np.einsum("ck,ck->k", half, half)
-        widths = rules().prior_scales if self.sensor in ("gyro", "accel") else sizes(self.effect)
+        widths = rules().prior_scales if self.effect == "bias_step" else sizes(self.effect)
         return sized(np.maximum(a, 1e-12), b, EFFECTS[self.effect].scale("value", self.sensor), widths)
 
 
@@ -102,14 +102,8 @@ def bias_step(
 
     Parameters
     ----------
-    scene : Scene
-        The recording with its responses.
-    data : Field
-        The innovations of the rows that are looked at.
-    rows : (r,) array of bool, or slice
-        Which rows of the recording's field these are.
-    given : sequence of Block
-        What is explained already.
+    scene, data, rows, given
+        As those of :func:`insemu.gap.candidates.steps.multipath_step`.
 
     Returns
     -------
@@ -123,8 +117,8 @@ def bias_step(
     if times.size < FEWEST_STARTS:
         return []
     beside, out = Beside.of(data, given), []
-    for sensor, first in (("gyro", 0), ("accel", 3)):
-        jumps = []
+    for sensor in EFFECTS["bias_step"].sensors:
+        jumps, first = [], first_axis(sensor)
         for k, axis in enumerate("xyz"):
             behind = np.cumsum(data.G[:, scene.slow(first + k)][:, ::-1], axis=1)[:, ::-1]
 
@@ -164,7 +158,7 @@ def lever_arm_step(
         def columns(at: Array, k: int = k) -> Array:
             return scene.arm_steps(k, at)[rows]
 
-        own = first[:, k * scene.arm_starts.size :][:, :count]
+        own = first[:, k::3][:, :count]
         jumps.append(
             _Jump("lever_arm_step", "gnss", axis, ARMS + k, beside, columns, scene.arm_starts[:count], own, t_fix)
         )

@@ -13,6 +13,7 @@ from scipy.linalg import solve_triangular
 from insemu.effects import EFFECTS
 from insemu.gap.candidates.shapes import Change, DriveHypothesis
 from insemu.gap.drive.scene import Scene
+from insemu.gap.drive.signatures import fix_step_response
 from insemu.gap.evidence.fixes import NED
 from insemu.gap.evidence.linear import Block, Field, log_mean_exp, recursive_residuals
 from insemu.gap.hypothesis import Hypothesis
@@ -141,10 +142,7 @@ def surprising(e: Array, count: int = SURPRISES) -> NDArray[np.int64]:
 
 def _axis_steps(scene: Scene, starts: Array, axis: int) -> Array:
     """Responses (f, 6, starts) of steps of one position axis."""
-    fixes = scene.loop.result.fixes
-    M = np.zeros((len(fixes), 6, starts.size))
-    M[:, axis, :] = fixes.t[:, None] > starts[None, :]
-    return scene.loop.respond(starts.size, None, M)
+    return fix_step_response(scene.loop, np.eye(3, 6)[[axis], None], starts)
 
 
 @dataclass(frozen=True)

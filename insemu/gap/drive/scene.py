@@ -175,7 +175,7 @@ class Scene:
     @cached_property
     def steps_raw(self) -> Array:
         """Responses (f, 6, 3 starts) of steps in the position fixes."""
-        return fix_step_response(self.loop, self.starts)
+        return fix_step_response(self.loop, np.eye(3, 6)[:, None], self.starts)
 
     @cached_property
     def arm_starts(self) -> Array:
@@ -185,15 +185,9 @@ class Scene:
 
     @cached_property
     def _arms_raw(self) -> Array:
-        """Responses (f, 6, 3 starts) of changes of the lever arm, axis by axis."""
-        return np.concatenate([self._arm_steps(axis, self.arm_starts) for axis in range(3)], axis=2)
-
-    def _arm_steps(self, axis: int, starts: Array) -> Array:
-        """Responses (f, 6, starts) of unit changes of the lever arm along an axis (0..2) of the body."""
-        t, node = self.loop.result.fixes.t, self.loop.machine[3]
-        M = self.arm_fixes(axis)[:, :, None] * (t[:, None, None] > starts)
-        first = np.minimum(np.searchsorted(t, starts, side="right"), t.size - 1)
-        return self.loop.respond(starts.size, None, M, begin=node[first])
+        """Responses (f, 6, 3 starts) of changes of the lever arm; x, y, z for each start."""
+        units = np.stack([self.arm_fixes(axis) for axis in range(3)])
+        return fix_step_response(self.loop, units, self.arm_starts)
 
     def arm_fixes(self, axis: int) -> Array:
         """What a metre of lever arm along an axis (0..2) of the body makes of the fixes, (f, 6)."""
@@ -204,7 +198,7 @@ class Scene:
 
     def arm_steps(self, axis: int, starts: Array) -> Array:
         """Whitened responses (r, starts) of unit changes of the lever arm along an axis (0..2) of the body from each start (s) on."""
-        return self.whitened(self._arm_steps(axis, starts))
+        return self.whitened(fix_step_response(self.loop, self.arm_fixes(axis)[None], starts))
 
     def window_column(self, window: Window) -> Column:
         """A step of the fixes that was found, as a column."""
@@ -333,7 +327,7 @@ class Scene:
 
     @cached_property
     def arm_columns(self) -> Array:
-        """Whitened responses of changes of the lever arm, (r, 3 starts), axis by axis."""
+        """Whitened responses of changes of the lever arm, (r, 3 starts)."""
         return self.whitened(self._arms_raw)
 
     # -- other scenes of the same recording -------------------------------------------------------------------------------------------

@@ -253,14 +253,30 @@ def knot_response(loop: Loop, motion: Motion, ramp: Array, knots: Array, axis: i
     return loop.respond(count, D, None, at, begin)
 
 
-def fix_step_response(loop: Loop, starts: Array) -> Array:
-    """Responses (f, 6, 3 starts) of unit steps in the position fixes from each start time on; north, east, down for each start."""
+def fix_step_response(loop: Loop, units: Array, starts: Array) -> Array:
+    """Responses of errors of the fixes that are there from a start on.
+
+    Parameters
+    ----------
+    loop : Loop
+        The nominal filter.
+    units : (k, f, 6) or (k, 1, 6) array
+        Unit errors of the fixes.
+    starts : (s,) array
+        s, not decreasing.
+
+    Returns
+    -------
+    (f, 6, k s) array
+        All units for each start.
+    """
     fixes, node = loop.result.fixes, loop.machine[3]
-    M = np.zeros((len(fixes), 6, 3 * starts.size))
-    for c in range(3):
-        M[:, c, c::3] = fixes.t[:, None] > starts
+    count = len(units)
+    M = np.zeros((len(fixes), 6, count * starts.size))
+    for k, unit in enumerate(units):
+        M[:, :, k::count] = unit[:, :, None] * (fixes.t[:, None, None] > starts)
     first = np.minimum(np.searchsorted(fixes.t, starts, side="right"), len(fixes) - 1)
-    return loop.respond(M.shape[2], None, M, begin=np.repeat(node[first], 3))
+    return loop.respond(M.shape[2], None, M, begin=np.repeat(node[first], count))
 
 
 def bias_steps(loop: Loop, motion: Motion, starts: Array) -> Array:
