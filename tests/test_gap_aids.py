@@ -24,7 +24,7 @@ from insemu.gap.drive.beside import Measured, Smoothed
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.evidence.beside import AidModel, Beside
 from insemu.gap.problems import drive_without
-from insemu.gap.problems.aids import aids_looked_at
+from insemu.gap.problems.aids import aids_looked_at, check_aids
 from insemu.gap.verdict import Finding, Interval, Value
 from insemu.records import AidRecord, Recording
 from insemu.report.gap import gap_headline, is_better
@@ -153,7 +153,7 @@ HIDDEN = {
 
 def looked(recording: Recording, believed, without=()):
     flown = Flown.of(*drive_without(recording, believed))
-    return aids_looked_at(flown.prepared, flown.recording.aids, without, lambda _: None, "drive")
+    return aids_looked_at(flown.prepared, flown.recording.aids, without, lambda _: None)
 
 
 def test_good_aids_have_no_findings(plain, folder) -> None:
@@ -190,14 +190,14 @@ def test_the_last_part_of_an_aid_judges_what_its_first_part_names(folder) -> Non
     recording, believed = recorded(folder, HIDDEN["scale"][0], HIDDEN["offset"][0]), nominal(folder)
     flown = Flown.of(*drive_without(recording, believed))
     aids = flown.recording.aids
-    found = aids_looked_at(flown.prepared, aids, (), lambda _: None, "drive", hold_out=True)
+    found = aids_looked_at(flown.prepared, aids, (), lambda _: None, hold_out=True)
     assert set(found.held_out) == {"odometer", "barometer"}
     assert min(g.low for g in found.held_out.values()) > 0.0
     # an offset that ends with the first part predicts the last part worse
     barometer = next(a for a in aids if a.kind == "barometer")
     late = barometer.t > 200.0
     ends = replace(barometer, values=barometer.values - 3.0 * late[:, None])
-    changed = aids_looked_at(flown.prepared, (ends,), (), lambda _: None, "drive", hold_out=True)
+    changed = aids_looked_at(flown.prepared, (ends,), (), lambda _: None, hold_out=True)
     gain = changed.held_out["barometer"]
     assert gain.high < found.held_out["barometer"].low
 
@@ -243,8 +243,17 @@ def test_an_aid_that_is_something_else_is_refused_by_name(plain, name: str) -> N
     change, kind, words = WRONG[name]
     aid = change(next(a for a in plain[0].aids if a.kind == kind))
     with pytest.raises(InputError, match=words) as caught:
-        aids_looked_at(plain[2].prepared, (aid,), (), lambda _: None, "drive.npz")
+        check_aids(plain[2].prepared, (aid,), "drive.npz")
     assert str(caught.value).startswith("drive.npz: aid_")
+
+
+def test_it_is_refused_before_the_search(folder) -> None:
+    recording, said = recorded(folder), list[str]()
+    aids = tuple(replace(a, values=3.6 * a.values) if a.kind == "odometer" else a for a in recording.aids)
+    made = replace(recording, aids=aids)
+    with pytest.raises(InputError, match="km/h"):
+        find_gap(made, nominal(folder), rng=np.random.default_rng(1), progress=said.append)
+    assert not any("effect" in words for words in said)
 
 
 def test_a_wheel_across_whose_way_nothing_moves_may_be_turned_by_much(folder) -> None:
@@ -279,7 +288,7 @@ ODD = {
 @pytest.mark.parametrize("name", ODD)
 def test_an_aid_that_is_there_in_part_is_looked_at_as_far_as_it_goes(plain, name: str) -> None:
     aid = ODD[name](next(a for a in plain[0].aids if a.kind == "odometer"))
-    found = aids_looked_at(plain[2].prepared, (aid,), (), lambda _: None, "drive.npz")
+    found = aids_looked_at(plain[2].prepared, (aid,), (), lambda _: None)
     assert not found.findings
     assert bool(found.where) == (name not in ("hardly any", "no noise stated"))
 

@@ -127,27 +127,32 @@ def drawn(job: Job) -> tuple[sensors.World, list[sensors.Hidden], list[float]]:
 
 
 def _drawn_aids(job: Job, world: sensors.World, rng: np.random.Generator) -> tuple[list[sensors.Hidden], list[float]]:
-    """What is hidden in aids, and what each is worth."""
-    ruler = AidRuler.of(*taken(world, ()))
-    hidden: list[sensors.Hidden] = []
-    worth: list[float] = []
-    targets: list[float] = []
-    while len(hidden) < len(KINDS[job.kind]):
-        h, half, factor = sensors.draw_hidden(rng, world, "aid"), math.nan, 1.0
-        target = float(np.exp(rng.uniform(*np.log(WORTH))))
-        if any(o.effect == h.effect for o in hidden):
-            continue
-        if math.isfinite(ruler.half(h)):
-            h, half, factor = ruler.scaled(h, target)
-        if factor <= MOST_AID_SCALE:  # else the motion does not show it
-            hidden.append(h)
-            worth.append(half)
-            targets.append(target)
-    ruler = ruler.under(hidden)
-    for k, target in enumerate(targets):
-        if math.isfinite(worth[k]) and ruler.half(hidden[k]) < WORTH[0]:
-            hidden[k], worth[k], _ = ruler.scaled(hidden[k], target)
-    return hidden, worth
+    """What is hidden in aids, and what each is worth; drawn again where one would have to be too large to be seen beside the rest."""
+    alone = AidRuler.of(*taken(world, ()))
+    while True:
+        hidden: list[sensors.Hidden] = []
+        worth: list[float] = []
+        targets: list[float] = []
+        factors: list[float] = []
+        while len(hidden) < len(KINDS[job.kind]):
+            h, half, factor = sensors.draw_hidden(rng, world, "aid"), math.nan, 1.0
+            target = float(np.exp(rng.uniform(*np.log(WORTH))))
+            if any(o.effect == h.effect for o in hidden):
+                continue
+            if math.isfinite(alone.half(h)):
+                h, half, factor = alone.scaled(h, target)
+            if factor <= MOST_AID_SCALE:  # else the motion does not show it
+                hidden.append(h)
+                worth.append(half)
+                targets.append(target)
+                factors.append(factor)
+        ruler = alone.under(hidden)
+        for k, target in enumerate(targets):
+            if math.isfinite(worth[k]) and ruler.half(hidden[k]) < WORTH[0]:
+                hidden[k], worth[k], more = ruler.scaled(hidden[k], target)
+                factors[k] *= more
+        if max(factors, default=0.0) <= MOST_AID_SCALE:
+            return hidden, worth
 
 
 @dataclass(frozen=True)

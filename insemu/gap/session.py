@@ -19,7 +19,7 @@ from insemu.gap.candidates.timing import find_times
 from insemu.gap.data.sources import StaticLog
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.policy import Policy, rules, under
-from insemu.gap.problems.aids import Looked, aids_looked_at
+from insemu.gap.problems.aids import Looked, aids_looked_at, check_aids
 from insemu.gap.problems.findings import with_effect
 from insemu.gap.problems.known import both_told, drive_without, in_imu_axes, static_without, struck_out
 from insemu.gap.problems.rest import find_static_gap
@@ -152,6 +152,9 @@ def _drive(
             worth = worth_of_mounting(first.prepared, mounted.finding)
             now, flown = taken(replace(mounted.finding, metres=worth)), None
             recording, moved = drive_without(measured, now)
+    if recording.aids:
+        flown = flown or Flown.of(recording, moved)
+        check_aids(flown.prepared, flown.recording.aids, measured.source)
     # by the innovations alone the mounting hides in the attitude
     skip = tuple(dict.fromkeys((*without, "mounting")))
     own_axes = in_imu_axes(recording, moved)
@@ -170,9 +173,7 @@ def _drive(
         return out
     after = Flown.of(*(refined or _refined(measured, nominal, out))) if out.findings else first
     if measured.aids:
-        out = _with_aids(
-            out, aids_looked_at(after.prepared, after.recording.aids, without, say, measured.source, hold_out=hold_out)
-        )
+        out = _with_aids(out, aids_looked_at(after.prepared, after.recording.aids, without, say, hold_out=hold_out))
     if not pictures:
         return out
     return replace(out, curves={**out.curves, "drive": _pictures(first, after, nominal)})

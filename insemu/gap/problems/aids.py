@@ -113,12 +113,42 @@ def is_looked_at(kind: str) -> bool:
     return kind in AIDS and AIDS[kind].truth is not None and kind in AID_KINDS
 
 
+def check_aids(prepared: Prepared, aids: Sequence[AidRecord], source: str) -> None:
+    """Look whether aids are what their names say, before a search that takes long.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        A filter on the recording less what is settled before the search, which uses no aid.
+    aids : sequence of AidRecord
+        Less what is known of them.
+    source : str
+        Where they came from, for messages.
+
+    Raises
+    ------
+    InputError
+        An aid that is another quantity or in another unit than its name says.
+    """
+    smoothed = Smoothed.of(prepared) if aids else None
+    for aid in aids:
+        assert smoothed is not None
+        _, measured = _held_against(smoothed, aid)
+        if measured is not None:
+            check_unit(measured, source)
+
+
+def _held_against(smoothed: Smoothed, aid: AidRecord) -> tuple[Shown | None, Measured | None]:
+    """What a smoothed run shows an aid, and the aid against it; None where it says nothing."""
+    shown = smoothed.shown_to(aid) if is_looked_at(aid.kind) else None
+    return shown, None if shown is None else Measured.of(aid, shown)
+
+
 def aids_looked_at(
     prepared: Prepared,
     aids: Sequence[AidRecord],
     without: Collection[str],
     say: Callable[[str], None],
-    source: str,
     *,
     hold_out: bool = False,
 ) -> Looked:
@@ -134,15 +164,8 @@ def aids_looked_at(
         Effects taken out of the catalogue.
     say : callable
         Told what is being done.
-    source : str
-        Where the aids came from, for messages.
     hold_out : bool
         Whether what was found is judged on the last part of each aid, by what its first part names.
-
-    Raises
-    ------
-    InputError
-        An aid that is another quantity or in another unit than its name says.
     """
     smoothed, known = Smoothed.of(prepared) if aids else None, prepared.nominal.effects
     findings: list[Finding] = []
@@ -152,12 +175,10 @@ def aids_looked_at(
     held: dict[str, Interval] = {}
     for aid in aids:
         assert smoothed is not None
-        shown = smoothed.shown_to(aid) if is_looked_at(aid.kind) else None
-        measured = None if shown is None else Measured.of(aid, shown)
+        shown, measured = _held_against(smoothed, aid)
         if shown is None or measured is None:
             continue
         say(f"the {aid.kind} against IMU and fixes")
-        check_unit(measured, source)
         state = _State(smoothed, shown, aid, measured, nominal_model(measured, smoothed, known))
         start = _outliers_out(state, without, known)
         where += stands(start.model)
