@@ -318,16 +318,16 @@ class DriveProblem(NoiseOfFixes):
         self.found, self._changed = [g for g in self.found if g is not old], True
 
     def settle(self) -> bool:
-        """Noise and steps of the fixes as they are beside everything that was found since; whether a colour moved enough to look again."""
+        """Noise and steps of the fixes as they are beside everything that was found since; whether so much moved that it is looked again."""
         colour, moved = self._named("gnss_correlated_noise"), False
         if colour is None:
             moved = self._step_in_a_run()
             if back := self._with_edges():
-                self._settle_steps()
+                moved |= self._settle_steps()
             if back or (self.found and self.found[-1].chosen.effect not in FIRST):
                 for effect in (k for k in FIRST if k in self.gone):
                     self._take(self._outliers_again(self.scene, effect))
-            self._settle_steps()
+            moved |= self._settle_steps()
             levels = self.scene.original.factors * (1.0 if self.scene.noise is None else self.scene.noise.factor)
             self.found = [replace(f, chosen=at_level(f.chosen, levels)) for f in self.found]
         elif self.scene.noise is not None and colour is not self.found[-1].chosen:
@@ -339,11 +339,12 @@ class DriveProblem(NoiseOfFixes):
             moved = plain is not None or abs(math.log(joint.noise.colour[1] / before[1])) > math.log1p(
                 rules().tolerance
             )
-            self._settle_steps()
+            moved |= self._settle_steps()
         return moved
 
-    def _settle_steps(self) -> None:
-        """Look for each step once more, beside everything that was found since."""
+    def _settle_steps(self) -> bool:
+        """Look for each step once more, beside everything that was found since; whether another effect now stands in the place of one."""
+        given_way = False
         for old in [f for f in self.found if f.chosen.change.window is not None]:
             assert old.chosen.change.block is not None
             tried = STEPS[old.chosen.effect](self.scene, self.data, self.rows, self.blocks(old))
@@ -351,28 +352,22 @@ class DriveProblem(NoiseOfFixes):
             if own is None or own.nats < min(self.threshold, rules().keep_nats):
                 self.found = [f for f in self.found if f is not old]
                 continue
+            rivals = linear_hypotheses(self.scene, self._beside(old), self.data, self.blocks(old), self._skip(old))
+            ranked = tuple(best_first([*rivals, own]))
+            if ranked[0].nats > own.nats + rules().swap_nats:  # it lasts throughout, or is something else
+                self.put(old, ranked[0], Again(own, ranked, ranked[0], False))
+                given_way = True
+                continue
             if own.change.window is None:
                 continue
             column, windows = int(old.chosen.change.block[0][0]), list(self.scene.windows)
             windows[column - self.scene.width] = own.change.window
-            rivals = linear_hypotheses(self.scene, self.variants, self.data, self.blocks(old), self._skip(old))
-            new = Found(placed(own, column), tuple(best_first([*rivals, own])))
+            own = placed(own, column)
+            new = Found(own, tuple(best_first([*rivals, own])))
             self.found = [new if f is old else f for f in self.found]
             if tuple(windows) != self.scene.windows:
                 self._take(self.scene.with_windows(tuple(windows)))
-
-    def noise_came_early(self) -> bool:
-        """Whether noise of the fixes was named before something strong that it could have stood for, a step in the fixes included.
-
-        Louder velocities, whenever they were named, stand for how an antenna swings on a longer lever arm as the vehicle shakes.
-        """
-        chosen = [f.chosen for f in self.found]
-        noise = next((k for k, h in enumerate(chosen) if h.change.block is None), len(chosen))
-        if any(h.nats > rules().correct_nats and h.change.block is not None for h in chosen[noise + 1 :]):
-            return True
-        louder = any(h.effect == "gnss_velocity_noise" and h.values[0].value > 1.0 for h in chosen)
-        arm = any(h.effect == "lever_arm" for h in chosen)
-        return louder and arm and self.scene.original.rectified is not None
+        return given_way
 
     def noise_again(self, first: Scene) -> None:
         """Take back the noise of the fixes and what was found with it, from the ``first`` scene on."""
@@ -417,7 +412,7 @@ def find_effects(
         progress("once more, with simpler effects in the place of a wide one")
         search(problem, progress)
     if problem.settle():
-        progress("once more, with the colour of the fixes as it is beside the rest")
+        progress("once more, with noise and steps of the fixes as they are beside the rest")
         search(problem, progress)
         problem.settle()
     if cut is None:

@@ -77,6 +77,19 @@ class NoiseOfFixes(ABC):
     def _skip(self, without: Found[Change] | None = None) -> set[str]:
         """Effects that are not asked for."""
 
+    def noise_came_early(self) -> bool:
+        """Whether noise of the fixes was named before something strong that it could have stood for, a step in the fixes included.
+
+        Louder velocities, whenever they were named, stand for how an antenna swings on a longer lever arm as the vehicle shakes.
+        """
+        chosen = [f.chosen for f in self.found]
+        noise = next((k for k, h in enumerate(chosen) if h.change.block is None), len(chosen))
+        if any(h.nats > rules().correct_nats and h.change.block is not None for h in chosen[noise + 1 :]):
+            return True
+        louder = any(h.effect == "gnss_velocity_noise" and h.values[0].value > 1.0 for h in chosen)
+        arm = any(h.effect == "lever_arm" for h in chosen)
+        return louder and arm and self.scene.original.rectified is not None
+
     def _turn_colour(self) -> None:
         """Set a colour that was named to another correlation time where it, and what is named beside it, explain more there.
 
