@@ -384,7 +384,14 @@ class DriveProblem(NoiseOfFixes):
             h, others = f.chosen, self.blocks(f)
             if h.change.block is not None and not any(r.change.noise is not None for r in f.ranked):
                 rivals = covariance_hypotheses(self.scene, others, self._skip(f), self.cut, self._levelled(f))
-                self.found[k] = f = replace(f, ranked=tuple(best_first([*f.ranked, *rivals])))
+                # an effect of thousands of nats was weighed at the variance of the field, these at one
+                rivals = [replace(r, nats=r.nats / self.data.variance) for r in rivals]
+                f = replace(f, ranked=(*f.ranked, *rivals))
+            for effect in {r.effect for r in f.ranked if r.effect in JUMPS and h.effect not in STEPS}:
+                # what came since tells how far from it they are
+                jumps = STEPS[effect](self.scene, self.data, self.rows, others)
+                f = replace(f, ranked=(*(r for r in f.ranked if r.effect != effect), *jumps))
+            self.found[k] = f = replace(f, ranked=tuple(best_first(f.ranked)))
             if h.change.columns:
                 own = [v for v in self.variants if (v.effect, v.sensor) == (h.effect, h.sensor)]
                 beyond, what = library_evidence(self.scene, self.data, others)
