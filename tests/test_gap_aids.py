@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from benchmarks.foreign.judge import Job, drawn, write
+from benchmarks.foreign.judge import Job, drawn, taken, write
 from insemu.cli import main
 from insemu.effects import AID_KINDS, EffectUse
 from insemu.errors import InputError
@@ -228,6 +228,16 @@ def test_aids_are_on_the_clock_of_the_imu(folder) -> None:
     for a, b in zip(back.aids, first.aids, strict=True):
         np.testing.assert_allclose(a.t, b.t, atol=1e-9)
     assert not looked(recording, known).findings
+
+
+def test_a_wheel_that_comes_late_has_no_outliers_in_hard_manoeuvres() -> None:
+    """A fighter turns and speeds up at times only: 0.17 s late, its speed is far off there and nowhere else."""
+    job = Job("aid", 780088, 360.0, True, vehicles=("c172p", "DHC6", "T38", "A4", "f16", "A320"))
+    world, hidden, _ = drawn(job)
+    found = {s.effect: s for s in looked(*taken(world, hidden)).findings}
+    assert set(found) == {"aid_lag"}
+    (lag,) = found["aid_lag"].parameters
+    assert lag.low < hidden[0].values["lag"] < lag.high
 
 
 WRONG = {

@@ -182,7 +182,10 @@ def aids_looked_at(
         state = _State(smoothed, shown, aid, measured, nominal_model(measured, smoothed, known))
         start = _outliers_out(state, without, known)
         where += stands(start.model)
-        state = _searched(start, without)
+        found = _searched(start, without)
+        if found.taken and _only_late(state, found):
+            start, found = state, _searched(state, without)
+        state = found
         after += stands(state.model)
         if hold_out and state.steps:
             say(f"the last part of the {aid.kind}")
@@ -256,6 +259,12 @@ def _outliers_out(state: _State, without: Collection[str], known: Sequence[Effec
     told = None if any((u.id, u.sensor) == ("aid_outliers", state.known.kind) for u in known) else found
     model = nominal_model(kept, state.smoothed, known)
     return replace(state, known=state.known.without(struck), measured=kept, model=model, gone=told, struck=struck)
+
+
+def _only_late(whole: _State, found: _State) -> bool:
+    """Whether nothing of the whole aid is far off beside what turns or shifts it, and something was: what comes late is far off in manoeuvres."""
+    beside = whole.at(found.taken) if found.struck.size else None
+    return beside is not None and far_off(beside.measured) is None
 
 
 # -- search ---------------------------------------------------------------------------------------------------------------------------------
