@@ -215,7 +215,15 @@ def test_velocities_are_steadied_on_an_arm_that_is_not_taken_out_of_the_data() -
     again = scene.steadied_again([*scene.always, (np.array([j]), np.eye(1))])
     assert not scene.corrections and not again.corrections
     # the antenna swings about the horizontal axes: of its velocities those across scatter more than believed
-    assert (again.original.raised[3:5] > 2.0 * scene.original.raised[3:5]).all()
+    assert (again.original.raised[3:5] > scene.original.raised[3:5]).all()
+
+
+def test_an_arm_that_nobody_knows_does_not_decide_how_velocities_are_compared() -> None:
+    """20 mm more than believed hid what the filter misses of 1.1 m of known arm, and was told as 13 mm (z 4.6)."""
+    job = Job("none", 52000, 360.0, True, vehicles=("quadrotor",))
+    longer = sensors.Hidden("lever_arm", "gnss", "x", {"value": 0.0205})
+    for hidden in ((), (longer,)):
+        assert Flown.of(*taken(job.world(), hidden)).prepared.steadied
 
 
 def test_a_level_is_a_setting_beside_anything_else() -> None:

@@ -273,7 +273,9 @@ def steadied(
     assert used.vel_ned is not None and used.vel_std_ned is not None
     plain = fixes.innovation[there, 3:] + (gnss.vel_ned - used.vel_ned)[at]
     S = fixes.S[there][:, 3:, 3:] - (used.vel_std_ned**2 - gnss.vel_std_ned**2)[at, :, None] * np.eye(3)
-    best = start = _velocity_score(plain, S)
+    # an arm that is another than believed swings as well, which must not decide
+    swings = C @ np.swapaxes(np.cross(rate[k][:, None], np.eye(3)), 1, 2)
+    best = start = _velocity_score(plain, S, swings)
     chosen, share = 0.0, np.zeros(3)
     for shifted in (0.0, 1.0):
         nu, tried = plain - shifted * missed, np.zeros(3)
@@ -281,9 +283,9 @@ def steadied(
             scores = {}
             for size in SHARES:
                 tried[component] = size
-                scores[size] = _velocity_score(nu, S + (tried * blurred)[:, :, None] * np.eye(3))
+                scores[size] = _velocity_score(nu, S + (tried * blurred)[:, :, None] * np.eye(3), swings)
             tried[component] = max(scores, key=lambda size: scores[size])
-        score = _velocity_score(nu, S + (tried * blurred)[:, :, None] * np.eye(3))
+        score = _velocity_score(nu, S + (tried * blurred)[:, :, None] * np.eye(3), swings)
         if score > best:
             best, chosen, share = score, shifted, tried
     if best - start < rules().swing_nats:
@@ -345,8 +347,9 @@ def _rates(imu: ImuRecord) -> Array:
     return imu.as_increments().gyro / np.diff(imu.t, prepend=2.0 * imu.t[0] - imu.t[1])[:, None]
 
 
-def _velocity_score(nu: Array, S: Array) -> float:
-    """Log likelihood of velocity innovations (k, 3) with covariances (k, 3, 3), less its constant."""
+def _velocity_score(nu: Array, S: Array, beside: Array) -> float:
+    """Log likelihood of velocity innovations (k, 3) with covariances (k, 3, 3), less its constant, beside columns (k, 3, c) at their best."""
     L = np.linalg.cholesky(S)
-    white = np.linalg.solve(L, nu[:, :, None])
-    return -0.5 * float(np.sum(white**2)) - float(np.sum(np.log(np.einsum("kii->ki", L))))
+    white, own = np.linalg.solve(L, nu[:, :, None]).ravel(), np.linalg.solve(L, beside).reshape(nu.size, -1)
+    left = white - own @ np.linalg.lstsq(own, white, rcond=None)[0]
+    return -0.5 * float(left @ left) - float(np.sum(np.log(np.einsum("kii->ki", L))))
