@@ -120,6 +120,14 @@ def test_a_change_that_the_filter_follows_within_a_fix_is_found_at_that_fix() ->
     assert value.low < hidden.values["value"] < value.high
 
 
+def test_it_gives_way_to_a_lever_arm_that_explains_more_throughout() -> None:
+    """A walker's, beside a temperature: named first as a change 9 s behind the start, and 13 nats better as an arm."""
+    world, hidden, _ = drawn(judge.Job("two", 790045, 360.0, True))
+    recording, believed = taken(world, hidden)
+    report = find_gap(recording, believed, rng=np.random.default_rng(790045), hold_out=False, pictures=False)
+    assert {s.effect for s in report.findings} == {h.effect for h in hidden} == {"lever_arm", "temperature"}
+
+
 def test_starts_in_cells_of_their_own_stand_in_the_place_of_those_there() -> None:
     even = Starts.even(np.arange(5.0, 100.0, 10.0), np.zeros(10))
     more = even.beside(np.array([14.0, 58.0]), np.array([4.0, 1.0]), np.array([0.0, 30.0]))
