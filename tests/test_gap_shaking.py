@@ -219,7 +219,7 @@ def test_velocities_are_steadied_on_an_arm_that_is_not_taken_out_of_the_data() -
 
 
 def test_an_arm_that_nobody_knows_does_not_decide_how_velocities_are_compared() -> None:
-    """20 mm more than believed hid what the filter misses of 1.1 m of known arm, and was told as 13 mm (z 4.6)."""
+    """20 mm more than believed hid what the filter misses on 1.3 m of known arm, and was told too small."""
     job = Job("none", 52000, 360.0, True, vehicles=("quadrotor",))
     longer = sensors.Hidden("lever_arm", "gnss", "x", {"value": 0.0205})
     for hidden in ((), (longer,)):

@@ -387,8 +387,8 @@ class DriveProblem(NoiseOfFixes):
                 # an effect of thousands of nats was weighed at the variance of the field, these at one
                 rivals = [replace(r, nats=r.nats / self.data.variance) for r in rivals]
                 f = replace(f, ranked=(*f.ranked, *rivals))
-            for effect in {r.effect for r in f.ranked if r.effect in JUMPS and h.effect not in STEPS}:
-                # what came since tells how far from it they are
+            weighed = {r.effect for r in f.ranked} if h.effect not in STEPS else set[str]()
+            for effect in (e for e in JUMPS if e in weighed):  # what came since tells how far from it they are
                 jumps = STEPS[effect](self.scene, self.data, self.rows, others)
                 f = replace(f, ranked=(*(r for r in f.ranked if r.effect != effect), *jumps))
             self.found[k] = f = replace(f, ranked=tuple(best_first(f.ranked)))
