@@ -600,6 +600,19 @@ def test_a_refined_scenario_of_a_recording_knows_what_was_found(effect: str, tmp
         assert options.gate is None
 
 
+def test_a_filter_without_states_for_slow_errors_of_the_fixes_believes_all_of_them(tmp_path: Path) -> None:
+    """Beside a level far below what is stated it believed that level, raised by what the slow errors are to what is stated: a tenth of them."""
+    path, model = tmp_path / "drive.yaml", "{gyro: WN(N=1e-4 rad/s/sqrt(Hz)), accel: WN(N=1e-3 m/s^2/sqrt(Hz))}"
+    path.write_text(f"title: drive\nrecording: drive.npz\ndesigns: {{plain: {model}}}\n", encoding="utf-8")
+    level = replace(strong("gnss_noise_level", 900.0, factor=0.01), axes=("north", "east", "down"))
+    found = report(level, step("gnss_correlated_noise"))
+    out = write_refined(load_nominal(path), found, tmp_path / "refined.yaml", measured())
+    (sigma,) = {tuple(row) for row in measured().gnss.pos_std_ned.tolist()}
+    factors = [use["factor"] for use in load(out).designs["refined"].options.compensate if use.id == "gnss_noise_level"]
+    believed = np.array(sigma) * np.prod(factors, axis=0)
+    np.testing.assert_allclose(believed, np.hypot(0.01 * np.array(sigma), [0.3, 0.0, 0.0]), rtol=1e-6)
+
+
 def test_a_drift_counts_from_the_first_stamp_also_where_the_filter_starts_later() -> None:
     """Fixes from the 60th second on: clocks that agree there instead of at the first stamp leave 12 ms once the drift is taken off."""
     drive = stage(61, 4.0, 50.0, track="car")

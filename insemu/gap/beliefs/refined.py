@@ -328,7 +328,10 @@ def _scenario(
             options.setdefault("gate_timeout", _patience(max(shares), fixes.t))
     coloured = next((use for use in effects if use.id == "gnss_correlated_noise"), None)
     if coloured is not None:
-        options["compensate"] = [*options.get("compensate", []), _as_level(nominal, coloured).to_mapping()]
+        white = np.prod([use["factor"] for use in own if use.id == "gnss_noise_level"], axis=0) * _stated(
+            nominal, measured
+        )
+        options["compensate"] = [*options.get("compensate", []), _as_level(white, coloured).to_mapping()]
     out["designs"] = {**designs, REFINED: {**belief, **({"options": options} if options else {})}}
     if "fits" in raw:
         out["fits"] = raw["fits"]
@@ -355,9 +358,16 @@ def _explicit(design: Any, nominal: Nominal) -> Any:
     return out
 
 
-def _as_level(nominal: Nominal, coloured: EffectUse) -> EffectUse:
-    """Coloured noise of the fixes for a filter without states for it: standard deviations as large as the whole error's."""
-    factor = np.hypot(1.0, np.array(coloured["sigma"]) / np.array(nominal.gnss.position_sigma))
+def _stated(nominal: Nominal, measured: StaticLog | Recording | None) -> NDArray[np.float64]:
+    """Standard deviations (3,) of the positions as the recording states them, in the middle, or as they are believed, m."""
+    gnss = measured.gnss if isinstance(measured, Recording) else None
+    stated = None if gnss is None else gnss.pos_std_ned
+    return np.array(nominal.gnss.position_sigma) if stated is None else np.nanmedian(stated, axis=0)
+
+
+def _as_level(white: NDArray[np.float64], coloured: EffectUse) -> EffectUse:
+    """Coloured noise of the fixes for a filter without states for it: as large as the whole error, over its white part (3,)."""
+    factor = np.hypot(1.0, np.array(coloured["sigma"]) / white)
     return EffectUse("gnss_noise_level", "gnss", {"factor": tuple(float(f) for f in factor)})
 
 
