@@ -16,7 +16,7 @@ from insemu.gap.beliefs.refined import refined_nominal
 from insemu.gap.drive.preparation import Flown, Prepared
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop, columns_response
-from insemu.gap.evidence.fixes import Surrogate
+from insemu.gap.evidence.surrogate import Surrogate
 from insemu.gap.problems import drive_without
 from insemu.records import GnssRecord, Recording
 from insemu.trial.drives import stage

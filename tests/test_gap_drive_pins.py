@@ -298,8 +298,8 @@ def test_receivers_state_from_an_eighth_to_twenty_times_their_scatter(level, adm
 
 
 def test_slow_errors_of_fixes_are_from_a_tenth_to_thirty_times_what_is_stated():
-    s = SimpleNamespace(sigma=lambda: np.ones(6), t=np.arange(100.0))
-    free = fixes._colours(s)[0].free
+    s = SimpleNamespace(sigma=lambda: np.ones(6), t=np.arange(100.0), stated_vary=lambda _: False)
+    free = fixes._colours(s)[0][0].free
     assert (free[0].low, free[0].high) == pytest.approx((0.1, 30.0), rel=0.2)
 
 

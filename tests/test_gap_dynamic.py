@@ -29,7 +29,6 @@ from insemu.gap.drive.preparation import COVARIANCE_S, Flown, fast_parts, starti
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop, columns_response, knot_response, ramps
 from insemu.gap.evidence.climb import laplace_together
-from insemu.gap.evidence.fixes import FixNoise, Surrogate
 from insemu.gap.evidence.linear import (
     ROWS_AT_ONCE,
     Field,
@@ -42,6 +41,7 @@ from insemu.gap.evidence.merged import between_fixes, merged_states
 from insemu.gap.evidence.model import Explanation, Likelihood, fit
 from insemu.gap.evidence.modes import Free, laplace
 from insemu.gap.evidence.rolloff import Rolloff
+from insemu.gap.evidence.surrogate import Colour, FixNoise, Surrogate
 from insemu.gap.hypothesis import Found, best_first, class_of
 from insemu.gap.problems.band import fast_effects
 from insemu.gap.problems.findings import unknown_part
@@ -199,9 +199,14 @@ def test_two_fixes_of_one_epoch_have_the_noise_that_is_stated() -> None:
 
 def test_many_noises_at_once_are_each_as_it_is_alone() -> None:
     s, rng = Surrogate.of(nominal_run()[0]), np.random.default_rng(4)
+    # a receiver whose stated standard deviations change from fix to fix
+    s = replace(s, R=s.R * rng.uniform(0.3, 3.0, s.R.shape), stated=np.ones((0, 6)))
     noises = [
         FixNoise(
-            rng.uniform(0.5, 2.0, 6), (rng.uniform(0.0, 0.5, 6) * (np.arange(6) < k % 4), float(rng.uniform(2.0, 60.0)))
+            rng.uniform(0.5, 2.0, 6),
+            Colour(
+                rng.uniform(0.0, 0.5, 6) * (np.arange(6) < k % 4), float(rng.uniform(2.0, 60.0)), follows=k % 3 == 0
+            ),
         )
         for k in range(11)
     ]
@@ -387,7 +392,7 @@ def test_predictive_residuals_have_the_likelihood_of_the_dense_model(rows: int) 
 def test_a_coloured_fix_noise_whitens_what_it_made() -> None:
     result, _, _ = nominal_run()
     s = Surrogate.of(result)
-    colour = (np.array([0.2, 0.2, 0.3, 0.0, 0.0, 0.0]), 20.0)
+    colour = Colour(np.array([0.2, 0.2, 0.3, 0.0, 0.0, 0.0]), 20.0)
     made = recording(use(effect="gnss_correlated_noise", sigma=[0.2, 0.2, 0.3], tau=20.0))
     changed = Surrogate.of(flown(made))
     white, value = changed.whiten(changed.nu[:, :, None], None, colour)

@@ -28,8 +28,9 @@ from insemu.gap.drive.preparation import Flown, fitted_levels
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop
 from insemu.gap.evidence.climb import Ridge, laplace_together
-from insemu.gap.evidence.fixes import NED, FixNoise, Surrogate, _any_size, joint_noise, level_beside
+from insemu.gap.evidence.fixes import NED, _any_size, joint_noise, level_beside
 from insemu.gap.evidence.modes import Free
+from insemu.gap.evidence.surrogate import Colour, FixNoise, Surrogate
 from insemu.gap.hypothesis import Found, Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.problems import drive_without
@@ -94,7 +95,7 @@ def test_a_share_of_outliers_at_its_limit_is_inside_its_interval() -> None:
 
 def test_the_velocities_of_a_filter_that_followed_coloured_positions_are_not_blamed() -> None:
     """Levels that were raised without the colour come back beside it: otherwise the NIS of the velocities would call it unexplained."""
-    colour = FixNoise(np.ones(6), (np.array([0.4, 0.4, 0.6, 0.0, 0.0, 0.0]), 10.0))
+    colour = FixNoise(np.ones(6), Colour(np.array([0.4, 0.4, 0.6, 0.0, 0.0, 0.0]), 10.0))
     s = Surrogate.of(flown(recording(use(effect="gnss_correlated_noise", sigma=[0.4, 0.4, 0.6], tau=10.0))))
     raised = replace(s, R=s.R * 1.22**2)  # as a filter has them that trimmed its levels
     joint = joint_noise(raised, colour, np.full(6, 1.22))
@@ -103,7 +104,7 @@ def test_the_velocities_of_a_filter_that_followed_coloured_positions_are_not_bla
     assert joint.noise.factor[3:] * 1.22 == pytest.approx(np.ones(3), abs=0.15)
     assert set(joint.sd) == {"sigma_north", "sigma_east", "sigma_down", "tau"}
     known = joint_noise(raised, replace(colour, known=True), np.full(6, 1.22))
-    assert known.noise.colour[1] == 10.0 and not known.sd
+    assert known.noise.colour.tau == 10.0 and not known.sd
     assert known.noise.factor[3:] * 1.22 == pytest.approx(np.ones(3), abs=0.15)
 
 
@@ -118,7 +119,7 @@ def coloured(factor: float) -> Surrogate:
 
 def test_a_level_beside_a_colour_is_told_and_leaves_the_colour_as_it_is() -> None:
     colour = FixNoise(
-        np.ones(6), (np.array([0.6, 0.6, 0.6, 0.0, 0.0, 0.0]), 6.0)
+        np.ones(6), Colour(np.array([0.6, 0.6, 0.6, 0.0, 0.0, 0.0]), 6.0)
     )  # as a search finds it that has to explain the level, too
     within = {k: joint_noise(coloured(k), colour, np.ones(6)).noise for k in (1.0, 3.0)}
     assert not level_beside(coloured(1.0), within[1.0], np.ones(6))
@@ -127,7 +128,7 @@ def test_a_level_beside_a_colour_is_told_and_leaves_the_colour_as_it_is() -> Non
     (level,) = best.values
     assert best.axes == ("north", "east", "down") and best.nats > 10.0
     assert level.low < 3.0 < level.high
-    assert best.colour is not None and 10.0 / 3.0 < best.colour[1] < 30.0
+    assert best.colour is not None and 10.0 / 3.0 < best.colour.tau < 30.0
     # a colour may hide the level of one axis: all are weighed where one reaches the edge of its tolerance
     hidden = replace(within[3.0], factor=np.where(np.arange(6) == 2, 1.0, within[3.0].factor))
     assert ("north", "east", "down") in {f.axes for f in level_beside(coloured(3.0), hidden, np.ones(6))}
@@ -240,12 +241,12 @@ def test_a_lever_arm_shows_beside_a_colour_that_took_its_slow_part() -> None:
     colour = sensors.Hidden("gnss_correlated_noise", "gnss", "", {"sigma": 4.54, "tau": 13.2})
     hidden = (sensors.Hidden("lever_arm", "gnss", "x", {"value": -1.61}), colour)
     first = Scene.of(Flown.of(*taken(sensors.draw_world(360057, 360.0, True), hidden)).prepared)
-    long = FixNoise(np.full(6, 0.8), (np.array([0.825, 0.825, 1.567, 0.0, 0.0, 0.0]), 105.6))
+    long = FixNoise(np.full(6, 0.8), Colour(np.array([0.825, 0.825, 1.567, 0.0, 0.0, 0.0]), 105.6))
     loud, noise = long.apart(first.surrogate.sigma())
     problem = DriveProblem(first.rebuilt(factors=first.original.factors * loud).coloured(noise), None, 3.0, ())
     best = next(h for h in problem.rank() if h.change.block is not None)
     assert (best.effect, best.axes) == ("lever_arm", ("x",)) and best.nats > 20.0
-    assert problem.scene.noise is not None and problem.scene.noise.colour[1] < 40.0
+    assert problem.scene.noise is not None and problem.scene.noise.colour.tau < 40.0
 
 
 def test_a_colour_that_was_named_too_short_is_longer_at_the_next_look() -> None:
@@ -254,15 +255,15 @@ def test_a_colour_that_was_named_too_short_is_longer_at_the_next_look() -> None:
     made = recording(use(effect="gnss_correlated_noise", sigma=sigma[:3].tolist(), tau=30.0))
     gnss = Gnss(position_sigma=SIGMA, velocity_sigma=(0.05, 0.05, 0.05), lever_arm=LEVER)
     scene = Scene.of(Flown.of(made, Nominal(dict(BELIEF), gnss)).prepared)
-    short = FixNoise(np.ones(6), (sigma * math.sqrt(1.0 / 3.0), 10.0))
+    short = FixNoise(np.ones(6), Colour(sigma * math.sqrt(1.0 / 3.0), 10.0))
     loud, noise = short.apart(scene.surrogate.sigma())
     problem = DriveProblem(scene.rebuilt(factors=scene.original.factors * loud).coloured(noise), None, 3.0, ())
     problem.rank()
     assert problem.scene.noise is not None
     colour = problem.scene.noise.colour
-    assert colour[1] == pytest.approx(30.0) and colour[0] == pytest.approx(sigma)
+    assert colour.tau == pytest.approx(30.0) and colour.sigma == pytest.approx(sigma)
     problem.rank()  # and is not moved on
-    assert problem.scene.noise.colour[1] == pytest.approx(30.0)
+    assert problem.scene.noise.colour.tau == pytest.approx(30.0)
 
 
 @pytest.mark.parametrize("reference", [True, False])
@@ -272,9 +273,9 @@ def test_a_constant_error_of_all_fixes_is_not_seen_by_a_filter_that_started_on_t
     gnss = Gnss(position_sigma=SIGMA, velocity_sigma=(0.05, 0.05, 0.05), lever_arm=LEVER)
     s = Flown.of(made if reference else replace(made, reference=None), Nominal(dict(BELIEF), gnss)).prepared.surrogate
     forever, small = 1e7, np.array([0.1, 0.1, 0.1, 0.0, 0.0, 0.0])
-    nats = np.diff([s.log_likelihood(colour=(k * small, forever)) for k in (1.0, 10.0)])[0]
-    _, together = s.whiten(s.nu[:, :, None], colour=(small, forever))
-    assert together == pytest.approx(s.log_likelihood(colour=(small, forever)), abs=1e-6)
+    nats = np.diff([s.log_likelihood(colour=Colour(k * small, forever)) for k in (1.0, 10.0)])[0]
+    _, together = s.whiten(s.nu[:, :, None], colour=Colour(small, forever))
+    assert together == pytest.approx(s.log_likelihood(colour=Colour(small, forever)), abs=1e-6)
     # three numbers that are ten times as uncertain and were seen to be small
     assert nats == pytest.approx(-3.0 * math.log(10.0) if reference else 0.0, abs=1.5 if reference else 0.1)
 
@@ -320,7 +321,7 @@ def test_a_level_and_a_step_are_no_colour() -> None:
 
 
 def test_the_loudness_of_coloured_fixes_is_the_root_of_the_sum_of_squares() -> None:
-    noise = FixNoise(np.full(6, 0.8), (np.array([0.3, 0.3, 0.0, 0.0, 0.0, 0.0]), 5.0))
+    noise = FixNoise(np.full(6, 0.8), Colour(np.array([0.3, 0.3, 0.0, 0.0, 0.0, 0.0]), 5.0))
     sigma = np.array([0.5, 0.5, 0.5, 0.1, 0.1, 0.0])
     assert noise.loudness(sigma) == pytest.approx([1.0, 1.0, 0.8, 0.8, 0.8, 1.0])
 
@@ -351,7 +352,7 @@ def test_a_step_may_lie_where_it_was_looked_for_less_closely() -> None:
 
 
 def noise_of(s: Surrogate) -> FixNoise:
-    return FixNoise(np.linspace(0.8, 1.3, 6), (np.array([0.3, 0.0, 0.5, 0.0, 0.0, 0.0]), 7.0))
+    return FixNoise(np.linspace(0.8, 1.3, 6), Colour(np.array([0.3, 0.0, 0.5, 0.0, 0.0, 0.0]), 7.0))
 
 
 def test_innovations_less_what_is_said_of_them_are_what_whitening_divides() -> None:
@@ -384,7 +385,9 @@ def behind_a_colour(made: Recording) -> Scene:
     gnss = Gnss(position_sigma=SIGMA, velocity_sigma=(0.05, 0.05, 0.05), lever_arm=LEVER)
     scene = Scene.of(Flown.of(made, Nominal(dict(BELIEF), gnss)).prepared)
     loud = np.where(np.arange(6) < 3, 17.0**0.5, 1.0)
-    return scene.rebuilt(factors=loud).coloured(FixNoise(1.0 / loud, (np.array([0.2, 0.2, 0.4, 0.0, 0.0, 0.0]), 20.0)))
+    return scene.rebuilt(factors=loud).coloured(
+        FixNoise(1.0 / loud, Colour(np.array([0.2, 0.2, 0.4, 0.0, 0.0, 0.0]), 20.0))
+    )
 
 
 COLOUR = use(effect="gnss_correlated_noise", sigma=[0.2, 0.2, 0.4], tau=20.0)
@@ -527,11 +530,11 @@ def test_a_known_colour_stays_as_it_is() -> None:
     s = behind_a_colour(recording(COLOUR)).surrogate
     loud = 17.0**0.5
     known = FixNoise(
-        np.where(np.arange(6) < 3, 1.0 / loud, 1.0), (np.array([0.2, 0.2, 0.4, 0.0, 0.0, 0.0]), 20.0), True
+        np.where(np.arange(6) < 3, 1.0 / loud, 1.0), Colour(np.array([0.2, 0.2, 0.4, 0.0, 0.0, 0.0]), 20.0), True
     )
     joint = joint_noise(s, known, np.where(np.arange(6) < 3, loud, 1.0), wide=[0, 1, 2])
-    assert joint.noise.known and joint.noise.colour[1] == 20.0
-    np.testing.assert_array_equal(joint.noise.colour[0], known.colour[0])
+    assert joint.noise.known and joint.noise.colour.tau == 20.0
+    np.testing.assert_array_equal(joint.noise.colour.sigma, known.colour.sigma)
     assert set(joint.sd) == {"factor"} and joint.noise.factor[0] * loud == pytest.approx(1.0, rel=0.25)
     assert all(f.colour is not None for f in level_beside(s, replace(known, factor=2.0 * known.factor), np.ones(6)))
 
@@ -705,7 +708,7 @@ def test_a_colour_that_explains_nothing_any_more_is_taken_back() -> None:
     """As after a step that was found since: what the colour was worth is the level's."""
     problem = searched(recording(use(effect="gnss_noise_level", factor=2.5)), "gnss_noise_level")
     (level,) = problem.found
-    colour = (np.array([0.01, 0.01, 0.02, 0.0, 0.0, 0.0]), 10.0)
+    colour = Colour(np.array([0.01, 0.01, 0.02, 0.0, 0.0, 0.0]), 10.0)
     idle = Hypothesis("gnss_correlated_noise", 40.0, (), Change(), "", "gnss", ("north", "east", "down"))
     problem.found.append(Found(idle, (idle,)))
     noise = FixNoise(np.ones(6), colour)

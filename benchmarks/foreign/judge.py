@@ -21,7 +21,7 @@ from benchmarks.foreign.oracle import gained
 from insemu.filters import FixTable
 from insemu.gap import Finding, GapReport, Nominal, find_gap, load_measured, load_nominal
 from insemu.gap.drive.preparation import Flown, starting_state
-from insemu.gap.evidence.fixes import PLAIN, FixNoise, Surrogate
+from insemu.gap.evidence.surrogate import PLAIN, Colour, FixNoise, Surrogate
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Member
 from insemu.records import Recording
@@ -38,12 +38,13 @@ KINDS: dict[str, tuple[str, ...]] = {
     "outside": ("outside",),
     "jump": ("jump",),
     "rarer": ("rarer",),
+    "receiver": ("receiver", "receiver"),
     "aid-none": (),
     "aid": ("aid",),
     "aid-two": ("aid", "aid"),
 }
 #: Kinds with nothing, one, and more hidden, whose answers are counted alike.
-NOTHING, ONE, MORE = ("none", "aid-none"), ("one", "jump", "rarer", "aid"), ("two", "three", "aid-two")
+NOTHING, ONE, MORE = ("none", "aid-none"), ("one", "jump", "rarer", "aid"), ("two", "three", "receiver", "aid-two")
 #: Effects of one size are made so large that they are worth between these, nats.
 WORTH = (25.0, 250.0)
 #: Factor on the vibration of the world in which an effect's worth is measured: in the innovations of a shaken vehicle hardly two runs are alike
@@ -99,6 +100,8 @@ def drawn(job: Job) -> tuple[sensors.World, list[sensors.Hidden], list[float]]:
         return world, hidden, worth
     if world.aids:
         return world, *_drawn_aids(job, world, rng)
+    if job.kind == "receiver":
+        return world, sensors.draw_receiver(rng, world), [math.nan, math.nan]
     ruler = Ruler.of(job, world)
     for what in KINDS[job.kind]:
         for _ in range(20):
@@ -192,7 +195,7 @@ class Ruler:
                 factor[:3] = h.values["factor"]
             elif h.effect == "gnss_correlated_noise":
                 sigma = h.values["sigma"] * self.calm.unit.position
-                colour = (np.concatenate([sigma, np.zeros(3)]), h.values["tau"])
+                colour = Colour(np.concatenate([sigma, np.zeros(3)]), h.values["tau"])
         return replace(self, noise=FixNoise(factor, colour))
 
     def half(self, h: sensors.Hidden) -> float:
@@ -320,6 +323,8 @@ def truths(h: sensors.Hidden, world: sensors.World) -> dict[str, float]:
         return {f"c1_{axis}": v["value"], f"lag_{axis}": v["lag"]}
     if "value" in v and "start" not in v:
         return {f"{name}_{axis}" if axis else name: v["value"]}
+    if h.effect == "gnss_correlated_noise" and "begin" in v:
+        return {"follows": 1.0}
     if h.effect == "gnss_correlated_noise":
         return {
             "tau": v["tau"],

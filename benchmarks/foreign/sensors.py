@@ -324,6 +324,28 @@ def draw_hidden(rng: np.random.Generator, world: World, what: str) -> Hidden:
     return Hidden(effect, sensor, axis, values)
 
 
+def draw_receiver(rng: np.random.Generator, world: World) -> list[Hidden]:
+    """Draw a receiver that gives what its Kalman filter makes of measurements, and states how good that is: slow errors, little noise on them.
+
+    Relative to what the unit states: ``begin`` and ``rest`` of its standard deviations, ``noise`` of a measurement; ``shade_K`` and ``until_K`` are
+    times without satellites, in s, and ``lost_K`` is its standard deviation at the end of one that begins from nothing.
+    """
+    values = {
+        "begin": float(rng.uniform(3.0, 8.0)),
+        "rest": float(rng.uniform(0.4, 1.0)),
+        "noise": float(rng.uniform(2.0, 6.0)),
+    }
+    for k in range(int(rng.integers(1, 4))):
+        at = float(rng.uniform(0.1, 0.9) * world.sensed.t[-1])
+        values |= {
+            f"shade_{k}": at,
+            f"until_{k}": at + float(rng.uniform(5.0, 20.0)),
+            f"lost_{k}": float(rng.uniform(2.0, 6.0)),
+        }
+    white = Hidden("gnss_noise_level", "gnss", "", {"factor": float(rng.uniform(0.05, 0.3))})
+    return [Hidden("gnss_correlated_noise", "gnss", "", values), white]
+
+
 def record(world: World, hidden: Sequence[Hidden] = (), stated: float = 1.0) -> dict[str, NDArray[Any]]:
     """Arrays of a recording; with the same world every draw of noise is the same, whatever is hidden.
 
@@ -473,14 +495,18 @@ def _fixes(world: World, hidden: Sequence[Hidden], stated: float) -> dict[str, N
     t, n = sensed.t[at], at.size
     first, second, third, fourth = (rng.standard_normal((n, 3)) for _ in range(4))
     chance = rng.random(n)
-    white, velocity = first * unit.position, second * unit.velocity
-    position = white.copy()
+    sigma, slow = unit.position * np.ones((n, 3)), np.zeros((n, 3))
     for h in hidden:
-        v, sigma = h.values, unit.position
+        if "begin" in h.values:
+            sigma, slow = (x * unit.position for x in _received(t, h.values, third, fourth))
+    white, velocity = first * sigma, second * unit.velocity
+    position = white + slow
+    for h in hidden:
+        v = h.values
         if h.effect == "gnss_noise_level":
             # of the noise alone: neither a step nor a colour that is hidden beside it grows
             position += (v["factor"] - 1.0) * white
-        elif h.effect == "gnss_correlated_noise":
+        elif h.effect == "gnss_correlated_noise" and "tau" in v:
             a = np.exp(-1.0 / (unit.fix_rate * v["tau"]))
             state = np.zeros((n, 3))
             state[0] = third[0]
@@ -505,9 +531,27 @@ def _fixes(world: World, hidden: Sequence[Hidden], stated: float) -> dict[str, N
         "gnss_t": t,
         "gnss_llh": llh * np.array([1.0 / DEG, 1.0 / DEG, 1.0]),
         "gnss_vel_ned": vel,
-        "gnss_pos_std_ned": stated * unit.position * ones,
+        "gnss_pos_std_ned": stated * sigma,
         "gnss_vel_std_ned": unit.velocity * ones,
     }
+
+
+def _received(t: Array, v: dict[str, float], walk: Array, noise: Array) -> tuple[Array, Array]:
+    """What a receiver's scalar Kalman filters state at times (n,), and what they are off by, (n, 3) each; both for steps and measurements of one."""
+    variance, error, quiet = v["begin"] ** 2, v["begin"] * walk[0], v["rest"] ** 4 / v["noise"] ** 2
+    shades = [(v[f"shade_{k}"], v[f"until_{k}"], v[f"lost_{k}"]) for k in range(3) if f"shade_{k}" in v]
+    sigma, off = np.empty_like(walk), np.empty_like(walk)
+    for k, now in enumerate(t):
+        lost = next(
+            (size**2 * (t[1] - t[0]) / (end - begin) for begin, end, size in shades if begin <= now < end), None
+        )
+        variance += quiet if lost is None else lost
+        error = error + np.sqrt(quiet if lost is None else lost) * (walk[k] if k else 0.0)
+        if lost is None:
+            gain = variance / (variance + v["noise"] ** 2)
+            error, variance = error + gain * (v["noise"] * noise[k] - error), (1.0 - gain) * variance
+        sigma[k], off[k] = np.sqrt(variance), error
+    return sigma, off
 
 
 def _start(world: World) -> dict[str, NDArray[Any]]:

@@ -32,7 +32,7 @@ from benchmarks.foreign import sensors
 from insemu.gap import Finding, GapReport, Nominal, find_gap, load_measured, load_nominal
 from insemu.gap.beliefs.refined import refined_nominal
 from insemu.gap.drive import FIRST, Flown
-from insemu.gap.evidence.fixes import PLAIN, FixNoise, Surrogate
+from insemu.gap.evidence.surrogate import PLAIN, FixNoise, Surrogate
 from insemu.gap.problems import drive_without
 from insemu.gap.problems.known import colour_of
 from insemu.records import GnssRecord, ImuRecord, Recording

@@ -49,8 +49,14 @@ class _OfFixes(Effect):
     stage = Stage.NOISE
 
 
-def gauss_markov(t: Array, sigma: ArrayLike, tau: float, rng: np.random.Generator) -> Array:
-    """Stationary first-order Gauss-Markov processes (n, 3) at times that need not be regular.
+def gauss_markov(
+    t: Array, sigma: ArrayLike, tau: float, rng: np.random.Generator, stated: Array | None = None
+) -> Array:
+    """First-order Gauss-Markov processes (n, 3) at times that need not be regular, stationary or of the variances that a receiver states.
+
+    The error of an estimate of least variance has a memory of its own where that variance changes: what a better estimate is off by has nothing to
+    do with by how much it changed, so that E[e2 e1] = P2 where the variance falls from P1 to P2 (Kalman 1960); where it rises, errors are added
+    that are independent.
 
     Parameters
     ----------
@@ -61,15 +67,26 @@ def gauss_markov(t: Array, sigma: ArrayLike, tau: float, rng: np.random.Generato
     tau : float
         Correlation time, s.
     rng : Generator
+    stated : (n, 3) array, optional
+        Standard deviations with which those of the processes go; ``sigma`` is that at their medians.
+
+    Raises
+    ------
+    InputError
+        A correlation time that is not positive, or a stated standard deviation that is not.
     """
     if not tau > 0:
         raise InputError(f"a correlation time is {tau:g} s, expected a positive number")
-    a = np.exp(-np.diff(t) / tau)
+    P = np.ones((t.size, 3)) if stated is None else np.square(stated)
+    if not (P > 0.0).all():
+        raise InputError("an error follows stated standard deviations of zero, expected positive ones")
+    P = P / np.median(P, axis=0)
+    a = np.exp(-np.diff(t) / tau)[:, None] * np.minimum(1.0, P[1:] / P[:-1])
     white = rng.standard_normal((t.size, 3))
-    out = np.empty((t.size, 3))
-    out[0] = white[0]
+    out = np.sqrt(P) * white
+    drive = np.sqrt(P[1:] - a**2 * P[:-1])
     for k in range(1, t.size):
-        out[k] = a[k - 1] * out[k - 1] + np.sqrt(1.0 - a[k - 1] ** 2) * white[k]
+        out[k] = a[k - 1] * out[k - 1] + drive[k - 1] * white[k]
     return np.asarray(out * np.asarray(sigma))
 
 
@@ -110,10 +127,20 @@ class CorrelatedNoise(_OfFixes):
     """Errors of positions that last."""
 
     id, name = "gnss_correlated_noise", "correlated GNSS noise"
-    formula = "position error has a Gauss-Markov part (sigma, tau)"
+    formula = "position error has a Gauss-Markov part (sigma, tau), as large throughout or (follows = 1) as the receiver states its errors to be"
     parameters = (
         _P("sigma", "m", 3, (0.05,), None, "stationary standard deviation north, east, down", True),
         _P("tau", "s", 1, (30.0,), None, "correlation time", True),
+        _P(
+            "follows",
+            "",
+            1,
+            (1.0,),
+            0.0,
+            "1: sigma, at the median of what the receiver states, goes with that",
+            True,
+            most=1.0,
+        ),
     )
     excitation, in_filter = "fixes over several correlation times", "three states"
     absent = {
@@ -123,7 +150,8 @@ class CorrelatedNoise(_OfFixes):
 
     def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:
         """Add it to the positions."""
-        fixes.added += gauss_markov(fixes.t, use["sigma"], use.scalar("tau"), rng)
+        stated = np.broadcast_to(fixes.sigma, fixes.added.shape) if use.scalar("follows") > 0.5 else None
+        fixes.added += gauss_markov(fixes.t, use["sigma"], use.scalar("tau"), rng, stated)
 
     def hidden(self, lot: DriveLot) -> Hidden:
         """In every direction, correlation times from 10 to 100 s."""

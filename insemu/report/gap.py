@@ -89,7 +89,7 @@ _ACTIONS = {
     "mounting": "turn the IMU's axes by {}",
     "gnss_noise_level": "multiply the stated standard deviations of the positions by {}",
     "gnss_velocity_noise": "multiply the stated standard deviations of the velocities by {}",
-    "gnss_correlated_noise": "add slow errors to the fixes: {}",
+    "gnss_correlated_noise": "add slow errors to the fixes{follows}: {}",
     "gnss_outliers": "gate the fixes: {}",
     "gnss_velocity_outliers": "gate the velocities of the fixes: {}",
     "gnss_multipath_step": "leave these fixes out: {}",
@@ -123,7 +123,8 @@ def finding_action(finding: Finding) -> str:
     values = ", ".join(
         f"{v.name.removeprefix('value_').removeprefix('rpy_')} {v.value:.3g} {v.unit}".strip() for v in shown
     )
-    return _ACTIONS.get(finding.effect, "model or calibrate it: {}").format(values)
+    follows = ", as large as the receiver states" if any(v.name == "follows" for v in finding.parameters) else ""
+    return _ACTIONS.get(finding.effect, "model or calibrate it: {}").format(values, follows=follows)
 
 
 #: Findings on the first screen of a terminal and of a page, which folds the others, and names in the sentence above them.

@@ -181,7 +181,7 @@ def _knowing(clean: Prepared, uses: Sequence[EffectUse]) -> tuple[Prepared, Colo
         elif u.id == "gnss_velocity_noise":
             factors[3:] = u["factor"]
         elif u.id == "gnss_correlated_noise":
-            colour = (np.concatenate([u["sigma"], np.zeros(3)]), u.scalar("tau"))
+            colour = Colour.of(u)
     return replace(clean, beliefs=beliefs, factors=clean.factors * factors), colour
 
 

@@ -30,10 +30,9 @@ from insemu.gap.drive.signatures import Loop
 from insemu.gap.evidence.fixes import (
     LEVEL_ROWS,
     NED,
-    PLAIN,
-    FixNoise,
     JointNoise,
     NoiseFit,
+    colour_values,
     gnss_noise_fits,
     level_beside,
     pooled,
@@ -42,6 +41,7 @@ from insemu.gap.evidence.linear import (
     Block,
     log_mean_exp,
 )
+from insemu.gap.evidence.surrogate import PLAIN, FixNoise
 from insemu.gap.hypothesis import Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
@@ -378,11 +378,7 @@ def as_joint(h: DriveHypothesis, scene: Scene, joint: JointNoise) -> DriveHypoth
         The estimate, levels relative to those of the scene's filter.
     """
     if h.effect == "gnss_correlated_noise":
-        sigma, tau = joint.noise.colour
-        told = {**dict(zip((f"sigma_{a}" for a in NED), sigma, strict=False)), "tau": tau}
-        return replace(
-            h, values=tuple(Value.positive(v.name, told[v.name], joint.sd[v.name], v.unit) for v in h.values)
-        )
+        return replace(h, values=colour_values(joint.noise.colour, h.axes, joint.sd))
     return at_level(h, scene.original.factors * joint.noise.factor)
 
 
@@ -398,7 +394,7 @@ def within(h: DriveHypothesis, intervals: Mapping[str, tuple[float, float]]) -> 
     """
     if h.effect != "gnss_correlated_noise":
         return h
-    ends = ((v, *intervals[v.name]) for v in h.values)
+    ends = ((v, *intervals.get(v.name, (1.0, 1.0))) for v in h.values)
     return replace(h, values=tuple(replace(v, low=v.value * low, high=v.value * high) for v, low, high in ends))
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from insemu.effects import EffectUse
 from insemu.filters import FilterResult, log_density
-from insemu.gap.evidence.fixes import FixNoise, Surrogate
+from insemu.gap.evidence.surrogate import FixNoise, Surrogate
 from insemu.gap.policy import rules
 from insemu.records import GnssRecord
 

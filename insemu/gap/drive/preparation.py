@@ -25,8 +25,9 @@ from insemu.gap.data.log import Reduced, moving_spectra
 from insemu.gap.data.samples import Mended, louder, without_motion
 from insemu.gap.drive.shaking import rectified, steadied, without_shaking
 from insemu.gap.drive.signatures import Loop, whitening
-from insemu.gap.evidence.fixes import LEVEL_GROUPS, PLAIN, FixNoise, Surrogate, level_scores
+from insemu.gap.evidence.fixes import LEVEL_GROUPS, level_scores
 from insemu.gap.evidence.model import Explanation, Likelihood, fit
+from insemu.gap.evidence.surrogate import PLAIN, FixNoise, Surrogate
 from insemu.gap.policy import rules
 from insemu.noise import BI, WN, NoiseModel, Process
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory

@@ -20,8 +20,8 @@ from insemu.gap.drive.corrected import corrected_data, slow_knots
 from insemu.gap.drive.preparation import Prepared, fitted_levels
 from insemu.gap.drive.signatures import Loop, bias_steps, columns_response, fix_step_response, knot_response, ramps
 from insemu.gap.drive.sizes import has_size, known_size, slope_about, smoothing
-from insemu.gap.evidence.fixes import FixNoise, Gains, Surrogate
 from insemu.gap.evidence.linear import Block, Field
+from insemu.gap.evidence.surrogate import FixNoise, Gains, Surrogate
 from insemu.gap.policy import rules
 from insemu.noise import NoiseModel
 from insemu.records import GnssRecord

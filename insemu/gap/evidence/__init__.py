@@ -1,7 +1,6 @@
 """Nats of log evidence: explanations of a log at rest, linear models of innovations, noise of the fixes."""
 
 from insemu.gap.evidence.band import Band
-from insemu.gap.evidence.fixes import Colour, Surrogate
 from insemu.gap.evidence.kernels import toeplitz_whiten
 from insemu.gap.evidence.linear import log_mean_exp, regression_evidence
 from insemu.gap.evidence.model import (
@@ -13,6 +12,7 @@ from insemu.gap.evidence.model import (
 )
 from insemu.gap.evidence.modes import Free, laplace
 from insemu.gap.evidence.rolloff import DEPTH, Rolloff
+from insemu.gap.evidence.surrogate import Colour, Surrogate
 
 __all__ = [
     "DEPTH",

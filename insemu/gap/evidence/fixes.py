@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.filters import FilterResult
-from insemu.gap.evidence import error_kernels
 from insemu.gap.evidence.climb import Ridge, laplace_together
-from insemu.gap.evidence.lanes import LANES
 from insemu.gap.evidence.linear import log_mean_exp
-from insemu.gap.evidence.merged import between_fixes, merged_states
 from insemu.gap.evidence.modes import Free, Mode, level
+from insemu.gap.evidence.surrogate import PLAIN, Colour, FixNoise, Surrogate
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
 
 Array = NDArray[np.float64]
-#: Standard deviations (6,) in m and m/s and correlation time in s of a Gauss-Markov part of the fixes.
-Colour = tuple[Array, float]
 NED = ("north", "east", "down")
 #: Components of the fixes that share one level: horizontal and vertical position, horizontal and vertical velocity.
 LEVEL_GROUPS = ((0, 1), (2,), (3, 4), (5,))
@@ -35,222 +30,6 @@ AT_EDGE = 0.9
 CLOSE_NATS = 0.03
 #: A colour that loses more wherever its climb may start is not climbed to, nats; where one of all axes loses more, no part of it is looked at.
 LEAST_NATS, HOPELESS_NATS = -2.0, -30.0
-
-
-@dataclass(frozen=True)
-class FixNoise:
-    """Noise of the fixes beyond what the filter believed: levels (6,) as ratios to it, and a Gauss-Markov part, which stays where it is known."""
-
-    factor: Array
-    colour: Colour
-    known: bool = False
-
-    def loudness(self, sigma: Array) -> Array:
-        """Standard deviations (6,) of the fixes, colour included, over those that the filter believed, ``sigma`` (m, m/s; 0 where unknown)."""
-        known = sigma > 0.0
-        return np.where(known, np.hypot(self.factor, self.colour[0] / np.where(known, sigma, 1.0)), 1.0)
-
-    def apart(self, sigma: Array) -> tuple[Array, FixNoise]:
-        """Ratios (6,) of standard deviations for a filter that does not follow the colour, and what this noise is to that filter.
-
-        Parameters
-        ----------
-        sigma : (6,) array
-            As in :meth:`loudness`.
-        """
-        loud = self.loudness(sigma)
-        return loud, replace(self, factor=self.factor / loud)
-
-
-#: No Gauss-Markov part.
-PLAIN: Colour = (np.zeros(6), 1.0)
-
-
-@dataclass(frozen=True)
-class Gains:
-    """What a filter on the error of another one does with its innovations, whatever these are.
-
-    Parameters
-    ----------
-    phi, variance : (f, 6), (6,) arrays
-        Transition to each fix and variance of a Gauss-Markov part of the fixes.
-    gain, root : (f, 6, m), (f, 6) arrays
-        What a standard deviation of a component moves the states by, and that standard deviation.
-    done : int
-        Fixes up to the first whose variance is not positive.
-    volume : float
-        Log density of innovations of zero, without the constant; minus infinity where not all fixes are done.
-    """
-
-    phi: Array
-    variance: Array
-    gain: Array
-    root: Array
-    done: int
-    volume: float
-
-
-@dataclass(frozen=True)
-class Surrogate:
-    """The nominal filter seen from outside: transitions, gains and noises per fix, ready for :func:`error_kernels.surrogate_gains`.
-
-    The noise of a fix counts as independent between its components; what the gyros' noise on the lever arm correlates is left out. ``settled`` (6,)
-    is the level of each component that is known, over the stated one; ``first`` (6,) are variances of the fix that the filter started on, whose
-    error is that of the start, as it believed them.
-    """
-
-    t: Array
-    Phi: Array
-    Q: Array
-    K: Array
-    H: Array
-    R: Array
-    P0: Array
-    nu: Array
-    use: NDArray[np.int64]
-    settled: Array = field(default_factory=lambda: np.ones(6))
-    first: Array = field(default_factory=lambda: np.zeros(6))
-
-    @classmethod
-    def of(cls, result: FilterResult) -> Surrogate:
-        """From a stored run; nodes without a fix are joined to the next one with a fix."""
-        nodes, fixes = result.nodes, result.fixes
-        assert nodes is not None and fixes.K is not None and fixes.H is not None
-        use = np.isfinite(fixes.innovation) & fixes.accepted[:, None]
-        H = np.where(use[:, :, None], np.nan_to_num(fixes.H), 0.0)
-        K = np.where(use[:, None, :], np.nan_to_num(fixes.K), 0.0)
-        sums = merged_states(nodes.Phi[1:], H)
-        first = sums.argmax(axis=1)
-        at = np.searchsorted(nodes.epoch, fixes.epoch)
-        since = np.diff(at, prepend=0)
-        Phi, Q = between_fixes(nodes.Phi, nodes.P_before, nodes.P_after, at, sums.argmax(axis=0), first)
-        S, before = np.nan_to_num(fixes.S), nodes.P_before[at]
-        for k in np.flatnonzero(since == 0):
-            if k > 0:  # the second fix of an epoch: the filter had the first one by then
-                before[k] = before[k - 1] - K[k - 1] @ S[k - 1] @ K[k - 1].T
-        believed = np.einsum("kii->ki", S) - np.sum((H @ before) * H, axis=2)
-        return cls(
-            fixes.t, Phi, Q, np.ascontiguousarray(sums @ K), np.ascontiguousarray(H[:, :, first]), np.where(use, believed, 0.0),
-            sums @ nodes.P_after[0] @ sums.T, np.where(use, np.nan_to_num(fixes.innovation), 0.0), use.astype(np.int64),
-        )  # fmt: skip
-
-    def until(self, cut: float) -> Surrogate:
-        """The fixes up to a time."""
-        k = int(np.searchsorted(self.t, cut, side="right"))
-        arrays = {name: getattr(self, name)[:k] for name in ("t", "Phi", "Q", "K", "H", "R", "nu", "use")}
-        return replace(self, **arrays)
-
-    def sigma(self) -> Array:
-        """Median believed standard deviation of each component, (6,); zero where there is none."""
-        out = np.zeros(6)
-        for i in range(6):
-            if self.use[:, i].any():
-                out[i] = math.sqrt(float(np.median(self.R[self.use[:, i] == 1, i])))
-        return out
-
-    def whiten(self, columns: Array, factor: Array | None = None, colour: Colour | None = None) -> tuple[Array, float]:
-        """Columns (f, 6, c) whitened under other levels and a Gauss-Markov part of the fixes, and the first one's log-likelihood.
-
-        Parameters
-        ----------
-        columns : (f, 6, c) array
-            Innovations or responses of them, m and m/s.
-        factor : (6,) array, optional
-            Ratios of the standard deviations of the fixes to those that the filter used.
-        colour : (sigma (6,), tau), optional
-            Standard deviations (m, m/s) and correlation time (s) of a Gauss-Markov part of the fixes.
-
-        Returns
-        -------
-        white : (f, 6, c) array
-            Zero where a component is missing.
-        log_likelihood : float
-            Of the first column; minus infinity where it is not finite.
-        """
-        noise = FixNoise(np.ones(6) if factor is None else factor, PLAIN if colour is None else colour)
-        gains = self.gains(noise)
-        white = self.whitened(columns, gains)
-        value = gains.volume - 0.5 * float(np.sum(white[:, :, 0] ** 2))
-        return white, value if math.isfinite(value) else -math.inf
-
-    def gains(self, noise: FixNoise, S: Array | None = None) -> Gains:
-        """What a filter on the error of this one does with any innovations under a noise of the fixes.
-
-        Parameters
-        ----------
-        noise : FixNoise
-        S : (f, 6, 6) array, optional
-            Overwritten with the covariances of the fixes given those before.
-        """
-        sigma, tau = noise.colour
-        phi = np.exp(-np.diff(self.t, prepend=self.t[0]) / tau)[:, None] * np.ones(6)
-        m = self.P0.shape[0] + np.count_nonzero(sigma)
-        gain, root = np.zeros((self.t.size, 6, m)), np.zeros((self.t.size, 6))
-        done = error_kernels.surrogate_gains(
-            self.Phi, self.Q, self.H, self.R, self.P0, self.first, self.use, noise.factor,
-            phi, (1.0 - phi**2) * sigma**2, sigma**2, gain, root, np.empty((0, 6, 6)) if S is None else S,
-        )  # fmt: skip
-        volume = -float(np.sum(np.log(root[root > 0.0]))) if done == self.t.size else -math.inf
-        return Gains(phi, sigma**2, gain, root, done, volume)
-
-    def whitened(self, columns: Array, gains: Gains, ahead: Array | None = None) -> Array:
-        """Columns (f, 6, c), innovations or responses of them (m, m/s), whitened by a filter on the error of this one; zero where missing.
-
-        Parameters
-        ----------
-        columns : (f, 6, c) array
-        gains : Gains
-            From :meth:`gains`.
-        ahead : (f, 6) array, optional
-            Overwritten with the first column less what the fixes before say of it.
-        """
-        white, own = np.zeros_like(columns), np.empty((0, 6)) if ahead is None else ahead
-        error_kernels.surrogate_whitened(
-            self.Phi, self.K, self.H, np.ascontiguousarray(columns[: gains.done]), self.use,
-            gains.phi, gains.variance, gains.gain, gains.root, white, own,
-        )  # fmt: skip
-        return white
-
-    def ahead(self, nu: Array, noise: FixNoise, more: Array) -> tuple[Array, Array]:
-        """Innovations less what the fixes before say of them under a noise of the fixes, (f, 6), and their covariances, (f, 6, 6).
-
-        Parameters
-        ----------
-        nu : (f, 6) array
-            Innovations, m and m/s.
-        noise : FixNoise
-        more : (f, 6) array
-            Added to the variances of fixes that say little of those behind them, m^2; their own covariances are those without it.
-        """
-        out, S = np.zeros((len(nu), 6)), np.zeros((len(nu), 6, 6))
-        gains = replace(self, R=self.R + more / noise.factor**2).gains(noise, S)
-        self.whitened(nu[:, :, None], gains, out)
-        S -= more[:, :, None] * np.eye(6)
-        return out, S
-
-    def log_likelihood(self, factor: Array | None = None, colour: Colour | None = None) -> float:
-        """Log-likelihood with other levels and a Gauss-Markov part of the fixes."""
-        return self.whiten(self.nu[:, :, None], factor, colour)[1]
-
-    def log_likelihoods(self, noises: Sequence[FixNoise]) -> Array:
-        """Log-likelihoods of several noises of the fixes, eight in one pass; minus infinity where one is not finite."""
-        sigma, rate = np.stack([n.colour[0] for n in noises]), np.array([1.0 / n.colour[1] for n in noises])
-        factor = np.stack([n.factor for n in noises])
-        # a pass carries a state for every component that one of its eight colours: like goes with like
-        order = np.argsort(np.count_nonzero(sigma, axis=1), kind="stable")
-        order = np.concatenate([order, np.repeat(order[-1:], -order.size % LANES)])
-        blocks = (order.size // LANES, LANES)
-        out = np.empty(blocks)
-        ratio, variance = (
-            np.ascontiguousarray(np.moveaxis(v[order].reshape(*blocks, 6) ** 2, 1, 2)) for v in (factor, sigma)
-        )
-        error_kernels.surrogate_likelihoods(
-            self.Phi, self.Q, self.K, self.H, self.R, self.P0, self.first, self.nu, self.use, np.diff(self.t, prepend=self.t[0]),
-            ratio, variance, rate[order].reshape(blocks), out,
-        )  # fmt: skip
-        values = np.empty(len(noises))
-        values[order] = out.ravel()
-        return np.where(np.isfinite(values), values, -math.inf)
 
 
 def level_derivatives(variance: Array, white: Array, groups: Sequence[Sequence[int]]) -> list[Array]:
@@ -334,11 +113,14 @@ def gnss_noise_fits(
         Components whose level was named already.
     """
     problems = _levels(s, white, y, trimmed, skip, np.zeros(6, dtype=bool) if named is None else named)
-    colours = [] if "gnss_correlated_noise" in skip else _colours(s)
-    likely = _at_starts(s, [*problems, *colours[:1]])
-    if colours and np.max(likely[-1]) - base > HOPELESS_NATS:
-        problems += colours
-        likely += _at_starts(s, colours[1:])
+    kinds = [] if "gnss_correlated_noise" in skip else [c for c in _colours(s) if c]
+    likely = _at_starts(s, [*problems, *(c[0] for c in kinds)])
+    likely, first = likely[: len(problems)], likely[len(problems) :]
+    # parts are looked at of whichever kind explains more from where it starts
+    top = max(range(len(kinds)), key=lambda k: float(np.max(first[k])), default=None)
+    if top is not None and np.max(first[top]) - base > HOPELESS_NATS:
+        problems += [*(c[0] for c in kinds), *kinds[top][1:]]
+        likely += [*first, *_at_starts(s, kinds[top][1:])]
     going: list[_Weighed] = []
     starts: list[Array] = []
     for p, values in zip(problems, likely, strict=False):
@@ -389,10 +171,24 @@ class _Weighed:
                 return None
             level = Value.positive("factor", math.exp(mode.x[0]), sd[0], "1")
             return NoiseFit(self.effect, self.axes, mode.evidence - base, (level,), noise.factor, None)
-        sigma, tau = noise.colour
-        values = [Value.positive(f"sigma_{a}", sigma[NED.index(a)], sd[0], "m") for a in self.axes]
-        values.append(Value.positive("tau", tau, sd[1], "s"))
-        return NoiseFit(self.effect, self.axes, mode.evidence - base, tuple(values), noise.factor, noise.colour)
+        values = colour_values(noise.colour, self.axes, {**{f"sigma_{a}": sd[0] for a in self.axes}, "tau": sd[1]})
+        return NoiseFit(self.effect, self.axes, mode.evidence - base, values, noise.factor, noise.colour)
+
+
+def colour_values(colour: Colour, axes: Sequence[str], sd: Mapping[str, float]) -> tuple[Value, ...]:
+    """A colour as parameters of its effect.
+
+    Parameters
+    ----------
+    colour : Colour
+    axes : sequence of str
+        Those that have it.
+    sd : mapping of str to float
+        Standard deviations of the logarithms of ``sigma_north`` ... and ``tau``.
+    """
+    told = {**{f"sigma_{a}": (float(colour.sigma[NED.index(a)]), "m") for a in axes}, "tau": (colour.tau, "s")}
+    values = tuple(Value.positive(name, value, sd[name], unit) for name, (value, unit) in told.items())
+    return (*values, Value("follows", 1.0, 1.0, 1.0, "1")) if colour.follows else values
 
 
 def _any_size(settled: Array, rows: Sequence[int]) -> Free:
@@ -429,11 +225,16 @@ def _levels(
     return out
 
 
-def _colours(s: Surrogate) -> list[_Weighed]:
-    """Gauss-Markov parts of the position fixes, in proportion to their believed standard deviations."""
-    sigma0 = s.sigma()
-    if not sigma0[:3].all():
+def _colours(s: Surrogate) -> list[list[_Weighed]]:
+    """Gauss-Markov parts of the position fixes, in proportion to their believed standard deviations: as large throughout, and following these."""
+    if not s.sigma()[:3].all():
         return []
+    return [_of_kind(s, follows) for follows in ((False, True) if s.stated_vary(1.0 + rules().tolerance) else (False,))]
+
+
+def _of_kind(s: Surrogate, follows: bool) -> list[_Weighed]:
+    """Gauss-Markov parts of the position fixes of one kind."""
+    sigma0 = s.sigma()
     span = float(s.t[-1] - s.t[0])
     step = float(np.median(np.diff(s.t)))
     free = (Free("ratio", *rules().colour_sizes), _times(s))
@@ -445,7 +246,7 @@ def _colours(s: Surrogate) -> list[_Weighed]:
         def noise(x: Array, rows: list[int] = rows) -> FixNoise:
             sigma = np.zeros(6)
             sigma[rows] = math.exp(x[0]) * sigma0[rows]
-            return FixNoise(np.ones(6), (sigma, math.exp(x[1])))
+            return FixNoise(np.ones(6), Colour(sigma, math.exp(x[1]), follows))
 
         out.append(_Weighed("gnss_correlated_noise", axes, free, grid, noise))
     return out
@@ -492,24 +293,24 @@ def joint_noise(s: Surrogate, begin: FixNoise, factors: Array, *, wide: Sequence
     colour, known = begin.colour, begin.known
     groups = [list(g) for g in LEVEL_GROUPS if s.use[:, list(g)].any() and not set(g) & set(wide)]
     groups += [list(wide)] if wide else []
-    parts = [rows for rows in groups if any(colour[0][r] > 0.0 for r in rows)] if not known else []
+    parts = [rows for rows in groups if any(colour.sigma[r] > 0.0 for r in rows)] if not known else []
     count = len(parts) + (not known)
     usual = np.array([-float(np.mean(np.log(factors[rows]))) for rows in groups])
     levels = [level("factor", math.exp(u)) for u in usual]
     if wide:
         free_level = _any_size(s.settled, wide)
         levels[-1] = Free("factor", free_level.low * math.exp(usual[-1]), free_level.high * math.exp(usual[-1]))
-    free = (*(Free("ratio", 0.03, 30.0) for _ in parts), *(() if known else (_times(s, colour[1]),)), *levels)
+    free = (*(Free("ratio", 0.03, 30.0) for _ in parts), *(() if known else (_times(s, colour.tau),)), *levels)
 
     def unpack(x: Array) -> FixNoise:
-        sigma, tau, factor = colour[0].copy(), colour[1], np.ones(6)
+        sigma, tau, factor = colour.sigma.copy(), colour.tau, np.ones(6)
         for k, rows in enumerate(parts):
             sigma[rows] *= math.exp(x[k])
         if not known:
             tau *= math.exp(x[len(parts)])
         for k, rows in enumerate(groups):
             factor[rows] = math.exp(x[count + k])
-        return replace(begin, factor=factor, colour=(sigma, tau))
+        return replace(begin, factor=factor, colour=colour._replace(sigma=sigma, tau=tau))
 
     def likelihoods(points: Sequence[tuple[int, Array]]) -> Array:
         return s.log_likelihoods([unpack(x) for _, x in points])

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from insemu.effects import EFFECTS
 from insemu.errors import InputError
 from insemu.gap.beliefs.nominal import Nominal
-from insemu.gap.candidates.fixes import about, as_joint, at_level, covariance_hypotheses
-from insemu.gap.candidates.jumps import JUMPS, bias_step, lever_arm_step
+from insemu.gap.candidates.fixes import about, as_joint, covariance_hypotheses
+from insemu.gap.candidates.jumps import JUMPS
 from insemu.gap.candidates.shapes import (
     ONCE,
     POSITIVE,
@@ -29,7 +29,7 @@ from insemu.gap.candidates.shapes import (
     null_threshold,
     standing_beside,
 )
-from insemu.gap.candidates.steps import multipath_step, placed
+from insemu.gap.candidates.steps import placed
 from insemu.gap.checks.drive import drive_map, innovation_tests
 from insemu.gap.checks.rest import corrected
 from insemu.gap.data.log import Reduced, unheard
@@ -37,8 +37,9 @@ from insemu.gap.data.samples import coarse, mend, with_counts
 from insemu.gap.drive.apart import FIRST
 from insemu.gap.drive.preparation import Flown, Prepared, fast_parts, prepare
 from insemu.gap.drive.scene import Scene
-from insemu.gap.evidence.fixes import LEVEL_ROWS, FixNoise
+from insemu.gap.evidence.fixes import LEVEL_ROWS
 from insemu.gap.evidence.linear import Block, Field
+from insemu.gap.evidence.surrogate import FixNoise
 from insemu.gap.hypothesis import Found, best_first, probabilities
 from insemu.gap.policy import rules
 from insemu.gap.problems.band import (
@@ -65,7 +66,7 @@ from insemu.gap.problems.findings import (
 )
 from insemu.gap.problems.known import which
 from insemu.gap.problems.named import Named, believing, blocks_of, held_out, told, with_confusable
-from insemu.gap.problems.noise_of_fixes import NoiseOfFixes
+from insemu.gap.problems.settled import STEPS, SettledFixes
 from insemu.gap.problems.together import opened
 from insemu.gap.search import Again, reconsider, search
 from insemu.gap.verdict import Finding, GapReport, Interval, Where, judged
@@ -73,15 +74,12 @@ from insemu.gap.worth import Outage, outages_along, stated_in_outages, white_lev
 from insemu.records import AXES, Recording
 
 Array = NDArray[np.float64]
-#: Effects that begin at a time, which no column of the catalogue has, and what looks for each.
-STEPS = {"gnss_multipath_step": multipath_step, "bias_step": bias_step, "lever_arm_step": lever_arm_step}
-
 #: Effects of time, beside which no filter of the positions is looked for: what a wrong time leaves in second order goes with the acceleration as
 #: well. On rtkexp_drive filters of 1.3 s stood for it (195 nats), and numbers together ran away (``python -m tests.real_gaps``).
 TIMED = {e.id for e in EFFECTS.values() if e.family == "timing"} | {"gnss_velocity_lag", "gnss_velocity_filter"}
 
 
-class DriveProblem(NoiseOfFixes):
+class DriveProblem(SettledFixes):
     """The innovations of one recording, whole or up to a time.
 
     Parameters
@@ -316,58 +314,6 @@ class DriveProblem(NoiseOfFixes):
     def drop(self, old: Found[Change], again: Again[Change]) -> None:
         """Take a finding back."""
         self.found, self._changed = [g for g in self.found if g is not old], True
-
-    def settle(self) -> bool:
-        """Noise and steps of the fixes as they are beside everything that was found since; whether so much moved that it is looked again."""
-        colour, moved = self._named("gnss_correlated_noise"), False
-        if colour is None:
-            moved = self._step_in_a_run()
-            if back := self._with_edges():
-                moved |= self._settle_steps()
-            if back or (self.found and self.found[-1].chosen.effect not in FIRST):
-                for effect in (k for k in FIRST if k in self.gone):
-                    self._take(self._outliers_again(self.scene, effect))
-            moved |= self._settle_steps()
-            levels = self.scene.original.factors * (1.0 if self.scene.noise is None else self.scene.noise.factor)
-            self.found = [replace(f, chosen=at_level(f.chosen, levels)) for f in self.found]
-        elif self.scene.noise is not None and colour is not self.found[-1].chosen:
-            before = self.scene.noise.colour
-            scene, joint = self._under_colour(self.scene.noise)
-            self.found = [replace(f, chosen=as_joint(f.chosen, scene, joint)) for f in self.found]
-            plain = self._without_colour(scene, joint.noise)
-            self._take(plain or scene)
-            moved = plain is not None or abs(math.log(joint.noise.colour[1] / before[1])) > math.log1p(
-                rules().tolerance
-            )
-            moved |= self._settle_steps()
-        return moved
-
-    def _settle_steps(self) -> bool:
-        """Look for each step once more, beside everything that was found since; whether another effect now stands in the place of one."""
-        given_way = False
-        for old in [f for f in self.found if f.chosen.change.window is not None]:
-            assert old.chosen.change.block is not None
-            tried = STEPS[old.chosen.effect](self.scene, self.data, self.rows, self.blocks(old))
-            own = next((h for h in tried if h.sensor == old.chosen.sensor), None)
-            if own is None or own.nats < min(self.threshold, rules().keep_nats):
-                self.found = [f for f in self.found if f is not old]
-                continue
-            rivals = linear_hypotheses(self.scene, self._beside(old), self.data, self.blocks(old), self._skip(old))
-            ranked = tuple(best_first([*rivals, own]))
-            if ranked[0].nats > own.nats + rules().swap_nats:  # it lasts throughout, or is something else
-                self.put(old, ranked[0], Again(own, ranked, ranked[0], False))
-                given_way = True
-                continue
-            if own.change.window is None:
-                continue
-            column, windows = int(old.chosen.change.block[0][0]), list(self.scene.windows)
-            windows[column - self.scene.width] = own.change.window
-            own = placed(own, column)
-            new = Found(own, tuple(best_first([*rivals, own])))
-            self.found = [new if f is old else f for f in self.found]
-            if tuple(windows) != self.scene.windows:
-                self._take(self.scene.with_windows(tuple(windows)))
-        return given_way
 
     def noise_again(self, first: Scene) -> None:
         """Take back the noise of the fixes and what was found with it, from the ``first`` scene on."""

@@ -15,10 +15,10 @@ from insemu.gap.candidates.axis import CANDIDATES, AxisState, state_of
 from insemu.gap.data.log import reduce
 from insemu.gap.data.sources import StaticLog
 from insemu.gap.evidence.band import Band
-from insemu.gap.evidence.fixes import Colour, FixNoise
 from insemu.gap.evidence.model import Component, Explanation
 from insemu.gap.evidence.modes import level
 from insemu.gap.evidence.rolloff import DEPTH, Rolloff
+from insemu.gap.evidence.surrogate import Colour, FixNoise
 from insemu.noise import WN, NoiseModel
 from insemu.records import AXES, Recording, Series, Trajectory
 from insemu.strapdown import trajectory_of
@@ -279,6 +279,6 @@ def _stamps(recording: Recording, effect: str) -> Array:
 
 
 def colour_of(effects: Sequence[EffectUse]) -> Colour | None:
-    """Known coloured noise of the fixes: standard deviations (6,) of position and velocity, correlation time in s."""
+    """Known coloured noise of the fixes."""
     use = next((u for u in effects if u.id == "gnss_correlated_noise"), None)
-    return None if use is None else (np.concatenate([use["sigma"], np.zeros(3)]), use.scalar("tau"))
+    return None if use is None else Colour.of(use)

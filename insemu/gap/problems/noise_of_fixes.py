@@ -15,8 +15,9 @@ from insemu.gap.candidates.shapes import Change, DriveHypothesis, Variant, linea
 from insemu.gap.candidates.steps import multipath_step, placed
 from insemu.gap.drive.apart import FIRST
 from insemu.gap.drive.scene import Scene
-from insemu.gap.evidence.fixes import LEVEL_ROWS, PLAIN, FixNoise, JointNoise, Surrogate, joint_noise
+from insemu.gap.evidence.fixes import LEVEL_ROWS, JointNoise, joint_noise
 from insemu.gap.evidence.linear import Block
+from insemu.gap.evidence.surrogate import PLAIN, Colour, FixNoise, Surrogate
 from insemu.gap.hypothesis import Found
 from insemu.gap.policy import rules
 from insemu.lost import runs
@@ -105,9 +106,9 @@ class NoiseOfFixes(ABC):
             best = max(linear_nats(at, self.variants, at.field(self.cut), given, skip), self.threshold)
             return self._fixes(at).log_likelihood(at.noise.factor, at.noise.colour) + best
 
-        sigma, tau = noise.colour
         if not self._others:
-            colours = [(sigma * math.sqrt(r), tau * r) for r in OTHER_TIMES]
+            sigma, tau, follows = noise.colour
+            colours = [Colour(sigma * math.sqrt(r), tau * r, follows) for r in OTHER_TIMES]
             self._others = [scene.coloured(replace(noise, colour=c)) for c in colours]
         self._others = [at.with_windows(scene.windows) for at in self._others]
         each = [explained(at) for at in self._others]
@@ -247,10 +248,11 @@ class NoiseOfFixes(ABC):
         """The scene with a colour of the fixes: flown by a filter that is not led astray by it, which tells outliers again where there are any."""
         scene = self.scene
 
-        def likeliest() -> JointNoise:
-            return joint_noise(self._fixes(scene), noise, scene.original.factors / scene.original.levels)
+        def likeliest(*kinds: FixNoise) -> JointNoise:
+            s, usual = self._fixes(scene), scene.original.factors / scene.original.levels
+            return max((joint_noise(s, kind, usual) for kind in kinds), key=lambda joint: joint.evidence)
 
-        joint = likeliest()
+        joint = likeliest(*self._kinds(noise))
         known = self._named("gnss_outliers")
         loud, noise = joint.noise.apart(scene.surrogate.sigma())
         kept = {k: t for k, t in self.gone.items() if FIRST[k] > 0}
@@ -267,12 +269,18 @@ class NoiseOfFixes(ABC):
                 self.gone["gnss_outliers"] = now
                 if scene is whole or not np.array_equal(before, now):
                     scene = whole.rebuilt(gone=self.gone)
-            scene, tau = scene.coloured(noise), noise.colour[1]
-            joint = likeliest()
+            scene, tau = scene.coloured(noise), noise.colour.tau
+            joint = likeliest(noise)
             noise = joint.noise
-            if abs(math.log(noise.colour[1] / tau)) < AS_LONG and np.array_equal(before, now):
+            if abs(math.log(noise.colour.tau / tau)) < AS_LONG and np.array_equal(before, now):
                 break
         return scene.coloured(noise), joint
+
+    def _kinds(self, noise: FixNoise) -> list[FixNoise]:
+        """A colour as it is and, where what is stated varies, of the other kind: as large throughout, or following that."""
+        if noise.known or not self.scene.surrogate.stated_vary(1.0 + rules().tolerance):
+            return [noise]
+        return [noise, replace(noise, colour=noise.colour._replace(follows=not noise.colour.follows))]
 
     def _without_colour(self, scene: Scene, noise: FixNoise) -> Scene | None:
         """The scene without a colour that explains nothing any more beside the levels and the rest, which is no finding then; else None."""

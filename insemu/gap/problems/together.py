@@ -13,7 +13,8 @@ from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.data.samples import mend, with_counts
 from insemu.gap.drive.preparation import Prepared, fast_parts, prepare
 from insemu.gap.drive.scene import ARMS, Scene, Window
-from insemu.gap.evidence.fixes import LEVEL_ROWS, NED, FixNoise, joint_noise
+from insemu.gap.evidence.fixes import LEVEL_ROWS, NED, joint_noise
+from insemu.gap.evidence.surrogate import FixNoise
 from insemu.gap.problems.known import colour_of
 from insemu.gap.verdict import Finding, Value
 from insemu.records import AXES, Recording

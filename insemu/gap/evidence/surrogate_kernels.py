@@ -1,0 +1,434 @@
+"""Compiled loops of a filter on the error of the nominal filter: what its innovations are worth under another noise of the fixes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from insemu.gap.evidence.error_kernels import carried
+from insemu.gap.evidence.lanes import LANES, add, div, load, mul, spread, store, sub
+
+Array = NDArray[np.float64]
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def surrogate_gains(
+    Phi: Array,
+    Q: Array,
+    H: Array,
+    R: Array,
+    P0: Array,
+    first: Array,
+    use: NDArray[np.int64],
+    factor: Array,
+    phi_g: Array,
+    q_g: Array,
+    p_g: Array,
+    gain: Array,
+    root: Array,
+    S: Array,
+) -> int:  # pragma: no cover - compiled
+    """What a Kalman filter on the error of the nominal filter does with its innovations when the true noise is other than that filter believed.
+
+    The error obeys ``e- = Phi e+ + w``, ``nu = -H e- + g + v``, ``e+ = e- + K nu`` with the known input ``K nu``; a Kalman filter on e (and on a
+    Gauss-Markov part g of the fixes) sees the innovations as its measurements, one component after the other. Its covariances and gains are
+    the same whatever the innovations are; :func:`surrogate_whitened` takes innovations through it.
+
+    Parameters
+    ----------
+    Phi, Q : (f, n, n) arrays
+        Transition and driving covariance to each fix.
+    H, R : (f, 6, n), (f, 6) arrays
+        Jacobian, believed variances.
+    P0 : (n, n) array
+    first : (6,) array
+        Variances of the fix that the filter started on, as it believed them: its error is that of the start, g included; zero of another start.
+    use : (f, 6) array of int
+        1 where a component was measured.
+    factor : (6,) array
+        Ratio of the true to the believed standard deviation of each component.
+    phi_g, q_g, p_g : (f, 6), (f, 6), (6,) arrays
+        Transition and driving variance of g to each fix, its initial variance; a zero in ``p_g``: no such part.
+    gain, root : (f, 6, n + parts of g), (f, 6) arrays of zeros
+        Written to: what one standard deviation of a component moves the error and g by, and that standard deviation.
+    S : (f, 6, 6) array
+        Written to: covariance of the components of a fix given the fixes before; nothing where it is empty.
+
+    Returns
+    -------
+    int
+        Number of fixes up to the first whose variance is not positive: all where none is.
+    """
+    n, f = P0.shape[0], len(Phi)
+    which = np.zeros(6, dtype=np.int64)
+    extra = 0
+    for i in range(6):
+        if p_g[i] > 0.0:
+            which[extra] = i
+            extra += 1
+    m = n + extra
+    P = np.zeros((m, m))
+    P[:n, :n] = P0
+    for i in range(6):
+        P[i, i] += first[i] * (factor[i] ** 2 - 1.0)
+    for j in range(extra):
+        i = which[j]
+        P[n + j, n + j] = p_g[i]
+        if first[i] > 0.0:
+            P[i, i] += p_g[i]
+            P[i, n + j] = P[n + j, i] = p_g[i]
+    T = np.zeros((m, n))
+    g = np.zeros(m)
+    at = np.zeros(m, dtype=np.int64)
+    a = np.zeros(m)
+    for k in range(f):
+        F = Phi[k]
+        # P = F P F' + Q, block by block: transitions and Jacobians are mostly zeros, so both products go by rows of what is not
+        for j in range(m):
+            for i in range(n):
+                T[j, i] = 0.0
+        for i in range(n):
+            for q in range(n):
+                w = F[i, q]
+                if w != 0.0:
+                    for j in range(m):
+                        T[j, i] += w * P[q, j]
+        for i in range(n):
+            for j in range(i + 1):
+                P[i, j] = Q[k, i, j]
+            for q in range(n):
+                w = F[i, q]
+                if w != 0.0:
+                    for j in range(i + 1):
+                        P[i, j] += w * T[q, j]
+            for j in range(i):
+                P[j, i] = P[i, j]
+            for j in range(extra):
+                v = T[n + j, i] * phi_g[k, which[j]]
+                P[i, n + j] = v
+                P[n + j, i] = v
+        for i in range(extra):
+            for j in range(extra):
+                P[n + i, n + j] *= phi_g[k, which[i]] * phi_g[k, which[j]]
+            P[n + i, n + i] += q_g[k, which[i]]
+        for i in range(6 if S.size else 0):
+            for j in range(6):
+                S[k, i, j] = 0.0
+                for q in range(n):
+                    if H[k, i, q] != 0.0:
+                        for r in range(n):
+                            S[k, i, j] += H[k, i, q] * P[q, r] * H[k, j, r]
+            S[k, i, i] += R[k, i] * factor[i] ** 2
+        for i in range(extra if S.size else 0):
+            for j in range(extra):
+                S[k, which[i], which[j]] += P[n + i, n + j]
+            for j in range(6):
+                for q in range(n):
+                    w = H[k, j, q] * P[q, n + i]
+                    S[k, which[i], j] -= w
+                    S[k, j, which[i]] -= w
+        for i in range(6):
+            if use[k, i] == 0:
+                continue
+            seen = 0
+            for j in range(n):
+                if H[k, i, j] != 0.0:
+                    at[seen], a[seen] = j, -H[k, i, j]
+                    seen += 1
+            for j in range(extra):
+                if which[j] == i:
+                    at[seen], a[seen] = n + j, 1.0
+                    seen += 1
+            g[:] = 0.0
+            for r in range(seen):
+                w = a[r]
+                for q in range(m):
+                    g[q] += w * P[at[r], q]
+            s = R[k, i] * factor[i] ** 2
+            for r in range(seen):
+                s += a[r] * g[at[r]]
+            if not s > 0.0:
+                return k
+            root[k, i] = math.sqrt(s)
+            for j in range(m):
+                gain[k, i, j] = g[j] / root[k, i]
+                w = g[j] / s
+                for q in range(m):
+                    P[j, q] -= w * g[q]
+    return f
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def surrogate_whitened(
+    Phi: Array,
+    K: Array,
+    H: Array,
+    nu: Array,
+    use: NDArray[np.int64],
+    phi_g: Array,
+    p_g: Array,
+    gain: Array,
+    root: Array,
+    white: Array,
+    ahead: Array,
+) -> None:  # pragma: no cover - compiled
+    """Innovations, and any number of responses beside them, through the filter of :func:`surrogate_gains`: it is linear in them.
+
+    Parameters
+    ----------
+    Phi, H, use, phi_g, p_g, gain, root : arrays
+        As there.
+    K : (f, n, 6) array
+        Gain of the nominal filter, zero where a fix was not used.
+    nu : (fixes, 6, c) array
+        Of the first fixes.
+    white : (fixes, 6, c) array
+        Written to: whitened columns, zero where missing.
+    ahead : (fixes, 6) array
+        Written to: the first column less what the fixes before say of it; nothing where it is empty.
+    """
+    n, m = Phi.shape[1], gain.shape[2]
+    f, _, cols = nu.shape
+    which = np.zeros(6, dtype=np.int64)
+    extra = 0
+    for i in range(6):
+        if p_g[i] > 0.0:
+            which[extra] = i
+            extra += 1
+    x = np.zeros((m, cols))
+    moved = np.zeros((n, cols))
+    e = np.zeros(cols)
+    for k in range(f):
+        carried(Phi[k], x, cols, moved)
+        x[:n] = moved
+        for j in range(extra):
+            for c in range(cols):
+                x[n + j, c] *= phi_g[k, which[j]]
+        for i in range(6 if ahead.size else 0):
+            ahead[k, i] = nu[k, i, 0]
+            for j in range(n):
+                ahead[k, i] += H[k, i, j] * x[j, 0]
+        for i in range(extra if ahead.size else 0):
+            ahead[k, which[i]] -= x[n + i, 0]
+        for i in range(6):
+            if use[k, i] == 0:
+                continue
+            for c in range(cols):
+                e[c] = nu[k, i, c]
+            for j in range(n):
+                w = H[k, i, j]
+                if w != 0.0:
+                    for c in range(cols):
+                        e[c] += w * x[j, c]
+            for j in range(extra):
+                if which[j] == i:
+                    for c in range(cols):
+                        e[c] -= x[n + j, c]
+            for c in range(cols):
+                e[c] /= root[k, i]
+                white[k, i, c] = e[c]
+            for j in range(m):
+                w = gain[k, i, j]
+                for c in range(cols):
+                    x[j, c] += w * e[c]
+        for i in range(6):
+            if use[k, i] == 1:
+                for j in range(n):
+                    w = K[k, j, i]
+                    if w != 0.0:
+                        for c in range(cols):
+                            x[j, c] += w * nu[k, i, c]
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+def surrogate_likelihoods(
+    Phi: Array,
+    Q: Array,
+    K: Array,
+    H: Array,
+    R: Array,
+    P0: Array,
+    first: Array,
+    nu: Array,
+    use: NDArray[np.int64],
+    gap: Array,
+    stated: Array,
+    ratio: Array,
+    sigma: Array,
+    rate: Array,
+    follows: Array,
+    out: Array,
+) -> None:  # pragma: no cover - compiled
+    """Log-likelihoods of innovations by the filter of :func:`surrogate_gains` under many noises of the fixes, eight side by side.
+
+    The components of a fix are taken one after the other, as there, and their updates of the covariance together in one sweep.
+
+    Parameters
+    ----------
+    Phi, Q, K, H, R, P0, first, use : arrays
+        As there.
+    nu : (f, 6) array
+        Innovations.
+    gap : (f,) array
+        Time since the fix before, s.
+    stated : (f, 6) array
+        Stated variances over their medians.
+    ratio, sigma : (b, 6, LANES) arrays
+        Squared ratios of the true to the believed standard deviation; variances of the Gauss-Markov part, zero for none.
+    rate : (b, LANES) array
+        Its inverse correlation times, 1/s.
+    follows : (b, LANES) array
+        1 where its variances go with the stated ones, else 0.
+    out : (b, LANES) array
+        Written to; NaN where a variance is not positive.
+    """
+    n = P0.shape[0]
+    which = np.zeros(6, dtype=np.int64)
+    # entries of each row of a transition, and those of a row of a Jacobian, that are not zero
+    count, place, entry = np.zeros(n, dtype=np.int64), np.zeros((n, n), dtype=np.int64), np.zeros((n, n))
+    at, a = np.zeros(n + 1, dtype=np.int64), np.zeros(n + 1)
+    for block in range(ratio.shape[0]):
+        extra = 0
+        for i in range(6):
+            if sigma[block, i].max() > 0.0:
+                which[extra] = i
+                extra += 1
+        m = n + extra
+        row = m * LANES
+        P = np.zeros((m, m, LANES))
+        T = np.zeros((n, m, LANES))
+        x = np.zeros((m, LANES))
+        ahead = np.zeros((n, LANES))
+        g = np.zeros((6, m, LANES))
+        gain = np.zeros((6, m, LANES))
+        s, e, phi, total = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+        turn, drive = np.zeros((6, LANES)), np.zeros((6, LANES))
+        for i in range(n):
+            for j in range(n):
+                for c in range(LANES):
+                    P[i, j, c] = P0[i, j]
+        for i in range(6):
+            for c in range(LANES):
+                P[i, i, c] += first[i] * (ratio[block, i, c] - 1.0)
+        for j in range(extra):
+            for c in range(LANES):
+                i = which[j]
+                v = sigma[block, i, c] * (1.0 + follows[block, c] * (stated[0, i] - 1.0))
+                P[n + j, n + j, c] = v
+                if first[i] > 0.0:
+                    P[i, i, c] += v
+                    P[i, n + j, c] = P[n + j, i, c] = v
+        for k in range(nu.shape[0]):
+            for c in range(LANES):
+                phi[c] = math.exp(-gap[k] * rate[block, c])
+            for j in range(extra):
+                now, before = stated[k, which[j]] - 1.0, stated[max(k - 1, 0), which[j]] - 1.0
+                for c in range(LANES):
+                    to, of = 1.0 + follows[block, c] * now, 1.0 + follows[block, c] * before
+                    turn[j, c] = phi[c] * min(1.0, to / of)
+                    drive[j, c] = (to - turn[j, c] * turn[j, c] * of) * sigma[block, which[j], c]
+            for i in range(n):
+                count[i] = 0
+                for q in range(n):
+                    if Phi[k, i, q] != 0.0:
+                        place[i, count[i]], entry[i, count[i]] = q, Phi[k, i, q]
+                        count[i] += 1
+                total_of = spread(0.0)
+                for r in range(count[i]):
+                    total_of = add(total_of, mul(spread(entry[i, r]), load(x, place[i, r] * LANES)))
+                store(ahead, i * LANES, total_of)
+                for j in range(m):
+                    total_of = spread(0.0)
+                    for r in range(count[i]):
+                        total_of = add(total_of, mul(spread(entry[i, r]), load(P, place[i, r] * row + j * LANES)))
+                    store(T, i * row + j * LANES, total_of)
+            for i in range(n):
+                for j in range(i + 1):
+                    total_of = spread(Q[k, i, j])
+                    for r in range(count[j]):
+                        total_of = add(total_of, mul(spread(entry[j, r]), load(T, i * row + place[j, r] * LANES)))
+                    store(P, i * row + j * LANES, total_of)
+                    store(P, j * row + i * LANES, total_of)
+                for j in range(n, m):
+                    moved = mul(load(T, i * row + j * LANES), load(turn, (j - n) * LANES))
+                    store(P, i * row + j * LANES, moved)
+                    store(P, j * row + i * LANES, moved)
+            for i in range(n, m):
+                for j in range(n, m):
+                    own = i * row + j * LANES
+                    both = mul(load(turn, (i - n) * LANES), load(turn, (j - n) * LANES))
+                    store(P, own, mul(load(P, own), both))
+                for c in range(LANES):
+                    P[i, i, c] += drive[i - n, c]
+                    x[i, c] *= turn[i - n, c]
+            x[:n] = ahead
+            used = 0
+            for i in range(6):
+                if use[k, i] == 0:
+                    continue
+                seen = 0
+                for j in range(n):
+                    if H[k, i, j] != 0.0:
+                        at[seen], a[seen] = j, -H[k, i, j]
+                        seen += 1
+                for j in range(extra):
+                    if which[j] == i:
+                        at[seen], a[seen] = n + j, 1.0
+                        seen += 1
+                own = used * row
+                for j in range(m):
+                    total_of = spread(0.0)
+                    for r in range(seen):
+                        total_of = add(total_of, mul(spread(a[r]), load(P, at[r] * row + j * LANES)))
+                    store(g, own + j * LANES, total_of)
+                for b in range(used):
+                    seen_of = spread(0.0)
+                    for r in range(seen):
+                        seen_of = add(seen_of, mul(spread(a[r]), load(gain, b * row + at[r] * LANES)))
+                    for j in range(m):
+                        p = own + j * LANES
+                        store(g, p, sub(load(g, p), mul(seen_of, load(g, b * row + j * LANES))))
+                variance, error = spread(R[k, i]), spread(nu[k, i])
+                variance = mul(variance, load(ratio, (block * 6 + i) * LANES))
+                for r in range(seen):
+                    variance = add(variance, mul(spread(a[r]), load(g, own + at[r] * LANES)))
+                    error = sub(error, mul(spread(a[r]), load(x, at[r] * LANES)))
+                store(s, 0, variance)
+                store(e, 0, error)
+                for c in range(LANES):
+                    total[c] -= 0.5 * (math.log(s[c]) + e[c] * e[c] / s[c]) if s[c] > 0.0 else math.nan
+                inverse = div(spread(1.0), variance)
+                error = mul(error, inverse)
+                for j in range(m):
+                    v = load(g, own + j * LANES)
+                    store(gain, own + j * LANES, mul(v, inverse))
+                    store(x, j * LANES, add(load(x, j * LANES), mul(v, error)))
+                used += 1
+            for j in range(m):
+                b = 0
+                while b + 3 <= used:
+                    own = b * row
+                    one, two = load(gain, own + j * LANES), load(gain, own + row + j * LANES)
+                    three = load(gain, own + 2 * row + j * LANES)
+                    for q in range(j + 1):
+                        p, r = j * row + q * LANES, own + q * LANES
+                        left = sub(sub(load(P, p), mul(one, load(g, r))), mul(two, load(g, r + row)))
+                        store(P, p, sub(left, mul(three, load(g, r + 2 * row))))
+                    b += 3
+                while b < used:
+                    for q in range(j + 1):
+                        p = j * row + q * LANES
+                        store(P, p, sub(load(P, p), mul(load(gain, b * row + j * LANES), load(g, b * row + q * LANES))))
+                    b += 1
+                for q in range(j):
+                    store(P, q * row + j * LANES, load(P, j * row + q * LANES))
+            for i in range(6):
+                if use[k, i] == 1:
+                    for j in range(n):
+                        w = K[k, j, i] * nu[k, i]
+                        if w != 0.0:
+                            store(x, j * LANES, add(load(x, j * LANES), spread(w)))
+        out[block] = total

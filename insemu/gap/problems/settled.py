@@ -1,0 +1,99 @@
+"""Noise and steps of the fixes of a drive as they are beside everything that a search found."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu.gap.candidates.fixes import as_joint, at_level
+from insemu.gap.candidates.jumps import bias_step, lever_arm_step
+from insemu.gap.candidates.shapes import Change, DriveHypothesis, Variant, linear_hypotheses
+from insemu.gap.candidates.steps import multipath_step, placed
+from insemu.gap.drive.apart import FIRST
+from insemu.gap.evidence.linear import Field
+from insemu.gap.hypothesis import Found, best_first
+from insemu.gap.policy import rules
+from insemu.gap.problems.noise_of_fixes import NoiseOfFixes
+from insemu.gap.search import Again
+
+#: Effects that begin at a time, which no column of the catalogue has, and what looks for each.
+STEPS = {"gnss_multipath_step": multipath_step, "bias_step": bias_step, "lever_arm_step": lever_arm_step}
+
+
+class SettledFixes(NoiseOfFixes):
+    """What a drive's problem settles at the end of a search.
+
+    Attributes
+    ----------
+    data : Field
+        The innovations that are looked at.
+    rows : (r,) array of bool
+        Which rows of the recording's field these are.
+    """
+
+    data: Field
+    rows: NDArray[np.bool_]
+
+    @abstractmethod
+    def _beside(self, without: Found[Change] | None = None) -> list[Variant]:
+        """What may stand beside the findings, all or all but one."""
+
+    @abstractmethod
+    def put(self, old: Found[Change], new: DriveHypothesis, again: Again[Change]) -> None:
+        """Let a hypothesis stand in the place of a finding."""
+
+    def settle(self) -> bool:
+        """Noise and steps of the fixes as they are beside everything that was found since; whether so much moved that it is looked again."""
+        colour, moved = self._named("gnss_correlated_noise"), False
+        if colour is None:
+            moved = self._step_in_a_run()
+            if back := self._with_edges():
+                moved |= self._settle_steps()
+            if back or (self.found and self.found[-1].chosen.effect not in FIRST):
+                for effect in (k for k in FIRST if k in self.gone):
+                    self._take(self._outliers_again(self.scene, effect))
+            moved |= self._settle_steps()
+            levels = self.scene.original.factors * (1.0 if self.scene.noise is None else self.scene.noise.factor)
+            self.found = [replace(f, chosen=at_level(f.chosen, levels)) for f in self.found]
+        elif self.scene.noise is not None and colour is not self.found[-1].chosen:
+            before = self.scene.noise.colour
+            scene, joint = self._under_colour(self.scene.noise)
+            self.found = [replace(f, chosen=as_joint(f.chosen, scene, joint)) for f in self.found]
+            plain = self._without_colour(scene, joint.noise)
+            self._take(plain or scene)
+            now = joint.noise.colour
+            longer = abs(math.log(now.tau / before.tau)) > math.log1p(rules().tolerance)
+            moved = plain is not None or longer or now.follows != before.follows
+            moved |= self._settle_steps()
+        return moved
+
+    def _settle_steps(self) -> bool:
+        """Look for each step once more, beside everything that was found since; whether another effect now stands in the place of one."""
+        given_way = False
+        for old in [f for f in self.found if f.chosen.change.window is not None]:
+            assert old.chosen.change.block is not None
+            tried = STEPS[old.chosen.effect](self.scene, self.data, self.rows, self.blocks(old))
+            own = next((h for h in tried if h.sensor == old.chosen.sensor), None)
+            if own is None or own.nats < min(self.threshold, rules().keep_nats):
+                self.found = [f for f in self.found if f is not old]
+                continue
+            rivals = linear_hypotheses(self.scene, self._beside(old), self.data, self.blocks(old), self._skip(old))
+            ranked = tuple(best_first([*rivals, own]))
+            if ranked[0].nats > own.nats + rules().swap_nats:  # it lasts throughout, or is something else
+                self.put(old, ranked[0], Again(own, ranked, ranked[0], False))
+                given_way = True
+                continue
+            if own.change.window is None:
+                continue
+            column, windows = int(old.chosen.change.block[0][0]), list(self.scene.windows)
+            windows[column - self.scene.width] = own.change.window
+            own = placed(own, column)
+            new = Found(own, tuple(best_first([*rivals, own])))
+            self.found = [new if f is old else f for f in self.found]
+            if tuple(windows) != self.scene.windows:
+                self._take(self.scene.with_windows(tuple(windows)))
+        return given_way
