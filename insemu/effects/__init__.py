@@ -35,7 +35,7 @@ from insemu.effects.base import (
 from insemu.effects.chain import Chain, FixErrors
 from insemu.effects.compensation import added_signal, columns_without, compensated, lever_arm_of
 from insemu.effects.deterministic import REFERENCE_DEGC, lagged
-from insemu.effects.gnss import LONGEST_ARM
+from insemu.effects.gnss import LONGEST_ARM, filter_memory
 from insemu.effects.hiding import DriveLot, Hidden, RestLot
 from insemu.effects.motion import MOTION_HZ, Column, FixGeometry, Motion, first_axis, on_axes, steady
 from insemu.effects.parameters import CELLS, CROSS, EffectParameter, Join
@@ -132,6 +132,7 @@ __all__ = [
     "columns_without",
     "compensated",
     "effect_of",
+    "filter_memory",
     "first_axis",
     "having",
     "join_of",

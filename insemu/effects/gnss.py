@@ -54,10 +54,6 @@ def gauss_markov(
 ) -> Array:
     """First-order Gauss-Markov processes (n, 3) at times that need not be regular, stationary or of the variances that a receiver states.
 
-    The error of an estimate of least variance has a memory of its own where that variance changes: what a better estimate is off by has nothing to
-    do with by how much it changed, so that E[e2 e1] = P2 where the variance falls from P1 to P2 (Kalman 1960); where it rises, errors are added
-    that are independent.
-
     Parameters
     ----------
     t : (n,) array
@@ -81,13 +77,34 @@ def gauss_markov(
     if not (P > 0.0).all():
         raise InputError("an error follows stated standard deviations of zero, expected positive ones")
     P = P / np.median(P, axis=0)
-    a = np.exp(-np.diff(t) / tau)[:, None] * np.minimum(1.0, P[1:] / P[:-1])
+    a = filter_memory(np.diff(t), P, tau)
     white = rng.standard_normal((t.size, 3))
     out = np.sqrt(P) * white
     drive = np.sqrt(P[1:] - a**2 * P[:-1])
     for k in range(1, t.size):
         out[k] = a[k - 1] * out[k - 1] + drive[k - 1] * white[k]
     return np.asarray(out * np.asarray(sigma))
+
+
+def filter_memory(gaps: Array, P: Array, tau: float) -> Array:
+    """The share of a Kalman filter's error that is left at the next fix, for errors of the variances P that the filter states, (n - 1, k).
+
+    Between two fixes the variance grows from P1 by the least that lets an error of the variance 1 last for ``tau``, or by what P2 shows that is more;
+    measurements make it P2. What is left of the error is then P2 / (P1 + growth): what a better estimate is off by has nothing to do with by how
+    much it changed (Kalman 1960). Of a constant P of 1 this is the memory of a stationary Gauss-Markov process, ``exp(-gap / tau)``.
+
+    Parameters
+    ----------
+    gaps : (n - 1,) array
+        Between the fixes, s.
+    P : (n, k) array
+        Variances over that at which the correlation time is ``tau``.
+    tau : float
+        s.
+    """
+    with np.errstate(over="ignore"):  # nothing is left after a thousand correlation times
+        growth = np.expm1(gaps / tau)[:, None]
+    return np.asarray(np.minimum(1.0, P[1:] / (P[:-1] + growth)))
 
 
 class NoiseLevel(_OfFixes):

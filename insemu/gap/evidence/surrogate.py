@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.effects import EffectUse
+from insemu.effects import EffectUse, filter_memory
 from insemu.filters import FilterResult
 from insemu.gap.evidence import surrogate_kernels
 from insemu.gap.evidence.lanes import LANES
@@ -210,19 +210,16 @@ class Surrogate:
     def memory(self, colour: Colour) -> tuple[Array, Array, Array]:
         """Transitions (f, 6) and driving variances (f, 6) of a Gauss-Markov part to each fix, and its variances (6,) at the first, m^2 and (m/s)^2.
 
-        Where it follows the stated variances P it has the memory of the error of an estimate of least variance: what a better estimate is off by
-        has nothing to do with by how much it changed, so that E[e2 e1] = P2 where P falls from P1 to P2 (Kalman 1960); where P rises, errors are
-        added that are independent.
+        Where it follows the stated variances P it has the memory of a Kalman filter's error: see :func:`insemu.effects.filter_memory`.
 
         Parameters
         ----------
         colour : Colour
         """
-        phi = np.exp(-np.diff(self.t, prepend=self.t[0]) / colour.tau)[:, None] * np.ones(6)
-        to = self.stated if colour.follows else np.ones_like(self.stated)
-        of = np.concatenate([to[:1], to[:-1]])
-        phi = phi * np.minimum(1.0, to / of)
-        return phi, (to - phi**2 * of) * colour.sigma**2, to[0] * colour.sigma**2
+        P = self.stated if colour.follows else np.ones_like(self.stated)
+        phi = np.concatenate([np.ones((1, 6)), filter_memory(np.diff(self.t), P, colour.tau)])
+        drive = P - phi**2 * np.concatenate([P[:1], P[:-1]])
+        return phi, drive * colour.sigma**2, P[0] * colour.sigma**2
 
     def whitened(self, columns: Array, gains: Gains, ahead: Array | None = None) -> Array:
         """Columns (f, 6, c), innovations or responses of them (m, m/s), whitened by a filter on the error of this one; zero where missing.

@@ -304,7 +304,7 @@ def surrogate_likelihoods(
         ahead = np.zeros((n, LANES))
         g = np.zeros((6, m, LANES))
         gain = np.zeros((6, m, LANES))
-        s, e, phi, total = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+        s, e, grown, total = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
         turn, drive = np.zeros((6, LANES)), np.zeros((6, LANES))
         for i in range(n):
             for j in range(n):
@@ -323,12 +323,12 @@ def surrogate_likelihoods(
                     P[i, n + j, c] = P[n + j, i, c] = v
         for k in range(nu.shape[0]):
             for c in range(LANES):
-                phi[c] = math.exp(-gap[k] * rate[block, c])
+                grown[c] = math.expm1(gap[k] * rate[block, c])
             for j in range(extra):
                 now, before = stated[k, which[j]] - 1.0, stated[max(k - 1, 0), which[j]] - 1.0
                 for c in range(LANES):
                     to, of = 1.0 + follows[block, c] * now, 1.0 + follows[block, c] * before
-                    turn[j, c] = phi[c] * min(1.0, to / of)
+                    turn[j, c] = min(1.0, to / (of + grown[c]))
                     drive[j, c] = (to - turn[j, c] * turn[j, c] * of) * sigma[block, which[j], c]
             for i in range(n):
                 count[i] = 0
