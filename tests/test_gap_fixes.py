@@ -532,10 +532,10 @@ def test_a_known_colour_stays_as_it_is() -> None:
     known = FixNoise(
         np.where(np.arange(6) < 3, 1.0 / loud, 1.0), Colour(np.array([0.2, 0.2, 0.4, 0.0, 0.0, 0.0]), 20.0), True
     )
-    joint = joint_noise(s, known, np.where(np.arange(6) < 3, loud, 1.0), wide=[0, 1, 2])
+    joint = joint_noise(s, known, np.where(np.arange(6) < 3, loud, 1.0), wide=[[0, 1, 2]])
     assert joint.noise.known and joint.noise.colour.tau == 20.0
     np.testing.assert_array_equal(joint.noise.colour.sigma, known.colour.sigma)
-    assert set(joint.sd) == {"factor"} and joint.noise.factor[0] * loud == pytest.approx(1.0, rel=0.25)
+    assert set(joint.sd) == {"factor_0"} and joint.noise.factor[0] * loud == pytest.approx(1.0, rel=0.25)
     assert all(f.colour is not None for f in level_beside(s, replace(known, factor=2.0 * known.factor), np.ones(6)))
 
 

@@ -35,6 +35,7 @@ from insemu.gap.evidence.fixes import (
     colour_values,
     gnss_noise_fits,
     level_beside,
+    level_name,
     pooled,
 )
 from insemu.gap.evidence.linear import (
@@ -351,7 +352,7 @@ def covariance_hypotheses(
             surrogate, surrogate.log_likelihood(), loop.white[:k], y, trimmed=moved, skip=tuple(skip), named=named
         )
     else:
-        found = [] if "gnss_noise_level" in skip else level_beside(surrogate, scene.noise, moved)
+        found = [] if "gnss_noise_level" in skip else level_beside(surrogate, scene.noise, moved, named)
     fits: dict[str, list[NoiseFit]] = {}
     for fit in found:
         fits.setdefault(fit.effect, []).append(fit)
@@ -378,12 +379,16 @@ def as_joint(h: DriveHypothesis, scene: Scene, joint: JointNoise) -> DriveHypoth
         The estimate, levels relative to those of the scene's filter.
     """
     if h.effect == "gnss_correlated_noise":
-        return replace(h, values=colour_values(joint.noise.colour, h.axes, joint.sd))
-    return at_level(h, scene.original.factors * joint.noise.factor)
+        axes = tuple(a for a, sigma in zip(NED, joint.noise.colour.sigma, strict=False) if sigma > 0.0)
+        return replace(h, axes=axes, values=colour_values(joint.noise.colour, axes, joint.sd))
+    h = at_level(h, scene.original.factors * joint.noise.factor)
+    if not (rows := rows_of(h)) or level_name(rows) not in joint.sd:
+        return h
+    return replace(h, values=(Value.positive("factor", h.values[0].value, joint.sd[level_name(rows)], "1"),))
 
 
 def within(h: DriveHypothesis, intervals: Mapping[str, tuple[float, float]]) -> DriveHypothesis:
-    """A colour of the fixes with intervals, as ratios to its values; anything else as it is.
+    """A colour or a level of the fixes with intervals, as ratios to its values; anything else as it is.
 
     Parameters
     ----------
@@ -392,9 +397,10 @@ def within(h: DriveHypothesis, intervals: Mapping[str, tuple[float, float]]) -> 
     intervals : mapping of str to (low, high)
         By parameter.
     """
-    if h.effect != "gnss_correlated_noise":
+    rows = rows_of(h)
+    if h.effect != "gnss_correlated_noise" and not (rows and level_name(rows) in intervals):
         return h
-    ends = ((v, *intervals.get(v.name, (1.0, 1.0))) for v in h.values)
+    ends = ((v, *intervals.get(level_name(rows) if rows else v.name, (1.0, 1.0))) for v in h.values)
     return replace(h, values=tuple(replace(v, low=v.value * low, high=v.value * high) for v, low, high in ends))
 
 
@@ -404,10 +410,22 @@ def about(level: DriveHypothesis) -> NDArray[np.bool_]:
     return np.isin(np.arange(6), [first + NED.index(a) for a in level.axes if a in NED])
 
 
-def apart_from_named(scene: Scene, level: DriveHypothesis | None) -> Array:
-    """By what the filter's levels (6,) were moved, as ratios to the stated one of a level that is in question and to the other named ones."""
-    at = scene.original
-    return at.factors / np.where(about(level) if level is not None else False, 1.0, at.levels)
+def rows_of(level: DriveHypothesis) -> list[int]:
+    """Components of the fixes that a level is about; none of anything else."""
+    return [int(r) for r in np.flatnonzero(about(level))]
+
+
+def apart_from_named(scene: Scene, rows: Sequence[Sequence[int]]) -> Array:
+    """By what the filter's levels (6,) were moved, as ratios to what is stated of levels that are in question and to the other named ones.
+
+    Parameters
+    ----------
+    scene : Scene
+    rows : sequence of sequences of int
+        Components of the fixes whose levels are in question.
+    """
+    at, asked = scene.original, [r for level in rows for r in level]
+    return at.factors / np.where(np.isin(np.arange(6), asked), 1.0, at.levels)
 
 
 def at_level(h: DriveHypothesis, factors: Array) -> DriveHypothesis:

@@ -261,7 +261,8 @@ class JointNoise:
     noise : FixNoise
         The most likely.
     sd : mapping of str to float
-        Standard deviations of the logarithms of ``sigma_north`` ... and ``tau``; of those that are coloured; ``factor`` of a level of any size.
+        Standard deviations of the logarithms of ``sigma_north`` ... and ``tau``; of those that are coloured; of levels of any size
+        by :func:`level_name`.
     evidence : float
         Log evidence, nats.
     intervals : callable
@@ -274,7 +275,18 @@ class JointNoise:
     intervals: Callable[[], dict[str, tuple[float, float]]]
 
 
-def joint_noise(s: Surrogate, begin: FixNoise, factors: Array, *, wide: Sequence[int] = ()) -> JointNoise:
+def level_name(rows: Sequence[int]) -> str:
+    """How a level of any size is called in :class:`JointNoise`.
+
+    Parameters
+    ----------
+    rows : sequence of int
+        Components of the fixes that have it.
+    """
+    return f"factor_{min(rows)}"
+
+
+def joint_noise(s: Surrogate, begin: FixNoise, factors: Array, *, wide: Sequence[Sequence[int]] = ()) -> JointNoise:
     """Most likely colour together with the levels inside their tolerance: a level that was trimmed without the colour took some of it.
 
     The velocities' too: a filter that follows coloured positions is wrong about them.
@@ -287,19 +299,20 @@ def joint_noise(s: Surrogate, begin: FixNoise, factors: Array, *, wide: Sequence
         To begin with; the axes of its colour stay, horizontal and vertical standard deviation and the correlation time are refined.
     factors : (6,) array
         By what the filter's levels were moved already, as ratios to what was named or believed.
-    wide : sequence of int
-        Components with a common level, which may have any size; without them each level stays within its tolerance.
+    wide : sequence of sequences of int
+        Components with a common level each, which may have any size; without them each level stays within its tolerance.
     """
     colour, known = begin.colour, begin.known
-    groups = [list(g) for g in LEVEL_GROUPS if s.use[:, list(g)].any() and not set(g) & set(wide)]
-    groups += [list(wide)] if wide else []
+    apart = {r for rows in wide for r in rows}
+    groups = [rows for g in LEVEL_GROUPS if (rows := [r for r in g if r not in apart]) and s.use[:, rows].any()]
+    within, groups = len(groups), groups + [list(rows) for rows in wide]
     parts = [rows for rows in groups if any(colour.sigma[r] > 0.0 for r in rows)] if not known else []
     count = len(parts) + (not known)
     usual = np.array([-float(np.mean(np.log(factors[rows]))) for rows in groups])
-    levels = [level("factor", math.exp(u)) for u in usual]
-    if wide:
-        free_level = _any_size(s.settled, wide)
-        levels[-1] = Free("factor", free_level.low * math.exp(usual[-1]), free_level.high * math.exp(usual[-1]))
+    levels = [level("factor", math.exp(u)) for u in usual[:within]]
+    for u, rows in zip(usual[within:], groups[within:], strict=True):
+        size = _any_size(s.settled, rows)
+        levels.append(Free("factor", size.low * math.exp(u), size.high * math.exp(u)))
     free = (*(Free("ratio", 0.03, 30.0) for _ in parts), *(() if known else (_times(s, colour.tau),)), *levels)
 
     def unpack(x: Array) -> FixNoise:
@@ -321,8 +334,7 @@ def joint_noise(s: Surrogate, begin: FixNoise, factors: Array, *, wide: Sequence
     place = {f"sigma_{NED[r]}": k for k, rows in enumerate(parts) for r in rows if r < 3}
     if not known:
         place["tau"] = len(parts)
-    if wide:
-        place["factor"] = len(free) - 1
+    place |= {level_name(rows): count + within + k for k, rows in enumerate(groups[within:])}
 
     def intervals() -> dict[str, tuple[float, float]]:
         # what a recording of few correlation times leaves open is how long and how large it is, together
@@ -339,7 +351,9 @@ def _times(s: Surrogate, tau: float = 1.0) -> Free:
     return Free("tau", 2.0 * float(np.median(np.diff(s.t))) / tau, 0.5 * float(s.t[-1] - s.t[0]) / tau)
 
 
-def level_beside(s: Surrogate, noise: FixNoise, factors: Array) -> list[NoiseFit]:
+def level_beside(
+    s: Surrogate, noise: FixNoise, factors: Array, named: NDArray[np.bool_] | None = None
+) -> list[NoiseFit]:
     """Other levels of the positions than the nominal ones beside a colour of the fixes, which is estimated again with them.
 
     Parameters
@@ -348,6 +362,8 @@ def level_beside(s: Surrogate, noise: FixNoise, factors: Array) -> list[NoiseFit
         As :func:`joint_noise` takes them.
     noise : FixNoise
         Colour and levels as they are inside their tolerance.
+    named : (6,) array of bool, optional
+        Components whose level was named already.
 
     Returns
     -------
@@ -356,19 +372,21 @@ def level_beside(s: Surrogate, noise: FixNoise, factors: Array) -> list[NoiseFit
     """
     edge = math.log1p(rules().tolerance)
     beyond = np.abs(np.log(noise.factor * factors)) > AT_EDGE * edge
-    tried = [axes for axes in GROUPS[:3] if beyond[[NED.index(a) for a in axes]].any()]
+    groups = [(axes, [NED.index(a) for a in axes]) for axes in GROUPS[:3]]
+    tried = [
+        (axes, rows) for axes, rows in groups if beyond[rows].any() and not (named is not None and named[rows].any())
+    ]
     out: list[NoiseFit] = []
     within = joint_noise(s, noise, factors).evidence if tried else 0.0
-    for axes in tried:
-        rows = [NED.index(a) for a in axes]
-        found, colour = joint_noise(s, noise, factors, wide=rows), True
+    for axes, rows in tried:
+        found, colour = joint_noise(s, noise, factors, wide=[rows]), True
         if not noise.known:
-            plain = joint_noise(s, replace(noise, colour=PLAIN, known=True), factors, wide=rows)
+            plain = joint_noise(s, replace(noise, colour=PLAIN, known=True), factors, wide=[rows])
             if plain.evidence > found.evidence - rules().keep_nats:
                 found, colour = plain, False
         ratio = float(found.noise.factor[rows[0]] * np.exp(np.mean(np.log(factors[rows]))))
         if abs(math.log(ratio)) > edge:
-            value = Value.positive("factor", ratio, found.sd["factor"], "1")
+            value = Value.positive("factor", ratio, found.sd[level_name(rows)], "1")
             gain, joint = found.evidence - within, found.noise
             out.append(
                 NoiseFit("gnss_noise_level", axes, gain, (value,), joint.factor, joint.colour if colour else None)

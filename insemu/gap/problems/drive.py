@@ -124,8 +124,7 @@ class DriveProblem(SettledFixes):
         """Effects that are not asked for: those taken out, and those found that are there once."""
         chosen = [f.chosen for f in self.found if f is not without]
         once = {h.effect for h in chosen if h.effect in (*ONCE, *FIRST) or h.change.noise is not None}
-        if self.scene.noise is None:  # of the fixes' other axes a level may be named as well
-            once -= {h.effect for h in chosen if about(h).any()}
+        once -= {h.effect for h in chosen if about(h).any()}  # of the fixes' other axes a level may be named as well
         known = {u.id for u in self.scene.original.nominal.effects}  # which fixes known outliers are was settled before
         timed = (known | {f.chosen.effect for f in self.found}) & TIMED
         out = set(self.without) | once | (known & {*FIRST, "lever_arm_step"})

@@ -10,7 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS
-from insemu.gap.candidates.fixes import about, apart_from_named, as_joint, at_level, mixture, whole_innovations, within
+from insemu.gap.candidates.fixes import (
+    apart_from_named,
+    as_joint,
+    at_level,
+    mixture,
+    rows_of,
+    whole_innovations,
+    within,
+)
 from insemu.gap.candidates.shapes import LAGGED, ONCE, PROCESSES, Change, bank, shape_values
 from insemu.gap.confusion import Repetitions
 from insemu.gap.drive.apart import FIRST, LOOSE
@@ -83,9 +91,8 @@ def believing(named: Named, cut: float | None = None) -> tuple[Named, Scene, lis
         found = tuple(replace(f, chosen=at_level(f.chosen, scene.original.factors)) for f in named.found)
     else:
         s = replace(scene.surrogate, nu=scene.unexplained(blocks, cut))
-        stated = next((f.chosen for f in named.found if f.chosen.effect == "gnss_noise_level"), None)
-        wide = np.flatnonzero(about(stated)).tolist() if stated is not None else ()
-        joint = joint_noise(s if cut is None else s.until(cut), scene.noise, apart_from_named(scene, stated), wide=wide)
+        wide = [rows for f in named.found if (rows := rows_of(f.chosen))]
+        joint = joint_noise(s if cut is None else s.until(cut), scene.noise, apart_from_named(scene, wide), wide=wide)
         scene = scene.coloured(joint.noise)
         found = tuple(replace(f, chosen=as_joint(f.chosen, scene, joint)) for f in named.found)
         if coloured:

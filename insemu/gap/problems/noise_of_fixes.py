@@ -10,12 +10,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.gap.candidates.fixes import about, apart_from_named, at_level, told_again, without_outliers
+from insemu.gap.candidates.fixes import about, apart_from_named, at_level, rows_of, told_again, without_outliers
 from insemu.gap.candidates.shapes import Change, DriveHypothesis, Variant, linear_nats
 from insemu.gap.candidates.steps import multipath_step, placed
 from insemu.gap.drive.apart import FIRST
 from insemu.gap.drive.scene import Scene
-from insemu.gap.evidence.fixes import LEVEL_ROWS, JointNoise, joint_noise
+from insemu.gap.evidence.fixes import LEVEL_ROWS, NED, JointNoise, joint_noise
 from insemu.gap.evidence.linear import Block
 from insemu.gap.evidence.surrogate import PLAIN, Colour, FixNoise, Surrogate
 from insemu.gap.hypothesis import Found
@@ -239,8 +239,8 @@ class NoiseOfFixes(ABC):
         level = self._named("gnss_noise_level")
         if level is None:
             return True
-        s, wide = self._fixes(self.scene), np.flatnonzero(about(level)).tolist()
-        usual = apart_from_named(self.scene, level)
+        s, wide = self._fixes(self.scene), [rows_of(level)]
+        usual = apart_from_named(self.scene, wide)
         beside = joint_noise(s, noise, usual, wide=wide)
         return beside.evidence > joint_noise(s, noise, usual).evidence + rules().keep_nats
 
@@ -249,8 +249,9 @@ class NoiseOfFixes(ABC):
         scene = self.scene
 
         def likeliest(*kinds: FixNoise) -> JointNoise:
-            s, usual = self._fixes(scene), scene.original.factors / scene.original.levels
-            return max((joint_noise(s, kind, usual) for kind in kinds), key=lambda joint: joint.evidence)
+            s, wide = self._fixes(scene), self._levels()
+            usual = apart_from_named(scene, wide)
+            return max((joint_noise(s, kind, usual, wide=wide) for kind in kinds), key=lambda joint: joint.evidence)
 
         joint = likeliest(*self._kinds(noise))
         known = self._named("gnss_outliers")
@@ -276,17 +277,45 @@ class NoiseOfFixes(ABC):
                 break
         return scene.coloured(noise), joint
 
+    def _levels(self) -> list[list[int]]:
+        """Components of the fixes of each level that was named: what it is beside a colour, which it may have stood for, is asked again."""
+        return [rows for f in self.found if (rows := rows_of(f.chosen))]
+
+    def _in_common(self, noise: FixNoise, effect: str) -> None:
+        """Name one level of all axes where several of parts of them, named before the colour, are no more likely beside it."""
+        parts = [f for f in self.found if f.chosen.effect == effect]
+        if len(parts) < 2:
+            return
+        s, each = self._fixes(self.scene), self._levels()
+        own = [rows_of(f.chosen) for f in parts]
+        common = [sorted(r for rows in own for r in rows), *(rows for rows in each if rows not in own)]
+        usual = apart_from_named(self.scene, each)
+        if joint_noise(s, noise, usual, wide=common).evidence < joint_noise(s, noise, usual, wide=each).evidence:
+            return
+        first, offset = parts[0].chosen, LEVEL_ROWS[effect]
+        axes = tuple(NED[r - offset] for r in common[0])
+        level = replace(first, axes=axes, nats=sum(f.chosen.nats for f in parts))
+        self.found = [replace(f, chosen=level) if f is parts[0] else f for f in self.found if f not in parts[1:]]
+
     def _kinds(self, noise: FixNoise) -> list[FixNoise]:
-        """A colour as it is and, where what is stated varies, of the other kind: as large throughout, or following that."""
-        if noise.known or not self.scene.surrogate.stated_vary(1.0 + rules().tolerance):
+        """A colour as it is, of all axes and, where what is stated varies, of the other kind: as large throughout, or following that."""
+        if noise.known:
             return [noise]
-        return [noise, replace(noise, colour=noise.colour._replace(follows=not noise.colour.follows))]
+        colours, sigma = [noise.colour], self.scene.surrogate.sigma()[:3]
+        own = noise.colour.sigma[:3]
+        if not own.all():
+            ratio = np.max(own / np.where(sigma > 0.0, sigma, math.inf))
+            colours.append(noise.colour._replace(sigma=np.append(np.where(own > 0.0, own, ratio * sigma), np.zeros(3))))
+        if self.scene.surrogate.stated_vary(1.0 + rules().tolerance):
+            colours += [c._replace(follows=not c.follows) for c in colours]
+        return [replace(noise, colour=c) for c in colours]
 
     def _without_colour(self, scene: Scene, noise: FixNoise) -> Scene | None:
         """The scene without a colour that explains nothing any more beside the levels and the rest, which is no finding then; else None."""
         level = self._named("gnss_noise_level")
         own = about(level) if level is not None else np.zeros(6, dtype=bool)
-        s, usual, wide = self._fixes(scene), apart_from_named(scene, level), np.flatnonzero(own).tolist()
+        wide = [] if level is None else [rows_of(level)]
+        s, usual = self._fixes(scene), apart_from_named(scene, wide)
         plain = joint_noise(s, replace(noise, colour=PLAIN, known=True), usual, wide=wide)
         if joint_noise(s, noise, usual, wide=wide).evidence > plain.evidence + rules().keep_nats:
             return None

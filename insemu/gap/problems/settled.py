@@ -14,6 +14,7 @@ from insemu.gap.candidates.jumps import bias_step, lever_arm_step
 from insemu.gap.candidates.shapes import Change, DriveHypothesis, Variant, linear_hypotheses
 from insemu.gap.candidates.steps import multipath_step, placed
 from insemu.gap.drive.apart import FIRST
+from insemu.gap.evidence.fixes import LEVEL_ROWS
 from insemu.gap.evidence.linear import Field
 from insemu.gap.hypothesis import Found, best_first
 from insemu.gap.policy import rules
@@ -61,6 +62,8 @@ class SettledFixes(NoiseOfFixes):
             self.found = [replace(f, chosen=at_level(f.chosen, levels)) for f in self.found]
         elif self.scene.noise is not None and colour is not self.found[-1].chosen:
             before = self.scene.noise.colour
+            for effect in LEVEL_ROWS:
+                self._in_common(self.scene.noise, effect)
             scene, joint = self._under_colour(self.scene.noise)
             self.found = [replace(f, chosen=as_joint(f.chosen, scene, joint)) for f in self.found]
             plain = self._without_colour(scene, joint.noise)
