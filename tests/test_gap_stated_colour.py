@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from insemu import earth
 from insemu.effects.gnss import gauss_markov
+from insemu.emulate import gnss_fixes
 from insemu.errors import InputError
 from insemu.gap.evidence import fixes
 from insemu.gap.evidence.surrogate import Colour, Surrogate
 from insemu.records import Recording
-from tests.test_gap_dynamic import flown, nominal_run, recording, use
+from tests.test_gap_dynamic import LEVER, flown, nominal_run, recording, use
 from tests.test_gap_fixes import looked
 
 Array = NDArray[np.float64]
@@ -112,3 +113,23 @@ def test_a_scenario_has_it() -> None:
     constant = use(effect="gnss_correlated_noise", sigma=[0.3, 0.3, 0.4], tau=20.0)
     # what is stated is the same throughout
     np.testing.assert_array_equal(recording(effect).gnss.llh, recording(constant).gnss.llh)  # type: ignore[union-attr]
+
+
+def received(white: float, seed: int) -> Recording:
+    """A flight whose receiver gives what its filters make of it, with white noise of a share of what it states."""
+    made, rng = recording(), np.random.default_rng(seed)
+    assert made.reference is not None
+    made = replace(made, gnss=gnss_fixes(made.reference, 1.0, (1e-3,) * 3, (0.05,) * 3, LEVER, rng=rng))
+    errors, P = by_kalman(len(made.gnss), 3, rng)  # type: ignore[arg-type]
+    sigma = np.sqrt(P)[:, None] * np.ones(3)
+    return stating(made, errors + white * sigma * rng.standard_normal(sigma.shape), sigma)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_level_that_was_named_before_a_colour_is_asked_again_beside_it(seed: int) -> None:
+    """It kept within its tolerance of what it was without the colour, for the horizontal axes and the height apart, with an interval as narrow."""
+    report = looked(received(0.1, seed))
+    (level,) = (f for f in report.findings if f.effect == "gnss_noise_level")
+    (colour,) = (f for f in report.findings if f.effect == "gnss_correlated_noise")
+    assert level.axes == colour.axes == ("north", "east", "down") and len(report.findings) == 2
+    assert level.parameters[0].low < 0.1 < level.parameters[0].high
