@@ -34,7 +34,7 @@ from insemu.gap.session import _closer, _looked_closer, _settled
 from insemu.gap.verdict import Interval, Member, Value, held_out_said
 from insemu.noise import AR, BI, DR, GM, QN, RW, SIN, WN, NoiseModel
 from insemu.records import AidRecord, GnssRecord, ImuRecord, Recording, Series
-from insemu.report.gap import FIRST_SCREEN, filtered_said, gap_headline, render_gap
+from insemu.report.gap import FIRST_SCREEN, filtered_said, finding_action, gap_headline, render_gap
 from insemu.scenario import load
 from insemu.trial.drives import stage
 
@@ -376,6 +376,10 @@ def test_positions_from_a_filter_in_the_receiver_are_said_to_be_that(tmp_path: P
     assert "from a filter in the receiver" in said and "north, east, down 0.006" in said and "974 s" in said
     page = render_gap(report(level, colour), tmp_path).read_text(encoding="utf-8")
     assert page.index("from a filter in the receiver") < page.rindex("1. GNSS position noise level")
+    follows = replace(colour, parameters=(*colour.parameters, Value("follows", 1.0, 1.0, 1.0, "1")))
+    assert "974 s, going with what it states." in filtered_said(report(level, follows))
+    assert "going with what the receiver states: sigma 0.3, tau 974" in finding_action(follows)
+    assert "states" not in finding_action(colour)
     assert not filtered_said(report(colour)) and not filtered_said(report(level))
     assert not filtered_said(report(strong("gnss_noise_level", 700.0, factor=0.38), colour))
 

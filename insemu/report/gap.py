@@ -118,13 +118,18 @@ def shown_value(value: Value) -> Value:
 
 def finding_action(finding: Finding) -> str:
     """What to do about a finding, in one line; values in units of datasheets."""
-    shown = [shown_value(v) for v in finding.parameters[:3]]
+    shown = [shown_value(v) for v in finding.parameters[:3] if v.name != "follows"]
     # of a vector the component alone: "value_x" is x, "rpy_roll" roll
     values = ", ".join(
         f"{v.name.removeprefix('value_').removeprefix('rpy_')} {v.value:.3g} {v.unit}".strip() for v in shown
     )
-    follows = ", as large as the receiver states" if any(v.name == "follows" for v in finding.parameters) else ""
+    follows = ", going with what the receiver states" if _follows(finding) else ""
     return _ACTIONS.get(finding.effect, "model or calibrate it: {}").format(values, follows=follows)
+
+
+def _follows(finding: Finding) -> bool:
+    """Whether slow errors of the fixes go with what the receiver states."""
+    return any(v.name == "follows" for v in finding.parameters)
 
 
 #: Findings on the first screen of a terminal and of a page, which folds the others, and names in the sentence above them.
@@ -220,15 +225,16 @@ def filtered_said(report: GapReport) -> str:
         for v in s.parameters
         if v.value < FILTERED
     ]
-    times = [
-        v.value for s in report.findings if s.effect == "gnss_correlated_noise" for v in s.parameters if v.name == "tau"
-    ]
+    slow = [s for s in report.findings if s.effect == "gnss_correlated_noise"]
+    times = [v.value for s in slow for v in s.parameters if v.name == "tau"]
+    stated = ", going with what it states" if any(_follows(s) for s in slow) else ""
     if not levels or not times:
         return ""
     sizes = ", ".join(f"{', '.join(axes)} {level:.3g}" for level, axes in levels)
     return (
         "The positions come from a filter in the receiver: from fix to fix they scatter by a small part of the believed standard deviations "
-        f"({sizes}), and their errors last {max(times):.3g} s. Such a filter may use an IMU too: to judge an IMU, log fixes that are not filtered."
+        f"({sizes}), and their errors last {max(times):.3g} s{stated}. "
+        "Such a filter may use an IMU too: to judge an IMU, log fixes that are not filtered."
     )
 
 
