@@ -248,12 +248,21 @@ class NoiseOfFixes(ABC):
         """The scene with a colour of the fixes: flown by a filter that is not led astray by it, which tells outliers again where there are any."""
         scene = self.scene
 
-        def likeliest(*kinds: FixNoise) -> JointNoise:
-            s, wide = self._fixes(scene), self._levels()
-            usual = apart_from_named(scene, wide)
-            return max((joint_noise(s, kind, usual, wide=wide) for kind in kinds), key=lambda joint: joint.evidence)
+        def likeliest(noise: FixNoise, s: Surrogate | None = None) -> JointNoise:
+            wide = self._levels()
+            return joint_noise(self._fixes(scene) if s is None else s, noise, apart_from_named(scene, wide), wide=wide)
 
-        joint = likeliest(*self._kinds(noise))
+        def predicted(noise: FixNoise) -> float:
+            # what the first part of the fixes says of the last
+            s = self._fixes(scene)
+            early = s.until(float(s.t[0] + rules().naming_share * (s.t[-1] - s.t[0])))
+            seen = [likeliest(noise, early).noise]
+            return float(s.log_likelihoods(seen)[0] - early.log_likelihoods(seen)[0])
+
+        each = sorted(map(likeliest, self._kinds(noise)), key=lambda joint: -joint.evidence)
+        joint, plain = each[0], next((j for j in each if not j.noise.colour.follows), None)
+        if joint.noise.colour.follows and plain is not None and predicted(joint.noise) < predicted(plain.noise):
+            joint = plain
         known = self._named("gnss_outliers")
         loud, noise = joint.noise.apart(scene.surrogate.sigma())
         kept = {k: t for k, t in self.gone.items() if FIRST[k] > 0}
