@@ -53,6 +53,7 @@ def test_the_memory_is_that_of_a_kalman_filter() -> None:
     s = replace(Surrogate.of(nominal_run()[0]), t=np.arange(200.0), stated=np.tile(P[:, None] / middle, (1, 6)))
     phi, drive, first = s.memory(Colour(np.full(6, math.sqrt(middle)), tau, follows=True))
     assert first[0] == pytest.approx(P[0])
+    # of 40,000 runs a covariance scatters by sqrt(2 / 40,000) of itself: six of that
     np.testing.assert_allclose(phi[1:, 0] * P[:-1], np.mean(errors[1:] * errors[:-1], axis=1), rtol=0.04)
     np.testing.assert_allclose(phi[1:, 0] ** 2 * P[:-1] + drive[1:, 0], P[1:], rtol=1e-12)
 
@@ -64,6 +65,7 @@ def test_emulated_errors_are_those_that_the_search_believes() -> None:
     s = replace(Surrogate.of(nominal_run()[0]), t=t, stated=np.tile((sigma**2 / np.median(sigma**2))[:, None], (1, 6)))
     phi, _, _ = s.memory(Colour(np.full(6, 0.5), 20.0, follows=True))
     variance = 0.25 * s.stated[:, 0]
+    # of 4,000 draws a variance scatters by sqrt(2 / 4,000) of itself: five of that
     np.testing.assert_allclose(np.mean(drawn**2, axis=0), variance, rtol=0.12)
     np.testing.assert_allclose(
         np.mean(drawn[:, 1:] * drawn[:, :-1], axis=0), phi[1:, 0] * variance[:-1], rtol=0.12, atol=0.02 * variance.max()
@@ -108,10 +110,9 @@ def test_an_error_cannot_follow_a_standard_deviation_of_zero() -> None:
         gauss_markov(np.arange(3.0), 1.0, 1.0, np.random.default_rng(0), np.zeros((3, 3)))
 
 
-def test_a_scenario_has_it() -> None:
+def test_it_is_stationary_where_always_the_same_is_stated() -> None:
     effect = use(effect="gnss_correlated_noise", sigma=[0.3, 0.3, 0.4], tau=20.0, follows=1)
     constant = use(effect="gnss_correlated_noise", sigma=[0.3, 0.3, 0.4], tau=20.0)
-    # what is stated is the same throughout
     np.testing.assert_array_equal(recording(effect).gnss.llh, recording(constant).gnss.llh)  # type: ignore[union-attr]
 
 

@@ -14,6 +14,23 @@ from insemu.gap.evidence.lanes import LANES, add, div, load, mul, spread, store,
 Array = NDArray[np.float64]
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _entries(
+    row: Array, which: NDArray[np.int64], component: int, at: NDArray[np.int64], a: Array
+) -> int:  # pragma: no cover - compiled
+    """States that a component of a fix shows: how many; places and by how much go to ``at`` and ``a``: the error's, then its own part of g."""
+    seen = 0
+    for j in range(row.size):
+        if row[j] != 0.0:
+            at[seen], a[seen] = j, -row[j]
+            seen += 1
+    for j in range(which.size):
+        if which[j] == component:
+            at[seen], a[seen] = row.size + j, 1.0
+            seen += 1
+    return seen
+
+
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def surrogate_gains(
     Phi: Array,
@@ -133,15 +150,7 @@ def surrogate_gains(
         for i in range(6):
             if use[k, i] == 0:
                 continue
-            seen = 0
-            for j in range(n):
-                if H[k, i, j] != 0.0:
-                    at[seen], a[seen] = j, -H[k, i, j]
-                    seen += 1
-            for j in range(extra):
-                if which[j] == i:
-                    at[seen], a[seen] = n + j, 1.0
-                    seen += 1
+            seen = _entries(H[k, i], which[:extra], i, at, a)
             g[:] = 0.0
             for r in range(seen):
                 w = a[r]
@@ -369,15 +378,7 @@ def surrogate_likelihoods(
             for i in range(6):
                 if use[k, i] == 0:
                     continue
-                seen = 0
-                for j in range(n):
-                    if H[k, i, j] != 0.0:
-                        at[seen], a[seen] = j, -H[k, i, j]
-                        seen += 1
-                for j in range(extra):
-                    if which[j] == i:
-                        at[seen], a[seen] = n + j, 1.0
-                        seen += 1
+                seen = _entries(H[k, i], which[:extra], i, at, a)
                 own = used * row
                 for j in range(m):
                     total_of = spread(0.0)

@@ -256,7 +256,8 @@ class DriveProblem(SettledFixes):
             elif not self._needs_a_level(noise):
                 h = replace(h, nats=h.nats + self._take_back("gnss_noise_level"))
                 self.scene = scene.rebuilt(levels=np.where(np.arange(6) < 3, 1.0, scene.original.levels))
-            scene, joint = self._under_colour(noise)
+            scene, joint, less = self._under_colour(noise)
+            h = replace(h, nats=h.nats - less)
             self.found = [replace(f, chosen=as_joint(f.chosen, scene, joint)) for f in self.found]
             new = replace(new, chosen=as_joint(h, scene, joint))
         elif level is not None:

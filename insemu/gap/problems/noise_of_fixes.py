@@ -244,8 +244,11 @@ class NoiseOfFixes(ABC):
         beside = joint_noise(s, noise, usual, wide=wide)
         return beside.evidence > joint_noise(s, noise, usual).evidence + rules().keep_nats
 
-    def _under_colour(self, noise: FixNoise) -> tuple[Scene, JointNoise]:
-        """The scene with a colour of the fixes: flown by a filter that is not led astray by it, which tells outliers again where there are any."""
+    def _under_colour(self, noise: FixNoise) -> tuple[Scene, JointNoise, float]:
+        """The scene with a colour of the fixes: flown by a filter that is not led astray by it, which tells outliers again where there are any.
+
+        Also what it explains less than the kind that explains most of the fixes looked at, but predicts worse, nats.
+        """
         scene = self.scene
 
         def likeliest(noise: FixNoise, s: Surrogate | None = None) -> JointNoise:
@@ -261,8 +264,10 @@ class NoiseOfFixes(ABC):
 
         each = sorted(map(likeliest, self._kinds(noise)), key=lambda joint: -joint.evidence)
         joint, plain = each[0], next((j for j in each if not j.noise.colour.follows), None)
+        most = joint.evidence
         if joint.noise.colour.follows and plain is not None and predicted(joint.noise) < predicted(plain.noise):
             joint = plain
+        less = most - joint.evidence
         known = self._named("gnss_outliers")
         loud, noise = joint.noise.apart(scene.surrogate.sigma())
         kept = {k: t for k, t in self.gone.items() if FIRST[k] > 0}
@@ -284,7 +289,7 @@ class NoiseOfFixes(ABC):
             noise = joint.noise
             if abs(math.log(noise.colour.tau / tau)) < AS_LONG and np.array_equal(before, now):
                 break
-        return scene.coloured(noise), joint
+        return scene.coloured(noise), joint, less
 
     def _levels(self) -> list[list[int]]:
         """Components of the fixes of each level that was named: what it is beside a colour, which it may have stood for, is asked again."""

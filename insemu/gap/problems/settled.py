@@ -64,7 +64,7 @@ class SettledFixes(NoiseOfFixes):
             before = self.scene.noise.colour
             for effect in LEVEL_ROWS:
                 self._in_common(self.scene.noise, effect)
-            scene, joint = self._under_colour(self.scene.noise)
+            scene, joint, _ = self._under_colour(self.scene.noise)
             self.found = [replace(f, chosen=as_joint(f.chosen, scene, joint)) for f in self.found]
             plain = self._without_colour(scene, joint.noise)
             self._take(plain or scene)
