@@ -184,10 +184,13 @@ def test_an_effect_worth_less_than_two_nats_beside_the_others_is_idle(nats, idle
     old = found("ramp", 30.0, block=(np.array([0]), np.eye(1)))
     one = Hypothesis("ramp", nats, (), old.chosen.change, "", "gyro", ("x",))
     monkeypatch.setattr(drive, "linear_hypotheses", lambda *_: [one])
+    # nothing is left that its score could go with
+    monkeypatch.setattr(drive, "Left", lambda *_: SimpleNamespace(too_much=lambda _: 0.0))
     problem = SimpleNamespace(
         scene=None,
         variants=(),
         data=None,
+        rows=None,
         threshold=3.0,
         blocks=lambda _: [],
         _skip=lambda _: set(),

@@ -63,7 +63,11 @@ class Field:
             row, col = row + i.size, col + r.shape[1]
         return index, root
 
-    def _solved(self, blocks: Sequence[Block]) -> tuple[NDArray[Any], Array, Array, Array]:
+    def solved(self, blocks: Sequence[Block]) -> tuple[NDArray[Any], Array, Array, Array]:
+        """Columns (n,) of blocks and their prior root (n, k), which standard normal numbers z are multiplied with.
+
+        Also the Cholesky factor (k, k) of the precision of z and its right-hand side (k,).
+        """
         index, root = self._joined(blocks)
         if "A" in self.__dict__:
             A, b = self.A[np.ix_(index, index)], self.b[index]
@@ -78,13 +82,13 @@ class Field:
         """Log Bayes factor of blocks together against nothing."""
         if not blocks:
             return 0.0
-        _, _, L, rb = self._solved(blocks)
+        _, _, L, rb = self.solved(blocks)
         z = np.linalg.solve(L, rb)
         return 0.5 * float(z @ z) - float(np.sum(np.log(np.diag(L))))
 
     def posterior(self, blocks: Sequence[Block]) -> tuple[NDArray[Any], Array, Array]:
         """Indices, mean and covariance of the coefficients of all blocks together."""
-        index, root, L, rb = self._solved(blocks)
+        index, root, L, rb = self.solved(blocks)
         half = np.linalg.solve(L, root.T)
         return index, half.T @ np.linalg.solve(L, rb), half.T @ half
 
@@ -99,7 +103,7 @@ class Field:
         b = self.b[:, None] if draws is None else np.hstack([self.b[:, None], draws])
         if not blocks:
             return self.A, b
-        index, root, L, _ = self._solved(blocks)
+        index, root, L, _ = self.solved(blocks)
         half = np.linalg.solve(L, (self.A[:, index] @ root).T)
         return self.A - half.T @ half, b - half.T @ np.linalg.solve(L, root.T @ b[index])
 

@@ -14,6 +14,7 @@ from insemu.errors import InputError
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.candidates.fixes import about, as_joint, covariance_hypotheses
 from insemu.gap.candidates.jumps import JUMPS
+from insemu.gap.candidates.robust import Left, beyond_doubt, held, is_linear
 from insemu.gap.candidates.shapes import (
     ONCE,
     POSITIVE,
@@ -144,11 +145,18 @@ class DriveProblem(SettledFixes):
                 least = self._step_nats() if effect != "bias_step" else -math.inf
                 out += [h for h in look(self.scene, self.data, self.rows, given) if h.nats > least]
         out = best_first([*out, *covariance_hypotheses(self.scene, given, skip, self.cut, self._levelled())])
+        out = self._held(out, given, self.threshold)
         shaken = with_unresolved(self.scene, given, self.cut, out[0].nats) if out[0].nats > self.threshold else None
         if shaken is None:
             return out
         self._take(shaken)
         return self.rank()
+
+    def _held(self, ranked: Sequence[DriveHypothesis], given: Sequence[Block], least: float) -> list[DriveHypothesis]:
+        """Effects best first, those with less than is said whose scores vary so much that they are not sure to be worth ``least`` nats."""
+        if not ranked or ranked[0].nats < least:
+            return list(ranked)
+        return held(Left(self.scene, self.data, self.rows, given), ranked, least)
 
     def _levelled(self, without: Found[Change] | None = None) -> NDArray[np.bool_]:
         """Components (6,) of the fixes whose level was named."""
@@ -295,8 +303,12 @@ class DriveProblem(SettledFixes):
         ranked = best_first(
             linear_hypotheses(self.scene, self._beside(old), self.data, self.blocks(old), self._skip(old))
         )
-        kept = next((r for r in ranked if (r.effect, r.sensor) == (h.effect, h.sensor)), replace(h, nats=-math.inf))
-        rival, idle = ranked[0], ranked[0].nats < min(self.threshold, rules().keep_nats)
+        least = min(self.threshold, rules().keep_nats)
+        left = Left(self.scene, self.data, self.rows, self.blocks(old))
+        own = next((r for r in ranked if (r.effect, r.sensor) == (h.effect, h.sensor)), replace(h, nats=-math.inf))
+        kept = beyond_doubt(left, own, least)
+        ranked = held(left, [kept if r is own else r for r in ranked], least)
+        rival, idle = ranked[0], ranked[0].nats < least
         # what jumps was weighed where this was found, and stays as far from it
         jumps = [replace(r, nats=r.nats + kept.nats - h.nats) for r in old.ranked if r.effect in JUMPS]
         return Again(kept, tuple(best_first([*ranked, *jumps])), rival, idle)
@@ -314,6 +326,20 @@ class DriveProblem(SettledFixes):
     def drop(self, old: Found[Change], again: Again[Change]) -> None:
         """Take a finding back."""
         self.found, self._changed = [g for g in self.found if g is not old], True
+
+    def keep_sure(self) -> None:
+        """Take back, the weakest first, each finding that is not sure to be worth anything beside the others."""
+        least = min(self.threshold, rules().keep_nats)
+        while True:
+            whole, sure = self.data.log_factor(self.blocks()), list[tuple[float, Found[Change]]]()
+            for f in (f for f in self.found if is_linear(f.chosen)):
+                others = self.blocks(f)
+                claimed = Left(self.scene, self.data, self.rows, others).too_much(f.chosen)
+                sure.append((whole - self.data.log_factor(others) - claimed, f))
+            worth, weakest = min(sure, key=lambda s: s[0], default=(math.inf, None))
+            if worth >= least:
+                return
+            self.found = [f for f in self.found if f is not weakest]
 
     def noise_again(self, first: Scene) -> None:
         """Take back the noise of the fixes and what was found with it, from the ``first`` scene on."""
@@ -337,7 +363,10 @@ class DriveProblem(SettledFixes):
             for effect in (e for e in JUMPS if e in weighed):  # what came since tells how far from it they are
                 jumps = STEPS[effect](self.scene, self.data, self.rows, others)
                 f = replace(f, ranked=(*(r for r in f.ranked if r.effect != effect), *jumps))
-            self.found[k] = f = replace(f, ranked=tuple(best_first(f.ranked)))
+            ranked = best_first(f.ranked)
+            if h.change.block is not None:
+                ranked = self._held(ranked, others, min(self.threshold, rules().keep_nats))
+            self.found[k] = f = replace(f, ranked=tuple(ranked))
             if h.change.columns:
                 own = [v for v in self.variants if (v.effect, v.sensor) == (h.effect, h.sensor)]
                 beyond, what = library_evidence(self.scene, self.data, others)
@@ -368,6 +397,7 @@ def find_effects(
         progress("once more, with noise and steps of the fixes as they are beside the rest")
         search(problem, progress)
         problem.settle()
+    problem.keep_sure()
     if cut is None:
         # a name is that of the best explanation
         reconsider(problem, 0.0)

@@ -19,6 +19,7 @@ from insemu.gap.candidates.fixes import (
     whole_innovations,
     within,
 )
+from insemu.gap.candidates.robust import Left
 from insemu.gap.candidates.shapes import LAGGED, ONCE, PROCESSES, Change, bank, shape_values
 from insemu.gap.confusion import Repetitions
 from insemu.gap.drive.apart import FIRST, LOOSE
@@ -155,11 +156,15 @@ def told(f: Found[Change], named: Named, outages: Sequence[Outage]) -> Finding:
         In which it is told what noise is worth.
     """
     h, scene, values, metres = f.chosen, named.scene, f.chosen.values, math.nan
+    factor = 1.0
+    if h.change.block is not None:
+        beside = [*scene.always, *blocks_of([g for g in named.found if g is not f])]
+        factor = Left(scene, scene.data, slice(None), beside).excess(h)
     if h.change.block is not None and (h.change.columns or h.change.window is not None):
         index, mean, covariance = scene.data.posterior(named.blocks)
         # two blocks may share a column: what it explains is their sum
         sums = (index[None, :] == h.change.block[0][:, None]).astype(np.float64)
-        mean, covariance = sums @ mean, sums @ covariance @ sums.T
+        mean, covariance = sums @ mean, factor * sums @ covariance @ sums.T
         if h.change.columns:
             values = shape_values(scene, h.change.block[0], mean, covariance)
             metres = worth_in_motion(scene.loop, scene.motion, [scene.columns[i] for i in h.change.columns], mean)
@@ -172,7 +177,7 @@ def told(f: Found[Change], named: Named, outages: Sequence[Outage]) -> Finding:
     members, others, confidence = class_of(*rivals_of(f))
     needs = "; ".join(dict.fromkeys(EFFECTS[m.effect].excitation for m in members)) if len(members) > 1 else ""
     text = f"a recording with more of: {needs}" if needs else ""
-    found = Finding(h.effect, h.variant, h.sensor, h.axes, values, confidence, h.nats, members, text, others)
+    found = Finding(h.effect, h.variant, h.sensor, h.axes, values, confidence, h.nats / factor, members, text, others)
     if h.variant == LAGGED:
         return replace(found, metres=worth_of_added(scene.loop, scene.motion, found))
     return replace(found, metres=metres if math.isfinite(metres) else worth_in_noise(found, None, outages))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from insemu.gap.candidates.shapes import Change, DriveHypothesis, Variant, linea
 from insemu.gap.candidates.steps import multipath_step, placed
 from insemu.gap.drive.apart import FIRST
 from insemu.gap.evidence.fixes import LEVEL_ROWS
-from insemu.gap.evidence.linear import Field
+from insemu.gap.evidence.linear import Block, Field
 from insemu.gap.hypothesis import Found, best_first
 from insemu.gap.policy import rules
 from insemu.gap.problems.noise_of_fixes import NoiseOfFixes
@@ -42,6 +43,10 @@ class SettledFixes(NoiseOfFixes):
     @abstractmethod
     def _beside(self, without: Found[Change] | None = None) -> list[Variant]:
         """What may stand beside the findings, all or all but one."""
+
+    @abstractmethod
+    def _held(self, ranked: Sequence[DriveHypothesis], given: Sequence[Block], least: float) -> list[DriveHypothesis]:
+        """Effects best first, those with less than is said that are not sure to be worth ``least`` nats."""
 
     @abstractmethod
     def put(self, old: Found[Change], new: DriveHypothesis, again: Again[Change]) -> None:
@@ -80,8 +85,9 @@ class SettledFixes(NoiseOfFixes):
         for old in [f for f in self.found if f.chosen.change.window is not None]:
             assert old.chosen.change.block is not None
             tried = STEPS[old.chosen.effect](self.scene, self.data, self.rows, self.blocks(old))
+            least = min(self.threshold, rules().keep_nats)
             own = next((h for h in tried if h.sensor == old.chosen.sensor), None)
-            if own is None or own.nats < min(self.threshold, rules().keep_nats):
+            if own is None or self._held([own], self.blocks(old), least)[0].nats < least:
                 self.found = [f for f in self.found if f is not old]
                 continue
             rivals = linear_hypotheses(self.scene, self._beside(old), self.data, self.blocks(old), self._skip(old))
