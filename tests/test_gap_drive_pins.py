@@ -15,9 +15,10 @@ from insemu.effects import having
 from insemu.errors import InputError
 from insemu.gap import session
 from insemu.gap.beliefs.nominal import Nominal
-from insemu.gap.candidates import shapes, steps
+from insemu.gap.candidates import robust, shapes, steps
 from insemu.gap.candidates.axis import state_of
 from insemu.gap.candidates.shapes import Change
+from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.checks import drive as drive_checks
 from insemu.gap.data.log import Reduced, reduce
 from insemu.gap.drive import shaking
@@ -185,16 +186,16 @@ def test_an_effect_worth_less_than_two_nats_beside_the_others_is_idle(nats, idle
     one = Hypothesis("ramp", nats, (), old.chosen.change, "", "gyro", ("x",))
     monkeypatch.setattr(drive, "linear_hypotheses", lambda *_: [one])
     # nothing is left that its score could go with
-    monkeypatch.setattr(drive, "Left", lambda *_: SimpleNamespace(too_much=lambda _: 0.0))
+    monkeypatch.setattr(robust, "too_much", lambda *_: 0.0)
     problem = SimpleNamespace(
         scene=None,
         variants=(),
         data=None,
-        rows=None,
         threshold=3.0,
         blocks=lambda _: [],
         _skip=lambda _: set(),
         _beside=lambda _: (),
+        _unexplained=lambda _: None,
     )
     assert drive.DriveProblem.again(problem, old).idle == idle
 
@@ -255,7 +256,7 @@ def told_step(start: int, length: int, monkeypatch) -> list[float]:
     scene = SimpleNamespace(
         noise=None, starts=starts, step_columns=G, whitened=lambda x: x, prepared=SimpleNamespace(result=SimpleNamespace(fixes=SimpleNamespace(t=t))),
     )  # fmt: skip
-    found = steps.multipath_step(scene, Field(y.ravel(), G), slice(None), [])
+    found = steps.multipath_step(Unexplained(scene, Field(y.ravel(), G), slice(None), []))
     return [v.value for h in found for v in h.values if v.name == "duration"]
 
 

@@ -21,7 +21,8 @@ from insemu.errors import InputError
 from insemu.gap import GapReport, Nominal, find_gap
 from insemu.gap.candidates.fixes import _share_and_size, gnss_outliers, without_outliers
 from insemu.gap.candidates.shapes import Change
-from insemu.gap.candidates.steps import Beside, _Scan, _step_anywhere, _when, multipath_step, surprising
+from insemu.gap.candidates.steps import _Scan, _step_anywhere, _when, multipath_step, surprising
+from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.drive import FIRST
 from insemu.gap.drive.apart import log_mixture, outlying
 from insemu.gap.drive.preparation import Flown, fitted_levels
@@ -201,14 +202,14 @@ def test_a_step_that_a_filter_follows_within_a_few_fixes_is_found() -> None:
     step = sensors.Hidden("gnss_multipath_step", "gnss", "east", {"value": 0.146, "start": 97.98, "duration": 80.87})
     scene = Scene.of(Flown.of(*taken(sensors.draw_world(500046, 360.0, True), (step,))).prepared)
     rows = np.ones(scene.rows_t.size, dtype=bool)
-    (found,) = multipath_step(scene, scene.data, rows, scene.always)
+    (found,) = multipath_step(Unexplained(scene, scene.data, rows, scene.always))
     assert found.axes == ("east",) and found.nats > 40.0
     value, start, duration = found.values
     assert value.low < 0.146 < value.high and start.low < 97.98 < start.high
     assert duration.low < 80.87 < duration.high
     # where nothing is hidden nothing is found
     scene = Scene.of(Flown.of(*taken(sensors.draw_world(500046, 360.0, True), ())).prepared)
-    assert all(h.nats < 3.0 for h in multipath_step(scene, scene.data, rows, scene.always))
+    assert all(h.nats < 3.0 for h in multipath_step(Unexplained(scene, scene.data, rows, scene.always)))
 
 
 def test_the_fixes_behind_which_residuals_surprise() -> None:
@@ -398,14 +399,14 @@ def test_a_step_behind_a_colour_is_found_at_its_edges() -> None:
     step = use(effect="gnss_multipath_step", value=[0.0, 0.4, 0.0], start=121.4, duration=41.0)
     scene = behind_a_colour(recording(COLOUR, step))
     given, rows = list(scene.always), np.ones(scene.rows_t.size, dtype=bool)
-    (found,) = multipath_step(scene, scene.data, rows, given)
+    (found,) = multipath_step(Unexplained(scene, scene.data, rows, given))
     told = {v.name: v for v in found.values}
     assert found.axes == ("east",) and found.nats > 10.0
     assert told["start"].low < 121.4 < told["start"].high and told["start"].high - told["start"].low < 1.5
     assert told["duration"].low < 41.0 < told["duration"].high and told["value"].low < 0.4 < told["value"].high
-    assert _step_anywhere(scene, rows, Beside.of(scene.data, given)).nats < found.nats - 8.0
+    assert _step_anywhere(Unexplained(scene, scene.data, rows, given)).nats < found.nats - 8.0
     quiet = behind_a_colour(recording(COLOUR))
-    (none,) = multipath_step(quiet, quiet.data, rows, list(quiet.always))
+    (none,) = multipath_step(Unexplained(quiet, quiet.data, rows, list(quiet.always)))
     assert none.nats < rules().least_nats
 
 

@@ -34,7 +34,15 @@ from insemu.gap.session import _closer, _looked_closer, _settled
 from insemu.gap.verdict import Interval, Member, Value, held_out_said
 from insemu.noise import AR, BI, DR, GM, QN, RW, SIN, WN, NoiseModel
 from insemu.records import AidRecord, GnssRecord, ImuRecord, Recording, Series
-from insemu.report.gap import FIRST_SCREEN, filtered_said, finding_action, gap_headline, render_gap
+from insemu.report.gap import (
+    FIRST_SCREEN,
+    effect_name,
+    filtered_said,
+    finding_action,
+    folded_said,
+    gap_headline,
+    render_gap,
+)
 from insemu.scenario import load
 from insemu.trial.drives import stage
 
@@ -364,6 +372,11 @@ def test_the_sentence_above_names_three_and_counts_the_others(tmp_path: Path) ->
     assert page.count('class="card ') == 1 + FIRST_SCREEN
     # the table too begins with those; the others are behind a fold
     assert page.index(">6. ") < page.index("<summary>2 more</summary>") < page.index(">8. ")
+    # many of one effect are counted apart
+    steps = [replace(strong("gnss_multipath_step", 5.0), metres=0.01, axes=(a,)) for a in ("north", "east", "down")]
+    assert folded_said(many) == "2 more" and not folded_said(report(*findings))
+    named = effect_name("gnss_multipath_step")
+    assert folded_said(report(*many.findings, *steps)) == f"5 more, 3 of them: {named}"
 
 
 def test_positions_from_a_filter_in_the_receiver_are_said_to_be_that(tmp_path: Path) -> None:

@@ -12,8 +12,9 @@ from scipy.signal import lfilter
 
 from benchmarks.foreign import sensors
 from benchmarks.foreign.judge import taken
-from insemu.gap.candidates.robust import Left, held, is_linear
+from insemu.gap.candidates.robust import excess_of, held, is_lasting, too_much
 from insemu.gap.candidates.shapes import bank, linear_hypotheses
+from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.linear import Field
@@ -87,9 +88,9 @@ def test_an_effect_that_holds_in_places_only_is_not_held() -> None:
     for y, sure in ((noise + 12.0 * shape, True), (noise + turns * shape, False)):
         of = Field(y, data.G, data.variance)
         (h,) = linear_hypotheses(scene, [own], of, [], set())
-        assert is_linear(h) and h.nats > 6.0
-        left = Left(scene, of, rows, [])
-        (kept,) = held(left, [h], 3.0)
+        assert is_lasting(h) and h.nats > 6.0
+        beside = Unexplained(scene, of, rows, [])
+        (kept,) = held(beside, [h], 3.0)
         assert (kept is h) == sure
-        assert (left.excess(h) < 1.5) == sure
-        assert kept.nats == pytest.approx(h.nats if sure else h.nats - left.too_much(h))
+        assert (excess_of(beside, h) < 1.5) == sure
+        assert kept.nats == pytest.approx(h.nats if sure else h.nats - too_much(beside, h))

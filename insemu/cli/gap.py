@@ -158,6 +158,7 @@ def _tell(report: GapReport, console: Console) -> None:
         finding_action,
         finding_metres,
         finding_nees,
+        folded_said,
         gap_headline,
         is_better,
         sensor_axes,
@@ -191,8 +192,8 @@ def _tell(report: GapReport, console: Console) -> None:
             for v in map(shown_value, s.parameters[:6]):
                 said = with_interval(v.value, v.low, v.high)
                 console.print(f"   {v.name} {said} {v.unit}", highlight=False, markup=False)
-        if len(report.findings) > FIRST_SCREEN:
-            console.print(f"and {len(report.findings) - FIRST_SCREEN} more on the page")
+        if folded := folded_said(report):
+            console.print(f"on the page: {folded}", highlight=False, markup=False)
     if report.remainder:
         console.print(f"Left unexplained: {report.remainder}", highlight=False, markup=False)
     for said in (filtered_said(report), shaking_said(report)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -134,6 +135,8 @@ def _follows(finding: Finding) -> bool:
 
 #: Findings on the first screen of a terminal and of a page, which folds the others, and names in the sentence above them.
 FIRST_SCREEN, FEW_NAMES = 6, 3
+#: Findings of one effect among those that are folded from which on they are counted apart.
+MANY = 3
 #: Scatter of the positions from fix to fix over what is believed below which they were filtered: RTK without a filter reaches 0.38 (rtkexp_drive),
 #: filters 0.007 to 0.02 (u-blox, UAV; ``python -m tests.real_gaps``).
 FILTERED = 0.1
@@ -182,6 +185,13 @@ def gap_headline(report: GapReport) -> str:
         )
         return f"{ahead}{where} {or_names}: this recording cannot tell them apart. What would: {first.would_separate}.{besides}{doubt}"
     return f"{ahead}Missing from the model: {_few(names)}.{doubt}"
+
+
+def folded_said(report: GapReport) -> str:
+    """How many findings the first screen has no room for, and of what many of them are; empty where there are none."""
+    rest = [s for _, s in report.numbered()[FIRST_SCREEN:]]
+    many = [(effect, k) for effect, k in Counter(s.effect for s in rest).most_common() if k >= MANY]
+    return f"{len(rest)} more" + "".join(f", {k} of them: {effect_name(effect)}" for effect, k in many) if rest else ""
 
 
 def _few(names: Sequence[str]) -> str:
@@ -396,7 +406,7 @@ def _suspects(report: GapReport, names: Sequence[str]) -> list[Section]:
     said = filtered_said(report)
     suspects: list[Block] = [*([Text(said)] if said else []), _found(report, order[:FIRST_SCREEN])]
     if rest := order[FIRST_SCREEN:]:
-        suspects.append(Folded(f"{len(rest)} more", [_found(report, rest)]))
+        suspects.append(Folded(folded_said(report), [_found(report, rest)]))
     classes = [s for s in report.findings if s.is_class]
     if classes:
         suspects.append(Text("Effects that this recording cannot tell apart:"))

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS, first_axis
 from insemu.gap.candidates.shapes import Change, DriveHypothesis, sizes
-from insemu.gap.candidates.steps import Beside, surprising
-from insemu.gap.drive.scene import ARMS, Scene
-from insemu.gap.evidence.linear import Block, Field, log_mean_exp_columns
+from insemu.gap.candidates.steps import surprising
+from insemu.gap.candidates.unexplained import Unexplained
+from insemu.gap.drive.scene import ARMS
+from insemu.gap.evidence.linear import log_mean_exp_columns
 from insemu.gap.evidence.starts import CLOSE_CELLS, Starts
 from insemu.gap.hypothesis import Hypothesis
 from insemu.gap.policy import rules
@@ -44,7 +45,7 @@ class _Jump:
     axis : str
     place : int
         Where it stands among the windows of a scene.
-    beside : Beside
+    beside : Unexplained
     columns : callable
         Unit jumps at times (k,), s, as columns (r, k).
     times : (n,) array
@@ -59,7 +60,7 @@ class _Jump:
     sensor: str
     axis: str
     place: int
-    beside: Beside
+    beside: Unexplained
     columns: Callable[[Array], Array]
     times: Array
     first: Array
@@ -93,30 +94,28 @@ class _Jump:
         return sized(np.maximum(a, 1e-12), b, EFFECTS[self.effect].scale("value", self.sensor), widths)
 
 
-def bias_step(
-    scene: Scene, data: Field, rows: NDArray[np.bool_] | slice, given: Sequence[Block]
-) -> list[DriveHypothesis]:
+def bias_step(beside: Unexplained) -> list[DriveHypothesis]:
     """Steps of the bias of each axis of the sensors, at every start.
 
     From knot to knot a step is the sum of the slow errors of the knots behind it.
 
     Parameters
     ----------
-    scene, data, rows, given
-        As those of :func:`insemu.gap.candidates.steps.multipath_step`.
+    beside : Unexplained
 
     Returns
     -------
     list of DriveHypothesis
         One per sensor; none where there are fewer than four times at which a step may start.
     """
+    scene, data, rows = beside.scene, beside.data, beside.rows
     seen = scene.rows_t[rows]
     middles = 0.5 * (scene.knots[1:] + scene.knots[:-1])
     # a step from the first knots on is a turn-on bias, one behind the last fix is none
     times = middles[1 : int(np.searchsorted(middles, seen[-1] if seen.size else -math.inf)) - 1]
     if times.size < FEWEST_STARTS:
         return []
-    beside, out = Beside.of(data, given), []
+    out = []
     for sensor in EFFECTS["bias_step"].sensors:
         jumps, first = [], first_axis(sensor)
         for k, axis in enumerate("xyz"):
@@ -132,26 +131,24 @@ def bias_step(
     return out
 
 
-def lever_arm_step(
-    scene: Scene, data: Field, rows: NDArray[np.bool_] | slice, given: Sequence[Block]
-) -> list[DriveHypothesis]:
+def lever_arm_step(beside: Unexplained) -> list[DriveHypothesis]:
     """Changes of the lever arm along each axis of the body, at every start.
 
     Parameters
     ----------
-    scene, data, rows, given
-        As those of :func:`bias_step`.
+    beside : Unexplained
 
     Returns
     -------
     list of DriveHypothesis
         One; none where there are fewer than four times at which a change may start.
     """
+    scene, rows = beside.scene, beside.rows
     seen = scene.rows_t[rows]
     count = int(np.searchsorted(scene.arm_starts, seen[-1] if seen.size else -math.inf))
     if count < FEWEST_STARTS:
         return []
-    beside, first, t_fix = Beside.of(data, given), scene.arm_columns[rows], scene.prepared.result.fixes.t
+    first, t_fix = scene.arm_columns[rows], scene.prepared.result.fixes.t
     jumps = []
     for k, axis in enumerate("xyz"):
 
@@ -162,12 +159,13 @@ def lever_arm_step(
         jumps.append(
             _Jump("lever_arm_step", "gnss", axis, ARMS + k, beside, columns, scene.arm_starts[:count], own, t_fix)
         )
-    return [_best(jumps, _edges(scene, rows, beside))]
+    return [_best(jumps, _edges(beside))]
 
 
-def _edges(scene: Scene, rows: NDArray[np.bool_] | slice, beside: Beside) -> tuple[Array, Array]:
+def _edges(beside: Unexplained) -> tuple[Array, Array]:
     """Middles and widths, s, of gaps before fixes that surprise most in the directions in which a lever arm moves them."""
-    t, (residuals, last), along = scene.prepared.result.fixes.t, beside.by_fix(scene, rows), []
+    scene = beside.scene
+    t, (residuals, last), along = scene.prepared.result.fixes.t, beside.by_fix(), []
     for axis in range(3):
         g = np.einsum("kij,kj->ki", scene.loop.white, scene.arm_fixes(axis))
         along.append(np.einsum("ki,ki->k", residuals, g) / np.maximum(np.linalg.norm(g, axis=1), np.finfo(float).tiny))

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
 from insemu.effects import EFFECTS
 from insemu.gap.candidates.shapes import Change, DriveHypothesis
+from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import fix_step_response
 from insemu.gap.evidence.fixes import NED
-from insemu.gap.evidence.linear import Block, Field, log_mean_exp, recursive_residuals
+from insemu.gap.evidence.linear import Block, log_mean_exp
 from insemu.gap.hypothesis import Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
@@ -33,34 +33,25 @@ STRETCHES, SURPRISES, BESIDE = (1, 2, 4, 8), 16, 2
 APART = 1.5
 
 
-def multipath_step(
-    scene: Scene, data: Field, rows: NDArray[np.bool_] | slice, given: Sequence[Block]
-) -> list[DriveHypothesis]:
+def multipath_step(beside: Unexplained) -> list[DriveHypothesis]:
     """Scan start and duration of a step in the position fixes, on each axis; refined around the best.
 
     Parameters
     ----------
-    scene : Scene
-        The recording with its responses.
-    data : Field
-        The innovations of the rows that are looked at.
-    rows : (r,) array of bool, or slice
-        Which rows of the recording's field these are.
-    given : sequence of Block
-        What is explained already.
+    beside : Unexplained
 
     Returns
     -------
     list of DriveHypothesis
         One, or none where there are fewer than four times at which a step may start.
     """
+    scene = beside.scene
     if scene.starts.size < 4:
         return []
-    beside = Beside.of(data, given)
-    step = _step_anywhere(scene, rows, beside)
+    step = _step_anywhere(beside)
     apart = (scene.starts[1] - scene.starts[0]) / float(np.median(np.diff(scene.prepared.result.fixes.t)))
     missed = scene.noise is not None or apart > APART
-    at_edges = _step_at_edges(scene, rows, beside) if missed else None
+    at_edges = _step_at_edges(beside) if missed else None
     return [(step if at_edges is None or step.nats > at_edges.nats else at_edges).told()]
 
 
@@ -71,8 +62,9 @@ def _lasting(scene: Scene, rows: NDArray[np.bool_] | slice) -> tuple[float, floa
     return rules().shortest_step * float(np.median(np.diff(t))), rules().longest_step * float(seen[-1] - seen[0])
 
 
-def _step_anywhere(scene: Scene, rows: NDArray[np.bool_] | slice, beside: Beside) -> _Step:
+def _step_anywhere(beside: Unexplained) -> _Step:
     """The best step of those that start and end at evenly spaced times, refined around it."""
+    scene, rows = beside.scene, beside.rows
     s, G, t_fix = scene.starts, scene.step_columns[rows], scene.prepared.result.fixes.t
     lasting = _lasting(scene, rows)
     coarse = _scan_steps(beside, G, s, lasting)
@@ -99,10 +91,11 @@ def _step_anywhere(scene: Scene, rows: NDArray[np.bool_] | slice, beside: Beside
     return _Step(nats, c, coarse.value, lambda: when)
 
 
-def _step_at_edges(scene: Scene, rows: NDArray[np.bool_] | slice, beside: Beside) -> _Step | None:
+def _step_at_edges(beside: Unexplained) -> _Step | None:
     """The best step between fixes that surprise: evenly spaced times miss the edges, where alone it shows."""
+    scene, rows = beside.scene, beside.rows
     t_fix = scene.prepared.result.fixes.t
-    residuals, last = beside.by_fix(scene, rows)
+    residuals, last = beside.by_fix()
     top = surprising(residuals[:, :3])[:, None] - 1 + np.arange(-BESIDE, BESIDE + 1)
     before = np.unique(top[(top >= 0) & (top < last)])
     starts = t_fix[before] + 1e-3
@@ -200,59 +193,7 @@ class _Step:
         )
 
 
-@dataclass(frozen=True)
-class Beside:
-    """Innovations with what is explained of them already.
-
-    Parameters
-    ----------
-    data : Field
-    span : (r, k) array
-        What the explained can be: responses to standard normal numbers.
-    L : (k, k) array
-        Cholesky factor of their precision.
-    rhs : (k,) array
-        ``L^-1 span' y`` over the variance.
-    """
-
-    data: Field
-    span: Array
-    L: Array
-    rhs: Array
-
-    @classmethod
-    def of(cls, data: Field, given: Sequence[Block]) -> Beside:
-        """What blocks explain; nothing where there are none."""
-        span = data.spanned(given) if given else np.zeros((data.y.size, 0))
-        L = np.asarray(np.linalg.cholesky(np.eye(span.shape[1]) + span.T @ span / data.variance), dtype=np.float64)
-        return cls(data, span, L, solve_triangular(L, span.T @ data.y / data.variance, lower=True))
-
-    def ahead(self) -> Array:
-        """Each innovation (r,) less what those before it say, over its standard deviation."""
-        return recursive_residuals(self.data.y, self.span, self.data.variance)[0]
-
-    def by_fix(self, scene: Scene, rows: NDArray[np.bool_] | slice) -> tuple[Array, int]:
-        """The same as (f, 6), zero where a component is missing or not looked at, and the last fix that is.
-
-        Parameters
-        ----------
-        scene : Scene
-        rows : (r,) array of bool, or slice
-            Which rows of the recording's field these are.
-        """
-        use = scene.loop.use
-        fix, component = np.nonzero(use)
-        out = np.zeros(use.shape)
-        out[fix[rows], component[rows]] = self.ahead()
-        return out, int(fix[rows][-1]) if fix[rows].size else 0
-
-    def of_columns(self, G: Array) -> tuple[Array, Array]:
-        """What columns (r, c) have in common with the explained, (k, c), and their right-hand sides (c,) beside it."""
-        half = solve_triangular(self.L, self.span.T @ G / self.data.variance, lower=True)
-        return half, G.T @ self.data.y / self.data.variance - half.T @ self.rhs
-
-
-def _scan_steps(beside: Beside, G: Array, s: Array, lasting: tuple[float, float], axes: int = 3) -> _Scan:
+def _scan_steps(beside: Unexplained, G: Array, s: Array, lasting: tuple[float, float], axes: int = 3) -> _Scan:
     (shortest, longest), variance = lasting, beside.data.variance
     scale = EFFECTS["gnss_multipath_step"].scale("value", "gnss")
     half, b_all = beside.of_columns(G)

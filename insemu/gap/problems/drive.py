@@ -14,7 +14,7 @@ from insemu.errors import InputError
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.candidates.fixes import about, as_joint, covariance_hypotheses
 from insemu.gap.candidates.jumps import JUMPS
-from insemu.gap.candidates.robust import Left, beyond_doubt, held, is_linear
+from insemu.gap.candidates.robust import beyond_doubt, held, is_lasting, too_much
 from insemu.gap.candidates.shapes import (
     ONCE,
     POSITIVE,
@@ -31,6 +31,7 @@ from insemu.gap.candidates.shapes import (
     standing_beside,
 )
 from insemu.gap.candidates.steps import placed
+from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.checks.drive import drive_map, innovation_tests
 from insemu.gap.checks.rest import corrected
 from insemu.gap.data.log import Reduced, unheard
@@ -138,25 +139,22 @@ class DriveProblem(SettledFixes):
     def rank(self) -> list[DriveHypothesis]:
         """Every effect that the innovations can show beside what was found."""
         self._turn_colour()
-        given, skip = self.blocks(), self._skip()
+        given, skip, beside = self.blocks(), self._skip(), self._unexplained()
         out = linear_hypotheses(self.scene, self._beside(), self.data, given, skip)
         for effect, look in STEPS.items():
             if effect not in skip:
                 least = self._step_nats() if effect != "bias_step" else -math.inf
-                out += [h for h in look(self.scene, self.data, self.rows, given) if h.nats > least]
-        out = best_first([*out, *covariance_hypotheses(self.scene, given, skip, self.cut, self._levelled())])
-        out = self._held(out, given, self.threshold)
+                out += [h for h in look(beside) if h.nats > least]
+        out += covariance_hypotheses(self.scene, given, skip, self.cut, self._levelled())
+        out = held(beside, out, self.threshold)
         shaken = with_unresolved(self.scene, given, self.cut, out[0].nats) if out[0].nats > self.threshold else None
         if shaken is None:
             return out
         self._take(shaken)
         return self.rank()
 
-    def _held(self, ranked: Sequence[DriveHypothesis], given: Sequence[Block], least: float) -> list[DriveHypothesis]:
-        """Effects best first, those with less than is said whose scores vary so much that they are not sure to be worth ``least`` nats."""
-        if not ranked or ranked[0].nats < least:
-            return list(ranked)
-        return held(Left(self.scene, self.data, self.rows, given), ranked, least)
+    def _unexplained(self, without: Found[Change] | None = None) -> Unexplained:
+        return Unexplained(self.scene, self.data, self.rows, self.blocks(without))
 
     def _levelled(self, without: Found[Change] | None = None) -> NDArray[np.bool_]:
         """Components (6,) of the fixes whose level was named."""
@@ -304,10 +302,10 @@ class DriveProblem(SettledFixes):
             linear_hypotheses(self.scene, self._beside(old), self.data, self.blocks(old), self._skip(old))
         )
         least = min(self.threshold, rules().keep_nats)
-        left = Left(self.scene, self.data, self.rows, self.blocks(old))
+        beside = self._unexplained(old)
         own = next((r for r in ranked if (r.effect, r.sensor) == (h.effect, h.sensor)), replace(h, nats=-math.inf))
-        kept = beyond_doubt(left, own, least)
-        ranked = held(left, [kept if r is own else r for r in ranked], least)
+        kept = beyond_doubt(beside, own, least)
+        ranked = held(beside, [kept if r is own else r for r in ranked], least)
         rival, idle = ranked[0], ranked[0].nats < least
         # what jumps was weighed where this was found, and stays as far from it
         jumps = [replace(r, nats=r.nats + kept.nats - h.nats) for r in old.ranked if r.effect in JUMPS]
@@ -332,10 +330,9 @@ class DriveProblem(SettledFixes):
         least = min(self.threshold, rules().keep_nats)
         while True:
             whole, sure = self.data.log_factor(self.blocks()), list[tuple[float, Found[Change]]]()
-            for f in (f for f in self.found if is_linear(f.chosen)):
-                others = self.blocks(f)
-                claimed = Left(self.scene, self.data, self.rows, others).too_much(f.chosen)
-                sure.append((whole - self.data.log_factor(others) - claimed, f))
+            for f in (f for f in self.found if is_lasting(f.chosen)):
+                worth = whole - self.data.log_factor(self.blocks(f))
+                sure.append((worth - too_much(self._unexplained(f), f.chosen), f))
             worth, weakest = min(sure, key=lambda s: s[0], default=(math.inf, None))
             if worth >= least:
                 return
@@ -353,7 +350,7 @@ class DriveProblem(SettledFixes):
     def hold_against_the_rest(self) -> None:
         """Weigh noise of the fixes against each effect that was weighed again without it, and structure outside the catalogue against shapes."""
         for k, f in enumerate(self.found):
-            h, others = f.chosen, self.blocks(f)
+            h, others, beside = f.chosen, self.blocks(f), self._unexplained(f)
             if h.change.block is not None and not any(r.change.noise is not None for r in f.ranked):
                 rivals = covariance_hypotheses(self.scene, others, self._skip(f), self.cut, self._levelled(f))
                 # an effect of thousands of nats was weighed at the variance of the field, these at one
@@ -361,11 +358,11 @@ class DriveProblem(SettledFixes):
                 f = replace(f, ranked=(*f.ranked, *rivals))
             weighed = {r.effect for r in f.ranked} if h.effect not in STEPS else set[str]()
             for effect in (e for e in JUMPS if e in weighed):  # what came since tells how far from it they are
-                jumps = STEPS[effect](self.scene, self.data, self.rows, others)
+                jumps = STEPS[effect](beside)
                 f = replace(f, ranked=(*(r for r in f.ranked if r.effect != effect), *jumps))
             ranked = best_first(f.ranked)
             if h.change.block is not None:
-                ranked = self._held(ranked, others, min(self.threshold, rules().keep_nats))
+                ranked = held(beside, ranked, min(self.threshold, rules().keep_nats))
             self.found[k] = f = replace(f, ranked=tuple(ranked))
             if h.change.columns:
                 own = [v for v in self.variants if (v.effect, v.sensor) == (h.effect, h.sensor)]

@@ -19,8 +19,9 @@ from insemu.gap.candidates.fixes import (
     whole_innovations,
     within,
 )
-from insemu.gap.candidates.robust import Left
+from insemu.gap.candidates.robust import excess_of, is_lasting
 from insemu.gap.candidates.shapes import LAGGED, ONCE, PROCESSES, Change, bank, shape_values
+from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.confusion import Repetitions
 from insemu.gap.drive.apart import FIRST, LOOSE
 from insemu.gap.drive.scene import Scene
@@ -157,9 +158,9 @@ def told(f: Found[Change], named: Named, outages: Sequence[Outage]) -> Finding:
     """
     h, scene, values, metres = f.chosen, named.scene, f.chosen.values, math.nan
     factor = 1.0
-    if h.change.block is not None:
+    if is_lasting(h):
         beside = [*scene.always, *blocks_of([g for g in named.found if g is not f])]
-        factor = Left(scene, scene.data, slice(None), beside).excess(h)
+        factor = excess_of(Unexplained(scene, scene.data, slice(None), beside), h)
     if h.change.block is not None and (h.change.columns or h.change.window is not None):
         index, mean, covariance = scene.data.posterior(named.blocks)
         # two blocks may share a column: what it explains is their sum

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from insemu.gap.candidates.fixes import about, apart_from_named, at_level, rows_of, told_again, without_outliers
 from insemu.gap.candidates.shapes import Change, DriveHypothesis, Variant, linear_nats
 from insemu.gap.candidates.steps import multipath_step, placed
+from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.drive.apart import FIRST
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.fixes import LEVEL_ROWS, NED, JointNoise, joint_noise
@@ -195,7 +196,7 @@ class NoiseOfFixes(ABC):
         rest, blocks = np.setdiff1d(told, run), self.blocks()
         back = self.scene.rebuilt(whole=self.recorded, gone={**self.gone, "gnss_outliers": rest})
         rows = np.ones(back.rows_t.size, dtype=bool) if self.cut is None else back.rows_t <= self.cut
-        step = next(iter(multipath_step(back, back.field(self.cut), rows, blocks)), None)
+        step = next(iter(multipath_step(Unexplained(back, back.field(self.cut), rows, blocks))), None)
         window = None if step is None else step.change.window
         if step is None or window is None or np.mean((run > window[1]) & (run <= window[2])) < 0.5:
             return False
@@ -272,6 +273,7 @@ class NoiseOfFixes(ABC):
         loud, noise = joint.noise.apart(scene.surrogate.sigma())
         kept = {k: t for k, t in self.gone.items() if FIRST[k] > 0}
         scene = whole = scene.rebuilt(factors=scene.original.factors * loud, whole=self.recorded, gone=kept)
+        as_long = False
         for _ in range(MOST_LOOKS):
             # what the other findings explain is another under the colour, and outliers show against it that its scatter hides
             before = self.gone.get("gnss_outliers", np.zeros(0))
@@ -282,12 +284,15 @@ class NoiseOfFixes(ABC):
                 self.found = [replace(f, chosen=told.outliers) if f.chosen is known else f for f in self.found]
                 now, known = told.times, told.outliers
                 self.gone["gnss_outliers"] = now
+                if as_long and np.array_equal(before, now):  # the look before was at the same fixes
+                    break
                 if scene is whole or not np.array_equal(before, now):
                     scene = whole.rebuilt(gone=self.gone)
             scene, tau = scene.coloured(noise), noise.colour.tau
             joint = likeliest(noise)
             noise = joint.noise
-            if abs(math.log(noise.colour.tau / tau)) < AS_LONG and np.array_equal(before, now):
+            as_long = abs(math.log(noise.colour.tau / tau)) < AS_LONG
+            if as_long and np.array_equal(before, now):
                 break
         return scene.coloured(noise), joint, less
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,11 +11,13 @@ from numpy.typing import NDArray
 
 from insemu.gap.candidates.fixes import as_joint, at_level
 from insemu.gap.candidates.jumps import bias_step, lever_arm_step
+from insemu.gap.candidates.robust import beyond_doubt
 from insemu.gap.candidates.shapes import Change, DriveHypothesis, Variant, linear_hypotheses
 from insemu.gap.candidates.steps import multipath_step, placed
+from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.drive.apart import FIRST
 from insemu.gap.evidence.fixes import LEVEL_ROWS
-from insemu.gap.evidence.linear import Block, Field
+from insemu.gap.evidence.linear import Field
 from insemu.gap.hypothesis import Found, best_first
 from insemu.gap.policy import rules
 from insemu.gap.problems.noise_of_fixes import NoiseOfFixes
@@ -45,8 +46,8 @@ class SettledFixes(NoiseOfFixes):
         """What may stand beside the findings, all or all but one."""
 
     @abstractmethod
-    def _held(self, ranked: Sequence[DriveHypothesis], given: Sequence[Block], least: float) -> list[DriveHypothesis]:
-        """Effects best first, those with less than is said that are not sure to be worth ``least`` nats."""
+    def _unexplained(self, without: Found[Change] | None = None) -> Unexplained:
+        """The innovations that are looked at beside the findings, all or all but one."""
 
     @abstractmethod
     def put(self, old: Found[Change], new: DriveHypothesis, again: Again[Change]) -> None:
@@ -84,10 +85,9 @@ class SettledFixes(NoiseOfFixes):
         given_way = False
         for old in [f for f in self.found if f.chosen.change.window is not None]:
             assert old.chosen.change.block is not None
-            tried = STEPS[old.chosen.effect](self.scene, self.data, self.rows, self.blocks(old))
-            least = min(self.threshold, rules().keep_nats)
-            own = next((h for h in tried if h.sensor == old.chosen.sensor), None)
-            if own is None or self._held([own], self.blocks(old), least)[0].nats < least:
+            beside, least = self._unexplained(old), min(self.threshold, rules().keep_nats)
+            own = next((h for h in STEPS[old.chosen.effect](beside) if h.sensor == old.chosen.sensor), None)
+            if own is None or beyond_doubt(beside, own, least).nats < least:
                 self.found = [f for f in self.found if f is not old]
                 continue
             rivals = linear_hypotheses(self.scene, self._beside(old), self.data, self.blocks(old), self._skip(old))
