@@ -178,7 +178,7 @@ def told(f: Found[Change], named: Named, outages: Sequence[Outage]) -> Finding:
     members, others, confidence = class_of(*rivals_of(f))
     needs = "; ".join(dict.fromkeys(EFFECTS[m.effect].excitation for m in members)) if len(members) > 1 else ""
     text = f"a recording with more of: {needs}" if needs else ""
-    found = Finding(h.effect, h.variant, h.sensor, h.axes, values, confidence, h.nats / factor, members, text, others)
+    found = Finding(h.effect, h.variant, h.sensor, h.axes, values, confidence, h.nats, members, text, others)
     if h.variant == LAGGED:
         return replace(found, metres=worth_of_added(scene.loop, scene.motion, found))
     return replace(found, metres=metres if math.isfinite(metres) else worth_in_noise(found, None, outages))
