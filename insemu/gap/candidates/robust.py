@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.gap.candidates.shapes import DriveHypothesis
+from insemu.gap.candidates.shapes import PROCESSES, DriveHypothesis
 from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.evidence.linear import marginal
 from insemu.gap.evidence.sandwich import excess
@@ -18,11 +18,11 @@ Array = NDArray[np.float64]
 
 
 def is_lasting(h: DriveHypothesis) -> bool:
-    """Whether an effect enters the model of the innovations as columns and lasts to the end, so that all of the recording speaks for or against it.
+    """Whether an effect has a shape that lasts to the end, so that all of the recording speaks for or against it.
 
-    A step in the fixes says what happened between two times, and other noise of the fixes has no shape.
+    A step in the fixes says what happened between two times, other noise of the fixes has no shape, and that of a slow process is what it follows.
     """
-    if isinstance(h.what, Later) or h.effect == "gnss_multipath_step":
+    if isinstance(h.what, Later) or h.effect == "gnss_multipath_step" or h.effect in PROCESSES:
         return False
     return h.change.window is not None or h.change.block is not None
 
