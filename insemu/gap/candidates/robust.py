@@ -42,6 +42,13 @@ def shape_of(beside: Unexplained, h: DriveHypothesis) -> Array:
     return beside.less(beside.data.G[:, h.change.block[0]] @ marginal(*beside.normal, h.change.block)[0])
 
 
+def _worth(beside: Unexplained, h: DriveHypothesis) -> tuple[float, float]:
+    """Half the square of the size of an effect over its standard deviation, nats, and the factor by which the variance of that size is larger."""
+    shape = shape_of(beside, h)
+    factor = excess(shape, beside.left - shape, beside.scene.rows_t[beside.rows], beside.data.variance)
+    return 0.5 * float(shape @ shape) / beside.data.variance, factor
+
+
 def excess_of(beside: Unexplained, h: DriveHypothesis) -> float:
     """Factor by which the variance of the size of an effect is larger than its model says, 1 or more.
 
@@ -51,8 +58,7 @@ def excess_of(beside: Unexplained, h: DriveHypothesis) -> float:
     h : DriveHypothesis
         One of :func:`is_lasting`.
     """
-    shape = shape_of(beside, h)
-    return excess(shape, beside.left - shape, beside.scene.rows_t[beside.rows], beside.data.variance)
+    return _worth(beside, h)[1]
 
 
 def too_much(beside: Unexplained, h: DriveHypothesis) -> float:
@@ -64,9 +70,8 @@ def too_much(beside: Unexplained, h: DriveHypothesis) -> float:
     h : DriveHypothesis
         One of :func:`is_lasting`.
     """
-    shape = shape_of(beside, h)
-    factor = excess(shape, beside.left - shape, beside.scene.rows_t[beside.rows], beside.data.variance)
-    return 0.5 * float(shape @ shape) / beside.data.variance * (1.0 - 1.0 / factor)
+    nats, factor = _worth(beside, h)
+    return nats * (1.0 - 1.0 / factor)
 
 
 def beyond_doubt(beside: Unexplained, h: DriveHypothesis, least: float) -> DriveHypothesis:
