@@ -487,7 +487,8 @@ def test_held_out_fixes_are_outliers_or_none() -> None:
     (named,) = gnss_outliers(scene, scene.unexplained([], cut), cut)
     problem.apply(Found(named, (named,)))
     told = problem.named()
-    _, after, gain = held_out(scene, told, cut)
+    scored = held_out(scene, told, cut)
+    after, gain = scored.after, scored.gain
     # another way: the filter without them, and each as it is predicted there
     share, sigma = told.found[0].chosen.values[0].value, told.found[0].chosen.values[1].value
     clean, s = told.scene.prepared.result.fixes, scene.prepared.result.fixes

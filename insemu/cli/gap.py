@@ -153,6 +153,7 @@ def _tell(report: GapReport, console: Console) -> None:
     from insemu.cli.printing import print_table
     from insemu.report import (
         FIRST_SCREEN,
+        burst_said,
         effect_name,
         filtered_said,
         finding_action,
@@ -202,3 +203,5 @@ def _tell(report: GapReport, console: Console) -> None:
     for label, value in (("before", report.gap_before), ("after", report.gap_after)):
         if math.isfinite(value.value):
             console.print(f"gap index {label}: {value.value:.3f} [{value.low:.3f}, {value.high:.3f}]")
+    if said := burst_said(report):
+        console.print(said, highlight=False, markup=False)

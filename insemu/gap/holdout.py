@@ -7,21 +7,27 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
 
 from insemu.gap.candidates.axis import CANDIDATES, AxisState
+from insemu.gap.checks.drive import COMPONENTS
 from insemu.gap.checks.rest import block_innovations
 from insemu.gap.data.log import Reduced, reduce
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.fixes import LEVEL_GROUPS, level_derivatives, level_scores
 from insemu.gap.evidence.linear import Block
 from insemu.gap.evidence.model import Component, Explanation, Likelihood, fit
-from insemu.gap.verdict import Interval
+from insemu.gap.verdict import Burst, Interval
 from insemu.records import Series
 
 Array = NDArray[np.float64]
 #: Stretches of the held-out fixes whose mean squares are compared: enough that their scatter is known within a fifth.
 STRETCHES = 16
+#: A burst lasts for so much of the held-out time at the most; has so many times its share of the squares, which chance gives no part once in so
+#: many recordings that are throughout as loud as the fixes so many times its length before and behind; its fixes are those so many standard
+#: deviations off.
+BURST_SHARE, BURST_TIMES, BURST_CHANCE, BURST_AROUND, BURST_OFF = 0.01, 5.0, 1e-3, 10.0, 3.0
 
 
 # -- a log at rest ------------------------------------------------------------------------------------------------------------------
@@ -87,7 +93,7 @@ def gap_index(scores: Sequence[Score], uncertainty: float = 0.0) -> Interval:
     """
     ratio = np.concatenate([s.chi_square / s.dof for s in scores])
     variance = np.concatenate([2.0 / s.dof for s in scores]) * ratio**2
-    return Interval.normal(float(ratio.mean()), math.sqrt(float(variance.sum()) / ratio.size**2 + uncertainty**2))
+    return Interval.positive(float(ratio.mean()), math.sqrt(float(variance.sum()) / ratio.size**2 + uncertainty**2))
 
 
 def piece(data: Reduced, first: int, last: int) -> Reduced:
@@ -159,9 +165,27 @@ def score_axis(
 # -- a drive or flight --------------------------------------------------------------------------------------------------------------
 
 
-def score_drive(
-    scene: Scene, final: Scene, blocks: Sequence[Block], cut: float, outliers: float = 0.0
-) -> tuple[Interval, Interval, Interval]:
+@dataclass(frozen=True)
+class DriveScore:
+    """Figures of a drive on fixes that were not used for naming.
+
+    Parameters
+    ----------
+    before, after : Interval
+        Gap index of the nominal and of the refined model.
+    gain : Interval
+        Log score gained, nats per fix.
+    burst : Burst, optional
+        The fixes on which a large part of ``after`` stands.
+    """
+
+    before: Interval
+    after: Interval
+    gain: Interval
+    burst: Burst | None = None
+
+
+def score_drive(scene: Scene, final: Scene, blocks: Sequence[Block], cut: float, outliers: float = 0.0) -> DriveScore:
     """Gap index before and after and log score gained per fix after ``cut``, where nothing was named.
 
     Parameters
@@ -190,9 +214,45 @@ def score_drive(
         stretches = np.array([np.mean(part) for part in np.array_split(y * y, min(STRETCHES, y.size))])
         spread_of = (math.sqrt(2.0 / y.size) * max(value, 0.2), float(np.std(y * y)) / math.sqrt(y.size))
         own = max(*spread_of, float(np.std(stretches, ddof=1)) / math.sqrt(stretches.size))
-        return Interval.normal(value, math.hypot(own, value * _level_spread(at, cut)))
+        return Interval.positive(value, math.hypot(own, value * _level_spread(at, cut)))
 
-    return around(test, scene), around(e, final), Interval.normal((gained + outliers) / fixes, spread / fixes)
+    t, component = final.rows_t[final.rows_t > cut], np.nonzero(final.loop.use)[1][final.rows_t > cut]
+    gone = burst(e, t)
+    said = None
+    if gone is not None:
+        farthest = np.flatnonzero(gone)[np.argmax(np.abs(e[gone]))]
+        said = Burst(
+            float(t[gone].min()), float(t[gone].max()), " ".join(COMPONENTS[component[farthest]]), float(np.abs(e[farthest])),
+            around(e[~gone], final),
+        )  # fmt: skip
+    gain = Interval.normal((gained + outliers) / fixes, spread / fixes)
+    return DriveScore(around(test, scene), around(e, final), gain, said)
+
+
+def burst(e: Array, t: Array) -> NDArray[np.bool_] | None:
+    """Rows of the short time on which a large part of the mean square stands; ``None`` where there is none.
+
+    Parameters
+    ----------
+    e, t : (n,) arrays
+        Whitened innovations and their times, which rise, s.
+    """
+    length = BURST_SHARE * (t[-1] - t[0])
+    squares = np.concatenate([[0.0], np.cumsum(e * e)])
+    last = np.searchsorted(t, t + length, side="right")
+    sums = squares[last] - squares[:-1]
+    first = int(np.argmax(sums))
+    window = np.zeros(t.size, dtype=bool)
+    window[first : last[first]] = True
+    large = window & (np.abs(e) > BURST_OFF * math.sqrt(float(np.median(e * e)) / scipy.stats.chi2.median(1)))
+    if not large.any() or window.all():
+        return None
+    gone = (t >= t[large].min()) & (t <= t[large].max())
+    near = ~gone & (t > t[large].min() - BURST_AROUND * length) & (t < t[large].max() + BURST_AROUND * length)
+    own, rest = float(np.sum(e[gone] ** 2)), max(float(np.mean(e[at] ** 2)) for at in (near, ~gone) if at.any())
+    chance = float(scipy.stats.chi2.sf(own / rest, int(gone.sum()))) * t.size
+    share = max(BURST_SHARE, float(np.mean(gone)))
+    return gone if own > BURST_TIMES * share * squares[-1] and chance < BURST_CHANCE else None
 
 
 def _level_spread(scene: Scene, cut: float) -> float:

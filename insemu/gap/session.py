@@ -318,7 +318,7 @@ def _together(report: GapReport, early: list[Finding], mounted: Mounted | None, 
         findings = _added_up(findings, finding)
     findings.sort(key=lambda s: -s.nats)
     where, after, held = report.where, report.after, report.held_out
-    before_index, after_index = report.gap_before, report.gap_after
+    before_index, after_index, burst = report.gap_before, report.gap_after, report.burst
     if mounted is not None:
         where = tuple(sorted((*where, *mounted.where), key=lambda w: w.p_value))
         after = tuple(sorted((*after, *mounted.after), key=lambda w: w.p_value))
@@ -327,8 +327,11 @@ def _together(report: GapReport, early: list[Finding], mounted: Mounted | None, 
             gain, sd = mounted.gain
             held = _sum([held, Interval(gain / fixes, (gain - 1.96 * sd) / fixes, (gain + 1.96 * sd) / fixes)])
             # the motion across the vehicle and the innovations count alike
-            before_index = _mean(before_index, mounted.chi_square[0] / mounted.dof, mounted.dof)
-            after_index = _mean(after_index, mounted.chi_square[1] / mounted.dof, mounted.dof)
+            across = [chi_square / mounted.dof for chi_square in mounted.chi_square]
+            before_index = _mean(before_index, across[0], mounted.dof)
+            after_index = _mean(after_index, across[1], mounted.dof)
+            if burst is not None:
+                burst = replace(burst, without=_mean(burst.without, across[1], mounted.dof))
     return replace(
         report,
         verdict=judged(findings, report.remainder, [s.effect for s in early]),
@@ -337,6 +340,7 @@ def _together(report: GapReport, early: list[Finding], mounted: Mounted | None, 
         after=after,
         gap_before=before_index,
         gap_after=after_index,
+        burst=burst,
         held_out=held,
         nominal=dict(nominal.beliefs),
     )
@@ -500,9 +504,8 @@ def _sum(items: list[Interval]) -> Interval:
 
 
 def _mean(index: Interval, other: float, dof: int) -> Interval:
-    half = math.hypot(0.5 * (index.high - index.low), 1.96 * math.sqrt(2.0 / dof) * other) / 2.0
-    value = 0.5 * (index.value + other)
-    return Interval(value, value - half, value + half)
+    sd = 0.5 * math.hypot(index.log_sd * index.value, math.sqrt(2.0 / dof) * other)
+    return Interval.positive(0.5 * (index.value + other), sd)
 
 
 def _pictures(first: Flown, after: Flown, nominal: Nominal) -> dict[str, Any]:

@@ -245,12 +245,50 @@ class Interval:
         """Of a value whose error is normal."""
         return cls(mean, mean - 1.96 * sd, mean + 1.96 * sd)
 
+    @classmethod
+    def positive(cls, value: float, sd: float) -> Interval:
+        """Of a positive value whose logarithm has a normal error; ``sd`` is its own standard deviation."""
+        ratio = math.exp(1.96 * sd / value)
+        return cls(value, value / ratio, value * ratio)
+
+    @property
+    def log_sd(self) -> float:
+        """Standard deviation of the logarithm, of one made by :meth:`positive`."""
+        return math.log(self.high / self.low) / (2.0 * 1.96)
+
     def to_json(self) -> dict[str, Any]:
         """As plain data; a value that is not finite becomes null."""
         return {
             k: (v if math.isfinite(v) else None)
             for k, v in (("value", self.value), ("low", self.low), ("high", self.high))
         }
+
+
+@dataclass(frozen=True)
+class Burst:
+    """A short time of the fixes that were not used for naming on which a large part of the gap index stands.
+
+    Parameters
+    ----------
+    start, end : float
+        First and last fix of it, s.
+    what : str
+        Component of the fixes that is farthest off.
+    largest : float
+        How far, in standard deviations of its innovation.
+    without : Interval
+        Gap index without these fixes.
+    """
+
+    start: float
+    end: float
+    what: str
+    largest: float
+    without: Interval
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data."""
+        return {**asdict(self), "without": self.without.to_json()}
 
 
 @dataclass(frozen=True)
@@ -316,6 +354,8 @@ class GapReport(Shown):
         White noise that shaking leaves between the samples of the six axes, squared: (rad/s)^2/Hz and (m/s^2)^2/Hz. The vehicle's, and no finding.
     aids_held_out : mapping of kind to Interval
         Gain of log score of each aid with findings on its last part, by what its first part names: nats per block.
+    burst : Burst, optional
+        The fixes on which a large part of ``gap_after`` stands, where there are such.
     """
 
     verdict: VerdictName
@@ -336,6 +376,7 @@ class GapReport(Shown):
     outliers: Mapping[str, NDArray[np.int64]] = field(default_factory=dict, repr=False, compare=False)
     unresolved: tuple[float, ...] = ()
     aids_held_out: Mapping[str, Interval] = field(default_factory=dict)
+    burst: Burst | None = None
 
     def nees(self, finding: Finding) -> float:
         """NEES of the horizontal position per degree of freedom at the end of a minute without fixes, of a filter that lacks this finding alone.
@@ -422,6 +463,7 @@ class GapReport(Shown):
             "where": [w.to_json() for w in self.where],
             "gap_index": {"before": self.gap_before.to_json(), "after": self.gap_after.to_json()},
             "held_out": {"gain_nats_per_fix": held["value"], "low": held["low"], "high": held["high"]},
+            "burst": None if self.burst is None else self.burst.to_json(),
             "aids_held_out": {kind: gain.to_json() for kind, gain in self.aids_held_out.items()},
             "where_after": [w.to_json() for w in self.after],
             "threshold_nats": self.threshold_nats,

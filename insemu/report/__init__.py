@@ -16,6 +16,7 @@ from insemu.report.fit import fits_answer, render_fits
 from insemu.report.following import following_answer, render_following, segment_rows
 from insemu.report.gap import (
     FIRST_SCREEN,
+    burst_said,
     draw_gap,
     effect_name,
     filtered_said,
@@ -76,6 +77,7 @@ __all__ = [
     "array_answer",
     "beside",
     "budget_lines",
+    "burst_said",
     "calibration_lines",
     "characterise_answer",
     "characterise_rows",

@@ -248,6 +248,18 @@ def filtered_said(report: GapReport) -> str:
     )
 
 
+def burst_said(report: GapReport) -> str:
+    """Which few of the fixes that were not used for naming carry a large part of the gap index, in a sentence; empty where there are none."""
+    if (b := report.burst) is None:
+        return ""
+    when = f"the fixes from {b.start:.1f} to {b.end:.1f} s" if b.end > b.start else f"the fix at {b.start:.1f} s"
+    part = report.gap_after.value - b.without.value
+    return (
+        f"Of the gap index after, {part:.3f} comes from {when} ({b.what} up to {b.largest:.1f} standard deviations off); "
+        f"without {'them' if b.end > b.start else 'it'} it is {_interval(b.without)}."
+    )
+
+
 def _number(x: float) -> str:
     return f"{x:.4g}"
 
@@ -475,7 +487,8 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
     index = Table(
         ("", "before", "after"),
         [["gap index (reduced chi-square, 1 is agreement)", _interval(report.gap_before), _interval(report.gap_after)]],
-        f"On data that was not used for naming. Gain of log score: {_interval(report.held_out)} nats per fix (per block of a static log).",
+        f"On data that was not used for naming. Gain of log score: {_interval(report.held_out)} nats per fix (per block of a static log). "
+        + burst_said(report),
     )
     left = [Text(f"Left unexplained beside what was named: {report.remainder}.")] if report.remainder else []
     if said := shaking_said(report):

@@ -42,6 +42,7 @@ from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.fixes import LEVEL_ROWS
 from insemu.gap.evidence.linear import Block, Field
 from insemu.gap.evidence.surrogate import FixNoise
+from insemu.gap.holdout import DriveScore
 from insemu.gap.hypothesis import Found, best_first, probabilities
 from insemu.gap.policy import rules
 from insemu.gap.problems.band import (
@@ -468,7 +469,7 @@ class _Drive:
         prepared, recording, late = without_delay(recording, nominal, parts, levels, dict(fast), mended, ready)
         return cls(whole, believed, recording, nominal, noticed, parts, clipped, fast, levels, late, prepared)
 
-    def held_out(self, scene: Scene, threshold: float, without: Collection[str]) -> tuple[Interval, Interval, Interval]:
+    def held_out(self, scene: Scene, threshold: float, without: Collection[str]) -> DriveScore:
         """Figures on the last part of the recording with effects named on the first."""
         start, end = float(scene.motion.t[0]), float(scene.motion.t[-1])
         cut = start + rules().naming_share * (end - start)
@@ -515,10 +516,11 @@ def find_dynamic_gap(
     competing = [v for v in bank(scene) if v.effect not in without]
     threshold = max(rules().least_nats, null_threshold(competing, scene.data, rng, always=scene.always))
     named = find_effects(scene, None, threshold, without, say)
-    before = after = held = Interval(math.nan, math.nan, math.nan)
+    nothing = Interval(math.nan, math.nan, math.nan)
+    scored = DriveScore(nothing, nothing, nothing)
     if hold_out:
         say("scoring on held-out fixes")
-        before, after, held = at.held_out(scene, threshold, without)
+        scored = at.held_out(scene, threshold, without)
     # a generator of its own: the search of a later pass draws what it always drew
     drawn, repeated = rng.spawn(2)
     starts = {name: r.start for name, r in at.fast}
@@ -539,9 +541,10 @@ def find_dynamic_gap(
     for s in findings:
         refined = with_effect(refined, s)
     return GapReport(
-        judged(findings, left), tuple(findings), where, rest, before, after, held, dict(nominal.beliefs), refined, threshold,
+        judged(findings, left), tuple(findings), where, rest, scored.before, scored.after, scored.gain, dict(nominal.beliefs), refined, threshold,
         recording.source, remainder=left, band=tuple(d.shaking for d in at.parts.values() if d.shaking is not None),
         stated_60s=stated_in_outages(at.prepared.result), outliers=outliers, unresolved=tuple(named.scene.original.unresolved.tolist()),
+        burst=scored.burst,
     )  # fmt: skip
 
 

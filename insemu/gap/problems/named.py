@@ -27,11 +27,11 @@ from insemu.gap.drive.apart import FIRST, LOOSE
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.fixes import joint_noise
 from insemu.gap.evidence.linear import Block
-from insemu.gap.holdout import score_drive
+from insemu.gap.holdout import DriveScore, score_drive
 from insemu.gap.hypothesis import Found, class_of
 from insemu.gap.policy import rules
 from insemu.gap.problems.findings import with_process
-from insemu.gap.verdict import Confusable, Finding, Interval, Member, Value
+from insemu.gap.verdict import Confusable, Finding, Member, Value
 from insemu.gap.worth import Outage, worth_in_motion, worth_in_noise, worth_of_added
 
 Array = NDArray[np.float64]
@@ -104,7 +104,7 @@ def believing(named: Named, cut: float | None = None) -> tuple[Named, Scene, lis
     return replace(named, found=found), scene, blocks
 
 
-def held_out(scene: Scene, named: Named, cut: float) -> tuple[Interval, Interval, Interval]:
+def held_out(scene: Scene, named: Named, cut: float) -> DriveScore:
     """Gap index before and after and log score gained per fix after ``cut``, where nothing was named.
 
     Parameters
