@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from insemu.effects import EFFECTS, Column, FixGeometry, Motion, catalogue_columns
 from insemu.errors import InputError
@@ -19,7 +18,7 @@ from insemu.gap.drive.columns import filled_columns, library_columns, rectified_
 from insemu.gap.drive.corrected import corrected_data, slow_knots
 from insemu.gap.drive.preparation import Prepared, fitted_levels
 from insemu.gap.drive.signatures import Loop, bias_steps, columns_response, fix_step_response, knot_response, ramps
-from insemu.gap.drive.sizes import has_size, known_size, slope_about, smoothing
+from insemu.gap.drive.sizes import SIZE_REL, has_size, known_size, likeliest_size, slope_about, smoothing
 from insemu.gap.evidence.linear import Block, Field
 from insemu.gap.evidence.surrogate import FixNoise, Gains, Surrogate
 from insemu.gap.policy import rules
@@ -35,8 +34,8 @@ ARMS = 9
 
 #: Times that the filter runs again at the most, on corrected data until its errors are small, or at other levels: a bound, so that a search ends.
 MOST_RUNS = 5
-#: Sizes that are tried first of an effect that is no multiple of one column, and how near to the best it is brought, relative.
-SIZES, SIZE_REL = 12, 0.01
+#: Shares of a correction that are tried, and by what share of its own squares what is left may grow: half of it wrong, it still converges.
+SHARES, BENT = (1.0, 0.3), 0.25
 #: Starts of steps in the fixes that are tried first, and of changes of the lever arm.
 STARTS, ARM_STARTS = 120, 40
 #: What a scene knows that other noise of the fixes leaves as it is, and what more steps in the fixes do.
@@ -304,8 +303,8 @@ class Scene:
     def field(self, cut: float | None) -> Field:
         """The field up to a time, s; of the whole recording without one."""
         plain, wide = self._plain, self._wide
-        if cut not in plain:
-            plain[cut] = _first_rows(plain[None], self.rows_t, cut)
+        if cut is not None and cut not in plain:
+            plain[cut] = plain[None].rows(self.rows_t <= cut)
         if cut not in wide:
             more = self.whitened(self.window_answers(self.windows))
             wide[cut] = (
@@ -423,7 +422,7 @@ class Scene:
         return scene
 
     def linear_about(self, blocks: Sequence[Block], strong: Collection[int], cut: float | None = None) -> Scene:
-        """The filter run again on data without some columns at their best values, until what is left of these is small enough to be linear.
+        """The filter run again on data without some columns at their best values, until what is left of these is linear.
 
         Parameters
         ----------
@@ -435,20 +434,46 @@ class Scene:
             Fixes after this time (s) are not looked at.
         """
         scene = self
+        if back := self._unnamed(blocks):
+            scene = self.rebuilt(corrections={j: v for j, v in self.corrections.items() if j not in back})
         for _ in range(MOST_RUNS if strong else 0):
             index, away = scene.explaining(blocks, cut)
             own = np.isin(index, list(strong))
-            left = scene._columns(index[own]) @ away[own]
-            if not 0.5 * float(left @ left) > rules().correct_nats:
+            beyond = scene._columns(index[own]) @ away[own]
+            if not 0.5 * float(beyond @ beyond) > rules().correct_nats:
                 break
-            values = dict(scene.corrections)
-            for i, v in zip(index[own], away[own], strict=True):
-                values[int(i)] = values.get(int(i), 0.0) + float(v)
-            try:
-                scene = scene.rebuilt(corrections=values)
-            except InputError:  # corrected so far that no filter runs on it: what is left stays linear
+            nearer = scene._nearer(dict(zip(index[own].tolist(), away[own].tolist(), strict=True)), blocks, cut)
+            if nearer is None:  # what is left stays linear
                 break
+            scene = nearer
         return scene
+
+    def _unnamed(self, blocks: Sequence[Block]) -> set[int]:
+        """Columns that were taken out of the data for findings that are none any more."""
+        return set(self.corrections) - {int(i) for index, _ in blocks for i in index}
+
+    def _nearer(self, away: Mapping[int, float], blocks: Sequence[Block], cut: float | None) -> Scene | None:
+        """The scene with columns corrected by these further numbers, or by a part of them; ``None`` where that leads away from what they answer.
+
+        Beside other errors a linear answer can be wrong by more than itself, and each further one by more than the one before.
+        """
+        left, answer = self._left(blocks, cut), self._columns(np.array(list(away))) @ np.array(list(away.values()))
+        for share in SHARES:
+            values = {j: self.corrections.get(j, 0.0) + share * away.get(j, 0.0) for j in {**self.corrections, **away}}
+            try:
+                scene = self.rebuilt(corrections={j: v for j, v in values.items() if v != 0.0})
+            except InputError:  # corrected so far that no filter runs on it
+                continue
+            if scene._left(blocks, cut) < left + max(rules().lead, 0.5 * BENT * share**2 * float(answer @ answer)):
+                return scene
+        return None
+
+    def _left(self, blocks: Sequence[Block], cut: float | None) -> float:
+        """Half the sum of squares of what blocks leave of the field up to a time."""
+        index, away = self.explaining(blocks, cut)
+        z = self.full_y.ravel()[self.loop.use.ravel()] - self._columns(index) @ away
+        z = z if cut is None else z[self.rows_t <= cut]
+        return 0.5 * float(z @ z)
 
     def at_size(self, blocks: Sequence[Block], cut: float | None = None) -> Scene:
         """The filter run again without the effects that are no multiple of one column, each taken off at its most likely size.
@@ -465,19 +490,24 @@ class Scene:
         sizes = {j: self._likeliest(j, blocks, cut) for j in named if has_size(nominal, self.columns[j])}
         if all(math.isclose(v, self.corrections.get(j, 0.0), rel_tol=SIZE_REL) for j, v in sizes.items()):
             return self
-        try:
-            return self.rebuilt(corrections={**self.corrections, **sizes})
-        except InputError:  # no filter runs on it: what is left stays linear
-            return self
+        further = {j: -self.corrections[j] for j in self._unnamed(blocks)}
+        further |= {j: v - self.corrections.get(j, 0.0) for j, v in sizes.items()}
+        return self._nearer(further, blocks, cut) or self
 
     def _likeliest(self, j: int, blocks: Sequence[Block], cut: float | None) -> float:
         """The size of an effect at which its own shape leaves least of the innovations, beside everything else in blocks."""
-        column, taken = self.columns[j], self.corrections.get(j, 0.0)
+        column = self.columns[j]
+        # other columns of the effect are it at another size
+        same = {
+            i
+            for i in self.corrections
+            if i < self.catalogue and (self.columns[i].effect, self.columns[i].label) == (column.effect, column.label)
+        }
+        taken, others = sum(self.corrections[i] for i in same), [i for i in self.corrections if i not in same]
         rest = [(i[i != j], root[i != j]) for i, root in blocks]
-        index = np.unique(np.concatenate([i for i, _ in rest]))
+        index = np.unique(np.concatenate([np.array(others, dtype=np.int64), *(i for i, _ in rest)]))
         G = self.whitened(self._responses(index))
-        back = [(i, v) for i, v in self.corrections.items() if i != j and i in index]
-        put_back = G[:, np.searchsorted(index, [i for i, _ in back])] @ np.array([v for _, v in back])
+        put_back = G[:, np.searchsorted(index, others)] @ np.array([self.corrections[i] for i in others])
         rows = np.ones(self.rows_t.size, dtype=bool) if cut is None else self.rows_t <= cut
         y = self.full_y.ravel()[self.loop.use.ravel()] + put_back
         # what the rest explains of anything, as a projection
@@ -486,8 +516,7 @@ class Scene:
 
         fixes, nodes = self._geometry, len(self.motion.node)
 
-        def left(log_size: float) -> float:
-            size = math.exp(log_size)
+        def left(size: float) -> float:
             shape = self._at_size(j, size, fixes)
             assert shape.fixes is not None
             begun = np.zeros((nodes, 1, 9))
@@ -497,12 +526,7 @@ class Scene:
             explained = rest_of @ z
             return float(z @ z - explained @ explained)
 
-        parameter = EFFECTS[column.effect].parameter(column.label.partition("_")[0])
-        assert parameter.most is not None
-        grid = np.linspace(math.log(0.1 * column.scale), column.power * math.log(parameter.most), SIZES)
-        k = int(np.argmin([left(x) for x in grid]))
-        around = (grid[max(k - 1, 0)], grid[min(k + 1, SIZES - 1)])
-        return math.exp(float(minimize_scalar(left, bounds=around, method="bounded", options={"xatol": SIZE_REL}).x))
+        return likeliest_size(left, column)
 
     @property
     def _geometry(self) -> FixGeometry:
@@ -561,23 +585,9 @@ class Scene:
             np.add.at(coefficients, np.searchsorted(index, at), mean)
         elif blocks:  # of a scene that may be rebuilt at once only what is asked for
             G = self.whitened(self._responses(index))
-            data = _first_rows(self._field(G, G[:, np.searchsorted(index, corrected)]), self.rows_t, cut)
+            data = self._field(G, G[:, np.searchsorted(index, corrected)])
+            data = data if cut is None else data.rows(self.rows_t <= cut)
             at, mean, _ = data.posterior([(np.searchsorted(index, i), root) for i, root in blocks])
             np.add.at(coefficients, at, mean)
         coefficients[np.searchsorted(index, corrected)] -= np.array(list(self.corrections.values()))
         return index, coefficients
-
-
-def _first_rows(data: Field, rows_t: Array, cut: float | None) -> Field:
-    """The field up to a time.
-
-    Parameters
-    ----------
-    data : Field
-        r rows.
-    rows_t : (r,) array
-        Their times, s.
-    cut : float or None
-        The time, s; ``None``: all rows.
-    """
-    return data if cut is None else data.rows(rows_t <= cut)

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from insemu.effects import EFFECTS, Column, FixGeometry, Motion
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.evidence.fixes import NED
 
 Array = NDArray[np.float64]
+#: Sizes that are tried first of an effect that is no multiple of one column, and how near to the best it is brought, relative.
+SIZES, SIZE_REL = 12, 0.01
 
 
 def smoothing(nominal: Nominal, columns: Sequence[Column], corrections: Mapping[int, float]) -> Array:
@@ -62,6 +66,24 @@ def known_size(nominal: Nominal, column: Column) -> float:
         return 0.0
     known = (u[name][effect.axes.index(column.axes[0])] for u in nominal.effects if u.id == effect.id)
     return float(sum(known) ** column.power)
+
+
+def likeliest_size(left: Callable[[float], float], column: Column) -> float:
+    """The size of an effect that is no multiple of its column at which least is left.
+
+    Parameters
+    ----------
+    left : callable
+        What is left at a size.
+    column : Column
+    """
+    parameter = EFFECTS[column.effect].parameter(column.label.partition("_")[0])
+    assert parameter.most is not None
+    grid = np.linspace(math.log(0.1 * column.scale), column.power * math.log(parameter.most), SIZES)
+    k = int(np.argmin([left(math.exp(x)) for x in grid]))
+    around = (grid[max(k - 1, 0)], grid[min(k + 1, SIZES - 1)])
+    best = minimize_scalar(lambda x: left(math.exp(x)), bounds=around, method="bounded", options={"xatol": SIZE_REL})
+    return math.exp(float(best.x))
 
 
 def slope_about(column: Column, size: float, motion: Motion, fixes: FixGeometry) -> Column:

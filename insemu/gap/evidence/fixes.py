@@ -309,6 +309,11 @@ def joint_noise(s: Surrogate, begin: FixNoise, factors: Array, *, wide: Sequence
     parts = [rows for rows in groups if any(colour.sigma[r] > 0.0 for r in rows)] if not known else []
     count = len(parts) + (not known)
     usual = np.array([-float(np.mean(np.log(factors[rows]))) for rows in groups])
+    # one level of several components is the same over what is stated of each; within their tolerance all move as they were trimmed
+    even = [
+        -u - np.log(factors[rows]) if k >= within else 0.0
+        for k, (u, rows) in enumerate(zip(usual, groups, strict=True))
+    ]
     levels = [level("factor", math.exp(u)) for u in usual[:within]]
     for u, rows in zip(usual[within:], groups[within:], strict=True):
         size = _any_size(s.settled, rows)
@@ -322,7 +327,7 @@ def joint_noise(s: Surrogate, begin: FixNoise, factors: Array, *, wide: Sequence
         if not known:
             tau *= math.exp(x[len(parts)])
         for k, rows in enumerate(groups):
-            factor[rows] = math.exp(x[count + k])
+            factor[rows] = np.exp(x[count + k] + even[k])
         return replace(begin, factor=factor, colour=colour._replace(sigma=sigma, tau=tau))
 
     def likelihoods(points: Sequence[tuple[int, Array]]) -> Array:
@@ -384,7 +389,7 @@ def level_beside(
             plain = joint_noise(s, replace(noise, colour=PLAIN, known=True), factors, wide=[rows])
             if plain.evidence > found.evidence - rules().keep_nats:
                 found, colour = plain, False
-        ratio = float(found.noise.factor[rows[0]] * np.exp(np.mean(np.log(factors[rows]))))
+        ratio = float(found.noise.factor[rows[0]] * factors[rows[0]])
         if abs(math.log(ratio)) > edge:
             value = Value.positive("factor", ratio, found.sd[level_name(rows)], "1")
             gain, joint = found.evidence - within, found.noise

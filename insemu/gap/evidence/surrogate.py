@@ -71,6 +71,10 @@ class FixNoise:
         return loud, replace(self, factor=self.factor / loud)
 
 
+#: Noise of the fixes as the filter believed it, known to have no Gauss-Markov part.
+WHITE = FixNoise(np.ones(6), PLAIN, known=True)
+
+
 @dataclass(frozen=True)
 class Gains:
     """What a filter on the error of another one does with its innovations, whatever these are.

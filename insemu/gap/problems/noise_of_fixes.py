@@ -16,7 +16,7 @@ from insemu.gap.candidates.steps import multipath_step, placed
 from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.drive.apart import FIRST
 from insemu.gap.drive.scene import Scene
-from insemu.gap.evidence.fixes import LEVEL_ROWS, NED, JointNoise, joint_noise
+from insemu.gap.evidence.fixes import LEVEL_GROUPS, LEVEL_ROWS, NED, JointNoise, joint_noise
 from insemu.gap.evidence.linear import Block
 from insemu.gap.evidence.surrogate import PLAIN, Colour, FixNoise, Surrogate
 from insemu.gap.hypothesis import Found
@@ -34,6 +34,22 @@ OTHER_TIMES = (1.0 / 9.0, 1.0 / 3.0, 3.0)
 #: Fewest outliers that follow one another which are weighed against a step: of a share of a tenth, the most that are told, so many do by chance
 #: once in a million fixes.
 SHORTEST_RUN = 6
+
+
+def _lead_of(s: Surrogate, noise: FixNoise, own: Sequence[Sequence[int]], finer: Sequence[Sequence[int]]) -> float:
+    """What levels of finer parts of the components explain beyond those of their own, nats, as if whitened innovations told of theirs alone."""
+    white = s.whiten(s.nu[:, :, None], noise.factor, noise.colour)[0][:, :, 0]
+
+    def explained(parts: Sequence[Sequence[int]]) -> float:
+        squares = [white[:, rows][s.use[:, rows] == 1] ** 2 for rows in parts]
+        return float(sum(y.size * _cost_of(math.sqrt(float(np.mean(y)))) for y in squares if y.size))
+
+    return explained(finer) - explained(own)
+
+
+def _cost_of(level: float) -> float:
+    """What a standard deviation taken for one costs where it is ``level``, nats per number."""
+    return float(0.5 * (level * level - 1.0) - math.log(level))
 
 
 def _longest_run(told: Array, t: Array) -> Array:
@@ -300,21 +316,42 @@ class NoiseOfFixes(ABC):
         """Components of the fixes of each level that was named: what it is beside a colour, which it may have stood for, is asked again."""
         return [rows for f in self.found if (rows := rows_of(f.chosen))]
 
-    def _in_common(self, noise: FixNoise, effect: str) -> None:
-        """Name one level of all axes where several of parts of them, named before the colour, are no more likely beside it."""
+    def _parted(self, noise: FixNoise, effect: str) -> bool:
+        """Name as many levels as are likely beside a noise of the fixes: one of all axes, one of each part of them, or those that were named.
+
+        A level is named of whatever explains most at the time; what is named behind it, smoothed vertical velocities, say, leaves one axis quieter.
+        Whether there are more levels than before.
+        """
         parts = [f for f in self.found if f.chosen.effect == effect]
-        if len(parts) < 2:
-            return
-        s, each = self._fixes(self.scene), self._levels()
-        own = [rows_of(f.chosen) for f in parts]
-        common = [sorted(r for rows in own for r in rows), *(rows for rows in each if rows not in own)]
-        usual = apart_from_named(self.scene, each)
-        if joint_noise(s, noise, usual, wide=common).evidence < joint_noise(s, noise, usual, wide=each).evidence:
-            return
-        first, offset = parts[0].chosen, LEVEL_ROWS[effect]
-        axes = tuple(NED[r - offset] for r in common[0])
-        level = replace(first, axes=axes, nats=sum(f.chosen.nats for f in parts))
-        self.found = [replace(f, chosen=level) if f is parts[0] else f for f in self.found if f not in parts[1:]]
+        own, offset = [rows_of(f.chosen) for f in parts], LEVEL_ROWS[effect]
+        whole = sorted(r for rows in own for r in rows)
+        s, groups = self._fixes(self.scene), [[r for r in g if r in whole] for g in LEVEL_GROUPS]
+        ways = [[whole]] if len(own) > 1 else []
+        for finer in ([g for g in groups if g], [[r] for r in whole]):
+            if len(finer) > len(own) and finer not in ways and _lead_of(s, noise, own, finer) > rules().lead:
+                ways.append(finer)
+        if not ways:
+            return False
+        others = [rows for rows in self._levels() if rows not in own]
+        usual = apart_from_named(self.scene, self._levels())
+        likely = [joint_noise(s, noise, usual, wide=[*way, *others]) for way in (own, *ways)]
+        gain = [
+            joint.evidence - likely[0].evidence - (rules().lead if len(way) > len(own) else 0.0)
+            for way, joint in zip((own, *ways), likely, strict=True)
+        ]
+        k = max(range(len(gain)), key=lambda k: (gain[k], k))
+        if k == 0:
+            return False
+        way, total = ways[k - 1], sum(f.chosen.nats for f in parts) + likely[k].evidence - likely[0].evidence
+        first, levels = parts[0], self.scene.original.factors * likely[k].noise.factor
+        count = [float(s.use[:, rows].sum()) * _cost_of(levels[rows[0]]) for rows in way]
+        new = [
+            replace(first.chosen, axes=tuple(NED[r - offset] for r in rows), nats=total * share / sum(count))
+            for rows, share in zip(way, count, strict=True)
+        ]
+        named = [replace(first, chosen=at_level(h, levels)) for h in new]
+        self.found = [g for f in self.found for g in (named if f is first else [] if f in parts else [f])]
+        return len(way) > len(own)
 
     def _kinds(self, noise: FixNoise) -> list[FixNoise]:
         """A colour as it is, of all axes and, where what is stated varies, of the other kind: as large throughout, or following that."""

@@ -9,15 +9,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.gap.candidates.fixes import as_joint, at_level
+from insemu.gap.candidates.fixes import apart_from_named, as_joint, at_level, rows_of
 from insemu.gap.candidates.jumps import bias_step, lever_arm_step
 from insemu.gap.candidates.robust import beyond_doubt
 from insemu.gap.candidates.shapes import Change, DriveHypothesis, Variant, linear_hypotheses
 from insemu.gap.candidates.steps import multipath_step, placed
 from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.drive.apart import FIRST
-from insemu.gap.evidence.fixes import LEVEL_ROWS
+from insemu.gap.drive.scene import Scene
+from insemu.gap.evidence.fixes import LEVEL_ROWS, joint_noise
 from insemu.gap.evidence.linear import Field
+from insemu.gap.evidence.surrogate import WHITE
 from insemu.gap.hypothesis import Found, best_first
 from insemu.gap.policy import rules
 from insemu.gap.problems.noise_of_fixes import NoiseOfFixes
@@ -64,21 +66,34 @@ class SettledFixes(NoiseOfFixes):
                 for effect in (k for k in FIRST if k in self.gone):
                     self._take(self._outliers_again(self.scene, effect))
             moved |= self._settle_steps()
+            if self.scene.noise is None and any([self._parted(WHITE, effect) for effect in LEVEL_ROWS]):
+                s, wide = self._fixes(self.scene), self._levels()
+                joint = joint_noise(s, WHITE, apart_from_named(self.scene, wide), wide=wide)
+                self.found = [replace(f, chosen=as_joint(f.chosen, self.scene, joint)) for f in self.found]
+                factors = self.scene.original.factors * joint.noise.factor
+                self._take(self._at_named_levels(self.scene.rebuilt(factors=factors)))
+                moved = True
             levels = self.scene.original.factors * (1.0 if self.scene.noise is None else self.scene.noise.factor)
             self.found = [replace(f, chosen=at_level(f.chosen, levels)) for f in self.found]
         elif self.scene.noise is not None and colour is not self.found[-1].chosen:
             before = self.scene.noise.colour
-            for effect in LEVEL_ROWS:
-                self._in_common(self.scene.noise, effect)
+            parted = [self._parted(self.scene.noise, effect) for effect in LEVEL_ROWS]
             scene, joint, _ = self._under_colour(self.scene.noise)
             self.found = [replace(f, chosen=as_joint(f.chosen, scene, joint)) for f in self.found]
             plain = self._without_colour(scene, joint.noise)
-            self._take(plain or scene)
+            self._take(self._at_named_levels(plain or scene) if any(parted) else plain or scene)
             now = joint.noise.colour
             longer = abs(math.log(now.tau / before.tau)) > math.log1p(rules().tolerance)
-            moved = plain is not None or longer or now.follows != before.follows
+            moved = plain is not None or longer or now.follows != before.follows or any(parted)
             moved |= self._settle_steps()
         return moved
+
+    def _at_named_levels(self, scene: Scene) -> Scene:
+        """The scene with the levels that are named as those about which others are trimmed."""
+        levels = scene.original.levels.copy()
+        for h in (f.chosen for f in self.found if rows_of(f.chosen)):
+            levels[rows_of(h)] = h.values[0].value
+        return scene.rebuilt(levels=levels)
 
     def _settle_steps(self) -> bool:
         """Look for each step once more, beside everything that was found since; whether another effect now stands in the place of one."""
