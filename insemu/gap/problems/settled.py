@@ -16,7 +16,7 @@ from insemu.gap.candidates.shapes import Change, DriveHypothesis, Variant, linea
 from insemu.gap.candidates.steps import multipath_step, placed
 from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.drive.apart import FIRST
-from insemu.gap.drive.scene import Scene
+from insemu.gap.drive.scene import Scene, Window
 from insemu.gap.evidence.fixes import LEVEL_ROWS, joint_noise
 from insemu.gap.evidence.linear import Field
 from insemu.gap.evidence.surrogate import WHITE
@@ -27,6 +27,13 @@ from insemu.gap.search import Again
 
 #: Effects that begin at a time, which no column of the catalogue has, and what looks for each.
 STEPS = {"gnss_multipath_step": multipath_step, "bias_step": bias_step, "lever_arm_step": lever_arm_step}
+
+
+def _is_another(one: Window | None, other: Window | None) -> bool:
+    """Whether two steps are of different places or times."""
+    if one is None or other is None:
+        return False
+    return one[0] != other[0] or not max(one[1], other[1]) < min(one[2], other[2])
 
 
 class SettledFixes(NoiseOfFixes):
@@ -102,6 +109,10 @@ class SettledFixes(NoiseOfFixes):
             assert old.chosen.change.block is not None
             beside, least = self._unexplained(old), min(self.threshold, rules().keep_nats)
             own = next((h for h in STEPS[old.chosen.effect](beside) if h.sensor == old.chosen.sensor), None)
+            if own is not None and _is_another(own.change.window, old.chosen.change.window):
+                # an outlier that was put back at its edge explains more, say: that is for the search to find
+                worth = self.data.log_factor(self.blocks()) - self.data.log_factor(self.blocks(old))
+                own = old.chosen if worth >= least else None
             if own is None or beyond_doubt(beside, own, least).nats < least:
                 self.found = [f for f in self.found if f is not old]
                 continue
