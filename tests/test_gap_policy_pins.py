@@ -27,6 +27,7 @@ from insemu.gap.data.samples import clipped, coarse, mend, spikes
 from insemu.gap.data.sources import static_of
 from insemu.gap.evidence.model import Explanation
 from insemu.gap.evidence.modes import level
+from insemu.gap.evidence.sandwich import excess
 from insemu.gap.hypothesis import Found, Hypothesis
 from insemu.gap.problems import rest
 from insemu.gap.problems.rest import is_slow
@@ -479,3 +480,15 @@ def test_what_is_found_and_dropped_in_turns_ends_a_search():
     problem = Turns()
     search(problem, lambda _: None)
     assert problem.asked == 1 and not problem.found
+
+
+# -- evidence beside what is left -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("squares", "doubted"), [(30.6, False), (32.4, True)])
+def test_evidence_is_doubted_where_chance_does_so_once_in_twenty_times(squares, doubted):
+    """Of 20 stretches with a shape in them the squares of the scores have a sum of 31.4 at 95 %."""
+    shape, t = np.zeros(400), np.arange(400.0)
+    shape[::20] = 1.0
+    left = shape * math.sqrt(squares / 20)
+    assert (excess(shape, left, t, 1.0) > 1.0) == doubted

@@ -18,7 +18,8 @@ from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.linear import Field
-from insemu.gap.evidence.sandwich import STRETCHES, SURE, excess
+from insemu.gap.evidence.sandwich import STRETCHES, excess
+from insemu.gap.policy import rules
 
 Array = NDArray[np.float64]
 T = np.arange(3000.0)
@@ -44,7 +45,7 @@ def test_independent_errors_leave_evidence_as_it_is() -> None:
         rng = np.random.default_rng([31, seed])
         above += excess(turning(rng), rng.standard_normal(T.size), T, 1.0) > 1.0
     # each division may say so by chance once in twenty times: as many or more once in a thousand runs of this test
-    assert above <= scipy.stats.binom.ppf(0.999, runs, len(STRETCHES) * (1.0 - SURE))
+    assert above <= scipy.stats.binom.ppf(0.999, runs, len(STRETCHES) * rules().doubt)
 
 
 def test_errors_that_hang_together_widen_intervals_to_what_they_are() -> None:
@@ -72,8 +73,10 @@ def test_one_stretch_of_a_shape_says_little() -> None:
     shape = np.where((T >= 1000.0) & (T < 1010.0), 1.0, 0.0)
     left = np.where(shape > 0.0, 2.0, 0.0)
     most = float(np.sum(shape * left)) ** 2 / float(shape @ shape)
-    assert excess(shape, left, T, 1.0) == pytest.approx(most / scipy.stats.chi2.ppf(SURE, 1.0))
-    assert excess(shape, 0.5 * left, T, 1.0) == pytest.approx(max(1.0, 0.25 * most / scipy.stats.chi2.ppf(SURE, 1.0)))
+    assert excess(shape, left, T, 1.0) == pytest.approx(most / scipy.stats.chi2.isf(rules().doubt, 1.0))
+    assert excess(shape, 0.5 * left, T, 1.0) == pytest.approx(
+        max(1.0, 0.25 * most / scipy.stats.chi2.isf(rules().doubt, 1.0))
+    )
     assert excess(0.0 * shape, left, T, 1.0) == 1.0
 
 

@@ -64,6 +64,9 @@ class Policy:
     confusable: float = _decides(
         0.1, "1", "drive-repeated", "Share of repeated recordings in which a rival stands beside an effect to be told as confusable."
     )
+    doubt: float = _decides(
+        0.05, "1", "real-drives", "How rarely chance alone lets scores of stretches vary so much that the evidence of an effect counts less."
+    )
     # -- tolerances and priors ------------------------------------------------------------------------------------------------------
     tolerance: float = _decides(0.22, "1", "null", "Relative error of a nominal noise level before that is an effect: 20 % and a margin.")
     prior_scales: tuple[float, ...] = _decides(

@@ -15,16 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from insemu.gap.policy import rules
+
 Array = NDArray[np.float64]
 
 #: Stretches that a recording is divided into, in turns: what is left may hang together for seconds or for minutes.
 STRETCHES = (200, 60, 20)
-#: Probability at which the factor is as large as is said: of few stretches with anything of a shape it may be large by chance.
-SURE = 0.95
 
 
 def excess(shape: Array, left: Array, t: Array, variance: float) -> float:
     """Factor by which the variance of a coefficient is larger, at the least, than independent innovations make it; 1 where nothing shows that.
+
+    Of few stretches with anything of a shape it may be large by chance; how rarely that may decide is the policy's ``doubt``.
 
     Parameters
     ----------
@@ -47,5 +49,5 @@ def excess(shape: Array, left: Array, t: Array, variance: float) -> float:
             continue
         # as many stretches alike would vary as much
         alike = total**2 / float(information @ information)
-        out = max(out, float(score @ score) / total * alike / float(chi2.ppf(SURE, alike)))
+        out = max(out, float(score @ score) / total * alike / float(chi2.isf(rules().doubt, alike)))
     return out
