@@ -78,3 +78,13 @@ def test_a_level_that_is_one_stays_one() -> None:
     problem = naming("gnss_noise_level", {NED: 2.5}, use(effect="gnss_noise_level", factor=2.5))
     problem.settle()
     assert set(told(problem, "gnss_noise_level")) == {NED}
+
+
+def test_of_parts_of_a_level_one_may_be_as_believed() -> None:
+    effect = "gnss_velocity_noise"
+    problem = naming(effect, {NED: 0.6}, use(effect=effect, factor=[0.5, 0.5, 1.0]))
+    assert problem.settle()
+    levels = told(problem, effect)
+    assert set(levels) == {HORIZONTAL} and levels[HORIZONTAL][0] < 0.5 < levels[HORIZONTAL][2]
+    assert problem.scene.original.factors[5] == pytest.approx(1.0, abs=0.15)
+    assert problem.scene.original.levels[5] == 1.0

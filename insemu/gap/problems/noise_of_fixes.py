@@ -47,6 +47,11 @@ def _lead_of(s: Surrogate, noise: FixNoise, own: Sequence[Sequence[int]], finer:
     return explained(finer) - explained(own)
 
 
+def _is_off(level: float) -> bool:
+    """Whether a level is beyond the tolerance of what was believed."""
+    return abs(math.log(level)) > math.log1p(rules().tolerance)
+
+
 def _cost_of(level: float) -> float:
     """What a standard deviation taken for one costs where it is ``level``, nats per number."""
     return float(0.5 * (level * level - 1.0) - math.log(level))
@@ -159,7 +164,7 @@ class NoiseOfFixes(ABC):
         told = without_outliers(scene, h, self.cut, seen, nu, level)
         sized = told.outliers
         if stood is not None and level is not None:
-            if abs(math.log(told.level)) < math.log1p(rules().tolerance):
+            if not _is_off(told.level):
                 sized = replace(sized, nats=h.nats + self._take_back(stood.effect))
             else:
                 at, own = scene.original, about(stood)
@@ -349,7 +354,8 @@ class NoiseOfFixes(ABC):
             replace(first.chosen, axes=tuple(NED[r - offset] for r in rows), nats=total * share / sum(count))
             for rows, share in zip(way, count, strict=True)
         ]
-        named = [replace(first, chosen=at_level(h, levels)) for h in new]
+        # of parts one may be what was believed
+        named = [replace(first, chosen=h) for h in (at_level(h, levels) for h in new) if _is_off(h.values[0].value)]
         self.found = [g for f in self.found for g in (named if f is first else [] if f in parts else [f])]
         return len(way) > len(own)
 

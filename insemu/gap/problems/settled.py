@@ -74,6 +74,7 @@ class SettledFixes(NoiseOfFixes):
                     self._take(self._outliers_again(self.scene, effect))
             moved |= self._settle_steps()
             if self.scene.noise is None and any([self._parted(WHITE, effect) for effect in LEVEL_ROWS]):
+                self._take(self._at_named_levels(self.scene))
                 s, wide = self._fixes(self.scene), self._levels()
                 joint = joint_noise(s, WHITE, apart_from_named(self.scene, wide), wide=wide)
                 self.found = [replace(f, chosen=as_joint(f.chosen, self.scene, joint)) for f in self.found]
@@ -84,20 +85,23 @@ class SettledFixes(NoiseOfFixes):
             self.found = [replace(f, chosen=at_level(f.chosen, levels)) for f in self.found]
         elif self.scene.noise is not None and colour is not self.found[-1].chosen:
             before = self.scene.noise.colour
-            parted = [self._parted(self.scene.noise, effect) for effect in LEVEL_ROWS]
+            parted = any([self._parted(self.scene.noise, effect) for effect in LEVEL_ROWS])
+            if parted:
+                self._take(self._at_named_levels(self.scene))
             scene, joint, _ = self._under_colour(self.scene.noise)
             self.found = [replace(f, chosen=as_joint(f.chosen, scene, joint)) for f in self.found]
             plain = self._without_colour(scene, joint.noise)
-            self._take(self._at_named_levels(plain or scene) if any(parted) else plain or scene)
+            self._take(self._at_named_levels(plain or scene) if parted else plain or scene)
             now = joint.noise.colour
             longer = abs(math.log(now.tau / before.tau)) > math.log1p(rules().tolerance)
-            moved = plain is not None or longer or now.follows != before.follows or any(parted)
+            moved = plain is not None or longer or now.follows != before.follows or parted
             moved |= self._settle_steps()
         return moved
 
     def _at_named_levels(self, scene: Scene) -> Scene:
         """The scene with the levels that are named as those about which others are trimmed."""
-        levels = scene.original.levels.copy()
+        # what is no level any more was believed as it is, or raised for the shaking
+        levels = np.where(scene.original.raised > 1.0, scene.original.levels, 1.0)
         for h in (f.chosen for f in self.found if rows_of(f.chosen)):
             levels[rows_of(h)] = h.values[0].value
         return scene.rebuilt(levels=levels)
