@@ -50,7 +50,7 @@ def told(problem: DriveProblem, effect: str) -> dict[tuple[str, ...], tuple[floa
 @pytest.mark.parametrize("effect", list(LEVEL_ROWS))
 @pytest.mark.parametrize("hidden", [(), (COLOUR,)])
 def test_a_level_of_all_axes_becomes_two_where_they_differ(effect: str, hidden: tuple[EffectUse, ...]) -> None:
-    """On ublox_mixed_nominal one level of 0.11 stood for all velocities, whose vertical ones scattered by 0.4 of that: nine hundred nats."""
+    """On ublox_mixed_nominal one level of 0.11 stood for all velocities, whose vertical ones scattered by 0.4 of that."""
     problem = naming(effect, {NED: 0.4}, use(effect=effect, factor=[0.6, 0.6, 0.2]), *hidden)
     nats = sum(f.chosen.nats for f in problem.found if f.chosen.effect == effect)
     assert problem.settle()

@@ -73,6 +73,7 @@ class SettledFixes(NoiseOfFixes):
                 for effect in (k for k in FIRST if k in self.gone):
                     self._take(self._outliers_again(self.scene, effect))
             moved |= self._settle_steps()
+            # either effect is asked, whatever the other one answers
             if self.scene.noise is None and any([self._parted(WHITE, effect) for effect in LEVEL_ROWS]):
                 self._take(self._at_named_levels(self.scene))
                 s, wide = self._fixes(self.scene), self._levels()
