@@ -18,13 +18,14 @@ from benchmarks.foreign import sensors
 from benchmarks.foreign.judge import Job, drawn, taken
 from insemu.effects import EFFECTS, EffectUse, having
 from insemu.errors import InputError
+from insemu.filters import log_density
 from insemu.gap import GapReport, Nominal, find_gap
 from insemu.gap.candidates.fixes import _share_and_size, gnss_outliers, without_outliers
 from insemu.gap.candidates.shapes import Change
 from insemu.gap.candidates.steps import _Scan, _step_anywhere, _when, multipath_step, surprising
 from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.drive import FIRST
-from insemu.gap.drive.apart import log_mixture, outlying
+from insemu.gap.drive.apart import MOST_RUNS, Seen, by_filter, log_joint, log_odds, outlying, told, under_colour
 from insemu.gap.drive.preparation import Flown, fitted_levels
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop
@@ -156,45 +157,91 @@ def test_the_interval_of_a_colour_has_the_tail_of_its_posterior() -> None:
     assert high - float(mode.x[0]) > 1.2 * 1.96 * math.sqrt(float(mode.covariance[0, 0]))
 
 
-def test_outliers_are_those_of_the_round_that_explains_most() -> None:
-    """A filter that leaves out more than the five follows worse: each round two more are far off."""
-    t, quiet = np.arange(200.0), np.random.default_rng(6).standard_normal((200, 3))
+def test_what_all_others_say_of_a_fix_is_what_a_shock_of_it_explains() -> None:
+    """A fix with a further variance is as much more likely as its rest, given all others, is under it; also where a colour is nearly the position."""
+    s = Surrogate.of(nominal_run()[0])
+    for noise in (noise_of(s), FixNoise(np.full(6, 0.05), Colour(np.array([0.8, 0.8, 0.8, 0.0, 0.0, 0.0]), 1500.0))):
+        none, more = np.zeros((s.t.size, 6)), np.array([0.9, 0.1, 0.3])
+        rest, S = s.beside(s.nu, noise, none)
+        for k in (1, s.t.size // 2, s.t.size - 1):
+            for own in (slice(0, 3), slice(3, 6)):
+                if not s.use[k, own].all():
+                    continue
+                shaken = none.copy()
+                shaken[k, own] = more
+                louder = replace(s, R=s.R + shaken / noise.factor**2)
+                gain = louder.log_likelihood(noise.factor, noise.colour) - s.log_likelihood(noise.factor, noise.colour)
+                v, own_S = rest[k : k + 1, own], S[k : k + 1, own, own]
+                assert gain == pytest.approx(
+                    float(log_density(v, own_S + np.diag(more))[0] - log_density(v, own_S)[0]), abs=1e-6, rel=1e-6
+                )
+                # what it says of itself is not in it
+                again, own_again = s.beside(s.nu, noise, shaken)
+                assert again[k, own] == pytest.approx(rest[k, own], rel=1e-6, abs=1e-9)
+                assert own_again[k, own, own] == pytest.approx(S[k, own, own], rel=1e-6, abs=1e-9)
 
-    def seen(gone: Any) -> dict[str, Any]:
-        v = quiet.copy()
-        v[:5] = 30.0
-        count = gone["gnss_outliers"][0].size
-        if count:
-            v[5 : count + 2] = 9.0
-        else:  # it follows them, and is off behind them
-            v[5:40] += 2.5
-        return {"gnss_outliers": (t, v, np.eye(3) * np.ones((200, 1, 1)))}
 
-    known = [use(effect="gnss_outliers", probability=0.03, sigma=[30.0, 30.0, 30.0])]
-    told = outlying(seen, known, {})["gnss_outliers"]
-    # those that the first look takes for outliers; the last of ten looks has 28
-    assert set(t[:5]) <= set(told) and told.size < 15
-    # nor do more rounds take anything from what was told before
-    assert set(outlying(seen, known, {"gnss_outliers": t[:5]})["gnss_outliers"]) == set(t[:5])
+def beside_colour(seed: int, hit: Array) -> Seen:
+    """Positions of a filter beside a colour, some of which (f,) are off by five white standard deviations and more."""
+    made = behind_a_colour(recording(COLOUR))
+    off = (
+        np.where(hit[: made.surrogate.t.size, None], 1.0, 0.0)
+        * np.random.default_rng(seed).normal(0.0, 0.6, (hit.size, 3))[: made.surrogate.t.size]
+    )
+    assert made.noise is not None
+    M = np.zeros((made.surrogate.t.size, 6, 1))
+    M[:, :3, 0] = off
+    return under_colour(made.surrogate, made.noise, made.surrogate.nu + made.loop.respond(1, None, M)[:, :, 0])
 
 
-def test_a_fix_that_was_not_told_an_outlier_is_none_however_far_off() -> None:
-    """The search would name it as a step, or a level. Told with those, all others scatter a little more, which the mixture minds more."""
-    t, quiet = np.arange(200.0), np.random.default_rng(6).standard_normal((200, 3))
+def test_no_other_answer_about_a_fix_is_more_likely_than_the_one_told() -> None:
+    """Neither is one about two neighbours; by the fixes before alone fewer are told, and they are less likely together."""
+    count = 2000
+    hit = np.random.default_rng(9).random(count) < 0.08
+    seen, known = beside_colour(3, hit), {"gnss_outliers": (0.08, np.full(3, 0.6))}
+    t = seen({"gnss_outliers": (np.zeros(0), known["gnss_outliers"][1])})["gnss_outliers"][0]
+    out = told(seen, known, {})
+    best = log_joint(seen, known, out)
+    ahead = np.zeros(0)
+    for _ in range(10):
+        at, v, S = seen({"gnss_outliers": (ahead, known["gnss_outliers"][1])}, ahead=True)["gnss_outliers"]
+        ahead = at[log_odds(v, S, *known["gnss_outliers"]) > 0.0]
+    assert best > log_joint(seen, known, {"gnss_outliers": ahead}) + 5.0
+    for k in range(0, t.size - 1, 7):
+        for flip in (t[k : k + 1], t[k : k + 2]):
+            assert log_joint(seen, known, {"gnss_outliers": np.setxor1d(out["gnss_outliers"], flip)}) < best
+    # from another answer it is the same one
+    assert set(told(seen, known, {"gnss_outliers": ahead})["gnss_outliers"]) == set(out["gnss_outliers"])
 
-    def seen(gone: Any) -> dict[str, Any]:
-        more = gone["gnss_outliers"][0].size >= 8
-        v = quiet * (1.3 if more else 1.0)
-        v[:5] = 30.0
-        if not more:
-            v[5:8] = 12.0
-        return {"gnss_outliers": (t, v, np.eye(3) * np.ones((200, 1, 1)))}
 
-    known = [use(effect="gnss_outliers", probability=0.03, sigma=[30.0, 30.0, 30.0])]
-    assert set(t[5:8]) <= set(outlying(seen, known, {})["gnss_outliers"])
-    some = [seen({"gnss_outliers": (t[:k], None)})["gnss_outliers"][1:] for k in (5, 8)]
-    mixed = [float(np.sum(log_mixture(v, S, 0.03, np.full(3, 30.0)))) for v, S in some]
-    assert mixed[0] > mixed[1]
+def test_what_was_settled_before_a_time_is_not_told_again() -> None:
+    hit = np.random.default_rng(9).random(2000) < 0.08
+    seen, known = beside_colour(3, hit), {"gnss_outliers": (0.08, np.full(3, 0.6))}
+    t = seen({"gnss_outliers": (np.zeros(0), known["gnss_outliers"][1])})["gnss_outliers"][0]
+    half = float(t[t.size // 2])
+    first = told(seen, known, {}, half)["gnss_outliers"]
+    assert first.size and first.max() <= half
+    out = told(seen, known, {"gnss_outliers": first}, since=half)["gnss_outliers"]
+    np.testing.assert_array_equal(out[out <= half], first)
+    assert np.count_nonzero(out > half) >= 3
+
+
+def test_the_filter_runs_again_without_what_it_was_led_astray_by() -> None:
+    """What is told of the run that followed the outliers is looked at once more where none is followed, and then it ends."""
+    made, hit = with_outliers(recording(), 0.03, 5.0)
+    gnss = Gnss(position_sigma=SIGMA, velocity_sigma=(0.05, 0.05, 0.05), lever_arm=LEVER)
+    prepared = replace(Flown.of(made, Nominal(dict(BELIEF), gnss)).prepared, factors=np.ones(6))
+    flown, look = [], by_filter(lambda g: prepared.again(gnss=g).result, prepared.gnss)
+
+    def counted(gone: Any) -> Seen:
+        flown.append(gone["gnss_outliers"][0].size)
+        return look(gone)
+
+    known = [use(effect="gnss_outliers", probability=0.03, sigma=[5.0, 5.0, 5.0])]
+    out = outlying(counted, known)["gnss_outliers"]
+    assert made.gnss is not None
+    assert np.isin(made.gnss.t[hit], out).mean() > 0.95 and out.size <= hit.sum() + 2
+    assert flown[0] == 0 and 2 <= len(flown) <= MOST_RUNS
 
 
 def test_a_step_that_a_filter_follows_within_a_few_fixes_is_found() -> None:

@@ -108,7 +108,7 @@ def test_outliers_that_were_told_are_struck_out_again() -> None:
     less_some = replace(whole, gnss=gnss.without_positions(gnss.t[[3, 40]]).without_velocities(gnss.t[[7]]))
     gone = struck_out(whole, less_some)
     assert gone["gnss_outliers"].tolist() == [3, 40] and gone["gnss_velocity_outliers"].tolist() == [7]
-    again, _ = drive_without(whole, flight()[1].parted(), gone, again=False)
+    again, _ = drive_without(whole, flight()[1].parted(), gone)
     assert again.gnss is not None and less_some.gnss is not None
     np.testing.assert_array_equal(again.gnss.llh, less_some.gnss.llh)
     np.testing.assert_array_equal(again.gnss.vel_ned, less_some.gnss.vel_ned)

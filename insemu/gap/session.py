@@ -161,7 +161,7 @@ def _drive(
     if own_axes[0] is not recording:
         (recording, moved), flown = own_axes, None
     report = find_dynamic_gap(recording, moved, rng=rng, without=skip, hold_out=hold_out, progress=say, flown=flown)
-    known = struck_out(drive_without(measured, now, again=False)[0], recording)
+    known = struck_out(drive_without(measured, now, {})[0], recording)
     report = replace(report, outliers=both_told(measured, known, report.outliers))
     out = _together(report, early, mounted, nominal)
 
@@ -246,17 +246,18 @@ def _estimated_together(
     except InputError:  # no filter runs on a recording less these numbers
         return before
     # which fixes are outliers is told again beside the new numbers
-    again = _refined(measured, nominal, report, again=True)
+    again = drive_without(measured, _refined_nominal(measured, nominal, report))
     gone = struck_out(_refined(measured, nominal, replace(report, outliers={}))[0], again[0])
     return replace(report, outliers=gone), again
 
 
-def _refined(
-    measured: Recording, nominal: Nominal, report: GapReport, *, again: bool = False
-) -> tuple[Recording, Nominal]:
-    """A recording less what is known and what was found in it, and the nominal model as it is then; ``again`` as of :func:`drive_without`."""
-    refined = refined_nominal(nominal, report, measured.imu.dt).parted()
-    return drive_without(measured, refined, report.outliers, again=again)
+def _refined(measured: Recording, nominal: Nominal, report: GapReport) -> tuple[Recording, Nominal]:
+    """A recording less what is known and what was found in it, and the nominal model as it is then."""
+    return drive_without(measured, _refined_nominal(measured, nominal, report), report.outliers)
+
+
+def _refined_nominal(measured: Recording, nominal: Nominal, report: GapReport) -> Nominal:
+    return refined_nominal(nominal, report, measured.imu.dt).parted()
 
 
 def _bending(findings: Sequence[Finding]) -> float:

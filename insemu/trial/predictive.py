@@ -207,7 +207,7 @@ class Twin:
 
     def run_apart_from_outliers(self, imu: ImuRecord, gnss: GnssRecord) -> FilterResult:
         """The filter on a recording less the model's effects; where the model knows outliers, on the fixes that are none."""
-        gone = outlying(by_filter(lambda g: self.run(imu, g), gnss), told_of(self.model.effects, gnss), {})
+        gone = outlying(by_filter(lambda g: self.run(imu, g), gnss), told_of(self.model.effects, gnss))
         return self.run(imu, without(gnss, gone))
 
     def run(self, imu: ImuRecord, gnss: GnssRecord) -> FilterResult:

@@ -12,18 +12,7 @@ from numpy.typing import NDArray
 
 from insemu.filters import log_density
 from insemu.gap.candidates.shapes import Change, DriveHypothesis
-from insemu.gap.drive.apart import (
-    FIRST,
-    MOST_ROUNDS,
-    Seen,
-    by_filter,
-    led_away,
-    less,
-    log_mixture,
-    log_odds,
-    log_told,
-    under_colour,
-)
+from insemu.gap.drive.apart import FIRST, Look, by_filter, less, log_joint, log_mixture, told, under_colour
 from insemu.gap.drive.preparation import scaled_fixes
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop
@@ -53,8 +42,10 @@ Array = NDArray[np.float64]
 UNITS = {0: "m", 3: "m/s"}
 #: Steps in which share and size of outliers are estimated.
 MIXTURE_STEPS = 30
-#: Median of the absolute value of a standard normal; change of the logarithm of a level at which it is settled.
-NORMAL_MEDIAN, SAME_LEVEL = 0.6745, 0.03
+#: Median of the absolute value of a standard normal; change of the logarithm of a level, share or size at which it is settled.
+NORMAL_MEDIAN, SAME = 0.6745, 0.03
+#: Most times that outliers, and how many and how large they are, are told in turns.
+MOST_TURNS = 10
 
 
 def whole_innovations(
@@ -145,11 +136,6 @@ def gnss_outliers(scene: Scene, nu: Array, cut: float | None, effect: str = "gns
     return [Hypothesis(effect, nats, values, Change(), "", "gnss", NED)]
 
 
-def _odds(outliers: DriveHypothesis, v: Array, S: Array) -> Array:
-    """Log odds (k,) to be outliers; arguments as those of :func:`mixture`."""
-    return log_odds(v, S, *_share_and_sigma(outliers))
-
-
 def _share_and_sigma(outliers: DriveHypothesis) -> tuple[float, Array]:
     """Share of outliers and their standard deviations (3,), NED."""
     given = {x.name: x.value for x in outliers.values}
@@ -185,14 +171,15 @@ def told_again(
     cut : float or None
         Fixes after this time (s) do not count.
     gone : (k,) array
-        Times of those that the filter hardly follows, s.
+        Times of those that are taken for outliers at first, s.
     """
-    effect, given = outliers.effect, _share_and_sigma(outliers)
+    known = {outliers.effect: _share_and_sigma(outliers)}
     of = np.where(scene.surrogate.use == 1, scene.surrogate.nu - scene.less_explained(*explained), 0.0)
-    t, v, S = _look(scene, effect, 1.0, scene, of)({effect: (gone, given[1])})[effect]
-    out = log_odds(v, S, *given) > 0.0
-    early = np.full(t.size, True) if cut is None else t <= cut
-    return float(np.sum(log_told(v, S, *given, out)[early])), t[out]
+    seen = _look(scene, outliers.effect, 1.0, scene, of)({outliers.effect: (gone, known[outliers.effect][1])})
+    until = math.inf if cut is None else cut
+    out = told(seen, known, {outliers.effect: gone}, until)
+    value = log_joint(seen, known, out, until)
+    return value, (out if cut is None else told(seen, known, out, since=cut))[outliers.effect]
 
 
 @dataclass(frozen=True)
@@ -221,7 +208,6 @@ def without_outliers(
     seen: Scene,
     nu: Array,
     level: float | None = None,
-    gone: Array | None = None,
 ) -> Separated:
     """Which positions or velocities are outliers, and how many and how large they are, as a filter sees them that does not follow them.
 
@@ -235,7 +221,7 @@ def without_outliers(
     outliers : DriveHypothesis
         From :func:`gnss_outliers`.
     cut : float or None
-        Share and size are estimated on the fixes up to this time (s); ``None``: on all.
+        Those up to this time (s), their share and size are told from the fixes up to it; ``None``: from all.
     seen : Scene
         In which the outliers were named.
     nu : (f, 6) array
@@ -243,46 +229,41 @@ def without_outliers(
     level : float, optional
         A level of them over that of the scene which was named before the outliers: it may have stood for them, and is estimated with them.
         Outliers told at the nominal level would be every large error, and those left be such as follow the errors before.
-    gone : (k,) array, optional
-        Times of those that were told before, s.
     """
-    effect = outliers.effect
-    if gone is None:
-        at, v, S = whole_innovations(seen, nu, None, effect)
-        gone = scene.prepared.result.fixes.t[at][_odds(outliers, v, S) > 0.0]
-    now, best, values = 1.0 if level is None else level, Separated(gone, outliers, 1.0), list[float]()
+    effect, until = outliers.effect, math.inf if cut is None else cut
+    gone, now = np.zeros(0), 1.0 if level is None else level
     explained = np.where(seen.surrogate.use == 1, seen.surrogate.nu - nu, 0.0)
-    for _ in range(MOST_ROUNDS):
-        if scene.noise is not None:
-            look = under_colour(scene.surrogate, scene.noise, nu)
-        else:
-            look = _look(scene, effect, now, seen, explained)
-        sigma = np.array([x.value for x in outliers.values if x.name.startswith("sigma_")])
-        t, v, S = look({effect: (gone, sigma)})[effect]
-        early = slice(None) if cut is None else slice(int(np.searchsorted(t, cut, side="right")))
-        outliers = _share_and_size(outliers, v[early], S[early])
-        # a filter that leaves out fixes which are no outliers follows worse and takes more for outliers: those count that explain most
-        value = float(np.sum(mixture(outliers, v[early], S[early])))
-        if not values or value > max(values):
-            best = Separated(gone, outliers, now)
-        values.append(value)
-        before, gone = gone, t[_odds(outliers, v, S) > 0.0]
-        scatter = 1.0
+    share, sigma = _share_and_sigma(outliers)
+    of, flown = _look(scene, effect, now, seen, explained)({effect: (gone, sigma)}), now
+    for _ in range(MOST_TURNS):
+        before = gone
+        gone = told(of, {effect: (share, sigma)}, {effect: gone}, until)[effect]
+        _, v, S = of({effect: (gone, sigma)}, until)[effect]
+        outliers = _share_and_size(outliers, v, S)
+        was, (share, sigma) = np.array([share, sigma[0]]), _share_and_sigma(outliers)
         if level is not None:
             # the median hardly sees the outliers
-            y = v[early] / np.sqrt(np.einsum("kii->ki", S[early]))
+            y = v / np.sqrt(np.einsum("kii->ki", S))
             scatter = float(np.median(np.abs(y))) / NORMAL_MEDIAN
-            now *= scatter
-        if (np.array_equal(before, gone) and abs(math.log(scatter)) < SAME_LEVEL) or led_away(values):
+            now *= scatter if abs(math.log(scatter)) >= SAME else 1.0
+        same = np.array_equal(before, gone) and now == flown
+        if same and np.abs(np.log(np.array([share, sigma[0]]) / was)).max() < SAME:
             break
-    return best
+        if not same:
+            of, flown = _look(scene, effect, now, seen, explained)({effect: (gone, sigma)}), now
+    if cut is not None:
+        gone = told(of, {effect: (share, sigma)}, {effect: gone}, since=cut)[effect]
+    return Separated(gone, outliers, now)
 
 
-def _look(scene: Scene, effect: str, level: float, seen: Scene, explained: Array) -> Seen:
+def _look(scene: Scene, effect: str, level: float, seen: Scene, explained: Array) -> Look:
     """The positions or velocities of a scene as its filter sees them at a level over the scene's.
 
     What is explained (f, 6) of the innovations of ``seen`` is less where an outlier is hardly followed, or more: the filter on its error says so.
     """
+    if scene.noise is not None:
+        of = under_colour(scene.surrogate, scene.noise, scene.surrogate.nu - explained)
+        return lambda gone: of
     prepared = scene.prepared
     factors = prepared.factors * np.where(np.arange(6) // 3 == FIRST[effect] // 3, level, 1.0)
     look = by_filter(

@@ -1,7 +1,7 @@
-"""Outliers among the positions or the velocities of a recording, told by a filter that hardly follows them.
+"""Outliers among the positions or the velocities of a recording, told by what all other fixes say of each.
 
-A filter that follows an outlier takes the fixes after it for outliers too. So it looks at all again while it hardly follows those that were told,
-until these stay the same.
+A filter that follows an outlier takes the fixes behind it for outliers too, and one that only looks ahead cannot tell an outlier from the fixes
+before it. What those on both sides say of one is a smoother's, from one pass forward and one back.
 """
 
 from __future__ import annotations
@@ -9,35 +9,59 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
 
 from insemu.effects import EffectUse
 from insemu.filters import FilterResult, log_density
-from insemu.gap.evidence.surrogate import FixNoise, Surrogate
-from insemu.gap.policy import rules
+from insemu.gap.evidence.surrogate import WHITE, FixNoise, Surrogate
 from insemu.records import GnssRecord
 
 Array = NDArray[np.float64]
 Run = Callable[[GnssRecord], FilterResult]
-#: Times (f,) of positions (velocities), their innovations (f, 3), and the covariances (f, 3, 3) of these if they are no outliers: s, m (m/s), m^2.
+#: Times (k,) of positions (velocities), what is left of them (k, 3), and the covariances (k, 3, 3) of that if they are no outliers: s, m (m/s), m^2.
 Fixes = tuple[Array, Array, Array]
-#: By effect: times (k,) of what is hardly followed, s, and standard deviations (3,) of an outlier.
+#: By effect: times (k,) of outliers, s, and standard deviations (3,) of one.
 Gone = Mapping[str, tuple[Array, Array]]
-#: To all positions, or velocities, of each of these effects.
-Seen = Callable[[Gone], dict[str, Fixes]]
+#: By effect: share of outliers, and standard deviations (3,) of one.
+Known = Mapping[str, tuple[float, Array]]
+
+
+class Seen(Protocol):
+    """Positions and velocities as a filter sees them that expects outliers at some times."""
+
+    def __call__(self, gone: Gone, until: float = math.inf, *, ahead: bool = False) -> dict[str, Fixes]:
+        """All positions, or velocities, of each effect, less what others say of them.
+
+        Parameters
+        ----------
+        gone : mapping of effect to (times, sigma)
+            The outliers.
+        until : float
+            As if the recording ended then, s.
+        ahead : bool
+            Whether only the fixes before say something, else all others do.
+        """
+
+
+#: The filter on a recording, which hardly follows these outliers: what it sees is linear about where it was.
+Look = Callable[[Gone], Seen]
 
 #: First of the three components of a fix in which an effect makes outliers.
 FIRST = {"gnss_outliers": 0, "gnss_velocity_outliers": 3}
 #: Standard deviation of a fix that is hardly followed, over that of an outlier: the mean of a hundred such fixes is still as uncertain as a hundred
-#: times an outlier, and taking its square off a covariance again rounds at 1e-10 of the variance of one.
+#: times an outlier, and taking its square off a variance again rounds at 1e-10 of the variance of one.
 LOOSE = 1e3
-#: Most rounds in which outliers and filter are told apart; on rtkexp_drive, whose outliers come in runs of 20, one of the first three explains most.
-MOST_ROUNDS = 10
-#: Rounds in a row that explain less than an earlier one by what decides, after which none explained most in 14 searches on rtkexp_drive; answers of
-#: ublox_mixed_nominal and of ``python -m tests.scoreboard`` are those of all rounds.
-MOST_WORSE = 2
+#: Fixes around one that is told anew in which no other is: it says something of these. With 1 to 10 the outliers of ublox_mixed_nominal and
+#: rtkexp_drive are the same; with none they went in turns.
+APART = 5
+#: Most times that all are looked at: 4 to 9 on real drives.
+MOST_ROUNDS = 40
+#: Most runs of the filter: where it flies without the outliers that it was led astray by, few others are told.
+MOST_RUNS = 4
 
 
 def log_odds(v: Array, S: Array, probability: float, sigma: Array) -> Array:
@@ -82,7 +106,37 @@ def log_told(v: Array, S: Array, probability: float, sigma: Array, out: NDArray[
     return np.asarray(plain + np.where(out, log_odds(v, S, probability, sigma), 0.0))
 
 
-def by_filter(run: Run, gnss: GnssRecord) -> Seen:
+def under_colour(s: Surrogate, noise: FixNoise, nu: Array | None = None) -> Seen:
+    """Positions and velocities as a filter on the error of the nominal filter sees them under a noise of the fixes.
+
+    Parameters
+    ----------
+    s : Surrogate
+        Of the nominal filter; under a colour of one that does not follow it.
+    noise : FixNoise
+        Levels over that filter's, and the colour.
+    nu : (f, 6) array, optional
+        Innovations less what is explained, m and m/s; else all of them.
+    """
+    whole = s.nu if nu is None else nu
+
+    def seen(gone: Gone, until: float = math.inf, *, ahead: bool = False) -> dict[str, Fixes]:
+        at = s if until == math.inf else s.until(until)
+        more = np.zeros((at.t.size, 6))
+        for effect, (t, sigma) in gone.items():
+            more[np.isin(at.t, t), _rows(effect)] = sigma**2
+        v, S = (at.ahead if ahead else at.beside)(whole[: at.t.size], noise, more)
+        out = {}
+        for effect in gone:
+            own = _rows(effect)
+            there = (at.use[:, own] == 1).all(axis=1)
+            out[effect] = at.t[there], v[there][:, own], S[there][:, own, own]
+        return out
+
+    return seen
+
+
+def by_filter(run: Run, gnss: GnssRecord) -> Look:
     """Positions and velocities as a filter sees them that hardly follows some.
 
     Parameters
@@ -93,105 +147,115 @@ def by_filter(run: Run, gnss: GnssRecord) -> Seen:
         With standard deviations.
     """
 
-    def seen(gone: Gone) -> dict[str, Fixes]:
+    def look(gone: Gone) -> Seen:
         more, loose = np.zeros((len(gnss), 6)), gnss
         for effect, (t, sigma) in gone.items():
             own, key = _rows(effect), ("pos_std_ned", "vel_std_ned")[FIRST[effect] // 3]
             more[np.isin(gnss.t, t), own] = (LOOSE * sigma) ** 2
             loose = replace(loose, **{key: np.sqrt(getattr(gnss, key) ** 2 + more[:, own])})
-        fixes = run(loose).fixes
-        S = fixes.S - more[np.searchsorted(gnss.t, fixes.t)][:, :, None] * np.eye(6)
-        return {effect: _whole(fixes.t, fixes.innovation, S, effect) for effect in gone}
+        s = Surrogate.of(run(loose))
+        return under_colour(replace(s, R=s.R - np.where(s.use == 1, more[np.searchsorted(gnss.t, s.t)], 0.0)), WHITE)
 
-    return seen
-
-
-def under_colour(s: Surrogate, noise: FixNoise, nu: Array | None = None) -> Seen:
-    """Positions and velocities less what the fixes before say of a colour, which a filter on its error follows where the nominal filter cannot.
-
-    Parameters
-    ----------
-    s : Surrogate
-        Of a filter that does not follow the colour.
-    noise : FixNoise
-        Levels over that filter's, and the colour.
-    nu : (f, 6) array, optional
-        Innovations less what is explained, m and m/s; else all of them.
-    """
-
-    def seen(gone: Gone) -> dict[str, Fixes]:
-        more = np.zeros((s.t.size, 6))
-        for effect, (t, sigma) in gone.items():
-            more[np.isin(s.t, t), _rows(effect)] = (LOOSE * sigma) ** 2
-        v, S = s.ahead(s.nu if nu is None else nu, noise, more)
-        there = np.where(s.use == 1, v, np.nan)
-        return {effect: _whole(s.t, there, S, effect) for effect in gone}
-
-    return seen
+    return look
 
 
-def less(seen: Seen, explained: Seen) -> Seen:
+def less(look: Look, explained: Seen) -> Look:
     """Positions and velocities as a filter sees them, less the part of them that is explained, as it sees that part."""
 
-    def rest(gone: Gone) -> dict[str, Fixes]:
-        out, known = seen(gone), explained(gone)
-        for effect, (t, v, S) in out.items():
-            _, own, at = np.intersect1d(t, known[effect][0], return_indices=True)
-            v[own] -= known[effect][1][at]
-            out[effect] = t, v, S
-        return out
+    def rest_of(seen: Seen) -> Seen:
+        def rest(gone: Gone, until: float = math.inf, *, ahead: bool = False) -> dict[str, Fixes]:
+            out, known = seen(gone, until, ahead=ahead), explained(gone, until, ahead=ahead)
+            for effect, (t, v, S) in out.items():
+                _, own, at = np.intersect1d(t, known[effect][0], return_indices=True)
+                v[own] -= known[effect][1][at]
+                out[effect] = t, v, S
+            return out
 
-    return rest
+        return rest
+
+    return lambda gone: rest_of(look(gone))
 
 
 def _rows(effect: str) -> slice:
     return slice(FIRST[effect], FIRST[effect] + 3)
 
 
-def _whole(t: Array, v: Array, S: Array, effect: str) -> Fixes:
-    """Those with all three components."""
-    own = _rows(effect)
-    there = np.isfinite(v[:, own]).all(axis=1)
-    return t[there], v[there][:, own], S[there][:, own, own]
+def told(
+    seen: Seen, known: Known, gone: Mapping[str, Array], until: float = math.inf, since: float = -math.inf
+) -> dict[str, Array]:
+    """By effect the times (k,) of the positions or velocities that are more likely outliers than not, given all others, s.
 
-
-def led_away(values: Sequence[float]) -> bool:
-    """Whether rounds that tell outliers explain so much less than an earlier one that those after them will, by what each explains in nats."""
-    return len(values) > MOST_WORSE and max(values[-MOST_WORSE:]) < max(values) - rules().lead
-
-
-def outlying(seen: Seen, known: Sequence[EffectUse], told: Mapping[str, Array]) -> dict[str, Array]:
-    """By effect the times (k,) of the positions or velocities that are more likely outliers than not, s.
-
-    All are told together: a filter that follows outliers among the velocities takes positions for outliers. One that leaves out fixes which are
-    no outliers follows worse and takes more for outliers, so that of all rounds those count with which the fixes are most likely, those that
-    were not told as no outliers however far off they are.
+    Each that is told anew makes all of them together more likely, so that it ends (iterated conditional modes, Besag 1986). From no outliers on,
+    those that stand out most are told first.
 
     Parameters
     ----------
     seen : callable
-        From :func:`by_filter` or :func:`under_colour`.
+        From :func:`under_colour`, or what :func:`by_filter` returns sees.
+    known : mapping of effect to (share, sigma)
+    gone : mapping of effect to (k,) array
+        Those that are taken for outliers at first, s.
+    until : float
+        As if the recording ended then, s.
+    since : float
+        Up to this time (s) it is settled which they are.
+    """
+    gone = {effect: np.asarray(gone.get(effect, np.zeros(0))) for effect in known}
+    for _ in range(MOST_ROUNDS):
+        fixes = seen({effect: (gone[effect], sigma) for effect, (_, sigma) in known.items()}, until)
+        odds = {effect: log_odds(v, S, *known[effect]) if v.size else v[:, 0] for effect, (_, v, S) in fixes.items()}
+        # by how much another answer is more likely, of each fix that of which this is more
+        t = np.unique(np.concatenate([t for t, _, _ in fixes.values()]))
+        gain, each = np.zeros(t.size), {}
+        for effect, o in odds.items():
+            at = fixes[effect][0]
+            wrong = ((o > 0.0) != np.isin(at, gone[effect])) & (at > since)
+            each[effect] = np.where(wrong, np.abs(o), 0.0)
+            np.maximum.at(gain, np.searchsorted(t, at), each[effect])
+        if not gain.any():
+            break
+        largest = scipy.ndimage.maximum_filter1d(gain, 2 * APART + 1, mode="constant")
+        for effect, (at, _, _) in fixes.items():
+            turn = (each[effect] > 0.0) & (each[effect] == largest[np.searchsorted(t, at)])
+            gone[effect] = np.setxor1d(gone[effect], at[turn])
+    return gone
+
+
+def log_joint(seen: Seen, known: Known, gone: Mapping[str, Array], until: float = math.inf) -> float:
+    """Log density of all positions and velocities of which it was told which are outliers, without the constant.
+
+    Parameters
+    ----------
+    seen, known, until
+        As :func:`told` takes them.
+    gone : mapping of effect to (k,) array
+        Times of the outliers, s.
+    """
+    fixes = seen({effect: (gone[effect], sigma) for effect, (_, sigma) in known.items()}, until, ahead=True)
+    each = (log_told(v, S, *known[k], np.isin(t, gone[k])) for k, (t, v, S) in fixes.items() if t.size)
+    return float(sum(np.sum(one) for one in each))
+
+
+def outlying(look: Look, known: Sequence[EffectUse]) -> dict[str, Array]:
+    """By effect the times (k,) of the positions or velocities that are more likely outliers than not, s.
+
+    All are told together: a filter that follows outliers among the velocities takes positions for outliers.
+
+    Parameters
+    ----------
+    look : callable
+        From :func:`by_filter`, or one that always returns what :func:`under_colour` returns.
     known : sequence of EffectUse
         Outliers of known share and size, each effect once.
-    told : mapping of effect to (k,) array
-        Times of those that were told before, s.
     """
-    sigma = {use.id: np.array(use["sigma"]) for use in known}
-    gone = best = {use.id: told.get(use.id, np.zeros(0)) for use in known}
-    values: list[float] = []
-    for _ in range(MOST_ROUNDS if known else 0):
-        before, fixes = gone, seen({k: (t, sigma[k]) for k, t in gone.items()})
-        gone, value = {}, 0.0
-        for use in known:
-            (t, v, S), share = fixes[use.id], use.scalar("probability")
-            value += float(np.sum(log_told(v, S, share, sigma[use.id], np.isin(t, before[use.id])))) if t.size else 0.0
-            gone[use.id] = t[log_odds(v, S, share, sigma[use.id]) > 0.0] if t.size else t
-        if not values or value > max(values):
-            best = before
-        values.append(value)
-        if all(np.array_equal(before[k], gone[k]) for k in gone) or led_away(values):
+    given = {use.id: (use.scalar("probability"), np.array(use["sigma"])) for use in known}
+    gone = {effect: np.zeros(0) for effect in given}
+    for _ in range(MOST_RUNS if known else 0):
+        before, seen = gone, look({effect: (gone[effect], sigma) for effect, (_, sigma) in given.items()})
+        gone = told(seen, given, gone)
+        if all(np.array_equal(before[effect], gone[effect]) for effect in gone):
             break
-    return best
+    return gone
 
 
 def told_of(effects: Sequence[EffectUse], gnss: GnssRecord) -> list[EffectUse]:

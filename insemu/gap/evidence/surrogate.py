@@ -260,6 +260,40 @@ class Surrogate:
         S -= more[:, :, None] * np.eye(6)
         return out, S
 
+    def beside(self, nu: Array, noise: FixNoise, more: Array) -> tuple[Array, Array]:
+        """Positions and velocities less what all other components of all fixes say of them under a noise of the fixes, and their covariances.
+
+        Parameters
+        ----------
+        nu : (f, 6) array
+            Innovations, m and m/s.
+        noise : FixNoise
+        more : (f, 6) array
+            Added to the variances of fixes that say little of the others, m^2; their own covariances are those without it.
+
+        Returns
+        -------
+        out : (f, 6) array
+            Zero where a component is missing.
+        S : (f, 6, 6) array
+            Of positions and of velocities, which a block holds each; an infinite variance where a component is missing.
+        """
+        gains = replace(self, R=self.R + more / noise.factor**2).gains(noise)
+        if gains.done < self.t.size:
+            raise np.linalg.LinAlgError("a fix has no positive variance")
+        white = self.whitened(nu[:, :, None], gains)[:, :, 0]
+        u, D, S = np.zeros(nu.shape), np.zeros((len(nu), 6, 6)), np.zeros((len(nu), 6, 6))
+        surrogate_kernels.surrogate_beside(
+            self.Phi, self.H, self.use, gains.phi, gains.variance, gains.gain, gains.root, white, u, D
+        )
+        there = self.use == 1
+        for own in (slice(0, 3), slice(3, 6)):
+            D[:, own, own] += ~there[:, own, None] * np.eye(3)
+            S[:, own, own] = np.linalg.inv(D[:, own, own])
+        out = np.einsum("kij,kj->ki", S, u)
+        S[:, np.arange(6), np.arange(6)] = np.where(there, np.einsum("kii->ki", S) - more, math.inf)
+        return out, S
+
     def log_likelihood(self, factor: Array | None = None, colour: Colour | None = None) -> float:
         """Log-likelihood with other levels and a Gauss-Markov part of the fixes."""
         return self.whiten(self.nu[:, :, None], factor, colour)[1]

@@ -252,6 +252,120 @@ def surrogate_whitened(
                             x[j, c] += w * nu[k, i, c]
 
 
+@njit(cache=True, nogil=True)
+def surrogate_beside(
+    Phi: Array,
+    H: Array,
+    use: NDArray[np.int64],
+    phi_g: Array,
+    p_g: Array,
+    gain: Array,
+    root: Array,
+    white: Array,
+    u: Array,
+    D: Array,
+) -> None:  # pragma: no cover - compiled
+    """Rows of the innovations times the inverse of their covariance, and its blocks on the diagonal, by one pass back from the last fix.
+
+    With ``e`` the innovation of a component in turn, ``s`` its variance, ``K = P a / s`` and ``L = I - K a'``, from the last to the first
+
+        u = e / s - K' r,  D = 1 / s + K' N K,  r <- a u + r,  N <- a a' / s + L' N L
+
+    (de Jong 1989, section 4). Multiplied out, N rounds at what a fix tells of the states; as the product it keeps what is left of that where a colour
+    and the position are nearly one: of 0.6 m beside 24 mm of white noise errors of 1e-10 instead of 1e-3 after 2,700 fixes.
+
+    Parameters
+    ----------
+    Phi, H, use, phi_g, p_g, gain, root : arrays
+        As in :func:`surrogate_gains`.
+    white : (f, 6) array
+        Whitened innovations.
+    u : (f, 6) array
+        Written to, 1/m and s/m; zero where a component is missing.
+    D : (f, 6, 6) array of zeros
+        Written to, for each fix.
+    """
+    f, n, m = white.shape[0], Phi.shape[1], gain.shape[2]
+    which = np.zeros(6, dtype=np.int64)
+    extra = 0
+    for i in range(6):
+        if p_g[i] > 0.0:
+            which[extra] = i
+            extra += 1
+    r, a, K, NK, KN = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m)
+    N, T, later = np.zeros((m, m)), np.zeros((m, m)), np.zeros((6, m))
+    at, entry = np.zeros(m, dtype=np.int64), np.zeros(m)
+    for back in range(f):
+        k = f - 1 - back
+        for turn in range(6):
+            i = 5 - turn
+            if use[k, i] == 0:
+                continue
+            a[:] = 0.0
+            seen = _entries(H[k, i], which[:extra], i, at, entry)
+            for c in range(seen):
+                a[at[c]] = entry[c]
+            for p in range(m):
+                K[p] = gain[k, i, p] / root[k, i]
+            told, own = white[k, i] / root[k, i], 1.0 / root[k, i] ** 2
+            for p in range(m):
+                told -= K[p] * r[p]
+                NK[p] = 0.0
+                for q in range(m):
+                    NK[p] += N[p, q] * K[q]
+            u[k, i], D[k, i, i] = told, own
+            for p in range(m):
+                D[k, i, i] += K[p] * NK[p]
+            for j in range(i + 1, 6):
+                if use[k, j] == 1:
+                    shared = 0.0
+                    for p in range(m):
+                        shared += K[p] * later[j, p]
+                    D[k, i, j] = D[k, j, i] = -shared
+                    for p in range(m):
+                        later[j, p] -= a[p] * shared
+            for p in range(m):
+                later[i, p] = a[p] * D[k, i, i] - NK[p]
+                r[p] += a[p] * told
+                for q in range(m):
+                    N[p, q] -= NK[p] * a[q]
+            for q in range(m):
+                KN[q] = 0.0
+                for p in range(m):
+                    KN[q] += K[p] * N[p, q]
+            for p in range(m):
+                if a[p] != 0.0:
+                    for q in range(m):
+                        N[p, q] += a[p] * (own * a[q] - KN[q])
+            for p in range(m):
+                for q in range(p):
+                    N[p, q] = N[q, p] = 0.5 * (N[p, q] + N[q, p])
+        # r = F' r, N = F' N F
+        K[:], T[:] = 0.0, 0.0
+        for q in range(n):
+            for i in range(n):
+                w = Phi[k, q, i]
+                if w != 0.0:
+                    K[i] += w * r[q]
+                    for p in range(m):
+                        T[i, p] += w * N[q, p]
+        for j in range(n, m):
+            w = phi_g[k, which[j - n]]
+            K[j] = w * r[j]
+            for p in range(m):
+                T[j, p] = w * N[j, p]
+        r[:], N[:] = K, 0.0
+        for q in range(n):
+            for i in range(n):
+                w = Phi[k, q, i]
+                if w != 0.0:
+                    for p in range(m):
+                        N[i, p] += w * T[p, q]
+        for j in range(n, m):
+            for p in range(m):
+                N[j, p] = phi_g[k, which[j - n]] * T[p, j]
+
+
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
 def surrogate_likelihoods(
     Phi: Array,

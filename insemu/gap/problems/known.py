@@ -127,7 +127,7 @@ def static_without(log: StaticLog, nominal: Nominal) -> tuple[StaticLog, dict[st
 
 
 def drive_without(
-    recording: Recording, nominal: Nominal, gone: Told | None = None, *, again: bool = True, filled: bool = False
+    recording: Recording, nominal: Nominal, gone: Told | None = None, *, filled: bool = False
 ) -> tuple[Recording, Nominal]:
     """A drive or flight less what is known, and the nominal model as it is then: its lever arm and the noise of its fixes put right.
 
@@ -138,9 +138,8 @@ def drive_without(
     nominal : Nominal
         What is known.
     gone : mapping of effect to (k,) array of int, optional
-        Which of the positions and of the velocities that there are, in order of time, were told outliers already (:func:`struck_out`).
-    again : bool
-        Whether it is told again which of them are, from those on.
+        Which of the positions and of the velocities that there are, in order of time, were told outliers already (:func:`struck_out`); else it is
+        told which are, as many of them as are known.
     filled : bool
         Whether known lost samples are filled in; a search does so where it looks at the samples, which says how uncertain that is.
 
@@ -170,8 +169,9 @@ def drive_without(
         use for use in effects if (filled or not use.effect.does("restored")) and "widened" not in use.effect.traits
     ]
     out = compensated(recording, taken, trajectory=motion, lever_arm=moved.gnss.lever_arm)
-    told = {k: _stamps(out, k)[at] for k, at in (gone or {}).items()}
-    return _without_outliers(out, moved, colour_of(effects), told) if again else _struck_out(out, told), moved
+    if gone is None:
+        return _without_outliers(out, moved, colour_of(effects)), moved
+    return _struck_out(out, {k: _stamps(out, k)[at] for k, at in gone.items()}), moved
 
 
 def in_imu_axes(recording: Recording, nominal: Nominal) -> tuple[Recording, Nominal]:
@@ -202,9 +202,7 @@ def _estimated(recording: Recording, nominal: Nominal) -> Trajectory:
     return trajectory_of(result.t, result.nav, "estimate")
 
 
-def _without_outliers(
-    recording: Recording, nominal: Nominal, colour: Colour | None, told: Mapping[str, Array]
-) -> Recording:
+def _without_outliers(recording: Recording, nominal: Nominal, colour: Colour | None) -> Recording:
     """A recording without the positions and velocities that are more likely known outliers than not, as the nominal filter sees them."""
     from insemu.gap.drive.apart import FIRST, by_filter, outlying, told_of, under_colour
     from insemu.gap.drive.preparation import fast_parts, prepare
@@ -212,12 +210,12 @@ def _without_outliers(
     if recording.gnss is None or not any(use.id in FIRST for use in nominal.effects):
         return recording
     prepared = replace(prepare(recording, nominal, fast_parts(recording, nominal), {}), factors=np.ones(6))
-    if colour is None:
-        seen = by_filter(lambda gnss: prepared.again(gnss=gnss).result, prepared.gnss)
-    else:
+    look = by_filter(lambda gnss: prepared.again(gnss=gnss).result, prepared.gnss)
+    if colour is not None:
         loud, noise = FixNoise(np.ones(6), colour).apart(prepared.surrogate.sigma())
         seen = under_colour(prepared.again(factors=loud).surrogate, noise)
-    return _struck_out(recording, outlying(seen, told_of(nominal.effects, prepared.gnss), told))
+        look = lambda _: seen  # noqa: E731
+    return _struck_out(recording, outlying(look, told_of(nominal.effects, prepared.gnss)))
 
 
 def _struck_out(recording: Recording, gone: Mapping[str, Array]) -> Recording:

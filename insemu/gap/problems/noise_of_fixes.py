@@ -182,7 +182,7 @@ class NoiseOfFixes(ABC):
         whole = scene.rebuilt(whole=self.recorded, gone=others)
         # what is explained was estimated without them
         nu = whole.less_explained(*scene.explaining(self.blocks(), self.cut))
-        told = without_outliers(whole, known, self.cut, whole, nu, None if stood is None else 1.0, self.gone[effect])
+        told = without_outliers(whole, known, self.cut, whole, nu, None if stood is None else 1.0)
         self.found = [replace(f, chosen=told.outliers) if f.chosen is known else f for f in self.found]
         self.gone = others
         if stood is not None:
