@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -494,7 +494,15 @@ def null_threshold(
     return float(np.quantile(np.max(np.stack(list(evidence.values())), axis=0), 1.0 - rules().false_alarms))
 
 
-def library_evidence(scene: Scene, data: Field, given: Sequence[Block]) -> tuple[float, str]:
+class Outside(NamedTuple):
+    """Structure outside the catalogue: log evidence in nats, its name in words, and how it enters the linear model of the innovations."""
+
+    nats: float
+    what: str
+    block: Block | None
+
+
+def library_evidence(scene: Scene, data: Field, given: Sequence[Block]) -> Outside:
     """The best structure outside the catalogue, those of a sensor counted alike.
 
     Parameters
@@ -508,19 +516,20 @@ def library_evidence(scene: Scene, data: Field, given: Sequence[Block]) -> tuple
 
     Returns
     -------
-    nats : float
-        Log evidence of the best; minus infinity where there is no library.
-    what : str
-        Its name in words.
+    Outside
+        Of minus infinity where there is no library.
     """
     A, b = data.conditioned(given)
-    found: dict[str, list[tuple[float, str]]] = {}
+    found: dict[str, list[Outside]] = {}
     amplitudes = np.array((*sizes(), rules().widest_scales[0]))
     for i, c in enumerate(scene.columns[scene.outside], start=scene.outside.start):
-        logs = quadratic_evidence(A[i : i + 1, i : i + 1], b[i : i + 1], np.array([[c.scale]]), amplitudes)
-        found.setdefault(c.sensor, []).append((log_mean_exp(logs[:, 0]), f"{c.sensor} error that goes with {c.label}"))
-    best = (-math.inf, "")
+        logs = quadratic_evidence(A[i : i + 1, i : i + 1], b[i : i + 1], np.array([[c.scale]]), amplitudes)[:, 0]
+        block = np.array([i]), np.array([[c.scale * amplitudes[int(np.argmax(logs))]]])
+        one = Outside(log_mean_exp(logs), f"{c.sensor} error that goes with {c.label}", block)
+        found.setdefault(c.sensor, []).append(one)
+    best = Outside(-math.inf, "", None)
     for group in found.values():
-        top = max(group)
-        best = max(best, (log_mean_exp([g for g, _ in group]), top[1]))
+        nats = log_mean_exp([one.nats for one in group])
+        if nats > best.nats:
+            best = max(group, key=lambda one: one.nats)._replace(nats=nats)
     return best

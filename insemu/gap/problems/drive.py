@@ -21,6 +21,7 @@ from insemu.gap.candidates.shapes import (
     PROCESSES,
     Change,
     DriveHypothesis,
+    Outside,
     Variant,
     bank,
     best_pair,
@@ -170,15 +171,29 @@ class DriveProblem(SettledFixes):
     def choose(self, ranked: Sequence[DriveHypothesis]) -> Found[Change] | None:
         """The best effect, or the first of several that explain more together."""
         best = ranked[0]
-        beyond, what = library_evidence(self.scene, self.data, self.blocks())
-        if beyond > self.threshold and beyond > best.nats + rules().lead:
-            self.outsider = what
+        outside = library_evidence(self.scene, self.data, self.blocks())
+        if outside.nats > self.threshold and self._is_beyond(outside, best):
+            self.outsider = outside.what
             return None
         pair = self._hidden_pair(best)
         unsure = probabilities([h.nats for h in ranked])[-1] > 1.0 - rules().something
         if pair is None and (best.nats < self.threshold or unsure):
             return None
         return Found(pair or self._apart(best), tuple(ranked))
+
+    def _is_beyond(self, outside: Outside, best: DriveHypothesis) -> bool:
+        """Whether structure outside the catalogue explains more than the best effect, by itself and with what follows either.
+
+        A product of two inputs can be nearer to two effects together than one of these is.
+        """
+        lead = rules().lead
+        if outside.block is None or best.change.block is None or not outside.nats > best.nats + lead:
+            return outside.nats > best.nats + lead
+        after = [
+            max(0.0, linear_nats(self.scene, self._beside(), self.data, [*self.blocks(), block], self._skip()))
+            for block in (outside.block, best.change.block)
+        ]
+        return outside.nats + after[0] > best.nats + after[1] + lead
 
     def split(self) -> bool:
         """Put the first of two or three simpler effects in the place of a finding where they now explain more than it does; whether that was so."""
@@ -367,9 +382,9 @@ class DriveProblem(SettledFixes):
             self.found[k] = f = replace(f, ranked=tuple(ranked))
             if h.change.columns:
                 own = [v for v in self.variants if (v.effect, v.sensor) == (h.effect, h.sensor)]
-                beyond, what = library_evidence(self.scene, self.data, others)
-                if beyond > linear_nats(self.scene, own, self.data, others, ()):
-                    self.found[k] = replace(f, instead=what)
+                outside = library_evidence(self.scene, self.data, others)
+                if outside.nats > linear_nats(self.scene, own, self.data, others, ()):
+                    self.found[k] = replace(f, instead=outside.what)
 
 
 def find_effects(

@@ -1,0 +1,26 @@
+"""Structure outside the catalogue against effects of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchmarks.foreign.judge import Job, drawn, taken
+from insemu.gap import find_gap
+
+
+def test_two_effects_that_a_product_of_inputs_stands_for_are_named() -> None:
+    """A scale factor and a misalignment of 210 and 69 nats: f_z^2, which the catalogue has not, explains 4 nats more than either and leaves the rest."""
+    measured, nominal = taken(*drawn(Job("two", 801022, 360.0, True, False, False))[:2])
+    report = find_gap(measured, nominal, rng=np.random.default_rng(1), hold_out=False, pictures=False)
+    assert report.verdict in ("named", "class") and not report.remainder
+    classes = [{m.effect for m in f.members} for f in report.findings]
+    assert len(classes) == 2
+    for effect in ("scale_factor", "misalignment"):
+        assert any(effect in members for members in classes)
+
+
+def test_what_is_outside_is_not_lost_behind_what_follows() -> None:
+    """An error outside the catalogue that several effects follow a part of."""
+    measured, nominal = taken(*drawn(Job("outside", 840003, 360.0, True, False, False))[:2])
+    report = find_gap(measured, nominal, rng=np.random.default_rng(1), hold_out=False, pictures=False)
+    assert report.verdict == "unexplained"
