@@ -9,7 +9,7 @@ from insemu.gap import find_gap
 
 
 def test_two_effects_that_a_product_of_inputs_stands_for_are_named() -> None:
-    """A scale factor and a misalignment of 210 and 69 nats: f_z^2, which the catalogue has not, explains 4 nats more than either and leaves the rest."""
+    """A scale factor and a misalignment of 210 and 69 nats: f_z^2, which is no effect, explains 4 nats more than either and leaves the rest."""
     measured, nominal = taken(*drawn(Job("two", 801022, 360.0, True, False, False))[:2])
     report = find_gap(measured, nominal, rng=np.random.default_rng(1), hold_out=False, pictures=False)
     assert report.verdict in ("named", "class") and not report.remainder
