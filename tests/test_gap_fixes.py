@@ -429,6 +429,17 @@ def test_a_loose_fix_says_nothing_of_those_behind_it_and_keeps_its_own_covarianc
     np.testing.assert_allclose(S[6:], its[6:], rtol=1e-4, atol=1e-8)
 
 
+@pytest.mark.parametrize("size", [1e4, 1e6])
+def test_outliers_of_a_receiver_that_is_lost_are_no_more_than_that(size: float) -> None:
+    """Fixes somewhere else on Earth: their squares, and those by which a filter hardly follows them, left no digits for the others."""
+    made, hit = with_outliers(recording(), 0.03, size)
+    gnss = Gnss(position_sigma=SIGMA, velocity_sigma=(0.05, 0.05, 0.05), lever_arm=LEVER)
+    report = find_gap(made, Nominal(dict(BELIEF), gnss), rng=np.random.default_rng(1), pictures=False)
+    assert [f.effect for f in report.findings] == ["gnss_outliers"] and report.verdict == "named"
+    assert report.to_json()["outliers"]["gnss_outliers"] == np.flatnonzero(hit).tolist()
+    assert report.gap_after.low < 1.0 < report.gap_after.high
+
+
 def behind_a_colour(made: Recording) -> Scene:
     """The scene of a recording with fixes of known colour: four times their white scatter, for 20 s."""
     gnss = Gnss(position_sigma=SIGMA, velocity_sigma=(0.05, 0.05, 0.05), lever_arm=LEVER)

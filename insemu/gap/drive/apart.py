@@ -55,6 +55,8 @@ FIRST = {"gnss_outliers": 0, "gnss_velocity_outliers": 3}
 #: Standard deviation of a fix that is hardly followed, over that of an outlier: the mean of a hundred such fixes is still as uncertain as a hundred
 #: times an outlier, and taking its square off a variance again rounds at 1e-10 of the variance of one.
 LOOSE = 1e3
+#: Most that the variance of a fix is raised by, over its own, where a filter runs on it and where it is smoothed: beyond that its digits are lost.
+MOST_LOOSE, MOST_WIDE = 1e12, 1e8
 #: Fixes around one that is told anew in which no other is: it says something of these. With 1 to 10 the outliers of ublox_mixed_nominal and
 #: rtkexp_drive are the same; with none they went in turns.
 APART = 5
@@ -124,7 +126,9 @@ def under_colour(s: Surrogate, noise: FixNoise, nu: Array | None = None) -> Seen
         at = s if until == math.inf else s.until(until)
         more = np.zeros((at.t.size, 6))
         for effect, (t, sigma) in gone.items():
-            more[np.isin(at.t, t), _rows(effect)] = sigma**2
+            own = _rows(effect)
+            less_than = MOST_WIDE * at.R[:, own] * noise.factor[own] ** 2
+            more[:, own] = np.where(np.isin(at.t, t)[:, None], np.minimum(sigma**2, less_than), 0.0)
         v, S = (at.ahead if ahead else at.beside)(whole[: at.t.size], noise, more)
         out = {}
         for effect in gone:
@@ -151,12 +155,18 @@ def by_filter(run: Run, gnss: GnssRecord) -> Look:
         more, loose = np.zeros((len(gnss), 6)), gnss
         for effect, (t, sigma) in gone.items():
             own, key = _rows(effect), ("pos_std_ned", "vel_std_ned")[FIRST[effect] // 3]
-            more[np.isin(gnss.t, t), own] = (LOOSE * sigma) ** 2
-            loose = replace(loose, **{key: np.sqrt(getattr(gnss, key) ** 2 + more[:, own])})
+            variance = getattr(gnss, key) ** 2
+            more[:, own] = np.where(np.isin(gnss.t, t)[:, None], hardly_followed(sigma, variance), 0.0)
+            loose = replace(loose, **{key: np.sqrt(variance + more[:, own])})
         s = Surrogate.of(run(loose))
         return under_colour(replace(s, R=s.R - np.where(s.use == 1, more[np.searchsorted(gnss.t, s.t)], 0.0)), WHITE)
 
     return look
+
+
+def hardly_followed(sigma: Array, variance: Array) -> Array:
+    """What the variances (k, 3) of fixes are raised by so that a filter hardly follows outliers of standard deviations sigma (3,)."""
+    return np.minimum((LOOSE * sigma) ** 2, MOST_LOOSE * variance)
 
 
 def less(look: Look, explained: Seen) -> Look:

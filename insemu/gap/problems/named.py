@@ -23,7 +23,7 @@ from insemu.gap.candidates.robust import excess_of, is_lasting
 from insemu.gap.candidates.shapes import LAGGED, ONCE, PROCESSES, Change, bank, shape_values
 from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.confusion import Repetitions
-from insemu.gap.drive.apart import FIRST, LOOSE
+from insemu.gap.drive.apart import FIRST, hardly_followed
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.fixes import joint_noise
 from insemu.gap.evidence.linear import Block
@@ -129,7 +129,11 @@ def _of_outliers(scene: Scene, named: Named, final: Scene, blocks: Sequence[Bloc
     more = np.zeros((len(whole), 6))
     for effect, h in found.items():
         sigma = np.array([x.value for x in h.values if x.name.startswith("sigma_")])
-        more[np.isin(whole.t, named.gone[effect]), FIRST[effect] : FIRST[effect] + 3] = (LOOSE * sigma) ** 2
+        stated = whole.pos_std_ned if FIRST[effect] == 0 else whole.vel_std_ned
+        assert stated is not None
+        rows = slice(FIRST[effect], FIRST[effect] + 3)
+        out = np.isin(whole.t, named.gone[effect])[:, None]
+        more[:, rows] = np.where(out, hardly_followed(sigma, (stated * factors[rows]) ** 2), 0.0)
     raised = replace(whole, pos_std_ned=np.sqrt(whole.pos_std_ned**2 + more[:, :3] / factors[:3] ** 2))
     if raised.vel_std_ned is not None:
         raised = replace(raised, vel_std_ned=np.sqrt(raised.vel_std_ned**2 + more[:, 3:] / factors[3:] ** 2))
