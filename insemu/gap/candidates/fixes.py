@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from insemu.filters import log_density
 from insemu.gap.candidates.shapes import Change, DriveHypothesis
-from insemu.gap.drive.apart import FIRST, Look, by_filter, less, log_joint, log_mixture, told, under_colour
+from insemu.gap.drive.apart import FIRST, Look, always, by_filter, less, log_joint, log_mixture, told, under_colour
 from insemu.gap.drive.preparation import scaled_fixes
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop
@@ -262,8 +262,7 @@ def _look(scene: Scene, effect: str, level: float, seen: Scene, explained: Array
     What is explained (f, 6) of the innovations of ``seen`` is less where an outlier is hardly followed, or more: the filter on its error says so.
     """
     if scene.noise is not None:
-        of = under_colour(scene.surrogate, scene.noise, scene.surrogate.nu - explained)
-        return lambda gone: of
+        return always(under_colour(scene.surrogate, scene.noise, scene.surrogate.nu - explained))
     prepared = scene.prepared
     factors = prepared.factors * np.where(np.arange(6) // 3 == FIRST[effect] // 3, level, 1.0)
     look = by_filter(

@@ -127,8 +127,8 @@ def under_colour(s: Surrogate, noise: FixNoise, nu: Array | None = None) -> Seen
         more = np.zeros((at.t.size, 6))
         for effect, (t, sigma) in gone.items():
             own = _rows(effect)
-            less_than = MOST_WIDE * at.R[:, own] * noise.factor[own] ** 2
-            more[:, own] = np.where(np.isin(at.t, t)[:, None], np.minimum(sigma**2, less_than), 0.0)
+            most = MOST_WIDE * at.R[:, own] * noise.factor[own] ** 2
+            more[:, own] = np.where(np.isin(at.t, t)[:, None], np.minimum(sigma**2, most), 0.0)
         v, S = (at.ahead if ahead else at.beside)(whole[: at.t.size], noise, more)
         out = {}
         for effect in gone:
@@ -138,6 +138,11 @@ def under_colour(s: Surrogate, noise: FixNoise, nu: Array | None = None) -> Seen
         return out
 
     return seen
+
+
+def always(seen: Seen) -> Look:
+    """What is seen whatever outliers the nominal filter followed, as of a filter on its error."""
+    return lambda _: seen
 
 
 def by_filter(run: Run, gnss: GnssRecord) -> Look:
@@ -254,7 +259,7 @@ def outlying(look: Look, known: Sequence[EffectUse]) -> dict[str, Array]:
     Parameters
     ----------
     look : callable
-        From :func:`by_filter`, or one that always returns what :func:`under_colour` returns.
+        From :func:`by_filter`, or :func:`always` of what :func:`under_colour` returns.
     known : sequence of EffectUse
         Outliers of known share and size, each effect once.
     """

@@ -14,6 +14,12 @@ from insemu.gap.evidence.lanes import LANES, add, div, load, mul, spread, store,
 Array = NDArray[np.float64]
 
 
+@njit(cache=True, nogil=True)
+def _coloured(p_g: Array) -> NDArray[np.int64]:  # pragma: no cover - compiled
+    """Components that have a part of g, by its initial variances (6,)."""
+    return np.flatnonzero(p_g > 0.0)
+
+
 @njit(cache=True, nogil=True, inline="always")
 def _entries(
     row: Array, which: NDArray[np.int64], component: int, at: NDArray[np.int64], a: Array
@@ -80,12 +86,8 @@ def surrogate_gains(
         Number of fixes up to the first whose variance is not positive: all where none is.
     """
     n, f = P0.shape[0], len(Phi)
-    which = np.zeros(6, dtype=np.int64)
-    extra = 0
-    for i in range(6):
-        if p_g[i] > 0.0:
-            which[extra] = i
-            extra += 1
+    which = _coloured(p_g)
+    extra = which.size
     m = n + extra
     P = np.zeros((m, m))
     P[:n, :n] = P0
@@ -150,7 +152,7 @@ def surrogate_gains(
         for i in range(6):
             if use[k, i] == 0:
                 continue
-            seen = _entries(H[k, i], which[:extra], i, at, a)
+            seen = _entries(H[k, i], which, i, at, a)
             g[:] = 0.0
             for r in range(seen):
                 w = a[r]
@@ -201,12 +203,8 @@ def surrogate_whitened(
     """
     n, m = Phi.shape[1], gain.shape[2]
     f, _, cols = nu.shape
-    which = np.zeros(6, dtype=np.int64)
-    extra = 0
-    for i in range(6):
-        if p_g[i] > 0.0:
-            which[extra] = i
-            extra += 1
+    which = _coloured(p_g)
+    extra = which.size
     x = np.zeros((m, cols))
     moved = np.zeros((n, cols))
     e = np.zeros(cols)
@@ -286,12 +284,7 @@ def surrogate_beside(
         Written to, for each fix.
     """
     f, n, m = white.shape[0], Phi.shape[1], gain.shape[2]
-    which = np.zeros(6, dtype=np.int64)
-    extra = 0
-    for i in range(6):
-        if p_g[i] > 0.0:
-            which[extra] = i
-            extra += 1
+    which = _coloured(p_g)
     r, a, K, NK, KN = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m)
     N, T, later = np.zeros((m, m)), np.zeros((m, m)), np.zeros((6, m))
     at, entry = np.zeros(m, dtype=np.int64), np.zeros(m)
@@ -302,7 +295,7 @@ def surrogate_beside(
             if use[k, i] == 0:
                 continue
             a[:] = 0.0
-            seen = _entries(H[k, i], which[:extra], i, at, entry)
+            seen = _entries(H[k, i], which, i, at, entry)
             for c in range(seen):
                 a[at[c]] = entry[c]
             for p in range(m):

@@ -204,7 +204,7 @@ def _estimated(recording: Recording, nominal: Nominal) -> Trajectory:
 
 def _without_outliers(recording: Recording, nominal: Nominal, colour: Colour | None) -> Recording:
     """A recording without the positions and velocities that are more likely known outliers than not, as the nominal filter sees them."""
-    from insemu.gap.drive.apart import FIRST, by_filter, outlying, told_of, under_colour
+    from insemu.gap.drive.apart import FIRST, always, by_filter, outlying, told_of, under_colour
     from insemu.gap.drive.preparation import fast_parts, prepare
 
     if recording.gnss is None or not any(use.id in FIRST for use in nominal.effects):
@@ -213,8 +213,7 @@ def _without_outliers(recording: Recording, nominal: Nominal, colour: Colour | N
     look = by_filter(lambda gnss: prepared.again(gnss=gnss).result, prepared.gnss)
     if colour is not None:
         loud, noise = FixNoise(np.ones(6), colour).apart(prepared.surrogate.sigma())
-        seen = under_colour(prepared.again(factors=loud).surrogate, noise)
-        look = lambda _: seen  # noqa: E731
+        look = always(under_colour(prepared.again(factors=loud).surrogate, noise))
     return _struck_out(recording, outlying(look, told_of(nominal.effects, prepared.gnss)))
 
 
