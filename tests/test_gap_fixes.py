@@ -157,28 +157,41 @@ def test_the_interval_of_a_colour_has_the_tail_of_its_posterior() -> None:
     assert high - float(mode.x[0]) > 1.2 * 1.96 * math.sqrt(float(mode.covariance[0, 0]))
 
 
-def test_what_all_others_say_of_a_fix_is_what_a_shock_of_it_explains() -> None:
-    """A fix with a further variance is as much more likely as its rest, given all others, is under it; also where a colour is nearly the position."""
-    s = Surrogate.of(nominal_run()[0])
-    for noise in (noise_of(s), FixNoise(np.full(6, 0.05), Colour(np.array([0.8, 0.8, 0.8, 0.0, 0.0, 0.0]), 1500.0))):
-        none, more = np.zeros((s.t.size, 6)), np.array([0.9, 0.1, 0.3])
-        rest, S = s.beside(s.nu, noise, none)
-        for k in (1, s.t.size // 2, s.t.size - 1):
-            for own in (slice(0, 3), slice(3, 6)):
-                if not s.use[k, own].all():
-                    continue
-                shaken = none.copy()
-                shaken[k, own] = more
-                louder = replace(s, R=s.R + shaken / noise.factor**2)
-                gain = louder.log_likelihood(noise.factor, noise.colour) - s.log_likelihood(noise.factor, noise.colour)
-                v, own_S = rest[k : k + 1, own], S[k : k + 1, own, own]
-                assert gain == pytest.approx(
-                    float(log_density(v, own_S + np.diag(more))[0] - log_density(v, own_S)[0]), abs=1e-6, rel=1e-6
-                )
-                # what it says of itself is not in it
-                again, own_again = s.beside(s.nu, noise, shaken)
-                assert again[k, own] == pytest.approx(rest[k, own], rel=1e-6, abs=1e-9)
-                assert own_again[k, own, own] == pytest.approx(S[k, own, own], rel=1e-6, abs=1e-9)
+def over_again(s: Surrogate, times: int) -> Surrogate:
+    """The same drive ``times`` times, one after the other."""
+    arrays = {name: getattr(s, name) for name in ("Phi", "Q", "K", "H", "R", "nu", "use", "stated")}
+    t = np.concatenate([s.t + k * (s.t[-1] - s.t[0] + 1.0) for k in range(times)])
+    return replace(s, t=t, **{name: np.concatenate([a] * times) for name, a in arrays.items()})
+
+
+NEARLY = FixNoise(np.full(6, 0.05), Colour(np.array([0.8, 0.8, 0.8, 0.0, 0.0, 0.0]), 1500.0))
+
+
+@pytest.mark.parametrize(("nearly", "times"), [(False, 1), (True, 1), (True, 40)])
+def test_what_all_others_say_of_a_fix_is_what_a_shock_of_it_explains(nearly: bool, times: int) -> None:
+    """A fix with a further variance is as much more likely as its rest, given all others, is under it; also where a colour is nearly the position.
+
+    Of 9,600 fixes the first was wrong by 1e-3 where rounding that is not symmetric was left to grow.
+    """
+    s = over_again(Surrogate.of(nominal_run()[0]), times)
+    noise = NEARLY if nearly else noise_of(s)
+    none, more = np.zeros((s.t.size, 6)), np.array([0.9, 0.1, 0.3])
+    rest, S = s.beside(s.nu, noise, none)
+    for k in (1, s.t.size // 2, s.t.size - 1):
+        for own in (slice(0, 3), slice(3, 6)):
+            if not s.use[k, own].all():
+                continue
+            shaken = none.copy()
+            shaken[k, own] = more
+            louder = replace(s, R=s.R + shaken / noise.factor**2)
+            gain = louder.log_likelihood(noise.factor, noise.colour) - s.log_likelihood(noise.factor, noise.colour)
+            v, own_S = rest[k : k + 1, own], S[k : k + 1, own, own]
+            explained = float(log_density(v, own_S + np.diag(more))[0] - log_density(v, own_S)[0])
+            assert gain == pytest.approx(explained, abs=1e-7, rel=1e-7)
+            # what it says of itself is not in it
+            again, own_again = s.beside(s.nu, noise, shaken)
+            assert again[k, own] == pytest.approx(rest[k, own], rel=1e-6, abs=1e-9)
+            assert own_again[k, own, own] == pytest.approx(S[k, own, own], rel=1e-6, abs=1e-9)
 
 
 def beside_colour(seed: int, hit: Array) -> Seen:

@@ -58,7 +58,7 @@ LOOSE = 1e3
 #: Most that the variance of a fix is raised by, over its own, where a filter runs on it and where it is smoothed: beyond that its digits are lost.
 MOST_LOOSE, MOST_WIDE = 1e12, 1e8
 #: Fixes around one that is told anew in which no other is: it says something of these. With 1 to 10 the outliers of ublox_mixed_nominal and
-#: rtkexp_drive are the same; with none they went in turns.
+#: rtkexp_drive are the same, and those of thor75_uav_flight but for two; with none they went in turns.
 APART = 5
 #: Most times that all are looked at: 4 to 9 on real drives.
 MOST_ROUNDS = 40
